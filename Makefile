@@ -1,0 +1,40 @@
+# Two commands for a newcomer: `make dry-run` and `make test`. Both set up .venv themselves.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+MISSION ?= missions/dual_collision.yaml
+
+.PHONY: dry-run test bench campaign format lint types clean
+.DEFAULT_GOAL := test
+
+$(STAMP): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "dart-flight needs Python 3.11 or newer; set PYTHON=/path/to/python3"; exit 1; }
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || \
+	  { echo "cannot make a virtual environment; on Debian and Pi OS: apt install python3-venv"; exit 1; }
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+dry-run: $(STAMP)
+	$(BIN)/dart-flight dry-run $(MISSION)
+
+test: $(STAMP)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/pytest -m 'not mavlink and not px4' -n auto
+	$(BIN)/pytest -m 'mavlink or px4' -rs
+
+bench: $(STAMP)
+	$(BIN)/python -m tools.bench
+
+campaign: $(STAMP)
+	$(BIN)/python -m tools.campaign
+
+format: $(STAMP)
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+clean:
+	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache

@@ -1,0 +1,295 @@
+"""A YAML file as a tree of plain values that remembers its lines, and its conversion to a type.
+
+PyYAML parses (events only, so that depth, duplicate keys and aliases are judged here) and msgspec converts
+and validates. This module adds what a person at the keyboard needs: the line, the full key, the nearest
+known name.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Iterator
+from enum import Enum
+from pathlib import Path
+from typing import Any, Literal, TypeVar, get_args, get_origin
+
+import msgspec
+import yaml
+
+T = TypeVar("T")
+Key = tuple[str | int, ...]
+
+_MAX_BYTES = 1_000_000
+_MAX_DEPTH = 32
+# YAML 1.1 reads 1e-3 as a string; people who write it mean the number (as YAML 1.2 does).
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\Z")
+_INTEGER = re.compile(r"[-+]?\d+\Z")
+_SPECIAL: dict[str, Any] = {
+    "": None,
+    "~": None,
+    "null": None,
+    "true": True,
+    "false": False,
+    ".inf": math.inf,
+    "-.inf": -math.inf,
+    "+.inf": math.inf,
+    ".nan": math.nan,
+}
+
+
+class InputError(Exception):
+    """Wrong input, in one line: `file:line: key: what is wrong, what is allowed`.
+
+    The command line prints it and exits with status 2; nothing has moved by then.
+    """
+
+    def __init__(self, message: str, *, source: str = "", line: int | None = None, key: Key = ()) -> None:
+        self.source, self.line, self.key, self.message = source, line, key, " ".join(message.split())
+        super().__init__(self.one_line())
+
+    def one_line(self) -> str:
+        """The error as one line of text."""
+        place = self.source if self.line is None else f"{self.source}:{self.line}"
+        return ": ".join(part for part in (place, dotted(self.key), self.message) if part)
+
+
+def dotted(key: Key) -> str:
+    """`("walls", "wood", "normal", 0)` as `walls.wood.normal[0]`."""
+    text = ""
+    for part in key:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
+    return text
+
+
+class Document:
+    """A parsed YAML file: `tree` of dicts, lists and scalars, and the line of every key.
+
+    Raises:
+        InputError: the text is not YAML, not a mapping, too large or too deep, has duplicate keys, aliases,
+            tags, or numbers that are not finite.
+    """
+
+    def __init__(self, text: str, source: str) -> None:
+        self.source = source
+        self.lines: dict[Key, int] = {}
+        if len(text) > _MAX_BYTES:
+            raise InputError(f"larger than {_MAX_BYTES} bytes", source=source)
+        try:
+            loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+            events = iter(list(yaml.parse(text, Loader=loader)))
+        except yaml.MarkedYAMLError as error:
+            mark = error.problem_mark or error.context_mark
+            line = mark.line + 1 if mark else None
+            problem = f"not valid YAML: {error.problem or error.context}"
+            raise InputError(problem, source=source, line=line) from None
+        except (yaml.YAMLError, ValueError, RecursionError) as error:
+            raise InputError(f"not valid YAML: {error}", source=source) from None
+        self.tree = self._read(events)
+        if not isinstance(self.tree, dict):
+            raise InputError("expected keys and values, as in the examples in missions/", source=source)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Document:
+        """Read and parse a file.
+
+        Raises:
+            InputError: the file cannot be read, or as above.
+        """
+        try:
+            text = Path(path).read_bytes().decode("utf-8")
+        except OSError as error:
+            raise InputError(f"cannot read: {error.strerror or error}", source=str(path)) from None
+        except (UnicodeDecodeError, ValueError):
+            raise InputError("not UTF-8 text", source=str(path)) from None
+        return cls(text, str(path))
+
+    def error(self, key: Key, message: str) -> InputError:
+        """An error at a key of this document, with the line of the nearest key that is written in it."""
+        for length in range(len(key), -1, -1):
+            line = self.lines.get(key[:length])
+            if line is not None:
+                return InputError(message, source=self.source, line=line, key=key)
+        return InputError(message, source=self.source, key=key)
+
+    def convert(self, type_: type[T]) -> T:
+        """The document as a `type_`.
+
+        Raises:
+            InputError: a key is unknown or missing, a value is of the wrong kind or out of range.
+        """
+        try:
+            return msgspec.convert(self.tree, type_)
+        except msgspec.ValidationError as error:
+            key, text = _innermost(self.tree, type_, (), str(error))
+            raise self.error(key, text) from None
+
+    # -- parsing --
+
+    def _read(self, events: Iterator[yaml.Event]) -> Any:
+        result: Any = None
+        documents = 0
+        for event in events:
+            if isinstance(event, yaml.DocumentStartEvent):
+                documents += 1
+                if documents > 1:
+                    raise self._at(event, "more than one YAML document in the file")
+            elif isinstance(event, yaml.NodeEvent):
+                result = self._node(event, events, ())
+        return result
+
+    def _node(self, event: yaml.Event, events: Iterator[yaml.Event], key: Key) -> Any:
+        if len(key) > _MAX_DEPTH:
+            raise self._at(event, f"nested deeper than {_MAX_DEPTH} levels")
+        self.lines.setdefault(key, self._line(event))
+        if isinstance(event, yaml.AliasEvent):
+            raise self._at(event, "anchors and aliases are not supported; write the value out", key)
+        if getattr(event, "anchor", None) is not None:
+            raise self._at(event, "anchors and aliases are not supported; write the value out", key)
+        if getattr(event, "tag", None) is not None:
+            raise self._at(event, f"tags are not supported: {event.tag}", key)
+        if isinstance(event, yaml.ScalarEvent):
+            return self._scalar(event, key)
+        if isinstance(event, yaml.SequenceStartEvent):
+            items: list[Any] = []
+            for item in events:
+                if isinstance(item, yaml.SequenceEndEvent):
+                    break
+                items.append(self._node(item, events, (*key, len(items))))
+            return items
+        return self._mapping(events, key)
+
+    def _mapping(self, events: Iterator[yaml.Event], key: Key) -> dict[str, Any]:
+        values: dict[str, Any] = {}
+        for event in events:
+            if isinstance(event, yaml.MappingEndEvent):
+                break
+            if not isinstance(event, yaml.ScalarEvent) or event.anchor is not None or event.tag is not None:
+                raise self._at(event, "keys must be plain names", key)
+            name = event.value
+            if name in values:
+                raise self._at(event, "this key is given twice", (*key, name))
+            self.lines[(*key, name)] = self._line(event)
+            values[name] = self._node(next(events), events, (*key, name))
+        return values
+
+    def _scalar(self, event: yaml.ScalarEvent, key: Key) -> Any:
+        text = event.value
+        if event.style in ("'", '"', "|", ">"):
+            return text
+        lowered = text.lower()
+        if lowered in _SPECIAL:
+            value = _SPECIAL[lowered]
+        elif _INTEGER.match(text):
+            if len(text) > 18:
+                raise self._at(event, "number too large", key)
+            value = int(text)
+        elif _NUMBER.match(text):
+            value = float(text)
+        else:
+            return text
+        if isinstance(value, float) and not math.isfinite(value):
+            raise self._at(event, f"numbers must be finite, not {text}", key)
+        return value
+
+    @staticmethod
+    def _line(event: yaml.Event) -> int:
+        return event.start_mark.line + 1 if event.start_mark else 1
+
+    def _at(self, event: yaml.Event, message: str, key: Key = ()) -> InputError:
+        return InputError(message, source=self.source, line=self._line(event), key=key)
+
+
+# --- the smallest part that does not convert ---------------------------------------------------------
+
+
+def _innermost(value: Any, type_: Any, key: Key, text: str) -> tuple[Key, str]:
+    """Follow a conversion error down to the smallest part that fails by itself.
+
+    msgspec's own path hides the names of dictionary keys (`$.walls[...].normal`), so the parts are
+    converted again one by one.
+    """
+    text = text.split(" - at `", maxsplit=1)[0]
+    for part_key, part, part_type in _parts(value, type_):
+        if part_type is None:
+            near = difflib.get_close_matches(str(part_key), _field_names(type_), n=1)
+            hint = f"did you mean {near[0]}?" if near else "known: " + ", ".join(_field_names(type_))
+            return (*key, part_key), f"unknown key, {hint}"
+        try:
+            msgspec.convert(part, part_type)
+        except msgspec.ValidationError as error:
+            return _innermost(part, part_type, (*key, part_key), str(error))
+    return key, _explain(text, type_)
+
+
+def _parts(value: Any, type_: Any) -> Iterator[tuple[str | int, Any, Any]]:
+    for option in _options(type_):
+        origin, arguments = get_origin(option), get_args(option)
+        if isinstance(option, type) and issubclass(option, msgspec.Struct) and isinstance(value, dict):
+            types = {field.encode_name: field.type for field in msgspec.structs.fields(option)}
+            for name, part in value.items():
+                yield name, part, types.get(name)
+        elif origin is dict and isinstance(value, dict):
+            for name, part in value.items():
+                yield name, part, arguments[1]
+        elif origin in (list, tuple) and isinstance(value, list):
+            fixed = origin is tuple and Ellipsis not in arguments
+            if not fixed or len(arguments) == len(value):
+                for i, part in enumerate(value):
+                    yield i, part, arguments[i if fixed else 0]
+
+
+def _options(type_: Any) -> Iterator[Any]:
+    """The type itself, or what a union, an alias or an annotation is made of."""
+    if hasattr(type_, "__metadata__"):
+        yield from _options(get_args(type_)[0])
+    elif isinstance(type_, type) or get_origin(type_) in (dict, list, tuple):
+        yield type_
+    else:
+        for part in get_args(type_):
+            yield from _options(part)
+
+
+def _field_names(type_: Any) -> list[str]:
+    return [
+        field.encode_name
+        for option in _options(type_)
+        if isinstance(option, type) and issubclass(option, msgspec.Struct)
+        for field in msgspec.structs.fields(option)
+    ]
+
+
+def _allowed(type_: Any) -> list[Any]:
+    if get_origin(type_) is Literal:
+        return list(get_args(type_))
+    return [
+        member.value
+        for option in _options(type_)
+        if isinstance(option, type) and issubclass(option, Enum)
+        for member in option
+    ]
+
+
+_WORDS = {
+    "`object`": "keys and values",
+    "`array`": "a list",
+    "`float`": "a number",
+    "`int`": "a whole number",
+    "`str`": "text",
+    "`bool`": "true or false",
+    "`null`": "nothing",
+}
+
+
+def _explain(text: str, type_: Any) -> str:
+    """Msgspec's words in the words of a YAML file."""
+    if text.startswith("Invalid enum value"):
+        allowed = ", ".join(str(value) for value in _allowed(type_))
+        return f"{text[len('Invalid enum value ') :]} is not allowed, only: {allowed}"
+    missing = re.match(r"Object missing required field `(.+)`", text)
+    if missing:
+        return f"missing key {missing[1]}"
+    for word, plain in _WORDS.items():
+        text = text.replace(word, plain)
+    return text[:1].lower() + text[1:]

@@ -1,0 +1,401 @@
+"""Mission files (version 1): the YAML types, and the checked mission the flight core flies.
+
+The file says what a person writes; `Mission` is what it means: walls as planes of the vehicle's centre,
+unit normals, gains in the wall's own axes, the point of impact. `docs/missions.md` explains every key.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from dart_flight.config.document import Document, InputError, Key
+from dart_flight.config.vehicle import NotNegative, Positive, Section, VehicleConfig, load_vehicle
+from dart_flight.geometry import MissionFrame, Vec2, Vec3, Wall
+from dart_flight.samples import Mode
+
+Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
+Point2 = tuple[Coordinate, Coordinate]
+Range = tuple[Coordinate, Coordinate]
+
+_AXIS_TOLERANCE = 1e-6
+
+
+class FrameOrigin(StrEnum):
+    """Where the mission frame is anchored."""
+
+    LOCAL = "local"
+    TAKEOFF = "takeoff"
+
+
+class FrameSpec(Section, frozen=True):
+    """Mission frame relative to PX4's local NED."""
+
+    origin: FrameOrigin = FrameOrigin.LOCAL
+    north_m: Coordinate = 0.0
+    east_m: Coordinate = 0.0
+    heading_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
+
+
+class StartSpec(Section, frozen=True):
+    """Where the mission starts, in the air; altitude above the take-off point."""
+
+    position_m: Point2
+    altitude_m: Annotated[float, Meta(gt=0.0, le=100.0)]
+
+
+class GoalSpec(Section, frozen=True):
+    """Where it ends."""
+
+    position_m: Point2
+    capture_radius_m: Positive = 0.15
+    hold_s: Annotated[float, Meta(ge=0.0, le=600.0)] = 2.0
+
+
+class BoundsSpec(Section, frozen=True):
+    """The flight space: [low, high] per axis."""
+
+    x: Range
+    y: Range
+    z: Range
+
+
+class GivenAt(StrEnum):
+    """What a wall's point means."""
+
+    CENTRE = "centre"
+    SURFACE = "surface"
+
+
+class WallSpec(Section, frozen=True):
+    """A finite wall; `point_m` is its middle, `normal` points into free space."""
+
+    point_m: Point2
+    normal: tuple[float, float]
+    length_m: Positive
+    material: str
+    given_at: GivenAt = GivenAt.CENTRE
+
+
+class ApproachSpec(Section, frozen=True):
+    """Velocity at the impact in the wall's collision frame."""
+
+    normal_m_s: Annotated[float, Meta(lt=0.0, ge=-20.0)]
+    tangential_m_s: Annotated[float, Meta(ge=-20.0, le=20.0)] = 0.0
+
+
+class CollisionPrediction(Section, frozen=True):
+    """What the planner predicted for a collision."""
+
+    t_s: float
+    position_m: Point2
+    normal_m_s: float
+    tangential_m_s: float
+    peak_force_n: float
+    contact_time_s: float
+
+
+class MissPrediction(Section, frozen=True):
+    """What the planner predicted for the whole mission."""
+
+    goal_miss_m: float
+
+
+class CollisionSpec(Section, frozen=True):
+    """One planned collision."""
+
+    wall: str
+    mode: Mode
+    approach: ApproachSpec | None = None
+    impact_point_m: Point2 | None = None
+    alpha_m_per_n: tuple[NotNegative, NotNegative] | None = None
+    alpha_wall_m_per_n: tuple[NotNegative, NotNegative] | None = None
+    predicted: CollisionPrediction | None = None
+
+
+class Limits(Section, frozen=True):
+    """Limits of the mission, judged before and during the flight."""
+
+    speed_m_s: Positive = 3.0
+    peak_force_n: Positive = 150.0
+    collision_timeout_s: Positive = 8.0
+
+
+class MissionFile(Section, frozen=True):
+    """A mission as written in YAML."""
+
+    version: Literal[1]
+    name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$")]
+    start: StartSpec
+    goal: GoalSpec
+    bounds_m: BoundsSpec
+    walls: dict[str, WallSpec]
+    collisions: list[CollisionSpec]
+    vehicle: str | None = None
+    frame: FrameSpec = FrameSpec()
+    transit_mode: Mode = Mode.RIGID
+    limits: Limits = Limits()
+    predicted: MissPrediction | None = None
+
+
+class Bounds(msgspec.Struct, frozen=True):
+    """The flight space, mission frame, metres."""
+
+    x: Range
+    y: Range
+    z: Range
+
+    def excess2(self, p: Vec2 | Vec3) -> float:
+        """How far a point lies outside horizontally, metres; 0 inside."""
+        return max(self.x[0] - p[0], p[0] - self.x[1], self.y[0] - p[1], p[1] - self.y[1], 0.0)
+
+
+class Collision(msgspec.Struct, frozen=True):
+    """A planned collision, resolved.
+
+    Attributes:
+        index: 1 for the first.
+        approach_m_s: (normal, tangential) velocity at the impact in the collision frame, or None where the
+            recovery of the collision before leads to this wall.
+        impact_point: where the vehicle's centre meets the plane, mission frame; None likewise.
+        alpha_normal_m_per_n, alpha_tangential_m_per_n: gains A_n, A_t of the recovery set-point.
+    """
+
+    index: int
+    wall: Wall
+    mode: Mode
+    approach_m_s: Vec2 | None
+    impact_point: Vec2 | None
+    alpha_normal_m_per_n: float
+    alpha_tangential_m_per_n: float
+    predicted: CollisionPrediction | None
+
+    def approach_velocity(self) -> Vec3:
+        """Approach velocity in the mission frame, m/s; zero where there is no approach."""
+        if self.approach_m_s is None:
+            return (0.0, 0.0, 0.0)
+        return self.wall.from_collision((self.approach_m_s[0], self.approach_m_s[1], 0.0))
+
+
+class Mission(msgspec.Struct, frozen=True):
+    """A checked mission and the vehicle that flies it."""
+
+    name: str
+    source: str
+    vehicle: VehicleConfig
+    frame: FrameSpec
+    start: Vec2
+    altitude_m: float
+    goal: GoalSpec
+    bounds: Bounds
+    walls: tuple[Wall, ...]
+    collisions: tuple[Collision, ...]
+    transit_mode: Mode
+    limits: Limits
+    predicted: MissPrediction | None
+
+    def frame_at(self, takeoff_ned: Vec3) -> MissionFrame:
+        """The mission frame once the take-off point is known (local NED, metres)."""
+        north, east = self.frame.north_m, self.frame.east_m
+        if self.frame.origin is FrameOrigin.TAKEOFF:
+            # The vehicle stands below `start`.
+            heading = math.radians(self.frame.heading_deg)
+            frame = MissionFrame(heading_rad=heading)
+            offset = frame.vector_to_ned((self.start[0], self.start[1], 0.0))
+            north += takeoff_ned[0] - offset[0]
+            east += takeoff_ned[1] - offset[1]
+        return MissionFrame(north, east, takeoff_ned[2], math.radians(self.frame.heading_deg))
+
+
+def load_mission(path: str | Path, config: str | Path | None = None) -> Mission:
+    """Load, validate and resolve a mission file.
+
+    Args:
+        path: the mission.
+        config: vehicle configuration that overrides the one the mission names.
+
+    Raises:
+        InputError: in the mission or in the configuration.
+    """
+    return parse_mission(Document.load(path), config)
+
+
+def parse_mission(document: Document, config: str | Path | None = None) -> Mission:
+    """As `load_mission`, from a document already read."""
+    spec = document.convert(MissionFile)
+    if config is None and spec.vehicle is not None:
+        config = Path(document.source).parent / spec.vehicle
+    return resolve(spec, load_vehicle(config), document)
+
+
+def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mission:
+    """What a mission file means for a vehicle.
+
+    Raises:
+        InputError: the parts of the mission contradict each other.
+    """
+    _check_space(spec, document)
+    walls = resolve_walls(spec.walls, vehicle, document)
+    for name, wall in walls.items():
+        for key, point in (("start", spec.start.position_m), ("goal", spec.goal.position_m)):
+            if wall.spans(point) and -0.5 < wall.signed_distance(point) <= 0.0:
+                raise document.error((key, "position_m"), f"lies in or behind wall {name}")
+    if not spec.collisions:
+        raise document.error(("collisions",), "a mission needs at least one collision")
+    collisions = tuple(
+        _resolve_collision(i, one, spec, walls, document) for i, one in enumerate(spec.collisions)
+    )
+    return Mission(
+        name=spec.name,
+        source=document.source,
+        vehicle=vehicle,
+        frame=spec.frame,
+        start=spec.start.position_m,
+        altitude_m=spec.start.altitude_m,
+        goal=spec.goal,
+        bounds=Bounds(spec.bounds_m.x, spec.bounds_m.y, spec.bounds_m.z),
+        walls=tuple(walls.values()),
+        collisions=collisions,
+        transit_mode=spec.transit_mode,
+        limits=spec.limits,
+        predicted=spec.predicted,
+    )
+
+
+def resolve_walls(specs: dict[str, WallSpec], vehicle: VehicleConfig, document: Document) -> dict[str, Wall]:
+    """Walls as planes of the vehicle's centre, by name.
+
+    Raises:
+        InputError: a normal has no length, a material is not in the vehicle's table.
+    """
+    walls = {}
+    for name, spec in specs.items():
+        key: Key = ("walls", name)
+        length = math.hypot(*spec.normal)
+        if not length > 1e-9:
+            raise document.error((*key, "normal"), "the normal has no length")
+        normal = (spec.normal[0] / length, spec.normal[1] / length)
+        if spec.material not in vehicle.materials:
+            raise document.error((*key, "material"), _unknown(spec.material, list(vehicle.materials)))
+        offset = vehicle.airframe.contact_distance_m if spec.given_at is GivenAt.SURFACE else 0.0
+        point = (spec.point_m[0] + offset * normal[0], spec.point_m[1] + offset * normal[1])
+        walls[name] = Wall(name, point, normal, spec.length_m, spec.material)
+    return walls
+
+
+def _check_space(spec: MissionFile, document: Document) -> None:
+    for axis in ("x", "y", "z"):
+        low, high = getattr(spec.bounds_m, axis)
+        if not low < high:
+            raise document.error(("bounds_m", axis), f"[low, high] needs low < high, not [{low:g}, {high:g}]")
+    bounds = Bounds(spec.bounds_m.x, spec.bounds_m.y, spec.bounds_m.z)
+    for key, point in (("start", spec.start.position_m), ("goal", spec.goal.position_m)):
+        if bounds.excess2(point) > 0.0:
+            raise document.error(
+                (key, "position_m"),
+                f"({point[0]:g}, {point[1]:g}) is outside bounds_m x [{bounds.x[0]:g}, {bounds.x[1]:g}], "
+                f"y [{bounds.y[0]:g}, {bounds.y[1]:g}]",
+            )
+    if not bounds.z[0] <= spec.start.altitude_m <= bounds.z[1]:
+        raise document.error(
+            ("start", "altitude_m"), f"must be within bounds_m z [{bounds.z[0]:g}, {bounds.z[1]:g}]"
+        )
+
+
+def _resolve_collision(
+    i: int, spec: CollisionSpec, mission: MissionFile, walls: dict[str, Wall], document: Document
+) -> Collision:
+    key: Key = ("collisions", i)
+    if spec.wall not in walls:
+        raise document.error((*key, "wall"), _unknown(spec.wall, list(walls)))
+    wall = walls[spec.wall]
+    alpha_n, alpha_t = _alphas(spec, wall, key, document)
+    approach = None
+    impact = None
+    if spec.approach is not None:
+        approach = (spec.approach.normal_m_s, spec.approach.tangential_m_s)
+        speed = math.hypot(*approach)
+        if speed > mission.limits.speed_m_s:
+            raise document.error(
+                (*key, "approach"), f"{speed:.2f} m/s is over limits.speed_m_s {mission.limits.speed_m_s:g}"
+            )
+        impact = spec.impact_point_m or _ray_meets_wall(mission.start.position_m, wall, approach)
+        if spec.impact_point_m is None and wall.signed_distance(mission.start.position_m) <= 0.0:
+            raise document.error((*key, "approach"), f"start is not in front of wall {wall.name}")
+        if spec.impact_point_m is not None and abs(wall.signed_distance(spec.impact_point_m)) > 0.01:
+            raise document.error((*key, "impact_point_m"), f"is not on wall {wall.name}")
+        if not wall.spans(impact):
+            raise document.error(
+                (*key, "approach"),
+                f"meets the plane of wall {wall.name} at ({impact[0]:.3f}, {impact[1]:.3f}), "
+                f"beyond its length of {wall.length_m:g} m",
+            )
+    elif i == 0:
+        raise document.error(key, "the first collision needs an approach")
+    elif spec.impact_point_m is not None:
+        raise document.error((*key, "impact_point_m"), "only a collision with an approach has one")
+    return Collision(
+        index=i + 1,
+        wall=wall,
+        mode=spec.mode,
+        approach_m_s=approach,
+        impact_point=impact,
+        alpha_normal_m_per_n=alpha_n,
+        alpha_tangential_m_per_n=alpha_t,
+        predicted=spec.predicted,
+    )
+
+
+def _alphas(spec: CollisionSpec, wall: Wall, key: Key, document: Document) -> tuple[float, float]:
+    """Gains (A_n, A_t) in the wall's axes, from either form."""
+    if (spec.alpha_m_per_n is None) == (spec.alpha_wall_m_per_n is None):
+        raise document.error(key, "give exactly one of alpha_m_per_n and alpha_wall_m_per_n")
+    if spec.alpha_wall_m_per_n is not None:
+        alphas = spec.alpha_wall_m_per_n
+    else:
+        assert spec.alpha_m_per_n is not None
+        ax, ay = spec.alpha_m_per_n
+        if abs(wall.normal[1]) < _AXIS_TOLERANCE:
+            alphas = (ax, ay)
+        elif abs(wall.normal[0]) < _AXIS_TOLERANCE:
+            alphas = (ay, ax)
+        elif ax == ay:
+            alphas = (ax, ay)
+        else:
+            raise document.error(
+                (*key, "alpha_m_per_n"),
+                "different gains per mission axis could point into a wall that is not along an axis; "
+                "use alpha_wall_m_per_n: [normal, tangential]",
+            )
+    if not alphas[0] > 0.0:
+        raise document.error(key, "the gain along the wall's normal must be above 0")
+    return alphas
+
+
+def _ray_meets_wall(start: Vec2, wall: Wall, approach_m_s: Vec2) -> Vec2:
+    """Where the ray from `start` along the approach velocity meets the wall's plane."""
+    v = wall.from_collision((approach_m_s[0], approach_m_s[1], 0.0))
+    t = wall.signed_distance(start) / -approach_m_s[0]
+    return (start[0] + v[0] * t, start[1] + v[1] * t)
+
+
+def _unknown(name: str, known: list[str]) -> str:
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"unknown {name}, " + (f"did you mean {near[0]}?" if near else "known: " + ", ".join(known))
+
+
+__all__ = [
+    "Bounds",
+    "Collision",
+    "InputError",
+    "Mission",
+    "MissionFile",
+    "load_mission",
+    "parse_mission",
+]

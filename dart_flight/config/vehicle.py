@@ -1,0 +1,333 @@
+"""`configs/dart.yaml`: the vehicle, its sensors, its materials, the lock and every threshold.
+
+The types here are the schema (`docs/schemas/`); the numbers and their sources are in the file.
+"""
+
+from __future__ import annotations
+
+import os
+from enum import StrEnum
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from dart_flight.config.document import Document, InputError
+from dart_flight.samples import Mode
+
+Positive = Annotated[float, Meta(gt=0.0)]
+NotNegative = Annotated[float, Meta(ge=0.0)]
+Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
+
+
+class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Base of every part of a file: frozen, unknown keys refused."""
+
+
+class Coefficients(Section, frozen=True):
+    """Contact coefficients of one material in one mode (paper, Sec. IV-B and V-A).
+
+    Attributes:
+        k: stiffness, N/m.
+        f: damping, N s/m.
+        mu: friction, s/m (friction force = mu * normal force * tangential speed).
+        nu: bound of the vertical contact force, N.
+    """
+
+    k: Positive
+    f: NotNegative
+    mu: NotNegative
+    nu: NotNegative
+
+
+class Material(Section, frozen=True):
+    """Coefficients per mode, and whether they are measured or assumed."""
+
+    rigid: Coefficients
+    flexible: Coefficients
+    source: str = ""
+
+    def of(self, mode: Mode) -> Coefficients:
+        """The coefficients of a mode."""
+        return self.rigid if mode is Mode.RIGID else self.flexible
+
+
+class Airframe(Section, frozen=True):
+    """The vehicle as a body."""
+
+    mass_kg: Positive
+    contact_distance_m: NotNegative
+    incidence_rigid_deg: Annotated[float, Meta(ge=0.0, le=45.0)]
+    drag_per_s: tuple[NotNegative, NotNegative, NotNegative]
+    inertia_kg_m2: tuple[Positive, Positive, Positive]
+    arm_x_m: Positive
+    arm_y_m: Positive
+
+
+class Thrust(Section, frozen=True):
+    """Thrust of one motor: full_n * (factor u² + (1 - factor) u), u from 0 to 1, with first-order lag."""
+
+    full_n: Positive
+    model_factor: Fraction
+    motor_lag_s: NotNegative
+
+    def force_n(self, command: float) -> float:
+        """Steady thrust in newton of one motor at a command from 0 to 1."""
+        u = max(0.0, min(1.0, command))
+        return self.full_n * (self.model_factor * u * u + (1.0 - self.model_factor) * u)
+
+    def command_for(self, force_n: float) -> float:
+        """The command from 0 to 1 that gives a steady thrust; saturates."""
+        relative = max(0.0, min(1.0, force_n / self.full_n))
+        a = self.model_factor
+        if a < 1e-6:
+            return relative
+        b = 1.0 - a
+        return float((-b + (b * b + 4.0 * a * relative) ** 0.5) / (2.0 * a))
+
+
+class Imu(Section, frozen=True):
+    """What the IMU can read."""
+
+    full_scale_m_s2: Positive
+    rate_hz: Positive
+
+
+class ThresholdTest(StrEnum):
+    """How the horizontal force is compared with the threshold."""
+
+    MAGNITUDE = "magnitude"
+    PER_AXIS = "per_axis"
+
+
+class Detection(Section, frozen=True):
+    """When an impact is an impact."""
+
+    force_threshold_n: Positive
+    threshold_test: ThresholdTest
+    release_fraction: Fraction
+    peak_drop_fraction: Fraction
+    peak_wait_s: Positive
+    contact_end_s: Positive
+    refractory_s: NotNegative
+
+
+class Guard(Section, frozen=True):
+    """Thresholds of the guard's rules."""
+
+    stream_timeout_s: Positive
+    status_timeout_s: Positive
+    altitude_tolerance_m: Positive
+    tilt_deg: Annotated[float, Meta(gt=0.0, le=180.0)]
+    wall_overrun_m: Positive
+    retreat_m: Positive
+
+
+class Flying(Section, frozen=True):
+    """How the executive flies between the collisions."""
+
+    climb_speed_m_s: Positive
+    transit_speed_m_s: Positive
+    acceleration_m_s2: Positive
+    yaw_rate_deg_s: Positive
+    steady_run_s: NotNegative
+    arrive_m: Positive
+    arrive_speed_m_s: Positive
+    arrive_s: NotNegative
+    ready_timeout_s: Positive
+
+
+class Cam(Section, frozen=True):
+    """Cam of the locking mechanism: l = r_cam - r cos(theta), theta_0 to theta_0 + 90° (paper, eq. 1)."""
+
+    r_cam_mm: Positive
+    r_mm: Positive
+    theta0_deg: float
+
+
+class Servo(Section, frozen=True):
+    """The HS-322HD and its calibration: pulse widths of the two ends and the time between them."""
+
+    rigid_pulse_us: Annotated[float, Meta(gt=0.0)]
+    flexible_pulse_us: Annotated[float, Meta(gt=0.0)]
+    min_pulse_us: Positive
+    max_pulse_us: Positive
+    us_per_deg: Positive
+    supply_v: Positive
+    s_per_60deg_at_4v8: Positive
+    s_per_60deg_at_6v0: Positive
+    settle_margin_s: NotNegative
+    travel_s: Positive | None = None  # measured; overrides the catalogue's speed
+
+    def __post_init__(self) -> None:
+        low, high = self.min_pulse_us, self.max_pulse_us
+        if low >= high:
+            raise ValueError(f"min_pulse_us {low:g} must be below max_pulse_us {high:g}")
+        for name in ("rigid_pulse_us", "flexible_pulse_us"):
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name} must be within the servo's range {low:g} to {high:g}")
+        if self.rigid_pulse_us == self.flexible_pulse_us:
+            raise ValueError("rigid_pulse_us and flexible_pulse_us must differ")
+
+
+class Maestro(Section, frozen=True):
+    """Serial servo controller (Pololu Maestro)."""
+
+    port: str
+    channel: Annotated[int, Meta(ge=0, le=23)]
+
+
+class Px4Output(Section, frozen=True):
+    """PX4's own servo output, through `set_actuator`."""
+
+    actuator_index: Annotated[int, Meta(ge=1, le=6)]
+
+
+class LockDriver(StrEnum):
+    """What moves the servo."""
+
+    MAESTRO = "maestro"
+    PWM = "pwm"
+    PX4 = "px4"
+    MOCK = "mock"
+
+
+class LockConfig(Section, frozen=True):
+    """The locking mechanism."""
+
+    driver: LockDriver
+    relaxation_s: NotNegative
+    timeout_s: Positive
+    cam: Cam
+    servo: Servo
+    maestro: Maestro
+    px4: Px4Output
+
+
+class Connection(Section, frozen=True):
+    """How to reach the autopilot."""
+
+    url: str
+    timeout_s: Positive
+
+
+class Px4Parameters(Section, frozen=True, rename="upper"):
+    """PX4 parameters that the flight model and the embedded autopilot use, by PX4's own names."""
+
+    mpc_xy_p: Positive
+    mpc_z_p: Positive
+    mpc_xy_vel_p_acc: Positive
+    mpc_xy_vel_i_acc: NotNegative
+    mpc_xy_vel_d_acc: NotNegative
+    mpc_z_vel_p_acc: Positive
+    mpc_z_vel_i_acc: NotNegative
+    mpc_z_vel_d_acc: NotNegative
+    mpc_xy_vel_max: Positive
+    mpc_z_vel_max_up: Positive
+    mpc_z_vel_max_dn: Positive
+    mpc_tiltmax_air: Annotated[float, Meta(gt=0.0, lt=90.0)]
+    mpc_land_speed: Positive
+    mpc_thr_min: Fraction
+    mpc_thr_max: Fraction
+    mc_roll_p: Positive
+    mc_pitch_p: Positive
+    mc_yaw_p: Positive
+    mc_rollrate_p: Positive
+    mc_rollrate_i: NotNegative
+    mc_rollrate_d: NotNegative
+    mc_pitchrate_p: Positive
+    mc_pitchrate_i: NotNegative
+    mc_pitchrate_d: NotNegative
+    mc_yawrate_p: Positive
+    mc_yawrate_i: NotNegative
+    mis_takeoff_alt: Positive
+    com_of_loss_t: Positive
+    com_disarm_land: float
+
+
+class ArmVibration(Section, frozen=True):
+    """The damped in-plane vibration of the flexible arms, as the IMU feels it."""
+
+    frequency_hz: Positive
+    damping_ratio: Fraction
+    mass_fraction: Fraction
+
+
+class Simulation(Section, frozen=True):
+    """What only the simulated vehicle needs."""
+
+    imu_noise_m_s2: NotNegative
+    imu_bias_m_s2: NotNegative
+    imu_delay_s: NotNegative
+    gyro_noise_rad_s: NotNegative
+    pose_rate_hz: Positive
+    pose_noise_m: NotNegative
+    pose_delay_s: NotNegative
+    attitude_noise_rad: NotNegative
+    arm_vibration: ArmVibration
+    ground_stiffness_n_m: Positive
+    ground_damping_n_s_m: NotNegative
+    ground_friction: NotNegative
+    battery_v: Positive
+
+
+class VehicleConfig(Section, frozen=True):
+    """The whole of `configs/dart.yaml`."""
+
+    version: Literal[1]
+    airframe: Airframe
+    thrust: Thrust
+    imu: Imu
+    materials: dict[str, Material]
+    onset: Literal["lcp", "touch"]
+    vertical_force_sign: Literal[-1, 1]
+    detection: Detection
+    guard: Guard
+    flying: Flying
+    lock: LockConfig
+    connection: Connection
+    px4: Px4Parameters
+    simulation: Simulation
+
+    def hover_thrust_fraction(self) -> float:
+        """Thrust at hover as a fraction of full thrust (what PX4 calls MPC_THR_HOVER)."""
+        return self.airframe.mass_kg * 9.81 / (4.0 * self.thrust.full_n)
+
+
+def packaged(*parts: str) -> Path:
+    """A file of `configs/` or `missions/`: from the checkout, else the copy in the installed package."""
+    checkout = Path(__file__).resolve().parents[2].joinpath(*parts)
+    if checkout.exists():
+        return checkout
+    return Path(str(resources.files("dart_flight").joinpath("data", *parts)))
+
+
+def default_config_path() -> Path:
+    """$DART_FLIGHT_CONFIG, else ./configs/dart.yaml, else the packaged default."""
+    named = os.environ.get("DART_FLIGHT_CONFIG")
+    if named:
+        return Path(named)
+    local = Path("configs/dart.yaml")
+    return local if local.exists() else packaged("configs", "dart.yaml")
+
+
+def load_vehicle(path: str | Path | None = None) -> VehicleConfig:
+    """Load and validate a vehicle configuration.
+
+    Raises:
+        InputError: as `Document`; or the thrust cannot carry the mass.
+    """
+    document = Document.load(path or default_config_path())
+    config = document.convert(VehicleConfig)
+    if config.hover_thrust_fraction() > 0.8:
+        raise document.error(
+            ("thrust", "full_n"),
+            f"four motors of {config.thrust.full_n:g} N hover {config.airframe.mass_kg:g} kg at "
+            f"{config.hover_thrust_fraction():.0%} of full thrust, at most 80 % is flown",
+        )
+    return config
+
+
+__all__ = ["Coefficients", "InputError", "VehicleConfig", "default_config_path", "load_vehicle", "packaged"]

@@ -1,0 +1,1 @@
+"""The contact model: the complementarity law, its solutions, and its coefficients from data."""

@@ -1,0 +1,71 @@
+"""The contact law (paper, Sec. IV-B) as a force: the one definition that plant and predictions share.
+
+All quantities are in the wall's collision frame (`dart_flight.geometry`): x is the signed distance of the
+vehicle's centre to its plane of first touch, negative in compression.
+
+    0 <= lx  complementary to  w = lx + k x + f vx >= 0      ->  lx = max(0, -(k x + f vx))
+    ly = -mu lx vy
+    lz = -nu lx / (1 + lx)                                    (lx in newton)
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from dart_flight.config.vehicle import Coefficients, VehicleConfig
+from dart_flight.geometry import Vec3
+from dart_flight.samples import Mode
+
+
+class Onset(StrEnum):
+    """When a contact begins.
+
+    `lcp` is the complementarity condition as written: force as soon as k x + f vx < 0, slightly before the
+    plane is reached. `touch` also requires x < 0.
+    """
+
+    LCP = "lcp"
+    TOUCH = "touch"
+
+
+def normal_force(c: Coefficients, onset: Onset, x_m: float, vx_m_s: float) -> float:
+    """Normal force in newton, never negative: the solution of the scalar complementarity problem."""
+    force = -(c.k * x_m + c.f * vx_m_s)
+    if force <= 0.0 or (onset is Onset.TOUCH and x_m >= 0.0):
+        return 0.0
+    return force
+
+
+def contact_force(
+    c: Coefficients, onset: Onset, x_m: float, velocity_collision: Vec3, vertical_sign: int = -1
+) -> Vec3:
+    """Contact force in newton in the collision frame.
+
+    Args:
+        c: coefficients of material and mode.
+        onset: onset rule.
+        x_m: signed distance to the plane.
+        velocity_collision: m/s, collision frame.
+        vertical_sign: -1 as the paper writes lz (against Z of the collision frame: up at a wall), or 1.
+    """
+    lx = normal_force(c, onset, x_m, velocity_collision[0])
+    if lx == 0.0:
+        return (0.0, 0.0, 0.0)
+    return (lx, -c.mu * lx * velocity_collision[1], vertical_sign * c.nu * lx / (1.0 + lx))
+
+
+def coefficients_in_force(
+    vehicle: VehicleConfig, material: str, mode: Mode, incidence_rad: float = 0.0
+) -> Coefficients:
+    """Coefficients of a material for a lock state and an angle of incidence.
+
+    From `airframe.incidence_rigid_deg` on the arms cannot fold, and the rigid coefficients hold even
+    unlocked (paper, Sec. IV-B).
+
+    Raises:
+        KeyError: the material is not in the vehicle's table.
+    """
+    table = vehicle.materials[material]
+    # The threshold is in degrees in the configuration; 0.0174533 rad per degree.
+    folds = abs(incidence_rad) < vehicle.airframe.incidence_rigid_deg * 0.017453292519943295
+    return table.of(mode if folds else Mode.RIGID)

@@ -1,0 +1,400 @@
+"""The immutable records that flow through the flight core.
+
+SI units. `t_us` is the autopilot's time in integer microseconds, `received_us` the host's monotonic time
+at receipt. What the core takes in is an `Input`, what it gives out is an `Output`: a command that a shell
+carries out, or a record of what was estimated or decided, which is only logged.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import ClassVar
+
+import msgspec
+
+from dart_flight.geometry import Quaternion, Vec2, Vec3
+
+
+class Mode(StrEnum):
+    """State of the arms: Γ = 1 rigid (locked), Γ = 2 flexible (unlocked)."""
+
+    RIGID = "rigid"
+    FLEXIBLE = "flexible"
+
+    @property
+    def other(self) -> Mode:
+        """The opposite mode."""
+        return Mode.FLEXIBLE if self is Mode.RIGID else Mode.RIGID
+
+
+class FlightMode(StrEnum):
+    """PX4's flight modes as far as the core tells them apart."""
+
+    UNKNOWN = "unknown"
+    READY = "ready"
+    TAKEOFF = "takeoff"
+    HOLD = "hold"
+    MISSION = "mission"
+    RETURN = "return"
+    LAND = "land"
+    OFFBOARD = "offboard"
+    MANUAL = "manual"  # any mode that a pilot's sticks fly: manual, stabilized, altitude, position, acro
+
+
+class LandedState(StrEnum):
+    """PX4's land detector."""
+
+    UNKNOWN = "unknown"
+    ON_GROUND = "on_ground"
+    IN_AIR = "in_air"
+    TAKING_OFF = "taking_off"
+    LANDING = "landing"
+
+
+class Record(msgspec.Struct, frozen=True, gc=False):
+    """Base of everything that flows and is logged; `topic` names its channel in the log."""
+
+    topic: ClassVar[str] = ""
+
+
+# --- inputs: telemetry -----------------------------------------------------------------------------
+
+
+class ImuSample(Record, frozen=True, gc=False):
+    """HIGHRES_IMU: specific force (bias-corrected, gravity not in it) and body rate, FRD."""
+
+    topic: ClassVar[str] = "/in/imu"
+    t_us: int
+    received_us: int
+    specific_force_frd: Vec3  # m/s2
+    rate_frd: Vec3  # rad/s
+
+
+class AttitudeSample(Record, frozen=True, gc=False):
+    """ATTITUDE_QUATERNION: body FRD to world NED."""
+
+    topic: ClassVar[str] = "/in/attitude"
+    t_us: int
+    received_us: int
+    q_frd_to_ned: Quaternion
+
+
+class OdometrySample(Record, frozen=True, gc=False):
+    """ODOMETRY: PX4's position (m) and velocity (m/s) estimate in local NED."""
+
+    topic: ClassVar[str] = "/in/odometry"
+    t_us: int
+    received_us: int
+    position_ned: Vec3
+    velocity_ned: Vec3
+
+
+class ActuatorSample(Record, frozen=True, gc=False):
+    """ACTUATOR_OUTPUT_STATUS: what PX4 sends to the four motors, 0 (stopped) to 1."""
+
+    topic: ClassVar[str] = "/in/actuator"
+    t_us: int
+    received_us: int
+    motors: tuple[float, float, float, float]
+    stamp_is_estimated: bool = True  # the stream has no stamp: mapped host time
+
+
+class StatusSample(Record, frozen=True, gc=False):
+    """Slow state of the autopilot, one record for every change of any part of it."""
+
+    topic: ClassVar[str] = "/in/status"
+    t_us: int
+    received_us: int
+    armed: bool = False
+    flight_mode: FlightMode = FlightMode.UNKNOWN
+    landed: LandedState = LandedState.UNKNOWN
+    local_position_ok: bool = False
+    battery_v: float | None = None
+    battery_remaining: float | None = None  # 0 to 1
+
+
+class StatusText(Record, frozen=True, gc=False):
+    """STATUSTEXT of the autopilot."""
+
+    topic: ClassVar[str] = "/in/statustext"
+    t_us: int
+    received_us: int
+    severity: str
+    text: str
+
+
+# --- inputs: lock, results, operator, time -----------------------------------------------------------
+
+
+class LockPhase(StrEnum):
+    """What the lock's state machine knows; `settled` means travel time is over, not that a sensor saw it."""
+
+    UNKNOWN = "unknown"
+    TRAVELLING = "travelling"
+    SETTLED = "settled"
+    FAULT = "fault"
+
+
+class LockState(Record, frozen=True, gc=False):
+    """State of the locking mechanism on the core's time base."""
+
+    topic: ClassVar[str] = "/in/lock"
+    t_us: int
+    phase: LockPhase
+    mode: Mode | None  # commanded while travelling, reached when settled
+    commanded_us: int | None = None
+    settled_us: int | None = None
+    feedback: bool = False  # confirmed by a switch; otherwise "settled (no feedback)"
+    reason: str | None = None
+
+
+class CommandResult(Record, frozen=True, gc=False):
+    """How a vehicle command ended, by telemetry and not by its acknowledgement."""
+
+    topic: ClassVar[str] = "/in/result"
+    t_us: int
+    command: str
+    ok: bool
+    detail: str = ""
+
+
+class OperatorRequest(Record, frozen=True, gc=False):
+    """What the person at the keyboard asked for: `land` (leave the wall, land) or `release`."""
+
+    topic: ClassVar[str] = "/in/operator"
+    t_us: int
+    request: str
+
+
+class ClockOffset(Record, frozen=True, gc=False):
+    """Estimate of autopilot time minus host time, microseconds."""
+
+    topic: ClassVar[str] = "/in/clock"
+    received_us: int
+    offset_us: int
+
+
+class Tick(Record, frozen=True, gc=False):
+    """Host time goes by, at least every 20 ms, so that silence can be judged."""
+
+    topic: ClassVar[str] = "/in/tick"
+    host_us: int
+
+
+Input = (
+    ImuSample
+    | AttitudeSample
+    | OdometrySample
+    | ActuatorSample
+    | StatusSample
+    | StatusText
+    | LockState
+    | CommandResult
+    | OperatorRequest
+    | ClockOffset
+    | Tick
+)
+
+
+# --- outputs: commands -----------------------------------------------------------------------------
+
+
+class SetPoint(Record, frozen=True, gc=False):
+    """Offboard set-point in local NED; velocity and acceleration are feed-forward where present."""
+
+    topic: ClassVar[str] = "/out/setpoint"
+    t_us: int
+    trigger_received_us: int  # receipt of the sample that led to it
+    position_ned: Vec3
+    yaw_ned_rad: float
+    velocity_ned: Vec3 | None = None
+    acceleration_ned: Vec3 | None = None
+    recovery: bool = False  # the set-point of an impact: its latency is measured
+
+
+class VehicleAction(StrEnum):
+    """What the core asks of the autopilot beside set-points."""
+
+    OFFBOARD = "offboard"
+    ARM = "arm"
+    HOLD = "hold"
+    LAND = "land"
+    DISARM = "disarm"
+
+
+class VehicleCommand(Record, frozen=True, gc=False):
+    """An action for the autopilot; its result comes back as a `CommandResult`."""
+
+    topic: ClassVar[str] = "/out/command"
+    t_us: int
+    action: VehicleAction
+
+
+class LockCommand(Record, frozen=True, gc=False):
+    """Move the lock; given only when the core knows that locking is permitted."""
+
+    topic: ClassVar[str] = "/out/lock"
+    t_us: int
+    mode: Mode
+
+
+class LockPermission(Record, frozen=True, gc=False):
+    """Whether the arms are clear of contact and have sprung back, for the lock's state machine."""
+
+    topic: ClassVar[str] = "/out/lock_permission"
+    t_us: int
+    permitted: bool
+
+
+class Silence(Record, frozen=True, gc=False):
+    """Send nothing more: the pilot has the vehicle."""
+
+    topic: ClassVar[str] = "/out/silence"
+    t_us: int
+    reason: str
+
+
+# --- outputs: estimates and decisions --------------------------------------------------------------
+
+
+class ForceEstimate(Record, frozen=True, gc=False):
+    """External force on the vehicle at an IMU sample, mission frame, newton."""
+
+    topic: ClassVar[str] = "/estimate/force"
+    t_us: int
+    force_mission: Vec3
+    clipped: bool
+
+
+class ImpactOnset(Record, frozen=True, gc=False):
+    """The horizontal force crossed the threshold."""
+
+    topic: ClassVar[str] = "/event/onset"
+    t_us: int  # sample that crossed
+    first_us: int  # first sample in contact, by the force rising out of the noise before it
+    received_us: int
+    force_mission: Vec3
+    velocity_mission: Vec3  # last before contact
+    position_mission: Vec3
+
+
+class ImpactPeak(Record, frozen=True, gc=False):
+    """The peaks of an impact, each component its own, as the recovery uses them."""
+
+    topic: ClassVar[str] = "/event/peak"
+    t_us: int  # moment of the normal peak, t_c
+    detected_us: int  # sample at which the peak was known
+    received_us: int
+    normal: Vec2  # wall normal used, mission frame
+    normal_force_n: float
+    tangential_force_n: float  # signed, along the wall's tangent
+    position_mission: Vec3  # p(t_c)
+    clipped: bool
+
+
+class ContactEnd(Record, frozen=True, gc=False):
+    """The force has gone back below the release level."""
+
+    topic: ClassVar[str] = "/event/contact_end"
+    t_us: int
+    first_us: int
+
+
+class PhaseChange(Record, frozen=True, gc=False):
+    """The mission executive went from one phase to the next."""
+
+    topic: ClassVar[str] = "/event/phase"
+    t_us: int
+    before: str
+    after: str
+    reason: str
+    collision: int | None = None  # 1-based index of the collision it concerns
+
+
+class GuardEvent(Record, frozen=True, gc=False):
+    """A rule of the guard fired."""
+
+    topic: ClassVar[str] = "/event/guard"
+    t_us: int
+    rule: str
+    action: str
+    detail: str
+
+
+class GoalPassed(Record, frozen=True, gc=False):
+    """The closest approach to the goal after the last contact; from here on the goal is held."""
+
+    topic: ClassVar[str] = "/event/goal"
+    t_us: int
+    miss_m: float
+
+
+class MissionEnd(Record, frozen=True, gc=False):
+    """The flight is over for the core."""
+
+    topic: ClassVar[str] = "/event/end"
+    t_us: int
+    outcome: str  # completed, aborted, released
+    reason: str | None
+    final_error_m: float | None
+
+
+Output = (
+    SetPoint
+    | VehicleCommand
+    | LockCommand
+    | LockPermission
+    | Silence
+    | ForceEstimate
+    | ImpactOnset
+    | ImpactPeak
+    | ContactEnd
+    | PhaseChange
+    | GuardEvent
+    | GoalPassed
+    | MissionEnd
+)
+
+
+# --- records of the shells: truth and timing ---------------------------------------------------------
+
+
+class TruthSample(Record, frozen=True, gc=False):
+    """What the simulated vehicle really did, mission frame."""
+
+    topic: ClassVar[str] = "/truth/state"
+    t_us: int
+    position_mission: Vec3
+    velocity_mission: Vec3
+    contact_force_mission: Vec3
+    q_frd_to_ned: Quaternion
+    mode: Mode
+
+
+class TruthContact(Record, frozen=True, gc=False):
+    """One simulated contact, start to end."""
+
+    topic: ClassVar[str] = "/truth/contact"
+    t_us: int  # first force
+    end_us: int
+    wall: str
+    mode: Mode
+    normal_in_m_s: float
+    tangential_in_m_s: float
+    normal_out_m_s: float
+    tangential_out_m_s: float
+    peak_normal_force_n: float
+    peak_friction_force_n: float
+    position_mission: Vec3
+
+
+class SetPointSent(Record, frozen=True, gc=False):
+    """A recovery set-point left the program."""
+
+    topic: ClassVar[str] = "/shell/setpoint_sent"
+    t_us: int  # of the set-point
+    sent_us: int  # host
+    latency_us: int  # since receipt of the sample that triggered it
+
+
+Note = TruthSample | TruthContact | SetPointSent
