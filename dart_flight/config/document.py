@@ -147,8 +147,9 @@ class Document:
             raise self._at(event, "anchors and aliases are not supported; write the value out", key)
         if getattr(event, "anchor", None) is not None:
             raise self._at(event, "anchors and aliases are not supported; write the value out", key)
-        if getattr(event, "tag", None) is not None:
-            raise self._at(event, f"tags are not supported: {event.tag}", key)
+        tag = getattr(event, "tag", None)
+        if tag is not None:
+            raise self._at(event, f"tags are not supported: {tag}", key)
         if isinstance(event, yaml.ScalarEvent):
             return self._scalar(event, key)
         if isinstance(event, yaml.SequenceStartEvent):

@@ -1,0 +1,74 @@
+"""The command line: one module per command, imported only when that command runs.
+
+A command module has `configure(parser)` and `run(arguments) -> int`. It parses, calls into the rooms and
+prints; it holds no logic. `InputError` becomes one line and exit status 2 here, for all of them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from dart_flight import __version__
+from dart_flight.config.document import InputError
+
+# command -> what it does, in the order of `dart-flight --help`
+COMMANDS = {
+    "fly": "fly a mission on the vehicle",
+    "dry-run": "fly a mission in simulation",
+    "simulate": "a simulated vehicle alone, for `fly` in another terminal or a ground station",
+}
+
+EXIT_OK, EXIT_INCOMPLETE, EXIT_INPUT = 0, 1, 2
+
+
+class _Parser(argparse.ArgumentParser):
+    """Errors of usage in one line, like every other wrong input."""
+
+    def error(self, message: str) -> None:  # type: ignore[override]
+        self.exit(EXIT_INPUT, f"{self.prog}: {message} (see `{self.prog} --help`)\n")
+
+
+def build_parser(command: str | None) -> argparse.ArgumentParser:
+    """The parser; only the named command's module is imported for its arguments."""
+    parser = _Parser(prog="dart-flight", description="Fly a dual-stiffness quadrotor into walls on purpose.")
+    parser.add_argument("--version", action="version", version=f"dart-flight {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for name, help_text in COMMANDS.items():
+        sub = commands.add_parser(name, help=help_text, description=help_text.capitalize() + ".")
+        if name == command:
+            _module(name).configure(sub)
+            _common(sub)
+    return parser
+
+
+def _common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="one machine-readable object on standard output")
+    parser.add_argument("--config", metavar="FILE", help="vehicle configuration (default: configs/dart.yaml)")
+    parser.add_argument("-v", "--verbose", action="count", default=0, help="say more on standard error")
+
+
+def _module(command: str) -> Any:
+    return importlib.import_module(f"dart_flight.cli.{command.replace('-', '_')}_command")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point of `dart-flight`. Returns the exit status: 0 success, 1 not completed, 2 wrong input."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    command = next((a for a in arguments if a in COMMANDS), None)
+    try:
+        parsed = build_parser(command).parse_args(arguments)
+        return int(_module(parsed.command).run(parsed))
+    except InputError as error:
+        print(error.one_line(), file=sys.stderr)  # noqa: T201
+        return EXIT_INPUT
+    except KeyboardInterrupt:
+        return EXIT_INCOMPLETE
+    except BrokenPipeError:
+        # The reader of our output went away (`| head`): nothing is left to say.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_INCOMPLETE
