@@ -21,6 +21,9 @@ COMMANDS = {
     "fly": "fly a mission on the vehicle",
     "dry-run": "fly a mission in simulation",
     "simulate": "a simulated vehicle alone, for `fly` in another terminal or a ground station",
+    "predict": "predict a collision or a drop",
+    "identify": "contact coefficients from recorded trials",
+    "tables": "the paper's collision tables beside the model's",
 }
 
 EXIT_OK, EXIT_INCOMPLETE, EXIT_INPUT = 0, 1, 2
