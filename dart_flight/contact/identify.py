@@ -29,6 +29,7 @@ _T95 = 1.959964
 _BEFORE_S, _AFTER_S = 0.25, 0.15  # free flight used at a wall: later the recovery acts
 _LEAST_IN_CONTACT = 3
 _OUTLIER = 5.0
+_REMEMBERED = 8
 # Rates of change this small in the model make a coefficient unknown rather than zero.
 _WIDEST_LOG = math.log(10.0)
 
@@ -153,6 +154,7 @@ class _Fit:
         self.parameters = _Parameters(trials)
         self.impacts = [find_impact(trial) for trial in trials]
         self.sd = dict(_FIRST_SD)
+        self._memory: dict[int, dict[tuple[float, ...], dict[str, Array]]] = {}
         position = float(np.median([impact.noise_m for impact in self.impacts]))
         for name in ("normal_m", "tangential_m", "vertical_m"):
             self.sd[name] = max(position, 1e-5)
@@ -163,32 +165,52 @@ class _Fit:
 
     def predict(self, theta: Array, i: int) -> dict[str, Array]:
         """The model at the samples of trial i, by channel."""
+        trial = self.trials[i]
+        shared, own = self.parameters.of_mode(trial.mode), self.parameters.own[i]
+        shapes = self._shapes(theta, i)
+        out: dict[str, Array] = {}
+        for name, series in self.windows[i].series.items():
+            if name == "normal_m":
+                out[name] = theta[0] + shapes[name]
+            elif name == "vertical_m":
+                free = theta[own["z0"]] + theta[own["vz"]] * (series.time_s - theta[own["onset"]])
+                out[name] = free + theta[shared["nu"]] * shapes[name]
+            elif name == "tangential_m":
+                out[name] = theta[own["y0"]] + theta[own["vy"]] * shapes[name]
+            elif name.startswith("tangential"):
+                out[name] = theta[own["vy"]] * shapes[name]
+            else:
+                out[name] = shapes[name]
+        return out
+
+    def _shapes(self, theta: Array, i: int) -> dict[str, Array]:
+        """What the channels need of the contact: the part that is not linear in the parameters.
+
+        Remembered for the last few contacts, because derivatives by the linear parameters ask for the same.
+        """
         trial, window = self.trials[i], self.windows[i]
         shared, own = self.parameters.of_mode(trial.mode), self.parameters.own[i]
-        contact = _contact(theta, shared, own, trial, self)
         onset = float(theta[own["onset"]])
-        out: dict[str, Array] = {}
+        key = (onset, float(theta[own["speed"]]), *(float(theta[shared[n]]) for n in ("k", "f", "mu")))
+        memory = self._memory.setdefault(i, {})
+        if key in memory:
+            return memory[key]
+        contact = _contact(theta, shared, own, trial, self)
+        shapes: dict[str, Array] = {}
         for name, series in window.series.items():
             t = series.time_s - onset
-            if name == "normal_m":
-                out[name] = theta[0] + contact.normal(t)[0]
-            elif name == "normal_m_s":
-                out[name] = contact.normal(t)[1]
-            elif name == "normal_force_n":
-                out[name] = contact.normal(t)[2]
+            if name.startswith("normal"):
+                shapes[name] = contact.normal(t)[("normal_m", "normal_m_s", "normal_force_n").index(name)]
             elif name == "vertical_m":
-                lift = theta[shared["nu"]] * contact.lifted(t)[0]
-                out[name] = theta[own["z0"]] + theta[own["vz"]] * t + lift
+                shapes[name] = contact.lifted(t)[0]
+            elif name == "tangential_force_n":
+                shapes[name] = -contact.coefficients.mu * contact.normal(t)[2] * contact.along(t)[1]
             else:
-                way, slip = contact.along(t)
-                speed = theta[own["vy"]]
-                if name == "tangential_m":
-                    out[name] = theta[own["y0"]] + speed * way
-                elif name == "tangential_m_s":
-                    out[name] = speed * slip
-                else:
-                    out[name] = -contact.coefficients.mu * contact.normal(t)[2] * speed * slip
-        return out
+                shapes[name] = contact.along(t)[0 if name == "tangential_m" else 1]
+        if len(memory) >= _REMEMBERED:
+            memory.clear()
+        memory[key] = shapes
+        return shapes
 
     def block(self, theta: Array, i: int) -> Array:
         """Weighted residuals of trial i."""
@@ -234,6 +256,11 @@ class _Fit:
         down[j] -= h
         difference: Array = (function(up) - function(down)) / (2.0 * h)
         return difference
+
+    def cut(self, i: int, begin: float, end: float) -> None:
+        """Fit trial i between two of its times."""
+        self.windows[i] = _cut(self.trials[i], begin, end)
+        self._memory.pop(i, None)
 
     # -- starting point --
 
@@ -332,6 +359,12 @@ def identify(
     Raises:
         InputError: SciPy is missing, or a trial cannot be used (its name and why).
     """
+    return _solve(trials, mass_kg, onset, plane_sd_m)[0]
+
+
+def _solve(
+    trials: Sequence[Trial], mass_kg: float, onset: Onset, plane_sd_m: float
+) -> tuple[Identification, _Fit, Array]:
     try:
         from scipy.optimize import least_squares  # noqa: PLC0415
     except ImportError:
@@ -353,7 +386,7 @@ def identify(
         _judge(fit, theta)
         if turn < 2:
             _refine(fit, theta)
-    return _conclude(fit, theta, notes)
+    return _conclude(fit, theta, notes), fit, theta
 
 
 def _without_derived(trials: Sequence[Trial]) -> tuple[list[Trial], list[str]]:
@@ -410,7 +443,7 @@ def _refine(fit: _Fit, theta: Array) -> None:
             after = min(1.5 * max(float(contact.normal(end - begin)[1]), 0.0) / g, _BEFORE_S)
         else:
             before, after = _BEFORE_S, _AFTER_S
-        fit.windows[i] = _cut(trial, begin - before, end + after)
+        fit.cut(i, begin - before, end + after)
         for name, predicted in fit.predict(theta, i).items():
             errors.setdefault(name, []).append(predicted - fit.windows[i].series[name].value)
     for name, parts in errors.items():
@@ -439,7 +472,7 @@ def _correlation(fit: _Fit, theta: Array) -> float:
 
 
 def covariance(fit: _Fit, theta: Array) -> Array:
-    """Covariance of all parameters at the fit's weights: the inverse of the information in data and priors."""
+    """Covariance of all parameters at the fit's weights: inverse information of data and priors."""
     jacobian = fit.jacobian(theta)
     scale = np.sqrt(np.sum(jacobian**2, axis=0))
     scale[scale == 0.0] = 1.0
@@ -534,3 +567,38 @@ def _trial_fits(fit: _Fit, theta: Array) -> list[TrialFit]:
         onset, speed = float(theta[own["onset"]]), -float(theta[own["speed"]])
         fits.append(TrialFit(trial.name, trial.mode, onset, speed, along, _in_contact(fit, theta, i)))
     return fits
+
+
+def deviation_bound(
+    trials: Sequence[Trial],
+    mass_kg: float,
+    onset: Onset,
+    noise: dict[str, float],
+    *,
+    plane_sd_m: float = PLANE_SD_M,
+) -> dict[str, dict[str, float]]:
+    """Cramér-Rao bound: the smallest standard deviation any unbiased estimate of k, f, mu, nu can have.
+
+    Onset times, approach velocities and the plane (with its prior) are unknown, as they are in `identify`.
+
+    Args:
+        trials: (nearly) noise-free recordings, at the sample times of those in question.
+        mass_kg, onset, plane_sd_m: as `identify`.
+        noise: standard deviation of the noise by channel.
+
+    Returns:
+        mode -> coefficient -> bound, in the coefficient's unit.
+    """
+    found, fit, theta = _solve(trials, mass_kg, onset, plane_sd_m)
+    fit.sd.update(noise)
+    deviation = np.sqrt(np.diag(covariance(fit, theta)))
+    bounds = {}
+    for mode in found.coefficients:
+        at = fit.parameters.of_mode(mode)
+        bounds[mode] = {
+            "k": float(deviation[at["k"]] * math.exp(theta[at["k"]])),
+            "f": float(deviation[at["f"]] * math.exp(theta[at["f"]])),
+            "mu": float(deviation[at["mu"]]),
+            "nu": float(deviation[at["nu"]]),
+        }
+    return bounds

@@ -164,17 +164,13 @@ def read_csv(path: Path, how: Reading) -> list[Trial]:
     for (number, _), row in zip(lines[1:], rows[1:], strict=True):
         for name, place in places.items():
             cell = row[place].strip() if place < len(row) else ""
-            value = _number(cell, name, source, number)
-            values[name].append(value)
-            if name == _TIME:
-                if not value > last:
-                    raise InputError(
-                        f"time does not increase: {value:g} after {last:g}",
-                        source=source,
-                        line=number,
-                        key=(name,),
-                    )
-                last = value
+            values[name].append(_number(cell, name, source, number))
+        now = values[_TIME][-1]
+        if not now > last:
+            raise InputError(
+                f"time does not increase: {now:g} after {last:g}", source=source, line=number, key=(_TIME,)
+            )
+        last = now
     time = np.array(values.pop(_TIME))
     series = {}
     for name, column in values.items():
@@ -278,9 +274,9 @@ def _from_imu(imu: Any, attitude: Any, how: Reading) -> dict[str, Series]:
         axis=1,
     )
     q /= np.linalg.norm(q, axis=1, keepdims=True)
-    w, axis = q[:, :1], q[:, 1:]
-    turn = 2.0 * np.cross(axis, specific)
-    ned = specific + w * turn + np.cross(axis, turn)
+    scalar, vector = q[:, :1], q[:, 1:]
+    turn: Array = 2.0 * np.cross(vector, specific)
+    ned = specific + scalar * turn + np.cross(vector, turn)
     normal, tangent = _axes(how)
     series = {"normal_force_n": _increasing(time, how.mass_kg * (ned @ normal))}
     if how.wall is not None:

@@ -1,0 +1,1 @@
+"""Benchmarks, campaigns and generators; run as `python -m tools.NAME`."""
