@@ -1,1 +1,1 @@
-"""Benchmarks, campaigns and generators; run as `python -m tools.NAME`."""
+"""Development tools: campaigns, emulated hardware, generators of documentation."""

@@ -88,7 +88,7 @@ def plot_wall(path: str | Path, what: Condition, contact: Contact, tangential_m_
     figure, (position, velocity, force) = _figure(3)
     span = contact.end_s if np.isfinite(contact.end_s) else _SETTLED_S
     t = np.linspace(-0.25 * span, 1.35 * span, 1601)
-    way = trajectory(contact, t, tangential_m_s)
+    way = trajectory(contact, t, tangential_m_s, what.vertical_sign)
     ms = 1e3 * t
     _shade((position, velocity, force), 0.0, 1e3 * span)
     position.plot(ms, 1e3 * way.normal_m, color=BLUE, label="normal, from the plane of first touch")
@@ -104,6 +104,7 @@ def plot_wall(path: str | Path, what: Condition, contact: Contact, tangential_m_
         _title(what, f"{contact.normal_m_s:g} m/s normal, {tangential_m_s:g} m/s along"), fontsize=10
     )
     force.set_xlim(ms[0], ms[-1])
+    figure.align_ylabels()
     _save(figure, path)
 
 
@@ -153,6 +154,7 @@ def plot_drop(
         axis.legend(loc="best", fontsize=8, frameon=False)
     position.set_title(_title(what, f"drop from {height_m:g} m"), fontsize=10)
     force.set_xlim(0.0, ms[-1])
+    figure.align_ylabels()
     _save(figure, path)
 
 
@@ -173,6 +175,7 @@ def plot_fit(
         t = np.linspace(-0.15, span + 0.15, 1200)
         time, value = trial.normal
         near = (time - fit.onset_s >= t[0]) & (time - fit.onset_s <= t[-1])
+        t = t[(t >= time[near][0] - fit.onset_s) & (t <= time[near][-1] - fit.onset_s)]
         if trial.acceleration_m_s2 < 0.0:  # before its release a drop does not fall
             t = t[t >= fit.normal_m_s / -trial.acceleration_m_s2]
         _shade((axis,), 0.0, 1e3 * span)
@@ -191,7 +194,7 @@ def plot_fit(
             linewidth=1.2,
             label="fit",
         )
-        axis.axhline(1e3 * found.plane_m.value, color=GREY, linewidth=0.8, linestyle=":")
+        axis.axhline(1e3 * found.plane_m.value, color=GREY, linestyle=":", label="plane, identified")
         axis.set_ylabel("normal, mm")
         axis.set_title(
             f"{Path(trial.name).name}: {fit.mode}, {fit.normal_m_s:.3f} m/s", fontsize=9, loc="left"
