@@ -1,6 +1,6 @@
 """The simulated vehicle as a body: six degrees of freedom, motors, drag, walls, ground, arms.
 
-State in NED and FRD, as the autopilot sees it; walls are given in the mission frame and converted once. Contact
+State in NED and FRD, as the autopilot sees it; walls are given in the mission frame, converted once. Contact
 acts through the centre of mass by the law of `dart_flight.contact.law`, integrated in steps of 0.1 ms, the
 rest in steps of 1 ms. `tests/sim/test_plant.py` holds it to the reference solutions.
 """
