@@ -121,7 +121,7 @@ class ImpactDetector:
             first_us=first_us,
             received_us=received_us,
             force_mission=estimate.force_mission,
-            velocity_mission=state.velocity,
+            velocity_mission=state.velocity_before(first_us),
             position_mission=state.position_at(estimate.t_us),
         )
         return self._onset

@@ -39,7 +39,8 @@ from dart_flight.samples import (
 
 _RETRY_US = 1_000_000  # telemetry of mode and arming lags by up to a second
 _EARLY_M = 0.25  # a contact this far before the plane is not the planned wall
-_STOP_MARGIN_M = 0.08  # of the prediction "holding now stops short of the wall"
+# Of the prediction "holding still stops short of the wall"; small, because breaking off brakes harder.
+_STOP_MARGIN_M = 0.02
 _PASSED_RISE_M = 0.03  # the distance to the goal has risen by more than its noise
 _PASSED_AFTER_US = 250_000  # the first moments after a contact do not yet show where it leads
 _REST_TIMEOUT_US = 4_000_000
@@ -407,7 +408,7 @@ class Executive:
             distance,
             closing,
             -(state.acceleration[0] * n[0] + state.acceleration[1] * n[1]),
-            max(distance, self.mission.vehicle.guard.retreat_m),
+            distance,
             self.mission.vehicle.px4,
         )
         if nearest < _STOP_MARGIN_M:
@@ -432,14 +433,16 @@ class Executive:
 
     def _goal(self, state: FlightState, out: list[Output]) -> None:
         self._lock_to(self.mission.transit_mode, state, out)
-        distance = distance2(state.position, self.mission.goal.position_m)
-        if self._captured_us is None:
-            if distance <= self.mission.goal.capture_radius_m:
-                self._captured_us = state.now_us
-            elif self._elapsed_us(state) > self.mission.limits.collision_timeout_s * 1e6:
+        goal = self.mission.goal
+        distance = distance2(state.position, goal.position_m)
+        if distance > goal.capture_radius_m:
+            self._captured_us = None
+            if self._elapsed_us(state) > (goal.hold_s + self.mission.limits.collision_timeout_s) * 1e6:
                 detail = f"still {distance:.2f} m from the goal"
                 self._guard.latch(Action.LAND, "goal_not_reached", detail, state, out)
-        elif state.now_us - self._captured_us >= self.mission.goal.hold_s * 1e6:
+        elif self._captured_us is None:
+            self._captured_us = state.now_us
+        elif state.now_us - self._captured_us >= goal.hold_s * 1e6:
             self._final_error_m = distance
             self._go(Event.HELD, state, out)
 
@@ -500,9 +503,11 @@ class Executive:
         if reference is not None:
             velocity = state.frame.vector_to_ned(reference.velocity)
             b, v, a = self.mission.vehicle.airframe.drag_per_s, reference.velocity, reference.acceleration
-            # The drag that the reference will meet is fed forward, so that PX4 need not integrate it.
+            # Fed forward beside the acceleration: the drag that the reference will meet, and what PX4's D
+            # term takes away again, so that no error builds up for the position loop to make up for.
+            d = 1.0 + self.mission.vehicle.px4.mpc_xy_vel_d_acc
             acceleration = state.frame.vector_to_ned(
-                (a[0] + b[0] * v[0], a[1] + b[1] * v[1], a[2] + b[2] * v[2])
+                (d * a[0] + b[0] * v[0], d * a[1] + b[1] * v[1], a[2] + b[2] * v[2])
             )
         return SetPoint(
             t_us=t_us,

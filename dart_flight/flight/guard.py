@@ -219,9 +219,17 @@ class Guard:
         if self.action is Action.BREAK_OFF:
             for wall in self._mission.walls:
                 distance = wall.signed_distance((x, y))
-                if wall.spans((x, y)) and -self._config.retreat_m < distance < self._config.retreat_m:
-                    push = self._config.retreat_m - distance
-                    x, y = x + push * wall.normal[0], y + push * wall.normal[1]
+                nx, ny = wall.normal
+                closing = max(0.0, -(state.velocity[0] * nx + state.velocity[1] * ny))
+                # Keep the retreat distance, and brake harder than by holding still where it is approached.
+                push = max(self._config.retreat_m - distance, _STOP_TIME_S * closing)
+                if (
+                    wall.spans((x, y))
+                    and -self._config.retreat_m < distance
+                    and push > 0.0
+                    and distance < 1.0
+                ):
+                    x, y = x + push * nx, y + push * ny
         return (x, y, max(z, min(self._mission.altitude_m, self._mission.bounds.z[1])))
 
     def _land(self, state: FlightState, out: list[Output]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 from dart_flight.config.mission import Mission
 from dart_flight.geometry import MissionFrame, Vec3, add, scale, tilt_of, yaw_ned_of
 from dart_flight.samples import (
@@ -44,7 +46,7 @@ class FlightState:
         self.acceleration: Vec3 = (0.0, 0.0, 0.0)  # of the odometry's velocity, lightly filtered
         self.yaw = 0.0
         self.tilt_rad = 0.0
-        self.stale: set[str] = set()
+        self._velocities: deque[tuple[int, Vec3]] = deque(maxlen=32)
 
     def take_odometry(self, sample: OdometrySample) -> bool:
         """A position and velocity; False where its stamp does not advance."""
@@ -67,6 +69,7 @@ class FlightState:
                 a[2] + share * ((velocity[2] - v[2]) / dt - a[2]),
             )
         self.position, self.velocity = position, velocity
+        self._velocities.append((sample.t_us, velocity))
         return True
 
     def take_attitude(self, sample: AttitudeSample) -> bool:
@@ -123,6 +126,13 @@ class FlightState:
         if self.odometry is None:
             return self.position
         return add(self.position, scale(self.velocity, (t_us - self.odometry.t_us) * 1e-6))
+
+    def velocity_before(self, t_us: int) -> Vec3:
+        """The last velocity in the mission frame stamped before a moment."""
+        for stamp, velocity in reversed(self._velocities):
+            if stamp < t_us:
+                return velocity
+        return self.velocity
 
     def age_us(self, sample: ImuSample | AttitudeSample | OdometrySample | ActuatorSample | None) -> int:
         """Host time since a stream's newest sample was received; huge where there was none."""

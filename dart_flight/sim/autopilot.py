@@ -15,6 +15,7 @@ import msgspec
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
 from dart_flight.geometry import Vec3, distance2, yaw_ned_of
+from dart_flight.lock.drivers.px4 import PREARM_ALWAYS, actuator_pulse_us, required_parameters
 from dart_flight.samples import FlightMode, LandedState, Mode
 from dart_flight.sim.cascade import Cascade, TrajectorySetPoint
 from dart_flight.sim.estimator import Estimator
@@ -154,12 +155,10 @@ class Autopilot:
     def actuator_pulse_us(self, index: int) -> float | None:
         """Pulse of a peripheral's output, or None while PX4 keeps it at its disarmed value."""
         value = self.actuator_set[index - 1]
-        if math.isnan(value) or not self.armed:
+        moves = self.armed or round(self.parameters["COM_PREARM_MODE"]) == PREARM_ALWAYS
+        if math.isnan(value) or not moves:
             return None
-        # PX4 maps -1..1 onto the output's configured range; here the servo's own.
-        servo = self.vehicle.lock.servo
-        middle = 0.5 * (servo.min_pulse_us + servo.max_pulse_us)
-        return middle + 0.5 * value * (servo.max_pulse_us - servo.min_pulse_us)
+        return actuator_pulse_us(self.vehicle.lock, value)
 
     # -- one tick --
 
@@ -272,18 +271,20 @@ def default_parameters(vehicle: VehicleConfig) -> dict[str, float]:
     }
     parameters["MPC_THR_HOVER"] = vehicle.hover_thrust_fraction()
     parameters["THR_MDL_FAC"] = vehicle.thrust.model_factor
-    for name, value in (("SYS_AUTOSTART", 4001), ("MAV_SYS_ID", 1), ("COM_PREARM_MODE", 0)):
-        parameters[name] = float(value)
-    parameters["PWM_MAIN_FUNC5"] = 301.0  # the lock servo: peripheral via actuator set 1
+    parameters["SYS_AUTOSTART"] = 4001.0
+    parameters["MAV_SYS_ID"] = 1.0
+    # The lock's servo hangs on the output that the configuration names, set up as it asks.
+    for required in required_parameters(vehicle.lock):
+        parameters[required.name] = float(required.value)
     return parameters
 
 
 def make_autopilot(mission: Mission, seed: int, say: Callable[[str, str], None] | None = None) -> Autopilot:
-    """The simulated vehicle standing on the ground below a mission's start, arms in the transit mode."""
+    """The simulated vehicle standing on the ground below a mission's start, arms free."""
     flat = mission.frame_at((0.0, 0.0, 0.0))
     x, y = mission.start
     start_ned = flat.point_to_ned((x, y, 0.0))
     frame = mission.frame_at(start_ned)
     plant = Plant(mission.vehicle, mission.walls, frame, start_ned)
-    plant.set_mode(Mode(mission.transit_mode))
+    plant.set_mode(Mode.FLEXIBLE)
     return Autopilot(plant, seed, say)

@@ -26,7 +26,8 @@ _PX4 = 12  # MAV_AUTOPILOT_PX4
 _VERSION = (1 << 24) | (16 << 16) | (0 << 8) | 255  # says v1.16.0, the version whose behaviour this imitates
 _HOME_LAT, _HOME_LON, _HOME_ALT = 33.4242, -111.9281, 360.0
 _EARTH_M_PER_DEG = 111_320.0
-_INTEGER_PARAMETERS = {"SYS_AUTOSTART", "MAV_SYS_ID", "COM_PREARM_MODE", "PWM_MAIN_FUNC5"}
+# Everything else that the embedded autopilot knows is a float in PX4, too.
+_INTEGER_PREFIXES = ("SYS_", "MAV_", "COM_PREARM_MODE", "PWM_")
 
 # PX4 custom mode: main mode and, for the automatic modes, sub mode.
 _MODES: dict[FlightMode, tuple[int, int]] = {
@@ -101,7 +102,6 @@ class MavlinkEndpoint:
     Args:
         autopilot: stepped by somebody else, one tick before every `exchange`.
         ports: remote UDP ports on this host, one link each.
-        keep: returns False for a message (name, receiving) to be lost: fault injection.
     """
 
     def __init__(self, autopilot: Autopilot, ports: tuple[int, ...]) -> None:
@@ -336,7 +336,7 @@ class MavlinkEndpoint:
     def _param_value(self, name: str, index: int) -> Any:
         value = self.autopilot.parameters[name]
         kind = mavlink.MAV_PARAM_TYPE_REAL32
-        if name in _INTEGER_PARAMETERS:
+        if name.startswith(_INTEGER_PREFIXES):
             # PX4 sends integers bytewise in the float field.
             value = struct.unpack("<f", struct.pack("<i", int(value)))[0]
             kind = mavlink.MAV_PARAM_TYPE_INT32

@@ -314,9 +314,11 @@ class Plant:
     def _shake(self, contact: Vec3) -> Vec2:
         """Acceleration of the body about the common centre of mass by the flexible arms' vibration, NED.
 
-        An internal motion: it moves the IMU, not the centre of mass, so truth keeps to the contact law.
+        An internal motion: it moves the IMU, not the centre of mass, so truth keeps to the contact law. With
+        q the arms' displacement against the body and s their share of the mass, the body is at -s q from
+        the centre of mass; a contact drives q'' = -w^2 q - 2 zeta w q' - a, and the IMU feels -s q''.
         """
-        if self.mode is Mode.RIGID and not self._open:
+        if self.mode is Mode.RIGID:
             self._arm = ((0.0, 0.0), (0.0, 0.0))
             return (0.0, 0.0)
         vibration = self.vehicle.simulation.arm_vibration
@@ -326,9 +328,7 @@ class Plant:
         ay = -w * w * qy - 2.0 * z * w * vy - contact[1]
         vx, vy = vx + STEP_S * ax, vy + STEP_S * ay
         self._arm = ((qx + STEP_S * vx, qy + STEP_S * vy), (vx, vy))
-        # The spring's and damper's force between arms and body; without it the whole would move as one.
-        share = vibration.mass_fraction
-        return (share * (w * w * qx + 2.0 * z * w * vx), share * (w * w * qy + 2.0 * z * w * vy))
+        return (-vibration.mass_fraction * ax, -vibration.mass_fraction * ay)
 
     # -- truth --
 

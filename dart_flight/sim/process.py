@@ -19,12 +19,12 @@ from typing import IO
 
 import msgspec
 
-from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import LockDriver
-from dart_flight.lock.servo import ServoModel, mode_of
-from dart_flight.samples import Mode, TruthContact, TruthSample
-from dart_flight.sim.autopilot import TICK_S, Autopilot, make_autopilot
+from dart_flight.samples import TruthContact, TruthSample
+from dart_flight.sim.autopilot import TICK_S
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
+from dart_flight.sim.vehicle import SimulatedVehicle
 
 _TRUTH_EVERY = 2  # ticks
 _ORPHAN_S = 28.0  # after the app's death; with start and end it stays within 30 s
@@ -69,52 +69,6 @@ class Truth(msgspec.Struct, tag="truth"):
 
 
 WorldOutput = Ready | Truth
-
-
-class SimulatedVehicle:
-    """Autopilot, MAVLink endpoint and lock of one simulated vehicle, stepped in ticks.
-
-    Args:
-        mission: walls and start.
-        seed: of the sensors' noise.
-        ports: remote UDP ports, one link each.
-        driver: `px4` moves the servo by the autopilot's own output; with any other the horn is told.
-    """
-
-    def __init__(self, mission: Mission, seed: int, ports: tuple[int, ...], driver: LockDriver) -> None:
-        self.autopilot: Autopilot = make_autopilot(mission, seed)
-        self.endpoint = MavlinkEndpoint(self.autopilot, ports)
-        self._servo_config = mission.vehicle.lock.servo
-        self._index = mission.vehicle.lock.px4.actuator_index
-        self._by_autopilot = driver is LockDriver.PX4
-        resting = pulse_for(mission, mission.transit_mode)
-        self._servo = ServoModel(self._servo_config, resting)
-
-    def set_horn(self, pulse_us: float) -> None:
-        """Where the mock servo's horn is."""
-        self._apply(pulse_us)
-
-    def step(self) -> None:
-        """One tick: lock, plant and autopilot, MAVLink."""
-        if self._by_autopilot:
-            t_us = self.autopilot.time_us
-            pulse = self.autopilot.actuator_pulse_us(self._index)
-            if pulse is not None:
-                self._servo.command(t_us, pulse)
-            self._apply(self._servo.pulse_at(t_us))
-        self.autopilot.step()
-        self.endpoint.exchange()
-
-    def _apply(self, pulse_us: float) -> None:
-        # Between the ends no rod holds all four arms: not rigid means flexible.
-        mode = mode_of(self._servo_config, pulse_us)
-        self.autopilot.plant.set_mode(Mode.RIGID if mode is Mode.RIGID else Mode.FLEXIBLE)
-
-
-def pulse_for(mission: Mission, mode: Mode) -> float:
-    """Pulse of a mode's end stop, microseconds."""
-    servo = mission.vehicle.lock.servo
-    return servo.rigid_pulse_us if mode is Mode.RIGID else servo.flexible_pulse_us
 
 
 def run_in_real_time(step: Callable[[], None], until: Callable[[], bool]) -> None:
@@ -170,62 +124,72 @@ class _Reader:
         self.closed = True
 
 
+class VehicleProcess:
+    """The simulated vehicle between its pipe and its sockets."""
+
+    def __init__(self, spec: WorldSpec, commands: IO[bytes], truth: IO[bytes]) -> None:
+        mission = load_mission(spec.mission, spec.config)
+        self._vehicle = SimulatedVehicle(mission, spec.seed, spec.driver)
+        self._autopilot = self._vehicle.autopilot
+        self._endpoint = MavlinkEndpoint(self._autopilot, tuple(spec.ports))
+        self._log: IO[str] | None = None
+        if spec.log is not None:
+            self._log = open(spec.log, "a", encoding="utf-8", buffering=1)  # noqa: SIM115
+        self._to_link = self._autopilot.say
+        self._autopilot.say = self._say
+        self._writer, self._reader = _Writer(truth), _Reader(commands)
+        self._ticks = 0
+        self._orphan_since_s: float | None = None
+        self._over = False
+
+    def run(self) -> None:
+        """Fly in real time until the app is gone and the vehicle is down."""
+        self._writer.put(Ready(self._autopilot.time_us))
+        # What has been loaded by now stays: the collector need not walk it in flight.
+        gc.freeze()
+        run_in_real_time(self._step, lambda: self._over)
+        self._say("info", "simulated vehicle stops")
+        self._endpoint.close()
+
+    def _say(self, severity: str, text: str) -> None:
+        self._to_link(severity, text)
+        if self._log is not None:
+            self._log.write(f"{self._autopilot.now_s:9.3f} s {severity}: {text}\n")
+
+    def _step(self) -> None:
+        while self._reader.items:
+            item = self._reader.items.popleft()
+            if isinstance(item, Horn):
+                self._vehicle.set_horn(item.pulse_us)
+        self._vehicle.advance()
+        self._endpoint.exchange()
+        plant = self._autopilot.plant
+        if self._ticks % _TRUTH_EVERY == 0:
+            self._writer.put(Truth(state=plant.truth()))
+        while plant.finished:
+            self._writer.put(Truth(contact=plant.finished.pop(0)))
+        self._ticks += 1
+        if self._reader.closed:
+            self._fly_on_alone()
+
+    def _fly_on_alone(self) -> None:
+        """The app is gone: fly on to the failsafe, end when landed."""
+        now = self._autopilot.now_s
+        if self._orphan_since_s is None:
+            self._orphan_since_s = now
+            if self._autopilot.armed:
+                self._say("warning", "the app is gone, flying on to the failsafe")
+        elif not self._autopilot.armed or now - self._orphan_since_s > _ORPHAN_S:
+            self._over = True
+
+
 def main() -> int:
     """Body of the process; returns its exit status."""
     # The app's terminal must not take the vehicle down: Ctrl-C is the app's business.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     spec = msgspec.json.decode(sys.stdin.buffer.readline(), type=WorldSpec)
-    mission = load_mission(spec.mission, spec.config)
-    vehicle = SimulatedVehicle(mission, spec.seed, tuple(spec.ports), spec.driver)
-    autopilot, writer, reader = vehicle.autopilot, _Writer(sys.stdout.buffer), _Reader(sys.stdin.buffer)
-    log = open(spec.log, "a", encoding="utf-8", buffering=1) if spec.log else None  # noqa: SIM115
-    to_link = autopilot.say
-
-    def say(severity: str, text: str) -> None:
-        to_link(severity, text)
-        if log is not None:
-            log.write(f"{autopilot.now_s:9.3f} s {severity}: {text}\n")
-
-    autopilot.say = say
-    state = {"ticks": 0, "orphan_since": None, "over": False}
-
-    def step() -> None:
-        while reader.items:
-            item = reader.items.popleft()
-            if isinstance(item, Horn):
-                vehicle.set_horn(item.pulse_us)
-        vehicle.step()
-        _report(autopilot, writer, int(state["ticks"] or 0))
-        state["ticks"] = int(state["ticks"] or 0) + 1
-        if reader.closed:
-            _orphaned(autopilot, state, say)
-
-    writer.put(Ready(autopilot.time_us))
-    gc.freeze()
-    run_in_real_time(step, lambda: bool(state["over"]))
-    say("info", "simulated vehicle stops")
-    vehicle.endpoint.close()
+    VehicleProcess(spec, sys.stdin.buffer, sys.stdout.buffer).run()
     return 0
-
-
-def _report(autopilot: Autopilot, writer: _Writer, ticks: int) -> None:
-    plant = autopilot.plant
-    if ticks % _TRUTH_EVERY == 0:
-        writer.put(Truth(state=plant.truth()))
-    while plant.finished:
-        writer.put(Truth(contact=plant.finished.pop(0)))
-
-
-def _orphaned(autopilot: Autopilot, state: dict[str, int | float | bool | None], say: Callable[[str, str], None]) -> None:
-    """The app is gone: fly on to the failsafe, end when landed."""
-    since = state["orphan_since"]
-    if since is None:
-        state["orphan_since"] = autopilot.now_s
-        if autopilot.armed:
-            say("warning", "the app is gone, flying on to the failsafe")
-        return
-    if not autopilot.armed or autopilot.now_s - float(since) > _ORPHAN_S:
-        state["over"] = True
 
 
 if __name__ == "__main__":
