@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from dart_flight.config.mission import Collision, Mission
-from dart_flight.contact.collision_map import collide_wall
+from dart_flight.contact.collision_map import collide
 from dart_flight.contact.law import Onset
 from dart_flight.flight.phases import ON_GROUND, Phase
 from dart_flight.geometry import tilt_of
@@ -228,9 +228,7 @@ class VerdictBuilder:
         if not near:
             return
         truth = min(near, key=lambda t: abs(t.t_us - collision.t_us))
-        collision.truth = Velocities(
-            truth.normal_in_m_s, truth.tangential_in_m_s, truth.peak_normal_force_n
-        )
+        collision.truth = Velocities(truth.normal_in_m_s, truth.tangential_in_m_s, truth.peak_normal_force_n)
         collision.detection_latency_ms = (collision.t_us - truth.t_us) * 1e-3
 
 
@@ -243,7 +241,7 @@ def planned_of(mission: Mission, collision: Collision) -> Velocities:
         return Velocities()
     normal, tangential = collision.approach_m_s
     coefficients = mission.vehicle.materials[collision.wall.material].of(collision.mode)
-    hit = collide_wall(
+    hit = collide(
         coefficients, mission.vehicle.airframe.mass_kg, normal, tangential, Onset(mission.vehicle.onset)
     )
     return Velocities(normal, tangential, hit.peak_normal_force_n)

@@ -15,6 +15,7 @@ from typing import Any
 
 from dart_flight import __version__
 from dart_flight.config.document import InputError
+from dart_flight.errors import FlightError
 
 # command -> what it does, in the order of `dart-flight --help`
 COMMANDS = {
@@ -66,6 +67,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except InputError as error:
         print(error.one_line(), file=sys.stderr)  # noqa: T201
         return EXIT_INPUT
+    except FlightError as error:
+        print(error, file=sys.stderr)  # noqa: T201
+        return EXIT_INCOMPLETE
     except KeyboardInterrupt:
         return EXIT_INCOMPLETE
     except BrokenPipeError:

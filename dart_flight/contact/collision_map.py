@@ -163,9 +163,7 @@ def _shape(c: CoefficientArrays, mass: Array, onset: Onset) -> _Shape:
         scale = np.exp(zeta * np.where(light, half - time, 0.0))
         peak = np.where(light, np.exp(-zeta * quarter) * scale, 2.0 * zeta)
         undamped = zeta < 1e-150
-        entry = np.where(
-            undamped, math.inf, (1.0 - 4.0 * zeta * zeta) / np.where(undamped, 1.0, 2.0 * zeta)
-        )
+        entry = np.where(undamped, math.inf, (1.0 - 4.0 * zeta * zeta) / np.where(undamped, 1.0, 2.0 * zeta))
     restitution = np.exp(-zeta * time)
     return _Shape(
         restitution=restitution,
@@ -375,9 +373,7 @@ def _events(c: _Course) -> _Events:
     slope = np.where(falls, slope, 0.0)  # rounding must not decide on which side of the peak we are
     turn = peak + _first_zero(c, phi, slope)
     half = np.where(c.w2 > 0.0, math.pi / np.sqrt(np.where(c.w2 > 0.0, c.w2, 1.0)), math.inf)
-    trough = peak + np.where(
-        falls, _first_zero(c, slope, -(2.0 * c.zeta * slope + phi)), half
-    )
+    trough = peak + np.where(falls, _first_zero(c, slope, -(2.0 * c.zeta * slope + phi)), half)
     pulled = c.alpha > 0.0
     at_trough = _phi(c, trough)[0]
     ends = pulled | (c.alpha == 0.0) | (np.isfinite(turn) & (at_trough <= c.alpha))

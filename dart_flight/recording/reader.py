@@ -58,7 +58,7 @@ def read_log(path: str | Path) -> Log:
     except OSError as error:
         raise InputError(f"cannot read: {error.strerror or error}", source=source) from None
     except Exception:
-        # Cut off or damaged here (the library raises many kinds of errors for that); what came before is good.
+        # Cut off or damaged here, for which the library raises many kinds of errors; the rest is good.
         log.complete = False
     if not log.about and log.complete:
         raise InputError("not a flight log of dart-flight", source=source)

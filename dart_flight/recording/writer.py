@@ -1,8 +1,8 @@
 """The flight log: MCAP with JSON messages and their JSON Schemas, so that Foxglove opens it as it is.
 
-One channel per record type (`topic` in `samples`). A message's sequence number is the number of the input it
-is or follows from: a replay feeds inputs in that order. Log time is the autopilot's clock. Records are encoded
-and written by a thread of their own in small chunks, so that a killed process loses at most 0.2 s.
+One channel per record type (`topic` in `samples`). A message's sequence number is the number of the input
+it is or follows from: a replay feeds inputs in that order. Log time is the autopilot's clock. Records are
+encoded and written by a thread of their own in small chunks, so that a killed process loses at most 0.2 s.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class FlightLog:
         self._thread.join(timeout=10.0)
         with contextlib.suppress(OSError):
             if self.failure is None:
-                self._writer.finish()
+                self._writer.finish()  # type: ignore[no-untyped-call]
         with contextlib.suppress(OSError):
             self._file.close()
 

@@ -179,8 +179,8 @@ class Plant:
         down = rotate(quaternion_conjugate(self.q), (0.0, 0.0, 1.0))
         k, c = 3.0, 0.3  # N m/rad and N m s/rad: stiff and well damped against 0.0125 kg m2
         return (
-            torque[0] + k * down[1] - c * self.rate[0],
-            torque[1] - k * down[0] - c * self.rate[1],
+            torque[0] - k * down[1] - c * self.rate[0],
+            torque[1] + k * down[0] - c * self.rate[1],
             torque[2] - c * self.rate[2],
         )
 

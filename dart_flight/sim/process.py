@@ -19,8 +19,9 @@ from typing import IO
 
 import msgspec
 
-from dart_flight.config.mission import load_mission
-from dart_flight.config.vehicle import LockDriver
+from dart_flight.config.document import Document
+from dart_flight.config.mission import parse_mission
+from dart_flight.config.vehicle import LockDriver, VehicleConfig
 from dart_flight.samples import TruthContact, TruthSample
 from dart_flight.sim.autopilot import TICK_S
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
@@ -35,7 +36,7 @@ class WorldSpec(msgspec.Struct):
     """What the process is told on its first line of input."""
 
     mission: str
-    config: str | None
+    vehicle: str  # configuration as JSON: what the app has, whatever file it came from
     seed: int
     ports: list[int]
     driver: LockDriver
@@ -128,7 +129,8 @@ class VehicleProcess:
     """The simulated vehicle between its pipe and its sockets."""
 
     def __init__(self, spec: WorldSpec, commands: IO[bytes], truth: IO[bytes]) -> None:
-        mission = load_mission(spec.mission, spec.config)
+        vehicle = msgspec.json.decode(spec.vehicle, type=VehicleConfig)
+        mission = parse_mission(Document.load(spec.mission), vehicle)
         self._vehicle = SimulatedVehicle(mission, spec.seed, spec.driver)
         self._autopilot = self._vehicle.autopilot
         self._endpoint = MavlinkEndpoint(self._autopilot, tuple(spec.ports))

@@ -23,6 +23,7 @@ from mavsdk.plugins.telemetry import FlightMode as SdkFlightMode
 from mavsdk.plugins.telemetry import LandedState as SdkLandedState
 from mavsdk.plugins.telemetry import Telemetry
 
+from dart_flight.errors import FlightError
 from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
@@ -60,7 +61,7 @@ _LANDED = {
 _PWM_LOW, _PWM_HIGH = 1000.0, 2000.0
 
 
-class VehicleError(Exception):
+class VehicleError(FlightError):
     """The vehicle cannot be reached."""
 
 
