@@ -155,11 +155,12 @@ class LockThread:
         self,
         session: LockSession,
         states: queue.SimpleQueue[LockState],
+        clock_known: Callable[[], bool],
         deliver: Callable[[LockState], None],
         after_poll: Callable[[], None],
     ) -> None:
         self._session, self._states, self._deliver = session, states, deliver
-        self._after_poll = after_poll
+        self._clock_known, self._after_poll = clock_known, after_poll
         self._orders: queue.SimpleQueue[LockCommand | LockPermission] = queue.SimpleQueue()
         self._stop = threading.Event()
         self.thread = threading.Thread(target=self._run, name="lock", daemon=True)
@@ -174,6 +175,10 @@ class LockThread:
         self.thread.join(timeout=2.0)
 
     def _run(self) -> None:
+        # The lock lives on the autopilot's clock: it starts once that is known.
+        while not self._clock_known():
+            if self._stop.wait(_LOCK_PERIOD_S):
+                return
         self._session.start()
         while not self._stop.is_set():
             try:
@@ -263,7 +268,7 @@ class FlightApp:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._done.wait(), 0.2)
             if self._world is not None and self._world.died and not self._done.is_set():
-                self._core.put(OperatorRequest(host_us(), "release"))
+                self._core.put(OperatorRequest(host_us(), "world_died"))
         await asyncio.sleep(_END_GRACE_S)
 
     def _listen_for_signals(self) -> None:
@@ -292,7 +297,9 @@ class FlightApp:
                     sent[:] = [pulse]
                     self._world.send_horn(pulse)
 
-        return LockThread(lock, states, self._take_lock_state, after_poll)
+        return LockThread(
+            lock, states, lambda: session.clock.offset_us is not None, self._take_lock_state, after_poll
+        )
 
     def _take_lock_state(self, state: LockState) -> None:
         self._core.put(state)
@@ -329,7 +336,7 @@ class FlightApp:
 
     async def _perform(self, action: VehicleAction) -> None:
         assert self._session is not None
-        problem = await asyncio.to_thread(self._session.perform, action)
+        problem = await self._session.perform(action)
         t_us = self._session.clock.to_autopilot(host_us())
         self._core.put(CommandResult(t_us, action.value, not problem, problem))
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import logging
 import os
 import sys
 from collections.abc import Sequence
@@ -63,6 +64,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     command = next((a for a in arguments if a in COMMANDS), None)
     try:
         parsed = build_parser(command).parse_args(arguments)
+        logging.basicConfig(
+            stream=sys.stderr,
+            level=logging.DEBUG if parsed.verbose > 1 else logging.ERROR,
+            format="%(name)s: %(message)s",
+        )
         return int(_module(parsed.command).run(parsed))
     except InputError as error:
         print(error.one_line(), file=sys.stderr)  # noqa: T201

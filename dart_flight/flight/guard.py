@@ -36,6 +36,7 @@ _IMPACT_MEMORY_US = 2_000_000  # altitude may be off for this long after an impa
 _HOLD_US = 3_000_000
 _RETRY_US = 1_000_000
 _FAILSAFE_WORDS = ("failsafe",)
+_RELEASED_BY_A_PERSON = ("pilot", "operator")
 _FAILSAFE_MEMORY_US = 3_000_000
 
 
@@ -57,6 +58,7 @@ class Guard:
         self._config = mission.vehicle.guard
         self.action = Action.NONE
         self.reason: str | None = None
+        self._rule = ""
         self.end: MissionEnd | None = None
         self._since_us = 0
         self._asked_us: int | None = None
@@ -74,7 +76,7 @@ class Guard:
         """Overrule the mission from now on; a weaker action than the one in force changes nothing."""
         if action <= self.action:
             return
-        self.action = action
+        self.action, self._rule = action, rule
         self.reason = f"{rule}: {detail}" if detail else rule
         self._since_us = state.now_us
         self._asked_us = None
@@ -188,7 +190,7 @@ class Guard:
     def _fly(self, item: Input, state: FlightState, out: list[Output]) -> None:
         if self.action is Action.RELEASE:
             out.append(Silence(state.now_us, self.reason or ""))
-            outcome = "aborted" if self.reason and self.reason.startswith("px4_failsafe") else "released"
+            outcome = "released" if self._rule in _RELEASED_BY_A_PERSON else "aborted"
             self.end = MissionEnd(state.now_us, outcome, self.reason, None)
             return
         if not state.status.armed and (state.on_ground or not self._was_offboard):

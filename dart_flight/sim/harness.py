@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -35,12 +37,16 @@ class EmbeddedWorld:
         self._on_truth = on_truth
         self._ready = threading.Event()
         self._lock = threading.Lock()
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "dart_flight.sim.process"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            start_new_session=True,
-        )
+        self._log = spec.log
+        # What goes wrong over there belongs beside what it says, not into the app's terminal.
+        with open(spec.log or os.devnull, "ab") as errors:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "dart_flight.sim.process"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                start_new_session=True,
+            )
         self._send_line(msgspec.json.encode(spec))
         threading.Thread(target=self._read, name="truth", daemon=True).start()
 
@@ -60,8 +66,11 @@ class EmbeddedWorld:
         Raises:
             WorldError: it does not within 20 s.
         """
-        if not self._ready.wait(_READY_TIMEOUT_S) or self.died:
-            raise WorldError("the simulated vehicle did not start")
+        deadline = time.monotonic() + _READY_TIMEOUT_S
+        while not self._ready.wait(0.05):
+            if self.died or time.monotonic() > deadline:
+                where = f", see {self._log}" if self._log else ""
+                raise WorldError(f"the simulated vehicle did not start{where}")
 
     def send_horn(self, pulse_us: float) -> None:
         """Tell the plant where the mock servo's horn is."""

@@ -131,7 +131,6 @@ class MavlinkEndpoint:
             mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: self._servo_output_raw,
             mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: self._attitude_target,
             mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._autopilot_version,
-            mavlink.MAVLINK_MSG_ID_PROTOCOL_VERSION: self._protocol_version,
         }
         self._commands: dict[int, Callable[[Any], int]] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._do_arm,
@@ -232,9 +231,9 @@ class MavlinkEndpoint:
 
     def _command(self, link: Link, message: Any) -> None:
         if message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
-            result = self._set_interval(link, int(message.param1), message.param2)
+            result = self._set_interval(link, _whole(message.param1), message.param2)
         elif message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
-            result = self._request_message(link, int(message.param1))
+            result = self._request_message(link, _whole(message.param1))
         elif message.command == mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
             result = self._request_message(link, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
         elif message.command in self._commands:
@@ -264,12 +263,12 @@ class MavlinkEndpoint:
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
     def _do_arm(self, message: Any) -> int:
-        force = int(message.param2) == 21196
+        force = _whole(message.param2) == 21196
         ok = self.autopilot.arm(force) if message.param1 > 0.5 else self.autopilot.disarm(force)
         return int(mavlink.MAV_RESULT_ACCEPTED if ok else mavlink.MAV_RESULT_DENIED)
 
     def _do_set_mode(self, message: Any) -> int:
-        wanted = (int(message.param2), int(message.param3))
+        wanted = (_whole(message.param2), _whole(message.param3))
         for mode, numbers in _MODES.items():
             if numbers == wanted or (wanted[0] != 4 and numbers[0] == wanted[0]):
                 ok = self.autopilot.set_mode(mode)
@@ -537,8 +536,10 @@ class MavlinkEndpoint:
             capabilities, _VERSION, 0, 0, 0, custom, custom, custom, 0, 0, 0xDA27
         )
 
-    def _protocol_version(self) -> Any:
-        return mavlink.MAVLink_protocol_version_message(200, 100, 200, [0] * 8, [0] * 8)
+
+def _whole(value: float) -> int:
+    """A command's parameter as a whole number; unused ones are NaN on the wire."""
+    return int(value) if math.isfinite(value) else 0
 
 
 def _param_name(raw: str | bytes) -> str:

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import math
 from collections.abc import Callable
 from typing import Any
 
 import msgspec
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
+from mavsdk.logging import log_subscribe
 from mavsdk.plugins.action import Action
 from mavsdk.plugins.offboard import AccelerationNed, Offboard, PositionNedYaw, VelocityNedYaw
 from mavsdk.plugins.server_utility import ServerUtility
@@ -59,6 +61,7 @@ _LANDED = {
     SdkLandedState.LANDING: LandedState.LANDING,
 }
 _PWM_LOW, _PWM_HIGH = 1000.0, 2000.0
+_ACTION_TIMEOUT_S = 5.0
 
 
 class VehicleError(FlightError):
@@ -200,23 +203,31 @@ class VehicleSession:
                 position, VelocityNedYaw(*v, yaw), AccelerationNed(*a)
             )
 
-    def perform(self, action: VehicleAction) -> str:
-        """Carry out an action, blocking; returns "" or what PX4 said against it. Not for MAVSDK's thread."""
+    async def perform(self, action: VehicleAction) -> str:
+        """Carry out an action; returns "" or what PX4 said against it."""
         if self._silent:
             return "silent"
-        calls: dict[VehicleAction, Callable[[], Any]] = {
-            VehicleAction.OFFBOARD: self._offboard.start,
-            VehicleAction.ARM: self._action.arm,
-            VehicleAction.HOLD: self._action.hold,
-            VehicleAction.LAND: self._action.land,
-            VehicleAction.DISARM: self._action.disarm,
+        calls: dict[VehicleAction, Callable[..., Any]] = {
+            VehicleAction.OFFBOARD: self._offboard.start_async,
+            VehicleAction.ARM: self._action.arm_async,
+            VehicleAction.HOLD: self._action.hold_async,
+            VehicleAction.LAND: self._action.land_async,
+            VehicleAction.DISARM: self._action.disarm_async,
         }
+        # Callbacks and not the blocking calls: those never return once the connection is closed under them.
+        loop = asyncio.get_running_loop()
+        answer: asyncio.Future[str] = loop.create_future()
+
+        def settle(name: str) -> None:
+            if not answer.done():
+                answer.set_result(name)
+
+        calls[action](lambda result, _: loop.call_soon_threadsafe(settle, result.name))
         try:
-            calls[action]()
-        except Exception as error:
-            result = getattr(error, "result", None)
-            return getattr(result, "name", None) or str(error)
-        return ""
+            name = await asyncio.wait_for(answer, _ACTION_TIMEOUT_S)
+        except TimeoutError:
+            return "no answer"
+        return "" if name == "SUCCESS" else name
 
     def silence(self) -> None:
         """Send nothing more. MAVSDK stops repeating by itself once it sees another mode than offboard."""
@@ -232,6 +243,15 @@ class VehicleSession:
             self._utility.send_status_text(OwnStatusTextType.INFO, text[:50])
 
 
+_logger = logging.getLogger("dart_flight.mavsdk")
+
+
+def _log(level: Any, message: str, _file: str | None, _line: int) -> bool:
+    """MAVSDK's own messages go to Python's logging; True: and nowhere else."""
+    _logger.log({0: 10, 1: 20, 2: 30, 3: 40}.get(int(level), 20), message)
+    return True
+
+
 class Connection:
     """Async context of a MAVSDK instance connected to one autopilot."""
 
@@ -241,6 +261,8 @@ class Connection:
         self._mavsdk: Any = None
 
     async def __aenter__(self) -> VehicleSession:
+        # MAVSDK prints to standard output, which belongs to `--json`.
+        log_subscribe(_log)
         self._mavsdk = Mavsdk(Configuration.create_with_component_type(self._component))
         await self._mavsdk.__aenter__()
         try:
