@@ -23,6 +23,7 @@ COMMANDS = {
     "fly": "fly a mission on the vehicle",
     "dry-run": "fly a mission in simulation",
     "simulate": "a simulated vehicle alone, for `fly` in another terminal or a ground station",
+    "lock": "move or report the locking mechanism",
 }
 
 EXIT_OK, EXIT_INCOMPLETE, EXIT_INPUT = 0, 1, 2

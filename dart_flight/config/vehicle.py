@@ -222,6 +222,12 @@ class Maestro(Section, frozen=True):
     speed_limit_us_s: Annotated[float, Meta(ge=0.0, le=25.0 * 16383)]  # 0: none; steps of 25 us/s
     reply_timeout_s: Annotated[float, Meta(gt=0.0, le=1.0)]
 
+    def __post_init__(self) -> None:
+        if not self.port:
+            raise ValueError("port must name a serial port, such as /dev/ttyACM0")
+        if self.speed_limit_us_s % 25.0 != 0.0:
+            raise ValueError(f"speed_limit_us_s {self.speed_limit_us_s:g} must be a multiple of 25")
+
 
 class Pwm(Section, frozen=True):
     """Hardware PWM of the Raspberry Pi, through sysfs."""

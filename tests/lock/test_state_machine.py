@@ -300,6 +300,18 @@ def test_a_command_alone_never_settles(
     assert (machine.state.phase, machine.state.reason) == (LockPhase.FAULT, reason)
 
 
+def test_a_reading_from_before_the_driver_had_the_command_counts_for_nothing(vary: Vary) -> None:
+    machine = LockStateMachine(vary())
+    machine.command(0, Mode.FLEXIBLE)
+    machine.sent(15_000, 1020.0)
+    machine.reading(0, DriverReading(None))  # taken first, delivered late
+    phases = []
+    for t_us in (20_000, 40_000):
+        machine.reading(t_us, DriverReading(None))
+        phases.append(machine.state.phase)
+    assert phases == [LockPhase.TRAVELLING, LockPhase.FAULT]
+
+
 def test_a_confirmed_state_needs_readings_to_stay_confirmed(vary: Vary) -> None:
     bench = homed(vary(limit_switch=BOTH_SWITCHES))
     machine = bench.session.machine

@@ -76,10 +76,24 @@ def make_driver(
         if clock_us is None:
             raise ValueError("the mock driver needs clock_us")
         return MockDriver(config, clock_us)
-    if kind is LockDriver.PX4:
+    driver: Driver
+    if kind is LockDriver.MAESTRO:
+        # Imported here: pyserial is not needed by the other drivers.
+        from dart_flight.lock.drivers.maestro import MaestroDriver  # noqa: PLC0415
+
+        driver = MaestroDriver(config)
+    elif kind is LockDriver.PWM:
+        from dart_flight.lock.drivers.pwm import PwmDriver  # noqa: PLC0415
+
+        driver = PwmDriver(config)
+    else:
         from dart_flight.lock.drivers.px4 import Px4Driver  # noqa: PLC0415
 
         if set_actuator is None:
             raise ValueError("the px4 driver needs set_actuator")
-        return Px4Driver(config, set_actuator)
-    raise DriverError(f"no driver {kind} in this build", ("driver",))
+        driver = Px4Driver(config, set_actuator)
+    if config.limit_switch is None:
+        return driver
+    from dart_flight.lock.drivers.limit_switch import GpioLimitSwitch, WithLimitSwitch  # noqa: PLC0415
+
+    return WithLimitSwitch(driver, GpioLimitSwitch(config.limit_switch))

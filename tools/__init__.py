@@ -1,0 +1,1 @@
+"""Development tools: campaigns, emulated hardware, generators of documentation."""
