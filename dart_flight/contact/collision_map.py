@@ -28,43 +28,33 @@ All arrays are float64. Frame: the wall's collision frame (`dart_flight.geometry
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dart_flight.config.vehicle import Coefficients
+from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
 from dart_flight.contact.law import Onset
+from dart_flight.contact.oscillator import (
+    Course,
+    Events,
+    enter,
+    falling_root,
+    find_events,
+    first_zero,
+    motion,
+    oscillator,
+    quarter_time,
+)
 from dart_flight.geometry import GRAVITY_M_S2
 
-Array = NDArray[np.float64]
-Rows = NDArray[np.intp]
 T = TypeVar("T")
 
 # Collisions worked on at a time: the temporaries of one chunk stay in the processor's second-level cache.
 _CHUNK = 4096
 _NEWTON_STEPS = 60
-
-
-class CoefficientArrays(NamedTuple):
-    """Contact coefficients as arrays of one shape: k N/m, f N s/m, mu s/m, nu N."""
-
-    k: Array
-    f: Array
-    mu: Array
-    nu: Array
-
-    @classmethod
-    def of(cls, table: Coefficients | Sequence[Coefficients]) -> CoefficientArrays:
-        """One set as arrays without dimension, or a table of n sets (mode, material) as arrays (n,)."""
-        if isinstance(table, Coefficients):
-            return cls(*(np.asarray(v, dtype=float) for v in (table.k, table.f, table.mu, table.nu)))
-        return cls(*(np.array([getattr(row, name) for row in table], dtype=float) for name in cls._fields))
-
-    def take(self, rows: Rows) -> CoefficientArrays:
-        """The sets of the given rows, one per collision."""
-        return CoefficientArrays(*(values[rows] for values in self))
+_NEAR_CRITICAL = 1e-8  # of 1 - zeta^2
 
 
 class Collision(NamedTuple, Generic[T]):
@@ -127,41 +117,28 @@ class _Shape(NamedTuple):
     mu: Array
     nu: Array
     zeta: Array
+    w: Array  # 1 from (nearly) critical damping on, where other formulas hold
+    late_decay: Array  # exp(-zeta tau) at the force peak of the lcp course
     scale: Array  # `touch` is the `lcp` course entered late, at a speed this many times higher
     entry: Array  # the largest r = phi'/phi that occurs, at the onset (infinite for lcp)
 
 
-def _oscillator(c: CoefficientArrays, mass: Array) -> tuple[Array, Array, Array]:
-    """omega, zeta, and w^2 = 1 - zeta^2 without cancellation."""
-    omega = np.sqrt(c.k / mass)
-    zeta = 0.5 * c.f / np.sqrt(c.k * mass)
-    return omega, zeta, (1.0 - zeta) * (1.0 + zeta)
-
-
-def _quarter(zeta: Array, w2: Array) -> Array:
-    """A = acos(zeta)/sqrt(1 - zeta^2), continued through critical damping: acosh(zeta)/sqrt(zeta^2 - 1)."""
-    w = np.sqrt(np.abs(w2))
-    near = w < 1e-5  # there A = 1 + w^2/6 + ... up to the sign, 1e-11 from 1 at most
-    safe = np.where(near, 1.0, w)
-    angle = np.where(w2 < 0.0, np.arcsinh(safe), np.arctan2(safe, zeta))
-    return np.where(near, 1.0 + w2 / 6.0, angle / safe)
-
-
 def _shape(c: CoefficientArrays, mass: Array, onset: Onset) -> _Shape:
-    omega, zeta, w2 = _oscillator(c, mass)
-    quarter = _quarter(zeta, w2)
+    omega, zeta, w2 = oscillator(c, mass)
+    quarter = quarter_time(zeta, w2)
+    late_decay = np.exp(-zeta * quarter)
     half = np.where(w2 > 0.0, math.pi / np.sqrt(np.where(w2 > 0.0, w2, 1.0)), math.inf)
     if onset is Onset.LCP:
         time = half
         depth = np.exp(-zeta * (half - quarter))
-        peak = np.exp(-zeta * quarter)
+        peak = late_decay
         scale, entry = np.ones_like(zeta), np.full_like(zeta, math.inf)
     else:
         light = zeta < 0.5  # else the force falls from the onset on
         time = 2.0 * quarter
-        depth = np.exp(-zeta * quarter)
+        depth = late_decay
         scale = np.exp(zeta * np.where(light, half - time, 0.0))
-        peak = np.where(light, np.exp(-zeta * quarter) * scale, 2.0 * zeta)
+        peak = np.where(light, late_decay * scale, 2.0 * zeta)
         undamped = zeta < 1e-150
         entry = np.where(undamped, math.inf, (1.0 - 4.0 * zeta * zeta) / np.where(undamped, 1.0, 2.0 * zeta))
     restitution = np.exp(-zeta * time)
@@ -175,6 +152,8 @@ def _shape(c: CoefficientArrays, mass: Array, onset: Onset) -> _Shape:
         mu=c.mu + 0.0 * zeta,
         nu=c.nu + 0.0 * zeta,
         zeta=zeta,
+        w=np.where(w2 < _NEAR_CRITICAL, 1.0, np.sqrt(np.abs(w2))),
+        late_decay=late_decay,
         scale=scale,
         entry=entry,
     )
@@ -190,44 +169,44 @@ def _friction_peak(mu_speed: Array, s: _Shape) -> Array:
     and Newton solves r Q = c sqrt(Q) exp(-zeta tau), at any damping. `touch` is the same course at c * scale,
     cut off at its entry.
     """
-    zeta = s.zeta
-    w2 = (1.0 - zeta) * (1.0 + zeta)
-    heavy = w2 < 1e-8
-    w = np.sqrt(np.where(heavy, 1.0, w2))
-    inverse_w = 1.0 / w
-    any_heavy = bool(np.any(heavy))
+    two_zeta = 2.0 * s.zeta
+    rate = -s.zeta / s.w
+    any_heavy = bool((s.w == 1.0).any() and (s.zeta > 0.5).any())
 
     def decay(r: Array) -> Array:
-        y = zeta + r
-        tau = np.arctan(w / y) * inverse_w
+        y = s.zeta + r
         if any_heavy:
-            tau = np.where(heavy, _acot_heavy(y, w2), tau)
-        return np.exp(-zeta * tau)
+            return np.exp(-s.zeta * _acot(y, s.zeta))
+        return np.exp(rate * np.arctan(s.w / y))
 
     c = mu_speed * s.scale
-    # The solution without damping, an upper bound; 1e-150 keeps y above 0 where neither damps nor rubs.
-    r = math.sqrt(2.0) * c / np.sqrt(1.0 + np.sqrt(1.0 + 4.0 * c * c)) + 1e-150
+    # Without damping the equation is quadratic; damping enters the guess by its value at c = 0, `late_decay`,
+    # fading towards large c, where the peak is early. 1e-150 keeps y above 0 where nothing damps or rubs.
+    near = 0.5 * c
+    guess = c * (s.late_decay + near) / (1.0 + near)
+    r = math.sqrt(2.0) * guess / np.sqrt(1.0 + np.sqrt(1.0 + 4.0 * guess * guess)) + 1e-150
     for _ in range(_NEWTON_STEPS):
-        q = 1.0 + r * (2.0 * zeta + r)
+        q = 1.0 + r * (two_zeta + r)
         step = (r * q - c * np.sqrt(q) * decay(r)) / (q + r * r)
         r = np.maximum(r - step, 1e-150)
-        # Newton squares the error and the value is stationary in r: 1e-4 now is 1e-8 in r, 1e-16 in the value.
-        if bool(np.all(np.abs(step) <= 1e-4 * r + 1e-12)):
+        # Newton squares the error and the value is stationary in r: 1e-3 now is 1e-6 in r, 1e-12 in the value
+        # (1e-14 at the damping of any real arm).
+        if bool((np.abs(step) <= 1e-3 * r).all()):
             break
+    xi1 = two_zeta + r
+    phi = s.scale * decay(r) / np.sqrt(1.0 + r * xi1)
+    value = phi * np.exp(mu_speed * np.minimum(phi * xi1 - 1.0, 0.0))
     late = r >= s.entry
-    q = 1.0 + r * (2.0 * zeta + r)
-    phi = s.scale * decay(r) / np.sqrt(q)
-    value = phi * np.exp(-mu_speed * np.maximum(1.0 - phi * (2.0 * zeta + r), 0.0))
-    return np.where(late, 2.0 * zeta, value)
+    return np.where(late, two_zeta, value) if bool(late.any()) else value
 
 
-def _acot_heavy(y: Array, w2: Array) -> Array:
-    """acot(y/w)/w for y >= zeta where w^2 is tiny (a series) or negative (acoth)."""
-    b = np.sqrt(np.maximum(-w2, 1e-16))
-    over = 0.5 * np.log1p(2.0 * b / np.maximum(y - b, 1e-300)) / b
-    near = np.abs(w2) < 1e-8
-    safe = np.where(near, y, 1.0)
-    return np.where(near, (1.0 - w2 / (3.0 * safe * safe)) / safe, over)
+def _acot(y: Array, zeta: Array) -> Array:
+    """acot(y/w)/w for y >= zeta, w^2 = 1 - zeta^2 of either sign: acoth where negative, a series about 0."""
+    w2 = (1.0 - zeta) * (1.0 + zeta)
+    w = np.sqrt(np.maximum(np.abs(w2), 0.1 * _NEAR_CRITICAL))
+    over = 0.5 * np.log1p(2.0 * w / np.maximum(y - w, 1e-300)) / w
+    series = (1.0 - w2 / (3.0 * y * y)) / y
+    return np.where(np.abs(w2) < _NEAR_CRITICAL, series, np.where(w2 < 0.0, over, np.arctan(w / y) / w))
 
 
 def _free(s: _Shape, normal: Array, tangential: Array) -> tuple[Array, ...]:
@@ -247,180 +226,39 @@ def _free(s: _Shape, normal: Array, tangential: Array) -> tuple[Array, ...]:
     )
 
 
-# --- with a constant other acceleration along the normal ------------------------------------------------
-
-
-class _Course(NamedTuple):
-    """A contact in its own units: phi - alpha is the force, xi' the normal velocity (module docstring).
-
-    V is |v| + |a|/omega, so that neither a vehicle at rest nor one without push is special.
-    """
-
-    omega: Array
-    zeta: Array
-    w2: Array
-    mass: Array
-    speed: Array  # V, m/s
-    u: Array  # -xi' at the onset
-    alpha: Array
-    phi0: Array
-    slope0: Array  # phi' at the onset
-    hits: NDArray[np.bool_]
-
-
-def _course(c: CoefficientArrays, mass: Array, normal: Array, onset: Onset, acceleration: Array) -> _Course:
-    omega, zeta, w2 = _oscillator(c, mass)
-    speed = np.maximum(-normal, 0.0) + np.abs(acceleration) / omega
-    safe = np.where(speed > 0.0, speed, 1.0)
-    u = np.maximum(-normal, 0.0) / safe
-    alpha = acceleration / (safe * omega)
-    phi0 = alpha + (2.0 * zeta * u if onset is Onset.TOUCH else 0.0)
-    slope0 = u - 2.0 * zeta * phi0
-    # Pulled away hard enough, an lcp approach turns around before the first force.
-    starts = (acceleration < 0.0) | (phi0 > alpha) | (slope0 > 0.0)
-    hits = (normal <= 0.0) & (speed > 0.0) & starts
-    return _Course(omega, zeta, w2, mass, speed, u, alpha, phi0, slope0, hits)
-
-
-def _basis(c: _Course, tau: Array) -> tuple[Array, Array]:
-    """exp(-zeta tau) cos(w tau) and exp(-zeta tau) sin(w tau)/w, at any damping; 0 at tau = inf."""
-    finite = np.isfinite(tau)
-    t = np.where(finite, tau, 0.0)
-    w = np.sqrt(np.abs(c.w2))
-    near = w < 1e-9
-    safe = np.where(near, 1.0, w)
-    damp = np.exp(-c.zeta * t)
-    even, odd = damp * np.cos(w * t), damp * np.where(near, t, np.sin(w * t) / safe)
-    over = (c.w2 < 0.0) & ~near
-    if np.any(over):
-        # cosh and sinh would overflow before the damping brings them down.
-        b = np.where(over, w, 1.0)
-        slow = np.exp(-t / (c.zeta + b))
-        even = np.where(over, 0.5 * slow * (1.0 + np.exp(-2.0 * b * t)), even)
-        odd = np.where(over, -0.5 * slow * np.expm1(-2.0 * b * t) / b, odd)
-    return np.where(finite, even, 0.0), np.where(finite, odd, 0.0)
-
-
-def _first_zero(c: _Course, z0: Array, dz0: Array) -> Array:
-    """First tau > 0 at which the solution with z(0) = z0, z'(0) = dz0 is zero; inf where there is none."""
-    w = np.sqrt(np.abs(c.w2))
-    near = w < 1e-9
-    safe = np.where(near, 1.0, w)
-    b = dz0 + c.zeta * z0
-    angle = np.arctan2(-safe * z0, b)
-    angle = np.where(angle <= 0.0, angle + math.pi, angle)
-    under = np.where(angle <= 0.0, math.pi, angle) / safe
-    ratio = -z0 / np.where(b == 0.0, 1.0, b)
-    reach = np.where(b == 0.0, -1.0, ratio * safe)
-    inside = (reach > 0.0) & (reach < 1.0)
-    over = np.where(inside, np.arctanh(np.where(inside, reach, 0.5)) / safe, math.inf)
-    critical = np.where((b != 0.0) & (ratio > 0.0), ratio, math.inf)
-    return np.where(near, critical, np.where(c.w2 < 0.0, over, under))
-
-
-def _solution(basis: tuple[Array, Array], zeta: Array, z0: Array, dz0: Array) -> Array:
-    return z0 * basis[0] + (dz0 + zeta * z0) * basis[1]
-
-
-def _phi(c: _Course, tau: Array) -> tuple[Array, Array, Array]:
-    """phi, phi' and xi' at tau."""
-    basis = _basis(c, tau)
-    curve0 = -(2.0 * c.zeta * c.slope0 + c.phi0)
-    return (
-        _solution(basis, c.zeta, c.phi0, c.slope0),
-        _solution(basis, c.zeta, c.slope0, curve0),
-        _solution(basis, c.zeta, -c.u, c.phi0),
-    )
-
-
-def _falling_root(
-    function: Callable[[Array], tuple[Array, Array]], low: Array, high: Array, start: Array
-) -> Array:
-    """Where a function that is >= 0 at `low` and <= 0 at `high` crosses zero: Newton kept in its bracket.
-
-    Args:
-        function: value and derivative.
-        low, high: the bracket.
-        start: first guess, in the bracket.
-    """
-    x = start
-    for _ in range(_NEWTON_STEPS):
-        value, slope = function(x)
-        low, high = np.where(value >= 0.0, x, low), np.where(value <= 0.0, x, high)
-        newton = x - value / np.where(slope == 0.0, -1.0, slope)
-        good = (slope < 0.0) & (newton >= low) & (newton <= high)
-        new = np.where(good, newton, 0.5 * (low + high))
-        done = bool(np.all(np.abs(new - x) <= 2e-16 * np.abs(new)))
-        x = new
-        if done:
-            break
-    return x
-
-
-class _Events(NamedTuple):
-    """Times (in 1/omega) of what happens in a contact."""
-
-    peak: Array  # largest force
-    turn: Array  # lx equals -m a: the largest outward speed where a pushes in
-    end: Array  # force back to zero; inf where never
-
-
-def _events(c: _Course) -> _Events:
-    curve0 = -(2.0 * c.zeta * c.slope0 + c.phi0)
-    falls = (c.slope0 < 0.0) | ((c.slope0 == 0.0) & (c.phi0 > 0.0))
-    peak = np.where(falls, 0.0, _first_zero(c, c.slope0, curve0))
-    phi, slope, _ = _phi(c, peak)
-    slope = np.where(falls, slope, 0.0)  # rounding must not decide on which side of the peak we are
-    turn = peak + _first_zero(c, phi, slope)
-    half = np.where(c.w2 > 0.0, math.pi / np.sqrt(np.where(c.w2 > 0.0, c.w2, 1.0)), math.inf)
-    trough = peak + np.where(falls, _first_zero(c, slope, -(2.0 * c.zeta * slope + phi)), half)
-    pulled = c.alpha > 0.0
-    at_trough = _phi(c, trough)[0]
-    ends = pulled | (c.alpha == 0.0) | (np.isfinite(turn) & (at_trough <= c.alpha))
-    low = np.where(pulled, peak, np.where(np.isfinite(turn), turn, 0.0))
-    high = np.where(pulled, turn, np.where(np.isfinite(trough), trough, 0.0))
-    # Overdamped and pulled away: the force falls below m a somewhere, but phi has no zero to bound it.
-    open_end = pulled & ~np.isfinite(high)
-    high = np.where(open_end, peak + 1.0, high)
-    while np.any(open_end):
-        open_end &= _phi(c, high)[0] > c.alpha
-        high = np.where(open_end, 2.0 * high, high)
-
-    def force(tau: Array) -> tuple[Array, Array]:
-        phi, slope, _ = _phi(c, tau)
-        return phi - c.alpha, slope
-
-    end = _falling_root(force, low, high, np.where(pulled, high, low))
-    end = np.where(c.alpha == 0.0, turn, np.where(ends, end, math.inf))
-    return _Events(peak, turn, end)
+# --- with a constant other acceleration along the normal ----------------------------------------------------
 
 
 def _pushed(
-    c: CoefficientArrays, mass: Array, normal: Array, tangential: Array, onset: Onset, acceleration: Array
+    c: CoefficientArrays, mass: Array, onset: Onset, state: tuple[Array, Array, Array]
 ) -> tuple[tuple[Array, ...], Array]:
-    """The eight arrays of `Collision`, and the largest outward speed in contact."""
-    course = _course(c, mass, normal, onset, acceleration)
-    events = _events(course)
+    """The eight arrays of `Collision`, and the largest outward speed in contact.
+
+    `state` is normal and tangential velocity and the acceleration.
+    """
+    normal, tangential, acceleration = state
+    course = enter(c, mass, normal, onset, acceleration)
+    events = find_events(course)
     hits, zeta, v = course.hits, course.zeta, course.speed
     stays = ~np.isfinite(events.end)
 
-    phi_end, _, xi1_end = _phi(course, events.end)
+    xi1_end = motion(course, events.end)[2]
     out = np.where(hits, v * xi1_end, normal)
     held = np.where(stays & (acceleration < 0.0), math.inf, 0.0)
     end = np.where(stays, 0.0, events.end)
     gained = np.maximum(xi1_end + course.u - course.alpha * end, 0.0) + held
     impulse = np.where(hits, mass * v * gained, 0.0)
-    rubs = c.mu > 0.0
-    slip_out = tangential * np.exp(-np.where(rubs & hits, c.mu * v, 0.0) * np.where(rubs, gained, 0.0))
+    rubs = hits & (c.mu > 0.0)  # no 0 * inf
+    slip_out = tangential * np.exp(-c.mu * v * np.where(rubs, gained, 0.0))
 
-    deepest = np.minimum(_first_zero(course, -course.u, course.phi0), events.end)
-    phi, _, xi1 = _phi(course, deepest)
+    deepest = np.minimum(first_zero(course, -course.u, course.phi0), events.end)
+    phi, _, xi1 = motion(course, deepest)
     depth = np.maximum(v / course.omega * (phi + 2.0 * zeta * xi1 - course.alpha), 0.0)
 
     scale = mass * v * course.omega
-    peak = np.where(hits, scale * np.maximum(_phi(course, events.peak)[0] - course.alpha, 0.0), 0.0)
+    peak = np.where(hits, scale * np.maximum(motion(course, events.peak)[0] - course.alpha, 0.0), 0.0)
     friction = _pushed_friction_peak(course, events, c.mu * v) * scale * c.mu * np.abs(tangential)
-    fastest = np.where(hits, np.maximum(v * _phi(course, events.turn)[2], 0.0), 0.0)
+    fastest = np.where(hits, np.maximum(v * motion(course, events.turn)[2], 0.0), 0.0)
     return (
         out,
         slip_out,
@@ -433,19 +271,19 @@ def _pushed(
     ), fastest
 
 
-def _pushed_friction_peak(c: _Course, events: _Events, rub: Array) -> Array:
-    """Largest l exp(-rub P), l = phi - alpha, P its integral: stationary where l' = rub l^2, before the peak."""
+def _pushed_friction_peak(c: Course, events: Events, rub: Array) -> Array:
+    """Largest l exp(-rub P) with l = phi - alpha, P its integral: stationary where l' = rub l^2."""
 
     def excess(tau: Array) -> tuple[Array, Array]:
-        phi, slope, _ = _phi(c, tau)
+        phi, slope, _ = motion(c, tau)
         force = phi - c.alpha
         return slope - rub * force * force, -(2.0 * c.zeta * slope + phi) - 2.0 * rub * force * slope
 
     peak = np.where(np.isfinite(events.peak), events.peak, 0.0)
     start = np.zeros_like(peak)
     first = peak / (1.0 + np.sqrt(rub))
-    tau = np.where(excess(start)[0] <= 0.0, start, _falling_root(excess, start, peak, first))
-    phi, _, xi1 = _phi(c, tau)
+    tau = np.where(excess(start)[0] <= 0.0, start, falling_root(excess, start, peak, first))
+    phi, _, xi1 = motion(c, tau)
     return (phi - c.alpha) * np.exp(-rub * np.maximum(xi1 + c.u - c.alpha * tau, 0.0))
 
 
@@ -528,18 +366,18 @@ def collision_map(
         ValueError: an input is not finite, mass or k is not positive, or f, mu or nu is negative.
     """
     normal, tangential, mass = (np.asarray(v, dtype=float) for v in (normal_m_s, tangential_m_s, mass_kg))
-    inputs = (normal, tangential)
+    inputs: tuple[Array, ...] = (normal, tangential)
     if acceleration_m_s2 is not None:
         inputs = (normal, tangential, np.asarray(acceleration_m_s2, dtype=float))
     _require(coefficients, mass, *inputs)
     batch = _Batch(coefficients, mass, rows, inputs)
-    out = tuple(np.empty(batch.size) for _ in Collision._fields)
+    out = np.empty((len(Collision._fields), batch.size))
     shape = _shape(batch.table, batch.mass, onset) if batch.is_table else None
     for part in batch.parts():
         values = [v[part] for v in batch.inputs]
         if acceleration_m_s2 is not None:
             c, m = batch.coefficients(part)
-            results, _ = _pushed(c, m, values[0], values[1], onset, values[2])
+            results, _ = _pushed(c, m, onset, (values[0], values[1], values[2]))
         elif shape is None:
             results = _free(_shape(*batch.coefficients(part), onset), values[0], values[1])
         elif batch.rows is None:
@@ -557,6 +395,7 @@ def collide(
     normal_m_s: float,
     tangential_m_s: float,
     onset: Onset,
+    *,
     acceleration_m_s2: float = 0.0,
 ) -> Collision[float]:
     """One wall hit; arguments, results and errors as `collision_map`."""
@@ -610,7 +449,7 @@ def drop_map(
         c, m = batch.coefficients(part)
         normal = batch.inputs[0][part]
         still, g = np.zeros_like(normal), np.full_like(normal, -GRAVITY_M_S2)
-        hit, fastest = _pushed(c, m, normal, still, onset, g)
+        hit, fastest = _pushed(c, m, onset, (normal, still, g))
         r = Collision(*hit)
         results = (r.contact_time_s, fastest, r.peak_normal_force_n, r.penetration_m, r.impulse_n_s)
         for target, result in zip(out, results, strict=True):

@@ -1,0 +1,34 @@
+"""Contact coefficients of many collisions at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.config.vehicle import Coefficients
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+
+class CoefficientArrays(NamedTuple):
+    """Contact coefficients as arrays of one shape: k N/m, f N s/m, mu s/m, nu N."""
+
+    k: Array
+    f: Array
+    mu: Array
+    nu: Array
+
+    @classmethod
+    def of(cls, table: Coefficients | Sequence[Coefficients]) -> CoefficientArrays:
+        """One set as arrays without dimension, or a table of n sets (mode, material) as arrays (n,)."""
+        if isinstance(table, Coefficients):
+            return cls(*(np.asarray(v, dtype=float) for v in (table.k, table.f, table.mu, table.nu)))
+        return cls(*(np.array([getattr(row, name) for row in table], dtype=float) for name in cls._fields))
+
+    def take(self, rows: Rows) -> CoefficientArrays:
+        """The sets of the given rows, one per collision."""
+        return CoefficientArrays(*(values[rows] for values in self))

@@ -1,0 +1,343 @@
+"""A contact in time, in closed form: the trajectory of one hit, and where a hit leaves the vehicle.
+
+`collision_map` says what comes out of a contact; this module says what happens meanwhile: for plots, for
+fitting recorded trials, and for whoever continues from the point of the peak force or of the release.
+Normal position, velocity and force are elementary (`dart_flight.contact.oscillator`); the way along the wall
+and the vertical impulse are integrals of smooth functions of them, by quadrature to the bounds stated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import ArrayLike
+
+from dart_flight.config.vehicle import Coefficients
+from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
+from dart_flight.contact.law import Onset
+from dart_flight.contact.oscillator import enter, find_events, motion
+
+# The integrals over a contact are Chebyshev series in y, t = end (1 + tanh(c y)/tanh(c))/2: crowded towards
+# both ends, because the vertical force turns within a thousandth of the contact there. 80 terms leave less
+# than 1e-9 of an integral (force up to 1000 N, mu |v| up to 20), 1e-4 in a contact that never ends.
+_TERMS = 80
+_CROWDING = 3.0
+# A contact that never ends is followed for this many time constants of its slower decay.
+_SETTLED = 40.0
+_CHUNK = 4096
+
+
+class _Nodes(NamedTuple):
+    place: Array  # on [0, 1]
+    stretch: Array  # its derivative by y
+    to_series: Array  # matrix from values to Chebyshev coefficients
+
+
+@lru_cache(maxsize=1)
+def _nodes() -> _Nodes:
+    y = -np.cos(np.pi * np.arange(_TERMS + 1) / _TERMS)
+    end = math.tanh(_CROWDING)
+    place = 0.5 * (1.0 + np.tanh(_CROWDING * y) / end)
+    stretch = 0.5 * _CROWDING / (end * np.cosh(_CROWDING * y) ** 2)
+    matrix = np.linalg.inv(chebyshev.chebvander(y, _TERMS))
+    return _Nodes(*(np.asarray(v, dtype=float) for v in (place, stretch, matrix)))
+
+
+class _Integral:
+    """Running integral, and that of it, of a function on [0, end] with constant values before and after."""
+
+    def __init__(self, function: Callable[[Array], Array], end: float, before: float, after: float) -> None:
+        nodes = _nodes()
+        self._end, self._before, self._after = end, before, after
+        self._once = self._primitive(function(end * nodes.place))
+
+    def _primitive(self, values: ArrayLike) -> Array:
+        nodes = _nodes()
+        series = nodes.to_series @ (np.asarray(values) * nodes.stretch * self._end)
+        return np.asarray(chebyshev.chebint(series, lbnd=-1.0), dtype=float)
+
+    def once(self, t: Array) -> Array:
+        """Integral from 0 to t (of any sign)."""
+        y, early, late = self._split(t)
+        return np.asarray(chebyshev.chebval(y, self._once) + self._before * early + self._after * late)
+
+    def twice(self, t: Array) -> Array:
+        """Integral from 0 to t of the integral from 0."""
+        y, early, late = self._split(t)
+        at_nodes = chebyshev.chebval(-np.cos(np.pi * np.arange(_TERMS + 1) / _TERMS), self._once)
+        inside = chebyshev.chebval(y, self._primitive(at_nodes))
+        outside = 0.5 * self._before * early**2 + (at_nodes[-1] + 0.5 * self._after * late) * late
+        return np.asarray(inside + outside)
+
+    def _split(self, t: Array) -> tuple[Array, Array, Array]:
+        """Where t lies in the contact (y), the time before it (negative) and after it."""
+        x = 2.0 * np.clip(t, 0.0, self._end) / self._end - 1.0
+        y = np.arctanh(x * math.tanh(_CROWDING)) / _CROWDING
+        return np.clip(y, -1.0, 1.0), np.minimum(t, 0.0), np.maximum(t - self._end, 0.0)
+
+
+class Contact:
+    """One hit, prepared for evaluation at any time; times count from the onset.
+
+    Args:
+        coefficients: of material and mode.
+        mass_kg: vehicle mass.
+        normal_m_s: normal velocity at the onset, collision frame, not positive.
+        onset: onset rule.
+        acceleration_m_s2: constant other acceleration along the normal, before, in and after the contact.
+
+    Attributes:
+        end_s: release; infinite where the wall is never left, 0 where it is not met.
+        peak_s: time of the largest normal force.
+        turn_s: time of the largest outward speed in contact.
+        onset_m: position at the onset.
+    """
+
+    def __init__(
+        self,
+        coefficients: Coefficients,
+        mass_kg: float,
+        normal_m_s: float,
+        onset: Onset,
+        *,
+        acceleration_m_s2: float = 0.0,
+    ) -> None:
+        self.coefficients, self.mass_kg = coefficients, mass_kg
+        self.normal_m_s, self.acceleration_m_s2 = normal_m_s, acceleration_m_s2
+        state = (np.asarray(mass_kg, dtype=float), np.asarray(normal_m_s, dtype=float))
+        push = np.asarray(acceleration_m_s2, dtype=float)
+        self._course = enter(CoefficientArrays.of(coefficients), *state, onset, push)
+        events = find_events(self._course)
+        self._omega = float(self._course.omega)
+        self.met = bool(self._course.hits)
+        self.end_s = float(events.end) / self._omega if self.met else 0.0
+        self.peak_s = float(events.peak) / self._omega if self.met else 0.0
+        self.turn_s = float(events.turn) / self._omega if self.met else 0.0
+        early = onset is Onset.LCP
+        self.onset_m = -coefficients.f * normal_m_s / coefficients.k if early else 0.0
+        # Where quadrature stops: at the release, or when everything has settled.
+        zeta = float(self._course.zeta)
+        slowest = min(zeta, 1.0 / (zeta + math.sqrt(max(zeta * zeta - 1.0, 0.0)))) if zeta > 0.0 else 1.0
+        self._horizon = self.end_s if math.isfinite(self.end_s) else _SETTLED / (slowest * self._omega)
+
+    def normal(self, time_s: ArrayLike) -> tuple[Array, Array, Array]:
+        """Position m, velocity m/s and force N along the normal; free flight before and after."""
+        t = np.asarray(time_s, dtype=float)
+        a = self.acceleration_m_s2
+        if not self.met:
+            still = np.zeros_like(t)
+            return self.onset_m + (self.normal_m_s + 0.5 * a * t) * t, self.normal_m_s + a * t, still
+        c = self._course
+        phi, _, xi1 = motion(c, self._omega * np.clip(t, 0.0, self.end_s))
+        inside = (t >= 0.0) & (t <= self.end_s)
+        position = c.speed / c.omega * (c.alpha - phi - 2.0 * c.zeta * xi1)
+        speed = c.speed * xi1
+        force = c.mass * c.speed * c.omega * np.maximum(phi - c.alpha, 0.0)
+        free = np.where(inside, 0.0, np.where(t < 0.0, t, t - self.end_s))
+        return position + (speed + 0.5 * a * free) * free, speed + a * free, np.where(inside, force, 0.0)
+
+    def impulse(self, time_s: ArrayLike) -> Array:
+        """Normal impulse N s since the onset."""
+        t = np.asarray(time_s, dtype=float)
+        if not self.met:
+            return np.zeros_like(t)
+        c = self._course
+        tau = self._omega * np.clip(t, 0.0, self.end_s)
+        impulse: Array = np.maximum(c.mass * c.speed * (motion(c, tau)[2] + c.u - c.alpha * tau), 0.0)
+        return impulse
+
+    def along(self, time_s: ArrayLike) -> tuple[Array, Array]:
+        """Way m and velocity m/s along the wall per m/s of velocity along the wall at the onset."""
+        t = np.asarray(time_s, dtype=float)
+        rate = -self.coefficients.mu / self.mass_kg
+
+        def slip(s: Array) -> Array:
+            left: Array = np.exp(rate * self.impulse(s))
+            return left
+
+        if not self.met:
+            return t.copy(), np.ones_like(t)
+        out = float(slip(np.array([self._horizon]))[0])
+        return _Integral(slip, self._horizon, 1.0, out).once(t), slip(t)
+
+    def lifted(self, time_s: ArrayLike) -> tuple[Array, Array]:
+        """Way m and velocity m/s that the vertical force gives per newton of nu, along that force."""
+        t = np.asarray(time_s, dtype=float)
+
+        def share(s: Array) -> Array:
+            force = self.normal(s)[2]
+            return force / (1.0 + force) / self.mass_kg
+
+        if not self.met:
+            return np.zeros_like(t), np.zeros_like(t)
+        held = 0.0
+        if not math.isfinite(self.end_s):
+            held = float(share(np.array([self._horizon]))[0])
+        integral = _Integral(share, self._horizon, 0.0, held)
+        return integral.twice(t), integral.once(t)
+
+
+class Trajectory(NamedTuple):
+    """A hit with the free flight before and after it, in the collision frame; arrays (n,).
+
+    Attributes:
+        time_s: since the onset of the contact.
+        normal_m: signed distance of the vehicle's centre to its plane of first touch.
+        tangential_m, vertical_m: way along Y and Z since the onset (Z points down at a wall).
+        normal_m_s, tangential_m_s, vertical_m_s: velocity.
+        normal_force_n, tangential_force_n, vertical_force_n: contact force.
+    """
+
+    time_s: Array
+    normal_m: Array
+    tangential_m: Array
+    vertical_m: Array
+    normal_m_s: Array
+    tangential_m_s: Array
+    vertical_m_s: Array
+    normal_force_n: Array
+    tangential_force_n: Array
+    vertical_force_n: Array
+
+
+def trajectory(
+    contact: Contact, time_s: ArrayLike, tangential_m_s: float = 0.0, vertical_sign: int = -1
+) -> Trajectory:
+    """A hit at the given times (s, since the onset).
+
+    Args:
+        contact: the hit.
+        time_s: times (n,), of any sign.
+        tangential_m_s: velocity along the wall at the onset.
+        vertical_sign: -1 as the paper writes lz (against Z of the collision frame), or 1.
+    """
+    t = np.asarray(time_s, dtype=float)
+    x, vx, force = contact.normal(t)
+    way, slip = contact.along(t)
+    lift, rise = contact.lifted(t)
+    c = contact.coefficients
+    return Trajectory(
+        time_s=t,
+        normal_m=x,
+        tangential_m=tangential_m_s * way,
+        vertical_m=vertical_sign * c.nu * lift,
+        normal_m_s=vx,
+        tangential_m_s=tangential_m_s * slip,
+        vertical_m_s=vertical_sign * c.nu * rise,
+        normal_force_n=force,
+        tangential_force_n=-c.mu * force * tangential_m_s * slip,
+        vertical_force_n=vertical_sign * c.nu * force / (1.0 + force),
+    )
+
+
+# --- many hits: where they leave the vehicle ------------------------------------------------------------
+
+
+class Passage(NamedTuple):
+    """Where wall hits without other acceleration take the vehicle; arrays of the collisions' shape.
+
+    Attributes:
+        onset_m, peak_m, exit_m: signed distance to the plane at the onset, at the largest normal force and
+            at the release.
+        peak_s: from the onset to the largest normal force (the moment recovery refers to).
+        tangential_to_peak_m, tangential_to_exit_m: way along the wall since the onset.
+        vertical_impulse_n_s: magnitude of the time integral of lz.
+    """
+
+    onset_m: Array
+    peak_m: Array
+    exit_m: Array
+    peak_s: Array
+    tangential_to_peak_m: Array
+    tangential_to_exit_m: Array
+    vertical_impulse_n_s: Array
+
+
+@lru_cache(maxsize=1)
+def _passage_nodes() -> tuple[Array, Array, Array, Array]:
+    """Nodes and weights on [0, 1]: Gauss-Legendre, and the same crowded towards both ends."""
+    x, w = np.polynomial.legendre.leggauss(20)
+    y, v = np.polynomial.legendre.leggauss(32)
+    crowd = 3.0
+    ends = math.tanh(crowd)
+    return (
+        0.5 * (x + 1.0),
+        0.5 * w,
+        0.5 * (1.0 + np.tanh(crowd * y) / ends),
+        0.5 * v * crowd / (ends * np.cosh(crowd * y) ** 2),
+    )
+
+
+def passage(
+    coefficients: CoefficientArrays,
+    mass_kg: ArrayLike,
+    normal_m_s: ArrayLike,
+    tangential_m_s: ArrayLike,
+    onset: Onset,
+    *,
+    rows: Rows | None = None,
+) -> Passage:
+    """Positions and ways of wall hits; arguments as `collision_map`, without other acceleration.
+
+    The ways are exact to 1e-6 of themselves up to mu |v| = 20, the vertical impulse to 1e-7 up to 1000 N. A
+    vehicle that slides on along a wall it never leaves has an infinite way.
+    """
+    normal, tangential, mass = (np.asarray(v, dtype=float) for v in (normal_m_s, tangential_m_s, mass_kg))
+    c = coefficients
+    if rows is not None:
+        c, mass = coefficients.take(rows), np.broadcast_to(mass, coefficients.k.shape)[rows]
+    shape = np.broadcast_shapes(normal.shape, tangential.shape, mass.shape, *(v.shape for v in c))
+    flat = [np.broadcast_to(v, shape).reshape(-1) for v in (*c, mass, normal, tangential)]
+    out = np.empty((len(Passage._fields), normal.size if shape == normal.shape else math.prod(shape)))
+    for start in range(0, out.shape[1], _CHUNK):
+        part = slice(start, start + _CHUNK)
+        k, f, mu, nu, m, vn, vt = (v[part] for v in flat)
+        out[:, part] = _passage(CoefficientArrays(k, f, mu, nu), m, onset, vn, vt)
+    return Passage(*(v.reshape(shape) for v in out))
+
+
+def _passage(
+    c: CoefficientArrays, mass: Array, onset: Onset, normal: Array, tangential: Array
+) -> tuple[Array, ...]:
+    course = enter(c, mass, normal, onset, np.zeros_like(normal))
+    events = find_events(course)
+    nodes, weights, crowded, crowded_weights = _passage_nodes()
+    rub = c.mu * course.speed
+    length = course.speed / course.omega
+
+    def place(tau: Array) -> Array:
+        phi, _, xi1 = motion(course, tau)
+        return np.where(course.hits, -length * (phi + 2.0 * course.zeta * xi1), 0.0)
+
+    def way(tau: Array) -> Array:
+        total = np.zeros_like(tau)
+        for node, weight in zip(nodes, weights, strict=True):
+            total += weight * np.exp(-rub * np.maximum(motion(course, node * tau)[2] + course.u, 0.0))
+        return np.where(course.hits, tangential * total * tau / course.omega, 0.0)
+
+    stays = ~np.isfinite(events.end)
+    end = np.where(stays, events.peak, events.end)
+    to_exit = np.where(stays & (tangential != 0.0), np.copysign(math.inf, tangential), way(end))
+    scale = mass * course.speed * course.omega
+    share = np.zeros_like(normal)
+    # What never ends is followed until the force has died away to nothing against 1 N.
+    last = np.where(stays, _SETTLED * (course.zeta + 1.0), events.end)
+    for node, weight in zip(crowded, crowded_weights, strict=True):
+        force = scale * np.maximum(motion(course, node * last)[0], 0.0)
+        share += weight * force / (1.0 + force)
+    lift = np.where(course.hits, c.nu * share * last / course.omega, 0.0)
+    early = np.maximum(-normal, 0.0) * c.f / c.k if onset is Onset.LCP else np.zeros_like(normal)
+    return (
+        early,
+        place(events.peak),
+        np.where(stays, 0.0, place(events.end)),
+        np.where(course.hits, events.peak / course.omega, 0.0),
+        way(events.peak),
+        np.where(course.hits, to_exit, 0.0),
+        lift,
+    )

@@ -1,0 +1,330 @@
+"""The closed form against the reference solutions, an independent integrator, and its own laws."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.config import Coefficients, load_vehicle
+from dart_flight.config.vehicle import packaged
+from dart_flight.contact.coefficients import CoefficientArrays
+from dart_flight.contact.collision_map import Collision, collide, collision_map, drop, drop_map
+from dart_flight.contact.course import Contact, passage, trajectory
+from dart_flight.contact.law import Onset, contact_force
+from dart_flight.samples import Mode
+
+DATA = Path(__file__).parents[1] / "data"
+MASS = 1.3
+VEHICLE = load_vehicle(packaged("configs", "dart.yaml"))
+TABLE = [VEHICLE.materials[m].of(mode) for m in ("concrete", "acrylic") for mode in Mode]
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+
+def close(got: float, want: float) -> bool:
+    return got == pytest.approx(want, rel=1e-9, abs=1e-12)
+
+
+def read(name: str) -> list[dict[str, str]]:
+    with (DATA / name).open() as file:
+        return list(csv.DictReader(file))
+
+
+coefficient_sets = st.builds(
+    lambda k, zeta, mu, nu: Coefficients(k=k, f=2.0 * zeta * math.sqrt(k * MASS), mu=mu, nu=nu),
+    k=st.floats(50.0, 20_000.0),
+    zeta=st.one_of(st.floats(0.0, 3.0), st.sampled_from([0.0, 0.5, 1.0 - 1e-9, 1.0, 1.0 + 1e-9])),
+    mu=st.floats(0.0, 5.0),
+    nu=st.floats(0.0, 12.0),
+)
+approaches = st.floats(-4.0, -0.01)
+slips = st.floats(-2.0, 2.0)
+onsets = st.sampled_from(list(Onset))
+
+
+# --- references -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("onset", list(Onset))
+def test_all_reference_wall_collisions(onset: Onset) -> None:
+    rows = read("wall_collisions.csv")
+    assert len(rows) == 100
+    table = CoefficientArrays.of([VEHICLE.materials["acrylic"].of(mode) for mode in Mode])
+    which = np.array([list(Mode).index(Mode(row["mode"])) for row in rows])
+    normal, tangential = (np.array([float(row[k]) for row in rows]) for k in ("vx_in_m_s", "vy_in_m_s"))
+    result = collision_map(table, MASS, normal, tangential, onset, rows=which)
+    for column, got in {
+        "vx_out_m_s": result.normal_out_m_s,
+        "vy_out_m_s": result.tangential_out_m_s,
+        "contact_time_s": result.contact_time_s,
+        "peak_normal_force_n": result.peak_normal_force_n,
+        "peak_friction_force_n": result.peak_friction_force_n,
+    }.items():
+        want = np.array([float(row[f"{onset.value}_{column}"]) for row in rows])
+        np.testing.assert_allclose(got, want, rtol=1e-9, atol=1e-12, err_msg=column)
+
+
+@pytest.mark.parametrize(
+    "row", read("drop_tests.csv"), ids=lambda r: f"{r['onset']}-{r['mode']}-{r['height_m']}"
+)
+def test_reference_drops(row: dict[str, str]) -> None:
+    c = VEHICLE.materials["concrete"].of(Mode(row["mode"]))
+    result = drop(c, MASS, float(row["height_m"]), Onset(row["onset"]))
+    for name in ("contact_time_s", "max_rebound_speed_m_s", "peak_force_n", "impulse_n_s"):
+        assert close(getattr(result, name), float(row[name])), name
+
+
+# --- an independent integrator --------------------------------------------------------------------------
+
+
+def integrate(c: Coefficients, contact: Contact, tangential: float, onset: Onset, end: float) -> list[float]:
+    """Way and velocity along all axes and normal impulse at a time, by DOP853 on the force law."""
+    integrate_ = pytest.importorskip("scipy.integrate")
+
+    def rate(_t: float, s: list[float]) -> list[float]:
+        fx, fy, fz = contact_force(c, onset, s[0], (s[1], s[3], s[5]))
+        a = contact.acceleration_m_s2
+        return [s[1], fx / MASS + a, s[3], fy / MASS, s[5], fz / MASS, fx]
+
+    # A hair into the contact: exactly at the onset the law has not begun to push.
+    begin = 1e-9
+    x, v, _ = contact.normal(begin)
+    start = [float(x), float(v), tangential * begin, tangential, 0.0, 0.0, 0.0]
+    solution = integrate_.solve_ivp(
+        rate, (begin, end), start, method="DOP853", rtol=1e-11, atol=1e-12, max_step=2e-3
+    )
+    return [float(v) for v in solution.y[:, -1]]
+
+
+@pytest.mark.parametrize("onset", list(Onset))
+@pytest.mark.parametrize("acceleration", [0.0, -9.81, -2.0, 4.0])
+@pytest.mark.parametrize(
+    ("c", "normal"),
+    [
+        (Coefficients(k=4200.0, f=15.0, mu=0.3, nu=5.0), -1.0),
+        (Coefficients(k=1250.0, f=8.5, mu=5.0, nu=10.0), -1.4),
+        (Coefficients(k=900.0, f=45.0, mu=2.0, nu=1.0), -0.6),
+    ],
+)
+def test_agrees_with_integration(onset: Onset, acceleration: float, c: Coefficients, normal: float) -> None:
+    contact = Contact(c, MASS, normal, onset, acceleration_m_s2=acceleration)
+    r = collide(c, MASS, normal, 0.7, onset, acceleration_m_s2=acceleration)
+    assert r.contact_time_s == pytest.approx(contact.end_s, rel=1e-14)
+    last = min(contact.end_s, 0.4)  # the most damped of these stays at the wall under the hardest push
+    x, v, y, vy, _z, vz, impulse = integrate(c, contact, 0.7, onset, last)
+    if math.isfinite(contact.end_s):
+        assert r.normal_out_m_s == pytest.approx(v, abs=1e-7)
+        assert r.tangential_out_m_s == pytest.approx(vy, abs=1e-7)
+        assert r.impulse_n_s == pytest.approx(impulse, abs=1e-7)
+    end = trajectory(contact, np.array([last]), 0.7)
+    assert float(end.normal_m[0]) == pytest.approx(x, abs=1e-8)
+    assert float(end.tangential_m[0]) == pytest.approx(y, abs=1e-8)
+    assert float(end.vertical_m_s[0]) == pytest.approx(vz, abs=1e-6 if math.isfinite(contact.end_s) else 1e-3)
+
+
+@given(coefficient_sets, approaches, slips, onsets, st.sampled_from([0.0, -9.81, -1.0, 6.0]))
+def test_extremes_are_those_of_the_trajectory(
+    c: Coefficients, normal: float, tangential: float, onset: Onset, push: float
+) -> None:
+    contact = Contact(c, MASS, normal, onset, acceleration_m_s2=push)
+    r = collide(c, MASS, normal, tangential, onset, acceleration_m_s2=push)
+    span = contact.end_s if math.isfinite(contact.end_s) else 40.0 * math.sqrt(MASS / c.k)
+    t = np.linspace(0.0, span, 4001)
+    path = trajectory(contact, t, tangential)
+    # Of the largest value, for the distance between two samples; what never ends nears its deepest point.
+    coarse = 1e-4 if math.isfinite(contact.end_s) else 1e-2
+    for peak, samples in (
+        (r.peak_normal_force_n, path.normal_force_n),
+        (r.peak_friction_force_n, np.abs(path.tangential_force_n)),
+        (r.peak_vertical_force_n, np.abs(path.vertical_force_n)),
+        (r.penetration_m, np.maximum(-path.normal_m, 0.0)),
+    ):
+        largest = float(samples.max())
+        assert largest <= peak * (1.0 + 1e-9) + 1e-15
+        assert peak <= largest * (1.0 + coarse) + 1e-7
+
+
+def test_friction_peak_is_stationary_to_rounding() -> None:
+    # Fine sampling about the peak: the maximum of a parabola through three samples is exact to 1e-12.
+    c = VEHICLE.materials["acrylic"].flexible
+    for normal in (-0.2, -0.7, -1.5):
+        contact = Contact(c, MASS, normal, Onset.LCP)
+        t = np.linspace(0.0, contact.end_s, 200_001)
+        force = np.abs(trajectory(contact, t, 0.5).tangential_force_n)
+        i = int(force.argmax())
+        a, b, d = force[i - 1 : i + 2]
+        vertex = b + (a - d) ** 2 / (16.0 * (b - 0.5 * (a + d)))
+        assert collide(c, MASS, normal, 0.5, Onset.LCP).peak_friction_force_n == pytest.approx(
+            vertex, rel=1e-9
+        )
+
+
+# --- laws -----------------------------------------------------------------------------------------------
+
+
+@given(coefficient_sets, approaches, slips, onsets)
+def test_laws_of_a_wall_hit(c: Coefficients, normal: float, tangential: float, onset: Onset) -> None:
+    r = collide(c, MASS, normal, tangential, onset)
+    assert not any(math.isnan(v) for v in r)
+    assert 0.0 <= r.normal_out_m_s <= -normal * (1.0 + 1e-12), "energy created along the normal"
+    assert abs(r.tangential_out_m_s) <= abs(tangential), "energy created along the wall"
+    assert r.impulse_n_s == pytest.approx(MASS * (r.normal_out_m_s - normal), rel=1e-12)
+    assert r.tangential_out_m_s == pytest.approx(
+        tangential * math.exp(-c.mu * r.impulse_n_s / MASS), rel=1e-9, abs=1e-300
+    )
+    # Peak potential energy never exceeds what the approach brings.
+    assert 0.5 * c.k * r.penetration_m**2 <= 0.5 * MASS * normal * normal * (1.0 + 1e-12)
+    assert r.peak_friction_force_n <= c.mu * r.peak_normal_force_n * abs(tangential) * (1.0 + 1e-12)
+
+
+@given(coefficient_sets, approaches, onsets, st.floats(0.1, 10.0))
+def test_scaling_with_speed(c: Coefficients, normal: float, onset: Onset, factor: float) -> None:
+    one = collide(c, MASS, normal, 0.0, onset)
+    more = collide(c, MASS, factor * normal, 0.0, onset)
+    assert more.contact_time_s == one.contact_time_s
+    for name in ("normal_out_m_s", "penetration_m", "peak_normal_force_n", "impulse_n_s"):
+        assert getattr(more, name) == pytest.approx(factor * getattr(one, name), rel=1e-12), name
+
+
+@given(coefficient_sets, approaches, slips, onsets)
+def test_push_of_zero_is_no_push(c: Coefficients, normal: float, tangential: float, onset: Onset) -> None:
+    table = CoefficientArrays.of(c)
+    plain = collision_map(table, MASS, normal, tangential, onset)
+    pushed = collision_map(table, MASS, normal, tangential, onset, acceleration_m_s2=0.0)
+    for name, a, b in zip(Collision._fields, plain, pushed, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12, err_msg=name)
+
+
+def test_continuous_through_critical_damping() -> None:
+    # Touch releases at any damping: no jump where the formulas change.
+    for zeta in np.concatenate((1.0 + np.linspace(-1e-6, 1e-6, 41), [1.0 - 1e-12, 1.0, 1.0 + 1e-12])):
+        c = Coefficients(k=1000.0, f=float(2.0 * zeta * math.sqrt(1300.0)), mu=1.0, nu=1.0)
+        r = collide(c, MASS, -1.0, 0.5, Onset.TOUCH)
+        # A = 1 - (zeta - 1)/3 + ...: contact time 2 A / omega, restitution exp(-2 zeta A).
+        quarter = 1.0 - (zeta - 1.0) / 3.0
+        assert r.contact_time_s == pytest.approx(2.0 * quarter * math.sqrt(MASS / 1000.0), rel=1e-10)
+        assert r.normal_out_m_s == pytest.approx(math.exp(-2.0 * zeta * quarter), rel=1e-10)
+
+
+def test_overdamped_lcp_never_lets_go() -> None:
+    c = Coefficients(k=500.0, f=80.0, mu=1.0, nu=1.0)
+    r = collide(c, MASS, -1.0, 0.5, Onset.LCP)
+    assert r.contact_time_s == math.inf
+    assert r.normal_out_m_s == 0.0
+    assert r.penetration_m == 0.0
+    assert r.impulse_n_s == pytest.approx(MASS)
+    assert r.tangential_out_m_s == pytest.approx(0.5 * math.exp(-1.0))
+
+
+@pytest.mark.parametrize("onset", list(Onset))
+@pytest.mark.parametrize("push", [None, 0.0, -9.81, 3.0])
+def test_what_does_not_approach_is_not_touched(onset: Onset, push: float | None) -> None:
+    table = CoefficientArrays.of(TABLE[0])
+    r = collision_map(
+        table, MASS, np.array([0.7, 1e-12]), np.array([-0.2, 0.0]), onset, acceleration_m_s2=push
+    )
+    np.testing.assert_array_equal(r.normal_out_m_s, [0.7, 1e-12])
+    np.testing.assert_array_equal(r.tangential_out_m_s, [-0.2, 0.0])
+    for values in r[2:]:
+        np.testing.assert_array_equal(values, 0.0)
+
+
+@pytest.mark.parametrize("onset", list(Onset))
+def test_zero_and_grazing_speeds_stay_finite(onset: Onset) -> None:
+    table = CoefficientArrays.of(TABLE)
+    speeds = np.array([0.0, -0.0, -1e-300, -1e-15, -1e-9])[:, None]
+    for push in (None, 0.0, -2.0, 5.0):
+        r = collision_map(table, MASS, speeds, 0.5, onset, acceleration_m_s2=push)
+        for name, values in zip(Collision._fields, r, strict=True):
+            assert values.shape == (5, 4)
+            assert not np.isnan(values).any(), name
+        if push is None:
+            np.testing.assert_allclose(r.tangential_out_m_s, 0.5, rtol=1e-6)
+
+
+def test_pushed_vehicle_can_stay() -> None:
+    # A slow flexible approach under a strong push: the damping wins and the wall is never left.
+    c = Coefficients(k=750.0, f=20.0, mu=1.0, nu=1.0)
+    r = collide(c, MASS, -0.05, 0.2, Onset.LCP, acceleration_m_s2=-9.81)
+    assert r.contact_time_s == math.inf
+    assert r.normal_out_m_s == 0.0
+    assert r.tangential_out_m_s == 0.0
+    assert r.penetration_m > MASS * 9.81 / 750.0
+
+
+# --- shapes and errors ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("onset", list(Onset))
+@pytest.mark.parametrize("push", [None, -1.5])
+def test_rows_take_and_scalars_agree(onset: Onset, push: float | None) -> None:
+    random = np.random.default_rng(7)
+    n = 9000  # more than one chunk
+    rows = random.integers(0, len(TABLE), n)
+    normal, tangential = -random.uniform(0.05, 3.0, n), random.uniform(-1.5, 1.5, n)
+    table = CoefficientArrays.of(TABLE)
+    by_row = collision_map(table, MASS, normal, tangential, onset, rows=rows, acceleration_m_s2=push)
+    each = collision_map(table.take(rows), MASS, normal, tangential, onset, acceleration_m_s2=push)
+    for a, b in zip(by_row, each, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12)
+    for i in (0, 4095, 4096, n - 1):
+        single = collide(TABLE[rows[i]], MASS, normal[i], tangential[i], onset, acceleration_m_s2=push or 0.0)
+        np.testing.assert_allclose([v[i] for v in by_row], single, rtol=1e-11)
+
+
+def test_broadcasting() -> None:
+    table = CoefficientArrays(*(v[:, None] for v in CoefficientArrays.of(TABLE)))
+    r = collision_map(table, MASS, np.linspace(-2.0, -0.1, 5), 0.3, Onset.LCP)
+    assert r.peak_normal_force_n.shape == (4, 5)
+    want = collide(TABLE[2], MASS, -2.0, 0.3, Onset.LCP)
+    assert close(float(r.peak_normal_force_n[2, 0]), want.peak_normal_force_n)
+    assert collision_map(CoefficientArrays.of(TABLE[0]), MASS, -1.0, 0.0, Onset.LCP).impulse_n_s.shape == ()
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_refuses_what_is_not_finite(bad: float) -> None:
+    with pytest.raises(ValueError, match="finite"):
+        collide(TABLE[0], MASS, bad, 0.0, Onset.LCP)
+    with pytest.raises(ValueError, match="positive"):
+        collide(TABLE[0], 0.0, -1.0, 0.0, Onset.LCP)
+    with pytest.raises(ValueError, match="height"):
+        drop(TABLE[0], MASS, 0.0, Onset.LCP)
+
+
+def test_drops_in_bulk() -> None:
+    heights = np.array([0.01, 0.05, 0.2, 1.0])
+    table = CoefficientArrays.of(TABLE)
+    r = drop_map(CoefficientArrays(*(v[:, None] for v in table)), MASS, heights, Onset.LCP)
+    assert r.contact_time_s.shape == (4, 4)
+    one = drop(TABLE[1], MASS, 0.2, Onset.LCP)
+    for name, values in zip(r._fields, r, strict=True):
+        assert close(float(values[1, 2]), getattr(one, name)), name
+    # What falls from higher rebounds faster, and never as fast as it came.
+    assert (np.diff(r.max_rebound_speed_m_s, axis=1) > 0.0).all()
+    assert (r.max_rebound_speed_m_s < np.sqrt(2.0 * 9.81 * heights)).all()
+
+
+# --- where a hit leaves the vehicle ---------------------------------------------------------------------
+
+
+@given(coefficient_sets, approaches, slips, onsets)
+def test_passage_is_the_trajectory(c: Coefficients, normal: float, tangential: float, onset: Onset) -> None:
+    p = passage(CoefficientArrays.of(c), MASS, normal, tangential, onset)
+    contact = Contact(c, MASS, normal, onset)
+    at = trajectory(contact, [contact.peak_s, min(contact.end_s, 1e3)], tangential)
+    assert close(float(p.onset_m), contact.onset_m)
+    assert close(float(p.peak_s), contact.peak_s)
+    assert float(p.peak_m) == pytest.approx(float(at.normal_m[0]), abs=1e-12)
+    bound = 1e-6 if math.isfinite(contact.end_s) else 1e-4
+    assert float(p.tangential_to_peak_m) == pytest.approx(float(at.tangential_m[0]), rel=bound, abs=1e-12)
+    assert not any(np.isnan(v).any() for v in p)
+    if math.isfinite(contact.end_s) and contact.end_s < 1.0:
+        assert float(p.exit_m) == pytest.approx(float(at.normal_m[1]), abs=1e-12)
+        assert float(p.tangential_to_exit_m) == pytest.approx(float(at.tangential_m[1]), rel=1e-6, abs=1e-12)
+        assert float(p.vertical_impulse_n_s) == pytest.approx(-MASS * float(at.vertical_m_s[1]), rel=2e-5)
