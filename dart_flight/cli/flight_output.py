@@ -45,8 +45,8 @@ class FlightLines:
         if isinstance(record, ImpactPeak):
             clipped = ", clipped" if record.clipped else ""
             return (
-                f"impact: {record.normal_force_n:.1f} N normal, {record.tangential_force_n:.1f} N along the wall"
-                f"{clipped}"
+                f"impact: {record.normal_force_n:.1f} N normal, "
+                f"{record.tangential_force_n:.1f} N along the wall{clipped}"
             )
         if isinstance(record, ContactEnd):
             return f"contact over after {(record.t_us - record.first_us) * 1e-3:.0f} ms"

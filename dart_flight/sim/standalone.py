@@ -33,7 +33,8 @@ def run_vehicle(mission: Mission, seed: int, ports: tuple[int, ...], say: Callab
             hit = plant.finished.pop(0)
             say(
                 f"{vehicle.autopilot.now_s:8.2f} s  hit {hit.wall} {hit.mode.value} at "
-                f"{hit.normal_in_m_s:.2f} m/s normal, {hit.tangential_in_m_s:.2f} m/s along: {hit.peak_normal_force_n:.1f} N"
+                f"{hit.normal_in_m_s:.2f} m/s normal, {hit.tangential_in_m_s:.2f} m/s along: "
+                f"{hit.peak_normal_force_n:.1f} N"
             )
 
     vehicle.autopilot.say = tell
