@@ -159,7 +159,10 @@ class CommandResult(Record, frozen=True, gc=False):
 
 
 class OperatorRequest(Record, frozen=True, gc=False):
-    """What the person at the keyboard asked for: `land` (leave the wall, land) or `release`."""
+    """What the person at the keyboard asked for: `land` (leave the wall, land) or `release`.
+
+    The shell itself reports `world_died` this way: the simulated vehicle is gone.
+    """
 
     topic: ClassVar[str] = "/in/operator"
     t_us: int

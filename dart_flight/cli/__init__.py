@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import logging
 import os
 import sys
 from collections.abc import Sequence
@@ -15,12 +16,14 @@ from typing import Any
 
 from dart_flight import __version__
 from dart_flight.config.document import InputError
+from dart_flight.errors import FlightError
 
 # command -> what it does, in the order of `dart-flight --help`
 COMMANDS = {
     "fly": "fly a mission on the vehicle",
     "dry-run": "fly a mission in simulation",
     "simulate": "a simulated vehicle alone, for `fly` in another terminal or a ground station",
+    "lock": "move or report the locking mechanism",
     "predict": "predict a collision or a drop",
     "identify": "contact coefficients from recorded trials",
     "tables": "the paper's collision tables beside the model's",
@@ -65,10 +68,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     command = next((a for a in arguments if a in COMMANDS), None)
     try:
         parsed = build_parser(command).parse_args(arguments)
+        logging.basicConfig(
+            stream=sys.stderr,
+            level=logging.DEBUG if parsed.verbose > 1 else logging.ERROR,
+            format="%(name)s: %(message)s",
+        )
         return int(_module(parsed.command).run(parsed))
     except InputError as error:
         print(error.one_line(), file=sys.stderr)  # noqa: T201
         return EXIT_INPUT
+    except FlightError as error:
+        print(error, file=sys.stderr)  # noqa: T201
+        return EXIT_INCOMPLETE
     except KeyboardInterrupt:
         return EXIT_INCOMPLETE
     except BrokenPipeError:

@@ -226,9 +226,11 @@ def load_mission(path: str | Path, config: str | Path | None = None) -> Mission:
     return parse_mission(Document.load(path), config)
 
 
-def parse_mission(document: Document, config: str | Path | None = None) -> Mission:
-    """As `load_mission`, from a document already read."""
+def parse_mission(document: Document, config: str | Path | VehicleConfig | None = None) -> Mission:
+    """As `load_mission`, from a document already read; `config` may be a configuration already loaded."""
     spec = document.convert(MissionFile)
+    if isinstance(config, VehicleConfig):
+        return resolve(spec, config, document)
     if config is None and spec.vehicle is not None:
         config = Path(document.source).parent / spec.vehicle
     return resolve(spec, load_vehicle(config), document)

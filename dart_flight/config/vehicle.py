@@ -144,18 +144,25 @@ class Cam(Section, frozen=True):
 
     r_cam_mm: Positive
     r_mm: Positive
-    theta0_deg: float
+    theta0_deg: Annotated[float, Meta(ge=0.0, le=90.0)]  # from 0 to 180° the law has one inverse
+
+    def __post_init__(self) -> None:
+        if self.r_mm > self.r_cam_mm:
+            raise ValueError(f"r_mm {self.r_mm:g} must not exceed r_cam_mm {self.r_cam_mm:g}")
 
 
 class Servo(Section, frozen=True):
-    """The HS-322HD and its calibration: pulse widths of the two ends and the time between them."""
+    """The servo and its calibration: pulse width and cam angle of the two ends, speed, end stops."""
 
     rigid_pulse_us: Annotated[float, Meta(gt=0.0)]
     flexible_pulse_us: Annotated[float, Meta(gt=0.0)]
+    rigid_deg: float
+    flexible_deg: float
+    direction: Literal[-1, 1]  # 1: the cam angle grows with the pulse width
     min_pulse_us: Positive
     max_pulse_us: Positive
-    us_per_deg: Positive
-    supply_v: Positive
+    tolerance_us: Positive
+    supply_v: Annotated[float, Meta(ge=4.8, le=6.0)]
     s_per_60deg_at_4v8: Positive
     s_per_60deg_at_6v0: Positive
     settle_margin_s: NotNegative
@@ -168,8 +175,42 @@ class Servo(Section, frozen=True):
         for name in ("rigid_pulse_us", "flexible_pulse_us"):
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"{name} must be within the servo's range {low:g} to {high:g}")
-        if self.rigid_pulse_us == self.flexible_pulse_us:
-            raise ValueError("rigid_pulse_us and flexible_pulse_us must differ")
+        span_us = self.rigid_pulse_us - self.flexible_pulse_us
+        if abs(span_us) <= 2.0 * self.tolerance_us:
+            raise ValueError(
+                "rigid_pulse_us and flexible_pulse_us must differ by more than twice "
+                f"tolerance_us {self.tolerance_us:g}"
+            )
+        span_deg = self.rigid_deg - self.flexible_deg
+        if span_deg == 0.0:
+            raise ValueError("rigid_deg and flexible_deg must differ")
+        if span_us * span_deg * self.direction < 0.0:
+            raise ValueError(
+                f"direction {self.direction} contradicts the two points: from flexible to rigid the pulse "
+                f"changes by {span_us:+g} us and the angle by {span_deg:+g} degrees"
+            )
+
+    def pulse_us(self, mode: Mode) -> float:
+        """Calibrated pulse width of a mode's end."""
+        return self.rigid_pulse_us if mode is Mode.RIGID else self.flexible_pulse_us
+
+    @property
+    def us_per_deg(self) -> float:
+        """Pulse width per degree of cam angle, positive; from the two points."""
+        return abs(self.rigid_pulse_us - self.flexible_pulse_us) / abs(self.rigid_deg - self.flexible_deg)
+
+    @property
+    def s_per_deg(self) -> float:
+        """Seconds per degree: the measured full travel, else the catalogue interpolated by supply voltage."""
+        if self.travel_s is not None:
+            return self.travel_s / abs(self.rigid_deg - self.flexible_deg)
+        share = (self.supply_v - 4.8) / (6.0 - 4.8)
+        return (self.s_per_60deg_at_4v8 + share * (self.s_per_60deg_at_6v0 - self.s_per_60deg_at_4v8)) / 60.0
+
+    @property
+    def full_travel_s(self) -> float:
+        """Seconds from one mode's end to the other's, without margin."""
+        return self.s_per_deg * abs(self.rigid_deg - self.flexible_deg)
 
 
 class Maestro(Section, frozen=True):
@@ -177,12 +218,50 @@ class Maestro(Section, frozen=True):
 
     port: str
     channel: Annotated[int, Meta(ge=0, le=23)]
+    baud: Annotated[int, Meta(ge=300, le=200_000)]
+    speed_limit_us_s: Annotated[float, Meta(ge=0.0, le=25.0 * 16383)]  # 0: none; steps of 25 us/s
+    reply_timeout_s: Annotated[float, Meta(gt=0.0, le=1.0)]
+
+    def __post_init__(self) -> None:
+        if not self.port:
+            raise ValueError("port must name a serial port, such as /dev/ttyACM0")
+        if self.speed_limit_us_s % 25.0 != 0.0:
+            raise ValueError(f"speed_limit_us_s {self.speed_limit_us_s:g} must be a multiple of 25")
+
+
+class Pwm(Section, frozen=True):
+    """Hardware PWM of the Raspberry Pi, through sysfs."""
+
+    sysfs_dir: str
+    chip: Annotated[int, Meta(ge=0)]
+    channel: Annotated[int, Meta(ge=0)]
+    period_us: Annotated[float, Meta(ge=2_500.0, le=50_000.0)]
 
 
 class Px4Output(Section, frozen=True):
     """PX4's own servo output, through `set_actuator`."""
 
     actuator_index: Annotated[int, Meta(ge=1, le=6)]
+    bank: Literal["MAIN", "AUX"]
+    pin: Annotated[int, Meta(ge=1, le=16)]
+    timer: Annotated[int, Meta(ge=0, le=7)]
+    min_pulse_us: Annotated[float, Meta(ge=800.0, le=1400.0)]  # what PX4 allows for PWM_<bank>_MIN<pin>
+    max_pulse_us: Annotated[float, Meta(ge=1600.0, le=2200.0)]  # ... and for PWM_<bank>_MAX<pin>
+
+
+class LimitSwitch(Section, frozen=True):
+    """Switches at one or both ends of the travel, on GPIO lines; an end without one has no feedback."""
+
+    chip: str
+    rigid_line: Annotated[int, Meta(ge=0)] | None = None
+    flexible_line: Annotated[int, Meta(ge=0)] | None = None
+    active_low: bool = True
+
+    def __post_init__(self) -> None:
+        if self.rigid_line is None and self.flexible_line is None:
+            raise ValueError("needs rigid_line, flexible_line or both")
+        if self.rigid_line == self.flexible_line:
+            raise ValueError("rigid_line and flexible_line must differ")
 
 
 class LockDriver(StrEnum):
@@ -194,16 +273,77 @@ class LockDriver(StrEnum):
     MOCK = "mock"
 
 
+class LockStartup(StrEnum):
+    """What the lock does when the program starts: move to a known end, or believe what it finds."""
+
+    HOME = "home"
+    ADOPT = "adopt"
+
+
 class LockConfig(Section, frozen=True):
     """The locking mechanism."""
 
     driver: LockDriver
+    startup: LockStartup
+    home_mode: Mode
     relaxation_s: NotNegative
     timeout_s: Positive
+    debounce_s: NotNegative
     cam: Cam
     servo: Servo
     maestro: Maestro
+    pwm: Pwm
     px4: Px4Output
+    limit_switch: LimitSwitch | None = None
+
+    def __post_init__(self) -> None:
+        servo, theta0 = self.servo, self.cam.theta0_deg
+        for name in ("rigid_deg", "flexible_deg"):
+            if not theta0 <= getattr(servo, name) <= theta0 + 90.0:
+                raise ValueError(
+                    f"servo.{name} {getattr(servo, name):g} is outside the cam's range "
+                    f"{theta0:g} to {theta0 + 90.0:g} degrees"
+                )
+        for angle in (theta0, theta0 + 90.0):
+            pulse = servo.flexible_pulse_us + servo.direction * servo.us_per_deg * (
+                angle - servo.flexible_deg
+            )
+            if not servo.min_pulse_us - 1e-6 <= pulse <= servo.max_pulse_us + 1e-6:
+                raise ValueError(
+                    f"the cam's range {theta0:g} to {theta0 + 90.0:g} degrees goes over the servo's end "
+                    f"stops: {angle:g} degrees is {pulse:.0f} us, allowed {servo.min_pulse_us:g} to "
+                    f"{servo.max_pulse_us:g}"
+                )
+        if self.timeout_s <= self.switch_time_s:
+            raise ValueError(
+                f"timeout_s {self.timeout_s:g} must be longer than the travel with its margin, "
+                f"{self.switch_time_s:.3f} s"
+            )
+        if self.driver is LockDriver.PX4:
+            for name in ("rigid_pulse_us", "flexible_pulse_us"):
+                if not self.px4.min_pulse_us <= getattr(servo, name) <= self.px4.max_pulse_us:
+                    raise ValueError(
+                        f"servo.{name} must be within px4.min_pulse_us {self.px4.min_pulse_us:g} and "
+                        f"px4.max_pulse_us {self.px4.max_pulse_us:g}"
+                    )
+        if self.driver is LockDriver.PWM and servo.max_pulse_us >= self.pwm.period_us:
+            raise ValueError(
+                f"servo.max_pulse_us must be below pwm.period_us {self.pwm.period_us:g}, the servo's frame"
+            )
+
+    @property
+    def ramp_us_s(self) -> float | None:
+        """Speed limit of the pulse width itself in us/s, where the driver has one."""
+        limit = self.maestro.speed_limit_us_s
+        return limit if self.driver is LockDriver.MAESTRO and limit > 0.0 else None
+
+    @property
+    def switch_time_s(self) -> float:
+        """Seconds from the driver's taking the command to `settled`: travel, speed limit and margin."""
+        travel, servo = self.servo.full_travel_s, self.servo
+        if self.ramp_us_s is not None:
+            travel = max(travel, abs(servo.rigid_pulse_us - servo.flexible_pulse_us) / self.ramp_us_s)
+        return travel + servo.settle_margin_s
 
 
 class Connection(Section, frozen=True):

@@ -1,0 +1,61 @@
+"""`dart-flight dry-run MISSION`: fly it in simulation."""
+
+from __future__ import annotations
+
+import argparse
+
+from rich.progress import Progress
+
+from dart_flight.cli.flight_output import FlightLines, summary_table, verdict_table
+from dart_flight.cli.options import add_flight_options, whole_number
+from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.flights import fly_embedded, fly_fast, fly_fast_many, load_flyable, summarise, with_driver
+from dart_flight.verdict import Verdict
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    add_flight_options(parser)
+    parser.add_argument("--fast", action="store_true", help="in process, in simulated time, without MAVLink")
+    parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="of the noise (default 1)")
+    parser.add_argument(
+        "--runs", type=whole_number(1, 100_000), metavar="N", help="N flights, seeds from --seed on"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; returns the exit status."""
+    mission = load_flyable(arguments.mission, arguments.config)
+    if arguments.driver is not None:
+        mission = with_driver(mission, arguments.driver)
+    console = messages()
+    if arguments.runs is None:
+        lines = FlightLines(console, arguments.verbose > 0)
+        fly = fly_fast if arguments.fast else fly_embedded
+        verdict = fly(mission, arguments.seed, arguments.log_dir, lines)
+        if arguments.json:
+            emit_json(verdict)
+        else:
+            tables().print(verdict_table(verdict))
+            console.print(f"log: {verdict.log}", soft_wrap=True)
+        return 0 if verdict.outcome == "completed" else 1
+    seeds = range(arguments.seed, arguments.seed + arguments.runs)
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task("flights", total=arguments.runs)
+
+        def done(_: Verdict) -> None:
+            bar.advance(task)
+
+        if arguments.fast:
+            verdicts = fly_fast_many(mission, seeds, arguments.log_dir, done)
+        else:
+            verdicts = []
+            for seed in seeds:
+                verdicts.append(fly_embedded(mission, seed, arguments.log_dir))
+                done(verdicts[-1])
+    summary = summarise(verdicts)
+    if arguments.json:
+        emit_json({"runs": verdicts, "summary": summary})
+    else:
+        tables().print(summary_table(summary))
+    return 0 if summary.completed == summary.runs else 1

@@ -1,0 +1,138 @@
+"""How a flight shows on the terminal: a line per decision, a table at the end."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.table import Table
+
+from dart_flight.flights import Summary
+from dart_flight.samples import (
+    ContactEnd,
+    GoalPassed,
+    GuardEvent,
+    ImpactPeak,
+    LockPhase,
+    LockState,
+    MissionEnd,
+    PhaseChange,
+    Record,
+    StatusText,
+)
+from dart_flight.verdict import CollisionVerdict, Velocities, Verdict
+
+
+class FlightLines:
+    """Prints the decisions of a flight as they come, with the time since the first."""
+
+    def __init__(self, console: Console, verbose: bool = False) -> None:
+        self._console, self._verbose = console, verbose
+        self._start_us: int | None = None
+
+    def __call__(self, record: Record) -> None:
+        """Print a record if it is a decision."""
+        line = self._line(record)
+        if line is None:
+            return
+        t_us = getattr(record, "t_us", 0)
+        if self._start_us is None:
+            self._start_us = t_us
+        self._console.print(f"[dim]{(t_us - self._start_us) * 1e-6:7.2f} s[/]  {line}")
+
+    def _line(self, record: Record) -> str | None:
+        if isinstance(record, PhaseChange):
+            which = f" (collision {record.collision})" if record.collision else ""
+            return f"[bold]{record.after}[/]{which}  [dim]{record.reason}[/]"
+        if isinstance(record, ImpactPeak):
+            clipped = ", clipped" if record.clipped else ""
+            return (
+                f"impact: {record.normal_force_n:.1f} N normal, "
+                f"{record.tangential_force_n:.1f} N along the wall{clipped}"
+            )
+        if isinstance(record, ContactEnd):
+            return f"contact over after {(record.t_us - record.first_us) * 1e-3:.0f} ms"
+        if isinstance(record, GuardEvent):
+            return f"[red]guard: {record.rule} -> {record.action}[/]  {record.detail}"
+        if isinstance(record, GoalPassed):
+            return f"goal passed at {record.miss_m:.2f} m"
+        if isinstance(record, MissionEnd):
+            colour = "green" if record.outcome == "completed" else "red"
+            return f"[{colour}]{record.outcome}[/]" + (f": {record.reason}" if record.reason else "")
+        if isinstance(record, LockState):
+            return self._lock_line(record)
+        if isinstance(record, StatusText) and self._verbose:
+            return f"[dim]PX4 {record.severity}: {record.text}[/]"
+        return None
+
+    def _lock_line(self, record: LockState) -> str | None:
+        if record.phase is LockPhase.TRAVELLING and not self._verbose:
+            return None
+        feedback = "" if record.feedback or record.phase is not LockPhase.SETTLED else " (no feedback)"
+        mode = f" {record.mode.value}" if record.mode else ""
+        return f"lock {record.phase.value}{mode}{feedback}" + (f": {record.reason}" if record.reason else "")
+
+
+def verdict_table(verdict: Verdict) -> Table:
+    """The collisions of a flight, planned, measured and true."""
+    table = Table(title=f"{verdict.mission}, {verdict.world}: {verdict.outcome}", title_justify="left")
+    for column in ("", "normal m/s", "tangential m/s", "peak force N", "contact ms", "detected ms"):
+        table.add_column(column, justify="left" if not column else "right")
+    for collision in verdict.collisions:
+        _add_collision(table, collision)
+    figures = [
+        f"{name} {value:.2f} {unit}"
+        for name, value, unit in (
+            ("goal miss", verdict.goal_miss_m, "m"),
+            ("final error", verdict.final_error_m, "m"),
+            ("tilt up to", verdict.max_tilt_deg, "deg"),
+            ("flight", verdict.flight_time_s, "s"),
+        )
+        if value is not None
+    ]
+    table.caption = ", ".join(figures)
+    table.caption_justify = "left"
+    return table
+
+
+def _add_collision(table: Table, c: CollisionVerdict) -> None:
+    head = f"[bold]{c.index} {c.wall}, {c.mode}[/]" + (" [red]clipped[/]" if c.clipped else "")
+    table.add_row(head)
+    rows: list[tuple[str, Velocities | None]] = [
+        ("planned", c.planned),
+        ("measured", c.measured),
+        ("truth", c.truth),
+    ]
+    for name, v in rows:
+        if v is None:
+            continue
+        extra = ["", ""]
+        if name == "measured":
+            extra = [_number(c.contact_time_ms, 0), _number(c.detection_latency_ms, 1)]
+        table.add_row(
+            f"  {name}",
+            _number(v.normal_m_s, 2),
+            _number(v.tangential_m_s, 2),
+            _number(v.peak_force_n, 1),
+            *extra,
+        )
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def summary_table(summary: Summary) -> Table:
+    """Many flights in a few rows."""
+    table = Table(title=f"{summary.completed} of {summary.runs} completed", title_justify="left")
+    for column in ("", "median", "least", "most"):
+        table.add_column(column, justify="left" if not column else "right")
+    for name, spread in (
+        ("goal miss m", summary.goal_miss_m),
+        ("final error m", summary.final_error_m),
+        ("largest tilt deg", summary.max_tilt_deg),
+        ("peak force error %", summary.peak_force_error_percent),
+    ):
+        if spread is not None:
+            table.add_row(name, *(f"{v:.3f}" for v in (spread.median, spread.low, spread.high)))
+    for reason, count in summary.reasons.items():
+        table.add_row(f"[red]{reason}[/]", str(count))
+    return table

@@ -1,0 +1,228 @@
+"""`dart-flight lock`: move or report the locking mechanism, calibrate its servo."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.config import InputError, default_config_path, load_vehicle
+from dart_flight.config.document import Document
+from dart_flight.config.edit import write_values
+from dart_flight.config.vehicle import LockConfig, LockDriver, packaged
+from dart_flight.lock.calibration import HELP, Calibration, CalibrationError
+from dart_flight.lock.drivers import Driver, DriverError, SetActuator
+from dart_flight.lock.ground import GroundLock, calibration, ground_driver
+from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTakenError, forget_last, load_last
+from dart_flight.lock.state_machine import describe
+from dart_flight.samples import LockPhase, LockState, Mode
+
+EXIT_OK, EXIT_INCOMPLETE = 0, 1
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("action", choices=("rigid", "flexible", "toggle", "status", "calibrate"))
+    parser.add_argument(
+        "--driver", choices=[str(kind) for kind in LockDriver], help="instead of the configured one"
+    )
+    parser.add_argument("--connection", metavar="URL", help="autopilot, for the px4 driver")
+    parser.add_argument(
+        "--release", action="store_true", help="switch the pulses off once settled (else they hold the rods)"
+    )
+    parser.add_argument("--yes", action="store_true", help="calibrate: write without asking")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Carry the command out. Returns 0 when the lock is where it was asked to be."""
+    path = Path(arguments.config) if arguments.config else default_config_path()
+    vehicle = load_vehicle(path)
+    config = _with_driver(vehicle.lock, arguments.driver, path)
+    if arguments.action == "calibrate":
+        _refuse_packaged(arguments, path)
+    set_actuator = None
+    if config.driver is LockDriver.PX4:
+        set_actuator = px4_set_actuator(arguments.connection or vehicle.connection.url)
+    owner = ServoOwnership()
+    try:
+        with owner:
+            return _with_servo(arguments, config, path, set_actuator)
+    except ServoTakenError as error:
+        return _taken(arguments, config, error)
+    except DriverError as error:
+        if error.key:
+            raise Document.load(path).error(("lock", *error.key), str(error)) from None
+        messages().print(f"lock: {error}", markup=False, soft_wrap=True)
+        return EXIT_INCOMPLETE
+
+
+def px4_set_actuator(url: str) -> SetActuator:
+    """`set_actuator(index, value)` of the autopilot at a connection.
+
+    Raises:
+        InputError: there is no connection.
+    """
+    raise InputError(
+        "the px4 driver needs a connection to the autopilot, which this command does not make; "
+        "choose --driver maestro, pwm or mock",
+        source=url,
+    )
+
+
+def _with_driver(config: LockConfig, driver: str | None, path: Path) -> LockConfig:
+    if driver is None:
+        return config
+    try:
+        return msgspec.structs.replace(config, driver=LockDriver(driver))
+    except ValueError as error:
+        raise Document.load(path).error(("lock",), str(error)) from None
+
+
+def _refuse_packaged(arguments: argparse.Namespace, path: Path) -> None:
+    if not arguments.config and path == packaged("configs", "dart.yaml"):
+        raise InputError(
+            "is the packaged default; copy it with `dart-flight init` and name the copy with --config",
+            source=str(path),
+        )
+    if not os.access(path, os.W_OK):
+        raise InputError("the calibration would be written here, but it is not writable", source=str(path))
+
+
+def _with_servo(
+    arguments: argparse.Namespace, config: LockConfig, path: Path, set_actuator: SetActuator | None
+) -> int:
+    last = load_last()
+    driver = ground_driver(config, last, set_actuator)
+    driver.open()
+    try:
+        if arguments.action == "calibrate":
+            return _calibrate(arguments, config, path, driver)
+        store = CommandStore(config.driver)
+        lock = GroundLock(config, driver, store.note)
+        state = lock.look()
+        wanted = None
+        if arguments.action != "status":
+            if arguments.action != "toggle":
+                wanted = Mode(arguments.action)
+            elif state.mode is not None:
+                wanted = state.mode.other
+            elif last is not None and last.driver is config.driver:
+                wanted = last.mode.other
+            else:
+                raise InputError(
+                    f"toggle: the position is unknown ({describe(state)}) and no command is on record; "
+                    "say rigid or flexible"
+                )
+            state = lock.move(wanted, release=arguments.release)
+            if store.problem is not None:
+                messages().print(store.problem, markup=False, soft_wrap=True)
+    finally:
+        driver.close()
+    reached = wanted is None or (state.phase is LockPhase.SETTLED and state.mode is wanted)
+    _report(arguments, config, state, ok=reached)
+    return EXIT_OK if reached else EXIT_INCOMPLETE
+
+
+def _report(
+    arguments: argparse.Namespace,
+    config: LockConfig,
+    state: LockState | None,
+    *,
+    ok: bool,
+    owner_pid: int | None = None,
+) -> None:
+    last = load_last()
+    if arguments.json:
+        report: dict[str, Any] = {
+            "action": arguments.action,
+            "driver": config.driver,
+            "ok": ok,
+            "state": state,
+            "text": None if state is None else describe(state),
+            "travel_s": None,
+            "last_command": last,
+            "owner_pid": owner_pid,
+        }
+        if state is not None and state.settled_us is not None and state.commanded_us is not None:
+            report["travel_s"] = (state.settled_us - state.commanded_us) * 1e-6
+        emit_json(report)
+        return
+    if state is not None:
+        tables().print(f"{config.driver}: {describe(state)}", markup=False, soft_wrap=True)
+    if last is not None and arguments.action == "status":
+        tables().print(f"last command: {last.describe()}", markup=False, soft_wrap=True)
+
+
+def _taken(arguments: argparse.Namespace, config: LockConfig, error: ServoTakenError) -> int:
+    """The servo is another process's: `status` reports what that wrote down, all else is refused."""
+    messages().print(f"lock: {error}", markup=False, soft_wrap=True)
+    status = arguments.action == "status"
+    if status or arguments.json:
+        _report(arguments, config, None, ok=status, owner_pid=error.pid)
+    return EXIT_OK if status else EXIT_INCOMPLETE
+
+
+# --- calibrate -----------------------------------------------------------------------------------------
+
+
+def _calibrate(arguments: argparse.Namespace, config: LockConfig, path: Path, driver: Driver) -> int:
+    say = messages()
+    steps = calibration(config, driver)
+    if driver.read().pulse_us is None:
+        say.print(
+            f"The servo will go to {steps.pulse_us:g} us at once. Are the rods free to move? [y/N]",
+            markup=False,
+            soft_wrap=True,
+        )
+        if not _yes(arguments):
+            return _unchanged(arguments, config, "nothing moved")
+    forget_last()
+    driver.set_pulse(steps.pulse_us)
+    say.print(HELP, markup=False, soft_wrap=True)
+    if not _seek(steps):
+        return _unchanged(arguments, config, "left as it was; nothing written")
+    found = steps.result()
+    for key, value in steps.values().items():
+        before = getattr(config.servo, str(key[-1]))
+        say.print(f"{key[-1]}: {before:g} -> {value:g}", markup=False)
+    say.print(f"Write this to {path}? [y/N]", markup=False, soft_wrap=True)
+    if not _yes(arguments):
+        return _unchanged(arguments, config, "nothing written")
+    write_values(path, steps.values())
+    lock = GroundLock(found, driver, CommandStore(config.driver).note)
+    lock.look()
+    state = lock.move(Mode.FLEXIBLE, release=arguments.release)
+    settled = state.phase is LockPhase.SETTLED
+    _report(arguments, found, state, ok=settled)
+    return EXIT_OK if settled else EXIT_INCOMPLETE
+
+
+def _unchanged(arguments: argparse.Namespace, config: LockConfig, why: str) -> int:
+    messages().print(why)
+    if arguments.json:
+        _report(arguments, config, None, ok=False)
+    return EXIT_INCOMPLETE
+
+
+def _seek(steps: Calibration) -> bool:
+    """Lines from standard input until both ends are known; False: the operator quits."""
+    say = messages()
+    while steps.seeking is not None:
+        say.print(f"{steps.seeking} end, now {steps.pulse_us:g} us:", markup=False)
+        line = sys.stdin.readline()
+        if not line or line.strip().lower() in ("quit", "q"):
+            return False
+        try:
+            steps.enter(line)
+        except CalibrationError as error:
+            say.print(str(error), markup=False, soft_wrap=True)
+    return True
+
+
+def _yes(arguments: argparse.Namespace) -> bool:
+    return bool(arguments.yes) or sys.stdin.readline().strip().lower() in ("y", "yes")

@@ -1,0 +1,39 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+from dart_flight.config.vehicle import LockDriver
+
+
+def add_flight_options(parser: argparse.ArgumentParser) -> None:
+    """What `fly` and `dry-run` share."""
+    parser.add_argument("mission", metavar="MISSION", help="mission file, see missions/")
+    parser.add_argument(
+        "--log-dir", type=Path, default=Path("flights"), metavar="DIR", help="default: flights"
+    )
+    parser.add_argument(
+        "--driver",
+        type=LockDriver,
+        choices=list(LockDriver),
+        metavar="DRIVER",
+        help="what moves the lock: " + ", ".join(LockDriver) + " (default: lock.driver of the configuration)",
+    )
+
+
+def whole_number(low: int, high: int) -> Callable[[str], int]:
+    """Argparse type: a whole number within limits."""
+
+    def convert(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"must be from {low} to {high}, not {value}")
+        return value
+
+    return convert

@@ -1,0 +1,71 @@
+"""Changing single values of a YAML file and nothing else: comments, order and spacing stay as they are."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import yaml
+
+from dart_flight.config.document import Document, InputError, Key
+
+
+def edit_values(text: str, values: Mapping[Key, float], source: str = "") -> str:
+    """A YAML text with the scalars at some keys replaced by numbers; keeps comments in their column.
+
+    Raises:
+        InputError: not YAML, or a key is missing or has no plain value.
+    """
+    Document(text, source)  # the same rules as for reading: no aliases, no duplicate keys
+    root = yaml.compose(text, Loader=yaml.SafeLoader)
+    spots = [(_scalar(root, key, source), _number(value)) for key, value in values.items()]
+    for node, number in sorted(spots, key=lambda spot: -spot[0].start_mark.index):
+        start, end = node.start_mark.index, node.end_mark.index
+        rest = text[end:]
+        gap = len(rest) - len(rest.lstrip(" "))
+        if rest[gap : gap + 1] == "#":
+            gap_wanted = max(1, gap + (end - start) - len(number))
+            rest = " " * gap_wanted + rest[gap:]
+        text = text[:start] + number + rest
+    return text
+
+
+def write_values(path: Path, values: Mapping[Key, float]) -> None:
+    """Replace numbers in a YAML file, whole or not at all.
+
+    Raises:
+        InputError: as `edit_values`; or the file cannot be written.
+    """
+    target = path.resolve()  # a link to the configuration stays a link
+    try:
+        text = edit_values(target.read_bytes().decode("utf-8"), values, str(path))
+        descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                file.write(text.encode("utf-8"))
+                file.flush()
+                os.fsync(file.fileno())
+            os.chmod(name, target.stat().st_mode & 0o777)
+            os.replace(name, target)
+        except OSError:
+            Path(name).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise InputError(f"cannot write: {error.strerror}", source=str(path)) from None
+
+
+def _number(value: float) -> str:
+    text = f"{value:.10g}"
+    return text if any(c in text for c in ".en") or isinstance(value, int) else f"{text}.0"
+
+
+def _scalar(root: yaml.Node | None, key: Key, source: str) -> yaml.ScalarNode:
+    node = root
+    for part in key:
+        children = node.value if isinstance(node, yaml.MappingNode) else []
+        node = next((value for name, value in children if name.value == part), None)
+    if not isinstance(node, yaml.ScalarNode) or not node.value:
+        raise InputError("needs a value here to be replaced", source=source, key=key)
+    return node

@@ -1,0 +1,150 @@
+"""The flight core: one input in, what follows from it out. Synchronous, no I/O, no clock.
+
+    core = FlightCore(mission)
+    for output in core.step(sample): ...
+
+`step` never raises: a fault in the mission's code becomes a decision of the guard (land), with its reason.
+"""
+
+from __future__ import annotations
+
+import traceback
+
+from dart_flight.config.mission import Mission
+from dart_flight.flight.detector import ImpactDetector
+from dart_flight.flight.executive import Executive
+from dart_flight.flight.force_estimator import ForceEstimator
+from dart_flight.flight.guard import Action, Guard
+from dart_flight.flight.phases import ON_GROUND, Phase
+from dart_flight.flight.state import FlightState
+from dart_flight.samples import (
+    ActuatorSample,
+    AttitudeSample,
+    ClockOffset,
+    ContactEnd,
+    ImpactOnset,
+    ImpactPeak,
+    ImuSample,
+    Input,
+    LockState,
+    MissionEnd,
+    OdometrySample,
+    OperatorRequest,
+    Output,
+    StatusSample,
+    Tick,
+)
+
+
+class FlightCore:
+    """Estimates, detects, recovers, walks through one mission, and says no.
+
+    Args:
+        mission: checked and resolved.
+
+    Raises:
+        NoApproachError: an approach of the mission has no room (`planning.approach`).
+    """
+
+    def __init__(self, mission: Mission) -> None:
+        self.mission = mission
+        self.state = FlightState(mission)
+        self.detector = ImpactDetector(mission.vehicle.detection)
+        self.guard = Guard(mission)
+        self.executive = Executive(mission, self.detector, self.guard)
+        self._estimator = ForceEstimator(mission.vehicle)
+        self._failed = False
+
+    @property
+    def phase(self) -> Phase:
+        """Where the mission stands."""
+        return self.executive.phase
+
+    @property
+    def end(self) -> MissionEnd | None:
+        """How the flight ended, once it has."""
+        return self.executive.outcome
+
+    def step(self, item: Input) -> list[Output]:
+        """Take one input; returns commands to carry out and records to log, in order."""
+        out: list[Output] = []
+        if self.end is not None:
+            return out
+        try:
+            events = self._ingest(item, out)
+            if self.guard.action is Action.NONE:
+                self.executive.step(item, self.state, events, out)
+        except Exception:
+            self._fault(out)
+        return self._dispose(item, out)
+
+    def _ingest(self, item: Input, out: list[Output]) -> list[ImpactOnset | ImpactPeak | ContactEnd]:
+        state = self.state
+        if isinstance(item, ImuSample):
+            if state.take_imu(item):
+                return self._feel(item, out)
+        elif isinstance(item, AttitudeSample):
+            if state.take_attitude(item):
+                self._estimator.take_attitude(item)
+        elif isinstance(item, OdometrySample):
+            state.take_odometry(item)
+        elif isinstance(item, ActuatorSample):
+            state.take_actuator(item)
+            self._estimator.take_actuator(item)
+        elif isinstance(item, Tick):
+            state.take_tick(item)
+        elif isinstance(item, StatusSample):
+            state.status = item
+            state.host_us = max(state.host_us, item.received_us)
+        elif isinstance(item, LockState):
+            state.lock = item
+        elif isinstance(item, ClockOffset):
+            state.take_clock(item)
+        elif isinstance(item, OperatorRequest):
+            self._operator(item, out)
+        return []
+
+    def _feel(self, item: ImuSample, out: list[Output]) -> list[ImpactOnset | ImpactPeak | ContactEnd]:
+        estimate = self._estimator.estimate(item, self.state)
+        if estimate is None:
+            return []
+        out.append(estimate)
+        events = self.detector.update(estimate, item.received_us, self.state)
+        for event in events:
+            if isinstance(event, ImpactOnset):
+                self.guard.note_impact(event.t_us)
+            out.append(event)
+        return events
+
+    def _operator(self, item: OperatorRequest, out: list[Output]) -> None:
+        state = self.state
+        if item.request == "release":
+            self.guard.latch(Action.RELEASE, "operator", "released by the operator", state, out)
+        elif item.request == "world_died":
+            self.guard.latch(Action.RELEASE, "world_died", "the simulated vehicle is gone", state, out)
+        elif self.phase in ON_GROUND and not state.status.armed:
+            self.executive.overrule(state, out, "operator")
+            self.guard.latch(Action.LAND, "operator", "stopped before take-off", state, out)
+        else:
+            self.guard.latch(Action.BREAK_OFF, "operator", "land asked for", state, out)
+
+    def _fault(self, out: list[Output]) -> None:
+        """A fault in the mission's code: land, once, and say where."""
+        if self._failed:
+            return
+        self._failed = True
+        where = traceback.format_exc(limit=-2).strip().replace("\n", " | ")
+        self.guard.latch(Action.LAND, "mission_fault", where, self.state, out)
+
+    def _dispose(self, item: Input, out: list[Output]) -> list[Output]:
+        try:
+            kept = self.guard.review(item, self.state, self.phase, out)
+            if self.guard.action is not Action.NONE:
+                self.executive.overrule(self.state, kept, self.guard.reason or "")
+            if self.guard.end is not None and self.end is None:
+                self.executive.finish(self.state, kept, self.guard.end)
+        except Exception:
+            # The guard itself is broken: nothing of this step goes out, PX4's own failsafe is the last line.
+            self._fault(out)
+            return [o for o in out if not o.topic.startswith("/out/")]
+        return kept

@@ -1,0 +1,35 @@
+"""The recovery set-point (paper, eq. 2, for a wall of any orientation).
+
+    p_ref = p(t_c) + (A_n N - A_t T) force,   N = n n', T = t t'
+
+away from the wall by the normal force, onward along the wall by the friction force, height unchanged.
+"""
+
+from __future__ import annotations
+
+from dart_flight.geometry import Vec2, Vec3
+
+
+def recovery_point(
+    position: Vec3,
+    normal: Vec2,
+    normal_force_n: float,
+    tangential_force_n: float,
+    alpha_normal_m_per_n: float,
+    alpha_tangential_m_per_n: float,
+    altitude_m: float,
+) -> Vec3:
+    """Recovery set-point in the mission frame, metres.
+
+    Args:
+        position: p(t_c), where the vehicle was at the peak of the normal force.
+        normal: outward unit normal of the wall.
+        normal_force_n: peak normal force; what is not positive is taken as zero.
+        tangential_force_n: peak friction force along the tangent (n_y, -n_x), signed.
+        alpha_normal_m_per_n, alpha_tangential_m_per_n: gains.
+        altitude_m: z of the set-point.
+    """
+    away = alpha_normal_m_per_n * max(0.0, normal_force_n)
+    onward = -alpha_tangential_m_per_n * tangential_force_n
+    nx, ny = normal
+    return (position[0] + away * nx + onward * ny, position[1] + away * ny - onward * nx, altitude_m)

@@ -1,0 +1,153 @@
+"""What the core knows of the vehicle: the newest of every stream, in the mission frame."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from dart_flight.config.mission import Mission
+from dart_flight.geometry import MissionFrame, Vec3, add, scale, tilt_of, yaw_ned_of
+from dart_flight.samples import (
+    ActuatorSample,
+    AttitudeSample,
+    ClockOffset,
+    FlightMode,
+    ImuSample,
+    LandedState,
+    LockPhase,
+    LockState,
+    Mode,
+    OdometrySample,
+    StatusSample,
+    Tick,
+)
+
+
+class FlightState:
+    """Newest samples and what follows from them.
+
+    `now_us` is the autopilot's time as far as it is known: the newest stamp, carried on by host ticks through
+    the clock offset while the streams are silent. `host_us` is the host's time of the newest receipt or tick.
+    """
+
+    def __init__(self, mission: Mission) -> None:
+        self.mission = mission
+        self.frame: MissionFrame | None = None
+        self.now_us = 0
+        self.host_us = 0
+        self.clock_offset_us: int | None = None
+        self.imu: ImuSample | None = None
+        self.attitude: AttitudeSample | None = None
+        self.odometry: OdometrySample | None = None
+        self.actuator: ActuatorSample | None = None
+        self.status = StatusSample(t_us=0, received_us=0)
+        self.lock = LockState(t_us=0, phase=LockPhase.UNKNOWN, mode=None)
+        self.position: Vec3 = (0.0, 0.0, 0.0)
+        self.velocity: Vec3 = (0.0, 0.0, 0.0)
+        self.acceleration: Vec3 = (0.0, 0.0, 0.0)  # of the odometry's velocity, lightly filtered
+        self.yaw = 0.0
+        self.tilt_rad = 0.0
+        self._velocities: deque[tuple[int, Vec3]] = deque(maxlen=32)
+
+    def take_odometry(self, sample: OdometrySample) -> bool:
+        """A position and velocity; False where its stamp does not advance."""
+        previous = self.odometry
+        if previous is not None and sample.t_us <= previous.t_us:
+            return False
+        self.odometry = sample
+        self._saw(sample.t_us, sample.received_us)
+        if self.frame is None:
+            return True
+        position = self.frame.point_from_ned(sample.position_ned)
+        velocity = self.frame.vector_from_ned(sample.velocity_ned)
+        if previous is not None:
+            dt = (sample.t_us - previous.t_us) * 1e-6
+            share = min(1.0, dt / 0.06)  # first order, 0.06 s: the estimator's velocity is noisy
+            a, v = self.acceleration, self.velocity
+            self.acceleration = (
+                a[0] + share * ((velocity[0] - v[0]) / dt - a[0]),
+                a[1] + share * ((velocity[1] - v[1]) / dt - a[1]),
+                a[2] + share * ((velocity[2] - v[2]) / dt - a[2]),
+            )
+        self.position, self.velocity = position, velocity
+        self._velocities.append((sample.t_us, velocity))
+        return True
+
+    def take_attitude(self, sample: AttitudeSample) -> bool:
+        """An attitude; False where its stamp does not advance."""
+        if self.attitude is not None and sample.t_us <= self.attitude.t_us:
+            return False
+        self.attitude = sample
+        self._saw(sample.t_us, sample.received_us)
+        self.tilt_rad = tilt_of(sample.q_frd_to_ned)
+        if self.frame is not None:
+            self.yaw = self.frame.yaw_from_ned(yaw_ned_of(sample.q_frd_to_ned))
+        return True
+
+    def take_imu(self, sample: ImuSample) -> bool:
+        """An IMU sample; False where its stamp does not advance."""
+        if self.imu is not None and sample.t_us <= self.imu.t_us:
+            return False
+        self.imu = sample
+        self._saw(sample.t_us, sample.received_us)
+        return True
+
+    def take_actuator(self, sample: ActuatorSample) -> None:
+        """Motor commands."""
+        self.actuator = sample
+        self.host_us = max(self.host_us, sample.received_us)
+
+    def take_tick(self, tick: Tick) -> None:
+        """The host's clock goes by."""
+        self.host_us = max(self.host_us, tick.host_us)
+        if self.clock_offset_us is not None:
+            self.now_us = max(self.now_us, self.host_us + self.clock_offset_us)
+
+    def take_clock(self, sample: ClockOffset) -> None:
+        """Autopilot time minus host time."""
+        self.clock_offset_us = sample.offset_us
+
+    def _saw(self, t_us: int, received_us: int) -> None:
+        self.now_us = max(self.now_us, t_us)
+        self.host_us = max(self.host_us, received_us)
+
+    # -- derived --
+
+    def anchor(self) -> None:
+        """Fix the mission frame at the present position: the vehicle stands at its take-off point."""
+        assert self.odometry is not None
+        self.frame = self.mission.frame_at(self.odometry.position_ned)
+        self.position = self.frame.point_from_ned(self.odometry.position_ned)
+        self.velocity = self.frame.vector_from_ned(self.odometry.velocity_ned)
+        if self.attitude is not None:
+            self.yaw = self.frame.yaw_from_ned(yaw_ned_of(self.attitude.q_frd_to_ned))
+
+    def position_at(self, t_us: int) -> Vec3:
+        """Position in the mission frame at a moment near the newest odometry, by constant velocity."""
+        if self.odometry is None:
+            return self.position
+        return add(self.position, scale(self.velocity, (t_us - self.odometry.t_us) * 1e-6))
+
+    def velocity_before(self, t_us: int) -> Vec3:
+        """The last velocity in the mission frame stamped before a moment."""
+        for stamp, velocity in reversed(self._velocities):
+            if stamp < t_us:
+                return velocity
+        return self.velocity
+
+    def age_us(self, sample: ImuSample | AttitudeSample | OdometrySample | ActuatorSample | None) -> int:
+        """Host time since a stream's newest sample was received; huge where there was none."""
+        return self.host_us - sample.received_us if sample is not None else 1 << 60
+
+    @property
+    def in_offboard(self) -> bool:
+        """Whether PX4 says that it flies our set-points."""
+        return self.status.flight_mode is FlightMode.OFFBOARD
+
+    @property
+    def on_ground(self) -> bool:
+        """Whether PX4's land detector says so."""
+        return self.status.landed is LandedState.ON_GROUND
+
+    def lock_is_in(self, mode: Mode) -> bool:
+        """Whether the lock is settled in a mode, as far as it can know."""
+        return self.lock.phase is LockPhase.SETTLED and self.lock.mode is mode

@@ -1,0 +1,127 @@
+"""Finding the two end stops by hand: small steps, one end after the other. Pure; the driver is a callable.
+
+The cam's own ends are the angles theta_0 (flexible) and theta_0 + 90 degrees (rigid), so each end needs its
+pulse width only; the direction follows from the two.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import msgspec
+
+from dart_flight.config.document import Key
+from dart_flight.config.vehicle import LockConfig
+from dart_flight.samples import Mode
+
+STEP_US = 10.0  # about one degree: a rod that jams does so gently
+HELP = (
+    "+ or - moves 10 us, +25 or -40 that much, a number such as 1500 goes there; "
+    "ok takes this position, quit leaves everything as it was"
+)
+
+
+class CalibrationError(Exception):
+    """A line that is not understood or not allowed; nothing has moved."""
+
+
+class Calibration:
+    """Walks the horn in small steps and collects the pulse widths of the two ends.
+
+    Args:
+        config: for the servo's range and the checks of the result.
+        start_us: where the horn is now.
+        move: puts out a pulse width in us and waits until a small step is over; raises whatever it must.
+    """
+
+    ORDER = (Mode.FLEXIBLE, Mode.RIGID)
+
+    def __init__(self, config: LockConfig, start_us: float, move: Callable[[float], None]) -> None:
+        self._config = config
+        self._move = move
+        self.pulse_us = start_us
+        self.found: dict[Mode, float] = {}
+
+    @property
+    def seeking(self) -> Mode | None:
+        """The end that is looked for; None: both are known."""
+        return next((mode for mode in self.ORDER if mode not in self.found), None)
+
+    def enter(self, line: str) -> None:
+        """One line of the operator's; see `HELP`, except quit.
+
+        Raises:
+            CalibrationError: not understood, out of the servo's range, or the ends are no calibration.
+        """
+        word = line.strip().lower()
+        if word == "ok":
+            self._take()
+            return
+        self._walk(self._target(word))
+
+    def result(self) -> LockConfig:
+        """The configuration with the two ends.
+
+        Raises:
+            CalibrationError: the two points cannot be (equal, or over the end stops).
+        """
+        rigid, flexible = self.found[Mode.RIGID], self.found[Mode.FLEXIBLE]
+        servo = self._config.servo
+        rises = (rigid > flexible) == (servo.rigid_deg > servo.flexible_deg)
+        try:
+            new = msgspec.structs.replace(
+                servo,
+                rigid_pulse_us=rigid,
+                flexible_pulse_us=flexible,
+                direction=1 if rises else -1,
+            )
+            return msgspec.structs.replace(self._config, servo=new)
+        except ValueError as error:
+            raise CalibrationError(str(error)) from None
+
+    def values(self) -> dict[Key, float]:
+        """What to write into the configuration file.
+
+        Raises:
+            CalibrationError: as `result`.
+        """
+        servo = self.result().servo
+        return {
+            ("lock", "servo", "rigid_pulse_us"): servo.rigid_pulse_us,
+            ("lock", "servo", "flexible_pulse_us"): servo.flexible_pulse_us,
+            ("lock", "servo", "direction"): servo.direction,
+        }
+
+    def _target(self, word: str) -> float:
+        if word in ("+", "-"):
+            word += f"{STEP_US:g}"
+        try:
+            number = float(word)
+        except ValueError:
+            raise CalibrationError(f"{word or 'an empty line'} is not understood: {HELP}") from None
+        target = self.pulse_us + number if word[0] in "+-" else number
+        low, high = self._config.servo.min_pulse_us, self._config.servo.max_pulse_us
+        if not low <= target <= high:
+            raise CalibrationError(f"{target:g} us is outside the servo's range {low:g} to {high:g}")
+        return target
+
+    def _walk(self, target: float) -> None:
+        while self.pulse_us != target:
+            remaining = target - self.pulse_us
+            small = abs(remaining) <= STEP_US
+            following = target if small else self.pulse_us + math.copysign(STEP_US, remaining)
+            self._move(following)
+            self.pulse_us = following
+
+    def _take(self) -> None:
+        mode = self.seeking
+        if mode is None:
+            raise CalibrationError("both ends are known")
+        self.found[mode] = self.pulse_us
+        if self.seeking is None:
+            try:
+                self.result()
+            except CalibrationError:
+                del self.found[mode]
+                raise

@@ -1,0 +1,113 @@
+"""Limit switches at the ends of the travel, on GPIO lines, through libgpiod's Python package (version 2).
+
+A switch closes to ground: the line is pulled up and active low unless configured otherwise.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any, Protocol
+
+import msgspec
+
+from dart_flight.config.vehicle import LimitSwitch
+from dart_flight.lock.drivers import Driver, DriverError
+from dart_flight.lock.state_machine import DriverReading
+
+
+class SwitchReader(Protocol):
+    """Says which limit switches are closed."""
+
+    def read(self) -> tuple[bool | None, bool | None]:
+        """Closed at the rigid end, closed at the flexible end; None: not fitted. Raises `DriverError`."""
+
+    def close(self) -> None:
+        """Let go of the lines."""
+
+
+class GpioLimitSwitch:
+    """The configured lines of a GPIO chip, requested at the first reading."""
+
+    def __init__(self, config: LimitSwitch) -> None:
+        """Find libgpiod.
+
+        Raises:
+            DriverError: the package is not installed, or is version 1.
+        """
+        self._config = config
+        self._request: Any = None
+        try:
+            self._gpiod: Any = importlib.import_module("gpiod")
+        except ImportError:
+            raise DriverError(
+                "a limit switch needs libgpiod's Python package: pip install gpiod", ("limit_switch",)
+            ) from None
+        if not hasattr(self._gpiod, "request_lines"):
+            raise DriverError(
+                "a limit switch needs version 2 of the gpiod package: pip install 'gpiod>=2'",
+                ("limit_switch",),
+            )
+
+    def read(self) -> tuple[bool | None, bool | None]:
+        """Closed at the rigid end, closed at the flexible end; None: not fitted.
+
+        Raises:
+            DriverError: the chip or a line cannot be had or read.
+        """
+        config, line = self._config, self._gpiod.line
+        try:
+            if self._request is None:
+                lines = tuple(n for n in (config.rigid_line, config.flexible_line) if n is not None)
+                bias = line.Bias.PULL_UP if config.active_low else line.Bias.PULL_DOWN
+                settings = self._gpiod.LineSettings(
+                    direction=line.Direction.INPUT, bias=bias, active_low=config.active_low
+                )
+                self._request = self._gpiod.request_lines(
+                    config.chip, consumer="dart-flight lock", config={lines: settings}
+                )
+            rigid, flexible = (
+                None if n is None else self._request.get_value(n) == line.Value.ACTIVE
+                for n in (config.rigid_line, config.flexible_line)
+            )
+        except (OSError, ValueError, self._gpiod.RequestReleasedError) as error:
+            self.close()
+            raise DriverError(f"limit switch on {config.chip}: {error}", ("limit_switch", "chip")) from None
+        return rigid, flexible
+
+    def close(self) -> None:
+        """Let go of the lines."""
+        request, self._request = self._request, None
+        if request is not None:
+            request.release()
+
+
+class WithLimitSwitch:
+    """A driver whose readings carry what the limit switches say."""
+
+    def __init__(self, driver: Driver, switches: SwitchReader) -> None:
+        self._driver = driver
+        self._switches = switches
+
+    def open(self) -> None:
+        """Reach the hardware and the switches."""
+        self._driver.open()
+        self._switches.read()
+
+    def set_pulse(self, pulse_us: float) -> None:
+        """Put out this pulse width in us."""
+        self._driver.set_pulse(pulse_us)
+
+    def release(self) -> None:
+        """Switch the pulses off."""
+        self._driver.release()
+
+    def read(self) -> DriverReading:
+        """What the driver reports, with the switches."""
+        reading = self._driver.read()
+        rigid, flexible = self._switches.read()
+        return msgspec.structs.replace(reading, rigid_switch=rigid, flexible_switch=flexible)
+
+    def close(self) -> None:
+        """Let go of the hardware."""
+        self._switches.close()
+        self._driver.close()

@@ -1,0 +1,185 @@
+"""Pololu Maestro serial servo controller, compact protocol (Maestro User's Guide, section 5.e).
+
+    Set Target   0x84 channel low7 high7     quarter-microseconds; 0 stops the pulses
+    Set Speed    0x87 channel low7 high7     0.25 us per 10 ms, that is 25 us/s; 0: no limit
+    Get Position 0x90 channel                -> two bytes, little-endian, quarter-microseconds; 0: no pulses
+    Get Errors   0xA1                        -> two bytes, little-endian; reading clears them
+
+The protocol without checksum has no protection against noise, so every question is put twice and counts
+only with equal answers and nothing left over on the line; a command counts only when the controller has no
+serial error to report after it. The only file that imports pyserial.
+"""
+
+from __future__ import annotations
+
+import os
+import termios
+
+import serial
+
+from dart_flight.config.vehicle import LockConfig
+from dart_flight.lock.drivers import DriverError
+from dart_flight.lock.state_machine import DriverReading
+
+SET_TARGET, SET_SPEED, GET_POSITION, GET_ERRORS = 0x84, 0x87, 0x90, 0xA1
+QUARTERS_PER_US = 4
+SPEED_UNIT_US_S = 25.0
+
+ERRORS = (
+    "serial signal error",
+    "serial overrun error",
+    "serial buffer full",
+    "serial CRC error",
+    "serial protocol error",
+    "serial time-out",
+    "script stack error",
+    "script call stack error",
+    "script program counter error",
+)
+SERIAL_ERRORS = 0b0011_1111  # after these a command may have been lost
+
+_ATTEMPTS = 3
+_MAX_POSITION = 4095 * QUARTERS_PER_US  # no servo pulse is longer
+_MAX_RAMP_BETWEEN = 16 * QUARTERS_PER_US  # change of a moving position between two questions
+
+
+def error_names(bits: int) -> tuple[str, ...]:
+    """The controller's error bits in words."""
+    return tuple(name for i, name in enumerate(ERRORS) if bits & (1 << i))
+
+
+class MaestroDriver:
+    """One channel of a Maestro. After a failure the port is closed; the next call opens it again."""
+
+    def __init__(self, config: LockConfig) -> None:
+        self._config = config.maestro
+        self._port: serial.Serial | None = None
+
+    def open(self) -> None:
+        """Open the port and set the channel's speed limit.
+
+        Raises:
+            DriverError: the port does not exist, is not writable, is not a serial port or is in use (all
+                with the key of the port); or no Maestro answers.
+        """
+        if self._port is not None:
+            return
+        name = self._config.port
+        key = ("maestro", "port")
+        if not os.path.exists(name):
+            raise DriverError(f"{name} does not exist; is the servo controller plugged in?", key)
+        if not os.access(name, os.R_OK | os.W_OK):
+            raise DriverError(f"{name} is not writable; are you in the group of serial ports (dialout)?", key)
+        try:
+            self._port = serial.Serial(
+                name,
+                self._config.baud,
+                timeout=self._config.reply_timeout_s,
+                write_timeout=self._config.reply_timeout_s,
+                exclusive=True,
+            )
+        except (OSError, ValueError, termios.error) as error:
+            # pyserial's SerialException is an OSError; its texts name the port themselves.
+            raise DriverError(f"cannot open {name}: {_plain(error)}", key) from None
+        self._ask_errors()  # clears those of the time before us, and shows that a Maestro is there
+        speed = round(self._config.speed_limit_us_s / SPEED_UNIT_US_S)
+        self._command(SET_SPEED, speed)
+
+    def set_pulse(self, pulse_us: float) -> None:
+        """Put out this pulse width in us; with a speed limit the controller takes its time over it."""
+        self._command(SET_TARGET, round(pulse_us * QUARTERS_PER_US))
+
+    def release(self) -> None:
+        """Switch the pulses off."""
+        self._command(SET_TARGET, 0)
+
+    def read(self) -> DriverReading:
+        """The pulse width the controller puts out now, and its errors since the last question."""
+        self.open()
+        position = self._ask_position()
+        bits = self._ask_errors()
+        return DriverReading(
+            pulse_us=None if position == 0 else position / QUARTERS_PER_US, errors=error_names(bits)
+        )
+
+    def close(self) -> None:
+        """Close the port; the controller keeps its pulses."""
+        port, self._port = self._port, None
+        if port is not None:
+            try:
+                port.close()
+            except OSError:
+                # A port whose device is gone cannot even be closed properly; it is closed all the same.
+                return
+
+    # -- the line --
+
+    def _command(self, code: int, value: int) -> None:
+        """Send a command until the controller has no serial error to report after it."""
+        self.open()
+        message = bytes((code, self._config.channel, value & 0x7F, (value >> 7) & 0x7F))
+        bits = 0
+        for _ in range(_ATTEMPTS):
+            self._write(message)
+            bits = self._ask_errors()
+            if not bits & SERIAL_ERRORS:
+                return
+        raise self._lost(f"the controller reports {', '.join(error_names(bits))}")
+
+    def _ask_position(self) -> int:
+        question = bytes((GET_POSITION, self._config.channel))
+        for _ in range(_ATTEMPTS):
+            answer = self._ask(question * 2, 4)
+            if answer is None:
+                continue
+            first, second = (int.from_bytes(answer[i : i + 2], "little") for i in (0, 2))
+            plausible = max(first, second) <= _MAX_POSITION and (first == 0) == (second == 0)
+            if plausible and abs(first - second) <= _MAX_RAMP_BETWEEN:
+                return second
+        raise self._lost("no sensible answer about the position")
+
+    def _ask_errors(self) -> int:
+        """Error bits; asked twice, because the bits of the first answer are cleared for the second."""
+        for _ in range(_ATTEMPTS):
+            answer = self._ask(bytes((GET_ERRORS,)) * 2, 4)
+            if answer is None:
+                continue
+            first, second = (int.from_bytes(answer[i : i + 2], "little") for i in (0, 2))
+            if max(first, second) < 1 << len(ERRORS) and second & ~first == 0:
+                return first
+        raise self._lost("no sensible answer about errors")
+
+    def _ask(self, question: bytes, size: int) -> bytes | None:
+        """The answer to a question; None when it is short or something else is on the line."""
+        port = self._write(question, clear=True)
+        try:
+            answer = bytes(port.read(size))
+            left_over = port.in_waiting
+        except (OSError, termios.error, TypeError) as error:
+            # TypeError: pyserial after the descriptor has gone.
+            raise self._lost(_plain(error)) from None
+        return answer if len(answer) == size and not left_over else None
+
+    def _write(self, message: bytes, *, clear: bool = False) -> serial.Serial:
+        port = self._port
+        if port is None:
+            raise self._lost("not connected")
+        try:
+            if clear:
+                port.reset_input_buffer()
+            port.write(message)
+        except (OSError, termios.error, TypeError) as error:
+            raise self._lost(_plain(error)) from None
+        return port
+
+    def _lost(self, why: str) -> DriverError:
+        self.close()
+        return DriverError(f"servo controller at {self._config.port}: {why}")
+
+
+def _plain(error: Exception) -> str:
+    """An error of the system in its shortest words."""
+    number = getattr(error, "errno", None)
+    if isinstance(error, termios.error) and error.args:
+        number = error.args[0]
+    return os.strerror(number) if isinstance(number, int) else str(error)

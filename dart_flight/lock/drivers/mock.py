@@ -1,0 +1,126 @@
+"""A modelled servo behind a modelled controller, on whatever time base the shell has: nothing real moves.
+
+The faults are those that a real lock can have. In a dry-run the mock belongs to the harness: the shell
+passes `horn_pulse_us` on to the simulated vehicle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import msgspec
+
+from dart_flight.config.vehicle import LockConfig
+from dart_flight.lock.drivers import DriverError
+from dart_flight.lock.servo import NO_FAULTS, ServoFaults, ServoModel, mode_of
+from dart_flight.lock.state_machine import DriverReading
+from dart_flight.samples import Mode
+
+
+class MockFaults(msgspec.Struct, frozen=True):
+    """What is wrong with the modelled lock.
+
+    Attributes:
+        servo: the servo itself: stuck, slow, stalled.
+        unplugged: the controller does not answer; the servo goes on with the last pulse.
+        brown_out: every travel pulls the supply down after `BROWN_OUT_S`: the controller restarts and its
+            pulses are off until the next command.
+        switch_silent: the limit switches never close.
+    """
+
+    servo: ServoFaults = NO_FAULTS
+    unplugged: bool = False
+    brown_out: bool = False
+    switch_silent: bool = False
+
+
+class MockDriver:
+    """The configured servo as a model; limit switches where the configuration has them."""
+
+    BROWN_OUT_S = 0.06  # into the travel: the motor's starting current empties the supply's capacitors
+
+    def __init__(
+        self,
+        config: LockConfig,
+        clock_us: Callable[[], int],
+        *,
+        pulse_us: float | None = None,
+        faults: MockFaults | None = None,
+    ) -> None:
+        """`pulse_us` is where the horn is at the start; default: the flexible end."""
+        self._config = config
+        self._clock_us = clock_us
+        self._faults = faults or MockFaults()
+        start_us = config.servo.flexible_pulse_us if pulse_us is None else pulse_us
+        self._servo = ServoModel(config.servo, start_us, self._faults.servo)
+        self._reset_at_us: int | None = None
+        self._restarted = False
+
+    @property
+    def faults(self) -> MockFaults:
+        """The faults in force."""
+        return self._faults
+
+    def inject(self, faults: MockFaults) -> None:
+        """From now on these faults are in force, instead of the ones before."""
+        now = self._advance(self._clock_us())
+        self._faults = faults
+        self._servo.set_faults(now, faults.servo)
+
+    def horn_pulse_us(self, t_us: int) -> float:
+        """Where the horn really is at `t_us` of the mock's time base, as a pulse width in us."""
+        self._advance(t_us)
+        return self._servo.pulse_at(t_us)
+
+    def open(self) -> None:
+        """Reach the modelled controller."""
+        self._answers()
+
+    def set_pulse(self, pulse_us: float) -> None:
+        """Put out this pulse width in us."""
+        now = self._answers()
+        moves = abs(self._servo.pulse_at(now) - pulse_us) > self._config.servo.tolerance_us
+        self._servo.command(now, pulse_us)
+        self._restarted = False
+        self._reset_at_us = now + round(self.BROWN_OUT_S * 1e6) if self._faults.brown_out and moves else None
+
+    def release(self) -> None:
+        """Switch the pulses off."""
+        self._servo.command(self._answers(), None)
+        self._reset_at_us = None
+
+    def read(self) -> DriverReading:
+        """What the modelled controller puts out, and the modelled switches."""
+        now = self._answers()
+        at = mode_of(self._config.servo, self._servo.pulse_at(now))
+        return DriverReading(
+            pulse_us=self._servo.commanded_us,
+            rigid_switch=self._switch(Mode.RIGID, at),
+            flexible_switch=self._switch(Mode.FLEXIBLE, at),
+            errors=("the controller has restarted",) if self._restarted else (),
+        )
+
+    def close(self) -> None:
+        """Let go; the pulses stay."""
+
+    def _switch(self, mode: Mode, at: Mode | None) -> bool | None:
+        fitted = self._config.limit_switch
+        line = None
+        if fitted is not None:
+            line = fitted.rigid_line if mode is Mode.RIGID else fitted.flexible_line
+        if line is None:
+            return None
+        return at is mode and not self._faults.switch_silent
+
+    def _answers(self) -> int:
+        now = self._advance(self._clock_us())
+        if self._faults.unplugged:
+            raise DriverError("the controller does not answer (unplugged)")
+        return now
+
+    def _advance(self, t_us: int) -> int:
+        if self._reset_at_us is not None and t_us >= self._reset_at_us:
+            self._servo.command(self._reset_at_us, None)
+            self._reset_at_us = None
+            self._restarted = True
+        return t_us

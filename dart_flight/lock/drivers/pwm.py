@@ -1,0 +1,132 @@
+"""Hardware PWM of the Raspberry Pi through sysfs (kernel documentation, driver-api/pwm).
+
+    pwmchipN/export              channel number: makes pwmchipN/pwmM appear
+    pwmchipN/pwmM/period         ns, the whole frame
+    pwmchipN/pwmM/duty_cycle     ns, the pulse; never longer than the period
+    pwmchipN/pwmM/polarity       normal or inversed; can be written only while disabled
+    pwmchipN/pwmM/enable         1 or 0
+
+The channel stays exported when the program ends: taking it back would stop the pulses.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+from dart_flight.config.vehicle import LockConfig
+from dart_flight.lock.drivers import DriverError
+from dart_flight.lock.state_machine import DriverReading
+
+_APPEAR_S = 1.0  # udev needs a moment to give the new files to their group
+
+
+def write_attribute(path: Path, text: str) -> None:
+    """Write a sysfs attribute: one write of its whole text, to a file that must exist already.
+
+    Raises:
+        OSError: as the kernel says.
+    """
+    descriptor = os.open(path, os.O_WRONLY | os.O_TRUNC | os.O_CLOEXEC)
+    try:
+        os.write(descriptor, text.encode())
+    finally:
+        os.close(descriptor)
+
+
+class PwmDriver:
+    """One channel of a PWM chip."""
+
+    def __init__(self, config: LockConfig) -> None:
+        self._config = config.pwm
+        self._chip = Path(config.pwm.sysfs_dir) / f"pwmchip{config.pwm.chip}"
+        self._channel = self._chip / f"pwm{config.pwm.channel}"
+        self._period_ns = round(config.pwm.period_us * 1000.0)
+
+    def open(self) -> None:
+        """Export the channel and set the frame; a channel that runs with this frame already is not touched.
+
+        Raises:
+            DriverError: chip or channel do not exist, are not writable, or refuse (with the key).
+        """
+        if not self._chip.is_dir():
+            hint = "is dtoverlay=pwm-2chan in config.txt?"
+            raise DriverError(f"{self._chip} does not exist; {hint}", ("pwm", "chip"))
+        if self._config.channel >= self._number(self._chip / "npwm"):
+            has = self._number(self._chip / "npwm")
+            raise DriverError(f"{self._chip.name} has {has} channels, from 0", ("pwm", "channel"))
+        if not self._channel.is_dir():
+            self._write(self._chip / "export", str(self._config.channel))
+        self._wait_until_writable()
+        if self._number(self._channel / "period") != self._period_ns:
+            # Older kernels refuse every write while the period is 0 or shorter than the pulse.
+            self._stop()
+            if self._number(self._channel / "duty_cycle") > self._period_ns:
+                self._write(self._channel / "duty_cycle", "0")
+            self._write(self._channel / "period", str(self._period_ns))
+        if self._text("polarity") != "normal":
+            self._stop()
+            self._write(self._channel / "polarity", "normal")
+
+    def set_pulse(self, pulse_us: float) -> None:
+        """Put out this pulse width in us."""
+        self.open()
+        self._write(self._channel / "duty_cycle", str(round(pulse_us * 1000.0)))
+        if self._text("enable") != "1":
+            self._write(self._channel / "enable", "1")
+
+    def release(self) -> None:
+        """Switch the pulses off."""
+        self.open()
+        self._stop()
+
+    def read(self) -> DriverReading:
+        """The pulse width that the kernel puts out."""
+        self.open()
+        if self._text("enable") != "1":
+            return DriverReading(pulse_us=None)
+        return DriverReading(pulse_us=self._number(self._channel / "duty_cycle") / 1000.0)
+
+    def close(self) -> None:
+        """Nothing is held open; the pulses stay."""
+
+    # -- files --
+
+    def _stop(self) -> None:
+        if self._text("enable") != "0":
+            self._write(self._channel / "enable", "0")
+
+    def _wait_until_writable(self) -> None:
+        give_up = time.monotonic() + _APPEAR_S
+        while not os.access(self._channel / "enable", os.W_OK):
+            if time.monotonic() > give_up:
+                appeared = self._channel.is_dir()
+                what = "is not writable; are you in the group gpio?" if appeared else "did not appear"
+                raise DriverError(f"{self._channel} {what}", ("pwm", "channel"))
+            time.sleep(0.005)
+
+    def _write(self, path: Path, text: str) -> None:
+        try:
+            write_attribute(path, text)
+        except OSError as error:
+            reason = f"cannot write {text} to {path}: {error.strerror}"
+            raise DriverError(reason, ("pwm", "chip")) from None
+
+    def _text(self, name: str) -> str:
+        return self._read(self._channel / name)
+
+    def _number(self, path: Path) -> int:
+        text = self._read(path)
+        try:
+            return int(text)
+        except ValueError:
+            raise DriverError(f"{path} says {text!r}, not a number", ("pwm", "chip")) from None
+
+    @staticmethod
+    def _read(path: Path) -> str:
+        try:
+            return path.read_text().strip()
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            raise DriverError(f"cannot read {path}: {reason}", ("pwm", "chip")) from None

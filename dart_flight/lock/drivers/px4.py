@@ -1,0 +1,130 @@
+"""PX4's own servo output: MAV_CMD_DO_SET_ACTUATOR through a callable that the shell brings along.
+
+PX4 acknowledges the command whether or not anything is connected to it, and moves the output only when
+armed unless COM_PREARM_MODE says otherwise: `required_parameters` states what must be set, and
+`parameter_problems` compares with what is set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import msgspec
+
+from dart_flight.config.vehicle import LockConfig
+from dart_flight.lock.drivers import DriverError
+from dart_flight.lock.state_machine import DriverReading
+
+ACTUATOR_SET_1 = 301  # PX4's output function "Peripheral via Actuator Set 1"
+PREARM_ALWAYS = 2
+SERVO_RATE_HZ = 50
+
+
+class RequiredParameter(msgspec.Struct, frozen=True):
+    """One PX4 parameter and the value without which the servo does not move as commanded.
+
+    Attributes:
+        name: PX4's name.
+        value: what it must be; with `mask`, what its masked bits must be.
+        why: what goes wrong otherwise.
+        mask: the bits that matter; None: all.
+    """
+
+    name: str
+    value: int
+    why: str
+    mask: int | None = None
+
+    def met_by(self, actual: float) -> bool:
+        """Whether a value read from the vehicle is right."""
+        return (round(actual) if self.mask is None else round(actual) & self.mask) == self.value
+
+
+def required_parameters(config: LockConfig) -> tuple[RequiredParameter, ...]:
+    """The PX4 parameters (v1.14 and later) that make the configured output move the servo as calibrated."""
+    px4 = config.px4
+    bank, pin = f"PWM_{px4.bank}", px4.pin
+    function = ACTUATOR_SET_1 + px4.actuator_index - 1
+    flexible = round(config.servo.flexible_pulse_us)
+    return (
+        RequiredParameter(
+            f"{bank}_FUNC{pin}", function, f"no pin listens to actuator {px4.actuator_index} otherwise"
+        ),
+        RequiredParameter("COM_PREARM_MODE", PREARM_ALWAYS, "the servo moves only when armed otherwise"),
+        RequiredParameter(
+            f"{bank}_MIN{pin}", round(px4.min_pulse_us), "it is the pulse of actuator value -1"
+        ),
+        RequiredParameter(f"{bank}_MAX{pin}", round(px4.max_pulse_us), "it is the pulse of actuator value 1"),
+        RequiredParameter(f"{bank}_DIS{pin}", flexible, "the servo would go elsewhere than flexible at boot"),
+        RequiredParameter(f"{bank}_TIM{px4.timer}", SERVO_RATE_HZ, "an analogue servo needs a 50 Hz frame"),
+        RequiredParameter(f"{bank}_REV", 0, "the output would be reversed", mask=1 << (pin - 1)),
+    )
+
+
+def parameter_problems(config: LockConfig, actual: Mapping[str, float]) -> list[str]:
+    """What is wrong with a vehicle's parameters for this output, one line each; empty: nothing.
+
+    Args:
+        config: the lock's configuration.
+        actual: parameters as read from the vehicle; a missing one counts as wrong.
+    """
+    problems = []
+    for required in required_parameters(config):
+        if required.name not in actual:
+            problems.append(f"{required.name} is not on this vehicle; {required.why}")
+        elif not required.met_by(actual[required.name]):
+            wanted = f"{required.value}" if required.mask is None else f"without bit {required.mask:#x}"
+            shown = f"{actual[required.name]:g}"
+            problems.append(f"{required.name} is {shown}, must be {wanted}: {required.why}")
+    return problems
+
+
+def actuator_value(config: LockConfig, pulse_us: float) -> float:
+    """The actuator value from -1 to 1 at which PX4 puts out a pulse width in us.
+
+    Raises:
+        ValueError: the pulse is outside PX4's output range.
+    """
+    low, high = config.px4.min_pulse_us, config.px4.max_pulse_us
+    if not low <= pulse_us <= high:
+        raise ValueError(f"{pulse_us:g} us is outside PX4's output range {low:g} to {high:g}")
+    return 2.0 * (pulse_us - low) / (high - low) - 1.0
+
+
+def actuator_pulse_us(config: LockConfig, value: float) -> float:
+    """The pulse width in us that PX4 puts out at an actuator value; the inverse of `actuator_value`."""
+    low, high = config.px4.min_pulse_us, config.px4.max_pulse_us
+    return low + 0.5 * (max(-1.0, min(1.0, value)) + 1.0) * (high - low)
+
+
+class Px4Driver:
+    """The lock's servo on one of PX4's outputs. PX4 reports nothing back: a reading is the last command."""
+
+    def __init__(self, config: LockConfig, set_actuator: Callable[[int, float], None]) -> None:
+        self._config = config
+        self._set_actuator = set_actuator
+        self._sent_us: float | None = None
+
+    def open(self) -> None:
+        """Nothing to open: the connection is the shell's."""
+
+    def set_pulse(self, pulse_us: float) -> None:
+        """Send the actuator value of this pulse width in us."""
+        try:
+            value = actuator_value(self._config, pulse_us)
+            self._set_actuator(self._config.px4.actuator_index, value)
+        except Exception as error:
+            # The callable is the shell's: whatever it raises, the lock has not moved.
+            raise DriverError(f"PX4 actuator {self._config.px4.actuator_index}: {error}") from error
+        self._sent_us = pulse_us
+
+    def release(self) -> None:
+        """PX4 has no command that switches an output's pulses off."""
+        raise DriverError("PX4 cannot switch the pulses of an output off")
+
+    def read(self) -> DriverReading:
+        """The last command; None before the first."""
+        return DriverReading(pulse_us=self._sent_us)
+
+    def close(self) -> None:
+        """Nothing to close; PX4 keeps the output as it is."""

@@ -1,0 +1,93 @@
+"""The lock on the ground, in real time and by hand: what `dart-flight lock` does, without its printing.
+
+Who types a command stands beside the vehicle and sees the arms; so locking is permitted here, and the
+first command replaces homing.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import msgspec
+
+from dart_flight.config.vehicle import LockConfig, LockDriver, LockStartup
+from dart_flight.lock.calibration import Calibration
+from dart_flight.lock.drivers import Driver, SetActuator, make_driver
+from dart_flight.lock.drivers.mock import MockDriver
+from dart_flight.lock.persistence import LastCommand
+from dart_flight.lock.session import LockSession
+from dart_flight.samples import LockPhase, LockState, Mode
+
+POLL_S = 0.02
+CALIBRATION_STEP_S = 0.04  # two frames of the servo for every small step
+
+
+def clock_us() -> int:
+    """The host's monotonic time in microseconds."""
+    return time.monotonic_ns() // 1000
+
+
+def ground_driver(
+    config: LockConfig, last: LastCommand | None, set_actuator: SetActuator | None = None
+) -> Driver:
+    """The configured driver; the mock begins where its last command left it.
+
+    Raises:
+        DriverError: as `make_driver`.
+    """
+    if config.driver is LockDriver.MOCK:
+        known = last is not None and last.driver is LockDriver.MOCK
+        return MockDriver(
+            config, clock_us, pulse_us=config.servo.pulse_us(last.mode) if known and last else None
+        )
+    return make_driver(config, clock_us=clock_us, set_actuator=set_actuator)
+
+
+class GroundLock:
+    """A session in real time; every call blocks until the travel is over, at most the lock's time-out."""
+
+    def __init__(
+        self,
+        config: LockConfig,
+        driver: Driver,
+        on_change: Callable[[LockState], None] = lambda state: None,
+    ) -> None:
+        adopting = msgspec.structs.replace(config, startup=LockStartup.ADOPT)
+        self.session = LockSession(adopting, driver, clock_us, on_change)
+        self.session.permit(True)
+
+    def look(self) -> LockState:
+        """What can be found out without moving anything."""
+        self.session.start()
+        return self._settle()
+
+    def move(self, mode: Mode, *, release: bool = False) -> LockState:
+        """Move to a mode, then switch the pulses off if asked to."""
+        self.session.command(mode)
+        state = self._settle()
+        if release and state.phase is LockPhase.SETTLED:
+            self.session.release()
+        return self.session.state
+
+    def _settle(self) -> LockState:
+        while self.session.state.phase is LockPhase.TRAVELLING:
+            time.sleep(POLL_S)
+            self.session.poll()
+        return self.session.state
+
+
+def calibration(config: LockConfig, driver: Driver) -> Calibration:
+    """A calibration that begins where the controller holds the servo, else in the middle of its range.
+
+    Raises:
+        DriverError: the driver cannot be read.
+    """
+    reading = driver.read()
+
+    def move(pulse_us: float) -> None:
+        driver.set_pulse(pulse_us)
+        time.sleep(CALIBRATION_STEP_S)
+
+    middle_us = 0.5 * (config.servo.min_pulse_us + config.servo.max_pulse_us)
+    return Calibration(config, middle_us if reading.pulse_us is None else reading.pulse_us, move)

@@ -1,0 +1,146 @@
+"""The servo: calibration of horn angle against pulse width, travel time, and the horn as it really moves.
+
+Pure: simulated time is an argument, integer microseconds. Facts of the HiTec HS-322HD (maker's catalogue)
+are configuration: 0.19 s/60 degrees at 4.8 V, 0.15 at 6 V, 50 Hz frame, 900 to 2100 us. It has no position
+feedback: software knows what it commanded and how long the travel takes, not where the horn is.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+from dart_flight.config.vehicle import Cam, Servo
+from dart_flight.lock import cam as kinematics
+from dart_flight.samples import Mode
+
+
+def angle_deg(servo: Servo, pulse_us: float) -> float:
+    """Cam angle in degrees at a pulse width, by the two calibrated points."""
+    return servo.flexible_deg + servo.direction * (pulse_us - servo.flexible_pulse_us) / servo.us_per_deg
+
+
+def pulse_us(servo: Servo, cam_angle_deg: float) -> float:
+    """Pulse width in us at a cam angle, by the two calibrated points.
+
+    Raises:
+        ValueError: the servo's end stops do not allow it.
+    """
+    offset_deg = cam_angle_deg - servo.flexible_deg
+    pulse = servo.flexible_pulse_us + servo.direction * servo.us_per_deg * offset_deg
+    if not servo.min_pulse_us - 1e-6 <= pulse <= servo.max_pulse_us + 1e-6:
+        raise ValueError(
+            f"{cam_angle_deg:g} degrees is {pulse:.0f} us, over the servo's end stops "
+            f"{servo.min_pulse_us:g} to {servo.max_pulse_us:g}"
+        )
+    return pulse
+
+
+def rod_mm(servo: Servo, cam: Cam, horn_pulse_us: float) -> float:
+    """Rod translation in mm with the horn at a pulse width; beyond the cam's range, that of its end."""
+    low, high = kinematics.limits_deg(cam)
+    return kinematics.rod_mm(cam, max(low, min(high, angle_deg(servo, horn_pulse_us))))
+
+
+def travel_time_s(servo: Servo, from_us: float, to_us: float) -> float:
+    """Seconds the horn takes between two pulse widths: measured full travel, else catalogue by voltage."""
+    return abs(to_us - from_us) / servo.us_per_deg * servo.s_per_deg
+
+
+def mode_of(servo: Servo, horn_pulse_us: float) -> Mode | None:
+    """The mode whose end the horn is at, within `tolerance_us`; None in between."""
+    for mode in Mode:
+        if abs(horn_pulse_us - servo.pulse_us(mode)) <= servo.tolerance_us:
+            return mode
+    return None
+
+
+def locked_fraction(servo: Servo, horn_pulse_us: float) -> float:
+    """How far the horn is from the flexible end (0) to the rigid end (1), bounded to that range."""
+    share = (horn_pulse_us - servo.flexible_pulse_us) / (servo.rigid_pulse_us - servo.flexible_pulse_us)
+    return max(0.0, min(1.0, share))
+
+
+class ServoFaults(msgspec.Struct, frozen=True):
+    """What can be wrong with a servo.
+
+    Attributes:
+        stuck: the horn does not move at all.
+        slow: every travel takes this many times as long.
+        stall_fraction: the horn cannot pass this point, 0 the flexible end, 1 the rigid end; a horn that
+            is on one side of it stays on that side.
+    """
+
+    stuck: bool = False
+    slow: float = 1.0
+    stall_fraction: float | None = None
+
+    def __post_init__(self) -> None:
+        if not self.slow > 0.0:
+            raise ValueError(f"slow {self.slow:g} must be above 0")
+
+
+NO_FAULTS = ServoFaults()
+
+
+class ServoModel:
+    """The horn as it really moves in simulated time: constant speed to the commanded pulse width.
+
+    Without pulses the horn stays where it is (gear friction). Time never runs backwards: an earlier `t_us`
+    than the last one is taken as the last one.
+    """
+
+    def __init__(self, servo: Servo, pulse_us: float, faults: ServoFaults = NO_FAULTS) -> None:
+        self.servo = servo
+        self._us_per_s = servo.us_per_deg / servo.s_per_deg
+        self._horn_us = self._within_stops(pulse_us)
+        self._target_us: float | None = None
+        self._t_us: int | None = None
+        self._faults = faults
+        self._range_us = self._reachable()
+
+    @property
+    def faults(self) -> ServoFaults:
+        """The faults in force."""
+        return self._faults
+
+    @property
+    def commanded_us(self) -> float | None:
+        """Pulse width the servo is receiving; None without pulses."""
+        return self._target_us
+
+    def set_faults(self, t_us: int, faults: ServoFaults) -> None:
+        """From `t_us` on these faults are in force, instead of the ones before."""
+        self._advance(t_us)
+        self._faults = faults
+        self._range_us = self._reachable()
+
+    def command(self, t_us: int, pulse_us: float | None) -> None:
+        """From `t_us` on the servo receives this pulse width in us; None switches the pulses off."""
+        self._advance(t_us)
+        self._target_us = None if pulse_us is None else self._within_stops(pulse_us)
+
+    def pulse_at(self, t_us: int) -> float:
+        """Where the horn is at `t_us`, as the pulse width in us that would hold it there."""
+        self._advance(t_us)
+        return self._horn_us
+
+    def _within_stops(self, pulse: float) -> float:
+        return max(self.servo.min_pulse_us, min(self.servo.max_pulse_us, pulse))
+
+    def _advance(self, t_us: int) -> None:
+        elapsed_s = 0.0 if self._t_us is None else max(0, t_us - self._t_us) * 1e-6
+        self._t_us = t_us if self._t_us is None else max(t_us, self._t_us)
+        if self._target_us is None or self._faults.stuck or elapsed_s == 0.0:
+            return
+        step = self._us_per_s / self._faults.slow * elapsed_s
+        goal = max(self._range_us[0], min(self._range_us[1], self._target_us))
+        self._horn_us += max(-step, min(step, goal - self._horn_us))
+
+    def _reachable(self) -> tuple[float, float]:
+        """Lowest and highest pulse width the horn can get to: a stall bounds the side it is on."""
+        low, high = self.servo.min_pulse_us, self.servo.max_pulse_us
+        if self._faults.stall_fraction is None:
+            return low, high
+        flexible, rigid = self.servo.flexible_pulse_us, self.servo.rigid_pulse_us
+        stall = flexible + self._faults.stall_fraction * (rigid - flexible)
+        return (low, stall) if self._horn_us <= stall else (stall, high)

@@ -1,0 +1,404 @@
+"""The lock's state machine: what is known about the locking mechanism, and what may be asked of it.
+
+Two rules for this file: no I/O and no clock (time comes in with every input, integer microseconds of the
+core's time base), and `_go` alone changes the phase, by the table `TRANSITIONS`. `docs/lock.md` shows the
+table as a diagram.
+
+The servo has no position feedback. `settled` means that the driver took the command, that the travel time
+with its margin is over and that a reading taken after that still shows the commanded pulse; only a limit
+switch makes it `feedback=True`. A switch that is fitted at an end has the say there: without it closing the
+lock does not settle at that end.
+
+How a shell uses it: call `start` once, then `command`, `permit` as they come from the core; carry out the
+actions that come back in order and answer each `SetPulse` with `sent` (after `Driver.set_pulse` returned)
+or `driver_failed`; feed a `reading` at least every 20 to 50 ms, stamped with the time *before* it was
+taken; call `step` as often. `state` is a new object whenever something changed.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import msgspec
+
+from dart_flight.config.vehicle import LockConfig, LockStartup
+from dart_flight.lock.servo import mode_of
+from dart_flight.samples import LockPhase, LockState, Mode
+
+# --- what goes in and out ----------------------------------------------------------------------------
+
+
+class DriverReading(msgspec.Struct, frozen=True):
+    """What a driver reports.
+
+    Attributes:
+        pulse_us: pulse width it puts out at the moment, read back where the hardware can; None: pulses off,
+            or nothing was commanded yet and the hardware cannot be asked.
+        rigid_switch: limit switch at the rigid end closed; None: not fitted.
+        flexible_switch: the same at the flexible end.
+        errors: what the hardware complains about, in words.
+    """
+
+    pulse_us: float | None
+    rigid_switch: bool | None = None
+    flexible_switch: bool | None = None
+    errors: tuple[str, ...] = ()
+
+    def switch(self, mode: Mode) -> bool | None:
+        """The limit switch at a mode's end; None: not fitted."""
+        return self.rigid_switch if mode is Mode.RIGID else self.flexible_switch
+
+
+class SetPulse(msgspec.Struct, frozen=True):
+    """For the driver: put out this pulse width."""
+
+    pulse_us: float
+    mode: Mode
+
+
+class PulsesOff(msgspec.Struct, frozen=True):
+    """For the driver: switch the pulses off."""
+
+
+class Refused(msgspec.Struct, frozen=True):
+    """Not for the driver: what was asked is not done, and why."""
+
+    what: str
+    reason: str
+
+
+Action = SetPulse | PulsesOff | Refused
+
+# --- the table ---------------------------------------------------------------------------------------
+
+
+class Event(StrEnum):
+    """What can change the phase."""
+
+    COMMANDED = "commanded"
+    FOUND = "found at start-up"
+    ARRIVED = "arrived"
+    CONTACT = "contact while locking"
+    TIMED_OUT = "timed out"
+    DISPLACED = "pulse lost or switch open"
+    DRIVER_FAILED = "driver failed"
+
+
+TRANSITIONS: dict[LockPhase, dict[Event, LockPhase]] = {
+    LockPhase.UNKNOWN: {
+        Event.COMMANDED: LockPhase.TRAVELLING,
+        Event.FOUND: LockPhase.TRAVELLING,
+        Event.DRIVER_FAILED: LockPhase.FAULT,
+    },
+    LockPhase.TRAVELLING: {
+        Event.ARRIVED: LockPhase.SETTLED,
+        Event.CONTACT: LockPhase.TRAVELLING,
+        Event.TIMED_OUT: LockPhase.FAULT,
+        Event.DISPLACED: LockPhase.FAULT,
+        Event.DRIVER_FAILED: LockPhase.FAULT,
+    },
+    LockPhase.SETTLED: {
+        Event.COMMANDED: LockPhase.TRAVELLING,
+        Event.DISPLACED: LockPhase.FAULT,
+        Event.DRIVER_FAILED: LockPhase.FAULT,
+    },
+    LockPhase.FAULT: {
+        Event.COMMANDED: LockPhase.TRAVELLING,
+    },
+}
+
+NOT_PERMITTED = "the arms are in contact or have not sprung back"
+SETTLED_TEXT = {True: "settled", False: "settled (no feedback)"}
+
+
+def diagram() -> str:
+    """The table as Mermaid text."""
+    lines = ["stateDiagram-v2", f"    [*] --> {LockPhase.UNKNOWN}"]
+    for before, row in TRANSITIONS.items():
+        lines += [f"    {before} --> {after}: {event}" for event, after in row.items()]
+    return "\n".join(lines) + "\n"
+
+
+def describe(state: LockState) -> str:
+    """A lock state in a few words, for people: `rigid: settled (no feedback)`."""
+    if state.phase is LockPhase.SETTLED:
+        text = f"{state.mode}: {SETTLED_TEXT[state.feedback]}"
+    elif state.phase is LockPhase.TRAVELLING:
+        text = f"travelling to {state.mode}"
+    else:
+        text = str(state.phase)
+    return text if state.reason is None else f"{text}; {state.reason}"
+
+
+def status_text(state: LockState) -> str:
+    """A lock state for MAVLink's STATUSTEXT, which holds 50 bytes."""
+    return f"lock {describe(state)}".encode("ascii", "replace")[:50].decode()
+
+
+def _since(before_us: int | None, t_us: int) -> int:
+    """Start of an unbroken run of readings: the one before where there is one, else now."""
+    return t_us if before_us is None else before_us
+
+
+# --- the machine -------------------------------------------------------------------------------------
+
+
+class LockStateMachine:
+    """State of the locking mechanism; see the module's text for how a shell uses it."""
+
+    def __init__(self, config: LockConfig, t_us: int = 0) -> None:
+        self.config = config
+        self._state = LockState(t_us=t_us, phase=LockPhase.UNKNOWN, mode=None)
+        self._permitted = False
+        self._target: Mode | None = None  # commanded or found; kept in a fault for the readings' sake
+        self._pulses_off = False  # on request: a reading without pulses is then as it should be
+        self._begun_us = t_us  # of the travel
+        self._sent_us: int | None = None  # since when the driver has been putting out the target's pulse
+        self._closed_since_us: int | None = None  # the target's switch, during a travel
+        self._wrong_since_us: int | None = None  # pulse lost, or switches that contradict
+        self._last_reading_us = t_us
+        self._last: DriverReading | None = None
+
+    @property
+    def state(self) -> LockState:
+        """What is known; a new object after every change."""
+        return self._state
+
+    @property
+    def permitted(self) -> bool:
+        """Whether locking is permitted at the moment."""
+        return self._permitted
+
+    @property
+    def due_us(self) -> int | None:
+        """When a travel is over by time: a reading taken then settles it. None when nothing travels."""
+        if self._state.phase is not LockPhase.TRAVELLING or self._sent_us is None:
+            return None
+        return self._sent_us + round(self.config.switch_time_s * 1e6)
+
+    # -- inputs: what is asked --
+
+    def start(self, t_us: int, reading: DriverReading | None) -> list[Action]:
+        """The program starts: home or adopt, as configured; `reading` is the driver's first, if it has one.
+
+        Adopting believes a closed switch, else a pulse that the hardware is still putting out at one of the
+        two ends; that counts as a travel begun now, because it may have been commanded just before. Nothing
+        found stays `unknown`: a command written down by the last run is no knowledge of where the horn is.
+        """
+        if self.config.startup is LockStartup.HOME:
+            return self.command(t_us, self.config.home_mode)
+        found, why_not = self._found(reading)
+        if found is None:
+            self._replace(t_us, reason=why_not)
+            return []
+        self._begin(t_us, found, Event.FOUND, commanded_us=None)
+        self._pulses_off = reading is not None and reading.pulse_us is None
+        self._sent_us = t_us
+        return []
+
+    def command(self, t_us: int, mode: Mode) -> list[Action]:
+        """Move to a mode. Comes back as `Refused` when it is not permitted now."""
+        phase = self._state.phase
+        if phase is LockPhase.TRAVELLING and self._target is not mode:
+            return self._refuse(t_us, mode, f"travelling to {self._target}")
+        if (
+            mode is self._target
+            and not self._pulses_off
+            and phase in (LockPhase.TRAVELLING, LockPhase.SETTLED)
+        ):
+            return []
+        if mode is Mode.RIGID and not self._permitted:
+            return self._refuse(t_us, mode, NOT_PERMITTED)
+        self._begin(t_us, mode, Event.COMMANDED, commanded_us=t_us)
+        return [SetPulse(self.config.servo.pulse_us(mode), mode)]
+
+    def release(self, t_us: int) -> list[Action]:
+        """Switch the pulses off; the horn then stays where it is by friction. Refused during a travel."""
+        if self._state.phase is LockPhase.TRAVELLING:
+            return self._refuse(t_us, "release", f"travelling to {self._target}")
+        before = self._state.reason if self._state.phase is LockPhase.FAULT else None
+        if not self._pulses_off:
+            self._replace(t_us, reason=f"{before}; pulses off" if before else "pulses off")
+        self._pulses_off = True
+        return [PulsesOff()]
+
+    def permit(self, t_us: int, permitted: bool) -> list[Action]:
+        """Whether the arms are clear of contact and have sprung back; not permitted until said.
+
+        Losing the permission while locking draws the rods back: they must not be on their way into the
+        slots during a contact.
+        """
+        self._permitted = permitted
+        locking = self._state.phase is LockPhase.TRAVELLING and self._target is Mode.RIGID
+        if permitted or not locking or self._state.commanded_us is None:
+            return []
+        self._begin(t_us, Mode.FLEXIBLE, Event.CONTACT, commanded_us=t_us, reason=str(Event.CONTACT))
+        return [SetPulse(self.config.servo.pulse_us(Mode.FLEXIBLE), Mode.FLEXIBLE)]
+
+    # -- inputs: what happened --
+
+    def sent(self, t_us: int, pulse_us: float) -> None:
+        """The driver has taken `SetPulse(pulse_us)`: the travel time runs from here."""
+        if self._state.phase is LockPhase.TRAVELLING and self._at_target(pulse_us) and self._sent_us is None:
+            self._sent_us = t_us
+
+    def driver_failed(self, t_us: int, reason: str) -> list[Action]:
+        """The driver could not do what was asked, or could not be read."""
+        self._go(t_us, Event.DRIVER_FAILED, reason=reason)
+        return []
+
+    def reading(self, t_us: int, reading: DriverReading) -> list[Action]:
+        """What the driver reports; `t_us` is the time before the reading was taken."""
+        self._last, self._last_reading_us = reading, t_us
+        if self._state.phase is LockPhase.TRAVELLING:
+            self._read_travelling(t_us, reading)
+        elif self._state.phase is LockPhase.SETTLED:
+            self._read_settled(t_us, reading)
+        return self.step(t_us)
+
+    def step(self, t_us: int) -> list[Action]:
+        """Time goes by."""
+        phase = self._state.phase
+        if phase is LockPhase.TRAVELLING and t_us - self._begun_us >= self.config.timeout_s * 1e6:
+            self._go(t_us, Event.TIMED_OUT, reason=self._why_not_arrived())
+        elif phase is LockPhase.SETTLED and self._state.feedback:
+            silent_s = (t_us - self._last_reading_us) * 1e-6
+            if silent_s > self.config.timeout_s:
+                self._go(t_us, Event.DRIVER_FAILED, reason=f"no reading for {silent_s:.1f} s")
+        return []
+
+    # -- judgement of readings --
+
+    def _read_travelling(self, t_us: int, reading: DriverReading) -> None:
+        target, due_us = self._target, self.due_us
+        if target is None or self._sent_us is None or due_us is None or t_us < self._sent_us:
+            return  # taken before the driver had the command: it says nothing about this travel
+        if self._wrong_for(t_us, not self._pulses_off and reading.pulse_us is None):
+            self._go(t_us, Event.DISPLACED, reason=self._complaint("the controller lost the pulse", reading))
+            return
+        own, other = reading.switch(target), reading.switch(target.other)
+        self._closed_since_us = _since(self._closed_since_us, t_us) if own else None
+        if other or not self._pulse_as_it_should_be(reading):
+            return
+        if own is None:
+            if t_us >= due_us:
+                self._go(t_us, Event.ARRIVED, feedback=False)
+        elif self._closed_since_us is not None and self._lasted(self._closed_since_us, t_us):
+            self._go(t_us, Event.ARRIVED, feedback=True)
+
+    def _read_settled(self, t_us: int, reading: DriverReading) -> None:
+        target = self._target
+        if target is None:
+            return
+        complaint = ""
+        if reading.switch(target) is False:
+            complaint = f"the {target} limit switch has opened"
+        elif reading.switch(target.other):
+            complaint = f"the {target.other} limit switch has closed"
+        elif reading.pulse_us is None and not self._pulses_off:
+            complaint = "the controller lost the pulse"
+        elif not self._pulse_as_it_should_be(reading):
+            complaint = f"the controller puts out {reading.pulse_us:.0f} us"
+        if self._wrong_for(t_us, bool(complaint)):
+            self._go(t_us, Event.DISPLACED, reason=self._complaint(complaint, reading))
+
+    def _wrong_for(self, t_us: int, wrong: bool) -> bool:
+        """Whether something has now been wrong for the debounce time."""
+        self._wrong_since_us = _since(self._wrong_since_us, t_us) if wrong else None
+        return self._wrong_since_us is not None and self._lasted(self._wrong_since_us, t_us)
+
+    def _lasted(self, since_us: int, t_us: int) -> bool:
+        return t_us - since_us >= self.config.debounce_s * 1e6
+
+    def _pulse_as_it_should_be(self, reading: DriverReading) -> bool:
+        if reading.pulse_us is None:
+            return self._pulses_off
+        return self._at_target(reading.pulse_us)
+
+    def _at_target(self, pulse_us: float) -> bool:
+        if self._target is None:
+            return False
+        return abs(pulse_us - self.config.servo.pulse_us(self._target)) <= self.config.servo.tolerance_us
+
+    @staticmethod
+    def _complaint(text: str, reading: DriverReading) -> str:
+        return "; ".join((text, *reading.errors))
+
+    def _why_not_arrived(self) -> str:
+        target, last = self._target, self._last
+        within = f"within {self.config.timeout_s:g} s"
+        if target is None or self._sent_us is None:
+            return f"the driver did not take the command {within}"
+        if last is None or self._last_reading_us < self._sent_us:
+            return f"the driver reported nothing {within}"
+        if last.switch(target.other):
+            return f"the {target.other} limit switch did not open {within}"
+        if last.switch(target) is False:
+            return f"the {target} limit switch did not close {within}"
+        if not self._pulse_as_it_should_be(last):
+            shown = "no pulses" if last.pulse_us is None else f"{last.pulse_us:.0f} us"
+            wanted = f"{self.config.servo.pulse_us(target):.0f} us"
+            return self._complaint(f"the controller puts out {shown} instead of {wanted}", last)
+        return f"no reading came after the travel time {within}"
+
+    def _found(self, reading: DriverReading | None) -> tuple[Mode | None, str]:
+        if reading is None:
+            return None, "nothing to adopt: no reading"
+        closed = [mode for mode in Mode if reading.switch(mode)]
+        by_pulse = None if reading.pulse_us is None else mode_of(self.config.servo, reading.pulse_us)
+        if len(closed) > 1:
+            return None, "nothing to adopt: both limit switches are closed"
+        if closed and reading.pulse_us is not None and by_pulse is not closed[0]:
+            return None, f"nothing to adopt: pulse and {closed[0]} limit switch contradict each other"
+        if closed:
+            return closed[0], ""
+        if by_pulse is not None:
+            return by_pulse, ""
+        if reading.pulse_us is None:
+            return None, "nothing to adopt: pulses are off"
+        return None, f"nothing to adopt: {reading.pulse_us:.0f} us is neither end"
+
+    # -- changes --
+
+    def _begin(
+        self, t_us: int, mode: Mode, event: Event, *, commanded_us: int | None, reason: str | None = None
+    ) -> None:
+        self._target = mode
+        self._pulses_off = False
+        self._begun_us = t_us
+        self._sent_us = None
+        self._closed_since_us = None
+        self._go(t_us, event, commanded_us=commanded_us, reason=reason)
+
+    def _go(
+        self,
+        t_us: int,
+        event: Event,
+        *,
+        reason: str | None = None,
+        feedback: bool = False,
+        commanded_us: int | None = None,
+    ) -> None:
+        """The one place that changes the phase. An event without an entry means nothing in this phase."""
+        after = TRANSITIONS[self._state.phase].get(event)
+        if after is None:
+            return
+        travelling = after is LockPhase.TRAVELLING
+        self._wrong_since_us = None
+        self._state = LockState(
+            t_us=t_us,
+            phase=after,
+            mode=self._target if after in (LockPhase.TRAVELLING, LockPhase.SETTLED) else None,
+            commanded_us=commanded_us if travelling else self._state.commanded_us,
+            settled_us=t_us if after is LockPhase.SETTLED else None,
+            feedback=feedback,
+            reason=reason,
+        )
+
+    def _refuse(self, t_us: int, what: str, reason: str) -> list[Action]:
+        self._replace(t_us, reason=f"refused {what}: {reason}")
+        return [Refused(str(what), reason)]
+
+    def _replace(self, t_us: int, reason: str) -> None:
+        if self._state.reason != reason:
+            self._state = msgspec.structs.replace(self._state, t_us=t_us, reason=reason)

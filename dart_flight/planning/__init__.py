@@ -1,0 +1,1 @@
+"""Choosing and flying collisions: approach references, the closed-loop flight model, enumeration."""

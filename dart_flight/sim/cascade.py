@@ -1,0 +1,219 @@
+"""PX4's multicopter control cascade (P-PID), with PX4's parameter names: position, velocity, attitude, rate.
+
+Written from PX4's documentation of the controller diagrams: P on position gives velocity, PID on velocity
+gives acceleration, acceleration gives a thrust vector and with the yaw an attitude, P on the attitude error
+gives body rates, PID on rates gives torques, which the mixer turns into four motor commands.
+"""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+
+from dart_flight.config.vehicle import Thrust
+from dart_flight.geometry import (
+    GRAVITY_M_S2,
+    Quaternion,
+    Vec3,
+    quaternion_conjugate,
+    quaternion_multiply,
+    quaternion_normalise,
+)
+from dart_flight.sim.plant import MOTORS
+
+_MAX_RATE = (math.radians(220.0), math.radians(220.0), math.radians(200.0))  # MC_*RATE_MAX defaults
+_DERIVATIVE_CUTOFF_HZ = 5.0  # MPC_VELD_LP default
+_HORIZONTAL_MARGIN = 0.3  # MPC_THR_XY_MARG default: thrust kept for horizontal control when saturated
+
+
+class TrajectorySetPoint(msgspec.Struct):
+    """What the position controller follows, NED; NaN components are not controlled."""
+
+    position: Vec3 = (math.nan, math.nan, math.nan)
+    velocity: Vec3 = (math.nan, math.nan, math.nan)
+    acceleration: Vec3 = (math.nan, math.nan, math.nan)
+    yaw: float = math.nan
+
+
+class Cascade:
+    """The controllers and their memory.
+
+    Args:
+        parameters: PX4 parameters by name; read at every step, so that a PARAM_SET takes effect.
+        hover_thrust: MPC_THR_HOVER, as PX4's hover thrust estimator would find it.
+        thrust: the motors' curve (THR_MDL_FAC), which the mixer inverts.
+    """
+
+    def __init__(self, parameters: dict[str, float], hover_thrust: float, thrust: Thrust) -> None:
+        self.parameters, self.hover, self.thrust = parameters, hover_thrust, thrust
+        self._velocity_integral: list[float] = [0.0, 0.0, 0.0]
+        self._velocity_last: Vec3 | None = None
+        self._velocity_slope: list[float] = [0.0, 0.0, 0.0]
+        self._rate_integral: list[float] = [0.0, 0.0, 0.0]
+        self._rate_last: Vec3 = (0.0, 0.0, 0.0)
+        self.attitude_setpoint: Quaternion = (1.0, 0.0, 0.0, 0.0)
+        self.thrust_setpoint = 0.0
+
+    def reset(self) -> None:
+        """Forget integrals, as PX4 does while landed."""
+        self._velocity_integral = [0.0, 0.0, 0.0]
+        self._rate_integral = [0.0, 0.0, 0.0]
+        self._velocity_last = None
+
+    # -- position and velocity --
+
+    def update_position(
+        self, setpoint: TrajectorySetPoint, position: Vec3, velocity: Vec3, yaw: float, dt_s: float
+    ) -> None:
+        """Set attitude and thrust set-points from a trajectory set-point (all NED)."""
+        g = self.parameters
+        self._differentiate(velocity, dt_s)
+        wanted = self._velocity_setpoint(setpoint, position)
+        gains = (
+            (g["MPC_XY_VEL_P_ACC"], g["MPC_XY_VEL_I_ACC"], g["MPC_XY_VEL_D_ACC"]),
+            (g["MPC_XY_VEL_P_ACC"], g["MPC_XY_VEL_I_ACC"], g["MPC_XY_VEL_D_ACC"]),
+            (g["MPC_Z_VEL_P_ACC"], g["MPC_Z_VEL_I_ACC"], g["MPC_Z_VEL_D_ACC"]),
+        )
+        acceleration = [0.0, 0.0, 0.0]
+        error = [0.0, 0.0, 0.0]
+        for i in range(3):
+            p, _, d = gains[i]
+            feedforward = setpoint.acceleration[i]
+            acceleration[i] = 0.0 if math.isnan(feedforward) else feedforward
+            if not math.isnan(wanted[i]):
+                error[i] = wanted[i] - velocity[i]
+                acceleration[i] += p * error[i] + self._velocity_integral[i] - d * self._velocity_slope[i]
+        thrust = self._thrust_vector(acceleration)
+        achieved = (thrust[0] * GRAVITY_M_S2 / self.hover, thrust[1] * GRAVITY_M_S2 / self.hover)
+        for i in range(2):
+            # Anti-windup: what the tilt and thrust limits took away does not integrate.
+            excess = acceleration[i] - achieved[i]
+            if abs(excess) > 1e-6 and excess * error[i] > 0.0:
+                error[i] -= 2.0 / gains[i][0] * excess
+        for i in range(3):
+            step = error[i] * gains[i][1] * dt_s
+            bound = GRAVITY_M_S2 if i == 2 else 100.0
+            self._velocity_integral[i] = max(-bound, min(bound, self._velocity_integral[i] + step))
+        self._attitude_from_thrust(thrust, setpoint.yaw if not math.isnan(setpoint.yaw) else yaw)
+
+    def _differentiate(self, velocity: Vec3, dt_s: float) -> None:
+        if self._velocity_last is not None and dt_s > 0.0:
+            alpha = dt_s / (dt_s + 1.0 / (2.0 * math.pi * _DERIVATIVE_CUTOFF_HZ))
+            for i in range(3):
+                slope = (velocity[i] - self._velocity_last[i]) / dt_s
+                self._velocity_slope[i] += alpha * (slope - self._velocity_slope[i])
+        self._velocity_last = velocity
+
+    def _velocity_setpoint(self, setpoint: TrajectorySetPoint, position: Vec3) -> Vec3:
+        g = self.parameters
+        kp = (g["MPC_XY_P"], g["MPC_XY_P"], g["MPC_Z_P"])
+        wanted = [math.nan, math.nan, math.nan]
+        for i in range(3):
+            feedforward = setpoint.velocity[i]
+            if not math.isnan(setpoint.position[i]):
+                wanted[i] = kp[i] * (setpoint.position[i] - position[i])
+                if not math.isnan(feedforward):
+                    wanted[i] += feedforward
+            else:
+                wanted[i] = feedforward
+        speed = math.hypot(wanted[0], wanted[1])
+        if speed > g["MPC_XY_VEL_MAX"]:
+            wanted[0] *= g["MPC_XY_VEL_MAX"] / speed
+            wanted[1] *= g["MPC_XY_VEL_MAX"] / speed
+        wanted[2] = max(-g["MPC_Z_VEL_MAX_UP"], min(g["MPC_Z_VEL_MAX_DN"], wanted[2]))
+        return (wanted[0], wanted[1], wanted[2])
+
+    def _thrust_vector(self, acceleration: list[float]) -> Vec3:
+        """Normalised thrust vector (NED) for an acceleration, tilt and size limited, height first."""
+        g = self.parameters
+        limit = math.tan(math.radians(g["MPC_TILTMAX_AIR"])) * GRAVITY_M_S2
+        ax, ay = acceleration[0], acceleration[1]
+        size = math.hypot(ax, ay)
+        if size > limit:
+            ax, ay = ax * limit / size, ay * limit / size
+        per_g = self.hover / GRAVITY_M_S2
+        vertical = -self.hover + acceleration[2] * per_g
+        vertical = min(-g["MPC_THR_MIN"], vertical)
+        top = g["MPC_THR_MAX"]
+        vertical = max(vertical, -math.sqrt(top * top - _HORIZONTAL_MARGIN * _HORIZONTAL_MARGIN))
+        # The lateral acceleration follows from the tilt, whatever the vertical thrust is.
+        tx, ty = ax * per_g, ay * per_g
+        room = math.sqrt(max(0.0, top * top - vertical * vertical))
+        lateral = math.hypot(tx, ty)
+        if lateral > room:
+            tx, ty = tx * room / lateral, ty * room / lateral
+        return (tx, ty, vertical)
+
+    def _attitude_from_thrust(self, thrust: Vec3, yaw: float) -> None:
+        size = math.sqrt(thrust[0] ** 2 + thrust[1] ** 2 + thrust[2] ** 2)
+        z = (-thrust[0] / size, -thrust[1] / size, -thrust[2] / size)
+        # Body y perpendicular to the heading direction, x completes the frame.
+        heading = (math.cos(yaw), math.sin(yaw), 0.0)
+        y = _unit(_cross(z, heading))
+        x = _cross(y, z)
+        self.attitude_setpoint = _quaternion_from_axes(x, y, z)
+        self.thrust_setpoint = size
+
+    # -- attitude, rate, mixer --
+
+    def update_attitude(self, q: Quaternion, rate: Vec3, dt_s: float) -> tuple[float, float, float, float]:
+        """Motor commands 0..1 for the attitude and thrust set-points."""
+        g = self.parameters
+        error = quaternion_multiply(quaternion_conjugate(q), self.attitude_setpoint)
+        sign = 2.0 if error[0] >= 0.0 else -2.0
+        kp = (g["MC_ROLL_P"], g["MC_PITCH_P"], g["MC_YAW_P"])
+        pid = (
+            (g["MC_ROLLRATE_P"], g["MC_ROLLRATE_I"], g["MC_ROLLRATE_D"]),
+            (g["MC_PITCHRATE_P"], g["MC_PITCHRATE_I"], g["MC_PITCHRATE_D"]),
+            (g["MC_YAWRATE_P"], g["MC_YAWRATE_I"], 0.0),
+        )
+        torque = [0.0, 0.0, 0.0]
+        for i in range(3):
+            wanted = max(-_MAX_RATE[i], min(_MAX_RATE[i], kp[i] * sign * error[i + 1]))
+            p, ki, d = pid[i]
+            rate_error = wanted - rate[i]
+            slope = (rate[i] - self._rate_last[i]) / dt_s
+            torque[i] = p * rate_error + self._rate_integral[i] - d * slope
+            self._rate_integral[i] = max(-0.3, min(0.3, self._rate_integral[i] + ki * rate_error * dt_s))
+        self._rate_last = rate
+        return self._mix(torque)
+
+    def _mix(self, torque: list[float]) -> tuple[float, float, float, float]:
+        yaw = max(-0.15, min(0.15, torque[2]))
+        relative = [
+            self.thrust_setpoint + 0.7071 * (-sy * torque[0] + sx * torque[1]) + spin * yaw
+            for sx, sy, spin in MOTORS
+        ]
+        # Keep the torques when a motor saturates: shift all four.
+        shift = min(0.0, 1.0 - max(relative)) + max(0.0, -min(relative))
+        commands = [self.thrust.command_for(max(0.0, r + shift) * self.thrust.full_n) for r in relative]
+        return (commands[0], commands[1], commands[2], commands[3])
+
+
+def _cross(a: Vec3, b: Vec3) -> Vec3:
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+def _unit(a: Vec3) -> Vec3:
+    size = math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+    return (a[0] / size, a[1] / size, a[2] / size)
+
+
+def _quaternion_from_axes(x: Vec3, y: Vec3, z: Vec3) -> Quaternion:
+    """Rotation whose columns are the body axes in the world."""
+    trace = x[0] + y[1] + z[2]
+    # The best conditioned of the four forms.
+    if trace > 0.0:
+        s = 2.0 * math.sqrt(1.0 + trace)
+        q = (0.25 * s, (y[2] - z[1]) / s, (z[0] - x[2]) / s, (x[1] - y[0]) / s)
+    elif x[0] > y[1] and x[0] > z[2]:
+        s = 2.0 * math.sqrt(1.0 + x[0] - y[1] - z[2])
+        q = ((y[2] - z[1]) / s, 0.25 * s, (y[0] + x[1]) / s, (z[0] + x[2]) / s)
+    elif y[1] > z[2]:
+        s = 2.0 * math.sqrt(1.0 + y[1] - x[0] - z[2])
+        q = ((z[0] - x[2]) / s, (y[0] + x[1]) / s, 0.25 * s, (z[1] + y[2]) / s)
+    else:
+        s = 2.0 * math.sqrt(1.0 + z[2] - x[0] - y[1])
+        q = ((x[1] - y[0]) / s, (z[0] + x[2]) / s, (z[1] + y[2]) / s, 0.25 * s)
+    return quaternion_normalise(q)

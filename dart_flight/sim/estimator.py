@@ -1,0 +1,79 @@
+"""The embedded autopilot's state estimator: dead reckoning on the IMU, corrected by delayed poses.
+
+It stands where PX4 has its EKF2, with fixed gains: enough to have PX4's kinds of error (noise, delay, the
+velocity error that a clipped accelerometer leaves behind), not a copy of it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from dart_flight.geometry import (
+    GRAVITY_M_S2,
+    IDENTITY,
+    Quaternion,
+    Vec3,
+    add,
+    advance_attitude,
+    quaternion_conjugate,
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+    quaternion_normalise,
+    rotate,
+    scale,
+    subtract,
+)
+
+# Per pose update at 100 Hz: about 0.1 s to follow a position error, 0.2 s for a velocity error.
+_POSITION_GAIN = 0.12
+_VELOCITY_GAIN = 0.8
+_ATTITUDE_GAIN = 0.05
+_HISTORY_S = 0.25
+
+
+class Estimator:
+    """Position, velocity (NED) and attitude (FRD to NED)."""
+
+    def __init__(self) -> None:
+        self.position: Vec3 = (0.0, 0.0, 0.0)
+        self.velocity: Vec3 = (0.0, 0.0, 0.0)
+        self.q: Quaternion = IDENTITY
+        self.rate: Vec3 = (0.0, 0.0, 0.0)
+        self.ok = False
+        self._history: deque[tuple[float, Vec3, Quaternion]] = deque()
+        self._updates = 0
+
+    def predict(self, t_s: float, specific_force_frd: Vec3, rate_frd: Vec3, dt_s: float) -> None:
+        """One IMU tick ending at `t_s`."""
+        if not self._updates:
+            return
+        self.rate = rate_frd
+        self.q = quaternion_normalise(advance_attitude(self.q, rate_frd, dt_s))
+        f = rotate(self.q, specific_force_frd)
+        acceleration = (f[0], f[1], f[2] + GRAVITY_M_S2)
+        self.position = add(
+            self.position, add(scale(self.velocity, dt_s), scale(acceleration, 0.5 * dt_s * dt_s))
+        )
+        self.velocity = add(self.velocity, scale(acceleration, dt_s))
+        self._history.append((t_s, self.position, self.q))
+        while self._history[0][0] < t_s - _HISTORY_S:
+            self._history.popleft()
+
+    def correct(self, t_s: float, position_ned: Vec3, q: Quaternion) -> None:
+        """A pose measured at `t_s`, which may lie in the past."""
+        self._updates += 1
+        if self._updates == 1 or not self._history:
+            self.position, self.q = position_ned, q
+            return
+        then = min(self._history, key=lambda entry: abs(entry[0] - t_s))
+        innovation = subtract(position_ned, then[1])
+        self.position = add(self.position, scale(innovation, _POSITION_GAIN))
+        self.velocity = add(self.velocity, scale(innovation, _VELOCITY_GAIN))
+        error = quaternion_multiply(quaternion_conjugate(then[2]), q)
+        sign = 2.0 if error[0] >= 0.0 else -2.0
+        twist = scale((error[1], error[2], error[3]), sign * _ATTITUDE_GAIN)
+        self.q = quaternion_normalise(quaternion_multiply(self.q, quaternion_from_rotation_vector(twist)))
+        shift = scale(innovation, _POSITION_GAIN)
+        # Old predictions move with the correction, so that one error is not corrected twice.
+        self._history = deque((t, add(p, shift), q_then) for t, p, q_then in self._history)
+        self.ok = self._updates > 50

@@ -1,0 +1,547 @@
+"""The embedded autopilot's MAVLink side: what PX4 would send and answer, over UDP.
+
+Message rates are PX4's onboard defaults until somebody asks for others (`SET_MESSAGE_INTERVAL`), and snap to
+ticks of 4 ms as PX4's do. One endpoint has one or more links, each a UDP socket that sends to a fixed port:
+14540 for a companion, 14550 for a ground station.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import math
+import socket
+import struct
+from collections.abc import Callable
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from dart_flight.geometry import distance2
+from dart_flight.samples import FlightMode, LandedState
+from dart_flight.sim.autopilot import TICK_US, Autopilot
+from dart_flight.sim.cascade import TrajectorySetPoint
+
+_PX4 = 12  # MAV_AUTOPILOT_PX4
+_VERSION = (1 << 24) | (16 << 16) | (0 << 8) | 255  # says v1.16.0, the version whose behaviour this imitates
+_HOME_LAT, _HOME_LON, _HOME_ALT = 33.4242, -111.9281, 360.0
+_EARTH_M_PER_DEG = 111_320.0
+# Everything else that the embedded autopilot knows is a float in PX4, too.
+_INTEGER_PREFIXES = ("SYS_", "MAV_", "COM_PREARM_MODE", "PWM_")
+
+# PX4 custom mode: main mode and, for the automatic modes, sub mode.
+_MODES: dict[FlightMode, tuple[int, int]] = {
+    FlightMode.MANUAL: (3, 0),  # position control: what a pilot switches to
+    FlightMode.READY: (4, 1),
+    FlightMode.TAKEOFF: (4, 2),
+    FlightMode.HOLD: (4, 3),
+    FlightMode.MISSION: (4, 4),
+    FlightMode.RETURN: (4, 5),
+    FlightMode.LAND: (4, 6),
+    FlightMode.OFFBOARD: (6, 0),
+}
+_LANDED = {
+    LandedState.ON_GROUND: mavlink.MAV_LANDED_STATE_ON_GROUND,
+    LandedState.IN_AIR: mavlink.MAV_LANDED_STATE_IN_AIR,
+    LandedState.TAKING_OFF: mavlink.MAV_LANDED_STATE_TAKEOFF,
+    LandedState.LANDING: mavlink.MAV_LANDED_STATE_LANDING,
+}
+_SEVERITY = {"critical": 2, "error": 3, "warning": 4, "info": 6}
+
+# message -> default rate in Hz on PX4's onboard link
+DEFAULT_RATES: dict[int, float] = {
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
+    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: 50.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: 50.0,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
+    mavlink.MAVLINK_MSG_ID_ODOMETRY: 30.0,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
+    mavlink.MAVLINK_MSG_ID_ALTITUDE: 10.0,
+    mavlink.MAVLINK_MSG_ID_VIBRATION: 0.5,
+    mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: 0.0,
+    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 0.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 10.0,
+}
+
+
+class Link:
+    """One UDP socket, its peer and the rates asked for on it."""
+
+    def __init__(self, remote_port: int, host: str = "127.0.0.1") -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind((host, 0))
+        self.socket.setblocking(False)
+        self.remote = (host, remote_port)
+        self.period_ticks: dict[int, int] = {}
+        for message, rate in DEFAULT_RATES.items():
+            self.set_rate(message, rate)
+        self.parser = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+        self.parser.robust_parsing = True
+
+    def set_rate(self, message: int, rate_hz: float) -> None:
+        """Rate of a message; 0 stops it. Rates snap to whole ticks."""
+        if rate_hz <= 0.0:
+            self.period_ticks.pop(message, None)
+        else:
+            self.period_ticks[message] = max(1, math.ceil(1e6 / rate_hz / TICK_US - 1e-9))
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.socket.close()
+
+
+class MavlinkEndpoint:
+    """Answers MAVLink for one autopilot.
+
+    Args:
+        autopilot: stepped by somebody else, one tick before every `exchange`.
+        ports: remote UDP ports on this host, one link each.
+    """
+
+    def __init__(self, autopilot: Autopilot, ports: tuple[int, ...]) -> None:
+        self.autopilot = autopilot
+        self.links = [Link(port) for port in ports]
+        self.stopped: set[int] = set()  # messages that a fault keeps back
+        self._pack = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+        self._tick = 0
+        self._texts: list[tuple[str, str]] = []
+        self._clips = [0, 0, 0]
+        self._builders: dict[int, Callable[[], Any]] = {
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
+            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._extended_sys_state,
+            mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: self._battery_status,
+            mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: self._highres_imu,
+            mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self._attitude_quaternion,
+            mavlink.MAVLINK_MSG_ID_ATTITUDE: self._attitude,
+            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._local_position,
+            mavlink.MAVLINK_MSG_ID_ODOMETRY: self._odometry,
+            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._global_position,
+            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._gps_raw,
+            mavlink.MAVLINK_MSG_ID_HOME_POSITION: self._home_position,
+            mavlink.MAVLINK_MSG_ID_ALTITUDE: self._altitude,
+            mavlink.MAVLINK_MSG_ID_VIBRATION: self._vibration,
+            mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: self._actuator_output_status,
+            mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: self._servo_output_raw,
+            mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: self._attitude_target,
+            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._autopilot_version,
+        }
+        self._commands: dict[int, Callable[[Any], int]] = {
+            mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._do_arm,
+            mavlink.MAV_CMD_DO_SET_MODE: self._do_set_mode,
+            mavlink.MAV_CMD_NAV_TAKEOFF: self._do_takeoff,
+            mavlink.MAV_CMD_NAV_LAND: self._do_land,
+            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: self._do_return,
+            mavlink.MAV_CMD_DO_SET_ACTUATOR: self._do_set_actuator,
+        }
+        autopilot.say = self.say
+
+    def say(self, severity: str, text: str) -> None:
+        """Send a STATUSTEXT on every link."""
+        self._texts.append((severity, text))
+
+    def close(self) -> None:
+        """Close the sockets."""
+        for link in self.links:
+            link.close()
+
+    # -- once per tick --
+
+    def exchange(self) -> None:
+        """Read what has arrived, then send what is due at this tick."""
+        for link in self.links:
+            self._receive(link)
+        self._tick += 1
+        scale = self.autopilot.vehicle.imu.full_scale_m_s2
+        for i, f in enumerate(self.autopilot.imu.specific_force_frd):
+            self._clips[i] += abs(f) >= scale
+        for severity, text in self._texts:
+            message = mavlink.MAVLink_statustext_message(_SEVERITY.get(severity, 6), text.encode()[:50])
+            for link in self.links:
+                self._send(link, message)
+        self._texts.clear()
+        cache: dict[int, Any] = {}
+        for link in self.links:
+            for message_id, period in link.period_ticks.items():
+                # Each message has its own phase, so that the slow ones do not all fall into one tick.
+                if (self._tick + message_id) % period or message_id in self.stopped:
+                    continue
+                if message_id not in cache:
+                    cache[message_id] = self._builders[message_id]().pack(self._pack)
+                    self._pack.seq = (self._pack.seq + 1) % 256
+                self._send_bytes(link, cache[message_id])
+
+    def _send(self, link: Link, message: Any) -> None:
+        packed = message.pack(self._pack)
+        self._pack.seq = (self._pack.seq + 1) % 256
+        self._send_bytes(link, packed)
+
+    @staticmethod
+    def _send_bytes(link: Link, packed: bytes) -> None:
+        # Nobody listening yet, or no more: a datagram is allowed to be lost.
+        with contextlib.suppress(OSError):
+            link.socket.sendto(packed, link.remote)
+
+    def _receive(self, link: Link) -> None:
+        for _ in range(100):  # a flood must not stop the flight
+            try:
+                data, _sender = link.socket.recvfrom(2048)
+            except OSError as error:
+                if error.errno in (errno.EAGAIN, errno.EWOULDBLOCK):
+                    return
+                continue  # e.g. ECONNREFUSED reported by an earlier send
+            # The parser raises struct.error on lengths its checksum let through: such a frame is noise.
+            with contextlib.suppress(mavlink.MAVError, struct.error):
+                for message in link.parser.parse_buffer(data) or []:
+                    self._take(link, message)
+
+    def _take(self, link: Link, message: Any) -> None:
+        kind = message.get_type()
+        if kind == "COMMAND_LONG":
+            self._command(link, message)
+        elif kind == "SET_POSITION_TARGET_LOCAL_NED":
+            self._position_target(message)
+        elif kind == "PARAM_REQUEST_READ":
+            self._param_read(link, message)
+        elif kind == "PARAM_REQUEST_LIST":
+            for index, name in enumerate(self.autopilot.parameters):
+                self._send(link, self._param_value(name, index))
+        elif kind == "PARAM_SET":
+            self._param_set(link, message)
+        elif kind == "TIMESYNC" and message.tc1 == 0:
+            self._send(link, mavlink.MAVLink_timesync_message(self.autopilot.time_us * 1000, message.ts1))
+        elif kind == "PING" and message.target_system == 0:
+            reply = mavlink.MAVLink_ping_message(
+                message.time_usec, message.seq, message.get_srcSystem(), message.get_srcComponent()
+            )
+            self._send(link, reply)
+        elif kind == "MISSION_REQUEST_LIST":
+            reply = mavlink.MAVLink_mission_count_message(
+                message.get_srcSystem(), message.get_srcComponent(), 0, message.mission_type
+            )
+            self._send(link, reply)
+
+    # -- commands --
+
+    def _command(self, link: Link, message: Any) -> None:
+        if message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
+            result = self._set_interval(link, _whole(message.param1), message.param2)
+        elif message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
+            result = self._request_message(link, _whole(message.param1))
+        elif message.command == mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
+            result = self._request_message(link, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+        elif message.command in self._commands:
+            result = self._commands[message.command](message)
+        else:
+            result = mavlink.MAV_RESULT_UNSUPPORTED
+        ack = mavlink.MAVLink_command_ack_message(
+            message.command, result, 0, 0, message.get_srcSystem(), message.get_srcComponent()
+        )
+        self._send(link, ack)
+
+    def _set_interval(self, link: Link, message_id: int, interval_us: float) -> int:
+        if message_id not in self._builders:
+            return int(mavlink.MAV_RESULT_DENIED)
+        if interval_us < 0:
+            link.set_rate(message_id, 0.0)
+        elif interval_us == 0:
+            link.set_rate(message_id, DEFAULT_RATES.get(message_id, 0.0))
+        else:
+            link.set_rate(message_id, 1e6 / interval_us)
+        return int(mavlink.MAV_RESULT_ACCEPTED)
+
+    def _request_message(self, link: Link, message_id: int) -> int:
+        if message_id not in self._builders:
+            return int(mavlink.MAV_RESULT_UNSUPPORTED)
+        self._send(link, self._builders[message_id]())
+        return int(mavlink.MAV_RESULT_ACCEPTED)
+
+    def _do_arm(self, message: Any) -> int:
+        force = _whole(message.param2) == 21196
+        ok = self.autopilot.arm(force) if message.param1 > 0.5 else self.autopilot.disarm(force)
+        return int(mavlink.MAV_RESULT_ACCEPTED if ok else mavlink.MAV_RESULT_DENIED)
+
+    def _do_set_mode(self, message: Any) -> int:
+        wanted = (_whole(message.param2), _whole(message.param3))
+        for mode, numbers in _MODES.items():
+            if numbers == wanted or (wanted[0] != 4 and numbers[0] == wanted[0]):
+                ok = self.autopilot.set_mode(mode)
+                return int(mavlink.MAV_RESULT_ACCEPTED if ok else mavlink.MAV_RESULT_DENIED)
+        if wanted[0] in (1, 2, 5, 7, 8):  # the other modes that sticks fly
+            self.autopilot.set_mode(FlightMode.MANUAL)
+            return int(mavlink.MAV_RESULT_ACCEPTED)
+        return int(mavlink.MAV_RESULT_DENIED)
+
+    def _do_takeoff(self, message: Any) -> int:
+        altitude = None if math.isnan(message.param7) else message.param7 - _HOME_ALT
+        return int(
+            mavlink.MAV_RESULT_ACCEPTED
+            if self.autopilot.take_off(altitude if altitude and altitude > 0.0 else None)
+            else mavlink.MAV_RESULT_DENIED
+        )
+
+    def _do_land(self, _message: Any) -> int:
+        self.autopilot.set_mode(FlightMode.LAND)
+        return int(mavlink.MAV_RESULT_ACCEPTED)
+
+    def _do_return(self, _message: Any) -> int:
+        # Indoors there is no home to return to: PX4's fallback is to land.
+        self.autopilot.set_mode(FlightMode.LAND)
+        return int(mavlink.MAV_RESULT_ACCEPTED)
+
+    def _do_set_actuator(self, message: Any) -> int:
+        values = (
+            message.param1,
+            message.param2,
+            message.param3,
+            message.param4,
+            message.param5,
+            message.param6,
+        )
+        for index, value in enumerate(values, start=1):
+            if not math.isnan(value):
+                self.autopilot.set_actuator(index, value)
+        return int(mavlink.MAV_RESULT_ACCEPTED)  # always, mapped or not, as PX4 does
+
+    def _position_target(self, message: Any) -> None:
+        if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED:
+            return
+        mask = message.type_mask
+
+        def part(values: tuple[float, float, float], bits: int) -> tuple[float, float, float]:
+            return (
+                math.nan if mask & bits else values[0],
+                math.nan if mask & (bits << 1) else values[1],
+                math.nan if mask & (bits << 2) else values[2],
+            )
+
+        self.autopilot.set_trajectory(
+            TrajectorySetPoint(
+                part((message.x, message.y, message.z), 1),
+                part((message.vx, message.vy, message.vz), 8),
+                part((message.afx, message.afy, message.afz), 64),
+                math.nan if mask & 1024 else message.yaw,
+            )
+        )
+
+    # -- parameters --
+
+    def _param_value(self, name: str, index: int) -> Any:
+        value = self.autopilot.parameters[name]
+        kind = mavlink.MAV_PARAM_TYPE_REAL32
+        if name.startswith(_INTEGER_PREFIXES):
+            # PX4 sends integers bytewise in the float field.
+            value = struct.unpack("<f", struct.pack("<i", int(value)))[0]
+            kind = mavlink.MAV_PARAM_TYPE_INT32
+        count = len(self.autopilot.parameters)
+        return mavlink.MAVLink_param_value_message(name.encode(), value, kind, count, index)
+
+    def _param_read(self, link: Link, message: Any) -> None:
+        names = list(self.autopilot.parameters)
+        if 0 <= message.param_index < len(names):
+            name = names[message.param_index]
+        else:
+            name = _param_name(message.param_id)
+        if name in self.autopilot.parameters:
+            self._send(link, self._param_value(name, names.index(name)))
+
+    def _param_set(self, link: Link, message: Any) -> None:
+        name = _param_name(message.param_id)
+        if name not in self.autopilot.parameters:
+            return
+        value = message.param_value
+        if message.param_type == mavlink.MAV_PARAM_TYPE_INT32:
+            value = float(struct.unpack("<i", struct.pack("<f", value))[0])
+        if math.isfinite(value):
+            self.autopilot.parameters[name] = value
+        self._send(link, self._param_value(name, list(self.autopilot.parameters).index(name)))
+
+    # -- telemetry --
+
+    @property
+    def _boot_ms(self) -> int:
+        return (self.autopilot.time_us // 1000) & 0xFFFFFFFF
+
+    def _heartbeat(self) -> Any:
+        a = self.autopilot
+        base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+        if a.armed:
+            base |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+        if a.mode is not FlightMode.MANUAL:
+            base |= mavlink.MAV_MODE_FLAG_AUTO_ENABLED
+        main, sub = _MODES[a.mode]
+        status = mavlink.MAV_STATE_ACTIVE if a.armed else mavlink.MAV_STATE_STANDBY
+        if a.failsafe:
+            status = mavlink.MAV_STATE_CRITICAL
+        custom = main << 16 | sub << 24
+        return mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_QUADROTOR, _PX4, base, custom, status, 3)
+
+    def _sys_status(self) -> Any:
+        a = self.autopilot
+        present = (
+            mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
+            | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+            | mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
+            | mavlink.MAV_SYS_STATUS_SENSOR_VISION_POSITION
+            | mavlink.MAV_SYS_STATUS_SENSOR_GPS
+            | mavlink.MAV_SYS_STATUS_PREARM_CHECK
+        )
+        ok = present
+        if not a.estimator.ok:
+            ok &= ~(
+                mavlink.MAV_SYS_STATUS_SENSOR_VISION_POSITION
+                | mavlink.MAV_SYS_STATUS_SENSOR_GPS
+                | mavlink.MAV_SYS_STATUS_PREARM_CHECK
+            )
+        volts = round(a.vehicle.simulation.battery_v * 1000)
+        remaining = round(a.battery_remaining * 100)
+        return mavlink.MAVLink_sys_status_message(
+            present, present, ok, 300, volts, -1, remaining, 0, 0, 0, 0, 0, 0
+        )
+
+    def _extended_sys_state(self) -> Any:
+        return mavlink.MAVLink_extended_sys_state_message(
+            0, _LANDED.get(self.autopilot.landed, mavlink.MAV_LANDED_STATE_UNDEFINED)
+        )
+
+    def _battery_status(self) -> Any:
+        a = self.autopilot
+        cells = [round(a.vehicle.simulation.battery_v * 250)] * 4 + [65535] * 6
+        return mavlink.MAVLink_battery_status_message(
+            0, 0, 0, 32767, cells, -1, -1, -1, round(a.battery_remaining * 100)
+        )
+
+    def _highres_imu(self) -> Any:
+        imu = self.autopilot.imu
+        return mavlink.MAVLink_highres_imu_message(
+            imu.t_us, *imu.specific_force_frd, *imu.rate_frd, 0.2, 0.0, 0.45, 1013.25, 0.0, 0.0, 25.0, 0x1FFF
+        )
+
+    def _attitude_quaternion(self) -> Any:
+        e = self.autopilot.estimator
+        return mavlink.MAVLink_attitude_quaternion_message(self._boot_ms, *e.q, *e.rate)
+
+    def _attitude(self) -> Any:
+        e = self.autopilot.estimator
+        w, x, y, z = e.q
+        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+        pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
+        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return mavlink.MAVLink_attitude_message(self._boot_ms, roll, pitch, yaw, *e.rate)
+
+    def _local_position(self) -> Any:
+        e = self.autopilot.estimator
+        return mavlink.MAVLink_local_position_ned_message(self._boot_ms, *e.position, *e.velocity)
+
+    def _odometry(self) -> Any:
+        e = self.autopilot.estimator
+        unknown = [math.nan] + [0.0] * 20
+        return mavlink.MAVLink_odometry_message(
+            self.autopilot.time_us,
+            mavlink.MAV_FRAME_LOCAL_NED,
+            mavlink.MAV_FRAME_LOCAL_NED,
+            *e.position,
+            e.q,
+            *e.velocity,
+            *e.rate,
+            unknown,
+            unknown,
+        )
+
+    def _geodetic(self) -> tuple[int, int, float]:
+        n, e, d = self.autopilot.estimator.position
+        lat = _HOME_LAT + n / _EARTH_M_PER_DEG
+        lon = _HOME_LON + e / (_EARTH_M_PER_DEG * math.cos(math.radians(_HOME_LAT)))
+        return round(lat * 1e7), round(lon * 1e7), _HOME_ALT - d
+
+    def _global_position(self) -> Any:
+        lat, lon, alt = self._geodetic()
+        v = self.autopilot.estimator.velocity
+        return mavlink.MAVLink_global_position_int_message(
+            self._boot_ms,
+            lat,
+            lon,
+            round(alt * 1000),
+            round((alt - _HOME_ALT) * 1000),
+            *(max(-32768, min(32767, round(c * 100))) for c in v),
+            65535,
+        )
+
+    def _gps_raw(self) -> Any:
+        lat, lon, alt = self._geodetic()
+        speed = round(distance2(self.autopilot.estimator.velocity, (0.0, 0.0)) * 100)
+        return mavlink.MAVLink_gps_raw_int_message(
+            self.autopilot.time_us, 6, lat, lon, round(alt * 1000), 60, 80, min(speed, 65534), 65535, 14
+        )
+
+    def _home_position(self) -> Any:
+        return mavlink.MAVLink_home_position_message(
+            round(_HOME_LAT * 1e7),
+            round(_HOME_LON * 1e7),
+            round(_HOME_ALT * 1000),
+            *(0.0, 0.0, 0.0),
+            [1.0, 0.0, 0.0, 0.0],
+            *(0.0, 0.0, 0.0),
+        )
+
+    def _altitude(self) -> Any:
+        alt = _HOME_ALT - self.autopilot.estimator.position[2]
+        local = alt - _HOME_ALT
+        return mavlink.MAVLink_altitude_message(
+            self.autopilot.time_us, alt, alt, local, local, math.nan, math.nan
+        )
+
+    def _vibration(self) -> Any:
+        return mavlink.MAVLink_vibration_message(self.autopilot.time_us, 0.0, 0.0, 0.0, *self._clips)
+
+    def _outputs(self) -> list[float]:
+        """Motor and servo outputs as PWM, microseconds."""
+        a = self.autopilot
+        outputs = [900.0] * 4 if not a.armed else [1000.0 + 1000.0 * u for u in a.motors]
+        servo = a.actuator_pulse_us(a.vehicle.lock.px4.actuator_index)
+        return [*outputs, servo if servo is not None else 0.0]
+
+    def _actuator_output_status(self) -> Any:
+        outputs = self._outputs()
+        return mavlink.MAVLink_actuator_output_status_message(
+            self.autopilot.time_us, len(outputs), outputs + [0.0] * (32 - len(outputs))
+        )
+
+    def _servo_output_raw(self) -> Any:
+        pulses = [round(p) for p in self._outputs()]
+        return mavlink.MAVLink_servo_output_raw_message(
+            self.autopilot.time_us & 0xFFFFFFFF, 0, *(pulses + [0] * (8 - len(pulses)))
+        )
+
+    def _attitude_target(self) -> Any:
+        c = self.autopilot.cascade
+        return mavlink.MAVLink_attitude_target_message(
+            self._boot_ms, 0, c.attitude_setpoint, 0.0, 0.0, 0.0, c.thrust_setpoint
+        )
+
+    def _autopilot_version(self) -> Any:
+        capabilities = (
+            mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+            | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+            | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+        )
+        custom = [0] * 8
+        return mavlink.MAVLink_autopilot_version_message(
+            capabilities, _VERSION, 0, 0, 0, custom, custom, custom, 0, 0, 0xDA27
+        )
+
+
+def _whole(value: float) -> int:
+    """A command's parameter as a whole number; unused ones are NaN on the wire."""
+    return int(value) if math.isfinite(value) else 0
+
+
+def _param_name(raw: str | bytes) -> str:
+    text = raw.decode("ascii", "replace") if isinstance(raw, bytes) else raw
+    return text.rstrip("\x00")

@@ -1,0 +1,36 @@
+"""The one table of telemetry streams: what is asked of PX4, what is expected, how long silence may last.
+
+`vehicle` asks for the rates, the guard judges ages by host time, `check` compares the measured rates. Rates
+snap to PX4's ticks of 4 ms: ask for 250, not 200.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+
+class Stream(msgspec.Struct, frozen=True):
+    """One telemetry stream.
+
+    Attributes:
+        name: as in the log's topics.
+        message: MAVLink message that carries it.
+        rate_hz: rate asked for.
+        expected_hz: least rate that a mission needs.
+    """
+
+    name: str
+    message: str
+    rate_hz: float
+    expected_hz: float
+
+
+STREAMS: tuple[Stream, ...] = (
+    Stream("imu", "HIGHRES_IMU", 250.0, 150.0),
+    Stream("attitude", "ATTITUDE_QUATERNION", 125.0, 45.0),
+    Stream("odometry", "ODOMETRY", 125.0, 30.0),
+    Stream("actuator", "ACTUATOR_OUTPUT_STATUS", 125.0, 45.0),
+    Stream("landed", "EXTENDED_SYS_STATE", 5.0, 1.0),
+)
+
+BY_NAME = {stream.name: stream for stream in STREAMS}

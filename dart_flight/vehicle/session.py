@@ -1,0 +1,300 @@
+"""A MAVSDK connection to one autopilot: telemetry to samples, set-points and commands out.
+
+MAVSDK's callbacks come on its own thread: they build one record and hand it to `deliver`, nothing else.
+Acknowledgements prove nothing (a take-off while disarmed is acknowledged): what commands have done is seen in
+telemetry, by the core.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import math
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
+from mavsdk.logging import log_subscribe
+from mavsdk.plugins.action import Action
+from mavsdk.plugins.offboard import AccelerationNed, Offboard, PositionNedYaw, VelocityNedYaw
+from mavsdk.plugins.server_utility import ServerUtility
+from mavsdk.plugins.server_utility import StatusTextType as OwnStatusTextType
+from mavsdk.plugins.telemetry import FlightMode as SdkFlightMode
+from mavsdk.plugins.telemetry import LandedState as SdkLandedState
+from mavsdk.plugins.telemetry import Telemetry
+
+from dart_flight.errors import FlightError
+from dart_flight.samples import (
+    ActuatorSample,
+    AttitudeSample,
+    ClockOffset,
+    FlightMode,
+    ImuSample,
+    Input,
+    LandedState,
+    OdometrySample,
+    SetPoint,
+    StatusSample,
+    StatusText,
+    VehicleAction,
+)
+from dart_flight.streams import STREAMS
+from dart_flight.vehicle.clock import ClockEstimate, host_us
+
+_MODES = {
+    SdkFlightMode.READY: FlightMode.READY,
+    SdkFlightMode.TAKEOFF: FlightMode.TAKEOFF,
+    SdkFlightMode.HOLD: FlightMode.HOLD,
+    SdkFlightMode.MISSION: FlightMode.MISSION,
+    SdkFlightMode.RETURN_TO_LAUNCH: FlightMode.RETURN,
+    SdkFlightMode.LAND: FlightMode.LAND,
+    SdkFlightMode.OFFBOARD: FlightMode.OFFBOARD,
+    SdkFlightMode.FOLLOW_ME: FlightMode.MISSION,
+    SdkFlightMode.UNKNOWN: FlightMode.UNKNOWN,
+}
+_LANDED = {
+    SdkLandedState.ON_GROUND: LandedState.ON_GROUND,
+    SdkLandedState.IN_AIR: LandedState.IN_AIR,
+    SdkLandedState.TAKING_OFF: LandedState.TAKING_OFF,
+    SdkLandedState.LANDING: LandedState.LANDING,
+}
+_PWM_LOW, _PWM_HIGH = 1000.0, 2000.0
+_ACTION_TIMEOUT_S = 5.0
+
+
+class VehicleError(FlightError):
+    """The vehicle cannot be reached."""
+
+
+class VehicleSession:
+    """One connected autopilot.
+
+    Args:
+        mavsdk: the connection, kept open by the caller.
+        system: the autopilot on it.
+        deliver: takes every record, on MAVSDK's thread.
+    """
+
+    def __init__(self, mavsdk: Any, system: Any, deliver: Callable[[Input], None]) -> None:
+        self._mavsdk, self._system, self._deliver = mavsdk, system, deliver
+        self._raw = getattr(system, "_system", system)
+        self._telemetry = Telemetry(self._raw)
+        self._offboard = Offboard(self._raw)
+        self._action = Action(self._raw)
+        self._utility = ServerUtility(self._raw)
+        self.clock = ClockEstimate()
+        self._status = StatusSample(t_us=0, received_us=0)
+        self._silent = False
+
+    # -- telemetry --
+
+    def subscribe(self) -> None:
+        """Subscribe to the streams of the table and to the slow state."""
+        t = self._telemetry
+        t.subscribe_imu(self._on_imu)
+        t.subscribe_attitude_quaternion(self._on_attitude)
+        t.subscribe_odometry(self._on_odometry)
+        t.subscribe_actuator_output_status(self._on_actuator)
+        t.subscribe_armed(lambda armed, _: self._on_status(armed=bool(armed)))
+        t.subscribe_flight_mode(
+            lambda mode, _: self._on_status(flight_mode=_MODES.get(mode, FlightMode.MANUAL))
+        )
+        t.subscribe_landed_state(
+            lambda landed, _: self._on_status(landed=_LANDED.get(landed, LandedState.UNKNOWN))
+        )
+        t.subscribe_health(lambda h, _: self._on_status(local_position_ok=bool(h.is_local_position_ok)))
+        t.subscribe_battery(self._on_battery)
+        t.subscribe_status_text(self._on_status_text)
+
+    async def set_rates(self) -> list[str]:
+        """Ask for the rates of the table; returns the names of the streams that were refused."""
+        t = self._telemetry
+        calls = {
+            "imu": t.set_rate_imu,
+            "attitude": t.set_rate_attitude_quaternion,
+            "odometry": t.set_rate_odometry,
+            "actuator": t.set_rate_actuator_output_status,
+            "landed": t.set_rate_landed_state,
+        }
+        refused = []
+        for stream in STREAMS:
+            try:
+                await asyncio.to_thread(calls[stream.name], stream.rate_hz)
+            except Exception:
+                refused.append(stream.name)
+        return refused
+
+    def _stamp(self, t_us: int, received_us: int) -> None:
+        offset = self.clock.update(t_us, received_us)
+        if offset is not None:
+            self._deliver(ClockOffset(received_us, offset))
+
+    def _on_imu(self, imu: Any, _: Any) -> None:
+        received = host_us()
+        t_us = int(imu.timestamp_us)
+        a, w = imu.acceleration_frd, imu.angular_velocity_frd
+        self._stamp(t_us, received)
+        self._deliver(
+            ImuSample(
+                t_us,
+                received,
+                (a.forward_m_s2, a.right_m_s2, a.down_m_s2),
+                (w.forward_rad_s, w.right_rad_s, w.down_rad_s),
+            )
+        )
+
+    def _on_attitude(self, q: Any, _: Any) -> None:
+        received = host_us()
+        if math.isfinite(q.w):
+            self._deliver(AttitudeSample(int(q.timestamp_us), received, (q.w, q.x, q.y, q.z)))
+
+    def _on_odometry(self, odometry: Any, _: Any) -> None:
+        received = host_us()
+        p, v = odometry.position_body, odometry.velocity_body
+        values = (p.x_m, p.y_m, p.z_m, v.x_m_s, v.y_m_s, v.z_m_s)
+        # PX4 sends NaN until its estimator is ready; both parts are in local NED whatever they are called.
+        if all(map(math.isfinite, values)):
+            self._deliver(OdometrySample(int(odometry.time_usec), received, values[:3], values[3:]))
+
+    def _on_actuator(self, status: Any, _: Any) -> None:
+        received = host_us()
+        if len(status.actuator) < 4:
+            return
+        span = _PWM_HIGH - _PWM_LOW
+        m = [max(0.0, min(1.0, (pwm - _PWM_LOW) / span)) for pwm in status.actuator[:4]]
+        self._deliver(ActuatorSample(self.clock.to_autopilot(received), received, (m[0], m[1], m[2], m[3])))
+
+    def _on_status(self, **changes: Any) -> None:
+        received = host_us()
+        self._status = msgspec.structs.replace(
+            self._status, t_us=self.clock.to_autopilot(received), received_us=received, **changes
+        )
+        self._deliver(self._status)
+
+    def _on_battery(self, battery: Any, _: Any) -> None:
+        volts, percent = float(battery.voltage_v), float(battery.remaining_percent)
+        self._on_status(
+            battery_v=volts if math.isfinite(volts) else None,
+            battery_remaining=percent / 100.0 if math.isfinite(percent) else None,
+        )
+
+    def _on_status_text(self, text: Any, _: Any) -> None:
+        received = host_us()
+        severity = text.type.name.lower() if hasattr(text.type, "name") else str(text.type)
+        self._deliver(StatusText(self.clock.to_autopilot(received), received, severity, text.text))
+
+    # -- commands --
+
+    def send(self, setpoint: SetPoint) -> None:
+        """Send a set-point at once; any thread. MAVSDK repeats it at 20 Hz until the next."""
+        if self._silent:
+            return
+        yaw = math.degrees(setpoint.yaw_ned_rad)
+        position = PositionNedYaw(*setpoint.position_ned, yaw)
+        v, a = setpoint.velocity_ned, setpoint.acceleration_ned
+        if v is None:
+            self._offboard.set_position_ned(position)
+        elif a is None:
+            self._offboard.set_position_velocity_ned(position, VelocityNedYaw(*v, yaw))
+        else:
+            self._offboard.set_position_velocity_acceleration_ned(
+                position, VelocityNedYaw(*v, yaw), AccelerationNed(*a)
+            )
+
+    async def perform(self, action: VehicleAction) -> str:
+        """Carry out an action; returns "" or what PX4 said against it."""
+        if self._silent:
+            return "silent"
+        calls: dict[VehicleAction, Callable[..., Any]] = {
+            VehicleAction.OFFBOARD: self._offboard.start_async,
+            VehicleAction.ARM: self._action.arm_async,
+            VehicleAction.HOLD: self._action.hold_async,
+            VehicleAction.LAND: self._action.land_async,
+            VehicleAction.DISARM: self._action.disarm_async,
+        }
+        # Callbacks and not the blocking calls: those never return once the connection is closed under them.
+        loop = asyncio.get_running_loop()
+        answer: asyncio.Future[str] = loop.create_future()
+
+        def settle(name: str) -> None:
+            if not answer.done():
+                answer.set_result(name)
+
+        calls[action](lambda result, _: loop.call_soon_threadsafe(settle, result.name))
+        try:
+            name = await asyncio.wait_for(answer, _ACTION_TIMEOUT_S)
+        except TimeoutError:
+            return "no answer"
+        return "" if name == "SUCCESS" else name
+
+    def silence(self) -> None:
+        """Send nothing more. MAVSDK stops repeating by itself once it sees another mode than offboard."""
+        self._silent = True
+
+    def set_actuator(self, index: int, value: float) -> None:
+        """Command a peripheral output of PX4, blocking; an acknowledgement says nothing about movement."""
+        self._action.set_actuator(index, value)
+
+    def tell_ground(self, text: str) -> None:
+        """A STATUSTEXT for whoever watches, where the link allows."""
+        with contextlib.suppress(Exception):
+            self._utility.send_status_text(OwnStatusTextType.INFO, text[:50])
+
+
+_logger = logging.getLogger("dart_flight.mavsdk")
+
+
+def _log(level: Any, message: str, _file: str | None, _line: int) -> bool:
+    """MAVSDK's own messages go to Python's logging; True: and nowhere else."""
+    _logger.log({0: 10, 1: 20, 2: 30, 3: 40}.get(int(level), 20), message)
+    return True
+
+
+class Connection:
+    """Async context of a MAVSDK instance connected to one autopilot."""
+
+    def __init__(self, url: str, timeout_s: float, deliver: Callable[[Input], None], ground: bool) -> None:
+        self._url, self._timeout_s, self._deliver = url, timeout_s, deliver
+        self._component = ComponentType.GROUND_STATION if ground else ComponentType.COMPANION_COMPUTER
+        self._mavsdk: Any = None
+
+    async def __aenter__(self) -> VehicleSession:
+        # MAVSDK prints to standard output, which belongs to `--json`.
+        log_subscribe(_log)
+        self._mavsdk = Mavsdk(Configuration.create_with_component_type(self._component))
+        await self._mavsdk.__aenter__()
+        try:
+            await self._mavsdk.add_any_connection(self._url)
+            system = await self._mavsdk.first_autopilot(timeout_s=self._timeout_s)
+            if system is None:
+                raise VehicleError(f"no autopilot on {self._url} within {self._timeout_s:g} s")
+        except VehicleError:
+            await self._mavsdk.__aexit__(None, None, None)
+            raise
+        except Exception as error:
+            await self._mavsdk.__aexit__(None, None, None)
+            raise VehicleError(f"cannot open {self._url}: {error}") from error
+        return VehicleSession(self._mavsdk, system, self._deliver)
+
+    async def __aexit__(self, *exception: object) -> None:
+        await self._mavsdk.__aexit__(None, None, None)
+
+
+def connect(
+    url: str, timeout_s: float, deliver: Callable[[Input], None], *, ground: bool = False
+) -> Connection:
+    """Connect to the first autopilot on a URL: `async with connect(...) as session`.
+
+    Args:
+        url: MAVSDK connection URL.
+        timeout_s: how long to wait for a heartbeat.
+        deliver: takes every record, on MAVSDK's thread.
+        ground: appear as a ground station instead of a companion computer. On the vehicle a companion: a
+            ground station's heartbeat from the vehicle itself may hide the loss of the real one.
+
+    Raises:
+        VehicleError: on entering, when the URL cannot be opened or no autopilot answers.
+    """
+    return Connection(url, timeout_s, deliver, ground)

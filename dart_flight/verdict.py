@@ -1,0 +1,247 @@
+"""What a flight amounted to: pure, from the records of the flight (decisions, samples, truth).
+
+The one source for every world, for `--json`, for the terminal and for the report. Feed every record to
+`VerdictBuilder.take`, in order, then `build`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import msgspec
+
+from dart_flight.config.mission import Collision, Mission
+from dart_flight.contact.collision_map import collide
+from dart_flight.contact.law import Onset
+from dart_flight.flight.phases import ON_GROUND, Phase
+from dart_flight.geometry import tilt_of
+from dart_flight.samples import (
+    AttitudeSample,
+    ContactEnd,
+    GoalPassed,
+    GuardEvent,
+    ImpactOnset,
+    ImpactPeak,
+    LockPhase,
+    LockState,
+    MissionEnd,
+    PhaseChange,
+    SetPointSent,
+    TruthContact,
+)
+
+_TRUTH_MATCH_US = 60_000  # an impact and its truth lie this near in time
+
+
+class Velocities(msgspec.Struct):
+    """Velocity before the contact in the collision frame, and the peak of the normal force."""
+
+    normal_m_s: float | None = None
+    tangential_m_s: float | None = None
+    peak_force_n: float | None = None
+
+
+class LockTimes(msgspec.Struct):
+    """The lock's switch that follows a collision, autopilot time."""
+
+    contact_end_us: int | None = None
+    relaxed_us: int | None = None
+    commanded_us: int | None = None
+    settled_us: int | None = None
+
+
+class CollisionVerdict(msgspec.Struct):
+    """One collision, planned against measured against true."""
+
+    index: int
+    wall: str
+    mode: str
+    t_us: int
+    clipped: bool
+    planned: Velocities
+    measured: Velocities
+    truth: Velocities | None
+    lock: LockTimes
+    detection_latency_ms: float | None
+    setpoint_latency_ms: float | None
+    contact_time_ms: float | None = None
+
+
+class GuardVerdict(msgspec.Struct):
+    """A rule of the guard that fired."""
+
+    t_us: int
+    rule: str
+    action: str
+    detail: str
+
+
+class Verdict(msgspec.Struct):
+    """A flight in one object (`docs/interfaces.md`); what is unknown is null."""
+
+    mission: str
+    world: str
+    seed: int | None
+    outcome: str
+    reason: str | None
+    collisions: list[CollisionVerdict]
+    guard: list[GuardVerdict]
+    goal_miss_m: float | None
+    final_error_m: float | None
+    max_tilt_deg: float | None
+    flight_time_s: float | None
+    log: str | None = None
+    px4_log: str | None = None
+
+
+class VerdictBuilder:
+    """Takes the records of one flight in order."""
+
+    def __init__(self, mission: Mission) -> None:
+        self._mission = mission
+        self._relaxation_us = round(mission.vehicle.lock.relaxation_s * 1e6)
+        self._collisions: list[CollisionVerdict] = []
+        self._truths: list[TruthContact] = []
+        self._guard: list[GuardVerdict] = []
+        self._onset: ImpactOnset | None = None
+        self._end: MissionEnd | None = None
+        self._phase = Phase.READYING.value
+        self._miss_m: float | None = None
+        self._tilt_rad: float | None = None
+        self._airborne_us: int | None = None
+        self._landed_us: int | None = None
+
+    @property
+    def end(self) -> MissionEnd | None:
+        """How the flight ended, once it has."""
+        return self._end
+
+    def take(self, record: Any) -> None:
+        """Take the next record; kinds that do not matter here are passed over."""
+        if isinstance(record, AttitudeSample):
+            if self._airborne_us is not None and self._landed_us is None:
+                self._tilt_rad = max(self._tilt_rad or 0.0, tilt_of(record.q_frd_to_ned))
+        elif isinstance(record, PhaseChange):
+            self._take_phase(record)
+        elif isinstance(record, ImpactOnset):
+            self._onset = record
+        elif isinstance(record, ImpactPeak):
+            self._take_peak(record)
+        elif isinstance(record, ContactEnd):
+            self._take_contact_end(record)
+        elif isinstance(record, SetPointSent):
+            if self._collisions and self._collisions[-1].setpoint_latency_ms is None:
+                self._collisions[-1].setpoint_latency_ms = record.latency_us * 1e-3
+        elif isinstance(record, LockState):
+            self._take_lock(record)
+        elif isinstance(record, GuardEvent):
+            self._guard.append(GuardVerdict(record.t_us, record.rule, record.action, record.detail))
+        elif isinstance(record, GoalPassed):
+            self._miss_m = record.miss_m
+        elif isinstance(record, TruthContact):
+            self._truths.append(record)
+        elif isinstance(record, MissionEnd):
+            self._end = record
+            if self._airborne_us is not None:
+                self._landed_us = record.t_us
+
+    def _take_phase(self, record: PhaseChange) -> None:
+        if self._phase in {p.value for p in ON_GROUND} and record.after == Phase.CLIMB.value:
+            self._airborne_us = record.t_us
+        if record.after == Phase.CONTACT.value and record.collision is not None and self._onset is not None:
+            self._open(self._mission.collisions[record.collision - 1], self._onset)
+        self._phase = record.after
+
+    def _open(self, collision: Collision, onset: ImpactOnset) -> None:
+        measured = collision.wall.to_collision(onset.velocity_mission)
+        self._collisions.append(
+            CollisionVerdict(
+                index=collision.index,
+                wall=collision.wall.name,
+                mode=collision.mode.value,
+                t_us=onset.t_us,
+                clipped=False,
+                planned=planned_of(self._mission, collision),
+                measured=Velocities(measured[0], measured[1], None),
+                truth=None,
+                lock=LockTimes(),
+                detection_latency_ms=(onset.t_us - onset.first_us) * 1e-3,
+                setpoint_latency_ms=None,
+            )
+        )
+
+    def _take_peak(self, record: ImpactPeak) -> None:
+        # A peak belongs to the collision whose onset came last; an unplanned hit has none.
+        if self._collisions and self._onset and self._collisions[-1].t_us == self._onset.t_us:
+            self._collisions[-1].measured.peak_force_n = record.normal_force_n
+            self._collisions[-1].clipped = record.clipped
+
+    def _take_contact_end(self, record: ContactEnd) -> None:
+        if self._collisions and self._collisions[-1].lock.contact_end_us is None:
+            last = self._collisions[-1]
+            last.lock.contact_end_us = record.t_us
+            last.lock.relaxed_us = record.t_us + self._relaxation_us
+            last.contact_time_ms = (record.t_us - record.first_us) * 1e-3
+
+    def _take_lock(self, record: LockState) -> None:
+        if not self._collisions:
+            return
+        times = self._collisions[-1].lock
+        if times.contact_end_us is None or (record.commanded_us or 0) < times.contact_end_us:
+            return
+        if times.commanded_us is None:
+            times.commanded_us = record.commanded_us
+        if record.phase is LockPhase.SETTLED and times.settled_us is None:
+            times.settled_us = record.settled_us
+
+    def build(self, world: str, seed: int | None, log: str | None = None) -> Verdict:
+        """The verdict of what has been taken so far; without an end the flight counts as aborted."""
+        for collision in self._collisions:
+            self._match_truth(collision)
+        end = self._end
+        time_s = None
+        if self._airborne_us is not None and self._landed_us is not None:
+            time_s = (self._landed_us - self._airborne_us) * 1e-6
+        return Verdict(
+            mission=self._mission.name,
+            world=world,
+            seed=seed,
+            outcome=end.outcome if end else "aborted",
+            reason=end.reason if end else "the program ended before the flight did",
+            collisions=self._collisions,
+            guard=self._guard,
+            goal_miss_m=self._miss_m,
+            final_error_m=end.final_error_m if end else None,
+            max_tilt_deg=math.degrees(self._tilt_rad) if self._tilt_rad is not None else None,
+            flight_time_s=time_s,
+            log=log,
+        )
+
+    def _match_truth(self, collision: CollisionVerdict) -> None:
+        near = [
+            t
+            for t in self._truths
+            if t.wall == collision.wall
+            and t.t_us - _TRUTH_MATCH_US <= collision.t_us <= t.end_us + _TRUTH_MATCH_US
+        ]
+        if not near:
+            return
+        truth = min(near, key=lambda t: abs(t.t_us - collision.t_us))
+        collision.truth = Velocities(truth.normal_in_m_s, truth.tangential_in_m_s, truth.peak_normal_force_n)
+        collision.detection_latency_ms = (collision.t_us - truth.t_us) * 1e-3
+
+
+def planned_of(mission: Mission, collision: Collision) -> Velocities:
+    """What the plan says of a collision: the planner's prediction, else the approach and the contact law."""
+    if collision.predicted is not None:
+        p = collision.predicted
+        return Velocities(p.normal_m_s, p.tangential_m_s, p.peak_force_n)
+    if collision.approach_m_s is None:
+        return Velocities()
+    normal, tangential = collision.approach_m_s
+    coefficients = mission.vehicle.materials[collision.wall.material].of(collision.mode)
+    hit = collide(
+        coefficients, mission.vehicle.airframe.mass_kg, normal, tangential, Onset(mission.vehicle.onset)
+    )
+    return Velocities(normal, tangential, hit.peak_normal_force_n)

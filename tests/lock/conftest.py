@@ -1,0 +1,32 @@
+"""The packaged lock configuration, and ways to vary it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import pytest
+
+from dart_flight.config import load_vehicle
+from dart_flight.config.vehicle import LimitSwitch, LockConfig, packaged
+
+BOTH_SWITCHES = LimitSwitch(chip="/dev/gpiochip0", rigid_line=23, flexible_line=24)
+
+
+@pytest.fixture(scope="session")
+def lock_config() -> LockConfig:
+    return load_vehicle(packaged("configs", "dart.yaml")).lock
+
+
+@pytest.fixture(scope="session")
+def vary(lock_config: LockConfig) -> Callable[..., LockConfig]:
+    """The packaged lock configuration with some values changed: `vary(servo={...}, startup=...)`."""
+
+    def varied(**changes: Any) -> LockConfig:
+        for name, value in changes.items():
+            if isinstance(value, dict):
+                changes[name] = msgspec.structs.replace(getattr(lock_config, name), **value)
+        return msgspec.structs.replace(lock_config, **changes)
+
+    return varied

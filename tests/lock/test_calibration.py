@@ -1,0 +1,140 @@
+"""Calibration in small steps, and the file it is written to: only the values change."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from dart_flight.config import InputError, load_vehicle
+from dart_flight.config.edit import edit_values, write_values
+from dart_flight.config.vehicle import LockConfig, packaged
+from dart_flight.lock.calibration import STEP_US, Calibration, CalibrationError
+from dart_flight.samples import Mode
+
+Vary = Callable[..., LockConfig]
+
+
+def test_both_ends_in_small_steps(vary: Vary) -> None:
+    moved = [1500.0]
+    steps = Calibration(vary(), 1500.0, moved.append)
+    for line in ("-", "-100", "1064.5", "ok\n"):
+        assert steps.seeking is Mode.FLEXIBLE
+        steps.enter(line)
+    for line in ("1900", "+", " +22.25 ", "OK"):
+        steps.enter(line)
+    assert steps.seeking is None
+    assert steps.found == {Mode.FLEXIBLE: 1064.5, Mode.RIGID: 1932.25}
+    assert max(abs(b - a) for a, b in pairwise(moved)) <= STEP_US + 1e-9
+    assert moved[-1] == 1932.25
+    assert steps.values() == {
+        ("lock", "servo", "rigid_pulse_us"): 1932.25,
+        ("lock", "servo", "flexible_pulse_us"): 1064.5,
+        ("lock", "servo", "direction"): 1,
+    }
+
+
+def test_a_mirrored_cam(vary: Vary) -> None:
+    steps = Calibration(vary(), 1950.0, lambda pulse: None)
+    for line in ("ok", "1050", "ok"):
+        steps.enter(line)
+    assert steps.values()["lock", "servo", "direction"] == -1
+    assert steps.result().servo.us_per_deg == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize("line", ["", "up", "+-3", "nan", "inf", "899", "2100.5", "-700", "1e9"])
+def test_what_is_not_a_step_moves_nothing(vary: Vary, line: str) -> None:
+    moved: list[float] = []
+    steps = Calibration(vary(), 1500.0, moved.append)
+    with pytest.raises(CalibrationError):
+        steps.enter(line)
+    assert moved == []
+
+
+def test_two_ends_at_one_place_are_no_calibration(vary: Vary) -> None:
+    steps = Calibration(vary(), 1500.0, lambda pulse: None)
+    steps.enter("ok")
+    with pytest.raises(CalibrationError, match="must differ"):
+        steps.enter("ok")
+    assert steps.seeking is Mode.RIGID
+    for line in ("1980", "ok"):
+        steps.enter(line)
+    with pytest.raises(CalibrationError, match="both ends"):
+        steps.enter("ok")
+
+
+def test_a_failing_step_leaves_the_position_known(vary: Vary) -> None:
+    def fails(pulse_us: float) -> None:
+        if pulse_us > 1520.0:
+            raise TimeoutError
+
+    steps = Calibration(vary(), 1500.0, fails)
+    with pytest.raises(TimeoutError):
+        steps.enter("+100")
+    assert steps.pulse_us == 1520.0
+
+
+# --- the file ----------------------------------------------------------------------------------------
+
+
+def test_only_the_values_change(tmp_path: Path) -> None:
+    before = packaged("configs", "dart.yaml").read_text()
+    path = tmp_path / "dart.yaml"
+    path.write_text(before)
+    path.chmod(0o640)
+    write_values(
+        path,
+        {
+            ("lock", "servo", "rigid_pulse_us"): 1932.25,
+            ("lock", "servo", "flexible_pulse_us"): 987.0,
+            ("lock", "servo", "direction"): 1,
+        },
+    )
+    after = path.read_text()
+    changed = [(a, b) for a, b in zip(before.splitlines(), after.splitlines(), strict=True) if a != b]
+    assert [b.split("#")[0].strip() for _, b in changed] == [
+        "rigid_pulse_us: 1932.25",
+        "flexible_pulse_us: 987.0",
+    ]
+    for a, b in changed:
+        assert a.index("#") == b.index("#")
+        assert a[a.index("#") :] == b[b.index("#") :]
+    servo = load_vehicle(path).lock.servo
+    assert (servo.rigid_pulse_us, servo.flexible_pulse_us) == (1932.25, 987.0)
+    assert path.stat().st_mode & 0o777 == 0o640
+    assert [entry.name for entry in tmp_path.iterdir()] == ["dart.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "value", "expected"),
+    [
+        ("a: 1", ("a",), 12.5, "a: 12.5"),
+        ("a: {b: 1, c: 2}  # é\n", ("a", "c"), 30.0, "a: {b: 1, c: 30.0}  # é\n"),
+        ("a:\n  b: 12345.0 # tight\n", ("a", "b"), 1, "a:\n  b: 1       # tight\n"),
+        ("a: 1 # tight\nb: 2\n", ("a",), 123456.5, "a: 123456.5 # tight\nb: 2\n"),
+        ("é: 1\na: 'x'\n", ("a",), -3.0, "é: 1\na: -3.0\n"),
+    ],
+)
+def test_edit(text: str, key: tuple[str, ...], value: float, expected: str) -> None:
+    assert edit_values(text, {key: value}) == expected
+
+
+@pytest.mark.parametrize(("text", "key"), [("a: 1", ("b",)), ("a: {b: 1}", ("a",)), ("a:\nb: 1", ("a",))])
+def test_edit_needs_a_value_to_replace(text: str, key: tuple[str, ...]) -> None:
+    with pytest.raises(InputError, match="needs a value here"):
+        edit_values(text, {key: 1.0}, "f.yaml")
+
+
+def test_a_link_to_the_file_stays_a_link(tmp_path: Path) -> None:
+    (tmp_path / "real.yaml").write_text("a: 1\n")
+    (tmp_path / "link.yaml").symlink_to(tmp_path / "real.yaml")
+    write_values(tmp_path / "link.yaml", {("a",): 2.0})
+    assert (tmp_path / "link.yaml").is_symlink()
+    assert (tmp_path / "real.yaml").read_text() == "a: 2.0\n"
+
+
+def test_a_file_that_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot write"):
+        write_values(tmp_path / "none.yaml", {("a",): 2.0})

@@ -1,0 +1,235 @@
+"""Cam kinematics, calibration, travel time, and the horn's model: all pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.config import InputError
+from dart_flight.config.document import Document
+from dart_flight.config.vehicle import Cam, LockConfig, LockDriver, VehicleConfig, packaged
+from dart_flight.lock import cam as kinematics
+from dart_flight.lock import servo as calibration
+from dart_flight.lock.servo import ServoFaults, ServoModel
+from dart_flight.samples import Mode
+
+Vary = Callable[..., LockConfig]
+
+
+@pytest.mark.parametrize(
+    ("theta", "expected"), [(0.0, 14.0), (60.0, 18.0), (90.0, 22.0), (45.0, 22.0 - 8.0 / math.sqrt(2.0))]
+)
+def test_rod_translation_is_the_papers_law(theta: float, expected: float) -> None:
+    assert kinematics.rod_mm(Cam(22.0, 8.0, 0.0), theta) == pytest.approx(expected, abs=1e-12)
+
+
+@given(
+    radius=st.floats(1.0, 40.0),
+    extra=st.floats(0.0, 40.0),
+    theta0=st.floats(0.0, 90.0),
+    share=st.floats(0.001, 0.999),
+)
+def test_cam_inverse(radius: float, extra: float, theta0: float, share: float) -> None:
+    cam = Cam(radius + extra, radius, theta0)
+    theta = theta0 + 90.0 * share
+    # The cosine is flat at 0 and 180 degrees: there the inverse has half the digits.
+    assert kinematics.angle_deg(cam, kinematics.rod_mm(cam, theta)) == pytest.approx(theta, abs=1e-5)
+
+
+def test_cam_refuses_what_it_cannot_reach() -> None:
+    cam = Cam(22.0, 8.0, 10.0)
+    for theta in (9.9, 100.1):
+        with pytest.raises(ValueError, match="outside 10 to 100"):
+            kinematics.rod_mm(cam, theta)
+    low, high = kinematics.rod_limits_mm(cam)
+    for rod in (low - 0.01, high + 0.01):
+        with pytest.raises(ValueError, match="rod translation"):
+            kinematics.angle_deg(cam, rod)
+
+
+def test_calibration_by_two_points(vary: Vary) -> None:
+    servo = vary().servo
+    assert calibration.angle_deg(servo, 1020.0) == pytest.approx(0.0)
+    assert calibration.angle_deg(servo, 1500.0) == pytest.approx(45.0)
+    assert calibration.pulse_us(servo, 90.0) == pytest.approx(1980.0)
+    mirrored = vary(servo={"rigid_pulse_us": 1020.0, "flexible_pulse_us": 1980.0, "direction": -1}).servo
+    assert calibration.angle_deg(mirrored, 1980.0) == pytest.approx(0.0)
+    assert calibration.angle_deg(mirrored, 1260.0) == pytest.approx(67.5)
+    assert calibration.pulse_us(mirrored, 67.5) == pytest.approx(1260.0)
+    with pytest.raises(ValueError, match="end stops"):
+        calibration.pulse_us(servo, 110.0)
+
+
+@given(angle=st.floats(-10.0, 100.0), mirror=st.booleans())
+def test_calibration_inverse(lock_config: LockConfig, angle: float, mirror: bool) -> None:
+    servo = lock_config.servo
+    if mirror:
+        servo = msgspec.structs.replace(servo, rigid_pulse_us=1020.0, flexible_pulse_us=1980.0, direction=-1)
+    assert calibration.angle_deg(servo, calibration.pulse_us(servo, angle)) == pytest.approx(angle, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("supply_v", "seconds"), [(4.8, 0.285), (6.0, 0.225), (5.4, 0.255)]
+)  # the catalogue's 0.19 and 0.15 s/60 degrees times 1.5, and the middle
+def test_travel_time_by_voltage(vary: Vary, supply_v: float, seconds: float) -> None:
+    servo = vary(servo={"supply_v": supply_v}).servo
+    assert servo.full_travel_s == pytest.approx(seconds)
+    assert calibration.travel_time_s(servo, 1020.0, 1500.0) == pytest.approx(0.5 * seconds)
+
+
+def test_measured_travel_time_overrides_the_catalogue(vary: Vary) -> None:
+    servo = vary(servo={"supply_v": 6.0, "travel_s": 0.4}).servo
+    assert servo.full_travel_s == pytest.approx(0.4)
+    assert calibration.travel_time_s(servo, 1980.0, 1260.0) == pytest.approx(0.3)
+
+
+def test_speed_limit_of_the_controller_counts(vary: Vary) -> None:
+    limited = vary(driver=LockDriver.MAESTRO, maestro={"speed_limit_us_s": 1600.0})
+    assert limited.switch_time_s == pytest.approx(0.6 + 0.03)
+
+
+def test_modes_of_the_horn(vary: Vary) -> None:
+    servo = vary().servo
+    assert calibration.mode_of(servo, 1975.0) is Mode.RIGID
+    assert calibration.mode_of(servo, 1027.9) is Mode.FLEXIBLE
+    assert calibration.mode_of(servo, 1030.0) is None
+    assert [calibration.locked_fraction(servo, p) for p in (900.0, 1020.0, 1500.0, 1980.0, 2100.0)] == [
+        0.0,
+        0.0,
+        pytest.approx(0.5),
+        1.0,
+        1.0,
+    ]
+
+
+def test_rods_follow_the_horn(vary: Vary) -> None:
+    config = vary()
+    assert calibration.rod_mm(config.servo, config.cam, 1980.0) == pytest.approx(22.0)
+    assert calibration.rod_mm(config.servo, config.cam, 2090.0) == pytest.approx(22.0)
+    assert calibration.rod_mm(config.servo, config.cam, 1020.0) == pytest.approx(14.0)
+
+
+# --- the horn as it really moves ---------------------------------------------------------------------
+
+
+def test_horn_takes_the_travel_time(vary: Vary) -> None:
+    model = ServoModel(vary().servo, 1020.0)
+    model.command(1_000_000, 1980.0)
+    assert model.pulse_at(1_142_500) == pytest.approx(1500.0)
+    assert model.pulse_at(1_284_000) < 1980.0
+    assert model.pulse_at(1_285_000) == pytest.approx(1980.0)
+    assert model.pulse_at(1_000_000) == pytest.approx(1980.0)  # time does not run backwards
+
+
+def test_horn_stays_without_pulses_and_at_its_stops(vary: Vary) -> None:
+    model = ServoModel(vary().servo, 1020.0)
+    model.command(0, 5000.0)
+    model.command(142_500, None)
+    assert model.pulse_at(5_000_000) == pytest.approx(1500.0)
+    model.command(5_000_000, 5000.0)
+    assert model.pulse_at(9_000_000) == pytest.approx(2100.0)
+
+
+@pytest.mark.parametrize(
+    ("faults", "at_285_ms", "at_last"),
+    [
+        (ServoFaults(stuck=True), 1020.0, 1020.0),
+        (ServoFaults(slow=3.0), 1340.0, 1980.0),
+        (ServoFaults(stall_fraction=0.5), 1500.0, 1500.0),
+    ],
+)
+def test_faults_of_the_horn(vary: Vary, faults: ServoFaults, at_285_ms: float, at_last: float) -> None:
+    model = ServoModel(vary().servo, 1020.0, faults)
+    model.command(0, 1980.0)
+    assert model.pulse_at(285_000) == pytest.approx(at_285_ms)
+    assert model.pulse_at(3_000_000) == pytest.approx(at_last)
+
+
+def test_a_stall_holds_from_both_sides_and_can_be_cleared(vary: Vary) -> None:
+    model = ServoModel(vary().servo, 1980.0, ServoFaults(stall_fraction=0.5))
+    model.command(0, 1020.0)
+    assert model.pulse_at(1_000_000) == pytest.approx(1500.0)
+    assert model.pulse_at(2_000_000) == pytest.approx(1500.0)
+    model.set_faults(2_000_000, ServoFaults())
+    assert model.pulse_at(3_000_000) == pytest.approx(1020.0)
+
+
+@given(
+    steps=st.lists(
+        st.tuples(st.integers(0, 400_000), st.none() | st.floats(0.0, 4000.0)), min_size=1, max_size=20
+    ),
+    slow=st.floats(0.2, 10.0),
+)
+def test_horn_never_leaves_its_stops_nor_outruns_the_motor(
+    lock_config: LockConfig, steps: list[tuple[int, float | None]], slow: float
+) -> None:
+    servo = lock_config.servo
+    model = ServoModel(servo, 1500.0, ServoFaults(slow=slow))
+    t_us, before = 0, model.pulse_at(0)
+    for elapsed, pulse in steps:
+        t_us += elapsed
+        now = model.pulse_at(t_us)
+        assert 900.0 <= now <= 2100.0
+        assert abs(now - before) <= elapsed * 1e-6 * servo.us_per_deg / servo.s_per_deg / slow + 1e-6
+        model.command(t_us, pulse)
+        before = now
+
+
+# --- configuration that cannot be --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "expected"),
+    [
+        ("rigid_pulse_us: 1980.0", "rigid_pulse_us: 2200.0", "lock.servo", "rigid_pulse_us must be within"),
+        ("rigid_pulse_us: 1980.0", "rigid_pulse_us: 1020.0", "lock.servo", "must differ by more than"),
+        ("rigid_pulse_us: 1980.0", "rigid_pulse_us: -5", "lock.servo.rigid_pulse_us", "> 0"),
+        ("min_pulse_us: 900.0  ", "min_pulse_us: 2100.0  ", "lock.servo", "must be below max_pulse_us"),
+        ("direction: 1 ", "direction: -1 ", "lock.servo", "direction -1 contradicts"),
+        ("direction: 1 ", "direction: 2 ", "lock.servo.direction", "2"),
+        (
+            "theta0_deg: 0.0",
+            "theta0_deg: 20.0",
+            "lock",
+            "flexible_deg 0 is outside the cam's range 20 to 110",
+        ),
+        ("rigid_deg: 90.0", "rigid_deg: 60.0", "lock", "over the servo's end stops: 90 degrees is 2460 us"),
+        ("rigid_deg: 90.0", "rigid_deg: 0.0", "lock.servo", "rigid_deg and flexible_deg must differ"),
+        ("r_mm: 8.0", "r_mm: 23.0", "lock.cam", "must not exceed r_cam_mm"),
+        ("supply_v: 4.8", "supply_v: 12.0", "lock.servo.supply_v", "<= 6"),
+        ("travel_s: null", "travel_s: 1.6", "lock", "timeout_s 1.5 must be longer than the travel"),
+        ("timeout_s: 1.5", "timeout_s: 0.3", "lock", "must be longer than the travel"),
+        (
+            "limit_switch: null",
+            "limit_switch: {chip: /dev/gpiochip0}",
+            "lock.limit_switch",
+            "needs rigid_line",
+        ),
+        (
+            "limit_switch: null",
+            "limit_switch: {chip: c, rigid_line: 3, flexible_line: 3}",
+            "lock.limit_switch",
+            "must differ",
+        ),
+        ("driver: mock", "driver: hand", "lock.driver", "only: maestro, pwm, px4, mock"),
+        ("min_pulse_us: 900.0 ", "min_pulse_us: 700.0 ", "lock.px4.min_pulse_us", ">= 800"),
+        ("startup: home", "startup: guess", "lock.startup", "only: home, adopt"),
+    ],
+)
+def test_absurd_configuration_is_one_line(old: str, new: str, key: str, expected: str) -> None:
+    text = packaged("configs", "dart.yaml").read_text()
+    assert old in text
+    at = text.rindex(old) if key.startswith("lock.px4") else text.index(old)
+    text = text[:at] + new + text[at + len(old) :]
+    with pytest.raises(InputError) as caught:
+        Document(text, "dart.yaml").convert(VehicleConfig)
+    line = caught.value.one_line()
+    assert "\n" not in line
+    assert f": {key}: " in line
+    assert expected in line
+    assert line.startswith("dart.yaml:")

@@ -1,0 +1,44 @@
+"""A seeded sample of the campaign, and that it would notice."""
+
+from __future__ import annotations
+
+import pytest
+
+from dart_flight.config.vehicle import LockConfig
+from dart_flight.lock import state_machine
+from dart_flight.samples import LockState, Mode
+from tools.campaign_lock import campaign
+
+
+@pytest.mark.parametrize(("controller", "toggles"), [("mock", 400), ("maestro", 100)])
+def test_random_toggles_with_faults(controller: str, toggles: int) -> None:
+    tally = campaign(controller, toggles, seed=7)
+    assert tally.violations == []
+    assert tally.toggles == toggles
+    # Everything it is about has happened.
+    assert tally.settled_with_feedback > 0.3 * toggles
+    assert tally.settled_without_feedback > 0.3 * toggles
+    assert tally.faults_reported > 0.05 * toggles
+    assert tally.wrong_without_feedback > 0
+    assert tally.refused > 0
+
+
+def test_the_campaign_notices_a_lock_that_settles_too_early(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(LockConfig, "switch_time_s", property(lambda self: 0.1))
+    assert any("but the horn is at" in line for line in campaign("mock", 50, seed=7).violations)
+
+
+def test_the_campaign_notices_feedback_that_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    def claims(self: state_machine.DriverReading, mode: Mode) -> bool:
+        return self.pulse_us is not None and (self.pulse_us > 1500.0) is (mode is Mode.RIGID)
+
+    monkeypatch.setattr(state_machine.DriverReading, "switch", claims)
+    assert any("but the horn is at" in line for line in campaign("mock", 50, seed=7).violations)
+
+
+def test_the_campaign_notices_an_exception(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(self: state_machine.LockStateMachine, t_us: int) -> LockState:
+        raise RuntimeError("broken")
+
+    monkeypatch.setattr(state_machine.LockStateMachine, "release", broken)
+    assert any("RuntimeError: broken" in line for line in campaign("mock", 100, seed=7).violations)

@@ -1,0 +1,41 @@
+"""The page about the lock shows the table as it is, and what it says can be typed."""
+
+from __future__ import annotations
+
+import re
+
+from dart_flight.cli import build_parser
+from dart_flight.config import load_vehicle
+from dart_flight.config.vehicle import LockConfig, packaged
+from dart_flight.lock.drivers.px4 import required_parameters
+from tools.lock_diagram import PAGE, with_diagram
+
+
+def test_the_diagram_is_up_to_date() -> None:
+    page = PAGE.read_text()
+    assert page == with_diagram(page), "run python -m tools.lock_diagram"
+
+
+def test_the_commands_on_the_page_parse() -> None:
+    commands = re.findall(r"^dart-flight (lock .*?)(?: +#.*)?$", PAGE.read_text(), re.MULTILINE)
+    assert len(commands) >= 5
+    for command in commands:
+        build_parser("lock").parse_args(command.split())
+
+
+def test_the_keys_on_the_page_exist() -> None:
+    lock = load_vehicle(packaged("configs", "dart.yaml")).lock
+    keys = re.findall(r"`lock\.([a-z0-9_.]+)`", PAGE.read_text())
+    assert len(keys) >= 8
+    for key in keys:
+        value: object = lock
+        for part in key.split("."):
+            if value is not None:
+                assert hasattr(value, part), key
+                value = getattr(value, part)
+
+
+def test_the_parameters_on_the_page_are_those_that_are_checked(lock_config: LockConfig) -> None:
+    page = PAGE.read_text()
+    for required in required_parameters(lock_config):
+        assert f"`{required.name}`" in page

@@ -1,0 +1,117 @@
+"""Limit switches through a stand-in for libgpiod's package with its names (compared with gpiod 2.5)."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from enum import Enum
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+
+from dart_flight.config.vehicle import LimitSwitch, LockConfig, LockDriver
+from dart_flight.lock.drivers import DriverError, make_driver
+from dart_flight.lock.drivers.limit_switch import GpioLimitSwitch, WithLimitSwitch
+
+Vary = Callable[..., LockConfig]
+
+
+class Value(Enum):
+    INACTIVE = 0
+    ACTIVE = 1
+
+
+class Request:
+    def __init__(self, levels: dict[int, bool], active_low: bool) -> None:
+        self.levels, self.active_low, self.released = levels, active_low, False
+
+    def get_value(self, line: int) -> Value:
+        if line not in self.levels:
+            raise OSError(5, "Input/output error")
+        return Value.ACTIVE if self.levels[line] is not self.active_low else Value.INACTIVE
+
+    def release(self) -> None:
+        self.released = True
+
+
+@pytest.fixture
+def gpiod(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Electrical level per line: pulled up, so open switches are high."""
+    module: Any = ModuleType("gpiod")
+    module.levels = {23: True, 24: True}
+    module.requests = []
+    module.line = SimpleNamespace(
+        Value=Value,
+        Direction=Enum("Direction", "AS_IS INPUT OUTPUT"),
+        Bias=Enum("Bias", "AS_IS UNKNOWN DISABLED PULL_UP PULL_DOWN"),
+    )
+    module.RequestReleasedError = type("RequestReleasedError", (Exception,), {})
+    module.LineSettings = SimpleNamespace
+
+    def request_lines(path: str, config: dict[tuple[int, ...], Any], consumer: str) -> Request:
+        if path != "/dev/gpiochip0":
+            raise FileNotFoundError(2, "No such file or directory")
+        ((lines, settings),) = config.items()
+        module.requests.append((path, lines, settings, consumer))
+        return Request(module.levels, settings.active_low)
+
+    module.request_lines = request_lines
+    monkeypatch.setitem(sys.modules, "gpiod", module)
+    return module
+
+
+def test_reads_both_lines(gpiod: Any) -> None:
+    switches = GpioLimitSwitch(LimitSwitch("/dev/gpiochip0", rigid_line=23, flexible_line=24))
+    assert switches.read() == (False, False)
+    gpiod.levels[23] = False  # closed to ground
+    assert switches.read() == (True, False)
+    (request,) = gpiod.requests
+    assert request[1] == (23, 24)
+    assert request[2].bias.name == "PULL_UP"
+    assert request[2].direction.name == "INPUT"
+
+
+def test_one_line_active_high(gpiod: Any) -> None:
+    switches = GpioLimitSwitch(LimitSwitch("/dev/gpiochip0", flexible_line=24, active_low=False))
+    assert switches.read() == (None, True)
+    assert gpiod.requests[0][2].bias.name == "PULL_DOWN"
+
+
+def test_failures_are_driver_errors_and_are_tried_again(gpiod: Any) -> None:
+    with pytest.raises(DriverError, match="limit switch on /dev/gpiochip7") as caught:
+        GpioLimitSwitch(LimitSwitch("/dev/gpiochip7", rigid_line=23)).read()
+    assert caught.value.key == ("limit_switch", "chip")
+    switches = GpioLimitSwitch(LimitSwitch("/dev/gpiochip0", rigid_line=23))
+    del gpiod.levels[23]
+    with pytest.raises(DriverError, match="Input/output error"):
+        switches.read()
+    gpiod.levels[23] = False
+    assert switches.read() == (True, None)
+    assert len(gpiod.requests) == 2
+
+
+@pytest.mark.usefixtures("gpiod")
+def test_readings_carry_the_switches(vary: Vary) -> None:
+    config = vary(limit_switch=LimitSwitch("/dev/gpiochip0", rigid_line=23))
+    driver = make_driver(config, LockDriver.PX4, set_actuator=lambda index, value: None)
+    assert isinstance(driver, WithLimitSwitch)
+    driver.open()
+    driver.set_pulse(1980.0)
+    reading = driver.read()
+    assert (reading.pulse_us, reading.rigid_switch, reading.flexible_switch) == (1980.0, False, None)
+    with pytest.raises(DriverError, match="cannot switch the pulses"):
+        driver.release()
+    driver.close()
+
+
+def test_without_the_package_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gpiod", None)
+    with pytest.raises(DriverError, match="pip install gpiod"):
+        GpioLimitSwitch(LimitSwitch("/dev/gpiochip0", rigid_line=23))
+
+
+def test_version_1_of_the_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gpiod", ModuleType("gpiod"))
+    with pytest.raises(DriverError, match="version 2 of the gpiod package"):
+        GpioLimitSwitch(LimitSwitch("/dev/gpiochip0", rigid_line=23))

@@ -1,0 +1,269 @@
+"""`dart-flight lock` as it is typed: real processes, real time, the emulated Maestro for what is moved."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.config import load_vehicle
+from dart_flight.config.vehicle import packaged
+from dart_flight.lock.ground import clock_us
+from dart_flight.lock.persistence import load_last
+from dart_flight.lock.servo import mode_of
+from dart_flight.samples import LockPhase, Mode
+from tools.emulated_maestro import EmulatedMaestro
+
+
+class World:
+    """A configuration and a state folder of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.config = folder / "dart.yaml"
+        self.config.write_text(packaged("configs", "dart.yaml").read_text())
+        self.set("port: /dev/ttyACM0", f"port: {folder / 'maestro'}")
+        # of a busy test machine; an unloaded controller answers within 1 ms
+        self.set("reply_timeout_s: 0.05", "reply_timeout_s: 0.2")
+        self.set("travel_s: null", "travel_s: 0.05")  # tests do not wait for a real travel
+
+    def set(self, old: str, new: str) -> None:
+        text = self.config.read_text()
+        assert old in text
+        self.config.write_text(text.replace(old, new, 1))
+
+    def command(self, *arguments: str) -> list[str]:
+        return ["lock", *arguments, "--config", str(self.config)]
+
+    def start(self, *arguments: str) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [sys.executable, "-m", "dart_flight", *self.command(*arguments)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+
+@pytest.fixture
+def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
+    return World(tmp_path)
+
+
+@pytest.fixture
+def maestro(world: World) -> Iterator[EmulatedMaestro]:
+    world.set("driver: mock", "driver: maestro")
+    servo = load_vehicle(world.config).lock.servo
+    with EmulatedMaestro(servo, world.folder / "maestro", clock_us, horn_us=1300.0) as controller:
+        yield controller
+
+
+def report(world: World, capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dict[str, Any]]:
+    status = main(world.command(*arguments, "--json"))
+    return status, json.loads(capsys.readouterr().out)
+
+
+def test_moves_and_returns_when_settled(
+    world: World, maestro: EmulatedMaestro, capsys: pytest.CaptureFixture[str]
+) -> None:
+    servo = load_vehicle(world.config).lock.servo
+    status, told = report(world, capsys, "rigid")
+    assert status == 0
+    assert told["ok"] is True
+    assert told["text"] == "rigid: settled (no feedback)"
+    assert told["state"]["feedback"] is False
+    assert 0.08 <= told["travel_s"] <= 1.0
+    assert mode_of(servo, maestro.horn_us()) is Mode.RIGID
+    assert maestro.output_us() == 1980.0  # the pulses stay on
+    for expected in (Mode.FLEXIBLE, Mode.RIGID):
+        status, told = report(world, capsys, "toggle")
+        assert (status, told["state"]["mode"]) == (0, expected)
+        assert mode_of(servo, maestro.horn_us()) is expected
+
+
+def test_release_switches_the_pulses_off(
+    world: World, maestro: EmulatedMaestro, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(world.command("rigid", "--release")) == 0
+    assert capsys.readouterr().out == "maestro: rigid: settled (no feedback); pulses off\n"
+    assert maestro.output_us() is None
+
+
+def test_status_moves_nothing_and_is_honest(
+    world: World, maestro: EmulatedMaestro, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, told = report(world, capsys, "status")
+    assert (status, told["state"]["phase"]) == (0, "unknown")
+    assert 0x84 not in maestro.received
+    assert main(world.command("rigid", "--release")) == 0
+    capsys.readouterr()
+    assert main(world.command("status")) == 0
+    unknown, last = capsys.readouterr().out.splitlines()
+    assert unknown == "maestro: unknown; nothing to adopt: pulses are off"
+    assert last.startswith("last command: rigid through maestro at ")
+    assert last.endswith(", settled then (no feedback)")
+    assert main(world.command("rigid")) == 0
+    capsys.readouterr()
+    status, told = report(world, capsys, "status")
+    assert (status, told["text"]) == (0, "rigid: settled (no feedback)")
+
+
+def test_toggle_needs_to_know_something(world: World, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(world.command("toggle")) == 2
+    assert "say rigid or flexible" in capsys.readouterr().err
+    assert main(world.command("flexible")) == 0
+    capsys.readouterr()
+    status, told = report(world, capsys, "toggle")
+    assert (status, told["state"]["mode"]) == (0, "rigid")
+
+
+def test_a_servo_that_does_not_get_there_is_status_1(
+    world: World, maestro: EmulatedMaestro, capsys: pytest.CaptureFixture[str]
+) -> None:
+    world.set("timeout_s: 1.5", "timeout_s: 0.3")
+    maestro.limits_us = (992.0, 1900.0)
+    status, told = report(world, capsys, "rigid")
+    assert (status, told["ok"]) == (1, False)
+    assert told["text"] == "fault; the controller puts out 1900 us instead of 1980 us"
+
+
+def test_a_controller_that_does_not_answer_is_status_1(
+    world: World, maestro: EmulatedMaestro, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maestro.mute()
+    assert main(world.command("rigid")) == 1
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert "no sensible answer" in captured.err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "arguments", "expected"),
+    [
+        ("driver: mock", "driver: maestro", (), ": lock.maestro.port: "),
+        (
+            "chip: 0",
+            "chip: 7",
+            ("--driver", "pwm"),
+            ": lock.pwm.chip: /sys/class/pwm/pwmchip7 does not exist",
+        ),
+        ("rigid_pulse_us: 1980.0", "rigid_pulse_us: 2400", (), "lock.servo: rigid_pulse_us must be within"),
+        ("rigid_pulse_us: 1980.0", "rigid_pulse_us: 1020.0", (), "must differ"),
+        ("theta0_deg: 0.0", "theta0_deg: 30.0", (), "outside the cam's range"),
+        ("period_us: 20000.0", "period_us: 1.0", (), "lock.pwm.period_us"),
+        ("version: 1", "version: 1", ("--driver", "px4"), "the px4 driver needs a connection"),
+        ("version: 1", "version: 1", ("--driver", "hand"), "invalid choice: 'hand'"),
+    ],
+)
+def test_wrong_input_is_one_line_and_status_2(
+    world: World, old: str, new: str, arguments: tuple[str, ...], expected: str
+) -> None:
+    world.set(old, new)
+    process = world.start("rigid", *arguments)
+    out, error = process.communicate(timeout=20)
+    assert process.returncode == 2
+    assert out == ""
+    assert error.count("\n") == 1
+    assert expected in error
+
+
+def test_port_is_a_file(world: World, capsys: pytest.CaptureFixture[str]) -> None:
+    (world.folder / "maestro").write_text("")
+    assert main(world.command("rigid", "--driver", "maestro")) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "lock.maestro.port: cannot open" in error
+
+
+# --- two processes, death ----------------------------------------------------------------------------
+
+
+def wait_for_travel() -> int:
+    give_up = time.monotonic() + 10.0
+    while time.monotonic() < give_up:
+        last = load_last()
+        if last is not None and last.phase is LockPhase.TRAVELLING:
+            return last.pid
+        time.sleep(0.005)
+    raise AssertionError("no travel was begun")
+
+
+def test_two_processes_and_the_death_of_the_first(world: World, capsys: pytest.CaptureFixture[str]) -> None:
+    world.set("travel_s: 0.05", "travel_s: 1.4")  # long enough to be met on the way
+    first = world.start("rigid")
+    try:
+        assert wait_for_travel() == first.pid
+        assert main(world.command("flexible")) == 1
+        assert capsys.readouterr().err == f"lock: the lock's servo is in use by process {first.pid}\n"
+        status, told = report(world, capsys, "status")
+        assert (status, told["owner_pid"], told["state"]) == (0, first.pid, None)
+        assert told["last_command"]["phase"] == "travelling"
+    finally:
+        first.send_signal(signal.SIGKILL)
+        first.communicate(timeout=10)
+    # Dead in the middle of the travel: nobody owns the servo, and nobody claims to know where it is.
+    assert main(world.command("status")) == 0
+    unknown, last = capsys.readouterr().out.splitlines()
+    assert unknown.startswith("mock: unknown")
+    assert last.endswith("not seen to arrive")
+
+
+# --- calibrate ---------------------------------------------------------------------------------------
+
+
+def test_calibrate_writes_the_two_ends(world: World, maestro: EmulatedMaestro) -> None:
+    before = world.config.read_text().splitlines()
+    process = world.start("calibrate")
+    lines = ("y", "1400", "up", "ok", "1590", "+", "ok", "y")
+    out, error = process.communicate("".join(f"{line}\n" for line in lines), timeout=30)
+    assert process.returncode == 0, error
+    assert out == "maestro: flexible: settled (no feedback)\n"
+    assert "Are the rods free to move?" in error
+    assert "up is not understood" in error
+    changed = [a for a, b in zip(world.config.read_text().splitlines(), before, strict=True) if a != b]
+    assert [line.split("#")[0].strip() for line in changed] == [
+        "rigid_pulse_us: 1600.0",
+        "flexible_pulse_us: 1400.0",
+    ]
+    assert maestro.output_us() == 1400.0
+    assert load_vehicle(world.config).lock.servo.us_per_deg == pytest.approx(200.0 / 90.0)
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ("n\n", "nothing moved"),
+        ("y\n1480\nquit\n", "nothing written"),
+        ("y\n1480\n", "nothing written"),
+        ("y\n1450\nok\n1520\nok\nno\n", "nothing written"),
+    ],
+)
+def test_calibrate_can_be_left(world: World, maestro: EmulatedMaestro, lines: str, said: str) -> None:
+    before = world.config.read_text()
+    process = world.start("calibrate", "--json")
+    out, error = process.communicate(lines, timeout=30)
+    assert process.returncode == 1
+    assert said in error
+    assert json.loads(out)["ok"] is False
+    assert world.config.read_text() == before
+
+
+def test_calibrate_does_not_write_the_packaged_default(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("DART_FLIGHT_CONFIG", raising=False)
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path))
+    assert main(["lock", "calibrate"]) == 2
+    assert "is the packaged default" in capsys.readouterr().err
+    assert os.listdir(tmp_path) == []

@@ -1,0 +1,151 @@
+"""What outlives the process: last command, owner; honest after a crash."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from dart_flight.config import InputError
+from dart_flight.config.vehicle import LockDriver
+from dart_flight.lock.persistence import (
+    CommandStore,
+    ServoOwnership,
+    ServoTakenError,
+    forget_last,
+    load_last,
+    state_dir,
+)
+from dart_flight.samples import LockPhase, LockState, Mode
+
+HOLD = """
+import os, sys, time
+from dart_flight.lock.persistence import ServoOwnership
+ServoOwnership().acquire()
+if sys.argv[1] == "fork" and os.fork() == 0:
+    time.sleep(60)
+print("held", flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
+    return tmp_path / "state"
+
+
+@pytest.fixture
+def holder() -> Iterator[subprocess.Popen[str]]:
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLD, "fork"], stdout=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "held\n"
+        yield process
+        os.killpg(process.pid, signal.SIGKILL)
+
+
+def state(phase: LockPhase, mode: Mode | None, feedback: bool = False) -> LockState:
+    return LockState(t_us=5, phase=phase, mode=mode, commanded_us=1, feedback=feedback)
+
+
+def test_state_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert state_dir() == tmp_path / "state"
+    monkeypatch.delenv("DART_FLIGHT_STATE_DIR")
+    monkeypatch.setenv("XDG_STATE_HOME", "/x")
+    assert state_dir() == Path("/x/dart-flight")
+    monkeypatch.delenv("XDG_STATE_HOME")
+    assert state_dir() == Path.home() / ".local/state/dart-flight"
+
+
+@pytest.mark.parametrize(
+    ("states", "mode", "text"),
+    [
+        ([(LockPhase.TRAVELLING, Mode.RIGID)], Mode.RIGID, "not seen to arrive"),
+        (
+            [(LockPhase.TRAVELLING, Mode.RIGID), (LockPhase.SETTLED, Mode.RIGID)],
+            Mode.RIGID,
+            "settled then (no feedback)",
+        ),
+        ([(LockPhase.TRAVELLING, Mode.FLEXIBLE), (LockPhase.FAULT, None)], Mode.FLEXIBLE, "ended in a fault"),
+    ],
+)
+def test_last_command_is_what_was_commanded(
+    folder: Path, states: list[tuple[LockPhase, Mode | None]], mode: Mode, text: str
+) -> None:
+    assert load_last() is None
+    store = CommandStore(LockDriver.PWM)
+    for phase, of in states:
+        store.note(state(phase, of))
+    last = load_last()
+    assert last is not None
+    assert (last.driver, last.mode, last.pid) == (LockDriver.PWM, mode, os.getpid())
+    assert last.describe() == f"{mode} through pwm at {last.at_utc}, {text}"
+    assert [path.name for path in folder.iterdir()] == ["last_command.json"]
+    forget_last()
+    forget_last()
+    assert load_last() is None
+
+
+def test_states_without_a_command_are_not_written() -> None:
+    store = CommandStore(LockDriver.PWM)
+    store.note(LockState(t_us=1, phase=LockPhase.SETTLED, mode=Mode.RIGID))
+    assert load_last() is None
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b'{"mode": "soft"}', b"\xff\xfe", b"[]"])
+def test_a_damaged_record_is_no_record(folder: Path, content: bytes) -> None:
+    folder.mkdir()
+    (folder / "last_command.json").write_bytes(content)
+    assert load_last() is None
+
+
+def test_a_disk_that_is_full_is_said_and_stops_nothing(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    def full(source: str, target: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    store = CommandStore(LockDriver.PWM)
+    monkeypatch.setattr("os.replace", full)
+    store.note(state(LockPhase.TRAVELLING, Mode.RIGID))
+    assert "No space left on device" in (store.problem or "")
+    assert list(folder.iterdir()) == []
+    monkeypatch.undo()
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(folder))
+    store.note(state(LockPhase.TRAVELLING, Mode.RIGID))
+    assert store.problem is None
+
+
+def test_a_second_process_is_told_the_owners_pid(holder: subprocess.Popen[str]) -> None:
+    with pytest.raises(ServoTakenError, match=f"in use by process {holder.pid}") as caught:
+        ServoOwnership().acquire()
+    assert caught.value.pid == holder.pid
+
+
+def test_a_crash_gives_the_servo_back_even_with_a_child_alive(holder: subprocess.Popen[str]) -> None:
+    holder.send_signal(signal.SIGKILL)
+    holder.wait()
+    with ServoOwnership():
+        pass
+
+
+def test_one_owner_within_a_process_too() -> None:
+    with ServoOwnership():
+        with pytest.raises(ServoTakenError) as caught:
+            ServoOwnership().acquire()
+        assert caught.value.pid == os.getpid()
+    with ServoOwnership():
+        pass
+
+
+def test_a_state_folder_that_cannot_be(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "file" / "below"))
+    for use in (lambda: ServoOwnership().acquire(), lambda: CommandStore(LockDriver.PWM)):
+        with pytest.raises(InputError, match="DART_FLIGHT_STATE_DIR"):
+            use()

@@ -1,0 +1,204 @@
+"""The sysfs driver against a directory tree that imitates the kernel's, byte for byte."""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from dart_flight.config.vehicle import LockConfig, LockDriver
+from dart_flight.lock.drivers import Driver, DriverError, make_driver, pwm
+from dart_flight.lock.drivers.pwm import PwmDriver
+from dart_flight.lock.session import LockSession
+from dart_flight.samples import LockPhase, Mode
+
+Vary = Callable[..., LockConfig]
+
+
+class Sysfs:
+    """`/sys/class/pwm` with the kernel's rules for what may be written when, and a record of every write.
+
+    The rules are those of the older kernels, which judge the whole state at every write.
+    """
+
+    def __init__(self, root: Path, monkeypatch: pytest.MonkeyPatch, *, exported: bool = True) -> None:
+        self.root = root
+        self.chip = root / "pwmchip0"
+        self.channel = self.chip / "pwm1"
+        self.writes: list[tuple[str, bytes]] = []
+        self.chip.mkdir()
+        for name, content in (("npwm", "2\n"), ("export", ""), ("unexport", "")):
+            (self.chip / name).write_text(content)
+        if exported:
+            self.appear()
+        self._real = pwm.write_attribute
+        monkeypatch.setattr(pwm, "write_attribute", self._write)
+
+    def appear(self) -> None:
+        self.channel.mkdir()
+        for name, content in (("period", "0\n"), ("duty_cycle", "0\n"), ("polarity", "normal\n")):
+            (self.channel / name).write_text(content)
+        (self.channel / "enable").write_text("0\n")
+
+    def value(self, name: str) -> str:
+        return (self.channel / name).read_text()
+
+    def _write(self, path: Path, text: str) -> None:
+        name = str(path.relative_to(self.chip))
+        before = path.read_bytes()
+        self._real(path, text)  # the real system calls, on the imitation's file
+        self.writes.append((name, path.read_bytes()))
+        if path.parent == self.channel:
+            path.write_text(text + "\n")  # sysfs shows every value with a line end
+            problem = self._refused(path.name, before)
+            if problem:
+                path.write_bytes(before)
+                raise OSError(problem, os.strerror(problem))
+
+    def _refused(self, name: str, before: bytes) -> int:
+        period, duty = int(self.value("period")), int(self.value("duty_cycle"))
+        if name == "polarity" and self.value("enable") == "1\n":
+            return errno.EBUSY
+        return errno.EINVAL if period == 0 or duty > period else 0
+
+
+@pytest.fixture
+def config(vary: Vary, tmp_path: Path) -> LockConfig:
+    return vary(driver=LockDriver.PWM, pwm={"sysfs_dir": str(tmp_path), "channel": 1})
+
+
+def test_byte_for_byte(config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sysfs = Sysfs(tmp_path, monkeypatch)
+    driver = PwmDriver(config)
+    assert isinstance(make_driver(config), Driver)
+    driver.open()
+    driver.open()
+    assert driver.read().pulse_us is None
+    driver.set_pulse(1980.0)
+    assert driver.read().pulse_us == 1980.0
+    driver.set_pulse(1020.25)
+    assert driver.read().pulse_us == 1020.25
+    driver.release()
+    driver.release()
+    assert driver.read().pulse_us is None
+    driver.close()
+    assert sysfs.writes == [
+        ("pwm1/period", b"20000000"),
+        ("pwm1/duty_cycle", b"1980000"),
+        ("pwm1/enable", b"1"),
+        ("pwm1/duty_cycle", b"1020250"),
+        ("pwm1/enable", b"0"),
+    ]
+    assert (sysfs.chip / "unexport").read_bytes() == b""
+
+
+def test_export_is_waited_for(config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sysfs = Sysfs(tmp_path, monkeypatch, exported=False)
+
+    def kernel() -> None:
+        while not sysfs.writes:
+            time.sleep(0.001)
+        sysfs.appear()
+
+    thread = threading.Thread(target=kernel, daemon=True)
+    thread.start()
+    PwmDriver(config).set_pulse(1500.0)
+    thread.join()
+    assert sysfs.writes == [
+        ("export", b"1"),
+        ("pwm1/period", b"20000000"),
+        ("pwm1/duty_cycle", b"1500000"),
+        ("pwm1/enable", b"1"),
+    ]
+
+
+def test_a_running_channel_is_adopted_without_a_glitch(
+    config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sysfs = Sysfs(tmp_path, monkeypatch)
+    PwmDriver(config).set_pulse(1980.0)
+    sysfs.writes.clear()
+    again = PwmDriver(config)
+    again.open()
+    assert again.read().pulse_us == 1980.0
+    assert sysfs.writes == []
+
+
+def test_another_frame_and_polarity_are_put_right(
+    config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sysfs = Sysfs(tmp_path, monkeypatch)
+    contents = (("period", "50000000\n"), ("duty_cycle", "30000000\n"), ("polarity", "inversed\n"))
+    for name, content in (*contents, ("enable", "1\n")):
+        (sysfs.channel / name).write_text(content)
+    PwmDriver(config).open()
+    assert sysfs.writes == [
+        ("pwm1/enable", b"0"),
+        ("pwm1/duty_cycle", b"0"),
+        ("pwm1/period", b"20000000"),
+        ("pwm1/polarity", b"normal"),
+    ]
+
+
+def test_a_whole_toggle(config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Sysfs(tmp_path, monkeypatch)
+    clock = [0]
+    session = LockSession(config, PwmDriver(config), lambda: clock[0])
+    session.start()
+    session.permit(True)
+    for mode in (Mode.FLEXIBLE, Mode.RIGID):
+        session.command(mode)
+        for _ in range(20):
+            clock[0] += 20_000
+            session.poll()
+        assert (session.state.phase, session.state.mode) == (LockPhase.SETTLED, mode)
+    (tmp_path / "pwmchip0" / "pwm1" / "enable").write_text("0\n")  # something else stops the pulses
+    for _ in range(3):
+        clock[0] += 20_000
+        session.poll()
+    assert (session.state.phase, session.state.reason) == (LockPhase.FAULT, "the controller lost the pulse")
+
+
+def test_what_is_missing_is_said(
+    vary: Vary, config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(DriverError, match=r"pwmchip0 does not exist; is dtoverlay=pwm-2chan") as caught:
+        PwmDriver(config).open()
+    assert caught.value.key == ("pwm", "chip")
+    sysfs = Sysfs(tmp_path, monkeypatch, exported=False)
+    with pytest.raises(DriverError, match="pwmchip0 has 2 channels, from 0") as caught:
+        PwmDriver(vary(pwm={"sysfs_dir": str(tmp_path), "channel": 2})).open()
+    assert caught.value.key == ("pwm", "channel")
+    monkeypatch.setattr(pwm, "_APPEAR_S", 0.02)
+    with pytest.raises(DriverError, match="pwm1 did not appear"):
+        PwmDriver(config).open()
+    sysfs.appear()
+    (sysfs.channel / "period").write_text("garbage\n")
+    with pytest.raises(DriverError, match="period says 'garbage', not a number"):
+        PwmDriver(config).open()
+    (sysfs.channel / "period").unlink()
+    with pytest.raises(DriverError, match="cannot read"):
+        PwmDriver(config).open()
+
+
+def test_a_channel_without_permission(
+    config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Sysfs(tmp_path, monkeypatch)
+    monkeypatch.setattr(pwm, "_APPEAR_S", 0.02)
+    monkeypatch.setattr("os.access", lambda path, mode: False)  # as for a user that is not root
+    with pytest.raises(DriverError, match="pwm1 is not writable; are you in the group gpio"):
+        PwmDriver(config).open()
+
+
+def test_the_kernel_refuses(config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Sysfs(tmp_path, monkeypatch)
+    driver = PwmDriver(config)
+    driver.open()
+    with pytest.raises(DriverError, match=r"cannot write 30000000 to .*duty_cycle: Invalid argument"):
+        driver.set_pulse(30_000.0)

@@ -1,0 +1,103 @@
+"""The driver for PX4's own output: values, parameters, and a shell's callable that fails."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.config.vehicle import LockConfig, LockDriver
+from dart_flight.lock.drivers import Driver, DriverError, make_driver
+from dart_flight.lock.drivers.px4 import (
+    Px4Driver,
+    actuator_pulse_us,
+    actuator_value,
+    parameter_problems,
+    required_parameters,
+)
+
+Vary = Callable[..., LockConfig]
+
+
+def test_pulse_becomes_an_actuator_value(vary: Vary) -> None:
+    sent: list[tuple[int, float]] = []
+    config = vary(px4={"actuator_index": 3})
+    driver = make_driver(config, LockDriver.PX4, set_actuator=lambda i, v: sent.append((i, v)))
+    assert isinstance(driver, Driver)
+    driver.open()
+    assert driver.read().pulse_us is None
+    driver.set_pulse(1980.0)
+    driver.set_pulse(1020.0)
+    assert [index for index, _ in sent] == [3, 3]
+    assert [value for _, value in sent] == pytest.approx([0.8, -0.8])
+    assert driver.read().pulse_us == 1020.0
+
+
+@given(pulse=st.floats(900.0, 2100.0))
+def test_actuator_value_inverse(lock_config: LockConfig, pulse: float) -> None:
+    value = actuator_value(lock_config, pulse)
+    assert -1.0 <= value <= 1.0
+    assert actuator_pulse_us(lock_config, value) == pytest.approx(pulse, abs=1e-9)
+
+
+def test_failures_are_driver_errors(vary: Vary) -> None:
+    def no_link(index: int, value: float) -> None:
+        raise TimeoutError("no answer")
+
+    driver = Px4Driver(vary(), no_link)
+    with pytest.raises(DriverError, match="PX4 actuator 1: no answer"):
+        driver.set_pulse(1500.0)
+    assert driver.read().pulse_us is None
+    with pytest.raises(DriverError, match="outside PX4's output range"):
+        driver.set_pulse(2500.0)
+    with pytest.raises(DriverError, match="cannot switch the pulses"):
+        driver.release()
+
+
+RIGHT = {
+    "PWM_AUX_FUNC1": 301.0,
+    "COM_PREARM_MODE": 2.0,
+    "PWM_AUX_MIN1": 900.0,
+    "PWM_AUX_MAX1": 2100.0,
+    "PWM_AUX_DIS1": 1020.0,
+    "PWM_AUX_TIM0": 50.0,
+    "PWM_AUX_REV": 0.0,
+}
+
+
+def test_required_parameters(vary: Vary) -> None:
+    assert {p.name: float(p.value) for p in required_parameters(vary())} == RIGHT
+    other = vary(px4={"bank": "MAIN", "pin": 5, "timer": 1, "actuator_index": 6})
+    assert required_parameters(other)[0].name == "PWM_MAIN_FUNC5"
+    assert required_parameters(other)[0].value == 306
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("PWM_AUX_FUNC1", 0.0, "PWM_AUX_FUNC1 is 0, must be 301"),
+        ("COM_PREARM_MODE", 1.0, "COM_PREARM_MODE is 1, must be 2"),
+        ("PWM_AUX_REV", 5.0, "PWM_AUX_REV is 5, must be without bit 0x1"),
+        ("PWM_AUX_TIM0", 400.0, "PWM_AUX_TIM0 is 400, must be 50"),
+    ],
+)
+def test_parameter_problems(vary: Vary, name: str, value: float, expected: str) -> None:
+    assert parameter_problems(vary(), RIGHT) == []
+    problems = parameter_problems(vary(), {**RIGHT, name: value})
+    assert len(problems) == 1
+    assert problems[0].startswith(expected)
+    missing = {k: v for k, v in RIGHT.items() if k != name}
+    assert parameter_problems(vary(), missing)[0].startswith(f"{name} is not on this vehicle")
+
+
+def test_the_output_of_another_pin_may_be_reversed(vary: Vary) -> None:
+    assert parameter_problems(vary(), {**RIGHT, "PWM_AUX_REV": 6.0}) == []
+
+
+def test_make_driver_says_what_it_misses(vary: Vary) -> None:
+    with pytest.raises(ValueError, match="set_actuator"):
+        make_driver(vary(), LockDriver.PX4)
+    with pytest.raises(ValueError, match="clock_us"):
+        make_driver(vary(), LockDriver.MOCK)

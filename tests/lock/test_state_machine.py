@@ -1,0 +1,522 @@
+"""The state machine with a modelled servo, in simulated time: every rule, every fault, and properties."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.config.vehicle import LimitSwitch, LockConfig, LockStartup
+from dart_flight.lock.drivers.mock import MockDriver, MockFaults
+from dart_flight.lock.servo import ServoFaults, mode_of
+from dart_flight.lock.session import LockSession
+from dart_flight.lock.state_machine import (
+    NOT_PERMITTED,
+    TRANSITIONS,
+    DriverReading,
+    LockStateMachine,
+    Refused,
+    SetPulse,
+    describe,
+    diagram,
+    status_text,
+)
+from dart_flight.samples import LockPhase, LockState, Mode
+
+from .conftest import BOTH_SWITCHES
+
+Vary = Callable[..., LockConfig]
+RIGID_SWITCH = LimitSwitch(chip="/dev/gpiochip0", rigid_line=23)
+
+
+class Bench:
+    """A session with the mock on simulated time, polled every 10 ms."""
+
+    def __init__(
+        self, config: LockConfig, faults: MockFaults | None = None, pulse_us: float | None = None
+    ) -> None:
+        self.t_us = 1_000_000
+        self.states: list[LockState] = []
+        self.mock = MockDriver(config, lambda: self.t_us, faults=faults, pulse_us=pulse_us)
+        self.session = LockSession(config, self.mock, lambda: self.t_us, self.states.append)
+
+    @property
+    def state(self) -> LockState:
+        return self.session.state
+
+    def run(self, seconds: float) -> LockState:
+        for _ in range(round(seconds * 100)):
+            self.t_us += 10_000
+            self.session.poll()
+        return self.state
+
+    def horn(self) -> Mode | None:
+        return mode_of(self.session.machine.config.servo, self.mock.horn_pulse_us(self.t_us))
+
+
+def phase_and_reason(state: LockState) -> tuple[LockPhase, str | None]:
+    return state.phase, state.reason
+
+
+def homed(config: LockConfig, faults: MockFaults | None = None) -> Bench:
+    """A bench that has homed to flexible without faults, with locking permitted."""
+    bench = Bench(config)
+    bench.session.start()
+    assert bench.run(1.0).phase is LockPhase.SETTLED
+    bench.session.permit(True)
+    bench.mock.inject(faults or MockFaults())
+    return bench
+
+
+def test_a_travel_takes_the_catalogues_time_and_says_no_feedback(vary: Vary) -> None:
+    bench = homed(vary())
+    started_us = bench.t_us
+    assert bench.session.command(Mode.RIGID) is None
+    assert (bench.state.phase, bench.state.mode) == (LockPhase.TRAVELLING, Mode.RIGID)
+    assert bench.state.commanded_us == started_us
+    state = bench.run(1.0)
+    assert (state.phase, state.mode, state.feedback) == (LockPhase.SETTLED, Mode.RIGID, False)
+    assert state.settled_us is not None
+    # 0.285 s of the catalogue and 0.03 s of margin, at the next poll.
+    assert 0.315e6 <= state.settled_us - started_us <= 0.325e6
+    assert bench.horn() is Mode.RIGID
+    assert describe(state) == "rigid: settled (no feedback)"
+    assert status_text(state) == "lock rigid: settled (no feedback)"
+
+
+def test_a_switch_confirms_and_is_faster_than_the_margin(vary: Vary) -> None:
+    bench = homed(vary(limit_switch=BOTH_SWITCHES))
+    started_us = bench.t_us
+    bench.session.command(Mode.RIGID)
+    state = bench.run(1.0)
+    assert (state.phase, state.mode, state.feedback) == (LockPhase.SETTLED, Mode.RIGID, True)
+    assert state.settled_us is not None
+    assert 0.28e6 <= state.settled_us - started_us <= 0.33e6
+    assert bench.horn() is Mode.RIGID
+
+
+def test_an_end_without_a_switch_has_no_feedback(vary: Vary) -> None:
+    bench = homed(vary(limit_switch=RIGID_SWITCH))
+    assert not bench.state.feedback
+    bench.session.command(Mode.RIGID)
+    assert bench.run(1.0).feedback
+    bench.session.command(Mode.FLEXIBLE)
+    state = bench.run(1.0)
+    assert (state.phase, state.mode, state.feedback) == (LockPhase.SETTLED, Mode.FLEXIBLE, False)
+
+
+# --- refusals ----------------------------------------------------------------------------------------
+
+
+def test_locking_is_refused_until_permitted(vary: Vary) -> None:
+    bench = Bench(vary())
+    bench.session.start()
+    bench.run(1.0)
+    assert bench.session.command(Mode.RIGID) == Refused("rigid", NOT_PERMITTED)
+    assert bench.state.phase is LockPhase.SETTLED
+    assert bench.state.mode is Mode.FLEXIBLE
+    assert bench.state.reason == f"refused rigid: {NOT_PERMITTED}"
+    bench.run(1.0)
+    assert bench.horn() is Mode.FLEXIBLE
+    bench.session.permit(True)
+    assert bench.session.command(Mode.RIGID) is None
+    assert bench.state.reason is None
+
+
+def test_unlocking_needs_no_permission(vary: Vary) -> None:
+    bench = homed(vary())
+    bench.session.command(Mode.RIGID)
+    bench.run(1.0)
+    bench.session.permit(False)
+    assert bench.session.command(Mode.FLEXIBLE) is None
+    assert bench.run(1.0).mode is Mode.FLEXIBLE
+
+
+def test_the_other_way_is_refused_during_a_travel_and_the_same_way_is_nothing_new(vary: Vary) -> None:
+    bench = homed(vary())
+    bench.session.command(Mode.RIGID)
+    bench.run(0.1)
+    travelling = bench.state
+    assert bench.session.command(Mode.RIGID) is None
+    assert bench.state is travelling
+    refused = bench.session.command(Mode.FLEXIBLE)
+    assert refused == Refused("flexible", "travelling to rigid")
+    assert bench.session.release() == Refused("release", "travelling to rigid")
+    assert bench.run(0.5).mode is Mode.RIGID
+
+
+def test_contact_while_locking_draws_the_rods_back(vary: Vary) -> None:
+    bench = homed(vary())
+    bench.session.command(Mode.RIGID)
+    bench.run(0.15)
+    bench.session.permit(False)
+    assert (bench.state.phase, bench.state.mode) == (LockPhase.TRAVELLING, Mode.FLEXIBLE)
+    assert bench.state.reason == "contact while locking"
+    state = bench.run(0.5)
+    assert (state.phase, state.mode) == (LockPhase.SETTLED, Mode.FLEXIBLE)
+    assert bench.horn() is Mode.FLEXIBLE
+
+
+def test_contact_with_the_arms_locked_or_unlocking_changes_nothing(vary: Vary) -> None:
+    bench = homed(vary())
+    bench.session.command(Mode.RIGID)
+    bench.run(0.5)
+    settled = bench.state
+    bench.session.permit(False)
+    assert bench.state is settled
+    bench.session.command(Mode.FLEXIBLE)
+    travelling = bench.state
+    bench.session.permit(True)
+    bench.session.permit(False)
+    assert bench.state is travelling
+
+
+# --- faults ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("faults", "reason"),
+    [
+        (MockFaults(servo=ServoFaults(stuck=True)), "the flexible limit switch did not open within 1.5 s"),
+        (
+            MockFaults(servo=ServoFaults(stall_fraction=0.4)),
+            "the rigid limit switch did not close within 1.5 s",
+        ),
+        (MockFaults(servo=ServoFaults(slow=6.0)), "the rigid limit switch did not close within 1.5 s"),
+        (MockFaults(switch_silent=True), "the rigid limit switch did not close within 1.5 s"),
+        (MockFaults(brown_out=True), "the controller lost the pulse; the controller has restarted"),
+        (MockFaults(unplugged=True), "the controller does not answer (unplugged)"),
+    ],
+)
+def test_with_switches_every_fault_is_seen(vary: Vary, faults: MockFaults, reason: str) -> None:
+    bench = homed(vary(limit_switch=BOTH_SWITCHES), faults)
+    bench.session.command(Mode.RIGID)
+    state = bench.run(2.0)
+    assert (state.phase, state.mode, state.feedback) == (LockPhase.FAULT, None, False)
+    assert state.reason == reason
+    assert not any(s.phase is LockPhase.SETTLED and s.mode is Mode.RIGID for s in bench.states)
+
+
+@pytest.mark.parametrize(
+    "servo", [ServoFaults(stuck=True), ServoFaults(stall_fraction=0.4), ServoFaults(slow=6.0)]
+)
+def test_without_switches_a_servo_fault_cannot_be_seen_and_is_not_denied(
+    vary: Vary, servo: ServoFaults
+) -> None:
+    bench = homed(vary(), MockFaults(servo=servo))
+    bench.session.command(Mode.RIGID)
+    state = bench.run(0.4)
+    assert (state.phase, state.mode, state.feedback) == (LockPhase.SETTLED, Mode.RIGID, False)
+    assert bench.horn() is not Mode.RIGID
+
+
+@pytest.mark.parametrize("faults", [MockFaults(brown_out=True), MockFaults(unplugged=True)])
+def test_without_switches_a_fault_of_the_controller_is_seen(vary: Vary, faults: MockFaults) -> None:
+    bench = homed(vary(), faults)
+    bench.session.command(Mode.RIGID)
+    assert bench.run(0.4).phase is LockPhase.FAULT
+
+
+def test_a_fault_is_left_by_a_command(vary: Vary) -> None:
+    bench = homed(vary(limit_switch=BOTH_SWITCHES), MockFaults(servo=ServoFaults(stuck=True)))
+    bench.session.command(Mode.RIGID)
+    assert bench.run(2.0).phase is LockPhase.FAULT
+    bench.mock.inject(MockFaults())
+    bench.session.command(Mode.FLEXIBLE)
+    state = bench.run(0.5)
+    assert (state.phase, state.mode, state.feedback) == (LockPhase.SETTLED, Mode.FLEXIBLE, True)
+
+
+def test_a_slow_servo_with_a_switch_settles_late(vary: Vary) -> None:
+    bench = homed(vary(limit_switch=BOTH_SWITCHES), MockFaults(servo=ServoFaults(slow=3.0)))
+    started_us = bench.t_us
+    bench.session.command(Mode.RIGID)
+    assert bench.run(0.8).phase is LockPhase.TRAVELLING
+    state = bench.run(0.5)
+    assert state.phase is LockPhase.SETTLED
+    assert state.settled_us is not None
+    assert 0.84e6 < state.settled_us - started_us < 0.9e6
+
+
+def test_a_switch_that_opens_at_rest_is_a_fault(vary: Vary) -> None:
+    bench = homed(vary(limit_switch=BOTH_SWITCHES))
+    bench.session.command(Mode.RIGID)
+    bench.run(0.5)
+    bench.mock.inject(MockFaults(switch_silent=True))
+    bench.run(0.02)
+    assert bench.state.phase is LockPhase.SETTLED  # a bounce is no fault
+    bench.run(0.03)
+    assert phase_and_reason(bench.state) == (LockPhase.FAULT, "the rigid limit switch has opened")
+
+
+def test_a_bouncing_switch_neither_confirms_nor_faults(vary: Vary) -> None:
+    machine = LockStateMachine(vary(limit_switch=BOTH_SWITCHES))
+    machine.permit(0, True)
+    machine.command(0, Mode.RIGID)
+    machine.sent(0, 1980.0)
+    for t_us in range(10_000, 1_000_000, 10_000):
+        closed = (t_us // 10_000) % 2 == 0
+        machine.reading(t_us, DriverReading(1980.0, rigid_switch=closed, flexible_switch=False))
+        assert machine.state.phase is LockPhase.TRAVELLING
+
+
+def test_a_controller_that_clamps_is_a_fault(vary: Vary) -> None:
+    machine = LockStateMachine(vary())
+    machine.permit(0, True)
+    machine.command(0, Mode.RIGID)
+    machine.sent(0, 1980.0)
+    machine.reading(400_000, DriverReading(1900.0, errors=("protocol error",)))
+    assert machine.state.phase is LockPhase.TRAVELLING
+    machine.step(1_500_000)
+    assert phase_and_reason(machine.state) == (
+        LockPhase.FAULT,
+        "the controller puts out 1900 us instead of 1980 us; protocol error",
+    )
+
+
+@pytest.mark.parametrize(
+    ("sent_us", "reading_us", "reason"),
+    [
+        (None, 400_000, "the driver did not take the command within 1.5 s"),
+        (10_000, None, "the driver reported nothing within 1.5 s"),
+        (10_000, 200_000, "no reading came after the travel time within 1.5 s"),
+    ],
+)
+def test_a_command_alone_never_settles(
+    vary: Vary, sent_us: int | None, reading_us: int | None, reason: str
+) -> None:
+    machine = LockStateMachine(vary())
+    machine.command(0, Mode.FLEXIBLE)
+    if sent_us is not None:
+        machine.sent(sent_us, 1020.0)
+    if reading_us is not None:
+        machine.reading(reading_us, DriverReading(1020.0))
+    for t_us in range(400_000, 1_490_000, 10_000):
+        machine.step(t_us)
+        assert machine.state.phase is LockPhase.TRAVELLING
+    machine.step(1_500_000)
+    assert (machine.state.phase, machine.state.reason) == (LockPhase.FAULT, reason)
+
+
+def test_a_reading_from_before_the_driver_had_the_command_counts_for_nothing(vary: Vary) -> None:
+    machine = LockStateMachine(vary())
+    machine.command(0, Mode.FLEXIBLE)
+    machine.sent(15_000, 1020.0)
+    machine.reading(0, DriverReading(None))  # taken first, delivered late
+    phases = []
+    for t_us in (20_000, 40_000):
+        machine.reading(t_us, DriverReading(None))
+        phases.append(machine.state.phase)
+    assert phases == [LockPhase.TRAVELLING, LockPhase.FAULT]
+
+
+def test_a_confirmed_state_needs_readings_to_stay_confirmed(vary: Vary) -> None:
+    bench = homed(vary(limit_switch=BOTH_SWITCHES))
+    machine = bench.session.machine
+    machine.step(bench.t_us + 1_400_000)
+    assert machine.state.phase is LockPhase.SETTLED
+    machine.step(bench.t_us + 1_600_000)
+    assert (machine.state.phase, machine.state.reason) == (LockPhase.FAULT, "no reading for 1.6 s")
+
+
+# --- pulses off, start-up ----------------------------------------------------------------------------
+
+
+def test_release_keeps_the_state_and_the_next_command_travels_again(vary: Vary) -> None:
+    bench = homed(vary())
+    assert bench.session.release() is None
+    state = bench.run(0.5)
+    assert (state.phase, state.reason) == (LockPhase.SETTLED, "pulses off")
+    assert bench.mock.read().pulse_us is None
+    bench.session.command(Mode.FLEXIBLE)
+    assert bench.state.phase is LockPhase.TRAVELLING
+    assert bench.run(0.5).phase is LockPhase.SETTLED
+    assert bench.mock.read().pulse_us == 1020.0
+
+
+def test_home_moves_to_the_home_mode(vary: Vary) -> None:
+    bench = Bench(vary(), pulse_us=1700.0)
+    assert bench.session.start() is None
+    assert bench.run(1.0).mode is Mode.FLEXIBLE
+    assert bench.horn() is Mode.FLEXIBLE
+
+
+def test_home_to_rigid_waits_for_permission(vary: Vary) -> None:
+    bench = Bench(vary(home_mode=Mode.RIGID))
+    assert bench.session.start() == Refused("rigid", NOT_PERMITTED)
+    assert bench.state.phase is LockPhase.UNKNOWN
+
+
+@pytest.mark.parametrize(
+    ("reading", "mode", "feedback", "reason"),
+    [
+        (None, None, False, "nothing to adopt: no reading"),
+        (DriverReading(None), None, False, "nothing to adopt: pulses are off"),
+        (DriverReading(1500.0), None, False, "nothing to adopt: 1500 us is neither end"),
+        (DriverReading(1980.0), Mode.RIGID, False, None),
+        (DriverReading(None, rigid_switch=True), Mode.RIGID, True, None),
+        (DriverReading(1020.0, flexible_switch=True), Mode.FLEXIBLE, True, None),
+        (
+            DriverReading(1020.0, rigid_switch=True),
+            None,
+            False,
+            "nothing to adopt: pulse and rigid limit switch contradict each other",
+        ),
+        (
+            DriverReading(None, rigid_switch=True, flexible_switch=True),
+            None,
+            False,
+            "nothing to adopt: both limit switches are closed",
+        ),
+    ],
+)
+def test_adopt_believes_only_what_can_be_seen(
+    vary: Vary, reading: DriverReading | None, mode: Mode | None, feedback: bool, reason: str | None
+) -> None:
+    machine = LockStateMachine(vary(startup=LockStartup.ADOPT))
+    assert machine.start(0, reading) == []
+    if mode is None or reading is None:
+        assert (machine.state.phase, machine.state.mode) == (LockPhase.UNKNOWN, None)
+        assert machine.state.reason == reason
+        return
+    # The last process may have died in the middle of the travel: it is waited for.
+    assert machine.state.phase is LockPhase.TRAVELLING
+    for t_us in range(10_000, 400_000, 10_000):
+        assert machine.reading(t_us, reading) == []
+    assert (machine.state.phase, machine.state.mode) == (LockPhase.SETTLED, mode)
+    assert machine.state.feedback is feedback
+
+
+def test_adopted_rigid_is_not_drawn_back_by_a_contact(vary: Vary) -> None:
+    machine = LockStateMachine(vary(startup=LockStartup.ADOPT))
+    machine.start(0, DriverReading(1980.0))
+    assert machine.permit(10_000, False) == []
+    assert machine.state.mode is Mode.RIGID
+
+
+def test_driver_that_cannot_be_opened_is_a_fault(vary: Vary) -> None:
+    bench = Bench(vary(), MockFaults(unplugged=True))
+    bench.session.start()
+    assert (bench.state.phase, bench.state.reason) == (
+        LockPhase.FAULT,
+        "the controller does not answer (unplugged)",
+    )
+
+
+# --- the table, properties ---------------------------------------------------------------------------
+
+
+def test_every_phase_is_reached_and_left() -> None:
+    assert set(TRANSITIONS) == set(LockPhase)
+    reached = {after for row in TRANSITIONS.values() for after in row.values()}
+    assert reached == set(LockPhase) - {LockPhase.UNKNOWN}
+    assert all(TRANSITIONS.values())
+    for before, row in TRANSITIONS.items():
+        for event, after in row.items():
+            assert f"{before} --> {after}: {event}" in diagram()
+
+
+def test_status_text_fits_and_is_ascii(vary: Vary) -> None:
+    bench = homed(vary(limit_switch=BOTH_SWITCHES), MockFaults(servo=ServoFaults(stuck=True)))
+    bench.session.command(Mode.RIGID)
+    text = status_text(bench.run(2.0))
+    assert text == "lock fault; the flexible limit switch did not open"
+    assert len(text.encode()) == 50
+
+
+faults = st.builds(
+    MockFaults,
+    servo=st.builds(
+        ServoFaults,
+        stuck=st.booleans(),
+        slow=st.sampled_from([1.0, 1.0, 2.5, 9.0]),
+        stall_fraction=st.none() | st.floats(0.0, 1.0),
+    ),
+    unplugged=st.booleans(),
+    brown_out=st.booleans(),
+    switch_silent=st.booleans(),
+)
+moves = st.one_of(
+    st.tuples(st.just("command"), st.sampled_from(Mode)),
+    st.tuples(st.just("permit"), st.booleans()),
+    st.tuples(st.just("inject"), faults),
+    st.tuples(st.just("release"), st.none()),
+    st.tuples(st.just("run"), st.floats(0.0, 0.7)),
+)
+
+
+@given(
+    script=st.lists(moves, max_size=25),
+    switches=st.sampled_from([None, BOTH_SWITCHES, RIGID_SWITCH]),
+    adopt=st.booleans(),
+    horn_us=st.floats(1020.0, 1980.0),
+)
+def test_whatever_happens_it_claims_only_what_is_true(
+    *,
+    lock_config: LockConfig,
+    vary: Vary,
+    script: list[tuple[str, object]],
+    switches: LimitSwitch | None,
+    adopt: bool,
+    horn_us: float,
+) -> None:
+    startup = LockStartup.ADOPT if adopt else LockStartup.HOME
+    bench = Bench(vary(limit_switch=switches, startup=startup), pulse_us=horn_us)
+    bench.session.start()
+    permitted = False
+    for what, value in script:
+        before = bench.state
+        if what == "command":
+            assert isinstance(value, Mode)
+            refused = bench.session.command(value)
+            if value is Mode.RIGID and not permitted and refused is None:
+                assert bench.state is before  # nothing new was begun
+        elif what == "permit":
+            permitted = bool(value)
+            bench.session.permit(permitted)
+        elif what == "inject":
+            assert isinstance(value, MockFaults)
+            bench.mock.inject(value)
+        elif what == "release":
+            bench.session.release()
+        else:
+            assert isinstance(value, float)
+            for _ in range(round(value * 100)):
+                bench.run(0.01)
+                state = bench.state
+                assert (state.phase is LockPhase.SETTLED) == (state.settled_us is not None)
+                assert (state.mode is None) == (state.phase in (LockPhase.UNKNOWN, LockPhase.FAULT))
+                assert state.feedback <= (state.phase is LockPhase.SETTLED)
+                if state.phase is LockPhase.SETTLED and state.feedback:
+                    assert bench.horn() is state.mode
+                healthy = bench.mock.faults == MockFaults()
+                if state.phase is LockPhase.TRAVELLING:
+                    assert state.t_us >= bench.t_us - round(lock_config.timeout_s * 1e6)
+                    assert healthy or state.settled_us is None
+
+
+@given(
+    events=st.lists(st.tuples(st.sampled_from(["rigid", "flexible", "on", "off"]), st.integers(0, 400_000)))
+)
+def test_never_a_rigid_pulse_without_permission(
+    lock_config: LockConfig, events: list[tuple[str, int]]
+) -> None:
+    machine = LockStateMachine(lock_config)
+    t_us, permitted, pulse = 0, False, 1020.0
+    for event, elapsed in events:
+        t_us += elapsed
+        machine.reading(t_us, DriverReading(pulse))
+        if event in ("on", "off"):
+            permitted = event == "on"
+            actions = machine.permit(t_us, permitted)
+        else:
+            actions = machine.command(t_us, Mode(event))
+        for action in actions:
+            if isinstance(action, SetPulse):
+                assert permitted or action.mode is Mode.FLEXIBLE
+                pulse = action.pulse_us
+                machine.sent(t_us, pulse)
+        if not permitted and machine.state.phase is LockPhase.TRAVELLING:
+            assert machine.state.mode is Mode.FLEXIBLE

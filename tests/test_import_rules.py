@@ -1,0 +1,91 @@
+"""Imports point one way (docs/architecture.md), and each door to the outside has one room."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "dart_flight"
+
+# Rooms from the ground up; a room may import those of its own and of lower floors.
+FLOORS = {
+    "errors": 0,
+    "geometry": 0,
+    "samples": 1,
+    "streams": 1,
+    "config": 2,
+    "contact": 3,
+    "planning": 4,
+    "flight": 5,
+    "lock": 6,
+    "vehicle": 6,
+    "recording": 6,
+    "sim": 7,  # may use the lock's pure modules
+    "verdict": 7,
+    "app": 8,
+    "flights": 9,
+    "cli": 10,
+    "__main__": 11,
+    "__init__": 11,
+}
+# Who may import a package from outside.
+DOORS = {
+    "mavsdk": ("vehicle/",),
+    "serial": ("lock/drivers/maestro.py",),
+    "pymavlink": ("sim/",),
+    "asyncio": ("vehicle/", "app.py", "flights.py", "cli/"),
+    "mcap": ("recording/",),
+}
+
+
+def modules() -> list[Path]:
+    return sorted(PACKAGE.rglob("*.py"))
+
+
+def imports_of(path: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield alias.name
+        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            yield node.module
+
+
+def room_of(module: str) -> str | None:
+    parts = module.split(".")
+    if parts[0] != "dart_flight":
+        return None
+    return parts[1] if len(parts) > 1 else "__init__"
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_imports_point_down(path: Path) -> None:
+    relative = path.relative_to(PACKAGE)
+    own = relative.parts[0].removesuffix(".py")
+    assert own in FLOORS, f"{own} is a new room: give it a floor"
+    for module in imports_of(path):
+        room = room_of(module)
+        if room in (None, own, "__init__"):  # the package itself only says its version
+            continue
+        assert room is not None
+        assert FLOORS[room] < FLOORS[own], f"{relative} imports {module}"
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_doors_to_the_outside(path: Path) -> None:
+    relative = str(path.relative_to(PACKAGE))
+    for module in imports_of(path):
+        top = module.split(".")[0]
+        for door, allowed in DOORS.items():
+            if top == door:
+                assert relative.startswith(allowed), f"{relative} imports {module}"
+
+
+def test_the_core_reads_no_clock_and_does_no_io() -> None:
+    for path in (PACKAGE / "flight").glob("*.py"):
+        for module in imports_of(path):
+            top = module.split(".")[0]
+            assert top not in {"time", "os", "io", "socket", "threading", "asyncio", "random", "pathlib"}, (
+                path
+            )
