@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dart_flight.config import Coefficients, load_vehicle
+from dart_flight.config import Coefficients, InputError, load_vehicle
 from dart_flight.config.vehicle import packaged
 from dart_flight.contact.collision_map import drop
 from dart_flight.contact.identify import deviation_bound, identify
@@ -125,7 +125,11 @@ def run(case: Case, sets: int, bound_sets: int, seed: int) -> Outcome:
         # The same sequence draws the same sample times and speeds with and without noise.
         trials = case.make(np.random.default_rng((seed, i)), case.noise_m)
         mode = trials[0].mode
-        found = identify(trials, MASS_KG, Onset.LCP)
+        try:
+            found = identify(trials, MASS_KG, Onset.LCP)
+        except InputError:
+            out.failed += 1
+            continue
         coefficients = found.coefficients[mode]
         if any(coefficients[name] is None for name in case.wanted):
             out.failed += 1

@@ -262,6 +262,20 @@ class _Fit:
         self.windows[i] = _cut(self.trials[i], begin, end)
         self._memory.pop(i, None)
 
+    def bounds(self) -> tuple[Array, Array]:
+        """Limits that no impact in question goes beyond: they keep the search where the data are."""
+        low, high = np.full(self.parameters.size, -np.inf), np.full(self.parameters.size, np.inf)
+        for mode in self.parameters.modes:
+            at = self.parameters.of_mode(mode)
+            low[at["k"]], high[at["k"]] = math.log(10.0), math.log(1e6)
+            low[at["f"]], high[at["f"]] = math.log(1e-3), math.log(1e4)
+            low[at["mu"]], high[at["mu"]] = 0.0, 1e3
+        low[0], high[0] = -0.2, 0.2
+        for own, impact in zip(self.parameters.own, self.impacts, strict=True):
+            low[own["onset"]], high[own["onset"]] = impact.turn_s - 0.2, impact.turn_s + 0.02
+            low[own["speed"]], high[own["speed"]] = 0.4 * -impact.approach_m_s, 2.0 * -impact.approach_m_s
+        return low, high
+
     # -- starting point --
 
     def start(self) -> Array:
@@ -373,13 +387,12 @@ def _solve(
         raise InputError("no trials")
     usable, notes = _without_derived(trials)
     fit = _Fit(usable, mass_kg, onset, plane_sd_m)
-    low = np.full(fit.parameters.size, -np.inf)
-    for mode in fit.parameters.modes:
-        low[fit.parameters.of_mode(mode)["mu"]] = 0.0
     theta = fit.start()
+    low, high = fit.bounds()
+    theta = np.clip(theta, low, high)
     for turn, loss in enumerate(("soft_l1", "linear", "linear")):
         result = least_squares(
-            fit.residuals, theta, fit.jacobian, bounds=(low, np.inf), x_scale="jac", loss=loss,
+            fit.residuals, theta, fit.jacobian, bounds=(low, high), x_scale="jac", loss=loss,
             f_scale=2.0, max_nfev=80,
         )  # fmt: skip
         theta = result.x
