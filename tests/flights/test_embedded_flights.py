@@ -92,7 +92,18 @@ def test_dual_collision_through_mavsdk(tmp_path: Path) -> None:
 def test_simulate_in_one_terminal_and_fly_in_another(tmp_path: Path) -> None:
     with simulated_vehicle(DUAL) as url:
         flight = command(
-            *("fly", DUAL, "--yes", "--driver", "px4", "--connection", url, "--log-dir", str(tmp_path), "--json")
+            *(
+                "fly",
+                DUAL,
+                "--yes",
+                "--driver",
+                "px4",
+                "--connection",
+                url,
+                "--log-dir",
+                str(tmp_path),
+                "--json",
+            )
         )
         output, _ = flight.communicate(timeout=90)
     verdict = json.loads(output)  # one object on standard output and nothing else
@@ -132,7 +143,13 @@ def test_sigkill_in_flight_leaves_a_landed_vehicle_and_a_log(tmp_path: Path) -> 
     folder = next(tmp_path.iterdir())
     said = wait_for_text(folder / "autopilot.log", "simulated vehicle stops", 35.0)
     assert time.monotonic() - killed_s < 30.0
-    story = ["the app is gone", "offboard lost, holding", "offboard lost, landing", "Landing detected", "Disarmed"]
+    story = [
+        "the app is gone",
+        "offboard lost, holding",
+        "offboard lost, landing",
+        "Landing detected",
+        "Disarmed",
+    ]
     places = [said.index(word) for word in story]
     assert places == sorted(places)
     # Nothing of the last moments is lost: the log goes on to at most 0.2 s before the kill. The autopilot's
