@@ -192,3 +192,31 @@ def test_nobody_there_is_said_in_one_line(tmp_path: Path) -> None:
     assert flight.returncode == 1
     assert "Traceback" not in errors
     assert "no autopilot" in errors or "cannot open" in errors
+
+
+@pytest.mark.mavlink
+def test_the_lock_command_moves_the_servo_on_px4s_output(tmp_path: Path) -> None:
+    with simulated_vehicle(SINGLE) as url:
+        process = subprocess.run(
+            [
+                sys.executable,
+                "-m",
+                "dart_flight",
+                "lock",
+                "rigid",
+                "--driver",
+                "px4",
+                "--connection",
+                url,
+                "--json",
+            ],
+            cwd=ROOT,
+            env={**os.environ, "DART_FLIGHT_STATE_DIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            timeout=40,
+            check=False,
+        )
+    assert process.returncode == 0, process.stderr
+    state = json.loads(process.stdout)["state"]
+    assert (state["phase"], state["mode"], state["feedback"]) == ("settled", "rigid", False)
