@@ -59,7 +59,16 @@ class Estimate(NamedTuple):
 
 
 class TrialFit(NamedTuple):
-    """What a fit says of one trial; velocities at the onset."""
+    """What a fit says of one trial.
+
+    Attributes:
+        name, mode: of the trial.
+        onset_s: time of the onset in the recording.
+        normal_m_s, tangential_m_s: velocity at the onset.
+        samples_in_contact: position samples in contact.
+        push_m_s2: the controller's acceleration along the normal, before (and in) and after the contact; 0
+            where the flight was straight.
+    """
 
     name: str
     mode: str
@@ -67,6 +76,7 @@ class TrialFit(NamedTuple):
     normal_m_s: float
     tangential_m_s: float | None
     samples_in_contact: int
+    push_m_s2: tuple[float, float]
 
 
 class Identification(NamedTuple):
@@ -654,7 +664,9 @@ def _trial_fits(fit: _Fit, theta: Array) -> list[TrialFit]:
         own = fit.parameters.own[i]
         along = float(theta[own["vy"]]) if "vy" in own else None
         onset, speed = float(theta[own["onset"]]), -float(theta[own["speed"]])
-        fits.append(TrialFit(trial.name, trial.mode, onset, speed, along, _in_contact(fit, theta, i)))
+        push = tuple(float(theta[own[f"n_{when}"]]) if "n_after" in own else 0.0 for when in _PUSHES)
+        samples = _in_contact(fit, theta, i)
+        fits.append(TrialFit(trial.name, trial.mode, onset, speed, along, samples, (push[0], push[1])))
     return fits
 
 

@@ -150,6 +150,9 @@ def test_a_controller_that_pushes_before_and_after(mode: Mode) -> None:
         assert abs(estimate.value - getattr(c, name)) < estimate.high - estimate.low
         assert relative_width(estimate) < 0.08
     assert found.residuals["normal_m"] == pytest.approx(0.001, rel=0.15)
+    before, after = np.mean([trial.push_m_s2 for trial in found.trials], axis=0)
+    assert before == pytest.approx(-0.8, abs=0.3)
+    assert after == pytest.approx(-3.0, abs=0.7)
 
 
 def test_outliers_do_not_matter() -> None:
