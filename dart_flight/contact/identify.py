@@ -423,7 +423,7 @@ def identify(
 
 
 def _solve(
-    trials: Sequence[Trial], mass_kg: float, onset: Onset, plane_sd_m: float
+    trials: Sequence[Trial], mass_kg: float, onset: Onset, plane_sd_m: float, *, may_curve: bool = True
 ) -> tuple[Identification, _Fit, Array]:
     try:
         from scipy.optimize import least_squares  # noqa: PLC0415
@@ -448,7 +448,7 @@ def _solve(
 
     fit = _Fit(usable, mass_kg, onset, plane_sd_m, pushed=False)
     theta = descend(fit, fit.start(), ("soft_l1", "linear", "linear"))
-    if _is_curved(fit, theta):
+    if may_curve and _is_curved(fit, theta):
         notes.append("free flight is not straight: accelerations before and after the contact are estimated")
         pushed = _Fit(usable, mass_kg, onset, plane_sd_m, pushed=True)
         pushed.sd = dict(fit.sd)
@@ -680,7 +680,8 @@ def deviation_bound(
 ) -> dict[str, dict[str, float]]:
     """Cramér-Rao bound: the smallest standard deviation any unbiased estimate of k, f, mu, nu can have.
 
-    Onset times, approach velocities and the plane (with its prior) are unknown, as they are in `identify`.
+    Onset times, approach velocities and the plane (with its prior) are unknown, as they are in `identify`; free
+    flight is taken to be straight.
 
     Args:
         trials: (nearly) noise-free recordings, at the sample times of those in question.
@@ -690,7 +691,7 @@ def deviation_bound(
     Returns:
         mode -> coefficient -> bound, in the coefficient's unit.
     """
-    found, fit, theta = _solve(trials, mass_kg, onset, plane_sd_m)
+    found, fit, theta = _solve(trials, mass_kg, onset, plane_sd_m, may_curve=False)
     fit.sd.update(noise)
     deviation = np.sqrt(np.diag(covariance(fit, theta)))
     bounds = {}
