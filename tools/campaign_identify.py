@@ -166,8 +166,8 @@ def run(case: Case, sets: int, bound_sets: int, seed: int) -> Outcome:
 def page(results: list[tuple[Case, Outcome]]) -> str:
     """The report as Markdown."""
     head = [
-        "case", "sets", "", "truth", "bound σ", "bound / truth", "median error", "median / bound", "rms / bound",
-        "bias / bound", "half 95 % interval", "coverage",
+        "case", "sets", "", "truth", "bound σ", "bound / truth", "median error", "median / bound",
+        "rms / bound", "bias / bound", "half 95 % interval", "coverage",
     ]  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "| " + " | ".join(["---", "---:", "---"] + ["---:"] * 9) + " |"]
     for case, out in results:

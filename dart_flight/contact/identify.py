@@ -680,8 +680,8 @@ def deviation_bound(
 ) -> dict[str, dict[str, float]]:
     """Cramér-Rao bound: the smallest standard deviation any unbiased estimate of k, f, mu, nu can have.
 
-    Onset times, approach velocities and the plane (with its prior) are unknown, as they are in `identify`; free
-    flight is taken to be straight.
+    Onset times, approach velocities and the plane (with its prior) are unknown, as they are in `identify`;
+    free flight is taken to be straight.
 
     Args:
         trials: (nearly) noise-free recordings, at the sample times of those in question.
