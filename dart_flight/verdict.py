@@ -195,7 +195,9 @@ class VerdictBuilder:
         if record.phase is LockPhase.SETTLED and times.settled_us is None:
             times.settled_us = record.settled_us
 
-    def build(self, world: str, seed: int | None, log: str | None = None) -> Verdict:
+    def build(
+        self, world: str, seed: int | None, log: str | None = None, px4_log: str | None = None
+    ) -> Verdict:
         """The verdict of what has been taken so far; without an end the flight counts as aborted."""
         for collision in self._collisions:
             self._match_truth(collision)
@@ -216,6 +218,7 @@ class VerdictBuilder:
             max_tilt_deg=math.degrees(self._tilt_rad) if self._tilt_rad is not None else None,
             flight_time_s=time_s,
             log=log,
+            px4_log=px4_log,
         )
 
     def _match_truth(self, collision: CollisionVerdict) -> None:
