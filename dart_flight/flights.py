@@ -21,6 +21,7 @@ from dart_flight.config.mission import FrameOrigin, Mission, load_mission
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.flight.core import FlightCore
 from dart_flight.planning.approach import NoApproachError
+from dart_flight.recording.px4_log import read_px4_log
 from dart_flight.recording.writer import FlightLog, new_flight_folder
 from dart_flight.samples import Record
 from dart_flight.vehicle.clock import Clock, LockstepClock
@@ -128,7 +129,7 @@ def fly_embedded(
         mission.vehicle.lock.driver,
         world_log(log.path.parent),
     )
-    verdict = _fly_in_world(mission, log, lambda on_truth: EmbeddedWorld(spec, on_truth), port, progress)
+    verdict, _ = _fly_in_world(mission, log, lambda on_truth: EmbeddedWorld(spec, on_truth), port, progress)
     return verdict.build("embedded", seed, _relative(log.path))
 
 
@@ -181,12 +182,14 @@ def fly_px4(
         world_log(folder),
         Px4Spec(str(install.program.parents[1]), str(folder.resolve()), parameters, gps, speed),
     )
-    verdict = _fly_in_world(
+    verdict, world = _fly_in_world(
         mission, log, lambda on_truth: Px4World(spec, on_truth), None, progress, LockstepClock(speed)
     )
     ulog = folder / "px4.ulg"
     kept = _relative(ulog) if ulog.exists() else None
-    return verdict.build("px4", seed, _relative(log.path), kept)
+    built = verdict.build("px4", seed, _relative(log.path), kept)
+    built.px4 = read_px4_log(ulog, world.version)
+    return built
 
 
 def _require_frame_for_gps(mission: Mission) -> None:
@@ -215,7 +218,7 @@ def _fly_in_world(
     port: int | None,
     progress: Progress,
     clock: Clock | None = None,
-) -> VerdictBuilder:
+) -> tuple[VerdictBuilder, WorldProcess]:
     """Start a world, fly in it, end it; closes the log. `port` None: the world says where it sends to."""
     verdict = VerdictBuilder(mission)
 
@@ -234,7 +237,7 @@ def _fly_in_world(
             world.close()
     finally:
         log.close()
-    return verdict
+    return verdict, world
 
 
 def fly_vehicle(

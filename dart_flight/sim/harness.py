@@ -80,6 +80,11 @@ class WorldProcess:
         assert self.ready.port is not None
         return self.ready.port
 
+    @property
+    def version(self) -> str | None:
+        """The autopilot's version, where it told."""
+        return self.ready.version if self.ready is not None else None
+
     def wait_ready(self) -> None:
         """Block until the autopilot sends.
 

@@ -1,8 +1,8 @@
 """The world of a real PX4: the plant in lockstep with it, in a process that owns PX4 and ends it.
 
 The pipe to the app is the same as the embedded autopilot's (`pipe`). The process ends PX4 in every case: on
-the app's word, when PX4 dies or hangs, on SIGTERM, when the app is gone (after PX4 has flown to its failsafe);
-and when it is killed itself, the kernel kills PX4.
+the app's word, when PX4 dies or hangs, on SIGTERM, and when the app is gone (after PX4 has flown to its
+failsafe); when it is killed itself, the kernel kills PX4.
 """
 
 from __future__ import annotations
