@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -82,4 +83,4 @@ def _rise(counter: Any) -> int:
         return 0
     values = [int(value) for value in counter]
     width = 256 if counter.dtype.itemsize == 1 else 1 << 32
-    return sum((after - before) % width for before, after in zip(values, values[1:], strict=False))
+    return sum((after - before) % width for before, after in itertools.pairwise(values))
