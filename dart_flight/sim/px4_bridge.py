@@ -39,8 +39,9 @@ from dart_flight.sim.vehicle import LockServo
 SERVO_CHANNEL = 4  # of HIL_ACTUATOR_CONTROLS, after the motors: PWM_MAIN 5 in PX4's simulated outputs
 
 # PX4 keeps the simulated accelerometer as 16-bit counts of 1/2048 g and does not saturate when it converts:
-# one count more than the type holds wraps around to the other sign.
-ACCELEROMETER_LIMIT_M_S2 = 32767.0 / 2048.0 * 9.80665
+# one count more than the type holds wraps around to the other sign. It cuts the fraction off and takes 32767
+# counts, and nothing less on the negative side, for clipped: hence the 0.4.
+ACCELEROMETER_LIMIT_M_S2 = 32767.4 / 2048.0 * 9.80665
 GYRO_LIMIT_RAD_S = math.radians(2000.0 * 32767.0 / 32768.0)
 
 # Where PX4 is told that it is: near Zurich, with the field that its own world magnetic model has there.
@@ -216,9 +217,8 @@ class Px4Vehicle:
 
     def _sensor_message(self, specific_force_frd: Vec3) -> Any:
         f, w = self._imu.measure(specific_force_frd, self.plant.rate)
-        limit = min(self.vehicle.imu.full_scale_m_s2, ACCELEROMETER_LIMIT_M_S2)
-        self.clipped += any(abs(axis) >= 0.999 * limit for axis in f)
-        ax, ay, az = (max(-limit, min(limit, axis)) for axis in f)
+        self.clipped += any(abs(axis) >= self.vehicle.imu.full_scale_m_s2 for axis in f)
+        ax, ay, az = (accelerometer_output(axis, self.vehicle.imu.full_scale_m_s2) for axis in f)
         gx, gy, gz = (max(-GYRO_LIMIT_RAD_S, min(GYRO_LIMIT_RAD_S, axis)) for axis in w)
         fields = _ACCELEROMETER | _GYRO
         field, pressure, altitude = (0.0, 0.0, 0.0), 0.0, 0.0
@@ -229,6 +229,18 @@ class Px4Vehicle:
         return mavlink.MAVLink_hil_sensor_message(
             self.time_us, ax, ay, az, gx, gy, gz, *field, pressure, 0.0, altitude, 25.0, fields, 0
         )
+
+
+def accelerometer_output(specific_force_m_s2: float, full_scale_m_s2: float) -> float:
+    """One axis of HIL_SENSOR: at the sensor's full scale the largest count, by which PX4 knows of clipping.
+
+    A sensor of less than 16 g saturates, too, but PX4's simulated driver cannot know of that.
+    """
+    limit = ACCELEROMETER_LIMIT_M_S2
+    if abs(specific_force_m_s2) >= full_scale_m_s2:
+        limit = min(limit, full_scale_m_s2) if full_scale_m_s2 < 0.999 * limit else limit
+        return math.copysign(limit, specific_force_m_s2)
+    return max(-limit, min(limit, specific_force_m_s2))
 
 
 def odometry_message(time_us: int, position_ned: Vec3, q: Quaternion, vehicle: Any) -> Any:

@@ -43,13 +43,16 @@ class ImuSensor:
     def measure(self, specific_force_frd: Vec3, rate_frd: Vec3) -> tuple[Vec3, Vec3]:
         """(specific force m/s2, body rate rad/s), FRD, as reported for one tick."""
         noisy = add(add(specific_force_frd, self.bias), gauss3(self._rng, self._sigma))
-        s = self._scale
-        clipped = (
-            max(-s, min(s, noisy[0])),
-            max(-s, min(s, noisy[1])),
-            max(-s, min(s, noisy[2])),
-        )
-        return clipped, add(rate_frd, gauss3(self._rng, self._gyro_sigma))
+        f, s = specific_force_frd, self._scale
+        read = (_saturate(f[0], noisy[0], s), _saturate(f[1], noisy[1], s), _saturate(f[2], noisy[2], s))
+        return read, add(rate_frd, gauss3(self._rng, self._gyro_sigma))
+
+
+def _saturate(true: float, noisy: float, scale: float) -> float:
+    """One axis at full scale `scale`: where the whole tick was beyond it, noise and bias are lost with it."""
+    if abs(true) >= scale:
+        return math.copysign(scale, true)
+    return max(-scale, min(scale, noisy))
 
 
 class PoseSensor:

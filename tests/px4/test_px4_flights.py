@@ -76,9 +76,10 @@ class Flight:
     def __init__(self, px4_dir: Path, folder: Path) -> None:
         self.folder = folder
         mission = str(MISSIONS / "dual_collision.yaml")
+        command = [sys.executable, "-m", "dart_flight", "dry-run", mission, "--json"]
+        command += ["--px4", str(px4_dir), "--speed", "2", "--log-dir", str(folder)]
         self.app = subprocess.Popen(
-            [sys.executable, "-m", "dart_flight", "dry-run", mission, "--json"]
-            + ["--px4", str(px4_dir), "--speed", "2", "--log-dir", str(folder)],  # noqa: RUF005
+            command,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
