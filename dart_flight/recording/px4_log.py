@@ -74,7 +74,7 @@ def _within(topic: dict[str, Any], begin_us: int, end_us: int, field: str) -> An
     stamps = topic["timestamp"]
     first = max(0, int((stamps < begin_us).sum()) - 1)
     last = int((stamps <= end_us).sum())
-    return topic[field][first : last + 1]
+    return topic[field][first:last]
 
 
 def _rise(counter: Any) -> int:

@@ -35,6 +35,7 @@ from dart_flight.sim.sensors import (
     PoseSensor,
 )
 from dart_flight.sim.vehicle import LockServo
+from dart_flight.sim.wind import Wind
 
 SERVO_CHANNEL = 4  # of HIL_ACTUATOR_CONTROLS, after the motors: PWM_MAIN 5 in PX4's simulated outputs
 
@@ -171,6 +172,7 @@ class Px4Vehicle:
         self._gps = GpsReceiver(GPS_QUALITIES[gps], rng) if gps is not None else None
         self._barometer = Barometer(rng, HOME_ALTITUDE_M)
         self._magnetometer = Magnetometer(rng, HOME_FIELD_GAUSS)
+        self._wind = Wind(self.vehicle.simulation, seed, TICK_US * 1e-6)
         self._servo = LockServo(self.plant, self.vehicle.lock.servo)
         self._by_px4 = self.vehicle.lock.driver is LockDriver.PX4
         self._ticks = 0
@@ -202,6 +204,7 @@ class Px4Vehicle:
             # PX4 zeroes all simulated outputs while disarmed, the servo's too: that is no command.
             pulse = actuator_pulse_us(self.vehicle.lock, m[SERVO_CHANNEL]) if controls.armed else None
             self._servo.follow(self.time_us, pulse)
+        self._wind.blow(self.plant)
         specific_force = self.plant.advance((m[0], m[1], m[2], m[3]), _STEPS_PER_TICK)
         self._ticks += 1
         others = []

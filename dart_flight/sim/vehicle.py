@@ -6,8 +6,9 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockDriver, Servo
 from dart_flight.lock.servo import ServoModel, mode_of
 from dart_flight.samples import Mode
-from dart_flight.sim.autopilot import Autopilot, make_autopilot
+from dart_flight.sim.autopilot import TICK_S, Autopilot, make_autopilot
 from dart_flight.sim.plant import Plant
+from dart_flight.sim.wind import Wind
 
 
 class LockServo:
@@ -44,6 +45,7 @@ class SimulatedVehicle:
         self.autopilot: Autopilot = make_autopilot(mission, seed)
         self._index = mission.vehicle.lock.px4.actuator_index
         self._by_autopilot = driver is LockDriver.PX4
+        self._wind = Wind(mission.vehicle.simulation, seed, TICK_S)
         self._servo = LockServo(self.autopilot.plant, mission.vehicle.lock.servo)
 
     def set_horn(self, pulse_us: float) -> None:
@@ -51,7 +53,8 @@ class SimulatedVehicle:
         self._servo.set_horn(pulse_us)
 
     def advance(self) -> None:
-        """One tick: servo, plant, autopilot."""
+        """One tick: servo, wind, plant, autopilot."""
+        self._wind.blow(self.autopilot.plant)
         if self._by_autopilot:
             self._servo.follow(self.autopilot.time_us, self.autopilot.actuator_pulse_us(self._index))
         self.autopilot.step()
