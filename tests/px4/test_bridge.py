@@ -63,6 +63,10 @@ def of_type(fake: FakePx4, name: str) -> list[Any]:
     return [m for m in fake.received if m.get_type() == name]
 
 
+def mode_of(vehicle: Px4Vehicle) -> str:
+    return vehicle.plant.mode.value
+
+
 def test_one_answer_per_tick_with_px4s_clock_from_ours(
     mission: Mission, pair: tuple[HilLink, FakePx4]
 ) -> None:
@@ -146,15 +150,15 @@ def test_the_servo_follows_its_channel_only_while_armed(
     thread = served(fake, 200)
     for _ in range(100):
         vehicle.step()
-    assert vehicle.plant.mode.value == "flexible"  # zeros and whatever else of a disarmed PX4 are no command
+    assert mode_of(vehicle) == "flexible"  # zeros and whatever else of a disarmed PX4 are no command
     fake.armed = True
     for _ in range(60):
         vehicle.step()
-    assert vehicle.plant.mode.value == "flexible"  # 0.24 s: still travelling
+    assert mode_of(vehicle) == "flexible"  # 0.24 s: still travelling
     for _ in range(40):
         vehicle.step()
     thread.join(5.0)
-    assert vehicle.plant.mode.value == "rigid"
+    assert mode_of(vehicle) == "rigid"
 
 
 @pytest.mark.parametrize("value", [160.0, -160.0, 300.0, -300.0, 156.9, -156.9])
