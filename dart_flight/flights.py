@@ -32,6 +32,7 @@ if TYPE_CHECKING:  # simulation is an extra
     from dart_flight.sim.harness import WorldProcess
 
 LOG_NAME = "flight.mcap"
+_LOCKSTEP_PAUSE_S = 0.5
 
 
 def load_flyable(path: str | Path, config: str | Path | None = None) -> Mission:
@@ -174,6 +175,7 @@ def fly_px4(
     install = find_install(directory)
     if gps is not None:
         _require_frame_for_gps(mission)
+    mission = _for_lockstep(mission, speed)
     parameters = flight_parameters(mission.vehicle, gps, list(parameter_files))
     log = _open_log(mission, "px4", seed, log_dir)
     folder = log.path.parent
@@ -194,6 +196,19 @@ def fly_px4(
     built = verdict.build("px4", seed, _relative(log.path), kept)
     built.px4 = read_px4_log(ulog, world.version)
     return built
+
+
+def _for_lockstep(mission: Mission, speed: float) -> Mission:
+    """The mission with a guard that lets the simulator pause.
+
+    In lockstep a stall of the machine stops the vehicle's time, too: silence counts from half a second of
+    vehicle time on, where the configuration's limit is shorter.
+    """
+    guard = mission.vehicle.guard
+    timeout_s = max(guard.stream_timeout_s, _LOCKSTEP_PAUSE_S / speed)
+    guard = msgspec.structs.replace(guard, stream_timeout_s=timeout_s)
+    vehicle = msgspec.structs.replace(mission.vehicle, guard=guard)
+    return msgspec.structs.replace(mission, vehicle=vehicle)
 
 
 def _require_frame_for_gps(mission: Mission) -> None:
