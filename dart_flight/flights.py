@@ -22,6 +22,7 @@ from dart_flight.config.vehicle import LockDriver
 from dart_flight.flight.core import FlightCore
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.planning.approach import NoApproachError
+from dart_flight.planning.envelope import impact_problem
 from dart_flight.recording.px4_log import read_px4_log
 from dart_flight.recording.writer import FlightLog, new_flight_folder
 from dart_flight.samples import Record
@@ -36,16 +37,19 @@ _LOCKSTEP_PAUSE_S = 0.5
 
 
 def load_flyable(path: str | Path, config: str | Path | None = None) -> Mission:
-    """Load a mission and make sure that its approaches have room.
+    """Load a mission and make sure that its approaches have room and its impacts keep to its limit.
 
     Raises:
-        InputError: the file is wrong, or an approach cannot be flown.
+        InputError: the file is wrong, an approach cannot be flown, or an impact is over the force limit.
     """
     mission = load_mission(path, config)
     try:
         FlightCore(mission)
     except NoApproachError as error:
         raise InputError(str(error), source=str(path)) from None
+    problem = impact_problem(mission)
+    if problem is not None:
+        raise InputError(problem, source=str(path))
     return mission
 
 

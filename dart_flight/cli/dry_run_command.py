@@ -11,7 +11,7 @@ from rich.progress import Progress
 
 from dart_flight.cli.flight_output import FlightLines, summary_table, verdict_table
 from dart_flight.cli.options import add_flight_options, whole_number
-from dart_flight.cli.px4_options import add_px4_options, gps_of
+from dart_flight.cli.px4_options import add_px4_options, gps_of, gps_warnings
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.config.mission import Mission
 from dart_flight.flights import (
@@ -23,6 +23,7 @@ from dart_flight.flights import (
     summarise,
     with_driver,
 )
+from dart_flight.planning.envelope import impact_warnings
 from dart_flight.verdict import Verdict
 
 
@@ -65,6 +66,8 @@ def run(arguments: argparse.Namespace) -> int:
         mission = with_driver(mission, arguments.driver)
     fly = _flight(arguments)
     console = messages()
+    for line in [*impact_warnings(mission), *gps_warnings(gps_of(arguments))]:
+        console.print(f"[yellow]{line}[/]", soft_wrap=True)
     if arguments.runs is None:
         lines = FlightLines(console, arguments.verbose > 0)
         verdict = fly(mission, arguments.seed, arguments.log_dir, lines)

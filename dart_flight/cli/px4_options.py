@@ -58,3 +58,13 @@ def gps_of(arguments: argparse.Namespace) -> str | None:
     if arguments.gps and not arguments.outdoor:
         raise InputError("--gps needs --outdoor")
     return (arguments.gps or "rtk") if arguments.outdoor else None
+
+
+def gps_warnings(gps: str | None) -> list[str]:
+    """What to say of a receiver before the flight, a line each."""
+    if gps == "plain":
+        return [
+            "plain GPS wanders by a metre within a flight: the wall is not where the vehicle believes it; "
+            "a wall mission needs RTK or motion capture"
+        ]
+    return []
