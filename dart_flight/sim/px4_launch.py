@@ -87,8 +87,8 @@ def find_install(directory: str | Path | None) -> Install:
 
 def parameter_files(gps: str | None) -> list[Path]:
     """The packaged parameter files of a simulated flight, in the order in which they apply."""
-    place = "indoor" if gps is None else "outdoor"
-    return [packaged("configs", "px4", f"{name}.params") for name in ("collision", place, "simulation")]
+    place = {None: ("indoor",), "rtk": ("outdoor",), "plain": ("outdoor", "plain_gps")}[gps]
+    return [packaged("configs", "px4", f"{name}.params") for name in ("collision", *place, "simulation")]
 
 
 def flight_parameters(

@@ -24,7 +24,7 @@ def test_every_packaged_parameter_has_its_reason(path: Path) -> None:
 
 
 def test_all_packaged_files_are_used() -> None:
-    used = {path.name for gps in (None, "rtk") for path in parameter_files(gps)}
+    used = {path.name for gps in (None, "rtk", "plain") for path in parameter_files(gps)}
     assert used == {path.name for path in FILES}
 
 
