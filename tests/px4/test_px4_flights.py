@@ -18,12 +18,13 @@ import pytest
 
 from dart_flight.flights import fly_px4, load_flyable
 from dart_flight.recording import read_log
-from dart_flight.samples import GuardEvent, MissionEnd
+from dart_flight.samples import ForceEstimate, GuardEvent, ImpactPeak, MissionEnd
 from dart_flight.verdict import Verdict
 
 pytestmark = pytest.mark.px4
 
 MISSIONS = Path(__file__).parents[2] / "missions"
+SWEEP = Path(__file__).parents[2] / "tools" / "px4_sweep_mission.yaml"
 FAST = 3.0  # times real time: what lockstep sustains here with room to spare
 
 
@@ -65,6 +66,26 @@ def test_lock_servo_on_px4s_own_output(px4_dir: Path, tmp_path: Path) -> None:
 
     mission = with_driver(load_flyable(MISSIONS / "dual_collision.yaml"), LockDriver.PX4)
     accept(fly_px4(mission, px4_dir, 1, tmp_path, speed=2.0))
+
+
+def test_a_hit_beyond_full_scale_is_marked_as_clipped(px4_dir: Path, tmp_path: Path) -> None:
+    text = SWEEP.read_text().replace("MODE", "rigid").replace("MATERIAL", "acrylic").replace("SPEED", "4.0")
+    mission = tmp_path / "sweep.yaml"
+    mission.write_text(text)
+    verdict = fly_px4(load_flyable(mission), px4_dir, 1, tmp_path, speed=FAST)
+    assert verdict.outcome == "completed", verdict.reason
+    (hit,) = verdict.collisions
+    assert hit.clipped
+    assert hit.truth is not None
+    assert hit.truth.peak_force_n is not None
+    assert hit.measured.peak_force_n is not None
+    assert hit.truth.peak_force_n > 240.0 > hit.measured.peak_force_n  # a lower bound
+    assert verdict.px4 is not None
+    assert (verdict.px4.clipped_samples or 0) >= 3  # PX4's own count
+    assert verdict.log is not None
+    records = [entry.record for entry in read_log(verdict.log).entries]
+    assert any(isinstance(r, ForceEstimate) and r.clipped for r in records)
+    assert [r.clipped for r in records if isinstance(r, ImpactPeak)] == [True]
 
 
 # --- what dies -----------------------------------------------------------------------------------
