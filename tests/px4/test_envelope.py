@@ -61,6 +61,13 @@ def test_clipping_is_announced(tmp_path: Path, speed: float, material: str, mode
     assert any("full scale" in line for line in warnings) is clips
 
 
+def test_a_hit_after_which_px4_is_lost_is_announced(tmp_path: Path) -> None:
+    (warning,) = impact_warnings(load_flyable(sweep(tmp_path, 4.0, "rigid", "wood")))
+    assert "loses its position" in warning
+    (warning,) = impact_warnings(load_flyable(sweep(tmp_path, 4.0, "rigid", "acrylic")))
+    assert "lower bound" in warning
+
+
 def test_faster_than_anything_flown_is_announced(tmp_path: Path) -> None:
     assert impact_warnings(load_flyable(sweep(tmp_path, 4.0, "flexible"))) == []
     assert "faster than anything flown" in impact_warnings(load_flyable(sweep(tmp_path, 4.4, "flexible")))[0]

@@ -96,6 +96,7 @@ class Flight:
 
     def __init__(self, px4_dir: Path, folder: Path) -> None:
         self.folder = folder
+        self.killed_at: float | None = None
         mission = str(MISSIONS / "dual_collision.yaml")
         command = [sys.executable, "-m", "dart_flight", "dry-run", mission, "--json"]
         command += ["--px4", str(px4_dir), "--speed", "2", "--log-dir", str(folder)]
@@ -133,13 +134,19 @@ class Flight:
         result: dict[str, Any] = json.loads(out)
         return result
 
+    def kill(self, pid: int) -> None:
+        """SIGKILL to one of the three."""
+        self.killed_at = time.monotonic()
+        os.kill(pid, signal.SIGKILL)
+
     def wait_all_gone(self, timeout_s: float = 30.0) -> float:
-        """Wait until none of the processes lives; returns how long it took."""
-        begun = time.monotonic()
+        """Wait until none of the processes lives; returns seconds since the kill."""
+        begun = self.killed_at or time.monotonic()
         while time.monotonic() - begun < timeout_s:
             self.app.poll()
             left = [pid for pid in (self.app.pid, self.world, self.px4) if _lives(pid)]
             if not left and not _session_members(self.px4):
+                print(f"nothing left after {time.monotonic() - begun:.1f} s")  # `pytest -rP` shows it
                 return time.monotonic() - begun
             time.sleep(0.05)
         raise AssertionError(f"still there after {timeout_s:g} s: {left} {_session_members(self.px4)}")
@@ -187,7 +194,7 @@ def _events(folder: Path) -> list[Any]:
 
 def test_killing_px4_in_flight_says_so(flight: Flight) -> None:
     flight.into_the_air()
-    os.kill(flight.px4, signal.SIGKILL)
+    flight.kill(flight.px4)
     verdict = flight.verdict()
     assert verdict["outcome"] == "aborted"
     assert "PX4 was killed by SIGKILL" in verdict["reason"]
@@ -198,7 +205,7 @@ def test_killing_px4_in_flight_says_so(flight: Flight) -> None:
 
 def test_killing_the_plant_in_flight_says_so_and_takes_px4_along(flight: Flight) -> None:
     flight.into_the_air()
-    os.kill(flight.world, signal.SIGKILL)
+    flight.kill(flight.world)
     verdict = flight.verdict()
     assert verdict["outcome"] == "aborted"
     assert "the plant under PX4 was killed by SIGKILL" in verdict["reason"]
@@ -208,7 +215,7 @@ def test_killing_the_plant_in_flight_says_so_and_takes_px4_along(flight: Flight)
 
 def test_killing_the_app_in_flight_px4_lands_by_its_failsafe(flight: Flight) -> None:
     flight.into_the_air()
-    flight.app.kill()
+    flight.kill(flight.app.pid)
     assert flight.wait_all_gone() < 30.0
     said = flight.text()
     assert "the app is gone, PX4 flies on to its failsafe" in said
@@ -222,7 +229,7 @@ def test_killing_the_app_in_flight_px4_lands_by_its_failsafe(flight: Flight) -> 
 
 def test_killing_the_app_while_px4_boots_leaves_nothing(px4_dir: Path, tmp_path: Path) -> None:
     flight = Flight(px4_dir, tmp_path)
-    flight.app.kill()
+    flight.kill(flight.app.pid)
     assert flight.wait_all_gone() < 30.0
     flight.app.communicate()
 
