@@ -46,7 +46,7 @@ from dart_flight.samples import (
     VehicleCommand,
 )
 from dart_flight.vehicle import VehicleSession, connect
-from dart_flight.vehicle.clock import host_us
+from dart_flight.vehicle.clock import Clock, host_us
 from dart_flight.verdict import VerdictBuilder
 
 _TICK_S = 0.02
@@ -64,6 +64,10 @@ class World(Protocol):
     @property
     def died(self) -> bool:
         """Whether it has ended by itself."""
+
+    @property
+    def cause(self) -> str:
+        """What died, in words."""
 
     def send_horn(self, pulse_us: float) -> None:
         """Tell the plant where the mock servo's horn is."""
@@ -208,6 +212,7 @@ class FlightApp:
         verdict: takes the same records.
         world: the simulated world, where there is one.
         progress: sees every record, on the core thread; must not block.
+        clock: the autopilot's; that of a real-time vehicle by default.
     """
 
     def __init__(
@@ -218,9 +223,10 @@ class FlightApp:
         verdict: VerdictBuilder,
         world: World | None = None,
         progress: Progress = lambda record: None,
+        clock: Clock | None = None,
     ) -> None:
         self._mission, self._url, self._log, self._verdict = mission, url, log, verdict
-        self._world, self._progress = world, progress
+        self._world, self._progress, self._clock = world, progress, clock
         self._session: VehicleSession | None = None
         self._done = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -237,7 +243,7 @@ class FlightApp:
         """
         self._loop = asyncio.get_running_loop()
         timeout_s = self._mission.vehicle.connection.timeout_s
-        async with connect(self._url, timeout_s, self._core.put) as session:
+        async with connect(self._url, timeout_s, self._core.put, clock=self._clock) as session:
             self._session = session
             self._lock = self._make_lock(session)
             sys.setswitchinterval(_SWITCH_INTERVAL_S)
@@ -268,7 +274,7 @@ class FlightApp:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._done.wait(), 0.2)
             if self._world is not None and self._world.died and not self._done.is_set():
-                self._core.put(OperatorRequest(host_us(), "world_died"))
+                self._core.put(OperatorRequest(host_us(), "world_died", self._world.cause))
         await asyncio.sleep(_END_GRACE_S)
 
     def _listen_for_signals(self) -> None:

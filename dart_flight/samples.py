@@ -161,12 +161,13 @@ class CommandResult(Record, frozen=True, gc=False):
 class OperatorRequest(Record, frozen=True, gc=False):
     """What the person at the keyboard asked for: `land` (leave the wall, land) or `release`.
 
-    The shell itself reports `world_died` this way: the simulated vehicle is gone.
+    The shell itself reports `world_died` this way: the simulated vehicle is gone, `detail` says what of it.
     """
 
     topic: ClassVar[str] = "/in/operator"
     t_us: int
     request: str
+    detail: str = ""
 
 
 class ClockOffset(Record, frozen=True, gc=False):

@@ -84,6 +84,7 @@ def verdict_table(verdict: Verdict) -> Table:
             ("goal miss", verdict.goal_miss_m, "m"),
             ("final error", verdict.final_error_m, "m"),
             ("tilt up to", verdict.max_tilt_deg, "deg"),
+            ("EKF error up to", verdict.ekf_error_m, "m"),
             ("flight", verdict.flight_time_s, "s"),
         )
         if value is not None

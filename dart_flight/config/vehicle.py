@@ -411,6 +411,9 @@ class Simulation(Section, frozen=True):
     ground_damping_n_s_m: NotNegative
     ground_friction: NotNegative
     battery_v: Positive
+    wind_north_east_m_s: tuple[float, float]
+    gust_m_s: NotNegative
+    gust_time_s: Positive
 
 
 class VehicleConfig(Section, frozen=True):

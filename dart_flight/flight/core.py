@@ -121,7 +121,8 @@ class FlightCore:
         if item.request == "release":
             self.guard.latch(Action.RELEASE, "operator", "released by the operator", state, out)
         elif item.request == "world_died":
-            self.guard.latch(Action.RELEASE, "world_died", "the simulated vehicle is gone", state, out)
+            detail = item.detail or "the simulated vehicle is gone"
+            self.guard.latch(Action.RELEASE, "world_died", detail, state, out)
         elif self.phase in ON_GROUND and not state.status.armed:
             self.executive.overrule(state, out, "operator")
             self.guard.latch(Action.LAND, "operator", "stopped before take-off", state, out)

@@ -16,10 +16,10 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
 from dart_flight.geometry import Vec3, distance2, yaw_ned_of
 from dart_flight.lock.drivers.px4 import PREARM_ALWAYS, actuator_pulse_us, required_parameters
-from dart_flight.samples import FlightMode, LandedState, Mode
+from dart_flight.samples import FlightMode, LandedState
 from dart_flight.sim.cascade import Cascade, TrajectorySetPoint
 from dart_flight.sim.estimator import Estimator
-from dart_flight.sim.plant import Plant
+from dart_flight.sim.plant import Plant, make_plant
 from dart_flight.sim.sensors import ImuSensor, PoseSensor
 
 TICK_S = 0.004
@@ -281,10 +281,4 @@ def default_parameters(vehicle: VehicleConfig) -> dict[str, float]:
 
 def make_autopilot(mission: Mission, seed: int, say: Callable[[str, str], None] | None = None) -> Autopilot:
     """The simulated vehicle standing on the ground below a mission's start, arms free."""
-    flat = mission.frame_at((0.0, 0.0, 0.0))
-    x, y = mission.start
-    start_ned = flat.point_to_ned((x, y, 0.0))
-    frame = mission.frame_at(start_ned)
-    plant = Plant(mission.vehicle, mission.walls, frame, start_ned)
-    plant.set_mode(Mode.FLEXIBLE)
-    return Autopilot(plant, seed, say)
+    return Autopilot(make_plant(mission), seed, say)
