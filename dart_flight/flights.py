@@ -11,11 +11,12 @@ import platform
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from dart_flight.app import FlightApp, Progress
+from dart_flight.app import Sabotage as SabotageHook
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import LockDriver
@@ -26,7 +27,11 @@ from dart_flight.recording.writer import FlightLog, new_flight_folder
 from dart_flight.samples import Record
 from dart_flight.verdict import Verdict, VerdictBuilder
 
+if TYPE_CHECKING:  # the simulation is imported by the flights that need it
+    from dart_flight.sim.faults import Fault
+
 LOG_NAME = "flight.mcap"
+DEADMAN_NOTE = "deadman.txt"
 
 
 def load_flyable(path: str | Path, config: str | Path | None = None) -> Mission:
@@ -75,10 +80,11 @@ def fly_fast(
     log_dir: Path | None,
     progress: Progress = lambda record: None,
     lock_faults: MockFaults | None = None,
+    fault: Fault | None = None,
 ) -> Verdict:
     """Fly in process in simulated time; `log_dir` None leaves no log (campaigns).
 
-    `lock_faults` are those of the mock servo.
+    `lock_faults` are those of the mock servo from the start on; `fault` is what goes wrong, and when.
 
     Raises:
         InputError: the log cannot be written, or the lock driver has no place in simulated time.
@@ -97,16 +103,24 @@ def fly_fast(
         if log is not None:
             log.put(record, number)
 
-    FastFlight(mission, seed, driver, faults=lock_faults, observe=observe).run()
+    FastFlight(mission, seed, driver, faults=lock_faults, observe=observe, fault=fault).run()
     if log is not None:
         log.close()
     return verdict.build("fast", seed, _relative(log.path) if log is not None else None)
 
 
 def fly_embedded(
-    mission: Mission, seed: int, log_dir: Path, progress: Progress = lambda record: None
+    mission: Mission,
+    seed: int,
+    log_dir: Path,
+    progress: Progress = lambda record: None,
+    *,
+    deadman: bool = False,
+    fault: Fault | None = None,
 ) -> Verdict:
     """Fly through MAVSDK over UDP against the embedded autopilot, in real time.
+
+    `deadman` starts the process that kills this one when it hangs; `fault` is what goes wrong.
 
     Raises:
         InputError: the log cannot be written.
@@ -115,6 +129,7 @@ def fly_embedded(
     try:
         from dart_flight.sim.harness import EmbeddedWorld, free_udp_port, world_log  # noqa: PLC0415
         from dart_flight.sim.process import WorldSpec  # noqa: PLC0415
+        from dart_flight.sim.sabotage import Sabotage  # noqa: PLC0415
     except ImportError as error:
         raise InputError(f"simulation needs {error.name}: pip install 'dart-flight[sim]'") from None
 
@@ -138,8 +153,10 @@ def fly_embedded(
     world = EmbeddedWorld(spec, on_truth)
     try:
         world.wait_ready()
-        app = FlightApp(mission, f"udpin://127.0.0.1:{port}", log, verdict, world, progress)
-        asyncio.run(app.run())
+        note = log.path.with_name(DEADMAN_NOTE) if deadman else None
+        sabotage = None if fault is None else Sabotage(fault, world, log.path)
+        url = f"udpin://127.0.0.1:{port}"
+        asyncio.run(FlightApp(mission, url, log, verdict, world, progress, note, sabotage).run())
     finally:
         world.close()
         log.close()
@@ -147,9 +164,15 @@ def fly_embedded(
 
 
 def fly_vehicle(
-    mission: Mission, url: str, log_dir: Path, progress: Progress = lambda record: None
+    mission: Mission,
+    url: str,
+    log_dir: Path,
+    progress: Progress = lambda record: None,
+    sabotage: SabotageHook | None = None,
 ) -> Verdict:
-    """Fly on whatever answers at a connection URL.
+    """Fly on whatever answers at a connection URL, with a deadman.
+
+    `sabotage` breaks the app from inside; for tests.
 
     Raises:
         InputError: the log cannot be written.
@@ -158,7 +181,8 @@ def fly_vehicle(
     log = _open_log(mission, "drone", None, log_dir)
     verdict = VerdictBuilder(mission)
     try:
-        asyncio.run(FlightApp(mission, url, log, verdict, None, progress).run())
+        note = log.path.with_name(DEADMAN_NOTE)
+        asyncio.run(FlightApp(mission, url, log, verdict, None, progress, note, sabotage).run())
     finally:
         log.close()
     return verdict.build("drone", None, _relative(log.path))

@@ -9,7 +9,9 @@ from rich.progress import Progress
 from dart_flight.cli.flight_output import FlightLines, summary_table, verdict_table
 from dart_flight.cli.options import add_flight_options, whole_number
 from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.config.document import InputError
 from dart_flight.flights import fly_embedded, fly_fast, fly_fast_many, load_flyable, summarise, with_driver
+from dart_flight.sim.faults import parse_fault
 from dart_flight.verdict import Verdict
 
 
@@ -21,6 +23,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--runs", type=whole_number(1, 100_000), metavar="N", help="N flights, seeds from --seed on"
     )
+    parser.add_argument(
+        "--fault",
+        type=str,
+        metavar="NAME[=VALUE][@PHASE]",
+        help="something goes wrong, from this phase on; docs/faults.md has the table",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -29,10 +37,17 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.driver is not None:
         mission = with_driver(mission, arguments.driver)
     console = messages()
+    fault = parse_fault(arguments.fault) if arguments.fault is not None else None
+    if fault is not None and arguments.runs is not None:
+        raise InputError("--fault is for one flight, not with --runs")
     if arguments.runs is None:
         lines = FlightLines(console, arguments.verbose > 0)
-        fly = fly_fast if arguments.fast else fly_embedded
-        verdict = fly(mission, arguments.seed, arguments.log_dir, lines)
+        if arguments.fast:
+            verdict = fly_fast(mission, arguments.seed, arguments.log_dir, lines, fault=fault)
+        else:
+            verdict = fly_embedded(
+                mission, arguments.seed, arguments.log_dir, lines, deadman=True, fault=fault
+            )
         if arguments.json:
             emit_json(verdict)
         else:

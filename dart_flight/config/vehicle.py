@@ -139,6 +139,7 @@ class Guard(Section, frozen=True):
     force_margin: Annotated[float, Meta(ge=1.0)]
     wall_late_s: Positive
     wall_early_m: Positive
+    deadman_s: Annotated[float, Meta(ge=0.1, le=2.0)]
 
 
 class Flying(Section, frozen=True):

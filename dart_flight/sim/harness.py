@@ -16,7 +16,8 @@ import msgspec
 
 from dart_flight.errors import FlightError
 from dart_flight.samples import TruthContact, TruthSample
-from dart_flight.sim.process import Horn, Ready, Truth, WorldOutput, WorldSpec
+from dart_flight.sim.faults import Fault
+from dart_flight.sim.process import FaultLine, Horn, Ready, Truth, WorldOutput, WorldSpec
 
 _READY_TIMEOUT_S = 20.0
 
@@ -75,6 +76,10 @@ class EmbeddedWorld:
     def send_horn(self, pulse_us: float) -> None:
         """Tell the plant where the mock servo's horn is."""
         self._send_line(msgspec.json.encode(Horn(pulse_us)))
+
+    def send_fault(self, fault: Fault) -> None:
+        """A fault begins over there."""
+        self._send_line(msgspec.json.encode(FaultLine(fault)))
 
     def close(self, timeout_s: float = 30.0) -> None:
         """Let go of the vehicle: it flies on to its failsafe if it is in the air, then the process ends."""
