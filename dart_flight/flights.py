@@ -55,6 +55,17 @@ def with_driver(mission: Mission, driver: LockDriver) -> Mission:
     return msgspec.structs.replace(mission, vehicle=vehicle)
 
 
+def with_standoff(mission: Mission, standoff_m: float) -> Mission:
+    """The mission's rehearsal: every contact replaced by stopping so far before the wall.
+
+    Raises:
+        InputError: not a distance from 0.1 to 2 m.
+    """
+    if not 0.1 <= standoff_m <= 2.0:
+        raise InputError(f"{standoff_m:g} m, allowed is 0.1 to 2 m", key=("--standoff",))
+    return msgspec.structs.replace(mission, standoff_m=standoff_m)
+
+
 def _open_log(mission: Mission, world: str, seed: int | None, log_dir: Path) -> FlightLog:
     about = {"mission": mission.name, "mission_source": mission.source, "world": world}
     about["seed"] = "" if seed is None else str(seed)

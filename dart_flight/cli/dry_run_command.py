@@ -10,7 +10,15 @@ from dart_flight.cli.flight_output import FlightLines, summary_table, verdict_ta
 from dart_flight.cli.options import add_flight_options, whole_number
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.config.document import InputError
-from dart_flight.flights import fly_embedded, fly_fast, fly_fast_many, load_flyable, summarise, with_driver
+from dart_flight.flights import (
+    fly_embedded,
+    fly_fast,
+    fly_fast_many,
+    load_flyable,
+    summarise,
+    with_driver,
+    with_standoff,
+)
 from dart_flight.sim.faults import parse_fault
 from dart_flight.verdict import Verdict
 
@@ -36,6 +44,8 @@ def run(arguments: argparse.Namespace) -> int:
     mission = load_flyable(arguments.mission, arguments.config)
     if arguments.driver is not None:
         mission = with_driver(mission, arguments.driver)
+    if arguments.standoff is not None:
+        mission = with_standoff(mission, arguments.standoff)
     console = messages()
     fault = parse_fault(arguments.fault) if arguments.fault is not None else None
     if fault is not None and arguments.runs is not None:

@@ -15,8 +15,15 @@ from dart_flight.flight.guard import Guard
 from dart_flight.flight.phases import TRANSITIONS, WATCHING, Event, Phase
 from dart_flight.flight.recovery import recovery_point
 from dart_flight.flight.state import FlightState
-from dart_flight.geometry import Vec3, distance2, norm, wrap_angle
-from dart_flight.planning.approach import Approach, ReferencePoint, Transit, plan_approach, transit_to
+from dart_flight.geometry import Vec2, Vec3, distance2, norm, wrap_angle
+from dart_flight.planning.approach import (
+    Approach,
+    ReferencePoint,
+    Transit,
+    plan_approach,
+    stop_before,
+    transit_to,
+)
 from dart_flight.planning.closed_loop import least_distance_m
 from dart_flight.samples import (
     ContactEnd,
@@ -307,6 +314,9 @@ class Executive:
         collision, approach = self.collision, self._approach
         assert collision is not None
         assert approach is not None
+        if self.mission.standoff_m is not None:
+            self._rehearse_approach(approach, collision, state, out)
+            return
         if not state.lock_is_in(collision.mode):
             detail = f"lock left {collision.mode.value} during the approach"
             self._guard.latch("lock_not_settled", detail, state, out)
@@ -322,13 +332,70 @@ class Executive:
             detail = f"{overrun:.2f} m behind wall {collision.wall.name} without a contact"
             self._guard.latch("wall_not_met", detail, state, out)
 
+    # -- rehearsal: every contact replaced by stopping before the wall --
+
+    def _rehearse_approach(
+        self, approach: Approach, collision: Collision, state: FlightState, out: list[Output]
+    ) -> None:
+        """Along the approach, but from rest to rest, to a stop before the wall."""
+        if self._target[:2] == approach.begin:
+            stop = stop_before(self.mission, collision, approach.begin, approach.impact)
+            self._fly_to(stop, min(approach.speed_m_s, self.mission.limits.speed_m_s))
+        elif self._has_arrived(state):
+            self._stand_off(state, out)
+        elif self._elapsed_us(state) > self.mission.vehicle.flying.ready_timeout_s * 1e6:
+            self._guard.latch("transit_timeout", "stand-off point not reached", state, out)
+
+    def _stand_off(self, state: FlightState, out: list[Output]) -> None:
+        """At rest before the wall: the next collision, or the goal, comes next."""
+        self._contact_end_us = state.now_us
+        self._transit = None
+        if self.phase is Phase.APPROACH:
+            self._go(Event.STOOD_OFF, state, out)
+        self.collision_index += 1
+
+    def _fly_to(self, point: Vec2, speed_m_s: float) -> None:
+        target = (point[0], point[1], self.mission.altitude_m)
+        self._transit = Transit.between(
+            self._target, target, speed_m_s, self.mission.vehicle.flying.acceleration_m_s2
+        )
+        self._target = target
+
+    def _rehearse_recovery(self, state: FlightState, out: list[Output]) -> None:
+        """What the recovery would do, from rest to rest: on to the next wall, or to the goal."""
+        following = self.collision
+        locked = self._lock_to(following.mode if following else self.mission.transit_mode, state, out)
+        if following is None:
+            goal = self.mission.goal.position_m
+            self._fly_to(goal, self.mission.vehicle.flying.transit_speed_m_s)
+            self._captured_us = None
+            self._go(Event.PASSED, state, out)
+        elif following.approach_m_s is not None:
+            self._go(Event.RESTED, state, out)
+            self._begin_transit(state)
+        elif self._transit is None:
+            if locked:
+                here = (state.position[0], state.position[1])
+                self._entered_us = state.now_us
+                foot = stop_before(self.mission, following, here, following.wall.foot(here))
+                self._fly_to(foot, self.mission.vehicle.flying.transit_speed_m_s)
+        elif self._has_arrived(state):
+            self._stand_off(state, out)
+        if self._elapsed_us(state) > self.mission.vehicle.flying.ready_timeout_s * 1e6:
+            self._guard.latch("transit_timeout", "stand-off point not reached", state, out)
+
     # -- impact --
 
     def _on_onset(self, event: ImpactOnset, state: FlightState, out: list[Output]) -> None:
         self._impact_us, self._contact_end_us = event.t_us, None
         collision = self.collision
-        planned = collision is not None and (
-            self.phase is Phase.APPROACH or (self.phase is Phase.RECOVERY and collision.approach_m_s is None)
+        planned = (
+            collision is not None
+            and self.mission.standoff_m is None
+            and (
+                self.phase is Phase.APPROACH
+                or (self.phase is Phase.RECOVERY and collision.approach_m_s is None)
+            )
         )
         if not planned or collision is None:
             force = math.hypot(event.force_mission[0], event.force_mission[1])
@@ -375,6 +442,9 @@ class Executive:
     # -- recovery and goal --
 
     def _recovery(self, state: FlightState, out: list[Output]) -> None:
+        if self.mission.standoff_m is not None:
+            self._rehearse_recovery(state, out)
+            return
         following = self.collision
         if self._contact_end_us is not None:
             self._lock_to(following.mode if following else self.mission.transit_mode, state, out)
@@ -476,7 +546,9 @@ class Executive:
         self._slew_yaw(state)
         t_s = (sample.t_us - self._entered_us) * 1e-6
         reference: ReferencePoint | None = None
-        if self.phase in (Phase.CLIMB, Phase.TRANSIT) and self._transit is not None:
+        rehearsal = self.mission.standoff_m is not None
+        on_rails = (Phase.CLIMB, Phase.TRANSIT) if not rehearsal else tuple(Phase)
+        if self.phase in on_rails and self._transit is not None and self.phase is not Phase.PREPARE:
             reference = self._transit.at(t_s)
         elif self.phase is Phase.APPROACH and self._approach is not None:
             reference = self._approach.at(t_s)
