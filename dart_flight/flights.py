@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from dart_flight.app import FlightApp, Progress
+from dart_flight.app import Sabotage as SabotageHook
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import FrameOrigin, Mission, load_mission
 from dart_flight.config.vehicle import LockDriver
@@ -30,9 +31,11 @@ from dart_flight.vehicle.clock import Clock, LockstepClock
 from dart_flight.verdict import Verdict, VerdictBuilder
 
 if TYPE_CHECKING:  # simulation is an extra
+    from dart_flight.sim.faults import Fault
     from dart_flight.sim.harness import WorldProcess
 
 LOG_NAME = "flight.mcap"
+DEADMAN_NOTE = "deadman.txt"
 _LOCKSTEP_PAUSE_S = 0.5
 
 
@@ -60,6 +63,17 @@ def with_driver(mission: Mission, driver: LockDriver) -> Mission:
     return msgspec.structs.replace(mission, vehicle=vehicle)
 
 
+def with_standoff(mission: Mission, standoff_m: float) -> Mission:
+    """The mission's rehearsal: every contact replaced by stopping so far before the wall.
+
+    Raises:
+        InputError: not a distance from 0.1 to 2 m.
+    """
+    if not 0.1 <= standoff_m <= 2.0:
+        raise InputError(f"{standoff_m:g} m, allowed is 0.1 to 2 m", key=("--standoff",))
+    return msgspec.structs.replace(mission, standoff_m=standoff_m)
+
+
 def _open_log(mission: Mission, world: str, seed: int | None, log_dir: Path) -> FlightLog:
     about = {"mission": mission.name, "mission_source": mission.source, "world": world}
     about["seed"] = "" if seed is None else str(seed)
@@ -85,10 +99,11 @@ def fly_fast(
     log_dir: Path | None,
     progress: Progress = lambda record: None,
     lock_faults: MockFaults | None = None,
+    fault: Fault | None = None,
 ) -> Verdict:
     """Fly in process in simulated time; `log_dir` None leaves no log (campaigns).
 
-    `lock_faults` are those of the mock servo.
+    `lock_faults` are those of the mock servo from the start on; `fault` is what goes wrong, and when.
 
     Raises:
         InputError: the log cannot be written, or the lock driver has no place in simulated time.
@@ -107,16 +122,24 @@ def fly_fast(
         if log is not None:
             log.put(record, number)
 
-    FastFlight(mission, seed, driver, faults=lock_faults, observe=observe).run()
+    FastFlight(mission, seed, driver, faults=lock_faults, observe=observe, fault=fault).run()
     if log is not None:
         log.close()
     return verdict.build("fast", seed, _relative(log.path) if log is not None else None)
 
 
 def fly_embedded(
-    mission: Mission, seed: int, log_dir: Path, progress: Progress = lambda record: None
+    mission: Mission,
+    seed: int,
+    log_dir: Path,
+    progress: Progress = lambda record: None,
+    *,
+    deadman: bool = False,
+    fault: Fault | None = None,
 ) -> Verdict:
     """Fly through MAVSDK over UDP against the embedded autopilot, in real time.
+
+    `deadman` starts the process that kills this one when it hangs; `fault` is what goes wrong.
 
     Raises:
         InputError: the log cannot be written.
@@ -125,6 +148,7 @@ def fly_embedded(
     try:
         from dart_flight.sim.harness import EmbeddedWorld, free_udp_port, world_log  # noqa: PLC0415
         from dart_flight.sim.pipe import WorldSpec  # noqa: PLC0415
+        from dart_flight.sim.sabotage import Sabotage  # noqa: PLC0415
     except ImportError as error:
         raise InputError(f"simulation needs {error.name}: pip install 'dart-flight[sim]'") from None
 
@@ -138,7 +162,15 @@ def fly_embedded(
         mission.vehicle.lock.driver,
         world_log(log.path.parent),
     )
-    verdict, _ = _fly_in_world(mission, log, lambda on_truth: EmbeddedWorld(spec, on_truth), port, progress)
+    verdict, _ = _fly_in_world(
+        mission,
+        log,
+        lambda on_truth: EmbeddedWorld(spec, on_truth),
+        port,
+        progress,
+        deadman=deadman,
+        saboteur=None if fault is None else lambda world: Sabotage(fault, world, log.path),
+    )
     return verdict.build("embedded", seed, _relative(log.path))
 
 
@@ -241,6 +273,9 @@ def _fly_in_world(
     port: int | None,
     progress: Progress,
     clock: Clock | None = None,
+    *,
+    deadman: bool = False,
+    saboteur: Callable[[WorldProcess], SabotageHook] | None = None,
 ) -> tuple[VerdictBuilder, WorldProcess]:
     """Start a world, fly in it, end it; closes the log. `port` None: the world says where it sends to."""
     verdict = VerdictBuilder(mission)
@@ -254,7 +289,10 @@ def _fly_in_world(
         try:
             world.wait_ready()
             where = port if port is not None else world.port
-            app = FlightApp(mission, f"udpin://127.0.0.1:{where}", log, verdict, world, progress, clock)
+            note = log.path.with_name(DEADMAN_NOTE) if deadman else None
+            sabotage = None if saboteur is None else saboteur(world)
+            url = f"udpin://127.0.0.1:{where}"
+            app = FlightApp(mission, url, log, verdict, world, progress, clock, note, sabotage)
             asyncio.run(app.run())
         finally:
             world.close()
@@ -264,9 +302,15 @@ def _fly_in_world(
 
 
 def fly_vehicle(
-    mission: Mission, url: str, log_dir: Path, progress: Progress = lambda record: None
+    mission: Mission,
+    url: str,
+    log_dir: Path,
+    progress: Progress = lambda record: None,
+    sabotage: SabotageHook | None = None,
 ) -> Verdict:
-    """Fly on whatever answers at a connection URL.
+    """Fly on whatever answers at a connection URL, with a deadman.
+
+    `sabotage` breaks the app from inside; for tests.
 
     Raises:
         InputError: the log cannot be written.
@@ -275,7 +319,8 @@ def fly_vehicle(
     log = _open_log(mission, "drone", None, log_dir)
     verdict = VerdictBuilder(mission)
     try:
-        asyncio.run(FlightApp(mission, url, log, verdict, None, progress).run())
+        note = log.path.with_name(DEADMAN_NOTE)
+        asyncio.run(FlightApp(mission, url, log, verdict, None, progress, None, note, sabotage).run())
     finally:
         log.close()
     return verdict.build("drone", None, _relative(log.path))

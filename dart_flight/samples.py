@@ -113,6 +113,16 @@ class StatusSample(Record, frozen=True, gc=False):
     battery_remaining: float | None = None  # 0 to 1
 
 
+class EstimatorSample(Record, frozen=True, gc=False):
+    """What PX4 says of its estimator: ODOMETRY's reset counter, ESTIMATOR_STATUS's flags; None: not said."""
+
+    topic: ClassVar[str] = "/in/estimator"
+    t_us: int
+    received_us: int
+    reset_counter: int | None = None
+    healthy: bool | None = None  # attitude, horizontal velocity and a horizontal position are valid
+
+
 class StatusText(Record, frozen=True, gc=False):
     """STATUSTEXT of the autopilot."""
 
@@ -191,6 +201,7 @@ Input = (
     | OdometrySample
     | ActuatorSample
     | StatusSample
+    | EstimatorSample
     | StatusText
     | LockState
     | CommandResult

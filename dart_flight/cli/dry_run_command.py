@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from dart_flight.cli.flight_output import FlightLines, summary_table, verdict_ta
 from dart_flight.cli.options import add_flight_options, whole_number
 from dart_flight.cli.px4_options import add_px4_options, gps_of, gps_warnings
 from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.flights import (
     fly_embedded,
@@ -22,8 +24,10 @@ from dart_flight.flights import (
     load_flyable,
     summarise,
     with_driver,
+    with_standoff,
 )
 from dart_flight.planning.envelope import impact_warnings
+from dart_flight.sim.faults import parse_fault
 from dart_flight.verdict import Verdict
 
 
@@ -36,13 +40,24 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--runs", type=whole_number(1, 100_000), metavar="N", help="N flights, seeds from --seed on"
     )
+    parser.add_argument(
+        "--fault",
+        type=str,
+        metavar="NAME[=VALUE][@PHASE]",
+        help="something goes wrong, from this phase on; docs/faults.md has the table",
+    )
 
 
 def _flight(arguments: argparse.Namespace) -> Callable[..., Verdict]:
     """The function that flies one mission in the wanted world: (mission, seed, log folder[, progress])."""
     gps = gps_of(arguments)
+    fault = parse_fault(arguments.fault) if arguments.fault is not None else None
+    if fault is not None and (arguments.runs is not None or arguments.px4 is not None):
+        raise InputError("--fault is for one flight in the fast or the embedded world")
+    if arguments.px4 is None and arguments.fast:
+        return partial(fly_fast, fault=fault)
     if arguments.px4 is None:
-        return fly_fast if arguments.fast else fly_embedded
+        return partial(fly_embedded, deadman=True, fault=fault)
 
     def fly(mission: Mission, seed: int, log_dir: Path, *progress: Any) -> Verdict:
         return fly_px4(
@@ -64,6 +79,8 @@ def run(arguments: argparse.Namespace) -> int:
     mission = load_flyable(arguments.mission, arguments.config)
     if arguments.driver is not None:
         mission = with_driver(mission, arguments.driver)
+    if arguments.standoff is not None:
+        mission = with_standoff(mission, arguments.standoff)
     fly = _flight(arguments)
     console = messages()
     for line in [*impact_warnings(mission), *gps_warnings(gps_of(arguments))]:

@@ -22,6 +22,12 @@ def add_flight_options(parser: argparse.ArgumentParser) -> None:
         metavar="DRIVER",
         help="what moves the lock: " + ", ".join(LockDriver) + " (default: lock.driver of the configuration)",
     )
+    parser.add_argument(
+        "--standoff",
+        type=float,
+        metavar="M",
+        help="rehearsal: instead of hitting a wall, stop this many metres before it",
+    )
 
 
 def whole_number(low: int, high: int) -> Callable[[str], int]:

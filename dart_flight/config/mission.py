@@ -203,6 +203,7 @@ class Mission(msgspec.Struct, frozen=True):
     transit_mode: Mode
     limits: Limits
     predicted: MissPrediction | None
+    standoff_m: float | None = None  # a rehearsal: every contact replaced by stopping so far before the wall
 
     def frame_at(self, takeoff_ned: Vec3) -> MissionFrame:
         """The mission frame once the take-off point is known (local NED, metres)."""

@@ -17,7 +17,8 @@ import msgspec
 
 from dart_flight.errors import FlightError
 from dart_flight.samples import TruthContact, TruthSample
-from dart_flight.sim.pipe import Died, Horn, Ready, Truth, WorldOutput, WorldSpec
+from dart_flight.sim.faults import Fault
+from dart_flight.sim.pipe import Died, FaultLine, Horn, Ready, Truth, WorldOutput, WorldSpec
 
 
 class WorldError(FlightError):
@@ -101,6 +102,10 @@ class WorldProcess:
     def send_horn(self, pulse_us: float) -> None:
         """Tell the plant where the mock servo's horn is."""
         self._send_line(msgspec.json.encode(Horn(pulse_us)))
+
+    def send_fault(self, fault: Fault) -> None:
+        """A fault begins over there."""
+        self._send_line(msgspec.json.encode(FaultLine(fault)))
 
     def close(self, timeout_s: float = 30.0) -> None:
         """Let go of the vehicle: it flies on to its failsafe if it is in the air, then the process ends."""

@@ -15,6 +15,7 @@ import msgspec
 
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.samples import TruthContact, TruthSample
+from dart_flight.sim.faults import Fault
 
 
 class Px4Spec(msgspec.Struct):
@@ -57,7 +58,13 @@ class Ping(msgspec.Struct, tag="ping"):
     """Nothing; a line that keeps the pipe alive."""
 
 
-WorldInput = Horn | Ping
+class FaultLine(msgspec.Struct, tag="fault"):
+    """A fault that begins now."""
+
+    fault: Fault
+
+
+WorldInput = Horn | Ping | FaultLine
 
 
 class Ready(msgspec.Struct, tag="ready"):

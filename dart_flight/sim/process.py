@@ -20,8 +20,10 @@ from dart_flight.config.document import Document
 from dart_flight.config.mission import parse_mission
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.sim.autopilot import TICK_S
+from dart_flight.sim.faults import Fault, Place, VehicleFault, impairment_of
+from dart_flight.sim.impairment import Impairment
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
-from dart_flight.sim.pipe import Horn, LineReader, LineWriter, Ready, Truth, WorldSpec
+from dart_flight.sim.pipe import FaultLine, Horn, LineReader, LineWriter, Ready, Truth, WorldSpec
 from dart_flight.sim.vehicle import SimulatedVehicle
 
 _TRUTH_EVERY = 2  # ticks
@@ -63,6 +65,8 @@ class VehicleProcess:
         self._ticks = 0
         self._orphan_since_s: float | None = None
         self._over = False
+        self._fault: VehicleFault | None = None
+        self._link_back_s: float | None = None
 
     def run(self) -> None:
         """Fly in real time until the app is gone and the vehicle is down."""
@@ -83,6 +87,13 @@ class VehicleProcess:
             item = self._reader.items.popleft()
             if isinstance(item, Horn):
                 self._vehicle.set_horn(item.pulse_us)
+            elif isinstance(item, FaultLine):
+                self._break(item.fault)
+        if self._fault is not None:
+            self._fault.tick()
+        if self._link_back_s is not None and self._autopilot.now_s >= self._link_back_s:
+            self._endpoint.impair(Impairment())
+            self._link_back_s = None
         self._vehicle.advance()
         self._endpoint.exchange()
         plant = self._autopilot.plant
@@ -93,6 +104,17 @@ class VehicleProcess:
         self._ticks += 1
         if self._reader.closed:
             self._fly_on_alone()
+
+    def _break(self, fault: Fault) -> None:
+        self._say("warning", f"fault {fault.name} {fault.value:g}")
+        if fault.kind.place is not Place.LINK:
+            self._fault = VehicleFault(self._vehicle, fault)
+        elif fault.name == "imu-dropout":
+            self._endpoint.stop_imu()
+        else:
+            self._endpoint.impair(impairment_of(fault))
+            if fault.name == "link-loss" and fault.value > 0.0:
+                self._link_back_s = self._autopilot.now_s + fault.value
 
     def _fly_on_alone(self) -> None:
         """The app is gone: fly on to the failsafe, end when landed."""

@@ -37,13 +37,13 @@ class ImuSensor:
         s = vehicle.simulation
         self._rng = rng
         self._sigma, self._gyro_sigma = s.imu_noise_m_s2, s.gyro_noise_rad_s
-        self._scale = vehicle.imu.full_scale_m_s2
+        self.full_scale_m_s2 = vehicle.imu.full_scale_m_s2
         self.bias: Vec3 = gauss3(rng, s.imu_bias_m_s2)
 
     def measure(self, specific_force_frd: Vec3, rate_frd: Vec3) -> tuple[Vec3, Vec3]:
         """(specific force m/s2, body rate rad/s), FRD, as reported for one tick."""
         noisy = add(add(specific_force_frd, self.bias), gauss3(self._rng, self._sigma))
-        f, s = specific_force_frd, self._scale
+        f, s = specific_force_frd, self.full_scale_m_s2
         read = (_saturate(f[0], noisy[0], s), _saturate(f[1], noisy[1], s), _saturate(f[2], noisy[2], s))
         return read, add(rate_frd, gauss3(self._rng, self._gyro_sigma))
 
@@ -67,6 +67,7 @@ class PoseSensor:
             s.pose_noise_m,
             s.attitude_noise_rad,
         )
+        self.offset_ned: Vec3 = (0.0, 0.0, 0.0)  # of the motion capture's origin; a fault moves it
         self._next_s = 0.0
         self._pending: deque[tuple[float, Vec3, Quaternion]] = deque()
 
@@ -76,7 +77,7 @@ class PoseSensor:
         if now >= self._next_s:
             self._next_s += self._period_s
             twist = quaternion_from_rotation_vector(gauss3(self._rng, self._attitude_sigma))
-            position = add(plant.position, gauss3(self._rng, self._sigma))
+            position = add(add(plant.position, self.offset_ned), gauss3(self._rng, self._sigma))
             self._pending.append((now, position, quaternion_multiply(plant.q, twist)))
         if self._pending and self._pending[0][0] + self._delay_s <= now:
             return self._pending.popleft()
