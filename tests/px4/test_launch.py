@@ -15,6 +15,7 @@ import msgspec
 import pytest
 
 from dart_flight.cli import main
+from dart_flight.cli.px4_options import gps_warnings
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import LockDriver, packaged
@@ -261,6 +262,11 @@ def test_wrong_options_are_one_line(
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
+
+
+def test_plain_gps_is_advised_against() -> None:
+    assert "needs RTK or motion capture" in gps_warnings("plain")[0]
+    assert gps_warnings("rtk") == gps_warnings(None) == []
 
 
 def test_a_surveyed_frame_is_refused_with_gps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
