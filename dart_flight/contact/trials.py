@@ -380,7 +380,7 @@ def find_impact(trial: Trial) -> Impact:
         if before.sum() < 3 or after.sum() < 3:
             continue
         turn = Impact(
-            at, float(speed[before].min()), float(speed[after].max()), float(value[i]), _noise(time, value)
+            at, float(speed[before].min()), float(speed[after].max()), float(value[i]), noise_of(trial.normal)
         )
         quick = (turn.rebound_m_s - turn.approach_m_s) / (2.0 * reach) >= _TURN_M_S2
         if quick and turn.approach_m_s < -_SLOWEST_M_S and turn.rebound_m_s > 0.0:
@@ -424,9 +424,9 @@ def _line_slope(time: Array, value: Array, impact: Impact) -> float:
     return min(slope, -_SLOWEST_M_S)
 
 
-def _noise(time: Array, value: Array) -> float:
-    """Standard deviation of white noise on smooth motion, from third differences."""
-    if time.size < 8:
+def noise_of(series: Series) -> float:
+    """Standard deviation of white noise on smooth motion, from third differences (evenly sampled)."""
+    if series.value.size < 8:
         return 1e-3
-    third = np.diff(value, 3)
+    third = np.diff(series.value, 3)
     return max(float(1.4826 * np.median(np.abs(third - np.median(third))) / math.sqrt(20.0)), 1e-7)

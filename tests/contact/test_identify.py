@@ -13,6 +13,7 @@ import pytest
 from dart_flight.cli import main
 from dart_flight.config import Coefficients, InputError, load_vehicle
 from dart_flight.config.vehicle import packaged
+from dart_flight.contact.course import Contact
 from dart_flight.contact.identify import Estimate, Identification, identify
 from dart_flight.contact.law import Onset
 from dart_flight.contact.trials import Series, Trial, find_impact
@@ -128,6 +129,30 @@ def test_both_modes_share_one_plane() -> None:
     shared = get(found, Mode.RIGID, "k")
     assert relative_width(shared) < relative_width(get(alone, Mode.RIGID, "k"))
     assert abs(shared.value - ACRYLIC.rigid.k) < shared.high - shared.low
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_a_controller_that_pushes_before_and_after(mode: Mode) -> None:
+    # As in flight: the approach is held by a push, the recovery brakes hard after the release.
+    c = ACRYLIC.of(mode)
+    random = np.random.default_rng(12)
+    trials = []
+    for speed in (0.5, 1.0, 1.5):
+        contact = Contact(c, MASS_KG, -speed, Onset.LCP, acceleration_m_s2=-0.8)
+        t = np.arange(-0.5, contact.end_s + 0.3, 1.0 / 240.0)
+        braking = 0.5 * (-3.0 + 0.8) * np.maximum(t - contact.end_s, 0.0) ** 2
+        x = contact.normal(t)[0] + braking + random.normal(0.0, 0.001, t.size)
+        trials.append(Trial(f"{speed}", {"normal_m": Series(t, x)}, mode.value))
+    found = identify(trials, MASS_KG, Onset.LCP)
+    assert any("not straight" in note for note in found.notes)
+    for name in ("k", "f"):
+        estimate = get(found, mode, name)
+        assert abs(estimate.value - getattr(c, name)) < estimate.high - estimate.low
+        assert relative_width(estimate) < 0.08
+    assert found.residuals["normal_m"] == pytest.approx(0.001, rel=0.15)
+    before, after = np.mean([trial.push_m_s2 for trial in found.trials], axis=0)
+    assert before == pytest.approx(-0.8, abs=0.3)
+    assert after == pytest.approx(-3.0, abs=0.7)
 
 
 def test_outliers_do_not_matter() -> None:

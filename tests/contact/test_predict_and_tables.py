@@ -62,6 +62,11 @@ def test_drop_in_json(capsys: pytest.CaptureFixture[str], onset: str) -> None:
         assert numbers[name] == pytest.approx(float(want[name]), rel=1e-9)
 
 
+def test_numbers_as_scripts_print_them(capsys: pytest.CaptureFixture[str]) -> None:
+    wall = [*WALL[:5], "--velocity"]
+    assert as_json(capsys, *wall, "-5e-1", "-2.5e-05") == as_json(capsys, *wall, "-0.5", "-0.000025")
+
+
 def test_table_on_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(WALL) == 0
     out = capsys.readouterr().out
