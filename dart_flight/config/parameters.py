@@ -14,6 +14,7 @@ from pathlib import Path
 import msgspec
 
 from dart_flight.config.document import InputError
+from dart_flight.config.vehicle import packaged
 
 Value = int | float
 
@@ -48,6 +49,16 @@ class Difference(msgspec.Struct, frozen=True):
         """The difference in one line."""
         shown = "not on this vehicle" if self.actual is None else f"{self.actual:g}"
         return f"{self.name} is {shown}, wanted {self.wanted:g}: {self.reason}"
+
+
+def vehicle_files(position_from: str) -> list[Path]:
+    """The packaged files for a vehicle, in the order in which they apply.
+
+    Args:
+        position_from: `mocap`, `rtk` or `plain` (GPS without corrections).
+    """
+    place = {"mocap": ("indoor",), "rtk": ("outdoor",), "plain": ("outdoor", "plain_gps")}[position_from]
+    return [packaged("configs", "px4", f"{name}.params") for name in ("collision", *place)]
 
 
 def load_parameters(path: str | Path) -> dict[str, Parameter]:

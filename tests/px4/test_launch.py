@@ -15,6 +15,7 @@ import msgspec
 import pytest
 
 from dart_flight.cli import main
+from dart_flight.cli.px4_options import gps_warnings
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import LockDriver, packaged
@@ -216,7 +217,7 @@ def test_killing_the_world_kills_px4(tmp_path: Path, launched: list[Watched]) ->
     assert watched.world.ready is not None
     os.kill(watched.world.pid, 9)
     deadline = time.monotonic() + 5.0
-    while _lives(watched.world.ready.pid) and time.monotonic() < deadline:
+    while (_lives(watched.world.ready.pid) or not watched.world.died) and time.monotonic() < deadline:
         time.sleep(0.02)
     assert not _lives(watched.world.ready.pid)
     assert watched.world.cause == "the process of the plant under PX4 was killed by SIGKILL"
@@ -261,6 +262,11 @@ def test_wrong_options_are_one_line(
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
+
+
+def test_plain_gps_is_advised_against() -> None:
+    assert "needs RTK or motion capture" in gps_warnings("plain")[0]
+    assert gps_warnings("rtk") == gps_warnings(None) == []
 
 
 def test_a_surveyed_frame_is_refused_with_gps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

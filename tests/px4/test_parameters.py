@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from dart_flight.config.document import InputError
-from dart_flight.config.parameters import differences, load_parameters
+from dart_flight.config.parameters import differences, load_parameters, vehicle_files
 from dart_flight.config.vehicle import Px4Parameters, load_vehicle, packaged
 from dart_flight.sim.px4_launch import airframe_parameters, flight_parameters, motors_from, parameter_files
 
@@ -26,6 +26,11 @@ def test_every_packaged_parameter_has_its_reason(path: Path) -> None:
 def test_all_packaged_files_are_used() -> None:
     used = {path.name for gps in (None, "rtk", "plain") for path in parameter_files(gps)}
     assert used == {path.name for path in FILES}
+
+
+def test_a_vehicle_gets_nothing_of_the_simulations() -> None:
+    for position_from in ("mocap", "rtk", "plain"):
+        assert "simulation.params" not in {path.name for path in vehicle_files(position_from)}
 
 
 def test_files_do_not_contradict_the_vehicle_configuration() -> None:
