@@ -20,11 +20,12 @@ CLEARANCE_M = 0.15
 
 
 class ReferencePoint(msgspec.Struct, frozen=True, gc=False):
-    """Position (m), velocity (m/s) and acceleration (m/s2) in the mission frame."""
+    """Position (m), velocity (m/s), acceleration (m/s2) and jerk (m/s3) in the mission frame."""
 
     position: Vec3
     velocity: Vec3
     acceleration: Vec3
+    jerk: Vec3 = (0.0, 0.0, 0.0)
 
 
 class Approach(msgspec.Struct, frozen=True):
@@ -62,12 +63,14 @@ class Approach(msgspec.Struct, frozen=True):
         v, big = self.speed_m_s, self.ramp_s
         speed = v * tau * tau * (3.0 - 2.0 * tau)
         acceleration = v / big * 6.0 * tau * (1.0 - tau)
+        jerk = v / (big * big) * 6.0 * (1.0 - 2.0 * tau) if 0.0 <= t_s <= big else 0.0
         way = v * big * tau * tau * tau * (1.0 - 0.5 * tau) + v * max(0.0, t_s - big)
         dx, dy = self.direction
         return ReferencePoint(
             (self.begin[0] + dx * way, self.begin[1] + dy * way, self.altitude_m),
             (dx * speed, dy * speed, 0.0),
             (dx * acceleration, dy * acceleration, 0.0),
+            (dx * jerk, dy * jerk, 0.0),
         )
 
 
