@@ -15,8 +15,8 @@ controller, which sees u, adds its push d to it:
     a' = (kv (kp (r - q) + w - u) + i + b w - kd (u' + a) - a) / tau,   i' = ki (kp (r - q) + w - u)
     d' = -(mu/m) lx d + a,                                              velocity u + d
 
-lx along the wall is the force of the contact law, scaled to the momentum that the wall really gives; the peak
-of the friction force, which comes early, is the contact law's (`collision_map`). Until
+lx along the wall, and so the peak of the friction force, is that of the contact law alone at the speed of the
+onset. Until
 t_e the reference is the old one (r, moving at w), from then on the recovery set-point
 (`dart_flight.flight.recovery`), which is a sum of the peaks. So the normal part is a constant matrix per
 material and mode, exact by the matrix exponential, and the part along the wall needs integrals of
@@ -102,10 +102,7 @@ def expm(matrix: Array) -> Array:
 
 
 class NormalOut(NamedTuple):
-    """Along the normal; x is the signed distance to the plane. At the peak: x, force; at the release: rest.
-
-    `effective_m_s` is the speed of approach at which the contact law alone would give the same impulse.
-    """
+    """Along the normal; x is the signed distance to the plane. At the peak: x, force; at the release: rest."""
 
     onset_m: Array
     peak_m: Array
@@ -114,7 +111,6 @@ class NormalOut(NamedTuple):
     velocity: Array
     acceleration: Array
     integral: Array
-    effective_m_s: Array
     setpoint_m: Array
 
 
@@ -164,7 +160,7 @@ class ContactStage:
         self.alphas = alphas
         self.lead_s = coefficients.f / coefficients.k if onset is Onset.LCP else 0.0
         self.duration_s = self.peak_s = self.engaged_s = math.inf
-        self._normal: Array = np.zeros((8, 5))
+        self._normal: Array = np.zeros((7, 5))
         self._depths: Array = np.zeros(0)  # 1 + xi' at the nodes
         self._depth_end = 0.0
         self._by_speed: Array = np.zeros((0, 0))  # way to peak, way, integral, acceleration per E at the nodes
@@ -191,14 +187,9 @@ class ContactStage:
         rows = [sum(c * v for c, v in zip(row, inputs, strict=True) if c != 0.0) for row in self._normal]
         return NormalOut(-self.lead_s * speed, *(np.asarray(row) for row in rows))
 
-    def tangential_shape(self, speed_m_s: Array, effective_m_s: Array) -> TangentialShape:
-        """The factors of the motion along the wall.
-
-        Args:
-            speed_m_s: normal velocity at the onset, m/s; the friction peaks early, before a push counts.
-            effective_m_s: `NormalOut.effective_m_s`; what slip is left depends on the whole impulse.
-        """
-        c = self.coefficients.mu * np.maximum(effective_m_s, 0.0)
+    def tangential_shape(self, speed_m_s: Array) -> TangentialShape:
+        """The factors of the motion along the wall for normal velocities at the onset (m/s, < 0)."""
+        c = self.coefficients.mu * np.maximum(-speed_m_s, 0.0)
         flat = c.reshape(-1, 1)
         slip = np.exp(-flat * self._depths)  # u at the nodes per unit of u at the onset
         slip_end = np.exp(-flat * self._depth_end)
@@ -281,7 +272,7 @@ def build_stages(
         stage.peak_s = float(events.peak[i] / omega[i])
         stage.engaged_s = min(float(engaged[i]), stage.duration_s)
         one = Course(*(np.asarray(v[i]) for v in course))
-        _prepare_normal(stage, loop, drags[i][0], float(motion(one, events.end[i])[2]))
+        _prepare_normal(stage, loop, drags[i][0])
         _prepare_tangential(stage, loop, drags[i][1], one)
     return stages
 
@@ -298,12 +289,12 @@ def _time_of_drop(course: Course, peak: Array, end: Array, fraction: float) -> A
     return falling_root(excess, peak, finite, 0.5 * (peak + finite))
 
 
-def _prepare_normal(stage: ContactStage, loop: Loop, drag: float, restitution: float) -> None:
+def _prepare_normal(stage: ContactStage, loop: Loop, drag: float) -> None:
     """The matrix from (v, a, i, r, w) at the onset to the rows of `NormalOut` after the first."""
     c, m = stage.coefficients, stage.mass_kg
     kp, kv, ki, kd, tau = loop
-    # States x, v, a, i, r, w and the wall's impulse.
-    system = np.zeros((7, 7))
+    # States x, v, a, i, r, w.
+    system = np.zeros((6, 6))
     system[0, 1] = 1.0
     system[1, :3] = (-c.k / m, -c.f / m - drag, 1.0)
     system[3, :6] = (-ki * kp, -ki, 0.0, 0.0, ki * kp, ki)
@@ -311,11 +302,10 @@ def _prepare_normal(stage: ContactStage, loop: Loop, drag: float, restitution: f
     system[2, :3] -= kd * system[1, :3]
     system[2] /= tau
     system[4, 5] = 1.0
-    system[6, :2] = (-c.k, -c.f)
     to_peak, to_engaged, rest = expm(
         np.stack([system * t for t in (stage.peak_s, stage.engaged_s, stage.duration_s - stage.engaged_s)])
     )
-    start = np.zeros((7, 5))
+    start = np.zeros((6, 5))
     start[0, 0] = -stage.lead_s
     start[1, 0] = start[2, 1] = start[3, 2] = start[4, 3] = start[5, 4] = 1.0
     at_peak = to_peak @ start
@@ -324,8 +314,7 @@ def _prepare_normal(stage: ContactStage, loop: Loop, drag: float, restitution: f
     engaged = to_engaged @ start
     engaged[4], engaged[5] = setpoint, 0.0
     end = rest @ engaged
-    effective = end[6] / (m * (1.0 + restitution))
-    stage._normal = np.stack([at_peak[0], force, end[0], end[1], end[2], end[3], effective, setpoint])
+    stage._normal = np.stack([at_peak[0], force, end[0], end[1], end[2], end[3], setpoint])
 
 
 class _Phases:

@@ -201,10 +201,13 @@ def first_crossing(position: Array, lead_s: float, low: float, high: float) -> A
     return d
 
 
-def closest(x: Array, y: Array, goal: tuple[float, float], low: Array) -> tuple[Array, Array]:
+def closest(
+    x: Array, y: Array, goal: tuple[float, float], low: Array, high: Array
+) -> tuple[Array, Array]:
     """Closest approach to a point near the grid point: (time from it, distance), for position series.
 
-    The least squared distance over [low, GRID_S]; `low` is 0 where the flight begins at the grid point.
+    The least squared distance over [low, high], which is a grid step either way, or 0 on the side where the
+    flight begins or ends at the grid point.
     """
     n = np.arange(1, x.shape[0])[:, None]
     vx, vy = n * x[1:], n * y[1:]
@@ -220,7 +223,7 @@ def closest(x: Array, y: Array, goal: tuple[float, float], low: Array) -> tuple[
         speed2 = ux * ux + uy * uy
         # Far off the minimum the curvature may be negative: Gauss-Newton's is not.
         step = slope / np.where(curve > 0.1 * speed2, np.where(curve > 0.0, curve, 1.0), speed2 + 1e-12)
-        new = np.clip(d - step, low, GRID_S)
+        new = np.clip(d - step, low, high)
         done = bool((np.abs(new - d) <= 1e-8).all())
         d = new
         if done:

@@ -242,7 +242,7 @@ class Course:
         zero = np.zeros_like(vn)
         out = stage.normal(vn, bn * vn, zero, -stage.lead_s * vn, normal)
         along = stage.tangential(
-            stage.tangential_shape(vn, out.effective_m_s), vt, bt * vt, np.zeros_like(vt), (0.0, tangential)
+            stage.tangential_shape(vn), vt, bt * vt, np.zeros_like(vt), (0.0, tangential)
         )
         shape = np.broadcast_shapes(normal.shape, tangential.shape)
         flat = _flatten(shape, out), _flatten(shape, along)
@@ -403,7 +403,7 @@ class Course:
         away = nx * (leg.goal_x - wall.point[0]) + ny * (leg.goal_y - wall.point[1])
         along = -(tx * leg.x[0] + ty * leg.y[0])
         out = stage.normal(vn, an, jn, away, np.zeros_like(vn))
-        shape = stage.tangential_shape(vn, out.effective_m_s)
+        shape = stage.tangential_shape(vn)
         slide = stage.tangential(shape, vt, at, jt, (along, 0.0))
         time = front.t_s + after
         if self.constraints is not None:
@@ -427,7 +427,8 @@ class Course:
         arrived = _choose(front, order)
         near = self.flight.near(arrived.leg, index)
         low = np.where(index == 0, 0.0, -GRID_S)
-        d, miss = closest(near.x, near.y, self._goal, low)
+        high = np.where(index == self.flight.count, 0.0, GRID_S)
+        d, miss = closest(near.x, near.y, self._goal, low, high)
         leg = near.leg_at(d)
         return Arrivals(
             arrived.rows,
