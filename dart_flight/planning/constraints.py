@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ STOP_MARGIN_M = 0.02  # the executive's, of "holding still stops short of the wa
 LEAST_REBOUND_M_S = 0.05
 # A wall counts as touched when it would be reached within this time: forces begin before the plane (`lcp`).
 _TOUCH_S = 0.01
+_THICK_M = 0.5  # further behind a plane is the other side of the wall
 _LOCK_POLL_S = 0.02
 
 
@@ -118,57 +120,51 @@ class Constraints:
             target: the wall that the plan hits next, no obstacle.
             begins: whether the first grid point is the release from a wall.
         """
-        w, low, high = window, self.bounds, self.bounds
-        alive = np.arange(w.times.size) < until[:, None]
+        w = window
+        bad = w.vx * w.vx + w.vy * w.vy > np.float32(self.limits.speed_m_s**2)
+        bad |= _outside(self.bounds.x, w.x, w.vx)
+        bad |= _outside(self.bounds.y, w.y, w.vy)
+        obstacles = [wall for wall in self.walls if wall is not target]
+        for wall in obstacles:
+            bad |= _touches(wall, w)
+        bad &= np.arange(w.times.size) < until[:, None]
         codes = np.zeros(until.size, dtype=np.int8)
-        over = w.vx * w.vx + w.vy * w.vy > self.limits.speed_m_s**2
-        self.mark(codes, (over & alive).any(axis=1), Refusal.SPEED)
-        sx, sy = w.x + STOP_TIME_S * w.vx, w.y + STOP_TIME_S * w.vy
-        out = (
-            (np.minimum(w.x, sx) < low.x[0])
-            | (np.maximum(w.x, sx) > high.x[1])
-            | (np.minimum(w.y, sy) < low.y[0])
-            | (np.maximum(w.y, sy) > high.y[1])
-        )
-        out &= alive
-        suspects = np.flatnonzero(out.any(axis=1))
-        if suspects.size:
-            self.mark(codes, suspects[self._leaves(w, out, suspects)], Refusal.BOUNDS)
-        if begins:
-            alive[:, 0] = False
-        for wall in self.walls:
-            if wall is target:
-                continue
-            (nx, ny), (px, py) = wall.normal, wall.point
-            depth = nx * (w.x - px + _TOUCH_S * w.vx) + ny * (w.y - py + _TOUCH_S * w.vy)
-            touched = (depth < 0.0) & alive
-            rows = np.flatnonzero(touched.any(axis=1))
-            if rows.size:
-                tx, ty = wall.tangent
-                along = tx * (w.x[rows] - px) + ty * (w.y[rows] - py)
-                # Behind a wall is not in it: only passing through its front counts.
-                near = (np.abs(along) <= 0.5 * wall.length_m) & (depth[rows] > -0.5)
-                self.mark(codes, rows[(touched[rows] & near).any(axis=1)], Refusal.OBSTACLE)
+        rows = np.flatnonzero(bad.any(axis=1))
+        if rows.size:  # few: only they are looked at closely
+            part = Window(w.times, *(v[rows] for v in (w.x, w.y, w.vx, w.vy)))
+            codes[rows] = self._why(part, until[rows], obstacles, begins)
         return codes
 
-    def _leaves(self, w: Window, out: NDArray[np.bool_], rows: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Whether rows that may leave the bounds do: a wall in the way stops a vehicle earlier (guard)."""
-        x, y, vx, vy = (v[rows] for v in (w.x, w.y, w.vx, w.vy))
-        share = np.ones_like(x)
+    def _why(self, w: Window, until: NDArray[np.intp], obstacles: list[Wall], begins: bool) -> Codes:
+        """Which of the rules is broken, if any."""
+        codes = np.zeros(until.size, dtype=np.int8)
+        alive = np.arange(w.times.size) < until[:, None]
+        over = w.vx * w.vx + w.vy * w.vy > self.limits.speed_m_s**2
+        self.mark(codes, (over & alive).any(axis=1), Refusal.SPEED)
+        self.mark(codes, (self._leaves(w) & alive).any(axis=1), Refusal.BOUNDS)
+        if begins:
+            alive[:, 0] = False
+        for wall in obstacles:
+            (nx, ny), (px, py), (tx, ty) = wall.normal, wall.point, wall.tangent
+            depth = nx * (w.x - px) + ny * (w.y - py)
+            along = tx * (w.x - px) + ty * (w.y - py)
+            # Behind a wall is not in it: only passing through its front counts.
+            touched = _touches(wall, w) & (np.abs(along) <= 0.5 * wall.length_m) & (depth > -_THICK_M)
+            self.mark(codes, (touched & alive).any(axis=1), Refusal.OBSTACLE)
+        return codes
+
+    def _leaves(self, w: Window) -> NDArray[np.bool_]:
+        """Where the bounds are left or would be before stopping; a wall in the way stops earlier (guard)."""
+        share = np.ones_like(w.x)
         for wall in self.walls:
-            (nx, ny), (px, py) = wall.normal, wall.point
-            here = nx * (x - px) + ny * (y - py)
-            there = here + STOP_TIME_S * (nx * vx + ny * vy)
-            tx, ty = wall.tangent
-            spans = np.abs(tx * (x - px) + ty * (y - py)) <= 0.5 * wall.length_m
+            (nx, ny), (px, py), (tx, ty) = wall.normal, wall.point, wall.tangent
+            here = nx * (w.x - px) + ny * (w.y - py)
+            there = here + STOP_TIME_S * (nx * w.vx + ny * w.vy)
+            spans = np.abs(tx * (w.x - px) + ty * (w.y - py)) <= 0.5 * wall.length_m
             stops = (here > there) & (there < 0.0) & (here > -0.3) & spans
             way = np.where(stops, here - there, 1.0)
             share = np.where(stops, np.minimum(share, np.maximum(here / way, 0.0)), share)
-        sx, sy = x + share * STOP_TIME_S * vx, y + share * STOP_TIME_S * vy
-        b = self.bounds
-        leaves = (np.minimum(x, sx) < b.x[0]) | (np.maximum(x, sx) > b.x[1])
-        leaves |= (np.minimum(y, sy) < b.y[0]) | (np.maximum(y, sy) > b.y[1])
-        return np.asarray((leaves & out[rows]).any(axis=1))
+        return _outside(self.bounds.x, w.x, share * w.vx) | _outside(self.bounds.y, w.y, share * w.vy)
 
     def lock_in_time(self, leg: Leg, wall: Wall) -> NDArray[np.bool_]:
         """Whether holding still at these states still stops short of the wall (executive)."""
@@ -183,6 +179,28 @@ class Constraints:
         return (distance - reach >= STOP_MARGIN_M) | ((closing <= 0.0) & (distance > 0.0))
 
     _lag = 0.15
+
+
+def _outside(limits: tuple[float, float], x: NDArray[Any], v: NDArray[Any]) -> NDArray[np.bool_]:
+    """Whether a coordinate is out of its limits, now or where the vehicle would stop."""
+    stop = x + np.float32(STOP_TIME_S) * v
+    outside: NDArray[np.bool_] = np.minimum(x, stop) < np.float32(limits[0])
+    outside |= np.maximum(x, stop) > np.float32(limits[1])
+    return outside
+
+
+def _touches(wall: Wall, w: Window) -> NDArray[np.bool_]:
+    """Whether the plane of a wall is behind the vehicle, or will be within a moment."""
+    (nx, ny), (px, py) = wall.normal, wall.point
+    soon, offset = np.float32(_TOUCH_S), np.float32(nx * px + ny * py)
+    if ny == 0.0:
+        depth = np.float32(nx) * (w.x + soon * w.vx)
+    elif nx == 0.0:
+        depth = np.float32(ny) * (w.y + soon * w.vy)
+    else:
+        depth = np.float32(nx) * (w.x + soon * w.vx) + np.float32(ny) * (w.y + soon * w.vy)
+    touches: NDArray[np.bool_] = depth < offset
+    return touches
 
 
 def _reach_tables(scenario: Scenario) -> tuple[Array, Array, Array]:

@@ -25,12 +25,14 @@ from dart_flight.planning.closed_loop import Loop
 from dart_flight.planning.contact_stage import expm
 
 Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
 Rows = NDArray[np.intp]
 
 GRID_S = 0.05
 WINDOW = 20  # grid steps looked at together; most events come within the first second
 _ORDER = 11  # at one grid step and the fastest mode (about 9 1/s) the next term is 1e-13 of the position
 _NEWTON_STEPS = 6
+_SINGLE_M = 1e-4  # well above what single precision rounds
 
 
 class Leg(NamedTuple):
@@ -52,13 +54,16 @@ class Leg(NamedTuple):
 
 
 class Window(NamedTuple):
-    """Positions (mission frame, m) and velocities on a part of the time grid; arrays (n, times)."""
+    """Positions (mission frame, m) and velocities on a part of the time grid; arrays (n, times).
+
+    In single precision (1e-6 m): they bracket events and are judged against constraints, nothing more.
+    """
 
     times: Array
-    x: Array
-    y: Array
-    vx: Array
-    vy: Array
+    x: Array32
+    y: Array32
+    vx: Array32
+    vy: Array32
 
 
 def loop_matrix(loop: Loop, drag_per_s: float) -> Array:
@@ -84,8 +89,10 @@ class _Axis:
         for _ in range(count):
             powers.append(step @ powers[-1])
         self.at_grid = np.array(powers)  # (count + 1, 4, 4)
-        self.position = np.ascontiguousarray(self.at_grid[:, 0, :].T)  # (4, count + 1)
-        self.velocity = np.ascontiguousarray(self.at_grid[:, 1, :].T)
+        self.position = np.ascontiguousarray(self.at_grid[:, 0, :].T, dtype=np.float32)  # (4, count + 1)
+        self.velocity = np.ascontiguousarray(self.at_grid[:, 1, :].T, dtype=np.float32)
+        # From each grid point on, the most that each state of the start still adds to the position.
+        self.reach = np.maximum.accumulate(np.abs(self.at_grid[::-1, 0, :]), axis=0)[::-1]  # (count + 1, 4)
         rows = [np.eye(4)]
         for n in range(1, _ORDER + 1):
             rows.append(matrix @ rows[-1] / n)
@@ -111,17 +118,11 @@ class FreeFlight:
             _Axis(loop_matrix(self.loop, by), self.count),
         )
 
-    def window(self, leg: Leg, first: int, last: int) -> Window:
-        """Grid points first..last of every candidate."""
-        ax, ay = self.axes
-        part = slice(first, last + 1)
-        return Window(
-            self.times[part],
-            leg.x.T @ ax.position[:, part] + leg.goal_x[:, None],
-            leg.y.T @ ay.position[:, part] + leg.goal_y[:, None],
-            leg.x.T @ ax.velocity[:, part],
-            leg.y.T @ ay.velocity[:, part],
-        )
+    def grid(self, leg: Leg) -> Grid:
+        """The leg on the time grid."""
+        x, y = (np.ascontiguousarray(z.T, dtype=np.float32) for z in (leg.x, leg.y))
+        goals = (leg.goal_x[:, None].astype(np.float32), leg.goal_y[:, None].astype(np.float32))
+        return Grid(self, x, y, *goals)
 
     def at(self, leg: Leg, t_s: float) -> Leg:
         """States of every candidate at one time after the start of the leg."""
@@ -137,6 +138,41 @@ class FreeFlight:
             for axis, z in zip(self.axes, (leg.x, leg.y), strict=True)
         ]
         return Near(self, leg, self.times[index], states[0], states[1])
+
+
+class Grid(NamedTuple):
+    """Legs ready to be looked at on the time grid: start states (n, 4) and set-points (n, 1)."""
+
+    flight: FreeFlight
+    x: Array32
+    y: Array32
+    goal_x: Array32
+    goal_y: Array32
+
+    def take(self, rows: Rows | NDArray[np.bool_]) -> Grid:
+        """The chosen candidates."""
+        return Grid(self.flight, self.x[rows], self.y[rows], self.goal_x[rows], self.goal_y[rows])
+
+    def window(self, first: int) -> Window:
+        """One window of grid points, both ends included."""
+        ax, ay = self.flight.axes
+        part = slice(first, first + WINDOW + 1)
+        x, y = self.x @ ax.position[:, part], self.y @ ay.position[:, part]
+        x += self.goal_x
+        y += self.goal_y
+        return Window(
+            self.flight.times[part], x, y, self.x @ ax.velocity[:, part], self.y @ ay.velocity[:, part]
+        )
+
+    def stays_before(self, normal: tuple[float, float], offset: float, index: int) -> NDArray[np.bool_]:
+        """Who never gets behind a plane (normal . p = offset) from a grid point on, whatever comes."""
+        ax, ay = self.flight.axes
+        nearest = normal[0] * self.goal_x[:, 0] + normal[1] * self.goal_y[:, 0] - offset
+        if normal[0]:
+            nearest = nearest - np.abs(self.x) @ (abs(normal[0]) * ax.reach[index])
+        if normal[1]:
+            nearest = nearest - np.abs(self.y) @ (abs(normal[1]) * ay.reach[index])
+        return np.asarray(nearest > _SINGLE_M)
 
 
 class Near:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -221,6 +221,10 @@ class Course:
         stays: NDArray[np.bool_] = codes == 0
         return stays
 
+    def _refuse_all(self, reason: Refusal, count: int, collision: int) -> None:
+        """Count candidates that physics refuses, constraints or not."""
+        self.refused[CODE[reason]] += count * self._weight(collision)
+
     # -- first collision --
 
     def _first(
@@ -335,7 +339,7 @@ class Course:
         fronts = []
         for mode in self.scenario.modes:
             stage = stages[wall.name, mode]
-            d = first_crossing(series, stage.lead_s, -GRID_S - stage.lead_s, 0.0)
+            d = first_crossing(series, stage.lead_s, -GRID_S - 2.0 * stage.lead_s, 1e-3)
             leg = near.leg_at(d)
             after = near.times + d
             codes = self._reached_codes(reached, wall, mode, after)
@@ -364,12 +368,19 @@ class Course:
     def _search_wall(self, front: _Front, wall: Wall) -> tuple[Rows, Rows]:
         """Grid index just behind the plane, and which candidates get there."""
         (nx, ny), (px, py), (tx, ty) = wall.normal, wall.point, wall.tangent
+        offset = nx * px + ny * py
         live = np.arange(front.leg.size)
+        grid = self.flight.grid(front.leg)
         indices, found = [], []
         for first in range(0, self.flight.count, WINDOW):
-            leg = front.leg if live.size == front.leg.size else front.leg.take(live)
-            w = self.flight.window(leg, first, first + WINDOW)
-            behind = nx * (w.x - px) + ny * (w.y - py) < 0.0
+            never = grid.stays_before(wall.normal, offset, first)
+            if never.any():
+                self._refuse_all(Refusal.WALL_NOT_REACHED, int(never.sum()), len(front.modes))
+                live, grid = live[~never], grid.take(~never)
+            if live.size == 0:
+                break
+            w = grid.window(first)
+            behind = _along(wall.normal, w.x, w.y) < offset
             index = behind.argmax(axis=1)
             crossed = behind[np.arange(live.size), index]
             codes = np.zeros(live.size, dtype=np.int8)
@@ -382,15 +393,15 @@ class Course:
                 passes = (np.abs(along) > 0.5 * wall.length_m) | (first + at == 0)
                 codes[rows[passes]] = CODE[Refusal.WALL_NOT_REACHED]
                 self._refuse(codes, len(front.modes))
-            good = np.flatnonzero(crossed & (codes == 0))
+            fine = codes == 0
+            good = np.flatnonzero(crossed & fine)
             indices.append(first + index[good])
             found.append(live[good])
-            live = live[~crossed & (codes == 0)]
-            if live.size == 0:
-                break
-        if live.size and self.constraints is not None:
-            self._refuse(np.full(live.size, CODE[Refusal.WALL_NOT_REACHED], dtype=np.int8), len(front.modes))
-        return np.concatenate(indices), np.concatenate(found)
+            stays = np.flatnonzero(~crossed & fine)
+            if stays.size < live.size:
+                live, grid = live[stays], grid.take(stays)
+        self._refuse_all(Refusal.WALL_NOT_REACHED, live.size, len(front.modes))
+        return np.concatenate([*indices, _NONE]), np.concatenate([*found, _NONE])
 
     def _collide(
         self, stage: ContactStage, wall: Wall, mode: Mode, front: _Front, leg: Leg, after: Array
@@ -446,40 +457,55 @@ class Course:
     def _search_goal(self, front: _Front) -> tuple[Rows, Rows]:
         """Grid index of the least distance before the executive sees it rise, and who gets there."""
         live = np.arange(front.leg.size)
-        best = np.full(live.size, math.inf)
+        grid = self.flight.grid(front.leg)
+        best = np.full(live.size, math.inf, dtype=np.float32)
         where = np.zeros(live.size, dtype=np.intp)
         indices, found = [], []
         earliest = PASSED_AFTER_S - front.since_peak_s
+        goal_x, goal_y = np.float32(self._goal[0]), np.float32(self._goal[1])
         for first in range(0, self.flight.count, WINDOW):
-            leg = front.leg if live.size == front.leg.size else front.leg.take(live)
-            w = self.flight.window(leg, first, first + WINDOW)
-            distance = np.hypot(w.x - self._goal[0], w.y - self._goal[1])
+            w = grid.window(first)
+            dx, dy = w.x - goal_x, w.y - goal_y
+            distance = np.sqrt(dx * dx + dy * dy)
             least = np.minimum.accumulate(distance, axis=1)
             np.minimum(least, best[:, None], out=least)
-            rising = distance > least + PASSED_RISE_M
+            rising = distance > least + np.float32(PASSED_RISE_M)
             rising[:, w.times < earliest] = False
             index = rising.argmax(axis=1)
-            passed = rising[np.arange(live.size), index]
+            every = np.arange(live.size)
+            passed = rising[every, index]
             until = np.where(passed, index + 1, w.times.size)
             codes = np.zeros(live.size, dtype=np.int8)
             if self.constraints is not None:
                 codes = self.constraints.path(w, until, None, first == 0)
                 self._refuse(codes, len(front.modes))
             # The least distance before the rise may lie in this window or in an earlier one.
-            bottom = least[np.arange(live.size), until - 1]
+            bottom = least[every, until - 1]
             here = bottom < best
             at = (distance <= bottom[:, None]).argmax(axis=1)
             where = np.where(here, first + at, where)
-            good = np.flatnonzero(passed & (codes == 0))
+            fine = codes == 0
+            good = np.flatnonzero(passed & fine)
             indices.append(where[good])
             found.append(live[good])
-            stays = ~passed & (codes == 0)
+            stays = np.flatnonzero(~passed & fine)
             live, best, where = live[stays], bottom[stays], where[stays]
             if live.size == 0:
                 break
-        indices.append(where)
-        found.append(live)
-        return np.concatenate(indices), np.concatenate(found)
+            grid = grid.take(stays)
+        return np.concatenate([*indices, where]), np.concatenate([*found, live])
+
+
+_NONE = np.zeros(0, dtype=np.intp)
+
+
+def _along(direction: Vec2, x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
+    """Component along a direction, without the term that an axis has none of."""
+    if direction[1] == 0.0:
+        return x * x.dtype.type(direction[0])
+    if direction[0] == 0.0:
+        return y * y.dtype.type(direction[1])
+    return x * x.dtype.type(direction[0]) + y * y.dtype.type(direction[1])
 
 
 def new_flight(scenario: Scenario) -> FreeFlight:
