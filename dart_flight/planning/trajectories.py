@@ -372,6 +372,12 @@ class Course:
         live = np.arange(front.leg.size)
         grid = self.flight.grid(front.leg)
         indices, found = [], []
+        # A wall is met from its free side: who is behind its plane at the release does not come to it.
+        side = _along(wall.normal, front.leg.x[0] + front.leg.goal_x, front.leg.y[0] + front.leg.goal_y)
+        before = np.flatnonzero(side > offset)
+        if before.size < live.size:
+            self._refuse_all(Refusal.WALL_NOT_REACHED, live.size - before.size, len(front.modes))
+            live, grid = live[before], grid.take(before)
         for first in range(0, self.flight.count, WINDOW):
             never = grid.stays_before(wall.normal, offset, first)
             if never.any():
@@ -390,7 +396,7 @@ class Course:
                 rows = np.flatnonzero(crossed & (codes == 0))
                 at = index[rows]
                 along = tx * (w.x[rows, at] - px) + ty * (w.y[rows, at] - py)
-                passes = (np.abs(along) > 0.5 * wall.length_m) | (first + at == 0)
+                passes = np.abs(along) > 0.5 * wall.length_m
                 codes[rows[passes]] = CODE[Refusal.WALL_NOT_REACHED]
                 self._refuse(codes, len(front.modes))
             fine = codes == 0
