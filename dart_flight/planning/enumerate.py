@@ -168,9 +168,7 @@ def search(scenario: Scenario, top: int = 10, seed: int = 1, progress: Progress 
     if feasible == 0:
         raise InputError(planner.why_infeasible(), source=scenario.source, key=("search",))
     best = _ranked(maps, scenario, top)
-    plans = tuple(
-        planner.explain(m, i, rank) for rank, (m, i) in enumerate(_spread(maps, best), start=1)
-    )
+    plans = planner.explain(list(_spread(maps, best)))
     return Search(
         scenario=scenario,
         plans=plans,
@@ -294,38 +292,19 @@ class Planner:
 
     # -- words --
 
-    def explain(self, c: Candidates, i: int, rank: int) -> Plan:
-        """A candidate flown once more, with its collisions kept."""
-        hits = self.trace(c, np.array([i]))
-        collisions = tuple(
-            PlannedCollision(
-                wall=h.wall.name,
-                mode=h.mode,
-                t_s=float(h.t_s[0]),
-                position_m=(float(h.x[0]), float(h.y[0])),
-                normal_m_s=float(h.normal_m_s[0]),
-                tangential_m_s=float(h.tangential_m_s[0]),
-                peak_force_n=float(h.normal_n[0]),
-                peak_friction_n=abs(float(h.tangential_n[0])),
-                contact_time_s=h.duration_s,
-                setpoint_m=(float(h.leg.goal_x[0]), float(h.leg.goal_y[0])),
-            )
-            for h in hits.hits
-        )
-        return Plan(
-            rank=rank,
-            score=float(c.score[i]),
-            normal_m_s=float(c.normal_m_s[i]),
-            tangential_m_s=float(c.tangential_m_s[i]),
-            goal_miss_m=float(c.miss_m[i]),
-            time_to_goal_s=float(c.time_s[i]),
-            peak_force_n=float(c.force_n[i]),
-            closest_m=(float(c.x[i]), float(c.y[i])),
-            collisions=collisions,
-            expected_miss_m=_at(c.expected_m, i),
-            worst_miss_m=_at(c.worst_m, i),
-            failed_draws=_at(c.failed, i),
-        )
+    def explain(self, chosen: list[tuple[Candidates, int]]) -> tuple[Plan, ...]:
+        """Candidates, in order of their rank, flown once more with their collisions kept."""
+        plans: dict[int, Plan] = {}
+        groups: dict[int, list[tuple[int, Candidates, int]]] = {}
+        for rank, (c, i) in enumerate(chosen, start=1):
+            groups.setdefault(id(c), []).append((rank, c, i))
+        for group in groups.values():
+            c = group[0][1]
+            arrivals = self.trace(c, np.array([i for _, _, i in group]))
+            place = {int(row): k for k, row in enumerate(arrivals.rows)}
+            for j, (rank, _, i) in enumerate(group):
+                plans[rank] = _plan(c, i, rank, arrivals, place[j])
+        return tuple(plans[rank] for rank in sorted(plans))
 
     def trace(self, c: Candidates, chosen: NDArray[np.intp]) -> Arrivals:
         """Some candidates of a map flown once more, with their collisions and legs kept."""
@@ -350,6 +329,39 @@ class Planner:
 
     def _freed(self, reason: Refusal) -> int:
         return sum(a.rows.size for _, found, _ in self._nominal(frozenset({reason})) for a in found)
+
+
+def _plan(c: Candidates, i: int, rank: int, arrivals: Arrivals, k: int) -> Plan:
+    """Candidate `i` of a map, its collisions from row `k` of the arrivals."""
+    collisions = tuple(
+        PlannedCollision(
+            wall=h.wall.name,
+            mode=h.mode,
+            t_s=float(h.t_s[k]),
+            position_m=(float(h.x[k]), float(h.y[k])),
+            normal_m_s=float(h.normal_m_s[k]),
+            tangential_m_s=float(h.tangential_m_s[k]),
+            peak_force_n=float(h.normal_n[k]),
+            peak_friction_n=abs(float(h.tangential_n[k])),
+            contact_time_s=h.duration_s,
+            setpoint_m=(float(h.leg.goal_x[k]), float(h.leg.goal_y[k])),
+        )
+        for h in arrivals.hits
+    )
+    return Plan(
+        rank=rank,
+        score=float(c.score[i]),
+        normal_m_s=float(c.normal_m_s[i]),
+        tangential_m_s=float(c.tangential_m_s[i]),
+        goal_miss_m=float(c.miss_m[i]),
+        time_to_goal_s=float(c.time_s[i]),
+        peak_force_n=float(c.force_n[i]),
+        closest_m=(float(c.x[i]), float(c.y[i])),
+        collisions=collisions,
+        expected_miss_m=_at(c.expected_m, i),
+        worst_miss_m=_at(c.worst_m, i),
+        failed_draws=_at(c.failed, i),
+    )
 
 
 def draws_of(scenario: Scenario, seed: int) -> list[Draw]:

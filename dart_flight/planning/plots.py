@@ -79,13 +79,9 @@ def _draw_map(axis: Axes, result: Search, maps: list[Candidates], plan: Plan) ->
         hit = wall.name in plan.sequence
         ends = ([x - half * tx, x + half * tx], [y - half * ty, y + half * ty])
         axis.plot(*ends, color="black" if hit else "0.6", lw=3.0, solid_capstyle="butt")
-        axis.annotate(
-            wall.name,
-            (x - 0.12 * wall.normal[0] + 0.35 * half * tx, y - 0.12 * wall.normal[1] + 0.35 * half * ty),
-            ha="center",
-            va="center",
-            fontsize=9,
-        )
+        behind = (x - 0.13 * wall.normal[0] + 0.35 * half * tx, y - 0.13 * wall.normal[1] + 0.35 * half * ty)
+        slope = (np.degrees(np.arctan2(ty, tx)) + 90.0) % 180.0 - 90.0
+        axis.text(*behind, wall.name, ha="center", va="center", fontsize=9, rotation=slope)
     planner = Planner(scenario)
     rng = np.random.default_rng(1)
     for k, m in enumerate(maps):
@@ -120,7 +116,9 @@ def _draw_map(axis: Axes, result: Search, maps: list[Candidates], plan: Plan) ->
     axis.set_title(
         f"{scenario.name}: {' → '.join(plan.sequence)}, objective {scenario.objective.value}", fontsize=11
     )
-    axis.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=9, frameon=False)
+    legend = axis.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=9, frameon=False)
+    for line in legend.get_lines():
+        line.set_alpha(1.0)
 
 
 def _lines(planner: Planner, m: Candidates, chosen: NDArray[np.intp]) -> list[tuple[Array, Array]]:

@@ -19,7 +19,13 @@ from dart_flight.config.vehicle import Coefficients
 from dart_flight.geometry import Vec2, Wall
 from dart_flight.planning.approach_grid import ApproachGrid, approach_grid
 from dart_flight.planning.constraints import CODE, REFUSALS, Constraints, Refusal
-from dart_flight.planning.contact_stage import ContactStage, NormalOut, TangentialOut, build_stages
+from dart_flight.planning.contact_stage import (
+    ContactStage,
+    NormalOut,
+    TangentialOut,
+    TangentialShape,
+    build_stages,
+)
 from dart_flight.planning.flight_model import (
     GRID_S,
     WINDOW,
@@ -245,9 +251,10 @@ class Course:
         vt = tangential if draw is None else tangential + draw.tangential_m_s
         zero = np.zeros_like(vn)
         out = stage.normal(vn, bn * vn, zero, -stage.lead_s * vn, normal)
-        along = stage.tangential(
-            stage.tangential_shape(vn), vt, bt * vt, np.zeros_like(vt), (0.0, tangential)
-        )
+        # Few different normal speeds among many candidates: what depends on them alone is computed once.
+        speeds, which = np.unique(vn, return_inverse=True)
+        slide = TangentialShape(*(v[which.reshape(vn.shape)] for v in stage.tangential_shape(speeds)))
+        along = stage.tangential(slide, vt, bt * vt, np.zeros_like(vt), (0.0, tangential))
         shape = np.broadcast_shapes(normal.shape, tangential.shape)
         flat = _flatten(shape, out), _flatten(shape, along)
         codes = grid.codes
