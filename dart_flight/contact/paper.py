@@ -169,7 +169,8 @@ of the configuration. The onset rules `lcp` and `touch` are explained in [contac
 
 ## Drop tests
 
-Concrete, gravity along the normal, released at rest; published values are averages of three trials (Sec. III).
+Concrete, gravity along the normal, released at rest; published values are averages of three trials
+(Sec. III).
 
 {
         _table(

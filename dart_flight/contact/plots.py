@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 
 from dart_flight.config.document import InputError
+from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.course import Contact, Trajectory, trajectory
+from dart_flight.contact.identify import Identification
+from dart_flight.contact.law import Onset
 from dart_flight.contact.paper import PublishedDrop
 from dart_flight.contact.prediction import Condition
+from dart_flight.contact.trials import Trial
 
 # Okabe and Ito's colours: told apart by everyone, also in grey.
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#666666"
@@ -84,7 +88,7 @@ def plot_wall(path: str | Path, what: Condition, contact: Contact, tangential_m_
     figure, (position, velocity, force) = _figure(3)
     span = contact.end_s if np.isfinite(contact.end_s) else _SETTLED_S
     t = np.linspace(-0.25 * span, 1.35 * span, 1601)
-    way = trajectory(contact, t, tangential_m_s)
+    way = trajectory(contact, t, tangential_m_s, what.vertical_sign)
     ms = 1e3 * t
     _shade((position, velocity, force), 0.0, 1e3 * span)
     position.plot(ms, 1e3 * way.normal_m, color=BLUE, label="normal, from the plane of first touch")
@@ -100,6 +104,7 @@ def plot_wall(path: str | Path, what: Condition, contact: Contact, tangential_m_
         _title(what, f"{contact.normal_m_s:g} m/s normal, {tangential_m_s:g} m/s along"), fontsize=10
     )
     force.set_xlim(ms[0], ms[-1])
+    figure.align_ylabels()
     _save(figure, path)
 
 
@@ -149,4 +154,51 @@ def plot_drop(
         axis.legend(loc="best", fontsize=8, frameon=False)
     position.set_title(_title(what, f"drop from {height_m:g} m"), fontsize=10)
     force.set_xlim(0.0, ms[-1])
+    figure.align_ylabels()
+    _save(figure, path)
+
+
+def plot_fit(
+    path: str | Path, trials: Sequence[Trial], found: Identification, mass_kg: float, onset: Onset
+) -> None:
+    """Recorded positions and the fit, one panel per trial (up to six), written to `path`.
+
+    Raises:
+        InputError: matplotlib is missing, or the file cannot be written.
+    """
+    shown = list(zip(trials, found.trials, strict=True))[:6]
+    figure, axes = _figure(len(shown))
+    for axis, (trial, fit) in zip(axes, shown, strict=True):
+        c = found.fitted(fit.mode, Coefficients(k=1.0, f=0.0, mu=0.0, nu=0.0))
+        contact = Contact(c, mass_kg, fit.normal_m_s, onset, acceleration_m_s2=trial.acceleration_m_s2)
+        span = contact.end_s if np.isfinite(contact.end_s) else _SETTLED_S
+        t = np.linspace(-0.15, span + 0.15, 1200)
+        time, value = trial.normal
+        near = (time - fit.onset_s >= t[0]) & (time - fit.onset_s <= t[-1])
+        t = t[(t >= time[near][0] - fit.onset_s) & (t <= time[near][-1] - fit.onset_s)]
+        if trial.acceleration_m_s2 < 0.0:  # before its release a drop does not fall
+            t = t[t >= fit.normal_m_s / -trial.acceleration_m_s2]
+        _shade((axis,), 0.0, 1e3 * span)
+        axis.plot(
+            1e3 * (time[near] - fit.onset_s),
+            1e3 * value[near],
+            ".",
+            color=ORANGE,
+            markersize=3,
+            label="recorded",
+        )
+        axis.plot(
+            1e3 * t,
+            1e3 * (contact.normal(t)[0] + found.plane_m.value),
+            color=BLUE,
+            linewidth=1.2,
+            label="fit",
+        )
+        axis.axhline(1e3 * found.plane_m.value, color=GREY, linestyle=":", label="plane, identified")
+        axis.set_ylabel("normal, mm")
+        axis.set_title(
+            f"{Path(trial.name).name}: {fit.mode}, {fit.normal_m_s:.3f} m/s", fontsize=9, loc="left"
+        )
+    axes[0].legend(loc="best", fontsize=8, frameon=False)
+    axes[-1].set_xlabel("time since the onset, ms")
     _save(figure, path)

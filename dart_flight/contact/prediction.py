@@ -41,6 +41,7 @@ class Condition(NamedTuple):
     incidence_deg: float
     coefficients: Coefficients
     mass_kg: float
+    vertical_sign: int
 
 
 def condition(
@@ -59,7 +60,9 @@ def condition(
         raise InputError(f"{incidence_deg:g} is not an angle from 0 to 45", key=("incidence-deg",))
     c = coefficients_in_force(vehicle, surface, Mode(mode), math.radians(incidence_deg))
     rule = Onset(onset or vehicle.onset)
-    return Condition(surface, Mode(mode), rule, incidence_deg, c, vehicle.airframe.mass_kg)
+    return Condition(
+        surface, Mode(mode), rule, incidence_deg, c, vehicle.airframe.mass_kg, vehicle.vertical_force_sign
+    )
 
 
 def wall_contact(what: Condition, normal_m_s: float, tangential_m_s: float) -> Contact:
