@@ -1,6 +1,6 @@
 """Benchmarks of the planner; `rows()` gives them to `tools.bench`, run alone it prints the comparison too.
 
-    python -m tools.bench_plan
+python -m tools.bench_plan
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Ten generated scenarios: plan each, fly the plan with many seeds, compare what was predicted with what flew.
+"""Ten generated scenarios: plan each, fly the plan with many seeds, compare prediction and flight.
 
-    python -m tools.campaign_plan            (writes docs/planning_campaign.md; also part of `make campaign`)
+python -m tools.campaign_plan            (writes docs/planning_campaign.md; also part of `make campaign`)
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Flown(NamedTuple):
 
 
 def generate(rng: random.Random, index: int) -> str:
-    """A scenario: a room of 5 m, one to three walls around its middle facing inwards, start and goal between."""
+    """A scenario: a room of 5 m, one to three walls around its middle, start and goal between them."""
     count = 1 + index % 3
     first = rng.uniform(0.0, 2.0 * math.pi)
     lines = ["version: 1", f"name: generated-{index + 1}"]
@@ -104,11 +104,12 @@ def report(flown: list[Flown], infeasible: int, elapsed_s: float) -> str:
     lines = [
         "# Plans flown: generated scenarios",
         "",
-        "Written by `python -m tools.campaign_plan` (part of `make campaign`); numbers of that run, do not edit.",
+        "Written by `python -m tools.campaign_plan` (part of `make campaign`); do not edit.",
         "",
         f"{SCENARIOS} scenarios with random start, goal, walls (one to three, any direction), materials and "
-        f"gains, seed {_SEED}; {infeasible} more had no feasible plan and were passed over. Each was planned by "
-        f"`nearest` and by `robust` (64 draws) and each plan flown with `dry-run --fast`, seeds 1 to {FLIGHTS}. "
+        f"gains, seed {_SEED}; {infeasible} more had no feasible plan and were passed over. Each was "
+        "planned by `nearest` and by `robust` (64 draws) and each plan flown with `dry-run --fast`, "
+        f"seeds 1 to {FLIGHTS}. "
         f"The miss is the verdict's `goal_miss_m`. {elapsed_s:.0f} s in all.",
         "",
         "| scenario | walls hit, modes | objective | approach m/s | predicted miss m | expected / worst m "
@@ -157,7 +158,8 @@ def _summary(flown: list[Flown]) -> list[str]:
         count = sum(len(f.verdicts) for f in chosen)
         lines.append(
             f"- `{objective}`: {len(misses)} of {count} flights completed; median flown miss "
-            f"{statistics.median(misses):.3f} m, median |flown − predicted| {statistics.median(errors):.3f} m; "
+            f"{statistics.median(misses):.3f} m, median |flown − predicted| "
+            f"{statistics.median(errors):.3f} m; "
             f"normal impact speed {100 * statistics.mean(speeds):+.1f} % of the predicted on average, "
             f"standard deviation {100 * statistics.stdev(speeds):.1f} %."
         )

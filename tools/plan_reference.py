@@ -29,7 +29,7 @@ _PRECISE: dict[str, Any] = {"method": "DOP853", "rtol": 1e-10, "atol": 1e-12}
 
 
 class Terminal(NamedTuple):
-    """Where a candidate ends: closest approach (time since the run-up began), position, velocity, distance."""
+    """Where a candidate ends: closest approach (since the run-up began), position, velocity, distance."""
 
     t_s: float
     x: float
@@ -51,7 +51,9 @@ def _friction_peak(c: Coefficients, mass: float, lead: float, vn: float) -> floa
         return [v, force / mass, -c.mu / mass * force * u]
 
     end = math.pi / math.sqrt(c.k / mass)
-    solution = solve_ivp(law, (0.0, end), [-lead * vn, vn, 1.0], dense_output=True, max_step=end / 50, **_PRECISE)
+    solution = solve_ivp(
+        law, (0.0, end), [-lead * vn, vn, 1.0], dense_output=True, max_step=end / 50, **_PRECISE
+    )
     times = np.linspace(0.0, end, 4001)
 
     def rub(t: float) -> float:
@@ -214,5 +216,5 @@ def _to_goal(
 
     low, high = t[max(i - 1, 0)], t[min(i + 1, t.size - 1)]
     best = brentq(slope, low, high, xtol=1e-13) if slope(low) * slope(high) < 0.0 else t[i]
-    y = solution.sol(best)
-    return Terminal(release + best, *(float(v) for v in y[:4]), float(np.hypot(*(y[:2] - target))))
+    x, y, vx, vy = (float(v) for v in solution.sol(best)[:4])
+    return Terminal(release + best, x, y, vx, vy, math.hypot(x - target[0], y - target[1]))

@@ -57,7 +57,7 @@ def step_everything(
     walls = [scenario.walls[name] for name in scenario.sequences[0]]
     shape = np.broadcast_shapes(normal.shape, tangential.shape)
     vn, vt = (np.broadcast_to(v, shape).ravel() for v in (normal, tangential))
-    fronts = [
+    fronts: list[tuple[tuple[Mode, ...], Flying]] = [
         ((mode,), _first(scenario, stages[walls[0].name, mode], walls[0], vn, vt, grid, h))
         for mode in scenario.modes
     ]
@@ -125,8 +125,8 @@ def _contact(
     engaged = round(stage.engaged_s / h)
     for step in range(steps):
         if step == engaged:
-            rn, wn = peak_x + stage.alphas[0] * peak, 0.0
-            rt, wt = peak_q + stage.alphas[1] * friction, 0.0
+            rn, wn = peak_x + stage.alphas[0] * peak, np.zeros_like(x)
+            rt, wt = peak_q + stage.alphas[1] * friction, np.zeros_like(x)
         force = -(c.k * x + c.f * v)
         law_force = np.maximum(-(c.k * law_x + c.f * law_v), 0.0)
         better = force > peak

@@ -26,12 +26,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="OBJECTIVE",
         help="instead of the scenario's: " + ", ".join(Objective),
     )
-    parser.add_argument("--top", type=whole_number(1, 1000), default=10, metavar="N", help="plans to list (10)")
-    parser.add_argument("--rank", type=whole_number(1, 1000), default=1, metavar="R", help="plan to write (1)")
-    parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="of the draws of robust (1)")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="picture of the candidates: png, svg or pdf")
     parser.add_argument(
-        "--connection", metavar="URL", help="read PX4's parameters from the vehicle instead of the configuration"
+        "--top", type=whole_number(1, 1000), default=10, metavar="N", help="plans to list (10)"
+    )
+    parser.add_argument(
+        "--rank", type=whole_number(1, 1000), default=1, metavar="R", help="plan to write (1)"
+    )
+    parser.add_argument(
+        "--seed", type=whole_number(0, 2**31 - 1), default=1, help="of the draws of robust (1)"
+    )
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help="picture of the candidates: png, svg or pdf"
+    )
+    parser.add_argument(
+        "--connection",
+        metavar="URL",
+        help="read PX4's parameters from the vehicle instead of the configuration",
     )
 
 

@@ -269,13 +269,13 @@ class SpaceSpec(Protocol):
     """The keys that missions and scenarios share: where things are."""
 
     @property
-    def start(self) -> StartSpec: ...  # noqa: D102
+    def start(self) -> StartSpec: ...
     @property
-    def goal(self) -> GoalSpec: ...  # noqa: D102
+    def goal(self) -> GoalSpec: ...
     @property
-    def bounds_m(self) -> BoundsSpec: ...  # noqa: D102
+    def bounds_m(self) -> BoundsSpec: ...
     @property
-    def walls(self) -> dict[str, WallSpec]: ...  # noqa: D102
+    def walls(self) -> dict[str, WallSpec]: ...
 
 
 def resolve_space(spec: SpaceSpec, vehicle: VehicleConfig, document: Document) -> dict[str, Wall]:

@@ -96,8 +96,8 @@ class ScenarioFile(Section, frozen=True):
     frame: FrameSpec = FrameSpec()
     transit_mode: Mode = Mode.RIGID
     limits: Limits = Limits()
-    alpha_m_per_n: dict[str, tuple[NotNegative, NotNegative]] = {}
-    alpha_wall_m_per_n: dict[str, tuple[NotNegative, NotNegative]] = {}
+    alpha_m_per_n: dict[str, tuple[NotNegative, NotNegative]] = msgspec.field(default_factory=dict)
+    alpha_wall_m_per_n: dict[str, tuple[NotNegative, NotNegative]] = msgspec.field(default_factory=dict)
     objective: Objective = Objective.NEAREST
     uncertainty: Uncertainty = Uncertainty()
 
@@ -260,9 +260,7 @@ def _alphas(
     for name in sorted({name for sequence in sequences for name in sequence}):
         per_axis, per_wall = spec.alpha_m_per_n.get(name), spec.alpha_wall_m_per_n.get(name)
         if per_axis is None and per_wall is None:
-            raise document.error(
-                ("alpha_m_per_n",), f"wall {name} needs gains here or in alpha_wall_m_per_n"
-            )
+            raise document.error(("alpha_m_per_n",), f"wall {name} needs gains here or in alpha_wall_m_per_n")
         key: Key = ("alpha_wall_m_per_n" if per_axis is None else "alpha_m_per_n", name)
         alphas[name] = resolve_alphas(per_axis, per_wall, walls[name], key, document)
     return alphas

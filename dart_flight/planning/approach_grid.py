@@ -65,7 +65,13 @@ def approach_grid(
     )
     codes = np.zeros(impact_x.shape, dtype=np.int8)
     grid = ApproachGrid(
-        codes, impact_x, impact_y, begin_x, begin_y, 0.5 * ramp + length / speed, np.where(way > 0.0, transit, 0.0)
+        codes,
+        impact_x,
+        impact_y,
+        begin_x,
+        begin_y,
+        0.5 * ramp + length / speed,
+        np.where(way > 0.0, transit, 0.0),
     )
     if constraints is None:
         return grid

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dart_flight.config.scenario import Scenario
 from dart_flight.geometry import GRAVITY_M_S2, Wall
-from dart_flight.planning.closed_loop import least_distance_m
+from dart_flight.planning.closed_loop import ATTITUDE_LAG_S, least_distance_m
 from dart_flight.planning.flight_model import Leg, Window
 
 Array = NDArray[np.float64]
@@ -89,7 +89,9 @@ class Constraints:
         self.lock_s = vehicle.lock.relaxation_s + vehicle.lock.switch_time_s + _LOCK_POLL_S
         self._reach = _reach_tables(scenario)
 
-    def mark(self, codes: Codes, where: NDArray[np.bool_] | NDArray[np.intp], reason: Refusal) -> None:
+    def mark(
+        self, codes: Codes, where: NDArray[np.bool_] | NDArray[np.intp] | np.bool_, reason: Refusal
+    ) -> None:
         """Refuse some candidates."""
         if reason not in self._ignored:
             codes[where] = CODE[reason]
@@ -155,7 +157,7 @@ class Constraints:
 
     def _leaves(self, w: Window) -> NDArray[np.bool_]:
         """Where the bounds are left or would be before stopping; a wall in the way stops earlier (guard)."""
-        share = np.ones_like(w.x)
+        share: NDArray[Any] = np.ones_like(w.x)
         for wall in self.walls:
             (nx, ny), (px, py), (tx, ty) = wall.normal, wall.point, wall.tangent
             here = nx * (w.x - px) + ny * (w.y - py)
@@ -163,8 +165,10 @@ class Constraints:
             spans = np.abs(tx * (w.x - px) + ty * (w.y - py)) <= 0.5 * wall.length_m
             stops = (here > there) & (there < 0.0) & (here > -0.3) & spans
             way = np.where(stops, here - there, 1.0)
-            share = np.where(stops, np.minimum(share, np.maximum(here / way, 0.0)), share)
-        return _outside(self.bounds.x, w.x, share * w.vx) | _outside(self.bounds.y, w.y, share * w.vy)
+            share = np.minimum(share, np.where(stops, np.maximum(here / way, 0.0), 1.0))
+        leaves = _outside(self.bounds.x, w.x, share * w.vx)
+        leaves |= _outside(self.bounds.y, w.y, share * w.vy)
+        return leaves
 
     def lock_in_time(self, leg: Leg, wall: Wall) -> NDArray[np.bool_]:
         """Whether holding still at these states still stops short of the wall (executive)."""
@@ -172,13 +176,15 @@ class Constraints:
         distance = nx * (leg.x[0] + leg.goal_x - wall.point[0]) + ny * (leg.y[0] + leg.goal_y - wall.point[1])
         closing = -(nx * leg.x[1] + ny * leg.y[1])
         pushing = -(nx * leg.x[2] + ny * leg.y[2])
-        size = np.maximum(closing, 0.0) + self._lag * np.abs(pushing) + 1e-12
+        size = np.maximum(closing, 0.0) + ATTITUDE_LAG_S * np.abs(pushing) + 1e-12
         share = np.maximum(closing, 0.0) / size
         towards, away, knots = self._reach
-        reach = size * np.where(pushing > 0.0, np.interp(share, knots, towards), np.interp(share, knots, away))
-        return (distance - reach >= STOP_MARGIN_M) | ((closing <= 0.0) & (distance > 0.0))
-
-    _lag = 0.15
+        reach = size * np.where(
+            pushing > 0.0, np.interp(share, knots, towards), np.interp(share, knots, away)
+        )
+        in_time: NDArray[np.bool_] = distance - reach >= STOP_MARGIN_M
+        in_time |= (closing <= 0.0) & (distance > 0.0)
+        return in_time
 
 
 def _outside(limits: tuple[float, float], x: NDArray[Any], v: NDArray[Any]) -> NDArray[np.bool_]:
@@ -211,10 +217,7 @@ def _reach_tables(scenario: Scenario) -> tuple[Array, Array, Array]:
     for sign in (1.0, -1.0):
         tables.append(
             [
-                far
-                - least_distance_m(
-                    far, s, sign * (1.0 - s) / Constraints._lag, far, scenario.vehicle.px4
-                )
+                far - least_distance_m(far, s, sign * (1.0 - s) / ATTITUDE_LAG_S, far, scenario.vehicle.px4)
                 for s in knots
             ]
         )

@@ -1,8 +1,8 @@
 """A planned contact together with the controller that goes on working in it.
 
-The contact law alone (paper, Sec. IV-B) fixes the duration T, the moment t_p of the force peak and, with the
-detector's rule, the moment t_e at which the recovery set-point replaces the old reference: all three depend on
-coefficients and mass, not on the speed. Between the onset and T:
+The contact law alone (paper, Sec. IV-B) fixes the duration T, the moment t_p of the force peak and, with
+the detector's rule, the moment t_e at which the recovery set-point replaces the old reference: all three
+depend on coefficients and mass, not on the speed. Between the onset and T:
 
 along the normal, with PX4's loop of `dart_flight.planning.closed_loop` acting on the same motion,
 
@@ -102,7 +102,7 @@ def expm(matrix: Array) -> Array:
 
 
 class NormalOut(NamedTuple):
-    """Along the normal; x is the signed distance to the plane. At the peak: x, force; at the release: rest."""
+    """Along the normal, x from the plane: onset, then x and force at the peak, the rest at the release."""
 
     onset_m: Array
     peak_m: Array
@@ -155,7 +155,9 @@ class ContactStage:
         lead_s: f/k by the onset rule `lcp`: x + lead * x' = 0 is the onset; 0 by `touch`.
     """
 
-    def __init__(self, coefficients: Coefficients, mass_kg: float, onset: Onset, alphas: tuple[float, float]):
+    def __init__(
+        self, coefficients: Coefficients, mass_kg: float, onset: Onset, alphas: tuple[float, float]
+    ) -> None:
         self.coefficients, self.mass_kg, self.onset = coefficients, mass_kg, onset
         self.alphas = alphas
         self.lead_s = coefficients.f / coefficients.k if onset is Onset.LCP else 0.0
@@ -163,7 +165,9 @@ class ContactStage:
         self._normal: Array = np.zeros((7, 5))
         self._depths: Array = np.zeros(0)  # 1 + xi' at the nodes
         self._depth_end = 0.0
-        self._by_speed: Array = np.zeros((0, 0))  # way to peak, way, integral, acceleration per E at the nodes
+        self._by_speed: Array = np.zeros(
+            (0, 0)
+        )  # way to peak, way, integral, acceleration per E at the nodes
         self._by_speed_end: Array = np.zeros(4)  # their share of E(T)
         self._by_speed_one: Array = np.zeros(4)  # and of 1
         self._push: Array = np.zeros((0, 0))  # weights times acceleration per input at the nodes
@@ -228,7 +232,12 @@ class ContactStage:
         (aa, ai, aw, ar, a_s), (_, ii, iw, ir, i_s) = self._ends
         return TangentialOut(
             s.way * v,
-            s.velocity_v * v + s.push_a * a + s.push_i * i + s.push_w * w + s.push_r * r + s.push_s * setpoint,
+            s.velocity_v * v
+            + s.push_a * a
+            + s.push_i * i
+            + s.push_w * w
+            + s.push_r * r
+            + s.push_s * setpoint,
             s.acceleration_v * v + aa * a + ai * i + aw * w + ar * r + a_s * setpoint,
             s.integral_v * v + ii * i + iw * w + ir * r + i_s * setpoint,
             friction,

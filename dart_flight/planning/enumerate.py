@@ -265,7 +265,7 @@ class Planner:
         for c in found:
             by_sequence.setdefault(c.sequence, []).append(c)
         total = self.candidates + len(draws) * sum(c.rows.size for c in found)
-        out = []
+        out: list[Candidates] = []
         for sequence, group in by_sequence.items():
             rows = np.unique(np.concatenate([c.rows for c in group]))
             normal, tangential = np.divmod(rows, self.tangential.size)
@@ -365,7 +365,7 @@ def _plan(c: Candidates, i: int, rank: int, arrivals: Arrivals, k: int) -> Plan:
 
 
 def draws_of(scenario: Scenario, seed: int) -> list[Draw]:
-    """The draws of `robust`: normal, coefficients independent per wall and mode, the same for all candidates."""
+    """The draws of `robust`, the same for all candidates; coefficients independent per wall and mode."""
     u = scenario.uncertainty
     rng = np.random.default_rng(seed)
     draws = []
@@ -373,7 +373,9 @@ def draws_of(scenario: Scenario, seed: int) -> list[Draw]:
         factors = {}
         for name in scenario.alphas:
             for mode in scenario.modes:
-                k, f, mu = np.maximum(1.0 + np.array([u.k, u.f, u.mu]) * rng.standard_normal(3), _LEAST_FACTOR)
+                k, f, mu = np.maximum(
+                    1.0 + np.array([u.k, u.f, u.mu]) * rng.standard_normal(3), _LEAST_FACTOR
+                )
                 factors[name, mode] = (float(k), float(f), float(mu))
         shift = rng.standard_normal(3)
         draws.append(

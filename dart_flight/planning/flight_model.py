@@ -111,7 +111,7 @@ class FreeFlight:
     def __init__(self, vehicle: VehicleConfig, horizon_s: float) -> None:
         self.loop = Loop.of(vehicle.px4)
         self.count = math.ceil(horizon_s / GRID_S / WINDOW) * WINDOW
-        self.times = GRID_S * np.arange(self.count + 1)
+        self.times: Array = GRID_S * np.arange(self.count + 1, dtype=np.float64)
         bx, by, _ = vehicle.airframe.drag_per_s
         self.axes = (
             _Axis(loop_matrix(self.loop, bx), self.count),
@@ -126,14 +126,12 @@ class FreeFlight:
 
     def at(self, leg: Leg, t_s: float) -> Leg:
         """States of every candidate at one time after the start of the leg."""
-        x, y = (
-            expm(axis.matrix * t_s) @ z for axis, z in zip(self.axes, (leg.x, leg.y), strict=True)
-        )
+        x, y = (expm(axis.matrix * t_s) @ z for axis, z in zip(self.axes, (leg.x, leg.y), strict=True))
         return Leg(x, y, leg.goal_x, leg.goal_y)
 
     def near(self, leg: Leg, index: Rows) -> Near:
         """The exact solutions about one grid point per candidate."""
-        states = [
+        states: list[Array] = [
             np.einsum("njk,kn->jn", axis.at_grid[index], z)
             for axis, z in zip(self.axes, (leg.x, leg.y), strict=True)
         ]
@@ -237,9 +235,7 @@ def first_crossing(position: Array, lead_s: float, low: float, high: float) -> A
     return d
 
 
-def closest(
-    x: Array, y: Array, goal: tuple[float, float], low: Array, high: Array
-) -> tuple[Array, Array]:
+def closest(x: Array, y: Array, goal: tuple[float, float], low: Array, high: Array) -> tuple[Array, Array]:
     """Closest approach to a point near the grid point: (time from it, distance), for position series.
 
     The least squared distance over [low, high], which is a grid step either way, or 0 on the side where the

@@ -96,7 +96,10 @@ def write_mission(scenario: Scenario, plan: Plan, target: Path) -> str:
 def _block(key: str, value: Any, indent: int) -> list[str]:
     pad = " " * indent
     if isinstance(value, dict):
-        return [f"{pad}{_scalar(key)}:", *(line for k, v in value.items() for line in _block(k, v, indent + 2))]
+        return [
+            f"{pad}{_scalar(key)}:",
+            *(line for k, v in value.items() for line in _block(k, v, indent + 2)),
+        ]
     if isinstance(value, list | tuple):
         return [f"{pad}{key}: {_flow(value)}"]
     return [f"{pad}{key}: {_scalar(value)}"]

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+_COLUMNS = 4
 _FAN = 40  # trajectories drawn per mode sequence
 _COLOURS = ("#1f77b4", "#d95f02", "#2ca02c", "#9467bd", "#8c564b", "#e377c2", "#17becf", "#7f7f7f")
 _SHORT = {Mode.RIGID: "rigid", Mode.FLEXIBLE: "flexible"}
@@ -46,7 +47,7 @@ def plot_search(result: Search, plan: Plan, path: Path) -> None:
     except ImportError:
         raise InputError("--plot needs matplotlib: pip install 'dart-flight[report]'") from None
     sequence = [m for m in result.maps if m.sequence == plan.sequence]
-    columns = min(len(sequence), 4)
+    columns = min(len(sequence), _COLUMNS)
     rows = -(-len(sequence) // columns)
     figure = plt.figure(figsize=(11.0, 6.2 + 3.0 * rows), layout="constrained")
     top, bottom = figure.subfigures(2, 1, height_ratios=[6.2, 3.0 * rows])
@@ -91,9 +92,7 @@ def _draw_map(axis: Axes, result: Search, maps: list[Candidates], plan: Plan) ->
         for j, line in enumerate(_lines(planner, m, chosen)):
             axis.plot(*line, color=colour, lw=0.6, alpha=0.35, label=label if j == 0 else None)
     own = next(m for m in maps if m.modes == plan.modes)
-    index = np.flatnonzero(
-        (own.normal_m_s == plan.normal_m_s) & (own.tangential_m_s == plan.tangential_m_s)
-    )
+    index = np.flatnonzero((own.normal_m_s == plan.normal_m_s) & (own.tangential_m_s == plan.tangential_m_s))
     colour = _COLOURS[maps.index(own) % len(_COLOURS)]
     for line in _lines(planner, own, index):
         axis.plot(*line, color="white", lw=4.5)
@@ -117,8 +116,8 @@ def _draw_map(axis: Axes, result: Search, maps: list[Candidates], plan: Plan) ->
         f"{scenario.name}: {' → '.join(plan.sequence)}, objective {scenario.objective.value}", fontsize=11
     )
     legend = axis.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=9, frameon=False)
-    for line in legend.get_lines():
-        line.set_alpha(1.0)
+    for sample in legend.get_lines():
+        sample.set_alpha(1.0)
 
 
 def _lines(planner: Planner, m: Candidates, chosen: NDArray[np.intp]) -> list[tuple[Array, Array]]:
@@ -164,13 +163,15 @@ def _draw_grid(axis: Axes, result: Search, m: Candidates, plan: Plan, k: int) ->
     miss = np.full((normal.size, tangential.size), np.nan)
     miss.ravel()[m.rows] = m.miss_m if m.expected_m is None else m.expected_m
     axis.set_facecolor("0.92")
-    image = axis.pcolormesh(tangential, normal, miss, cmap="viridis", vmin=0.0, vmax=_scale(result), shading="nearest")
+    image = axis.pcolormesh(
+        tangential, normal, miss, cmap="viridis", vmin=0.0, vmax=_scale(result), shading="nearest"
+    )
     if m.modes == plan.modes:
         axis.plot(plan.tangential_m_s, plan.normal_m_s, "*", color="red", mec="white", ms=13)
     title = " → ".join(_SHORT[mode] for mode in m.modes)
     axis.set_title(title, fontsize=10, color=_COLOURS[k % len(_COLOURS)])
     axis.set_xlabel("tangential m/s")
-    if axis.get_subplotspec() is None or axis.get_subplotspec().is_first_col():
+    if k % _COLUMNS == 0:
         axis.set_ylabel("normal m/s")
     return image
 

@@ -47,7 +47,17 @@ def plan_table(result: Search) -> Table:
     """The best plans, one per row and its later collisions below."""
     objective = result.scenario.objective
     table = Table(title=f"{result.scenario.name}: best by {objective.value}", title_justify="left")
-    for column in ("", "wall", "mode", "normal m/s", "tangential m/s", "peak N", "miss m", "to goal s", "score"):
+    for column in (
+        "",
+        "wall",
+        "mode",
+        "normal m/s",
+        "tangential m/s",
+        "peak N",
+        "miss m",
+        "to goal s",
+        "score",
+    ):
         table.add_column(column, justify="left" if column in ("", "wall", "mode") else "right")
     if objective is Objective.ROBUST:
         table.add_column("expected / worst m, failed", justify="right")
@@ -64,8 +74,8 @@ def plan_table(result: Search) -> Table:
             ]
             table.add_row(*row, *(_tail(plan) if i == 0 else []))
     table.caption = (
-        f"{result.feasible} of {result.candidates} candidates feasible, {result.trajectories} trajectories in "
-        f"{result.elapsed_s:.3f} s"
+        f"{result.feasible} of {result.candidates} candidates feasible, {result.trajectories} trajectories "
+        f"in {result.elapsed_s:.3f} s"
     )
     if result.baseline is not None:
         b = result.baseline

@@ -223,7 +223,9 @@ class Course:
     def _refuse(self, codes: NDArray[np.int8], collision: int) -> NDArray[np.bool_]:
         """Count refusals; returns who stays."""
         if codes.any():
-            self.refused[1:] += self._weight(collision) * np.bincount(codes.ravel(), minlength=self.refused.size)[1:]
+            self.refused[1:] += (
+                self._weight(collision) * np.bincount(codes.ravel(), minlength=self.refused.size)[1:]
+            )
         stays: NDArray[np.bool_] = codes == 0
         return stays
 
@@ -277,7 +279,9 @@ class Course:
         x = grid.impact_x.ravel()[rows] + nx * onset + tx * back
         y = grid.impact_y.ravel()[rows] + ny * onset + ty * back
         time = grid.impact_s.ravel()[rows] - stage.lead_s
-        return self._release(stage, wall, mode, (x, y), (n, t), flat, (rows, (), time, np.zeros(rows.size), ()))
+        return self._release(
+            stage, wall, mode, (x, y), (n, t), flat, (rows, (), time, np.zeros(rows.size), ())
+        )
 
     def _release(
         self,
@@ -354,7 +358,9 @@ class Course:
                 stays = np.flatnonzero(self._refuse(codes, len(front.modes) + 1))
                 if stays.size == 0:
                     continue
-                fronts.append(self._collide(stage, wall, mode, _choose(reached, stays), leg.take(stays), after[stays]))
+                fronts.append(
+                    self._collide(stage, wall, mode, _choose(reached, stays), leg.take(stays), after[stays])
+                )
             else:
                 fronts.append(self._collide(stage, wall, mode, reached, leg, after))
         return [front for front in fronts if front is not None]
@@ -368,7 +374,9 @@ class Course:
             lock_s = self.constraints.lock_s
             early = after < lock_s
             then = self.flight.at(front.leg, lock_s)
-            self.constraints.mark(codes, early | ~self.constraints.lock_in_time(then, wall), Refusal.SERVO_TRAVEL)
+            self.constraints.mark(
+                codes, early | ~self.constraints.lock_in_time(then, wall), Refusal.SERVO_TRAVEL
+            )
         self.constraints.mark(codes, after < self.constraints.refractory_s, Refusal.TOO_SOON)
         return codes
 
@@ -514,11 +522,9 @@ _NONE = np.zeros(0, dtype=np.intp)
 
 def _along(direction: Vec2, x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
     """Component along a direction, without the term that an axis has none of."""
-    if direction[1] == 0.0:
-        return x * x.dtype.type(direction[0])
-    if direction[0] == 0.0:
-        return y * y.dtype.type(direction[1])
-    return x * x.dtype.type(direction[0]) + y * y.dtype.type(direction[1])
+    nx, ny = x.dtype.type(direction[0]), y.dtype.type(direction[1])
+    along: NDArray[Any] = x * nx if ny == 0.0 else y * ny if nx == 0.0 else x * nx + y * ny
+    return along
 
 
 def new_flight(scenario: Scenario) -> FreeFlight:

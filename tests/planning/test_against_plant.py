@@ -43,7 +43,8 @@ def test_the_papers_plan(tmp_path: Path) -> None:
     plan = next(
         p
         for p in result.plans
-        if (p.normal_m_s, p.tangential_m_s) == (-0.6, 0.5) and [m.value for m in p.modes] == ["flexible", "rigid"]
+        if (p.normal_m_s, p.tangential_m_s) == (-0.6, 0.5)
+        and [m.value for m in p.modes] == ["flexible", "rigid"]
     )
     verdict = fly_fast(mission, 4, None)
     truth = verdict.collisions[1].truth

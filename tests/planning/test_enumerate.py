@@ -39,9 +39,7 @@ def test_every_candidate_is_counted_once(dual: Search) -> None:
 
 def test_the_papers_plan_is_among_the_good_ones(dual: Search) -> None:
     """Flexible at (-0.6, 0.5), then rigid: the published optimum."""
-    paper = next(
-        m for m in dual.maps if m.modes == (Mode.FLEXIBLE, Mode.RIGID)
-    )
+    paper = next(m for m in dual.maps if m.modes == (Mode.FLEXIBLE, Mode.RIGID))
     row = np.flatnonzero((paper.normal_m_s == -0.6) & (paper.tangential_m_s == 0.5))
     assert row.size == 1
     # The paper's own point-mass model passes the goal at about 0.27 m.
@@ -139,7 +137,15 @@ def test_the_mission_file_flies_unchanged(name: str, tmp_path: Path) -> None:
 
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target, picture = tmp_path / "mission.yaml", tmp_path / "map.png"
-    arguments = ["plan", str(SCENARIOS / "one_wall.yaml"), "-o", str(target), "--plot", str(picture), "--json"]
+    arguments = [
+        "plan",
+        str(SCENARIOS / "one_wall.yaml"),
+        "-o",
+        str(target),
+        "--plot",
+        str(picture),
+        "--json",
+    ]
     assert main([*arguments, "--top", "3"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert len(result["plans"]) == 3

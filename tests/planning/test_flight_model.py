@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.linalg import expm as scipy_expm
 
-from dart_flight.config.mission import parse_mission
 from dart_flight.config.document import Document, InputError
+from dart_flight.config.mission import Collision, Mission, parse_mission
 from dart_flight.config.scenario import Scenario, load_scenario
 from dart_flight.planning.approach import NoApproachError, plan_approach
 from dart_flight.planning.closed_loop import Loop, least_distance_m
-from dart_flight.planning.constraints import Constraints, Refusal, REFUSALS
+from dart_flight.planning.constraints import REFUSALS, Constraints, Refusal
 from dart_flight.planning.contact_stage import expm
 from dart_flight.planning.flight_model import FreeFlight, Leg, loop_matrix
 from dart_flight.planning.trajectories import Course, new_flight, stages_for
@@ -76,7 +76,7 @@ def test_approaches_are_refused_as_the_executive_refuses_them(dual: Scenario) ->
     course = Course(dual, ("wood", "acrylic"), new_flight(dual), Constraints(dual))
     text = (SCENARIOS.parent / "dual_collision.yaml").read_text()
     rng = np.random.default_rng(5)
-    seen = set()
+    seen: set[Refusal | None] = set()
     for _ in range(150):
         n, t = -float(rng.uniform(0.05, 3.0)), float(rng.uniform(-2.0, 2.0))
         grid = course.approach(np.array(n), np.array(t))
@@ -96,7 +96,7 @@ def test_approaches_are_refused_as_the_executive_refuses_them(dual: Scenario) ->
     assert {None, Refusal.BEYOND_WALL, Refusal.RUN_UP_BLOCKED} <= seen
 
 
-def _first(document, dual):  # type: ignore[no-untyped-def]
+def _first(document: Document, dual: Scenario) -> tuple[Mission, Collision]:
     mission = parse_mission(document, dual.vehicle)
     return mission, mission.collisions[0]
 
