@@ -1,6 +1,6 @@
 """How well the planner's flight model predicts the plant: plans of the dual collision, predicted and flown.
 
-    python -m tools.plan_agreement           (writes docs/planning_agreement.md; part of `make campaign`)
+python -m tools.plan_agreement           (writes docs/planning_agreement.md; part of `make campaign`)
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def fly(mission_path: Path, seed: int) -> Flight:
 
 def chosen(plans: tuple[Plan, ...]) -> list[tuple[str, Plan]]:
     """The paper's plan and the best of every mode sequence."""
-    found = [("the paper's", next(p for p in plans if (p.modes, (p.normal_m_s, p.tangential_m_s)) == PAPER))]
+    found = [("the paper's", plans[_rank(plans) - 1])]
     seen: set[tuple[Mode, ...]] = set()
     for plan in plans:
         if plan.modes not in seen:
@@ -64,7 +64,9 @@ def _spread(values: list[float], digits: int) -> str:
 def rows_of(name: str, plan: Plan, flights: list[Flight]) -> list[str]:
     """Table rows of one plan."""
     modes = " → ".join(m.value for m in plan.modes)
-    done = [f for f in flights if f.verdict.outcome == "completed" and len(f.contacts) == len(plan.collisions)]
+    done = [
+        f for f in flights if f.verdict.outcome == "completed" and len(f.contacts) == len(plan.collisions)
+    ]
     head = f"{name}: {modes}, approach ({plan.normal_m_s:g}, {plan.tangential_m_s:g})"
     rows = []
     for k, c in enumerate(plan.collisions):

@@ -199,6 +199,7 @@ def _touches(wall: Wall, w: Window) -> NDArray[np.bool_]:
     """Whether the plane of a wall is behind the vehicle, or will be within a moment."""
     (nx, ny), (px, py) = wall.normal, wall.point
     soon, offset = np.float32(_TOUCH_S), np.float32(nx * px + ny * py)
+    depth: NDArray[Any]
     if ny == 0.0:
         depth = np.float32(nx) * (w.x + soon * w.vx)
     elif nx == 0.0:
