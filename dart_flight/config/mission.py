@@ -10,7 +10,7 @@ import difflib
 import math
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Protocol
 
 import msgspec
 from msgspec import Meta
@@ -247,12 +247,7 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
     Raises:
         InputError: the parts of the mission contradict each other.
     """
-    _check_space(spec, document)
-    walls = resolve_walls(spec.walls, vehicle, document)
-    for name, wall in walls.items():
-        for key, point in (("start", spec.start.position_m), ("goal", spec.goal.position_m)):
-            if wall.spans(point) and -0.5 < wall.signed_distance(point) <= 0.0:
-                raise document.error((key, "position_m"), f"lies in or behind wall {name}")
+    walls = resolve_space(spec, vehicle, document)
     if not spec.collisions:
         raise document.error(("collisions",), "a mission needs at least one collision")
     collisions = tuple(
@@ -275,6 +270,34 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
     )
 
 
+class SpaceSpec(Protocol):
+    """The keys that missions and scenarios share: where things are."""
+
+    @property
+    def start(self) -> StartSpec: ...
+    @property
+    def goal(self) -> GoalSpec: ...
+    @property
+    def bounds_m(self) -> BoundsSpec: ...
+    @property
+    def walls(self) -> dict[str, WallSpec]: ...
+
+
+def resolve_space(spec: SpaceSpec, vehicle: VehicleConfig, document: Document) -> dict[str, Wall]:
+    """Check start, goal, bounds and walls against each other; returns the walls by name.
+
+    Raises:
+        InputError: bounds are empty, start or goal lies outside them or in a wall, or as `resolve_walls`.
+    """
+    _check_space(spec, document)
+    walls = resolve_walls(spec.walls, vehicle, document)
+    for name, wall in walls.items():
+        for key, point in (("start", spec.start.position_m), ("goal", spec.goal.position_m)):
+            if wall.spans(point) and -0.5 < wall.signed_distance(point) <= 0.0:
+                raise document.error((key, "position_m"), f"lies in or behind wall {name}")
+    return walls
+
+
 def resolve_walls(specs: dict[str, WallSpec], vehicle: VehicleConfig, document: Document) -> dict[str, Wall]:
     """Walls as planes of the vehicle's centre, by name.
 
@@ -289,14 +312,14 @@ def resolve_walls(specs: dict[str, WallSpec], vehicle: VehicleConfig, document: 
             raise document.error((*key, "normal"), "the normal has no length")
         normal = (spec.normal[0] / length, spec.normal[1] / length)
         if spec.material not in vehicle.materials:
-            raise document.error((*key, "material"), _unknown(spec.material, list(vehicle.materials)))
+            raise document.error((*key, "material"), unknown_name(spec.material, list(vehicle.materials)))
         offset = vehicle.airframe.contact_distance_m if spec.given_at is GivenAt.SURFACE else 0.0
         point = (spec.point_m[0] + offset * normal[0], spec.point_m[1] + offset * normal[1])
         walls[name] = Wall(name, point, normal, spec.length_m, spec.material)
     return walls
 
 
-def _check_space(spec: MissionFile, document: Document) -> None:
+def _check_space(spec: SpaceSpec, document: Document) -> None:
     for axis in ("x", "y", "z"):
         low, high = getattr(spec.bounds_m, axis)
         if not low < high:
@@ -320,9 +343,9 @@ def _resolve_collision(
 ) -> Collision:
     key: Key = ("collisions", i)
     if spec.wall not in walls:
-        raise document.error((*key, "wall"), _unknown(spec.wall, list(walls)))
+        raise document.error((*key, "wall"), unknown_name(spec.wall, list(walls)))
     wall = walls[spec.wall]
-    alpha_n, alpha_t = _alphas(spec, wall, key, document)
+    alpha_n, alpha_t = resolve_alphas(spec.alpha_m_per_n, spec.alpha_wall_m_per_n, wall, key, document)
     approach = None
     impact = None
     if spec.approach is not None:
@@ -359,15 +382,26 @@ def _resolve_collision(
     )
 
 
-def _alphas(spec: CollisionSpec, wall: Wall, key: Key, document: Document) -> tuple[float, float]:
-    """Gains (A_n, A_t) in the wall's axes, from either form."""
-    if (spec.alpha_m_per_n is None) == (spec.alpha_wall_m_per_n is None):
+def resolve_alphas(
+    per_axis: tuple[float, float] | None,
+    per_wall: tuple[float, float] | None,
+    wall: Wall,
+    key: Key,
+    document: Document,
+) -> tuple[float, float]:
+    """Gains (A_n, A_t) in the wall's axes, m/N, from either form (`alpha_m_per_n`, `alpha_wall_m_per_n`).
+
+    Raises:
+        InputError: both or neither is given, gains per mission axis differ at an oblique wall, or the gain
+            along the normal is 0.
+    """
+    if (per_axis is None) == (per_wall is None):
         raise document.error(key, "give exactly one of alpha_m_per_n and alpha_wall_m_per_n")
-    if spec.alpha_wall_m_per_n is not None:
-        alphas = spec.alpha_wall_m_per_n
+    if per_wall is not None:
+        alphas = per_wall
     else:
-        assert spec.alpha_m_per_n is not None
-        ax, ay = spec.alpha_m_per_n
+        assert per_axis is not None
+        ax, ay = per_axis
         if abs(wall.normal[1]) < _AXIS_TOLERANCE:
             alphas = (ax, ay)
         elif abs(wall.normal[0]) < _AXIS_TOLERANCE:
@@ -392,7 +426,8 @@ def _ray_meets_wall(start: Vec2, wall: Wall, approach_m_s: Vec2) -> Vec2:
     return (start[0] + v[0] * t, start[1] + v[1] * t)
 
 
-def _unknown(name: str, known: list[str]) -> str:
+def unknown_name(name: str, known: list[str]) -> str:
+    """Words for a name that is not among the known ones."""
     near = difflib.get_close_matches(name, known, n=1)
     return f"unknown {name}, " + (f"did you mean {near[0]}?" if near else "known: " + ", ".join(known))
 

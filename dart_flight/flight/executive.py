@@ -24,7 +24,7 @@ from dart_flight.planning.approach import (
     stop_before,
     transit_to,
 )
-from dart_flight.planning.closed_loop import least_distance_m
+from dart_flight.planning.closed_loop import ATTITUDE_LAG_S, least_distance_m
 from dart_flight.samples import (
     ContactEnd,
     GoalPassed,
@@ -577,9 +577,15 @@ class Executive:
             b, v, a = self.mission.vehicle.airframe.drag_per_s, reference.velocity, reference.acceleration
             # Fed forward beside the acceleration: the drag that the reference will meet, and what PX4's D
             # term takes away again, so that no error builds up for the position loop to make up for.
+            # The lead in time makes up for the attitude's lag, so that a wall is met at the planned velocity.
             d = 1.0 + self.mission.vehicle.px4.mpc_xy_vel_d_acc
+            lead, j = ATTITUDE_LAG_S, reference.jerk
             acceleration = state.frame.vector_to_ned(
-                (d * a[0] + b[0] * v[0], d * a[1] + b[1] * v[1], a[2] + b[2] * v[2])
+                (
+                    (d + lead * b[0]) * a[0] + b[0] * v[0] + lead * j[0],
+                    (d + lead * b[1]) * a[1] + b[1] * v[1] + lead * j[1],
+                    a[2] + b[2] * v[2],
+                )
             )
         return SetPoint(
             t_us=t_us,

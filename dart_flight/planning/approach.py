@@ -15,16 +15,17 @@ from dart_flight.config.vehicle import Flying
 from dart_flight.geometry import Vec2, Vec3, distance2
 
 # Speed follows 3 s^2 - 2 s^3: the peak acceleration is 1.5 times the mean, the way half of speed times time.
-_PEAK_OVER_MEAN = 1.5
-_CLEARANCE_M = 0.15
+PEAK_OVER_MEAN = 1.5
+CLEARANCE_M = 0.15
 
 
 class ReferencePoint(msgspec.Struct, frozen=True, gc=False):
-    """Position (m), velocity (m/s) and acceleration (m/s2) in the mission frame."""
+    """Position (m), velocity (m/s), acceleration (m/s2) and jerk (m/s3) in the mission frame."""
 
     position: Vec3
     velocity: Vec3
     acceleration: Vec3
+    jerk: Vec3 = (0.0, 0.0, 0.0)
 
 
 class Approach(msgspec.Struct, frozen=True):
@@ -62,12 +63,14 @@ class Approach(msgspec.Struct, frozen=True):
         v, big = self.speed_m_s, self.ramp_s
         speed = v * tau * tau * (3.0 - 2.0 * tau)
         acceleration = v / big * 6.0 * tau * (1.0 - tau)
+        jerk = v / (big * big) * 6.0 * (1.0 - 2.0 * tau) if 0.0 <= t_s <= big else 0.0
         way = v * big * tau * tau * tau * (1.0 - 0.5 * tau) + v * max(0.0, t_s - big)
         dx, dy = self.direction
         return ReferencePoint(
             (self.begin[0] + dx * way, self.begin[1] + dy * way, self.altitude_m),
             (dx * speed, dy * speed, 0.0),
             (dx * acceleration, dy * acceleration, 0.0),
+            (dx * jerk, dy * jerk, 0.0),
         )
 
 
@@ -90,7 +93,7 @@ def plan_approach(mission: Mission, collision: Collision) -> Approach:
     velocity = collision.approach_velocity()
     speed = math.hypot(velocity[0], velocity[1])
     direction = (velocity[0] / speed, velocity[1] / speed)
-    ramp_s = _PEAK_OVER_MEAN * speed / flying.acceleration_m_s2
+    ramp_s = PEAK_OVER_MEAN * speed / flying.acceleration_m_s2
     needed = 0.5 * speed * ramp_s + speed * flying.steady_run_s
     impact = collision.impact_point
     from_start = distance2(mission.start, impact)
@@ -124,9 +127,9 @@ def _check_room(mission: Mission, collision: Collision, approach: Approach) -> N
         legs.append((mission.start, begin))
     for wall in mission.walls:
         for a, b in legs:
-            end_clearance = 0.0 if wall is collision.wall and b == approach.impact else _CLEARANCE_M
-            da, db = wall.signed_distance(a) - _CLEARANCE_M, wall.signed_distance(b) - end_clearance
-            if da * db < 0.0 or (da < 0.0 and wall.signed_distance(a) > -_CLEARANCE_M):
+            end_clearance = 0.0 if wall is collision.wall and b == approach.impact else CLEARANCE_M
+            da, db = wall.signed_distance(a) - CLEARANCE_M, wall.signed_distance(b) - end_clearance
+            if da * db < 0.0 or (da < 0.0 and wall.signed_distance(a) > -CLEARANCE_M):
                 share = da / (da - db) if da != db else 0.0
                 crossing = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
                 if wall.spans(crossing):

@@ -4,16 +4,36 @@ Per axis, with p the position, v the velocity, a the acceleration the attitude h
 
     a_cmd = kv (kp (p_ref - p) - v) - kd a,     da/dt = (a_cmd - a) / tau
 
-kp, kv, kd are MPC_XY_P, MPC_XY_VEL_P_ACC, MPC_XY_VEL_D_ACC; tau stands for attitude loop and motors. The
-velocity integral is left out: within the second after an impact it has not moved much.
+kp, kv, kd are MPC_XY_P, MPC_XY_VEL_P_ACC, MPC_XY_VEL_D_ACC; tau stands for attitude loop and motors.
+`least_distance_m` leaves the velocity integral and drag out: within the half second of a braking they do not
+move much. The planner (`flight_model`) has both.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from dart_flight.config.vehicle import Px4Parameters
 
-# Attitude loop (MC_ROLL_P 6.5) and motors; fitted to the plant in tests/planning/test_closed_loop.py.
+# Attitude loop (MC_ROLL_P 6.5) and motors; held to the plant in tests/planning/test_against_plant.py.
 ATTITUDE_LAG_S = 0.15
+
+
+class Loop(NamedTuple):
+    """Gains of the horizontal loop: kp 1/s, kv 1/s, ki 1/s2, kd, and the lag tau in s."""
+
+    kp: float
+    kv: float
+    ki: float
+    kd: float
+    tau: float
+
+    @classmethod
+    def of(cls, px4: Px4Parameters) -> Loop:
+        """The loop of a vehicle with these parameters."""
+        return cls(
+            px4.mpc_xy_p, px4.mpc_xy_vel_p_acc, px4.mpc_xy_vel_i_acc, px4.mpc_xy_vel_d_acc, ATTITUDE_LAG_S
+        )
 
 
 def least_distance_m(

@@ -1,0 +1,78 @@
+"""`dart-flight plan SCENARIO -o MISSION`: choose modes and pre-collision velocities."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from rich.progress import Progress
+
+from dart_flight.cli.options import whole_number
+from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.config.scenario import Objective, load_scenario
+from dart_flight.planning.enumerate import search
+from dart_flight.planning.mission_writer import write_mission
+from dart_flight.planning.summary import plan_summary, plan_table, refusal_table, with_objective
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("scenario", metavar="SCENARIO", help="scenario file, see missions/scenarios/")
+    parser.add_argument("-o", "--output", type=Path, metavar="MISSION", help="mission file to write")
+    parser.add_argument(
+        "--objective",
+        type=Objective,
+        choices=list(Objective),
+        metavar="OBJECTIVE",
+        help="instead of the scenario's: " + ", ".join(Objective),
+    )
+    parser.add_argument(
+        "--top", type=whole_number(1, 1000), default=10, metavar="N", help="plans to list (10)"
+    )
+    parser.add_argument(
+        "--rank", type=whole_number(1, 1000), default=1, metavar="R", help="plan to write (1)"
+    )
+    parser.add_argument(
+        "--seed", type=whole_number(0, 2**31 - 1), default=1, help="of the draws of robust (1)"
+    )
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help="picture of the candidates: png, svg or pdf"
+    )
+    parser.add_argument(
+        "--connection",
+        metavar="URL",
+        help="read PX4's parameters from the vehicle instead of the configuration",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; returns the exit status."""
+    console = messages()
+    scenario = load_scenario(arguments.scenario, arguments.config)
+    if arguments.connection is not None:
+        from dart_flight.flights import with_vehicle_parameters
+
+        scenario = with_vehicle_parameters(scenario, arguments.connection)
+    if arguments.objective is not None:
+        scenario = with_objective(scenario, arguments.objective)
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task("trajectories", total=None)
+        top = max(arguments.top, arguments.rank)
+        result = search(
+            scenario, top, arguments.seed, lambda done, of: bar.update(task, completed=done, total=of)
+        )
+    plan = result.plans[min(arguments.rank, len(result.plans)) - 1]
+    if arguments.output is not None:
+        write_mission(scenario, plan, arguments.output)
+        console.print(f"plan {plan.rank} written to {arguments.output}", soft_wrap=True)
+    if arguments.plot is not None:
+        from dart_flight.planning.plots import plot_search
+
+        plot_search(result, plan, arguments.plot)
+        console.print(f"picture: {arguments.plot}", soft_wrap=True)
+    if arguments.json:
+        emit_json(plan_summary(result))
+    else:
+        for table in (plan_table(result), refusal_table(result)):
+            tables().print(table)
+    return 0

@@ -1,0 +1,266 @@
+"""Scenario files (version 1): what the planner is asked, as YAML types and as a checked `Scenario`.
+
+A scenario shares start, goal, bounds, walls, limits and frame with a mission (`config.mission`) and says what
+to search instead of what to fly. `docs/planning.md` explains every key.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from dart_flight.config.document import Document, Key
+from dart_flight.config.mission import (
+    Bounds,
+    BoundsSpec,
+    FrameSpec,
+    GoalSpec,
+    Limits,
+    StartSpec,
+    WallSpec,
+    resolve_alphas,
+    resolve_space,
+    unknown_name,
+)
+from dart_flight.config.vehicle import NotNegative, Positive, Section, VehicleConfig, load_vehicle
+from dart_flight.geometry import Vec2, Wall
+from dart_flight.samples import Mode
+
+NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$"
+_MOST_STEPS = 2001
+_MOST_CANDIDATES = 20_000_000
+_MOST_COLLISIONS = 4
+
+
+class Objective(StrEnum):
+    """What the best plan is best at."""
+
+    NEAREST = "nearest"
+    FASTEST = "fastest"
+    GENTLEST = "gentlest"
+    ROBUST = "robust"
+
+
+class GridSpec(Section, frozen=True):
+    """Evenly spaced velocities, both ends included."""
+
+    min: Annotated[float, Meta(ge=-20.0, le=20.0)]
+    max: Annotated[float, Meta(ge=-20.0, le=20.0)]
+    step: Positive
+
+
+class SearchSpec(Section, frozen=True):
+    """The approach velocities of the first collision, in its collision frame, and the modes to try."""
+
+    normal_m_s: GridSpec
+    tangential_m_s: GridSpec
+    modes: tuple[Mode, ...] = (Mode.RIGID, Mode.FLEXIBLE)
+
+
+class Uncertainty(Section, frozen=True):
+    """Standard deviations for the objective `robust`.
+
+    Attributes:
+        samples: draws per candidate, the same for all.
+        k, f, mu: of the contact coefficients, relative.
+        approach_m_s: of each component of the approach velocity.
+        detection_delay_s: of the time between force peak and set-point.
+    """
+
+    samples: Annotated[int, Meta(ge=64, le=4096)] = 64
+    k: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.15
+    f: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.15
+    mu: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.5
+    approach_m_s: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.05
+    detection_delay_s: Annotated[float, Meta(ge=0.0, le=0.1)] = 0.004
+
+
+class ScenarioFile(Section, frozen=True):
+    """A scenario as written in YAML."""
+
+    version: Literal[1]
+    start: StartSpec
+    goal: GoalSpec
+    bounds_m: BoundsSpec
+    walls: dict[str, WallSpec]
+    sequence: list[str] | Literal["any"]
+    search: SearchSpec
+    name: Annotated[str, Meta(pattern=NAME_PATTERN)] | None = None
+    vehicle: str | None = None
+    frame: FrameSpec = FrameSpec()
+    transit_mode: Mode = Mode.RIGID
+    limits: Limits = Limits()
+    alpha_m_per_n: dict[str, tuple[NotNegative, NotNegative]] = msgspec.field(default_factory=dict)
+    alpha_wall_m_per_n: dict[str, tuple[NotNegative, NotNegative]] = msgspec.field(default_factory=dict)
+    objective: Objective = Objective.NEAREST
+    uncertainty: Uncertainty = Uncertainty()
+
+
+class Scenario(msgspec.Struct, frozen=True):
+    """A checked scenario and the vehicle it is for.
+
+    Attributes:
+        spec: as written; the mission file repeats its walls, frame and so on word for word.
+        vehicle_path: the configuration's file, or None where it is the default one.
+        walls: planes of the vehicle's centre, by name.
+        sequences: walls in the order of the hits; several where the file says `any`.
+        chosen_by_planner: whether it does.
+        normal_m_s, tangential_m_s: the grid of approach velocities, collision frame of the first wall.
+        alphas: gains (A_n, A_t) of the recovery set-point per wall, m/N.
+    """
+
+    name: str
+    source: str
+    spec: ScenarioFile
+    vehicle: VehicleConfig
+    vehicle_path: Path | None
+    start: Vec2
+    altitude_m: float
+    goal: GoalSpec
+    bounds: Bounds
+    walls: dict[str, Wall]
+    sequences: tuple[tuple[str, ...], ...]
+    chosen_by_planner: bool
+    normal_m_s: tuple[float, ...]
+    tangential_m_s: tuple[float, ...]
+    modes: tuple[Mode, ...]
+    alphas: dict[str, tuple[float, float]]
+    limits: Limits
+    objective: Objective
+    uncertainty: Uncertainty
+
+
+def load_scenario(
+    path: str | Path, config: str | Path | None = None, vehicle: VehicleConfig | None = None
+) -> Scenario:
+    """Load, validate and resolve a scenario file.
+
+    Args:
+        path: the scenario.
+        config: vehicle configuration that overrides the one the scenario names.
+        vehicle: a configuration already loaded from it, for example with the parameters read from the
+            vehicle itself.
+
+    Raises:
+        InputError: in the scenario or in the configuration.
+    """
+    document = Document.load(path)
+    spec = document.convert(ScenarioFile)
+    if config is None and spec.vehicle is not None:
+        config = Path(document.source).parent / spec.vehicle
+    loaded = vehicle or load_vehicle(config)
+    return resolve_scenario(spec, loaded, None if config is None else Path(config), document)
+
+
+def resolve_scenario(
+    spec: ScenarioFile, vehicle: VehicleConfig, vehicle_path: Path | None, document: Document
+) -> Scenario:
+    """What a scenario file means for a vehicle.
+
+    Raises:
+        InputError: the parts of the scenario contradict each other, or the search is empty or too large.
+    """
+    walls = resolve_space(spec, vehicle, document)
+    sequences = _sequences(spec, document)
+    normal = _grid(spec.search.normal_m_s, ("search", "normal_m_s"), document)
+    if not normal[-1] < 0.0:
+        raise document.error(
+            ("search", "normal_m_s", "max"), f"an approach needs a negative velocity, not {normal[-1]:g}"
+        )
+    tangential = _grid(spec.search.tangential_m_s, ("search", "tangential_m_s"), document)
+    modes = tuple(dict.fromkeys(spec.search.modes))
+    if not modes:
+        raise document.error(("search", "modes"), "the search is empty: name at least one mode")
+    count = sum(len(normal) * len(tangential) * len(modes) ** len(s) for s in sequences)
+    if count > _MOST_CANDIDATES:
+        raise document.error(("search",), f"{count} candidates, at most {_MOST_CANDIDATES}; widen the steps")
+    return Scenario(
+        name=spec.name or _name_from(document.source),
+        source=document.source,
+        spec=spec,
+        vehicle=vehicle,
+        vehicle_path=vehicle_path,
+        start=spec.start.position_m,
+        altitude_m=spec.start.altitude_m,
+        goal=spec.goal,
+        bounds=Bounds(spec.bounds_m.x, spec.bounds_m.y, spec.bounds_m.z),
+        walls=walls,
+        sequences=sequences,
+        chosen_by_planner=spec.sequence == "any",
+        normal_m_s=normal,
+        tangential_m_s=tangential,
+        modes=modes,
+        alphas=_alphas(spec, walls, sequences, document),
+        limits=spec.limits,
+        objective=spec.objective,
+        uncertainty=spec.uncertainty,
+    )
+
+
+def _name_from(source: str) -> str:
+    name = re.sub(r"[^A-Za-z0-9 _.-]", "-", Path(source).stem)[:64]
+    return name if re.match(NAME_PATTERN, name) else "plan"
+
+
+def _sequences(spec: ScenarioFile, document: Document) -> tuple[tuple[str, ...], ...]:
+    """Every order of hits to try."""
+    key: Key = ("sequence",)
+    if not spec.walls:
+        raise document.error(("walls",), "a plan needs at least one wall")
+    if spec.sequence == "any":
+        found: list[tuple[str, ...]] = [(name,) for name in spec.walls]
+        frontier = found
+        # A wall at most once: the recovery leads away from it.
+        for _ in range(min(len(spec.walls), _MOST_COLLISIONS) - 1):
+            frontier = [(*s, name) for s in frontier for name in spec.walls if name not in s]
+            found = [*found, *frontier]
+        return tuple(found)
+    sequence = tuple(spec.sequence)
+    if not 1 <= len(sequence) <= _MOST_COLLISIONS:
+        raise document.error(key, f"one to {_MOST_COLLISIONS} walls, not {len(sequence)}; or: any")
+    for i, name in enumerate(sequence):
+        if name not in spec.walls:
+            raise document.error((*key, i), unknown_name(name, list(spec.walls)))
+        if i and name == sequence[i - 1]:
+            raise document.error((*key, i), "the recovery leads away from a wall, never back to it")
+    return (sequence,)
+
+
+def _grid(spec: GridSpec, key: Key, document: Document) -> tuple[float, ...]:
+    if spec.min > spec.max:
+        raise document.error(key, f"the grid is empty: min {spec.min:g} is above max {spec.max:g}")
+    steps = (spec.max - spec.min) / spec.step
+    count = round(steps)
+    if abs(steps - count) > 1e-6 * max(1.0, steps):
+        below = spec.min + math.floor(steps) * spec.step
+        raise document.error(
+            (*key, "step"),
+            f"{spec.step:g} does not divide the range {spec.min:g} to {spec.max:g}; "
+            f"max {below:.6g} or {below + spec.step:.6g} would do",
+        )
+    if count + 1 > _MOST_STEPS:
+        raise document.error((*key, "step"), f"{count + 1} values, at most {_MOST_STEPS}; widen the step")
+    return tuple(round(spec.min + i * spec.step, 12) for i in range(count + 1))
+
+
+def _alphas(
+    spec: ScenarioFile, walls: dict[str, Wall], sequences: tuple[tuple[str, ...], ...], document: Document
+) -> dict[str, tuple[float, float]]:
+    for field in ("alpha_m_per_n", "alpha_wall_m_per_n"):
+        for name in getattr(spec, field):
+            if name not in walls:
+                raise document.error((field, name), unknown_name(name, list(walls)))
+    alphas = {}
+    for name in sorted({name for sequence in sequences for name in sequence}):
+        per_axis, per_wall = spec.alpha_m_per_n.get(name), spec.alpha_wall_m_per_n.get(name)
+        if per_axis is None and per_wall is None:
+            raise document.error(("alpha_m_per_n",), f"wall {name} needs gains here or in alpha_wall_m_per_n")
+        key: Key = ("alpha_wall_m_per_n" if per_axis is None else "alpha_m_per_n", name)
+        alphas[name] = resolve_alphas(per_axis, per_wall, walls[name], key, document)
+    return alphas

@@ -1,0 +1,225 @@
+"""What a plan may not do: the reasons to refuse a candidate, and the tests behind them.
+
+The rules are those that the executive and the guard hold in flight (`dart_flight.flight`), so that a plan is
+not broken off by them, and what the mission file limits.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.config.scenario import Scenario
+from dart_flight.geometry import GRAVITY_M_S2, Wall
+from dart_flight.planning.closed_loop import ATTITUDE_LAG_S, least_distance_m
+from dart_flight.planning.flight_model import Leg, Window
+
+Array = NDArray[np.float64]
+Codes = NDArray[np.int8]
+
+STOP_TIME_S = 0.5  # the guard's: PX4's loop stops within about half a second of way
+STOP_MARGIN_M = 0.02  # the executive's, of "holding still stops short of the wall"
+LEAST_REBOUND_M_S = 0.05
+# A wall counts as touched when it would be reached within this time: forces begin before the plane (`lcp`).
+_TOUCH_S = 0.01
+_THICK_M = 0.5  # further behind a plane is the other side of the wall
+_LOCK_POLL_S = 0.02
+
+
+class Refusal(StrEnum):
+    """Why a candidate is refused; in the order in which the tests come."""
+
+    APPROACH_SPEED = "approach_speed"
+    BEYOND_WALL = "beyond_wall"
+    RUN_UP_ROOM = "run_up_room"
+    RUN_UP_BLOCKED = "run_up_blocked"
+    NOT_DETECTED = "not_detected"
+    PEAK_FORCE = "peak_force"
+    NO_REBOUND = "no_rebound"
+    ACCELERATION = "acceleration"
+    SPEED = "speed"
+    BOUNDS = "bounds"
+    OBSTACLE = "obstacle"
+    WALL_NOT_REACHED = "wall_not_reached"
+    TOO_SOON = "too_soon"
+    SERVO_TRAVEL = "servo_travel"
+
+
+REFUSALS = tuple(Refusal)
+CODE = {reason: i + 1 for i, reason in enumerate(REFUSALS)}
+
+ADVICE = {
+    Refusal.APPROACH_SPEED: "raise limits.speed_m_s or search slower approaches",
+    Refusal.BEYOND_WALL: "lengthen the wall, move start, or search less tangential velocity",
+    Refusal.RUN_UP_ROOM: "widen bounds_m, move start back, or search slower approaches",
+    Refusal.RUN_UP_BLOCKED: "move the wall that stands in the way of the run-up, or start",
+    Refusal.NOT_DETECTED: "lower detection.force_threshold_n or search faster approaches",
+    Refusal.PEAK_FORCE: "raise limits.peak_force_n, search slower approaches or the flexible mode",
+    Refusal.NO_REBOUND: "search faster approaches or the rigid mode",
+    Refusal.ACCELERATION: "lower the wall's alpha or raise MPC_TILTMAX_AIR",
+    Refusal.SPEED: "raise limits.speed_m_s or lower the wall's alpha",
+    Refusal.BOUNDS: "widen bounds_m or lower the wall's alpha",
+    Refusal.OBSTACLE: "move or shorten the wall in the way, or put it into sequence",
+    Refusal.WALL_NOT_REACHED: "raise the alpha of the wall before it, move the wall nearer, or lengthen it",
+    Refusal.TOO_SOON: "move the walls apart or lower detection.refractory_s",
+    Refusal.SERVO_TRAVEL: "allow the same mode at both walls, a faster servo, or more way between the walls",
+}
+
+
+class Constraints:
+    """The tests of one scenario, vectorised over candidates.
+
+    Args:
+        scenario: limits, bounds, walls.
+        ignored: reasons that do not count, to find out which of them stand in the way.
+    """
+
+    def __init__(self, scenario: Scenario, ignored: frozenset[Refusal] = frozenset()) -> None:
+        self._ignored = ignored
+        self.bounds, self.limits = scenario.bounds, scenario.limits
+        self.walls = tuple(scenario.walls.values())
+        vehicle = scenario.vehicle
+        self.threshold_n = vehicle.detection.force_threshold_n
+        self.refractory_s = vehicle.detection.refractory_s
+        self.most_acceleration = GRAVITY_M_S2 * math.tan(math.radians(vehicle.px4.mpc_tiltmax_air))
+        self.lock_s = vehicle.lock.relaxation_s + vehicle.lock.switch_time_s + _LOCK_POLL_S
+        self._reach = _reach_tables(scenario)
+
+    def mark(
+        self, codes: Codes, where: NDArray[np.bool_] | NDArray[np.intp] | np.bool_, reason: Refusal
+    ) -> None:
+        """Refuse some candidates."""
+        if reason not in self._ignored:
+            codes[where] = CODE[reason]
+
+    def hit(self, normal_n: Array, tangential_n: Array, rebound_m_s: Array) -> Codes:
+        """Codes (0: fine) for the peaks and the outward speed of a hit."""
+        codes = np.zeros(normal_n.shape, dtype=np.int8)
+        self.mark(codes, ~(rebound_m_s >= LEAST_REBOUND_M_S), Refusal.NO_REBOUND)
+        self.mark(codes, np.hypot(normal_n, tangential_n) > self.limits.peak_force_n, Refusal.PEAK_FORCE)
+        self.mark(codes, normal_n < self.threshold_n, Refusal.NOT_DETECTED)
+        return codes
+
+    def command(self, leg: Leg, loop: tuple[float, float, float, float, float]) -> Codes:
+        """Whether the first command of a recovery is within PX4's tilt limit, where the model is linear."""
+        kp, kv, _, kd, _ = loop
+        ax = kv * (-kp * leg.x[0] - leg.x[1]) + leg.x[3] - kd * leg.x[2]
+        ay = kv * (-kp * leg.y[0] - leg.y[1]) + leg.y[3] - kd * leg.y[2]
+        codes = np.zeros(leg.size, dtype=np.int8)
+        self.mark(codes, ax * ax + ay * ay > self.most_acceleration**2, Refusal.ACCELERATION)
+        return codes
+
+    def path(self, window: Window, until: NDArray[np.intp], target: Wall | None, begins: bool) -> Codes:
+        """What a piece of flight runs into before its grid index `until` (exclusive).
+
+        Args:
+            window: positions and velocities.
+            until: per candidate.
+            target: the wall that the plan hits next, no obstacle.
+            begins: whether the first grid point is the release from a wall.
+        """
+        w = window
+        bad = w.vx * w.vx + w.vy * w.vy > np.float32(self.limits.speed_m_s**2)
+        bad |= _outside(self.bounds.x, w.x, w.vx)
+        bad |= _outside(self.bounds.y, w.y, w.vy)
+        obstacles = [wall for wall in self.walls if wall is not target]
+        for wall in obstacles:
+            bad |= _touches(wall, w)
+        bad &= np.arange(w.times.size) < until[:, None]
+        codes = np.zeros(until.size, dtype=np.int8)
+        rows = np.flatnonzero(bad.any(axis=1))
+        if rows.size:  # few: only they are looked at closely
+            part = Window(w.times, *(v[rows] for v in (w.x, w.y, w.vx, w.vy)))
+            codes[rows] = self._why(part, until[rows], obstacles, begins)
+        return codes
+
+    def _why(self, w: Window, until: NDArray[np.intp], obstacles: list[Wall], begins: bool) -> Codes:
+        """Which of the rules is broken, if any."""
+        codes = np.zeros(until.size, dtype=np.int8)
+        alive = np.arange(w.times.size) < until[:, None]
+        over = w.vx * w.vx + w.vy * w.vy > self.limits.speed_m_s**2
+        self.mark(codes, (over & alive).any(axis=1), Refusal.SPEED)
+        self.mark(codes, (self._leaves(w) & alive).any(axis=1), Refusal.BOUNDS)
+        if begins:
+            alive[:, 0] = False
+        for wall in obstacles:
+            (nx, ny), (px, py), (tx, ty) = wall.normal, wall.point, wall.tangent
+            depth = nx * (w.x - px) + ny * (w.y - py)
+            along = tx * (w.x - px) + ty * (w.y - py)
+            # Behind a wall is not in it: only passing through its front counts.
+            touched = _touches(wall, w) & (np.abs(along) <= 0.5 * wall.length_m) & (depth > -_THICK_M)
+            self.mark(codes, (touched & alive).any(axis=1), Refusal.OBSTACLE)
+        return codes
+
+    def _leaves(self, w: Window) -> NDArray[np.bool_]:
+        """Where the bounds are left or would be before stopping; a wall in the way stops earlier (guard)."""
+        share: NDArray[Any] = np.ones_like(w.x)
+        for wall in self.walls:
+            (nx, ny), (px, py), (tx, ty) = wall.normal, wall.point, wall.tangent
+            here = nx * (w.x - px) + ny * (w.y - py)
+            there = here + STOP_TIME_S * (nx * w.vx + ny * w.vy)
+            spans = np.abs(tx * (w.x - px) + ty * (w.y - py)) <= 0.5 * wall.length_m
+            stops = (here > there) & (there < 0.0) & (here > -0.3) & spans
+            way = np.where(stops, here - there, 1.0)
+            share = np.minimum(share, np.where(stops, np.maximum(here / way, 0.0), 1.0))
+        leaves = _outside(self.bounds.x, w.x, share * w.vx)
+        leaves |= _outside(self.bounds.y, w.y, share * w.vy)
+        return leaves
+
+    def lock_in_time(self, leg: Leg, wall: Wall) -> NDArray[np.bool_]:
+        """Whether holding still at these states still stops short of the wall (executive)."""
+        nx, ny = wall.normal
+        distance = nx * (leg.x[0] + leg.goal_x - wall.point[0]) + ny * (leg.y[0] + leg.goal_y - wall.point[1])
+        closing = -(nx * leg.x[1] + ny * leg.y[1])
+        pushing = -(nx * leg.x[2] + ny * leg.y[2])
+        size = np.maximum(closing, 0.0) + ATTITUDE_LAG_S * np.abs(pushing) + 1e-12
+        share = np.maximum(closing, 0.0) / size
+        towards, away, knots = self._reach
+        reach = size * np.where(
+            pushing > 0.0, np.interp(share, knots, towards), np.interp(share, knots, away)
+        )
+        in_time: NDArray[np.bool_] = distance - reach >= STOP_MARGIN_M
+        in_time |= (closing <= 0.0) & (distance > 0.0)
+        return in_time
+
+
+def _outside(limits: tuple[float, float], x: NDArray[Any], v: NDArray[Any]) -> NDArray[np.bool_]:
+    """Whether a coordinate is out of its limits, now or where the vehicle would stop."""
+    stop = x + np.float32(STOP_TIME_S) * v
+    outside: NDArray[np.bool_] = np.minimum(x, stop) < np.float32(limits[0])
+    outside |= np.maximum(x, stop) > np.float32(limits[1])
+    return outside
+
+
+def _touches(wall: Wall, w: Window) -> NDArray[np.bool_]:
+    """Whether the plane of a wall is behind the vehicle, or will be within a moment."""
+    (nx, ny), (px, py) = wall.normal, wall.point
+    soon, offset = np.float32(_TOUCH_S), np.float32(nx * px + ny * py)
+    depth: NDArray[Any]
+    if ny == 0.0:
+        depth = np.float32(nx) * (w.x + soon * w.vx)
+    elif nx == 0.0:
+        depth = np.float32(ny) * (w.y + soon * w.vy)
+    else:
+        depth = np.float32(nx) * (w.x + soon * w.vx) + np.float32(ny) * (w.y + soon * w.vy)
+    touches: NDArray[np.bool_] = depth < offset
+    return touches
+
+
+def _reach_tables(scenario: Scenario) -> tuple[Array, Array, Array]:
+    """Braking way by the executive's own rule; it is homogeneous in speed and acceleration."""
+    knots = np.linspace(0.0, 1.0, 41)
+    far = 100.0
+    tables = []
+    for sign in (1.0, -1.0):
+        tables.append(
+            [
+                far - least_distance_m(far, s, sign * (1.0 - s) / ATTITUDE_LAG_S, far, scenario.vehicle.px4)
+                for s in knots
+            ]
+        )
+    return np.array(tables[0]), np.array(tables[1]), knots

@@ -1,0 +1,397 @@
+"""A planned contact together with the controller that goes on working in it.
+
+The contact law alone (paper, Sec. IV-B) fixes the duration T, the moment t_p of the force peak and, with
+the detector's rule, the moment t_e at which the recovery set-point replaces the old reference: all three
+depend on coefficients and mass, not on the speed. Between the onset and T:
+
+along the normal, with PX4's loop of `dart_flight.planning.closed_loop` acting on the same motion,
+
+    x'' = -(k x + f x')/m + a - b x'
+    a'  = (kv (kp (r - x) + w - x') + i + b w - kd x'' - a) / tau,      i' = ki (kp (r - x) + w - x')
+
+along the wall, where friction rules: u' = -(mu/m) lx u is the motion by the contact law, q its way, and the
+controller, which sees u, adds its push d to it:
+
+    a' = (kv (kp (r - q) + w - u) + i + b w - kd (u' + a) - a) / tau,   i' = ki (kp (r - q) + w - u)
+    d' = -(mu/m) lx d + a,                                              velocity u + d
+
+lx along the wall, and so the peak of the friction force, is that of the contact law alone at the speed of the
+onset. Until
+t_e the reference is the old one (r, moving at w), from then on the recovery set-point
+(`dart_flight.flight.recovery`), which is a sum of the peaks. So the normal part is a constant matrix per
+material and mode, exact by the matrix exponential, and the part along the wall needs integrals of
+exp(-c (1 + xi')) only, by Gauss quadrature to about 1e-10.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.config.vehicle import Coefficients, VehicleConfig
+from dart_flight.contact.coefficients import CoefficientArrays
+from dart_flight.contact.collision_map import collision_map
+from dart_flight.contact.law import Onset
+from dart_flight.contact.oscillator import Course, enter, falling_root, find_events, motion
+from dart_flight.planning.closed_loop import Loop
+
+Array = NDArray[np.float64]
+
+_NODES = 10  # Gauss nodes in each of the two phases of a contact
+_SUB = 12
+# After the force has fallen by the detector's share: one more IMU sample, and on average half a period of
+# PX4's position controller (125 Hz) until it uses the new set-point.
+_SETPOINT_USED_S = 0.004
+_LEAST_AFTER_PEAK_S = 0.008  # the detector wants two samples after the maximum
+
+
+class _Rule(NamedTuple):
+    """Gauss-Legendre on [0, 1] and integration of the interpolating polynomial up to each node and to 1."""
+
+    nodes: Array  # (J,)
+    weights: Array  # (J,)
+    sub_nodes: Array  # (L,)
+    sub_weights: Array  # (L,)
+    upper: Array  # (J + 1,): the nodes and 1
+    lagrange: Array  # (J + 1, L, J): Lagrange polynomials at upper * sub_nodes
+    integral: Array  # (J + 1, J)
+
+
+def _gauss(count: int) -> tuple[Array, Array]:
+    x, w = np.polynomial.legendre.leggauss(count)
+    return 0.5 * (x + 1.0), 0.5 * w
+
+
+def _lagrange(nodes: Array, at: Array) -> Array:
+    """Lagrange polynomials of `nodes` at points of any shape: shape + (J,)."""
+    out = np.ones((*at.shape, nodes.size))
+    for k in range(nodes.size):
+        for m in range(nodes.size):
+            if m != k:
+                out[..., k] *= (at - nodes[m]) / (nodes[k] - nodes[m])
+    return out
+
+
+@lru_cache(maxsize=1)
+def _rule() -> _Rule:
+    nodes, weights = _gauss(_NODES)
+    sub_nodes, sub_weights = _gauss(_SUB)
+    upper = np.append(nodes, 1.0)
+    lagrange = _lagrange(nodes, upper[:, None] * sub_nodes)
+    integral = upper[:, None] * np.einsum("l,jlk->jk", sub_weights, lagrange)
+    return _Rule(nodes, weights, sub_nodes, sub_weights, upper, lagrange, integral)
+
+
+def expm(matrix: Array) -> Array:
+    """Matrix exponential of (..., n, n) by scaling, Taylor series and squaring, to about 1e-15."""
+    size = float(np.abs(matrix).sum(axis=-1).max(initial=0.0))
+    halvings = max(0, math.ceil(math.log2(max(size, 1e-300) / 0.5)))
+    scaled = matrix * 0.5**halvings
+    identity = np.broadcast_to(np.eye(matrix.shape[-1]), matrix.shape)
+    result = identity + scaled / 14.0
+    for n in range(13, 0, -1):
+        result = identity + scaled @ result / n
+    for _ in range(halvings):
+        result = result @ result
+    return np.asarray(result)
+
+
+class NormalOut(NamedTuple):
+    """Along the normal, x from the plane: onset, then x and force at the peak, the rest at the release."""
+
+    onset_m: Array
+    peak_m: Array
+    peak_force_n: Array
+    release_m: Array
+    velocity: Array
+    acceleration: Array
+    integral: Array
+    setpoint_m: Array
+
+
+class TangentialOut(NamedTuple):
+    """Along the wall, relative to the place of the onset; the friction force is signed."""
+
+    release_m: Array
+    velocity: Array
+    acceleration: Array
+    integral: Array
+    friction_n: Array
+    setpoint_m: Array
+
+
+class TangentialShape(NamedTuple):
+    """What of the motion along the wall depends on the normal speed: per unit of each input, arrays (...,).
+
+    Inputs: velocity at the onset (v), acceleration a, integral i, speed of the old reference w, its place r,
+    the recovery set-point s.
+    """
+
+    way_to_peak: Array
+    way: Array
+    velocity_v: Array
+    acceleration_v: Array
+    integral_v: Array
+    friction_v: Array
+    push_a: Array
+    push_i: Array
+    push_w: Array
+    push_r: Array
+    push_s: Array
+
+
+class ContactStage:
+    """One material in one mode with one pair of gains, ready for many hits.
+
+    Attributes:
+        duration_s: of the contact; infinite where the wall is never left.
+        peak_s: from the onset to the peak of the normal force.
+        engaged_s: from the onset to the recovery set-point (at the release at the latest).
+        lead_s: f/k by the onset rule `lcp`: x + lead * x' = 0 is the onset; 0 by `touch`.
+    """
+
+    def __init__(
+        self, coefficients: Coefficients, mass_kg: float, onset: Onset, alphas: tuple[float, float]
+    ) -> None:
+        self.coefficients, self.mass_kg, self.onset = coefficients, mass_kg, onset
+        self.alphas = alphas
+        self.lead_s = coefficients.f / coefficients.k if onset is Onset.LCP else 0.0
+        self.duration_s = self.peak_s = self.engaged_s = math.inf
+        self._normal: Array = np.zeros((7, 5))
+        self._depths: Array = np.zeros(0)  # 1 + xi' at the nodes
+        self._depth_end = 0.0
+        self._by_speed: Array = np.zeros(
+            (0, 0)
+        )  # way to peak, way, integral, acceleration per E at the nodes
+        self._by_speed_end: Array = np.zeros(4)  # their share of E(T)
+        self._by_speed_one: Array = np.zeros(4)  # and of 1
+        self._push: Array = np.zeros((0, 0))  # weights times acceleration per input at the nodes
+        self._push_speed: Array = np.zeros((0, 0))
+        self._push_one: Array = np.zeros(0)
+        self._ends: Array = np.zeros((2, 5))  # acceleration and integral at T per input a, i, w, r, s
+        self._friction_coefficients = CoefficientArrays.of(coefficients)
+
+    # -- hits --
+
+    def normal(self, speed: Array, acceleration: Array, integral: Array, place: Array, w: Array) -> NormalOut:
+        """Motion along the normal.
+
+        Args:
+            speed: normal velocity at the onset, m/s, < 0.
+            acceleration, integral: the controller's states then, m/s2.
+            place: the old reference relative to the plane, m; it moves at `w` m/s.
+            w: see place.
+        """
+        inputs = (speed, acceleration, integral, place, w)
+        rows = [sum(c * v for c, v in zip(row, inputs, strict=True) if c != 0.0) for row in self._normal]
+        return NormalOut(-self.lead_s * speed, *(np.asarray(row) for row in rows))
+
+    def tangential_shape(self, speed_m_s: Array) -> TangentialShape:
+        """The factors of the motion along the wall for normal velocities at the onset (m/s, < 0)."""
+        c = self.coefficients.mu * np.maximum(-speed_m_s, 0.0)
+        flat = c.reshape(-1, 1)
+        slip = np.exp(-flat * self._depths)  # u at the nodes per unit of u at the onset
+        slip_end = np.exp(-flat * self._depth_end)
+        kept = np.exp(-flat * (self._depth_end - self._depths))  # what is left at T of a push at the nodes
+        values = slip @ self._by_speed.T + slip_end * self._by_speed_end + self._by_speed_one
+        push = kept @ self._push
+        push_v = np.einsum("nj,nj->n", kept, slip @ self._push_speed.T + self._push_one)
+        hit = collision_map(
+            self._friction_coefficients, self.mass_kg, np.minimum(speed_m_s, 0.0), 1.0, self.onset
+        )
+        shape = c.shape
+        return TangentialShape(
+            values[:, 0].reshape(shape),
+            values[:, 1].reshape(shape),
+            (slip_end[:, 0] + push_v).reshape(shape),
+            values[:, 3].reshape(shape),
+            values[:, 2].reshape(shape),
+            hit.peak_friction_force_n,
+            *(push[:, i].reshape(shape) for i in range(5)),
+        )
+
+    def tangential(
+        self, s: TangentialShape, v: Array, a: Array, i: Array, reference: tuple[Array | float, Array | float]
+    ) -> TangentialOut:
+        """Motion along the wall.
+
+        Args:
+            s: from `tangential_shape`; broadcasts with the rest.
+            v: velocity along the wall at the onset, m/s.
+            a, i: acceleration and integral of the controller then, m/s2.
+            reference: place (m, from the onset) and speed (m/s) of the old reference.
+        """
+        r, w = reference
+        friction = -s.friction_v * v
+        setpoint = s.way_to_peak * v - self.alphas[1] * friction
+        (aa, ai, aw, ar, a_s), (_, ii, iw, ir, i_s) = self._ends
+        return TangentialOut(
+            s.way * v,
+            s.velocity_v * v
+            + s.push_a * a
+            + s.push_i * i
+            + s.push_w * w
+            + s.push_r * r
+            + s.push_s * setpoint,
+            s.acceleration_v * v + aa * a + ai * i + aw * w + ar * r + a_s * setpoint,
+            s.integral_v * v + ii * i + iw * w + ir * r + i_s * setpoint,
+            friction,
+            setpoint,
+        )
+
+
+# --- preparation ------------------------------------------------------------------------------------------
+
+
+def build_stages(
+    vehicle: VehicleConfig,
+    table: Sequence[Coefficients],
+    alphas: Sequence[tuple[float, float]],
+    drags: Sequence[tuple[float, float]],
+    extra_delay_s: Sequence[float],
+) -> list[ContactStage]:
+    """Stages for a table of (wall, mode, draw).
+
+    Args:
+        vehicle: mass, loop, detector.
+        table: contact coefficients.
+        alphas: gains (A_n, A_t), m/N.
+        drags: air drag along normal and tangent, 1/s.
+        extra_delay_s: added to the expected delay between peak and set-point.
+    """
+    onset, mass = Onset(vehicle.onset), vehicle.airframe.mass_kg
+    stages = [ContactStage(c, mass, onset, pair) for c, pair in zip(table, alphas, strict=True)]
+    c = CoefficientArrays.of(list(table))
+    course = enter(c, np.full(len(table), mass), np.full(len(table), -1.0), onset, np.zeros(len(table)))
+    events = find_events(course)
+    omega = course.omega
+    drop = _time_of_drop(course, events.peak, events.end, vehicle.detection.peak_drop_fraction)
+    delay = np.maximum((drop - events.peak) / omega, _LEAST_AFTER_PEAK_S) + 1.0 / vehicle.imu.rate_hz
+    engaged = events.peak / omega + np.maximum(delay + _SETPOINT_USED_S + np.asarray(extra_delay_s), 0.0)
+    loop = Loop.of(vehicle.px4)
+    for i, stage in enumerate(stages):
+        if not math.isfinite(events.end[i]):
+            continue
+        stage.duration_s = float(events.end[i] / omega[i])
+        stage.peak_s = float(events.peak[i] / omega[i])
+        stage.engaged_s = min(float(engaged[i]), stage.duration_s)
+        one = Course(*(np.asarray(v[i]) for v in course))
+        _prepare_normal(stage, loop, drags[i][0])
+        _prepare_tangential(stage, loop, drags[i][1], one)
+    return stages
+
+
+def _time_of_drop(course: Course, peak: Array, end: Array, fraction: float) -> Array:
+    """When the force has fallen by a fraction of its peak, in 1/omega."""
+    finite = np.where(np.isfinite(end), end, 2.0 * peak + 1.0)
+    level = (1.0 - fraction) * motion(course, peak)[0]
+
+    def excess(tau: Array) -> tuple[Array, Array]:
+        phi, slope, _ = motion(course, tau)
+        return phi - level, slope
+
+    return falling_root(excess, peak, finite, 0.5 * (peak + finite))
+
+
+def _prepare_normal(stage: ContactStage, loop: Loop, drag: float) -> None:
+    """The matrix from (v, a, i, r, w) at the onset to the rows of `NormalOut` after the first."""
+    c, m = stage.coefficients, stage.mass_kg
+    kp, kv, ki, kd, tau = loop
+    # States x, v, a, i, r, w.
+    system = np.zeros((6, 6))
+    system[0, 1] = 1.0
+    system[1, :3] = (-c.k / m, -c.f / m - drag, 1.0)
+    system[3, :6] = (-ki * kp, -ki, 0.0, 0.0, ki * kp, ki)
+    system[2, :6] = (-kv * kp, -kv, -1.0, 1.0, kv * kp, kv + drag)
+    system[2, :3] -= kd * system[1, :3]
+    system[2] /= tau
+    system[4, 5] = 1.0
+    to_peak, to_engaged, rest = expm(
+        np.stack([system * t for t in (stage.peak_s, stage.engaged_s, stage.duration_s - stage.engaged_s)])
+    )
+    start = np.zeros((6, 5))
+    start[0, 0] = -stage.lead_s
+    start[1, 0] = start[2, 1] = start[3, 2] = start[4, 3] = start[5, 4] = 1.0
+    at_peak = to_peak @ start
+    force = -c.k * at_peak[0] - c.f * at_peak[1]
+    setpoint = at_peak[0] + stage.alphas[0] * force
+    engaged = to_engaged @ start
+    engaged[4], engaged[5] = setpoint, 0.0
+    end = rest @ engaged
+    stage._normal = np.stack([at_peak[0], force, end[0], end[1], end[2], end[3], setpoint])
+
+
+class _Phases:
+    """Integration over the two phases of a contact, as matrices on the values at the nodes of both."""
+
+    def __init__(self, first_s: float, second_s: float) -> None:
+        rule = _rule()
+        self.lengths = (first_s, second_s)
+        self.times = np.concatenate((first_s * rule.nodes, first_s + second_s * rule.nodes))
+        self.weights = np.concatenate((first_s * rule.weights, second_s * rule.weights))
+
+    def integral(self, decay: float) -> Array:
+        """(2 J + 1, 2 J): the integral of exp(-decay (s - r)) f(r) up to every node and to the end."""
+        rule = _rule()
+        parts = []
+        for length in self.lengths:
+            way = length * rule.upper[:, None] * (1.0 - rule.sub_nodes)
+            kernel = np.exp(-decay * way) * rule.sub_weights
+            parts.append(length * rule.upper[:, None] * np.einsum("jl,jlk->jk", kernel, rule.lagrange))
+        n = _NODES
+        out = np.zeros((2 * n + 1, 2 * n))
+        out[:n, :n] = parts[0][:n]
+        out[n:, n:] = parts[1]
+        faded = np.exp(-decay * self.lengths[1] * rule.upper)
+        out[n:, :n] = faded[:, None] * parts[0][n]
+        return out
+
+    def to_time(self, t_s: float) -> Array:
+        """(2 J,): the plain integral up to a moment of the first phase."""
+        rule = _rule()
+        share = t_s / self.lengths[0] if self.lengths[0] > 0.0 else 0.0
+        values = _lagrange(rule.nodes, share * rule.sub_nodes)
+        row: Array = t_s * (rule.sub_weights @ values)
+        return np.concatenate((row, np.zeros(_NODES)))
+
+
+def _prepare_tangential(stage: ContactStage, loop: Loop, drag: float, course: Course) -> None:
+    kp, kv, ki, kd, tau = loop
+    phases = _Phases(stage.engaged_s, stage.duration_s - stage.engaged_s)
+    times, weights = phases.times, phases.weights
+    count = times.size
+    decay = (1.0 + kd) / tau
+    whole = phases.integral(0.0)
+    fading = phases.integral(decay) / tau
+    place = whole[:count]
+    # Per unit of u at the nodes: way, integral, acceleration (the D term's u' integrated by parts).
+    to_integral = -ki * whole @ (kp * place + np.eye(count))
+    drive = -kv * kp * place - (kv - kd * decay) * np.eye(count) + to_integral[:count]
+    acceleration = fading @ drive
+    faded = np.exp(-decay * np.append(times, stage.duration_s))
+    stage._by_speed = np.stack(
+        [phases.to_time(stage.peak_s), whole[count], to_integral[count], acceleration[count]]
+    )
+    stage._by_speed_end = np.array([0.0, 0.0, 0.0, -kd / tau])
+    stage._by_speed_one = np.array([0.0, 0.0, 0.0, kd / tau * faded[count]])
+    stage._push_speed = weights[:, None] * (acceleration[:count] - kd / tau * np.eye(count))
+    stage._push_one = weights * kd / tau * faded[:count]
+    # Per unit of a, i, w, r and s: exact, because the drive is a polynomial in each phase.
+    early = (np.arange(count) < _NODES).astype(float)
+    zero, one = np.zeros(count), np.ones(count)
+    places = np.stack([zero, zero, times * early, early, 1.0 - early], axis=1)
+    speeds = np.stack([zero, zero, early, zero, zero], axis=1)
+    integral = ki * whole @ (kp * places + speeds)
+    integral[:, 1] += 1.0
+    pushed = fading @ (kv * kp * places + (kv + drag) * speeds + integral[:count])
+    pushed[:, 0] += faded
+    stage._push = weights[:, None] * pushed[:count]
+    stage._ends = np.stack([pushed[count], integral[count]])
+    tau_nodes = float(course.omega) * times
+    stage._depths = motion(course, tau_nodes)[2] + one
+    stage._depth_end = float(motion(course, np.asarray(float(course.omega) * stage.duration_s))[2]) + 1.0

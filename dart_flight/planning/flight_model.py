@@ -1,0 +1,265 @@
+"""Free flight under PX4's position loop, exactly, for many candidates at once.
+
+Per mission axis, with p the position relative to the set-point, v, a the acceleration that the attitude has
+reached, i the velocity loop's integral, b the air drag and the gains of `dart_flight.planning.closed_loop`:
+
+    p' = v,   v' = a - b v,   i' = ki (-kp p - v)
+    a' = (kv (-kp p - v) + i - kd v' - a) / tau
+
+This is linear with constant coefficients, so the state at any time is exp(A t) times the state at the start.
+The positions of all candidates on a grid of times are one matrix product; an event is bracketed on that grid
+and found by Newton's method on the exact solution about its grid point: the Taylor series of the matrix
+exponential, which at half a grid step is exact to rounding. Nothing is stepped through time.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.planning.closed_loop import Loop
+from dart_flight.planning.contact_stage import expm
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+Rows = NDArray[np.intp]
+
+GRID_S = 0.05
+WINDOW = 20  # grid steps looked at together; most events come within the first second
+_ORDER = 11  # at one grid step and the fastest mode (about 9 1/s) the next term is 1e-13 of the position
+_NEWTON_STEPS = 6
+_SINGLE_M = 1e-4  # well above what single precision rounds
+
+
+class Leg(NamedTuple):
+    """States at the start of a free flight to a constant set-point; arrays (4, n): p, v, a, i, and (n,)."""
+
+    x: Array
+    y: Array
+    goal_x: Array
+    goal_y: Array
+
+    def take(self, rows: Rows | NDArray[np.bool_]) -> Leg:
+        """The chosen candidates."""
+        return Leg(self.x[:, rows], self.y[:, rows], self.goal_x[rows], self.goal_y[rows])
+
+    @property
+    def size(self) -> int:
+        """Number of candidates."""
+        return int(self.goal_x.size)
+
+
+class Window(NamedTuple):
+    """Positions (mission frame, m) and velocities on a part of the time grid; arrays (n, times).
+
+    In single precision (1e-6 m): they bracket events and are judged against constraints, nothing more.
+    """
+
+    times: Array
+    x: Array32
+    y: Array32
+    vx: Array32
+    vy: Array32
+
+
+def loop_matrix(loop: Loop, drag_per_s: float) -> Array:
+    """A of the module docstring for the states (p, v, a, i): (4, 4)."""
+    kp, kv, ki, kd, tau = loop
+    return np.array(
+        [
+            [0.0, 1.0, 0.0, 0.0],
+            [0.0, -drag_per_s, 1.0, 0.0],
+            [-kv * kp / tau, (-kv + kd * drag_per_s) / tau, (-1.0 - kd) / tau, 1.0 / tau],
+            [-ki * kp, -ki, 0.0, 0.0],
+        ]
+    )
+
+
+class _Axis:
+    """Tables of one axis."""
+
+    def __init__(self, matrix: Array, count: int) -> None:
+        self.matrix = matrix
+        step = expm(matrix * GRID_S)
+        powers = [np.eye(4)]
+        for _ in range(count):
+            powers.append(step @ powers[-1])
+        self.at_grid = np.array(powers)  # (count + 1, 4, 4)
+        self.position = np.ascontiguousarray(self.at_grid[:, 0, :].T, dtype=np.float32)  # (4, count + 1)
+        self.velocity = np.ascontiguousarray(self.at_grid[:, 1, :].T, dtype=np.float32)
+        # From each grid point on, the most that each state of the start still adds to the position.
+        self.reach = np.maximum.accumulate(np.abs(self.at_grid[::-1, 0, :]), axis=0)[::-1]  # (count + 1, 4)
+        rows = [np.eye(4)]
+        for n in range(1, _ORDER + 1):
+            rows.append(matrix @ rows[-1] / n)
+        self.series = np.array(rows)  # (order + 1, 4, 4): exp(A d) = sum series d^n
+        self.position_series = np.ascontiguousarray(self.series[:, 0, :])  # (order + 1, 4)
+
+
+class FreeFlight:
+    """The loop of one vehicle, tabulated for a horizon.
+
+    Args:
+        vehicle: gains and drag.
+        horizon_s: longest flight looked at.
+    """
+
+    def __init__(self, vehicle: VehicleConfig, horizon_s: float) -> None:
+        self.loop = Loop.of(vehicle.px4)
+        self.count = math.ceil(horizon_s / GRID_S / WINDOW) * WINDOW
+        self.times: Array = GRID_S * np.arange(self.count + 1, dtype=np.float64)
+        bx, by, _ = vehicle.airframe.drag_per_s
+        self.axes = (
+            _Axis(loop_matrix(self.loop, bx), self.count),
+            _Axis(loop_matrix(self.loop, by), self.count),
+        )
+
+    def grid(self, leg: Leg) -> Grid:
+        """The leg on the time grid."""
+        x, y = (np.ascontiguousarray(z.T, dtype=np.float32) for z in (leg.x, leg.y))
+        goals = (leg.goal_x[:, None].astype(np.float32), leg.goal_y[:, None].astype(np.float32))
+        return Grid(self, x, y, *goals)
+
+    def at(self, leg: Leg, t_s: float) -> Leg:
+        """States of every candidate at one time after the start of the leg."""
+        x, y = (expm(axis.matrix * t_s) @ z for axis, z in zip(self.axes, (leg.x, leg.y), strict=True))
+        return Leg(x, y, leg.goal_x, leg.goal_y)
+
+    def near(self, leg: Leg, index: Rows) -> Near:
+        """The exact solutions about one grid point per candidate."""
+        states: list[Array] = [
+            np.einsum("njk,kn->jn", axis.at_grid[index], z)
+            for axis, z in zip(self.axes, (leg.x, leg.y), strict=True)
+        ]
+        return Near(self, leg, self.times[index], states[0], states[1])
+
+
+class Grid(NamedTuple):
+    """Legs ready to be looked at on the time grid: start states (n, 4) and set-points (n, 1)."""
+
+    flight: FreeFlight
+    x: Array32
+    y: Array32
+    goal_x: Array32
+    goal_y: Array32
+
+    def take(self, rows: Rows | NDArray[np.bool_]) -> Grid:
+        """The chosen candidates."""
+        return Grid(self.flight, self.x[rows], self.y[rows], self.goal_x[rows], self.goal_y[rows])
+
+    def window(self, first: int) -> Window:
+        """One window of grid points, both ends included."""
+        ax, ay = self.flight.axes
+        part = slice(first, first + WINDOW + 1)
+        x, y = self.x @ ax.position[:, part], self.y @ ay.position[:, part]
+        x += self.goal_x
+        y += self.goal_y
+        return Window(
+            self.flight.times[part], x, y, self.x @ ax.velocity[:, part], self.y @ ay.velocity[:, part]
+        )
+
+    def stays_before(self, normal: tuple[float, float], offset: float, index: int) -> NDArray[np.bool_]:
+        """Who never gets behind a plane (normal . p = offset) from a grid point on, whatever comes."""
+        ax, ay = self.flight.axes
+        nearest = normal[0] * self.goal_x[:, 0] + normal[1] * self.goal_y[:, 0] - offset
+        if normal[0]:
+            nearest = nearest - np.abs(self.x) @ (abs(normal[0]) * ax.reach[index])
+        if normal[1]:
+            nearest = nearest - np.abs(self.y) @ (abs(normal[1]) * ay.reach[index])
+        return np.asarray(nearest > _SINGLE_M)
+
+
+class Near:
+    """Solutions about a moment of each candidate, as power series in the time from it."""
+
+    def __init__(self, flight: FreeFlight, leg: Leg, times: Array, zx: Array, zy: Array) -> None:
+        ax, ay = flight.axes
+        self.times, self._flight, self._leg, self._zx, self._zy = times, flight, leg, zx, zy
+        self.x = ax.position_series @ zx  # (order + 1, n)
+        self.y = ay.position_series @ zy
+        self.x[0] += leg.goal_x
+        self.y[0] += leg.goal_y
+
+    def along(self, direction: tuple[float, float]) -> Array:
+        """Coefficients (order + 1, n) of the position along a direction."""
+        if direction[1] == 0.0:
+            return direction[0] * self.x
+        if direction[0] == 0.0:
+            return direction[1] * self.y
+        return direction[0] * self.x + direction[1] * self.y
+
+    def leg_at(self, d: Array, rows: Rows | slice = slice(None)) -> Leg:
+        """States at a time `d` from the grid point, towards the same set-points."""
+        states = []
+        for axis, z in zip(self._flight.axes, (self._zx, self._zy), strict=True):
+            z = z[:, rows]
+            out = axis.series[_ORDER] @ z
+            for n in range(_ORDER - 1, -1, -1):
+                out *= d
+                out += axis.series[n] @ z
+            states.append(out)
+        return Leg(states[0], states[1], self._leg.goal_x[rows], self._leg.goal_y[rows])
+
+
+def horner(coefficients: Array, d: Array) -> tuple[Array, Array]:
+    """Value and derivative of polynomials with coefficients (order + 1, n) at d (n,)."""
+    value = coefficients[-1].copy()
+    slope = np.zeros_like(value)
+    for row in coefficients[-2::-1]:
+        slope *= d
+        slope += value
+        value *= d
+        value += row
+    return value, slope
+
+
+def first_crossing(position: Array, lead_s: float, low: float, high: float) -> Array:
+    """Where x + lead x' falls through 0, for position series (order + 1, n), in [low, high] seconds."""
+    n = np.arange(1, position.shape[0])[:, None]
+    g = position.copy()
+    if lead_s:
+        g[:-1] += lead_s * n * position[1:]
+    d = np.zeros(position.shape[1])
+    for _ in range(_NEWTON_STEPS):
+        value, slope = horner(g, d)
+        step = value / np.where(slope < 0.0, slope, -1.0)
+        new = np.clip(d - step, low, high)
+        done = bool((np.abs(new - d) <= 1e-9).all())
+        d = new
+        if done:
+            break
+    return d
+
+
+def closest(x: Array, y: Array, goal: tuple[float, float], low: Array, high: Array) -> tuple[Array, Array]:
+    """Closest approach to a point near the grid point: (time from it, distance), for position series.
+
+    The least squared distance over [low, high], which is a grid step either way, or 0 on the side where the
+    flight begins or ends at the grid point.
+    """
+    n = np.arange(1, x.shape[0])[:, None]
+    vx, vy = n * x[1:], n * y[1:]
+    d = np.zeros(x.shape[1])
+    for _ in range(_NEWTON_STEPS + 2):
+        px, ux = horner(x, d)
+        py, uy = horner(y, d)
+        _, bx = horner(vx, d)
+        _, by = horner(vy, d)
+        px, py = px - goal[0], py - goal[1]
+        slope = px * ux + py * uy
+        curve = ux * ux + uy * uy + px * bx + py * by
+        speed2 = ux * ux + uy * uy
+        # Far off the minimum the curvature may be negative: Gauss-Newton's is not.
+        step = slope / np.where(curve > 0.1 * speed2, np.where(curve > 0.0, curve, 1.0), speed2 + 1e-12)
+        new = np.clip(d - step, low, high)
+        done = bool((np.abs(new - d) <= 1e-8).all())
+        d = new
+        if done:
+            break
+    px, _ = horner(x, d)
+    py, _ = horner(y, d)
+    return d, np.hypot(px - goal[0], py - goal[1])

@@ -1,0 +1,550 @@
+"""The way of many candidates through one sequence of walls: approach, contact, recovery, contact, ..., goal.
+
+All candidates of a sequence go through together, one leg after the other; those that fail leave on the way,
+counted by reason. Approaches and contacts are `approach_grid` and `contact_stage`, the flights between them
+`flight_model`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.config.scenario import Scenario
+from dart_flight.config.vehicle import Coefficients
+from dart_flight.geometry import Vec2, Wall
+from dart_flight.planning.approach_grid import ApproachGrid, approach_grid
+from dart_flight.planning.constraints import CODE, REFUSALS, Constraints, Refusal
+from dart_flight.planning.contact_stage import (
+    ContactStage,
+    NormalOut,
+    TangentialOut,
+    TangentialShape,
+    build_stages,
+)
+from dart_flight.planning.flight_model import (
+    GRID_S,
+    WINDOW,
+    Array,
+    FreeFlight,
+    Leg,
+    Rows,
+    closest,
+    first_crossing,
+)
+from dart_flight.samples import Mode
+
+PASSED_RISE_M = 0.03  # the executive's: the distance to the goal has risen by more than its noise
+PASSED_AFTER_S = 0.25
+_HORIZON_S = 6.0  # what has not come by then does not come: the loop has settled
+Outcome = TypeVar("Outcome", NormalOut, TangentialOut)
+Stages = dict[tuple[str, Mode], ContactStage]
+
+
+class Hits(NamedTuple):
+    """One collision of candidates; arrays (n,).
+
+    Attributes:
+        wall, mode: which.
+        t_s: onset, since the start of the run-up.
+        x, y: position then, mission frame.
+        normal_m_s, tangential_m_s: velocity then, collision frame.
+        normal_n, tangential_n: peaks of the force.
+        duration_s: of the contact.
+        leg: at the release.
+    """
+
+    wall: Wall
+    mode: Mode
+    t_s: Array
+    x: Array
+    y: Array
+    normal_m_s: Array
+    tangential_m_s: Array
+    normal_n: Array
+    tangential_n: Array
+    duration_s: float
+    leg: Leg
+
+    @property
+    def peak_force_n(self) -> Array:
+        """Normal and friction peak together."""
+        return np.hypot(self.normal_n, self.tangential_n)
+
+    def take(self, rows: Rows | NDArray[np.bool_]) -> Hits:
+        """The chosen candidates."""
+        return self._replace(
+            **{
+                name: getattr(self, name)[rows]
+                for name in (
+                    "t_s",
+                    "x",
+                    "y",
+                    "normal_m_s",
+                    "tangential_m_s",
+                    "normal_n",
+                    "tangential_n",
+                )
+            },
+            leg=self.leg.take(rows),
+        )
+
+
+class Arrivals(NamedTuple):
+    """Candidates that got through; arrays (n,).
+
+    Attributes:
+        rows: index of the approach.
+        modes: of each collision.
+        miss_m: closest approach to the goal after the last contact.
+        t_s: of it, since the start of the run-up.
+        force_n: largest peak force of all collisions.
+        x, y, vx, vy: state at the closest approach.
+        hits: the collisions, where asked for.
+    """
+
+    rows: Rows
+    modes: tuple[Mode, ...]
+    miss_m: Array
+    t_s: Array
+    force_n: Array
+    x: Array
+    y: Array
+    vx: Array
+    vy: Array
+    hits: tuple[Hits, ...]
+
+
+class _Front(NamedTuple):
+    """Candidates released from a wall."""
+
+    rows: Rows
+    modes: tuple[Mode, ...]
+    t_s: Array  # release
+    since_peak_s: float  # from the recovery set-point to the release
+    force_n: Array
+    leg: Leg
+    hits: tuple[Hits, ...]
+
+
+class Draw(NamedTuple):
+    """One draw of what is uncertain: factors per (wall, mode), and shifts."""
+
+    factors: dict[tuple[str, Mode], tuple[float, float, float]]  # of k, f, mu
+    normal_m_s: float
+    tangential_m_s: float
+    delay_s: float
+
+
+def stages_for(scenario: Scenario, draws: Sequence[Draw | None]) -> list[Stages]:
+    """Contact stages of every wall with gains in every mode, for every draw (None: the nominal values)."""
+    keys = [(name, mode) for name in scenario.alphas for mode in scenario.modes]
+    table, alphas, drags, delays = [], [], [], []
+    bx, by, _ = scenario.vehicle.airframe.drag_per_s
+    for draw in draws:
+        for name, mode in keys:
+            wall = scenario.walls[name]
+            c = scenario.vehicle.materials[wall.material].of(mode)
+            if draw is not None:
+                k, f, mu = draw.factors[name, mode]
+                c = Coefficients(c.k * k, c.f * f, c.mu * mu, c.nu)
+            table.append(c)
+            alphas.append(scenario.alphas[name])
+            n2 = wall.normal[0] ** 2
+            drags.append((n2 * bx + (1.0 - n2) * by, n2 * by + (1.0 - n2) * bx))
+            delays.append(draw.delay_s if draw is not None else 0.0)
+    stages = build_stages(scenario.vehicle, table, alphas, drags, delays)
+    n = len(keys)
+    return [dict(zip(keys, stages[i * n : (i + 1) * n], strict=True)) for i in range(len(draws))]
+
+
+class Course:
+    """One sequence of walls, for any approach velocities.
+
+    Args:
+        scenario: walls, goal, limits.
+        sequence: names of the walls in the order of the hits.
+        flight: the loop's tables, shared between courses.
+        constraints: None lets every candidate fly on to its end, wherever that leads (for comparisons).
+        keep_hits: whether arrivals carry their collisions.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        sequence: Sequence[str],
+        flight: FreeFlight,
+        constraints: Constraints | None,
+        keep_hits: bool = False,
+    ) -> None:
+        self.scenario, self.flight, self.constraints = scenario, flight, constraints
+        self.walls = [scenario.walls[name] for name in sequence]
+        self.keep_hits = keep_hits
+        self.refused = np.zeros(len(REFUSALS) + 1, dtype=np.int64)
+        self._goal: Vec2 = scenario.goal.position_m
+
+    def approach(self, normal: Array, tangential: Array) -> ApproachGrid:
+        """Approaches to the first wall."""
+        return approach_grid(self.scenario, self.walls[0], normal, tangential, self.constraints)
+
+    def fly(
+        self, stages: Stages, normal: Array, tangential: Array, grid: ApproachGrid, draw: Draw | None = None
+    ) -> list[Arrivals]:
+        """All mode sequences from the given approaches.
+
+        Args:
+            stages: contact stages, of this draw.
+            normal, tangential: planned velocities; arrays that broadcast with each other.
+            grid: from `approach` for them.
+            draw: shifts of the approach.
+        """
+        arrivals = []
+        fronts = [
+            front
+            for mode in self.scenario.modes
+            if (front := self._first(stages, mode, normal, tangential, grid, draw)) is not None
+        ]
+        for wall in self.walls[1:]:
+            fronts = [after for front in fronts for after in self._next(stages, front, wall)]
+        for front in fronts:
+            arrived = self._arrive(front)
+            if arrived is not None:
+                arrivals.append(arrived)
+        return arrivals
+
+    def _weight(self, collision: int) -> int:
+        """Candidates that one approach stands for once the first `collision` modes are fixed."""
+        return int(len(self.scenario.modes) ** (len(self.walls) - collision))
+
+    def _refuse(self, codes: NDArray[np.int8], collision: int) -> NDArray[np.bool_]:
+        """Count refusals; returns who stays."""
+        if codes.any():
+            self.refused[1:] += (
+                self._weight(collision) * np.bincount(codes.ravel(), minlength=self.refused.size)[1:]
+            )
+        stays: NDArray[np.bool_] = codes == 0
+        return stays
+
+    def _refuse_all(self, reason: Refusal, count: int, collision: int) -> None:
+        """Count candidates that physics refuses, constraints or not."""
+        self.refused[CODE[reason]] += count * self._weight(collision)
+
+    # -- first collision --
+
+    def _first(
+        self,
+        stages: Stages,
+        mode: Mode,
+        normal: Array,
+        tangential: Array,
+        grid: ApproachGrid,
+        draw: Draw | None,
+    ) -> _Front | None:
+        wall = self.walls[0]
+        stage = stages[wall.name, mode]
+        bx, by, _ = self.scenario.vehicle.airframe.drag_per_s
+        n2 = wall.normal[0] ** 2
+        bn, bt = n2 * bx + (1.0 - n2) * by, n2 * by + (1.0 - n2) * bx
+        vn = normal if draw is None else np.minimum(normal + draw.normal_m_s, -1e-3)
+        vt = tangential if draw is None else tangential + draw.tangential_m_s
+        zero = np.zeros_like(vn)
+        out = stage.normal(vn, bn * vn, zero, -stage.lead_s * vn, normal)
+        # Few different normal speeds among many candidates: what depends on them alone is computed once.
+        speeds, which = np.unique(vn, return_inverse=True)
+        slide = TangentialShape(*(v[which.reshape(vn.shape)] for v in stage.tangential_shape(speeds)))
+        along = stage.tangential(slide, vt, bt * vt, np.zeros_like(vt), (0.0, tangential))
+        shape = np.broadcast_shapes(normal.shape, tangential.shape)
+        flat = _flatten(shape, out), _flatten(shape, along)
+        codes = grid.codes
+        if self.constraints is not None:
+            hit = self.constraints.hit(flat[0].peak_force_n, flat[1].friction_n, flat[0].velocity)
+            approach = grid.codes.ravel()
+            codes = np.where(approach != 0, approach, hit)
+            stays = self._refuse(codes, 1)
+            rows = np.flatnonzero(stays)
+            if rows.size == 0:
+                return None
+            flat = _take(flat[0], rows), _take(flat[1], rows)
+        else:
+            rows = np.arange(math.prod(shape))
+        n = np.broadcast_to(vn, shape).ravel()[rows]
+        t = np.broadcast_to(vt, shape).ravel()[rows]
+        (nx, ny), (tx, ty) = wall.normal, wall.tangent
+        back = -stage.lead_s * t
+        onset = flat[0].onset_m
+        x = grid.impact_x.ravel()[rows] + nx * onset + tx * back
+        y = grid.impact_y.ravel()[rows] + ny * onset + ty * back
+        time = grid.impact_s.ravel()[rows] - stage.lead_s
+        return self._release(
+            stage, wall, mode, (x, y), (n, t), flat, (rows, (), time, np.zeros(rows.size), ())
+        )
+
+    def _release(
+        self,
+        stage: ContactStage,
+        wall: Wall,
+        mode: Mode,
+        position: tuple[Array, Array],
+        velocity: tuple[Array, Array],
+        out: tuple[NormalOut, TangentialOut],
+        before: tuple[Rows, tuple[Mode, ...], Array, Array, tuple[Hits, ...]],
+    ) -> _Front | None:
+        """From a contact into the next leg; candidates whose recovery is over the limits leave."""
+        (n, t), (nx, ny), (tx, ty) = out, wall.normal, wall.tangent
+        rows, modes, time, force, hits = before
+
+        def mission(normal: Array, tangential: Array) -> tuple[Array, Array]:
+            return nx * normal + tx * tangential, ny * normal + ty * tangential
+
+        sx, sy = mission(n.setpoint_m - n.onset_m, t.setpoint_m)
+        px, py = mission(n.release_m - n.onset_m, t.release_m)
+        vx, vy = mission(n.velocity, t.velocity)
+        ax, ay = mission(n.acceleration, t.acceleration)
+        ix, iy = mission(n.integral, t.integral)
+        leg = Leg(
+            np.stack((px - sx, vx, ax, ix)),
+            np.stack((py - sy, vy, ay, iy)),
+            position[0] + sx,
+            position[1] + sy,
+        )
+        hit = Hits(
+            wall,
+            mode,
+            time,
+            *position,
+            *velocity,
+            n.peak_force_n,
+            t.friction_n,
+            stage.duration_s,
+            leg,
+        )
+        front = _Front(
+            rows,
+            (*modes, mode),
+            time + stage.duration_s,
+            stage.duration_s - stage.engaged_s,
+            np.maximum(force, hit.peak_force_n),
+            leg,
+            (*hits, hit) if self.keep_hits else (),
+        )
+        if self.constraints is None:
+            return front
+        stays = self._refuse(self.constraints.command(leg, self.flight.loop), len(front.modes))
+        return _choose(front, stays) if stays.any() else None
+
+    # -- to the next wall --
+
+    def _next(self, stages: Stages, front: _Front, wall: Wall) -> list[_Front]:
+        """All modes of the next collision."""
+        index, order = self._search_wall(front, wall)
+        if order.size == 0:
+            return []
+        reached = _choose(front, order)
+        near = self.flight.near(reached.leg, index)
+        series = near.along(wall.normal)
+        series[0] -= wall.normal[0] * wall.point[0] + wall.normal[1] * wall.point[1]
+        fronts = []
+        for mode in self.scenario.modes:
+            stage = stages[wall.name, mode]
+            d = first_crossing(series, stage.lead_s, -GRID_S - 2.0 * stage.lead_s, 1e-3)
+            leg = near.leg_at(d)
+            after = near.times + d
+            codes = self._reached_codes(reached, wall, mode, after)
+            if codes is not None:
+                stays = np.flatnonzero(self._refuse(codes, len(front.modes) + 1))
+                if stays.size == 0:
+                    continue
+                fronts.append(
+                    self._collide(stage, wall, mode, _choose(reached, stays), leg.take(stays), after[stays])
+                )
+            else:
+                fronts.append(self._collide(stage, wall, mode, reached, leg, after))
+        return [front for front in fronts if front is not None]
+
+    def _reached_codes(self, front: _Front, wall: Wall, mode: Mode, after: Array) -> NDArray[np.int8] | None:
+        """Whether the lock and the detector are ready when the wall is met."""
+        if self.constraints is None:
+            return None
+        codes = np.zeros(after.size, dtype=np.int8)
+        if mode is not front.modes[-1]:
+            lock_s = self.constraints.lock_s
+            early = after < lock_s
+            then = self.flight.at(front.leg, lock_s)
+            self.constraints.mark(
+                codes, early | ~self.constraints.lock_in_time(then, wall), Refusal.SERVO_TRAVEL
+            )
+        self.constraints.mark(codes, after < self.constraints.refractory_s, Refusal.TOO_SOON)
+        return codes
+
+    def _search_wall(self, front: _Front, wall: Wall) -> tuple[Rows, Rows]:
+        """Grid index just behind the plane, and which candidates get there."""
+        (nx, ny), (px, py), (tx, ty) = wall.normal, wall.point, wall.tangent
+        offset = nx * px + ny * py
+        live = np.arange(front.leg.size)
+        grid = self.flight.grid(front.leg)
+        indices, found = [], []
+        # A wall is met from its free side: who is behind its plane at the release does not come to it.
+        side = _along(wall.normal, front.leg.x[0] + front.leg.goal_x, front.leg.y[0] + front.leg.goal_y)
+        before = np.flatnonzero(side > offset)
+        if before.size < live.size:
+            self._refuse_all(Refusal.WALL_NOT_REACHED, live.size - before.size, len(front.modes))
+            live, grid = live[before], grid.take(before)
+        for first in range(0, self.flight.count, WINDOW):
+            never = grid.stays_before(wall.normal, offset, first)
+            if never.any():
+                self._refuse_all(Refusal.WALL_NOT_REACHED, int(never.sum()), len(front.modes))
+                live, grid = live[~never], grid.take(~never)
+            if live.size == 0:
+                break
+            w = grid.window(first)
+            behind = _along(wall.normal, w.x, w.y) < offset
+            index = behind.argmax(axis=1)
+            crossed = behind[np.arange(live.size), index]
+            codes = np.zeros(live.size, dtype=np.int8)
+            if self.constraints is not None:
+                until = np.where(crossed, index, w.times.size)
+                codes = self.constraints.path(w, until, wall, first == 0)
+                rows = np.flatnonzero(crossed & (codes == 0))
+                at = index[rows]
+                along = tx * (w.x[rows, at] - px) + ty * (w.y[rows, at] - py)
+                passes = np.abs(along) > 0.5 * wall.length_m
+                codes[rows[passes]] = CODE[Refusal.WALL_NOT_REACHED]
+                self._refuse(codes, len(front.modes))
+            fine = codes == 0
+            good = np.flatnonzero(crossed & fine)
+            indices.append(first + index[good])
+            found.append(live[good])
+            stays = np.flatnonzero(~crossed & fine)
+            if stays.size < live.size:
+                live, grid = live[stays], grid.take(stays)
+        self._refuse_all(Refusal.WALL_NOT_REACHED, live.size, len(front.modes))
+        return np.concatenate([*indices, _NONE]), np.concatenate([*found, _NONE])
+
+    def _collide(
+        self, stage: ContactStage, wall: Wall, mode: Mode, front: _Front, leg: Leg, after: Array
+    ) -> _Front | None:
+        (nx, ny), (tx, ty) = wall.normal, wall.tangent
+        x, y = leg.x[0] + leg.goal_x, leg.y[0] + leg.goal_y
+        vn, an, jn = (nx * leg.x[i] + ny * leg.y[i] for i in (1, 2, 3))
+        vt, at, jt = (tx * leg.x[i] + ty * leg.y[i] for i in (1, 2, 3))
+        # The set-point of the leg, as seen from the plane and from the place of the onset.
+        away = nx * (leg.goal_x - wall.point[0]) + ny * (leg.goal_y - wall.point[1])
+        along = -(tx * leg.x[0] + ty * leg.y[0])
+        out = stage.normal(vn, an, jn, away, np.zeros_like(vn))
+        shape = stage.tangential_shape(vn)
+        slide = stage.tangential(shape, vt, at, jt, (along, 0.0))
+        time = front.t_s + after
+        if self.constraints is not None:
+            codes = self.constraints.hit(out.peak_force_n, slide.friction_n, out.velocity)
+            stays = np.flatnonzero(self._refuse(codes, len(front.modes) + 1))
+            if stays.size == 0:
+                return None
+            if stays.size < codes.size:
+                front, out, slide = _choose(front, stays), _take(out, stays), _take(slide, stays)
+                x, y, vn, vt, time = (v[stays] for v in (x, y, vn, vt, time))
+        before = (front.rows, front.modes, time, front.force_n, front.hits)
+        return self._release(stage, wall, mode, (x, y), (vn, vt), (out, slide), before)
+
+    # -- to the goal --
+
+    def _arrive(self, front: _Front) -> Arrivals | None:
+        """The closest approach, by the executive's rule for having passed the goal."""
+        index, order = self._search_goal(front)
+        if order.size == 0:
+            return None
+        arrived = _choose(front, order)
+        near = self.flight.near(arrived.leg, index)
+        low = np.where(index == 0, 0.0, -GRID_S)
+        high = np.where(index == self.flight.count, 0.0, GRID_S)
+        d, miss = closest(near.x, near.y, self._goal, low, high)
+        leg = near.leg_at(d)
+        return Arrivals(
+            arrived.rows,
+            arrived.modes,
+            miss,
+            arrived.t_s + near.times + d,
+            arrived.force_n,
+            leg.x[0] + leg.goal_x,
+            leg.y[0] + leg.goal_y,
+            leg.x[1],
+            leg.y[1],
+            arrived.hits,
+        )
+
+    def _search_goal(self, front: _Front) -> tuple[Rows, Rows]:
+        """Grid index of the least distance before the executive sees it rise, and who gets there."""
+        live = np.arange(front.leg.size)
+        grid = self.flight.grid(front.leg)
+        best = np.full(live.size, math.inf, dtype=np.float32)
+        where = np.zeros(live.size, dtype=np.intp)
+        indices, found = [], []
+        earliest = PASSED_AFTER_S - front.since_peak_s
+        goal_x, goal_y = np.float32(self._goal[0]), np.float32(self._goal[1])
+        for first in range(0, self.flight.count, WINDOW):
+            w = grid.window(first)
+            dx, dy = w.x - goal_x, w.y - goal_y
+            distance = np.sqrt(dx * dx + dy * dy)
+            least = np.minimum.accumulate(distance, axis=1)
+            np.minimum(least, best[:, None], out=least)
+            rising = distance > least + np.float32(PASSED_RISE_M)
+            rising[:, w.times < earliest] = False
+            index = rising.argmax(axis=1)
+            every = np.arange(live.size)
+            passed = rising[every, index]
+            until = np.where(passed, index + 1, w.times.size)
+            codes = np.zeros(live.size, dtype=np.int8)
+            if self.constraints is not None:
+                codes = self.constraints.path(w, until, None, first == 0)
+                self._refuse(codes, len(front.modes))
+            # The least distance before the rise may lie in this window or in an earlier one.
+            bottom = least[every, until - 1]
+            here = bottom < best
+            at = (distance <= bottom[:, None]).argmax(axis=1)
+            where = np.where(here, first + at, where)
+            fine = codes == 0
+            good = np.flatnonzero(passed & fine)
+            indices.append(where[good])
+            found.append(live[good])
+            stays = np.flatnonzero(~passed & fine)
+            live, best, where = live[stays], bottom[stays], where[stays]
+            if live.size == 0:
+                break
+            grid = grid.take(stays)
+        return np.concatenate([*indices, where]), np.concatenate([*found, live])
+
+
+_NONE = np.zeros(0, dtype=np.intp)
+
+
+def _along(direction: Vec2, x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
+    """Component along a direction, without the term that an axis has none of."""
+    nx, ny = x.dtype.type(direction[0]), y.dtype.type(direction[1])
+    along: NDArray[Any] = x * nx if ny == 0.0 else y * ny if nx == 0.0 else x * nx + y * ny
+    return along
+
+
+def new_flight(scenario: Scenario) -> FreeFlight:
+    """Tables for a scenario."""
+    return FreeFlight(scenario.vehicle, min(_HORIZON_S, scenario.limits.collision_timeout_s))
+
+
+def _choose(front: _Front, rows: Rows | NDArray[np.bool_]) -> _Front:
+    return front._replace(
+        rows=front.rows[rows],
+        t_s=front.t_s[rows],
+        force_n=front.force_n[rows],
+        leg=front.leg.take(rows),
+        hits=tuple(hit.take(rows) for hit in front.hits),
+    )
+
+
+def _flatten(shape: tuple[int, ...], out: Outcome) -> Outcome:
+    return type(out)(*(np.broadcast_to(v, shape).ravel() for v in out))
+
+
+def _take(out: Outcome, rows: Rows) -> Outcome:
+    return type(out)(*(v[rows] for v in out))

@@ -1,0 +1,54 @@
+"""The flight model against the plant: fast flights of plans, predicted against flown.
+
+The bounds are about twice what `docs/planning.md` measured over its table.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dart_flight.config.mission import load_mission
+from dart_flight.config.scenario import load_scenario
+from dart_flight.flights import fly_fast
+from dart_flight.planning.enumerate import search
+from dart_flight.planning.mission_writer import write_mission
+
+SCENARIOS = Path(__file__).parents[2] / "missions" / "scenarios"
+
+
+@pytest.mark.parametrize(("name", "seed"), [("dual_collision", 1), ("one_wall", 2)])
+def test_a_plan_flies_as_predicted(name: str, seed: int, tmp_path: Path) -> None:
+    scenario = load_scenario(SCENARIOS / f"{name}.yaml")
+    plan = search(scenario, top=1).plans[0]
+    write_mission(scenario, plan, tmp_path / "mission.yaml")
+    verdict = fly_fast(load_mission(tmp_path / "mission.yaml"), seed, None)
+    assert verdict.outcome == "completed"
+    for flown, planned in zip(verdict.collisions, plan.collisions, strict=True):
+        assert flown.truth is not None
+        assert flown.truth.normal_m_s == pytest.approx(planned.normal_m_s, rel=0.06)
+        assert flown.truth.tangential_m_s == pytest.approx(planned.tangential_m_s, abs=0.08)
+        assert flown.truth.peak_force_n == pytest.approx(planned.peak_force_n, rel=0.08)
+    between = [b.t_us - a.t_us for a, b in zip(verdict.collisions, verdict.collisions[1:], strict=False)]
+    expected = [b.t_s - a.t_s for a, b in zip(plan.collisions, plan.collisions[1:], strict=False)]
+    assert [1e-6 * t for t in between] == pytest.approx(expected, abs=0.05)
+    assert verdict.goal_miss_m == pytest.approx(plan.goal_miss_m, abs=0.1)
+
+
+def test_the_papers_plan(tmp_path: Path) -> None:
+    """Second impact and miss of the published optimum as the shipped mission flies it."""
+    mission = load_mission(SCENARIOS.parent / "dual_collision.yaml")
+    result = search(load_scenario(SCENARIOS / "dual_collision.yaml"), top=2000)
+    plan = next(
+        p
+        for p in result.plans
+        if (p.normal_m_s, p.tangential_m_s) == (-0.6, 0.5)
+        and [m.value for m in p.modes] == ["flexible", "rigid"]
+    )
+    verdict = fly_fast(mission, 4, None)
+    truth = verdict.collisions[1].truth
+    assert truth is not None
+    assert truth.normal_m_s == pytest.approx(plan.collisions[1].normal_m_s, rel=0.06)
+    assert truth.tangential_m_s == pytest.approx(plan.collisions[1].tangential_m_s, abs=0.03)
+    assert verdict.goal_miss_m == pytest.approx(plan.goal_miss_m, abs=0.06)

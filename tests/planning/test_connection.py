@@ -1,0 +1,43 @@
+"""Planning with the parameters of the vehicle that answers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from dart_flight.config.scenario import load_scenario
+from dart_flight.config.vehicle import LockDriver
+
+SCENARIOS = Path(__file__).parents[2] / "missions" / "scenarios"
+
+
+@pytest.mark.mavlink
+def test_gains_come_from_the_vehicle(tmp_path: Path) -> None:
+    from dart_flight.flights import with_vehicle_parameters
+    from dart_flight.sim.harness import EmbeddedWorld, free_udp_port
+    from dart_flight.sim.process import WorldSpec
+
+    scenario = load_scenario(SCENARIOS / "dual_collision.yaml")
+    tuned = msgspec.structs.replace(scenario.vehicle.px4, mpc_xy_p=1.25, mpc_xy_vel_p_acc=2.5)
+    vehicle = msgspec.structs.replace(scenario.vehicle, px4=tuned)
+    port = free_udp_port()
+    mission = str(SCENARIOS.parent / "dual_collision.yaml")
+    spec = WorldSpec(
+        mission,
+        msgspec.json.encode(vehicle).decode(),
+        1,
+        [port],
+        LockDriver.MOCK,
+        str(tmp_path / "world.txt"),
+    )
+    world = EmbeddedWorld(spec, lambda record: None)
+    try:
+        world.wait_ready()
+        read = with_vehicle_parameters(scenario, f"udpin://127.0.0.1:{port}")
+    finally:
+        world.close()
+    assert read.vehicle.px4.mpc_xy_p == pytest.approx(1.25)
+    assert read.vehicle.px4.mpc_xy_vel_p_acc == pytest.approx(2.5)
+    assert scenario.vehicle.px4.mpc_xy_p == pytest.approx(0.95)
