@@ -3,8 +3,8 @@
     python -m tools.lossy_proxy --listen 14540 --to 14541 --loss 5 --delay-ms 20 --record build/wire.csv
 
 The vehicle sends to `--listen`; the app listens on `--to` (`fly --connection udpin://127.0.0.1:14541`) and
-its answers go back the same way. `--record` writes one line per datagram that passes: monotonic time in seconds,
-`down` (to the app) or `up` (to the vehicle), MAVLink message id. Ends on SIGTERM or SIGINT.
+its answers go back the same way. `--record` writes one line per datagram that passes: monotonic time in
+seconds, `down` (to the app) or `up` (to the vehicle), MAVLink message id. Ends on SIGTERM or SIGINT.
 """
 
 from __future__ import annotations

@@ -274,7 +274,7 @@ class MavlinkEndpoint:
         self._send(link, ack)
 
     def _set_interval(self, link: Link, message_id: int, interval_us: float) -> int:
-        if message_id not in self._builders:
+        if message_id not in self._builders or not math.isfinite(interval_us):
             return int(mavlink.MAV_RESULT_DENIED)
         if interval_us < 0:
             link.set_rate(message_id, 0.0)

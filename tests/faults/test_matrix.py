@@ -1,4 +1,4 @@
-"""Faults in the fast world: each cell of the matrix is what the table says it may be, and none is uncontrolled.
+"""Faults in the fast world: each cell of the matrix is what the table says, and none is uncontrolled.
 
 `make campaign` flies all of it and thousands of random ones (`docs/fault_matrix.md`); here a sample.
 """
