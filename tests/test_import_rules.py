@@ -24,6 +24,8 @@ FLOORS = {
     "recording": 6,
     "sim": 7,  # may use the lock's pure modules
     "verdict": 7,
+    "deadman": 0,  # alone in a process of its own
+    "check": 8,
     "app": 8,
     "flights": 9,
     "cli": 10,

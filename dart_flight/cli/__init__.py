@@ -23,6 +23,7 @@ COMMANDS = {
     "fly": "fly a mission on the vehicle",
     "dry-run": "fly a mission in simulation",
     "simulate": "a simulated vehicle alone, for `fly` in another terminal or a ground station",
+    "check": "go or no-go: a mission, and the vehicle where one answers",
     "lock": "move or report the locking mechanism",
     "plan": "choose walls, velocities and modes for a scenario, and write the mission",
     "predict": "predict a collision or a drop",

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 
+from dart_flight.check import check_mission, check_vehicle, decide
+from dart_flight.cli.check_command import show
 from dart_flight.cli.flight_output import FlightLines, verdict_table
 from dart_flight.cli.options import add_flight_options
 from dart_flight.cli.terminal import emit_json, messages, tables
@@ -21,6 +23,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="URL",
         help="serial:///dev/ttyAMA0:921600, udpin://0.0.0.0:14540 (default: connection.url)",
     )
+    parser.add_argument(
+        "--overrule", action="append", default=[], metavar="ITEM", help="fly although `check` says no-go here"
+    )
     parser.add_argument("--yes", action="store_true", help="do not ask before flying")
 
 
@@ -34,6 +39,11 @@ def run(arguments: argparse.Namespace) -> int:
     url = arguments.connection or mission.vehicle.connection.url
     console = messages()
     console.print(_intention(mission, url), soft_wrap=True)
+    findings = check_mission(mission) + check_vehicle(mission, url)
+    report = decide(mission, findings, arguments.overrule)
+    show(report, console)
+    if not report.go:
+        return 1
     if not arguments.yes and not _confirmed():
         console.print("not flown")
         return 1

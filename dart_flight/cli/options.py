@@ -15,18 +15,23 @@ def add_flight_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--log-dir", type=Path, default=Path("flights"), metavar="DIR", help="default: flights"
     )
+    add_driver_option(parser)
+    parser.add_argument(
+        "--standoff",
+        type=float,
+        metavar="M",
+        help="rehearsal: instead of hitting a wall, stop this many metres before it",
+    )
+
+
+def add_driver_option(parser: argparse.ArgumentParser) -> None:
+    """What moves the lock."""
     parser.add_argument(
         "--driver",
         type=LockDriver,
         choices=list(LockDriver),
         metavar="DRIVER",
         help="what moves the lock: " + ", ".join(LockDriver) + " (default: lock.driver of the configuration)",
-    )
-    parser.add_argument(
-        "--standoff",
-        type=float,
-        metavar="M",
-        help="rehearsal: instead of hitting a wall, stop this many metres before it",
     )
 
 

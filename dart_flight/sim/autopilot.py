@@ -278,6 +278,16 @@ def default_parameters(vehicle: VehicleConfig) -> dict[str, float]:
     parameters["THR_MDL_FAC"] = vehicle.thrust.model_factor
     parameters["SYS_AUTOSTART"] = 4001.0
     parameters["MAV_SYS_ID"] = 1.0
+    # What a vehicle that collides is asked for on the ground (`check`); PX4 v1.16 defaults.
+    parameters |= {
+        "COM_OBL_RC_ACT": 5.0,
+        "COM_RCL_EXCEPT": 4.0,
+        "FD_FAIL_P": 60.0,
+        "FD_FAIL_R": 60.0,
+        "COM_LKDOWN_TKO": 3.0,
+        "CBRK_FLIGHTTERM": 121212.0,
+        "IMU_GYRO_RATEMAX": 400.0,
+    }
     # The lock's servo hangs on the output that the configuration names, set up as it asks.
     for required in required_parameters(vehicle.lock):
         parameters[required.name] = float(required.value)

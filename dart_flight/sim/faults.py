@@ -248,10 +248,13 @@ class VehicleFault:
         self._autopilot.plant.planes.clear()
 
     def _begin_wall_nearer(self) -> None:
-        for plane in self._autopilot.plant.planes:
+        plant, d = self._autopilot.plant, self._fault.value
+        here = plant.frame.point_from_ned(plant.position)
+        for plane in plant.planes:
             nx, ny = plane.wall.normal
             px, py = plane.wall.point
-            d = self._fault.value
+            if -1.0 < plane.wall.signed_distance(here) < d + 0.1:
+                continue  # it would stand inside the vehicle: walls are wrongly surveyed, they do not jump
             plane.wall = msgspec.structs.replace(plane.wall, point=(px + d * nx, py + d * ny))
             plane.point = add(plane.point, scale(plane.normal, d))
 

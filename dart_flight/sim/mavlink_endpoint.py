@@ -28,7 +28,10 @@ _VERSION = (1 << 24) | (16 << 16) | (0 << 8) | 255  # says v1.16.0, the version 
 _HOME_LAT, _HOME_LON, _HOME_ALT = 33.4242, -111.9281, 360.0
 _EARTH_M_PER_DEG = 111_320.0
 # Everything else that the embedded autopilot knows is a float in PX4, too.
-_INTEGER_PREFIXES = ("SYS_", "MAV_", "COM_PREARM_MODE", "PWM_")
+_INTEGER_PREFIXES = (
+    *("SYS_", "MAV_", "PWM_", "CBRK_", "FD_FAIL_"),
+    *("COM_PREARM_MODE", "COM_OBL_RC_ACT", "COM_RCL_EXCEPT", "IMU_GYRO_RATEMAX"),
+)
 
 # PX4 custom mode: main mode and, for the automatic modes, sub mode.
 _MODES: dict[FlightMode, tuple[int, int]] = {
@@ -271,7 +274,7 @@ class MavlinkEndpoint:
         self._send(link, ack)
 
     def _set_interval(self, link: Link, message_id: int, interval_us: float) -> int:
-        if message_id not in self._builders:
+        if message_id not in self._builders or not math.isfinite(interval_us):
             return int(mavlink.MAV_RESULT_DENIED)
         if interval_us < 0:
             link.set_rate(message_id, 0.0)

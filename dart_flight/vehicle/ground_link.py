@@ -2,17 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import contextlib
+import math
+import time
+from collections.abc import Callable, Iterable
 from types import TracebackType
 from typing import Any
 
+import msgspec
 from mavsdk.component_type import ComponentType
 from mavsdk.logging import log_subscribe
 from mavsdk.mavsdk import Configuration, Mavsdk
 from mavsdk.plugins.action import Action
+from mavsdk.plugins.info import Info
 from mavsdk.plugins.param import Param
+from mavsdk.plugins.telemetry import Telemetry
 
+from dart_flight.streams import BY_NAME
 from dart_flight.vehicle.session import VehicleError, log_quietly
+
+
+class Observation(msgspec.Struct):
+    """What a vehicle on the ground says in a few seconds."""
+
+    version: str = ""
+    rates_hz: dict[str, float] = {}
+    battery_v: float | None = None
+    battery_remaining: float | None = None  # 0 to 1
+    local_position_ok: bool = False
 
 
 class GroundLink:
@@ -39,6 +56,7 @@ class GroundLink:
             self._mavsdk.destroy()
             raise VehicleError(f"no autopilot on {self._url} within {self._timeout_s:g} s")
         self._action, self._param = Action(system), Param(system)
+        self._telemetry, self._info = Telemetry(system), Info(system)
         return self
 
     def __exit__(
@@ -61,3 +79,48 @@ class GroundLink:
                     continue
                 break
         return values
+
+    def observe(self, seconds: float) -> Observation:
+        """Ask for the rates of the stream table, then listen; blocks for that long."""
+        t, seen = self._telemetry, Observation()
+        counts: dict[str, int] = {}
+
+        def count(name: str) -> Callable[[Any, Any], None]:
+            counts[name] = 0
+
+            def one(_sample: Any, _: Any) -> None:
+                counts[name] += 1
+
+            return one
+
+        def battery(b: Any, _: Any) -> None:
+            seen.battery_v = float(b.voltage_v) if math.isfinite(b.voltage_v) else None
+            share = 0.01 * float(b.remaining_percent)
+            seen.battery_remaining = share if math.isfinite(share) else None
+
+        def health(h: Any, _: Any) -> None:
+            seen.local_position_ok = bool(h.is_local_position_ok)
+
+        for set_rate, name in (
+            (t.set_rate_imu, "imu"),
+            (t.set_rate_attitude_quaternion, "attitude"),
+            (t.set_rate_odometry, "odometry"),
+            (t.set_rate_actuator_output_status, "actuator"),
+        ):
+            with contextlib.suppress(Exception):  # refused: the count shows what comes anyway
+                set_rate(BY_NAME[name].rate_hz)
+        t.subscribe_imu(count("imu"))
+        t.subscribe_attitude_quaternion(count("attitude"))
+        t.subscribe_odometry(count("odometry"))
+        t.subscribe_actuator_output_status(count("actuator"))
+        t.subscribe_battery(battery)
+        t.subscribe_health(health)
+        began = time.monotonic()
+        before = dict(counts)
+        time.sleep(seconds)
+        elapsed = time.monotonic() - began
+        seen.rates_hz = {name: (counts[name] - before[name]) / elapsed for name in counts}
+        with contextlib.suppress(Exception):
+            v = self._info.get_version()
+            seen.version = f"{v.flight_sw_major}.{v.flight_sw_minor}.{v.flight_sw_patch}"
+        return seen

@@ -1,0 +1,50 @@
+"""`dart-flight check MISSION`: go or no-go, on the ground."""
+
+from __future__ import annotations
+
+import argparse
+
+from rich.console import Console
+from rich.markup import escape
+
+from dart_flight.check import CheckReport, check_mission, check_vehicle, decide
+from dart_flight.cli.options import add_driver_option
+from dart_flight.cli.terminal import emit_json, messages
+from dart_flight.config.mission import load_mission
+from dart_flight.flights import with_driver
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("mission", metavar="MISSION", help="mission file, see missions/")
+    parser.add_argument("--connection", metavar="URL", help="also check the vehicle that answers here")
+    parser.add_argument(
+        "--overrule", action="append", default=[], metavar="ITEM", help="fly although this item is no-go"
+    )
+    add_driver_option(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; returns the exit status."""
+    mission = load_mission(arguments.mission, arguments.config)
+    if arguments.driver is not None:
+        mission = with_driver(mission, arguments.driver)
+    findings = check_mission(mission)
+    if arguments.connection is not None:
+        findings += check_vehicle(mission, arguments.connection)
+    report = decide(mission, findings, arguments.overrule)
+    if arguments.json:
+        emit_json(report)
+    else:
+        show(report, messages())
+    return 0 if report.go else 1
+
+
+def show(report: CheckReport, console: Console) -> None:
+    """The findings, no-goes in red, and the word at the end."""
+    for finding in report.findings:
+        word = "[green]go[/]     " if finding.go else "[red]NO-GO[/]  "
+        if finding.overruled:
+            word = "[yellow]overruled[/]"
+        console.print(f"{word} [bold]{finding.item}[/]: {escape(finding.says)}", soft_wrap=True)
+    console.print("[bold green]go[/]" if report.go else "[bold red]no-go[/]: not to be flown like this")

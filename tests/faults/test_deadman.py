@@ -1,0 +1,184 @@
+"""The deadman: who starves dies, and nobody else. In flight: measured on the wire, not in the program."""
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from dart_flight.deadman import SystemdNotice
+from dart_flight.sim.harness import free_udp_port
+from tools.lossy_proxy import set_point_times
+
+ROOT = Path(__file__).parents[2]
+SINGLE = str(ROOT / "missions/single_wall.yaml")
+STARVE_S = 0.3
+
+FED = """
+import sys, time
+from pathlib import Path
+from dart_flight.deadman import CORE, LOOP, Deadman
+deadman = Deadman({starve}, Path(sys.argv[1]))
+deadman.arm()
+print(time.monotonic(), deadman.pid, flush=True)
+{body}
+"""
+
+
+def fed(body: str, note: Path) -> subprocess.Popen[str]:
+    """A process with a deadman that does `body`."""
+    return subprocess.Popen(
+        [sys.executable, "-c", FED.format(starve=STARVE_S, body=textwrap.dedent(body)), str(note)],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+FEED_BOTH = "deadman.feed(CORE); deadman.feed(LOOP); time.sleep(0.02)"
+
+
+@pytest.mark.parametrize(
+    ("body", "starving"),
+    [
+        ("while True: deadman.feed(LOOP); time.sleep(0.02)", "core thread"),
+        ("while True: deadman.feed(CORE); time.sleep(0.02)", "event loop"),
+        ("import ctypes; ctypes.PyDLL(None).sleep(20)", "core thread and event loop"),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSTOP)", "core thread and event loop"),
+    ],
+    ids=["core", "loop", "interpreter lock", "SIGSTOP"],
+)
+def test_who_starves_is_killed_in_time(body: str, starving: str, tmp_path: Path) -> None:
+    note = tmp_path / "deadman.txt"
+    process = fed(body, note)
+    assert process.stdout is not None
+    began = float(process.stdout.readline().split()[0])
+    assert process.wait(10) == -signal.SIGKILL
+    assert STARVE_S * 0.9 < time.monotonic() - began < STARVE_S + 1.0  # the bound for a loaded machine
+    assert f"deadman: {starving} silent for" in note.read_text()
+
+
+def test_who_feeds_lives_and_ends_as_it_likes(tmp_path: Path) -> None:
+    note = tmp_path / "deadman.txt"
+    process = fed(f"for _ in range(50): {FEED_BOTH}\ndeadman.let_go(); time.sleep(0.6)", note)
+    assert process.wait(15) == 0
+    assert not note.exists()
+
+
+def test_a_watcher_that_was_stopped_itself_harms_nobody(tmp_path: Path) -> None:
+    process = fed(f"for _ in range(100): {FEED_BOTH}\ndeadman.let_go()", tmp_path / "note")
+    assert process.stdout is not None
+    watcher = int(process.stdout.readline().split()[1])
+    os.kill(watcher, signal.SIGSTOP)
+    time.sleep(2 * STARVE_S)
+    os.kill(watcher, signal.SIGCONT)
+    assert process.wait(15) == 0
+
+
+def test_a_watcher_that_dies_is_replaced(tmp_path: Path) -> None:
+    body = f"""
+    import os, signal
+    os.kill(deadman.pid, signal.SIGKILL)
+    time.sleep(0.1)
+    for _ in range(20):
+        {FEED_BOTH}
+        deadman.mend()
+    time.sleep(20)
+    """
+    note = tmp_path / "note"
+    assert fed(body, note).wait(15) == -signal.SIGKILL
+    assert "silent" in note.read_text()
+
+
+def test_systemd_is_told(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(str(tmp_path / "notify"))
+        listener.settimeout(1.0)
+        notice = SystemdNotice({"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "400000"})
+        notice.ready("flying")
+        assert listener.recv(100) == b"READY=1\nSTATUS=flying"
+        for _ in range(5):
+            notice.alive()
+        assert listener.recv(100) == b"WATCHDOG=1"
+        listener.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            listener.recv(100)  # at half the period, not at every call
+    SystemdNotice({}).alive()  # without systemd: nothing
+
+
+def test_nothing_that_flies_reads_the_time_of_day() -> None:
+    """Jumps of the host's clock cannot matter to what never looks at it."""
+    package = ROOT / "dart_flight"
+    for folder in ("flight", "vehicle", "lock/drivers", "lock/session.py", "deadman.py", "app.py"):
+        path = package / folder
+        for file in [path] if path.is_file() else path.rglob("*.py"):
+            assert not re.search(
+                r"\btime\.time\(|time_ns\(\)(?<!monotonic_ns\(\))|datetime", file.read_text()
+            ), file
+
+
+# --- in flight ---------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def vehicle_behind_proxy(record: Path) -> Iterator[str]:
+    """A simulated vehicle and a recording proxy; yields the URL for the app."""
+    near, far = free_udp_port(), free_udp_port()
+    proxy = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "tools.lossy_proxy"),
+            *("--listen", str(far), "--to", str(near), "--record", str(record)),
+        ],
+        cwd=ROOT,
+    )
+    vehicle = subprocess.Popen(
+        [sys.executable, "-m", "dart_flight", "simulate", SINGLE, "--port", str(far)],
+        cwd=ROOT,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        yield f"udpin://127.0.0.1:{near}"
+    finally:
+        for process in (vehicle, proxy):
+            process.terminate()
+            process.wait(10)
+
+
+@pytest.mark.mavlink
+@pytest.mark.parametrize("fault", ["hang-core", "hang-loop", "hang-lock", "sigstop", "sigkill"])
+def test_set_points_stop_on_the_wire_within_half_a_second(fault: str, tmp_path: Path) -> None:
+    record = tmp_path / "wire.csv"
+    with vehicle_behind_proxy(record) as url:
+        flight = subprocess.run(
+            [
+                *(sys.executable, str(Path(__file__).with_name("sabotaged_flight.py"))),
+                *(SINGLE, url, str(tmp_path), f"{fault}@approach"),
+            ],
+            cwd=ROOT,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        time.sleep(1.0)  # whoever still sends is still recorded
+    assert flight.returncode == -signal.SIGKILL, flight.stderr
+    at = re.search(r"at monotonic ([0-9.]+) s", flight.stderr)
+    assert at is not None, flight.stderr
+    times = set_point_times(record)
+    assert len(times) > 200  # it flew
+    last = max(times) - float(at[1])
+    print(f"{fault}: last set-point {1e3 * last:.0f} ms after the fault")
+    assert last < 0.5
+    if fault != "sigkill":
+        assert "deadman:" in flight.stderr

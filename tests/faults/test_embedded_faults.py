@@ -1,0 +1,58 @@
+"""A chosen part of the fault matrix through real MAVSDK, in real time."""
+
+from pathlib import Path
+
+import pytest
+
+from dart_flight.flights import fly_embedded, load_flyable
+from dart_flight.recording import read_log
+from dart_flight.samples import GuardEvent, ImuSample, SetPoint, Silence, StatusSample, VehicleCommand
+from dart_flight.sim.faults import Fault, parse_fault
+from tools.campaign_faults import expected
+
+ROOT = Path(__file__).parents[2]
+SINGLE = ROOT / "missions/single_wall.yaml"
+
+
+def flown(text: str, folder: Path) -> tuple[str, list[object], Fault]:
+    fault = parse_fault(text)
+    verdict = fly_embedded(load_flyable(SINGLE), 1, folder, fault=fault)
+    assert verdict.log is not None
+    log = read_log(next(folder.glob("*/flight.mcap")))
+    came = "completed" if verdict.outcome == "completed" else (verdict.reason or "").split(":")[0]
+    return came, [e.record for e in log.entries], fault
+
+
+@pytest.mark.mavlink
+@pytest.mark.parametrize(
+    "text",
+    ["wall-missing@approach", "packet-loss=10@take-off", "link-loss@recovery", "servo-unplugged@approach"],
+)
+def test_a_cell_through_mavsdk(text: str, tmp_path: Path) -> None:
+    came, records, fault = flown(text, tmp_path)
+    assert came in expected()[fault.name, str(fault.phase)]
+    if came != "completed":
+        assert came in [r.rule for r in records if isinstance(r, GuardEvent)]
+
+
+@pytest.mark.mavlink
+def test_imu_drop_out_to_decision_within_a_tenth_of_a_second(tmp_path: Path) -> None:
+    came, records, _ = flown("imu-dropout@approach", tmp_path)
+    assert came == "imu_silent"
+    event = next(i for i, r in enumerate(records) if isinstance(r, GuardEvent))
+    last = max(r.received_us for r in records[:event] if isinstance(r, ImuSample))
+    newest = max(getattr(r, "received_us", 0) for r in records[: event + 1])
+    print(f"decision {1e-3 * (newest - last):.1f} ms after the last IMU sample")
+    assert newest - last <= 100_000
+
+
+@pytest.mark.mavlink
+def test_the_pilot_gets_silence_at_once(tmp_path: Path) -> None:
+    came, records, _ = flown("pilot@approach", tmp_path)
+    assert came == "pilot"
+    shown = next(r for r in records if isinstance(r, StatusSample) and r.flight_mode == "manual")
+    silence = next(r for r in records if isinstance(r, Silence))
+    print(f"silence {1e-3 * (silence.t_us - shown.t_us):.1f} ms after telemetry showed the mode")
+    assert silence.t_us - shown.t_us <= 100_000
+    after = records[records.index(silence) :]
+    assert not [r for r in after if isinstance(r, SetPoint | VehicleCommand)]

@@ -1,0 +1,101 @@
+"""Faults in the fast world: each cell of the matrix is what the table says, and none is uncontrolled.
+
+`make campaign` flies all of it and thousands of random ones (`docs/fault_matrix.md`); here a sample.
+"""
+
+from pathlib import Path
+
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.config import InputError
+from dart_flight.flights import fly_fast, load_flyable
+from dart_flight.samples import GuardEvent, Record, StatusSample
+from dart_flight.sim.faults import KINDS, Fault, parse_fault
+from dart_flight.sim.impairment import Impairment, LossyLink
+from tools.campaign_faults import PHASES, came_of, cell, expected, random_flight
+
+ROOT = Path(__file__).parents[2]
+SINGLE = ROOT / "missions/single_wall.yaml"
+# The cells that are flown here: each fault once, the phases in turn.
+SAMPLE = [(kind.name, PHASES[i % len(PHASES)]) for i, kind in enumerate(KINDS)]
+
+
+def test_the_table_has_every_cell() -> None:
+    assert set(expected()) == {(kind.name, phase) for kind in KINDS for phase in PHASES}
+
+
+@pytest.mark.parametrize(("fault", "phase"), SAMPLE)
+def test_a_cell_is_what_the_table_says(fault: str, phase: str) -> None:
+    flown = cell(fault, phase)
+    assert not flown.problems
+    assert came_of(flown) in expected()[fault, phase]
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_random_faults_stay_controlled(number: int) -> None:
+    flown = random_flight(7 * number)
+    assert not flown.problems, flown
+
+
+def test_imu_drop_out_is_decided_within_a_tenth_of_a_second() -> None:
+    for phase in ("approach", "recovery"):
+        flown = cell("imu-dropout", phase)
+        assert flown.decision_ms is not None
+        assert flown.decision_ms <= 100.0
+
+
+def test_the_pilot_has_it_at_once() -> None:
+    """From the sample that shows the mode change to silence: the same step."""
+    records: list[Record] = []
+    fly_fast(load_flyable(SINGLE), 1, None, records.append, fault=Fault("pilot", 0.0, "approach"))
+    seen = next(r.t_us for r in records if isinstance(r, StatusSample) and r.flight_mode == "manual")
+    said = next(r.t_us for r in records if isinstance(r, GuardEvent))
+    assert 0 <= said - seen <= 4000
+    after = [r.topic for r in records if getattr(r, "t_us", 0) > said]
+    assert not [topic for topic in after if topic in ("/out/setpoint", "/out/command", "/out/lock")]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("hangs", "unknown fault"),
+        ("pilot@lunch", "unknown phase"),
+        ("delay=soon", "not a number"),
+        ("delay=1e9", "0 to 2000 ms"),
+        ("pilot=3", "no value"),
+    ],
+)
+def test_wrong_faults_are_named(text: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        parse_fault(text)
+    assert main(["dry-run", str(SINGLE), "--fast", "--fault", text]) == 2
+
+
+def test_a_fault_as_typed() -> None:
+    assert parse_fault("packet-loss=5@contact") == Fault("packet-loss", 5.0, "contact")
+    assert parse_fault("gust") == Fault("gust", 5.0, None)
+
+
+def test_a_lossy_link_does_what_it_says() -> None:
+    def through(impairment: Impairment) -> tuple[list[int], list[int]]:
+        link: LossyLink[int] = LossyLink(1)
+        link.impairment = impairment
+        arrived = []
+        for i in range(2000):
+            link.push(i * 0.004, i)
+            arrived += link.pop(i * 0.004)
+        return arrived, link.pop(1e9)
+
+    assert through(Impairment()) == (list(range(2000)), [])
+    lost, _ = through(Impairment(loss=0.1))
+    assert 150 < 2000 - len(lost) < 250
+    late, rest = through(Impairment(delay_s=0.1))
+    assert late + rest == list(range(2000))
+    assert len(rest) == 25
+    twice, _ = through(Impairment(duplicate=0.5))
+    assert 900 < len(twice) - 2000 < 1100
+    mixed, rest = through(Impairment(reorder=0.1))
+    assert sorted(mixed + rest) == list(range(2000))
+    assert mixed != sorted(mixed)
+    assert through(Impairment(down=True)) == ([], [])

@@ -1,0 +1,132 @@
+"""A UDP proxy between a vehicle and the app that loses, delays, reorders and duplicates, and keeps the times.
+
+    python -m tools.lossy_proxy --listen 14540 --to 14541 --loss 5 --delay-ms 20 --record build/wire.csv
+
+The vehicle sends to `--listen`; the app listens on `--to` (`fly --connection udpin://127.0.0.1:14541`) and
+its answers go back the same way. `--record` writes one line per datagram that passes: monotonic time in
+seconds, `down` (to the app) or `up` (to the vehicle), MAVLink message id. Ends on SIGTERM or SIGINT.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import select
+import signal
+import socket
+import sys
+import time
+from pathlib import Path
+from typing import IO
+
+from dart_flight.sim.impairment import Impairment, LossyLink
+
+SET_POSITION_TARGET_LOCAL_NED = 84
+_IDLE_S = 0.05
+
+
+def message_id(datagram: bytes) -> int:
+    """Id of the first MAVLink message in a datagram (either version); -1 for anything else."""
+    if len(datagram) >= 10 and datagram[0] == 0xFD:
+        return int.from_bytes(datagram[7:10], "little")
+    if len(datagram) >= 6 and datagram[0] == 0xFE:
+        return datagram[5]
+    return -1
+
+
+class Proxy:
+    """The two sockets and what happens between them."""
+
+    def __init__(
+        self, listen: int, to: int, impairment: Impairment, seed: int, record: IO[str] | None
+    ) -> None:
+        self._vehicle_side = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._vehicle_side.bind(("127.0.0.1", listen))
+        self._app_side = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._app_side.bind(("127.0.0.1", 0))
+        self._app = ("127.0.0.1", to)
+        self._vehicle: tuple[str, int] | None = None
+        self._down: LossyLink[bytes] = LossyLink(seed)
+        self._up: LossyLink[bytes] = LossyLink(seed + 1)
+        self._down.impairment = self._up.impairment = impairment
+        self._record = record
+        self.stopped = False
+
+    def run(self) -> None:
+        """Forward until `stopped`."""
+        sockets = [self._vehicle_side, self._app_side]
+        while not self.stopped:
+            due = [s for s in (self._down.next_s(), self._up.next_s()) if s is not None]
+            wait_s = max(0.0, min([_IDLE_S, *(s - time.monotonic() for s in due)]))
+            readable, _, _ = select.select(sockets, [], [], wait_s)
+            for one in readable:
+                self._receive(one)
+            self._send()
+
+    def _receive(self, one: socket.socket) -> None:
+        try:
+            data, sender = one.recvfrom(4096)
+        except OSError:  # an earlier datagram found nobody listening
+            return
+        now = time.monotonic()
+        if one is self._vehicle_side:
+            self._vehicle = sender
+            self._down.push(now, data)
+        else:
+            self._up.push(now, data)
+
+    def _send(self) -> None:
+        now = time.monotonic()
+        for data in self._down.pop(now):
+            self._forward(self._app_side, data, self._app, "down", now)
+        for data in self._up.pop(now):
+            if self._vehicle is not None:
+                self._forward(self._vehicle_side, data, self._vehicle, "up", now)
+
+    def _forward(self, by: socket.socket, data: bytes, to: tuple[str, int], way: str, now: float) -> None:
+        try:
+            by.sendto(data, to)
+        except OSError:
+            return
+        if self._record is not None:
+            self._record.write(f"{now:.4f},{way},{message_id(data)}\n")
+
+
+def set_point_times(record: Path) -> list[float]:
+    """Monotonic times at which set-points went to the vehicle, by a recording."""
+    rows = (line.strip().split(",") for line in record.read_text().splitlines())
+    return [float(t) for t, way, kind in rows if way == "up" and int(kind) == SET_POSITION_TARGET_LOCAL_NED]
+
+
+def main() -> int:
+    """Run it from the command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--listen", type=int, default=14540)
+    parser.add_argument("--to", type=int, default=14541)
+    parser.add_argument("--loss", type=float, default=0.0, help="per cent")
+    parser.add_argument("--delay-ms", type=float, default=0.0)
+    parser.add_argument("--reorder", type=float, default=0.0, help="per cent")
+    parser.add_argument("--duplicate", type=float, default=0.0, help="per cent")
+    parser.add_argument("--seed", type=int, default=random.randrange(2**31))
+    parser.add_argument("--record", type=Path)
+    a = parser.parse_args()
+    impairment = Impairment(
+        loss=0.01 * a.loss,
+        delay_s=1e-3 * a.delay_ms,
+        reorder=0.01 * a.reorder,
+        duplicate=0.01 * a.duplicate,
+    )
+    record = open(a.record, "w", buffering=1) if a.record else None  # noqa: SIM115
+    proxy = Proxy(a.listen, a.to, impairment, a.seed, record)
+
+    def stop(_number: int, _frame: object) -> None:
+        proxy.stopped = True
+
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    proxy.run()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
