@@ -10,6 +10,7 @@ the first different command on, the recorded vehicle did not do what that comman
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 from collections.abc import Iterator, Sequence
@@ -32,7 +33,6 @@ from dart_flight.samples import (
     GuardEvent,
     ImpactOnset,
     ImpactPeak,
-    Input,
     LockCommand,
     LockPermission,
     MissionEnd,
@@ -173,11 +173,27 @@ def _note(log: Log, result: Replay) -> str:
 def _compare(
     number: int, t_us: int, recorded: list[Output], replayed: list[Output], tolerance: float
 ) -> Iterator[Difference]:
-    for i in range(max(len(recorded), len(replayed))):
-        before = recorded[i] if i < len(recorded) else None
-        after = replayed[i] if i < len(replayed) else None
+    for before, after in _pairs(recorded, replayed):
         if not _same_record(before, after, tolerance):
             yield Difference(number, getattr(before or after, "t_us", t_us), before, after)
+
+
+def _pairs(
+    recorded: Sequence[Record], replayed: Sequence[Record]
+) -> list[tuple[Record | None, Record | None]]:
+    """Records of both sides that are the same decision, whatever their numbers, side by side."""
+    if [type(r) for r in recorded] == [type(r) for r in replayed]:
+        return list(zip(recorded, replayed, strict=True))
+    pairs: list[tuple[Record | None, Record | None]] = []
+    labels = [[_label(r) for r in side] for side in (recorded, replayed)]
+    matcher = difflib.SequenceMatcher(a=labels[0], b=labels[1], autojunk=False)
+    for kind, a0, a1, b0, b1 in matcher.get_opcodes():
+        if kind == "equal":
+            pairs += zip(recorded[a0:a1], replayed[b0:b1], strict=True)
+        else:
+            pairs += [(r, None) for r in recorded[a0:a1]]
+            pairs += [(None, r) for r in replayed[b0:b1]]
+    return pairs
 
 
 def _same_record(a: Record | None, b: Record | None, tolerance: float) -> bool:
@@ -203,6 +219,43 @@ def _show(record: Record | None) -> str:
         return "nothing"
     values = {k: v for k, v in msgspec.structs.asdict(record).items() if v is not None}
     return f"{type(record).__name__}({', '.join(f'{k}={v!s}' for k, v in values.items())})"
+
+
+def decision_rows(result: Replay) -> list[tuple[float, str, str, str]]:
+    """Recorded and replayed decisions side by side, in time: (s since the first, kind, recorded, replayed).
+
+    A decision that both took stands in one row, also where its numbers or its time differ a little.
+    """
+    both = (*result.recorded, *result.replayed)
+    first_us = min((getattr(r, "t_us", 0) for r in both), default=0)
+    rows: list[tuple[float, str, str, str]] = []
+    for one, other in _pairs(result.recorded, result.replayed):
+        some = one or other
+        time_s = (getattr(some, "t_us", first_us) - first_us) * 1e-6
+        rows.append((time_s, type(some).__name__, _brief(one, first_us), _brief(other, first_us)))
+    return rows
+
+
+def _label(record: Record) -> tuple[str, ...]:
+    """What makes two decisions the same one: everything but numbers."""
+    values = msgspec.structs.asdict(record)
+    words = (str(v) for k, v in values.items() if isinstance(v, str | bool) and k not in ("detail", "reason"))
+    return (type(record).__name__, *words)
+
+
+def _brief(record: Record | None, first_us: int) -> str:
+    if record is None:
+        return "-"
+    parts = [f"at {(getattr(record, 't_us', 0) - first_us) * 1e-6:.3f} s"]
+    for name, value in msgspec.structs.asdict(record).items():
+        if name.endswith("_us") or value is None:
+            continue
+        if isinstance(value, tuple):
+            shown = "(" + ", ".join(f"{v:.3f}" for v in value) + ")"
+        else:
+            shown = f"{value:.3f}" if isinstance(value, float) else str(value)
+        parts.append(f"{name} {shown}")
+    return ", ".join(parts)
 
 
 # --- changed settings --------------------------------------------------------------------------------
@@ -286,4 +339,4 @@ def _child(node: Any, part: str | int, setting: str) -> Any:
     raise InputError(f"--set {setting}: unknown key {part}, known: {known}")
 
 
-__all__ = ["DECISIONS", "Difference", "Input", "Replay", "changed_mission", "replay"]
+__all__ = ["DECISIONS", "Difference", "Replay", "changed_mission", "decision_rows", "replay"]
