@@ -24,7 +24,8 @@ test: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/pytest -m 'not mavlink and not px4' -n auto
-	$(BIN)/pytest -m 'mavlink or px4' -rs
+	@# In real time the guard lands after 100 ms of silence; a shared machine may stall for longer: once more.
+	$(BIN)/pytest -m 'mavlink or px4' -rs --reruns 1
 
 bench: $(STAMP)
 	$(BIN)/python -m tools.bench

@@ -14,10 +14,13 @@ import queue
 import signal
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 from typing import Protocol
 
 from dart_flight.config.mission import Mission
+from dart_flight.deadman import CORE, FEED_PERIOD_S, LOOP, Deadman, SystemdNotice
 from dart_flight.flight.core import FlightCore
 from dart_flight.lock.drivers import Driver, make_driver
 from dart_flight.lock.drivers.mock import MockDriver
@@ -46,10 +49,11 @@ from dart_flight.samples import (
     VehicleCommand,
 )
 from dart_flight.vehicle import VehicleSession, connect
-from dart_flight.vehicle.clock import host_us
+from dart_flight.vehicle.clock import Clock, host_us
 from dart_flight.verdict import VerdictBuilder
 
 _TICK_S = 0.02
+_SHOW_PERIOD_S = 0.05
 _LOCK_PERIOD_S = 0.01
 _BACKLOG = 64  # inputs; beyond it only the newest of the state streams is stepped
 _SWITCH_INTERVAL_S = 0.001  # a thread that computes gives way to MAVSDK's callbacks after a millisecond
@@ -65,8 +69,21 @@ class World(Protocol):
     def died(self) -> bool:
         """Whether it has ended by itself."""
 
+    @property
+    def cause(self) -> str:
+        """What died, in words."""
+
     def send_horn(self, pulse_us: float) -> None:
         """Tell the plant where the mock servo's horn is."""
+
+
+class Sabotage(Protocol):
+    """Breaks things from inside, for tests."""
+
+    def __call__(
+        self, record: Record, loop: asyncio.AbstractEventLoop | None, mock: MockDriver | None
+    ) -> None:
+        """Take a record, on the core thread."""
 
 
 class CoreThread:
@@ -77,6 +94,7 @@ class CoreThread:
         send: sends a set-point at once.
         carry_out: takes every other command; must not block.
         observe: sees every input with its number, and what follows from it.
+        alive: called at every turn, at least every 20 ms; feeds the deadman.
     """
 
     def __init__(
@@ -85,13 +103,20 @@ class CoreThread:
         send: Callable[[SetPoint], None],
         carry_out: Callable[[Output], None],
         observe: Callable[[Record, int], None],
+        alive: Callable[[], None] = lambda: None,
     ) -> None:
         self._core, self._send, self._carry_out, self._observe = core, send, carry_out, observe
+        self._alive = alive
         self._queue: queue.SimpleQueue[Input] = queue.SimpleQueue()
         self._stop = threading.Event()
         self._number = 0
         self._ticked_us = 0
+        self._turned_us = host_us()
         self.thread = threading.Thread(target=self._run, name="core", daemon=True)
+
+    def age_s(self) -> float:
+        """How long ago the thread last came round, seconds."""
+        return (host_us() - self._turned_us) * 1e-6
 
     def put(self, item: Input) -> None:
         """Queue an input; any thread, never blocks."""
@@ -104,6 +129,8 @@ class CoreThread:
 
     def _run(self) -> None:
         while not self._stop.is_set():
+            self._turned_us = host_us()
+            self._alive()
             for item in self._next():
                 self._step(item)
             now = host_us()
@@ -207,7 +234,10 @@ class FlightApp:
         log: where the flight is recorded.
         verdict: takes the same records.
         world: the simulated world, where there is one.
-        progress: sees every record, on the core thread; must not block.
+        progress: sees every record, on a thread of its own: a terminal may block.
+        clock: the autopilot's; that of a real-time vehicle by default.
+        deadman_note: start a deadman, which writes here why it killed the program; None: no deadman.
+        sabotage: sees every record on the core thread, to break things there; for tests.
     """
 
     def __init__(
@@ -218,15 +248,26 @@ class FlightApp:
         verdict: VerdictBuilder,
         world: World | None = None,
         progress: Progress = lambda record: None,
+        clock: Clock | None = None,
+        deadman_note: Path | None = None,
+        sabotage: Sabotage | None = None,
     ) -> None:
         self._mission, self._url, self._log, self._verdict = mission, url, log, verdict
-        self._world, self._progress = world, progress
+        self._world, self._progress, self._clock = world, progress, clock
+        self._sabotage = sabotage
+        self._shown: deque[Record] = deque()
+        self._deadman_note = deadman_note
+        self._deadman: Deadman | None = None
+        self._mock: MockDriver | None = None
         self._session: VehicleSession | None = None
         self._done = asyncio.Event()
+        self._ended = threading.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._tasks: set[asyncio.Task[None]] = set()
         self._stops = 0
-        self._core = CoreThread(FlightCore(mission), self._send, self._carry_out, self._observe)
+        self._core = CoreThread(
+            FlightCore(mission), self._send, self._carry_out, self._observe, lambda: self._feed(CORE)
+        )
         self._lock: LockThread | None = None
 
     async def run(self) -> None:
@@ -237,23 +278,31 @@ class FlightApp:
         """
         self._loop = asyncio.get_running_loop()
         timeout_s = self._mission.vehicle.connection.timeout_s
-        async with connect(self._url, timeout_s, self._core.put) as session:
+        async with connect(self._url, timeout_s, self._core.put, clock=self._clock) as session:
             self._session = session
             self._lock = self._make_lock(session)
             sys.setswitchinterval(_SWITCH_INTERVAL_S)
             # What is loaded by now stays: the collector need not walk it in flight.
             gc.collect()
             gc.freeze()
+            terminal = threading.Thread(target=self._show, name="terminal", daemon=True)
+            terminal.start()
             self._core.thread.start()
             self._lock.thread.start()
             session.subscribe()
             self._listen_for_signals()
+            keeper = asyncio.create_task(self._keep_alive())
             try:
                 await session.set_rates()
                 await self._watch()
             finally:
+                keeper.cancel()
+                if self._deadman is not None:
+                    self._deadman.let_go()
                 self._core.stop()
                 self._lock.stop()
+                self._ended.set()
+                terminal.join(timeout=1.0)
                 for task in list(self._tasks):
                     task.cancel()
 
@@ -263,12 +312,46 @@ class FlightApp:
         request = "land" if self._stops == 1 else "release"
         self._core.put(OperatorRequest(host_us(), request))
 
+    # -- deadman and terminal --
+
+    def _feed(self, who: bytes) -> None:
+        if self._deadman is not None:
+            self._deadman.feed(who)
+
+    async def _keep_alive(self) -> None:
+        """The event loop's own pulse: feeds the deadman, and systemd while the core thread is alive too."""
+        systemd = SystemdNotice()
+        systemd.ready(f"flying {self._mission.name}")
+        starve_s = self._mission.vehicle.guard.deadman_s
+        if self._deadman_note is not None:
+            self._deadman = Deadman(starve_s, self._deadman_note)
+            self._feed(LOOP)
+            self._deadman.arm()
+        try:
+            while True:
+                if self._deadman is not None:
+                    self._deadman.feed(LOOP)
+                    self._deadman.mend()
+                if self._core.age_s() < starve_s:
+                    systemd.alive()
+                await asyncio.sleep(FEED_PERIOD_S)
+        finally:
+            systemd.stopping()
+
+    def _show(self) -> None:
+        """Looks now and then: waking up for every record would cost the core thread its latency."""
+        while not (self._ended.wait(_SHOW_PERIOD_S) and not self._shown):
+            while self._shown:
+                record = self._shown.popleft()
+                with contextlib.suppress(OSError):
+                    self._progress(record)
+
     async def _watch(self) -> None:
         while not self._done.is_set():
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._done.wait(), 0.2)
             if self._world is not None and self._world.died and not self._done.is_set():
-                self._core.put(OperatorRequest(host_us(), "world_died"))
+                self._core.put(OperatorRequest(host_us(), "world_died", self._world.cause))
         await asyncio.sleep(_END_GRACE_S)
 
     def _listen_for_signals(self) -> None:
@@ -285,6 +368,7 @@ class FlightApp:
 
         config = self._mission.vehicle.lock
         driver: Driver = make_driver(config, clock_us=clock_us, set_actuator=session.set_actuator)
+        self._mock = driver if isinstance(driver, MockDriver) else None
         states: queue.SimpleQueue[LockState] = queue.SimpleQueue()
         lock = LockSession(config, driver, clock_us, states.put)
         sent: list[float] = []
@@ -343,4 +427,6 @@ class FlightApp:
     def _observe(self, record: Record, number: int) -> None:
         self._log.put(record, number)
         self._verdict.take(record)
-        self._progress(record)
+        self._shown.append(record)
+        if self._sabotage is not None:
+            self._sabotage(record, self._loop, self._mock)

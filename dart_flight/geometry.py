@@ -237,6 +237,12 @@ class Wall(msgspec.Struct, frozen=True):
         tx, ty = self.tangent
         return (position[0] - self.point[0]) * tx + (position[1] - self.point[1]) * ty
 
+    def foot(self, position: Vec2 | Vec3) -> Vec2:
+        """The nearest point of the wall's plane within its length."""
+        reach = 0.5 * self.length_m
+        along = max(-reach, min(reach, self.along(position)))
+        return (self.point[0] + along * self.tangent[0], self.point[1] + along * self.tangent[1])
+
     def spans(self, position: Vec2 | Vec3) -> bool:
         """Whether the point lies before the wall's finite length."""
         return abs(self.along(position)) <= 0.5 * self.length_m

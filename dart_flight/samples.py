@@ -113,6 +113,16 @@ class StatusSample(Record, frozen=True, gc=False):
     battery_remaining: float | None = None  # 0 to 1
 
 
+class EstimatorSample(Record, frozen=True, gc=False):
+    """What PX4 says of its estimator: ODOMETRY's reset counter, ESTIMATOR_STATUS's flags; None: not said."""
+
+    topic: ClassVar[str] = "/in/estimator"
+    t_us: int
+    received_us: int
+    reset_counter: int | None = None
+    healthy: bool | None = None  # attitude, horizontal velocity and a horizontal position are valid
+
+
 class StatusText(Record, frozen=True, gc=False):
     """STATUSTEXT of the autopilot."""
 
@@ -161,12 +171,13 @@ class CommandResult(Record, frozen=True, gc=False):
 class OperatorRequest(Record, frozen=True, gc=False):
     """What the person at the keyboard asked for: `land` (leave the wall, land) or `release`.
 
-    The shell itself reports `world_died` this way: the simulated vehicle is gone.
+    The shell itself reports `world_died` this way: the simulated vehicle is gone, `detail` says what of it.
     """
 
     topic: ClassVar[str] = "/in/operator"
     t_us: int
     request: str
+    detail: str = ""
 
 
 class ClockOffset(Record, frozen=True, gc=False):
@@ -190,6 +201,7 @@ Input = (
     | OdometrySample
     | ActuatorSample
     | StatusSample
+    | EstimatorSample
     | StatusText
     | LockState
     | CommandResult

@@ -15,7 +15,8 @@ from dart_flight.config.mission import Collision, Mission
 from dart_flight.contact.collision_map import collide
 from dart_flight.contact.law import Onset
 from dart_flight.flight.phases import ON_GROUND, Phase
-from dart_flight.geometry import tilt_of
+from dart_flight.geometry import MissionFrame, Vec3, tilt_of
+from dart_flight.recording.px4_log import Px4Figures
 from dart_flight.samples import (
     AttitudeSample,
     ContactEnd,
@@ -26,9 +27,12 @@ from dart_flight.samples import (
     LockPhase,
     LockState,
     MissionEnd,
+    Mode,
+    OdometrySample,
     PhaseChange,
     SetPointSent,
     TruthContact,
+    TruthSample,
 )
 
 _TRUTH_MATCH_US = 60_000  # an impact and its truth lie this near in time
@@ -66,6 +70,7 @@ class CollisionVerdict(msgspec.Struct):
     detection_latency_ms: float | None
     setpoint_latency_ms: float | None
     contact_time_ms: float | None = None
+    mode_by_contact_time: str | None = None  # what the duration says, whatever the lock reported
 
 
 class GuardVerdict(msgspec.Struct):
@@ -93,6 +98,10 @@ class Verdict(msgspec.Struct):
     flight_time_s: float | None
     log: str | None = None
     px4_log: str | None = None
+    ekf_error_m: float | None = (
+        None  # largest distance of the estimated position from the true one, in the air
+    )
+    px4: Px4Figures | None = None
 
 
 class VerdictBuilder:
@@ -111,6 +120,10 @@ class VerdictBuilder:
         self._tilt_rad: float | None = None
         self._airborne_us: int | None = None
         self._landed_us: int | None = None
+        self._frame: MissionFrame | None = None
+        self._odometry: OdometrySample | None = None
+        self._estimated: list[tuple[int, Vec3]] = []
+        self._true: list[tuple[int, Vec3]] = []
 
     @property
     def end(self) -> MissionEnd | None:
@@ -122,6 +135,10 @@ class VerdictBuilder:
         if isinstance(record, AttitudeSample):
             if self._airborne_us is not None and self._landed_us is None:
                 self._tilt_rad = max(self._tilt_rad or 0.0, tilt_of(record.q_frd_to_ned))
+        elif isinstance(record, OdometrySample):
+            self._take_odometry(record)
+        elif isinstance(record, TruthSample):
+            self._true.append((record.t_us, record.position_mission))
         elif isinstance(record, PhaseChange):
             self._take_phase(record)
         elif isinstance(record, ImpactOnset):
@@ -146,7 +163,15 @@ class VerdictBuilder:
             if self._airborne_us is not None:
                 self._landed_us = record.t_us
 
+    def _take_odometry(self, record: OdometrySample) -> None:
+        self._odometry = record
+        if self._frame is not None and self._airborne_us is not None and self._landed_us is None:
+            self._estimated.append((record.t_us, self._frame.point_from_ned(record.position_ned)))
+
     def _take_phase(self, record: PhaseChange) -> None:
+        if self._phase == Phase.READYING.value and self._odometry is not None:
+            # As the executive does: the vehicle stands at its take-off point.
+            self._frame = self._mission.frame_at(self._odometry.position_ned)
         if self._phase in {p.value for p in ON_GROUND} and record.after == Phase.CLIMB.value:
             self._airborne_us = record.t_us
         if record.after == Phase.CONTACT.value and record.collision is not None and self._onset is not None:
@@ -183,6 +208,24 @@ class VerdictBuilder:
             last.lock.contact_end_us = record.t_us
             last.lock.relaxed_us = record.t_us + self._relaxation_us
             last.contact_time_ms = (record.t_us - record.first_us) * 1e-3
+            last.mode_by_contact_time = self._mode_by_time(
+                self._mission.collisions[last.index - 1], last.contact_time_ms
+            )
+
+    def _mode_by_time(self, collision: Collision, contact_ms: float) -> str:
+        """The mode whose contact with this material lasts nearest to what was measured.
+
+        A servo without feedback cannot tell that it is stuck; the contact can (on acrylic 56 ms rigid, 102 ms
+        flexible).
+        """
+        vehicle = self._mission.vehicle
+        material = vehicle.materials[collision.wall.material]
+
+        def unlikeness(mode: Mode) -> float:
+            hit = collide(material.of(mode), vehicle.airframe.mass_kg, -1.0, 0.0, Onset(vehicle.onset))
+            return abs(math.log(max(contact_ms, 1.0) * 1e-3 / hit.contact_time_s))
+
+        return min(Mode, key=unlikeness).value
 
     def _take_lock(self, record: LockState) -> None:
         if not self._collisions:
@@ -195,7 +238,9 @@ class VerdictBuilder:
         if record.phase is LockPhase.SETTLED and times.settled_us is None:
             times.settled_us = record.settled_us
 
-    def build(self, world: str, seed: int | None, log: str | None = None) -> Verdict:
+    def build(
+        self, world: str, seed: int | None, log: str | None = None, px4_log: str | None = None
+    ) -> Verdict:
         """The verdict of what has been taken so far; without an end the flight counts as aborted."""
         for collision in self._collisions:
             self._match_truth(collision)
@@ -216,7 +261,26 @@ class VerdictBuilder:
             max_tilt_deg=math.degrees(self._tilt_rad) if self._tilt_rad is not None else None,
             flight_time_s=time_s,
             log=log,
+            px4_log=px4_log,
+            ekf_error_m=self._ekf_error_m(),
         )
+
+    def _ekf_error_m(self) -> float | None:
+        """Largest distance between estimate and truth at the same stamp, truth interpolated."""
+        worst: float | None = None
+        true = sorted(self._true)
+        i = 0
+        for t_us, estimated in self._estimated:
+            while i + 1 < len(true) and true[i + 1][0] < t_us:
+                i += 1
+            if i + 1 >= len(true) or true[i][0] > t_us:
+                continue
+            (t0, a), (t1, b) = true[i], true[i + 1]
+            share = (t_us - t0) / (t1 - t0)
+            there = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2]))
+            error = math.dist(estimated, there)
+            worst = error if worst is None else max(worst, error)
+        return worst
 
     def _match_truth(self, collision: CollisionVerdict) -> None:
         near = [

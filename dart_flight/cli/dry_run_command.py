@@ -3,24 +3,75 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 from rich.progress import Progress
 
 from dart_flight.cli.flight_output import FlightLines, summary_table, verdict_table
 from dart_flight.cli.options import add_flight_options, whole_number
+from dart_flight.cli.px4_options import add_px4_options, gps_of, gps_warnings
 from dart_flight.cli.terminal import emit_json, messages, tables
-from dart_flight.flights import fly_embedded, fly_fast, fly_fast_many, load_flyable, summarise, with_driver
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission
+from dart_flight.flights import (
+    fly_embedded,
+    fly_fast,
+    fly_fast_many,
+    fly_px4,
+    load_flyable,
+    summarise,
+    with_driver,
+    with_standoff,
+)
+from dart_flight.planning.envelope import impact_warnings
+from dart_flight.sim.faults import parse_fault
 from dart_flight.verdict import Verdict
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_flight_options(parser)
+    add_px4_options(parser)
     parser.add_argument("--fast", action="store_true", help="in process, in simulated time, without MAVLink")
     parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="of the noise (default 1)")
     parser.add_argument(
         "--runs", type=whole_number(1, 100_000), metavar="N", help="N flights, seeds from --seed on"
     )
+    parser.add_argument(
+        "--fault",
+        type=str,
+        metavar="NAME[=VALUE][@PHASE]",
+        help="something goes wrong, from this phase on; docs/faults.md has the table",
+    )
+
+
+def _flight(arguments: argparse.Namespace) -> Callable[..., Verdict]:
+    """The function that flies one mission in the wanted world: (mission, seed, log folder[, progress])."""
+    gps = gps_of(arguments)
+    fault = parse_fault(arguments.fault) if arguments.fault is not None else None
+    if fault is not None and (arguments.runs is not None or arguments.px4 is not None):
+        raise InputError("--fault is for one flight in the fast or the embedded world")
+    if arguments.px4 is None and arguments.fast:
+        return partial(fly_fast, fault=fault)
+    if arguments.px4 is None:
+        return partial(fly_embedded, deadman=True, fault=fault)
+
+    def fly(mission: Mission, seed: int, log_dir: Path, *progress: Any) -> Verdict:
+        return fly_px4(
+            mission,
+            arguments.px4,
+            seed,
+            log_dir,
+            *progress,
+            gps=gps,
+            speed=arguments.speed or 1.0,
+            parameter_files=tuple(arguments.params or ()),
+        )
+
+    return fly
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -28,10 +79,14 @@ def run(arguments: argparse.Namespace) -> int:
     mission = load_flyable(arguments.mission, arguments.config)
     if arguments.driver is not None:
         mission = with_driver(mission, arguments.driver)
+    if arguments.standoff is not None:
+        mission = with_standoff(mission, arguments.standoff)
+    fly = _flight(arguments)
     console = messages()
+    for line in [*impact_warnings(mission), *gps_warnings(gps_of(arguments))]:
+        console.print(f"[yellow]{line}[/]", soft_wrap=True)
     if arguments.runs is None:
         lines = FlightLines(console, arguments.verbose > 0)
-        fly = fly_fast if arguments.fast else fly_embedded
         verdict = fly(mission, arguments.seed, arguments.log_dir, lines)
         if arguments.json:
             emit_json(verdict)
@@ -51,7 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
         else:
             verdicts = []
             for seed in seeds:
-                verdicts.append(fly_embedded(mission, seed, arguments.log_dir))
+                verdicts.append(fly(mission, seed, arguments.log_dir))
                 done(verdicts[-1])
     summary = summarise(verdicts)
     if arguments.json:

@@ -84,6 +84,7 @@ def verdict_table(verdict: Verdict) -> Table:
             ("goal miss", verdict.goal_miss_m, "m"),
             ("final error", verdict.final_error_m, "m"),
             ("tilt up to", verdict.max_tilt_deg, "deg"),
+            ("EKF error up to", verdict.ekf_error_m, "m"),
             ("flight", verdict.flight_time_s, "s"),
         )
         if value is not None
@@ -95,6 +96,8 @@ def verdict_table(verdict: Verdict) -> Table:
 
 def _add_collision(table: Table, c: CollisionVerdict) -> None:
     head = f"[bold]{c.index} {c.wall}, {c.mode}[/]" + (" [red]clipped[/]" if c.clipped else "")
+    if c.mode_by_contact_time not in (None, c.mode):
+        head += f" [red]but {c.mode_by_contact_time} by its contact time[/]"
     table.add_row(head)
     rows: list[tuple[str, Velocities | None]] = [
         ("planned", c.planned),

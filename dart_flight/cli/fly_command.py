@@ -9,7 +9,8 @@ from dart_flight.cli.flight_output import FlightLines, verdict_table
 from dart_flight.cli.options import add_flight_options
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.config.mission import Mission
-from dart_flight.flights import fly_vehicle, load_flyable, with_driver
+from dart_flight.flights import fly_vehicle, load_flyable, with_driver, with_standoff
+from dart_flight.planning.envelope import impact_warnings
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -28,6 +29,8 @@ def run(arguments: argparse.Namespace) -> int:
     mission = load_flyable(arguments.mission, arguments.config)
     if arguments.driver is not None:
         mission = with_driver(mission, arguments.driver)
+    if arguments.standoff is not None:
+        mission = with_standoff(mission, arguments.standoff)
     url = arguments.connection or mission.vehicle.connection.url
     console = messages()
     console.print(_intention(mission, url), soft_wrap=True)
@@ -47,6 +50,7 @@ def _intention(mission: Mission, url: str) -> str:
     """What is about to happen, in words."""
     lines = [f"[bold]{mission.name}[/] on {url}, lock by {mission.vehicle.lock.driver.value}"]
     lines.append(f"  take off to {mission.altitude_m:g} m, to ({mission.start[0]:g}, {mission.start[1]:g})")
+    lines += [f"  [yellow]{line}[/]" for line in impact_warnings(mission)]
     for c in mission.collisions:
         if c.approach_m_s is not None:
             normal, tangential = c.approach_m_s

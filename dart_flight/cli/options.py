@@ -22,6 +22,12 @@ def add_flight_options(parser: argparse.ArgumentParser) -> None:
         metavar="DRIVER",
         help="what moves the lock: " + ", ".join(LockDriver) + " (default: lock.driver of the configuration)",
     )
+    parser.add_argument(
+        "--standoff",
+        type=float,
+        metavar="M",
+        help="rehearsal: instead of hitting a wall, stop this many metres before it",
+    )
 
 
 def whole_number(low: int, high: int) -> Callable[[str], int]:
@@ -34,6 +40,21 @@ def whole_number(low: int, high: int) -> Callable[[str], int]:
             raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
         if not low <= value <= high:
             raise argparse.ArgumentTypeError(f"must be from {low} to {high}, not {value}")
+        return value
+
+    return convert
+
+
+def number(low: float, high: float) -> Callable[[str], float]:
+    """Argparse type: a finite number within limits."""
+
+    def convert(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"must be from {low:g} to {high:g}, not {text}")
         return value
 
     return convert

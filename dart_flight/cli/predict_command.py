@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from typing import Any
 
@@ -12,6 +13,8 @@ from dart_flight.config.document import InputError
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
+    # argparse takes -0.5 for a number but -5e-1 for an option; scripts print both.
+    parser._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
     parser.add_argument("--surface", required=True, help="a material of the configuration")
     parser.add_argument("--mode", choices=("rigid", "flexible"), help="state of the arms")
     what = parser.add_mutually_exclusive_group(required=True)

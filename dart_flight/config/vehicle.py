@@ -123,6 +123,23 @@ class Guard(Section, frozen=True):
     tilt_deg: Annotated[float, Meta(gt=0.0, le=180.0)]
     wall_overrun_m: Positive
     retreat_m: Positive
+    imu_timeout_s: Positive
+    actuator_timeout_s: Positive
+    link_lost_s: Positive
+    stamp_tolerance_s: Positive
+    imu_stuck_s: Positive
+    imu_clipped_s: Positive
+    position_jump_m: Positive
+    velocity_jump_m_s: Positive
+    estimator_bad_s: NotNegative
+    impact_window_s: NotNegative
+    battery_remaining: Fraction
+    battery_v: NotNegative
+    battery_low_s: NotNegative
+    force_margin: Annotated[float, Meta(ge=1.0)]
+    wall_late_s: Positive
+    wall_early_m: Positive
+    deadman_s: Annotated[float, Meta(ge=0.1, le=2.0)]
 
 
 class Flying(Section, frozen=True):
@@ -411,6 +428,9 @@ class Simulation(Section, frozen=True):
     ground_damping_n_s_m: NotNegative
     ground_friction: NotNegative
     battery_v: Positive
+    wind_north_east_m_s: tuple[float, float]
+    gust_m_s: NotNegative
+    gust_time_s: Positive
 
 
 class VehicleConfig(Section, frozen=True):

@@ -11,7 +11,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.identify import Identification, identify
 from dart_flight.contact.law import Onset
-from dart_flight.contact.trials import COLUMNS, UNLABELLED, Reading, Trial, read_trials
+from dart_flight.contact.trials import COLUMNS, UNLABELLED, Readers, Reading, Trial, read_trials
 from dart_flight.geometry import GRAVITY_M_S2
 
 UNITS = {"k": "N/m", "f": "N s/m", "mu": "s/m", "nu": "N"}
@@ -31,8 +31,15 @@ class Job:
     wall: tuple[float, float, float] | None = None
 
 
-def carry_out(job: Job, vehicle: VehicleConfig) -> tuple[list[Trial], Identification]:
+def carry_out(
+    job: Job, vehicle: VehicleConfig, readers: Readers | None = None
+) -> tuple[list[Trial], Identification]:
     """Read the trials and fit them.
+
+    Args:
+        job: what was asked for.
+        vehicle: its mass counts.
+        readers: file suffix -> reader, `trials.READERS` by default.
 
     Raises:
         InputError: an option or a trial cannot be used.
@@ -49,7 +56,7 @@ def carry_out(job: Job, vehicle: VehicleConfig) -> tuple[list[Trial], Identifica
         wall=job.wall,
         mass_kg=vehicle.airframe.mass_kg,
     )
-    trials = [trial for path in job.paths for trial in read_trials(path, how)]
+    trials = [trial for path in job.paths for trial in read_trials(path, how, readers)]
     found = identify(trials, vehicle.airframe.mass_kg, job.onset)
     if job.height_m is not None:
         expected = math.sqrt(2.0 * GRAVITY_M_S2 * job.height_m)

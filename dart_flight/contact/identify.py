@@ -7,6 +7,10 @@ is the closed form in time (`dart_flight.contact.course`): free flight, contact,
 Noise is estimated per quantity from the residuals, outliers beyond five of its deviations are left out, and
 the intervals are widened for what correlation is left in the residuals (a filter in the recording). What the
 data cannot tell comes back as None.
+
+In real flights the controller pushes before and after a wall contact. Where the recordings show such
+curvature, every wall hit gets constant accelerations of its own, one before and in the contact and one after
+it, unknown like the rest; where they do not, straight flight is assumed, which tells more.
 """
 
 from __future__ import annotations
@@ -22,7 +26,7 @@ from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.course import Contact
 from dart_flight.contact.law import Onset
-from dart_flight.contact.trials import Impact, Series, Trial, find_impact
+from dart_flight.contact.trials import Impact, Series, Trial, find_impact, noise_of
 
 PLANE_SD_M = 0.015
 _T95 = 1.959964
@@ -30,6 +34,9 @@ _BEFORE_S, _AFTER_S = 0.25, 0.15  # free flight used at a wall: later the recove
 _LEAST_IN_CONTACT = 3
 _OUTLIER = 5.0
 _REMEMBERED = 8
+_CURVED = 4.5  # deviations of a curvature in free flight that is not noise
+_PUSH_SD_M_S2 = 5.0
+_PUSHES = ("before", "after")
 # Rates of change this small in the model make a coefficient unknown rather than zero.
 _WIDEST_LOG = math.log(10.0)
 
@@ -52,7 +59,16 @@ class Estimate(NamedTuple):
 
 
 class TrialFit(NamedTuple):
-    """What a fit says of one trial; velocities at the onset."""
+    """What a fit says of one trial.
+
+    Attributes:
+        name, mode: of the trial.
+        onset_s: time of the onset in the recording.
+        normal_m_s, tangential_m_s: velocity at the onset.
+        samples_in_contact: position samples in contact.
+        push_m_s2: the controller's acceleration along the normal, before (and in) and after the contact; 0
+            where the flight was straight.
+    """
 
     name: str
     mode: str
@@ -60,6 +76,7 @@ class TrialFit(NamedTuple):
     normal_m_s: float
     tangential_m_s: float | None
     samples_in_contact: int
+    push_m_s2: tuple[float, float]
 
 
 class Identification(NamedTuple):
@@ -113,7 +130,7 @@ class _Window(NamedTuple):
 class _Parameters:
     """Names the entries of the parameter vector."""
 
-    def __init__(self, trials: Sequence[Trial]) -> None:
+    def __init__(self, trials: Sequence[Trial], pushed: bool) -> None:
         self.modes = list(dict.fromkeys(trial.mode for trial in trials))
         self.size = 1 + 4 * len(self.modes)  # plane; ln k, ln f, mu, nu per mode
         self.own: list[dict[str, int]] = []
@@ -123,6 +140,11 @@ class _Parameters:
                 names += ["y0", "vy"]
             if "vertical_m" in trial.series:
                 names += ["z0", "vz"]
+            if pushed and trial.acceleration_m_s2 == 0.0:
+                axes = [
+                    name[0] for name in ("normal_m", "tangential_m", "vertical_m") if name in trial.series
+                ]
+                names += [f"{axis}_{when}" for axis in axes for when in _PUSHES]
             self.own.append({name: self.size + i for i, name in enumerate(names)})
             self.size += len(names)
 
@@ -143,15 +165,18 @@ def _contact(theta: Array, shared: dict[str, int], own: dict[str, int], trial: T
         nu=1.0,
     )
     speed = -max(float(theta[own["speed"]]), 1e-4)
-    return Contact(c, fit.mass_kg, speed, fit.onset, acceleration_m_s2=trial.acceleration_m_s2)
+    push = float(theta[own["n_before"]]) if "n_before" in own else 0.0
+    return Contact(c, fit.mass_kg, speed, fit.onset, acceleration_m_s2=trial.acceleration_m_s2 + push)
 
 
 class _Fit:
     """The joint fit: trials, windows, weights, and the residuals of a parameter vector."""
 
-    def __init__(self, trials: Sequence[Trial], mass_kg: float, onset: Onset, plane_sd_m: float) -> None:
+    def __init__(
+        self, trials: Sequence[Trial], mass_kg: float, onset: Onset, plane_sd_m: float, pushed: bool
+    ) -> None:
         self.trials, self.mass_kg, self.onset, self.plane_sd_m = list(trials), mass_kg, onset, plane_sd_m
-        self.parameters = _Parameters(trials)
+        self.parameters = _Parameters(trials, pushed)
         self.impacts = [find_impact(trial) for trial in trials]
         self.sd = dict(_FIRST_SD)
         self._memory: dict[int, dict[tuple[float, ...], dict[str, Array]]] = {}
@@ -181,7 +206,23 @@ class _Fit:
                 out[name] = theta[own["vy"]] * shapes[name]
             else:
                 out[name] = shapes[name]
+            self._add_push(out, theta, i, name)
         return out
+
+    def _add_push(self, out: dict[str, Array], theta: Array, i: int, name: str) -> None:
+        """The controller's accelerations outside the contact; the normal one before it is in the contact."""
+        own, axis = self.parameters.own[i], name[0]
+        if f"{axis}_after" not in own or name.endswith("_n"):
+            return
+        shapes = self._shapes(theta, i)
+        late, early = shapes[name + " late"], shapes[name + " early"]
+        after, before = theta[own[f"{axis}_after"]], theta[own[f"{axis}_before"]]
+        if axis == "n":
+            after, before = after - before, 0.0
+        if name.endswith("_s"):
+            out[name] = out[name] + after * late + before * early
+        else:
+            out[name] = out[name] + 0.5 * (after * late * late + before * early * early)
 
     def _shapes(self, theta: Array, i: int) -> dict[str, Array]:
         """What the channels need of the contact: the part that is not linear in the parameters.
@@ -191,7 +232,8 @@ class _Fit:
         trial, window = self.trials[i], self.windows[i]
         shared, own = self.parameters.of_mode(trial.mode), self.parameters.own[i]
         onset = float(theta[own["onset"]])
-        key = (onset, float(theta[own["speed"]]), *(float(theta[shared[n]]) for n in ("k", "f", "mu")))
+        push = float(theta[own["n_before"]]) if "n_before" in own else 0.0
+        key = (onset, push, float(theta[own["speed"]]), *(float(theta[shared[n]]) for n in ("k", "f", "mu")))
         memory = self._memory.setdefault(i, {})
         if key in memory:
             return memory[key]
@@ -199,6 +241,8 @@ class _Fit:
         shapes: dict[str, Array] = {}
         for name, series in window.series.items():
             t = series.time_s - onset
+            shapes[name + " late"] = np.maximum(t - contact.end_s, 0.0)
+            shapes[name + " early"] = np.minimum(t, 0.0)
             if name.startswith("normal"):
                 shapes[name] = contact.normal(t)[("normal_m", "normal_m_s", "normal_force_n").index(name)]
             elif name == "vertical_m":
@@ -231,6 +275,8 @@ class _Fit:
                 (theta[at["k"]] - 7.5) / 20.0, (theta[at["f"]] - 2.5) / 20.0,
                 theta[at["mu"]] / 1e3, theta[at["nu"]] / 1e4,
             ]  # fmt: skip
+        for own in self.parameters.own:
+            weak += [theta[j] / _PUSH_SD_M_S2 for name, j in own.items() if name.endswith(_PUSHES)]
         return np.array([theta[0] / self.plane_sd_m, *weak])
 
     def residuals(self, theta: Array) -> Array:
@@ -261,6 +307,20 @@ class _Fit:
         """Fit trial i between two of its times."""
         self.windows[i] = _cut(self.trials[i], begin, end)
         self._memory.pop(i, None)
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Limits that no impact in question goes beyond: they keep the search where the data are."""
+        low, high = np.full(self.parameters.size, -np.inf), np.full(self.parameters.size, np.inf)
+        for mode in self.parameters.modes:
+            at = self.parameters.of_mode(mode)
+            low[at["k"]], high[at["k"]] = math.log(10.0), math.log(1e6)
+            low[at["f"]], high[at["f"]] = math.log(1e-3), math.log(1e4)
+            low[at["mu"]], high[at["mu"]] = 0.0, 1e3
+        low[0], high[0] = -0.2, 0.2
+        for own, impact in zip(self.parameters.own, self.impacts, strict=True):
+            low[own["onset"]], high[own["onset"]] = impact.turn_s - 0.2, impact.turn_s + 0.02
+            low[own["speed"]], high[own["speed"]] = 0.4 * -impact.approach_m_s, 2.0 * -impact.approach_m_s
+        return low, high
 
     # -- starting point --
 
@@ -363,7 +423,7 @@ def identify(
 
 
 def _solve(
-    trials: Sequence[Trial], mass_kg: float, onset: Onset, plane_sd_m: float
+    trials: Sequence[Trial], mass_kg: float, onset: Onset, plane_sd_m: float, *, may_curve: bool = True
 ) -> tuple[Identification, _Fit, Array]:
     try:
         from scipy.optimize import least_squares  # noqa: PLC0415
@@ -372,21 +432,60 @@ def _solve(
     if not trials:
         raise InputError("no trials")
     usable, notes = _without_derived(trials)
-    fit = _Fit(usable, mass_kg, onset, plane_sd_m)
-    low = np.full(fit.parameters.size, -np.inf)
-    for mode in fit.parameters.modes:
-        low[fit.parameters.of_mode(mode)["mu"]] = 0.0
-    theta = fit.start()
-    for turn, loss in enumerate(("soft_l1", "linear", "linear")):
-        result = least_squares(
-            fit.residuals, theta, fit.jacobian, bounds=(low, np.inf), x_scale="jac", loss=loss,
-            f_scale=2.0, max_nfev=80,
-        )  # fmt: skip
-        theta = result.x
-        _judge(fit, theta)
-        if turn < 2:
-            _refine(fit, theta)
+
+    def descend(fit: _Fit, theta: Array, losses: Sequence[str]) -> Array:
+        low, high = fit.bounds()
+        for turn, loss in enumerate(losses, 1):
+            result = least_squares(
+                fit.residuals, np.clip(theta, low, high), fit.jacobian, bounds=(low, high), x_scale="jac",
+                loss=loss, f_scale=2.0, max_nfev=80,
+            )  # fmt: skip
+            theta = result.x
+            _judge(fit, theta)
+            if turn < len(losses):
+                _refine(fit, theta)
+        return theta
+
+    fit = _Fit(usable, mass_kg, onset, plane_sd_m, pushed=False)
+    theta = descend(fit, fit.start(), ("soft_l1", "linear", "linear"))
+    if may_curve and _is_curved(fit, theta):
+        notes.append("free flight is not straight: accelerations before and after the contact are estimated")
+        pushed = _Fit(usable, mass_kg, onset, plane_sd_m, pushed=True)
+        pushed.sd = dict(fit.sd)
+        start = np.zeros(pushed.parameters.size)
+        start[: 1 + 4 * len(fit.parameters.modes)] = theta[: 1 + 4 * len(fit.parameters.modes)]
+        for old, new in zip(fit.parameters.own, pushed.parameters.own, strict=True):
+            for name, j in old.items():
+                start[new[name]] = theta[j]
+        fit, theta = pushed, descend(pushed, start, ("soft_l1", "linear", "linear"))
     return _conclude(fit, theta, notes), fit, theta
+
+
+def _is_curved(fit: _Fit, theta: Array) -> bool:
+    """Whether the residuals of any wall hit bend, before or after the contact, more than noise does."""
+    for i, trial in enumerate(fit.trials):
+        if trial.acceleration_m_s2 != 0.0:
+            continue
+        begin, end, _ = _span(fit, theta, i)
+        predicted = fit.predict(theta, i)
+        for name in ("normal_m", "tangential_m", "vertical_m"):
+            if name not in predicted:
+                continue
+            time, value = fit.windows[i].series[name]
+            # From third differences: what bends does not add to it, as it would to the residuals.
+            sd = noise_of(fit.trials[i].series[name])
+            for part in (time < begin, time > end):
+                part &= fit.windows[i].counts[name] > 0.0
+                if part.sum() < 8:
+                    continue
+                t = time[part] - time[part].mean()
+                bend = np.stack((np.ones_like(t), t, 0.5 * t * t), axis=1)
+                error = (value - predicted[name])[part]
+                inverse = np.linalg.pinv(bend.T @ bend)
+                curvature = float((inverse @ bend.T @ error)[2])
+                if abs(curvature) > _CURVED * sd * math.sqrt(float(inverse[2, 2])):
+                    return True
+    return False
 
 
 def _without_derived(trials: Sequence[Trial]) -> tuple[list[Trial], list[str]]:
@@ -483,7 +582,7 @@ def covariance(fit: _Fit, theta: Array) -> Array:
 
 def _conclude(fit: _Fit, theta: Array, notes: list[str]) -> Identification:
     data = sum(int(sum(counts.sum() for counts in window.counts.values())) for window in fit.windows)
-    squares = float(np.sum(fit.residuals(theta)[: -(1 + 4 * len(fit.parameters.modes))] ** 2))
+    squares = sum(float(np.sum(fit.block(theta, i) ** 2)) for i in range(len(fit.trials)))
     freedom = max(data - fit.parameters.size, 1)
     spread = max(squares / freedom, 1e-12) * _correlation(fit, theta)
     deviation = np.sqrt(np.diag(covariance(fit, theta)) * spread)
@@ -565,7 +664,9 @@ def _trial_fits(fit: _Fit, theta: Array) -> list[TrialFit]:
         own = fit.parameters.own[i]
         along = float(theta[own["vy"]]) if "vy" in own else None
         onset, speed = float(theta[own["onset"]]), -float(theta[own["speed"]])
-        fits.append(TrialFit(trial.name, trial.mode, onset, speed, along, _in_contact(fit, theta, i)))
+        push = tuple(float(theta[own[f"n_{when}"]]) if "n_after" in own else 0.0 for when in _PUSHES)
+        samples = _in_contact(fit, theta, i)
+        fits.append(TrialFit(trial.name, trial.mode, onset, speed, along, samples, (push[0], push[1])))
     return fits
 
 
@@ -579,7 +680,8 @@ def deviation_bound(
 ) -> dict[str, dict[str, float]]:
     """Cramér-Rao bound: the smallest standard deviation any unbiased estimate of k, f, mu, nu can have.
 
-    Onset times, approach velocities and the plane (with its prior) are unknown, as they are in `identify`.
+    Onset times, approach velocities and the plane (with its prior) are unknown, as they are in `identify`;
+    free flight is taken to be straight.
 
     Args:
         trials: (nearly) noise-free recordings, at the sample times of those in question.
@@ -589,7 +691,7 @@ def deviation_bound(
     Returns:
         mode -> coefficient -> bound, in the coefficient's unit.
     """
-    found, fit, theta = _solve(trials, mass_kg, onset, plane_sd_m)
+    found, fit, theta = _solve(trials, mass_kg, onset, plane_sd_m, may_curve=False)
     fit.sd.update(noise)
     deviation = np.sqrt(np.diag(covariance(fit, theta)))
     bounds = {}

@@ -170,7 +170,9 @@ def plot_fit(
     figure, axes = _figure(len(shown))
     for axis, (trial, fit) in zip(axes, shown, strict=True):
         c = found.fitted(fit.mode, Coefficients(k=1.0, f=0.0, mu=0.0, nu=0.0))
-        contact = Contact(c, mass_kg, fit.normal_m_s, onset, acceleration_m_s2=trial.acceleration_m_s2)
+        before, after = fit.push_m_s2
+        push = trial.acceleration_m_s2 + before
+        contact = Contact(c, mass_kg, fit.normal_m_s, onset, acceleration_m_s2=push)
         span = contact.end_s if np.isfinite(contact.end_s) else _SETTLED_S
         t = np.linspace(-0.15, span + 0.15, 1200)
         time, value = trial.normal
@@ -187,13 +189,9 @@ def plot_fit(
             markersize=3,
             label="recorded",
         )
-        axis.plot(
-            1e3 * t,
-            1e3 * (contact.normal(t)[0] + found.plane_m.value),
-            color=BLUE,
-            linewidth=1.2,
-            label="fit",
-        )
+        late = np.maximum(t - contact.end_s, 0.0)
+        x = contact.normal(t)[0] + 0.5 * (after - before) * late * late + found.plane_m.value
+        axis.plot(1e3 * t, 1e3 * x, color=BLUE, linewidth=1.2, label="fit")
         axis.axhline(1e3 * found.plane_m.value, color=GREY, linestyle=":", label="plane, identified")
         axis.set_ylabel("normal, mm")
         axis.set_title(

@@ -94,18 +94,27 @@ class Reading:
     mass_kg: float = 1.3
 
 
+Readers = dict[str, Callable[[Path, Reading], list[Trial]]]
+
+
 # --- reading --------------------------------------------------------------------------------------------
 
 
-def read_trials(path: str | Path, how: Reading) -> list[Trial]:
+def read_trials(path: str | Path, how: Reading, readers: Readers | None = None) -> list[Trial]:
     """The trials of a file.
+
+    Args:
+        path: the file; its suffix chooses the reader.
+        how: how to read it.
+        readers: suffix -> reader; `READERS` by default. Rooms above this one bring readers of their own.
 
     Raises:
         InputError: the file cannot be read, its kind is unknown, or its content cannot be used.
     """
-    reader = READERS.get(Path(path).suffix.lower())
+    known = READERS if readers is None else readers
+    reader = known.get(Path(path).suffix.lower())
     if reader is None:
-        raise InputError(f"unknown kind of trial, known: {', '.join(READERS)}", source=str(path))
+        raise InputError(f"unknown kind of trial, known: {', '.join(known)}", source=str(path))
     trials = reader(Path(path), how)
     for trial in trials:
         _check(trial)
@@ -284,8 +293,9 @@ def _from_imu(imu: Any, attitude: Any, how: Reading) -> dict[str, Series]:
     return series
 
 
-# Suffix -> reader. A further kind of recording is one function more here.
-READERS: dict[str, Callable[[Path, Reading], list[Trial]]] = {
+# Suffix -> reader. A further kind of recording is one function more: here, or given to `read_trials` by a
+# room above this one (the flight log has its own reader).
+READERS: Readers = {
     ".csv": read_csv,
     ".ulg": read_ulog,
     ".ulog": read_ulog,
@@ -370,7 +380,7 @@ def find_impact(trial: Trial) -> Impact:
         if before.sum() < 3 or after.sum() < 3:
             continue
         turn = Impact(
-            at, float(speed[before].min()), float(speed[after].max()), float(value[i]), _noise(time, value)
+            at, float(speed[before].min()), float(speed[after].max()), float(value[i]), noise_of(trial.normal)
         )
         quick = (turn.rebound_m_s - turn.approach_m_s) / (2.0 * reach) >= _TURN_M_S2
         if quick and turn.approach_m_s < -_SLOWEST_M_S and turn.rebound_m_s > 0.0:
@@ -382,6 +392,8 @@ def find_impact(trial: Trial) -> Impact:
     begun = next(t for t in found if t.rebound_m_s - t.approach_m_s >= 0.6 * strongest)
     same = [t for t in found if abs(t.turn_s - begun.turn_s) < 0.04]
     impact = min(same, key=lambda t: t.deepest_m)
+    if trial.acceleration_m_s2 == 0.0:
+        impact = impact._replace(approach_m_s=_line_slope(time, value, impact))
     if -impact.approach_m_s > _FASTEST_M_S:
         raise InputError(
             f"an approach at {-impact.approach_m_s:.0f} m/s: are positions in metres and times in seconds?",
@@ -401,9 +413,20 @@ def find_impact(trial: Trial) -> Impact:
     return impact
 
 
-def _noise(time: Array, value: Array) -> float:
-    """Standard deviation of white noise on smooth motion, from third differences."""
-    if time.size < 8:
+def _line_slope(time: Array, value: Array, impact: Impact) -> float:
+    """Approach velocity as the median slope between samples (Theil and Sen): deaf to a third of outliers."""
+    straight = (time > impact.turn_s - 0.25) & (time < impact.turn_s - 0.07)
+    t, x = time[straight][-200:], value[straight][-200:]
+    apart = t[None, :] - t[:, None] > 0.03
+    if apart.sum() < 10:
+        return impact.approach_m_s
+    slope = float(np.median(((x[None, :] - x[:, None])[apart]) / ((t[None, :] - t[:, None])[apart])))
+    return min(slope, -_SLOWEST_M_S)
+
+
+def noise_of(series: Series) -> float:
+    """Standard deviation of white noise on smooth motion, from third differences (evenly sampled)."""
+    if series.value.size < 8:
         return 1e-3
-    third = np.diff(value, 3)
+    third = np.diff(series.value, 3)
     return max(float(1.4826 * np.median(np.abs(third - np.median(third))) / math.sqrt(20.0)), 1e-7)

@@ -14,7 +14,8 @@ from dart_flight.config.mission import Mission
 from dart_flight.flight.detector import ImpactDetector
 from dart_flight.flight.executive import Executive
 from dart_flight.flight.force_estimator import ForceEstimator
-from dart_flight.flight.guard import Action, Guard
+from dart_flight.flight.guard import Guard
+from dart_flight.flight.guard_rules import RULES, Action, Rule
 from dart_flight.flight.phases import ON_GROUND, Phase
 from dart_flight.flight.state import FlightState
 from dart_flight.samples import (
@@ -22,6 +23,7 @@ from dart_flight.samples import (
     AttitudeSample,
     ClockOffset,
     ContactEnd,
+    EstimatorSample,
     ImpactOnset,
     ImpactPeak,
     ImuSample,
@@ -41,16 +43,17 @@ class FlightCore:
 
     Args:
         mission: checked and resolved.
+        rules: of the guard; another table only in tests.
 
     Raises:
         NoApproachError: an approach of the mission has no room (`planning.approach`).
     """
 
-    def __init__(self, mission: Mission) -> None:
+    def __init__(self, mission: Mission, rules: tuple[Rule, ...] = RULES) -> None:
         self.mission = mission
         self.state = FlightState(mission)
         self.detector = ImpactDetector(mission.vehicle.detection)
-        self.guard = Guard(mission)
+        self.guard = Guard(mission, rules)
         self.executive = Executive(mission, self.detector, self.guard)
         self._estimator = ForceEstimator(mission.vehicle)
         self._failed = False
@@ -98,6 +101,8 @@ class FlightCore:
             state.host_us = max(state.host_us, item.received_us)
         elif isinstance(item, LockState):
             state.lock = item
+        elif isinstance(item, EstimatorSample):
+            state.host_us = max(state.host_us, item.received_us)
         elif isinstance(item, ClockOffset):
             state.take_clock(item)
         elif isinstance(item, OperatorRequest):
@@ -119,14 +124,14 @@ class FlightCore:
     def _operator(self, item: OperatorRequest, out: list[Output]) -> None:
         state = self.state
         if item.request == "release":
-            self.guard.latch(Action.RELEASE, "operator", "released by the operator", state, out)
+            self.guard.latch("operator_release", "released by the operator", state, out)
         elif item.request == "world_died":
-            self.guard.latch(Action.RELEASE, "world_died", "the simulated vehicle is gone", state, out)
+            self.guard.latch("world_died", item.detail or "the simulated vehicle is gone", state, out)
         elif self.phase in ON_GROUND and not state.status.armed:
             self.executive.overrule(state, out, "operator")
-            self.guard.latch(Action.LAND, "operator", "stopped before take-off", state, out)
+            self.guard.latch("operator_ground", "stopped before take-off", state, out)
         else:
-            self.guard.latch(Action.BREAK_OFF, "operator", "land asked for", state, out)
+            self.guard.latch("operator", "land asked for", state, out)
 
     def _fault(self, out: list[Output]) -> None:
         """A fault in the mission's code: land, once, and say where."""
@@ -134,7 +139,7 @@ class FlightCore:
             return
         self._failed = True
         where = traceback.format_exc(limit=-2).strip().replace("\n", " | ")
-        self.guard.latch(Action.LAND, "mission_fault", where, self.state, out)
+        self.guard.latch("mission_fault", where, self.state, out)
 
     def _dispose(self, item: Input, out: list[Output]) -> list[Output]:
         try:

@@ -11,12 +11,19 @@ from collections.abc import Callable
 
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.flight.detector import ImpactDetector
-from dart_flight.flight.guard import Action, Guard
+from dart_flight.flight.guard import Guard
 from dart_flight.flight.phases import TRANSITIONS, WATCHING, Event, Phase
 from dart_flight.flight.recovery import recovery_point
 from dart_flight.flight.state import FlightState
-from dart_flight.geometry import Vec3, distance2, norm, wrap_angle
-from dart_flight.planning.approach import Approach, ReferencePoint, Transit, plan_approach, transit_to
+from dart_flight.geometry import Vec2, Vec3, distance2, norm, wrap_angle
+from dart_flight.planning.approach import (
+    Approach,
+    ReferencePoint,
+    Transit,
+    plan_approach,
+    stop_before,
+    transit_to,
+)
 from dart_flight.planning.closed_loop import least_distance_m
 from dart_flight.samples import (
     ContactEnd,
@@ -38,7 +45,6 @@ from dart_flight.samples import (
 )
 
 _RETRY_US = 1_000_000  # telemetry of mode and arming lags by up to a second
-_EARLY_M = 0.25  # a contact this far before the plane is not the planned wall
 # Of the prediction "holding still stops short of the wall"; small, because breaking off brakes harder.
 _STOP_MARGIN_M = 0.02
 _PASSED_RISE_M = 0.03  # the distance to the goal has risen by more than its noise
@@ -172,12 +178,13 @@ class Executive:
             self._asked_us = state.now_us
             out.append(VehicleCommand(state.now_us, action))
 
-    def _give_up_after(self, state: FlightState, out: list[Output], what: str) -> None:
-        if self._elapsed_us(state) > self.mission.vehicle.flying.ready_timeout_s * 1e6:
+    def _give_up_after(self, state: FlightState, out: list[Output], rule: str, what: str) -> None:
+        over = self._elapsed_us(state) > self.mission.vehicle.flying.ready_timeout_s * 1e6
+        if over and self._guard.latch(rule, what, state, out):
             if state.status.armed:
                 out.append(VehicleCommand(state.now_us, VehicleAction.DISARM))
             self._go(Event.GIVEN_UP, state, out, what)
-            self.finish(state, out, MissionEnd(state.now_us, "aborted", what, None))
+            self.finish(state, out, MissionEnd(state.now_us, "aborted", f"{rule}: {what}", None))
 
     # -- lock --
 
@@ -231,7 +238,7 @@ class Executive:
             )
             if not there
         ]
-        self._give_up_after(state, out, "not ready: no " + ", no ".join(missing))
+        self._give_up_after(state, out, "not_ready", "no " + ", no ".join(missing))
 
     def _offboard(self, state: FlightState, out: list[Output]) -> None:
         if state.in_offboard:
@@ -240,7 +247,7 @@ class Executive:
         # PX4 accepts offboard only with set-points already streaming.
         if self._elapsed_us(state) > 200_000:
             self._ask(VehicleAction.OFFBOARD, state, out)
-        self._give_up_after(state, out, "PX4 refused offboard")
+        self._give_up_after(state, out, "offboard_refused", "PX4 refused offboard")
 
     def _arming(self, state: FlightState, out: list[Output]) -> None:
         if state.status.armed:
@@ -253,7 +260,7 @@ class Executive:
             self._go(Event.CONFIRMED, state, out)
             return
         self._ask(VehicleAction.ARM, state, out)
-        self._give_up_after(state, out, "PX4 refused to arm")
+        self._give_up_after(state, out, "arming_refused", "PX4 refused to arm")
 
     # -- between the collisions --
 
@@ -262,7 +269,7 @@ class Executive:
             self._go(Event.ARRIVED, state, out)
             self._begin_transit(state)
         elif self._elapsed_us(state) > self.mission.vehicle.flying.ready_timeout_s * 1e6:
-            self._guard.latch(Action.LAND, "climb_timeout", "altitude not reached", state, out)
+            self._guard.latch("climb_timeout", "altitude not reached", state, out)
 
     def _begin_transit(self, state: FlightState) -> None:
         collision = self.collision
@@ -277,7 +284,7 @@ class Executive:
         if self._has_arrived(state):
             self._go(Event.ARRIVED, state, out)
         elif self._elapsed_us(state) > self.mission.vehicle.flying.ready_timeout_s * 1e6:
-            self._guard.latch(Action.HOLD, "transit_timeout", "run-up point not reached", state, out)
+            self._guard.latch("transit_timeout", "run-up point not reached", state, out)
 
     def _has_arrived(self, state: FlightState) -> bool:
         """At the target, slow, and heading as wanted, for the configured time."""
@@ -301,54 +308,114 @@ class Executive:
             self._go(Event.MODE_SETTLED, state, out)
         elif self._elapsed_us(state) > (self.mission.vehicle.lock.timeout_s + 2.0) * 1e6:
             detail = f"lock not {collision.mode.value} before collision {collision.index}"
-            self._guard.latch(Action.LAND, "lock_not_settled", detail, state, out)
+            self._guard.latch("lock_not_ready", detail, state, out)
 
     def _fly_approach(self, state: FlightState, out: list[Output]) -> None:
         collision, approach = self.collision, self._approach
         assert collision is not None
         assert approach is not None
+        if self.mission.standoff_m is not None:
+            self._rehearse_approach(approach, collision, state, out)
+            return
         if not state.lock_is_in(collision.mode):
             detail = f"lock left {collision.mode.value} during the approach"
-            self._guard.latch(Action.BREAK_OFF, "lock_not_settled", detail, state, out)
+            self._guard.latch("lock_not_settled", detail, state, out)
         self._check_wall_met(collision, state, out)
         late = self._elapsed_us(state) * 1e-6 - approach.impact_s
-        if late > 1.5:
+        if late > self.mission.vehicle.guard.wall_late_s:
             detail = f"wall {collision.wall.name} not met {late:.1f} s after the planned impact"
-            self._guard.latch(Action.BREAK_OFF, "wall_not_met", detail, state, out)
+            self._guard.latch("wall_not_met", detail, state, out)
 
     def _check_wall_met(self, collision: Collision, state: FlightState, out: list[Output]) -> None:
         overrun = -collision.wall.signed_distance(state.position)
         if overrun > self.mission.vehicle.guard.wall_overrun_m and not self._detector.in_contact:
             detail = f"{overrun:.2f} m behind wall {collision.wall.name} without a contact"
-            self._guard.latch(Action.BREAK_OFF, "wall_not_met", detail, state, out)
+            self._guard.latch("wall_not_met", detail, state, out)
+
+    # -- rehearsal: every contact replaced by stopping before the wall --
+
+    def _rehearse_approach(
+        self, approach: Approach, collision: Collision, state: FlightState, out: list[Output]
+    ) -> None:
+        """Along the approach, but from rest to rest, to a stop before the wall."""
+        if self._target[:2] == approach.begin:
+            stop = stop_before(self.mission, collision, approach.begin, approach.impact)
+            self._fly_to(stop, min(approach.speed_m_s, self.mission.limits.speed_m_s))
+        elif self._has_arrived(state):
+            self._stand_off(state, out)
+        elif self._elapsed_us(state) > self.mission.vehicle.flying.ready_timeout_s * 1e6:
+            self._guard.latch("transit_timeout", "stand-off point not reached", state, out)
+
+    def _stand_off(self, state: FlightState, out: list[Output]) -> None:
+        """At rest before the wall: the next collision, or the goal, comes next."""
+        self._contact_end_us = state.now_us
+        self._transit = None
+        if self.phase is Phase.APPROACH:
+            self._go(Event.STOOD_OFF, state, out)
+        self.collision_index += 1
+
+    def _fly_to(self, point: Vec2, speed_m_s: float) -> None:
+        target = (point[0], point[1], self.mission.altitude_m)
+        self._transit = Transit.between(
+            self._target, target, speed_m_s, self.mission.vehicle.flying.acceleration_m_s2
+        )
+        self._target = target
+
+    def _rehearse_recovery(self, state: FlightState, out: list[Output]) -> None:
+        """What the recovery would do, from rest to rest: on to the next wall, or to the goal."""
+        following = self.collision
+        locked = self._lock_to(following.mode if following else self.mission.transit_mode, state, out)
+        if following is None:
+            goal = self.mission.goal.position_m
+            self._fly_to(goal, self.mission.vehicle.flying.transit_speed_m_s)
+            self._captured_us = None
+            self._go(Event.PASSED, state, out)
+        elif following.approach_m_s is not None:
+            self._go(Event.RESTED, state, out)
+            self._begin_transit(state)
+        elif self._transit is None:
+            if locked:
+                here = (state.position[0], state.position[1])
+                self._entered_us = state.now_us
+                foot = stop_before(self.mission, following, here, following.wall.foot(here))
+                self._fly_to(foot, self.mission.vehicle.flying.transit_speed_m_s)
+        elif self._has_arrived(state):
+            self._stand_off(state, out)
+        if self._elapsed_us(state) > self.mission.vehicle.flying.ready_timeout_s * 1e6:
+            self._guard.latch("transit_timeout", "stand-off point not reached", state, out)
 
     # -- impact --
 
     def _on_onset(self, event: ImpactOnset, state: FlightState, out: list[Output]) -> None:
         self._impact_us, self._contact_end_us = event.t_us, None
         collision = self.collision
-        planned = collision is not None and (
-            self.phase is Phase.APPROACH or (self.phase is Phase.RECOVERY and collision.approach_m_s is None)
+        planned = (
+            collision is not None
+            and self.mission.standoff_m is None
+            and (
+                self.phase is Phase.APPROACH
+                or (self.phase is Phase.RECOVERY and collision.approach_m_s is None)
+            )
         )
         if not planned or collision is None:
             force = math.hypot(event.force_mission[0], event.force_mission[1])
             detail = f"hit with {force:.0f} N in {self.phase.value}, no wall planned"
-            self._guard.latch(Action.BREAK_OFF, "unplanned_hit", detail, state, out)
+            self._guard.latch("unplanned_hit", detail, state, out)
             return
         distance = collision.wall.signed_distance(event.position_mission)
-        if distance > _EARLY_M:
+        if distance > self.mission.vehicle.guard.wall_early_m:
             detail = f"{distance:.2f} m before wall {collision.wall.name}"
-            self._guard.latch(Action.BREAK_OFF, "wall_met_early", detail, state, out)
+            self._guard.latch("wall_met_early", detail, state, out)
             return
         if not state.lock_is_in(collision.mode):
             detail = f"contact with wall {collision.wall.name} while the lock is not {collision.mode.value}"
-            self._guard.latch(Action.BREAK_OFF, "lock_not_settled", detail, state, out)
+            self._guard.latch("lock_not_settled", detail, state, out)
             return
         self._go(Event.ONSET, state, out)
 
     def _contact(self, state: FlightState, out: list[Output]) -> None:
         if self._elapsed_us(state) > 2 * self.mission.vehicle.detection.peak_wait_s * 1e6:
-            self._guard.latch(Action.BREAK_OFF, "no_peak", "contact without a peak", state, out)
+            self._guard.latch("no_peak", "contact without a peak", state, out)
 
     def _on_peak(self, event: ImpactPeak, state: FlightState, out: list[Output]) -> None:
         collision = self.collision
@@ -367,7 +434,7 @@ class Executive:
         force = math.hypot(event.normal_force_n, event.tangential_force_n)
         if force > self.mission.limits.peak_force_n:
             detail = f"{force:.0f} N at wall {collision.wall.name}"
-            self._guard.latch(Action.BREAK_OFF, "peak_force", detail, state, out)
+            self._guard.latch("peak_force", detail, state, out)
         self._least_miss_m = math.inf
         self._go(Event.PEAK, state, out)
         self.collision_index += 1
@@ -375,6 +442,9 @@ class Executive:
     # -- recovery and goal --
 
     def _recovery(self, state: FlightState, out: list[Output]) -> None:
+        if self.mission.standoff_m is not None:
+            self._rehearse_recovery(state, out)
+            return
         following = self.collision
         if self._contact_end_us is not None:
             self._lock_to(following.mode if following else self.mission.transit_mode, state, out)
@@ -393,7 +463,7 @@ class Executive:
             self._check_lock_in_time(following, state, out)
             if elapsed > timeout:
                 detail = f"wall {following.wall.name} not reached by the recovery"
-                self._guard.latch(Action.BREAK_OFF, "wall_not_met", detail, state, out)
+                self._guard.latch("wall_not_met", detail, state, out)
 
     def _check_lock_in_time(self, following: Collision, state: FlightState, out: list[Output]) -> None:
         """Break off at the last moment at which holding still stops short of the wall."""
@@ -416,7 +486,7 @@ class Executive:
                 f"lock {state.lock.phase.value}, not {following.mode.value}, {distance:.2f} m before wall "
                 f"{following.wall.name} at {closing:.2f} m/s"
             )
-            self._guard.latch(Action.BREAK_OFF, "lock_late", detail, state, out)
+            self._guard.latch("lock_late", detail, state, out)
 
     def _watch_goal(self, state: FlightState, out: list[Output], timed_out: bool) -> None:
         if self._contact_end_us is None and not timed_out:
@@ -439,7 +509,7 @@ class Executive:
             self._captured_us = None
             if self._elapsed_us(state) > (goal.hold_s + self.mission.limits.collision_timeout_s) * 1e6:
                 detail = f"still {distance:.2f} m from the goal"
-                self._guard.latch(Action.LAND, "goal_not_reached", detail, state, out)
+                self._guard.latch("goal_not_reached", detail, state, out)
         elif self._captured_us is None:
             self._captured_us = state.now_us
         elif state.now_us - self._captured_us >= goal.hold_s * 1e6:
@@ -476,7 +546,9 @@ class Executive:
         self._slew_yaw(state)
         t_s = (sample.t_us - self._entered_us) * 1e-6
         reference: ReferencePoint | None = None
-        if self.phase in (Phase.CLIMB, Phase.TRANSIT) and self._transit is not None:
+        rehearsal = self.mission.standoff_m is not None
+        on_rails = (Phase.CLIMB, Phase.TRANSIT) if not rehearsal else tuple(Phase)
+        if self.phase in on_rails and self._transit is not None and self.phase is not Phase.PREPARE:
             reference = self._transit.at(t_s)
         elif self.phase is Phase.APPROACH and self._approach is not None:
             reference = self._approach.at(t_s)

@@ -36,6 +36,7 @@ class Event(StrEnum):
     MODE_SETTLED = "lock settled"
     ONSET = "force over threshold"
     PEAK = "peak of normal force"
+    STOOD_OFF = "stopped before the wall"  # a rehearsal
     RESTED = "rested, next approach"
     PASSED = "goal passed"
     HELD = "goal held"
@@ -52,6 +53,7 @@ TRANSITIONS: dict[tuple[Phase, Event], Phase] = {
     (Phase.TRANSIT, Event.ARRIVED): Phase.PREPARE,
     (Phase.PREPARE, Event.MODE_SETTLED): Phase.APPROACH,
     (Phase.APPROACH, Event.ONSET): Phase.CONTACT,
+    (Phase.APPROACH, Event.STOOD_OFF): Phase.RECOVERY,
     (Phase.CONTACT, Event.PEAK): Phase.RECOVERY,
     (Phase.RECOVERY, Event.ONSET): Phase.CONTACT,
     (Phase.RECOVERY, Event.RESTED): Phase.TRANSIT,

@@ -133,6 +133,16 @@ def _check_room(mission: Mission, collision: Collision, approach: Approach) -> N
                     raise NoApproachError(f"wall {wall.name} is in the way of the run-up")
 
 
+def stop_before(mission: Mission, collision: Collision, begin: Vec2, impact: Vec2) -> Vec2:
+    """Where a rehearsal stops: on the line from `begin` to `impact`, `standoff_m` before the wall's plane."""
+    standoff = mission.standoff_m or 0.0
+    here, there = collision.wall.signed_distance(begin), collision.wall.signed_distance(impact)
+    if here - there < 1e-6 or here <= standoff:
+        return begin
+    share = (here - standoff) / (here - there)
+    return (begin[0] + share * (impact[0] - begin[0]), begin[1] + share * (impact[1] - begin[1]))
+
+
 class Transit(msgspec.Struct, frozen=True):
     """Straight flight from rest to rest at a limited speed and acceleration."""
 

@@ -27,6 +27,7 @@ from dart_flight.recording.schema import RECORD_TYPES, encoded_schema
 from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
+    EstimatorSample,
     ForceEstimate,
     ImuSample,
     OdometrySample,
@@ -51,6 +52,7 @@ _STREAMS = frozenset(
         AttitudeSample,
         OdometrySample,
         ActuatorSample,
+        EstimatorSample,
         Tick,
         SetPoint,
         ForceEstimate,

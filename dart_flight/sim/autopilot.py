@@ -16,10 +16,10 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
 from dart_flight.geometry import Vec3, distance2, yaw_ned_of
 from dart_flight.lock.drivers.px4 import PREARM_ALWAYS, actuator_pulse_us, required_parameters
-from dart_flight.samples import FlightMode, LandedState, Mode
+from dart_flight.samples import FlightMode, LandedState
 from dart_flight.sim.cascade import Cascade, TrajectorySetPoint
 from dart_flight.sim.estimator import Estimator
-from dart_flight.sim.plant import Plant
+from dart_flight.sim.plant import Plant, make_plant
 from dart_flight.sim.sensors import ImuSensor, PoseSensor
 
 TICK_S = 0.004
@@ -65,6 +65,8 @@ class Autopilot:
         self.actuator_set: list[float] = [math.nan] * 6
         self.imu = ImuReading(0, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0))
         self.failsafe: str | None = None
+        self.imu_stuck = False  # faults: the reported IMU hangs, the flying one does not
+        self.battery_left: float | None = None
         self._offboard: TrajectorySetPoint | None = None
         self._offboard_at_s = -math.inf
         self._hold: TrajectorySetPoint = TrajectorySetPoint()
@@ -89,6 +91,8 @@ class Autopilot:
     @property
     def battery_remaining(self) -> float:
         """Charge left, 0 to 1: a quarter of an hour of flight."""
+        if self.battery_left is not None:
+            return self.battery_left
         return max(0.0, 1.0 - self.plant.time_s / 900.0)
 
     # -- commands, as MAVLink brings them --
@@ -166,7 +170,8 @@ class Autopilot:
         """Advance by one tick of 4 ms."""
         specific_force = self.plant.advance(self.motors, _STEPS_PER_TICK)
         measured, rate = self.imu_sensor.measure(specific_force, self.plant.rate)
-        self.imu = ImuReading(self.time_us, measured, rate)
+        reported = (self.imu.specific_force_frd, self.imu.rate_frd) if self.imu_stuck else (measured, rate)
+        self.imu = ImuReading(self.time_us, *reported)
         self.estimator.predict(self.now_s, measured, rate, TICK_S)
         pose = self.pose_sensor.measure(self.plant)
         if pose is not None:
@@ -281,10 +286,4 @@ def default_parameters(vehicle: VehicleConfig) -> dict[str, float]:
 
 def make_autopilot(mission: Mission, seed: int, say: Callable[[str, str], None] | None = None) -> Autopilot:
     """The simulated vehicle standing on the ground below a mission's start, arms free."""
-    flat = mission.frame_at((0.0, 0.0, 0.0))
-    x, y = mission.start
-    start_ned = flat.point_to_ned((x, y, 0.0))
-    frame = mission.frame_at(start_ned)
-    plant = Plant(mission.vehicle, mission.walls, frame, start_ned)
-    plant.set_mode(Mode.FLEXIBLE)
-    return Autopilot(plant, seed, say)
+    return Autopilot(make_plant(mission), seed, say)

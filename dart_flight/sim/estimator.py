@@ -59,6 +59,11 @@ class Estimator:
         while self._history[0][0] < t_s - _HISTORY_S:
             self._history.popleft()
 
+    def shift(self, by_ned: Vec3) -> None:
+        """Jump, as an EKF does at a reset."""
+        self.position = add(self.position, by_ned)
+        self._history = deque((t, add(p, by_ned), q) for t, p, q in self._history)
+
     def correct(self, t_s: float, position_ned: Vec3, q: Quaternion) -> None:
         """A pose measured at `t_s`, which may lie in the past."""
         self._updates += 1

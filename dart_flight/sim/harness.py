@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -16,28 +17,32 @@ import msgspec
 
 from dart_flight.errors import FlightError
 from dart_flight.samples import TruthContact, TruthSample
-from dart_flight.sim.process import Horn, Ready, Truth, WorldOutput, WorldSpec
-
-_READY_TIMEOUT_S = 20.0
+from dart_flight.sim.faults import Fault
+from dart_flight.sim.pipe import Died, FaultLine, Horn, Ready, Truth, WorldOutput, WorldSpec
 
 
 class WorldError(FlightError):
     """The simulated vehicle did not start, or died."""
 
 
-class EmbeddedWorld:
-    """Plant and embedded autopilot in a process and session of their own, which outlive Ctrl-C and the app.
+class WorldProcess:
+    """A simulated vehicle in a process and session of its own, which outlive Ctrl-C and the app.
 
     Args:
         spec: what to simulate.
         on_truth: takes every truth record, on a thread of its own.
     """
 
+    ready_timeout_s = 20.0
+    what = "the simulated vehicle"
+
     def __init__(self, spec: WorldSpec, on_truth: Callable[[TruthSample | TruthContact], None]) -> None:
         self._on_truth = on_truth
-        self._ready = threading.Event()
+        self._told = threading.Event()
         self._lock = threading.Lock()
         self._log = spec.log
+        self.ready: Ready | None = None
+        self._cause: str | None = None
         # What goes wrong over there belongs beside what it says, not into the app's terminal.
         with open(spec.log or os.devnull, "ab") as errors:
             self._process = subprocess.Popen(
@@ -57,24 +62,50 @@ class EmbeddedWorld:
 
     @property
     def died(self) -> bool:
-        """Whether the process has ended."""
-        return self._process.poll() is not None
+        """Whether the vehicle is gone: it said so, or its process has ended."""
+        return self._cause is not None or self._process.poll() is not None
+
+    @property
+    def cause(self) -> str:
+        """What died, in words, once `died`."""
+        if self._cause is not None:
+            return self._cause
+        code = self._process.poll()
+        how = f"was killed by {signal.Signals(-code).name}" if code and code < 0 else "has ended"
+        return f"the process of {self.what} {how}"
+
+    @property
+    def port(self) -> int:
+        """UDP port that the autopilot sends to, where it chose that itself."""
+        assert self.ready is not None
+        assert self.ready.port is not None
+        return self.ready.port
+
+    @property
+    def version(self) -> str | None:
+        """The autopilot's version, where it told."""
+        return self.ready.version if self.ready is not None else None
 
     def wait_ready(self) -> None:
         """Block until the autopilot sends.
 
         Raises:
-            WorldError: it does not within 20 s.
+            WorldError: it does not in time; says why where that is known.
         """
-        deadline = time.monotonic() + _READY_TIMEOUT_S
-        while not self._ready.wait(0.05):
-            if self.died or time.monotonic() > deadline:
-                where = f", see {self._log}" if self._log else ""
-                raise WorldError(f"the simulated vehicle did not start{where}")
+        deadline = time.monotonic() + self.ready_timeout_s
+        while not self._told.wait(0.05) and not self.died and time.monotonic() < deadline:
+            pass
+        if self.ready is None:
+            where = f", see {self._log}" if self._log else ""
+            raise WorldError((self._cause or f"{self.what} did not start") + where)
 
     def send_horn(self, pulse_us: float) -> None:
         """Tell the plant where the mock servo's horn is."""
         self._send_line(msgspec.json.encode(Horn(pulse_us)))
+
+    def send_fault(self, fault: Fault) -> None:
+        """A fault begins over there."""
+        self._send_line(msgspec.json.encode(FaultLine(fault)))
 
     def close(self, timeout_s: float = 30.0) -> None:
         """Let go of the vehicle: it flies on to its failsafe if it is in the air, then the process ends."""
@@ -100,11 +131,34 @@ class EmbeddedWorld:
             with contextlib.suppress(msgspec.DecodeError):
                 item = decoder.decode(line)
                 if isinstance(item, Ready):
-                    self._ready.set()
+                    self.ready = item
+                    self._told.set()
+                elif isinstance(item, Died):
+                    self._cause = item.cause
+                    self._told.set()
                 elif isinstance(item, Truth):
                     record = item.state or item.contact
                     if record is not None:
                         self._on_truth(record)
+
+
+class EmbeddedWorld(WorldProcess):
+    """Plant and embedded autopilot."""
+
+
+class Px4World(WorldProcess):
+    """Plant and a real PX4, which belongs to the process and ends with it."""
+
+    ready_timeout_s = 60.0
+    what = "the plant under PX4"
+
+    def close(self, timeout_s: float = 30.0) -> None:
+        """As for every world; should the process have been killed, PX4's session goes with it."""
+        super().close(timeout_s)
+        killed = self._process.returncode < 0  # in every other case it has ended PX4 itself
+        if killed and self.ready is not None and self.ready.pid is not None:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self.ready.pid, signal.SIGKILL)
 
 
 def free_udp_port() -> int:

@@ -21,6 +21,7 @@ from dart_flight.geometry import distance2
 from dart_flight.samples import FlightMode, LandedState
 from dart_flight.sim.autopilot import TICK_US, Autopilot
 from dart_flight.sim.cascade import TrajectorySetPoint
+from dart_flight.sim.impairment import Impairment, LossyLink
 
 _PX4 = 12  # MAV_AUTOPILOT_PX4
 _VERSION = (1 << 24) | (16 << 16) | (0 << 8) | 255  # says v1.16.0, the version whose behaviour this imitates
@@ -83,6 +84,9 @@ class Link:
             self.set_rate(message, rate)
         self.parser = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
         self.parser.robust_parsing = True
+        # Faults of the link: what leaves and what arrives goes through these.
+        self.to_app: LossyLink[bytes] = LossyLink(remote_port)
+        self.from_app: LossyLink[bytes] = LossyLink(remote_port + 1)
 
     def set_rate(self, message: int, rate_hz: float) -> None:
         """Rate of a message; 0 stops it. Rates snap to whole ticks."""
@@ -146,6 +150,15 @@ class MavlinkEndpoint:
         """Send a STATUSTEXT on every link."""
         self._texts.append((severity, text))
 
+    def impair(self, impairment: Impairment) -> None:
+        """From now on the links are this bad."""
+        for link in self.links:
+            link.to_app.impairment = link.from_app.impairment = impairment
+
+    def stop_imu(self) -> None:
+        """No more HIGHRES_IMU."""
+        self.stopped.add(mavlink.MAVLINK_MSG_ID_HIGHRES_IMU)
+
     def close(self) -> None:
         """Close the sockets."""
         for link in self.links:
@@ -176,17 +189,24 @@ class MavlinkEndpoint:
                     cache[message_id] = self._builders[message_id]().pack(self._pack)
                     self._pack.seq = (self._pack.seq + 1) % 256
                 self._send_bytes(link, cache[message_id])
+        self._flush()
+
+    def _flush(self) -> None:
+        """What the links let through by now."""
+        now_s = self.autopilot.now_s
+        for link in self.links:
+            for packed in link.to_app.pop(now_s):
+                # Nobody listening yet, or no more: a datagram is allowed to be lost.
+                with contextlib.suppress(OSError):
+                    link.socket.sendto(packed, link.remote)
 
     def _send(self, link: Link, message: Any) -> None:
         packed = message.pack(self._pack)
         self._pack.seq = (self._pack.seq + 1) % 256
         self._send_bytes(link, packed)
 
-    @staticmethod
-    def _send_bytes(link: Link, packed: bytes) -> None:
-        # Nobody listening yet, or no more: a datagram is allowed to be lost.
-        with contextlib.suppress(OSError):
-            link.socket.sendto(packed, link.remote)
+    def _send_bytes(self, link: Link, packed: bytes) -> None:
+        link.to_app.push(self.autopilot.now_s, packed)
 
     def _receive(self, link: Link) -> None:
         for _ in range(100):  # a flood must not stop the flight
@@ -194,8 +214,13 @@ class MavlinkEndpoint:
                 data, _sender = link.socket.recvfrom(2048)
             except OSError as error:
                 if error.errno in (errno.EAGAIN, errno.EWOULDBLOCK):
-                    return
+                    break
                 continue  # e.g. ECONNREFUSED reported by an earlier send
+            link.from_app.push(self.autopilot.now_s, data)
+        self._parse(link)
+
+    def _parse(self, link: Link) -> None:
+        for data in link.from_app.pop(self.autopilot.now_s):
             # The parser raises struct.error on lengths its checksum let through: such a frame is noise.
             with contextlib.suppress(mavlink.MAVError, struct.error):
                 for message in link.parser.parse_buffer(data) or []:

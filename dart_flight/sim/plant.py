@@ -11,7 +11,8 @@ import math
 
 import msgspec
 
-from dart_flight.config.vehicle import Coefficients, VehicleConfig
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import Airframe, Coefficients, VehicleConfig
 from dart_flight.contact.law import Onset, coefficients_in_force, contact_force
 from dart_flight.geometry import (
     GRAVITY_M_S2,
@@ -38,6 +39,28 @@ _GROUND_SPEED_M_S = 0.05  # regularisation of the ground's friction
 
 # Motors in PX4's order for a quadrotor in X, FRD: sign of x, sign of y, direction of the yaw torque.
 MOTORS: tuple[tuple[int, int, int], ...] = ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1))
+
+
+class Motor(msgspec.Struct, frozen=True):
+    """One motor of an airframe.
+
+    Attributes:
+        x_m, y_m: position, FRD, metres from the centre of mass.
+        yaw_m: yaw torque in N m per newton of thrust; positive for a propeller that turns counter-clockwise
+            seen from above (PX4's CA_ROTORn_KM).
+    """
+
+    x_m: float
+    y_m: float
+    yaw_m: float
+
+
+def motors_of(airframe: Airframe) -> tuple[Motor, ...]:
+    """The configured airframe's motors in PX4's order for a quadrotor in X."""
+    return tuple(
+        Motor(sx * airframe.arm_x_m, sy * airframe.arm_y_m, spin * _YAW_TORQUE_PER_THRUST_M)
+        for sx, sy, spin in MOTORS
+    )
 
 
 class _WallPlane(msgspec.Struct):
@@ -70,6 +93,7 @@ class Plant:
         frame: the mission frame in local NED.
         start_ned: where it stands, metres.
         yaw_ned_rad: heading it stands at.
+        motors: the airframe's four motors in the autopilot's order; the configuration's by default.
     """
 
     def __init__(
@@ -79,8 +103,10 @@ class Plant:
         frame: MissionFrame,
         start_ned: Vec3 = (0.0, 0.0, 0.0),
         yaw_ned_rad: float = 0.0,
+        motors: tuple[Motor, ...] | None = None,
     ) -> None:
         self.vehicle, self.frame = vehicle, frame
+        self.motors = motors if motors is not None else motors_of(vehicle.airframe)
         self.onset = Onset(vehicle.onset)
         self.planes = [_plane(wall, frame) for wall in walls]
         self.mass = vehicle.airframe.mass_kg
@@ -143,16 +169,14 @@ class Plant:
 
     def _motors(self, commands: tuple[float, float, float, float]) -> tuple[float, Vec3]:
         decay, thrust = self._motor_decay, self.vehicle.thrust
-        ax, ay = self.vehicle.airframe.arm_x_m, self.vehicle.airframe.arm_y_m
         total = roll = pitch = yaw = 0.0
-        for i in range(4):
+        for i, motor in enumerate(self.motors):
             self.motor[i] = commands[i] + (self.motor[i] - commands[i]) * decay
             force = thrust.force_n(self.motor[i])
-            sx, sy, spin = MOTORS[i]
             total += force
-            roll -= sy * ay * force
-            pitch += sx * ax * force
-            yaw += spin * _YAW_TORQUE_PER_THRUST_M * force
+            roll -= motor.y_m * force
+            pitch += motor.x_m * force
+            yaw += motor.yaw_m * force
         return total, (roll, pitch, yaw)
 
     def _drag(self) -> Vec3:
@@ -356,6 +380,16 @@ class Plant:
             q_frd_to_ned=self.q,
             mode=self.mode,
         )
+
+
+def make_plant(mission: Mission, motors: tuple[Motor, ...] | None = None) -> Plant:
+    """The vehicle standing on the ground below a mission's start, arms free."""
+    flat = mission.frame_at((0.0, 0.0, 0.0))
+    x, y = mission.start
+    start_ned = flat.point_to_ned((x, y, 0.0))
+    plant = Plant(mission.vehicle, mission.walls, mission.frame_at(start_ned), start_ned, motors=motors)
+    plant.set_mode(Mode.FLEXIBLE)
+    return plant
 
 
 def _plane(wall: Wall, frame: MissionFrame) -> _WallPlane:

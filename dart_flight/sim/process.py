@@ -7,13 +7,10 @@ its text log, and the process ends once it has landed, 30 s later at the latest.
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import signal
 import sys
-import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from typing import IO
 
@@ -21,10 +18,12 @@ import msgspec
 
 from dart_flight.config.document import Document
 from dart_flight.config.mission import parse_mission
-from dart_flight.config.vehicle import LockDriver, VehicleConfig
-from dart_flight.samples import TruthContact, TruthSample
+from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.sim.autopilot import TICK_S
+from dart_flight.sim.faults import Fault, Place, VehicleFault, impairment_of
+from dart_flight.sim.impairment import Impairment
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
+from dart_flight.sim.pipe import FaultLine, Horn, LineReader, LineWriter, Ready, Truth, WorldSpec
 from dart_flight.sim.vehicle import SimulatedVehicle
 
 _TRUTH_EVERY = 2  # ticks
@@ -32,97 +31,20 @@ _ORPHAN_S = 28.0  # after the app's death; with start and end it stays within 30
 _LATE_S = 0.25  # a stall longer than this is not caught up with: the world pauses instead
 
 
-class WorldSpec(msgspec.Struct):
-    """What the process is told on its first line of input."""
+def run_in_real_time(step: Callable[[], None], until: Callable[[], bool], period_s: float = TICK_S) -> None:
+    """Call `step` every period until `until` says so; after a long stall the world pauses rather than races.
 
-    mission: str
-    vehicle: str  # configuration as JSON: what the app has, whatever file it came from
-    seed: int
-    ports: list[int]
-    driver: LockDriver
-    log: str | None = None
-
-
-class Horn(msgspec.Struct, tag="horn"):
-    """The mock servo's modelled horn, as a pulse in microseconds."""
-
-    pulse_us: float
-
-
-class Ping(msgspec.Struct, tag="ping"):
-    """Nothing; a line that keeps the pipe alive."""
-
-
-WorldInput = Horn | Ping
-
-
-class Ready(msgspec.Struct, tag="ready"):
-    """The autopilot sends from now on."""
-
-    time_us: int
-
-
-class Truth(msgspec.Struct, tag="truth"):
-    """A truth record on its way to the app."""
-
-    state: TruthSample | None = None
-    contact: TruthContact | None = None
-
-
-WorldOutput = Ready | Truth
-
-
-def run_in_real_time(step: Callable[[], None], until: Callable[[], bool]) -> None:
-    """Call `step` every 4 ms until `until` says so; after a long stall the world pauses rather than races."""
+    With a period of 4 ms a tick takes the time it simulates; a shorter one is a world at higher speed.
+    """
     due = time.monotonic()
     while not until():
         step()
-        due += TICK_S
+        due += period_s
         now = time.monotonic()
         if due > now:
             time.sleep(due - now)
         elif now - due > _LATE_S:
             due = now
-
-
-class _Writer:
-    """Lines to a pipe from a thread of their own: a hung reader must not stop the flight."""
-
-    def __init__(self, stream: IO[bytes]) -> None:
-        self._stream = stream
-        self._lines: deque[bytes] = deque(maxlen=5000)
-        self._wake = threading.Event()
-        threading.Thread(target=self._run, daemon=True, name="truth").start()
-
-    def put(self, item: WorldOutput) -> None:
-        self._lines.append(msgspec.json.encode(item))
-        self._wake.set()
-
-    def _run(self) -> None:
-        while True:
-            self._wake.wait()
-            self._wake.clear()
-            with contextlib.suppress(OSError, ValueError):  # the reader is gone
-                while self._lines:
-                    self._stream.write(self._lines.popleft() + b"\n")
-                self._stream.flush()
-
-
-class _Reader:
-    """Lines from the app; `closed` once the app is gone."""
-
-    def __init__(self, stream: IO[bytes]) -> None:
-        self._stream = stream
-        self.items: deque[WorldInput] = deque()
-        self.closed = False
-        threading.Thread(target=self._run, daemon=True, name="commands").start()
-
-    def _run(self) -> None:
-        decoder = msgspec.json.Decoder(WorldInput)
-        for line in self._stream:
-            with contextlib.suppress(msgspec.DecodeError):
-                self.items.append(decoder.decode(line))
-        self.closed = True
 
 
 class VehicleProcess:
@@ -139,10 +61,12 @@ class VehicleProcess:
             self._log = open(spec.log, "a", encoding="utf-8", buffering=1)  # noqa: SIM115
         self._to_link = self._autopilot.say
         self._autopilot.say = self._say
-        self._writer, self._reader = _Writer(truth), _Reader(commands)
+        self._writer, self._reader = LineWriter(truth), LineReader(commands)
         self._ticks = 0
         self._orphan_since_s: float | None = None
         self._over = False
+        self._fault: VehicleFault | None = None
+        self._link_back_s: float | None = None
 
     def run(self) -> None:
         """Fly in real time until the app is gone and the vehicle is down."""
@@ -163,6 +87,13 @@ class VehicleProcess:
             item = self._reader.items.popleft()
             if isinstance(item, Horn):
                 self._vehicle.set_horn(item.pulse_us)
+            elif isinstance(item, FaultLine):
+                self._break(item.fault)
+        if self._fault is not None:
+            self._fault.tick()
+        if self._link_back_s is not None and self._autopilot.now_s >= self._link_back_s:
+            self._endpoint.impair(Impairment())
+            self._link_back_s = None
         self._vehicle.advance()
         self._endpoint.exchange()
         plant = self._autopilot.plant
@@ -173,6 +104,17 @@ class VehicleProcess:
         self._ticks += 1
         if self._reader.closed:
             self._fly_on_alone()
+
+    def _break(self, fault: Fault) -> None:
+        self._say("warning", f"fault {fault.name} {fault.value:g}")
+        if fault.kind.place is not Place.LINK:
+            self._fault = VehicleFault(self._vehicle, fault)
+        elif fault.name == "imu-dropout":
+            self._endpoint.stop_imu()
+        else:
+            self._endpoint.impair(impairment_of(fault))
+            if fault.name == "link-loss" and fault.value > 0.0:
+                self._link_back_s = self._autopilot.now_s + fault.value
 
     def _fly_on_alone(self) -> None:
         """The app is gone: fly on to the failsafe, end when landed."""
@@ -190,6 +132,10 @@ def main() -> int:
     # The app's terminal must not take the vehicle down: Ctrl-C is the app's business.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     spec = msgspec.json.decode(sys.stdin.buffer.readline(), type=WorldSpec)
+    if spec.px4 is not None:
+        from dart_flight.sim.px4_process import Px4Process  # noqa: PLC0415  (only where PX4 flies)
+
+        return Px4Process(spec, spec.px4, sys.stdin.buffer, sys.stdout.buffer).run()
     VehicleProcess(spec, sys.stdin.buffer, sys.stdout.buffer).run()
     return 0
 

@@ -1,12 +1,27 @@
-"""What the simulated vehicle can measure of itself: IMU and motion capture, with noise, bias and delay."""
+"""What the simulated vehicle can measure of itself, with noise, bias and delay.
+
+IMU and motion capture for both autopilots; barometer, magnetometer and GPS for PX4, which wants them.
+"""
 
 from __future__ import annotations
 
+import math
 import random
 from collections import deque
 
+import msgspec
+
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.geometry import Quaternion, Vec3, add, quaternion_from_rotation_vector, quaternion_multiply
+from dart_flight.geometry import (
+    Quaternion,
+    Vec3,
+    add,
+    quaternion_conjugate,
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+    rotate,
+    scale,
+)
 from dart_flight.sim.plant import Plant
 
 
@@ -22,19 +37,22 @@ class ImuSensor:
         s = vehicle.simulation
         self._rng = rng
         self._sigma, self._gyro_sigma = s.imu_noise_m_s2, s.gyro_noise_rad_s
-        self._scale = vehicle.imu.full_scale_m_s2
+        self.full_scale_m_s2 = vehicle.imu.full_scale_m_s2
         self.bias: Vec3 = gauss3(rng, s.imu_bias_m_s2)
 
     def measure(self, specific_force_frd: Vec3, rate_frd: Vec3) -> tuple[Vec3, Vec3]:
         """(specific force m/s2, body rate rad/s), FRD, as reported for one tick."""
         noisy = add(add(specific_force_frd, self.bias), gauss3(self._rng, self._sigma))
-        s = self._scale
-        clipped = (
-            max(-s, min(s, noisy[0])),
-            max(-s, min(s, noisy[1])),
-            max(-s, min(s, noisy[2])),
-        )
-        return clipped, add(rate_frd, gauss3(self._rng, self._gyro_sigma))
+        f, s = specific_force_frd, self.full_scale_m_s2
+        read = (_saturate(f[0], noisy[0], s), _saturate(f[1], noisy[1], s), _saturate(f[2], noisy[2], s))
+        return read, add(rate_frd, gauss3(self._rng, self._gyro_sigma))
+
+
+def _saturate(true: float, noisy: float, scale: float) -> float:
+    """One axis at full scale `scale`: where the whole tick was beyond it, noise and bias are lost with it."""
+    if abs(true) >= scale:
+        return math.copysign(scale, true)
+    return max(-scale, min(scale, noisy))
 
 
 class PoseSensor:
@@ -49,6 +67,7 @@ class PoseSensor:
             s.pose_noise_m,
             s.attitude_noise_rad,
         )
+        self.offset_ned: Vec3 = (0.0, 0.0, 0.0)  # of the motion capture's origin; a fault moves it
         self._next_s = 0.0
         self._pending: deque[tuple[float, Vec3, Quaternion]] = deque()
 
@@ -58,8 +77,119 @@ class PoseSensor:
         if now >= self._next_s:
             self._next_s += self._period_s
             twist = quaternion_from_rotation_vector(gauss3(self._rng, self._attitude_sigma))
-            position = add(plant.position, gauss3(self._rng, self._sigma))
+            position = add(add(plant.position, self.offset_ned), gauss3(self._rng, self._sigma))
             self._pending.append((now, position, quaternion_multiply(plant.q, twist)))
         if self._pending and self._pending[0][0] + self._delay_s <= now:
             return self._pending.popleft()
         return None
+
+
+class Barometer:
+    """Static pressure by the standard atmosphere, with noise."""
+
+    SIGMA_HPA = 0.01  # about 8 cm
+
+    def __init__(self, rng: random.Random, home_altitude_m: float) -> None:
+        self._rng, self._home = rng, home_altitude_m
+
+    def measure(self, plant: Plant) -> tuple[float, float]:
+        """(static pressure in hPa, pressure altitude in m)."""
+        true_hpa = pressure_hpa(self._home - plant.position[2])
+        measured = true_hpa + self._rng.gauss(0.0, self.SIGMA_HPA)
+        return measured, altitude_m(measured)
+
+
+def pressure_hpa(altitude_amsl_m: float) -> float:
+    """International standard atmosphere below 11 km."""
+    return float(1013.25 * (1.0 - 2.25577e-5 * altitude_amsl_m) ** 5.25588)
+
+
+def altitude_m(pressure: float) -> float:
+    """Inverse of `pressure_hpa`: hPa to metres above mean sea level."""
+    return float((1.0 - (pressure / 1013.25) ** (1.0 / 5.25588)) / 2.25577e-5)
+
+
+class Magnetometer:
+    """The earth's field in the body frame, with noise.
+
+    Args:
+        rng: of the noise.
+        field_ned_gauss: the field at home, north, east, down.
+    """
+
+    SIGMA_GAUSS = 0.002
+
+    def __init__(self, rng: random.Random, field_ned_gauss: Vec3) -> None:
+        self._rng, self._field = rng, field_ned_gauss
+
+    def measure(self, plant: Plant) -> Vec3:
+        """Field in gauss, FRD."""
+        body = rotate(quaternion_conjugate(plant.q), self._field)
+        return add(body, gauss3(self._rng, self.SIGMA_GAUSS))
+
+
+class GpsQuality(msgspec.Struct, frozen=True):
+    """How good a receiver is; errors wander (first-order Gauss-Markov) and have white noise on top.
+
+    Attributes:
+        fix_type: MAVLink's GPS_FIX_TYPE: 3 for 3D, 6 for RTK fixed.
+        wander_m, wander_s: standard deviation (horizontal; vertical is 1.5 times that) and correlation time.
+        noise_m, velocity_noise_m_s: white noise of a fix.
+        eph_m, epv_m: what the receiver says of itself.
+    """
+
+    fix_type: int
+    wander_m: float
+    wander_s: float
+    noise_m: float
+    velocity_noise_m_s: float
+    eph_m: float
+    epv_m: float
+
+
+# Standard deviation in all: 0.02 m for RTK, 1 m without corrections.
+GPS_QUALITIES = {
+    "rtk": GpsQuality(6, 0.0173, 20.0, 0.01, 0.03, 0.02, 0.03),
+    "plain": GpsQuality(3, 1.0, 60.0, 0.05, 0.1, 0.9, 1.5),
+}
+
+
+class GpsFix(msgspec.Struct, frozen=True):
+    """Position and velocity in the plant's NED, metres and m/s, reported after the receiver's delay."""
+
+    position_ned: Vec3
+    velocity_ned: Vec3
+
+
+class GpsReceiver:
+    """A GPS receiver: fixes at a rate, with wandering error, noise and delay."""
+
+    RATE_HZ = 10.0
+    DELAY_S = 0.1
+
+    def __init__(self, quality: GpsQuality, rng: random.Random) -> None:
+        self.quality, self._rng = quality, rng
+        self._period_s = 1.0 / self.RATE_HZ
+        self._decay = math.exp(-self._period_s / quality.wander_s)
+        self._wander = self._scaled(quality.wander_m)
+        self._next_s = 0.0
+        self._pending: deque[tuple[float, GpsFix]] = deque()
+
+    def measure(self, plant: Plant) -> GpsFix | None:
+        """The fix that arrives at this tick, or None."""
+        now = plant.time_s
+        if now >= self._next_s:
+            self._next_s += self._period_s
+            q = self.quality
+            kick = self._scaled(q.wander_m * math.sqrt(1.0 - self._decay * self._decay))
+            self._wander = add(scale(self._wander, self._decay), kick)
+            position = add(add(plant.position, self._wander), gauss3(self._rng, q.noise_m))
+            velocity = add(plant.velocity, gauss3(self._rng, q.velocity_noise_m_s))
+            self._pending.append((now, GpsFix(position, velocity)))
+        if self._pending and self._pending[0][0] + self.DELAY_S <= now:
+            return self._pending.popleft()[1]
+        return None
+
+    def _scaled(self, sigma: float) -> Vec3:
+        x, y, z = gauss3(self._rng, sigma)
+        return (x, y, 1.5 * z)

@@ -3,10 +3,33 @@
 from __future__ import annotations
 
 from dart_flight.config.mission import Mission
-from dart_flight.config.vehicle import LockDriver
+from dart_flight.config.vehicle import LockDriver, Servo
 from dart_flight.lock.servo import ServoModel, mode_of
 from dart_flight.samples import Mode
-from dart_flight.sim.autopilot import Autopilot, make_autopilot
+from dart_flight.sim.autopilot import TICK_S, Autopilot, make_autopilot
+from dart_flight.sim.plant import Plant
+from dart_flight.sim.wind import Wind
+
+
+class LockServo:
+    """The lock's servo on the plant: a pulse moves the horn, the horn locks or frees the arms."""
+
+    def __init__(self, plant: Plant, config: Servo) -> None:
+        self._plant, self._config = plant, config
+        # Without pulses the arms are free: the servo rests at the flexible end.
+        self._model = ServoModel(config, config.flexible_pulse_us)
+
+    def set_horn(self, pulse_us: float) -> None:
+        """Where the horn is, as a pulse width."""
+        # Between the ends no rod holds all four arms: not rigid means flexible.
+        mode = mode_of(self._config, pulse_us)
+        self._plant.set_mode(Mode.RIGID if mode is Mode.RIGID else Mode.FLEXIBLE)
+
+    def follow(self, t_us: int, pulse_us: float | None) -> None:
+        """Travel towards a commanded pulse (None: no new command) up to a moment, and move the arms."""
+        if pulse_us is not None:
+            self._model.command(t_us, pulse_us)
+        self.set_horn(self._model.pulse_at(t_us))
 
 
 class SimulatedVehicle:
@@ -20,24 +43,18 @@ class SimulatedVehicle:
 
     def __init__(self, mission: Mission, seed: int, driver: LockDriver) -> None:
         self.autopilot: Autopilot = make_autopilot(mission, seed)
-        self._servo_config = mission.vehicle.lock.servo
         self._index = mission.vehicle.lock.px4.actuator_index
         self._by_autopilot = driver is LockDriver.PX4
-        # Without pulses the arms are free: the servo rests at the flexible end.
-        self._servo = ServoModel(self._servo_config, self._servo_config.flexible_pulse_us)
+        self._wind = Wind(mission.vehicle.simulation, seed, TICK_S)
+        self._servo = LockServo(self.autopilot.plant, mission.vehicle.lock.servo)
 
     def set_horn(self, pulse_us: float) -> None:
         """Where the mock servo's horn is, as a pulse width."""
-        # Between the ends no rod holds all four arms: not rigid means flexible.
-        mode = mode_of(self._servo_config, pulse_us)
-        self.autopilot.plant.set_mode(Mode.RIGID if mode is Mode.RIGID else Mode.FLEXIBLE)
+        self._servo.set_horn(pulse_us)
 
     def advance(self) -> None:
-        """One tick: servo, plant, autopilot."""
+        """One tick: servo, wind, plant, autopilot."""
+        self._wind.blow(self.autopilot.plant)
         if self._by_autopilot:
-            t_us = self.autopilot.time_us
-            pulse = self.autopilot.actuator_pulse_us(self._index)
-            if pulse is not None:
-                self._servo.command(t_us, pulse)
-            self.set_horn(self._servo.pulse_at(t_us))
+            self._servo.follow(self.autopilot.time_us, self.autopilot.actuator_pulse_us(self._index))
         self.autopilot.step()

@@ -41,7 +41,7 @@ from dart_flight.samples import (
     VehicleAction,
 )
 from dart_flight.streams import STREAMS
-from dart_flight.vehicle.clock import ClockEstimate, host_us
+from dart_flight.vehicle.clock import Clock, ClockEstimate, host_us
 
 _MODES = {
     SdkFlightMode.READY: FlightMode.READY,
@@ -75,16 +75,19 @@ class VehicleSession:
         mavsdk: the connection, kept open by the caller.
         system: the autopilot on it.
         deliver: takes every record, on MAVSDK's thread.
+        clock: relates the autopilot's time and the host's.
     """
 
-    def __init__(self, mavsdk: Any, system: Any, deliver: Callable[[Input], None]) -> None:
+    def __init__(
+        self, mavsdk: Any, system: Any, deliver: Callable[[Input], None], clock: Clock | None = None
+    ) -> None:
         self._mavsdk, self._system, self._deliver = mavsdk, system, deliver
         self._raw = getattr(system, "_system", system)
         self._telemetry = Telemetry(self._raw)
         self._offboard = Offboard(self._raw)
         self._action = Action(self._raw)
         self._utility = ServerUtility(self._raw)
-        self.clock = ClockEstimate()
+        self.clock: Clock = clock if clock is not None else ClockEstimate()
         self._status = StatusSample(t_us=0, received_us=0)
         self._silent = False
 
@@ -246,7 +249,7 @@ class VehicleSession:
 _logger = logging.getLogger("dart_flight.mavsdk")
 
 
-def _log(level: Any, message: str, _file: str | None, _line: int) -> bool:
+def log_quietly(level: Any, message: str, _file: str | None, _line: int) -> bool:
     """MAVSDK's own messages go to Python's logging; True: and nowhere else."""
     _logger.log({0: 10, 1: 20, 2: 30, 3: 40}.get(int(level), 20), message)
     return True
@@ -255,14 +258,21 @@ def _log(level: Any, message: str, _file: str | None, _line: int) -> bool:
 class Connection:
     """Async context of a MAVSDK instance connected to one autopilot."""
 
-    def __init__(self, url: str, timeout_s: float, deliver: Callable[[Input], None], ground: bool) -> None:
-        self._url, self._timeout_s, self._deliver = url, timeout_s, deliver
+    def __init__(
+        self,
+        url: str,
+        timeout_s: float,
+        deliver: Callable[[Input], None],
+        ground: bool,
+        clock: Clock | None,
+    ) -> None:
+        self._url, self._timeout_s, self._deliver, self._clock = url, timeout_s, deliver, clock
         self._component = ComponentType.GROUND_STATION if ground else ComponentType.COMPANION_COMPUTER
         self._mavsdk: Any = None
 
     async def __aenter__(self) -> VehicleSession:
         # MAVSDK prints to standard output, which belongs to `--json`.
-        log_subscribe(_log)
+        log_subscribe(log_quietly)
         self._mavsdk = Mavsdk(Configuration.create_with_component_type(self._component))
         await self._mavsdk.__aenter__()
         try:
@@ -276,14 +286,19 @@ class Connection:
         except Exception as error:
             await self._mavsdk.__aexit__(None, None, None)
             raise VehicleError(f"cannot open {self._url}: {error}") from error
-        return VehicleSession(self._mavsdk, system, self._deliver)
+        return VehicleSession(self._mavsdk, system, self._deliver, self._clock)
 
     async def __aexit__(self, *exception: object) -> None:
         await self._mavsdk.__aexit__(None, None, None)
 
 
 def connect(
-    url: str, timeout_s: float, deliver: Callable[[Input], None], *, ground: bool = False
+    url: str,
+    timeout_s: float,
+    deliver: Callable[[Input], None],
+    *,
+    ground: bool = False,
+    clock: Clock | None = None,
 ) -> Connection:
     """Connect to the first autopilot on a URL: `async with connect(...) as session`.
 
@@ -293,8 +308,9 @@ def connect(
         deliver: takes every record, on MAVSDK's thread.
         ground: appear as a ground station instead of a companion computer. On the vehicle a companion: a
             ground station's heartbeat from the vehicle itself may hide the loss of the real one.
+        clock: of an autopilot whose time is not real time (`LockstepClock`).
 
     Raises:
         VehicleError: on entering, when the URL cannot be opened or no autopilot answers.
     """
-    return Connection(url, timeout_s, deliver, ground)
+    return Connection(url, timeout_s, deliver, ground, clock)

@@ -92,7 +92,18 @@ def test_dual_collision_through_mavsdk(tmp_path: Path) -> None:
 def test_simulate_in_one_terminal_and_fly_in_another(tmp_path: Path) -> None:
     with simulated_vehicle(DUAL) as url:
         flight = command(
-            *("fly", DUAL, "--yes", "--driver", "px4", "--connection", url, "--log-dir", str(tmp_path), "--json")
+            *(
+                "fly",
+                DUAL,
+                "--yes",
+                "--driver",
+                "px4",
+                "--connection",
+                url,
+                "--log-dir",
+                str(tmp_path),
+                "--json",
+            )
         )
         output, _ = flight.communicate(timeout=90)
     verdict = json.loads(output)  # one object on standard output and nothing else
@@ -132,7 +143,13 @@ def test_sigkill_in_flight_leaves_a_landed_vehicle_and_a_log(tmp_path: Path) -> 
     folder = next(tmp_path.iterdir())
     said = wait_for_text(folder / "autopilot.log", "simulated vehicle stops", 35.0)
     assert time.monotonic() - killed_s < 30.0
-    story = ["the app is gone", "offboard lost, holding", "offboard lost, landing", "Landing detected", "Disarmed"]
+    story = [
+        "the app is gone",
+        "offboard lost, holding",
+        "offboard lost, landing",
+        "Landing detected",
+        "Disarmed",
+    ]
     places = [said.index(word) for word in story]
     assert places == sorted(places)
     # Nothing of the last moments is lost: the log goes on to at most 0.2 s before the kill. The autopilot's
@@ -175,3 +192,31 @@ def test_nobody_there_is_said_in_one_line(tmp_path: Path) -> None:
     assert flight.returncode == 1
     assert "Traceback" not in errors
     assert "no autopilot" in errors or "cannot open" in errors
+
+
+@pytest.mark.mavlink
+def test_the_lock_command_moves_the_servo_on_px4s_output(tmp_path: Path) -> None:
+    with simulated_vehicle(SINGLE) as url:
+        process = subprocess.run(
+            [
+                sys.executable,
+                "-m",
+                "dart_flight",
+                "lock",
+                "rigid",
+                "--driver",
+                "px4",
+                "--connection",
+                url,
+                "--json",
+            ],
+            cwd=ROOT,
+            env={**os.environ, "DART_FLIGHT_STATE_DIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            timeout=40,
+            check=False,
+        )
+    assert process.returncode == 0, process.stderr
+    state = json.loads(process.stdout)["state"]
+    assert (state["phase"], state["mode"], state["feedback"]) == ("settled", "rigid", False)

@@ -1,0 +1,70 @@
+"""Options of `dry-run` that concern a real PX4, and what they mean together."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from dart_flight.cli.options import number
+from dart_flight.config.document import InputError
+
+
+def add_px4_options(parser: argparse.ArgumentParser) -> None:
+    """`--px4` and what goes with it."""
+    group = parser.add_argument_group("real PX4 (docs/px4.md)")
+    group.add_argument(
+        "--px4",
+        nargs="?",
+        const="",
+        metavar="DIR",
+        help="fly a real PX4 SITL: its build or install, with bin and etc (without DIR: $DART_PX4_DIR)",
+    )
+    place = group.add_mutually_exclusive_group()
+    place.add_argument("--indoor", action="store_true", help="motion capture, no GPS (default)")
+    place.add_argument("--outdoor", action="store_true", help="GPS, no motion capture")
+    group.add_argument("--gps", choices=("rtk", "plain"), help="the receiver outdoors (default: rtk)")
+    group.add_argument(
+        "--speed", type=number(0.1, 10.0), metavar="X", help="times real time, as far as lockstep sustains it"
+    )
+    group.add_argument(
+        "--params",
+        type=Path,
+        action="append",
+        metavar="FILE",
+        help="PX4 parameters on top of configs/px4/ (QGroundControl's format)",
+    )
+
+
+def gps_of(arguments: argparse.Namespace) -> str | None:
+    """The receiver, or None indoors.
+
+    Raises:
+        InputError: the options do not fit together.
+    """
+    given = {
+        "--indoor": arguments.indoor,
+        "--outdoor": arguments.outdoor,
+        "--gps": arguments.gps,
+        "--speed": arguments.speed,
+        "--params": arguments.params,
+    }
+    if arguments.px4 is None:
+        for name, value in given.items():
+            if value:
+                raise InputError(f"{name} needs --px4")
+        return None
+    if arguments.fast:
+        raise InputError("--fast and --px4 exclude each other")
+    if arguments.gps and not arguments.outdoor:
+        raise InputError("--gps needs --outdoor")
+    return (arguments.gps or "rtk") if arguments.outdoor else None
+
+
+def gps_warnings(gps: str | None) -> list[str]:
+    """What to say of a receiver before the flight, a line each."""
+    if gps == "plain":
+        return [
+            "plain GPS wanders by a metre within a flight: the wall is not where the vehicle believes it; "
+            "a wall mission needs RTK or motion capture"
+        ]
+    return []

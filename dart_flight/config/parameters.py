@@ -1,0 +1,119 @@
+"""PX4 parameter files in QGroundControl's format, and how a vehicle's parameters differ from one.
+
+A line is `vehicle-id component-id name value type`, separated by tabs, type 6 for INT32 and 9 for REAL32;
+lines that start with # are comments. Ours give the reason of every parameter in the comment above it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+
+from dart_flight.config.document import InputError
+
+Value = int | float
+
+_TYPES = {"6": int, "9": float}
+_NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}\Z")
+_INT32 = 1 << 31
+
+
+class Parameter(msgspec.Struct, frozen=True):
+    """One PX4 parameter of a file.
+
+    Attributes:
+        name: PX4's name, at most 16 characters.
+        value: int for INT32, float for REAL32.
+        reason: the comment lines directly above it, joined; empty without.
+    """
+
+    name: str
+    value: Value
+    reason: str
+
+
+class Difference(msgspec.Struct, frozen=True):
+    """A parameter of the vehicle that is not as wanted; `actual` None: the vehicle has no such parameter."""
+
+    name: str
+    wanted: Value
+    actual: float | None
+    reason: str
+
+    def line(self) -> str:
+        """The difference in one line."""
+        shown = "not on this vehicle" if self.actual is None else f"{self.actual:g}"
+        return f"{self.name} is {shown}, wanted {self.wanted:g}: {self.reason}"
+
+
+def load_parameters(path: str | Path) -> dict[str, Parameter]:
+    """Read a parameter file.
+
+    Returns:
+        The parameters by name, in the file's order.
+
+    Raises:
+        InputError: the file cannot be read, or a line is not a parameter, a duplicate or out of range.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot read: {error}", source=str(path)) from None
+    parameters: dict[str, Parameter] = {}
+    reason: list[str] = []
+    for number, raw in enumerate(text.splitlines(), start=1):
+        line = raw.strip()
+        if not line:
+            reason.clear()
+        elif line.startswith("#"):
+            reason.append(line.lstrip("# "))
+        else:
+            try:
+                parameter = _parse(line, " ".join(reason))
+                if parameter.name in parameters:
+                    raise ValueError(f"{parameter.name} is there twice")
+            except ValueError as error:
+                raise InputError(str(error), source=str(path), line=number) from None
+            parameters[parameter.name] = parameter
+            reason.clear()
+    return parameters
+
+
+def _parse(line: str, reason: str) -> Parameter:
+    fields = line.split("\t") if "\t" in line else line.split()
+    if len(fields) != 5:
+        raise ValueError(
+            f"{len(fields)} fields, a parameter line has 5: vehicle id, component id, name, value, type"
+        )
+    _, _, name, text, kind = (field.strip() for field in fields)
+    if not _NAME.match(name):
+        raise ValueError(f"{name!r} is not a PX4 parameter name")
+    if kind not in _TYPES:
+        raise ValueError(f"{name}: type {kind!r}, allowed 6 (INT32) and 9 (REAL32)")
+    try:
+        value: Value = _TYPES[kind](text)
+    except ValueError:
+        raise ValueError(f"{name}: {text!r} is not a number of type {kind}") from None
+    if not math.isfinite(value) or (kind == "6" and not -_INT32 <= value < _INT32):
+        raise ValueError(f"{name}: {text} is out of range")
+    return Parameter(name, value, reason)
+
+
+def differences(wanted: Mapping[str, Parameter], actual: Mapping[str, float]) -> list[Difference]:
+    """Where a vehicle's parameters differ from a file, in the file's order.
+
+    Args:
+        wanted: from `load_parameters`.
+        actual: the vehicle's parameters by name.
+    """
+    found = []
+    for parameter in wanted.values():
+        value = actual.get(parameter.name)
+        # REAL32: equal to seven digits is equal.
+        if value is None or not math.isclose(value, parameter.value, rel_tol=1e-6, abs_tol=1e-9):
+            found.append(Difference(parameter.name, parameter.value, value, parameter.reason))
+    return found

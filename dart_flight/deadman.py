@@ -1,0 +1,197 @@
+"""The deadman: a small process beside the app that ends it when it hangs.
+
+MAVSDK repeats the last set-point from its own thread, 20 times a second, so PX4 never notices that the app
+behind it hangs and its offboard-loss failsafe never acts. A watching thread does not help either: a hang
+that holds the interpreter lock stops every Python thread. So the watcher is a process. The core thread and
+the event loop must both feed it through a pipe; when either starves, the app is killed (SIGKILL, which a
+stopped process cannot dodge either), the set-points stop on the wire, and PX4's failsafe acts.
+
+Only the monotonic clock is used: a jump of the host's time of day changes nothing.
+
+`SystemdNotice` is the second line: systemd's watchdog (`Type=notify`, `WatchdogSec`), fed from the event loop
+only while the core thread is alive too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+CORE, LOOP = b"c", b"l"
+_ARM, _LET_GO = b"a", b"q"
+_OWN_PAUSE_S = 0.1  # a watcher that was not running itself for this long has seen nothing
+FEED_PERIOD_S = 0.02
+
+
+class Deadman:
+    """The app's end.
+
+    Args:
+        starve_s: how long either may be silent.
+        note: text file that gets a line when the app is killed; None for none.
+
+    Raises:
+        OSError: the process cannot be started.
+    """
+
+    def __init__(self, starve_s: float, note: Path | None = None) -> None:
+        self._arguments = [str(os.getpid()), str(starve_s), str(note.resolve()) if note else ""]
+        self._fed_s = {CORE: 0.0, LOOP: 0.0}
+        self._armed = False
+        self._start()
+
+    def _start(self) -> None:
+        # -I -S: the watcher needs nothing but the standard library and starts in tens of milliseconds.
+        self._process = subprocess.Popen(
+            [sys.executable, "-I", "-S", __file__, *self._arguments],
+            stdin=subprocess.PIPE,
+            start_new_session=True,  # Ctrl-C and a dropped terminal are the app's business
+        )
+        assert self._process.stdin is not None
+        self._pipe = self._process.stdin.fileno()
+        os.set_blocking(self._pipe, False)
+
+    @property
+    def pid(self) -> int:
+        """Process id of the watcher."""
+        return self._process.pid
+
+    def arm(self) -> None:
+        """From now on starving means the end."""
+        self._armed = True
+        self._write(_ARM)
+
+    def feed(self, who: bytes) -> None:
+        """`CORE` or `LOOP` is alive; any thread, never blocks, cheap enough for every step."""
+        now = time.monotonic()
+        if now - self._fed_s[who] >= FEED_PERIOD_S:
+            self._fed_s[who] = now
+            self._write(who)
+
+    def age_s(self, who: bytes) -> float:
+        """How long ago `CORE` or `LOOP` was alive, seconds."""
+        return time.monotonic() - self._fed_s[who]
+
+    def mend(self) -> None:
+        """Start another watcher where this one has died."""
+        if self._process.poll() is not None:
+            self._start()
+            if self._armed:
+                self._write(_ARM)
+
+    def let_go(self) -> None:
+        """The flight is over: the watcher ends without harm."""
+        self._armed = False
+        self._write(_LET_GO)
+        with contextlib.suppress(OSError):
+            assert self._process.stdin is not None
+            self._process.stdin.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(2.0)
+
+    def _write(self, what: bytes) -> None:
+        # A full pipe has enough food in it; a broken one is mended by the event loop.
+        with contextlib.suppress(OSError, ValueError):
+            os.write(self._pipe, what)
+
+
+class SystemdNotice:
+    """Messages to systemd (sd_notify) over $NOTIFY_SOCKET; nothing where that is not set."""
+
+    def __init__(self, environment: dict[str, str] | None = None) -> None:
+        values = os.environ if environment is None else environment
+        address = values.get("NOTIFY_SOCKET", "")
+        self._socket: socket.socket | None = None
+        if address.startswith(("/", "@")):
+            self._address = "\0" + address[1:] if address.startswith("@") else address
+            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+            self._socket.setblocking(False)
+        usec = values.get("WATCHDOG_USEC", "")
+        mine = values.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+        self._period_s = 0.5e-6 * int(usec) if usec.isdigit() and mine else None
+        self._sent_s = 0.0
+
+    def ready(self, status: str) -> None:
+        """The app is up."""
+        self._send(f"READY=1\nSTATUS={status}")
+
+    def stopping(self) -> None:
+        """The app is about to end."""
+        self._send("STOPPING=1")
+
+    def alive(self) -> None:
+        """Feed systemd's watchdog, at half its period; call it often."""
+        now = time.monotonic()
+        if self._period_s is not None and now - self._sent_s >= self._period_s:
+            self._sent_s = now
+            self._send("WATCHDOG=1")
+
+    def _send(self, text: str) -> None:
+        if self._socket is not None:
+            with contextlib.suppress(OSError):
+                self._socket.sendto(text.encode(), self._address)
+
+
+# --- the process -------------------------------------------------------------------------------------------
+
+
+def _watch(pid: int, starve_s: float, note: str) -> int:
+    """Body of the process: reads the pipe until it is let go, closed, or somebody starves."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    try:
+        handle = os.pidfd_open(pid)
+    except OSError:
+        return 0  # it has ended already
+    os.set_blocking(0, False)
+    period_s = min(0.02, starve_s / 4.0)
+    armed = False
+    looked_s = time.monotonic()
+    fed_s = {CORE: looked_s, LOOP: looked_s}
+    while True:
+        select.select([0], [], [], period_s)
+        now = time.monotonic()
+        try:
+            food = os.read(0, 4096)
+            if not food or _LET_GO in food:
+                return 0
+        except BlockingIOError:
+            food = b""
+        for who in fed_s:
+            if who in food:
+                fed_s[who] = now
+        if _ARM in food or now - looked_s > _OWN_PAUSE_S:
+            # Just armed, or this process itself did not run: what happened meanwhile it cannot know.
+            armed = armed or _ARM in food
+            fed_s = dict.fromkeys(fed_s, now)
+        looked_s = now
+        starved = [who for who, at_s in fed_s.items() if now - at_s > starve_s]
+        if armed and starved:
+            names = " and ".join("core thread" if who == CORE else "event loop" for who in starved)
+            _kill(handle, pid, f"{names} silent for {now - min(fed_s.values()):.3f} s", note)
+            return 1
+        if not food:
+            continue
+        time.sleep(period_s / 4.0)  # one look covers what came meanwhile
+
+
+def _kill(handle: int, pid: int, why: str, note: str) -> None:
+    with contextlib.suppress(OSError):
+        signal.pidfd_send_signal(handle, signal.SIGKILL)
+    line = f"deadman: {why}, killed process {pid} at monotonic {time.monotonic():.3f} s\n"
+    with contextlib.suppress(OSError):
+        os.write(2, line.encode())
+    if note:
+        with contextlib.suppress(OSError), open(note, "a", encoding="utf-8") as file:
+            file.write(line)
+
+
+if __name__ == "__main__":
+    sys.exit(_watch(int(sys.argv[1]), float(sys.argv[2]), sys.argv[3]))

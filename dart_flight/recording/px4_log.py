@@ -1,0 +1,86 @@
+"""What PX4's own log (ULog) says of a flight that its telemetry does not: EKF resets, clipping, failsafes."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+_ARMED = 2  # vehicle_status.arming_state
+_RESET_COUNTERS = ("xy_reset_counter", "z_reset_counter", "vxy_reset_counter", "vz_reset_counter")
+_TOPICS = ["vehicle_status", "vehicle_local_position", "vehicle_imu_status", "failure_detector_status"]
+
+
+class Px4Figures(msgspec.Struct):
+    """A flight by PX4's log, while armed.
+
+    Attributes:
+        version: of PX4, as it told; None where it did not.
+        ekf_resets: of position and velocity.
+        clipped_samples: accelerometer samples at full scale, sum of the three axes.
+        failsafe: whether PX4 was in a failsafe.
+        attitude_failure: whether its failure detector saw one.
+    """
+
+    version: str | None = None
+    ekf_resets: int | None = None
+    clipped_samples: int | None = None
+    failsafe: bool | None = None
+    attitude_failure: bool | None = None
+
+
+def read_px4_log(path: str | Path, version: str | None = None) -> Px4Figures:
+    """Figures of one ULog; what it does not hold, or cannot be read, is None.
+
+    Needs pyulog (extra `sim`); without it only the version is known.
+    """
+    figures = Px4Figures(version)
+    try:
+        from pyulog import ULog  # noqa: PLC0415  (an extra, slow to import)
+
+        log = ULog(str(path), _TOPICS)
+    except Exception:
+        # No pyulog, no file, or a log cut off in its header: the flight's verdict does not depend on it.
+        return figures
+    topics = {data.name: data.data for data in log.data_list if data.multi_id == 0}
+    status = topics.get("vehicle_status")
+    if status is None:
+        return figures
+    armed = status["timestamp"][status["arming_state"] == _ARMED]
+    if not len(armed):
+        return figures
+    begin, end = int(armed[0]), int(armed[-1])
+    figures.failsafe = bool(_within(status, begin, end, "failsafe").any())
+    if "vehicle_local_position" in topics:
+        position = topics["vehicle_local_position"]
+        figures.ekf_resets = sum(_rise(_within(position, begin, end, name)) for name in _RESET_COUNTERS)
+    if "vehicle_imu_status" in topics:
+        imu = topics["vehicle_imu_status"]
+        figures.clipped_samples = sum(
+            _rise(_within(imu, begin, end, f"accel_clipping[{axis}]")) for axis in range(3)
+        )
+    if "failure_detector_status" in topics:
+        failure = topics["failure_detector_status"]
+        figures.attitude_failure = bool(
+            _within(failure, begin, end, "fd_roll").any() or _within(failure, begin, end, "fd_pitch").any()
+        )
+    return figures
+
+
+def _within(topic: dict[str, Any], begin_us: int, end_us: int, field: str) -> Any:
+    """Samples of a field between two moments, with the last before them."""
+    stamps = topic["timestamp"]
+    first = max(0, int((stamps < begin_us).sum()) - 1)
+    last = int((stamps <= end_us).sum())
+    return topic[field][first:last]
+
+
+def _rise(counter: Any) -> int:
+    """How often a counter of eight or more bits has gone up."""
+    if len(counter) < 2:
+        return 0
+    values = [int(value) for value in counter]
+    width = 256 if counter.dtype.itemsize == 1 else 1 << 32
+    return sum((after - before) % width for before, after in itertools.pairwise(values))

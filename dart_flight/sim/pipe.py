@@ -1,0 +1,142 @@
+"""What the app and a simulated vehicle in a process of its own tell each other: one JSON object a line.
+
+The first line of the vehicle's standard input is a `WorldSpec`; then come `WorldInput`s, and on its standard
+output `WorldOutput`s. Both simulated worlds speak it, whichever autopilot flies the plant.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections import deque
+from typing import IO
+
+import msgspec
+
+from dart_flight.config.vehicle import LockDriver
+from dart_flight.samples import TruthContact, TruthSample
+from dart_flight.sim.faults import Fault
+
+
+class Px4Spec(msgspec.Struct):
+    """How to run a real PX4 on the plant.
+
+    Attributes:
+        directory: holds PX4's bin/px4 and etc/.
+        folder: of the flight; PX4 works in a folder below it.
+        parameters: PX4 parameters to start with, by name.
+        gps: `rtk` or `plain`; None: indoors, motion capture and no GPS.
+        speed: simulated seconds per second.
+    """
+
+    directory: str
+    folder: str
+    parameters: dict[str, int | float]
+    gps: str | None = None
+    speed: float = 1.0
+
+
+class WorldSpec(msgspec.Struct):
+    """What the process is told on its first line of input; `ports` is the embedded autopilot's."""
+
+    mission: str
+    vehicle: str  # configuration as JSON: what the app has, whatever file it came from
+    seed: int
+    ports: list[int]
+    driver: LockDriver
+    log: str | None = None
+    px4: Px4Spec | None = None
+
+
+class Horn(msgspec.Struct, tag="horn"):
+    """The mock servo's modelled horn, as a pulse in microseconds."""
+
+    pulse_us: float
+
+
+class Ping(msgspec.Struct, tag="ping"):
+    """Nothing; a line that keeps the pipe alive."""
+
+
+class FaultLine(msgspec.Struct, tag="fault"):
+    """A fault that begins now."""
+
+    fault: Fault
+
+
+WorldInput = Horn | Ping | FaultLine
+
+
+class Ready(msgspec.Struct, tag="ready"):
+    """The autopilot sends from now on; `port` is the UDP port it sends to where it chose that itself."""
+
+    time_us: int
+    port: int | None = None
+    version: str | None = None
+    pid: int | None = None  # of the autopilot's own process, where it has one
+
+
+class Truth(msgspec.Struct, tag="truth"):
+    """A truth record on its way to the app."""
+
+    state: TruthSample | None = None
+    contact: TruthContact | None = None
+
+
+class Died(msgspec.Struct, tag="died"):
+    """The vehicle cannot go on; the process ends after this."""
+
+    cause: str
+
+
+WorldOutput = Ready | Truth | Died
+
+
+class LineWriter:
+    """Lines to a pipe from a thread of their own: a hung reader must not stop the flight."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._stream = stream
+        self._lines: deque[bytes] = deque(maxlen=5000)
+        self._wake = threading.Event()
+        self._idle = threading.Event()
+        threading.Thread(target=self._run, daemon=True, name="truth").start()
+
+    def put(self, item: WorldOutput) -> None:
+        """Queue a line; never blocks."""
+        self._idle.clear()
+        self._lines.append(msgspec.json.encode(item))
+        self._wake.set()
+
+    def finish(self, timeout_s: float = 1.0) -> None:
+        """Wait until what is queued has been written."""
+        if self._lines:
+            self._idle.wait(timeout_s)
+
+    def _run(self) -> None:
+        while True:
+            self._wake.wait()
+            self._wake.clear()
+            with contextlib.suppress(OSError, ValueError):  # the reader is gone
+                while self._lines:
+                    self._stream.write(self._lines[0] + b"\n")
+                    self._lines.popleft()
+                self._stream.flush()
+            self._idle.set()
+
+
+class LineReader:
+    """Lines from the app; `closed` once the app is gone."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._stream = stream
+        self.items: deque[WorldInput] = deque()
+        self.closed = False
+        threading.Thread(target=self._run, daemon=True, name="commands").start()
+
+    def _run(self) -> None:
+        decoder = msgspec.json.Decoder(WorldInput)
+        for line in self._stream:
+            with contextlib.suppress(msgspec.DecodeError):
+                self.items.append(decoder.decode(line))
+        self.closed = True

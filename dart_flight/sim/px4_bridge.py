@@ -1,0 +1,302 @@
+"""The plant as PX4's external simulator: HIL messages over TCP, in lockstep.
+
+PX4 connects as a TCP client, takes one HIL_SENSOR a tick and answers it with one HIL_ACTUATOR_CONTROLS; its
+clock is the `time_usec` of HIL_SENSOR. `HilLink` is that exchange, `Px4Vehicle` the plant, its sensors and
+the lock's servo around it. Nothing here starts or stops PX4 (`px4_launch`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import random
+import socket
+import struct
+import time
+from typing import Any
+
+import msgspec
+from pymavlink.dialects.v20 import common as mavlink
+
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import LockDriver
+from dart_flight.errors import FlightError
+from dart_flight.geometry import Quaternion, Vec3
+from dart_flight.lock.drivers.px4 import actuator_pulse_us
+from dart_flight.sim.autopilot import TICK_US
+from dart_flight.sim.plant import Motor, make_plant
+from dart_flight.sim.sensors import (
+    GPS_QUALITIES,
+    Barometer,
+    GpsFix,
+    GpsReceiver,
+    ImuSensor,
+    Magnetometer,
+    PoseSensor,
+)
+from dart_flight.sim.vehicle import LockServo
+from dart_flight.sim.wind import Wind
+
+SERVO_CHANNEL = 4  # of HIL_ACTUATOR_CONTROLS, after the motors: PWM_MAIN 5 in PX4's simulated outputs
+
+# PX4 keeps the simulated accelerometer as 16-bit counts of 1/2048 g and does not saturate when it converts:
+# one count more than the type holds wraps around to the other sign. It cuts the fraction off and takes 32767
+# counts, and nothing less on the negative side, for clipped: hence the 0.4.
+ACCELEROMETER_LIMIT_M_S2 = 32767.4 / 2048.0 * 9.80665
+GYRO_LIMIT_RAD_S = math.radians(2000.0 * 32767.0 / 32768.0)
+
+# Where PX4 is told that it is: near Zurich, with the field that its own world magnetic model has there.
+HOME_LAT_DEG, HOME_LON_DEG, HOME_ALTITUDE_M = 47.397742, 8.545594, 488.0
+HOME_FIELD_GAUSS: Vec3 = (0.21475, 0.00797, 0.42817)
+_EARTH_RADIUS_M = 6371000.0  # PX4's projection uses the same sphere
+
+_STEPS_PER_TICK = TICK_US // 1000
+_SLOW_EVERY = 5  # ticks: magnetometer and barometer at 50 Hz
+_ACCELEROMETER, _GYRO, _MAGNETOMETER, _BAROMETER = 0x007, 0x038, 0x1C0, 0x1A00
+_ARMED = 128
+_BOOT_WAIT_S = 0.004  # PX4 answers nothing while it boots
+_ANSWER_WAIT_S = 5.0
+
+
+class Px4LostError(FlightError):
+    """PX4 has closed the connection, or has stopped answering."""
+
+
+class Controls(msgspec.Struct, frozen=True):
+    """One HIL_ACTUATOR_CONTROLS: motors 0 to 1, everything else -1 to 1; all zero while disarmed."""
+
+    time_us: int
+    armed: bool
+    values: tuple[float, ...]
+
+
+class HilLink:
+    """The simulator's end of PX4's TCP connection.
+
+    Args:
+        connection: the accepted socket.
+    """
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._socket = connection
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._pack = mavlink.MAVLink(None, srcSystem=1, srcComponent=200)
+        self._parser = mavlink.MAVLink(None)
+        self._parser.robust_parsing = True
+        self.controls = Controls(0, False, (0.0,) * 16)
+        self.locked = False  # whether PX4 has begun to answer
+
+    def send(self, *messages: Any) -> None:
+        """Send messages in one piece.
+
+        Raises:
+            Px4LostError: the connection is gone.
+        """
+        data = b""
+        for message in messages:
+            data += message.pack(self._pack)
+            self._pack.seq = (self._pack.seq + 1) % 256
+        try:
+            self._socket.sendall(data)
+        except OSError as error:
+            raise Px4LostError(f"PX4 closed the simulator connection ({error.strerror})") from None
+
+    def exchange(self, sensor: Any, *others: Any) -> Controls:
+        """Send one tick's messages, wait for PX4's answer and return it.
+
+        Until the first answer the wait is short and the controls are those of a disarmed vehicle.
+
+        Raises:
+            Px4LostError: the connection is gone, or no answer for 5 s.
+        """
+        # Poses and fixes first: PX4 stamps them with its clock, which the HIL_SENSOR then advances.
+        self.send(*others, sensor)
+        deadline = time.monotonic() + (_ANSWER_WAIT_S if self.locked else _BOOT_WAIT_S)
+        while not self._take_answer(sensor.time_usec, deadline):
+            if time.monotonic() >= deadline:
+                if not self.locked:
+                    break
+                raise Px4LostError(f"PX4 has not answered for {_ANSWER_WAIT_S:g} s")
+        return self.controls
+
+    def _take_answer(self, time_us: int, deadline: float) -> bool:
+        self._socket.settimeout(max(1e-4, deadline - time.monotonic()))
+        try:
+            data = self._socket.recv(65536)
+        except TimeoutError:
+            return False
+        except OSError as error:
+            raise Px4LostError(f"PX4 closed the simulator connection ({error.strerror})") from None
+        if not data:
+            raise Px4LostError("PX4 closed the simulator connection")
+        answered = False
+        with contextlib.suppress(mavlink.MAVError, struct.error):
+            for message in self._parser.parse_buffer(data) or []:
+                if message.get_type() == "HIL_ACTUATOR_CONTROLS":
+                    armed = bool(message.mode & _ARMED)
+                    self.controls = Controls(message.time_usec, armed, tuple(message.controls))
+                    self.locked = True
+                    answered = answered or message.time_usec >= time_us
+        return answered
+
+    def close(self) -> None:
+        """Close the connection."""
+        with contextlib.suppress(OSError):
+            self._socket.close()
+
+
+class Px4Vehicle:
+    """Plant, sensors and lock servo behind a HIL link.
+
+    Args:
+        mission: walls, start, vehicle.
+        seed: of every sensor's noise.
+        link: to PX4.
+        gps: a key of `GPS_QUALITIES`; None: motion capture and no GPS.
+        motors: the airframe's, as PX4's parameters have them; the configuration's by default.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        seed: int,
+        link: HilLink,
+        gps: str | None = None,
+        motors: tuple[Motor, ...] | None = None,
+    ) -> None:
+        self.vehicle, self._link = mission.vehicle, link
+        self.plant = make_plant(mission, motors)
+        rng = random.Random(seed)
+        self._imu = ImuSensor(self.vehicle, rng)
+        self._pose = PoseSensor(self.vehicle, rng) if gps is None else None
+        self._gps = GpsReceiver(GPS_QUALITIES[gps], rng) if gps is not None else None
+        self._barometer = Barometer(rng, HOME_ALTITUDE_M)
+        self._magnetometer = Magnetometer(rng, HOME_FIELD_GAUSS)
+        self._wind = Wind(self.vehicle.simulation, seed, TICK_US * 1e-6)
+        self._servo = LockServo(self.plant, self.vehicle.lock.servo)
+        self._by_px4 = self.vehicle.lock.driver is LockDriver.PX4
+        self._ticks = 0
+        self.clipped = 0  # ticks with a saturated accelerometer axis
+
+    @property
+    def time_us(self) -> int:
+        """PX4's clock."""
+        return round(self.plant.time_s * 1e6)
+
+    @property
+    def armed(self) -> bool:
+        """Whether PX4 is armed."""
+        return self._link.controls.armed
+
+    def set_horn(self, pulse_us: float) -> None:
+        """Where the mock servo's horn is, as a pulse width."""
+        self._servo.set_horn(pulse_us)
+
+    def step(self) -> None:
+        """One tick of 4 ms: the plant under PX4's last outputs, then what it measures, to PX4.
+
+        Raises:
+            Px4LostError: as `HilLink.exchange`.
+        """
+        controls = self._link.controls
+        m = controls.values
+        if self._by_px4:
+            # PX4 zeroes all simulated outputs while disarmed, the servo's too: that is no command.
+            pulse = actuator_pulse_us(self.vehicle.lock, m[SERVO_CHANNEL]) if controls.armed else None
+            self._servo.follow(self.time_us, pulse)
+        self._wind.blow(self.plant)
+        specific_force = self.plant.advance((m[0], m[1], m[2], m[3]), _STEPS_PER_TICK)
+        self._ticks += 1
+        others = []
+        if self._pose is not None:
+            pose = self._pose.measure(self.plant)
+            if pose is not None:
+                others.append(odometry_message(self.time_us, pose[1], pose[2], self.vehicle))
+        if self._gps is not None:
+            fix = self._gps.measure(self.plant)
+            if fix is not None:
+                others.append(gps_message(self.time_us, fix, self._gps))
+        self._link.exchange(self._sensor_message(specific_force), *others)
+
+    def _sensor_message(self, specific_force_frd: Vec3) -> Any:
+        f, w = self._imu.measure(specific_force_frd, self.plant.rate)
+        self.clipped += any(abs(axis) >= self.vehicle.imu.full_scale_m_s2 for axis in f)
+        ax, ay, az = (accelerometer_output(axis, self.vehicle.imu.full_scale_m_s2) for axis in f)
+        gx, gy, gz = (max(-GYRO_LIMIT_RAD_S, min(GYRO_LIMIT_RAD_S, axis)) for axis in w)
+        fields = _ACCELEROMETER | _GYRO
+        field, pressure, altitude = (0.0, 0.0, 0.0), 0.0, 0.0
+        if self._ticks % _SLOW_EVERY == 0:
+            fields |= _MAGNETOMETER | _BAROMETER
+            field = self._magnetometer.measure(self.plant)
+            pressure, altitude = self._barometer.measure(self.plant)
+        return mavlink.MAVLink_hil_sensor_message(
+            self.time_us, ax, ay, az, gx, gy, gz, *field, pressure, 0.0, altitude, 25.0, fields, 0
+        )
+
+
+def accelerometer_output(specific_force_m_s2: float, full_scale_m_s2: float) -> float:
+    """One axis of HIL_SENSOR: at the sensor's full scale the largest count, by which PX4 knows of clipping.
+
+    A sensor of less than 16 g saturates, too, but PX4's simulated driver cannot know of that.
+    """
+    limit = ACCELEROMETER_LIMIT_M_S2
+    if abs(specific_force_m_s2) >= full_scale_m_s2:
+        limit = min(limit, full_scale_m_s2) if full_scale_m_s2 < 0.999 * limit else limit
+        return math.copysign(limit, specific_force_m_s2)
+    return max(-limit, min(limit, specific_force_m_s2))
+
+
+def odometry_message(time_us: int, position_ned: Vec3, q: Quaternion, vehicle: Any) -> Any:
+    """ODOMETRY of a motion capture system: pose in local NED, no velocity."""
+    nan = math.nan
+    covariance = [nan] * 21
+    covariance[0] = covariance[6] = covariance[11] = vehicle.simulation.pose_noise_m**2
+    covariance[15] = covariance[18] = covariance[20] = vehicle.simulation.attitude_noise_rad**2
+    return mavlink.MAVLink_odometry_message(
+        time_us,
+        mavlink.MAV_FRAME_LOCAL_NED,
+        mavlink.MAV_FRAME_BODY_FRD,
+        *position_ned,
+        list(q),
+        nan,
+        nan,
+        nan,
+        nan,
+        nan,
+        nan,
+        covariance,
+        [nan] * 21,
+        0,
+        mavlink.MAV_ESTIMATOR_TYPE_VISION,  # PX4's EKF takes poses of this kind; "mocap" goes elsewhere
+        100,
+    )
+
+
+def gps_message(time_us: int, fix: GpsFix, receiver: GpsReceiver) -> Any:
+    """HIL_GPS: degrees 1e7, millimetres, centimetres."""
+    latitude, longitude = geodetic(fix.position_ned)
+    vn, ve, vd = fix.velocity_ned
+    return mavlink.MAVLink_hil_gps_message(
+        time_us,
+        receiver.quality.fix_type,
+        round(latitude * 1e7),
+        round(longitude * 1e7),
+        round((HOME_ALTITUDE_M - fix.position_ned[2]) * 1e3),
+        round(receiver.quality.eph_m * 100.0),
+        round(receiver.quality.epv_m * 100.0),
+        round(math.hypot(vn, ve) * 100.0),
+        round(vn * 100.0),
+        round(ve * 100.0),
+        round(vd * 100.0),
+        65535,  # course unknown
+        14,  # satellites
+        0,
+        0,
+    )
+
+
+def geodetic(position_ned: Vec3) -> tuple[float, float]:
+    """(latitude, longitude) in degrees of a point near home, NED metres."""
+    latitude = HOME_LAT_DEG + math.degrees(position_ned[0] / _EARTH_RADIUS_M)
+    shrink = math.cos(math.radians(HOME_LAT_DEG))
+    return latitude, HOME_LON_DEG + math.degrees(position_ned[1] / (_EARTH_RADIUS_M * shrink))

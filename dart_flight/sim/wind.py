@@ -1,0 +1,32 @@
+"""Wind over the plant: a steady part and horizontal gusts (first-order Gauss-Markov)."""
+
+from __future__ import annotations
+
+import math
+import random
+
+from dart_flight.config.vehicle import Simulation
+from dart_flight.sim.plant import Plant
+
+
+class Wind:
+    """Sets the plant's wind at every tick; still air leaves the plant as it is.
+
+    Args:
+        simulation: steady wind, gusts.
+        seed: of the gusts; the sensors' noise does not depend on them.
+        tick_s: time between two calls.
+    """
+
+    def __init__(self, simulation: Simulation, seed: int, tick_s: float) -> None:
+        self._steady, self._sigma = simulation.wind_north_east_m_s, simulation.gust_m_s
+        self._decay = math.exp(-tick_s / simulation.gust_time_s)
+        self._kick = math.sqrt(1.0 - self._decay * self._decay)
+        self._rng = random.Random(seed ^ 0x57494E44)
+        self._gust = [self._rng.gauss(0.0, self._sigma), self._rng.gauss(0.0, self._sigma)]
+
+    def blow(self, plant: Plant) -> None:
+        """The wind of the next tick."""
+        for i in range(2):
+            self._gust[i] = self._decay * self._gust[i] + self._kick * self._rng.gauss(0.0, self._sigma)
+        plant.wind_ned = (self._steady[0] + self._gust[0], self._steady[1] + self._gust[1], 0.0)

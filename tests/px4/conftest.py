@@ -1,0 +1,24 @@
+"""What the tests with a real PX4 share; without one they are skipped with a word about it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from dart_flight.config.document import InputError
+from dart_flight.sim.px4_launch import ENVIRONMENT, find_install
+
+
+@pytest.fixture(scope="session")
+def px4_dir() -> Path:
+    """The user's PX4."""
+    named = os.environ.get(ENVIRONMENT)
+    if not named:
+        pytest.skip(f"{ENVIRONMENT} is not set: no PX4 SITL to test with (docs/px4.md)")
+    try:
+        find_install(named)
+    except InputError as error:
+        pytest.fail(f"{ENVIRONMENT}: {error}")
+    return Path(named)

@@ -1,0 +1,270 @@
+"""The simulator's side of PX4's TCP link: lockstep, message contents, saturation, what a lost PX4 is."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import socket
+import struct
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+import pytest
+
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import LockDriver, packaged
+from dart_flight.flights import with_driver
+from dart_flight.lock.drivers.px4 import actuator_value
+from dart_flight.samples import Mode
+from dart_flight.sim import px4_bridge
+from dart_flight.sim.px4_bridge import (
+    ACCELEROMETER_LIMIT_M_S2,
+    HOME_LAT_DEG,
+    HOME_LON_DEG,
+    SERVO_CHANNEL,
+    HilLink,
+    Px4LostError,
+    Px4Vehicle,
+    accelerometer_output,
+    geodetic,
+)
+from tests.px4.fake_px4 import FakePx4
+
+COUNTS_PER_M_S2 = 2048.0 / 9.80665
+
+
+@pytest.fixture
+def mission() -> Mission:
+    return load_mission(packaged("missions", "dual_collision.yaml"))
+
+
+@pytest.fixture
+def pair() -> Iterator[tuple[HilLink, FakePx4]]:
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen(1)
+        fake = FakePx4(listener.getsockname()[1])
+        link = HilLink(listener.accept()[0])
+    yield link, fake
+    link.close()
+    fake.close()
+
+
+def served(fake: FakePx4, sensors: int, answer: bool = True) -> threading.Thread:
+    """The stand-in at work on a thread of its own."""
+    thread = threading.Thread(target=fake.serve, args=(sensors, answer), daemon=True)
+    thread.start()
+    return thread
+
+
+def of_type(fake: FakePx4, name: str) -> list[Any]:
+    return [m for m in fake.received if m.get_type() == name]
+
+
+def mode_of(vehicle: Px4Vehicle) -> str:
+    return vehicle.plant.mode.value
+
+
+def test_one_answer_per_tick_with_px4s_clock_from_ours(
+    mission: Mission, pair: tuple[HilLink, FakePx4]
+) -> None:
+    link, fake = pair
+    vehicle = Px4Vehicle(mission, 1, link)
+    thread = served(fake, 250)
+    for i in range(250):
+        vehicle.step()
+        assert link.controls.time_us == vehicle.time_us == (i + 1) * 4000
+    thread.join(5.0)
+    assert link.locked
+    sensors = of_type(fake, "HIL_SENSOR")
+    assert [m.time_usec for m in sensors] == [4000 * (i + 1) for i in range(250)]
+    assert {m.id for m in sensors} == {0}
+    # At rest: gravity upwards on the accelerometer, pressure of the home altitude, the earth's field.
+    assert sum(m.zacc for m in sensors) / 250 == pytest.approx(-9.81, abs=0.2)
+    slow = [m for m in sensors if m.fields_updated & 0x200]
+    assert len(slow) == 50
+    assert sum(m.abs_pressure for m in slow) / 50 == pytest.approx(955.98, abs=0.3)
+    assert sum(m.zmag for m in slow) / 50 == pytest.approx(0.428, abs=0.01)
+    assert sum(m.pressure_alt for m in slow) / 50 == pytest.approx(488.0, abs=0.5)
+
+
+def test_indoors_poses_and_no_gps(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
+    link, fake = pair
+    vehicle = Px4Vehicle(mission, 1, link)
+    thread = served(fake, 250)
+    for _ in range(250):
+        vehicle.step()
+    thread.join(5.0)
+    poses = of_type(fake, "ODOMETRY")
+    assert 95 <= len(poses) <= 100
+    assert not of_type(fake, "HIL_GPS")
+    assert math.isnan(poses[-1].vx)
+    assert math.hypot(poses[-1].x, poses[-1].y, poses[-1].z) < 0.01
+    # Each comes before the HIL_SENSOR of its tick: PX4 stamps it with the clock that one advances.
+    kinds = [m.get_type() for m in fake.received]
+    assert kinds[-1] == "HIL_SENSOR"
+
+
+def test_outdoors_gps_and_no_poses(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
+    link, fake = pair
+    vehicle = Px4Vehicle(mission, 1, link, gps="rtk")
+    thread = served(fake, 500)
+    for _ in range(500):
+        vehicle.step()
+    thread.join(5.0)
+    fixes = of_type(fake, "HIL_GPS")
+    assert 18 <= len(fixes) <= 20
+    assert not of_type(fake, "ODOMETRY")
+    for fix in fixes:
+        assert fix.fix_type == 6
+        assert abs(fix.lat - HOME_LAT_DEG * 1e7) < 12  # 0.13 m
+        assert abs(fix.alt - 488_000) < 150
+        assert fix.eph == 2
+
+
+def test_motor_commands_reach_the_plant_and_lift_it(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
+    link, fake = pair
+    vehicle = Px4Vehicle(mission, 1, link)
+    fake.controls, fake.armed = (0.8,) * 4 + (0.0,) * 12, True
+    thread = served(fake, 250)
+    for _ in range(250):
+        vehicle.step()
+    thread.join(5.0)
+    assert vehicle.armed
+    assert vehicle.plant.position[2] < -1.0
+    assert math.hypot(*vehicle.plant.position[:2]) < 0.05
+
+
+def test_the_servo_follows_its_channel_only_while_armed(
+    mission: Mission, pair: tuple[HilLink, FakePx4]
+) -> None:
+    link, fake = pair
+    mission = with_driver(mission, LockDriver.PX4)
+    vehicle = Px4Vehicle(mission, 1, link)
+    lock = mission.vehicle.lock
+    controls = [0.0] * 16
+    controls[SERVO_CHANNEL] = actuator_value(lock, lock.servo.rigid_pulse_us)
+    fake.controls = tuple(controls)
+    thread = served(fake, 200)
+    for _ in range(100):
+        vehicle.step()
+    assert mode_of(vehicle) == "flexible"  # zeros and whatever else of a disarmed PX4 are no command
+    fake.armed = True
+    for _ in range(60):
+        vehicle.step()
+    assert mode_of(vehicle) == "flexible"  # 0.24 s: still travelling
+    for _ in range(40):
+        vehicle.step()
+    thread.join(5.0)
+    assert mode_of(vehicle) == "rigid"
+
+
+@pytest.mark.parametrize("value", [160.0, -160.0, 300.0, -300.0, 156.9, -156.9])
+def test_full_scale_is_the_count_that_px4_takes_for_clipped(value: float) -> None:
+    sent = accelerometer_output(value, 156.9)
+    # As PX4 converts: single precision, fraction cut off, 16 bits.
+    (single,) = struct.unpack("f", struct.pack("f", sent))
+    assert int(single * COUNTS_PER_M_S2) == int(math.copysign(32767, value))
+
+
+def test_below_full_scale_nothing_is_changed() -> None:
+    for value in (0.0, -9.81, 100.0, -156.0):
+        assert accelerometer_output(value, 156.9) == value
+    assert accelerometer_output(-100.0, 78.4) == -78.4  # an 8 g sensor
+    assert accelerometer_output(400.0, 313.8) == ACCELEROMETER_LIMIT_M_S2  # PX4 cannot hold more
+
+
+def test_a_hit_beyond_full_scale_is_sent_saturated_and_counted(
+    mission: Mission, pair: tuple[HilLink, FakePx4]
+) -> None:
+    link, fake = pair
+    vehicle = Px4Vehicle(mission, 1, link)
+    plant = vehicle.plant
+    plant.set_mode(Mode.RIGID)
+    acrylic = plant.planes[1]
+    # 4 m/s into the wall at x = 1.65 m: 254 N, 20 g.
+    plant.position = (acrylic.point[0] - 0.05, 0.0, -1.0)
+    plant.velocity = (4.0, 0.0, 0.0)
+    thread = served(fake, 25)
+    for _ in range(25):
+        vehicle.step()
+    thread.join(5.0)
+    least = min(m.xacc for m in of_type(fake, "HIL_SENSOR"))
+    assert least == pytest.approx(-ACCELEROMETER_LIMIT_M_S2, abs=1e-3)
+    assert vehicle.clipped >= 3
+
+
+def test_without_answers_the_plant_goes_on_only_while_px4_boots(
+    mission: Mission, pair: tuple[HilLink, FakePx4], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(px4_bridge, "_ANSWER_WAIT_S", 0.2)
+    link, fake = pair
+    vehicle = Px4Vehicle(mission, 1, link)
+    for _ in range(3):
+        vehicle.step()
+    assert not link.locked
+    served(fake, 4).join(0.2)
+    vehicle.step()
+    assert link.locked
+    with pytest.raises(Px4LostError, match="has not answered"):
+        vehicle.step()
+
+
+def test_a_closed_connection_is_a_lost_px4(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
+    link, fake = pair
+    vehicle = Px4Vehicle(mission, 1, link)
+    fake.close()
+
+    def fly_on() -> None:
+        for _ in range(5):
+            vehicle.step()
+
+    with pytest.raises(Px4LostError, match="closed"):
+        fly_on()
+
+
+def test_bytes_that_are_no_mavlink_are_passed_over(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
+    link, fake = pair
+    vehicle = Px4Vehicle(mission, 1, link)
+    fake.socket.sendall(b"\xfd\x09garbage" * 20)
+    thread = served(fake, 50)
+    for _ in range(50):
+        vehicle.step()
+    thread.join(5.0)
+    assert link.locked
+
+
+def test_geodetic_is_the_inverse_of_px4s_projection() -> None:
+    # Azimuthal equidistant on a sphere, as PX4 projects; at this range a plane is good to a millimetre.
+    for north, east in ((0.0, 0.0), (10.0, -20.0), (-100.0, 50.0)):
+        latitude, longitude = geodetic((north, east, 0.0))
+        a, b = math.radians(latitude), math.radians(HOME_LAT_DEG)
+        d = math.radians(longitude - HOME_LON_DEG)
+        c = math.acos(min(1.0, math.sin(b) * math.sin(a) + math.cos(b) * math.cos(a) * math.cos(d)))
+        k = c / math.sin(c) if c > 1e-9 else 1.0
+        x = k * (math.cos(b) * math.sin(a) - math.sin(b) * math.cos(a) * math.cos(d)) * 6371000.0
+        y = k * math.cos(a) * math.sin(d) * 6371000.0
+        assert [x, y] == pytest.approx([north, east], abs=0.01)
+
+
+def test_wind_reaches_the_plant_and_still_air_does_not(
+    mission: Mission, pair: tuple[HilLink, FakePx4]
+) -> None:
+    link, fake = pair
+    simulation = msgspec.structs.replace(
+        mission.vehicle.simulation, wind_north_east_m_s=(5.0, 0.0), gust_m_s=0.5
+    )
+    windy = msgspec.structs.replace(
+        mission, vehicle=msgspec.structs.replace(mission.vehicle, simulation=simulation)
+    )
+    thread = served(fake, 100)
+    vehicle = Px4Vehicle(windy, 1, link)
+    with contextlib.suppress(Px4LostError):
+        for _ in range(100):
+            vehicle.step()
+    thread.join(5.0)
+    assert 3.0 < vehicle.plant.wind_ned[0] < 7.0
+    assert vehicle.plant.wind_ned[1] != 0.0
+    assert Px4Vehicle(mission, 1, link).plant.wind_ned == (0.0, 0.0, 0.0)

@@ -1,0 +1,73 @@
+"""Impacts that a mission may plan, and what is said of those beyond the sensor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dart_flight.config.document import InputError
+from dart_flight.config.vehicle import packaged
+from dart_flight.flights import load_flyable
+from dart_flight.planning.envelope import expected_force_n, impact_warnings
+
+SWEEP = Path(__file__).parents[2] / "tools" / "px4_sweep_mission.yaml"
+
+
+def sweep(folder: Path, speed: float, mode: str = "rigid", material: str = "acrylic") -> Path:
+    text = SWEEP.read_text().replace("MODE", mode).replace("MATERIAL", material)
+    text = text.replace("SPEED", f"{speed:g}").replace("x: [-4.0, 11.0]", "x: [-8.0, 11.0]")
+    path = folder / "sweep.yaml"
+    path.write_text(text)
+    return path
+
+
+def limit_to(path: Path, force_n: float) -> Path:
+    path.write_text(path.read_text().replace("peak_force_n: 1000.0", f"peak_force_n: {force_n:g}"))
+    return path
+
+
+@pytest.mark.parametrize("name", ["single_wall.yaml", "dual_collision.yaml"])
+def test_the_shipped_missions_are_well_inside(name: str) -> None:
+    mission = load_flyable(packaged("missions", name))
+    assert impact_warnings(mission) == []
+
+
+def test_force_is_the_contact_laws(tmp_path: Path) -> None:
+    mission = load_flyable(sweep(tmp_path, 2.0))
+    assert expected_force_n(mission, mission.collisions[0]) == pytest.approx(2.0 * 63.6, rel=0.01)
+    dual = load_flyable(packaged("missions", "dual_collision.yaml"))
+    assert expected_force_n(dual, dual.collisions[1]) is None
+
+
+def test_an_impact_over_the_missions_own_limit_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"with wall will peak at 127 N, over limits.peak_force_n 120"):
+        load_flyable(limit_to(sweep(tmp_path, 2.0), 120.0))
+    load_flyable(limit_to(sweep(tmp_path, 2.0), 130.0))
+
+
+@pytest.mark.parametrize(
+    ("speed", "material", "mode", "clips"),
+    [
+        (3.0, "acrylic", "rigid", False),
+        (3.3, "acrylic", "rigid", True),
+        (2.5, "wood", "rigid", False),
+        (2.8, "wood", "rigid", True),
+        (4.0, "acrylic", "flexible", False),
+    ],
+)
+def test_clipping_is_announced(tmp_path: Path, speed: float, material: str, mode: str, clips: bool) -> None:
+    warnings = impact_warnings(load_flyable(sweep(tmp_path, speed, mode, material)))
+    assert any("full scale" in line for line in warnings) is clips
+
+
+def test_a_hit_after_which_px4_is_lost_is_announced(tmp_path: Path) -> None:
+    (warning,) = impact_warnings(load_flyable(sweep(tmp_path, 4.0, "rigid", "wood")))
+    assert "loses its position" in warning
+    (warning,) = impact_warnings(load_flyable(sweep(tmp_path, 4.0, "rigid", "acrylic")))
+    assert "lower bound" in warning
+
+
+def test_faster_than_anything_flown_is_announced(tmp_path: Path) -> None:
+    assert impact_warnings(load_flyable(sweep(tmp_path, 4.0, "flexible"))) == []
+    assert "faster than anything flown" in impact_warnings(load_flyable(sweep(tmp_path, 4.4, "flexible")))[0]

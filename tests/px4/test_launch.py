@@ -1,0 +1,273 @@
+"""Finding, starting, judging and stopping PX4, with a stand-in for it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import LockDriver, packaged
+from dart_flight.samples import TruthContact, TruthSample
+from dart_flight.sim.harness import Px4World, WorldError
+from dart_flight.sim.pipe import Px4Spec, WorldSpec
+from dart_flight.sim.px4_launch import (
+    ENVIRONMENT,
+    SIMULATOR_PORT,
+    Px4Error,
+    arguments,
+    claim_instance,
+    environment,
+    find_install,
+    flight_parameters,
+    judge_version,
+    parse_version,
+)
+from tests.px4.fake_px4 import install
+
+MISSION = packaged("missions", "dual_collision.yaml")
+
+
+def test_an_install_and_a_build_folder_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = install(tmp_path / "px4")
+    assert find_install(folder).program == folder / "bin" / "px4"
+    build = install(tmp_path / "source" / "build" / "px4_sitl_default")
+    assert find_install(tmp_path / "source").etc == build / "etc"
+    monkeypatch.setenv(ENVIRONMENT, str(folder))
+    assert find_install(None).etc == folder / "etc"
+
+
+def test_what_is_missing_of_an_install_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(ENVIRONMENT, raising=False)
+    with pytest.raises(InputError, match=ENVIRONMENT):
+        find_install(None)
+    with pytest.raises(InputError, match="no PX4 SITL there"):
+        find_install(tmp_path)
+    folder = install(tmp_path / "px4")
+    (folder / "etc/init.d-posix/airframes/10016_none_iris").unlink()
+    with pytest.raises(InputError, match="no airframe none_iris"):
+        find_install(folder)
+    (folder / "etc/init.d-posix/rcS").unlink()
+    with pytest.raises(InputError, match="rcS"):
+        find_install(folder)
+    (folder / "bin/px4").chmod(0o644)
+    with pytest.raises(InputError, match="not executable"):
+        find_install(folder)
+
+
+def test_command_line_and_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PX4_PARAM_MPC_XY_P", "9")
+    monkeypatch.setenv("PX4_SIM_SPEED_FACTOR", "5")
+    found = find_install(install(tmp_path / "px4"))
+    assert arguments(found, 3) == [str(found.program), "-i", "3", "-d", str(found.etc)]
+    assert "/" in arguments(found, 0)[0]
+    env = environment({"COM_OBL_RC_ACT": 4, "EKF2_EV_DELAY": 10.0, "CA_ROTOR0_PX": 0.1515})
+    assert env["PX4_SIM_MODEL"] == "none_iris"
+    assert env["PX4_PARAM_COM_OBL_RC_ACT"] == "4"
+    assert float(env["PX4_PARAM_EKF2_EV_DELAY"]) == 10.0
+    assert float(env["PX4_PARAM_CA_ROTOR0_PX"]) == 0.1515
+    assert "PX4_PARAM_MPC_XY_P" not in env  # the caller's environment steers nothing
+    assert "PX4_SIM_SPEED_FACTOR" not in env
+
+
+def test_an_instance_belongs_to_whoever_listens() -> None:
+    first, held = claim_instance()
+    with contextlib.closing(held):
+        second, other = claim_instance()
+        with contextlib.closing(other):
+            assert second > first
+            assert other.getsockname()[1] == SIMULATOR_PORT + second
+
+
+def test_an_instance_whose_mavlink_port_is_taken_is_passed_over() -> None:
+    free, listener = claim_instance()
+    listener.close()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 14540 + free))
+        other, listener = claim_instance()
+        listener.close()
+        assert other != free
+
+
+@pytest.mark.parametrize(
+    ("answer", "version"),
+    [
+        ("HW arch: PX4_SITL\nPX4 version: Release 1.16.0 (17825792)\n", (1, 16, 0)),
+        ("PX4 version: 1.14.3 80 (17695568)\nOS: Linux\nOS version: Release 6.1.0\n", (1, 14, 3)),
+        ("nothing of the sort", None),
+    ],
+)
+def test_version_out_of_what_px4_says(answer: str, version: tuple[int, int, int] | None) -> None:
+    assert parse_version(answer) == version
+
+
+def test_an_old_version_is_refused_and_another_one_noted() -> None:
+    assert judge_version((1, 16, 2)) is None
+    assert "v1.15.4" in (judge_version((1, 15, 4)) or "")
+    assert "does not tell" in (judge_version(None) or "")
+    with pytest.raises(Px4Error, match=r"v1\.13\.3 is too old"):
+        judge_version((1, 13, 3))
+
+
+# --- the world process with the stand-in ---------------------------------------------------------
+
+
+class Watched:
+    """A world and what it reports."""
+
+    def __init__(self, folder: Path, px4: Path, speed: float = 10.0) -> None:
+        vehicle = load_mission(MISSION).vehicle
+        self.folder = folder
+        folder.mkdir()
+        self.truths: list[TruthSample | TruthContact] = []
+        self.log = folder / "autopilot.log"
+        spec = WorldSpec(
+            str(MISSION),
+            msgspec.json.encode(vehicle).decode(),
+            1,
+            [],
+            LockDriver.MOCK,
+            str(self.log),
+            Px4Spec(str(px4), str(folder), flight_parameters(vehicle, None), None, speed),
+        )
+        self.world = Px4World(spec, self.truths.append)
+
+
+@pytest.fixture
+def launched() -> Iterator[list[Watched]]:
+    worlds: list[Watched] = []
+    yield worlds
+    for one in worlds:
+        one.world.close(5.0)
+
+
+def test_world_starts_px4_in_a_fresh_folder_and_ends_it(tmp_path: Path, launched: list[Watched]) -> None:
+    watched = Watched(tmp_path / "flight", install(tmp_path / "px4"))
+    launched.append(watched)
+    watched.world.wait_ready()
+    ready = watched.world.ready
+    assert ready is not None
+    assert ready.version == "1.16.0"
+    about = json.loads((watched.folder / "px4" / "started.json").read_text())
+    assert Path(about["cwd"]) == watched.folder / "px4"
+    assert about["environment"]["PX4_PARAM_EKF2_EV_CTRL"] == "11"
+    assert watched.world.port == 14540 + int(about["arguments"][1])
+    deadline = time.monotonic() + 5.0
+    while not watched.truths and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert watched.truths
+    watched.world.close(10.0)
+    assert ready.pid is not None
+    assert not Path(f"/proc/{ready.pid}").exists()
+    assert (watched.folder / "px4.ulg").read_bytes() == b"ULog of a fake"
+    assert not (watched.folder / "px4").exists()
+
+
+def test_a_stubborn_px4_is_killed(tmp_path: Path, launched: list[Watched]) -> None:
+    watched = Watched(tmp_path / "flight", install(tmp_path / "px4", "stubborn"))
+    launched.append(watched)
+    watched.world.wait_ready()
+    assert watched.world.ready is not None
+    watched.world.close(10.0)
+    assert not Path(f"/proc/{watched.world.ready.pid}").exists()
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "version", "words"),
+    [
+        ("ends", "Release 1.16.0", "PX4 ended with status 3 before it connected: ERROR [init] something"),
+        ("fly", "Release 1.13.2", "PX4 v1.13.2 is too old"),
+    ],
+)
+def test_a_px4_that_cannot_fly_is_a_clear_word(
+    tmp_path: Path, launched: list[Watched], behaviour: str, version: str, words: str
+) -> None:
+    watched = Watched(tmp_path / "flight", install(tmp_path / "px4", behaviour, version))
+    launched.append(watched)
+    with pytest.raises(WorldError) as caught:
+        watched.world.wait_ready()
+    assert words in str(caught.value)
+
+
+def test_px4_dying_in_flight_is_told_to_the_app(tmp_path: Path, launched: list[Watched]) -> None:
+    watched = Watched(tmp_path / "flight", install(tmp_path / "px4", "dies"))
+    launched.append(watched)
+    watched.world.wait_ready()
+    deadline = time.monotonic() + 15.0
+    while not watched.world.died and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert watched.world.cause == "PX4 was killed by SIGKILL"
+
+
+def test_killing_the_world_kills_px4(tmp_path: Path, launched: list[Watched]) -> None:
+    watched = Watched(tmp_path / "flight", install(tmp_path / "px4"))
+    launched.append(watched)
+    watched.world.wait_ready()
+    assert watched.world.ready is not None
+    os.kill(watched.world.pid, 9)
+    deadline = time.monotonic() + 5.0
+    while _lives(watched.world.ready.pid) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not _lives(watched.world.ready.pid)
+    assert watched.world.cause == "the process of the plant under PX4 was killed by SIGKILL"
+
+
+def _lives(pid: int | None) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False
+
+
+def test_two_worlds_at_once_have_instances_of_their_own(tmp_path: Path, launched: list[Watched]) -> None:
+    px4 = install(tmp_path / "px4")
+    for name in ("one", "two"):
+        launched.append(Watched(tmp_path / name, px4))
+    waits = [threading.Thread(target=w.world.wait_ready) for w in launched]
+    for wait in waits:
+        wait.start()
+    for wait in waits:
+        wait.join()
+    assert launched[0].world.port != launched[1].world.port
+
+
+# --- the command -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--px4", "/nowhere"], "no PX4 SITL there"),
+        (["--outdoor"], "--outdoor needs --px4"),
+        (["--speed", "2"], "--speed needs --px4"),
+        (["--px4", "/nowhere", "--gps", "rtk"], "--gps needs --outdoor"),
+        (["--px4", "/nowhere", "--fast"], "exclude each other"),
+    ],
+)
+def test_wrong_options_are_one_line(
+    options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["dry-run", str(MISSION), *options]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+
+
+def test_a_surveyed_frame_is_refused_with_gps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = MISSION.read_text().replace("north_m: 0.0", "north_m: 3.0")
+    text = text.replace("../configs/dart.yaml", str(packaged("configs", "dart.yaml")))
+    mission = tmp_path / "surveyed.yaml"
+    mission.write_text(text)
+    px4 = install(tmp_path / "px4")
+    assert main(["dry-run", str(mission), "--px4", str(px4), "--outdoor", "--log-dir", str(tmp_path)]) == 2
+    assert "origin: takeoff" in capsys.readouterr().err

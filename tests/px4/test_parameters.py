@@ -1,0 +1,122 @@
+"""The parameter files: their format, that each line has a reason, and how a vehicle differs from them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from dart_flight.config.document import InputError
+from dart_flight.config.parameters import differences, load_parameters
+from dart_flight.config.vehicle import Px4Parameters, load_vehicle, packaged
+from dart_flight.sim.px4_launch import airframe_parameters, flight_parameters, motors_from, parameter_files
+
+FILES = sorted(packaged("configs", "px4").glob("*.params"))
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: p.name)
+def test_every_packaged_parameter_has_its_reason(path: Path) -> None:
+    parameters = load_parameters(path)
+    assert parameters
+    for parameter in parameters.values():
+        assert len(parameter.reason) > 15, parameter.name
+
+
+def test_all_packaged_files_are_used() -> None:
+    used = {path.name for gps in (None, "rtk", "plain") for path in parameter_files(gps)}
+    assert used == {path.name for path in FILES}
+
+
+def test_files_do_not_contradict_the_vehicle_configuration() -> None:
+    # The flight model reads these from dart.yaml; a file that changed them would fly another vehicle.
+    configured = {field.encode_name for field in msgspec.structs.fields(Px4Parameters)}
+    for path in FILES:
+        assert not configured & set(load_parameters(path)), path.name
+
+
+def test_round_trip_of_values_types_and_reasons(tmp_path: Path) -> None:
+    path = tmp_path / "some.params"
+    path.write_text(
+        "# a head line\n\n# first\n# and second\n1\t1\tCOM_OBL_RC_ACT\t4\t6\n"
+        "1\t1\tEKF2_EV_DELAY\t12.5\t9\n# negative\n1 1 CA_ROTOR1_PX -0.13 9\n"
+    )
+    parameters = load_parameters(path)
+    assert list(parameters) == ["COM_OBL_RC_ACT", "EKF2_EV_DELAY", "CA_ROTOR1_PX"]
+    assert parameters["COM_OBL_RC_ACT"].value == 4
+    assert isinstance(parameters["COM_OBL_RC_ACT"].value, int)
+    assert parameters["COM_OBL_RC_ACT"].reason == "first and second"
+    assert parameters["EKF2_EV_DELAY"].value == 12.5
+    assert parameters["EKF2_EV_DELAY"].reason == ""
+    assert parameters["CA_ROTOR1_PX"].value == -0.13
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("1\t1\tCOM_OBL_RC_ACT\t4", "4 fields"),
+        ("1\t1\tcom_obl\t4\t6", "not a PX4 parameter name"),
+        ("1\t1\tA_NAME_LONGER_THAN_16\t4\t6", "not a PX4 parameter name"),
+        ("1\t1\tCOM_OBL_RC_ACT\t4\t7", "type '7'"),
+        ("1\t1\tCOM_OBL_RC_ACT\t4.5\t6", "not a number of type 6"),
+        ("1\t1\tCOM_OBL_RC_ACT\t4294967296\t6", "out of range"),
+        ("1\t1\tEKF2_EV_DELAY\tnan\t9", "out of range"),
+    ],
+)
+def test_a_wrong_line_is_named(tmp_path: Path, line: str, message: str) -> None:
+    path = tmp_path / "bad.params"
+    path.write_text(f"# head\n{line}\n")
+    with pytest.raises(InputError) as caught:
+        load_parameters(path)
+    assert message in str(caught.value)
+    assert caught.value.line == 2
+
+
+def test_a_duplicate_and_a_missing_file_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "twice.params"
+    path.write_text("1\t1\tA\t4\t6\n1\t1\tA\t5\t6\n")
+    with pytest.raises(InputError, match="there twice"):
+        load_parameters(path)
+    with pytest.raises(InputError, match="cannot read"):
+        load_parameters(tmp_path / "none.params")
+
+
+def test_differences_between_a_vehicle_and_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "some.params"
+    path.write_text("# why\n1\t1\tA\t4\t6\n# so\n1\t1\tB\t0.3\t9\n# it\n1\t1\tC\t1\t6\n")
+    wanted = load_parameters(path)
+    found = differences(wanted, {"A": 3.0, "B": 0.30000001192092896, "D": 1.0})
+    assert [d.name for d in found] == ["A", "C"]
+    assert found[0].line() == "A is 3, wanted 4: why"
+    assert "not on this vehicle" in found[1].line()
+
+
+def test_flight_parameters_indoors_outdoors_and_the_users_own(tmp_path: Path) -> None:
+    vehicle = load_vehicle()
+    indoors = flight_parameters(vehicle, None)
+    outdoors = flight_parameters(vehicle, "rtk")
+    assert (indoors["EKF2_GPS_CTRL"], indoors["SYS_HAS_GPS"]) == (0, 0)
+    assert (outdoors["EKF2_EV_CTRL"], outdoors["EKF2_GPS_CTRL"]) == (0, 7)
+    assert indoors["MPC_XY_P"] == vehicle.px4.mpc_xy_p
+    assert indoors["MPC_THR_HOVER"] == pytest.approx(vehicle.hover_thrust_fraction())
+    own = tmp_path / "own.params"
+    own.write_text("1\t1\tEKF2_EV_DELAY\t30\t9\n")
+    assert flight_parameters(vehicle, None, [own])["EKF2_EV_DELAY"] == 30.0
+
+
+def test_motors_of_the_plant_are_those_px4_is_told(tmp_path: Path) -> None:
+    vehicle = load_vehicle()
+    told = airframe_parameters(vehicle)
+    assert [(m.x_m, m.y_m) for m in motors_from(told, vehicle)] == [
+        (0.13, 0.13),
+        (-0.13, -0.13),
+        (0.13, -0.13),
+        (-0.13, 0.13),
+    ]
+    # The airframe of PX4's iris, wider than long: the plant follows.
+    own = tmp_path / "iris.params"
+    own.write_text(
+        "1\t1\tCA_ROTOR0_PX\t0.1515\t9\n1\t1\tCA_ROTOR0_PY\t0.245\t9\n1\t1\tCA_ROTOR0_KM\t0.05\t9\n"
+    )
+    first = motors_from(flight_parameters(vehicle, None, [own]), vehicle)[0]
+    assert (first.x_m, first.y_m, first.yaw_m) == (0.1515, 0.245, 0.05)

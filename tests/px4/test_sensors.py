@@ -1,0 +1,120 @@
+"""Statistics of the sensors that PX4 is given."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import random
+import statistics
+
+import pytest
+
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import load_vehicle, packaged
+from dart_flight.geometry import quaternion_from_euler
+from dart_flight.sim.plant import Plant, make_plant
+from dart_flight.sim.sensors import (
+    GPS_QUALITIES,
+    Barometer,
+    GpsReceiver,
+    ImuSensor,
+    Magnetometer,
+    altitude_m,
+    pressure_hpa,
+)
+from dart_flight.sim.wind import Wind
+
+
+@pytest.fixture
+def plant() -> Plant:
+    return make_plant(load_mission(packaged("missions", "dual_collision.yaml")))
+
+
+def fixes_of(receiver: GpsReceiver, plant: Plant, seconds: float) -> list[tuple[float, float, float]]:
+    found = []
+    for i in range(round(seconds * 250)):
+        plant.time_s = i * 0.004
+        fix = receiver.measure(plant)
+        if fix is not None:
+            found.append(fix.position_ned)
+    return found
+
+
+@pytest.mark.parametrize(("name", "sigma"), [("rtk", 0.02), ("plain", 1.0)])
+def test_gps_error_has_the_stated_size(name: str, sigma: float, plant: Plant) -> None:
+    north: list[float] = []
+    for seed in range(60):
+        receiver = GpsReceiver(GPS_QUALITIES[name], random.Random(seed))
+        north += [fix[0] for fix in fixes_of(receiver, plant, 4.0)]
+    assert statistics.pstdev(north) == pytest.approx(sigma, rel=0.2)
+
+
+def test_gps_error_wanders_rather_than_jumps(plant: Plant) -> None:
+    fixes = fixes_of(GpsReceiver(GPS_QUALITIES["plain"], random.Random(3)), plant, 60.0)
+    steps = [abs(b[0] - a[0]) for a, b in itertools.pairwise(fixes)]
+    assert statistics.mean(steps) < 0.15
+    assert max(f[0] for f in fixes) - min(f[0] for f in fixes) > 0.3
+
+
+def test_gps_reports_the_past(plant: Plant) -> None:
+    receiver = GpsReceiver(GPS_QUALITIES["rtk"], random.Random(1))
+    north = []
+    for i in range(250):
+        plant.time_s = i * 0.004
+        plant.position = (5.0 * plant.time_s, 0.0, 0.0)
+        fix = receiver.measure(plant)
+        if fix is not None:
+            north.append((plant.time_s, fix.position_ned[0]))
+    assert statistics.mean(t - n / 5.0 for t, n in north) == pytest.approx(0.1, abs=0.02)
+
+
+def test_barometer_and_the_atmosphere(plant: Plant) -> None:
+    assert pressure_hpa(0.0) == pytest.approx(1013.25)
+    assert pressure_hpa(1000.0) == pytest.approx(898.75, abs=0.2)  # standard atmosphere
+    assert altitude_m(pressure_hpa(488.0)) == pytest.approx(488.0, abs=1e-6)
+    barometer = Barometer(random.Random(1), 488.0)
+    plant.position = (0.0, 0.0, -2.0)
+    heights = [barometer.measure(plant)[1] for _ in range(400)]
+    assert statistics.mean(heights) == pytest.approx(490.0, abs=0.05)
+    assert 0.04 < statistics.pstdev(heights) < 0.15
+
+
+def test_magnetometer_turns_with_the_vehicle(plant: Plant) -> None:
+    magnetometer = Magnetometer(random.Random(1), (0.2, 0.0, 0.4))
+    plant.q = quaternion_from_euler(0.0, 0.0, math.radians(90.0))  # nose to the east: north is to the left
+    fields = [magnetometer.measure(plant) for _ in range(200)]
+    means = [statistics.mean(f[i] for f in fields) for i in range(3)]
+    assert means == pytest.approx([0.0, -0.2, 0.4], abs=0.002)
+
+
+def test_noise_does_not_lift_a_saturated_reading_off_full_scale() -> None:
+    vehicle = load_vehicle()
+    scale = vehicle.imu.full_scale_m_s2
+    for seed in range(20):
+        imu = ImuSensor(vehicle, random.Random(seed))
+        f, _ = imu.measure((-scale, scale, 0.0), (0.0, 0.0, 0.0))
+        assert f[:2] == (-scale, scale)
+        assert abs(f[2]) < 2.0
+
+
+def test_gusts_have_the_configured_size_and_time(plant: Plant) -> None:
+    import msgspec
+
+    simulation = msgspec.structs.replace(
+        load_vehicle().simulation, wind_north_east_m_s=(2.0, -1.0), gust_m_s=0.8, gust_time_s=0.5
+    )
+    wind = Wind(simulation, 1, 0.004)
+    north, east = [], []
+    for _ in range(100_000):
+        wind.blow(plant)
+        north.append(plant.wind_ned[0])
+        east.append(plant.wind_ned[1])
+    assert statistics.mean(north) == pytest.approx(2.0, abs=0.15)
+    assert statistics.mean(east) == pytest.approx(-1.0, abs=0.15)
+    assert statistics.pstdev(north) == pytest.approx(0.8, rel=0.1)
+    lag = 125  # 0.5 s: correlation 1/e
+    mean = statistics.mean(north)
+    correlation = statistics.mean(
+        (a - mean) * (b - mean) for a, b in zip(north, north[lag:], strict=False)
+    ) / statistics.pvariance(north)
+    assert correlation == pytest.approx(math.exp(-1.0), abs=0.1)
