@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import platform
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -25,6 +24,7 @@ from dart_flight.flight.core import FlightCore
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.planning.approach import NoApproachError
 from dart_flight.planning.envelope import impact_problem
+from dart_flight.recording.about import describe_flight
 from dart_flight.recording.px4_log import read_px4_log
 from dart_flight.recording.writer import FlightLog, new_flight_folder
 from dart_flight.samples import Record
@@ -99,14 +99,9 @@ def with_vehicle_parameters(scenario: Scenario, url: str) -> Scenario:
 
 
 def _open_log(mission: Mission, world: str, seed: int | None, log_dir: Path) -> FlightLog:
-    about = {"mission": mission.name, "mission_source": mission.source, "world": world}
-    about["seed"] = "" if seed is None else str(seed)
-    about["host"] = f"{platform.node()} {platform.machine()} Python {platform.python_version()}"
-    about["vehicle"] = msgspec.json.encode(mission.vehicle).decode()
-    with contextlib.suppress(OSError):
-        about["mission_text"] = Path(mission.source).read_text(encoding="utf-8")
     try:
-        return FlightLog(new_flight_folder(log_dir, mission.name) / LOG_NAME, about)
+        path = new_flight_folder(log_dir, mission.name) / LOG_NAME
+        return FlightLog(path, describe_flight(mission, world, seed))
     except OSError as error:
         raise InputError(f"cannot write the flight log: {error.strerror}", source=str(log_dir)) from None
 

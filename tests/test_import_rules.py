@@ -14,7 +14,6 @@ FLOORS = {
     "geometry": 0,
     "samples": 1,
     "streams": 1,
-    "deadman": 1,
     "config": 2,
     "contact": 3,
     "planning": 4,

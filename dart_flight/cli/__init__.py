@@ -26,9 +26,14 @@ COMMANDS = {
     "check": "go or no-go: a mission, and the vehicle where one answers",
     "lock": "move or report the locking mechanism",
     "plan": "choose walls, velocities and modes for a scenario, and write the mission",
+    "replay": "a recorded flight again through the same decisions",
+    "report": "recorded flights as a page with plots",
+    "export": "a flight log as CSV files",
     "predict": "predict a collision or a drop",
     "identify": "contact coefficients from recorded trials",
     "tables": "the paper's collision tables beside the model's",
+    "init": "copy the packaged configuration, missions and scenarios to start from",
+    "completion": "what completes commands in bash, zsh or tcsh",
 }
 
 EXIT_OK, EXIT_INCOMPLETE, EXIT_INPUT = 0, 1, 2

@@ -127,7 +127,7 @@ def _check_room(mission: Mission, collision: Collision, approach: Approach) -> N
         legs.append((mission.start, begin))
     for wall in mission.walls:
         for a, b in legs:
-            end_clearance = 0.0 if wall is collision.wall and b == approach.impact else CLEARANCE_M
+            end_clearance = 0.0 if wall == collision.wall and b == approach.impact else CLEARANCE_M
             da, db = wall.signed_distance(a) - CLEARANCE_M, wall.signed_distance(b) - end_clearance
             if da * db < 0.0 or (da < 0.0 and wall.signed_distance(a) > -CLEARANCE_M):
                 share = da / (da - db) if da != db else 0.0

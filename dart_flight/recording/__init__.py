@@ -1,6 +1,6 @@
-"""The record of a flight: one MCAP file, written as it goes, readable up to where it was cut."""
+"""The record of a flight: MCAP files, written as it goes, readable up to where they were cut."""
 
-from dart_flight.recording.reader import LogEntry, read_log
+from dart_flight.recording.reader import Log, LogEntry, read_log
 from dart_flight.recording.writer import FlightLog
 
-__all__ = ["FlightLog", "LogEntry", "read_log"]
+__all__ = ["FlightLog", "Log", "LogEntry", "read_log"]

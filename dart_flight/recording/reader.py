@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 import msgspec
 from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from dart_flight.config.document import InputError
-from dart_flight.recording.writer import FORMAT_VERSION, RECORD_TYPES
+from dart_flight.recording.encoding import decode
+from dart_flight.recording.schema import RECORD_TYPES
+from dart_flight.recording.writer import ABOUT, END, FORMAT_VERSION, part_path
 from dart_flight.samples import Record
 
-_BY_TOPIC = {kind.topic: kind for kind in RECORD_TYPES}
+_MAGIC = b"\x89MCAP0\r\n"
 
 
 class LogEntry(msgspec.Struct, frozen=True):
@@ -27,32 +30,63 @@ class Log(msgspec.Struct):
     """A log read whole.
 
     Attributes:
-        about: what describes the flight (mission, configuration, world, seed, software).
+        source: the file.
+        about: what describes the flight (`recording.about`).
+        end: what was known only at the end; `lost` is the number of records that could not be written.
         entries: records in the order written.
-        complete: False where the file was cut off.
+        complete: False where the file was cut off or a part of it is missing.
     """
 
+    source: str
     about: dict[str, str]
+    end: dict[str, str]
     entries: list[LogEntry]
     complete: bool
 
+    @property
+    def seed(self) -> int | None:
+        """The seed of a simulated flight."""
+        text = self.about.get("seed", "")
+        return int(text) if text.isdigit() else None
+
+    @property
+    def world(self) -> str:
+        """`drone`, `px4`, `embedded` or `fast`; `unknown` where the log was cut before it says."""
+        return self.about.get("world", "unknown")
+
 
 def read_log(path: str | Path) -> Log:
-    """Read a flight log, up to where it was cut.
+    """Read a flight log and its further parts, up to where it was cut.
 
     Raises:
         InputError: not a flight log, or written by a newer version.
     """
-    log = Log({}, [], False)
+    log = Log(str(path), {}, {}, [], complete=True)
+    part = 1
+    while log.complete:
+        here = part_path(Path(path), part)
+        if part > 1 and not here.exists():
+            log.complete = False
+            break
+        log.end = {}
+        _read_part(here, log)
+        if log.end.get("continued") != "yes":
+            break
+        part += 1
+    return log
+
+
+def _read_part(path: Path, log: Log) -> None:
     source = str(path)
+    found = dict[str, str]()
     try:
         with open(path, "rb") as stream:
-            if not stream.read(8).startswith(b"\x89MCAP0\r\n"):
+            start = stream.read(len(_MAGIC))
+            if not _MAGIC.startswith(start):
                 raise InputError("not a flight log (no MCAP file)", source=source)
             stream.seek(0)
-            for entry in _entries(StreamReader(stream, emit_chunks=True), log, source):
+            for entry in _entries(stream, log, found, source):
                 log.entries.append(entry)
-        log.complete = True
     except InputError:
         raise
     except OSError as error:
@@ -60,31 +94,40 @@ def read_log(path: str | Path) -> Log:
     except Exception:
         # Cut off or damaged here, for which the library raises many kinds of errors; the rest is good.
         log.complete = False
-    if not log.about and log.complete:
-        raise InputError("not a flight log of dart-flight", source=source)
-    return log
+    if not found and log.complete:
+        raise InputError("an MCAP file, but not a flight log of dart-flight", source=source)
 
 
-def _entries(reader: StreamReader, log: Log, source: str) -> Iterator[LogEntry]:
+def _entries(stream: BinaryIO, log: Log, found: dict[str, str], source: str) -> Iterator[LogEntry]:
     topics: dict[int, str] = {}
     decoders = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
-    for record in reader.records:
-        if isinstance(record, Metadata) and record.name == "dart_flight":
+    for record in StreamReader(stream, emit_chunks=True).records:
+        if isinstance(record, Metadata) and record.name == ABOUT:
+            found.update(record.metadata)
+            _check_version(record.metadata, source)
             log.about.update(record.metadata)
-            version = record.metadata.get("format_version", "0")
-            if not version.isdigit() or int(version) > FORMAT_VERSION:
-                raise InputError(
-                    f"log format {version} is newer than this program knows ({FORMAT_VERSION}); "
-                    "update dart-flight",
-                    source=source,
-                )
-        if not isinstance(record, Chunk):
+        elif isinstance(record, Metadata) and record.name == END:
+            log.end.update(record.metadata)
+        if not isinstance(record, Chunk) or not found:
             continue
         for inner in breakup_chunk(record, validate_crc=True):
             if isinstance(inner, Channel):
                 topics[inner.id] = inner.topic
-            elif isinstance(inner, Message) and topics.get(inner.channel_id) in _BY_TOPIC:
-                yield LogEntry(inner.sequence, decoders[topics[inner.channel_id]].decode(inner.data))
+            elif isinstance(inner, Message) and topics.get(inner.channel_id) in decoders:
+                record_decoder = decoders[topics[inner.channel_id]]
+                yield LogEntry(inner.sequence, decode(inner.data, record_decoder))
+
+
+def _check_version(about: dict[str, str], source: str) -> None:
+    version = about.get("format_version", "")
+    if not version.isdigit():
+        raise InputError(f"log format {version!r} is not a number", source=source)
+    if int(version) > FORMAT_VERSION:
+        raise InputError(
+            f"log format {version} is newer than this program knows ({FORMAT_VERSION}), it was written by "
+            f"dart-flight {about.get('software', '?')}; update dart-flight",
+            source=source,
+        )
 
 
 __all__ = ["Log", "LogEntry", "read_log"]

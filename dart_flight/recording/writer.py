@@ -1,90 +1,114 @@
 """The flight log: MCAP with JSON messages and their JSON Schemas, so that Foxglove opens it as it is.
 
 One channel per record type (`topic` in `samples`). A message's sequence number is the number of the input
-it is or follows from: a replay feeds inputs in that order. Log time is the autopilot's clock. Records are
-encoded and written by a thread of their own in small chunks, so that a killed process loses at most 0.2 s.
+it is or follows from: a replay feeds inputs in that order. Log time is the autopilot's clock; `ClockOffset`
+relates it to the host's monotonic clock, the description of the flight that to the calendar.
+
+Records are encoded and written by a thread of their own in small chunks, so that a killed process loses at
+most 0.2 s; once a second they are forced to the disk, for the battery that comes off in the crash. A file
+that has grown to `part_bytes` is finished and followed by `flight.part2.mcap`, ...; after `most_parts` only
+decisions are recorded, no telemetry.
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
 import threading
 import time
 from collections import deque
 from pathlib import Path
-from typing import Any
 
-import msgspec
 from mcap.writer import CompressionType, Writer
 
 from dart_flight import __version__
+from dart_flight.recording.encoding import encode
+from dart_flight.recording.schema import RECORD_TYPES, encoded_schema
 from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
-    ClockOffset,
-    CommandResult,
-    ContactEnd,
     EstimatorSample,
     ForceEstimate,
-    GoalPassed,
-    GuardEvent,
-    ImpactOnset,
-    ImpactPeak,
     ImuSample,
-    LockCommand,
-    LockPermission,
-    LockState,
-    MissionEnd,
     OdometrySample,
-    OperatorRequest,
-    PhaseChange,
     Record,
     SetPoint,
-    SetPointSent,
-    Silence,
-    StatusSample,
-    StatusText,
     Tick,
-    TruthContact,
     TruthSample,
-    VehicleCommand,
 )
 
 FORMAT_VERSION = 1
 PROFILE = "dart-flight"
-_FLUSH_S = 0.05
-_MOST_WAITING = 200_000  # records; about two minutes of a flight while the disk does not answer
+ABOUT, END = "dart_flight", "dart_flight_end"  # names of the metadata records
+PART_BYTES = 64 * 1024 * 1024  # about ten minutes of a flight (docs/log.md)
+MOST_PARTS = 16
 
-RECORD_TYPES: tuple[type[Record], ...] = (
-    ImuSample,
-    AttitudeSample,
-    OdometrySample,
-    ActuatorSample,
-    StatusSample,
-    EstimatorSample,
-    StatusText,
-    LockState,
-    CommandResult,
-    OperatorRequest,
-    ClockOffset,
-    Tick,
-    SetPoint,
-    VehicleCommand,
-    LockCommand,
-    LockPermission,
-    Silence,
-    ForceEstimate,
-    ImpactOnset,
-    ImpactPeak,
-    ContactEnd,
-    PhaseChange,
-    GuardEvent,
-    GoalPassed,
-    MissionEnd,
-    TruthSample,
-    TruthContact,
-    SetPointSent,
+_FLUSH_S = 0.05
+_SYNC_S = 1.0
+_MOST_WAITING = 200_000  # records; about two minutes of a flight while the disk does not answer
+_STREAMS = frozenset(
+    {
+        ImuSample,
+        AttitudeSample,
+        OdometrySample,
+        ActuatorSample,
+        EstimatorSample,
+        Tick,
+        SetPoint,
+        ForceEstimate,
+        TruthSample,
+    }
 )
+
+
+class _Part:
+    """One MCAP file; every part describes the flight and its own channels again."""
+
+    def __init__(self, path: Path, about: dict[str, str], number: int) -> None:
+        self._file = open(path, "xb")  # noqa: SIM115
+        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
+        self._writer.start(profile=PROFILE, library=f"dart-flight {__version__}")
+        self._writer.add_metadata(
+            ABOUT, {**about, "format_version": str(FORMAT_VERSION), "part": str(number)}
+        )
+        self._channels = {kind: self._register(kind) for kind in RECORD_TYPES}
+        self._file.flush()
+
+    def _register(self, kind: type[Record]) -> int:
+        schema = self._writer.register_schema(kind.__name__, "jsonschema", encoded_schema(kind))
+        return self._writer.register_channel(kind.topic, "json", schema)
+
+    @property
+    def size_bytes(self) -> int:
+        return self._file.tell()
+
+    def write(self, record: Record, time_us: int, number: int) -> None:
+        self._writer.add_message(
+            channel_id=self._channels[type(record)],
+            log_time=time_us * 1000,
+            publish_time=time_us * 1000,
+            data=encode(record),
+            sequence=number & 0xFFFFFFFF,
+        )
+
+    def flush(self) -> None:
+        # The library ends a chunk only by its size; waiting for a megabyte would cost a killed flight many
+        # seconds.
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._file.flush()
+
+    def sync(self) -> None:
+        os.fsync(self._file.fileno())
+
+    def finish(self, end: dict[str, str]) -> None:
+        """Write the closing description and the index."""
+        self._writer.add_metadata(END, end)
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._file.flush()
+        self.sync()
+
+    def close(self) -> None:
+        self._file.close()
 
 
 class FlightLog:
@@ -93,29 +117,34 @@ class FlightLog:
     `put` never blocks and never raises; what the disk refuses is counted in `lost`, the flight goes on.
 
     Args:
-        path: the file, which must not exist.
-        about: what describes the flight: mission and configuration text, world, seed, host.
+        path: the first file, which must not exist.
+        about: what describes the flight (`recording.about.describe_flight`).
+        part_bytes: size after which the next file begins.
+        most_parts: number of files after which telemetry is no longer recorded.
 
     Raises:
         OSError: the file cannot be created.
     """
 
-    def __init__(self, path: Path, about: dict[str, str]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        about: dict[str, str],
+        *,
+        part_bytes: int = PART_BYTES,
+        most_parts: int = MOST_PARTS,
+    ) -> None:
         self.path = path
         self.lost = 0
         self.failure: str | None = None
+        self._about, self._end = about, dict[str, str]()
+        self._part_bytes, self._most_parts = part_bytes, most_parts
+        self._parts = 1
         self._waiting: deque[tuple[Record, int]] = deque()
-        self._file = open(path, "xb")  # noqa: SIM115
-        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
-        self._writer.start(profile=PROFILE, library=f"dart-flight {__version__}")
-        self._writer.add_metadata(
-            "dart_flight", {"format_version": str(FORMAT_VERSION), "software": __version__, **about}
-        )
-        self._channels = {kind: self._register(kind) for kind in RECORD_TYPES}
-        self._encoder = msgspec.json.Encoder()
+        self._part = _Part(path, about, 1)
         self._time_us = 0
+        self._synced_s = 0.0
         self._closing = threading.Event()
-        self._flush_now()
         self._thread = threading.Thread(target=self._run, name="flight log", daemon=True)
         self._thread.start()
 
@@ -126,21 +155,19 @@ class FlightLog:
             return
         self._waiting.append((record, number))
 
+    def remark(self, key: str, text: str) -> None:
+        """Something about the flight that is known only at its end, such as where PX4's own log is."""
+        self._end[key] = text
+
     def close(self) -> None:
         """Write what is queued, finish the file with its index."""
         self._closing.set()
         self._thread.join(timeout=10.0)
+        if self.failure is None:
+            with contextlib.suppress(OSError):
+                self._part.finish({**self._end, "lost": str(self.lost)})
         with contextlib.suppress(OSError):
-            if self.failure is None:
-                self._writer.finish()  # type: ignore[no-untyped-call]
-        with contextlib.suppress(OSError):
-            self._file.close()
-
-    def _register(self, kind: type[Record]) -> int:
-        schema = self._writer.register_schema(
-            kind.__name__, "jsonschema", msgspec.json.encode(_flat_schema(kind))
-        )
-        return self._writer.register_channel(kind.topic, "json", schema)
+            self._part.close()
 
     def _run(self) -> None:
         while not self._closing.is_set():
@@ -159,55 +186,38 @@ class FlightLog:
                 self._write(record, number)
                 wrote = True
             if wrote:
-                self._flush_now()
+                self._part.flush()
+                self._rotate()
+                now = time.monotonic()
+                if now - self._synced_s >= _SYNC_S:
+                    self._synced_s = now
+                    self._part.sync()
         except OSError as error:
             # A full disk stops the log, not the flight.
             self.failure = error.strerror or str(error)
             self.lost += 1
 
     def _write(self, record: Record, number: int) -> None:
+        if self._parts > self._most_parts and type(record) in _STREAMS:
+            self.lost += 1
+            return
         t_us = getattr(record, "t_us", 0)
         if t_us:
             self._time_us = t_us  # records without autopilot time are logged at that of the one before
-        self._writer.add_message(
-            channel_id=self._channels[type(record)],
-            log_time=self._time_us * 1000,
-            publish_time=self._time_us * 1000,
-            data=self._encoder.encode(record),
-            sequence=number & 0xFFFFFFFF,
-        )
+        self._part.write(record, self._time_us, number)
 
-    def _flush_now(self) -> None:
-        # The library ends a chunk only by its size; waiting for a megabyte would cost a killed flight many
-        # seconds. Its private method is the one way to end a chunk by time (tests hold us to it).
-        getattr(self._writer, "_Writer__finalize_chunk")()  # noqa: B009
-        self._file.flush()
+    def _rotate(self) -> None:
+        if self._part.size_bytes < self._part_bytes or self._parts > self._most_parts:
+            return
+        self._part.finish({"lost": str(self.lost), "continued": "yes"})
+        self._part.close()
+        self._parts += 1
+        self._part = _Part(part_path(self.path, self._parts), self._about, self._parts)
 
 
-def _flat_schema(kind: type[Record]) -> dict[str, Any]:
-    """JSON Schema of a record with its definitions inlined: Foxglove does not follow references."""
-    schema, components = msgspec.json.schema_components([kind], ref_template="{name}")
-
-    def inline(node: Any) -> Any:
-        if isinstance(node, dict):
-            if "$ref" in node:
-                return inline(components[node["$ref"]])
-            if "enum" in node:
-                return {"type": "string"}
-            if "prefixItems" in node:  # a vector: Foxglove knows arrays with one kind of item
-                return {"type": "array", "items": inline(node["prefixItems"][0])}
-            if "anyOf" in node:  # a value that may be missing
-                some = [part for part in node["anyOf"] if part.get("type") != "null"]
-                return inline(some[0])
-            return {key: inline(value) for key, value in node.items()}
-        if isinstance(node, list):
-            return [inline(part) for part in node]
-        return node
-
-    flat: dict[str, Any] = inline(schema[0])
-    flat["title"] = kind.__name__
-    flat["description"] = " ".join((kind.__doc__ or "").split())
-    return flat
+def part_path(first: Path, number: int) -> Path:
+    """The file of a part: flight.mcap, flight.part2.mcap, ..."""
+    return first if number == 1 else first.with_suffix(f".part{number}{first.suffix}")
 
 
 def new_flight_folder(root: Path, name: str) -> Path:

@@ -1,0 +1,107 @@
+"""What describes a flight in its log, and the mission that comes back out of it.
+
+Everything a replay needs is embedded: the mission as written, the mission as it was flown (with the vehicle's
+configuration, after every option of the command line), the software and the machine.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import platform
+import subprocess
+import time
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
+
+import msgspec
+
+from dart_flight import __version__
+from dart_flight.config.document import Document, InputError
+from dart_flight.config.mission import Mission, parse_mission
+from dart_flight.config.vehicle import VehicleConfig
+
+
+def describe_flight(mission: Mission, world: str, seed: int | None) -> dict[str, str]:
+    """The description of a flight that is about to begin.
+
+    Keys: `mission` (name), `mission_source`, `mission_text` (as written), `flown` (the resolved mission with
+    its vehicle, JSON), `vehicle` (configuration, JSON), `world`, `seed`, `software`, `host`, `machine`,
+    `started_utc` and `started_monotonic_us`, which relate the host's clocks.
+    """
+    about = {
+        "mission": mission.name,
+        "mission_source": mission.source,
+        "flown": msgspec.json.encode(mission).decode(),
+        "vehicle": msgspec.json.encode(mission.vehicle).decode(),
+        "world": world,
+        "seed": "" if seed is None else str(seed),
+        "software": software_version(),
+        "host": f"{platform.node()}, Python {platform.python_version()}",
+        "machine": machine(),
+        "started_utc": datetime.now(UTC).isoformat(timespec="microseconds"),
+        "started_monotonic_us": str(time.monotonic_ns() // 1000),
+    }
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        about["mission_text"] = Path(mission.source).read_text(encoding="utf-8")
+    return about
+
+
+@lru_cache(maxsize=1)
+def machine() -> str:
+    """Processor and mathematics library: where both are the same, arithmetic is, bit for bit."""
+    return " ".join((platform.machine(), *platform.libc_ver()))
+
+
+@lru_cache(maxsize=1)
+def software_version() -> str:
+    """The package's version, with the commit where it runs from a checkout."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return __version__
+    with contextlib.suppress(OSError, subprocess.SubprocessError):
+        done = subprocess.run(
+            ["git", "-C", str(root), "describe", "--always", "--dirty"],
+            capture_output=True,
+            text=True,
+            timeout=2.0,
+            check=True,
+        )
+        return f"{__version__} ({done.stdout.strip()})"
+    return __version__
+
+
+def flown_mission(about: dict[str, str], source: str) -> Mission:
+    """The mission as it was flown, from a log's description alone; no other file is read.
+
+    Raises:
+        InputError: it is not there, or does not fit this version of the program.
+    """
+    text = about.get("flown")
+    if text is None:
+        raise InputError("the log does not hold its mission", source=source)
+    try:
+        return msgspec.json.decode(text, type=Mission)
+    except msgspec.MsgspecError as error:
+        raise InputError(f"the mission in it does not fit this version: {error}", source=source) from None
+
+
+def written_mission(about: dict[str, str], source: str) -> tuple[Document, Document]:
+    """The mission's text and the vehicle's configuration of a log, as documents that can be changed.
+
+    Raises:
+        InputError: they are not there.
+    """
+    if "mission_text" not in about or "vehicle" not in about:
+        raise InputError("the log does not hold its mission's text", source=source)
+    vehicle = msgspec.json.format(about["vehicle"], indent=2)
+    return Document(about["mission_text"], f"{source}: mission"), Document(vehicle, f"{source}: vehicle")
+
+
+def parse_written(mission: Document, vehicle: Document) -> Mission:
+    """What the two documents of `written_mission` mean.
+
+    Raises:
+        InputError: a key is unknown, a value is of the wrong kind or out of range.
+    """
+    return parse_mission(mission, vehicle.convert(VehicleConfig))

@@ -1,0 +1,124 @@
+"""What the log says about itself: a JSON Schema per kind of record, with the unit and frame of every number.
+
+The one source is `samples.py`: a record's docstring describes it, the comment on a field's line describes the
+field, the end of its name gives unit and frame (`NAMES`). Foxglove and PlotJuggler show the description.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import types
+from functools import cache
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+
+from dart_flight.samples import Input, Note, Output, Record
+
+INPUTS: tuple[type[Record], ...] = get_args(Input)
+OUTPUTS: tuple[type[Record], ...] = get_args(Output)
+NOTES: tuple[type[Record], ...] = get_args(Note)
+RECORD_TYPES: tuple[type[Record], ...] = (*INPUTS, *OUTPUTS, *NOTES)
+
+# Endings of names that say the frame, then those that say the unit; the longest that fits counts.
+FRAMES = {
+    "_frd_to_ned": "rotation body FRD to world NED, (w, x, y, z)",
+    "_ned": "local NED: north, east, down",
+    "_frd": "body FRD: forward, right, down",
+    "_mission": "mission frame: x along its heading, y left, z up",
+    "_ned_rad": "heading, clockwise from north",
+}
+UNITS = {
+    "_us": "microseconds",
+    "_m_s": "m/s",
+    "_m": "m",
+    "_n": "N",
+    "_v": "V",
+    "_rad": "rad",
+}
+# First words that say the unit where the name says none.
+QUANTITIES = {
+    "position_": "m",
+    "velocity_": "m/s",
+    "acceleration_": "m/s2",
+    "specific_force_": "m/s2",
+    "rate_": "rad/s",
+    "force_": "N",
+    "contact_force_": "N",
+    "q_": "unit quaternion",
+    "motors": "0 (stopped) to 1",
+    "normal": "unit vector, mission frame",
+    "battery_remaining": "0 (empty) to 1",
+}
+CLOCKS = {
+    "received_us": "host's monotonic clock",
+    "trigger_received_us": "host's monotonic clock",
+    "host_us": "host's monotonic clock",
+    "sent_us": "host's monotonic clock",
+    "offset_us": "autopilot's clock minus the host's",
+    "latency_us": "a duration",
+}
+
+
+def describe(name: str, comment: str = "") -> str:
+    """Unit, frame or clock of a field by its name, and the comment on it, in one line."""
+    parts = [_unit(name), _frame(name), comment]
+    return "; ".join(part for part in parts if part)
+
+
+def _longest(name: str, table: dict[str, str], ends: bool) -> str:
+    fits = [key for key in table if (name.endswith(key) if ends else name.startswith(key))]
+    return table[max(fits, key=len)] if fits else ""
+
+
+def _unit(name: str) -> str:
+    unit = _longest(name, QUANTITIES, ends=False) or _longest(name, UNITS, ends=True)
+    if name.endswith("_us"):
+        return f"{unit}, {CLOCKS.get(name, 'autopilot clock')}"
+    return unit
+
+
+def _frame(name: str) -> str:
+    return _longest(name, FRAMES, ends=True)
+
+
+@cache
+def _comments(kind: type[Record]) -> dict[str, str]:
+    """The comments on the fields' lines; none where the source is not installed."""
+    try:
+        source = inspect.getsource(kind)
+    except OSError:
+        return {}
+    return dict(re.findall(r"^ {4}(\w+): .*?  # (.*)$", source, re.MULTILINE))
+
+
+def schema(kind: type[Record]) -> dict[str, Any]:
+    """JSON Schema of a record, without references and unions: Foxglove follows neither."""
+    properties = {}
+    for name, type_ in get_type_hints(kind).items():
+        if name not in kind.__struct_fields__:
+            continue
+        plain = _plain(type_)
+        text = describe(name, _comments(kind).get(name, ""))
+        properties[name] = {**plain, "description": text} if text else plain
+    return {
+        "title": kind.__name__,
+        "description": " ".join((kind.__doc__ or "").split()),
+        "type": "object",
+        "properties": properties,
+    }
+
+
+def _plain(type_: Any) -> dict[str, Any]:
+    if get_origin(type_) in (Union, types.UnionType):  # a value that may be missing
+        return _plain(next(part for part in get_args(type_) if part is not type(None)))
+    if get_origin(type_) is tuple:
+        return {"type": "array", "items": _plain(get_args(type_)[0])}
+    names = {float: "number", int: "integer", bool: "boolean"}
+    return {"type": names.get(type_, "string")}
+
+
+def encoded_schema(kind: type[Record]) -> bytes:
+    """`schema` as JSON text."""
+    return msgspec.json.encode(schema(kind))

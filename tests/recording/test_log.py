@@ -1,0 +1,318 @@
+"""The flight log: what is put in comes out, whatever happens to the file."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from dart_flight.cli import main
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission
+from dart_flight.recording import FlightLog, Log, read_log
+from dart_flight.recording.about import flown_mission, parse_written, written_mission
+from dart_flight.recording.encoding import decode, encode
+from dart_flight.recording.schema import CLOCKS, RECORD_TYPES, schema
+from dart_flight.recording.writer import ABOUT, FORMAT_VERSION, part_path
+from dart_flight.samples import (
+    GuardEvent,
+    ImuSample,
+    LockPhase,
+    LockState,
+    MissionEnd,
+    Mode,
+    Record,
+    SetPoint,
+    Tick,
+)
+
+IMU = ImuSample(t_us=1, received_us=2, specific_force_frd=(0.1, -0.0, -9.81), rate_frd=(0.0, 0.0, 0.0))
+
+
+def imu(i: int) -> ImuSample:
+    return msgspec.structs.replace(IMU, t_us=1000 * i + 1)
+
+
+# --- encoding ------------------------------------------------------------------------------------------
+
+
+@given(st.tuples(*[st.floats(allow_nan=True, allow_infinity=True)] * 3))
+def test_every_float_comes_back(v: tuple[float, float, float]) -> None:
+    record = msgspec.structs.replace(IMU, specific_force_frd=v)
+    back = decode(encode(record), msgspec.json.Decoder(ImuSample))
+    assert encode(back) == encode(record)
+    for a, b in zip(v, back.specific_force_frd, strict=True):
+        assert (math.isnan(a) and math.isnan(b)) or (a == b and math.copysign(1, a) == math.copysign(1, b))
+
+
+def test_what_is_missing_stays_missing() -> None:
+    for record in (
+        SetPoint(t_us=1, trigger_received_us=1, position_ned=(1.0, math.inf, math.nan), yaw_ned_rad=0.0),
+        LockState(t_us=1, phase=LockPhase.SETTLED, mode=None),
+        MissionEnd(t_us=1, outcome="aborted", reason="nan", final_error_m=None),
+    ):
+        back = decode(encode(record), msgspec.json.Decoder(type(record)))
+        assert encode(back) == encode(record)
+    assert isinstance(back, MissionEnd)
+    assert back.reason == "nan"
+
+
+# --- what is in it -------------------------------------------------------------------------------------
+
+
+def test_the_log_describes_itself(flight: Log, single_wall: Mission) -> None:
+    about = flight.about
+    assert flight.complete
+    assert flight.end["lost"] == "0"
+    assert about["mission_text"] == Path(single_wall.source).read_text()
+    assert flown_mission(about, "log") == single_wall
+    as_written = parse_written(*written_mission(about, "log"))
+    assert msgspec.structs.replace(as_written, source=single_wall.source) == single_wall
+    assert (flight.world, flight.seed) == ("fast", 1)
+    for key in ("software", "host", "machine", "started_utc", "started_monotonic_us"):
+        assert about[key], key
+
+
+def test_nothing_is_read_from_the_disk_but_the_log(flight_path: Path, tmp_path: Path) -> None:
+    """The mission and configuration files may be gone."""
+    log = read_log(flight_path)
+    log.about["mission_source"] = str(tmp_path / "gone.yaml")
+    text = log.about["flown"].replace(str(Path("missions/single_wall.yaml").resolve()), "/gone.yaml")
+    log.about["flown"] = text
+    assert flown_mission(log.about, "log").walls
+    assert parse_written(*written_mission(log.about, "log")).walls
+
+
+@pytest.mark.parametrize("kind", RECORD_TYPES)
+def test_every_number_has_a_unit_and_every_vector_a_frame(kind: type[Record]) -> None:
+    without_unit = {"severity", "collision", "clipped", "recovery", "feedback"}
+    for name, value in schema(kind)["properties"].items():
+        numeric = value["type"] in ("number", "integer") or value.get("items", {}).get("type") == "number"
+        if not numeric or name in without_unit:
+            continue
+        text = value.get("description", "")
+        assert text, f"{kind.__name__}.{name} says neither unit nor frame"
+        if name.endswith("_us"):
+            assert "clock" in text or name in CLOCKS
+        if value["type"] == "array" and name != "motors":
+            assert any(word in text for word in ("NED", "FRD", "mission frame")), f"{kind.__name__}.{name}"
+
+
+def test_a_stranger_can_read_it(flight_path: Path) -> None:
+    """The library's own indexed reader, as Foxglove uses it: summary, schemas, messages in time order."""
+    with open(flight_path, "rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        topics = {channel.topic for channel in summary.channels.values()}
+        assert {kind.topic for kind in RECORD_TYPES} <= topics
+        schemas = [json.loads(s.data) for s in summary.schemas.values()]
+        assert all("$ref" not in json.dumps(s) and s["type"] == "object" for s in schemas)
+        times = [m.log_time for _, channel, m in reader.iter_messages(topics=["/in/imu"])]
+        assert len(times) > 1000
+        assert times == sorted(times)
+
+
+# --- cut, damaged, foreign, newer ------------------------------------------------------------------------
+
+
+@settings(max_examples=60)
+@given(data=st.data())
+def test_a_log_cut_at_any_byte_opens_up_to_there(
+    data: st.DataObject, flight: Log, flight_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    whole = flight_path.read_bytes()
+    near_end = st.integers(len(whole) - 5000, len(whole) - 1)
+    cut = data.draw(st.one_of(st.integers(0, len(whole) - 1), st.integers(0, 20_000), near_end))
+    path = tmp_path_factory.mktemp("cut") / "flight.mcap"
+    path.write_bytes(whole[:cut])
+    log = read_log(path)
+    assert log.entries == flight.entries[: len(log.entries)]
+    # At most one chunk is lost: in proportion to the bytes that are there.
+    share = len(log.entries) / len(flight.entries)
+    assert share >= cut / len(whole) - 0.1 or cut > len(whole) - 20_000
+    path.unlink()
+
+
+@settings(max_examples=40)
+@given(data=st.data())
+def test_a_damaged_byte_never_gives_wrong_records(
+    data: st.DataObject, flight: Log, flight_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    whole = bytearray(flight_path.read_bytes())
+    place = data.draw(st.integers(9, len(whole) - 1))
+    whole[place] ^= data.draw(st.integers(1, 255))
+    path = tmp_path_factory.mktemp("damaged") / "flight.mcap"
+    path.write_bytes(whole)
+    try:
+        log = read_log(path)
+    except InputError:
+        return  # the description itself was hit, and says so
+    finally:
+        path.unlink()
+    assert log.entries == flight.entries[: len(log.entries)]
+
+
+def write_mcap(path: Path, metadata: dict[str, str] | None) -> Path:
+    with open(path, "wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        if metadata is not None:
+            writer.add_metadata(ABOUT, metadata)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+@pytest.mark.parametrize("command", [["replay"], ["report", "-o", "x.html"], ["export", "-o", "x"]])
+def test_a_newer_log_is_refused_in_words(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    about = {"format_version": str(FORMAT_VERSION + 1), "software": "9.9"}
+    path = write_mcap(tmp_path / "new.mcap", about)
+    assert main([command[0], str(path), *command[1:]]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "newer" in error
+    assert "dart-flight 9.9" in error
+
+
+@pytest.mark.parametrize(
+    ("content", "word"),
+    [(b"not a log at all", "no MCAP"), (b"", None), (b"\x89MCAP", None)],
+)
+def test_foreign_files(content: bytes, word: str | None, tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    path.write_bytes(content)
+    if word is None:  # the beginning of a log, cut before it says anything
+        assert read_log(path).entries == []
+        assert not read_log(path).complete
+    else:
+        with pytest.raises(InputError, match=word):
+            read_log(path)
+
+
+def test_an_mcap_of_somebody_else(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="not a flight log of dart-flight"):
+        read_log(write_mcap(tmp_path / "other.mcap", None))
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="No such file"):
+        read_log(tmp_path / "none.mcap")
+
+
+# --- rotation, full disk, killed ----------------------------------------------------------------------------
+
+
+def wait_until(condition: Any, timeout_s: float = 5.0) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert condition()
+
+
+def test_rotation_into_parts_and_back(tmp_path: Path) -> None:
+    log = FlightLog(tmp_path / "flight.mcap", {"mission": "m"}, part_bytes=1)
+    for i in range(3):
+        log.put(imu(i), i)
+        wait_until(lambda i=i: part_path(log.path, i + 2).exists())
+    log.close()
+    back = read_log(log.path)
+    assert back.complete
+    assert [e.number for e in back.entries] == [0, 1, 2]
+    part_path(log.path, 3).unlink()
+    assert not read_log(log.path).complete
+    assert [e.number for e in read_log(log.path).entries] == [0, 1]
+
+
+def test_at_the_bound_decisions_go_on(tmp_path: Path) -> None:
+    log = FlightLog(tmp_path / "flight.mcap", {}, part_bytes=1, most_parts=1)
+    log.put(imu(0), 0)
+    wait_until(lambda: part_path(log.path, 2).exists())
+    log.put(imu(1), 1)
+    log.put(Tick(5), 2)
+    log.put(GuardEvent(t_us=9, rule="speed", action="hold", detail=""), 3)
+    log.close()
+    assert [e.number for e in read_log(log.path).entries] == [0, 3]
+    assert read_log(log.path).end["lost"] == "2"
+    assert log.lost == 2
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_stops_the_log_and_not_the_flight(tmp_path: Path) -> None:
+    log = FlightLog(tmp_path / "flight.mcap", {})
+    with open("/dev/full", "wb") as full:
+        os.dup2(full.fileno(), log._part._file.fileno())
+    log.put(imu(0), 0)
+    wait_until(lambda: log.failure is not None)
+    log.put(imu(1), 1)
+    log.close()
+    assert log.failure == "No space left on device"
+    assert log.lost >= 1
+
+
+def test_a_killed_process_loses_at_most_200_ms(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    script = textwrap.dedent(
+        f"""
+        import time
+        from pathlib import Path
+        from dart_flight.recording import FlightLog
+        from dart_flight.samples import Tick
+        log = FlightLog(Path({str(path)!r}), {{}})
+        i = 0
+        while True:
+            log.put(Tick(time.monotonic_ns() // 1000), i)
+            i += 1
+            time.sleep(0.002)
+        """
+    )
+    process = subprocess.Popen([sys.executable, "-c", script])
+    time.sleep(1.5)
+    killed_us = time.monotonic_ns() // 1000
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    log = read_log(path)
+    assert not log.complete
+    last = log.entries[-1].record
+    assert isinstance(last, Tick)
+    assert killed_us - last.host_us < 200_000
+
+
+# --- export ---------------------------------------------------------------------------------------------
+
+
+def test_export_keeps_every_number(flight: Log, flight_path: Path, tmp_path: Path) -> None:
+    assert main(["export", str(flight_path), "-o", str(tmp_path / "csv")]) == 0
+    with open(tmp_path / "csv" / "in_imu.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    samples = [e for e in flight.entries if isinstance(e.record, ImuSample)]
+    assert len(rows) == len(samples)
+    for row, entry in zip(rows, samples, strict=True):
+        assert isinstance(entry.record, ImuSample)
+        assert int(row["number"]) == entry.number
+        axes = [float(row[f"specific_force_frd_{axis}"]) for axis in "xyz"]
+        assert tuple(axes) == entry.record.specific_force_frd
+    times = [float(row["time_s"]) for row in rows]
+    assert times == sorted(times)
+    with open(tmp_path / "csv" / "columns.csv", newline="") as file:
+        meaning = {(r["file"], r["column"]): r["meaning"] for r in csv.DictReader(file)}
+    assert meaning["in_imu.csv", "specific_force_frd"].startswith("m/s2; body FRD")
+    with open(tmp_path / "csv" / "truth_state.csv", newline="") as file:
+        assert {row["mode"] for row in csv.DictReader(file)} == {Mode.RIGID.value, Mode.FLEXIBLE.value}
+    assert json.loads((tmp_path / "csv" / "about.json").read_text())["world"] == "fast"

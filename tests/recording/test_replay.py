@@ -1,0 +1,160 @@
+"""Replay: the same inputs give the same decisions; changed settings show what would have been decided."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.flights import fly_fast, load_flyable
+from dart_flight.recording import Log, LogEntry, read_log
+from dart_flight.recording.replay import changed_mission, replay
+from dart_flight.samples import ImpactOnset, ImpactPeak, ImuSample, SetPoint
+from dart_flight.sim.fast import FastFlight
+
+
+def changed(log: Log, index: int, record: object) -> Log:
+    entries = list(log.entries)
+    entries[index] = LogEntry(entries[index].number, record)  # type: ignore[arg-type]
+    return Log(log.source, log.about, log.end, entries, log.complete)
+
+
+def test_a_flight_replays_bit_for_bit(flight: Log) -> None:
+    result = replay(flight)
+    assert result.exact
+    assert result.equal
+    assert result.inputs > 10_000
+    assert result.outputs > 5_000
+    assert any(isinstance(r, ImpactPeak) for r in result.replayed)
+    assert any(isinstance(r, SetPoint) and r.recovery for r in result.replayed)
+
+
+@pytest.mark.parametrize("seed", range(2, 6))
+def test_dual_collisions_replay_bit_for_bit(seed: int, tmp_path: Path) -> None:
+    mission = load_flyable(packaged("missions", "dual_collision.yaml"), packaged("configs", "dart.yaml"))
+    verdict = fly_fast(mission, seed, tmp_path)
+    assert verdict.log is not None
+    result = replay(read_log(verdict.log))
+    assert result.equal, result.differences[0].text()
+    assert sum(isinstance(r, ImpactPeak) for r in result.replayed) == 2
+
+
+def test_one_changed_bit_of_an_input_is_noticed(flight: Log) -> None:
+    """The comparison can fail: the least significant bit of one IMU sample during the contact."""
+    peak = next(e.record for e in flight.entries if isinstance(e.record, ImpactOnset))
+    index, sample = next(
+        (i, e.record)
+        for i, e in enumerate(flight.entries)
+        if isinstance(e.record, ImuSample) and e.record.t_us == peak.t_us
+    )
+    x, y, z = sample.specific_force_frd
+    moved = msgspec.structs.replace(sample, specific_force_frd=(x + 4e-15 * max(1.0, abs(x)), y, z))
+    assert moved != sample
+    result = replay(changed(flight, index, moved))
+    assert not result.equal
+    assert "ForceEstimate: force_mission" in result.differences[0].text()
+    # On another kind of machine such a difference is none.
+    assert replay(changed(flight, index, moved), exact=False).equal
+
+
+def test_a_decision_that_was_not_taken_is_noticed(flight: Log) -> None:
+    index = next(i for i, e in enumerate(flight.entries) if isinstance(e.record, ImpactPeak))
+    entries = flight.entries[:index] + flight.entries[index + 1 :]
+    result = replay(Log(flight.source, flight.about, flight.end, entries, True))
+    assert result.differences[0].text().startswith("ImpactPeak that was not recorded")
+
+
+def test_a_higher_threshold_detects_later(flight: Log) -> None:
+    result = replay(flight, ["detection.force_threshold_n=25"])
+    onsets = [
+        [r.t_us for r in side if isinstance(r, ImpactOnset)] for side in (result.recorded, result.replayed)
+    ]
+    assert len(onsets[0]) == len(onsets[1]) == 1
+    assert onsets[1][0] > onsets[0][0]
+
+
+def test_a_gain_changes_the_recovery_only(flight: Log) -> None:
+    result = replay(flight, ["collisions[0].alpha_m_per_n=[0.05, 0.05]"])
+    before, after = (
+        next(r for r in side if isinstance(r, SetPoint)) for side in (result.recorded, result.replayed)
+    )
+    assert before.t_us == after.t_us
+    assert after.position_ned != before.position_ned
+    assert result.differences[0].recorded == before
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("detection.force_treshold_n=8", "did you mean force_threshold_n"),
+        ("detection.force_threshold_n=-1", "detection.force_threshold_n"),
+        ("detection.force_threshold_n=much", "expected a number"),
+        ("detection.force_threshold_n", "KEY=VALUE"),
+        ("detector.force_threshold_n=8", "unknown key detector"),
+        ("collisions[3].mode=rigid", "unknown key 3, known: 0 to 0"),
+        ("collisions[0].mode=stiff", "only: rigid, flexible"),
+        ("materials.steel.rigid.k=1", "unknown key steel"),
+        ("start.altitude_m=9", "bounds_m z"),
+        ("airframe.mass_kg=[", "not valid YAML"),
+        ("airframe.mass_kg.kg=1", "nothing below"),
+    ],
+)
+def test_wrong_settings_are_refused_in_words(
+    setting: str, words: str, flight_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["replay", str(flight_path), "--set", setting]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert words in error
+
+
+def test_a_flight_that_was_changed_by_options_is_replayed_as_flown(single_wall: Mission) -> None:
+    """What the command line changed is in the log too; then only the vehicle's keys can be set."""
+    flown = msgspec.structs.replace(single_wall, altitude_m=1.2)
+    entries: list[LogEntry] = []
+    FastFlight(flown, 1, observe=lambda r, n: entries.append(LogEntry(n, r))).run()
+    from dart_flight.recording.about import describe_flight
+
+    log = Log("log", describe_flight(flown, "fast", 1), {}, entries, True)
+    assert replay(log).equal
+    assert changed_mission(log, ["detection.force_threshold_n=6"]).altitude_m == 1.2
+    with pytest.raises(InputError, match="only keys of the vehicle"):
+        changed_mission(log, ["start.altitude_m=1.1"])
+
+
+def test_a_cut_log_replays_up_to_there(flight: Log) -> None:
+    for cut in (0, 1, 500, 7001, 15_002):
+        log = Log(flight.source, flight.about, {}, flight.entries[:cut], False)
+        result = replay(log)
+        assert result.equal
+        assert result.note.startswith("the log was cut")
+
+
+def test_lost_inputs_are_said(flight: Log) -> None:
+    entries = [e for e in flight.entries if not 100 <= e.number < 110]
+    result = replay(Log(flight.source, flight.about, flight.end, entries, True))
+    assert result.missing == 10
+    assert "lost 10 inputs" in result.note
+
+
+def test_the_command(flight_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", str(flight_path), "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["equal"] is True
+    assert answer["exact"] is True
+    assert answer["differences"] == 0
+    assert main(["replay", str(flight_path)]) == 0
+    assert "equal" in capsys.readouterr().out
+    assert main(["replay", str(flight_path), "--set", "detection.force_threshold_n=20", "--json"]) == 1
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["equal"] is False
+    assert "ImpactOnset" in answer["first"]
+    assert main(["replay", str(flight_path), "--set", "detection.force_threshold_n=20"]) == 1
+    shown = capsys.readouterr().out
+    assert "ImpactOnset" in shown
