@@ -20,6 +20,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.flight.core import FlightCore
+from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.planning.approach import NoApproachError
 from dart_flight.recording.writer import FlightLog, new_flight_folder
 from dart_flight.samples import Record
@@ -73,8 +74,11 @@ def fly_fast(
     seed: int,
     log_dir: Path | None,
     progress: Progress = lambda record: None,
+    lock_faults: MockFaults | None = None,
 ) -> Verdict:
     """Fly in process in simulated time; `log_dir` None leaves no log (campaigns).
+
+    `lock_faults` are those of the mock servo.
 
     Raises:
         InputError: the log cannot be written, or the lock driver has no place in simulated time.
@@ -93,7 +97,7 @@ def fly_fast(
         if log is not None:
             log.put(record, number)
 
-    FastFlight(mission, seed, driver, observe=observe).run()
+    FastFlight(mission, seed, driver, faults=lock_faults, observe=observe).run()
     if log is not None:
         log.close()
     return verdict.build("fast", seed, _relative(log.path) if log is not None else None)

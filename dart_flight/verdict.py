@@ -26,6 +26,7 @@ from dart_flight.samples import (
     LockPhase,
     LockState,
     MissionEnd,
+    Mode,
     PhaseChange,
     SetPointSent,
     TruthContact,
@@ -66,6 +67,7 @@ class CollisionVerdict(msgspec.Struct):
     detection_latency_ms: float | None
     setpoint_latency_ms: float | None
     contact_time_ms: float | None = None
+    mode_by_contact_time: str | None = None  # what the duration says, whatever the lock reported
 
 
 class GuardVerdict(msgspec.Struct):
@@ -183,6 +185,24 @@ class VerdictBuilder:
             last.lock.contact_end_us = record.t_us
             last.lock.relaxed_us = record.t_us + self._relaxation_us
             last.contact_time_ms = (record.t_us - record.first_us) * 1e-3
+            last.mode_by_contact_time = self._mode_by_time(
+                self._mission.collisions[last.index - 1], last.contact_time_ms
+            )
+
+    def _mode_by_time(self, collision: Collision, contact_ms: float) -> str:
+        """The mode whose contact with this material lasts nearest to what was measured.
+
+        A servo without feedback cannot tell that it is stuck; the contact can (on acrylic 56 ms rigid, 102 ms
+        flexible).
+        """
+        vehicle = self._mission.vehicle
+        material = vehicle.materials[collision.wall.material]
+
+        def unlikeness(mode: Mode) -> float:
+            hit = collide(material.of(mode), vehicle.airframe.mass_kg, -1.0, 0.0, Onset(vehicle.onset))
+            return abs(math.log(max(contact_ms, 1.0) * 1e-3 / hit.contact_time_s))
+
+        return min(Mode, key=unlikeness).value
 
     def _take_lock(self, record: LockState) -> None:
         if not self._collisions:

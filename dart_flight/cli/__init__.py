@@ -24,6 +24,9 @@ COMMANDS = {
     "dry-run": "fly a mission in simulation",
     "simulate": "a simulated vehicle alone, for `fly` in another terminal or a ground station",
     "lock": "move or report the locking mechanism",
+    "predict": "predict a collision or a drop",
+    "identify": "contact coefficients from recorded trials",
+    "tables": "the paper's collision tables beside the model's",
 }
 
 EXIT_OK, EXIT_INCOMPLETE, EXIT_INPUT = 0, 1, 2

@@ -95,6 +95,8 @@ def verdict_table(verdict: Verdict) -> Table:
 
 def _add_collision(table: Table, c: CollisionVerdict) -> None:
     head = f"[bold]{c.index} {c.wall}, {c.mode}[/]" + (" [red]clipped[/]" if c.clipped else "")
+    if c.mode_by_contact_time not in (None, c.mode):
+        head += f" [red]but {c.mode_by_contact_time} by its contact time[/]"
     table.add_row(head)
     rows: list[tuple[str, Velocities | None]] = [
         ("planned", c.planned),

@@ -6,7 +6,7 @@ import argparse
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -17,10 +17,14 @@ from dart_flight.config.edit import write_values
 from dart_flight.config.vehicle import LockConfig, LockDriver, packaged
 from dart_flight.lock.calibration import HELP, Calibration, CalibrationError
 from dart_flight.lock.drivers import Driver, DriverError, SetActuator
+from dart_flight.lock.drivers.px4 import parameter_problems, required_parameters
 from dart_flight.lock.ground import GroundLock, calibration, ground_driver
 from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTakenError, forget_last, load_last
 from dart_flight.lock.state_machine import describe
 from dart_flight.samples import LockPhase, LockState, Mode
+
+if TYPE_CHECKING:
+    from dart_flight.vehicle import GroundLink
 
 EXIT_OK, EXIT_INCOMPLETE = 0, 1
 
@@ -45,9 +49,29 @@ def run(arguments: argparse.Namespace) -> int:
     config = _with_driver(vehicle.lock, arguments.driver, path)
     if arguments.action == "calibrate":
         _refuse_packaged(arguments, path)
-    set_actuator = None
-    if config.driver is LockDriver.PX4:
-        set_actuator = px4_set_actuator(arguments.connection or vehicle.connection.url)
+    if config.driver is not LockDriver.PX4:
+        return _owned(arguments, config, path, None)
+    url = arguments.connection or vehicle.connection.url
+    with _px4_link(url, vehicle.connection.timeout_s) as link:
+        problems = parameter_problems(
+            config, link.read_parameters(required.name for required in required_parameters(config))
+        )
+        for problem in problems:
+            messages().print(f"PX4 would not move the servo: {problem}", markup=False, soft_wrap=True)
+        if problems and arguments.action != "status":
+            return EXIT_INCOMPLETE
+        return _owned(arguments, config, path, link.set_actuator)
+
+
+def _px4_link(url: str, timeout_s: float) -> GroundLink:
+    from dart_flight.vehicle import GroundLink
+
+    return GroundLink(url, timeout_s)
+
+
+def _owned(
+    arguments: argparse.Namespace, config: LockConfig, path: Path, set_actuator: SetActuator | None
+) -> int:
     owner = ServoOwnership()
     try:
         with owner:
@@ -59,19 +83,6 @@ def run(arguments: argparse.Namespace) -> int:
             raise Document.load(path).error(("lock", *error.key), str(error)) from None
         messages().print(f"lock: {error}", markup=False, soft_wrap=True)
         return EXIT_INCOMPLETE
-
-
-def px4_set_actuator(url: str) -> SetActuator:
-    """`set_actuator(index, value)` of the autopilot at a connection.
-
-    Raises:
-        InputError: there is no connection.
-    """
-    raise InputError(
-        "the px4 driver needs a connection to the autopilot, which this command does not make; "
-        "choose --driver maestro, pwm or mock",
-        source=url,
-    )
 
 
 def _with_driver(config: LockConfig, driver: str | None, path: Path) -> LockConfig:

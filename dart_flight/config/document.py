@@ -52,7 +52,9 @@ class InputError(Exception):
     def one_line(self) -> str:
         """The error as one line of text."""
         place = self.source if self.line is None else f"{self.source}:{self.line}"
-        return ": ".join(part for part in (place, dotted(self.key), self.message) if part)
+        line = ": ".join(part for part in (place, dotted(self.key), self.message) if part)
+        # A key or a value may hold anything, also what would break the line or steer the terminal.
+        return "".join(c if c.isprintable() else "?" for c in line)
 
 
 def dotted(key: Key) -> str:
@@ -291,6 +293,8 @@ def _explain(text: str, type_: Any) -> str:
     missing = re.match(r"Object missing required field `(.+)`", text)
     if missing:
         return f"missing key {missing[1]}"
+    if "matching regex" in text:
+        return "expected letters, digits and ' _.-', a letter or digit first, at most 64 characters"
     for word, plain in _WORDS.items():
         text = text.replace(word, plain)
     return text[:1].lower() + text[1:]

@@ -183,6 +183,8 @@ def find_events(c: Course) -> Events:
     pulled = c.alpha > 0.0
     at_trough = motion(c, trough)[0]
     ends = pulled | (c.alpha == 0.0) | (np.isfinite(turn) & (at_trough <= c.alpha))
+    if not np.any(c.alpha):
+        return Events(peak, turn, turn)
     low = np.where(pulled, peak, np.where(np.isfinite(turn), turn, 0.0))
     high = np.where(pulled, turn, np.where(np.isfinite(trough), trough, 0.0))
     # Overdamped and pulled away: the force falls below m a somewhere, but phi has no zero to bound it.

@@ -83,13 +83,13 @@ class FastFlight:
         self._last_setpoint: SetPoint | None = None
         self._repeated_us = 0
         self._lock_states: list[LockState] = []
-        self._mock: MockDriver | None = None
+        self.mock: MockDriver | None = None
         lock = mission.vehicle.lock
         hardware: Driver
         if driver is LockDriver.PX4:
             hardware = Px4Driver(lock, self.autopilot.set_actuator)
         else:
-            hardware = self._mock = MockDriver(lock, lambda: self.autopilot.time_us, faults=faults)
+            hardware = self.mock = MockDriver(lock, lambda: self.autopilot.time_us, faults=faults)
         self.lock = LockSession(lock, hardware, lambda: self.autopilot.time_us, self._lock_states.append)
 
     def run(self, limit_s: float = 180.0) -> None:
@@ -105,8 +105,8 @@ class FastFlight:
 
     def tick(self) -> None:
         """4 ms: the vehicle, its telemetry, the lock."""
-        if self._mock is not None:
-            self.vehicle.set_horn(self._mock.horn_pulse_us(self.autopilot.time_us))
+        if self.mock is not None:
+            self.vehicle.set_horn(self.mock.horn_pulse_us(self.autopilot.time_us))
         self.vehicle.advance()
         self._ticks += 1
         self._truth()

@@ -1,6 +1,7 @@
 """The one door to PX4: nothing else imports mavsdk."""
 
 from dart_flight.vehicle.clock import ClockEstimate
-from dart_flight.vehicle.session import VehicleSession, connect
+from dart_flight.vehicle.ground_link import GroundLink
+from dart_flight.vehicle.session import VehicleError, VehicleSession, connect
 
-__all__ = ["ClockEstimate", "VehicleSession", "connect"]
+__all__ = ["ClockEstimate", "GroundLink", "VehicleError", "VehicleSession", "connect"]

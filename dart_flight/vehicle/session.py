@@ -246,7 +246,7 @@ class VehicleSession:
 _logger = logging.getLogger("dart_flight.mavsdk")
 
 
-def _log(level: Any, message: str, _file: str | None, _line: int) -> bool:
+def log_quietly(level: Any, message: str, _file: str | None, _line: int) -> bool:
     """MAVSDK's own messages go to Python's logging; True: and nowhere else."""
     _logger.log({0: 10, 1: 20, 2: 30, 3: 40}.get(int(level), 20), message)
     return True
@@ -262,7 +262,7 @@ class Connection:
 
     async def __aenter__(self) -> VehicleSession:
         # MAVSDK prints to standard output, which belongs to `--json`.
-        log_subscribe(_log)
+        log_subscribe(log_quietly)
         self._mavsdk = Mavsdk(Configuration.create_with_component_type(self._component))
         await self._mavsdk.__aenter__()
         try:

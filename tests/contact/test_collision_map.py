@@ -328,3 +328,19 @@ def test_passage_is_the_trajectory(c: Coefficients, normal: float, tangential: f
         assert float(p.exit_m) == pytest.approx(float(at.normal_m[1]), abs=1e-12)
         assert float(p.tangential_to_exit_m) == pytest.approx(float(at.tangential_m[1]), rel=1e-6, abs=1e-12)
         assert float(p.vertical_impulse_n_s) == pytest.approx(-MASS * float(at.vertical_m_s[1]), rel=2e-5)
+
+
+@pytest.mark.parametrize("onset", list(Onset))
+def test_stated_bound_of_ways_and_vertical_impulse(onset: Onset) -> None:
+    random = np.random.default_rng(11)
+    for _ in range(100):
+        k, zeta = float(np.exp(random.uniform(np.log(100.0), np.log(12_000.0)))), random.uniform(0.0, 0.6)
+        c = Coefficients(k=k, f=float(2.0 * zeta * math.sqrt(k * MASS)), mu=random.uniform(0.0, 5.0), nu=3.0)
+        normal = -random.uniform(0.05, 4.0)
+        p = passage(CoefficientArrays.of(c), MASS, normal, 0.7, onset)
+        contact = Contact(c, MASS, normal, onset)
+        end = trajectory(contact, [contact.peak_s, contact.end_s], 0.7)
+        assert float(p.vertical_impulse_n_s) == pytest.approx(-MASS * float(end.vertical_m_s[1]), rel=1e-8)
+        np.testing.assert_allclose(
+            [p.tangential_to_peak_m, p.tangential_to_exit_m], end.tangential_m, rtol=1e-8, atol=1e-12
+        )

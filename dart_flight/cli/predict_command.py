@@ -1,0 +1,96 @@
+"""`dart-flight predict`: one wall hit, one drop, or a file of wall hits."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+from dart_flight.cli.terminal import emit_json, tables
+from dart_flight.config.document import InputError
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("--surface", required=True, help="a material of the configuration")
+    parser.add_argument("--mode", choices=("rigid", "flexible"), help="state of the arms")
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument(
+        "--velocity",
+        nargs=2,
+        type=float,
+        metavar=("NORMAL", "TANGENTIAL"),
+        help="wall hit: velocity at the onset in the collision frame, m/s; normal is negative",
+    )
+    what.add_argument("--drop", type=float, metavar="HEIGHT", help="drop from this height, m")
+    what.add_argument("--batch", metavar="FILE", help="CSV of wall hits: mode, normal_m_s, tangential_m_s")
+    parser.add_argument("--onset", choices=("lcp", "touch"), help="rule for the onset (the configuration's)")
+    parser.add_argument(
+        "--incidence-deg", type=float, default=0.0, metavar="DEG", help="leading edge against the wall"
+    )
+    parser.add_argument(
+        "--plot", metavar="FILE", help="position, velocity and force over time (PNG, PDF, SVG)"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Predict, print, plot."""
+    from dart_flight.config.vehicle import load_vehicle
+    from dart_flight.contact import prediction
+
+    vehicle = load_vehicle(arguments.config)
+    where = (arguments.surface, arguments.onset, arguments.incidence_deg)
+    if arguments.batch is not None:
+        if arguments.plot or arguments.mode:
+            raise InputError("--batch takes the mode from the file and plots nothing")
+        if arguments.json:
+            emit_json({"collisions": prediction.predict_batch_rows(vehicle, *where, path=arguments.batch)})
+        else:
+            sys.stdout.write(prediction.predict_batch(vehicle, *where, path=arguments.batch))
+        return 0
+    if arguments.mode is None:
+        raise InputError("--mode is required: rigid or flexible")
+    what = prediction.condition(vehicle, where[0], arguments.mode, where[1], where[2])
+    if arguments.drop is None:
+        numbers = prediction.predict_wall(what, *arguments.velocity)
+    else:
+        numbers = prediction.predict_drop(what, arguments.drop)
+    if arguments.plot:
+        _plot(arguments, what)
+    if arguments.json:
+        emit_json(numbers)
+    else:
+        _print(numbers, what, arguments)
+    return 0
+
+
+def _plot(arguments: argparse.Namespace, what: Any) -> None:
+    from dart_flight.contact import paper, plots, prediction
+
+    if arguments.drop is None:
+        contact = prediction.wall_contact(what, *arguments.velocity)
+        plots.plot_wall(arguments.plot, what, contact, arguments.velocity[1])
+    else:
+        contact = prediction.drop_contact(what, arguments.drop)
+        shown = None
+        if what.surface == paper.DROP_SURFACE:
+            shown = paper.published_drop(arguments.drop, what.mode)
+        plots.plot_drop(arguments.plot, what, contact, arguments.drop, shown)
+
+
+def _print(numbers: dict[str, float], what: Any, arguments: argparse.Namespace) -> None:
+    from rich.table import Table
+
+    from dart_flight.contact.prediction import described
+
+    if arguments.drop is None:
+        event = "{:g} m/s normal, {:g} m/s along".format(*arguments.velocity)
+    else:
+        event = f"drop from {arguments.drop:g} m"
+    table = Table(title=f"{what.surface}, {what.mode.value}, onset {what.onset.value}: {event}")
+    table.add_column("quantity")
+    table.add_column("value", justify="right")
+    table.add_column("unit")
+    for name, value in numbers.items():
+        table.add_row(*described(name, value))
+    tables().print(table)

@@ -1,0 +1,217 @@
+"""What `dart-flight predict` answers: one hit, one drop, or a file of hits."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from dart_flight.config.document import InputError
+from dart_flight.config.vehicle import Coefficients, VehicleConfig
+from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
+from dart_flight.contact.collision_map import collide, collision_map, drop
+from dart_flight.contact.course import Contact
+from dart_flight.contact.law import Onset, coefficients_in_force
+from dart_flight.geometry import GRAVITY_M_S2
+from dart_flight.samples import Mode
+
+BATCH_COLUMNS = ("mode", "normal_m_s", "tangential_m_s")
+WALL_COLUMNS = (
+    "normal_out_m_s",
+    "tangential_out_m_s",
+    "contact_time_s",
+    "penetration_m",
+    "peak_normal_force_n",
+    "peak_friction_force_n",
+    "impulse_n_s",
+)
+_FASTEST_M_S = 100.0  # beyond this an input is a mistake of units
+
+
+class Condition(NamedTuple):
+    """What is predicted: a surface, a lock state, the rule for the onset, and what is in force of them."""
+
+    surface: str
+    mode: Mode
+    onset: Onset
+    incidence_deg: float
+    coefficients: Coefficients
+    mass_kg: float
+    vertical_sign: int
+
+
+def condition(
+    vehicle: VehicleConfig, surface: str, mode: str, onset: str | None, incidence_deg: float
+) -> Condition:
+    """Look up and check what the user named.
+
+    Raises:
+        InputError: the surface is not in the configuration, or the incidence is not from 0 to 45°.
+    """
+    if surface not in vehicle.materials:
+        raise InputError(
+            f"unknown surface {surface!r}, known: {', '.join(vehicle.materials)}", key=("surface",)
+        )
+    if not 0.0 <= incidence_deg <= 45.0:
+        raise InputError(f"{incidence_deg:g} is not an angle from 0 to 45", key=("incidence-deg",))
+    c = coefficients_in_force(vehicle, surface, Mode(mode), math.radians(incidence_deg))
+    rule = Onset(onset or vehicle.onset)
+    return Condition(
+        surface, Mode(mode), rule, incidence_deg, c, vehicle.airframe.mass_kg, vehicle.vertical_force_sign
+    )
+
+
+def wall_contact(what: Condition, normal_m_s: float, tangential_m_s: float) -> Contact:
+    """The hit, for its course in time.
+
+    Raises:
+        InputError: the velocity does not approach the wall, or is not one of a vehicle.
+    """
+    for name, value in (("normal", normal_m_s), ("tangential", tangential_m_s)):
+        if not abs(value) <= _FASTEST_M_S:
+            raise InputError(f"{name} {value:g} m/s, expected at most {_FASTEST_M_S:g}", key=("velocity",))
+    if not normal_m_s < 0.0:
+        raise InputError(
+            f"normal {normal_m_s:g} m/s does not approach the wall, it must be negative", key=("velocity",)
+        )
+    return Contact(what.coefficients, what.mass_kg, normal_m_s, what.onset)
+
+
+def predict_wall(what: Condition, normal_m_s: float, tangential_m_s: float) -> dict[str, float]:
+    """Numbers of a wall hit, named with their units.
+
+    Raises:
+        InputError: as `wall_contact`.
+    """
+    contact = wall_contact(what, normal_m_s, tangential_m_s)
+    r = collide(what.coefficients, what.mass_kg, normal_m_s, tangential_m_s, what.onset)
+    last = r.contact_time_s if math.isfinite(r.contact_time_s) else 0.0
+    lift = what.coefficients.nu * what.mass_kg * float(contact.lifted(last)[1]) if last else math.nan
+    return r._asdict() | {"vertical_impulse_n_s": lift}
+
+
+def drop_contact(what: Condition, height_m: float) -> Contact:
+    """The first contact of a drop, for its course in time.
+
+    Raises:
+        InputError: the height is not positive, or not one of a drop test.
+    """
+    if not 0.0 < height_m <= 100.0:
+        raise InputError(f"{height_m:g} m, expected a height above 0 and up to 100", key=("drop",))
+    r = drop(what.coefficients, what.mass_kg, height_m, what.onset)
+    return Contact(
+        what.coefficients, what.mass_kg, -r.onset_speed_m_s, what.onset, acceleration_m_s2=-GRAVITY_M_S2
+    )
+
+
+def predict_drop(what: Condition, height_m: float) -> dict[str, float]:
+    """Numbers of a drop, named with their units.
+
+    Raises:
+        InputError: as `drop_contact`.
+    """
+    drop_contact(what, height_m)
+    return drop(what.coefficients, what.mass_kg, height_m, what.onset)._asdict()
+
+
+def predict_batch_rows(
+    vehicle: VehicleConfig, surface: str, onset: str | None, incidence_deg: float, *, path: str | Path
+) -> list[dict[str, str | float]]:
+    """Wall hits of a CSV with the columns mode, normal_m_s, tangential_m_s: those and the wall-hit columns.
+
+    Raises:
+        InputError: the file cannot be read, a column is missing or a value is not one (with its line).
+    """
+    table = [condition(vehicle, surface, mode.value, onset, incidence_deg) for mode in Mode]
+    modes = [mode.value for mode in Mode]
+    which, normal, tangential = _read_batch(path, modes)
+    result = collision_map(
+        CoefficientArrays.of([row.coefficients for row in table]),
+        table[0].mass_kg,
+        normal,
+        tangential,
+        table[0].onset,
+        rows=which,
+    )
+    columns = [normal.tolist(), tangential.tolist()]
+    columns += [getattr(result, name).tolist() for name in WALL_COLUMNS]
+    names = (*BATCH_COLUMNS, *WALL_COLUMNS)
+    return [
+        dict(zip(names, (modes[row], *values), strict=True))
+        for row, *values in zip(which.tolist(), *columns, strict=True)
+    ]
+
+
+def predict_batch(
+    vehicle: VehicleConfig, surface: str, onset: str | None, incidence_deg: float, *, path: str | Path
+) -> str:
+    """`predict_batch_rows` as CSV text, in full double precision.
+
+    Raises:
+        InputError: as `predict_batch_rows`.
+    """
+    out = io.StringIO()
+    writer = csv.DictWriter(out, (*BATCH_COLUMNS, *WALL_COLUMNS), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(predict_batch_rows(vehicle, surface, onset, incidence_deg, path=path))
+    return out.getvalue()
+
+
+def _read_batch(path: str | Path, modes: list[str]) -> tuple[Rows, Array, Array]:
+    source = str(path)
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError(f"cannot read: {error.strerror or error}", source=source) from None
+    except UnicodeDecodeError:
+        raise InputError("not UTF-8 text", source=source) from None
+    reader = csv.DictReader(io.StringIO(text), skipinitialspace=True)
+    header = [name.strip() for name in reader.fieldnames or []]
+    reader.fieldnames = header
+    for name in BATCH_COLUMNS:
+        if name not in header:
+            raise InputError(
+                f"missing column {name}, expected {', '.join(BATCH_COLUMNS)}", source=source, line=1
+            )
+    which, speeds = [], []
+    for row in reader:
+        line = reader.line_num
+        mode = (row["mode"] or "").strip()
+        if mode not in modes:
+            raise InputError(
+                f"{mode!r} is not allowed, only: {', '.join(modes)}", source=source, line=line, key=("mode",)
+            )
+        which.append(modes.index(mode))
+        pair = []
+        for name in BATCH_COLUMNS[1:]:
+            try:
+                value = float(row[name] or "")
+            except ValueError:
+                value = math.nan
+            if not abs(value) <= _FASTEST_M_S:
+                raise InputError(
+                    f"{row[name]!r} is not a speed in m/s", source=source, line=line, key=(name,)
+                )
+            pair.append(value)
+        speeds.append(pair)
+    values = np.array(speeds, dtype=float).reshape(-1, 2)
+    return np.array(which, dtype=np.intp), values[:, 0], values[:, 1]
+
+
+_UNITS = {"m_s": "m/s", "s": "s", "m": "m", "n": "N", "n_s": "N s"}
+
+
+def described(name: str, value: float) -> tuple[str, str, str]:
+    """Quantity, value and unit as a person reads them, from a name with its unit at the end."""
+    unit = next(u for u in sorted(_UNITS, key=len, reverse=True) if name.endswith("_" + u))
+    words = name[: -len(unit) - 1].replace("_", " ")
+    if unit == "s" and 0.0 < abs(value) < 1.0:
+        return words, f"{1e3 * value:.2f}", "ms"
+    if unit == "m" and 0.0 < abs(value) < 1.0:
+        return words, f"{1e3 * value:.2f}", "mm"
+    text = "never ends" if math.isinf(value) else f"{value:.4f}"
+    return words, text, "" if math.isinf(value) else _UNITS[unit]

@@ -1,0 +1,432 @@
+"""Recorded trials: reading them, refusing what cannot be used, and finding the impact in a long recording.
+
+Readers stand in `READERS`, one per file suffix; each returns `Trial`s. What follows (finding, fitting) takes
+`Trial`s only, so that arrays from anywhere serve as well.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dart_flight.config.document import InputError
+from dart_flight.contact.coefficients import Array
+from dart_flight.geometry import GRAVITY_M_S2
+
+UNLABELLED = "unlabelled"
+# Columns of a trial, in the collision frame; `vertical_m` is a height (against Z at a wall). Required first.
+COLUMNS = (
+    "normal_m",
+    "tangential_m",
+    "vertical_m",
+    "normal_m_s",
+    "tangential_m_s",
+    "normal_force_n",
+    "tangential_force_n",
+)
+_TIME = "time_s"
+
+_LONGEST_STEP_S = 0.03  # of sampling: the shortest contacts take 0.05 s
+_FARTHEST_M = 50.0
+_FASTEST_M_S = 15.0
+_DEEPEST_M = 0.4
+_SLOWEST_M_S = 0.05
+_TURN_M_S2 = 1.2  # least mean acceleration of a turn that is an impact
+_NEAREST_M = 0.08  # the turning point of an impact lies at most this far before the assumed plane
+
+
+class Series(NamedTuple):
+    """Samples of one quantity; increasing times in s, values in SI units."""
+
+    time_s: Array
+    value: Array
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One recording of one impact.
+
+    Attributes:
+        name: for messages, usually the file.
+        series: by column name (`COLUMNS`); `normal_m` is always there. Rates may differ.
+        mode: `rigid`, `flexible` or `unlabelled`.
+        acceleration_m_s2: along the normal in free flight: 0 at a wall, -9.81 in a drop.
+    """
+
+    name: str
+    series: dict[str, Series]
+    mode: str = UNLABELLED
+    acceleration_m_s2: float = 0.0
+
+    @property
+    def normal(self) -> Series:
+        """The signed distance to the assumed plane of first touch."""
+        return self.series["normal_m"]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How files are to be read.
+
+    Attributes:
+        mode: label for what has none itself.
+        drop: gravity along the normal.
+        contact_distance_m: subtracted from the normal position, for recordings of the centre's height or
+            distance from the surface itself.
+        columns: our column name -> the header in the file.
+        wall: for logs in local NED: north and east of the plane of first touch, and the heading of its
+            outward normal in degrees.
+        mass_kg: turns measured acceleration into force.
+    """
+
+    mode: str = UNLABELLED
+    drop: bool = False
+    contact_distance_m: float = 0.0
+    columns: dict[str, str] = field(default_factory=dict)
+    wall: tuple[float, float, float] | None = None
+    mass_kg: float = 1.3
+
+
+Readers = dict[str, Callable[[Path, Reading], list[Trial]]]
+
+
+# --- reading --------------------------------------------------------------------------------------------
+
+
+def read_trials(path: str | Path, how: Reading, readers: Readers | None = None) -> list[Trial]:
+    """The trials of a file.
+
+    Args:
+        path: the file; its suffix chooses the reader.
+        how: how to read it.
+        readers: suffix -> reader; `READERS` by default. Rooms above this one bring readers of their own.
+
+    Raises:
+        InputError: the file cannot be read, its kind is unknown, or its content cannot be used.
+    """
+    known = READERS if readers is None else readers
+    reader = known.get(Path(path).suffix.lower())
+    if reader is None:
+        raise InputError(f"unknown kind of trial, known: {', '.join(known)}", source=str(path))
+    trials = reader(Path(path), how)
+    for trial in trials:
+        _check(trial)
+    shift = how.contact_distance_m
+    if not shift:
+        return trials
+    return [
+        replace(
+            trial,
+            series=trial.series | {"normal_m": Series(trial.normal.time_s, trial.normal.value - shift)},
+        )
+        for trial in trials
+    ]
+
+
+def _acceleration(how: Reading) -> float:
+    return -GRAVITY_M_S2 if how.drop else 0.0
+
+
+def read_csv(path: Path, how: Reading) -> list[Trial]:
+    """A CSV with a header: `time_s`, `normal_m`, and any of `COLUMNS`; an empty cell is no sample.
+
+    Raises:
+        InputError: with file, line and column of what is wrong.
+    """
+    source = str(path)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError(f"cannot read: {error.strerror or error}", source=source) from None
+    except UnicodeDecodeError:
+        raise InputError("not UTF-8 text", source=source) from None
+    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and line[0] != "#"]
+    if not lines:
+        raise InputError("the file is empty", source=source)
+    delimiter = max(",;\t", key=lines[0][1].count)
+    rows = list(csv.reader(io.StringIO("\n".join(line for _, line in lines)), delimiter=delimiter))
+    header = [name.strip() for name in rows[0]]
+    places = {}
+    for name in (_TIME, *COLUMNS):
+        wanted = how.columns.get(name, name)
+        if wanted in header:
+            places[name] = header.index(wanted)
+        elif name in how.columns:
+            raise InputError(f"no column {wanted!r}, there are: {', '.join(header)}", source=source, line=1)
+    for name in (_TIME, "normal_m"):
+        if name not in places:
+            raise InputError(
+                f"missing column {name} (map others with --columns {name}=...), "
+                f"there are: {', '.join(header)}",
+                source=source,
+                line=lines[0][0],
+            )
+    values: dict[str, list[float]] = {name: [] for name in places}
+    last = -math.inf
+    for (number, _), row in zip(lines[1:], rows[1:], strict=True):
+        for name, place in places.items():
+            cell = row[place].strip() if place < len(row) else ""
+            values[name].append(_number(cell, name, source, number))
+        now = values[_TIME][-1]
+        if not now > last:
+            raise InputError(
+                f"time does not increase: {now:g} after {last:g}", source=source, line=number, key=(_TIME,)
+            )
+        last = now
+    time = np.array(values.pop(_TIME))
+    series = {}
+    for name, column in values.items():
+        value = np.array(column)
+        there = np.isfinite(value)
+        if there.any():
+            series[name] = Series(time[there], value[there])
+    if "normal_m" not in series:
+        raise InputError("the column normal_m is empty", source=source)
+    return [Trial(source, series, how.mode, _acceleration(how))]
+
+
+def _number(cell: str, name: str, source: str, line: int) -> float:
+    if not cell and name != _TIME:
+        return math.nan  # no sample
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{cell!r} is not a number", source=source, line=line, key=(name,))
+    return value
+
+
+def read_ulog(path: Path, how: Reading) -> list[Trial]:
+    """A PX4 ULog: local position and velocity, and the force along the normal from the IMU.
+
+    The force is mass times the horizontal specific force, less its mean before the impact: what thrust and
+    tilt give in steady approach. In a drop it is the specific force itself.
+
+    Raises:
+        InputError: pyulog is missing, the file is not a ULog, or topics are missing; no wall was given.
+    """
+    source = str(path)
+    try:
+        from pyulog import ULog  # noqa: PLC0415
+    except ImportError:
+        raise InputError("needs pyulog: pip install dart-flight[identify]", source=source) from None
+    if how.wall is None and not how.drop:
+        raise InputError(
+            "a flight log does not say where the wall is: give --wall NORTH EAST HEADING", source=source
+        )
+    wanted = ["vehicle_local_position", "vehicle_attitude", "sensor_combined"]
+    try:
+        log = ULog(source, wanted)
+    except OSError as error:
+        raise InputError(f"cannot read: {error.strerror or error}", source=source) from None
+    except Exception:
+        # pyulog raises whatever its parsing stumbles over.
+        raise InputError("not a readable ULog", source=source) from None
+    topics = {entry.name: entry.data for entry in log.data_list if entry.multi_id == 0}
+    if "vehicle_local_position" not in topics:
+        raise InputError("has no vehicle_local_position", source=source)
+    series = _from_local_position(topics["vehicle_local_position"], how)
+    if "sensor_combined" in topics and "vehicle_attitude" in topics:
+        series |= _from_imu(topics["sensor_combined"], topics["vehicle_attitude"], how)
+    return [Trial(source, series, how.mode, _acceleration(how))]
+
+
+def _axes(how: Reading) -> tuple[Array, Array]:
+    """Outward normal and tangent (Y of the collision frame) in NED."""
+    if how.wall is None:
+        return np.array([0.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0])
+    heading = math.radians(how.wall[2])
+    normal = np.array([math.cos(heading), math.sin(heading), 0.0])
+    # To the right when looking along the normal: clockwise seen from above, as headings turn.
+    return normal, np.array([-normal[1], normal[0], 0.0])
+
+
+def _stamps(data: Any) -> Array:
+    name = "timestamp_sample" if "timestamp_sample" in data else "timestamp"
+    return np.asarray(data[name], dtype=float) * 1e-6
+
+
+def _increasing(time: Array, value: Array) -> Series:
+    keep = np.concatenate(([True], np.diff(np.maximum.accumulate(time)) > 0.0)) & np.isfinite(value)
+    return Series(time[keep], value[keep])
+
+
+def _from_local_position(data: Any, how: Reading) -> dict[str, Series]:
+    time = _stamps(data)
+    position = np.stack([np.asarray(data[name], dtype=float) for name in ("x", "y", "z")], axis=1)
+    normal, tangent = _axes(how)
+    origin = np.array([how.wall[0], how.wall[1], 0.0]) if how.wall else np.zeros(3)
+    series = {
+        "normal_m": _increasing(time, (position - origin) @ normal),
+        "tangential_m": _increasing(time, (position - origin) @ tangent),
+    }
+    if how.wall is not None:
+        series["vertical_m"] = _increasing(time, -position[:, 2])
+    # The estimator's velocity is not used: it filters the same measurements as its position.
+    return series
+
+
+def _from_imu(imu: Any, attitude: Any, how: Reading) -> dict[str, Series]:
+    time = _stamps(imu)
+    specific = np.stack([np.asarray(imu[f"accelerometer_m_s2[{i}]"], dtype=float) for i in range(3)], axis=1)
+    stamps = _stamps(attitude)
+    q = np.stack(
+        [np.interp(time, stamps, np.unwrap(np.asarray(attitude[f"q[{i}]"], dtype=float))) for i in range(4)],
+        axis=1,
+    )
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    scalar, vector = q[:, :1], q[:, 1:]
+    turn: Array = 2.0 * np.cross(vector, specific)
+    ned = specific + scalar * turn + np.cross(vector, turn)
+    normal, tangent = _axes(how)
+    series = {"normal_force_n": _increasing(time, how.mass_kg * (ned @ normal))}
+    if how.wall is not None:
+        series["tangential_force_n"] = _increasing(time, how.mass_kg * (ned @ tangent))
+    return series
+
+
+# Suffix -> reader. A further kind of recording is one function more: here, or given to `read_trials` by a
+# room above this one (the flight log has its own reader).
+READERS: Readers = {
+    ".csv": read_csv,
+    ".ulg": read_ulog,
+    ".ulog": read_ulog,
+}
+
+
+# --- finding the impact ---------------------------------------------------------------------------------
+
+
+class Impact(NamedTuple):
+    """Where the impact is in a recording, roughly: what a fit starts from.
+
+    Attributes:
+        turn_s: the normal velocity changes its sign.
+        approach_m_s: normal velocity before it (negative).
+        rebound_m_s: normal velocity after it.
+        deepest_m: position at the turn.
+        noise_m: standard deviation of the position samples.
+    """
+
+    turn_s: float
+    approach_m_s: float
+    rebound_m_s: float
+    deepest_m: float
+    noise_m: float
+
+
+def _check(trial: Trial) -> None:
+    time, value = trial.normal
+    for name, series in trial.series.items():
+        if series.time_s.size > 1 and not (np.diff(series.time_s) > 0.0).all():
+            raise InputError("time does not increase", source=trial.name, key=(name,))
+        if not (np.isfinite(series.time_s).all() and np.isfinite(series.value).all()):
+            raise InputError("values that are not numbers", source=trial.name, key=(name,))
+    if time.size < 12:
+        raise InputError(f"{time.size} samples are too few for an impact", source=trial.name)
+    far = float(np.abs(value).max())
+    if far > _FARTHEST_M:
+        raise InputError(
+            f"positions up to {far:.0f} m: millimetres? the column is in metres",
+            source=trial.name,
+            key=("normal_m",),
+        )
+    step = float(np.median(np.diff(time)))
+    if step > _LONGEST_STEP_S:
+        raise InputError(
+            f"one sample every {1e3 * step:.0f} ms, at most {1e3 * _LONGEST_STEP_S:.0f} ms: a contact takes "
+            "50 to 180 ms and needs several (seconds in time_s?)",
+            source=trial.name,
+            key=(_TIME,),
+        )
+
+
+def _slopes(time: Array, value: Array, half_s: float) -> Array:
+    """Slope of the straight line through the samples within `half_s` of each sample."""
+    first = np.searchsorted(time, time - half_s)
+    last = np.searchsorted(time, time + half_s, side="right")
+    t, x = time - time.mean(), value - value.mean()
+    sums = [np.concatenate(([0.0], np.cumsum(v))) for v in (np.ones_like(t), t, x, t * t, t * x)]
+    n, st, sx, stt, stx = (s[last] - s[first] for s in sums)
+    spread = stt - st * st / n
+    return np.where(spread > 0.0, (stx - st * sx / n) / np.where(spread > 0.0, spread, 1.0), 0.0)
+
+
+def find_impact(trial: Trial) -> Impact:
+    """The first strong turn from approaching to leaving in a recording of any length.
+
+    Raises:
+        InputError: there is none, or position or speed cannot be those of an impact in metres and seconds.
+    """
+    _check(trial)
+    time, value = trial.normal
+    step = float(np.median(np.diff(time)))
+    speed = _slopes(time, value, max(0.012, 2.5 * step))
+    candidates = np.flatnonzero((speed[:-1] < 0.0) & (speed[1:] >= 0.0)) + 1
+    found: list[Impact] = []
+    reach = 0.12  # to either side: more than half of the longest contact
+    for i in candidates:
+        at = float(time[i])
+        before = (time >= at - reach) & (time < at)
+        after = (time > at) & (time <= at + reach)
+        if before.sum() < 3 or after.sum() < 3:
+            continue
+        turn = Impact(
+            at, float(speed[before].min()), float(speed[after].max()), float(value[i]), _noise(time, value)
+        )
+        quick = (turn.rebound_m_s - turn.approach_m_s) / (2.0 * reach) >= _TURN_M_S2
+        if quick and turn.approach_m_s < -_SLOWEST_M_S and turn.rebound_m_s > 0.0:
+            found.append(turn)
+    if not found:
+        raise InputError("no impact found: no quick turn from approaching to leaving", source=trial.name)
+    strongest = max(turn.rebound_m_s - turn.approach_m_s for turn in found)
+    # The first of the strong ones: later ones are bounces, and noise makes several of one.
+    begun = next(t for t in found if t.rebound_m_s - t.approach_m_s >= 0.6 * strongest)
+    same = [t for t in found if abs(t.turn_s - begun.turn_s) < 0.04]
+    impact = min(same, key=lambda t: t.deepest_m)
+    if trial.acceleration_m_s2 == 0.0:
+        impact = impact._replace(approach_m_s=_line_slope(time, value, impact))
+    if -impact.approach_m_s > _FASTEST_M_S:
+        raise InputError(
+            f"an approach at {-impact.approach_m_s:.0f} m/s: are positions in metres and times in seconds?",
+            source=trial.name,
+        )
+    if impact.deepest_m < -_DEEPEST_M:
+        raise InputError(
+            f"turns {-impact.deepest_m:.2f} m behind the plane, at most {_DEEPEST_M:g} m is an impact",
+            source=trial.name,
+        )
+    if impact.deepest_m > _NEAREST_M:
+        raise InputError(
+            f"turns {impact.deepest_m:.2f} m before the plane of first touch; distances of the centre from "
+            "the surface itself need --contact-distance",
+            source=trial.name,
+        )
+    return impact
+
+
+def _line_slope(time: Array, value: Array, impact: Impact) -> float:
+    """Approach velocity as the median slope between samples (Theil and Sen): deaf to a third of outliers."""
+    straight = (time > impact.turn_s - 0.25) & (time < impact.turn_s - 0.07)
+    t, x = time[straight][-200:], value[straight][-200:]
+    apart = t[None, :] - t[:, None] > 0.03
+    if apart.sum() < 10:
+        return impact.approach_m_s
+    slope = float(np.median(((x[None, :] - x[:, None])[apart]) / ((t[None, :] - t[:, None])[apart])))
+    return min(slope, -_SLOWEST_M_S)
+
+
+def _noise(time: Array, value: Array) -> float:
+    """Standard deviation of white noise on smooth motion, from third differences."""
+    if time.size < 8:
+        return 1e-3
+    third = np.diff(value, 3)
+    return max(float(1.4826 * np.median(np.abs(third - np.median(third))) / math.sqrt(20.0)), 1e-7)

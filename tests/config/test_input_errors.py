@@ -1,0 +1,256 @@
+"""Wrong input: one line with file, line and key, exit status 2, nothing started."""
+
+import random
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from dart_flight.cli import main
+from dart_flight.config import InputError, load_mission, load_vehicle, parse_mission
+from dart_flight.config.document import Document
+from dart_flight.flights import load_flyable
+
+ROOT = Path(__file__).parents[2]
+DUAL = (ROOT / "missions/dual_collision.yaml").read_text()
+VEHICLE = load_vehicle(ROOT / "configs/dart.yaml")
+
+# (what is replaced, by what, where the error points, what it says)
+WRONG: list[tuple[str, str, str, str]] = [
+    ("length_m: 3.0", "lenght_m: 3.0", "11: walls.wood.lenght_m", "did you mean length_m?"),
+    ("mode: flexible", "mode: flexibel", "15: collisions[0].mode", "only: rigid, flexible"),
+    ("normal: [0.0, 1.0]", "normal: [0, 0]", "11: walls.wood.normal", "no length"),
+    ("normal_m_s: -0.6", "normal_m_s: 0.6", "15: collisions[0].approach.normal_m_s", "a number <"),
+    ("normal_m_s: -0.6", "normal_m_s: .nan", "15: collisions[0].approach.normal_m_s", "must be finite"),
+    ("normal_m_s: -0.6", "normal_m_s: -1e999", "15: collisions[0].approach.normal_m_s", "must be finite"),
+    ("normal_m_s: -0.6", "normal_m_s: fast", "15: collisions[0].approach.normal_m_s", "got text"),
+    ("normal_m_s: -0.6", "normal_m_s: -6", "15: collisions[0].approach", "over limits.speed_m_s"),
+    ("version: 1", "version: 2", "3: version", "only: 1"),
+    ("version: 1", "version: one", "3: version", "a whole number"),
+    ("wall: wood", "wall: wod", "15: collisions[0].wall", "did you mean wood?"),
+    ("material: wood", "material: granite", "11: walls.wood.material", "known: concrete, acrylic, wood"),
+    ("[0.12, 0.025]}", "[0.12]}", "15: collisions[0].alpha_m_per_n", "length 2"),
+    (", alpha_m_per_n: [0.12, 0.025]", "", "15: collisions[0]", "exactly one of alpha"),
+    ("[0.12, 0.025]}", "[0.12, 0.0]}", "15: collisions[0]", "must be above 0"),
+    ("goal: {position_m: [1.0", "goal: {position_m: [9.0", "8: goal.position_m", "outside bounds_m"),
+    (
+        "start: {position_m: [0.0, 0.0]",
+        "start: {position_m: [0.0, -1.2]",
+        "7: start.position_m",
+        "behind wall",
+    ),
+    ("altitude_m: 1.0", "altitude_m: '1.0'", "7: start.altitude_m", "got text"),
+    ("altitude_m: 1.0", "altitude_m: 5.0", "7: start.altitude_m", "within bounds_m z"),
+    ("x: [-2.0, 2.2]", "x: [2.2, -2.0]", "9: bounds_m.x", "low < high"),
+    ("name: dual-collision\n", "", "missing key name", ""),
+    ("name: dual-collision", "name: ../../etc/passwd", "4: name", "letters, digits"),
+    ("name: dual-collision", "name: dual-collision\nname: again", "5: name", "given twice"),
+    ("wood, mode", "wood, mode: rigid, mode", "15: collisions[0].mode", "given twice"),
+    ("version: 1", "version: &a 1", "3", "anchors and aliases"),
+    ("version: 1", "version: !!int 1", "3", "tags are not supported"),
+    ("limits: {", "limits: [", "17", "not valid YAML"),
+    ("capture_radius_m: 0.15", "capture_radius_m: true", "8: goal.capture_radius_m", "got true or false"),
+    ("capture_radius_m: 0.15", "capture_radius_m: -1", "8: goal.capture_radius_m", "a number >"),
+    ("tangential_m_s: 0.5", "tangential_m_s: 2.9", "15: collisions[0].approach", "beyond its length"),
+    ("approach: {normal_m_s: -0.6, tangential_m_s: 0.5}, ", "", "15: collisions[0]", "needs an approach"),
+    ("vehicle: ../configs/dart.yaml", "vehicle: ../configs/none.yaml", "none.yaml", "cannot read"),
+    ("hold_s: 2.0", "hold_s: 123456789012345678901", "8: goal.hold_s", "number too large"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "place", "words"), WRONG, ids=lambda v: str(v)[:40])
+def test_each_mistake_is_named_with_its_place(old: str, new: str, place: str, words: str) -> None:
+    assert old in DUAL
+    body = DUAL.split("\n", 2)  # the comment names some of the same words
+    text = "\n".join([*body[:2], body[2].replace(old, new, 1)])
+    with pytest.raises(InputError) as caught:
+        parse_mission(Document(text, str(ROOT / "missions/dual_collision.yaml")))
+    line = caught.value.one_line()
+    assert place in line
+    assert words in line
+    assert "\n" not in line
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\xff\xfe\x00",
+        b"- 1\n- 2\n",
+        b"just text",
+        b"a: b: c",
+        b"a: 1\n---\nb: 2\n",
+        b"{" * 5000,
+        b"a: *x",
+    ],
+    ids=lambda c: repr(c[:12]),
+)
+def test_files_that_are_no_mission(
+    content: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "m.yaml"
+    path.write_bytes(content)
+    assert main(["dry-run", str(path), "--fast", "--log-dir", str(tmp_path / "flights")]) == 2
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.count("\n") == 1
+    assert str(path) in output.err
+    assert not (tmp_path / "flights").exists()  # nothing started
+
+
+def test_a_missing_file_and_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dry-run", str(tmp_path / "none.yaml")]) == 2
+    assert main(["dry-run", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.count("\n") == 2
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["fly"],
+        ["fli", "x"],
+        ["dry-run", "missions/dual_collision.yaml", "--seed", "x"],
+        ["dry-run", "missions/dual_collision.yaml", "--runs", "0"],
+        ["dry-run", "missions/dual_collision.yaml", "--driver", "hydraulic"],
+        ["dry-run", "missions/dual_collision.yaml", "--config", "none.yaml"],
+        ["simulate", "--port", "99999"],
+    ],
+)
+def test_wrong_usage_is_one_line_and_exit_2(arguments: list[str]) -> None:
+    process = subprocess.run(
+        [sys.executable, "-m", "dart_flight", *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+    )
+    assert process.returncode == 2
+    assert process.stdout == ""
+    assert "Traceback" not in process.stderr
+    assert len(process.stderr.strip().splitlines()) == 1
+
+
+def test_a_run_up_without_room_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    text = DUAL.replace("../configs", str(ROOT / "configs")).replace(
+        "start: {position_m: [0.0, 0.0]", "start: {position_m: [0.9, -0.9]"
+    )
+    path = tmp_path / "m.yaml"
+    path.write_text(
+        text.replace("y: [-1.6, 2.0]", "y: [-1.6, -0.85]").replace(
+            "position_m: [1.0, -0.5]", "position_m: [1.0, -0.9]"
+        )
+    )
+    with pytest.raises(InputError, match="run-up to wall wood"):
+        load_flyable(path)
+
+
+def test_different_gains_on_a_slanted_wall_are_refused() -> None:
+    text = DUAL.replace("normal: [0.0, 1.0]", "normal: [0.1, 1.0]")
+    with pytest.raises(InputError, match="alpha_wall_m_per_n"):
+        parse_mission(Document(text, str(ROOT / "missions/x.yaml")))
+
+
+def test_surface_walls_are_moved_by_the_contact_distance() -> None:
+    text = DUAL.replace(
+        "point_m: [0.8, -1.1], normal: [0.0, 1.0],  length_m: 3.0, material: wood, given_at: centre",
+        "point_m: [0.8, -1.3], normal: [0.0, 2.0],  length_m: 3.0, material: wood, given_at: surface",
+    )
+    assert text != DUAL
+    mission = parse_mission(Document(text, str(ROOT / "missions/x.yaml")))
+    assert mission.walls[0].point == pytest.approx((0.8, -1.1))
+    assert mission.walls[0].normal == pytest.approx((0.0, 1.0))
+
+
+def test_numbers_as_people_write_them() -> None:
+    text = DUAL.replace("hold_s: 2.0", "hold_s: 2e0").replace("altitude_m: 1.0", "altitude_m: 1")
+    mission = parse_mission(Document(text, str(ROOT / "missions/x.yaml")))
+    assert (mission.goal.hold_s, mission.altitude_m) == (2.0, 1.0)
+
+
+# --- whatever one can think of --------------------------------------------------------------------------
+
+scalars = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-(10**12), 10**12),
+    st.floats(allow_nan=True, allow_infinity=True),
+    st.text(max_size=8),
+)
+trees = st.recursive(
+    scalars,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=6), inner, max_size=3),
+)
+
+
+def _mutate(text: str, seed: int) -> str:
+    """A good file made bad: characters or lines lost, doubled, swapped, replaced."""
+    rng = random.Random(seed)
+    for _ in range(rng.randint(1, 4)):
+        i = rng.randrange(len(text))
+        j = min(len(text), i + rng.randint(1, 12))
+        how = rng.randrange(5)
+        if how == 0:
+            text = text[:i] + text[j:]
+        elif how == 1:
+            text = text[:j] + text[i:]
+        elif how == 2:
+            text = text[:i] + rng.choice("{}[]:,-#&*!|>'\"%@`\t\n\\0é") + text[i:]
+        elif how == 3:
+            lines = text.splitlines()
+            rng.shuffle(lines)
+            text = "\n".join(lines) + "\n"
+        else:
+            text = text[:i] + rng.choice(["1e400", ".inf", "null", "~", "[]", "{}", "-0", "yes"]) + text[j:]
+    return text
+
+
+def check_text(text: str) -> None:
+    """Either a mission or one InputError; nothing else may happen."""
+    try:
+        parse_mission(Document(text, "m.yaml"), VEHICLE)
+    except InputError as error:
+        line = error.one_line()
+    else:
+        return
+    assert "\n" not in line
+    assert "m.yaml" in line
+
+
+@settings(max_examples=300)
+@given(st.integers(0, 2**32))
+def test_mutated_missions(seed: int) -> None:
+    check_text(_mutate(DUAL, seed))
+
+
+@settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
+@given(st.text(max_size=200))
+def test_arbitrary_text(text: str) -> None:
+    check_text(text)
+
+
+@settings(max_examples=200, suppress_health_check=[HealthCheck.too_slow])
+@given(st.data())
+def test_any_value_in_any_place(data: st.DataObject) -> None:
+    tree = yaml.safe_load(DUAL)
+    node, trail = tree, list[tuple[Any, Any]]()
+    while isinstance(node, dict | list) and node and (not trail or data.draw(st.booleans())):
+        key = data.draw(
+            st.sampled_from(sorted(node)) if isinstance(node, dict) else st.integers(0, len(node) - 1)
+        )
+        trail.append((node, key))
+        node = node[key]
+    parent, key = trail[-1]
+    parent[key] = data.draw(trees)
+    check_text(yaml.safe_dump(tree, allow_unicode=True))
+
+
+def test_the_missions_in_the_repository_load() -> None:
+    for path in sorted((ROOT / "missions").glob("*.yaml")):
+        assert load_mission(path).collisions

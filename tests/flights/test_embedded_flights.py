@@ -1,0 +1,222 @@
+"""Whole missions through real MAVSDK over UDP against the embedded autopilot, in real time.
+
+What happens to processes is tested on processes: the command line in one, the vehicle in another.
+"""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from dart_flight.flights import fly_embedded, load_flyable
+from dart_flight.recording import read_log
+from dart_flight.samples import ImuSample, MissionEnd, PhaseChange, TruthContact
+
+ROOT = Path(__file__).parents[2]
+SINGLE = "missions/single_wall.yaml"
+DUAL = "missions/dual_collision.yaml"
+
+
+def command(*arguments: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "dart_flight", *arguments],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def read_until(process: subprocess.Popen[str], word: str) -> None:
+    """Read the progress on standard error up to a line with `word`."""
+    assert process.stderr is not None
+    for line in process.stderr:
+        if word in line:
+            return
+    pytest.fail(f"the command ended before {word!r}")
+
+
+def wait_for_text(path: Path, text: str, timeout_s: float) -> str:
+    deadline = time.monotonic() + timeout_s
+    content = ""
+    while time.monotonic() < deadline:
+        content = path.read_text() if path.exists() else ""
+        if text in content:
+            return content
+        time.sleep(0.1)
+    pytest.fail(f"{text!r} did not come within {timeout_s} s:\n{content}")
+
+
+@contextmanager
+def simulated_vehicle(mission: str) -> Iterator[str]:
+    """`dart-flight simulate` in a process; yields the URL that reaches it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    vehicle = command("simulate", mission, "--port", str(port))
+    try:
+        yield f"udpin://127.0.0.1:{port}"
+    finally:
+        vehicle.terminate()
+        assert vehicle.wait(10) == 0
+
+
+@pytest.mark.mavlink
+def test_dual_collision_through_mavsdk(tmp_path: Path) -> None:
+    verdict = fly_embedded(load_flyable(ROOT / "missions/dual_collision.yaml"), 1, tmp_path)
+    assert (verdict.outcome, verdict.reason) == ("completed", None)
+    assert [(c.wall, c.mode) for c in verdict.collisions] == [("wood", "flexible"), ("acrylic", "rigid")]
+    first = verdict.collisions[0]
+    assert first.truth is not None
+    assert first.truth.normal_m_s == pytest.approx(-0.6, abs=0.1)
+    assert first.truth.tangential_m_s == pytest.approx(0.5, abs=0.1)
+    for collision in verdict.collisions:
+        assert collision.truth is not None
+        assert collision.measured.peak_force_n == pytest.approx(collision.truth.peak_force_n, rel=0.15)
+        assert collision.setpoint_latency_ms is not None
+    assert verdict.final_error_m is not None
+    assert verdict.final_error_m <= 0.2
+    assert verdict.max_tilt_deg is not None
+    assert verdict.max_tilt_deg < 45.0
+
+
+@pytest.mark.mavlink
+def test_simulate_in_one_terminal_and_fly_in_another(tmp_path: Path) -> None:
+    with simulated_vehicle(DUAL) as url:
+        flight = command(
+            *(
+                "fly",
+                DUAL,
+                "--yes",
+                "--driver",
+                "px4",
+                "--connection",
+                url,
+                "--log-dir",
+                str(tmp_path),
+                "--json",
+            )
+        )
+        output, _ = flight.communicate(timeout=90)
+    verdict = json.loads(output)  # one object on standard output and nothing else
+    assert flight.returncode == 0
+    assert (verdict["world"], verdict["outcome"]) == ("drone", "completed")
+    assert [(c["wall"], c["mode"]) for c in verdict["collisions"]] == [
+        ("wood", "flexible"),
+        ("acrylic", "rigid"),
+    ]
+    # The lock went through PX4's output: the contact times tell which mode each wall really met.
+    assert verdict["collisions"][0]["contact_time_ms"] > 90
+    assert verdict["collisions"][1]["contact_time_ms"] < 75
+
+
+@pytest.mark.mavlink
+def test_a_plain_mavsdk_script_flies_the_simulated_vehicle() -> None:
+    with simulated_vehicle(SINGLE) as url:
+        script = subprocess.run(
+            [sys.executable, str(Path(__file__).with_name("plain_mavsdk_script.py")), url],
+            capture_output=True,
+            text=True,
+            timeout=80,
+            check=False,
+        )
+    assert script.returncode == 0, script.stderr
+    assert "landed and disarmed" in script.stdout
+
+
+@pytest.mark.mavlink
+def test_sigkill_in_flight_leaves_a_landed_vehicle_and_a_log(tmp_path: Path) -> None:
+    flight = command("dry-run", SINGLE, "--log-dir", str(tmp_path))
+    read_until(flight, "approach")
+    time.sleep(0.5)
+    flight.kill()
+    killed_s = time.monotonic()
+    flight.wait()
+    folder = next(tmp_path.iterdir())
+    said = wait_for_text(folder / "autopilot.log", "simulated vehicle stops", 35.0)
+    assert time.monotonic() - killed_s < 30.0
+    story = [
+        "the app is gone",
+        "offboard lost, holding",
+        "offboard lost, landing",
+        "Landing detected",
+        "Disarmed",
+    ]
+    places = [said.index(word) for word in story]
+    assert places == sorted(places)
+    # Nothing of the last moments is lost: the log goes on to at most 0.2 s before the kill. The autopilot's
+    # own log says when it saw the app go (simulated time, on a clock that starts 7 s later).
+    log = read_log(folder / "flight.mcap")
+    assert not log.complete
+    gone_s = float(said[: places[0]].rsplit("\n", 1)[-1].split(" s ")[0])
+    last_us = max(e.record.t_us for e in log.entries if isinstance(e.record, ImuSample))
+    assert last_us * 1e-6 - 7.0 > gone_s - 0.25
+    assert [e.record.after for e in log.entries if isinstance(e.record, PhaseChange)][-1] == "approach"
+
+
+@pytest.mark.mavlink
+def test_control_c_leaves_the_wall_and_lands(tmp_path: Path) -> None:
+    flight = command("dry-run", SINGLE, "--log-dir", str(tmp_path), "--json")
+    read_until(flight, "approach")
+    time.sleep(1.0)
+    flight.send_signal(signal.SIGINT)
+    output, _ = flight.communicate(timeout=60)
+    verdict = json.loads(output)
+    assert flight.returncode == 1
+    assert verdict["outcome"] == "aborted"
+    assert verdict["reason"].startswith("operator")
+    log = read_log(tmp_path / os.listdir(tmp_path)[0] / "flight.mcap")
+    assert log.complete
+    assert any(isinstance(e.record, MissionEnd) for e in log.entries)
+    assert not any(isinstance(e.record, TruthContact) for e in log.entries)
+
+
+@pytest.mark.mavlink
+def test_nobody_there_is_said_in_one_line(tmp_path: Path) -> None:
+    config = (ROOT / "configs/dart.yaml").read_text().replace("timeout_s: 30.0", "timeout_s: 1.0")
+    path = tmp_path / "dart.yaml"
+    path.write_text(config)
+    flight = command(
+        *("fly", SINGLE, "--yes", "--config", str(path), "--log-dir", str(tmp_path)),
+        *("--connection", "udpin://127.0.0.1:0"),
+    )
+    _, errors = flight.communicate(timeout=30)
+    assert flight.returncode == 1
+    assert "Traceback" not in errors
+    assert "no autopilot" in errors or "cannot open" in errors
+
+
+@pytest.mark.mavlink
+def test_the_lock_command_moves_the_servo_on_px4s_output(tmp_path: Path) -> None:
+    with simulated_vehicle(SINGLE) as url:
+        process = subprocess.run(
+            [
+                sys.executable,
+                "-m",
+                "dart_flight",
+                "lock",
+                "rigid",
+                "--driver",
+                "px4",
+                "--connection",
+                url,
+                "--json",
+            ],
+            cwd=ROOT,
+            env={**os.environ, "DART_FLIGHT_STATE_DIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            timeout=40,
+            check=False,
+        )
+    assert process.returncode == 0, process.stderr
+    state = json.loads(process.stdout)["state"]
+    assert (state["phase"], state["mode"], state["feedback"]) == ("settled", "rigid", False)

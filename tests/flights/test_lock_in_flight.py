@@ -1,0 +1,77 @@
+"""The lock between two collisions: in time, too late, silent, stuck."""
+
+from pathlib import Path
+
+import msgspec
+
+from dart_flight.config import Mission
+from dart_flight.config.vehicle import LimitSwitch
+from dart_flight.flights import fly_fast, load_flyable
+from dart_flight.lock.drivers.mock import MockFaults
+from dart_flight.lock.servo import ServoFaults
+
+ROOT = Path(__file__).parents[2]
+
+
+def dual(**lock_changes: object) -> Mission:
+    mission = load_flyable(ROOT / "missions/dual_collision.yaml")
+    lock = msgspec.structs.replace(mission.vehicle.lock, **lock_changes)
+    return msgspec.structs.replace(mission, vehicle=msgspec.structs.replace(mission.vehicle, lock=lock))
+
+
+def with_travel(seconds: float) -> Mission:
+    mission = dual()
+    return dual(servo=msgspec.structs.replace(mission.vehicle.lock.servo, travel_s=seconds))
+
+
+def test_a_servo_known_to_be_slow_breaks_the_second_approach_off() -> None:
+    verdict = fly_fast(with_travel(0.6), 1, None)
+    assert verdict.outcome == "aborted"
+    assert verdict.reason is not None
+    assert verdict.reason.startswith("lock_late: lock travelling, not rigid")
+    assert [c.wall for c in verdict.collisions] == ["wood"]  # the acrylic wall was never touched
+    assert verdict.flight_time_s is not None  # and it has landed
+
+
+def test_a_limit_switch_that_stays_silent_breaks_it_off_too() -> None:
+    mission = dual(limit_switch=LimitSwitch(chip="gpiochip0", rigid_line=17))
+    assert fly_fast(mission, 1, None).outcome == "completed"
+    # Silent from the first: it never gets off the ground.
+    verdict = fly_fast(mission, 1, None, lock_faults=MockFaults(switch_silent=True))
+    assert verdict.outcome == "aborted"
+    assert verdict.reason is not None
+    assert "no lock rigid" in verdict.reason
+    assert verdict.flight_time_s is None
+
+
+def test_a_switch_that_falls_silent_in_flight_breaks_it_off() -> None:
+    from dart_flight.sim.fast import FastFlight
+    from dart_flight.verdict import VerdictBuilder
+
+    mission = dual(limit_switch=LimitSwitch(chip="gpiochip0", rigid_line=17))
+    builder = VerdictBuilder(mission)
+    flight = FastFlight(mission, 1, observe=lambda record, _: builder.take(record))
+    flight.lock.start()
+    while flight.core.phase != "approach":
+        flight.tick()
+    assert flight.mock is not None
+    flight.mock.inject(MockFaults(switch_silent=True))
+    flight.run()
+    verdict = builder.build("fast", 1)
+    assert verdict.reason is not None
+    assert verdict.reason.startswith("lock_late")
+    assert [c.wall for c in verdict.collisions] == ["wood"]
+
+
+def test_a_stuck_servo_without_a_switch_is_revealed_by_the_contact_time() -> None:
+    """The controller reports what it commands: `settled (no feedback)`. The wall tells the truth."""
+    verdict = fly_fast(dual(), 1, None, lock_faults=MockFaults(servo=ServoFaults(stuck=True)))
+    assert [(c.mode, c.mode_by_contact_time) for c in verdict.collisions] == [
+        ("flexible", "flexible"),
+        ("rigid", "flexible"),
+    ]
+    healthy = fly_fast(dual(), 1, None)
+    assert [(c.mode, c.mode_by_contact_time) for c in healthy.collisions] == [
+        ("flexible", "flexible"),
+        ("rigid", "rigid"),
+    ]

@@ -1,0 +1,115 @@
+"""The embedded autopilot behaves as PX4 does where the app relies on it."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from dart_flight.config import load_mission
+from dart_flight.geometry import distance2
+from dart_flight.samples import FlightMode, LandedState
+from dart_flight.sim.autopilot import Autopilot, make_autopilot
+from dart_flight.sim.cascade import TrajectorySetPoint
+
+ROOT = Path(__file__).parents[2]
+NAN = math.nan
+
+
+@pytest.fixture
+def autopilot() -> Autopilot:
+    said: list[str] = []
+    vehicle = make_autopilot(
+        load_mission(ROOT / "missions/dual_collision.yaml"), 1, lambda _, t: said.append(t)
+    )
+    vehicle.said = said  # type: ignore[attr-defined]
+    return vehicle
+
+
+def run(autopilot: Autopilot, seconds: float, setpoint: TrajectorySetPoint | None = None) -> None:
+    end = autopilot.now_s + seconds
+    while autopilot.now_s < end:
+        if setpoint is not None:
+            autopilot.set_trajectory(setpoint)
+        autopilot.step()
+
+
+def airborne(autopilot: Autopilot) -> TrajectorySetPoint:
+    run(autopilot, 1.0)
+    target = TrajectorySetPoint((0.0, 0.0, -1.0), yaw=0.0)
+    autopilot.set_trajectory(target)
+    assert autopilot.set_mode(FlightMode.OFFBOARD)
+    assert autopilot.arm()
+    run(autopilot, 6.0, target)
+    return target
+
+
+def test_arming_waits_for_the_estimator(autopilot: Autopilot) -> None:
+    assert not autopilot.arm()
+    run(autopilot, 1.0)
+    assert autopilot.arm()
+
+
+def test_offboard_needs_set_points(autopilot: Autopilot) -> None:
+    run(autopilot, 1.0)
+    assert not autopilot.set_mode(FlightMode.OFFBOARD)
+    autopilot.set_trajectory(TrajectorySetPoint((0.0, 0.0, 0.0)))
+    assert autopilot.set_mode(FlightMode.OFFBOARD)
+
+
+def test_a_take_off_while_disarmed_is_accepted_and_does_nothing(autopilot: Autopilot) -> None:
+    run(autopilot, 1.0)
+    assert autopilot.take_off()
+    run(autopilot, 2.0)
+    assert autopilot.plant.on_ground
+
+
+def test_it_holds_a_position_set_point(autopilot: Autopilot) -> None:
+    airborne(autopilot)
+    run(autopilot, 6.0, TrajectorySetPoint((0.8, -0.5, -1.2), yaw=0.5))
+    assert math.dist(autopilot.plant.position, (0.8, -0.5, -1.2)) < 0.06
+    assert autopilot.landed is LandedState.IN_AIR
+
+
+def test_it_follows_velocity_set_points(autopilot: Autopilot) -> None:
+    airborne(autopilot)
+    run(autopilot, 3.0, TrajectorySetPoint((NAN, NAN, -1.0), (0.5, 0.0, NAN), yaw=0.0))
+    assert autopilot.plant.velocity[0] == pytest.approx(0.5, abs=0.07)
+
+
+def test_the_offboard_loss_failsafe_holds_then_lands(autopilot: Autopilot) -> None:
+    airborne(autopilot)
+    modes = []
+    for seconds in (0.9, 0.3):
+        run(autopilot, seconds)
+        modes.append(autopilot.mode)
+    assert modes == [FlightMode.OFFBOARD, FlightMode.HOLD]
+    where = autopilot.plant.position
+    run(autopilot, 4.5)
+    assert distance2(autopilot.plant.position, where) < 0.1
+    run(autopilot, 1.0)
+    modes.append(autopilot.mode)
+    assert modes[-1] is FlightMode.LAND
+    run(autopilot, 6.0)
+    assert autopilot.landed is LandedState.ON_GROUND
+    assert not autopilot.armed
+
+
+def test_it_does_not_disarm_in_the_air_unless_forced(autopilot: Autopilot) -> None:
+    airborne(autopilot)
+    assert not autopilot.disarm()
+    assert autopilot.disarm(force=True)
+
+
+def test_the_estimate_stays_near_the_truth(autopilot: Autopilot) -> None:
+    airborne(autopilot)
+    run(autopilot, 3.0, TrajectorySetPoint((1.0, 0.3, -1.0), yaw=0.0))
+    assert math.dist(autopilot.estimator.position, autopilot.plant.position) < 0.01
+    assert math.dist(autopilot.estimator.velocity, autopilot.plant.velocity) < 0.05
+
+
+def test_the_lock_output_follows_the_parameters(autopilot: Autopilot) -> None:
+    assert autopilot.actuator_pulse_us(1) is None
+    autopilot.set_actuator(1, 1.0)
+    assert autopilot.actuator_pulse_us(1) == pytest.approx(autopilot.vehicle.lock.px4.max_pulse_us)
+    autopilot.parameters["COM_PREARM_MODE"] = 0.0
+    assert autopilot.actuator_pulse_us(1) is None  # disarmed, it does not move

@@ -1,0 +1,160 @@
+"""Synthetic trials with sensor noise: what a laboratory would record of known coefficients.
+
+python -m tools.synthetic_trials DIR --surface acrylic --mode flexible --wall 0.5 1.0 1.5
+python -m tools.synthetic_trials DIR --surface concrete --mode rigid --drop 0.05 0.05 0.05
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+
+from dart_flight.config import Coefficients, load_vehicle
+from dart_flight.config.vehicle import packaged
+from dart_flight.contact.coefficients import Array
+from dart_flight.contact.collision_map import drop
+from dart_flight.contact.course import Contact, trajectory
+from dart_flight.contact.law import Onset
+from dart_flight.contact.trials import Series, Trial
+from dart_flight.geometry import GRAVITY_M_S2
+from dart_flight.samples import Mode
+
+MASS_KG = 1.3
+
+
+def _sampled(begin: float, end: float, rate_hz: float, random: np.random.Generator) -> Array:
+    """Sample times of a camera that knows nothing of the impact: any phase."""
+    return np.arange(begin + random.uniform(0.0, 1.0 / rate_hz), end, 1.0 / rate_hz)
+
+
+def wall_trial(
+    c: Coefficients,
+    normal_m_s: float,
+    random: np.random.Generator,
+    *,
+    onset: Onset = Onset.LCP,
+    tangential_m_s: float | None = None,
+    rate_hz: float = 240.0,
+    noise_m: float = 0.001,
+    plane_m: float = 0.0,
+    with_vertical: bool = False,
+    force_noise_n: float | None = None,
+    mode: str = "unlabelled",
+    name: str = "wall",
+    before_s: float = 0.5,
+    after_s: float = 0.25,
+) -> Trial:
+    """One wall hit as motion capture sees it.
+
+    Args:
+        c: true coefficients.
+        normal_m_s: normal velocity at the onset (negative).
+        random: where the noise comes from.
+        onset: onset rule of the truth.
+        tangential_m_s: velocity along the wall; None records the normal only.
+        rate_hz, noise_m: of the pose.
+        plane_m: where the plane lies in the recording.
+        with_vertical: record the height too.
+        force_noise_n: record the normal force with this noise; None does not.
+        mode, name: of the trial.
+        before_s, after_s: recorded before and after the contact.
+    """
+    contact = Contact(c, MASS_KG, normal_m_s, onset)
+    t = _sampled(-before_s, contact.end_s + after_s, rate_hz, random)
+    path = trajectory(contact, t, tangential_m_s or 0.0)
+    start = random.uniform(5.0, 20.0)  # the recording began earlier
+
+    def noisy(value: Array, sd: float) -> Series:
+        return Series(t + start, value + random.normal(0.0, sd, t.size))
+
+    series = {"normal_m": noisy(path.normal_m + plane_m, noise_m)}
+    if tangential_m_s is not None:
+        series["tangential_m"] = noisy(path.tangential_m + random.uniform(-1.0, 1.0), noise_m)
+    if with_vertical:
+        # Heights: Z of the collision frame points down at a wall.
+        series["vertical_m"] = noisy(1.0 - path.vertical_m, noise_m)
+    if force_noise_n is not None:
+        series["normal_force_n"] = noisy(path.normal_force_n, force_noise_n)
+    return Trial(name, series, mode)
+
+
+def drop_trial(
+    c: Coefficients,
+    height_m: float,
+    random: np.random.Generator,
+    *,
+    onset: Onset = Onset.LCP,
+    rate_hz: float = 1000.0,
+    noise_m: float = 0.0005,
+    plane_m: float = 0.0,
+    mode: str = "unlabelled",
+    name: str = "drop",
+    held_s: float = 0.3,
+) -> Trial:
+    """One drop as a high-speed camera sees it: held, released, in contact, rebounding to its apex.
+
+    Arguments as `wall_trial`; `held_s` is how long the recording shows it held before the release.
+    """
+    numbers = drop(c, MASS_KG, height_m, onset)
+    contact = Contact(c, MASS_KG, -numbers.onset_speed_m_s, onset, acceleration_m_s2=-GRAVITY_M_S2)
+    if not math.isfinite(contact.end_s):
+        raise ValueError("this drop does not rebound")
+    apex = float(contact.normal(contact.end_s)[1]) / GRAVITY_M_S2
+    t = _sampled(-numbers.onset_s - held_s, contact.end_s + apex, rate_hz, random)
+    x = np.where(t < -numbers.onset_s, height_m, contact.normal(t)[0])
+    start = random.uniform(0.0, 3.0)
+    return Trial(
+        name,
+        {"normal_m": Series(t + start, x + plane_m + random.normal(0.0, noise_m, t.size))},
+        mode,
+        -GRAVITY_M_S2,
+    )
+
+
+def write_csv(trial: Trial, path: Path) -> None:
+    """Write a trial in the format `dart-flight identify` reads (all series at the same times)."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["time_s", *trial.series])
+        columns = [series.value.tolist() for series in trial.series.values()]
+        for time, *values in zip(trial.normal.time_s.tolist(), *columns, strict=True):
+            writer.writerow([f"{time:.6f}", *(f"{value:.7g}" for value in values)])
+
+
+def main() -> None:
+    """Write trials of the configuration's coefficients into a folder."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--surface", default="acrylic")
+    parser.add_argument("--mode", choices=[m.value for m in Mode], default="flexible")
+    parser.add_argument("--onset", choices=[o.value for o in Onset], default="lcp")
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--wall", nargs="+", type=float, metavar="SPEED", help="approach speeds, m/s")
+    what.add_argument("--drop", nargs="+", type=float, metavar="HEIGHT", help="heights, m")
+    parser.add_argument("--tangential", type=float, default=0.5, help="velocity along the wall, m/s")
+    parser.add_argument("--plane", type=float, default=0.0, help="where the plane lies in the recording, m")
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    vehicle = load_vehicle(packaged("configs", "dart.yaml"))
+    c = vehicle.materials[given.surface].of(Mode(given.mode))
+    random = np.random.default_rng(given.seed)
+    given.folder.mkdir(parents=True, exist_ok=True)
+    for i, size in enumerate(given.wall or given.drop, 1):
+        path = given.folder / f"{given.mode}_{i}.csv"
+        common = {"onset": Onset(given.onset), "plane_m": given.plane}
+        if given.wall:
+            trial = wall_trial(
+                c, -abs(size), random, tangential_m_s=given.tangential, with_vertical=True, **common
+            )
+        else:
+            trial = drop_trial(c, size, random, **common)
+        write_csv(trial, path)
+        print(path)
+
+
+if __name__ == "__main__":
+    main()
