@@ -165,6 +165,7 @@ class Executive:
             or (self.phase is Phase.RECOVERY and collision.approach_m_s is None)
         )
         self._detector.expected_normal = collision.wall.normal if collision and expected else None
+        self._detector.expected_material = collision.wall.material if collision and expected else None
 
     def _ask(self, action: VehicleAction, state: FlightState, out: list[Output]) -> None:
         """Send a vehicle command, again every second until telemetry confirms it."""
@@ -330,7 +331,7 @@ class Executive:
         planned = collision is not None and (
             self.phase is Phase.APPROACH or (self.phase is Phase.RECOVERY and collision.approach_m_s is None)
         )
-        if not planned or collision is None:
+        if not planned or not event.planned or collision is None:
             force = math.hypot(event.force_mission[0], event.force_mission[1])
             detail = f"hit with {force:.0f} N in {self.phase.value}, no wall planned"
             self._guard.latch(Action.BREAK_OFF, "unplanned_hit", detail, state, out)
