@@ -30,6 +30,7 @@ _MOST_SMOOTH = 5
 _TOP_SHARE = 0.7  # samples above this share of the maximum are the top of the pulse
 _TOP_REACH = 4  # samples on either side, at most
 _BEFORE = 8  # samples remembered from before the crossing
+_INTO_WALL = 0.1  # of the force: this much may point into the expected wall at the onset
 _CONFIDENT_MISFIT = 0.25  # of the peak: a fit this bad is worth nothing
 
 
@@ -82,7 +83,7 @@ class ImpactDetector:
         self._before: deque[_Sample] = deque(maxlen=_BEFORE)
         self._samples: list[_Sample] = []
         self._last_us = 0
-        self._over_before = False  # the sample before was over the threshold
+        self._previous: tuple[Vec2, Vec2] = ((0.0, 0.0), (0.0, 0.0))  # forces of the two samples before
         self._armed = True  # the force has been below the release level since the last contact
         self._noise = 0.0
         self._normal: Vec2 = (1.0, 0.0)
@@ -137,23 +138,29 @@ class ImpactDetector:
     ) -> Events:
         config = self._config
         size = max(abs(fx), abs(fy)) if self._per_axis else math.sqrt(fx * fx + fy * fy)
-        over = size >= config.force_threshold_n
-        if not over and size < config.release_fraction * config.force_threshold_n:
+        threshold = config.force_threshold_n
+        over = size >= threshold
+        if size < config.release_fraction * threshold:
             self._armed = True
         sample = _Sample(
             estimate.t_us, dt_us, fx, fy, estimate.force_mission[2], estimate.push_mission, estimate.clipped
         )
         if over and self.watching and self._armed and self._stage is _Stage.WATCHING:
-            sure = size >= config.force_threshold_n + config.sure_sigma * self._noise
-            if sure or self._over_before:
-                self._over_before = False
+            # One sample is enough where noise cannot reach it; else the mean of two or three in a row.
+            if size >= config.sure_sigma * self._noise or self._mean_is_over(fx, fy):
                 return [self._begin(estimate, sample, received_us, state)]
-        self._over_before = over
+        self._previous = ((fx, fy), self._previous[0])
         self._before.append(sample)
         if not over or not self._armed:
             f = estimate.force_mission
             self.baseline.follow(f[0], f[1], dt_us * 1e-6)
         return []
+
+    def _mean_is_over(self, fx: float, fy: float) -> bool:
+        """Whether the mean of as many samples as the noise asks for is over the threshold."""
+        x, y = confirmed_force(fx, fy, self._previous, self._noise, self._config)
+        size = max(abs(x), abs(y)) if self._per_axis else math.sqrt(x * x + y * y)
+        return size >= self._config.force_threshold_n
 
     def _begin(
         self, estimate: ForceEstimate, sample: _Sample, received_us: int, state: FlightState
@@ -161,7 +168,10 @@ class ImpactDetector:
         fx, fy = sample.fx, sample.fy
         size = max(math.sqrt(fx * fx + fy * fy), 1e-9)
         expected = self.expected_normal
-        planned = expected is not None and fx * expected[0] + fy * expected[1] > 0.0
+        # Friction comes first and may be many times the normal force, whose sign is then lost in noise: only a
+        # force clearly into the wall is not the planned hit. `_peak` looks again, at the impulse.
+        least = -(_INTO_WALL * size + 3.0 * self._noise)
+        planned = expected is not None and fx * expected[0] + fy * expected[1] > least
         self._normal = expected if expected is not None and planned else (fx / size, fy / size)
         rise = max(_RISE_SHARE * self._config.force_threshold_n, 2.0 * self._noise)
         first_us = sample.t_us
@@ -220,8 +230,9 @@ class ImpactDetector:
 
     def _peak(self, now_us: int, received_us: int, state: FlightState) -> ImpactPeak:
         assert self._onset is not None
-        if not self._onset.planned:
-            self._normal = self._direction()
+        along = self._direction()
+        if not self._onset.planned or along[0] * self._normal[0] + along[1] * self._normal[1] <= 0.0:
+            self._normal = along
         nx, ny = self._normal
         reference_us = self._onset.first_us
         readings = self._readings(reference_us)
@@ -319,6 +330,16 @@ class ImpactDetector:
         self._stage = _Stage.REFRACTORY
         self._ended_us = t_us
         return ContactEnd(t_us=self._quiet_since_us, first_us=self._onset.first_us)
+
+
+def confirmed_force(
+    fx: float, fy: float, previous: tuple[Vec2, Vec2], noise_n: float, config: Detection
+) -> Vec2:
+    """Mean of the newest two samples, of three where the threshold is not `sure_sigma` times that mean's noise."""
+    (ax, ay), (bx, by) = previous
+    if config.sure_sigma * noise_n <= math.sqrt(2.0) * config.force_threshold_n:
+        return (0.5 * (fx + ax), 0.5 * (fy + ay))
+    return ((fx + ax + bx) / 3.0, (fy + ay + by) / 3.0)
 
 
 def _prior(c: Coefficients, mass_kg: float) -> Prior:

@@ -318,7 +318,8 @@ def fit_friction(
         kappa: expected mu/m, loosely held.
         noise_n: standard deviation of one reading.
     """
-    inside = [r for r in readings if r.b > pulse.start_s and not r.bound]
+    # Also the clipped ones: flown parallel to the wall, the axis that clips is not the one along it.
+    inside = [r for r in readings if r.b > pulse.start_s]
     if len(inside) < 3:
         return None
     impulses = [(_impulse(r.a, pulse), _impulse(r.b, pulse)) for r in inside]
@@ -386,9 +387,9 @@ def _tangential(
 def _friction_top(
     inside: list[Reading], pulse: NormalPulse, speed: float, push_m_s2: float, mass_kg: float, kappa: float
 ) -> float:
-    """Largest friction of the model, sought on a grid of a quarter of a tick, with a parabola through it."""
+    """Largest friction of the model, sought on a grid of half a tick, with a parabola through it."""
     begin, end = pulse.start_s, inside[-1].b
-    count = 4 * max(3, round((end - begin) / (inside[-1].b - inside[-1].a)))
+    count = 2 * max(6, round((end - begin) / (inside[-1].b - inside[-1].a)))
     h = (end - begin) / count
     v, last = speed, 0.0
     force = [0.0]
@@ -399,8 +400,6 @@ def _friction_top(
         v = v * left + push_m_s2 * h * math.sqrt(left)
         last = impulse
         force.append(-mass_kg * kappa * max(0.0, pulse.push * fp + pulse.slope * fs) * v)
-        if i > 8 and abs(force[-1]) < 0.5 * max(map(abs, force)):
-            break
     top = max(range(len(force)), key=lambda i: abs(force[i]))
     if not 0 < top < len(force) - 1:
         return force[top]
