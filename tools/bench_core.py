@@ -16,7 +16,8 @@ _REPEATS = 3
 
 
 def recorded_inputs() -> tuple[list[Input], float, float]:
-    """Every input of a simulated dual collision, the flight's simulated time and the time it took, seconds."""
+    """Every input of a simulated dual collision, the flight's simulated time and the time it took,
+    seconds."""
     inputs: list[Input] = []
     flight = FastFlight(load_mission(_MISSION), 1)
     step = flight.core.step
@@ -34,8 +35,10 @@ def recorded_inputs() -> tuple[list[Input], float, float]:
 def rows() -> list[dict[str, Any]]:
     """Rows for the benchmark table.
 
-    `core step`: mean of one step over a whole flight's inputs, microseconds; `core step imu` over its IMU samples
-    alone, which carry the estimate, the detector and the pulse fit. The baseline of both is 30 us. `fast flight
+    `core step`: mean of one step over a whole flight's inputs, microseconds; `core step imu` over its IMU
+    samples
+    alone, which carry the estimate, the detector and the pulse fit. The baseline of both is 30 us. `fast
+    flight
     real-time factor`: simulated seconds per second of the whole fast world; its baseline is real time.
     """
     inputs, simulated_s, took_s = recorded_inputs()
@@ -58,7 +61,13 @@ def rows() -> list[dict[str, Any]]:
     return [
         _row("core step", every * 1e6, "us", 30.0),
         _row("core step imu", imu * 1e6, "us", 30.0),
-        {"name": "fast flight real-time factor", "value": factor, "unit": "x", "baseline": 1.0, "ratio": factor},
+        {
+            "name": "fast flight real-time factor",
+            "value": factor,
+            "unit": "x",
+            "baseline": 1.0,
+            "ratio": factor,
+        },
     ]
 
 

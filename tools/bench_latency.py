@@ -1,8 +1,8 @@
 """Benchmark: from the IMU sample on the wire to the recovery set-point on the wire, through MAVSDK and UDP.
 
 The whole app runs (MAVSDK, core thread, lock thread, log) at the rates of the stream table against
-`tools.impact_source`, a process of its own. Latency is from the source's sending of the IMU sample at which the
-peak was known to its receiving of the set-point that followed from it.
+`tools.impact_source`, a process of its own. Latency is from the source's sending of the IMU sample at which
+the peak was known to its receiving of the set-point that followed from it.
 
     python -m tools.bench_latency [IMPACTS]
 """
@@ -51,9 +51,8 @@ class RepeatingCore(FlightCore):
             item = LockState(item.t_us, LockPhase.SETTLED, Mode.RIGID)
         executive, now = self.executive, self.state.now_us
         ready = self.state.odometry is not None and self.state.status.armed
-        if executive.phase is Phase.READYING and ready:
-            self._begin(now)
-        elif executive.phase is Phase.RECOVERY and now > self._again_us:
+        rested = executive.phase is Phase.RECOVERY and now > self._again_us
+        if rested or (executive.phase is Phase.READYING and ready):
             self._begin(now)
         elif executive.phase is Phase.READYING:
             self.state.lock = LockState(now, LockPhase.SETTLED, Mode.RIGID)

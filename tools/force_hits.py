@@ -1,7 +1,8 @@
-"""Single simulated hits for judging force estimate and detector: plant, IMU and core parts, no mission around.
+"""Single simulated hits for judging force estimate and detector: plant, IMU and core parts, no mission
+around.
 
-The plant flies ballistically (constant equal motor commands, so it keeps its tilt) into one wall; what a perfect
-IMU would read is kept, so that the same hit can be estimated under different noise.
+The plant flies ballistically (constant equal motor commands, so it keeps its tilt) into one wall; what a
+perfect IMU would read is kept, so that the same hit can be estimated under different noise.
 """
 
 from __future__ import annotations
@@ -113,8 +114,8 @@ def fly_hit(vehicle: VehicleConfig, hit: Hit) -> Flown:
     tilt = math.radians(hit.tilt_deg)
     push = 9.81 * math.tan(tilt)
     accel = (push * towards[0], push * towards[1])
-    # Backwards in time from the wall; drag over that time is small and shows in the true speed. Leaning in, the
-    # vehicle has come from rest at most, else it would have come through the wall.
+    # Backwards in time from the wall; drag over that time is small and shows in the true speed. Leaning in,
+    # the vehicle has come from rest at most, else it would have come through the wall.
     lead = min(LEAD_S, -0.95 * hit.normal_m_s / push) if hit.lean == "in" and push > 0.0 else LEAD_S
     v0 = (hit.normal_m_s - accel[0] * lead, hit.tangential_m_s - accel[1] * lead)
     x0 = -(v0[0] * lead + 0.5 * accel[0] * lead**2)
@@ -133,7 +134,9 @@ def _attitude(wall: Wall, tilt: float, towards: Vec2) -> Quaternion:
     """Leading edge parallel to the wall, thrust tilted towards a direction of the wall's frame."""
     yaw = FRAME.yaw_to_ned(wall.parallel_yaw(0.3))
     tn, tt = wall.normal, wall.tangent
-    d = FRAME.vector_to_ned((towards[0] * tn[0] + towards[1] * tt[0], towards[0] * tn[1] + towards[1] * tt[1], 0.0))
+    d = FRAME.vector_to_ned(
+        (towards[0] * tn[0] + towards[1] * tt[0], towards[0] * tn[1] + towards[1] * tt[1], 0.0)
+    )
     # Rotation axis: up x direction, in NED (0, 0, -1) x d.
     axis = (d[1] * tilt, -d[0] * tilt, 0.0)
     return quaternion_multiply(quaternion_from_rotation_vector(axis), quaternion_from_euler(0.0, 0.0, yaw))
@@ -206,7 +209,7 @@ class Judge:
         x, y = estimate.force_mission[0] - base[0], estimate.force_mission[1] - base[1]
         detection = self.vehicle.detection
         mean = math.hypot(*confirmed_force(x, y, self._last, estimate.noise_n, detection))
-        self.statistic = max(mean, size) if size >= detection.sure_sigma * estimate.noise_n else mean
+        self.statistic = max(min(mean, size), size - detection.sure_sigma * estimate.noise_n)
         self._last = ((x, y), self._last[0])
         self._shadow.update(estimate, imu.received_us, self.state)
         return list(self.detector.update(estimate, imu.received_us, self.state))
@@ -248,7 +251,12 @@ def _hover(flown: Flown) -> list[Tick]:
     first = flown.ticks[0]
     return [
         Tick(
-            first.t_us - (count - i) * TICK_US, (0.0, 0.0, -9.81), q, first.position, (0.0, 0.0, 0.0), (0.0, 0.0)
+            first.t_us - (count - i) * TICK_US,
+            (0.0, 0.0, -9.81),
+            q,
+            first.position,
+            (0.0, 0.0, 0.0),
+            (0.0, 0.0),
         )
         for i in range(count)
     ]

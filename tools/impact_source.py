@@ -2,9 +2,10 @@
 
     python -m tools.impact_source PORT IMPACTS PERIOD_S
 
-Sends what the embedded autopilot would send, armed and in offboard mode, with the contact model's rigid pulse on
-the IMU every PERIOD_S seconds. When done it prints one JSON object: when every IMU sample went to the wire and
-when every set-point came from it, host's monotonic nanoseconds.
+Sends what the embedded autopilot would send, armed and in offboard mode, with the contact model's rigid
+pulse on
+the IMU every PERIOD_S seconds. When done it prints one JSON object: when every IMU sample went to the wire
+and when every set-point came from it, host's monotonic nanoseconds.
 """
 
 from __future__ import annotations
@@ -64,7 +65,9 @@ def pulse_n(t_s: float, k: float, f: float, mass_kg: float) -> float:
     """Force of a contact at `SPEED_M_S` on stiffness k and damping f, `t_s` after its onset, newton."""
     sigma = 0.5 * f / mass_kg
     w = math.sqrt(k / mass_kg - sigma * sigma)
-    return max(0.0, k * SPEED_M_S * math.exp(-sigma * t_s) * math.sin(w * t_s) / w) if w * t_s < math.pi else 0.0
+    return (
+        max(0.0, k * SPEED_M_S * math.exp(-sigma * t_s) * math.sin(w * t_s) / w) if w * t_s < math.pi else 0.0
+    )
 
 
 def main(port: int, impacts: int, period_s: float) -> int:

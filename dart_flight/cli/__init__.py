@@ -25,6 +25,8 @@ COMMANDS = {
     "simulate": "a simulated vehicle alone, for `fly` in another terminal or a ground station",
     "lock": "move or report the locking mechanism",
     "predict": "predict a collision or a drop",
+    "monitor": "live view of force, detection, streams, lock and phase, without flying",
+    "calibrate": "thrust curve from hover segments of flights",
     "identify": "contact coefficients from recorded trials",
     "tables": "the paper's collision tables beside the model's",
 }

@@ -1,20 +1,26 @@
-"""What is learnt of the estimate's own errors in flight: hover bias, thrust scale, noise, and the slow baseline.
+"""What is learnt of the estimate's own errors in flight: hover bias, thrust scale, noise, and the slow
+baseline.
 
-While the vehicle hovers the external force is wind at most, so what the accelerometer reads across the thrust
-axis is its bias, and what it reads along that axis is the thrust. Slow forces that come and go (wind, errors
+Along the thrust axis the accelerometer reads the thrust, in any flight without contact: air drag along that
+axis
+is small. Across it, while the vehicle hovers, it reads its own bias, wind at most. Slow forces that come and
+go (wind, errors
 of thrust and drag when tilted) are followed by a baseline with a limit; a contact rises too fast for it.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 
 from dart_flight.config.vehicle import Detection, Estimation
-from dart_flight.geometry import Vec2, Vec3
+from dart_flight.geometry import GRAVITY_M_S2, Vec2, Vec3
 
 _NOISE_TIME_S = 0.5
 _NOISE_OUTLIER = 9.0  # a squared difference counts at most this many times the present one
+_SCALE_STEP = 0.25
 _MOST_STEP_S = 0.05  # after a gap in the stream one sample counts for this long at most
+_BASELINE_DELAY = 10  # samples: 40 ms, in which even a slow contact reaches the threshold
 _BASELINE_STEP_N = 2.0  # further than this from the baseline it is not followed any faster
 
 
@@ -49,16 +55,18 @@ class HoverBias:
         step = min(dt_s, _MOST_STEP_S)
         self._learn_noise(f, step)
         c = self._config
-        slow = speed_m_s < c.speed_m_s and abs(rate[0]) + abs(rate[1]) + abs(rate[2]) < c.rate_rad_s
-        if not slow or curve_thrust_n < 0.5 * self._mass * 9.81:
+        if curve_thrust_n < 0.5 * self._mass * GRAVITY_M_S2:
             return
         share = step / c.time_constant_s
-        most = c.bias_limit_m_s2
-        self.bias_x = max(-most, min(most, self.bias_x + share * (f[0] - self.bias_x)))
-        self.bias_y = max(-most, min(most, self.bias_y + share * (f[1] - self.bias_y)))
-        seen = -f[2] * self._mass / curve_thrust_n
         most = c.thrust_scale_limit
+        seen = -f[2] * self._mass / curve_thrust_n
+        # A seen scale far off is a bump and no thrust: it counts only as far as the limit.
+        seen = max(self.scale - _SCALE_STEP, min(self.scale + _SCALE_STEP, seen))
         self.scale = max(1.0 - most, min(1.0 + most, self.scale + share * (seen - self.scale)))
+        if speed_m_s < c.speed_m_s and abs(rate[0]) + abs(rate[1]) + abs(rate[2]) < c.rate_rad_s:
+            most = c.bias_limit_m_s2
+            self.bias_x = max(-most, min(most, self.bias_x + share * (f[0] - self.bias_x)))
+            self.bias_y = max(-most, min(most, self.bias_y + share * (f[1] - self.bias_y)))
 
     def _learn_noise(self, f: Vec3, step_s: float) -> None:
         # Half the mean square of successive differences: blind to everything slower than two samples.
@@ -74,22 +82,35 @@ class HoverBias:
 
 
 class Baseline:
-    """Slow horizontal force, mission frame, newton, limited in size; `value` is taken off before a threshold."""
+    """Slow horizontal force, mission frame, newton, limited in size; `value` is taken off before a threshold.
+
+    `value` is that of some samples ago, so that the foot of a contact is not taken off the contact itself.
+    """
 
     def __init__(self, config: Estimation) -> None:
         self._time_s, self._limit = config.baseline_s, config.baseline_limit_n
+        self._now: Vec2 = (0.0, 0.0)
+        self._past: deque[Vec2] = deque([(0.0, 0.0)], maxlen=_BASELINE_DELAY)
         self.value: Vec2 = (0.0, 0.0)
 
     def follow(self, fx: float, fy: float, dt_s: float) -> None:
         """A sample outside of contacts, `dt_s` after the one before."""
         share = min(dt_s, _MOST_STEP_S) / self._time_s
-        x, y = self.value
+        x, y = self._now
         x += share * max(-_BASELINE_STEP_N, min(_BASELINE_STEP_N, fx - x))
         y += share * max(-_BASELINE_STEP_N, min(_BASELINE_STEP_N, fy - y))
         size = math.sqrt(x * x + y * y)
         if size > self._limit:
             x, y = x * self._limit / size, y * self._limit / size
-        self.value = (x, y)
+        self._now = (x, y)
+        self._past.append(self._now)
+        self.value = self._past[0]
+
+    def settle(self) -> None:
+        """A contact begins: go back to before its foot."""
+        self._now = self.value
+        self._past.clear()
+        self._past.append(self.value)
 
 
 def certainty(force_n: float, noise_n: float, detection: Detection) -> float:

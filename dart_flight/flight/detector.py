@@ -1,8 +1,8 @@
 """Impact detection: threshold, peak of each component, end of contact, one event of each per impact.
 
 A collision is registered when the horizontal force reaches the threshold (ours; the paper tests each axis,
-switchable), less a slow baseline (`flight/bias.py`). The forces of the recovery are the peaks: of the normal and
-of the tangential component each its own, since the onset, from a fit of the contact model's pulse
+switchable), less a slow baseline (`flight/bias.py`). The forces of the recovery are the peaks: of the normal
+and of the tangential component each its own, since the onset, from a fit of the contact model's pulse
 (`flight/pulse.py`), because the maximum of noisy samples is biased upward. States: watching -> rising ->
 falling -> refractory -> watching. docs/force.md.
 """
@@ -30,6 +30,7 @@ _MOST_SMOOTH = 5
 _TOP_SHARE = 0.7  # samples above this share of the maximum are the top of the pulse
 _TOP_REACH = 4  # samples on either side, at most
 _BEFORE = 8  # samples remembered from before the crossing
+_FAR_SIGMA = 4.6  # threshold over the noise of one sample: from here on two samples in a row will do
 _INTO_WALL = 0.1  # of the force: this much may point into the expected wall at the onset
 _CONFIDENT_MISFIT = 0.25  # of the peak: a fit this bad is worth nothing
 
@@ -77,7 +78,9 @@ class ImpactDetector:
             for name, material in vehicle.materials.items()
             for mode in Mode
         }
-        self._typical = {mode: _mean_prior([p for (_, m), p in self._priors.items() if m is mode]) for mode in Mode}
+        self._typical = {
+            mode: _mean_prior([p for (_, m), p in self._priors.items() if m is mode]) for mode in Mode
+        }
         self.baseline = Baseline(vehicle.estimation)
         self._stage = _Stage.WATCHING
         self._before: deque[_Sample] = deque(maxlen=_BEFORE)
@@ -145,10 +148,11 @@ class ImpactDetector:
         sample = _Sample(
             estimate.t_us, dt_us, fx, fy, estimate.force_mission[2], estimate.push_mission, estimate.clipped
         )
-        if over and self.watching and self._armed and self._stage is _Stage.WATCHING:
-            # One sample is enough where noise cannot reach it; else the mean of two or three in a row.
-            if size >= config.sure_sigma * self._noise or self._mean_is_over(fx, fy):
-                return [self._begin(estimate, sample, received_us, state)]
+        watching = self.watching and self._armed and self._stage is _Stage.WATCHING
+        # One sample is enough where noise cannot have lifted it; else the mean of two or three in a row.
+        sure = size >= threshold + config.sure_sigma * self._noise
+        if over and watching and (sure or self._mean_is_over(fx, fy)):
+            return [self._begin(estimate, sample, received_us, state)]
         self._previous = ((fx, fy), self._previous[0])
         self._before.append(sample)
         if not over or not self._armed:
@@ -168,8 +172,8 @@ class ImpactDetector:
         fx, fy = sample.fx, sample.fy
         size = max(math.sqrt(fx * fx + fy * fy), 1e-9)
         expected = self.expected_normal
-        # Friction comes first and may be many times the normal force, whose sign is then lost in noise: only a
-        # force clearly into the wall is not the planned hit. `_peak` looks again, at the impulse.
+        # Friction comes first and may be many times the normal force, whose sign is then lost in noise: only
+        # a force clearly into the wall is not the planned hit. `_peak` looks again, at the impulse.
         least = -(_INTO_WALL * size + 3.0 * self._noise)
         planned = expected is not None and fx * expected[0] + fy * expected[1] > least
         self._normal = expected if expected is not None and planned else (fx / size, fy / size)
@@ -186,6 +190,7 @@ class ImpactDetector:
         self._quiet_since_us = None
         self._armed = False
         self._stage = _Stage.RISING
+        self.baseline.settle()
         self._onset = ImpactOnset(
             t_us=sample.t_us,
             first_us=first_us,
@@ -268,14 +273,19 @@ class ImpactDetector:
         return (sx / size, sy / size) if size > 0.0 else self._normal
 
     def _readings(self, reference_us: int) -> list[Reading]:
-        """The contact's samples as means over their ticks, seconds from `reference_us`, the filter's lag off."""
+        """The contact's samples as means over their ticks, seconds from `reference_us`, the filter's lag
+        off."""
         nx, ny = self._normal
         lag_us = self._lag_s * 1e6
         out = []
         last = len(self._samples) - 1
         for i, s in enumerate(self._samples):
             # What a clipped millisecond took away also lowers the ticks beside the clipped one.
-            bound = s.clipped or (i > 0 and self._samples[i - 1].clipped) or (i < last and self._samples[i + 1].clipped)
+            bound = (
+                s.clipped
+                or (i > 0 and self._samples[i - 1].clipped)
+                or (i < last and self._samples[i + 1].clipped)
+            )
             b = (s.t_us - reference_us - lag_us) * 1e-6
             a = b - self._tick_us * 1e-6
             out.append(Reading(a, b, s.fx * nx + s.fy * ny, s.fx * ny - s.fy * nx, bound))
@@ -335,9 +345,10 @@ class ImpactDetector:
 def confirmed_force(
     fx: float, fy: float, previous: tuple[Vec2, Vec2], noise_n: float, config: Detection
 ) -> Vec2:
-    """Mean of the newest two samples, of three where the threshold is not `sure_sigma` times that mean's noise."""
+    """Mean of the newest two samples, of three where the threshold is not `sure_sigma` times that mean's
+    noise."""
     (ax, ay), (bx, by) = previous
-    if config.sure_sigma * noise_n <= math.sqrt(2.0) * config.force_threshold_n:
+    if _FAR_SIGMA * noise_n <= config.force_threshold_n:
         return (0.5 * (fx + ax), 0.5 * (fy + ay))
     return ((fx + ax + bx) / 3.0, (fy + ay + by) / 3.0)
 

@@ -5,8 +5,10 @@ towards the wall, C the slope of the force at the onset, sigma = f/(2m), w^2 = k
 
     F'' + 2 sigma F' + w^2 F = w^2 B,   F(0) = 0, F'(0) = C
 
-and its impulse P = B t + (C - F' - 2 sigma F)/w^2 is in closed form too. A reading is the mean over a tick, so it
-is compared with the model's mean over that tick, (P(b) - P(a))/(b - a): no correction factor is needed for the
+and its impulse P = B t + (C - F' - 2 sigma F)/w^2 is in closed form too. A reading is the mean over a tick,
+so it
+is compared with the model's mean over that tick, (P(b) - P(a))/(b - a): no correction factor is needed for
+the
 averaging. The anti-alias filter delays by its lag and takes (w lag)^2/2 off the top, which is put back.
 Readings at full scale are lower bounds: they count only where the model is below them. Friction is
 -mu F v_t with v_t decaying by the impulse; its mean over a tick is the change of v_t.
@@ -22,7 +24,9 @@ import msgspec
 
 _MOST_BINS = 13
 _STEPS = 8
-_MODEL_ERROR = 0.01  # of the top: what the model itself may be off by, so that a quiet sensor is not overtrusted
+_MODEL_ERROR = (
+    0.01  # of the top: what the model itself may be off by, so that a quiet sensor is not overtrusted
+)
 _PRIOR_LOG_OMEGA = 0.25
 _PRIOR_LOG_KAPPA = 1.0
 _LEAST_OMEGA, _MOST_OMEGA = 8.0, 400.0
@@ -306,7 +310,12 @@ def _quadratic_of_inverse(n: list[float], g1: float, g2: float) -> float:
 
 
 def fit_friction(
-    readings: list[Reading], pulse: NormalPulse, push_m_s2: float, mass_kg: float, kappa: float, noise_n: float
+    readings: list[Reading],
+    pulse: NormalPulse,
+    push_m_s2: float,
+    mass_kg: float,
+    kappa: float,
+    noise_n: float,
 ) -> float | None:
     """Peak of the friction force, newton, signed along the tangent; None where the model does not fit.
 

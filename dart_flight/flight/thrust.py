@@ -1,6 +1,7 @@
 """Thrust from the best source at hand, through the calibrated curve, with motor lag and battery voltage.
 
-Sources (`estimation.thrust_source`): measured speed of the motors, thrust = c rpm^2, which needs neither lag nor
+Sources (`estimation.thrust_source`): measured speed of the motors, thrust = c rpm^2, which needs neither lag
+nor
 voltage; commands to the motors, through the curve of `thrust:` and a first-order lag; the collective thrust
 that PX4's controller asks for, with the same lag. `auto` takes the first of them that is fresh. Whatever the
 source, hovering corrects it (`flight/bias.py`). Equations: docs/force.md.
