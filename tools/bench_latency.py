@@ -112,7 +112,8 @@ async def _run_app(
     core = RepeatingCore(mission)
     app._core = CoreThread(core, app._send, app._carry_out, app._observe)
     flying = asyncio.create_task(app.run())
-    while not core.recoveries and not flying.done():
+    # Polled: the core is stepped on another thread.
+    while not core.recoveries and not flying.done():  # noqa: ASYNC110
         await asyncio.sleep(0.1)
     wall, busy = time.monotonic(), time.process_time()
     # The source writes its record at the end; a full pipe does not stop it before that.
