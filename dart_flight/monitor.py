@@ -32,6 +32,7 @@ from dart_flight.samples import (
     ImuSample,
     Input,
     LandedState,
+    LockState,
     OdometrySample,
     StatusSample,
     StatusText,
@@ -131,6 +132,8 @@ class Watcher:
         elif isinstance(item, StatusSample):
             state.status = item
             self._estimator.thrust.take_voltage(item.battery_v)
+        elif isinstance(item, LockState):
+            state.lock = item
         elif isinstance(item, ClockOffset):
             state.take_clock(item)
         elif isinstance(item, StatusText):

@@ -54,7 +54,7 @@ def true_pulse(
 ) -> list[tuple[float, float]]:
     """Normal and friction force every 10 us from the first force, by stepping the contact law."""
     h, x, vx = 1e-5, f * v / k, -v
-    out = []
+    out: list[tuple[float, float]] = []
     while True:
         n = -(k * x + f * vx)
         if n < 0.0 and out:
@@ -276,7 +276,9 @@ def test_a_reading_at_full_scale_is_a_lower_bound() -> None:
 
 
 def test_the_momentum_observer_follows_a_slow_force_and_needs_no_accelerometer() -> None:
-    vehicle = Hovering(with_estimation(observer=Observer.MOMENTUM))
+    momentum = with_estimation(observer=Observer.MOMENTUM)
+    still_air = msgspec.structs.replace(momentum.airframe, drag_per_s=(0.0, 0.0, 0.0))
+    vehicle = Hovering(msgspec.structs.replace(momentum, airframe=still_air))
     assert not any(e.clipped for e in vehicle.run(1.0))
     vehicle.force = (2.0, -1.0, 0.0)
     vehicle.bias = (1.0, 1.0, 0.0)  # of the accelerometer: of no effect
@@ -317,7 +319,7 @@ def test_the_arms_swinging_is_taken_out() -> None:
             mean, true = mean + (a - arms.mass_fraction * qdd) / 400, true + a / 400
         with_arms.append(abs(mean - true))
         without.append(abs(inverse.remove(mean, 0.0, 0.004)[0] - true))
-    assert max(with_arms) > 0.5
+    assert max(with_arms) > 0.3
     assert max(without) < 0.05
 
 
@@ -364,7 +366,7 @@ def test_planned_and_unplanned_hits_are_told_apart() -> None:
 def test_wind_is_no_contact_but_leaning_on_a_wall_is() -> None:
     rise = [(4.0 * 0.5 * (1.0 - math.cos(math.pi * min(1.0, i / 125))), 0.0) for i in range(1000)]
     assert feed(rise) == []
-    lean = [(7.0 * 0.5 * (1.0 - math.cos(math.pi * min(1.0, i / 250))), 0.0) for i in range(1000)]
+    lean = [(9.0 * 0.5 * (1.0 - math.cos(math.pi * min(1.0, i / 250))), 0.0) for i in range(1000)]
     assert len([e for e in feed(lean) if isinstance(e, ImpactOnset)]) == 1
 
 
