@@ -40,6 +40,7 @@ from dart_flight.samples import (
     OdometrySample,
     OperatorRequest,
     Output,
+    PhaseChange,
     Record,
     SetPoint,
     SetPointSent,
@@ -406,6 +407,9 @@ class FlightApp:
             self._loop.call_soon_threadsafe(self._start_action, output.action)
         elif isinstance(output, LockCommand | LockPermission):
             self._lock.put(output)
+        elif isinstance(output, PhaseChange):
+            # For `monitor`; not on this thread, whose set-points must not wait for it.
+            self._loop.call_soon_threadsafe(self._session.tell_ground, f"phase {output.after}")
         elif isinstance(output, Silence):
             self._session.silence()
         elif isinstance(output, MissionEnd):

@@ -99,6 +99,24 @@ class ActuatorSample(Record, frozen=True, gc=False):
     stamp_is_estimated: bool = True  # the stream has no stamp: mapped host time
 
 
+class AttitudeTargetSample(Record, frozen=True, gc=False):
+    """ATTITUDE_TARGET: the collective thrust that PX4's controller asks for, 0 to 1 of full thrust."""
+
+    topic: ClassVar[str] = "/in/attitude_target"
+    t_us: int
+    received_us: int
+    thrust: float
+
+
+class EscSample(Record, frozen=True, gc=False):
+    """ESC_STATUS: measured speed of the four motors, revolutions per minute."""
+
+    topic: ClassVar[str] = "/in/esc"
+    t_us: int
+    received_us: int
+    rpm: tuple[float, float, float, float]
+
+
 class StatusSample(Record, frozen=True, gc=False):
     """Slow state of the autopilot, one record for every change of any part of it."""
 
@@ -200,6 +218,8 @@ Input = (
     | AttitudeSample
     | OdometrySample
     | ActuatorSample
+    | AttitudeTargetSample
+    | EscSample
     | StatusSample
     | EstimatorSample
     | StatusText
@@ -273,12 +293,19 @@ class Silence(Record, frozen=True, gc=False):
 
 
 class ForceEstimate(Record, frozen=True, gc=False):
-    """External force on the vehicle at an IMU sample, mission frame, newton."""
+    """External force on the vehicle at an IMU sample, mission frame, newton (docs/force.md).
+
+    A sample stands for the mean over the IMU's tick that ends at `t_us`. Clipped samples are lower bounds.
+    """
 
     topic: ClassVar[str] = "/estimate/force"
     t_us: int
     force_mission: Vec3
     clipped: bool
+    filtered_mission: Vec3 = (0.0, 0.0, 0.0)  # first-order low-pass of the force
+    covariance_n2: tuple[float, float, float, float, float, float] = (0.0,) * 6  # xx, yy, zz, xy, xz, yz
+    noise_n: float = 0.0  # white part of one component's error, standard deviation
+    push_mission: Vec2 = (0.0, 0.0)  # horizontal force of thrust and drag, N: what leans on a wall
 
 
 class ImpactOnset(Record, frozen=True, gc=False):
@@ -291,6 +318,8 @@ class ImpactOnset(Record, frozen=True, gc=False):
     force_mission: Vec3
     velocity_mission: Vec3  # last before contact
     position_mission: Vec3
+    planned: bool = False  # a wall was expected and the force points out of it
+    confidence: float = 1.0  # 0 to 1, docs/force.md
 
 
 class ImpactPeak(Record, frozen=True, gc=False):
@@ -305,6 +334,10 @@ class ImpactPeak(Record, frozen=True, gc=False):
     tangential_force_n: float  # signed, along the wall's tangent
     position_mission: Vec3  # p(t_c)
     clipped: bool
+    normal_sigma_n: float = 0.0  # standard error of the normal force
+    fitted: bool = False  # from the contact model's pulse; otherwise from a parabola through the top
+    confidence: float = 1.0  # 0 to 1
+    vertical_mean_n: float = 0.0  # mean vertical force since the onset, up
 
 
 class ContactEnd(Record, frozen=True, gc=False):

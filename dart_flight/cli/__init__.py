@@ -30,6 +30,8 @@ COMMANDS = {
     "report": "recorded flights as a page with plots",
     "export": "a flight log as CSV files",
     "predict": "predict a collision or a drop",
+    "monitor": "live view of force, detection, streams, lock and phase, without flying",
+    "calibrate": "thrust curve from hover segments of flights",
     "identify": "contact coefficients from recorded trials",
     "tables": "the paper's collision tables beside the model's",
     "init": "copy the packaged configuration, missions and scenarios to start from",

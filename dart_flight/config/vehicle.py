@@ -93,6 +93,68 @@ class Imu(Section, frozen=True):
 
     full_scale_m_s2: Positive
     rate_hz: Positive
+    tick_s: Positive  # what one reported sample is averaged over
+    antialias_hz: Positive  # -3 dB of the accelerometer's own low-pass, first order
+
+
+class Observer(StrEnum):
+    """Which estimate of the external force the detector and the recovery use."""
+
+    ACCELERATION = "acceleration"
+    MOMENTUM = "momentum"
+
+
+class ThrustSource(StrEnum):
+    """What the thrust is computed from; `auto` takes the best that is fresh, in this order from ESC on."""
+
+    AUTO = "auto"
+    ESC = "esc"
+    ACTUATOR = "actuator"
+    ATTITUDE_TARGET = "attitude_target"
+
+
+class Battery(Section, frozen=True):
+    """Thrust at a command against battery voltage: thrust = curve * (voltage / reference_v) ** exponent."""
+
+    reference_v: Positive
+    exponent: NotNegative
+
+
+class HoverBias(Section, frozen=True):
+    """What is learnt while the vehicle hovers: accelerometer bias, thrust scale, noise."""
+
+    speed_m_s: Positive
+    rate_rad_s: Positive
+    time_constant_s: Positive
+    bias_limit_m_s2: NotNegative
+    thrust_scale_limit: Fraction
+
+
+class ArmVibration(Section, frozen=True):
+    """The damped in-plane vibration of the flexible arms, as the IMU feels it."""
+
+    frequency_hz: Positive
+    damping_ratio: Fraction
+    mass_fraction: Fraction
+
+
+class Estimation(Section, frozen=True):
+    """The estimate of the external force."""
+
+    observer: Observer
+    momentum_gain_per_s: Positive
+    thrust_source: ThrustSource
+    thrust_timeout_s: Positive
+    thrust_error_n: NotNegative
+    esc_thrust_n_per_rpm2: Positive
+    battery: Battery
+    attitude_error_rad: NotNegative
+    imu_noise_m_s2: Positive
+    filter_s: NotNegative
+    baseline_s: Positive
+    baseline_limit_n: NotNegative
+    arm_vibration: ArmVibration | None
+    hover: HoverBias
 
 
 class ThresholdTest(StrEnum):
@@ -112,6 +174,7 @@ class Detection(Section, frozen=True):
     peak_wait_s: Positive
     contact_end_s: Positive
     refractory_s: NotNegative
+    sure_sigma: NotNegative
 
 
 class Guard(Section, frozen=True):
@@ -404,14 +467,6 @@ class Px4Parameters(Section, frozen=True, rename="upper"):
     com_disarm_land: float
 
 
-class ArmVibration(Section, frozen=True):
-    """The damped in-plane vibration of the flexible arms, as the IMU feels it."""
-
-    frequency_hz: Positive
-    damping_ratio: Fraction
-    mass_fraction: Fraction
-
-
 class Simulation(Section, frozen=True):
     """What only the simulated vehicle needs."""
 
@@ -440,6 +495,7 @@ class VehicleConfig(Section, frozen=True):
     airframe: Airframe
     thrust: Thrust
     imu: Imu
+    estimation: Estimation
     materials: dict[str, Material]
     onset: Literal["lcp", "touch"]
     vertical_force_sign: Literal[-1, 1]

@@ -21,8 +21,10 @@ from dart_flight.flight.state import FlightState
 from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
+    AttitudeTargetSample,
     ClockOffset,
     ContactEnd,
+    EscSample,
     EstimatorSample,
     ImpactOnset,
     ImpactPeak,
@@ -52,7 +54,7 @@ class FlightCore:
     def __init__(self, mission: Mission, rules: tuple[Rule, ...] = RULES) -> None:
         self.mission = mission
         self.state = FlightState(mission)
-        self.detector = ImpactDetector(mission.vehicle.detection)
+        self.detector = ImpactDetector(mission.vehicle)
         self.guard = Guard(mission, rules)
         self.executive = Executive(mission, self.detector, self.guard)
         self._estimator = ForceEstimator(mission.vehicle)
@@ -93,11 +95,16 @@ class FlightCore:
             state.take_odometry(item)
         elif isinstance(item, ActuatorSample):
             state.take_actuator(item)
-            self._estimator.take_actuator(item)
+            self._estimator.thrust.take_actuator(item)
+        elif isinstance(item, AttitudeTargetSample):
+            self._estimator.thrust.take_attitude_target(item)
+        elif isinstance(item, EscSample):
+            self._estimator.thrust.take_esc(item)
         elif isinstance(item, Tick):
             state.take_tick(item)
         elif isinstance(item, StatusSample):
             state.status = item
+            self._estimator.thrust.take_voltage(item.battery_v)
             state.host_us = max(state.host_us, item.received_us)
         elif isinstance(item, LockState):
             state.lock = item
@@ -110,7 +117,7 @@ class FlightCore:
         return []
 
     def _feel(self, item: ImuSample, out: list[Output]) -> list[ImpactOnset | ImpactPeak | ContactEnd]:
-        estimate = self._estimator.estimate(item, self.state)
+        estimate = self._estimator.estimate(item, self.state, self.detector.in_contact)
         if estimate is None:
             return []
         out.append(estimate)

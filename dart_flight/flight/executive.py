@@ -171,6 +171,7 @@ class Executive:
             or (self.phase is Phase.RECOVERY and collision.approach_m_s is None)
         )
         self._detector.expected_normal = collision.wall.normal if collision and expected else None
+        self._detector.expected_material = collision.wall.material if collision and expected else None
 
     def _ask(self, action: VehicleAction, state: FlightState, out: list[Output]) -> None:
         """Send a vehicle command, again every second until telemetry confirms it."""
@@ -397,7 +398,7 @@ class Executive:
                 or (self.phase is Phase.RECOVERY and collision.approach_m_s is None)
             )
         )
-        if not planned or collision is None:
+        if not planned or not event.planned or collision is None:
             force = math.hypot(event.force_mission[0], event.force_mission[1])
             detail = f"hit with {force:.0f} N in {self.phase.value}, no wall planned"
             self._guard.latch("unplanned_hit", detail, state, out)

@@ -27,6 +27,8 @@ from dart_flight.recording.schema import RECORD_TYPES, encoded_schema
 from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
+    AttitudeTargetSample,
+    EscSample,
     EstimatorSample,
     ForceEstimate,
     ImuSample,
@@ -52,6 +54,8 @@ _STREAMS = frozenset(
         AttitudeSample,
         OdometrySample,
         ActuatorSample,
+        AttitudeTargetSample,
+        EscSample,
         EstimatorSample,
         Tick,
         SetPoint,

@@ -127,6 +127,11 @@ class Plant:
         vibration = vehicle.simulation.arm_vibration
         self._arm: tuple[Vec2, Vec2] = ((0.0, 0.0), (0.0, 0.0))
         self._arm_omega = 2.0 * math.pi * vibration.frequency_hz
+        self._sensed: Vec3 = (0.0, 0.0, -GRAVITY_M_S2)
+        # First-order low-pass: what is left of a difference after a step, and its mean over the step.
+        steps_per_lag = 2.0 * math.pi * vehicle.imu.antialias_hz * STEP_S
+        self._antialias_decay = math.exp(-steps_per_lag)
+        self._antialias_mean = (1.0 - self._antialias_decay) / steps_per_lag
         self._motor_decay = math.exp(-STEP_S / max(vehicle.thrust.motor_lag_s, 1e-4))
 
     # -- one step --
@@ -135,14 +140,19 @@ class Plant:
         """Advance by `steps` milliseconds.
 
         Returns:
-            The mean specific force over that time, body FRD, m/s2: what a perfect IMU would report, with the
-            arms' vibration, each millisecond saturated at the sensor's full scale.
+            The mean specific force over that time, body FRD, m/s2: what an IMU without noise would report,
+            with the arms' vibration, through its anti-alias filter, each millisecond saturated at the
+            sensor's full scale.
         """
         fx = fy = fz = 0.0
         scale = self.vehicle.imu.full_scale_m_s2
+        keep, mean = self._antialias_decay, self._antialias_mean
         for _ in range(steps):
             force = self._advance_one(motor_commands)
-            f = rotate(quaternion_conjugate(self.q), force)
+            new, old = rotate(quaternion_conjugate(self.q), force), self._sensed
+            d = (old[0] - new[0], old[1] - new[1], old[2] - new[2])
+            self._sensed = (new[0] + keep * d[0], new[1] + keep * d[1], new[2] + keep * d[2])
+            f = (new[0] + mean * d[0], new[1] + mean * d[1], new[2] + mean * d[2])
             fx += max(-scale, min(scale, f[0]))
             fy += max(-scale, min(scale, f[1]))
             fz += max(-scale, min(scale, f[2]))

@@ -1,0 +1,58 @@
+"""What the IMU feels of the unlocked arms, taken out of the force again.
+
+The arms, a share s of the mass, swing against the body: q'' = -w^2 q - 2 z w q' - a, with a the acceleration
+of
+the common centre of mass by the contact. The IMU sits on the body and reads a - s q''. Over one tick T the
+mean of q'' is the change of q' over T, so with a constant over the tick
+
+    mean reading = a - s (q'(T) - q'(0)) / T,     (q, q')(T) = F (q, q')(0) + G a
+
+is linear in a and solved for it: an exact inverse, stable because the arms' share is less than the whole.
+"""
+
+from __future__ import annotations
+
+import math
+
+from dart_flight.config.vehicle import ArmVibration
+
+_MOST_TICKS = 25  # after a longer gap in the stream the arms have come to rest
+
+
+class ArmFilter:
+    """Inverse of the arms' vibration, one horizontal axis each in x and y of a frame that does not turn."""
+
+    def __init__(self, arms: ArmVibration, tick_s: float) -> None:
+        w, z = 2.0 * math.pi * arms.frequency_hz, arms.damping_ratio
+        self._share, self._tick_s = arms.mass_fraction, tick_s
+        sigma, wd = z * w, w * math.sqrt(max(1e-9, 1.0 - z * z))
+        e, c, s = math.exp(-sigma * tick_s), math.cos(wd * tick_s), math.sin(wd * tick_s) / wd
+        self._f11, self._f12 = e * (c + sigma * s), e * s
+        self._f21, self._f22 = -e * w * w * s, e * (c - sigma * s)
+        self._g1, self._g2 = -(1.0 - self._f11) / (w * w), -self._f12
+        self._gain = 1.0 / (1.0 - self._share * self._g2 / tick_s)
+        self._x = self._vx = self._y = self._vy = 0.0
+
+    def reset(self) -> None:
+        """The arms are held: nothing swings."""
+        self._x = self._vx = self._y = self._vy = 0.0
+
+    def remove(self, ax: float, ay: float, dt_s: float) -> tuple[float, float]:
+        """Acceleration of the centre of mass by the contact from what the IMU makes of it, m/s2."""
+        ticks = max(1, round(dt_s / self._tick_s))
+        if ticks > _MOST_TICKS:
+            self.reset()
+            ticks = 1
+        for _ in range(ticks):
+            swing = self._share / self._tick_s
+            bx = self._gain * (ax + swing * (self._f21 * self._x + (self._f22 - 1.0) * self._vx))
+            by = self._gain * (ay + swing * (self._f21 * self._y + (self._f22 - 1.0) * self._vy))
+            self._x, self._vx = (
+                self._f11 * self._x + self._f12 * self._vx + self._g1 * bx,
+                self._f21 * self._x + self._f22 * self._vx + self._g2 * bx,
+            )
+            self._y, self._vy = (
+                self._f11 * self._y + self._f12 * self._vy + self._g1 * by,
+                self._f21 * self._y + self._f22 * self._vy + self._g2 * by,
+            )
+        return bx, by

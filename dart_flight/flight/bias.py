@@ -1,0 +1,119 @@
+"""What is learnt of the estimate's own errors in flight: hover bias, thrust scale, noise, and the slow
+baseline.
+
+Along the thrust axis the accelerometer reads the thrust, in any flight without contact: air drag along that
+axis
+is small. Across it, while the vehicle hovers, it reads its own bias, wind at most. Slow forces that come and
+go (wind, errors
+of thrust and drag when tilted) are followed by a baseline with a limit; a contact rises too fast for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from dart_flight.config.vehicle import Detection, Estimation
+from dart_flight.geometry import GRAVITY_M_S2, Vec2, Vec3
+
+_NOISE_TIME_S = 0.5
+_NOISE_OUTLIER = 9.0  # a squared difference counts at most this many times the present one
+_SCALE_STEP = 0.25
+_MOST_STEP_S = 0.05  # after a gap in the stream one sample counts for this long at most
+_BASELINE_DELAY = 10  # samples: 40 ms, in which even a slow contact reaches the threshold
+_BASELINE_STEP_N = 2.0  # further than this from the baseline it is not followed any faster
+
+
+class HoverBias:
+    """Accelerometer bias across the thrust axis, thrust scale and noise of one sample.
+
+    Attributes:
+        bias_x, bias_y: body FRD, m/s2; part of the reading.
+        scale: true thrust over the curve's.
+        noise_m_s2: standard deviation of the white part of one sample and axis.
+    """
+
+    def __init__(self, config: Estimation, mass_kg: float) -> None:
+        self._config = config.hover
+        self._mass = mass_kg
+        self.bias_x = self.bias_y = 0.0
+        self.scale = 1.0
+        self.noise_m_s2 = config.imu_noise_m_s2
+        self._variance = config.imu_noise_m_s2**2
+        self._last: Vec3 | None = None
+
+    def learn(self, f: Vec3, rate: Vec3, speed_m_s: float, curve_thrust_n: float, dt_s: float) -> None:
+        """A sample outside of contacts.
+
+        Args:
+            f: specific force as reported, FRD, m/s2.
+            rate: body rate, rad/s.
+            speed_m_s: of the vehicle.
+            curve_thrust_n: mean thrust over the tick by the curve alone.
+            dt_s: since the sample before.
+        """
+        step = min(dt_s, _MOST_STEP_S)
+        self._learn_noise(f, step)
+        c = self._config
+        if curve_thrust_n < 0.5 * self._mass * GRAVITY_M_S2:
+            return
+        share = step / c.time_constant_s
+        most = c.thrust_scale_limit
+        seen = -f[2] * self._mass / curve_thrust_n
+        # A seen scale far off is a bump and no thrust: it counts only as far as the limit.
+        seen = max(self.scale - _SCALE_STEP, min(self.scale + _SCALE_STEP, seen))
+        self.scale = max(1.0 - most, min(1.0 + most, self.scale + share * (seen - self.scale)))
+        if speed_m_s < c.speed_m_s and abs(rate[0]) + abs(rate[1]) + abs(rate[2]) < c.rate_rad_s:
+            most = c.bias_limit_m_s2
+            self.bias_x = max(-most, min(most, self.bias_x + share * (f[0] - self.bias_x)))
+            self.bias_y = max(-most, min(most, self.bias_y + share * (f[1] - self.bias_y)))
+
+    def _learn_noise(self, f: Vec3, step_s: float) -> None:
+        # Half the mean square of successive differences: blind to everything slower than two samples.
+        last, self._last = self._last, f
+        if last is None:
+            return
+        dx, dy = f[0] - last[0], f[1] - last[1]
+        square = min(0.25 * (dx * dx + dy * dy), _NOISE_OUTLIER * self._variance)
+        self._variance += step_s / _NOISE_TIME_S * (square - self._variance)
+        # A sensor without any noise does not exist: never let certainty become absolute.
+        self._variance = max(self._variance, 1e-4)
+        self.noise_m_s2 = math.sqrt(self._variance)
+
+
+class Baseline:
+    """Slow horizontal force, mission frame, newton, limited in size; `value` is taken off before a threshold.
+
+    `value` is that of some samples ago, so that the foot of a contact is not taken off the contact itself.
+    """
+
+    def __init__(self, config: Estimation) -> None:
+        self._time_s, self._limit = config.baseline_s, config.baseline_limit_n
+        self._now: Vec2 = (0.0, 0.0)
+        self._past: deque[Vec2] = deque([(0.0, 0.0)], maxlen=_BASELINE_DELAY)
+        self.value: Vec2 = (0.0, 0.0)
+
+    def follow(self, fx: float, fy: float, dt_s: float) -> None:
+        """A sample outside of contacts, `dt_s` after the one before."""
+        share = min(dt_s, _MOST_STEP_S) / self._time_s
+        x, y = self._now
+        x += share * max(-_BASELINE_STEP_N, min(_BASELINE_STEP_N, fx - x))
+        y += share * max(-_BASELINE_STEP_N, min(_BASELINE_STEP_N, fy - y))
+        size = math.sqrt(x * x + y * y)
+        if size > self._limit:
+            x, y = x * self._limit / size, y * self._limit / size
+        self._now = (x, y)
+        self._past.append(self._now)
+        self.value = self._past[0]
+
+    def settle(self) -> None:
+        """A contact begins: go back to before its foot."""
+        self._now = self.value
+        self._past.clear()
+        self._past.append(self.value)
+
+
+def certainty(force_n: float, noise_n: float, detection: Detection) -> float:
+    """Chance from 0 to 1 that a force of this size is not noise around half the threshold."""
+    margin = (force_n - 0.5 * detection.force_threshold_n) / max(noise_n, 1e-6)
+    return max(0.0, math.erf(margin / math.sqrt(2.0)))

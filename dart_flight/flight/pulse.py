@@ -1,0 +1,417 @@
+"""Peaks of a contact from a fit of the contact model's pulse to what the IMU reports of it (docs/force.md).
+
+In contact the law is a damped oscillator that the vehicle's own thrust leans on. With B the force that pushes
+towards the wall, C the slope of the force at the onset, sigma = f/(2m), w^2 = k/m, the normal force obeys
+
+    F'' + 2 sigma F' + w^2 F = w^2 B,   F(0) = 0, F'(0) = C
+
+and its impulse P = B t + (C - F' - 2 sigma F)/w^2 is in closed form too. A reading is the mean over a tick,
+so it
+is compared with the model's mean over that tick, (P(b) - P(a))/(b - a): no correction factor is needed for
+the
+averaging. The anti-alias filter delays by its lag and takes (w lag)^2/2 off the top, which is put back.
+Readings at full scale are lower bounds: they count only where the model is below them. Friction is
+-mu F v_t with v_t decaying by the impulse; its mean over a tick is the change of v_t.
+
+Scalar floats and `math` only: some tens of samples, once per impact.
+"""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+
+_MOST_BINS = 13
+_STEPS = 8
+_MODEL_ERROR = (
+    0.01  # of the top: what the model itself may be off by, so that a quiet sensor is not overtrusted
+)
+_PRIOR_LOG_OMEGA = 0.25
+_PRIOR_LOG_KAPPA = 1.0
+_LEAST_OMEGA, _MOST_OMEGA = 8.0, 400.0
+_MOST_MISFIT = 0.12  # of the peak, root mean square: beyond it this is not the model's pulse
+
+
+class Reading(msgspec.Struct, gc=False):
+    """Mean force over a tick: from `a` to `b` seconds, in newton; `bound`: the true one is at least that."""
+
+    a: float
+    b: float
+    normal: float
+    tangential: float
+    bound: bool
+
+
+class Prior(msgspec.Struct, gc=False, frozen=True):
+    """What is expected of the contact: sqrt(k/m) and f/(2m) in 1/s, mu/m in 1/(N s)."""
+
+    omega: float
+    sigma: float
+    kappa: float
+
+
+class NormalPulse(msgspec.Struct, gc=False):
+    """A fitted normal pulse: onset, slope there, frequency, damping, push; peak, its moment and error."""
+
+    start_s: float
+    slope: float
+    omega: float
+    sigma: float
+    push: float
+    peak_n: float
+    peak_s: float
+    sigma_n: float
+    misfit: float  # root mean square over the peak
+
+
+def _terms(s: float, omega: float, sigma: float) -> tuple[float, float, float, float]:
+    """Force and impulse per unit of push and per unit of slope, `s` seconds after the onset."""
+    if s <= 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    w2 = omega * omega
+    wd = math.sqrt(w2 - sigma * sigma)
+    e = math.exp(-sigma * s)
+    c, sn = e * math.cos(wd * s), e * math.sin(wd * s) / wd
+    push_force = 1.0 - c - sigma * sn
+    return (
+        push_force,
+        s - (w2 * sn + 2.0 * sigma * push_force) / w2,
+        sn,
+        (1.0 - c - sigma * sn) / w2,
+    )
+
+
+def fit_normal(
+    readings: list[Reading], push: float, prior: Prior, noise_n: float, onset_s: float, lag_s: float
+) -> NormalPulse | None:
+    """Fit onset, slope and frequency; None where the readings are too few or not such a pulse.
+
+    Args:
+        readings: from a few ticks before the onset to a little past the peak, in order.
+        push: force towards the wall by thrust and drag, newton, mean over the contact.
+        prior: expected frequency (loosely held), damping (kept).
+        noise_n: standard deviation of one reading.
+        onset_s: first guess of the onset.
+        lag_s: of the anti-alias filter, 1 / (2 pi f).
+    """
+    bins = _binned(readings)
+    top = max((r.normal for r, _ in bins), default=0.0)
+    inside = sum(r.b > onset_s for r, _ in bins)
+    if inside < 3 or top <= 0.0:
+        return None
+    fit = _Fit(bins, push, prior, noise_n, top)
+    if not fit.run(onset_s):
+        return None
+    return fit.result(lag_s)
+
+
+def _binned(readings: list[Reading]) -> list[tuple[Reading, int]]:
+    """At most some dozen readings: neighbours averaged, bounds and gaps left alone."""
+    size = -(-len(readings) // _MOST_BINS)
+    if size == 1:
+        return [(r, 1) for r in readings]
+    out: list[tuple[Reading, int]] = []
+    for r in readings:
+        if out:
+            last, n = out[-1]
+            if n < size and not r.bound and not last.bound and abs(r.a - last.b) < 1e-6:
+                share = (r.b - r.a) / (r.b - last.a)
+                out[-1] = (
+                    Reading(
+                        last.a,
+                        r.b,
+                        last.normal + share * (r.normal - last.normal),
+                        last.tangential + share * (r.tangential - last.tangential),
+                        False,
+                    ),
+                    n + 1,
+                )
+                continue
+        out.append((r, 1))
+    return out
+
+
+class _Fit:
+    """Gauss-Newton in (onset, slope, log frequency), with the frequency's prior as one more residual."""
+
+    def __init__(
+        self, bins: list[tuple[Reading, int]], push: float, prior: Prior, noise_n: float, top: float
+    ) -> None:
+        self._bins, self._push, self._prior, self._top = bins, push, prior, top
+        self._weights = [1.0 / (noise_n * noise_n / n + (_MODEL_ERROR * top) ** 2) for _, n in bins]
+        self.start = 0.0
+        self.slope = 0.0
+        self.omega = min(_MOST_OMEGA, max(_LEAST_OMEGA, prior.omega))
+        self.sigma = min(prior.sigma, 0.7 * self.omega)
+        self._normal: list[float] = []
+        self._damped = False
+
+    def run(self, onset_s: float) -> bool:
+        """Iterate to the least squares; False where it leads nowhere."""
+        self.start = onset_s
+        self.slope = self._best_slope()
+        if self.slope <= 0.0:
+            return False
+        cost = self._linearise()
+        for _ in range(_STEPS):
+            step = _solve3(self._normal)
+            if step is None:
+                return False
+            before = (self.start, self.slope, self.omega)
+            share = 1.0
+            for _ in range(4):
+                self.start = before[0] + max(-0.01, min(0.01, share * step[0]))
+                self.slope = max(1e-3, before[1] + share * step[1])
+                moved = math.exp(max(-0.3, min(0.3, share * step[2])))
+                self.omega = min(_MOST_OMEGA, max(_LEAST_OMEGA, before[2] * moved, 1.2 * self.sigma))
+                new = self._linearise()
+                if new <= cost * (1.0 + 1e-9):
+                    break
+                share *= 0.3
+            settled = abs(new - cost) <= 1e-3 * (1.0 + cost)
+            cost = new
+            if settled:
+                break
+        self._cost = cost
+        return math.isfinite(cost)
+
+    def _best_slope(self) -> float:
+        above = below = 0.0
+        for (r, _), weight in zip(self._bins, self._weights, strict=True):
+            pa, ca = self._impulses(r.a)
+            pb, cb = self._impulses(r.b)
+            h = r.b - r.a
+            unit = (cb - ca) / h
+            above += weight * unit * (r.normal - self._push * (pb - pa) / h)
+            below += weight * unit * unit
+        return above / below if below > 0.0 else 0.0
+
+    def _impulses(self, t: float) -> tuple[float, float]:
+        _, p, _, c = _terms(t - self.start, self.omega, self.sigma)
+        return p, c
+
+    def _linearise(self) -> float:
+        """Cost at the present parameters; leaves the normal equations in `_normal`."""
+        start, slope, omega, sigma, push = self.start, self.slope, self.omega, self.sigma, self._push
+        up = omega * 1.0001
+        cost = 0.0
+        h00 = h01 = h02 = h11 = h12 = h22 = g0 = g1 = g2 = 0.0
+        last_b = math.nan
+        fb = ub = qb = vb = 0.0
+        for (r, _), weight in zip(self._bins, self._weights, strict=True):
+            if r.a == last_b:
+                fa, ua, qa, va = fb, ub, qb, vb
+            else:
+                fa, ua, qa, va = self._ends(r.a - start, omega, up, sigma, push, slope)
+            fb, ub, qb, vb = self._ends(r.b - start, omega, up, sigma, push, slope)
+            last_b = r.b
+            h = r.b - r.a
+            model = (qb - qa) / h
+            if r.bound and model >= r.normal:
+                continue
+            residual = r.normal - model
+            j0, j1, j2 = -(fb - fa) / h, (ub - ua) / h, (vb - va) / (h * 1e-4)
+            cost += weight * residual * residual
+            w0, w1, w2 = weight * j0, weight * j1, weight * j2
+            h00 += w0 * j0
+            h01 += w0 * j1
+            h02 += w0 * j2
+            h11 += w1 * j1
+            h12 += w1 * j2
+            h22 += w2 * j2
+            g0 += w0 * residual
+            g1 += w1 * residual
+            g2 += w2 * residual
+        off = math.log(self._prior.omega / omega) / _PRIOR_LOG_OMEGA
+        h22 += 1.0 / _PRIOR_LOG_OMEGA**2
+        g2 += off / _PRIOR_LOG_OMEGA
+        self._normal = [h00, h01, h02, h11, h12, h22, g0, g1, g2]
+        return cost + off * off
+
+    @staticmethod
+    def _ends(
+        s: float, omega: float, up: float, sigma: float, push: float, slope: float
+    ) -> tuple[float, float, float, float]:
+        """At one end of a reading: force, impulse per slope, impulse, its change with the frequency."""
+        fp, pp, fs, ps = _terms(s, omega, sigma)
+        _, pu, _, su = _terms(s, up, sigma)
+        impulse = push * pp + slope * ps
+        return push * fp + slope * fs, ps, impulse, push * pu + slope * su - impulse
+
+    def result(self, lag_s: float) -> NormalPulse | None:
+        """Peak of the fitted pulse with its standard error."""
+        omega, sigma, push, slope = self.omega, self.sigma, self._push, self.slope
+        wd = math.sqrt(omega * omega - sigma * sigma)
+        at = math.atan2(slope * wd, sigma * slope - omega * omega * push) / wd
+        fp, _, fs, _ = _terms(at, omega, sigma)
+        peak = push * fp + slope * fs
+        if at <= 0.0 or peak <= 0.0:
+            return None
+        gp, _, gs, _ = _terms(at, omega * 1.0001, sigma)
+        dw = (push * gp + slope * gs - peak) / 1e-4
+        freedom, squares = self._misfit()
+        variance = _quadratic_of_inverse(self._normal, fs, dw) * max(1.0, self._cost / max(1, freedom - 3))
+        top = peak * (1.0 + 0.5 * (omega * lag_s) ** 2)
+        misfit = math.sqrt(squares / max(1, freedom)) / peak
+        if misfit > _MOST_MISFIT + 3.0 / math.sqrt(self._weights[0]) / peak:
+            return None
+        return NormalPulse(
+            start_s=self.start,
+            slope=slope,
+            omega=omega,
+            sigma=sigma,
+            push=push,
+            peak_n=top,
+            peak_s=self.start + at,
+            sigma_n=math.sqrt(max(0.0, variance)),
+            misfit=misfit,
+        )
+
+    def _misfit(self) -> tuple[int, float]:
+        """Number of readings in contact that bind, and the sum of their squared residuals."""
+        count, squares = 0, 0.0
+        for r, _ in self._bins:
+            pa, ca = self._impulses(r.a)
+            pb, cb = self._impulses(r.b)
+            model = (self._push * (pb - pa) + self.slope * (cb - ca)) / (r.b - r.a)
+            if not (r.bound and model >= r.normal):
+                count += 1
+                squares += (r.normal - model) ** 2
+        return count, squares
+
+
+def _solve3(n: list[float]) -> tuple[float, float, float] | None:
+    """Solve the symmetric 3 x 3 normal equations [h00 h01 h02 h11 h12 h22 g0 g1 g2] by Cramer's rule."""
+    a, b, c, d, e, f, x, y, z = n
+    a += 1e-12 * a
+    ca, cb, cc = d * f - e * e, c * e - b * f, b * e - c * d
+    det = a * ca + b * cb + c * cc
+    if not math.isfinite(det) or det <= 0.0:
+        return None
+    cd, ce, cf = a * f - c * c, b * c - a * e, a * d - b * b
+    return (
+        (ca * x + cb * y + cc * z) / det,
+        (cb * x + cd * y + ce * z) / det,
+        (cc * x + ce * y + cf * z) / det,
+    )
+
+
+def _quadratic_of_inverse(n: list[float], g1: float, g2: float) -> float:
+    """(0, g1, g2) H^-1 (0, g1, g2)'."""
+    a, b, c, d, e, f, _, _, _ = n
+    det = a * (d * f - e * e) + b * (c * e - b * f) + c * (b * e - c * d)
+    if det <= 0.0:
+        return 0.0
+    return (g1 * g1 * (a * f - c * c) + 2.0 * g1 * g2 * (b * c - a * e) + g2 * g2 * (a * d - b * b)) / det
+
+
+# --- friction --------------------------------------------------------------------------------------
+
+
+def fit_friction(
+    readings: list[Reading],
+    pulse: NormalPulse,
+    push_m_s2: float,
+    mass_kg: float,
+    kappa: float,
+    noise_n: float,
+) -> float | None:
+    """Peak of the friction force, newton, signed along the tangent; None where the model does not fit.
+
+    Args:
+        readings: as for the normal pulse.
+        pulse: the fitted normal pulse.
+        push_m_s2: tangential acceleration by thrust and drag.
+        mass_kg: of the vehicle.
+        kappa: expected mu/m, loosely held.
+        noise_n: standard deviation of one reading.
+    """
+    # Also the clipped ones: flown parallel to the wall, the axis that clips is not the one along it.
+    inside = [r for r in readings if r.b > pulse.start_s]
+    if len(inside) < 3:
+        return None
+    impulses = [(_impulse(r.a, pulse), _impulse(r.b, pulse)) for r in inside]
+    log_kappa = middle = math.log(kappa)
+    best = _tangential(inside, impulses, push_m_s2, mass_kg, log_kappa, noise_n)
+    best_cost = best[1]
+    for _ in range(_STEPS):
+        # Newton in one dimension on the profile over the speed, by differences.
+        h = 0.05
+        low = _tangential(inside, impulses, push_m_s2, mass_kg, log_kappa - h, noise_n)[1]
+        high = _tangential(inside, impulses, push_m_s2, mass_kg, log_kappa + h, noise_n)[1]
+        low += ((log_kappa - h - middle) / _PRIOR_LOG_KAPPA) ** 2
+        high += ((log_kappa + h - middle) / _PRIOR_LOG_KAPPA) ** 2
+        here = best_cost + ((log_kappa - middle) / _PRIOR_LOG_KAPPA) ** 2
+        slope, curve = (high - low) / (2.0 * h), (high - 2.0 * here + low) / (h * h)
+        step = -slope / curve if curve > 0.0 else -math.copysign(0.4, slope)
+        step = max(-0.6, min(0.6, step))
+        log_kappa += step
+        best = _tangential(inside, impulses, push_m_s2, mass_kg, log_kappa, noise_n)
+        best_cost = best[1]
+        if abs(step) < 0.02:
+            break
+    speed = best[0]
+    peak = _friction_top(inside, pulse, speed, push_m_s2, mass_kg, math.exp(log_kappa))
+    rms = math.sqrt(best[2] / len(inside))
+    if rms > max(3.0 * noise_n, 0.2 * abs(peak)):
+        return None
+    return peak
+
+
+def _impulse(t: float, pulse: NormalPulse) -> float:
+    _, p, _, c = _terms(t - pulse.start_s, pulse.omega, pulse.sigma)
+    return max(0.0, pulse.push * p + pulse.slope * c)
+
+
+def _tangential(
+    inside: list[Reading],
+    impulses: list[tuple[float, float]],
+    push_m_s2: float,
+    mass_kg: float,
+    log_kappa: float,
+    noise_n: float,
+) -> tuple[float, float, float]:
+    """Best tangential speed at the onset for a friction, the cost there, and the sum of squared residuals."""
+    kappa = math.exp(log_kappa)
+    unit, driven = 1.0, 0.0  # response to the speed at the onset, and to the push
+    sxx = sxy = syy = 0.0
+    for r, (pa, pb) in zip(inside, impulses, strict=True):
+        h = r.b - r.a
+        left = math.exp(-kappa * (pb - pa))
+        middle = math.sqrt(left)
+        next_unit = unit * left
+        next_driven = driven * left + push_m_s2 * h * middle
+        x = mass_kg * (next_unit - unit) / h
+        y = r.tangential - mass_kg * ((next_driven - driven) / h - push_m_s2)
+        unit, driven = next_unit, next_driven
+        sxx += x * x
+        sxy += x * y
+        syy += y * y
+    speed = sxy / sxx if sxx > 0.0 else 0.0
+    squares = max(0.0, syy - speed * sxy)
+    return speed, squares / (noise_n * noise_n), squares
+
+
+def _friction_top(
+    inside: list[Reading], pulse: NormalPulse, speed: float, push_m_s2: float, mass_kg: float, kappa: float
+) -> float:
+    """Largest friction of the model, sought on a grid of half a tick, with a parabola through it."""
+    begin, end = pulse.start_s, inside[-1].b
+    count = 2 * max(6, round((end - begin) / (inside[-1].b - inside[-1].a)))
+    h = (end - begin) / count
+    v, last = speed, 0.0
+    force = [0.0]
+    for i in range(1, count + 1):
+        fp, pp, fs, ps = _terms(i * h, pulse.omega, pulse.sigma)
+        impulse = max(0.0, pulse.push * pp + pulse.slope * ps)
+        left = math.exp(-kappa * (impulse - last))
+        v = v * left + push_m_s2 * h * math.sqrt(left)
+        last = impulse
+        force.append(-mass_kg * kappa * max(0.0, pulse.push * fp + pulse.slope * fs) * v)
+    top = max(range(len(force)), key=lambda i: abs(force[i]))
+    if not 0 < top < len(force) - 1:
+        return force[top]
+    a, b, c = force[top - 1], force[top], force[top + 1]
+    curve = a - 2.0 * b + c
+    return b - 0.125 * (a - c) ** 2 / curve if curve != 0.0 else b

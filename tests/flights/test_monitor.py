@@ -1,0 +1,85 @@
+"""`dart-flight monitor` against the embedded autopilot, and its screen."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from dart_flight.cli.monitor_command import screen
+from dart_flight.config import load_mission
+from dart_flight.monitor import Watcher
+from dart_flight.samples import StatusText
+from dart_flight.sim.fast import FastFlight
+from dart_flight.sim.harness import free_udp_port
+from tests.flight.conftest import HandFedCore
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_it_sees_force_and_impacts_of_a_flight() -> None:
+    mission = load_mission(ROOT / "missions" / "single_wall.yaml")
+    watcher = Watcher(mission, placed=True)
+    flight = FastFlight(mission, 1)
+    step = flight.core.step
+
+    def both(item: object) -> object:
+        watcher.take(item)  # type: ignore[arg-type]
+        return step(item)  # type: ignore[arg-type]
+
+    flight.core.step = both  # type: ignore[method-assign,assignment]
+    flight.run()
+    watcher.take(StatusText(0, 0, "info", "lock settled rigid"))
+    view = watcher.view()
+    assert len(view.peaks) == 1
+    # Nobody told it of the wall: normal is where the force points, friction included.
+    assert view.peaks[0][1] == pytest.approx(35.4, rel=0.1)
+    assert view.thrust_source == "actuator"
+    assert view.thrust_scale == pytest.approx(1.0, abs=0.1)  # the landing's last moments included
+    assert view.lock == "settled rigid"
+    console = Console(record=True, width=100, file=open("/dev/null", "w"))  # noqa: SIM115
+    console.print(screen(view))
+    text = console.export_text()
+    assert "impact" in text
+    assert "thrust from actuator" in text
+
+
+def test_before_any_telemetry_it_says_so(hand_fed_view: str) -> None:
+    assert "waiting for telemetry" in hand_fed_view
+
+
+@pytest.fixture
+def hand_fed_view() -> str:
+    watcher = Watcher(HandFedCore().core.mission, placed=False)
+    console = Console(record=True, width=100, file=open("/dev/null", "w"))  # noqa: SIM115
+    console.print(screen(watcher.view()))
+    return console.export_text()
+
+
+@pytest.mark.mavlink
+def test_through_mavlink() -> None:
+    port = free_udp_port()
+    simulate = [sys.executable, "-m", "dart_flight", "simulate", "--port", str(port)]
+    with subprocess.Popen(
+        simulate, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as vehicle:
+        try:
+            url = f"udpin://127.0.0.1:{port}"
+            command = ["monitor", "--connection", url, "--seconds", "6", "--json"]
+            done = subprocess.run(
+                [sys.executable, "-m", "dart_flight", *command],
+                cwd=ROOT, capture_output=True, text=True, timeout=60, check=True,
+            )  # fmt: skip
+        finally:
+            vehicle.terminate()
+    view = json.loads(done.stdout)
+    rates = {s["name"]: s["rate_hz"] for s in view["streams"]}
+    assert rates["imu"] > 150.0
+    assert rates["attitude"] > 45.0
+    assert view["landed"] == "on_ground"
+    assert view["force_n"] is not None
+    assert view["cpu_percent"] < 50.0
