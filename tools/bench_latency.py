@@ -25,7 +25,8 @@ import dart_flight.app as app_module
 from dart_flight.app import CoreThread, FlightApp
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.flight.core import FlightCore
-from dart_flight.flight.guard import Action, Guard
+from dart_flight.flight.guard import Guard
+from dart_flight.flight.guard_rules import Action
 from dart_flight.flight.phases import Phase
 from dart_flight.recording.writer import FlightLog
 from dart_flight.samples import Input, LockPhase, LockState, Mode, Output, SetPoint, SetPointSent
