@@ -96,8 +96,8 @@ def _check_places(mission: Mission) -> list[Finding]:
             for wall in mission.walls
             if wall.spans(point) and abs(wall.signed_distance(point)) < _CLEARANCE_M
         ]
-        for distance, wall in near:
-            says = f"{name} is {distance:.2f} m from wall {wall}, less than {_CLEARANCE_M:g} m"
+        for distance, other in near:
+            says = f"{name} is {distance:.2f} m from wall {other}, less than {_CLEARANCE_M:g} m"
             findings.append(Finding(f"{name}_clearance", False, says))
     for wall in mission.walls:
         if mission.bounds.excess2(wall.point) > 0.0:
