@@ -4,7 +4,8 @@
 
 Each input is a good one made bad (bytes or lines lost, doubled, swapped, replaced, values exchanged),
 numbered, so that a failure can be repeated. An input counts as wrong when anything but `InputError` (for
-frames: anything at all) is raised, when the error is more than one line, or when it takes over a second.
+frames: anything at all) is raised, when the error is more than one line, or when it takes longer than a
+second.
 """
 
 from __future__ import annotations

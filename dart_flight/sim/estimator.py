@@ -40,6 +40,7 @@ class Estimator:
         self.q: Quaternion = IDENTITY
         self.rate: Vec3 = (0.0, 0.0, 0.0)
         self.ok = False
+        self.resets = 0  # ODOMETRY's reset counter
         self._history: deque[tuple[float, Vec3, Quaternion]] = deque()
         self._updates = 0
 
@@ -61,6 +62,7 @@ class Estimator:
 
     def shift(self, by_ned: Vec3) -> None:
         """Jump, as an EKF does at a reset."""
+        self.resets += 1
         self.position = add(self.position, by_ned)
         self._history = deque((t, add(p, by_ned), q) for t, p, q in self._history)
 

@@ -22,6 +22,7 @@ from dart_flight.samples import (
     AttitudeSample,
     ClockOffset,
     CommandResult,
+    EstimatorSample,
     FlightMode,
     ImuSample,
     Input,
@@ -46,7 +47,9 @@ from dart_flight.sim.vehicle import SimulatedVehicle
 
 Observer = Callable[[Input | Output | Note, int], None]
 
-Telemetry = ImuSample | AttitudeSample | OdometrySample | ActuatorSample | StatusSample | StatusText
+Telemetry = (
+    ImuSample | AttitudeSample | OdometrySample | ActuatorSample | StatusSample | EstimatorSample | StatusText
+)
 
 # The host reads its own clock; and a message takes 1 ms, the median of MAVSDK's callback over UDP.
 _HOST_OFFSET_US = 7_001_000
@@ -88,6 +91,7 @@ class FastFlight:
         self._number = 0
         self._ticks = 0
         self._status: tuple[object, ...] = ()
+        self._resets = -1
         self._texts: list[tuple[str, str]] = []
         self._last_setpoint: SetPoint | None = None
         self._repeated_us = 0
@@ -170,6 +174,9 @@ class FastFlight:
                 self._receive(OdometrySample(t_us, received, e.position, e.velocity))
             self._receive(ActuatorSample(t_us, received, a.motors))
         self._receive(ImuSample(a.imu.t_us, received, a.imu.specific_force_frd, a.imu.rate_frd))
+        if e.resets != self._resets:
+            self._resets = e.resets
+            self._receive(EstimatorSample(t_us, received, e.resets))
         status = (a.armed, a.mode, a.landed, e.ok)
         if status != self._status or self._ticks % _STATUS_EVERY == 0:
             self._status = status

@@ -71,6 +71,7 @@ DEFAULT_RATES: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: 0.0,
     mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 0.0,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 10.0,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
 }
 
 
@@ -137,6 +138,7 @@ class MavlinkEndpoint:
             mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: self._actuator_output_status,
             mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: self._servo_output_raw,
             mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: self._attitude_target,
+            mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self._estimator_status,
             mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._autopilot_version,
         }
         self._commands: dict[int, Callable[[Any], int]] = {
@@ -480,6 +482,21 @@ class MavlinkEndpoint:
             *e.rate,
             unknown,
             unknown,
+            e.resets % 256,
+            mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT,
+        )
+
+    def _estimator_status(self) -> Any:
+        good = (
+            mavlink.ESTIMATOR_ATTITUDE
+            | mavlink.ESTIMATOR_VELOCITY_HORIZ
+            | mavlink.ESTIMATOR_VELOCITY_VERT
+            | mavlink.ESTIMATOR_POS_HORIZ_REL
+            | mavlink.ESTIMATOR_POS_VERT_ABS
+        )
+        flags = good if self.autopilot.estimator.ok else 0
+        return mavlink.MAVLink_estimator_status_message(
+            self.autopilot.time_us, flags, *([0.0] * 6), 0.05, 0.05
         )
 
     def _geodetic(self) -> tuple[int, int, float]:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import ctypes
 import os
 import signal
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol
 
 from dart_flight.lock.drivers.mock import MockDriver
 from dart_flight.samples import Record
@@ -17,6 +18,13 @@ from dart_flight.sim.faults import Fault, Place, Trigger, mock_faults_of
 from dart_flight.sim.harness import WorldProcess
 
 _HANG_S = 60
+
+
+class Loop(Protocol):
+    """The event loop, as far as it is to be hung."""
+
+    def call_soon_threadsafe(self, callback: Callable[[float], None], seconds: float) -> object:
+        """Run `callback(seconds)` on the loop's thread."""
 
 
 class Sabotage:
@@ -33,9 +41,7 @@ class Sabotage:
         self._trigger = Trigger(fault)
         self._begun = False
 
-    def __call__(
-        self, record: Record, loop: asyncio.AbstractEventLoop | None, mock: MockDriver | None
-    ) -> None:
+    def __call__(self, record: Record, loop: Loop | None, mock: MockDriver | None) -> None:
         """Take a record; break what is to be broken when its time has come."""
         if self._begun or not self._trigger.sees(record):
             return
@@ -47,7 +53,7 @@ class Sabotage:
             sys.stderr.flush()
             self._begin(loop, mock)
 
-    def _begin(self, loop: asyncio.AbstractEventLoop | None, mock: MockDriver | None) -> None:
+    def _begin(self, loop: Loop | None, mock: MockDriver | None) -> None:
         fault = self.fault
         if fault.kind.place is Place.LOCK:
             if mock is not None:

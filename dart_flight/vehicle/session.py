@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import logging
 import math
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -18,6 +19,7 @@ import msgspec
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
 from mavsdk.logging import log_subscribe
 from mavsdk.plugins.action import Action
+from mavsdk.plugins.mavlink_direct import MavlinkDirect
 from mavsdk.plugins.offboard import AccelerationNed, Offboard, PositionNedYaw, VelocityNedYaw
 from mavsdk.plugins.server_utility import ServerUtility
 from mavsdk.plugins.server_utility import StatusTextType as OwnStatusTextType
@@ -30,6 +32,7 @@ from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
     ClockOffset,
+    EstimatorSample,
     FlightMode,
     ImuSample,
     Input,
@@ -62,6 +65,10 @@ _LANDED = {
 }
 _PWM_LOW, _PWM_HIGH = 1000.0, 2000.0
 _ACTION_TIMEOUT_S = 5.0
+_RESET_COUNTER = re.compile(r'"reset_counter":\s*(\d+)')
+_FLAGS = re.compile(r'"flags":\s*(\d+)')
+_NEEDED = 1 | 2  # ESTIMATOR_STATUS_FLAGS: attitude, horizontal velocity
+_PLACED = 8 | 16  # horizontal position, relative or absolute
 
 
 class VehicleError(FlightError):
@@ -87,6 +94,8 @@ class VehicleSession:
         self._offboard = Offboard(self._raw)
         self._action = Action(self._raw)
         self._utility = ServerUtility(self._raw)
+        self._direct = MavlinkDirect(self._raw)
+        self._reset_counter: int | None = None
         self.clock: Clock = clock if clock is not None else ClockEstimate()
         self._status = StatusSample(t_us=0, received_us=0)
         self._silent = False
@@ -110,6 +119,9 @@ class VehicleSession:
         t.subscribe_health(lambda h, _: self._on_status(local_position_ok=bool(h.is_local_position_ok)))
         t.subscribe_battery(self._on_battery)
         t.subscribe_status_text(self._on_status_text)
+        # What the telemetry plugin leaves out; as text, so look for the one number and parse no JSON.
+        self._direct.subscribe_message("ODOMETRY", self._on_raw_odometry)
+        self._direct.subscribe_message("ESTIMATOR_STATUS", self._on_estimator_status)
 
     async def set_rates(self) -> list[str]:
         """Ask for the rates of the table; returns the names of the streams that were refused."""
@@ -160,6 +172,22 @@ class VehicleSession:
         # PX4 sends NaN until its estimator is ready; both parts are in local NED whatever they are called.
         if all(map(math.isfinite, values)):
             self._deliver(OdometrySample(int(odometry.time_usec), received, values[:3], values[3:]))
+
+    def _on_raw_odometry(self, message: Any, _: Any) -> None:
+        found = _RESET_COUNTER.search(message.fields_json)
+        if found is not None and int(found[1]) != self._reset_counter:
+            self._reset_counter = int(found[1])
+            self._deliver_estimator(reset_counter=self._reset_counter)
+
+    def _on_estimator_status(self, message: Any, _: Any) -> None:
+        found = _FLAGS.search(message.fields_json)
+        if found is not None:
+            flags = int(found[1])
+            self._deliver_estimator(healthy=flags & _NEEDED == _NEEDED and bool(flags & _PLACED))
+
+    def _deliver_estimator(self, **what: Any) -> None:
+        received = host_us()
+        self._deliver(EstimatorSample(self.clock.to_autopilot(received), received, **what))
 
     def _on_actuator(self, status: Any, _: Any) -> None:
         received = host_us()

@@ -1,0 +1,214 @@
+"""`check`: what is wrong with a mission or a vehicle is a no-go with a name, which alone overrules it."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from dart_flight.check import (
+    PARAMETERS,
+    Finding,
+    check_mission,
+    decide,
+    judge_lock,
+    judge_observation,
+    judge_parameters,
+)
+from dart_flight.cli import main
+from dart_flight.config import InputError, Mission, parse_mission
+from dart_flight.config.document import Document
+from dart_flight.config.mission import Bounds, CollisionPrediction
+from dart_flight.config.vehicle import LockDriver
+from dart_flight.flights import fly_fast, load_flyable, with_driver, with_standoff
+from dart_flight.lock.drivers.px4 import required_parameters
+from dart_flight.samples import Record, TruthContact, TruthSample
+from dart_flight.vehicle.ground_link import Observation
+from tests.flights.test_embedded_flights import simulated_vehicle
+
+ROOT = Path(__file__).parents[1]
+DUAL = (ROOT / "missions/dual_collision.yaml").read_text()
+
+
+def mission(old: str = "", new: str = "") -> Mission:
+    assert old in DUAL
+    return parse_mission(Document(DUAL.replace(old, new, 1), str(ROOT / "missions/x.yaml")))
+
+
+def no_goes(findings: list[Finding]) -> list[str]:
+    return [f.item for f in findings if not f.go]
+
+
+def test_the_missions_in_the_repository_are_go() -> None:
+    for path in sorted((ROOT / "missions").glob("*.yaml")):
+        assert main(["check", str(path)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "item"),
+    [
+        ("peak_force_n: 150.0", "peak_force_n: 12.0", "force_1"),
+        ("normal_m_s: -0.6, tangential_m_s: 0.5", "normal_m_s: -0.15, tangential_m_s: 0.125", "force_1"),
+        ("goal: {position_m: [1.0, -0.5]", "goal: {position_m: [1.0, -1.0]", "goal_clearance"),
+        ("y: [-1.6, 2.0]", "y: [-1.05, 2.0]", "wall_bounds"),
+        ("alpha_m_per_n: [0.12, 0.025]", "alpha_m_per_n: [0.01, 0.025]", "recovery_1"),
+    ],
+)
+def test_what_is_wrong_is_a_no_go(old: str, new: str, item: str) -> None:
+    assert item in no_goes(check_mission(mission(old, new)))
+
+
+def test_a_run_up_without_room_is_a_no_go() -> None:
+    tight = msgspec.structs.replace(
+        mission(), start=(0.9, -0.9), bounds=Bounds((0.85, 2.2), (-1.6, 2), (0.3, 2))
+    )
+    assert "approach_1" in no_goes(check_mission(tight))
+
+
+def test_a_lock_that_cannot_be_in_time_is_a_no_go() -> None:
+    plain = mission()
+    first, second = plain.collisions
+    predicted = {"normal_m_s": -0.6, "tangential_m_s": 0.5, "peak_force_n": 20.0, "contact_time_s": 0.12}
+    one = {"t_s": 2.0, "position_m": (0.9, -1.1), **predicted}
+    two = {"t_s": 2.3, "position_m": (1.65, -0.8), **predicted}
+    with_times = [
+        msgspec.structs.replace(c, predicted=msgspec.convert(p, CollisionPrediction))
+        for c, p in ((first, one), (second, two))
+    ]
+    rushed = msgspec.structs.replace(plain, collisions=tuple(with_times))
+    assert "servo_2" in no_goes(check_mission(rushed))
+
+
+def test_only_a_no_go_can_be_overruled() -> None:
+    weak = mission("peak_force_n: 150.0", "peak_force_n: 12.0")
+    findings = check_mission(weak)
+    assert not decide(weak, findings).go
+    report = decide(weak, findings, ["force_1"])
+    assert report.go
+    assert [f.item for f in report.findings if f.overruled] == ["force_1"]
+    with pytest.raises(InputError, match="force_1"):
+        decide(weak, findings, ["places"])
+
+
+def test_the_command_says_no_go_with_exit_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "m.yaml"
+    text = DUAL.replace("../configs", str(ROOT / "configs")).replace(
+        "peak_force_n: 150.0", "peak_force_n: 12"
+    )
+    path.write_text(text)
+    assert main(["check", str(path), "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["go"] is False
+    assert "force_1" in [f["item"] for f in told["findings"] if not f["go"]]
+    assert main(["check", str(path), "--overrule", "force_1"]) == 0
+    assert main(["check", str(path), "--overrule", "force_9"]) == 2
+
+
+GOOD = {
+    "COM_OF_LOSS_T": 1.0,
+    "COM_OBL_RC_ACT": 4.0,
+    "COM_RCL_EXCEPT": 4.0,
+    "FD_FAIL_P": 60.0,
+    "FD_FAIL_R": 60.0,
+    "COM_LKDOWN_TKO": 3.0,
+    "CBRK_FLIGHTTERM": 121212.0,
+    "IMU_GYRO_RATEMAX": 400.0,
+    "COM_DISARM_LAND": 2.0,
+}
+
+
+def test_parameters_are_explained_in_words() -> None:
+    findings = judge_parameters(mission(), GOOD)
+    assert not no_goes(findings)
+    assert {p.name for p in PARAMETERS} == set(GOOD) == {f.item for f in findings}
+    assert all(len(f.says.split()) >= 3 or f.says == "when set-points are lost: land" for f in findings)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("COM_OF_LOSS_T", 10.0),
+        ("COM_OBL_RC_ACT", 3.0),
+        ("COM_OBL_RC_ACT", 7.0),
+        ("FD_FAIL_R", 30.0),
+        ("IMU_GYRO_RATEMAX", 100.0),
+        ("MPC_XY_P", 1.5),
+    ],
+)
+def test_a_dangerous_parameter_is_a_no_go(name: str, value: float) -> None:
+    assert no_goes(judge_parameters(mission(), {**GOOD, name: value})) == [name]
+
+
+def test_what_is_observed_is_judged() -> None:
+    rates = {"imu": 240.0, "attitude": 120.0, "odometry": 120.0, "actuator": 120.0}
+    good = Observation("1.16.0", rates, 15.6, 0.9, True)
+    assert not no_goes(judge_observation(mission(), good))
+    for changes, item in (
+        ({"rates_hz": {**rates, "imu": 49.0}}, "rate_imu"),
+        ({"battery_v": 12.5}, "battery"),
+        ({"battery_remaining": 0.2}, "battery"),
+        ({"local_position_ok": False}, "estimator"),
+    ):
+        assert no_goes(judge_observation(mission(), msgspec.structs.replace(good, **changes))) == [item]
+
+
+def test_a_lock_that_would_not_move_is_a_no_go() -> None:
+    plain = mission()
+    assert no_goes(judge_lock(plain, {})) == ["lock_driver"]  # mock: nothing real moves
+    by_px4 = with_driver(plain, LockDriver.PX4)
+    assert no_goes(judge_lock(by_px4, {})) == ["lock_driver"]
+    values = {required.name: float(required.value) for required in required_parameters(by_px4.vehicle.lock)}
+    assert not no_goes(judge_lock(by_px4, values))
+
+
+@pytest.mark.mavlink
+def test_check_and_fly_with_a_vehicle(tmp_path: Path) -> None:
+    """`check` reads a vehicle; `fly` refuses on the same no-go."""
+    with simulated_vehicle("missions/single_wall.yaml") as url:
+
+        def command(*arguments: str) -> subprocess.CompletedProcess[str]:
+            return subprocess.run(
+                [sys.executable, "-m", "dart_flight", *arguments, "missions/single_wall.yaml"],
+                cwd=ROOT,
+                env=dict(os.environ),
+                capture_output=True,
+                text=True,
+                timeout=60,
+                check=False,
+            )
+
+        good = command("check", "--connection", url, "--driver", "px4", "--json")
+        assert good.returncode == 0, good.stdout + good.stderr
+        items = {f["item"]: f["says"] for f in json.loads(good.stdout)["findings"]}
+        assert items["version"] == "PX4 1.16.0"
+        assert float(items["rate_imu"].split()[0]) > 150.0
+        refused = command("fly", "--yes", "--connection", url, "--log-dir", str(tmp_path / "none"))
+        assert refused.returncode == 1
+        assert "lock_driver" in refused.stderr
+        assert not (tmp_path / "none").exists()  # nothing flew
+
+
+# --- the rehearsal ---
+
+
+@pytest.mark.parametrize(
+    ("name", "standoff"), [("dual_collision", 0.3), ("dual_collision", 0.6), ("single_wall", 0.4)]
+)
+def test_a_rehearsal_stops_before_every_wall(name: str, standoff: float) -> None:
+    plain = load_flyable(ROOT / f"missions/{name}.yaml")
+    records: list[Record] = []
+    verdict = fly_fast(with_standoff(plain, standoff), 1, None, records.append)
+    assert (verdict.outcome, verdict.reason) == ("completed", None)
+    assert not [r for r in records if isinstance(r, TruthContact)]
+    for collision in plain.collisions:
+        nearest = min(
+            collision.wall.signed_distance(r.position_mission) for r in records if isinstance(r, TruthSample)
+        )
+        assert standoff - 0.1 < nearest < standoff + 0.1
+
+
+def test_a_standoff_of_nothing_is_refused() -> None:
+    assert main(["dry-run", str(ROOT / "missions/single_wall.yaml"), "--fast", "--standoff", "0"]) == 2
