@@ -23,7 +23,14 @@ from numpy.typing import NDArray
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.recording.reader import read_log
-from dart_flight.samples import ActuatorSample, ImuSample, LandedState, OdometrySample, StatusSample
+from dart_flight.samples import (
+    ActuatorSample,
+    FlightMode,
+    ImuSample,
+    LandedState,
+    OdometrySample,
+    StatusSample,
+)
 
 Array = NDArray[np.float64]
 
@@ -102,7 +109,10 @@ def _read_own(path: str | Path) -> Track:
     if not imu or not motors:
         raise InputError("has no IMU samples or no motor commands", source=str(path))
     volts = [(r.t_us, r.battery_v) for r in status if r.battery_v is not None]
-    grounded = [(r.t_us * 1e-6, r.landed is LandedState.ON_GROUND) for r in status]
+    # A landing may touch the ground half a second before PX4's land detector says so: leave it out whole.
+    grounded = [
+        (r.t_us * 1e-6, r.landed is LandedState.ON_GROUND or r.flight_mode is FlightMode.LAND) for r in status
+    ]
     return Track(
         source=str(path),
         imu_s=np.array([r.t_us * 1e-6 for r in imu]),

@@ -14,6 +14,8 @@ import msgspec
 
 from dart_flight.geometry import Quaternion, Vec2, Vec3
 
+Covariance = tuple[float, float, float, float, float, float]
+
 
 class Mode(StrEnum):
     """State of the arms: Γ = 1 rigid (locked), Γ = 2 flexible (unlocked)."""
@@ -105,7 +107,7 @@ class AttitudeTargetSample(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/in/attitude_target"
     t_us: int
     received_us: int
-    thrust: float
+    thrust: float  # 0 to 1 of full thrust
 
 
 class EscSample(Record, frozen=True, gc=False):
@@ -114,7 +116,7 @@ class EscSample(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/in/esc"
     t_us: int
     received_us: int
-    rpm: tuple[float, float, float, float]
+    rpm: tuple[float, float, float, float]  # revolutions per minute
 
 
 class StatusSample(Record, frozen=True, gc=False):
@@ -137,7 +139,7 @@ class EstimatorSample(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/in/estimator"
     t_us: int
     received_us: int
-    reset_counter: int | None = None
+    reset_counter: int | None = None  # counts up to 255, then from 0
     healthy: bool | None = None  # attitude, horizontal velocity and a horizontal position are valid
 
 
@@ -303,7 +305,7 @@ class ForceEstimate(Record, frozen=True, gc=False):
     force_mission: Vec3
     clipped: bool
     filtered_mission: Vec3 = (0.0, 0.0, 0.0)  # first-order low-pass of the force
-    covariance_n2: tuple[float, float, float, float, float, float] = (0.0,) * 6  # xx, yy, zz, xy, xz, yz
+    covariance_n2: Covariance = (0.0,) * 6  # N2, mission frame: xx, yy, zz, xy, xz, yz
     noise_n: float = 0.0  # white part of one component's error, standard deviation
     push_mission: Vec2 = (0.0, 0.0)  # horizontal force of thrust and drag, N: what leans on a wall
 

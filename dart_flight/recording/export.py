@@ -13,7 +13,7 @@ from dart_flight.recording.reader import Log
 from dart_flight.recording.schema import schema
 from dart_flight.samples import Record
 
-_AXES = {2: "xy", 3: "xyz", 4: "wxyz"}
+_AXES = {2: "xy", 3: "xyz", 4: "wxyz", 6: ("xx", "yy", "zz", "xy", "xz", "yz")}
 
 
 def export_csv(log: Log, folder: Path) -> list[Path]:
@@ -70,7 +70,7 @@ def _spread(record: Record) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for name, value in msgspec.structs.asdict(record).items():
         if isinstance(value, tuple):
-            axes = "1234" if name == "motors" else _AXES[len(value)]
+            axes = "1234" if name in ("motors", "rpm") else _AXES[len(value)]
             values |= {f"{name}_{axis}": part for axis, part in zip(axes, value, strict=True)}
         else:
             values[name] = value
