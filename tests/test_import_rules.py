@@ -25,6 +25,7 @@ FLOORS = {
     "verdict": 7,
     "app": 8,
     "flights": 9,
+    "report": 9,
     "cli": 10,
     "__main__": 11,
     "__init__": 11,
