@@ -29,6 +29,7 @@ FLOORS = {
     "app": 8,
     "monitor": 8,
     "flights": 9,
+    "report": 9,
     "cli": 10,
     "__main__": 11,
     "__init__": 11,

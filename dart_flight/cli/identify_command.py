@@ -20,9 +20,13 @@ def _height_or_trial(text: str) -> float | str:
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("trials", nargs="*", metavar="TRIAL", help="CSV or PX4 ULog; all share one wall")
+    parser.add_argument(
+        "trials", nargs="*", metavar="TRIAL", help="CSV, PX4 ULog or flight log; all share one wall"
+    )
     parser.add_argument("--mode", choices=("rigid", "flexible"), help="state of the arms in the trials")
-    parser.add_argument("--surface", help="name of the material, for -o")
+    parser.add_argument(
+        "--surface", help="name of the material, for -o; of a flight log, its collisions with it"
+    )
     parser.add_argument(
         "--drop",
         nargs="?",
@@ -80,7 +84,9 @@ def run(arguments: argparse.Namespace) -> int:
     )
     if arguments.output and not arguments.surface:
         raise InputError("-o needs --surface, the name of the entry", key=("output",))
-    trials, found = identification.carry_out(job, vehicle)
+    from dart_flight.recording.trials import readers
+
+    trials, found = identification.carry_out(job, vehicle, readers(arguments.surface))
     for note in found.notes:
         messages().print(note)
     if arguments.output:
