@@ -42,7 +42,12 @@ class Deadman:
     """
 
     def __init__(self, starve_s: float, note: Path | None = None) -> None:
-        self._arguments = [str(os.getpid()), str(starve_s), str(note.resolve()) if note else ""]
+        # A handle and not a number: a number may be somebody else's by the time it is used.
+        self._self = os.pidfd_open(os.getpid())
+        self._arguments = [
+            *(str(self._self), str(os.getpid()), str(starve_s)),
+            str(note.resolve()) if note else "",
+        ]
         self._fed_s = {CORE: 0.0, LOOP: 0.0}
         self._armed = False
         self._start()
@@ -52,6 +57,7 @@ class Deadman:
         self._process = subprocess.Popen(
             [sys.executable, "-I", "-S", __file__, *self._arguments],
             stdin=subprocess.PIPE,
+            pass_fds=(self._self,),
             start_new_session=True,  # Ctrl-C and a dropped terminal are the app's business
         )
         assert self._process.stdin is not None
@@ -89,12 +95,12 @@ class Deadman:
     def let_go(self) -> None:
         """The flight is over: the watcher ends without harm."""
         self._armed = False
+        # The pipe stays open: the core thread may still feed, and must not write into a number used anew.
         self._write(_LET_GO)
-        with contextlib.suppress(OSError):
-            assert self._process.stdin is not None
-            self._process.stdin.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(2.0)
+        with contextlib.suppress(OSError):
+            os.close(self._self)
 
     def _write(self, what: bytes) -> None:
         # A full pipe has enough food in it; a broken one is mended by the event loop.
@@ -142,14 +148,10 @@ class SystemdNotice:
 # --- the process -------------------------------------------------------------------------------------------
 
 
-def _watch(pid: int, starve_s: float, note: str) -> int:
+def _watch(handle: int, pid: int, starve_s: float, note: str) -> int:
     """Body of the process: reads the pipe until it is let go, closed, or somebody starves."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    try:
-        handle = os.pidfd_open(pid)
-    except OSError:
-        return 0  # it has ended already
     os.set_blocking(0, False)
     period_s = min(0.02, starve_s / 4.0)
     armed = False
@@ -194,4 +196,4 @@ def _kill(handle: int, pid: int, why: str, note: str) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(_watch(int(sys.argv[1]), float(sys.argv[2]), sys.argv[3]))
+    sys.exit(_watch(int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3]), sys.argv[4]))

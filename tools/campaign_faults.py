@@ -109,12 +109,17 @@ def fly(mission: Mission, fault: Fault, seed: int, folder: Path | None = None) -
     path = None if folder is None else folder / f"{fault.name}-{fault.phase}-{seed}.mcap"
     log = None if path is None else FlightLog(path, {"mission": mission.name})
 
+    filled: list[bool] = []
+
     def observe(record: Input | Output | Note, number: int) -> None:
         builder.take(record)
         watch.take(record)
         if log is not None:
             log.put(record, number)
+            if filled:
+                return
             if fault.name == "disk-full" and flight.faulted is not None and flight.faulted.began_us and path:
+                filled.append(True)
                 fill_disk_of(path)
 
     flight = FastFlight(mission, seed, observe=observe, fault=fault)

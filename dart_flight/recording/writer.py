@@ -89,8 +89,8 @@ class _Part:
     def write(self, record: Record, time_us: int, number: int) -> None:
         self._writer.add_message(
             channel_id=self._channels[type(record)],
-            log_time=time_us * 1000,
-            publish_time=time_us * 1000,
+            log_time=max(0, time_us) * 1000,  # MCAP has no time before 0; a broken clock has
+            publish_time=max(0, time_us) * 1000,
             data=encode(record),
             sequence=number & 0xFFFFFFFF,
         )
@@ -196,9 +196,9 @@ class FlightLog:
                 if now - self._synced_s >= _SYNC_S:
                     self._synced_s = now
                     self._part.sync()
-        except OSError as error:
-            # A full disk stops the log, not the flight.
-            self.failure = error.strerror or str(error)
+        except Exception as error:
+            # A full disk, or a record that cannot be written, stops the log, not the flight.
+            self.failure = getattr(error, "strerror", None) or str(error)
             self.lost += 1
 
     def _write(self, record: Record, number: int) -> None:

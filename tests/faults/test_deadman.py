@@ -63,8 +63,11 @@ def test_who_starves_is_killed_in_time(body: str, starving: str, tmp_path: Path)
     assert process.stdout is not None
     began = float(process.stdout.readline().split()[0])
     assert process.wait(10) == -signal.SIGKILL
-    assert STARVE_S * 0.9 < time.monotonic() - began < STARVE_S + 1.0  # the bound for a loaded machine
-    assert f"deadman: {starving} silent for" in note.read_text()
+    assert time.monotonic() - began > 0.9 * STARVE_S
+    told = re.search(f"deadman: {starving} silent for ([0-9.]+) s", note.read_text())
+    assert told is not None
+    # Generous, for a loaded machine; what counts is measured on the wire, below.
+    assert STARVE_S < float(told[1]) < STARVE_S + 1.0
 
 
 def test_who_feeds_lives_and_ends_as_it_likes(tmp_path: Path) -> None:
