@@ -445,8 +445,8 @@ False hits here are crossings of the threshold by the detection statistic, count
 
 Acrylic at (-1, 0.5) m/s, fast world, whole missions, three seeds a mode. Published agreement of predicted
 with measured peak acceleration: 88 % flexible, 82 % rigid; vertical force within 10 %. Here plant and
-prediction share the contact law: with the plant as predicted this tests the estimator, not the law. With the plant's
-coefficients off, it shows how far the prediction then is off and that the estimate is not.
+prediction share the contact law: with the plant as predicted this tests the estimator, not the law. With the
+plant's coefficients off, it shows how far the prediction then is off and that the estimate is not.
 
 {_check_table(checks)}
 """
