@@ -1,6 +1,6 @@
 """What the material table should learn from flights: coefficients where prediction and measurement disagree.
 
-First the cheap question: does the measured peak force differ from the contact law's, at the measured velocity,
+First the cheap question: does the measured peak force differ from the law's, at the measured velocity,
 by more than its own spread over the trials? Only then, or when asked to, are coefficients identified.
 """
 
