@@ -27,6 +27,7 @@ COMMANDS = {
     "lock": "move or report the locking mechanism",
     "plan": "choose walls, velocities and modes for a scenario, and write the mission",
     "replay": "a recorded flight again through the same decisions",
+    "report": "recorded flights as a page with plots",
     "export": "a flight log as CSV files",
     "predict": "predict a collision or a drop",
     "monitor": "live view of force, detection, streams, lock and phase, without flying",

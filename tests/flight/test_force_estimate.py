@@ -372,8 +372,8 @@ def test_wind_is_no_contact_but_leaning_on_a_wall_is() -> None:
 
 def test_one_noisy_sample_is_no_impact() -> None:
     quiet = [(0.0, 0.0)] * 50
-    assert feed([*quiet, (5.4, 0.0), *quiet]) == []
-    assert len([e for e in feed([*quiet, (5.4, 0.0), (5.2, 0.0), *quiet]) if isinstance(e, ImpactOnset)]) == 1
+    assert feed([*quiet, (5.9, 0.0), *quiet]) == []
+    assert len([e for e in feed([*quiet, (5.9, 0.0), (5.7, 0.0), *quiet]) if isinstance(e, ImpactOnset)]) == 1
 
 
 def test_the_wait_for_a_peak_is_bounded() -> None:

@@ -178,7 +178,7 @@ def write_mcap(path: Path, metadata: dict[str, str] | None) -> Path:
     return path
 
 
-@pytest.mark.parametrize("command", [["replay"], ["export", "-o", "x"]])
+@pytest.mark.parametrize("command", [["replay"], ["report", "-o", "x.html"], ["export", "-o", "x"]])
 def test_a_newer_log_is_refused_in_words(
     command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
