@@ -58,6 +58,7 @@ class View:
         self.impact_us: int | None = None
         self.rates_hz: dict[str, float] = {}
         self.stale: dict[str, int] = {}  # samples in a row whose stamp lies far in the past
+        self.since_imu = 0  # samples of other streams since the newest of the IMU
         self.stuck_since_us: int | None = None
         self.clipped_since_us: int | None = None
         self.battery_low_since_us: int | None = None
@@ -174,6 +175,7 @@ class View:
         if self._host_us and item.received_us - self._host_us > _GAP_US:
             self._gap_us = self.state.now_us
         self._host_us = max(self._host_us, item.received_us)
+        self.since_imu = 0 if name == "imu" else self.since_imu + 1
         newest = getattr(self.state, name)
         lag_us = newest.t_us - item.t_us if newest is not None else 0
         if lag_us > self.config.stamp_tolerance_s * 1e6:

@@ -82,8 +82,8 @@ def silent(stream: str, seconds: float) -> Callable[[HandFedCore], object]:
 
 for _stream, _seconds in (
     ("imu", 0.1),
-    ("attitude", 0.13),
-    ("odometry", 0.13),
+    ("attitude", 0.23),
+    ("odometry", 0.23),
     ("actuator", 0.4),
     ("status", 3.5),
 ):
@@ -391,6 +391,17 @@ def test_a_gap_and_then_hold_is_a_failsafe_and_sticks_are_a_pilot() -> None:
         c.run(0.02)
         c.set_status(flight_mode=mode)
         assert fired(c)[-1].rule == rule
+
+
+def test_a_pause_of_everything_is_given_longer_than_one_of_the_imu() -> None:
+    """A busy host holds up all streams for a tenth of a second; the guard lands when it lasts."""
+    c = HandFedCore()
+    c.to_flight()
+    c.silent |= {"imu", "attitude", "odometry", "actuator"}
+    c.run(0.15)
+    assert not fired(c)
+    c.run(0.1)
+    assert fired(c)
 
 
 def test_one_late_datagram_is_no_clock_that_runs_backwards() -> None:
