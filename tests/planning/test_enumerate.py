@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import msgspec
@@ -13,7 +14,8 @@ from dart_flight.cli import main
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.scenario import Objective, Scenario, load_scenario
 from dart_flight.flight.core import FlightCore
-from dart_flight.planning.constraints import Refusal
+from dart_flight.planning.approach_grid import approach_grid
+from dart_flight.planning.constraints import CODE, Constraints, Refusal
 from dart_flight.planning.enumerate import Search, search
 from dart_flight.planning.mission_writer import write_mission
 from dart_flight.planning.summary import with_objective
@@ -102,6 +104,29 @@ def test_any_chooses_walls_and_names_the_flight_without_a_collision() -> None:
     assert result.baseline is not None
     assert result.baseline.blocked_by is None
     assert result.baseline.time_to_goal_s > 1.0
+
+
+def test_no_run_up_is_blocked_by_the_wall_it_leads_to() -> None:
+    """The impact lies on the wall's plane but for rounding, for any velocity and any direction of the wall."""
+    for heading in np.linspace(0.0, 2.0 * math.pi, 40):
+        normal = (-math.cos(heading), -math.sin(heading))
+        scenario = load_scenario(SCENARIOS / "one_wall.yaml")
+        old = scenario.walls["acrylic"]
+        point = (-1.65 * normal[0], -1.65 * normal[1])
+        wall = msgspec.structs.replace(old, point=point, normal=normal, length_m=100.0)
+        scenario = msgspec.structs.replace(
+            scenario,
+            walls={"acrylic": wall},
+            bounds=msgspec.structs.replace(scenario.bounds, x=(-50.0, 50.0), y=(-50.0, 50.0)),
+        )
+        grid = approach_grid(
+            scenario,
+            wall,
+            np.array(scenario.normal_m_s)[:, None],
+            np.array(scenario.tangential_m_s)[None, :],
+            Constraints(scenario),
+        )
+        assert not (grid.codes == CODE[Refusal.RUN_UP_BLOCKED]).any(), heading
 
 
 def test_a_wall_in_the_way_is_an_obstacle(tmp_path: Path) -> None:
