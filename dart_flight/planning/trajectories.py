@@ -452,10 +452,13 @@ class Course:
         low = np.where(index == 0, 0.0, -GRID_S)
         high = np.where(index == self.flight.count, 0.0, GRID_S)
         d, miss, state = closest(near.x, near.y, self._goal, low, high)
+        passes = np.ones(d.size, dtype=bool)
+        if self.constraints is not None:
+            passes = self._refuse(self.constraints.to_goal(*state[:2], self._goal), len(self.walls))
         every = (miss, arrived.t_s + near.times + d, arrived.force_n, *state)
         arrivals = []
         for number, modes in enumerate(itertools.product(self.scenario.modes, repeat=len(self.walls))):
-            mine = np.flatnonzero(arrived.modes == number)
+            mine = np.flatnonzero(passes & (arrived.modes == number))
             if mine.size:
                 hits = tuple(hit.take(mine) for hit in arrived.hits)
                 columns = (arrived.rows[mine], modes, *(v[mine] for v in every), hits)

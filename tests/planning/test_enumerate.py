@@ -107,7 +107,7 @@ def test_any_chooses_walls_and_names_the_flight_without_a_collision() -> None:
 
 
 def test_no_run_up_is_blocked_by_the_wall_it_leads_to() -> None:
-    """The impact lies on the wall's plane but for rounding, for any velocity and any direction of the wall."""
+    """The impact lies on the plane but for rounding, at any velocity and any direction of the wall."""
     for heading in np.linspace(0.0, 2.0 * math.pi, 40):
         normal = (-math.cos(heading), -math.sin(heading))
         scenario = load_scenario(SCENARIOS / "one_wall.yaml")
@@ -140,6 +140,16 @@ def test_a_wall_in_the_way_is_an_obstacle(tmp_path: Path) -> None:
     result = search(load_scenario(path), top=1)
     assert result.refused[Refusal.OBSTACLE] > 50
     assert result.feasible < 1957
+
+
+def test_a_wall_on_the_last_straight_to_the_goal_is_an_obstacle() -> None:
+    scenario = load_scenario(SCENARIOS / "one_wall.yaml")  # acrylic at x = 1.65 from y = -1 to 2
+    constraints = Constraints(scenario)
+    x, y = np.array([1.0, 1.66, 2.3, 2.3]), np.array([0.0, 1.0, 1.0, 40.0])
+    obstacle = CODE[Refusal.OBSTACLE]
+    # In front; just released, a little behind the plane; from behind the wall; from behind, past its end.
+    assert constraints.to_goal(x, y, (0.6, 1.0)).tolist() == [0, 0, obstacle, 0]
+    assert constraints.to_goal(x, y, (3.0, 1.0)).tolist() == [obstacle, 0, 0, 0]
 
 
 @pytest.mark.parametrize("name", ["dual_collision", "one_wall", "any_walls"])
