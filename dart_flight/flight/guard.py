@@ -92,6 +92,11 @@ class Guard:
         """An impact: for a while the contact explains what estimator and altitude do."""
         self._view.impact_us = t_us
 
+    @property
+    def landing(self) -> bool:
+        """Whether a landing has been asked for, by the mission or by the guard."""
+        return self._view.land_asked
+
     # -- the last stage of every step --
 
     def review(self, item: Input, state: FlightState, phase: Phase, out: list[Output]) -> list[Output]:
