@@ -173,7 +173,7 @@ class VehicleSession:
         """Ask for the rates of the table; returns the names of the streams that were refused.
 
         Args:
-            names: only of these streams of the table; None: all. Further ones subscribed to are always asked for.
+            names: only of these of the table; None: all. Further ones subscribed to are always asked for.
         """
         t = self._telemetry
         calls = {
