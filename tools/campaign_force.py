@@ -7,6 +7,7 @@ Writes docs/force_results.md and its pictures. `make test` takes a seeded sample
 
 from __future__ import annotations
 
+import itertools
 import math
 import statistics
 from collections.abc import Sequence
@@ -38,11 +39,13 @@ from matplotlib import pyplot as plt
 
 ROOT = Path(__file__).parents[1]
 SPEEDS = (0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0)
+WRONG_SPEEDS = (0.3, 0.75, 1.5, 3.0)
 CLIPPED_SPEEDS = (3.25, 3.5, 4.0, 4.5)
 ORIENTATIONS = tuple(45.0 * i for i in range(8))
 TILTS = (0.0, 15.0, 30.0)
 SIGMAS = (0.2, 0.5, 1.0)
-QUIET_S, QUIET_SEEDS = 600.0, 2  # per noise level: an hour in all
+# An hour per noise level. The threshold was chosen on seeds 1 and 2 of an earlier run: these are others.
+QUIET_S, QUIET_SEEDS = 600.0, tuple(range(101, 107))
 THRESHOLDS = (2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.0, 7.0, 8.0, 10.0)
 
 
@@ -72,13 +75,15 @@ def missions() -> tuple[Mission, Mission]:
     )
 
 
-def judge(mission: Mission, hit: Hit, sigmas: Sequence[float], seed: int) -> list[Row]:
-    """Fly one hit and estimate it under each noise."""
+def judge(
+    mission: Mission, hit: Hit, sigmas: Sequence[float], seed: int, believed: VehicleConfig | None = None
+) -> list[Row]:
+    """Fly one hit and estimate it under each noise; `believed` is the estimator's, where not the plant's."""
     vehicle = mission.vehicle
     flown = fly_hit(vehicle, hit)
     rows = []
     for sigma in sigmas:
-        judged = judge_hit(vehicle, FlightState(mission), flown, sigma, seed)
+        judged = judge_hit(vehicle, FlightState(mission), flown, sigma, seed, believed)
         peak, nan = judged.peak, math.nan
         delay = None
         if judged.onsets and flown.cross_us is not None:
@@ -120,20 +125,68 @@ def fly_grid() -> list[Row]:
         return [row for rows in pool.map(_job, enumerate(hits), chunksize=16) for row in rows]
 
 
-def _quiet(arguments: tuple[float, int]) -> Quiet:
+def _quiet(arguments: tuple[float, int, bool]) -> Quiet:
     return fly_quiet(missions()[0], QUIET_S, *arguments)
 
 
-def fly_hour() -> list[Quiet]:
-    """An hour without contact, in parts."""
+def fly_hour(rough: bool = False) -> list[Quiet]:
+    """An hour without contact for every noise level, in parts; half of it in rough weather."""
+    seeds = QUIET_SEEDS[: len(QUIET_SEEDS) // 2] if rough else QUIET_SEEDS
     with ProcessPoolExecutor(2) as pool:
-        return list(pool.map(_quiet, [(s, seed) for s in SIGMAS for seed in range(1, QUIET_SEEDS + 1)]))
+        return list(pool.map(_quiet, [(s, seed, rough) for s in SIGMAS for seed in seeds]))
 
 
 def percentile(values: Sequence[float], share: float) -> float:
     """The value below which a share of the finite ones lies; nan without any."""
     ordered = sorted(v for v in values if math.isfinite(v))
     return ordered[min(len(ordered) - 1, round(share * (len(ordered) - 1)))] if ordered else math.nan
+
+
+# --- an estimator that is wrong about the vehicle ------------------------------------------------------
+
+
+def wrong_beliefs(v: VehicleConfig) -> dict[str, VehicleConfig]:
+    """What the estimator may be wrong about, by name."""
+    replace = msgspec.structs.replace
+    arms = v.estimation.arm_vibration
+    assert arms is not None
+
+    def of_arms(**what: float) -> VehicleConfig:
+        return replace(v, estimation=replace(v.estimation, arm_vibration=replace(arms, **what)))
+
+    def of_drag(factor: float) -> VehicleConfig:
+        x, y, z = v.airframe.drag_per_s
+        return replace(v, airframe=replace(v.airframe, drag_per_s=(factor * x, factor * y, factor * z)))
+
+    found = {"nothing": v}
+    for sign, part in (("+", 1.0), ("−", -1.0)):
+        lag = v.thrust.motor_lag_s * (1.0 + 0.3 * part)
+        found[f"motor lag {sign}30 %"] = replace(v, thrust=replace(v.thrust, motor_lag_s=lag))
+        hz = v.imu.antialias_hz * (1.0 + 0.3 * part)
+        found[f"anti-alias filter {sign}30 %"] = replace(v, imu=replace(v.imu, antialias_hz=hz))
+        found[f"arms' frequency {sign}20 %"] = of_arms(frequency_hz=arms.frequency_hz * (1.0 + 0.2 * part))
+        found[f"arms' damping {sign}50 %"] = of_arms(damping_ratio=arms.damping_ratio * (1.0 + 0.5 * part))
+        found[f"arms' mass {sign}30 %"] = of_arms(mass_fraction=arms.mass_fraction * (1.0 + 0.3 * part))
+        mass = v.airframe.mass_kg * (1.0 + 0.03 * part)
+        found[f"mass {sign}3 %"] = replace(v, airframe=replace(v.airframe, mass_kg=mass))
+        found[f"drag {sign}30 %"] = of_drag(1.0 + 0.3 * part)
+    return found
+
+
+def _wrong_job(arguments: tuple[int, Hit]) -> list[tuple[str, Row]]:
+    number, hit = arguments
+    mission = missions()[0]
+    return [
+        (name, judge(mission, hit, SIGMAS[:1], 5000 + number, believed)[0])
+        for name, believed in wrong_beliefs(mission.vehicle).items()
+    ]
+
+
+def fly_wrong() -> list[tuple[str, Row]]:
+    """A part of the grid under the least noise, for every wrong belief."""
+    hits = list(grid(WRONG_SPEEDS, ORIENTATIONS[:2], TILTS))
+    with ProcessPoolExecutor(2) as pool:
+        return [row for rows in pool.map(_wrong_job, enumerate(hits), chunksize=8) for row in rows]
 
 
 # --- the paper's check ---------------------------------------------------------------------------------
@@ -269,6 +322,25 @@ def _detection_table(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
+def _wrong_table(wrong: list[tuple[str, Row]]) -> str:
+    lines = [
+        "| the estimator is wrong about | arms | hits | detected | peak error median | 95th | mean (bias) "
+        "| direction 95th |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name in dict.fromkeys(name for name, _ in wrong):
+        for mode in Mode:
+            some = [r for n, r in wrong if n == name and r.hit.mode is mode and r.reached]
+            errors = [r.peak_error for r in some if math.isfinite(r.peak_error)]
+            lines.append(
+                f"| {name} | {mode.value} | {len(some)} | {sum(r.onsets > 0 for r in some)} "
+                f"| {percentile([abs(e) for e in errors], 0.5):.1%} "
+                f"| {percentile([abs(e) for e in errors], 0.95):.1%} | {statistics.mean(errors):+.1%} "
+                f"| {percentile([r.direction_deg for r in some], 0.95):.1f}° |"
+            )
+    return "\n".join(lines)
+
+
 def _roc(rows: list[Row], hour: list[Quiet]) -> list[tuple[float, float, list[float], list[float]]]:
     """(threshold, sigma) -> detected share and false hits per hour, by the detection statistic."""
     out = []
@@ -295,16 +367,16 @@ def _roc_table(rows: list[Row], hour: list[Quiet]) -> str:
     return "\n".join(lines)
 
 
-def _hour_table(hour: list[Quiet]) -> str:
+def _hour_table(hour: list[Quiet], rough: list[Quiet]) -> str:
     lines = [
         "| noise m/s² | flight | false hits | largest statistic | largest tilt | landings "
         "| wind's force up to |",
         "|---|---|---|---|---|---|---|",
     ]
-    for sigma in SIGMAS:
-        some = [q for q in hour if q.sigma == sigma]
+    for weather, sigma in itertools.product(("", ", rough"), SIGMAS):
+        some = [q for q in (rough if weather else hour) if q.sigma == sigma]
         lines.append(
-            f"| {sigma} | {sum(q.seconds for q in some) / 60:.0f} min "
+            f"| {sigma}{weather} | {sum(q.seconds for q in some) / 60:.0f} min "
             f"| {sum(len(q.false_hits) for q in some)} "
             f"| {max(max(q.maxima) for q in some):.2f} N | {max(q.max_tilt_deg for q in some):.0f}° "
             f"| {sum(q.landings for q in some)} | {max(q.wind_force_n for q in some):.1f} N |"
@@ -396,7 +468,13 @@ def _plot_roc(rows: list[Row], hour: list[Quiet], path: Path) -> None:
     plt.close(figure)
 
 
-def report(rows: list[Row], hour: list[Quiet], checks: list[InFlight]) -> str:
+def report(
+    rows: list[Row],
+    wrong: list[tuple[str, Row]],
+    hour: list[Quiet],
+    rough: list[Quiet],
+    checks: list[InFlight],
+) -> str:
     """The results page."""
     averaging = [r.raw_error for r in rows if r.sigma == SIGMAS[0] and r.hit.mode is Mode.RIGID and r.reached]
     away = [r for r in rows if not r.reached and r.sigma == SIGMAS[0]]
@@ -423,6 +501,15 @@ The largest tick mean of a rigid contact, without any noise, lies {-percentile(a
 and at most {-min(v for v in averaging if math.isfinite(v)):.2%} below its true peak: what averaging over the
 tick and the sampling's phase take away. The fit puts it back.
 
+### With wrong values
+
+The simulated vehicle and the estimator above share mass, drag, motor lag, filter and arms. Here the
+estimator's differ, one at a time; noise {SIGMAS[0]} m/s², a part of the grid (speeds
+{", ".join(f"{v:g}" for v in WRONG_SPEEDS)} m/s, two orientations). A wrong mass makes the force wrong by as
+much; a wrong curve of the motors is in the hour without contact below.
+
+{_wrong_table(wrong)}
+
 ## Detection
 
 {_detection_table(rows)}
@@ -430,10 +517,12 @@ tick and the sampling's phase take away. The fit puts it back.
 The crossing is the first tick whose true mean force reaches the threshold. Hits below the threshold: thrust
 leaning {leans} ({kinds}), where the vehicle is braking so hard that it hardly touches.
 
-An hour of aggressive flight without contact (velocity reversals, braking, spins, climbs, landings, gusts,
-prop wash, thrust curve up to 8 % and drag up to 30 % off, 1 % lost and 1 % late samples, pauses up to 48 ms):
+An hour of aggressive flight without contact for every noise level, other seeds than the threshold was chosen
+on (velocity reversals, braking, spins, climbs, landings, gusts, prop wash, thrust curve up to 8 % and drag up
+to 30 % off, 1 % lost and 1 % late samples, pauses up to 48 ms); "rough": gusts of 4 to 6 m/s within half a
+second instead of 2 to 4, and twice the turbulence, beyond what the threshold was chosen for:
 
-{_hour_table(hour)}
+{_hour_table(hour, rough)}
 
 {_roc_table(rows, hour)}
 
@@ -457,10 +546,11 @@ def run(report_dir: Path) -> None:
     (report_dir / "img").mkdir(parents=True, exist_ok=True)
     checks = fly_checks()
     rows = fly_grid()
-    hour = fly_hour()
+    wrong = fly_wrong()
+    hour, rough = fly_hour(), fly_hour(rough=True)
     _plot_errors(rows, report_dir / "img" / "force_errors.png")
     _plot_roc(rows, hour, report_dir / "img" / "force_roc.png")
-    (report_dir / "force_results.md").write_text(report(rows, hour, checks), encoding="utf-8")
+    (report_dir / "force_results.md").write_text(report(rows, wrong, hour, rough, checks), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -215,8 +215,24 @@ class Judge:
         return list(self.detector.update(estimate, imu.received_us, self.state))
 
 
-def judge_hit(vehicle: VehicleConfig, state: FlightState, flown: Flown, sigma: float, seed: int) -> Judged:
-    """Estimate a flown hit under IMU noise of `sigma` m/s2 a sample; `state` is a fresh one."""
+def judge_hit(
+    vehicle: VehicleConfig,
+    state: FlightState,
+    flown: Flown,
+    sigma: float,
+    seed: int,
+    believed: VehicleConfig | None = None,
+) -> Judged:
+    """Estimate a flown hit under IMU noise of `sigma` m/s2 a sample.
+
+    Args:
+        vehicle: the plant's: its IMU is measured with.
+        state: a fresh one.
+        flown: the hit.
+        sigma: noise.
+        seed: of it.
+        believed: the estimator's vehicle, where it is not the plant's.
+    """
     rng = random.Random(seed)
     noisy = msgspec.structs.replace(vehicle.simulation, imu_noise_m_s2=sigma)
     imu = ImuSensor(msgspec.structs.replace(vehicle, simulation=noisy), rng)
@@ -224,7 +240,7 @@ def judge_hit(vehicle: VehicleConfig, state: FlightState, flown: Flown, sigma: f
     state.lock = LockState(_START_US, LockPhase.SETTLED, flown.hit.mode)
     state.status = StatusSample(_START_US, _START_US, landed=LandedState.IN_AIR)
     hover = vehicle.thrust.command_for(vehicle.airframe.mass_kg * 9.81 / 4.0)
-    judge = Judge(state, vehicle, (flown.normal, flown.hit.material))
+    judge = Judge(state, believed or vehicle, (flown.normal, flown.hit.material))
     onsets: list[ImpactOnset] = []
     peak: ImpactPeak | None = None
     statistic = 0.0

@@ -1,8 +1,7 @@
 """Aggressive simulated flight without any contact: what the detector must not mistake for an impact.
 
 The embedded autopilot flies hard: velocity reversals and braking at the tilt limit, yaw spins, climbs and
-drops,
-take-offs and landings, in gusts, turbulence and prop wash, with another thrust curve and drag than the
+drops, take-offs and landings, in gusts, turbulence and prop wash, with another thrust curve and drag than the
 estimator believes, with dropped and late samples, at the noise of a quiet and of a bad IMU.
 """
 
@@ -62,10 +61,15 @@ def _plant_vehicle(vehicle: VehicleConfig, sigma: float, rng: random.Random) -> 
 
 
 class _Weather:
-    """Steady wind, gusts (1 - cos, 2 to 4 m/s within 0.5 s) and turbulence or prop wash near a wall."""
+    """Steady wind, gusts (1 - cos, 2 to 4 m/s within 0.5 s) and turbulence or prop wash near a wall.
 
-    def __init__(self, rng: random.Random) -> None:
+    In rough weather gusts are of 4 to 6 m/s, and turbulence and wash twice as strong.
+    """
+
+    def __init__(self, rng: random.Random, rough: bool) -> None:
         self._rng = rng
+        self._gusts = (4.0, 6.0) if rough else (2.0, 4.0)
+        self._strength = 2.0 if rough else 1.0
         self._gust_at, self._gust = 0.0, (0.0, 0.0)
         self._wash_until = -1.0
         self._turbulence = [0.0, 0.0, 0.0]
@@ -74,7 +78,7 @@ class _Weather:
         rng = self._rng
         if t > self._gust_at + 2.0:
             self._gust_at = t + rng.uniform(0.5, 4.0)
-            size, angle = rng.uniform(2.0, 4.0), rng.uniform(0.0, 2.0 * math.pi)
+            size, angle = rng.uniform(*self._gusts), rng.uniform(0.0, 2.0 * math.pi)
             self._gust = (size * math.cos(angle), size * math.sin(angle))
             if rng.random() < 0.3:
                 self._wash_until = t + rng.uniform(1.0, 4.0)
@@ -82,6 +86,7 @@ class _Weather:
         share = 0.5 * (1.0 - math.cos(2.0 * math.pi * phase)) if 0.0 < phase < 1.0 else 0.0
         # First-order noise of 6 Hz: 0.4 m/s in the open, 1.5 m/s in the wash of a wall.
         keep, sigma = math.exp(-2.0 * math.pi * 6.0 * 0.004), 1.5 if t < self._wash_until else 0.4
+        sigma *= self._strength
         for i in range(3):
             self._turbulence[i] = keep * self._turbulence[i] + rng.gauss(
                 0.0, sigma * math.sqrt(1.0 - keep * keep)
@@ -125,7 +130,7 @@ class _Pilot:
 class _Flight:
     """One stretch: vehicle, link with its faults, estimator and detector."""
 
-    def __init__(self, mission: Mission, sigma: float, seed: int) -> None:
+    def __init__(self, mission: Mission, sigma: float, seed: int, rough: bool) -> None:
         self.rng = random.Random(seed)
         vehicle = mission.vehicle
         plant = Plant(_plant_vehicle(vehicle, sigma, self.rng), (), MissionFrame())
@@ -136,7 +141,7 @@ class _Flight:
         plant.set_mode(mode)
         self.state.lock = LockState(0, LockPhase.SETTLED, mode)
         self.judge = Judge(self.state, vehicle, None)
-        self.pilot, self.weather = _Pilot(self.rng), _Weather(self.rng)
+        self.pilot, self.weather = _Pilot(self.rng), _Weather(self.rng, rough)
         self.late: list[tuple[int, ImuSample]] = []
         self.freeze = 0
         self.max_tilt = 0.0
@@ -177,9 +182,9 @@ class _Flight:
         return events
 
 
-def fly_quiet(mission: Mission, seconds: float, sigma: float, seed: int) -> Quiet:
+def fly_quiet(mission: Mission, seconds: float, sigma: float, seed: int, rough: bool = False) -> Quiet:
     """Fly hard without contact; `sigma` of the IMU's noise in m/s2 a sample."""
-    f = _Flight(mission, sigma, seed)
+    f = _Flight(mission, sigma, seed, rough)
     a = f.autopilot
     out = Quiet(seconds, sigma, [], [], 0.0, 0, 0.0)
     highest, next_land = 0.0, 100.0
