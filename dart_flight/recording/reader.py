@@ -16,6 +16,8 @@ from dart_flight.recording.schema import RECORD_TYPES
 from dart_flight.recording.writer import ABOUT, END, FORMAT_VERSION, part_path
 from dart_flight.samples import Record
 
+# The writer's chunks are of a megabyte: a damaged length must not make the reader ask for gigabytes.
+_MOST_BYTES = 64 * 1024 * 1024
 _MAGIC = b"\x89MCAP0\r\n"
 
 
@@ -101,7 +103,7 @@ def _read_part(path: Path, log: Log) -> None:
 def _entries(stream: BinaryIO, log: Log, found: dict[str, str], source: str) -> Iterator[LogEntry]:
     topics: dict[int, str] = {}
     decoders = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
-    for record in StreamReader(stream, emit_chunks=True).records:
+    for record in StreamReader(stream, emit_chunks=True, record_size_limit=_MOST_BYTES).records:
         if isinstance(record, Metadata) and record.name == ABOUT:
             found.update(record.metadata)
             _check_version(record.metadata, source)
@@ -110,6 +112,8 @@ def _entries(stream: BinaryIO, log: Log, found: dict[str, str], source: str) -> 
             log.end.update(record.metadata)
         if not isinstance(record, Chunk) or not found:
             continue
+        if record.uncompressed_size > _MOST_BYTES:
+            raise ValueError(f"a chunk of {record.uncompressed_size} bytes")
         for inner in breakup_chunk(record, validate_crc=True):
             if isinstance(inner, Channel):
                 topics[inner.id] = inner.topic

@@ -4,7 +4,7 @@ import pytest
 
 from tools.campaign_fuzz import KINDS, feed
 
-COUNTS = {"mission": 150, "configuration": 20, "log": 15, "frame": 1500}
+COUNTS = {"mission": 150, "scenario": 50, "configuration": 20, "log": 15, "frame": 1500}
 
 
 @pytest.mark.parametrize("kind", KINDS)
