@@ -2,9 +2,9 @@
 
 python -m tools.check_wheels
 
-Pi OS 64-bit: aarch64 with glibc, Python 3.11 (bookworm) and 3.13 (trixie). pip is asked to download each wheel, and
-may build nothing. Dependencies are followed from the project's own metadata, with the extras that the Pi uses, and
-pinned by `constraints.txt`.
+Pi OS 64-bit: aarch64 with glibc, Python 3.11 (bookworm) and 3.13 (trixie). pip is asked to download each
+wheel, and may build nothing. Dependencies are followed from the project's own metadata, with the extras that
+the Pi uses, and pinned by `constraints.txt`.
 """
 
 from __future__ import annotations
@@ -64,7 +64,11 @@ def download(name: str, version: str, python: str, folder: Path) -> Path | str:
     if done.returncode != 0:
         return (done.stderr.strip().splitlines() or ["pip failed"])[-1]
     stem = name.replace("-", "_")
-    return next(path for path in folder.iterdir() if canonicalize_name(path.name.split("-")[0]) == canonicalize_name(stem))
+    return next(
+        path
+        for path in folder.iterdir()
+        if canonicalize_name(path.name.split("-")[0]) == canonicalize_name(stem)
+    )
 
 
 def check(python: str, folder: Path) -> int:
@@ -75,7 +79,9 @@ def check(python: str, folder: Path) -> int:
         if name in seen:
             continue
         seen.add(name)
-        found = download(name, versions[name], python, folder) if name in versions else "not in constraints.txt"
+        found = (
+            download(name, versions[name], python, folder) if name in versions else "not in constraints.txt"
+        )
         if isinstance(found, str):
             missing += 1
             print(f"{python}  {name:18} MISSING  {found}")

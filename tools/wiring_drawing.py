@@ -84,7 +84,9 @@ def draw(path: Path) -> None:
         (x0, y0), (x1, y1) = wire.points[0], wire.points[-1]
         upright = x0 == x1
         place = (x0 + 0.12, 0.5 * (y0 + y1)) if upright else (0.5 * (x0 + x1), y0 + 0.08)
-        axis.text(*place, wire.begin, ha="left" if upright else "center", va="center" if upright else "bottom")
+        axis.text(
+            *place, wire.begin, ha="left" if upright else "center", va="center" if upright else "bottom"
+        )
     notes = (
         "3.3 V signals; TELEM2 pin 1 (+5 V) stays open.",
         "The servo has a supply of its own. All grounds meet.",
