@@ -34,7 +34,9 @@ def ini(path: Path) -> configparser.ConfigParser:
 # --- systemd ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here: unit not verified")
+@pytest.mark.skipif(
+    shutil.which("systemd-analyze") is None, reason="no systemd-analyze here: unit not verified"
+)
 def test_systemd_takes_the_unit(tmp_path: Path) -> None:
     # The program is not installed where the unit looks for it: another executable stands in.
     text = re.sub(r"^ExecStart=\S+", f"ExecStart={sys.executable}", UNIT.read_text(), flags=re.M)
@@ -69,7 +71,7 @@ def test_the_times_of_the_unit_fit_the_configuration() -> None:
     assert service["Type"] == "notify"
     assert float(service["WatchdogSec"]) > 2.0 * vehicle.guard.deadman_s, "the deadman acts first"
     assert float(service["TimeoutStartSec"]) > 2.0 * vehicle.connection.timeout_s
-    # `stop` lands: down from the highest altitude of the shipped missions, after half a minute of breaking off.
+    # `stop` lands: down from the altitude of the shipped missions, after half a minute of breaking off.
     assert float(service["TimeoutStopSec"]) > 30.0 + 2.0 / vehicle.px4.mpc_land_speed
 
 
