@@ -1,9 +1,8 @@
 """What a vehicle's telemetry shows of force and contact, without flying it: the core's eyes and no hands.
 
 `Watcher` is fed every record by MAVSDK's thread and runs estimator and detector on it; `view` is what a
-screen
-shows of it, asked for a few times a second from another thread. Nothing is ever sent to the vehicle beside
-the requests for stream rates.
+screen shows of it, asked for a few times a second from another thread. Nothing is ever sent to the vehicle
+beside requests for streams that come too slowly: on a link shared with a flying `dart-flight` none is slowed.
 """
 
 from __future__ import annotations
@@ -19,26 +18,21 @@ from collections.abc import Callable
 import msgspec
 
 from dart_flight.config.mission import Mission
-from dart_flight.flight.detector import ImpactDetector
-from dart_flight.flight.force_estimator import ForceEstimator
-from dart_flight.flight.state import FlightState
+from dart_flight.flight.senses import Senses
 from dart_flight.geometry import MissionFrame, Vec3
 from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
-    ClockOffset,
     ForceEstimate,
     ImpactPeak,
     ImuSample,
     Input,
     LandedState,
-    LockState,
     OdometrySample,
-    StatusSample,
     StatusText,
 )
 from dart_flight.streams import STREAMS
-from dart_flight.vehicle import connect
+from dart_flight.vehicle import VehicleSession, connect
 from dart_flight.vehicle.clock import host_us
 
 _STREAM_OF = {
@@ -94,12 +88,11 @@ class Watcher:
 
     def __init__(self, mission: Mission, placed: bool) -> None:
         self._mutex = threading.Lock()
-        self._state = FlightState(mission)
+        self._senses = Senses(mission)
         self._placed = placed
         # North, west, up: the mission frame with heading 0 is what is shown where nobody named a mission.
-        self._state.frame = mission.frame_at((0.0, 0.0, 0.0)) if placed else MissionFrame()
-        self._estimator = ForceEstimator(mission.vehicle)
-        self._detector = ImpactDetector(mission.vehicle)
+        self._senses.state.frame = mission.frame_at((0.0, 0.0, 0.0)) if placed else MissionFrame()
+        self.estimation = mission.vehicle.estimation
         self._estimate: ForceEstimate | None = None
         self._peaks: deque[ImpactPeak] = deque(maxlen=5)
         self._counts: dict[str, deque[int]] = {s.name: deque() for s in STREAMS}
@@ -114,30 +107,17 @@ class Watcher:
             self._take(item)
 
     def _take(self, item: Input) -> None:
-        state = self._state
         name = _STREAM_OF.get(type(item))
         if name is not None:
             self._counts[name].append(host_us())
-        if isinstance(item, ImuSample):
-            if state.take_imu(item):
-                self._feel(item)
-        elif isinstance(item, AttitudeSample):
-            if state.take_attitude(item):
-                self._estimator.take_attitude(item)
-        elif isinstance(item, OdometrySample):
-            state.take_odometry(item)
-        elif isinstance(item, ActuatorSample):
-            state.take_actuator(item)
-            self._estimator.thrust.take_actuator(item)
-        elif isinstance(item, StatusSample):
-            state.status = item
-            self._estimator.thrust.take_voltage(item.battery_v)
-        elif isinstance(item, LockState):
-            state.lock = item
-        elif isinstance(item, ClockOffset):
-            state.take_clock(item)
-        elif isinstance(item, StatusText):
+        if isinstance(item, StatusText):
             self._read_text(item.text)
+            return
+        self._senses.detector.watching = self._senses.state.status.landed is LandedState.IN_AIR
+        estimate, events = self._senses.take(item)
+        if estimate is not None:
+            self._estimate = estimate
+            self._peaks.extend(event for event in events if isinstance(event, ImpactPeak))
 
     def _read_text(self, text: str) -> None:
         # A flying `dart-flight` tells the ground of its lock and its phase in STATUSTEXT.
@@ -146,26 +126,16 @@ class Watcher:
         elif text.startswith("phase "):
             self._phase = text.removeprefix("phase ")
 
-    def _feel(self, item: ImuSample) -> None:
-        estimate = self._estimator.estimate(item, self._state, self._detector.in_contact)
-        if estimate is None:
-            return
-        self._estimate = estimate
-        self._detector.watching = self._state.status.landed is LandedState.IN_AIR
-        for event in self._detector.update(estimate, item.received_us, self._state):
-            if isinstance(event, ImpactPeak):
-                self._peaks.append(event)
-
     def view(self) -> View:
         """The present state for a screen."""
         with self._mutex:
             return self._view()
 
     def _view(self) -> View:
-        now, state, e = host_us(), self._state, self._estimate
+        now, state, e = host_us(), self._senses.state, self._estimate
         newest = state.imu.t_us if state.imu else 0
-        source = self._estimator.thrust.source
-        hover = self._estimator.hover
+        source = self._senses.estimator.thrust.source
+        hover = self._senses.estimator.hover
         return View(
             time_s=(now - self._began_us) * 1e-6,
             frame="mission" if self._placed else "north, west, up",
@@ -173,7 +143,9 @@ class Watcher:
             filtered_n=e.filtered_mission if e else None,
             sigma_n=math.sqrt(max(0.0, 0.5 * (e.covariance_n2[0] + e.covariance_n2[1]))) if e else None,
             clipped=e.clipped if e else False,
-            detection=self._detector.stage if self._detector.watching else "not watching: on the ground",
+            detection=self._senses.detector.stage
+            if self._senses.detector.watching
+            else "not watching: on the ground",
             peaks=[
                 ((newest - p.t_us) * 1e-6, p.normal_force_n, p.tangential_force_n)
                 for p in reversed(self._peaks)
@@ -209,6 +181,12 @@ class Watcher:
         return share
 
 
+async def _raise_rates(watcher: Watcher, session: VehicleSession) -> None:
+    """Ask for the streams that come at less than a mission needs."""
+    await asyncio.sleep(1.5 * _RATE_WINDOW_S)
+    await session.set_rates([s.name for s in watcher.view().streams if s.rate_hz < s.expected_hz])
+
+
 async def watch(
     watcher: Watcher,
     url: str,
@@ -223,8 +201,8 @@ async def watch(
         VehicleError: no autopilot at the URL.
     """
     async with connect(url, timeout_s, watcher.take, ground=True) as session:
-        session.subscribe()
-        rates = asyncio.create_task(session.set_rates())
+        session.subscribe(watcher.estimation, guarded=False)
+        rates = asyncio.create_task(_raise_rates(watcher, session))
         end = None if seconds is None else time.monotonic() + seconds
         try:
             while end is None or time.monotonic() < end:

@@ -11,33 +11,12 @@ from __future__ import annotations
 import traceback
 
 from dart_flight.config.mission import Mission
-from dart_flight.flight.detector import ImpactDetector
 from dart_flight.flight.executive import Executive
-from dart_flight.flight.force_estimator import ForceEstimator
 from dart_flight.flight.guard import Guard
 from dart_flight.flight.guard_rules import RULES, Action, Rule
 from dart_flight.flight.phases import ON_GROUND, Phase
-from dart_flight.flight.state import FlightState
-from dart_flight.samples import (
-    ActuatorSample,
-    AttitudeSample,
-    AttitudeTargetSample,
-    ClockOffset,
-    ContactEnd,
-    EscSample,
-    EstimatorSample,
-    ImpactOnset,
-    ImpactPeak,
-    ImuSample,
-    Input,
-    LockState,
-    MissionEnd,
-    OdometrySample,
-    OperatorRequest,
-    Output,
-    StatusSample,
-    Tick,
-)
+from dart_flight.flight.senses import Event, Senses
+from dart_flight.samples import ImpactOnset, Input, MissionEnd, OperatorRequest, Output
 
 
 class FlightCore:
@@ -53,11 +32,10 @@ class FlightCore:
 
     def __init__(self, mission: Mission, rules: tuple[Rule, ...] = RULES) -> None:
         self.mission = mission
-        self.state = FlightState(mission)
-        self.detector = ImpactDetector(mission.vehicle)
+        self._senses = Senses(mission)
+        self.state, self.detector = self._senses.state, self._senses.detector
         self.guard = Guard(mission, rules)
         self.executive = Executive(mission, self.detector, self.guard)
-        self._estimator = ForceEstimator(mission.vehicle)
         self._failed = False
 
     @property
@@ -83,45 +61,13 @@ class FlightCore:
             self._fault(out)
         return self._dispose(item, out)
 
-    def _ingest(self, item: Input, out: list[Output]) -> list[ImpactOnset | ImpactPeak | ContactEnd]:
-        state = self.state
-        if isinstance(item, ImuSample):
-            if state.take_imu(item):
-                return self._feel(item, out)
-        elif isinstance(item, AttitudeSample):
-            if state.take_attitude(item):
-                self._estimator.take_attitude(item)
-        elif isinstance(item, OdometrySample):
-            state.take_odometry(item)
-        elif isinstance(item, ActuatorSample):
-            state.take_actuator(item)
-            self._estimator.thrust.take_actuator(item)
-        elif isinstance(item, AttitudeTargetSample):
-            self._estimator.thrust.take_attitude_target(item)
-        elif isinstance(item, EscSample):
-            self._estimator.thrust.take_esc(item)
-        elif isinstance(item, Tick):
-            state.take_tick(item)
-        elif isinstance(item, StatusSample):
-            state.status = item
-            self._estimator.thrust.take_voltage(item.battery_v)
-            state.host_us = max(state.host_us, item.received_us)
-        elif isinstance(item, LockState):
-            state.lock = item
-        elif isinstance(item, EstimatorSample):
-            state.host_us = max(state.host_us, item.received_us)
-        elif isinstance(item, ClockOffset):
-            state.take_clock(item)
-        elif isinstance(item, OperatorRequest):
+    def _ingest(self, item: Input, out: list[Output]) -> list[Event]:
+        if isinstance(item, OperatorRequest):
             self._operator(item, out)
-        return []
-
-    def _feel(self, item: ImuSample, out: list[Output]) -> list[ImpactOnset | ImpactPeak | ContactEnd]:
-        estimate = self._estimator.estimate(item, self.state, self.detector.in_contact)
-        if estimate is None:
             return []
-        out.append(estimate)
-        events = self.detector.update(estimate, item.received_us, self.state)
+        estimate, events = self._senses.take(item)
+        if estimate is not None:
+            out.append(estimate)
         for event in events:
             if isinstance(event, ImpactOnset):
                 self.guard.note_impact(event.t_us)
