@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 MISSION ?= missions/dual_collision.yaml
 
-.PHONY: dry-run test bench campaign format lint types clean
+.PHONY: dry-run test bench campaign wheels format lint types clean
 .DEFAULT_GOAL := test
 
 $(STAMP): pyproject.toml constraints.txt
@@ -32,6 +32,9 @@ bench: $(STAMP)
 
 campaign: $(STAMP)
 	$(BIN)/python -m tools.campaign
+
+wheels: $(STAMP)  # needs the network
+	$(BIN)/python -m tools.check_wheels
 
 format: $(STAMP)
 	$(BIN)/ruff format .

@@ -11,7 +11,7 @@ import importlib
 import logging
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from dart_flight import __version__
@@ -48,14 +48,14 @@ class _Parser(argparse.ArgumentParser):
         self.exit(EXIT_INPUT, f"{self.prog}: {message} (see `{self.prog} --help`)\n")
 
 
-def build_parser(command: str | None) -> argparse.ArgumentParser:
-    """The parser; only the named command's module is imported for its arguments."""
+def build_parser(wanted: Collection[str]) -> argparse.ArgumentParser:
+    """The parser; only the modules of the wanted commands are imported for their arguments."""
     parser = _Parser(prog="dart-flight", description="Fly a dual-stiffness quadrotor into walls on purpose.")
     parser.add_argument("--version", action="version", version=f"dart-flight {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, help_text in COMMANDS.items():
-        sub = commands.add_parser(name, help=help_text, description=help_text.capitalize() + ".")
-        if name == command:
+        sub = commands.add_parser(name, help=help_text, description=f"{help_text[0].upper()}{help_text[1:]}.")
+        if name in wanted:
             _module(name).configure(sub)
             _common(sub)
     return parser
@@ -76,7 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     command = next((a for a in arguments if a in COMMANDS), None)
     try:
-        parsed = build_parser(command).parse_args(arguments)
+        parsed = build_parser([command] if command else []).parse_args(arguments)
         logging.basicConfig(
             stream=sys.stderr,
             level=logging.DEBUG if parsed.verbose > 1 else logging.ERROR,

@@ -35,7 +35,14 @@ class FrameOrigin(StrEnum):
 
 
 class FrameSpec(Section, frozen=True):
-    """Mission frame relative to PX4's local NED."""
+    """Mission frame (x along the heading, y left, z up) relative to PX4's local NED.
+
+    Attributes:
+        origin: local: PX4's local origin, moved by north_m and east_m (motion capture, surveyed room);
+            takeoff: as if the vehicle had taken off below start, moved likewise.
+        north_m, east_m: the frame's origin from there, m.
+        heading_deg: direction of the mission's x axis, clockwise from north.
+    """
 
     origin: FrameOrigin = FrameOrigin.LOCAL
     north_m: Coordinate = 0.0
@@ -44,14 +51,25 @@ class FrameSpec(Section, frozen=True):
 
 
 class StartSpec(Section, frozen=True):
-    """Where the mission starts, in the air; altitude above the take-off point."""
+    """Where the mission starts, in the air.
+
+    Attributes:
+        position_m: [x, y], mission frame; take-off is below it in simulation.
+        altitude_m: above the take-off point; kept for the whole mission.
+    """
 
     position_m: Point2
     altitude_m: Annotated[float, Meta(gt=0.0, le=100.0)]
 
 
 class GoalSpec(Section, frozen=True):
-    """Where it ends."""
+    """Where it ends.
+
+    Attributes:
+        position_m: [x, y], mission frame.
+        capture_radius_m: the goal counts as held while the vehicle is this near.
+        hold_s: how long the goal is held before landing.
+    """
 
     position_m: Point2
     capture_radius_m: Positive = 0.15
@@ -59,7 +77,12 @@ class GoalSpec(Section, frozen=True):
 
 
 class BoundsSpec(Section, frozen=True):
-    """The flight space: [low, high] per axis."""
+    """The flight space, mission frame: [low, high] per axis.
+
+    Attributes:
+        x, y: judged by the measured position and by where the vehicle would stop, m.
+        z: likewise, above the take-off point, m; take-off and landing are exempt.
+    """
 
     x: Range
     y: Range
@@ -74,7 +97,16 @@ class GivenAt(StrEnum):
 
 
 class WallSpec(Section, frozen=True):
-    """A finite wall; `point_m` is its middle, `normal` points into free space."""
+    """A finite, upright wall.
+
+    Attributes:
+        point_m: [x, y] of its middle, mission frame; what of the vehicle is there at first touch: given_at.
+        normal: [x, y], points into free space; any length.
+        length_m: along the wall, half of it to each side of the middle.
+        material: a key of materials in the vehicle configuration.
+        given_at: centre: point_m is where the vehicle's centre is at first touch, as in the paper; surface:
+            it is on the wall itself, and airframe.contact_distance_m is added.
+    """
 
     point_m: Point2
     normal: tuple[float, float]
@@ -84,14 +116,27 @@ class WallSpec(Section, frozen=True):
 
 
 class ApproachSpec(Section, frozen=True):
-    """Velocity at the impact in the wall's collision frame."""
+    """Velocity at the impact in the wall's collision frame.
+
+    Attributes:
+        normal_m_s: along the wall's normal; negative, towards the wall.
+        tangential_m_s: along the wall, positive to the right when looking along the normal.
+    """
 
     normal_m_s: Annotated[float, Meta(lt=0.0, ge=-20.0)]
     tangential_m_s: Annotated[float, Meta(ge=-20.0, le=20.0)] = 0.0
 
 
 class CollisionPrediction(Section, frozen=True):
-    """What the planner predicted for a collision."""
+    """What the planner predicted for a collision; written by `plan`, for flight and report to compare.
+
+    Attributes:
+        t_s: onset of the contact, from the start of the run-up.
+        position_m: [x, y] of the impact, mission frame.
+        normal_m_s, tangential_m_s: velocity at the impact, collision frame.
+        peak_force_n: largest normal force.
+        contact_time_s: how long the contact lasts.
+    """
 
     t_s: float
     position_m: Point2
@@ -102,13 +147,31 @@ class CollisionPrediction(Section, frozen=True):
 
 
 class MissPrediction(Section, frozen=True):
-    """What the planner predicted for the whole mission."""
+    """What the planner predicted for the whole mission.
+
+    Attributes:
+        goal_miss_m: smallest distance to the goal after the last contact.
+    """
 
     goal_miss_m: float
 
 
 class CollisionSpec(Section, frozen=True):
-    """One planned collision."""
+    """One planned collision.
+
+    Attributes:
+        wall: a key of walls.
+        mode: state of the arms at the impact.
+        approach: velocity to meet the wall with; required for the first collision. Without it the recovery of
+            the collision before leads to this wall.
+        impact_point_m: [x, y] on the wall's plane; without it, where the ray from start along the approach
+            meets the wall.
+        alpha_m_per_n: recovery gains along the mission's x and y axes (the paper's form), m of set-point per
+            N of peak force; for walls along an axis, or both the same.
+        alpha_wall_m_per_n: the same as [normal, tangential] of the wall, for any wall; exactly one of the
+            two is given.
+        predicted: written by plan.
+    """
 
     wall: str
     mode: Mode
@@ -124,6 +187,11 @@ class Limits(Section, frozen=True):
 
     The defaults stay below the accelerometer's full scale on every surface that was flown with a real PX4
     (docs/px4.md): 150 N of 204 N; a rigid hit on acrylic at 3 m/s, the speed limit, is 191 N.
+
+    Attributes:
+        speed_m_s: largest speed of an approach and of the flight.
+        peak_force_n: largest contact force, normal and friction together.
+        collision_timeout_s: longest recovery; then the goal is flown to, or the next wall given up.
     """
 
     speed_m_s: Positive = 3.0
@@ -132,7 +200,17 @@ class Limits(Section, frozen=True):
 
 
 class MissionFile(Section, frozen=True):
-    """A mission as written in YAML."""
+    """A mission as written in YAML.
+
+    Attributes:
+        version: of the format.
+        name: letters, digits and ' _.-', at most 64; names the flight's folder.
+        walls: by name.
+        collisions: in the order of the hits, at least one.
+        vehicle: vehicle configuration, relative to this file; without it, the default one.
+        transit_mode: state of the arms in take-off, transit and landing.
+        predicted: written by plan.
+    """
 
     version: Literal[1]
     name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$")]

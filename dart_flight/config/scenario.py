@@ -48,7 +48,12 @@ class Objective(StrEnum):
 
 
 class GridSpec(Section, frozen=True):
-    """Evenly spaced velocities, both ends included."""
+    """Evenly spaced velocities, both ends included.
+
+    Attributes:
+        min, max: m/s.
+        step: m/s; must divide the range.
+    """
 
     min: Annotated[float, Meta(ge=-20.0, le=20.0)]
     max: Annotated[float, Meta(ge=-20.0, le=20.0)]
@@ -56,7 +61,13 @@ class GridSpec(Section, frozen=True):
 
 
 class SearchSpec(Section, frozen=True):
-    """The approach velocities of the first collision, in its collision frame, and the modes to try."""
+    """The approach velocities of the first collision, in its collision frame, and the modes to try.
+
+    Attributes:
+        normal_m_s: grid along the wall's normal; negative is towards the wall.
+        tangential_m_s: grid along the wall.
+        modes: for every collision of the sequence.
+    """
 
     normal_m_s: GridSpec
     tangential_m_s: GridSpec
@@ -82,7 +93,21 @@ class Uncertainty(Section, frozen=True):
 
 
 class ScenarioFile(Section, frozen=True):
-    """A scenario as written in YAML."""
+    """A scenario as written in YAML.
+
+    Attributes:
+        version: of the format.
+        walls: by name; those outside the sequence are obstacles.
+        sequence: walls in the order of the hits, one to four; any: the planner chooses walls and order.
+        name: of the mission that is written; without it, the file's name.
+        vehicle: vehicle configuration, relative to this file; without it, the default one.
+        transit_mode: state of the arms in take-off, transit and landing.
+        alpha_m_per_n: wall -> recovery gains along the mission's x and y axes, as in a mission.
+        alpha_wall_m_per_n: wall -> recovery gains [normal, tangential], as in a mission.
+        objective: nearest: smallest miss of the goal; fastest; gentlest: smallest peak force; robust:
+            smallest miss under the uncertainty.
+        uncertainty: for the objective robust.
+    """
 
     version: Literal[1]
     start: StartSpec

@@ -20,7 +20,7 @@ def test_the_commands_on_the_page_parse() -> None:
     commands = re.findall(r"^dart-flight (lock .*?)(?: +#.*)?$", PAGE.read_text(), re.MULTILINE)
     assert len(commands) >= 5
     for command in commands:
-        build_parser("lock").parse_args(command.split())
+        build_parser(["lock"]).parse_args(command.split())
 
 
 def test_the_keys_on_the_page_exist() -> None:

@@ -1,0 +1,53 @@
+"""`dart-flight completion SHELL`: the script that completes commands, options and file names."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+from dart_flight.cli.terminal import emit_json
+
+SHELLS = ("bash", "zsh", "tcsh")
+_FILES = {"MISSION", "SCENARIO", "LOG", "TRIAL", "FILE"}
+_FOLDERS = {"DIR"}
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("shell", choices=SHELLS, help="the shell that reads the script")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; returns the exit status."""
+    script = completion_script(arguments.shell)
+    if arguments.json:
+        emit_json({"shell": arguments.shell, "script": script})
+    else:
+        sys.stdout.write(script)
+    return 0
+
+
+def completion_script(shell: str) -> str:
+    """The script, generated from the parser of every command.
+
+    Args:
+        shell: one of `SHELLS`.
+    """
+    import shtab
+
+    from dart_flight.cli import COMMANDS, build_parser
+
+    parser = build_parser(COMMANDS)
+    _complete_paths(parser, dict.fromkeys(_FILES, shtab.FILE) | dict.fromkeys(_FOLDERS, shtab.DIRECTORY))
+    return str(shtab.complete(parser, shell))
+
+
+def _complete_paths(parser: argparse.ArgumentParser, by_metavar: dict[str, Any]) -> None:
+    """Arguments whose placeholder names a file or a folder complete to one."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for sub in action.choices.values():
+                _complete_paths(sub, by_metavar)
+        elif isinstance(action.metavar, str) and action.metavar in by_metavar:
+            action.complete = by_metavar[action.metavar]  # type: ignore[attr-defined]

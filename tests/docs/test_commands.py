@@ -1,0 +1,248 @@
+"""Every command in README and docs parses, and runs where it can."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from dart_flight.cli import COMMANDS, build_parser
+from tests.docs.snippets import PAGES, ROOT, Command, commands
+
+# What is not run here, and why. What calls dart-flight is still parsed.
+NOT_RUN: list[tuple[str, str]] = [
+    (r"^(sudo|journalctl) ", "needs root and systemd"),
+    (r"^make ", "sets up a virtual environment of its own"),
+    (r"--px4", "needs a PX4 build"),
+    (
+        r"--connection serial:|^dart-flight monitor|^dart-flight fly missions/\S+( --standoff \S+)?$",
+        "needs the vehicle",
+    ),
+    (r"--driver (maestro|pwm)", "needs the servo"),
+    (r"^dart-flight lock calibrate", "asks at the keyboard"),
+    (r"\.ulg", "needs a log of PX4's"),
+    (
+        r"^python -m tools\.(bench|campaign|synthetic_trials|lossy_proxy|plan_|impact_)",
+        "takes minutes or waits",
+    ),
+    (r":14541", "needs the lossy proxy, which waits"),
+]
+# In real time, together: test_in_real_time.
+REAL_TIME = re.compile(r"^dart-flight (simulate|fly .*udpin://127\.0\.0\.1:14540|dry-run (?!.*--fast))")
+
+
+def why_not_run(command: Command) -> str | None:
+    if command.is_synopsis:
+        return "says what may be typed"
+    return next((why for pattern, why in NOT_RUN if re.search(pattern, command.text)), None)
+
+
+def is_real_time(command: Command) -> bool:
+    return why_not_run(command) is None and bool(REAL_TIME.match(command.text))
+
+
+ALL = [command for page in PAGES for command in commands(page)]
+
+
+def test_the_extraction_finds_the_commands() -> None:
+    texts = [command.text for command in ALL]
+    assert "dart-flight dry-run missions/dual_collision.yaml --fast" in texts
+    assert "dart-flight lock calibrate --config configs/dart.yaml" in texts, "also in a list"
+    assert any(command.status == 2 for command in ALL)
+    assert {command.arguments()[0] for command in ALL if command.arguments()} == set(COMMANDS)  # type: ignore[index]
+
+
+@pytest.mark.parametrize("command", ALL, ids=lambda c: f"{c.place}")
+def test_it_parses(command: Command) -> None:
+    arguments = command.arguments()
+    if arguments is not None:
+        if command.is_synopsis:
+            known = build_parser([arguments[0]])
+            words = [word for word in arguments if word.startswith("--")]
+            assert all(word.split("=")[0] in _options(known, arguments[0]) for word in words), command.text
+        else:
+            build_parser([arguments[0]]).parse_args(arguments)
+    module = re.match(r"python -m (\S+)", command.text)
+    if module:
+        assert importlib.util.find_spec(module[1]) is not None, command.text
+
+
+def _options(parser: object, command: str) -> set[str]:
+    choices = parser._subparsers._group_actions[0].choices  # type: ignore[attr-defined]
+    return {option for action in choices[command]._actions for option in action.option_strings}
+
+
+@pytest.mark.parametrize(("pattern", "why"), NOT_RUN, ids=[why for _, why in NOT_RUN])
+def test_every_excuse_is_needed(pattern: str, why: str) -> None:
+    assert any(re.search(pattern, command.text) for command in ALL), f"nothing any more that {why}"
+
+
+# --- running ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `init` gives, and the recordings that pages assume: a flight, trials, a list of hits."""
+    folder = tmp_path_factory.mktemp("docs") / "lab"
+    tools = tmp_path_factory.mktemp("bin")
+    for name, start in (("dart-flight", "-m dart_flight"), ("python", "")):
+        shim = tools / name
+        shim.write_text(f'#!/bin/sh\nexec {sys.executable} {start} "$@"\n')
+        shim.chmod(0o755)
+    (folder.parent / "bin").symlink_to(tools)
+    _run(["dart-flight", "init", str(folder)], folder.parent, folder.parent)
+    _run(["dart-flight", "dry-run", "missions/single_wall.yaml", "--fast"], folder, folder.parent)
+    (folder / "hits.csv").write_text("mode,normal_m_s,tangential_m_s\nrigid,-1.0,0.5\nflexible,-0.6,0.5\n")
+    trials = ["python", "-m", "tools.synthetic_trials"]
+    hits = ["--surface", "acrylic", "--mode", "flexible", "--wall", "0.6", "1.2"]
+    drops = ["--surface", "concrete", "--mode", "rigid", "--drop", "0.05", "0.2", "--plane", "0.2"]
+    for name, what in (("hit", hits), ("drop", drops)):
+        _run([*trials, name, *what], folder.parent, folder.parent)
+        for i, path in enumerate(sorted((folder.parent / name).glob("*.csv"))):
+            path.rename(folder / f"{name}_{i}.csv")
+    return folder
+
+
+def _environment(root: Path) -> dict[str, str]:
+    return os.environ | {
+        "PATH": f"{root / 'bin'}:{os.environ['PATH']}",
+        "PYTHONPATH": str(ROOT),
+        "DART_FLIGHT_STATE_DIR": str(root / "state"),
+        "COLUMNS": "200",
+    }
+
+
+def _run(words: list[str], folder: Path, root: Path) -> None:
+    subprocess.run(words, cwd=folder, env=_environment(root), check=True, capture_output=True, timeout=120)
+
+
+RUNNABLE = [p for p in PAGES if any(why_not_run(c) is None and not is_real_time(c) for c in commands(p))]
+
+
+@pytest.mark.parametrize("page", RUNNABLE, ids=lambda page: page.name)
+def test_what_is_quick_runs_as_it_stands(page: Path, laboratory: Path, tmp_path: Path) -> None:
+    """All commands of a page in one shell, in order, in a folder made by `init`."""
+    folder = tmp_path / "lab"
+    shutil.copytree(laboratory, folder)
+    if page.name == "quickstart.md":
+        folder = tmp_path  # makes its own
+    script = ["set -o pipefail"]
+    for command in commands(page):
+        if why_not_run(command) is None and not is_real_time(command):
+            promise = (
+                f"[ $s = {command.status} ] || {{ echo '{command.place}: ended with' $s >&2; exit 99; }}"
+            )
+            # One seed: what is tested is the command.
+            script += [re.sub(r"--runs \d+", "--runs 1", command.text) + "\ns=$?", promise]
+    if page.name == "quickstart.md":
+        shutil.rmtree(tmp_path / "lab")
+    done = subprocess.run(
+        ["bash", "-c", "\n".join(script)],
+        cwd=folder,
+        env=_environment(laboratory.parent),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+def test_the_error_in_the_quickstart_is_the_one_that_comes(laboratory: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "lab"
+    shutil.copytree(laboratory, folder)
+    page = (ROOT / "docs" / "quickstart.md").read_text()
+    change = next(c.text for c in commands(ROOT / "docs" / "quickstart.md") if c.text.startswith("sed "))
+    line = f"{change} && dart-flight check missions/mine.yaml"
+    done = subprocess.run(
+        ["bash", "-c", line],
+        cwd=folder,
+        env=_environment(laboratory.parent),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert f"```\n{done.stderr.strip()}\n```" in page
+
+
+# --- in real time ----------------------------------------------------------------------------------------
+
+
+def real_time() -> list[tuple[str, str | None]]:
+    """Commands to run, each once: a dry-run, or a flight with the `simulate` before it on the page."""
+    found: dict[tuple[str, str | None], None] = {}
+    for page in PAGES:
+        simulate: str | None = None
+        for command in filter(is_real_time, commands(page)):
+            if command.text.startswith("dart-flight simulate"):
+                simulate = command.text
+            else:
+                flies = command.text.startswith("dart-flight fly")
+                found[command.text, simulate if flies else None] = None
+    return list(found)
+
+
+@pytest.mark.mavlink
+@pytest.mark.parametrize(("command", "simulate"), real_time(), ids=[text for text, _ in real_time()])
+def test_in_real_time(command: str, simulate: str | None, laboratory: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "lab"
+    shutil.copytree(laboratory, folder)
+    environment = _environment(laboratory.parent) | {"DART_FLIGHT_STATE_DIR": str(tmp_path / "state")}
+    with contextlib.ExitStack() as stack:
+        if simulate is not None:
+            # Ports of its own, and an answer to the question that only a terminal is asked.
+            port = str(_free_port())
+            command = f"{command.replace('14540', port)} --yes"
+            simulate = f"{simulate.replace(' --port 14540', '')} --port {port}"
+            stack.enter_context(_beside(simulate, folder, environment))
+        done = subprocess.run(
+            ["bash", "-c", command],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@contextlib.contextmanager
+def _beside(command: str, folder: Path, environment: dict[str, str]) -> Iterator[None]:
+    process = subprocess.Popen(
+        ["bash", "-c", f"exec {command}"],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        time.sleep(1.0)
+        assert process.poll() is None, "simulate ended"
+        yield
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(10.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()

@@ -1,0 +1,257 @@
+"""Pages agree with the software: generated parts, snippets, links, and completeness."""
+
+from __future__ import annotations
+
+import configparser
+import json
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from dart_flight.cli import COMMANDS, build_parser, main
+from dart_flight.config.document import Document
+from dart_flight.config.mission import parse_mission
+from dart_flight.config.scenario import load_scenario
+from dart_flight.config.vehicle import Material, VehicleConfig, load_vehicle
+from dart_flight.flight.phases import Phase
+from tests.docs.snippets import PAGES, ROOT, Block, blocks
+from tools import concept_figures, key_tables, phase_diagram, wiring_drawing
+
+ALL = [block for page in PAGES for block in blocks(page)]
+LANGUAGES = {"", "sh", "yaml", "json", "ini", "mermaid", "python"}
+
+
+def of(language: str) -> list[Block]:
+    return [block for block in ALL if block.language == language]
+
+
+def test_every_block_is_of_a_kind_that_is_checked() -> None:
+    assert {block.language for block in ALL} <= LANGUAGES
+
+
+# --- generated -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("page", "generate"),
+    [
+        (phase_diagram.PAGE, phase_diagram.with_diagram),
+        (key_tables.MISSIONS, key_tables.with_tables),
+        (key_tables.CONFIGURATION_PAGE, key_tables.with_tables),
+    ],
+    ids=["phase_diagram", "key_tables missions", "key_tables configuration"],
+)
+def test_the_generated_part_is_up_to_date(page: Path, generate: Callable[[str], str]) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert text == generate(text), f"run python -m {generate.__module__}"
+
+
+def test_every_phase_is_explained() -> None:
+    page = phase_diagram.PAGE.read_text(encoding="utf-8")
+    for phase in Phase:
+        assert f"| `{phase}` |" in page
+
+
+def test_every_key_is_in_the_tables() -> None:
+    page = key_tables.CONFIGURATION_PAGE.read_text(encoding="utf-8")
+    document = Document.load(ROOT / "configs" / "dart.yaml")
+    for key in document.lines:
+        if key and not isinstance(key[-1], int):
+            assert f"`{'.'.join(map(str, key))}`" in page
+
+
+def test_the_figures_of_the_concepts_can_be_drawn(tmp_path: Path) -> None:
+    for draw in concept_figures.FIGURES:
+        draw(tmp_path)
+    drawn = {path.name for path in tmp_path.iterdir()}
+    page = (ROOT / "docs" / "concepts.md").read_text(encoding="utf-8")
+    assert drawn == set(re.findall(r"img/(concept_\w+\.png)", page))
+    assert drawn <= {path.name for path in (ROOT / "docs" / "img").iterdir()}
+
+
+def test_the_wiring_is_drawn_from_its_table(tmp_path: Path) -> None:
+    wiring_drawing.draw(tmp_path / "wiring.svg")
+    for text in ((tmp_path / "wiring.svg").read_text(), wiring_drawing.FILE.read_text()):
+        for label in [box.name for box in wiring_drawing.BOXES] + [
+            wire.end for wire in wiring_drawing.SERIAL
+        ]:
+            assert label in text
+
+
+# --- snippets --------------------------------------------------------------------------------------------
+
+
+def _merged(base: Any, change: Any) -> Any:
+    if isinstance(base, dict) and isinstance(change, dict):
+        return base | {key: _merged(base.get(key), value) for key, value in change.items()}
+    return change
+
+
+@pytest.mark.parametrize("block", of("yaml"), ids=lambda b: b.place)
+def test_yaml_is_what_the_loader_takes(block: Block, tmp_path: Path) -> None:
+    document = Document(block.text, block.place)
+    tree = document.tree
+    if "collisions" in tree:
+        parse_mission(document, load_vehicle(ROOT / "configs" / "dart.yaml"))
+    elif "sequence" in tree:
+        path = tmp_path / "scenario.yaml"
+        path.write_text(block.text)
+        load_scenario(path, ROOT / "configs" / "dart.yaml")
+    elif set(tree) <= {field.encode_name for field in msgspec.structs.fields(VehicleConfig)}:
+        whole = Document.load(ROOT / "configs" / "dart.yaml")
+        whole.tree = _merged(whole.tree, tree)
+        whole.convert(VehicleConfig)
+    else:
+        msgspec.convert(tree, dict[str, Material])
+
+
+@pytest.mark.parametrize("block", of("ini"), ids=lambda b: b.place)
+def test_ini_has_sections_and_keys(block: Block) -> None:
+    parser = configparser.ConfigParser(strict=False, interpolation=None)
+    parser.read_string(block.text)
+    assert parser.sections()
+
+
+@pytest.mark.parametrize("block", of("python"), ids=lambda b: b.place)
+def test_python_runs(block: Block, tmp_path: Path) -> None:
+    subprocess.run([sys.executable, "-c", block.text], cwd=ROOT, check=True, timeout=60)
+
+
+# Objects whose keys are data.
+OPEN = {"refused", "reasons", "residuals", "coefficients"}
+_PRODUCED_BY = re.compile(r"<!-- json: (.*) -->")
+
+
+def _same_shape(shown: Any, real: Any, place: str) -> Iterator[str]:
+    """What differs between an object on a page and the real one: keys and kinds, not values."""
+    if isinstance(shown, dict) and isinstance(real, dict):
+        missing = set(shown) - set(real)
+        unsaid = set() if place.rpartition(".")[2] in OPEN else set(real) - set(shown)
+        yield from (f"{place}.{key} is not there" for key in sorted(missing))
+        yield from (f"{place}.{key} is not on the page" for key in sorted(unsaid))
+        for key in set(shown) & set(real):
+            yield from _same_shape(shown[key], real[key], f"{place}.{key}")
+    elif isinstance(shown, list) and isinstance(real, list):
+        if shown and real:
+            yield from _same_shape(shown[0], real[0], f"{place}[]")
+    elif shown is not None and real is not None:
+        kinds = [
+            float if isinstance(v, int | float) and not isinstance(v, bool) else type(v)
+            for v in (shown, real)
+        ]
+        if kinds[0] is not kinds[1]:
+            yield f"{place} is {real!r}, on the page {shown!r}"
+
+
+def test_differences_of_shape_are_seen() -> None:
+    assert not list(_same_shape({"a": [1], "b": None}, {"a": [2.5, 3], "b": {"c": 1}}, ""))
+    assert len(list(_same_shape({"a": 1, "b": True}, {"a": "1", "c": 2, "b": 0.0}, ""))) == 3
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder from `init` with one flight in it."""
+    folder = tmp_path_factory.mktemp("interfaces") / "lab"
+    assert main(["init", str(folder)]) == 0
+    mission = str(folder / "missions" / "single_wall.yaml")
+    assert main(["dry-run", mission, "--fast", "--log-dir", str(folder / "demo")]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("block", of("json"), ids=lambda b: b.place)
+def test_json_is_what_the_command_prints(
+    block: Block,
+    recorded: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    shown = json.loads(block.text)
+    produced = _PRODUCED_BY.match(block.before)
+    if produced is None:
+        return
+    monkeypatch.chdir(recorded)
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path))
+    words = []
+    for word in shlex.split(produced[1]):
+        words += [str(path) for path in recorded.glob(word)] if "*" in word else [word]
+    assert main([*words, "--json"]) == 0
+    real = json.loads(capsys.readouterr().out)
+    assert list(_same_shape(shown, real, "")) == []
+
+
+# --- completeness ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_and_option_has_its_place(command: str) -> None:
+    page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    section = re.search(rf"^## {command}\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
+    assert section, f"docs/commands.md needs a section {command}"
+    choices = build_parser([command])._subparsers._group_actions[0].choices  # type: ignore[union-attr]
+    options = {o for a in choices[command]._actions for o in a.option_strings if o.startswith("--")}  # type: ignore[index]
+    common = {"--help", "--json", "--config", "--verbose", "--output"}
+    # What fly and dry-run share is explained once.
+    unsaid = {o for o in options - common if f"{o}" not in section[1]}
+    assert not unsaid, f"docs/commands.md, {command}: {', '.join(sorted(unsaid))}"
+
+
+def test_the_readme_names_every_command() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for command in COMMANDS:
+        assert re.search(rf"\b{command}\b", readme), command
+
+
+# --- links -----------------------------------------------------------------------------------------------
+
+_LINK = re.compile(r"\]\(([^)\s]+)\)")
+_NAMED = re.compile(r"\bdocs/[\w./-]+\.(?:md|png|svg|json)\b")
+# Pages that are being written beside these.
+COMING = {"docs/log.md", "docs/report.md"}
+SOURCES = ("dart_flight", "tools", "tests", "configs", "missions", "deploy", "docs")
+
+
+def _anchors(page: Path) -> set[str]:
+    heads = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_every_link_leads_somewhere(page: Path) -> None:
+    for target in _LINK.findall(page.read_text(encoding="utf-8")):
+        if re.match(r"https?:|mailto:", target):
+            continue
+        name, _, anchor = target.partition("#")
+        path = (page.parent / name).resolve() if name else page
+        if f"docs/{name}" in COMING:
+            continue
+        assert path.exists(), f"{page.name}: {target}"
+        assert not anchor or anchor in _anchors(path), f"{page.name}: {target}"
+
+
+def test_every_page_is_reached_from_the_index() -> None:
+    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    linked = {target.partition("#")[0] for target in _LINK.findall(index)}
+    assert {page.name for page in PAGES if page.parent == ROOT / "docs"} - {"index.md"} <= linked
+
+
+def test_every_page_that_is_named_exists() -> None:
+    files = [path for folder in SOURCES for path in (ROOT / folder).rglob("*") if path.suffix in _TEXT]
+    files += [ROOT / name for name in ("README.md", "CHANGELOG.md", "Makefile", "pyproject.toml")]
+    missing = {
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in files
+        for name in _NAMED.findall(path.read_text(encoding="utf-8"))
+        if name not in COMING and not (ROOT / name).exists()
+    }
+    assert not missing
+
+
+_TEXT = {".py", ".md", ".yaml", ".params", ".sh", ".rules", ".conf", ".service"}

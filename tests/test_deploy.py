@@ -1,0 +1,175 @@
+"""The field kit: unit, udev rules, mavlink-router configuration and installer hang together."""
+
+from __future__ import annotations
+
+import configparser
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from packaging.utils import canonicalize_name
+
+from dart_flight.cli import build_parser
+from dart_flight.config import load_vehicle
+from tools import check_wheels
+
+ROOT = Path(__file__).parents[1]
+DEPLOY = ROOT / "deploy"
+UNIT = DEPLOY / "systemd" / "dart-flight@.service"
+RULES = DEPLOY / "udev" / "99-dart-flight.rules"
+INSTALLER = DEPLOY / "install.sh"
+
+
+def ini(path: Path) -> configparser.ConfigParser:
+    parser = configparser.ConfigParser(strict=True, interpolation=None)
+    parser.optionxform = str  # type: ignore[assignment, method-assign]
+    parser.read_string(path.read_text())
+    return parser
+
+
+# --- systemd ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(
+    shutil.which("systemd-analyze") is None, reason="no systemd-analyze here: unit not verified"
+)
+def test_systemd_takes_the_unit(tmp_path: Path) -> None:
+    # The program is not installed where the unit looks for it: another executable stands in.
+    text = re.sub(r"^ExecStart=\S+", f"ExecStart={sys.executable}", UNIT.read_text(), flags=re.M)
+    unit = tmp_path / "dart-flight@single_wall.service"
+    unit.write_text(text)
+    command = ["systemd-analyze", "verify", "--man=no", str(unit)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+    unit.write_text(text.replace("WatchdogSec=1", "WatchdogSek=1"))
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert "WatchdogSek" in done.stderr, "a wrong key is seen"
+
+
+def test_the_unit_flies_a_mission_that_exists_by_a_command_that_parses() -> None:
+    service = ini(UNIT)["Service"]
+    program, *arguments = shlex.split(service["ExecStart"].replace("%i", "single_wall"))
+    assert program.endswith("/bin/dart-flight")
+    parsed = build_parser([arguments[0]]).parse_args(arguments)
+    assert (parsed.command, parsed.yes) == ("fly", True)
+    assert (ROOT / parsed.mission).exists()
+
+
+def test_the_unit_never_flies_by_itself() -> None:
+    unit = ini(UNIT)
+    assert not unit.has_section("Install")
+    assert unit["Service"]["Restart"] == "no"
+    assert not UNIT.read_text().count("WantedBy")
+
+
+def test_the_times_of_the_unit_fit_the_configuration() -> None:
+    service, vehicle = ini(UNIT)["Service"], load_vehicle(ROOT / "configs" / "dart.yaml")
+    assert service["Type"] == "notify"
+    assert float(service["WatchdogSec"]) > 2.0 * vehicle.guard.deadman_s, "the deadman acts first"
+    assert float(service["TimeoutStartSec"]) > 2.0 * vehicle.connection.timeout_s
+    # `stop` lands: down from the altitude of the shipped missions, after half a minute of breaking off.
+    assert float(service["TimeoutStopSec"]) > 30.0 + 2.0 / vehicle.px4.mpc_land_speed
+
+
+# --- udev ------------------------------------------------------------------------------------------------
+
+_MATCH = r"(?:ACTION|SUBSYSTEM|DRIVER|ATTRS?\{\w+\}|ENV\{\w+\})(?:==|!=)"
+_ASSIGN = r"(?:SYMLINK\+=|GROUP=|MODE=|ENV\{\w+\}=|ATTR\{\w+\}=)"
+_PART = re.compile(rf'(?P<what>{_MATCH}|{_ASSIGN})"(?P<value>[^"]*)"')
+
+
+def rules() -> list[dict[str, str]]:
+    found = []
+    for line in RULES.read_text().splitlines():
+        if line and not line.startswith("#"):
+            parts = [_PART.fullmatch(part.strip()) for part in line.split(", ")]
+            assert all(parts), line
+            found.append({part["what"]: part["value"] for part in parts if part})
+    return found
+
+
+def test_the_rules_name_what_configuration_and_page_name() -> None:
+    page = (ROOT / "docs" / "field.md").read_text()
+    links = {rule["SYMLINK+="]: rule for rule in rules() if "SYMLINK+=" in rule}
+    assert set(links) == {"dart-autopilot", "dart-servo"}
+    assert links["dart-autopilot"]["ATTRS{idVendor}=="] == "0403"
+    assert links["dart-servo"]["ATTRS{idVendor}=="] == "1ffb"
+    for name in links:
+        assert f"/dev/{name}" in page
+    for rule in rules():
+        # ATTRS of one rule must be of one parent device: vendor and product are.
+        assert not [key for key in rule if key.startswith("ATTRS") and "id" not in key]
+
+
+def _udevadm_verifies() -> bool:
+    if shutil.which("udevadm") is None:
+        return False
+    done = subprocess.run(["udevadm", "verify", "--help"], capture_output=True, check=False)
+    return done.returncode == 0
+
+
+@pytest.mark.skipif(not _udevadm_verifies(), reason="no `udevadm verify` here (systemd 254 or newer)")
+def test_udev_takes_the_rules() -> None:
+    subprocess.run(["udevadm", "verify", str(RULES)], check=True, timeout=60)
+
+
+# --- mavlink-router --------------------------------------------------------------------------------------
+
+
+def test_the_router_shares_the_link_of_the_configuration() -> None:
+    router = ini(DEPLOY / "mavlink-router" / "main.conf")
+    uart = router["UartEndpoint autopilot"]
+    url = load_vehicle(ROOT / "configs" / "dart.yaml").connection.url
+    assert url == f"serial://{uart['Device']}:{uart['Baud']}"
+    ours, station = router["UdpEndpoint dart-flight"], router["UdpEndpoint qgroundcontrol"]
+    assert (ours["Mode"], ours["Address"]) == ("Normal", "127.0.0.1")
+    page = (ROOT / "docs" / "field.md").read_text()
+    assert f"--connection udpin://{ours['Address']}:{ours['Port']}" in page
+    assert f"port {station['Port']}" in page.replace("\n", " ")
+
+
+# --- installer -------------------------------------------------------------------------------------------
+
+
+def test_the_installer_is_shell_and_its_files_are_there() -> None:
+    subprocess.run(["sh", "-n", str(INSTALLER)], check=True, timeout=60)
+    text = INSTALLER.read_text()
+    named = re.findall(r'"\$here/([\w@./-]+)"', text)
+    assert {"constraints.txt", "deploy/udev/99-dart-flight.rules"} <= set(named)
+    for name in named:
+        assert (ROOT / name).exists(), name
+    assert INSTALLER.stat().st_mode & 0o111
+    unit = ini(UNIT)["Service"]
+    assert unit["WorkingDirectory"] in text
+    assert Path(unit["ExecStart"].split()[0]).parents[1].as_posix() in text
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="for Linux")
+def test_the_installer_refuses_without_root_in_one_line(tmp_path: Path) -> None:
+    fake = tmp_path / "id"
+    fake.write_text("#!/bin/sh\necho 1000\n")
+    fake.chmod(0o755)
+    done = subprocess.run(
+        ["sh", str(INSTALLER)],
+        env={"PATH": f"{tmp_path}:/usr/bin:/bin"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert (done.returncode, done.stderr) == (2, "run it with sudo\n")
+
+
+# --- wheels ----------------------------------------------------------------------------------------------
+
+
+def test_every_dependency_of_the_pi_is_pinned() -> None:
+    # That each pin has a wheel needs the network: `python -m tools.check_wheels`.
+    wanted, pinned = check_wheels.direct(), check_wheels.pins()
+    assert {"mavsdk", "msgspec", "pymavlink", "matplotlib"} <= wanted
+    assert wanted <= set(pinned)
+    assert all(name == canonicalize_name(name) for name in pinned)
