@@ -25,6 +25,7 @@ AGREES = 0.1
 # How far flight logs of the simulated vehicle, whose coefficients are known, are off by themselves
 # (docs/report.md): a smaller difference is the recording's, not the material's.
 RECORDING_BIAS = {"k": 0.05, "f": 0.2, "mu": 0.1, "nu": 0.5}
+_T_FEW = (12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.2622, 2.2281)
 _MOST_TRIALS = 5  # per mode: more narrow the interval little and take long
 
 
@@ -94,12 +95,27 @@ def _of_material(
 
 
 def _mean(values: list[float]) -> tuple[float, float]:
+    half = mean_half_width(values)
+    return sum(values) / len(values), AGREES if half is None else half
+
+
+def mean_half_width(values: Sequence[float]) -> float | None:
+    """Half the 95 % interval of the mean by Student's t; None from fewer than two values."""
     n = len(values)
-    mean = sum(values) / n
     if n < 2:
-        return mean, AGREES
-    sd = math.sqrt(sum((v - mean) ** 2 for v in values) / (n - 1))
-    return mean, 1.96 * sd / math.sqrt(n)
+        return None
+    mean = sum(values) / n
+    deviation = math.sqrt(sum((v - mean) ** 2 for v in values) / (n - 1))
+    return _student_t(n - 1) * deviation / math.sqrt(n)
+
+
+def _student_t(freedom: int) -> float:
+    """97.5 % point of Student's t: tabulated where the expansion about the normal quantile is not close."""
+    if freedom <= len(_T_FEW):
+        return _T_FEW[freedom - 1]
+    z = 1.959964
+    g1, g2 = (z**3 + z) / 4.0, (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / 96.0
+    return z + g1 / freedom + g2 / freedom**2
 
 
 def _trials(material: str, flights: Sequence[Flight]) -> list[Trial]:
