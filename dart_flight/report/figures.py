@@ -308,7 +308,7 @@ def timeline(flight: Flight) -> str:
 
 def _stretches(moments: list[tuple[float, Any]], end: float) -> list[tuple[float, float, Any]]:
     """Values that hold from one moment to the next, the last to the end."""
-    stops = [t for t, _ in moments[1:]] + [end]
+    stops = [t for t, _ in moments[1:]] + [end] if moments else []
     return [(t, stop, value) for (t, value), stop in zip(moments, stops, strict=True)]
 
 

@@ -30,6 +30,7 @@ from dart_flight.verdict import CollisionVerdict, Velocities, Verdict, VerdictBu
 
 _STEP_S = 0.0005
 _SHOWN_BEFORE_S, _SHOWN_AFTER_S = 0.05, 0.2
+_LEAST_M_S = 0.05
 PX4_LOG = "px4.ulg"
 
 
@@ -53,10 +54,14 @@ class Compared(msgspec.Struct):
 
     @property
     def error_percent(self) -> float | None:
-        """Of the measured value, against the true one where there is one, else predicted, else planned."""
+        """Of the measured value, against the true one where there is one, else predicted, else planned.
+
+        None of a velocity near 0, where a share says nothing.
+        """
         sources = (self.true, self.predicted, self.planned)
         reference = next((v for v in sources if v is not None), None)
-        if self.measured is None or not reference:
+        least = _LEAST_M_S if self.unit == "m/s" else 0.0
+        if self.measured is None or reference is None or abs(reference) <= least:
             return None
         return 100.0 * (self.measured / reference - 1.0)
 

@@ -30,7 +30,10 @@ def flight_page(flight: Flight, *, identify: bool = False) -> str:
         _section(
             "Path and motion",
             _figures(
-                (figures.flight_map([flight]), "From above, mission frame. Hatched: walls."),
+                (
+                    figures.flight_map([flight]),
+                    "From above, mission frame. Hatched: walls. Planned: until the closest to the goal.",
+                ),
                 (figures.motion(flight), "Velocities and height. Vertical lines: impacts detected."),
             ),
         ),
@@ -83,7 +86,10 @@ def comparison_page(flights: Sequence[Flight], *, identify: bool = False) -> str
         _section(
             "Paths and forces",
             _figures(
-                (figures.flight_map(flights), "All paths from above, mission frame."),
+                (
+                    figures.flight_map(flights),
+                    "All paths from above, mission frame. Planned: to the closest approach to the goal.",
+                ),
                 (figures.errors_over_trials(flights), "Errors of the peak force."),
                 *force_figures,
             ),

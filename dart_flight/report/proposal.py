@@ -22,9 +22,6 @@ from dart_flight.samples import Mode
 
 # Peak forces that agree to this teach nothing; the paper's own model is 12 to 18 % off its measurements.
 AGREES = 0.1
-# How far flight logs of the simulated vehicle, whose coefficients are known, are off by themselves
-# (docs/report.md): a smaller difference is the recording's, not the material's.
-RECORDING_BIAS = {"k": 0.05, "f": 0.2, "mu": 0.1, "nu": 0.5}
 _T_FEW = (12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.2622, 2.2281)
 _MOST_TRIALS = 5  # per mode: more narrow the interval little and take long
 
@@ -115,7 +112,8 @@ def _student_t(freedom: int) -> float:
         return _T_FEW[freedom - 1]
     z = 1.959964
     g1, g2 = (z**3 + z) / 4.0, (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / 96.0
-    return z + g1 / freedom + g2 / freedom**2
+    g3 = (3.0 * z**7 + 19.0 * z**5 + 17.0 * z**3 - 15.0 * z) / 384.0
+    return z + g1 / freedom + g2 / freedom**2 + g3 / freedom**3
 
 
 def _trials(material: str, flights: Sequence[Flight]) -> list[Trial]:
@@ -134,13 +132,10 @@ def _suggest(found: Identification, material: str, flight: Flight) -> list[Sugge
         for name, estimate in found.coefficients.get(mode.value, {}).items():
             configured = float(getattr(table.of(mode), name))
             suggestions.append(
-                Suggestion(mode.value, name, configured, estimate, _differs(configured, name, estimate))
+                Suggestion(mode.value, name, configured, estimate, _differs(configured, estimate))
             )
     return suggestions
 
 
-def _differs(configured: float, name: str, estimate: Estimate | None) -> bool:
-    if estimate is None:
-        return False
-    bias = RECORDING_BIAS[name] * abs(estimate.value)
-    return not estimate.low - bias <= configured <= estimate.high + bias
+def _differs(configured: float, estimate: Estimate | None) -> bool:
+    return estimate is not None and not estimate.low <= configured <= estimate.high
