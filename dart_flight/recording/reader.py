@@ -17,6 +17,7 @@ from dart_flight.recording.writer import ABOUT, END, FORMAT_VERSION, part_path
 from dart_flight.samples import Record
 
 _MAGIC = b"\x89MCAP0\r\n"
+_DECODERS = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
 
 
 class LogEntry(msgspec.Struct, frozen=True):
@@ -100,7 +101,6 @@ def _read_part(path: Path, log: Log) -> None:
 
 def _entries(stream: BinaryIO, log: Log, found: dict[str, str], source: str) -> Iterator[LogEntry]:
     topics: dict[int, str] = {}
-    decoders = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
     for record in StreamReader(stream, emit_chunks=True).records:
         if isinstance(record, Metadata) and record.name == ABOUT:
             found.update(record.metadata)
@@ -113,9 +113,8 @@ def _entries(stream: BinaryIO, log: Log, found: dict[str, str], source: str) -> 
         for inner in breakup_chunk(record, validate_crc=True):
             if isinstance(inner, Channel):
                 topics[inner.id] = inner.topic
-            elif isinstance(inner, Message) and topics.get(inner.channel_id) in decoders:
-                record_decoder = decoders[topics[inner.channel_id]]
-                yield LogEntry(inner.sequence, decode(inner.data, record_decoder))
+            elif isinstance(inner, Message) and topics.get(inner.channel_id) in _DECODERS:
+                yield LogEntry(inner.sequence, decode(inner.data, _DECODERS[topics[inner.channel_id]]))
 
 
 def _check_version(about: dict[str, str], source: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import msgspec
@@ -24,6 +25,7 @@ from dart_flight.samples import (
     ImuSample,
     SetPoint,
     SetPointSent,
+    StatusSample,
     TruthContact,
 )
 from dart_flight.verdict import CollisionVerdict, Velocities, Verdict, VerdictBuilder
@@ -249,6 +251,21 @@ class Flight:
         """How the flight is called among others."""
         folder = Path(self.log.source).resolve().parent.name
         return f"{folder} (seed {self.log.seed})" if self.log.seed is not None else folder
+
+    def armed_utc(self) -> str | None:
+        """When the vehicle was armed, by the host's calendar: PX4 names its own log by it."""
+        about = self.log.about
+        started, monotonic = about.get("started_utc"), about.get("started_monotonic_us", "")
+        armed = next((s for s in self.course.all(StatusSample) if s.armed), None)
+        if started is None or armed is None or not monotonic.isdigit() or self.log.world == "fast":
+            return None
+        try:
+            moment = datetime.fromisoformat(started) + timedelta(
+                microseconds=armed.received_us - int(monotonic)
+            )
+        except (ValueError, OverflowError):
+            return None
+        return moment.strftime("%Y-%m-%d %H:%M:%S UTC")
 
     def recovery_points(self) -> list[Vec3]:
         """The recovery set-points, mission frame."""

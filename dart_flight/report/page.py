@@ -125,7 +125,7 @@ def _verdict(flight: Flight) -> str:
         ("started", about.get("started_utc", "?")),
         ("software", f"dart-flight {about.get('software', '?')} on {about.get('host', '?')}"),
         ("log", flight.log.source + ("" if flight.log.complete else " (cut: not all of the flight is here)")),
-        ("PX4's own log", v.px4_log or "not beside the log"),
+        ("PX4's own log", v.px4_log or _where_px4_log(flight)),
         ("records lost", flight.log.end.get("lost", "unknown: the log was cut")),
         (
             "replayed",
@@ -152,6 +152,13 @@ def _verdict(flight: Flight) -> str:
     listed = "".join(f"<dt>{k}</dt><dd>{html.escape(t)}</dd>" for k, t in facts)
     reason = f"<p class=reason>{html.escape(v.reason)}</p>" if v.reason else ""
     return f"<section>{reason}<div class=tiles>{tiles}</div><dl>{listed}</dl></section>"
+
+
+def _where_px4_log(flight: Flight) -> str:
+    if flight.log.world in ("fast", "embedded"):
+        return "none: PX4 was not flown"
+    armed = flight.armed_utc()
+    return "not beside the log" + (f"; armed at {armed}" if armed else "")
 
 
 def _impact_table(flight: Flight) -> str:

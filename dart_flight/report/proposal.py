@@ -20,8 +20,10 @@ from dart_flight.recording.trials import trials_of
 from dart_flight.report.flight import Flight
 from dart_flight.samples import Mode
 
-# Peak forces that agree to this teach nothing; the paper's own model is 12 to 18 % off its measurements.
-AGREES = 0.1
+# Peak forces that agree to this teach nothing: a fifth of k would be twice as much. One flight alone has no
+# spread; its measured velocity, on which the prediction stands, is off by up to 4 %.
+AGREES = 0.05
+ALONE = 0.1
 _T_FEW = (12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.2622, 2.2281)
 _MOST_TRIALS = 5  # per mode: more narrow the interval little and take long
 
@@ -93,7 +95,7 @@ def _of_material(
 
 def _mean(values: list[float]) -> tuple[float, float]:
     half = mean_half_width(values)
-    return sum(values) / len(values), AGREES if half is None else half
+    return sum(values) / len(values), ALONE if half is None else half
 
 
 def mean_half_width(values: Sequence[float]) -> float | None:
