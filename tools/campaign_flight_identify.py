@@ -122,13 +122,12 @@ def page(found: Sequence[Found]) -> str:
         f"Largest errors: {worst}. The interval holds the truth in {sum(f.inside for f in known)} of",
         f"{len(known)} cases.",
         "",
-        "`proposed`: the report of these flights proposes a new entry for the material. It does "
-        "so where the mean",
-        f"of measured over predicted peak force is off by more than {AGREES:.0%} and by more than "
-        f"its own 95 %",
-        "interval, and a coefficient's interval does not hold the configured value. Peaks grow "
-        "with the square",
-        "root of k, and hardly with mu: a wrong mu is found with `report --identify`.",
+        "`proposed`: the report of these flights proposes a new entry for the material. It does so where the "
+        "mean",
+        "of measured over predicted peak, of the normal force or of friction above 5 N, is off by more than",
+        f"{100 * AGREES:.0f} % and by more than its own 95 % interval, and a coefficient's interval does not "
+        "hold",
+        "the configured value. A wrong nu alone is found with `report --identify`.",
         "",
         "| mission | walls | material, mode | | truth | found | error % | 95 % interval | holds "
         "truth | proposed |",

@@ -33,6 +33,8 @@ from dart_flight.verdict import CollisionVerdict, Velocities, Verdict, VerdictBu
 _STEP_S = 0.0005
 _SHOWN_BEFORE_S, _SHOWN_AFTER_S = 0.05, 0.2
 _LEAST_M_S = 0.05
+_LEAST_FRICTION_N = 5.0
+_FRICTION = "peak friction force"
 PX4_LOG = "px4.ulg"
 
 
@@ -145,7 +147,7 @@ class Impact:
                 true.peak_force_n,
             ),
             Compared(
-                "peak friction force", "N", None, friction,
+                _FRICTION, "N", None, friction,
                 None if peak is None else abs(peak.tangential_force_n),
                 None if truth is None else abs(truth.peak_friction_force_n),
             ),
@@ -191,6 +193,16 @@ class Impact:
         if measured is None or not self.predicted_n or self.verdict.clipped:
             return None
         return measured / self.predicted_n - 1.0
+
+    @property
+    def friction_disagreement(self) -> float | None:
+        """Likewise of the friction force; None also where it is too small to tell."""
+        friction = next(c for c in self.compared if c.name == _FRICTION)
+        if friction.measured is None or friction.predicted is None or self.verdict.clipped:
+            return None
+        return (
+            friction.measured / friction.predicted - 1.0 if friction.predicted >= _LEAST_FRICTION_N else None
+        )
 
     @property
     def force_error(self) -> float | None:

@@ -250,7 +250,7 @@ def _proposals(proposals: list[Proposal]) -> str:
         parts.append(f"<h3>{html.escape(p.material)}</h3>")
         for mode, (mean, half) in p.disagreement.items():
             parts.append(
-                f"<p>{mode}: measured peak force {100 * mean:+.1f} % of the predicted "
+                f"<p>{mode} force: the measured peak is {100 * mean:+.1f} % off the predicted one "
                 f"(± {100 * half:.1f} %).</p>"
             )
         if p.note:

@@ -1,7 +1,8 @@
 """What the material table should learn from flights: coefficients where prediction and measurement disagree.
 
-First the cheap question: does the measured peak force differ from the law's, at the measured velocity,
-by more than its own spread over the trials? Only then, or when asked to, are coefficients identified.
+First the cheap question: does the measured peak of normal or friction force differ from the law's, at the
+measured velocity, by more than its own spread over the trials? Only then, or when asked to, are coefficients
+identified.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ class Proposal(msgspec.Struct):
 
     Attributes:
         material: which.
-        disagreement: per mode, mean of measured over predicted peak force minus one, and its 95 % half width.
+        disagreement: per mode and force (`rigid, normal`), mean of measured over predicted peak minus one, and
+            its 95 % half width.
         suggestions: empty where nothing was identified.
         entry: the YAML to put under `materials`, "" where nothing should change.
         note: why there is nothing, or what limits it.
@@ -67,8 +69,9 @@ def propose(flights: Sequence[Flight], always: bool = False) -> list[Proposal]:
     for flight in flights:
         for impact in flight.impacts:
             modes = by_material.setdefault(impact.material, {})
-            if impact.disagreement is not None:
-                modes.setdefault(impact.verdict.mode, []).append(impact.disagreement)
+            for force, value in (("normal", impact.disagreement), ("friction", impact.friction_disagreement)):
+                if value is not None:
+                    modes.setdefault(f"{impact.verdict.mode}, {force}", []).append(value)
     return [_of_material(m, modes, flights, always) for m, modes in by_material.items()]
 
 

@@ -28,7 +28,7 @@ from dart_flight.recording import FlightLog, Log, read_log
 from dart_flight.recording.about import flown_mission, parse_written, written_mission
 from dart_flight.recording.encoding import decode, encode
 from dart_flight.recording.schema import CLOCKS, RECORD_TYPES, schema
-from dart_flight.recording.writer import ABOUT, FORMAT_VERSION, part_path
+from dart_flight.recording.writer import ABOUT, FORMAT_VERSION, LogPart, part_path
 from dart_flight.samples import (
     GuardEvent,
     ImuSample,
@@ -167,13 +167,16 @@ def small_log(path: Path) -> bytes:
     return path.read_bytes()
 
 
-@pytest.mark.parametrize("eighth", range(8))
-def test_a_log_cut_at_every_byte(eighth: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("part", range(4))
+def test_a_log_cut_at_every_byte(part: int, tmp_path: Path) -> None:
+    """Every byte from the first record on, every eighth of the description and the schemas before it."""
+    LogPart(tmp_path / "empty.mcap", {"mission": "small"}, 1).close()
+    begin = (tmp_path / "empty.mcap").stat().st_size
     whole = small_log(tmp_path / "whole.mcap")
     entries = read_log(tmp_path / "whole.mcap").entries
     assert len(entries) == 12
     path, known = tmp_path / "flight.mcap", 0
-    for cut in range(eighth * len(whole) // 8, (eighth + 1) * len(whole) // 8):
+    for cut in [*range(part, begin, 32), *range(begin + part, len(whole), 4)]:
         path.write_bytes(whole[:cut])
         log = read_log(path)
         assert log.entries == entries[: len(log.entries)]
