@@ -44,8 +44,8 @@ class Proposal(msgspec.Struct):
 
     Attributes:
         material: which.
-        disagreement: per mode and force (`rigid, normal`), mean of measured over predicted peak minus one, and
-            its 95 % half width.
+        disagreement: per mode and force (`rigid, normal`), mean of measured over predicted peak minus one,
+            and its 95 % half width.
         suggestions: empty where nothing was identified.
         entry: the YAML to put under `materials`, "" where nothing should change.
         note: why there is nothing, or what limits it.
