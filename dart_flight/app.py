@@ -290,7 +290,7 @@ class FlightApp:
             terminal.start()
             self._core.thread.start()
             self._lock.thread.start()
-            session.subscribe()
+            session.subscribe(self._mission.vehicle.estimation)
             self._listen_for_signals()
             keeper = asyncio.create_task(self._keep_alive())
             try:

@@ -1,9 +1,8 @@
 """What a vehicle's telemetry shows of force and contact, without flying it: the core's eyes and no hands.
 
 `Watcher` is fed every record by MAVSDK's thread and runs estimator and detector on it; `view` is what a
-screen
-shows of it, asked for a few times a second from another thread. Nothing is ever sent to the vehicle beside
-the requests for stream rates.
+screen shows of it, asked for a few times a second from another thread. Nothing is ever sent to the vehicle
+beside requests for streams that come too slowly: on a link shared with a flying `dart-flight` none is slowed.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ from dart_flight.samples import (
     StatusText,
 )
 from dart_flight.streams import STREAMS
-from dart_flight.vehicle import connect
+from dart_flight.vehicle import VehicleSession, connect
 from dart_flight.vehicle.clock import host_us
 
 _STREAM_OF = {
@@ -98,6 +97,7 @@ class Watcher:
         self._placed = placed
         # North, west, up: the mission frame with heading 0 is what is shown where nobody named a mission.
         self._state.frame = mission.frame_at((0.0, 0.0, 0.0)) if placed else MissionFrame()
+        self.estimation = mission.vehicle.estimation
         self._estimator = ForceEstimator(mission.vehicle)
         self._detector = ImpactDetector(mission.vehicle)
         self._estimate: ForceEstimate | None = None
@@ -129,6 +129,10 @@ class Watcher:
         elif isinstance(item, ActuatorSample):
             state.take_actuator(item)
             self._estimator.thrust.take_actuator(item)
+        elif isinstance(item, AttitudeTargetSample):
+            self._estimator.thrust.take_attitude_target(item)
+        elif isinstance(item, EscSample):
+            self._estimator.thrust.take_esc(item)
         elif isinstance(item, StatusSample):
             state.status = item
             self._estimator.thrust.take_voltage(item.battery_v)
@@ -209,6 +213,12 @@ class Watcher:
         return share
 
 
+async def _raise_rates(watcher: Watcher, session: VehicleSession) -> None:
+    """Ask for the streams that come at less than a mission needs."""
+    await asyncio.sleep(1.5 * _RATE_WINDOW_S)
+    await session.set_rates([s.name for s in watcher.view().streams if s.rate_hz < s.expected_hz])
+
+
 async def watch(
     watcher: Watcher,
     url: str,
@@ -223,8 +233,8 @@ async def watch(
         VehicleError: no autopilot at the URL.
     """
     async with connect(url, timeout_s, watcher.take, ground=True) as session:
-        session.subscribe()
-        rates = asyncio.create_task(session.set_rates())
+        session.subscribe(watcher.estimation, guarded=False)
+        rates = asyncio.create_task(_raise_rates(watcher, session))
         end = None if seconds is None else time.monotonic() + seconds
         try:
             while end is None or time.monotonic() < end:

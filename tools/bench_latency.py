@@ -29,14 +29,22 @@ from dart_flight.flight.guard import Guard
 from dart_flight.flight.guard_rules import Action
 from dart_flight.flight.phases import Phase
 from dart_flight.recording.writer import FlightLog
-from dart_flight.samples import Input, LockPhase, LockState, Mode, Output, SetPoint, SetPointSent
+from dart_flight.samples import (
+    Input,
+    LockPhase,
+    LockState,
+    Mode,
+    Output,
+    SetPoint,
+    SetPointSent,
+    VehicleCommand,
+)
 from dart_flight.sim.harness import free_udp_port
 from dart_flight.verdict import VerdictBuilder
 from tools.impact_source import MISSION, Record
 
 IMPACTS = 500
 PERIOD_S = 0.3  # a contact of 46 ms, its end, the refractory time
-_TARGET_P50_MS, _TARGET_P99_MS, _TARGET_CPU = 2.0, 8.0, 100.0
 _SAME_M = 1e-3  # a set-point on the wire is this near to the one that the core gave
 _LATEST_NS = 100_000_000
 
@@ -46,10 +54,10 @@ class RepeatingCore(FlightCore):
 
     def __init__(self, mission: Mission) -> None:
         super().__init__(mission)
-        self.state.frame = mission.frame_at((0.0, 0.0, 0.0))
         self.recoveries: list[SetPoint] = []
         self.overruled: list[str] = []  # why the guard took over, as when the machine stalls
         self._again_us = 0
+        self._begun = False
 
     def step(self, item: Input) -> list[Output]:
         """As the core's."""
@@ -59,12 +67,14 @@ class RepeatingCore(FlightCore):
         if self.guard.action is not Action.NONE:
             self.overruled.append(self.guard.reason or "")
             self.guard = executive._guard = Guard(self.mission)
-            executive.phase = Phase.READYING
-        ready = self.state.odometry is not None and self.state.status.armed
+            self._begun = False
+        status = self.state.status
+        ready = self.state.odometry is not None and status.armed and status.local_position_ok
         rested = executive.phase is Phase.RECOVERY and now > self._again_us
-        if rested or (executive.phase is Phase.READYING and ready):
+        if rested or (not self._begun and ready):
             self._begin(now)
-        elif executive.phase is Phase.READYING:
+        elif not self._begun:
+            executive.phase = Phase.READYING
             self.state.lock = LockState(now, LockPhase.SETTLED, Mode.RIGID)
         elif executive.phase is Phase.APPROACH and now - (executive._entered_us or 0) > 1_000_000:
             executive._entered_us = now
@@ -73,10 +83,12 @@ class RepeatingCore(FlightCore):
             if isinstance(output, SetPoint) and output.recovery:
                 self.recoveries.append(output)
                 self._again_us = output.t_us + 200_000
-        return outputs
+        # What the guard would have the vehicle do is reset above: the source stays in offboard mode.
+        return [output for output in outputs if not isinstance(output, VehicleCommand)]
 
     def _begin(self, now_us: int) -> None:
-        executive = self.executive
+        executive, self._begun = self.executive, True
+        self.state.frame = self.mission.frame_at((0.0, 0.0, 0.0))  # the ground is not where it is first seen
         executive.phase, executive.collision_index, executive._entered_us = Phase.APPROACH, 0, now_us
         executive._approach = executive._approaches[1]
 
@@ -176,9 +188,15 @@ def histogram(values: list[float]) -> str:
 
 
 def rows(impacts: int = IMPACTS) -> list[dict[str, Any]]:
-    """Rows for the benchmark table; baselines are what is asked for, not another measurement."""
+    """Rows for the benchmark table.
+
+    Raises:
+        RuntimeError: no impact was answered.
+    """
     result = measure(impacts)
     found = result.wire_ms
+    if not found:
+        raise RuntimeError(f"none of {impacts} impacts was answered; the guard: {result.overruled[:3]}")
     print(f"{len(found)} of {result.expected} impacts answered, set-point for IMU sample, both on the wire:")
     print(histogram(found))
     if result.overruled:
@@ -187,16 +205,15 @@ def rows(impacts: int = IMPACTS) -> list[dict[str, Any]]:
             + "; ".join(sorted(set(result.overruled)))
         )
     values = (
-        ("latency impact to set-point p50", percentile(found, 0.5), "ms", _TARGET_P50_MS),
-        ("latency impact to set-point p99", percentile(found, 0.99), "ms", _TARGET_P99_MS),
-        ("latency receipt to set-point p50", percentile(result.inside_ms, 0.5), "ms", None),
-        ("latency receipt to set-point p99", percentile(result.inside_ms, 0.99), "ms", None),
-        ("impacts unanswered", float(result.expected - len(found)), "", None),
-        ("app share of a core at 250 Hz", result.cpu_percent, "%", _TARGET_CPU),
+        ("latency impact to set-point p50", percentile(found, 0.5), "ms"),
+        ("latency impact to set-point p99", percentile(found, 0.99), "ms"),
+        ("latency receipt to set-point p50", percentile(result.inside_ms, 0.5), "ms"),
+        ("latency receipt to set-point p99", percentile(result.inside_ms, 0.99), "ms"),
+        ("impacts unanswered", float(result.expected - len(found)), ""),
+        ("app share of a core at 250 Hz", result.cpu_percent, "%"),
     )
     return [
-        {"name": name, "value": v, "unit": unit, "baseline": b, "ratio": b / v if b and v else None}
-        for name, v, unit, b in values
+        {"name": name, "value": v, "unit": unit, "baseline": None, "ratio": None} for name, v, unit in values
     ]
 
 

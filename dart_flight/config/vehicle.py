@@ -146,7 +146,7 @@ class Estimation(Section, frozen=True):
     thrust_source: ThrustSource
     thrust_timeout_s: Positive
     thrust_error_n: NotNegative
-    esc_thrust_n_per_rpm2: Positive
+    esc_thrust_n_per_rpm2: Positive | None
     battery: Battery
     attitude_error_rad: NotNegative
     imu_noise_m_s2: Positive
@@ -155,6 +155,18 @@ class Estimation(Section, frozen=True):
     baseline_limit_n: NotNegative
     arm_vibration: ArmVibration | None
     hover: HoverBias
+
+    def __post_init__(self) -> None:
+        if self.thrust_source is ThrustSource.ESC and self.esc_thrust_n_per_rpm2 is None:
+            raise ValueError("thrust_source esc needs esc_thrust_n_per_rpm2")
+
+    @property
+    def uses_esc(self) -> bool:
+        """Whether measured motor speeds may be the source of thrust."""
+        return self.esc_thrust_n_per_rpm2 is not None and self.thrust_source in (
+            ThrustSource.AUTO,
+            ThrustSource.ESC,
+        )
 
 
 class ThresholdTest(StrEnum):

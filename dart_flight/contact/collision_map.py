@@ -28,6 +28,7 @@ All arrays are float64. Frame: the wall's collision frame (`dart_flight.geometry
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -387,6 +388,24 @@ def collision_map(
         for target, result in zip(out, results, strict=True):
             target[part] = result
     return Collision(*(v.reshape(batch.shape) for v in out))
+
+
+def friction_per_speed(
+    coefficients: CoefficientArrays, mass_kg: float, onset: Onset
+) -> Callable[[Array], Array]:
+    """One set's peak of the friction force alone, for a planner that asks for it often.
+
+    Returns:
+        A function of the normal velocity (m/s, any shape, < 0 approaches) that gives the peak of the friction
+        force per speed along the wall, N s/m, as `collision_map` has it.
+    """
+    shape = _shape(coefficients, np.asarray(mass_kg), onset)
+
+    def peak(normal_m_s: Array) -> Array:
+        mu_speed = shape.mu * np.maximum(-normal_m_s, 0.0)
+        return _friction_peak(mu_speed, shape) * (shape.friction_scale * mu_speed)
+
+    return peak
 
 
 def collide(

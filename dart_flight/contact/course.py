@@ -120,10 +120,11 @@ class Contact:
         self.turn_s = float(events.turn) / self._omega if self.met else 0.0
         early = onset is Onset.LCP
         self.onset_m = -coefficients.f * normal_m_s / coefficients.k if early else 0.0
-        # Where quadrature stops: at the release, or when everything has settled.
+        # Where quadrature stops: at the release, or when everything has settled (near critical damping the
+        # release comes thousands of times later than the force dies away).
         zeta = float(self._course.zeta)
         slowest = min(zeta, 1.0 / (zeta + math.sqrt(max(zeta * zeta - 1.0, 0.0)))) if zeta > 0.0 else 1.0
-        self._horizon = self.end_s if math.isfinite(self.end_s) else _SETTLED / (slowest * self._omega)
+        self._horizon = min(self.end_s, _SETTLED / (slowest * self._omega))
 
     def normal(self, time_s: ArrayLike) -> tuple[Array, Array, Array]:
         """Position m, velocity m/s and force N along the normal; free flight before and after."""
@@ -175,9 +176,7 @@ class Contact:
 
         if not self.met:
             return np.zeros_like(t), np.zeros_like(t)
-        held = 0.0
-        if not math.isfinite(self.end_s):
-            held = float(share(np.array([self._horizon]))[0])
+        held = float(share(np.array([self._horizon]))[0]) if self._horizon < self.end_s else 0.0
         integral = _Integral(share, self._horizon, 0.0, held)
         return integral.twice(t), integral.once(t)
 

@@ -131,9 +131,12 @@ class Executive:
             self._send_reference(item, state, out)
 
     def overrule(self, state: FlightState, out: list[Output], reason: str) -> None:
-        """The guard has taken over."""
+        """The guard has taken over; called at every step from then on."""
         if self.phase not in (Phase.DONE, Phase.OVERRULED):
             self._go(Event.OVERRULE, state, out, reason)
+        # A wall met while the guard holds or backs off is an impact, the ground at the end is none.
+        if self._guard.landing:
+            self._detector.watching = False
 
     def finish(self, state: FlightState, out: list[Output], end: MissionEnd) -> None:
         """The flight is over."""

@@ -46,6 +46,11 @@ class Guard:
         self._mission = mission
         self._config = mission.vehicle.guard
         self._rules = {rule.name: rule for rule in rules}
+        # What is judged in which phase, sorted out once: this runs at every step of the flight.
+        self._judged = {
+            phase: [(r.action, r.cause, r.name) for r in rules if r.cause is not None and in_scope(r, phase)]
+            for phase in Phase
+        }
         self._view = View(mission)
         self.action = Action.NONE
         self.reason: str | None = None
@@ -87,6 +92,11 @@ class Guard:
         """An impact: for a while the contact explains what estimator and altitude do."""
         self._view.impact_us = t_us
 
+    @property
+    def landing(self) -> bool:
+        """Whether a landing has been asked for, by the mission or by the guard."""
+        return self._view.land_asked
+
     # -- the last stage of every step --
 
     def review(self, item: Input, state: FlightState, phase: Phase, out: list[Output]) -> list[Output]:
@@ -104,13 +114,10 @@ class Guard:
 
     def _judge(self, state: FlightState, phase: Phase, out: list[Output]) -> None:
         view = self._view
-        for rule in self._rules.values():
+        for action, cause, name in self._judged[phase]:
             # A rule whose action is in force already has nothing to add.
-            if rule.cause is None or rule.action <= self.action or not in_scope(rule, phase, view.in_air):
-                continue
-            detail = rule.cause(view)
-            if detail is not None:
-                self.latch(rule.name, detail, state, out)
+            if action > self.action and (detail := cause(view)) is not None:
+                self.latch(name, detail, state, out)
 
     def _remember(self, out: list[Output]) -> None:
         for one in out:

@@ -14,7 +14,7 @@ from enum import IntEnum, StrEnum
 import msgspec
 
 from dart_flight.flight.guard_view import View, low_rate
-from dart_flight.flight.phases import ALTITUDE_EXEMPT, Phase
+from dart_flight.flight.phases import ALTITUDE_EXEMPT, ON_GROUND, Phase
 from dart_flight.geometry import horizontal, norm
 from dart_flight.samples import FlightMode
 
@@ -115,6 +115,8 @@ def _status_silent(v: View) -> str | None:
 
 
 def _link_lost(v: View) -> str | None:
+    if v.age_s("imu") <= v.config.link_lost_s:  # as nearly always
+        return None
     age = min(v.status_age_s, *(v.age_s(name) for name in ("imu", "attitude", "odometry")))
     return f"nothing from the vehicle for {age:.1f} s" if age > v.config.link_lost_s else None
 
@@ -448,11 +450,11 @@ RULES: tuple[Rule, ...] = (
 RULES_BY_NAME = {rule.name: rule for rule in RULES}
 
 
-def in_scope(rule: Rule, phase: Phase, in_air: bool) -> bool:
+def in_scope(rule: Rule, phase: Phase) -> bool:
     """Whether a rule is judged in a phase."""
     if rule.scope is Scope.ALWAYS:
         return True
-    if not in_air:
+    if phase in ON_GROUND:  # there the executive's time-outs judge
         return False
     return rule.scope is Scope.AIR or phase not in (Phase.OVERRULED, Phase.LANDING)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from dart_flight.config.mission import Mission
-from dart_flight.flight.phases import ON_GROUND, Phase
+from dart_flight.flight.phases import Phase
 from dart_flight.flight.state import FlightState
 from dart_flight.geometry import Vec2, Vec3
 from dart_flight.samples import (
@@ -98,11 +98,6 @@ class View:
     # -- what rules ask --
 
     @property
-    def in_air(self) -> bool:
-        """From the climb on; before it the executive's time-outs judge."""
-        return self.phase not in ON_GROUND
-
-    @property
     def shaken(self) -> bool:
         """Shortly after an impact: what the contact does to estimator and altitude is no fault."""
         return self._since_impact_us() < self.config.impact_window_s * 1e6
@@ -129,14 +124,7 @@ class View:
 
     def age_s(self, name: str) -> float:
         """Host time since a stream's newest sample was received, seconds; huge where there was none."""
-        state = self.state
-        sample = {
-            "imu": state.imu,
-            "attitude": state.attitude,
-            "odometry": state.odometry,
-            "actuator": state.actuator,
-        }[name]
-        return state.age_us(sample) * 1e-6
+        return self.state.age_us(getattr(self.state, name)) * 1e-6
 
     @property
     def status_age_s(self) -> float:
@@ -234,7 +222,7 @@ class View:
         bad = self._estimator_bad or not self.state.status.local_position_ok
         if not bad or self.shaken:
             self.flags_bad_since_us = None
-        elif self.flags_bad_since_us is None:
+        elif self.flags_bad_since_us is None and self.state.now_us:  # 0: nothing with a stamp has come yet
             self.flags_bad_since_us = self.state.now_us
 
 

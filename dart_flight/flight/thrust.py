@@ -1,9 +1,9 @@
 """Thrust from the best source at hand, through the calibrated curve, with motor lag and battery voltage.
 
 Sources (`estimation.thrust_source`): measured speed of the motors, thrust = c rpm^2, which needs neither lag
-nor
-voltage; commands to the motors, through the curve of `thrust:` and a first-order lag; the collective thrust
-that PX4's controller asks for, with the same lag. `auto` takes the first of them that is fresh. Whatever the
+nor voltage; commands to the motors, through the curve of `thrust:` and a first-order lag; the collective
+thrust that PX4's controller asks for, with the same lag. `auto` takes the first of them that is fresh; the
+motors' speed only where it comes often enough to show what a controller does in a contact. Whatever the
 source, hovering corrects it (`flight/bias.py`). Equations: docs/force.md.
 """
 
@@ -16,6 +16,7 @@ from dart_flight.config.vehicle import ThrustSource, VehicleConfig
 from dart_flight.geometry import GRAVITY_M_S2
 from dart_flight.samples import ActuatorSample, AttitudeTargetSample, EscSample
 
+_ESC_PERIOD_US = 20_000  # `auto` takes no slower telemetry: switching to and fro would look like forces
 _PENDING = 16  # commands ahead of the IMU: a few ticks at most
 
 
@@ -86,6 +87,7 @@ class ThrustModel:
         self._motors = LaggedCommands(vehicle.thrust.motor_lag_s)
         self._collective = LaggedCommands(vehicle.thrust.motor_lag_s)
         self._esc: EscSample | None = None
+        self._esc_period_us = 1 << 60
         self._voltage_factor = 1.0
         self._last_n: float | None = None
         self.source: ThrustSource | None = None
@@ -101,8 +103,11 @@ class ThrustModel:
 
     def take_esc(self, sample: EscSample) -> None:
         """Measured motor speeds."""
-        if self._esc is None or sample.t_us > self._esc.t_us:
-            self._esc = sample
+        if self._esc is not None:
+            if sample.t_us <= self._esc.t_us:
+                return
+            self._esc_period_us = sample.t_us - self._esc.t_us
+        self._esc = sample
 
     def take_voltage(self, volts: float | None) -> None:
         """Battery voltage; None where it is not known."""
@@ -122,11 +127,13 @@ class ThrustModel:
         auto = wanted is ThrustSource.AUTO
         esc, motors, collective = self._esc, self._motors, self._collective
         # A single choice does not time out: an old value of the right source beats none.
-        if esc is not None and (wanted is ThrustSource.ESC or (auto and esc.t_us >= oldest)):
-            self.source = ThrustSource.ESC
-            r = esc.rpm
-            square = r[0] * r[0] + r[1] * r[1] + r[2] * r[2] + r[3] * r[3]
-            return self._config.esc_thrust_n_per_rpm2 * square
+        per_rpm2 = self._config.esc_thrust_n_per_rpm2
+        if esc is not None and per_rpm2 is not None:
+            often = self._esc_period_us <= _ESC_PERIOD_US and esc.t_us >= t_us - _ESC_PERIOD_US
+            if wanted is ThrustSource.ESC or (auto and often):
+                self.source = ThrustSource.ESC
+                r = esc.rpm
+                return per_rpm2 * (r[0] * r[0] + r[1] * r[1] + r[2] * r[2] + r[3] * r[3])
         known = motors.newest_us > 0
         fresh = motors.newest_us >= oldest or collective.newest_us < motors.newest_us
         if known and (wanted is ThrustSource.ACTUATOR or (auto and fresh)):

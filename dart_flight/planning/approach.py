@@ -17,6 +17,7 @@ from dart_flight.geometry import Vec2, Vec3, distance2
 # Speed follows 3 s^2 - 2 s^3: the peak acceleration is 1.5 times the mean, the way half of speed times time.
 PEAK_OVER_MEAN = 1.5
 CLEARANCE_M = 0.15
+ON_PLANE_M = 1e-6  # an impact lies on its wall's plane but for rounding
 
 
 class ReferencePoint(msgspec.Struct, frozen=True, gc=False):
@@ -127,7 +128,7 @@ def _check_room(mission: Mission, collision: Collision, approach: Approach) -> N
         legs.append((mission.start, begin))
     for wall in mission.walls:
         for a, b in legs:
-            end_clearance = 0.0 if wall == collision.wall and b == approach.impact else CLEARANCE_M
+            end_clearance = -ON_PLANE_M if wall == collision.wall and b == approach.impact else CLEARANCE_M
             da, db = wall.signed_distance(a) - CLEARANCE_M, wall.signed_distance(b) - end_clearance
             if da * db < 0.0 or (da < 0.0 and wall.signed_distance(a) > -CLEARANCE_M):
                 share = da / (da - db) if da != db else 0.0

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dart_flight.config.scenario import Scenario
 from dart_flight.geometry import Vec2, Wall
-from dart_flight.planning.approach import CLEARANCE_M, PEAK_OVER_MEAN
+from dart_flight.planning.approach import CLEARANCE_M, ON_PLANE_M, PEAK_OVER_MEAN
 from dart_flight.planning.constraints import Constraints, Refusal
 
 Array = NDArray[np.float64]
@@ -95,7 +95,7 @@ def _blocked(scenario: Scenario, target: Wall, grid: ApproachGrid) -> NDArray[np
     start = (np.full_like(begin[0], scenario.start[0]), np.full_like(begin[1], scenario.start[1]))
     for wall in scenario.walls.values():
         for a, b in ((begin, impact), (start, begin)):
-            end = 0.0 if wall is target and b is impact else CLEARANCE_M
+            end = -ON_PLANE_M if wall is target and b is impact else CLEARANCE_M
             here = _distance(wall, a)
             da, db = here - CLEARANCE_M, _distance(wall, b) - end
             crosses = (da * db < 0.0) | ((da < 0.0) & (here > -CLEARANCE_M))

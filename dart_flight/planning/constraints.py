@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.config.scenario import Scenario
-from dart_flight.geometry import GRAVITY_M_S2, Wall
+from dart_flight.geometry import GRAVITY_M_S2, Vec2, Wall
 from dart_flight.planning.closed_loop import ATTITUDE_LAG_S, least_distance_m
 from dart_flight.planning.flight_model import Leg, Window
 
@@ -169,6 +169,19 @@ class Constraints:
         leaves = _outside(self.bounds.x, w.x, share * w.vx)
         leaves |= _outside(self.bounds.y, w.y, share * w.vy)
         return leaves
+
+    def to_goal(self, x: Array, y: Array, goal: Vec2) -> Codes:
+        """Whether a wall stands between the closest approaches and the goal, which is flown to straight."""
+        codes = np.zeros(x.shape, dtype=np.int8)
+        for wall in self.walls:
+            (nx, ny), (px, py), (tx, ty) = wall.normal, wall.point, wall.tangent
+            here, there = nx * (x - px) + ny * (y - py), wall.signed_distance(goal)
+            # Just released the vehicle may still be a little behind the plane: no way through the wall.
+            crosses = (here > 0.0) if there < 0.0 else (here < -_THICK_M)
+            share = np.where(crosses, here / np.where(crosses, here - there, 1.0), 0.0)
+            along = tx * (x + share * (goal[0] - x) - px) + ty * (y + share * (goal[1] - y) - py)
+            self.mark(codes, crosses & (np.abs(along) <= 0.5 * wall.length_m), Refusal.OBSTACLE)
+        return codes
 
     def lock_in_time(self, leg: Leg, wall: Wall) -> NDArray[np.bool_]:
         """Whether holding still at these states still stops short of the wall (executive)."""

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.contact.coefficients import CoefficientArrays
-from dart_flight.contact.collision_map import collision_map
+from dart_flight.contact.collision_map import friction_per_speed
 from dart_flight.contact.law import Onset
 from dart_flight.contact.oscillator import Course, enter, falling_root, find_events, motion
 from dart_flight.planning.closed_loop import Loop
@@ -69,11 +69,10 @@ def _gauss(count: int) -> tuple[Array, Array]:
 
 def _lagrange(nodes: Array, at: Array) -> Array:
     """Lagrange polynomials of `nodes` at points of any shape: shape + (J,)."""
-    out = np.ones((*at.shape, nodes.size))
-    for k in range(nodes.size):
-        for m in range(nodes.size):
-            if m != k:
-                out[..., k] *= (at - nodes[m]) / (nodes[k] - nodes[m])
+    others = ~np.eye(nodes.size, dtype=bool)
+    away = np.where(others, (at[..., None] - nodes)[..., None, :], 1.0)
+    apart = np.where(others, nodes[:, None] - nodes, 1.0)
+    out: Array = away.prod(axis=-1) / apart.prod(axis=-1)
     return out
 
 
@@ -174,7 +173,7 @@ class ContactStage:
         self._push_speed: Array = np.zeros((0, 0))
         self._push_one: Array = np.zeros(0)
         self._ends: Array = np.zeros((2, 5))  # acceleration and integral at T per input a, i, w, r, s
-        self._friction_coefficients = CoefficientArrays.of(coefficients)
+        self._friction = friction_per_speed(CoefficientArrays.of(coefficients), mass_kg, onset)
 
     # -- hits --
 
@@ -201,9 +200,6 @@ class ContactStage:
         values = slip @ self._by_speed.T + slip_end * self._by_speed_end + self._by_speed_one
         push = kept @ self._push
         push_v = np.einsum("nj,nj->n", kept, slip @ self._push_speed.T + self._push_one)
-        hit = collision_map(
-            self._friction_coefficients, self.mass_kg, np.minimum(speed_m_s, 0.0), 1.0, self.onset
-        )
         shape = c.shape
         return TangentialShape(
             values[:, 0].reshape(shape),
@@ -211,7 +207,7 @@ class ContactStage:
             (slip_end[:, 0] + push_v).reshape(shape),
             values[:, 3].reshape(shape),
             values[:, 2].reshape(shape),
-            hit.peak_friction_force_n,
+            self._friction(speed_m_s),
             *(push[:, i].reshape(shape) for i in range(5)),
         )
 

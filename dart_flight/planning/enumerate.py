@@ -336,17 +336,17 @@ def _plan(c: Candidates, i: int, rank: int, arrivals: Arrivals, k: int) -> Plan:
     collisions = tuple(
         PlannedCollision(
             wall=h.wall.name,
-            mode=h.mode,
+            mode=mode,
             t_s=float(h.t_s[k]),
             position_m=(float(h.x[k]), float(h.y[k])),
             normal_m_s=float(h.normal_m_s[k]),
             tangential_m_s=float(h.tangential_m_s[k]),
             peak_force_n=float(h.normal_n[k]),
             peak_friction_n=abs(float(h.tangential_n[k])),
-            contact_time_s=h.duration_s,
+            contact_time_s=float(h.duration_s[k]),
             setpoint_m=(float(h.leg.goal_x[k]), float(h.leg.goal_y[k])),
         )
-        for h in arrivals.hits
+        for h, mode in zip(arrivals.hits, arrivals.modes, strict=True)
     )
     return Plan(
         rank=rank,

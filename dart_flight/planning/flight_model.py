@@ -84,11 +84,10 @@ class _Axis:
 
     def __init__(self, matrix: Array, count: int) -> None:
         self.matrix = matrix
-        step = expm(matrix * GRID_S)
-        powers = [np.eye(4)]
-        for _ in range(count):
-            powers.append(step @ powers[-1])
-        self.at_grid = np.array(powers)  # (count + 1, 4, 4)
+        powers = np.stack((np.eye(4), expm(matrix * GRID_S)))
+        while len(powers) <= count:  # those known, and the same again so many steps later
+            powers = np.concatenate((powers, powers[1:] @ powers[-1]))
+        self.at_grid = powers[: count + 1]  # (count + 1, 4, 4)
         self.position = np.ascontiguousarray(self.at_grid[:, 0, :].T, dtype=np.float32)  # (4, count + 1)
         self.velocity = np.ascontiguousarray(self.at_grid[:, 1, :].T, dtype=np.float32)
         # From each grid point on, the most that each state of the start still adds to the position.
@@ -192,21 +191,26 @@ class Near:
             return direction[1] * self.y
         return direction[0] * self.x + direction[1] * self.y
 
-    def leg_at(self, d: Array, rows: Rows | slice = slice(None)) -> Leg:
+    def leg_at(self, d: Array) -> Leg:
         """States at a time `d` from the grid point, towards the same set-points."""
         states = []
         for axis, z in zip(self._flight.axes, (self._zx, self._zy), strict=True):
-            z = z[:, rows]
-            out = axis.series[_ORDER] @ z
-            for n in range(_ORDER - 1, -1, -1):
-                out *= d
-                out += axis.series[n] @ z
-            states.append(out)
-        return Leg(states[0], states[1], self._leg.goal_x[rows], self._leg.goal_y[rows])
+            terms = (axis.series.reshape(-1, 4) @ z).reshape(_ORDER + 1, 4, -1)
+            states.append(_horner(terms, d))
+        return Leg(states[0], states[1], self._leg.goal_x, self._leg.goal_y)
 
 
-def horner(coefficients: Array, d: Array) -> tuple[Array, Array]:
-    """Value and derivative of polynomials with coefficients (order + 1, n) at d (n,)."""
+def _horner(coefficients: Array, d: Array) -> Array:
+    """Values (..., n) of polynomials with coefficients (order + 1, ..., n) at d (n,)."""
+    value: Array = coefficients[-1].copy()
+    for row in coefficients[-2::-1]:
+        value *= d
+        value += row
+    return value
+
+
+def _with_slope(coefficients: Array, d: Array) -> tuple[Array, Array]:
+    """Values of polynomials as in `_horner`, and their first derivative."""
     value = coefficients[-1].copy()
     slope = np.zeros_like(value)
     for row in coefficients[-2::-1]:
@@ -217,15 +221,30 @@ def horner(coefficients: Array, d: Array) -> tuple[Array, Array]:
     return value, slope
 
 
+def _with_curvature(coefficients: Array, d: Array) -> tuple[Array, Array, Array]:
+    """Values of polynomials as in `_horner`, and their first and second derivative."""
+    value = coefficients[-1].copy()
+    slope = np.zeros_like(value)
+    half = np.zeros_like(value)
+    for row in coefficients[-2::-1]:
+        half *= d
+        half += slope
+        slope *= d
+        slope += value
+        value *= d
+        value += row
+    return value, slope, 2.0 * half
+
+
 def first_crossing(position: Array, lead_s: float, low: float, high: float) -> Array:
     """Where x + lead x' falls through 0, for position series (order + 1, n), in [low, high] seconds."""
-    n = np.arange(1, position.shape[0])[:, None]
-    g = position.copy()
+    g = position
     if lead_s:
-        g[:-1] += lead_s * n * position[1:]
+        g = position.copy()
+        g[:-1] += lead_s * np.arange(1, position.shape[0])[:, None] * position[1:]
     d = np.zeros(position.shape[1])
     for _ in range(_NEWTON_STEPS):
-        value, slope = horner(g, d)
+        value, slope = _with_slope(g, d)
         step = value / np.where(slope < 0.0, slope, -1.0)
         new = np.clip(d - step, low, high)
         done = bool((np.abs(new - d) <= 1e-9).all())
@@ -235,24 +254,26 @@ def first_crossing(position: Array, lead_s: float, low: float, high: float) -> A
     return d
 
 
-def closest(x: Array, y: Array, goal: tuple[float, float], low: Array, high: Array) -> tuple[Array, Array]:
-    """Closest approach to a point near the grid point: (time from it, distance), for position series.
+def closest(
+    x: Array, y: Array, goal: tuple[float, float], low: Array, high: Array
+) -> tuple[Array, Array, tuple[Array, Array, Array, Array]]:
+    """Closest approach to a point near the grid point, for position series (order + 1, n).
 
     The least squared distance over [low, high], which is a grid step either way, or 0 on the side where the
     flight begins or ends at the grid point.
+
+    Returns:
+        Time from the grid point, distance, and there position and velocity (x, y, vx, vy), each (n,).
     """
-    n = np.arange(1, x.shape[0])[:, None]
-    vx, vy = n * x[1:], n * y[1:]
+    both = np.stack((x, y), axis=1)
+    at = np.array(goal)[:, None]
     d = np.zeros(x.shape[1])
     for _ in range(_NEWTON_STEPS + 2):
-        px, ux = horner(x, d)
-        py, uy = horner(y, d)
-        _, bx = horner(vx, d)
-        _, by = horner(vy, d)
-        px, py = px - goal[0], py - goal[1]
-        slope = px * ux + py * uy
-        curve = ux * ux + uy * uy + px * bx + py * by
-        speed2 = ux * ux + uy * uy
+        p, u, b = _with_curvature(both, d)
+        p -= at
+        slope = (p * u).sum(axis=0)
+        speed2 = (u * u).sum(axis=0)
+        curve = speed2 + (p * b).sum(axis=0)
         # Far off the minimum the curvature may be negative: Gauss-Newton's is not.
         step = slope / np.where(curve > 0.1 * speed2, np.where(curve > 0.0, curve, 1.0), speed2 + 1e-12)
         new = np.clip(d - step, low, high)
@@ -260,6 +281,5 @@ def closest(x: Array, y: Array, goal: tuple[float, float], low: Array, high: Arr
         d = new
         if done:
             break
-    px, _ = horner(x, d)
-    py, _ = horner(y, d)
-    return d, np.hypot(px - goal[0], py - goal[1])
+    p, u = _with_slope(both, d)
+    return d, np.hypot(p[0] - goal[0], p[1] - goal[1]), (p[0], p[1], u[0], u[1])

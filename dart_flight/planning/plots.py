@@ -139,7 +139,7 @@ def _parts(flight: FreeFlight, arrivals: Arrivals, i: int) -> list[tuple[Array, 
     for k, hit in enumerate(arrivals.hits):
         last = k + 1 == len(arrivals.hits)
         until = arrivals.t_s[i] if last else arrivals.hits[k + 1].t_s[i]
-        release = hit.t_s[i] + hit.duration_s
+        release = hit.t_s[i] + hit.duration_s[i]
         parts.append((hit.x[i : i + 1], hit.y[i : i + 1]))
         parts.append(_path(flight, hit.leg.take(np.array([i])), float(until - release)))
     return parts

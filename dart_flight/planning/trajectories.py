@@ -1,12 +1,13 @@
 """The way of many candidates through one sequence of walls: approach, contact, recovery, contact, ..., goal.
 
-All candidates of a sequence go through together, one leg after the other; those that fail leave on the way,
-counted by reason. Approaches and contacts are `approach_grid` and `contact_stage`, the flights between them
-`flight_model`.
+All candidates of a sequence, whatever their modes, go through together, one leg after the other: few long
+arrays instead of many short ones. Those that fail leave on the way, counted by reason. Approaches and
+contacts are `approach_grid` and `contact_stage`, the flights between them `flight_model`.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeVar
@@ -49,7 +50,7 @@ class Hits(NamedTuple):
     """One collision of candidates; arrays (n,).
 
     Attributes:
-        wall, mode: which.
+        wall: which.
         t_s: onset, since the start of the run-up.
         x, y: position then, mission frame.
         normal_m_s, tangential_m_s: velocity then, collision frame.
@@ -59,7 +60,6 @@ class Hits(NamedTuple):
     """
 
     wall: Wall
-    mode: Mode
     t_s: Array
     x: Array
     y: Array
@@ -67,7 +67,7 @@ class Hits(NamedTuple):
     tangential_m_s: Array
     normal_n: Array
     tangential_n: Array
-    duration_s: float
+    duration_s: Array
     leg: Leg
 
     @property
@@ -77,21 +77,7 @@ class Hits(NamedTuple):
 
     def take(self, rows: Rows | NDArray[np.bool_]) -> Hits:
         """The chosen candidates."""
-        return self._replace(
-            **{
-                name: getattr(self, name)[rows]
-                for name in (
-                    "t_s",
-                    "x",
-                    "y",
-                    "normal_m_s",
-                    "tangential_m_s",
-                    "normal_n",
-                    "tangential_n",
-                )
-            },
-            leg=self.leg.take(rows),
-        )
+        return Hits._make((self.wall, *(v[rows] for v in self[1:-1]), self.leg.take(rows)))
 
 
 class Arrivals(NamedTuple):
@@ -120,15 +106,42 @@ class Arrivals(NamedTuple):
 
 
 class _Front(NamedTuple):
-    """Candidates released from a wall."""
+    """Candidates released from a wall; arrays (n,)."""
 
     rows: Rows
-    modes: tuple[Mode, ...]
+    modes: Rows  # which sequence of modes so far, as in `itertools.product`
     t_s: Array  # release
-    since_peak_s: float  # from the recovery set-point to the release
+    since_peak_s: Array  # from the recovery set-point to the release
     force_n: Array
     leg: Leg
     hits: tuple[Hits, ...]
+
+    def take(self, rows: Rows | NDArray[np.bool_]) -> _Front:
+        """The chosen candidates."""
+        hits = tuple(hit.take(rows) for hit in self.hits)
+        return _Front._make((*(v[rows] for v in self[:5]), self.leg.take(rows), hits))
+
+
+def _merged(fronts: list[_Front]) -> _Front:
+    """The candidates of several fronts at the same wall as one."""
+    if len(fronts) == 1:
+        return fronts[0]
+    hits = tuple(
+        Hits._make(
+            (same[0].wall, *_joined([hit[1:-1] for hit in same]), _joined_legs([hit.leg for hit in same]))
+        )
+        for same in zip(*(front.hits for front in fronts), strict=True)
+    )
+    legs = _joined_legs([front.leg for front in fronts])
+    return _Front._make((*_joined([front[:5] for front in fronts]), legs, hits))
+
+
+def _joined(columns: list[Any]) -> list[Any]:
+    return [np.concatenate(same) for same in zip(*columns, strict=True)]
+
+
+def _joined_legs(legs: list[Leg]) -> Leg:
+    return Leg(*(np.concatenate(same, axis=-1) for same in zip(*legs, strict=True)))
 
 
 class Draw(NamedTuple):
@@ -202,19 +215,14 @@ class Course:
             grid: from `approach` for them.
             draw: shifts of the approach.
         """
-        arrivals = []
-        fronts = [
-            front
-            for mode in self.scenario.modes
-            if (front := self._first(stages, mode, normal, tangential, grid, draw)) is not None
+        firsts = [
+            self._first(stages, i, normal, tangential, grid, draw) for i in range(len(self.scenario.modes))
         ]
-        for wall in self.walls[1:]:
-            fronts = [after for front in fronts for after in self._next(stages, front, wall)]
-        for front in fronts:
-            arrived = self._arrive(front)
-            if arrived is not None:
-                arrivals.append(arrived)
-        return arrivals
+        fronts = [front for front in firsts if front is not None]
+        for number, wall in enumerate(self.walls[1:], start=2):
+            if fronts:
+                fronts = self._next(stages, _merged(fronts), wall, number)
+        return self._arrive(_merged(fronts)) if fronts else []
 
     def _weight(self, collision: int) -> int:
         """Candidates that one approach stands for once the first `collision` modes are fixed."""
@@ -238,14 +246,14 @@ class Course:
     def _first(
         self,
         stages: Stages,
-        mode: Mode,
+        mode: int,
         normal: Array,
         tangential: Array,
         grid: ApproachGrid,
         draw: Draw | None,
     ) -> _Front | None:
         wall = self.walls[0]
-        stage = stages[wall.name, mode]
+        stage = stages[wall.name, self.scenario.modes[mode]]
         bx, by, _ = self.scenario.vehicle.airframe.drag_per_s
         n2 = wall.normal[0] ** 2
         bn, bt = n2 * bx + (1.0 - n2) * by, n2 * by + (1.0 - n2) * bx
@@ -279,21 +287,20 @@ class Course:
         x = grid.impact_x.ravel()[rows] + nx * onset + tx * back
         y = grid.impact_y.ravel()[rows] + ny * onset + ty * back
         time = grid.impact_s.ravel()[rows] - stage.lead_s
-        return self._release(
-            stage, wall, mode, (x, y), (n, t), flat, (rows, (), time, np.zeros(rows.size), ())
-        )
+        start = (rows, np.full(rows.size, mode), time, np.zeros(rows.size), ())
+        return self._release(stage, wall, 1, (x, y), (n, t), flat, start)
 
     def _release(
         self,
         stage: ContactStage,
         wall: Wall,
-        mode: Mode,
+        number: int,
         position: tuple[Array, Array],
         velocity: tuple[Array, Array],
         out: tuple[NormalOut, TangentialOut],
-        before: tuple[Rows, tuple[Mode, ...], Array, Array, tuple[Hits, ...]],
+        before: tuple[Rows, Rows, Array, Array, tuple[Hits, ...]],
     ) -> _Front | None:
-        """From a contact into the next leg; candidates whose recovery is over the limits leave."""
+        """From contact `number` into the next leg; candidates whose recovery is over the limits leave."""
         (n, t), (nx, ny), (tx, ty) = out, wall.normal, wall.tangent
         rows, modes, time, force, hits = before
 
@@ -311,77 +318,63 @@ class Course:
             position[0] + sx,
             position[1] + sy,
         )
-        hit = Hits(
-            wall,
-            mode,
-            time,
-            *position,
-            *velocity,
-            n.peak_force_n,
-            t.friction_n,
-            stage.duration_s,
-            leg,
-        )
+        duration = np.full(rows.size, stage.duration_s)
+        hit = Hits(wall, time, *position, *velocity, n.peak_force_n, t.friction_n, duration, leg)
         front = _Front(
             rows,
-            (*modes, mode),
+            modes,
             time + stage.duration_s,
-            stage.duration_s - stage.engaged_s,
+            duration - stage.engaged_s,
             np.maximum(force, hit.peak_force_n),
             leg,
             (*hits, hit) if self.keep_hits else (),
         )
         if self.constraints is None:
             return front
-        stays = self._refuse(self.constraints.command(leg, self.flight.loop), len(front.modes))
-        return _choose(front, stays) if stays.any() else None
+        stays = self._refuse(self.constraints.command(leg, self.flight.loop), number)
+        return front.take(stays) if stays.any() else None
 
     # -- to the next wall --
 
-    def _next(self, stages: Stages, front: _Front, wall: Wall) -> list[_Front]:
-        """All modes of the next collision."""
-        index, order = self._search_wall(front, wall)
+    def _next(self, stages: Stages, front: _Front, wall: Wall, number: int) -> list[_Front]:
+        """Collision `number`: a front for every mode that comes out of it."""
+        index, order = self._search_wall(front, wall, number - 1)
         if order.size == 0:
             return []
-        reached = _choose(front, order)
+        reached = front.take(order)
         near = self.flight.near(reached.leg, index)
         series = near.along(wall.normal)
         series[0] -= wall.normal[0] * wall.point[0] + wall.normal[1] * wall.point[1]
         fronts = []
-        for mode in self.scenario.modes:
+        for i, mode in enumerate(self.scenario.modes):
             stage = stages[wall.name, mode]
             d = first_crossing(series, stage.lead_s, -GRID_S - 2.0 * stage.lead_s, 1e-3)
-            leg = near.leg_at(d)
-            after = near.times + d
-            codes = self._reached_codes(reached, wall, mode, after)
+            leg, after = near.leg_at(d), near.times + d
+            here = reached._replace(modes=reached.modes * len(self.scenario.modes) + i)
+            codes = self._reached_codes(reached, wall, i, after)
             if codes is not None:
-                stays = np.flatnonzero(self._refuse(codes, len(front.modes) + 1))
-                if stays.size == 0:
-                    continue
-                fronts.append(
-                    self._collide(stage, wall, mode, _choose(reached, stays), leg.take(stays), after[stays])
-                )
-            else:
-                fronts.append(self._collide(stage, wall, mode, reached, leg, after))
+                stays = np.flatnonzero(self._refuse(codes, number))
+                here, leg, after = here.take(stays), leg.take(stays), after[stays]
+            if after.size:
+                fronts.append(self._collide(stage, wall, number, here, leg, after))
         return [front for front in fronts if front is not None]
 
-    def _reached_codes(self, front: _Front, wall: Wall, mode: Mode, after: Array) -> NDArray[np.int8] | None:
+    def _reached_codes(self, front: _Front, wall: Wall, mode: int, after: Array) -> NDArray[np.int8] | None:
         """Whether the lock and the detector are ready when the wall is met."""
         if self.constraints is None:
             return None
         codes = np.zeros(after.size, dtype=np.int8)
-        if mode is not front.modes[-1]:
+        switched = front.modes % len(self.scenario.modes) != mode
+        if switched.any():
             lock_s = self.constraints.lock_s
-            early = after < lock_s
             then = self.flight.at(front.leg, lock_s)
-            self.constraints.mark(
-                codes, early | ~self.constraints.lock_in_time(then, wall), Refusal.SERVO_TRAVEL
-            )
+            late = (after < lock_s) | ~self.constraints.lock_in_time(then, wall)
+            self.constraints.mark(codes, switched & late, Refusal.SERVO_TRAVEL)
         self.constraints.mark(codes, after < self.constraints.refractory_s, Refusal.TOO_SOON)
         return codes
 
-    def _search_wall(self, front: _Front, wall: Wall) -> tuple[Rows, Rows]:
-        """Grid index just behind the plane, and which candidates get there."""
+    def _search_wall(self, front: _Front, wall: Wall, number: int) -> tuple[Rows, Rows]:
+        """Grid index just behind the plane, and which candidates get there, after collision `number`."""
         (nx, ny), (px, py), (tx, ty) = wall.normal, wall.point, wall.tangent
         offset = nx * px + ny * py
         live = np.arange(front.leg.size)
@@ -391,12 +384,12 @@ class Course:
         side = _along(wall.normal, front.leg.x[0] + front.leg.goal_x, front.leg.y[0] + front.leg.goal_y)
         before = np.flatnonzero(side > offset)
         if before.size < live.size:
-            self._refuse_all(Refusal.WALL_NOT_REACHED, live.size - before.size, len(front.modes))
+            self._refuse_all(Refusal.WALL_NOT_REACHED, live.size - before.size, number)
             live, grid = live[before], grid.take(before)
         for first in range(0, self.flight.count, WINDOW):
             never = grid.stays_before(wall.normal, offset, first)
             if never.any():
-                self._refuse_all(Refusal.WALL_NOT_REACHED, int(never.sum()), len(front.modes))
+                self._refuse_all(Refusal.WALL_NOT_REACHED, int(never.sum()), number)
                 live, grid = live[~never], grid.take(~never)
             if live.size == 0:
                 break
@@ -413,7 +406,7 @@ class Course:
                 along = tx * (w.x[rows, at] - px) + ty * (w.y[rows, at] - py)
                 passes = np.abs(along) > 0.5 * wall.length_m
                 codes[rows[passes]] = CODE[Refusal.WALL_NOT_REACHED]
-                self._refuse(codes, len(front.modes))
+                self._refuse(codes, number)
             fine = codes == 0
             good = np.flatnonzero(crossed & fine)
             indices.append(first + index[good])
@@ -421,11 +414,11 @@ class Course:
             stays = np.flatnonzero(~crossed & fine)
             if stays.size < live.size:
                 live, grid = live[stays], grid.take(stays)
-        self._refuse_all(Refusal.WALL_NOT_REACHED, live.size, len(front.modes))
+        self._refuse_all(Refusal.WALL_NOT_REACHED, live.size, number)
         return np.concatenate([*indices, _NONE]), np.concatenate([*found, _NONE])
 
     def _collide(
-        self, stage: ContactStage, wall: Wall, mode: Mode, front: _Front, leg: Leg, after: Array
+        self, stage: ContactStage, wall: Wall, number: int, front: _Front, leg: Leg, after: Array
     ) -> _Front | None:
         (nx, ny), (tx, ty) = wall.normal, wall.tangent
         x, y = leg.x[0] + leg.goal_x, leg.y[0] + leg.goal_y
@@ -440,40 +433,37 @@ class Course:
         time = front.t_s + after
         if self.constraints is not None:
             codes = self.constraints.hit(out.peak_force_n, slide.friction_n, out.velocity)
-            stays = np.flatnonzero(self._refuse(codes, len(front.modes) + 1))
+            stays = np.flatnonzero(self._refuse(codes, number))
             if stays.size == 0:
                 return None
             if stays.size < codes.size:
-                front, out, slide = _choose(front, stays), _take(out, stays), _take(slide, stays)
+                front, out, slide = front.take(stays), _take(out, stays), _take(slide, stays)
                 x, y, vn, vt, time = (v[stays] for v in (x, y, vn, vt, time))
         before = (front.rows, front.modes, time, front.force_n, front.hits)
-        return self._release(stage, wall, mode, (x, y), (vn, vt), (out, slide), before)
+        return self._release(stage, wall, number, (x, y), (vn, vt), (out, slide), before)
 
     # -- to the goal --
 
-    def _arrive(self, front: _Front) -> Arrivals | None:
-        """The closest approach, by the executive's rule for having passed the goal."""
+    def _arrive(self, front: _Front) -> list[Arrivals]:
+        """The closest approach, by the executive's rule for having passed the goal; by sequence of modes."""
         index, order = self._search_goal(front)
-        if order.size == 0:
-            return None
-        arrived = _choose(front, order)
+        arrived = front.take(order)
         near = self.flight.near(arrived.leg, index)
         low = np.where(index == 0, 0.0, -GRID_S)
         high = np.where(index == self.flight.count, 0.0, GRID_S)
-        d, miss = closest(near.x, near.y, self._goal, low, high)
-        leg = near.leg_at(d)
-        return Arrivals(
-            arrived.rows,
-            arrived.modes,
-            miss,
-            arrived.t_s + near.times + d,
-            arrived.force_n,
-            leg.x[0] + leg.goal_x,
-            leg.y[0] + leg.goal_y,
-            leg.x[1],
-            leg.y[1],
-            arrived.hits,
-        )
+        d, miss, state = closest(near.x, near.y, self._goal, low, high)
+        passes = np.ones(d.size, dtype=bool)
+        if self.constraints is not None:
+            passes = self._refuse(self.constraints.to_goal(*state[:2], self._goal), len(self.walls))
+        every = (miss, arrived.t_s + near.times + d, arrived.force_n, *state)
+        arrivals = []
+        for number, modes in enumerate(itertools.product(self.scenario.modes, repeat=len(self.walls))):
+            mine = np.flatnonzero(passes & (arrived.modes == number))
+            if mine.size:
+                hits = tuple(hit.take(mine) for hit in arrived.hits)
+                columns = (arrived.rows[mine], modes, *(v[mine] for v in every), hits)
+                arrivals.append(Arrivals._make(columns))
+        return arrivals
 
     def _search_goal(self, front: _Front) -> tuple[Rows, Rows]:
         """Grid index of the least distance before the executive sees it rise, and who gets there."""
@@ -482,7 +472,7 @@ class Course:
         best = np.full(live.size, math.inf, dtype=np.float32)
         where = np.zeros(live.size, dtype=np.intp)
         indices, found = [], []
-        earliest = PASSED_AFTER_S - front.since_peak_s
+        earliest = (PASSED_AFTER_S - front.since_peak_s)[:, None]
         goal_x, goal_y = np.float32(self._goal[0]), np.float32(self._goal[1])
         for first in range(0, self.flight.count, WINDOW):
             w = grid.window(first)
@@ -491,7 +481,8 @@ class Course:
             least = np.minimum.accumulate(distance, axis=1)
             np.minimum(least, best[:, None], out=least)
             rising = distance > least + np.float32(PASSED_RISE_M)
-            rising[:, w.times < earliest] = False
+            if w.times[0] < PASSED_AFTER_S:
+                rising &= w.times >= earliest
             index = rising.argmax(axis=1)
             every = np.arange(live.size)
             passed = rising[every, index]
@@ -499,7 +490,7 @@ class Course:
             codes = np.zeros(live.size, dtype=np.int8)
             if self.constraints is not None:
                 codes = self.constraints.path(w, until, None, first == 0)
-                self._refuse(codes, len(front.modes))
+                self._refuse(codes, len(self.walls))
             # The least distance before the rise may lie in this window or in an earlier one.
             bottom = least[every, until - 1]
             here = bottom < best
@@ -510,7 +501,7 @@ class Course:
             indices.append(where[good])
             found.append(live[good])
             stays = np.flatnonzero(~passed & fine)
-            live, best, where = live[stays], bottom[stays], where[stays]
+            live, best, where, earliest = live[stays], bottom[stays], where[stays], earliest[stays]
             if live.size == 0:
                 break
             grid = grid.take(stays)
@@ -530,16 +521,6 @@ def _along(direction: Vec2, x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
 def new_flight(scenario: Scenario) -> FreeFlight:
     """Tables for a scenario."""
     return FreeFlight(scenario.vehicle, min(_HORIZON_S, scenario.limits.collision_timeout_s))
-
-
-def _choose(front: _Front, rows: Rows | NDArray[np.bool_]) -> _Front:
-    return front._replace(
-        rows=front.rows[rows],
-        t_s=front.t_s[rows],
-        force_n=front.force_n[rows],
-        leg=front.leg.take(rows),
-        hits=tuple(hit.take(rows) for hit in front.hits),
-    )
 
 
 def _flatten(shape: tuple[int, ...], out: Outcome) -> Outcome:

@@ -19,6 +19,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from dart_flight.geometry import distance2
 from dart_flight.samples import FlightMode, LandedState
+from dart_flight.sim import esc_status
 from dart_flight.sim.autopilot import TICK_US, Autopilot
 from dart_flight.sim.cascade import TrajectorySetPoint
 from dart_flight.sim.impairment import Impairment, LossyLink
@@ -71,8 +72,12 @@ DEFAULT_RATES: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: 0.0,
     mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 0.0,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 10.0,
+    esc_status.MESSAGE_ID: 0.0,
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
 }
+
+
+_ESC_THRUST_N_PER_RPM2 = 1.1e-8  # where the configuration has none, example value
 
 
 class Link:
@@ -138,6 +143,7 @@ class MavlinkEndpoint:
             mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: self._actuator_output_status,
             mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: self._servo_output_raw,
             mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: self._attitude_target,
+            esc_status.MESSAGE_ID: self._esc_status,
             mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self._estimator_status,
             mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._autopilot_version,
         }
@@ -569,6 +575,12 @@ class MavlinkEndpoint:
         return mavlink.MAVLink_attitude_target_message(
             self._boot_ms, 0, c.attitude_setpoint, 0.0, 0.0, 0.0, c.thrust_setpoint
         )
+
+    def _esc_status(self) -> Any:
+        a = self.autopilot
+        per_rpm2 = a.vehicle.estimation.esc_thrust_n_per_rpm2 or _ESC_THRUST_N_PER_RPM2
+        rpm = [round(math.sqrt(a.vehicle.thrust.force_n(u) / per_rpm2)) for u in a.plant.motor]
+        return esc_status.EscStatus(a.time_us, rpm)
 
     def _autopilot_version(self) -> Any:
         capabilities = (

@@ -12,14 +12,14 @@ import contextlib
 import logging
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import msgspec
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
 from mavsdk.logging import log_subscribe
 from mavsdk.plugins.action import Action
-from mavsdk.plugins.mavlink_direct import MavlinkDirect
+from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkMessage
 from mavsdk.plugins.offboard import AccelerationNed, Offboard, PositionNedYaw, VelocityNedYaw
 from mavsdk.plugins.server_utility import ServerUtility
 from mavsdk.plugins.server_utility import StatusTextType as OwnStatusTextType
@@ -27,11 +27,14 @@ from mavsdk.plugins.telemetry import FlightMode as SdkFlightMode
 from mavsdk.plugins.telemetry import LandedState as SdkLandedState
 from mavsdk.plugins.telemetry import Telemetry
 
+from dart_flight.config.vehicle import Estimation, ThrustSource
 from dart_flight.errors import FlightError
 from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
+    AttitudeTargetSample,
     ClockOffset,
+    EscSample,
     EstimatorSample,
     FlightMode,
     ImuSample,
@@ -43,7 +46,7 @@ from dart_flight.samples import (
     StatusText,
     VehicleAction,
 )
-from dart_flight.streams import STREAMS
+from dart_flight.streams import ATTITUDE_TARGET, ESC, MESSAGE_ID, STREAMS, Stream
 from dart_flight.vehicle.clock import Clock, ClockEstimate, host_us
 
 _MODES = {
@@ -67,8 +70,37 @@ _PWM_LOW, _PWM_HIGH = 1000.0, 2000.0
 _ACTION_TIMEOUT_S = 5.0
 _RESET_COUNTER = re.compile(r'"reset_counter":\s*(\d+)')
 _FLAGS = re.compile(r'"flags":\s*(\d+)')
+_RESULT = re.compile(r'"result":\s*(\d+)')
+_SET_MESSAGE_INTERVAL = 511  # MAV_CMD
 _NEEDED = 1 | 2  # ESTIMATOR_STATUS_FLAGS: attitude, horizontal velocity
 _PLACED = 8 | 16  # horizontal position, relative or absolute
+
+
+class _ActuatorOutputs(msgspec.Struct):
+    """ACTUATOR_OUTPUT_STATUS as JSON; NaN arrives as null."""
+
+    time_usec: int
+    actuator: list[float | None]
+
+
+class _EscStatus(msgspec.Struct):
+    """ESC_STATUS as JSON."""
+
+    time_usec: int
+    index: int
+    rpm: list[int]
+
+
+class _AttitudeTarget(msgspec.Struct):
+    """ATTITUDE_TARGET as JSON."""
+
+    time_boot_ms: int
+    thrust: float | None
+
+
+_decode_actuator = msgspec.json.Decoder(_ActuatorOutputs).decode
+_decode_esc = msgspec.json.Decoder(_EscStatus).decode
+_decode_attitude_target = msgspec.json.Decoder(_AttitudeTarget).decode
 
 
 class VehicleError(FlightError):
@@ -95,6 +127,7 @@ class VehicleSession:
         self._action = Action(self._raw)
         self._utility = ServerUtility(self._raw)
         self._direct = MavlinkDirect(self._raw)
+        self._extra: list[Stream] = []  # beside the table, as the configuration asks
         self._reset_counter: int | None = None
         self.clock: Clock = clock if clock is not None else ClockEstimate()
         self._status = StatusSample(t_us=0, received_us=0)
@@ -102,13 +135,17 @@ class VehicleSession:
 
     # -- telemetry --
 
-    def subscribe(self) -> None:
-        """Subscribe to the streams of the table and to the slow state."""
+    def subscribe(self, estimation: Estimation, guarded: bool = True) -> None:
+        """Subscribe to the streams of the table and to the slow state.
+
+        Args:
+            estimation: which sources of thrust it uses.
+            guarded: also to what only the guard asks for.
+        """
         t = self._telemetry
         t.subscribe_imu(self._on_imu)
         t.subscribe_attitude_quaternion(self._on_attitude)
         t.subscribe_odometry(self._on_odometry)
-        t.subscribe_actuator_output_status(self._on_actuator)
         t.subscribe_armed(lambda armed, _: self._on_status(armed=bool(armed)))
         t.subscribe_flight_mode(
             lambda mode, _: self._on_status(flight_mode=_MODES.get(mode, FlightMode.MANUAL))
@@ -119,12 +156,25 @@ class VehicleSession:
         t.subscribe_health(lambda h, _: self._on_status(local_position_ok=bool(h.is_local_position_ok)))
         t.subscribe_battery(self._on_battery)
         t.subscribe_status_text(self._on_status_text)
-        # What the telemetry plugin leaves out; as text, so look for the one number and parse no JSON.
-        self._direct.subscribe_message("ODOMETRY", self._on_raw_odometry)
-        self._direct.subscribe_message("ESTIMATOR_STATUS", self._on_estimator_status)
+        # What the telemetry plugin leaves out: the stamp of the motors' outputs, and all of the others.
+        d = self._direct
+        d.subscribe_message("ACTUATOR_OUTPUT_STATUS", self._on_actuator)
+        if estimation.uses_esc:
+            self._extra.append(ESC)
+            d.subscribe_message(ESC.message, self._on_esc)
+        if estimation.thrust_source is ThrustSource.ATTITUDE_TARGET:
+            self._extra.append(ATTITUDE_TARGET)
+            d.subscribe_message(ATTITUDE_TARGET.message, self._on_attitude_target)
+        if guarded:
+            d.subscribe_message("ODOMETRY", self._on_raw_odometry)
+            d.subscribe_message("ESTIMATOR_STATUS", self._on_estimator_status)
 
-    async def set_rates(self) -> list[str]:
-        """Ask for the rates of the table; returns the names of the streams that were refused."""
+    async def set_rates(self, names: Collection[str] | None = None) -> list[str]:
+        """Ask for the rates of the table; returns the names of the streams that were refused.
+
+        Args:
+            names: only of these streams of the table; None: all. Further ones subscribed to are always asked for.
+        """
         t = self._telemetry
         calls = {
             "imu": t.set_rate_imu,
@@ -135,11 +185,35 @@ class VehicleSession:
         }
         refused = []
         for stream in STREAMS:
+            if names is not None and stream.name not in names:
+                continue
             try:
                 await asyncio.to_thread(calls[stream.name], stream.rate_hz)
             except Exception:
                 refused.append(stream.name)
+        for stream in self._extra:
+            if not await asyncio.to_thread(self._ask_rate, stream):
+                refused.append(stream.name)
         return refused
+
+    def _ask_rate(self, stream: Stream) -> bool:
+        """SET_MESSAGE_INTERVAL for a stream without a rate in the telemetry plugin; blocking."""
+        fields = {
+            "target_system": self._raw.get_system_id(),
+            "target_component": 1,
+            "command": _SET_MESSAGE_INTERVAL,
+            "confirmation": 0,
+            "param1": MESSAGE_ID[stream.message],
+            "param2": round(1e6 / stream.rate_hz),
+            **{f"param{i}": 0 for i in range(3, 8)},
+        }
+        command = MavlinkMessage("COMMAND_LONG", 0, 0, 0, 0, msgspec.json.encode(fields).decode())
+        try:
+            answer = self._direct.send_command(command)
+        except Exception:
+            return False
+        found = _RESULT.search(answer.fields_json)
+        return found is not None and int(found[1]) == 0
 
     def _stamp(self, t_us: int, received_us: int) -> None:
         offset = self.clock.update(t_us, received_us)
@@ -189,13 +263,27 @@ class VehicleSession:
         received = host_us()
         self._deliver(EstimatorSample(self.clock.to_autopilot(received), received, **what))
 
-    def _on_actuator(self, status: Any, _: Any) -> None:
+    def _on_actuator(self, message: Any, _: Any) -> None:
         received = host_us()
+        status = _decode_actuator(message.fields_json)
         if len(status.actuator) < 4:
             return
         span = _PWM_HIGH - _PWM_LOW
-        m = [max(0.0, min(1.0, (pwm - _PWM_LOW) / span)) for pwm in status.actuator[:4]]
-        self._deliver(ActuatorSample(self.clock.to_autopilot(received), received, (m[0], m[1], m[2], m[3])))
+        m = [max(0.0, min(1.0, ((pwm or 0.0) - _PWM_LOW) / span)) for pwm in status.actuator[:4]]
+        self._deliver(ActuatorSample(status.time_usec, received, (m[0], m[1], m[2], m[3])))
+
+    def _on_esc(self, message: Any, _: Any) -> None:
+        received = host_us()
+        status = _decode_esc(message.fields_json)
+        if status.index == 0 and len(status.rpm) >= 4:  # four ESCs a message
+            r = [float(rpm) for rpm in status.rpm[:4]]
+            self._deliver(EscSample(status.time_usec, received, (r[0], r[1], r[2], r[3])))
+
+    def _on_attitude_target(self, message: Any, _: Any) -> None:
+        received = host_us()
+        target = _decode_attitude_target(message.fields_json)
+        if target.thrust is not None:
+            self._deliver(AttitudeTargetSample(1000 * target.time_boot_ms, received, target.thrust))
 
     def _on_status(self, **changes: Any) -> None:
         received = host_us()

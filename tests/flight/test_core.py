@@ -163,6 +163,25 @@ def test_after_the_guard_has_fired_the_mission_is_not_heard(hand_fed: HandFedCor
     assert (end.outcome, end.reason) == ("aborted", "operator: land asked for")
 
 
+def test_the_ground_under_the_guards_landing_is_no_impact(hand_fed: HandFedCore) -> None:
+    hand_fed.to_flight()
+    hand_fed.give(OperatorRequest(hand_fed.t_us, "land"))  # breaks off first, then lands
+    hand_fed.run(0.5)
+    assert of(ImpactOnset, pulse(hand_fed, (-10.0, -16.0)))  # still in the air: a wall behind it counts
+    hand_fed.run(4.0)
+    assert VehicleAction.LAND in {o.action for o in of(VehicleCommand, hand_fed.outputs)}
+    hand_fed.set_status(flight_mode=FlightMode.LAND)
+    assert not of(ImpactOnset, pulse(hand_fed, (-10.0, -16.0)) + hand_fed.run(0.5))
+
+
+def test_nothing_is_an_impact_once_a_rule_lands_at_once(hand_fed: HandFedCore) -> None:
+    hand_fed.to_flight()
+    hand_fed.silent.add("imu")
+    assert [g.action for g in of(GuardEvent, hand_fed.run(0.3))] == ["land"]
+    hand_fed.silent.clear()
+    assert not of(ImpactOnset, pulse(hand_fed, (-10.0, -16.0)) + hand_fed.run(0.5))
+
+
 def test_a_stronger_action_replaces_a_weaker_one_and_never_the_other_way(hand_fed: HandFedCore) -> None:
     hand_fed.to_flight()
     hand_fed.give(OperatorRequest(hand_fed.t_us, "land"))

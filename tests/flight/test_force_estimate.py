@@ -157,7 +157,7 @@ def test_commands_act_from_their_stamp_on_with_the_motors_lag() -> None:
 
 
 def test_the_best_fresh_thrust_source_is_taken() -> None:
-    model = ThrustModel(VEHICLE)
+    model = ThrustModel(with_estimation(esc_thrust_n_per_rpm2=1.1e-8))
     assert model.mean_over_tick(1_000_000) == pytest.approx(MASS * 9.81)
     assert model.source is None
     model.take_attitude_target(AttitudeTargetSample(1_000_000, 0, 0.5))
@@ -166,6 +166,7 @@ def test_the_best_fresh_thrust_source_is_taken() -> None:
     model.take_actuator(ActuatorSample(1_008_000, 0, (HOVER,) * 4))
     model.mean_over_tick(1_008_000)
     assert model.source is ThrustSource.ACTUATOR
+    model.take_esc(EscSample(1_008_000, 0, (17_000.0,) * 4))
     model.take_esc(EscSample(1_012_000, 0, (17_000.0,) * 4))
     model.mean_over_tick(1_012_000)
     assert model.mean_over_tick(1_016_000) == pytest.approx(4 * 1.1e-8 * 17_000.0**2)
@@ -173,6 +174,17 @@ def test_the_best_fresh_thrust_source_is_taken() -> None:
     model.take_actuator(ActuatorSample(1_200_000, 0, (HOVER,) * 4))
     model.mean_over_tick(1_200_000)
     assert model.source is ThrustSource.ACTUATOR  # the ESC's telemetry is stale
+
+
+@pytest.mark.parametrize(("period_us", "constant"), [(100_000, 1.1e-8), (8_000, None)])
+def test_slow_or_uncalibrated_motor_speeds_are_no_source(period_us: int, constant: float | None) -> None:
+    model = ThrustModel(with_estimation(esc_thrust_n_per_rpm2=constant))
+    for t_us in range(1_000_000, 1_400_000, 4_000):
+        model.take_actuator(ActuatorSample(t_us, 0, (HOVER,) * 4))
+        if t_us % period_us == 0:
+            model.take_esc(EscSample(t_us, 0, (17_000.0,) * 4))
+        model.mean_over_tick(t_us)
+        assert model.source is ThrustSource.ACTUATOR
 
 
 def test_battery_voltage_scales_the_curve() -> None:

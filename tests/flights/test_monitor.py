@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -61,7 +62,14 @@ def hand_fed_view() -> str:
 
 
 @pytest.mark.mavlink
-def test_through_mavlink() -> None:
+@pytest.mark.parametrize("source", ["auto", "esc", "attitude_target"])
+def test_through_mavlink(source: str, tmp_path: Path) -> None:
+    text = (ROOT / "configs" / "dart.yaml").read_text()
+    text = re.sub("thrust_source: auto", f"thrust_source: {source}", text)
+    if source == "esc":
+        text = re.sub("esc_thrust_n_per_rpm2: null", "esc_thrust_n_per_rpm2: 1.1e-8", text)
+    config = tmp_path / "vehicle.yaml"
+    config.write_text(text)
     port = free_udp_port()
     simulate = [sys.executable, "-m", "dart_flight", "simulate", "--port", str(port)]
     with subprocess.Popen(
@@ -69,7 +77,7 @@ def test_through_mavlink() -> None:
     ) as vehicle:
         try:
             url = f"udpin://127.0.0.1:{port}"
-            command = ["monitor", "--connection", url, "--seconds", "6", "--json"]
+            command = ["monitor", "--connection", url, "--seconds", "6", "--json", "--config", str(config)]
             done = subprocess.run(
                 [sys.executable, "-m", "dart_flight", *command],
                 cwd=ROOT, capture_output=True, text=True, timeout=60, check=True,
@@ -82,4 +90,5 @@ def test_through_mavlink() -> None:
     assert rates["attitude"] > 45.0
     assert view["landed"] == "on_ground"
     assert view["force_n"] is not None
+    assert view["thrust_source"] == ("actuator" if source == "auto" else source)
     assert view["cpu_percent"] < 50.0

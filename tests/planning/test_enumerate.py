@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import msgspec
@@ -13,7 +14,8 @@ from dart_flight.cli import main
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.scenario import Objective, Scenario, load_scenario
 from dart_flight.flight.core import FlightCore
-from dart_flight.planning.constraints import Refusal
+from dart_flight.planning.approach_grid import approach_grid
+from dart_flight.planning.constraints import CODE, Constraints, Refusal
 from dart_flight.planning.enumerate import Search, search
 from dart_flight.planning.mission_writer import write_mission
 from dart_flight.planning.summary import with_objective
@@ -104,6 +106,29 @@ def test_any_chooses_walls_and_names_the_flight_without_a_collision() -> None:
     assert result.baseline.time_to_goal_s > 1.0
 
 
+def test_no_run_up_is_blocked_by_the_wall_it_leads_to() -> None:
+    """The impact lies on the plane but for rounding, at any velocity and any direction of the wall."""
+    for heading in np.linspace(0.0, 2.0 * math.pi, 40):
+        normal = (-math.cos(heading), -math.sin(heading))
+        scenario = load_scenario(SCENARIOS / "one_wall.yaml")
+        old = scenario.walls["acrylic"]
+        point = (-1.65 * normal[0], -1.65 * normal[1])
+        wall = msgspec.structs.replace(old, point=point, normal=normal, length_m=100.0)
+        scenario = msgspec.structs.replace(
+            scenario,
+            walls={"acrylic": wall},
+            bounds=msgspec.structs.replace(scenario.bounds, x=(-50.0, 50.0), y=(-50.0, 50.0)),
+        )
+        grid = approach_grid(
+            scenario,
+            wall,
+            np.array(scenario.normal_m_s)[:, None],
+            np.array(scenario.tangential_m_s)[None, :],
+            Constraints(scenario),
+        )
+        assert not (grid.codes == CODE[Refusal.RUN_UP_BLOCKED]).any(), heading
+
+
 def test_a_wall_in_the_way_is_an_obstacle(tmp_path: Path) -> None:
     text = (SCENARIOS / "dual_collision.yaml").read_text()
     text = text.replace("../../configs", str(SCENARIOS.parents[1] / "configs"))
@@ -115,6 +140,16 @@ def test_a_wall_in_the_way_is_an_obstacle(tmp_path: Path) -> None:
     result = search(load_scenario(path), top=1)
     assert result.refused[Refusal.OBSTACLE] > 50
     assert result.feasible < 1957
+
+
+def test_a_wall_on_the_last_straight_to_the_goal_is_an_obstacle() -> None:
+    scenario = load_scenario(SCENARIOS / "one_wall.yaml")  # acrylic at x = 1.65 from y = -1 to 2
+    constraints = Constraints(scenario)
+    x, y = np.array([1.0, 1.66, 2.3, 2.3]), np.array([0.0, 1.0, 1.0, 40.0])
+    obstacle = CODE[Refusal.OBSTACLE]
+    # In front; just released, a little behind the plane; from behind the wall; from behind, past its end.
+    assert constraints.to_goal(x, y, (0.6, 1.0)).tolist() == [0, 0, obstacle, 0]
+    assert constraints.to_goal(x, y, (3.0, 1.0)).tolist() == [obstacle, 0, 0, 0]
 
 
 @pytest.mark.parametrize("name", ["dual_collision", "one_wall", "any_walls"])
