@@ -143,7 +143,7 @@ def _named(wall: Wall, name: str) -> Wall:
 
 def _path(flight: FreeFlight, hit: Hits, until_s: float) -> NDArray[np.float64]:
     """From the onset of a hit over its release to a time, mission frame (n, 2)."""
-    release_s = float(hit.t_s[0]) + hit.duration_s
+    release_s = float(hit.t_s[0] + hit.duration_s[0])
     points = [(float(hit.x[0]), float(hit.y[0]))]
     for t_s in np.linspace(0.0, max(until_s - release_s, 0.0), _POINTS):
         at = flight.at(hit.leg, float(t_s))
