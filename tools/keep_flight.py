@@ -11,6 +11,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import msgspec
+
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.recording.replay import WITHOUT
 from dart_flight.recording.schema import INPUTS, OUTPUTS
@@ -27,7 +29,7 @@ def keep(source: Path, target: Path) -> int:
         raise SystemExit(f"{source}: cut")
     last = _last_number(log)
     target.unlink(missing_ok=True)
-    part = LogPart(target, log.about, 1)
+    part = LogPart(target, _without_place(log.about), 1)
     t_us = 0
     for entry in log.entries:
         t_us = getattr(entry.record, "t_us", 0) or t_us
@@ -37,6 +39,18 @@ def keep(source: Path, target: Path) -> int:
     part.finish({"lost": "0", WITHOUT: ForceEstimate.__name__})
     part.close()
     return target.stat().st_size
+
+
+def _without_place(about: dict[str, str]) -> dict[str, str]:
+    """The description without the recording machine's name and folders."""
+    flown = msgspec.json.decode(about["flown"])
+    flown["source"] = Path(flown["source"]).name
+    return {
+        **about,
+        "flown": msgspec.json.encode(flown).decode(),
+        "mission_source": Path(about["mission_source"]).name,
+        "host": about["host"].split(", ")[-1],
+    }
 
 
 def _last_number(log: Log) -> int:
