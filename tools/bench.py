@@ -19,7 +19,7 @@ from rich.table import Table
 
 Row = dict[str, Any]  # name, value, unit, baseline, ratio: docs/interfaces.md
 
-MODULES = ("bench_contact", "bench_plan", "bench_core", "bench_latency")
+MODULES = ("bench_contact", "bench_plan", "bench_core", "bench_log", "bench_latency")
 OUTPUT = Path("build/bench.json")
 
 

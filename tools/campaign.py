@@ -13,6 +13,8 @@ from rich.console import Console
 MODULES = {
     "lock": "tools.campaign_lock",
     "identify": "tools.campaign_identify",
+    "flight-identify": "tools.campaign_flight_identify",
+    "replay": "tools.campaign_replay",
     "plan": "tools.campaign_plan",
     "agreement": "tools.plan_agreement",
     "force": "tools.campaign_force",

@@ -9,14 +9,15 @@ the intervals are widened for what correlation is left in the residuals (a filte
 data cannot tell comes back as None.
 
 In real flights the controller pushes before and after a wall contact. Where the recordings show such
-curvature, every wall hit gets constant accelerations of its own, one before and in the contact and one after
-it, unknown like the rest; where they do not, straight flight is assumed, which tells more.
+curvature, every wall hit gets constant accelerations of its own, one before, one in and one after the
+contact, unknown like the rest; where they do not, straight flight is assumed, which tells more.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,6 +38,9 @@ _REMEMBERED = 8
 _CURVED = 4.5  # deviations of a curvature in free flight that is not noise
 _PUSH_SD_M_S2 = 5.0
 _PUSHES = ("before", "after")
+# The controller leans otherwise once it feels the wall: by this much, standard deviation, over a contact
+# that is shorter than its own lag. Positions alone could not tell that from stiffness.
+_PUSH_CHANGE_SD_M_S2 = 1.0
 # Rates of change this small in the model make a coefficient unknown rather than zero.
 _WIDEST_LOG = math.log(10.0)
 
@@ -66,8 +70,8 @@ class TrialFit(NamedTuple):
         onset_s: time of the onset in the recording.
         normal_m_s, tangential_m_s: velocity at the onset.
         samples_in_contact: position samples in contact.
-        push_m_s2: the controller's acceleration along the normal, before (and in) and after the contact; 0
-            where the flight was straight.
+        push_m_s2: the controller's acceleration along the normal, before and after the contact; 0 where the
+            flight was straight.
     """
 
     name: str
@@ -144,7 +148,7 @@ class _Parameters:
                 axes = [
                     name[0] for name in ("normal_m", "tangential_m", "vertical_m") if name in trial.series
                 ]
-                names += [f"{axis}_{when}" for axis in axes for when in _PUSHES]
+                names += [f"{axis}_{when}" for axis in axes for when in _PUSHES] + ["n_in"]
             self.own.append({name: self.size + i for i, name in enumerate(names)})
             self.size += len(names)
 
@@ -165,7 +169,7 @@ def _contact(theta: Array, shared: dict[str, int], own: dict[str, int], trial: T
         nu=1.0,
     )
     speed = -max(float(theta[own["speed"]]), 1e-4)
-    push = float(theta[own["n_before"]]) if "n_before" in own else 0.0
+    push = float(theta[own["n_in"]]) if "n_in" in own else 0.0
     return Contact(c, fit.mass_kg, speed, fit.onset, acceleration_m_s2=trial.acceleration_m_s2 + push)
 
 
@@ -210,15 +214,15 @@ class _Fit:
         return out
 
     def _add_push(self, out: dict[str, Array], theta: Array, i: int, name: str) -> None:
-        """The controller's accelerations outside the contact; the normal one before it is in the contact."""
+        """The controller's accelerations outside the contact."""
         own, axis = self.parameters.own[i], name[0]
         if f"{axis}_after" not in own or name.endswith("_n"):
             return
         shapes = self._shapes(theta, i)
         late, early = shapes[name + " late"], shapes[name + " early"]
         after, before = theta[own[f"{axis}_after"]], theta[own[f"{axis}_before"]]
-        if axis == "n":
-            after, before = after - before, 0.0
+        if axis == "n":  # the contact's own push is in its shape, before and after it as well
+            after, before = after - theta[own["n_in"]], before - theta[own["n_in"]]
         if name.endswith("_s"):
             out[name] = out[name] + after * late + before * early
         else:
@@ -232,7 +236,7 @@ class _Fit:
         trial, window = self.trials[i], self.windows[i]
         shared, own = self.parameters.of_mode(trial.mode), self.parameters.own[i]
         onset = float(theta[own["onset"]])
-        push = float(theta[own["n_before"]]) if "n_before" in own else 0.0
+        push = float(theta[own["n_in"]]) if "n_in" in own else 0.0
         key = (onset, push, float(theta[own["speed"]]), *(float(theta[shared[n]]) for n in ("k", "f", "mu")))
         memory = self._memory.setdefault(i, {})
         if key in memory:
@@ -277,6 +281,8 @@ class _Fit:
             ]  # fmt: skip
         for own in self.parameters.own:
             weak += [theta[j] / _PUSH_SD_M_S2 for name, j in own.items() if name.endswith(_PUSHES)]
+            if "n_in" in own:
+                weak.append((theta[own["n_in"]] - theta[own["n_before"]]) / _PUSH_CHANGE_SD_M_S2)
         return np.array([theta[0] / self.plane_sd_m, *weak])
 
     def residuals(self, theta: Array) -> Array:
@@ -503,7 +509,7 @@ def _without_derived(trials: Sequence[Trial]) -> tuple[list[Trial], list[str]]:
             if np.median(np.abs(own)) < 0.2 * noise:
                 del series[f"{axis}_m_s"]
                 notes.append(f"{trial.name}: {axis}_m_s is the derivative of {axis}_m and was not used")
-        kept.append(Trial(trial.name, series, trial.mode, trial.acceleration_m_s2))
+        kept.append(replace(trial, series=series))
     return kept, notes
 
 
@@ -613,10 +619,19 @@ def _conclude(fit: _Fit, theta: Array, notes: list[str]) -> Identification:
             notes.append(
                 f"{mode}: no nu, because the trials show no vertical motion that the contact changes"
             )
-        coefficients[mode] = found
+        allowed = {n: max(fit.trials[i].allowance.get(n, 0.0) for i in members) for n in found}
+        coefficients[mode] = {n: _widened(e, allowed[n]) for n, e in found.items()}
     half = _T95 * float(deviation[0])
     plane = Estimate(float(theta[0]), float(theta[0]) - half, float(theta[0]) + half)
     return Identification(coefficients, plane, _residuals(fit, theta), _trial_fits(fit, theta), side, notes)
+
+
+def _widened(estimate: Estimate | None, share: float) -> Estimate | None:
+    """The interval with a share of the value added at both ends."""
+    if estimate is None:
+        return None
+    more = share * abs(estimate.value)
+    return Estimate(estimate.value, max(estimate.low - more, 0.0), estimate.high + more)
 
 
 def _friction(fit: _Fit, theta: Array, deviation: Array, members: list[int]) -> Estimate | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -58,12 +58,15 @@ class Trial:
         series: by column name (`COLUMNS`); `normal_m` is always there. Rates may differ.
         mode: `rigid`, `flexible` or `unlabelled`.
         acceleration_m_s2: along the normal in free flight: 0 at a wall, -9.81 in a drop.
+        allowance: coefficient -> share of it by which recordings of this kind are off however many there are;
+            the intervals are widened by it.
     """
 
     name: str
     series: dict[str, Series]
     mode: str = UNLABELLED
     acceleration_m_s2: float = 0.0
+    allowance: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def normal(self) -> Series:

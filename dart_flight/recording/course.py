@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeVar
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import Imu
 from dart_flight.flight.phases import Phase
 from dart_flight.geometry import MissionFrame
 from dart_flight.recording.reader import Log
@@ -50,7 +52,8 @@ class Course:
         frame: the mission frame in local NED; None where the flight did not get ready.
         estimated: by PX4's estimator; empty without a frame.
         true: of the simulated vehicle; empty on the drone.
-        estimated_force, true_force: likewise.
+        estimated_force, true_force: likewise. An estimate stands for the mean over the IMU's tick, behind
+            the accelerometer's own filter: its time here is the middle of that, not the stamp at its end.
     """
 
     def __init__(self, log: Log, mission: Mission) -> None:
@@ -70,7 +73,8 @@ class Course:
         )
         self.true_force = Force(time_s, _rows(r.contact_force_mission for r in truth))
         estimates = self.all(ForceEstimate)
-        self.estimated_force = Force(self._times(estimates), _rows(r.force_mission for r in estimates))
+        middle_s = self._times(estimates) - _reading_lag_s(mission.vehicle.imu)
+        self.estimated_force = Force(middle_s, _rows(r.force_mission for r in estimates))
 
     def all(self, kind: type[R]) -> list[R]:
         """Every record of a kind, in the order written."""
@@ -92,6 +96,11 @@ class Course:
             _rows(frame.point_from_ned(s.position_ned) for s in samples if frame),
             _rows(frame.vector_from_ned(s.velocity_ned) for s in samples if frame),
         )
+
+
+def _reading_lag_s(imu: Imu) -> float:
+    """How far before its stamp the middle of a reading lies: half a tick and the filter's lag."""
+    return 0.5 * imu.tick_s + 0.5 / (math.pi * imu.antialias_hz)
 
 
 def _rows(vectors: Any) -> Array:

@@ -19,6 +19,7 @@ from dart_flight.samples import Record
 # The writer's chunks are of a megabyte: a damaged length must not make the reader ask for gigabytes.
 _MOST_BYTES = 64 * 1024 * 1024
 _MAGIC = b"\x89MCAP0\r\n"
+_DECODERS = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
 
 
 class LogEntry(msgspec.Struct, frozen=True):
@@ -102,7 +103,6 @@ def _read_part(path: Path, log: Log) -> None:
 
 def _entries(stream: BinaryIO, log: Log, found: dict[str, str], source: str) -> Iterator[LogEntry]:
     topics: dict[int, str] = {}
-    decoders = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
     for record in StreamReader(stream, emit_chunks=True, record_size_limit=_MOST_BYTES).records:
         if isinstance(record, Metadata) and record.name == ABOUT:
             found.update(record.metadata)
@@ -117,9 +117,8 @@ def _entries(stream: BinaryIO, log: Log, found: dict[str, str], source: str) -> 
         for inner in breakup_chunk(record, validate_crc=True):
             if isinstance(inner, Channel):
                 topics[inner.id] = inner.topic
-            elif isinstance(inner, Message) and topics.get(inner.channel_id) in decoders:
-                record_decoder = decoders[topics[inner.channel_id]]
-                yield LogEntry(inner.sequence, decode(inner.data, record_decoder))
+            elif isinstance(inner, Message) and topics.get(inner.channel_id) in _DECODERS:
+                yield LogEntry(inner.sequence, decode(inner.data, _DECODERS[topics[inner.channel_id]]))
 
 
 def _check_version(about: dict[str, str], source: str) -> None:

@@ -18,6 +18,9 @@ from dart_flight.recording.reader import Log, read_log
 from dart_flight.samples import ImpactOnset, PhaseChange
 
 _BEFORE_S, _AFTER_S = 0.5, 0.4
+# What flight logs of the simulated vehicle, whose coefficients are known, are off by themselves
+# (docs/flight_identification.md): PX4's velocity loop brakes too while the wall does.
+ALLOWANCE = {"k": 0.03, "f": 0.15, "mu": 0.08, "nu": 0.6}
 
 
 def trials_of(log: Log, material: str | None = None) -> dict[str, list[Trial]]:
@@ -41,7 +44,9 @@ def trials_of(log: Log, material: str | None = None) -> dict[str, list[Trial]]:
             wall = collision.wall
             if material is None or wall.material == material:
                 name = f"{log.source}: {wall.name}"
-                trial = Trial(name, _series(course, wall, onset.t_us), collision.mode.value)
+                trial = Trial(
+                    name, _series(course, wall, onset.t_us), collision.mode.value, allowance=ALLOWANCE
+                )
                 found.setdefault(wall.material, []).append(trial)
     return found
 

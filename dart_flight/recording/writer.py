@@ -65,7 +65,7 @@ _STREAMS = frozenset(
 )
 
 
-class _Part:
+class LogPart:
     """One MCAP file; every part describes the flight and its own channels again."""
 
     def __init__(self, path: Path, about: dict[str, str], number: int) -> None:
@@ -84,9 +84,11 @@ class _Part:
 
     @property
     def size_bytes(self) -> int:
+        """Bytes handed to the file so far."""
         return self._file.tell()
 
     def write(self, record: Record, time_us: int, number: int) -> None:
+        """Add a record at an autopilot time; `number` is that of the input it is or follows from."""
         self._writer.add_message(
             channel_id=self._channels[type(record)],
             log_time=max(0, time_us) * 1000,  # MCAP has no time before 0; a broken clock has
@@ -96,12 +98,14 @@ class _Part:
         )
 
     def flush(self) -> None:
+        """End the chunk and hand it to the operating system."""
         # The library ends a chunk only by its size; waiting for a megabyte would cost a killed flight many
         # seconds.
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._file.flush()
 
     def sync(self) -> None:
+        """Force what was flushed to the disk."""
         os.fsync(self._file.fileno())
 
     def finish(self, end: dict[str, str]) -> None:
@@ -112,6 +116,7 @@ class _Part:
         self.sync()
 
     def close(self) -> None:
+        """Close the file, finished or not."""
         self._file.close()
 
 
@@ -145,7 +150,7 @@ class FlightLog:
         self._part_bytes, self._most_parts = part_bytes, most_parts
         self._parts = 1
         self._waiting: deque[tuple[Record, int]] = deque()
-        self._part = _Part(path, about, 1)
+        self._part = LogPart(path, about, 1)
         self._time_us = 0
         self._synced_s = 0.0
         self._closing = threading.Event()
@@ -216,7 +221,7 @@ class FlightLog:
         self._part.finish({"lost": str(self.lost), "continued": "yes"})
         self._part.close()
         self._parts += 1
-        self._part = _Part(part_path(self.path, self._parts), self._about, self._parts)
+        self._part = LogPart(part_path(self.path, self._parts), self._about, self._parts)
 
 
 def part_path(first: Path, number: int) -> Path:

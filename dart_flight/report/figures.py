@@ -32,6 +32,7 @@ _STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "grid.color": "#e6e6e6",
     "legend.frameon": False,
     "legend.fontsize": 8.5,
@@ -55,6 +56,16 @@ def _svg(figure: Any) -> str:
     figure.savefig(text, format="svg", metadata={"Date": None})
     svg = text.getvalue()
     return svg[svg.index("<svg") :]
+
+
+def _legend_above(axis: Any) -> None:
+    """In one row over the plot, where it covers no line."""
+    labels = axis.get_legend_handles_labels()[1]
+    if labels:
+        axis.legend(
+            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(labels), borderaxespad=0.2,
+            columnspacing=1.2, handlelength=1.8,
+        )  # fmt: skip
 
 
 # --- map -----------------------------------------------------------------------------------------------
@@ -89,9 +100,9 @@ def flight_map(flights: Sequence[Flight]) -> str:
         if alone:
             for x, y, _ in flight.recovery_points():
                 axis.plot(x, y, "x", color=_GREY, markersize=7, label="recovery set-point")
-    for i, line in enumerate(flights[0].planned_path()):
-        xs, ys, _ = zip(*line, strict=True)
-        axis.plot(xs, ys, label="planned approach" if i == 0 else None, **PREDICTED)
+    planned = flights[0].planned
+    for line in (*(np.array(a) for a in planned.approaches), *planned.legs):
+        axis.plot(line[:, 0], line[:, 1], label="planned", **PREDICTED)
     axis.plot(*mission.start, "o", color="black", markersize=6, label="start")
     axis.plot(*mission.goal.position_m, "*", color="black", markersize=11, label="goal")
     handles, labels = axis.get_legend_handles_labels()
@@ -174,7 +185,7 @@ def impact_forces(flight: Flight, impact: Impact) -> str:
     threshold = flight.mission.vehicle.detection.force_threshold_n
     axes[0].axhline(threshold, color=_GREY, linewidth=0.8, linestyle=":")
     axes[0].annotate("threshold", (170, threshold), va="bottom", ha="right", fontsize=8, color=_GREY)
-    axes[0].legend(loc="upper right")
+    _legend_above(axes[0])
     axes[1].set_xlim(-60, 175)
     axes[1].set_xlabel("time after detection, ms")
     return _svg(figure)
@@ -182,7 +193,7 @@ def impact_forces(flight: Flight, impact: Impact) -> str:
 
 def impact_forces_over_trials(flights: Sequence[Flight], index: int) -> str:
     """The estimated normal force of one collision in every flight, their mean, and the prediction's."""
-    figure, axis = _figure(2.8)
+    figure, axis = _figure(3.0)
     grid = np.arange(-0.05, 0.17, 0.002)
     curves, predictions = [], []
     for flight in flights:
@@ -195,13 +206,13 @@ def impact_forces_over_trials(flights: Sequence[Flight], index: int) -> str:
                 predictions.append(np.interp(grid, when, impact.prediction.normal_force_n))
     thin = {"color": "#8db4e2", "linewidth": 0.7}
     for i, curve in enumerate(curves):
-        axis.plot(1e3 * grid, curve, label="estimated, each trial" if i == 0 else None, **thin)
+        axis.plot(1e3 * grid, curve, label="each trial" if i == 0 else None, **thin)
     if curves:
-        axis.plot(1e3 * grid, np.mean(curves, axis=0), label="estimated, mean", **ESTIMATED)
+        axis.plot(1e3 * grid, np.mean(curves, axis=0), label="mean", **ESTIMATED)
     if predictions:
-        axis.plot(1e3 * grid, np.mean(predictions, axis=0), label="predicted, mean", **PREDICTED)
-    axis.legend(loc="upper right")
-    axis.set_ylabel("normal force, N")
+        axis.plot(1e3 * grid, np.mean(predictions, axis=0), label="predicted", **PREDICTED)
+    _legend_above(axis)
+    axis.set_ylabel("estimated normal force, N")
     axis.set_xlabel("time after detection, ms")
     return _svg(figure)
 
@@ -240,7 +251,7 @@ def motion(flight: Flight) -> str:
         _mark_impacts(axis, flight)
     axes[2].set_xlim(*_span(flight))
     axes[2].set_xlabel("time, s")
-    axes[0].legend(loc="best", ncols=2)
+    _legend_above(axes[0])
     return _svg(figure)
 
 
@@ -298,7 +309,7 @@ def timeline(flight: Flight) -> str:
 
 def _stretches(moments: list[tuple[float, Any]], end: float) -> list[tuple[float, float, Any]]:
     """Values that hold from one moment to the next, the last to the end."""
-    stops = [t for t, _ in moments[1:]] + [end]
+    stops = [t for t, _ in moments[1:]] + [end] if moments else []
     return [(t, stop, value) for (t, value), stop in zip(moments, stops, strict=True)]
 
 
@@ -321,8 +332,14 @@ def _cumulative(axis: Any, values: Array) -> None:
         return
     ordered = np.sort(values)
     share = 100.0 * np.arange(1, ordered.size + 1) / ordered.size
-    axis.step(ordered, share, where="post", color="black", linewidth=1.4)
-    axis.set_xlim(0.0, max(1.0, 1.05 * float(np.percentile(ordered, 99.9))))
+    right = max(1.0, 1.25 * float(np.percentile(ordered, 99.9)))
+    left = -0.06 * right  # a line at 0 is not hidden by the axis
+    axis.step(
+        [left, ordered[0], *ordered, right], [0.0, 0.0, *share, share[-1]], where="post", color="black",
+        linewidth=1.4,
+    )  # fmt: skip
+    axis.set_xlim(left, right)
+    axis.locator_params(axis="x", nbins=4)
 
 
 def errors_over_trials(flights: Sequence[Flight]) -> str:
@@ -334,11 +351,12 @@ def errors_over_trials(flights: Sequence[Flight]) -> str:
         "measured against true": {"marker": "x", "color": "black"},
     }
     for label, style in styles.items():
+        predicted = "predicted" in label
         points = [
-            (i.verdict.index + (-0.12 if "predicted" in label else 0.12), error)
+            (i.verdict.index + (-0.12 if predicted else 0.12), error)
             for f in flights
             for i in f.impacts
-            if (error := _error(i, label)) is not None
+            if (error := i.disagreement if predicted else i.force_error) is not None
         ]
         if points:
             x, y = zip(*points, strict=True)
@@ -346,19 +364,10 @@ def errors_over_trials(flights: Sequence[Flight]) -> str:
             axis.scatter(np.array(x) + spread, 100.0 * np.array(y), s=24, label=label, **style)
     axis.axhline(0.0, color=_GREY, linewidth=0.8)
     axis.set_xticks(indices, [f"collision {i}" for i in indices])
+    axis.set_xlim(min(indices, default=1) - 0.5, max(indices, default=1) + 0.5)
     axis.set_ylabel("peak normal force, error %")
-    axis.legend(loc="best")
+    _legend_above(axis)
     return _svg(figure)
-
-
-def _error(impact: Impact, label: str) -> float | None:
-    if "predicted" in label:
-        return impact.disagreement
-    truth = impact.verdict.truth
-    measured = impact.verdict.measured.peak_force_n
-    if truth is None or measured is None or not truth.peak_force_n:
-        return None
-    return measured / truth.peak_force_n - 1.0
 
 
 def texts_of(svg: str) -> list[str]:

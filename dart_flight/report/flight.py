@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import msgspec
@@ -16,12 +17,57 @@ from dart_flight.recording.about import flown_mission
 from dart_flight.recording.course import Array, Course
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.recording.replay import Replay, replay
-from dart_flight.samples import ClockOffset, ImuSample, SetPoint, SetPointSent
-from dart_flight.verdict import CollisionVerdict, Verdict, VerdictBuilder
+from dart_flight.report.planned import PlannedFlight, planned_flight
+from dart_flight.samples import (
+    ClockOffset,
+    ImpactOnset,
+    ImpactPeak,
+    ImuSample,
+    SetPoint,
+    SetPointSent,
+    StatusSample,
+    TruthContact,
+)
+from dart_flight.verdict import CollisionVerdict, Velocities, Verdict, VerdictBuilder
 
 _STEP_S = 0.0005
 _SHOWN_BEFORE_S, _SHOWN_AFTER_S = 0.05, 0.2
+_LEAST_M_S = 0.05
+_LEAST_FRICTION_N = 5.0
+_FRICTION = "peak friction force"
 PX4_LOG = "px4.ulg"
+
+
+class Compared(msgspec.Struct):
+    """One quantity of a collision, from every source that has it; None where it has not.
+
+    Attributes:
+        name, unit: what it is.
+        planned: by the mission and the flight model.
+        predicted: by the contact law at the measured velocity.
+        measured: by the flight core, or from PX4's estimate.
+        true: of the simulated vehicle.
+    """
+
+    name: str
+    unit: str
+    planned: float | None
+    predicted: float | None
+    measured: float | None
+    true: float | None
+
+    @property
+    def error_percent(self) -> float | None:
+        """Of the measured value, against the true one where there is one, else predicted, else planned.
+
+        None of a velocity near 0, where a share says nothing.
+        """
+        sources = (self.true, self.predicted, self.planned)
+        reference = next((v for v in sources if v is not None), None)
+        least = _LEAST_M_S if self.unit == "m/s" else 0.0
+        if self.measured is None or reference is None or abs(reference) <= least:
+            return None
+        return 100.0 * (self.measured / reference - 1.0)
 
 
 class Impact:
@@ -31,32 +77,109 @@ class Impact:
         index, wall, mode, material: which.
         verdict: planned, measured and true.
         at_s: detection, seconds of the flight's `Course`.
+        planned: the verdict's; what the mission does not say of a later collision is the flight model's.
         prediction: the contact law at the measured velocity, in time since its onset.
-        onset_s: when the predicted contact begins: so that its force reaches the threshold at `at_s`.
+        onset_s: when the predicted contact begins: so that its peak is where the measured one is; where none
+            was measured, so that its force reaches the threshold at `at_s`.
         predicted_n: its peak normal force.
+        compared: planned, predicted, measured and true figures.
+
+    Args:
+        verdict: on this collision.
+        flight: with its mission, course and plan.
     """
 
-    def __init__(
-        self, verdict: CollisionVerdict, collision: Collision, mission: Mission, at_s: float
-    ) -> None:
-        self.verdict, self.collision, self.at_s = verdict, collision, at_s
-        self.material = collision.wall.material
+    def __init__(self, verdict: CollisionVerdict, flight: Flight) -> None:
+        mission, course = flight.mission, flight.course
+        self.verdict = verdict
+        self.collision: Collision = mission.collisions[verdict.index - 1]
+        at_s = self.at_s = course.time_of(verdict.t_us)
+        self.material = self.collision.wall.material
+        modelled = flight.planned.hits.get(verdict.index)
+        unplanned = verdict.planned.normal_m_s is None
+        self.planned: Velocities = modelled if unplanned and modelled is not None else verdict.planned
+        self._peak = _peak_after(course, verdict.t_us)
+        self._truth = _truth_near(course, verdict)
         self.prediction: Trajectory | None = None
         self.predicted_n: float | None = None
         self.onset_s = at_s
-        normal, tangential = verdict.measured.normal_m_s, verdict.measured.tangential_m_s
+        self._predict(mission)
+        if self._peak is not None and self._contact is not None:
+            self.onset_s = course.time_of(self._peak.t_us) - self._contact.peak_s
+        self.compared = self._compare(course)
+
+    def _predict(self, mission: Mission) -> None:
+        self._contact: Contact | None = None
+        measured = self.verdict.measured
+        normal, tangential = measured.normal_m_s, measured.tangential_m_s
         if normal is None or tangential is None or normal >= 0.0:
             return
         vehicle = mission.vehicle
-        coefficients = vehicle.materials[self.material].of(collision.mode)
+        coefficients = vehicle.materials[self.material].of(self.collision.mode)
         contact = Contact(coefficients, vehicle.airframe.mass_kg, normal, Onset(vehicle.onset))
         time = np.arange(-_SHOWN_BEFORE_S, _SHOWN_AFTER_S, _STEP_S)
         path = trajectory(contact, time, tangential, vehicle.vertical_force_sign)
+        self._contact, self.prediction = contact, path
+        self.predicted_n = float(path.normal_force_n.max())
         horizontal = np.hypot(path.normal_force_n, path.tangential_force_n)
         over = np.flatnonzero(horizontal >= vehicle.detection.force_threshold_n)
         if over.size:
-            self.onset_s = at_s - float(time[over[0]])
-        self.prediction, self.predicted_n = path, float(path.normal_force_n.max())
+            self.onset_s = self.at_s - float(time[over[0]])
+
+    def _compare(self, course: Course) -> list[Compared]:
+        """The rows of the report's table."""
+        v, plan, truth, peak = self.verdict, self.planned, self._truth, self._peak
+        true = v.truth if v.truth is not None else Velocities()
+        out = self._measured_out(course)
+        predicted = self._predicted_out()
+        friction = (
+            None if self.prediction is None else float(np.abs(self.prediction.tangential_force_n).max())
+        )
+        duration = None if truth is None else (truth.end_us - truth.t_us) * 1e-3
+        return [
+            Compared("normal velocity", "m/s", plan.normal_m_s, None, v.measured.normal_m_s, true.normal_m_s),
+            Compared(
+                "tangential velocity", "m/s", plan.tangential_m_s, None, v.measured.tangential_m_s,
+                true.tangential_m_s,
+            ),
+            Compared(
+                "peak normal force", "N", plan.peak_force_n, self.predicted_n, v.measured.peak_force_n,
+                true.peak_force_n,
+            ),
+            Compared(
+                _FRICTION, "N", None, friction,
+                None if peak is None else abs(peak.tangential_force_n),
+                None if truth is None else abs(truth.peak_friction_force_n),
+            ),
+            Compared("contact time", "ms", None, predicted[2], v.contact_time_ms, duration),
+            Compared(
+                "normal velocity out", "m/s", None, predicted[0], out[0],
+                None if truth is None else truth.normal_out_m_s,
+            ),
+            Compared(
+                "tangential velocity out", "m/s", None, predicted[1], out[1],
+                None if truth is None else truth.tangential_out_m_s,
+            ),
+        ]  # fmt: skip
+
+    def _predicted_out(self) -> tuple[float | None, float | None, float | None]:
+        """Normal and tangential velocity at the release, m/s, and the contact time, ms."""
+        contact, tangential = self._contact, self.verdict.measured.tangential_m_s
+        if contact is None or tangential is None or not math.isfinite(contact.end_s):
+            return None, None, None
+        end = np.array([contact.end_s])
+        slowed = math.exp(-contact.coefficients.mu * float(contact.impulse(contact.end_s)) / contact.mass_kg)
+        return float(contact.normal(end)[1][0]), tangential * slowed, 1e3 * contact.end_s
+
+    def _measured_out(self, course: Course) -> tuple[float | None, float | None]:
+        """Normal and tangential velocity by PX4's estimate when the force was gone, m/s."""
+        end_us, motion = self.verdict.lock.contact_end_us, course.estimated
+        if end_us is None or not motion.time_s.size:
+            return None, None
+        at = course.time_of(end_us)
+        x, y, z = (float(np.interp(at, motion.time_s, motion.velocity[:, i])) for i in range(3))
+        normal, tangential, _ = self.collision.wall.to_collision((x, y, z))
+        return normal, tangential
 
     @property
     def title(self) -> str:
@@ -70,6 +193,24 @@ class Impact:
         if measured is None or not self.predicted_n or self.verdict.clipped:
             return None
         return measured / self.predicted_n - 1.0
+
+    @property
+    def friction_disagreement(self) -> float | None:
+        """Likewise of the friction force; None also where it is too small to tell."""
+        friction = next(c for c in self.compared if c.name == _FRICTION)
+        if friction.measured is None or friction.predicted is None or self.verdict.clipped:
+            return None
+        return (
+            friction.measured / friction.predicted - 1.0 if friction.predicted >= _LEAST_FRICTION_N else None
+        )
+
+    @property
+    def force_error(self) -> float | None:
+        """Measured over true peak normal force, minus one; None where one is unknown."""
+        measured, truth = self.verdict.measured.peak_force_n, self.verdict.truth
+        if measured is None or truth is None or not truth.peak_force_n:
+            return None
+        return measured / truth.peak_force_n - 1.0
 
 
 class Timing(msgspec.Struct):
@@ -104,10 +245,8 @@ class Flight:
         px4_log = str(beside) if beside.exists() else None
         self.verdict: Verdict = builder.build(log.world, log.seed, log.source, px4_log)
         self.replay: Replay = replay(log)
-        self.impacts = [
-            Impact(v, self.mission.collisions[v.index - 1], self.mission, self.course.time_of(v.t_us))
-            for v in self.verdict.collisions
-        ]
+        self.planned: PlannedFlight = planned_flight(self.mission)
+        self.impacts = [Impact(v, self) for v in self.verdict.collisions]
         self.timing = _timing(self.course)
 
     @classmethod
@@ -125,18 +264,20 @@ class Flight:
         folder = Path(self.log.source).resolve().parent.name
         return f"{folder} (seed {self.log.seed})" if self.log.seed is not None else folder
 
-    def planned_path(self) -> list[list[Vec3]]:
-        """Lines of the plan, mission frame: the approaches, then each recovery to its set-point."""
-        lines: list[list[Vec3]] = []
-        z = self.mission.altitude_m
-        for collision in self.mission.collisions:
-            if collision.impact_point is not None:
-                x, y = collision.impact_point
-                lines.append([(*self.mission.start, z), (x, y, z)])
-            elif collision.predicted is not None and lines:
-                x, y = collision.predicted.position_m
-                lines.append([lines[-1][-1], (x, y, z)])
-        return lines
+    def armed_utc(self) -> str | None:
+        """When the vehicle was armed, by the host's calendar: PX4 names its own log by it."""
+        about = self.log.about
+        started, monotonic = about.get("started_utc"), about.get("started_monotonic_us", "")
+        armed = next((s for s in self.course.all(StatusSample) if s.armed), None)
+        if started is None or armed is None or not monotonic.isdigit() or self.log.world == "fast":
+            return None
+        try:
+            moment = datetime.fromisoformat(started) + timedelta(
+                microseconds=armed.received_us - int(monotonic)
+            )
+        except (ValueError, OverflowError):
+            return None
+        return moment.strftime("%Y-%m-%d %H:%M:%S UTC")
 
     def recovery_points(self) -> list[Vec3]:
         """The recovery set-points, mission frame."""
@@ -146,8 +287,27 @@ class Flight:
         return [frame.point_from_ned(s.position_ned) for s in self.course.all(SetPoint) if s.recovery]
 
 
+def _peak_after(course: Course, onset_us: int) -> ImpactPeak | None:
+    """The peaks of the impact whose onset was then."""
+    last: int | None = None
+    for record in course.records:
+        if isinstance(record, ImpactOnset):
+            last = record.t_us
+        elif isinstance(record, ImpactPeak) and last == onset_us:
+            return record
+    return None
+
+
+def _truth_near(course: Course, verdict: CollisionVerdict) -> TruthContact | None:
+    """The simulated contact that the verdict's truth is of."""
+    if verdict.truth is None:
+        return None
+    same = [t for t in course.all(TruthContact) if t.normal_in_m_s == verdict.truth.normal_m_s]
+    return min(same, key=lambda t: abs(t.t_us - verdict.t_us), default=None)
+
+
 def _timing(course: Course) -> Timing:
-    received = np.array([s.trigger_received_us for s in course.all(SetPoint) if not s.recovery], dtype=float)
+    received = np.array([s.trigger_received_us for s in course.all(SetPoint)], dtype=float)
     interval = np.diff(received) * 1e-3
     delays = []
     offset: int | None = None
@@ -158,7 +318,7 @@ def _timing(course: Course) -> Timing:
             delays.append((record.received_us + offset - record.t_us) * 1e-3)
     delay = np.array(delays, dtype=float)
     return Timing(
-        interval[interval < 1e3],
+        interval[interval < 1e3],  # longer ones are pauses: not in offboard
         delay - delay.min() if delay.size else delay,
         np.array([s.latency_us * 1e-3 for s in course.all(SetPointSent)], dtype=float),
     )

@@ -7,15 +7,18 @@ import html
 import math
 from collections.abc import Iterable, Sequence
 from importlib import resources
+from itertools import zip_longest
 from statistics import fmean, stdev
 
 import msgspec
 
+from dart_flight.config.document import InputError
 from dart_flight.report import figures
-from dart_flight.report.flight import Flight, Impact, percentile
-from dart_flight.report.proposal import Proposal, propose
+from dart_flight.report.flight import Flight, percentile
+from dart_flight.report.proposal import Proposal, mean_half_width, propose
 
 Cell = str | float | int | None
+Row = Sequence[Cell] | str  # text alone: a heading over the rows that follow
 
 
 def flight_page(flight: Flight, *, identify: bool = False) -> str:
@@ -27,7 +30,10 @@ def flight_page(flight: Flight, *, identify: bool = False) -> str:
         _section(
             "Path and motion",
             _figures(
-                (figures.flight_map([flight]), "From above, mission frame. Hatched: walls."),
+                (
+                    figures.flight_map([flight]),
+                    "From above, mission frame. Hatched: walls. Planned: until the closest to the goal.",
+                ),
                 (figures.motion(flight), "Velocities and height. Vertical lines: impacts detected."),
             ),
         ),
@@ -59,9 +65,16 @@ def flight_page(flight: Flight, *, identify: bool = False) -> str:
 
 
 def comparison_page(flights: Sequence[Flight], *, identify: bool = False) -> str:
-    """The page of several flights of one mission."""
+    """The page of several flights of one mission, in the order in which they began.
+
+    Raises:
+        InputError: they are of different missions.
+    """
+    flights = sorted(flights, key=lambda f: (f.log.about.get("started_utc", ""), f.log.seed or 0))
+    _check_same_mission(flights)
     done = sum(f.verdict.outcome == "completed" for f in flights)
-    title = f"{flights[0].verdict.mission}: {done} of {len(flights)} completed"
+    worlds = ", ".join(dict.fromkeys(f.verdict.world for f in flights))
+    title = f"{flights[0].verdict.mission}, {worlds}: {done} of {len(flights)} completed"
     indices = sorted({i.verdict.index for f in flights for i in f.impacts})
     force_figures = [
         (figures.impact_forces_over_trials(flights, index), f"Collision {index}, every trial.")
@@ -73,15 +86,33 @@ def comparison_page(flights: Sequence[Flight], *, identify: bool = False) -> str
         _section(
             "Paths and forces",
             _figures(
-                (figures.flight_map(flights), "All paths from above, mission frame."),
+                (
+                    figures.flight_map(flights),
+                    "All paths from above, mission frame. Planned: to the closest approach to the goal.",
+                ),
                 (figures.errors_over_trials(flights), "Errors of the peak force."),
                 *force_figures,
             ),
         ),
         _section("Contact coefficients", _proposals(propose(flights, identify))),
-        _parameters(flights[0]),
+        _parameters(flights[0], flights[1:]),
     ]
     return _page(title, parts)
+
+
+def _check_same_mission(flights: Sequence[Flight]) -> None:
+    """Whatever the vehicle and the place of the mission's file, it must be the same."""
+    first = flights[0]
+    for other in flights[1:]:
+        alike = msgspec.structs.replace(
+            other.mission, source=first.mission.source, vehicle=first.mission.vehicle
+        )
+        if alike != first.mission:
+            raise InputError(
+                f"another mission ({other.verdict.mission}) than {first.log.source} "
+                f"({first.verdict.mission}): a comparison takes flights of one",
+                source=other.log.source,
+            )
 
 
 # --- parts ---------------------------------------------------------------------------------------------
@@ -90,12 +121,11 @@ def comparison_page(flights: Sequence[Flight], *, identify: bool = False) -> str
 def _verdict(flight: Flight) -> str:
     v, about, replayed = flight.verdict, flight.log.about, flight.replay
     facts = [
-        ("outcome", v.outcome + (f": {v.reason}" if v.reason else "")),
         ("world", v.world + (f", seed {v.seed}" if v.seed is not None else "")),
         ("started", about.get("started_utc", "?")),
         ("software", f"dart-flight {about.get('software', '?')} on {about.get('host', '?')}"),
-        ("log", flight.log.source + ("" if flight.log.complete else " (cut short)")),
-        ("PX4's own log", v.px4_log or "not beside the log"),
+        ("log", flight.log.source + ("" if flight.log.complete else " (cut: not all of the flight is here)")),
+        ("PX4's own log", v.px4_log or _where_px4_log(flight)),
         ("records lost", flight.log.end.get("lost", "unknown: the log was cut")),
         (
             "replayed",
@@ -120,76 +150,39 @@ def _verdict(flight: Flight) -> str:
         if value is not None
     )
     listed = "".join(f"<dt>{k}</dt><dd>{html.escape(t)}</dd>" for k, t in facts)
-    return f"<section><div class=tiles>{tiles}</div><dl>{listed}</dl></section>"
+    reason = f"<p class=reason>{html.escape(v.reason)}</p>" if v.reason else ""
+    return f"<section>{reason}<div class=tiles>{tiles}</div><dl>{listed}</dl></section>"
+
+
+def _where_px4_log(flight: Flight) -> str:
+    if flight.log.world in ("fast", "embedded"):
+        return "none: PX4 was not flown"
+    armed = flight.armed_utc()
+    return "not beside the log" + (f"; armed at {armed}" if armed else "")
 
 
 def _impact_table(flight: Flight) -> str:
-    rows: list[list[Cell]] = []
+    rows: list[Row] = []
     for impact in flight.impacts:
-        v = impact.verdict
-        truth = v.truth
-        for name, unit, planned, predicted, measured, true in (
-            (
-                "normal velocity",
-                "m/s",
-                v.planned.normal_m_s,
-                None,
-                v.measured.normal_m_s,
-                truth.normal_m_s if truth else None,
-            ),
-            (
-                "tangential velocity",
-                "m/s",
-                v.planned.tangential_m_s,
-                None,
-                v.measured.tangential_m_s,
-                truth.tangential_m_s if truth else None,
-            ),
-            (
-                "peak normal force",
-                "N",
-                v.planned.peak_force_n,
-                impact.predicted_n,
-                v.measured.peak_force_n,
-                truth.peak_force_n if truth else None,
-            ),
-            ("contact time", "ms", None, _predicted_contact_ms(impact), v.contact_time_ms, None),
-        ):
-            reference = true if true is not None else (predicted if predicted is not None else planned)
-            rows.append(
-                [
-                    f"{v.index} {v.wall}, {v.mode}",
-                    f"{name}, {unit}",
-                    planned,
-                    predicted,
-                    measured,
-                    true,
-                    _percent(measured, reference),
-                ]
-            )
+        rows.append(impact.title + (", clipped: lower bounds" if impact.verdict.clipped else ""))
+        rows += [
+            [f"{c.name}, {c.unit}", c.planned, c.predicted, c.measured, c.true, _signed(c.error_percent)]
+            for c in impact.compared
+        ]
     if not rows:
         return "<p>No planned wall was hit.</p>"
-    heads = ["collision", "", "planned", "predicted", "measured", "true", "error %"]
+    heads = ["", "planned", "predicted", "measured", "true", "error %"]
     note = (
-        "<p class=note>Planned: the mission. Predicted: the contact law at the measured velocity. Error: of "
-        "the measured value, against the true one where there is one, else the predicted or planned.</p>"
+        "<p class=note>Planned: the mission, and for later collisions the planner's flight model. Predicted: "
+        "the contact law at the measured velocity. Measured: by the flight core; velocities by PX4's "
+        "estimate, those out when the force was gone. True: the simulated vehicle. Error: of the measured "
+        "value, against the true one where there is one, else the predicted or planned.</p>"
     )
     return _table(heads, rows) + note
 
 
-def _predicted_contact_ms(impact: Impact) -> float | None:
-    if impact.prediction is None:
-        return None
-    in_contact = impact.prediction.time_s[impact.prediction.normal_force_n > 0.0]
-    return float(1e3 * (in_contact[-1] - in_contact[0])) if in_contact.size else None
-
-
-def _percent(value: float | None, reference: float | None) -> float | None:
-    return 100.0 * (value / reference - 1.0) if value is not None and reference else None
-
-
 def _lock_table(flight: Flight) -> str:
-    rows: list[list[Cell]] = []
+    rows: list[Row] = []
     for impact in flight.impacts:
         times = impact.verdict.lock
         end = times.contact_end_us
@@ -208,7 +201,7 @@ def _lock_table(flight: Flight) -> str:
 
 def _timing_table(flight: Flight) -> str:
     t = flight.timing
-    rows: list[list[Cell]] = [
+    rows: list[Row] = [
         [name, *(percentile(values, share) for share in (50, 99, 100))]
         for name, values in (
             ("set-point interval", t.setpoint_interval_ms),
@@ -218,15 +211,23 @@ def _timing_table(flight: Flight) -> str:
     ]
     for impact in flight.impacts:
         rows.append(
-            [f"{impact.title}: contact to detection", impact.verdict.detection_latency_ms, None, None]
+            [
+                f"collision {impact.verdict.index}: contact to detection",
+                impact.verdict.detection_latency_ms,
+                None,
+                None,
+            ]
         )
-    return _table(["ms", "median", "99 %", "most"], rows)
+    note = "<p class=note>From detection to recovery the core sends no set-point; PX4 holds the last one.</p>"
+    if flight.log.world == "fast":
+        note += "<p class=note>Simulated in one process: messages take no time.</p>"
+    return _table(["ms", "median", "99 %", "most"], rows) + note
 
 
 def _guard_table(flight: Flight) -> str:
     if not flight.verdict.guard:
         return "<p>The guard did not interfere.</p>"
-    rows: list[list[Cell]] = [
+    rows: list[Row] = [
         [flight.course.time_of(g.t_us), g.rule, g.action, g.detail] for g in flight.verdict.guard
     ]
     return _table(["s", "rule", "action", "detail"], rows)
@@ -235,7 +236,7 @@ def _guard_table(flight: Flight) -> str:
 def _phase_table(flight: Flight) -> str:
     from dart_flight.samples import PhaseChange  # noqa: PLC0415
 
-    rows: list[list[Cell]] = [
+    rows: list[Row] = [
         [flight.course.time_of(c.t_us), c.before, c.after, c.reason] for c in flight.course.all(PhaseChange)
     ]
     return _details("Phases", _table(["s", "from", "to", "because"], rows))
@@ -249,13 +250,13 @@ def _proposals(proposals: list[Proposal]) -> str:
         parts.append(f"<h3>{html.escape(p.material)}</h3>")
         for mode, (mean, half) in p.disagreement.items():
             parts.append(
-                f"<p>{mode}: measured peak force {100 * mean:+.1f} % of the predicted "
+                f"<p>{mode} force: the measured peak is {100 * mean:+.1f} % off the predicted one "
                 f"(± {100 * half:.1f} %).</p>"
             )
         if p.note:
             parts.append(f"<p class=note>{html.escape(p.note[:1].upper() + p.note[1:])}.</p>")
         if p.suggestions:
-            rows: list[list[Cell]] = [
+            rows: list[Row] = [
                 [
                     s.mode,
                     s.name,
@@ -272,12 +273,20 @@ def _proposals(proposals: list[Proposal]) -> str:
     return "".join(parts)
 
 
-def _parameters(flight: Flight) -> str:
+def _parameters(flight: Flight, others: Sequence[Flight] = ()) -> str:
     about = flight.log.about
+    different = [f.name for f in others if f.mission.vehicle != flight.mission.vehicle]
+    note = (
+        f"<p class=note>Of {html.escape(flight.name)}. Flown with another vehicle configuration: "
+        f"{html.escape(', '.join(different))}.</p>"
+        if different
+        else ""
+    )
     vehicle = msgspec.json.format(about.get("vehicle", "{}"), indent=2)
     return _section(
         "Parameters used",
-        _details(
+        note
+        + _details(
             "Mission as written", f"<pre>{html.escape(about.get('mission_text', 'not in the log'))}</pre>"
         )
         + _details("Vehicle configuration as flown", f"<pre>{html.escape(vehicle)}</pre>"),
@@ -288,48 +297,55 @@ def _parameters(flight: Flight) -> str:
 
 
 def _flights_table(flights: Sequence[Flight]) -> str:
-    rows: list[list[Cell]] = []
+    rows: list[Row] = []
     for f in flights:
         v = f.verdict
         outcome = v.outcome + (f": {v.reason}" if v.reason else "")
         rows.append(
-            [f.name, v.world, outcome, len(f.impacts), v.goal_miss_m, v.final_error_m, v.max_tilt_deg,
+            [f.name, outcome, len(f.impacts), v.goal_miss_m, v.final_error_m, v.max_tilt_deg,
              "equal" if f.replay.equal else f"{len(f.replay.differences)} differ"]
         )  # fmt: skip
-    heads = ["flight", "world", "outcome", "impacts", "goal miss m", "final error m", "tilt °", "replay"]
+    heads = ["flight", "outcome", "impacts", "goal miss m", "final error m", "tilt °", "replay"]
     return _table(heads, rows)
 
 
 def _statistics(flights: Sequence[Flight], indices: list[int]) -> str:
-    rows: list[list[Cell]] = [
+    rows: list[Row] = [
         _spread("goal miss, m", (f.verdict.goal_miss_m for f in flights)),
         _spread("final error, m", (f.verdict.final_error_m for f in flights)),
         _spread("largest tilt, °", (f.verdict.max_tilt_deg for f in flights)),
     ]
     for index in indices:
         hits = [i for f in flights for i in f.impacts if i.verdict.index == index]
-        name = f"{index} {hits[0].verdict.wall}, {hits[0].verdict.mode}: "
+        rows.append(hits[0].title)
+        for same in zip(*(i.compared for i in hits), strict=True):
+            name, unit = same[0].name, same[0].unit
+            rows.append(_spread(f"{name}, {unit}", (c.measured for c in same)))
+            if any(c.predicted is not None for c in same):
+                rows.append(_spread(f"{name}: predicted", (c.predicted for c in same)))
+            if any(c.true is not None for c in same):
+                rows.append(_spread(f"{name}: true", (c.true for c in same)))
         rows += [
-            _spread(name + "normal velocity, m/s", (i.verdict.measured.normal_m_s for i in hits)),
-            _spread(name + "tangential velocity, m/s", (i.verdict.measured.tangential_m_s for i in hits)),
-            _spread(name + "peak force measured, N", (i.verdict.measured.peak_force_n for i in hits)),
-            _spread(name + "peak force predicted, N", (i.predicted_n for i in hits)),
-            _spread(
-                name + "peak force true, N",
-                (i.verdict.truth.peak_force_n if i.verdict.truth else None for i in hits),
-            ),
-            _spread(name + "contact time, ms", (i.verdict.contact_time_ms for i in hits)),
-            _spread(name + "detected after, ms", (i.verdict.detection_latency_ms for i in hits)),
+            _spread("peak against predicted, %", (_percent(i.disagreement) for i in hits)),
+            _spread("peak against true, %", (_percent(i.force_error) for i in hits)),
+            _spread("detected after, ms", (i.verdict.detection_latency_ms for i in hits)),
         ]
-    return _table(["", "n", "mean", "sd", "least", "most"], rows)
+    note = "<p class=note>± 95 %: half width of the interval of the mean, by Student's t.</p>"
+    return _table(["", "n", "mean", "± 95 %", "sd", "least", "most"], rows) + note
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100.0 * share
 
 
 def _spread(name: str, values: Iterable[float | None]) -> list[Cell]:
+    """Number, mean, half its 95 % interval, standard deviation, least and most of what is known."""
     known = [v for v in values if v is not None]
     if not known:
-        return [name, 0, None, None, None, None]
+        return [name, 0, *(None,) * 5]
     sd = stdev(known) if len(known) > 1 else None
-    return [name, len(known), fmean(known), sd, min(known), max(known)]
+    half = mean_half_width(known)
+    return [name, len(known), fmean(known), half, sd, min(known), max(known)]
 
 
 # --- HTML ----------------------------------------------------------------------------------------------
@@ -355,15 +371,39 @@ def _figures(*shown: tuple[str, str]) -> str:
     return f"<div class=figures>{''.join(parts)}</div>"
 
 
-def _table(heads: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
-    head = "".join(f"<th>{html.escape(h)}</th>" for h in heads)
-    body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
+def _table(heads: Sequence[str], rows: Sequence[Row]) -> str:
+    firsts = next((row for row in rows if not isinstance(row, str)), [])
+    head = "".join(
+        f"<th{' class=n' if _is_number(cell) else ''}>{html.escape(h)}</th>"
+        for h, cell in zip_longest(heads, firsts)
+    )
+    body = "".join(
+        f"<tr class=group><th colspan={len(heads)}>{html.escape(row)}</th></tr>"
+        if isinstance(row, str)
+        else f"<tr>{''.join(map(_cell, row))}</tr>"
+        for row in rows
+    )
     return f"<div class=scroll><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+
+
+def _is_number(value: Cell) -> bool:
+    return not isinstance(value, str) or isinstance(value, _Number)
+
+
+class _Number(str):
+    """A number that is already written."""
+
+
+def _signed(value: float | None) -> Cell:
+    """A number with its sign and one decimal."""
+    return None if value is None else _Number(f"{value:+.1f}")
 
 
 def _cell(value: Cell) -> str:
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return "<td class=n>–</td>"
+    if isinstance(value, _Number):
+        return f"<td class=n>{value}</td>"
     if isinstance(value, str):
         return f"<td>{html.escape(value)}</td>"
     if isinstance(value, int):

@@ -28,7 +28,7 @@ from dart_flight.recording import FlightLog, Log, read_log
 from dart_flight.recording.about import flown_mission, parse_written, written_mission
 from dart_flight.recording.encoding import decode, encode
 from dart_flight.recording.schema import CLOCKS, RECORD_TYPES, schema
-from dart_flight.recording.writer import ABOUT, FORMAT_VERSION, part_path
+from dart_flight.recording.writer import ABOUT, FORMAT_VERSION, LogPart, part_path
 from dart_flight.samples import (
     GuardEvent,
     ImuSample,
@@ -128,6 +128,13 @@ def test_a_stranger_can_read_it(flight_path: Path) -> None:
         assert times == sorted(times)
 
 
+def wait_until(condition: Any, timeout_s: float = 5.0) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert condition()
+
+
 # --- cut, damaged, foreign, newer ------------------------------------------------------------------------
 
 
@@ -147,6 +154,37 @@ def test_a_log_cut_at_any_byte_opens_up_to_there(
     share = len(log.entries) / len(flight.entries)
     assert share >= cut / len(whole) - 0.1 or cut > len(whole) - 20_000
     path.unlink()
+
+
+def small_log(path: Path) -> bytes:
+    """A finished log of a few records in several chunks; most of it are the schemas."""
+    log = FlightLog(path, {"mission": "small"})
+    for i in range(6):
+        log.put(imu(i), i)
+        log.put(Tick(i), i)
+        wait_until(lambda: not log._waiting)
+    log.close()
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("part", range(4))
+def test_a_log_cut_at_every_byte(part: int, tmp_path: Path) -> None:
+    """Every byte from the first record on, every eighth of the description and the schemas before it."""
+    LogPart(tmp_path / "empty.mcap", {"mission": "small"}, 1).close()
+    begin = (tmp_path / "empty.mcap").stat().st_size
+    whole = small_log(tmp_path / "whole.mcap")
+    entries = read_log(tmp_path / "whole.mcap").entries
+    assert len(entries) == 12
+    path, known = tmp_path / "flight.mcap", 0
+    for cut in [*range(part, begin, 32), *range(begin + part, len(whole), 4)]:
+        path.write_bytes(whole[:cut])
+        log = read_log(path)
+        assert log.entries == entries[: len(log.entries)]
+        assert len(log.entries) >= known  # a longer file never says less
+        known = len(log.entries)
+        assert log.about.get("mission") in (None, "small")
+        # Complete is said only of what is: at most the magic number at the very end is missing.
+        assert not log.complete or (len(log.entries) == 12 and log.end)
 
 
 @settings(max_examples=40)
@@ -217,13 +255,6 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
 
 
 # --- rotation, full disk, killed ----------------------------------------------------------------------------
-
-
-def wait_until(condition: Any, timeout_s: float = 5.0) -> None:
-    deadline = time.monotonic() + timeout_s
-    while not condition() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert condition()
 
 
 def test_rotation_into_parts_and_back(tmp_path: Path) -> None:

@@ -1,0 +1,151 @@
+"""The planned path of a mission: the planner's flight model from start to goal, for the map and the table.
+
+A mission file holds the approach and the gains, not the path; the path follows from them by the same model
+that chose them (`planning.trajectories`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.config.mission import (
+    BoundsSpec,
+    Collision,
+    GoalSpec,
+    Mission,
+    StartSpec,
+)
+from dart_flight.config.scenario import GridSpec, Objective, Scenario, ScenarioFile, SearchSpec, Uncertainty
+from dart_flight.geometry import Vec2, Wall
+from dart_flight.planning.flight_model import FreeFlight
+from dart_flight.planning.trajectories import Arrivals, Course, Hits, new_flight, stages_for
+from dart_flight.samples import Mode
+from dart_flight.verdict import Velocities
+
+_POINTS = 60  # of a leg
+
+
+class PlannedFlight(msgspec.Struct):
+    """What the flight model says of a mission.
+
+    Attributes:
+        approaches: straight lines, mission frame, metres: start, run-up point, impact.
+        legs: paths (n, 2) from a release to the next onset, the last to the closest approach to the goal.
+        hits: collision index -> velocities at the onset and peak normal force.
+    """
+
+    approaches: list[list[Vec2]]
+    legs: list[NDArray[np.float64]]
+    hits: dict[int, Velocities]
+
+
+def planned_flight(mission: Mission) -> PlannedFlight:
+    """The path that the mission's approaches, modes and gains lead to.
+
+    Where the model does not reach the next wall, the path ends; a rehearsal has approaches only.
+    """
+    planned = PlannedFlight([], [], {})
+    position = mission.start
+    for group in _groups(mission.collisions):
+        arrivals, flight, begin = _fly(mission, group)
+        impact = group[0].impact_point
+        assert impact is not None
+        line = [position, begin, impact] if begin != position else [position, impact]
+        planned.approaches.append(line)
+        position = mission.start
+        if arrivals is None or mission.standoff_m is not None:
+            continue
+        last = group[-1] is mission.collisions[-1]
+        for i, (collision, hit) in enumerate(zip(group, arrivals.hits, strict=True)):
+            planned.hits[collision.index] = Velocities(
+                float(hit.normal_m_s[0]), float(hit.tangential_m_s[0]), float(hit.normal_n[0])
+            )
+            following = arrivals.hits[i + 1].t_s if i + 1 < len(group) else arrivals.t_s if last else None
+            if following is not None:
+                planned.legs.append(_path(flight, hit, float(following[0])))
+    return planned
+
+
+def _groups(collisions: Sequence[Collision]) -> list[list[Collision]]:
+    """Collisions that follow from one approach each."""
+    begins = [i for i, c in enumerate(collisions) if c.impact_point is not None]
+    return [list(collisions[a:b]) for a, b in pairwise([*begins, len(collisions)])]
+
+
+def _fly(mission: Mission, group: Sequence[Collision]) -> tuple[Arrivals | None, FreeFlight, Vec2]:
+    """One approach and what follows from it; None where it does not get through; and its run-up point."""
+    scenario = _scenario(mission, group)
+    flight = new_flight(scenario)
+    course = Course(scenario, scenario.sequences[0], flight, None, keep_hits=True)
+    normal, tangential = np.array(scenario.normal_m_s), np.array(scenario.tangential_m_s)
+    grid = course.approach(normal, tangential)
+    begin = (float(np.ravel(grid.begin_x)[0]), float(np.ravel(grid.begin_y)[0]))
+    found = course.fly(stages_for(scenario, [None])[0], normal, tangential, grid)
+    modes = tuple(c.mode for c in group)
+    return next((a for a in found if a.modes == modes and a.rows.size), None), flight, begin
+
+
+def _scenario(mission: Mission, group: Sequence[Collision]) -> Scenario:
+    """The question whose only candidate is this approach; every collision has a wall of its own name."""
+    first = group[0]
+    assert first.approach_m_s is not None
+    assert first.impact_point is not None
+    # The planner meets the wall on the ray from the start: where a mission says the point, seen from there.
+    vx, vy, _ = first.approach_velocity()
+    until = first.wall.signed_distance(mission.start) / -first.approach_m_s[0]
+    start = (first.impact_point[0] - vx * until, first.impact_point[1] - vy * until)
+    if np.allclose(start, mission.start, atol=1e-6):
+        start = mission.start
+    walls = {str(c.index): _named(c.wall, str(c.index)) for c in group}
+    normal, tangential = first.approach_m_s
+    search = SearchSpec(GridSpec(normal, normal, 1.0), GridSpec(tangential, tangential, 1.0))
+    bounds = mission.bounds
+    spec = ScenarioFile(
+        version=1,
+        start=StartSpec(start, mission.altitude_m),
+        goal=GoalSpec(mission.goal.position_m),
+        bounds_m=BoundsSpec(bounds.x, bounds.y, bounds.z),
+        walls={},
+        sequence=list(walls),
+        search=search,
+    )
+    return Scenario(
+        name=mission.name,
+        source=mission.source,
+        spec=spec,
+        vehicle=mission.vehicle,
+        vehicle_path=None,
+        start=start,
+        altitude_m=mission.altitude_m,
+        goal=mission.goal,
+        bounds=bounds,
+        walls=walls,
+        sequences=(tuple(walls),),
+        chosen_by_planner=False,
+        normal_m_s=(normal,),
+        tangential_m_s=(tangential,),
+        modes=tuple(Mode),
+        alphas={str(c.index): (c.alpha_normal_m_per_n, c.alpha_tangential_m_per_n) for c in group},
+        limits=mission.limits,
+        objective=Objective.NEAREST,
+        uncertainty=Uncertainty(),
+    )
+
+
+def _named(wall: Wall, name: str) -> Wall:
+    return msgspec.structs.replace(wall, name=name)
+
+
+def _path(flight: FreeFlight, hit: Hits, until_s: float) -> NDArray[np.float64]:
+    """From the onset of a hit over its release to a time, mission frame (n, 2)."""
+    release_s = float(hit.t_s[0] + hit.duration_s[0])
+    points = [(float(hit.x[0]), float(hit.y[0]))]
+    for t_s in np.linspace(0.0, max(until_s - release_s, 0.0), _POINTS):
+        at = flight.at(hit.leg, float(t_s))
+        points.append((float(at.x[0, 0] + at.goal_x[0]), float(at.y[0, 0] + at.goal_y[0])))
+    return np.array(points)

@@ -1,0 +1,74 @@
+"""Flights of every world, recorded once and kept: the core still decides as it did (tests/data/README.md)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dart_flight.recording import read_log
+from dart_flight.recording.replay import replay
+from dart_flight.report.flight import Flight
+from dart_flight.report.page import flight_page
+from dart_flight.samples import ForceEstimate, ImpactOnset, ImpactPeak, LockCommand, SetPoint
+from tools.campaign_replay import fly_and_replay
+from tools.keep_flight import keep
+
+FLIGHTS = sorted((Path(__file__).parents[1] / "data" / "flights").glob("*.mcap"))
+
+
+def test_there_is_one_of_every_world_without_px4() -> None:
+    assert {path.stem for path in FLIGHTS} >= {"fast", "embedded"}
+    assert sum(path.stat().st_size for path in FLIGHTS) < 2_500_000
+
+
+@pytest.mark.parametrize("path", FLIGHTS, ids=lambda p: p.stem)
+def test_a_recorded_flight_is_decided_again(path: Path) -> None:
+    log = read_log(path)
+    assert log.complete
+    assert log.world == path.stem
+    result = replay(log)
+    assert result.equal, result.differences[0].text()
+    assert result.missing == 0
+    kinds = {type(r) for r in result.replayed}
+    assert {ImpactOnset, ImpactPeak, SetPoint, LockCommand} <= kinds
+    assert result.recorded == result.replayed if result.exact else result.recorded
+
+
+@pytest.mark.parametrize("path", FLIGHTS, ids=lambda p: p.stem)
+def test_a_kept_flight_would_notice(path: Path) -> None:
+    """What is left out of it does not blind it: another threshold is another flight."""
+    result = replay(read_log(path), ["detection.force_threshold_n=15"])
+    assert any(isinstance(d.recorded, ImpactOnset) for d in result.differences)
+
+
+@pytest.mark.parametrize("path", FLIGHTS, ids=lambda p: p.stem)
+def test_a_kept_flight_has_a_page(path: Path) -> None:
+    assert "Predicted against measured" in flight_page(Flight.read(path))
+
+
+def test_what_is_left_out_is_said(flight_path: Path, tmp_path: Path) -> None:
+    keep(flight_path, tmp_path / "small.mcap")
+    small = read_log(tmp_path / "small.mcap")
+    assert not any(isinstance(e.record, ForceEstimate) for e in small.entries)
+    assert replay(small).equal
+    small.end.clear()  # a log that does not say so lacks them
+    result = replay(small)
+    assert all(isinstance(d.replayed, ForceEstimate) and d.recorded is None for d in result.differences)
+    assert len(result.differences) > 1000
+
+
+@pytest.mark.parametrize(("mission", "seed"), [("dual_collision", 11), ("single_wall", 12)])
+def test_a_sample_of_the_campaign(mission: str, seed: int, tmp_path: Path) -> None:
+    result = fly_and_replay("fast", mission, seed, tmp_path)
+    assert (result.outcome, result.differences, result.missing) == ("completed", 0, 0)
+    assert result.decisions > 20
+    assert 3.0 < result.mb_per_minute < 12.0
+
+
+@pytest.mark.mavlink
+def test_a_real_time_flight_replays_bit_for_bit(tmp_path: Path) -> None:
+    """Whatever becomes of the flight on a busy machine: what was decided is decided again."""
+    result = fly_and_replay("embedded", "single_wall", 1, tmp_path)
+    assert (result.differences, result.missing) == (0, 0)
+    assert result.inputs > 5000

@@ -1,0 +1,105 @@
+"""Closing the loop: coefficients out of flights, and when the report proposes them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+from dart_flight.cli import main
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
+from dart_flight.flights import load_flyable
+from dart_flight.report.flight import Flight
+from dart_flight.report.page import comparison_page, flight_page
+from dart_flight.report.proposal import propose
+from tools.other_wall import fly_against, with_walls
+
+CONFIG = packaged("configs", "dart.yaml")
+
+
+@pytest.fixture(scope="module")
+def single() -> Mission:
+    return load_flyable(packaged("missions", "single_wall.yaml"), CONFIG)
+
+
+@pytest.fixture(scope="module")
+def stiffer(single: Mission, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two flights against a wall whose k is a fifth above the configuration's."""
+    folder = tmp_path_factory.mktemp("stiffer")
+    real = with_walls(single, k=1.2)
+    return [fly_against(single, real, seed, folder / str(seed) / "flight.mcap") for seed in (1, 2)]
+
+
+def with_entry(text: str, path: Path) -> VehicleConfig:
+    """The shipped configuration with a proposed entry in its place, loaded as a user would."""
+    config = yaml.safe_load(Path(CONFIG).read_text(encoding="utf-8"))
+    config["materials"].update(yaml.safe_load(text)["materials"])
+    path.write_text(yaml.safe_dump(config), encoding="utf-8")
+    return load_vehicle(path)
+
+
+def test_flights_that_agree_propose_nothing(trials: list[Path]) -> None:
+    flights = [Flight.read(path) for path in trials]
+    proposals = propose(flights)
+    assert {p.material for p in proposals} == {"wood", "acrylic"}
+    for proposal in proposals:
+        assert proposal.entry == ""
+        assert proposal.suggestions == []
+        assert "agree" in proposal.note
+    assert "Proposed entry" not in comparison_page(flights)
+    assert "Proposed entry" not in flight_page(flights[0])
+
+
+def test_a_stiffer_wall_is_proposed_and_the_entry_loads(
+    stiffer: list[Path], single: Mission, tmp_path: Path
+) -> None:
+    flights = [Flight.read(path) for path in stiffer]
+    (proposal,) = propose(flights)
+    mean, _ = proposal.disagreement["flexible, normal"]
+    assert mean == pytest.approx(1.2**0.5 - 1.0, abs=0.03)  # peaks grow with the root of k
+    assert proposal.entry
+    changed = {s.name for s in proposal.suggestions if s.change}
+    assert changed == {"k"}
+    vehicle = with_entry(proposal.entry, tmp_path / "dart.yaml")
+    flexible = vehicle.materials["acrylic"].flexible
+    assert flexible.k == pytest.approx(1.2 * 1250.0, rel=0.03)
+    # The mode that was not flown stays.
+    assert vehicle.materials["acrylic"].rigid == single.vehicle.materials["acrylic"].rigid
+    page = comparison_page(flights)
+    assert "Proposed entry" in page
+    assert "materials:\n  acrylic:" in page
+
+
+def test_identify_takes_flight_logs_and_writes_the_entry(
+    stiffer: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "acrylic.yaml"
+    logs = [str(path) for path in stiffer]
+    assert main(["identify", *logs, "--surface", "acrylic", "-o", str(out), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["coefficients"]
+    assert set(found) == {"flexible"}
+    for name, truth in (("k", 1500.0), ("f", 8.5), ("mu", 5.0), ("nu", 10.0)):
+        assert found["flexible"][name]["low"] <= truth <= found["flexible"][name]["high"], name
+    # The configured value is refuted: the interval is narrow enough to tell.
+    assert found["flexible"]["k"]["low"] > 1250.0
+    assert with_entry(out.read_text(encoding="utf-8"), tmp_path / "dart.yaml").materials["acrylic"].source
+
+
+def test_a_slippery_wall_is_noticed_by_its_friction(single: Mission, tmp_path: Path) -> None:
+    path = fly_against(single, with_walls(single, mu=0.5), 1, tmp_path / "flight.mcap")
+    (proposal,) = propose([Flight.read(path)])
+    assert abs(proposal.disagreement["flexible, normal"][0]) < 0.05
+    assert proposal.disagreement["flexible, friction"][0] < -0.2
+    assert {s.name for s in proposal.suggestions if s.change} == {"mu"}
+
+
+def test_flights_at_two_walls_need_the_name_of_one(
+    trials: list[Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["identify", str(trials[0]), "--json"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "--surface" in error
