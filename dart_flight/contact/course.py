@@ -314,19 +314,27 @@ def _passage(
         phi, _, xi1 = motion(course, tau)
         return np.where(course.hits, -length * (phi + 2.0 * course.zeta * xi1), 0.0)
 
+    stays = ~np.isfinite(events.end)
+    # What never ends, or only long after, is followed until the force has died away to nothing against 1 N.
+    settled = _SETTLED * np.where(stays, course.zeta + 1.0, 1.0 / np.maximum(course.zeta, 1e-9))
+
+    def slip(tau: Array) -> Array:
+        left: Array = np.exp(-rub * np.maximum(motion(course, tau)[2] + course.u, 0.0))
+        return left
+
     def way(tau: Array) -> Array:
+        moving = np.minimum(tau, settled)
         total = np.zeros_like(tau)
         for node, weight in zip(nodes, weights, strict=True):
-            total += weight * np.exp(-rub * np.maximum(motion(course, node * tau)[2] + course.u, 0.0))
-        return np.where(course.hits, tangential * total * tau / course.omega, 0.0)
+            total += weight * slip(node * moving)
+        total = total * moving + (tau - moving) * slip(moving)
+        return np.where(course.hits, tangential * total / course.omega, 0.0)
 
-    stays = ~np.isfinite(events.end)
     end = np.where(stays, events.peak, events.end)
     to_exit = np.where(stays & (tangential != 0.0), np.copysign(math.inf, tangential), way(end))
     scale = mass * course.speed * course.omega
     share = np.zeros_like(normal)
-    # What never ends is followed until the force has died away to nothing against 1 N.
-    last = np.where(stays, _SETTLED * (course.zeta + 1.0), events.end)
+    last = np.minimum(settled, events.end)
     for node, weight in zip(crowded, crowded_weights, strict=True):
         force = scale * np.maximum(motion(course, node * last)[0], 0.0)
         share += weight * force / (1.0 + force)

@@ -213,8 +213,6 @@ def test_the_readme_names_every_command() -> None:
 
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
 _NAMED = re.compile(r"\bdocs/[\w./-]+\.(?:md|png|svg|json)\b")
-# Pages that are being written beside these.
-COMING = {"docs/log.md", "docs/report.md"}
 SOURCES = ("dart_flight", "tools", "tests", "configs", "missions", "deploy", "docs")
 
 
@@ -230,8 +228,6 @@ def test_every_link_leads_somewhere(page: Path) -> None:
             continue
         name, _, anchor = target.partition("#")
         path = (page.parent / name).resolve() if name else page
-        if f"docs/{name}" in COMING:
-            continue
         assert path.exists(), f"{page.name}: {target}"
         assert not anchor or anchor in _anchors(path), f"{page.name}: {target}"
 
@@ -249,7 +245,7 @@ def test_every_page_that_is_named_exists() -> None:
         f"{path.relative_to(ROOT)}: {name}"
         for path in files
         for name in _NAMED.findall(path.read_text(encoding="utf-8"))
-        if name not in COMING and not (ROOT / name).exists()
+        if not (ROOT / name).exists()
     }
     assert not missing
 
