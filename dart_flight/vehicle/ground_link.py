@@ -30,6 +30,7 @@ class Observation(msgspec.Struct):
     battery_v: float | None = None
     battery_remaining: float | None = None  # 0 to 1
     local_position_ok: bool = False
+    gps_fix: str | None = None  # MAVLink's type of fix in small letters; None: no receiver heard
 
 
 class GroundLink:
@@ -98,6 +99,9 @@ class GroundLink:
             share = 0.01 * float(b.remaining_percent)
             seen.battery_remaining = share if math.isfinite(share) else None
 
+        def gps(info: Any, _: Any) -> None:
+            seen.gps_fix = str(info.fix_type.name).lower()
+
         def health(h: Any, _: Any) -> None:
             seen.local_position_ok = bool(h.is_local_position_ok)
 
@@ -115,6 +119,7 @@ class GroundLink:
         t.subscribe_actuator_output_status(count("actuator"))
         t.subscribe_battery(battery)
         t.subscribe_health(health)
+        t.subscribe_gps_info(gps)
         began = time.monotonic()
         before = dict(counts)
         time.sleep(seconds)
