@@ -13,7 +13,7 @@ from dart_flight.contact.law import Onset
 
 FLOWN_UP_TO_M_S = 4.0  # normal speed: the sweep's end, survived in both modes
 CLIP_SHARE = 0.95  # of full scale: what is left for tilt, noise and friction
-# Of full scale. At 254 N (1.25) the estimate was off by 0.15 to 0.26 m, at 295 N (1.45) by 1.3 m.
+# Of full scale. At 254 N (1.25) the estimate was off by 0.16 to 0.26 m, at 296 N (1.45) by 1.3 m.
 LOST_SHARE = 1.3
 
 
