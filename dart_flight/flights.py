@@ -17,13 +17,15 @@ import msgspec
 from dart_flight.app import FlightApp, Progress
 from dart_flight.app import Sabotage as SabotageHook
 from dart_flight.config.document import InputError
-from dart_flight.config.mission import FrameOrigin, Mission, load_mission
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.parameters import PositionSource
 from dart_flight.config.scenario import Scenario
 from dart_flight.config.vehicle import LockDriver, Px4Parameters
 from dart_flight.flight.core import FlightCore
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.planning.approach import NoApproachError
 from dart_flight.planning.envelope import impact_problem
+from dart_flight.planning.positioning import frame_problem
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.px4_log import read_px4_log
 from dart_flight.recording.writer import FlightLog, new_flight_folder
@@ -228,8 +230,9 @@ def fly_px4(
         raise InputError(f"simulation needs {error.name}: pip install 'dart-flight[sim]'") from None
 
     install = find_install(directory)
-    if gps is not None:
-        _require_frame_for_gps(mission)
+    problem = frame_problem(mission, PositionSource(gps or "mocap"))
+    if problem is not None:
+        raise InputError(problem, source=mission.source, key=("frame", "origin"))
     mission = _for_lockstep(mission, speed)
     parameters = flight_parameters(mission.vehicle, gps, list(parameter_files))
     log = _open_log(mission, "px4", seed, log_dir)
@@ -264,25 +267,6 @@ def _for_lockstep(mission: Mission, speed: float) -> Mission:
     guard = msgspec.structs.replace(guard, stream_timeout_s=timeout_s)
     vehicle = msgspec.structs.replace(mission.vehicle, guard=guard)
     return msgspec.structs.replace(mission, vehicle=vehicle)
-
-
-def _require_frame_for_gps(mission: Mission) -> None:
-    """With GPS, PX4's local frame begins where it was switched on: only such a mission frame has a meaning.
-
-    Raises:
-        InputError: the frame is a surveyed one.
-    """
-    spec = mission.frame
-    surveyed = spec.origin is FrameOrigin.LOCAL and (
-        mission.start != (0.0, 0.0) or spec.north_m != 0.0 or spec.east_m != 0.0
-    )
-    if surveyed:
-        raise InputError(
-            "with GPS PX4's local origin is where it was switched on, a surveyed room means nothing; "
-            "use frame: {origin: takeoff}",
-            source=mission.source,
-            key=("frame", "origin"),
-        )
 
 
 def _fly_in_world(

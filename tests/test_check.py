@@ -9,19 +9,22 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dart_flight.check import (
+from dart_flight.check.findings import Finding, decide
+from dart_flight.check.mission import check_mission
+from dart_flight.check.parameters import (
     PARAMETERS,
-    Finding,
-    check_mission,
-    decide,
-    judge_lock,
-    judge_observation,
+    judge_claim,
     judge_parameters,
+    judge_position,
+    names_to_read,
+    position_source,
 )
+from dart_flight.check.vehicle import judge_lock, judge_observation
 from dart_flight.cli import main
 from dart_flight.config import InputError, Mission, parse_mission
 from dart_flight.config.document import Document
 from dart_flight.config.mission import Bounds, CollisionPrediction
+from dart_flight.config.parameters import PositionSource, vehicle_parameters
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.flights import fly_fast, load_flyable, with_driver, with_standoff
 from dart_flight.lock.drivers.px4 import required_parameters
@@ -108,23 +111,23 @@ def test_the_command_says_no_go_with_exit_1(tmp_path: Path, capsys: pytest.Captu
 
 
 GOOD = {
+    **{p.name: float(p.value) for p in vehicle_parameters(PositionSource.MOCAP).values()},
     "COM_OF_LOSS_T": 1.0,
-    "COM_OBL_RC_ACT": 4.0,
-    "COM_RCL_EXCEPT": 4.0,
-    "FD_FAIL_P": 60.0,
-    "FD_FAIL_R": 60.0,
     "COM_LKDOWN_TKO": 3.0,
-    "CBRK_FLIGHTTERM": 121212.0,
-    "IMU_GYRO_RATEMAX": 400.0,
     "COM_DISARM_LAND": 2.0,
 }
 
 
-def test_parameters_are_explained_in_words() -> None:
-    findings = judge_parameters(mission(), GOOD)
+def remarks(findings: list[Finding]) -> list[str]:
+    return [f.item for f in findings if f.remark]
+
+
+def test_a_vehicle_set_up_by_our_files_is_go_without_a_remark() -> None:
+    findings = judge_parameters(mission(), GOOD, PositionSource.MOCAP)
     assert not no_goes(findings)
-    assert {p.name for p in PARAMETERS} == set(GOOD) == {f.item for f in findings}
-    assert all(len(f.says.split()) >= 3 or f.says == "when set-points are lost: land" for f in findings)
+    assert not remarks(findings)
+    assert {p.name for p in PARAMETERS} == {f.item for f in findings}
+    assert all(len(f.says.split()) >= 3 for f in findings)
 
 
 @pytest.mark.parametrize(
@@ -133,13 +136,107 @@ def test_parameters_are_explained_in_words() -> None:
         ("COM_OF_LOSS_T", 10.0),
         ("COM_OBL_RC_ACT", 3.0),
         ("COM_OBL_RC_ACT", 7.0),
+        ("COM_RC_OVERRIDE", 1.0),
+        ("NAV_RCL_ACT", 2.0),
+        ("COM_IMB_PROP_ACT", 1.0),
         ("FD_FAIL_R", 30.0),
         ("IMU_GYRO_RATEMAX", 100.0),
         ("MPC_XY_P", 1.5),
     ],
 )
 def test_a_dangerous_parameter_is_a_no_go(name: str, value: float) -> None:
-    assert no_goes(judge_parameters(mission(), {**GOOD, name: value})) == [name]
+    findings = judge_parameters(mission(), {**GOOD, name: value}, PositionSource.MOCAP)
+    assert no_goes(findings) == [name]
+    assert [f.item for f in findings].count(name) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("COM_FAIL_ACT_T", 5.0, "COM_FAIL_ACT_T is 5, wanted 0: Land at once"),
+        ("EKF2_EV_DELAY", 40.0, "wanted 10: Measure yours"),
+        ("EKF2_GPS_CTRL", 7.0, "wanted 0: No GPS in the room"),
+        (
+            "COM_OBL_RC_ACT",
+            5.0,
+            "when set-points are lost: hold; recommended 4, not 5: Companion computer lost",
+        ),
+        ("COM_RC_OVERRIDE", 2.0, "sticks take over in offboard; recommended 3, not 2"),
+        ("IMU_GYRO_RATEMAX", 400.0, "at up to 400 Hz; recommended 800"),
+    ],
+)
+def test_another_difference_is_a_remark_with_the_files_reason(name: str, value: float, words: str) -> None:
+    findings = judge_parameters(mission(), {**GOOD, name: value}, PositionSource.MOCAP)
+    assert not no_goes(findings)
+    assert remarks(findings) == [name]
+    says = next(f.says for f in findings if f.item == name)
+    assert words in says
+    assert vehicle_parameters(PositionSource.MOCAP)[name].reason in says
+
+
+def test_what_cannot_be_read_is_no_go_where_it_can_hurt_and_a_remark_elsewhere() -> None:
+    silent = judge_parameters(mission(), {}, PositionSource.RTK)
+    assert set(no_goes(silent)) == {p.name for p in PARAMETERS}
+    assert set(remarks(silent)) == set(vehicle_parameters(PositionSource.RTK)) - set(no_goes(silent))
+
+
+def test_every_compared_parameter_is_read() -> None:
+    names = names_to_read()
+    assert len(names) == len(set(names))
+    for source in PositionSource:
+        assert set(vehicle_parameters(source)) <= set(names)
+
+
+@pytest.mark.parametrize(
+    ("values", "fix", "source"),
+    [
+        ({"EKF2_EV_CTRL": 11.0, "EKF2_GPS_CTRL": 0.0}, None, PositionSource.MOCAP),
+        ({"EKF2_EV_CTRL": 11.0, "EKF2_GPS_CTRL": 7.0}, "fix_3d", PositionSource.MOCAP),
+        ({"EKF2_EV_CTRL": 0.0, "EKF2_GPS_CTRL": 7.0}, "rtk_fixed", PositionSource.RTK),
+        ({"EKF2_EV_CTRL": 0.0, "EKF2_GPS_CTRL": 7.0}, "rtk_float", PositionSource.PLAIN),
+        ({"EKF2_EV_CTRL": 0.0, "EKF2_GPS_CTRL": 7.0}, None, PositionSource.PLAIN),
+        ({"EKF2_EV_CTRL": 8.0, "EKF2_GPS_CTRL": 2.0}, "rtk_fixed", None),  # yaw and height only
+        ({}, None, None),
+    ],
+)
+def test_where_the_position_comes_from(
+    values: dict[str, float], fix: str | None, source: PositionSource | None
+) -> None:
+    assert position_source(values, fix) is source
+
+
+@pytest.mark.parametrize(
+    ("found", "fix", "claimed", "go", "words"),
+    [
+        (PositionSource.MOCAP, None, None, True, "motion capture"),
+        (PositionSource.MOCAP, None, PositionSource.RTK, False, "not rtk, as said"),
+        (PositionSource.RTK, "rtk_fixed", None, True, "GPS, rtk fixed"),
+        (PositionSource.RTK, "rtk_fixed", PositionSource.MOCAP, False, "comes from GPS (rtk fixed)"),
+        (PositionSource.PLAIN, "fix_3d", None, False, "a wall mission needs RTK or motion capture"),
+        (PositionSource.PLAIN, "rtk_float", PositionSource.RTK, False, "comes from GPS (rtk float)"),
+        (None, None, None, False, "neither motion capture"),
+    ],
+)
+def test_the_position_must_be_good_enough_for_a_wall(
+    found: PositionSource | None, fix: str | None, claimed: PositionSource | None, go: bool, words: str
+) -> None:
+    (finding,) = judge_position(mission(), found, fix, claimed)
+    assert (finding.item, finding.go) == ("position_source", go)
+    assert words in finding.says
+
+
+def test_a_surveyed_room_means_nothing_to_gps() -> None:
+    moved = msgspec.structs.replace(mission(), start=(0.5, 0.0))
+    assert no_goes(judge_claim(moved, PositionSource.RTK)) == ["frame"]
+    assert no_goes(judge_claim(moved, PositionSource.MOCAP)) == []
+
+
+def test_plain_gps_is_refused_without_a_vehicle_too(capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(ROOT / "missions/single_wall.yaml")
+    assert main(["check", path, "--position-from", "plain"]) == 1
+    assert "needs RTK or motion capture" in capsys.readouterr().err
+    assert main(["check", path, "--position-from", "plain", "--overrule", "position_source"]) == 0
+    assert main(["check", path, "--position-from", "rtk"]) == 0
 
 
 def test_what_is_observed_is_judged() -> None:
@@ -182,9 +279,20 @@ def test_check_and_fly_with_a_vehicle(tmp_path: Path) -> None:
 
         good = command("check", "--connection", url, "--driver", "px4", "--json")
         assert good.returncode == 0, good.stdout + good.stderr
-        items = {f["item"]: f["says"] for f in json.loads(good.stdout)["findings"]}
+        findings = json.loads(good.stdout)["findings"]
+        items = {f["item"]: f["says"] for f in findings}
+        assert items["position_source"] == "motion capture"
+        # The embedded autopilot holds before it lands, and has no sticks: told, with our files' reasons.
+        assert {f["item"] for f in findings if f["remark"]} == {
+            "COM_OBL_RC_ACT",
+            "COM_FAIL_ACT_T",
+            "COM_RCL_EXCEPT",
+        }
         assert items["version"] == "PX4 1.16.0"
         assert float(items["rate_imu"].split()[0]) > 150.0
+        elsewhere = command("check", "--connection", url, "--driver", "px4", "--position-from", "rtk")
+        assert elsewhere.returncode == 1
+        assert "position_source: not rtk, as said" in elsewhere.stderr
         refused = command("fly", "--yes", "--connection", url, "--log-dir", str(tmp_path / "none"))
         assert refused.returncode == 1
         assert "lock_driver" in refused.stderr

@@ -1,6 +1,7 @@
-"""Flights with a real PX4: acceptance with ten seeds, the speed sweep, the three worlds side by side.
+"""Flights with a real PX4: acceptance with ten seeds, the speed sweep, the three worlds side by side, and how
+well the planned velocity is met at the wall.
 
-    DART_PX4_DIR=... python -m tools.campaign_px4 [--part NAME] [--report DIR]
+    DART_PX4_DIR=... python -m tools.campaign_px4 [--part NAME] [--speed X] [--report DIR]
 
 Every flight's figures go to `px4_flights.jsonl` in the report folder as they come; a part that is flown again
 replaces its lines. The tables (`px4_tables.md`) are written from that file alone, so parts can be flown one
@@ -13,11 +14,14 @@ import argparse
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+from statistics import fmean, stdev
 
 import msgspec
 
-from dart_flight.config.document import InputError
+from dart_flight.config.document import Document, InputError
+from dart_flight.config.mission import parse_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.flights import fly_embedded, fly_fast, fly_px4, load_flyable
 from dart_flight.recording import read_log
@@ -28,7 +32,9 @@ from dart_flight.verdict import Verdict
 SEEDS = range(1, 11)
 EMBEDDED_SEEDS = range(1, 4)  # real time: few
 SPEEDS_M_S = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
-SPEED = 3.0  # times real time, what lockstep sustains with room to spare
+APPROACH_SEEDS = range(1, 6)
+APPROACHES_M_S = (-0.6, -0.9, -1.2, -1.5)  # normal velocity; along the wall as in the mission
+SPEED = 3.0  # times real time, what lockstep sustains with room to spare where nothing else runs
 MISSIONS = {"single": "single_wall.yaml", "dual": "dual_collision.yaml"}
 SWEEP = Path(__file__).with_name("px4_sweep_mission.yaml")
 FLIGHTS, TABLES = "px4_flights.jsonl", "px4_tables.md"
@@ -55,6 +61,7 @@ class Flight(msgspec.Struct):
 
     part: str
     world: str
+    speed: float  # times real time
     sensor: str
     mission: str
     seed: int
@@ -72,7 +79,7 @@ class Flight(msgspec.Struct):
     guard: list[str]
 
 
-def figures(part: str, sensor: str, mission: str, verdict: Verdict) -> Flight:
+def figures(part: str, sensor: str, mission: str, verdict: Verdict, pace: float = 1.0) -> Flight:
     """A verdict in one line."""
     hits = [
         Hit(
@@ -94,6 +101,7 @@ def figures(part: str, sensor: str, mission: str, verdict: Verdict) -> Flight:
     return Flight(
         part=part,
         world=verdict.world,
+        speed=pace,
         sensor=sensor,
         mission=mission,
         seed=verdict.seed or 0,
@@ -146,27 +154,29 @@ def _velocity_error(verdict: Verdict) -> float | None:
 # --- flying ------------------------------------------------------------------------------------------
 
 
-def _accept(part: str, mission: str, sensor: str) -> Iterator[Flight]:
+def _accept(part: str, pace: float, mission: str, sensor: str) -> Iterator[Flight]:
     loaded = load_flyable(packaged("missions", MISSIONS[mission]))
     gps = None if sensor == "mocap" else sensor
     for seed in SEEDS:
         with tempfile.TemporaryDirectory() as folder:
-            verdict = fly_px4(loaded, None, seed, Path(folder), gps=gps, speed=SPEED)
-            yield figures(part, sensor, mission, verdict)
+            verdict = fly_px4(loaded, None, seed, Path(folder), gps=gps, speed=pace)
+            yield figures(part, sensor, mission, verdict, pace)
 
 
-def _sweep(part: str, mode: str, material: str, sensor: str, speeds: tuple[float, ...]) -> Iterator[Flight]:
+def _sweep(
+    part: str, pace: float, mode: str, material: str, sensor: str, speeds: tuple[float, ...]
+) -> Iterator[Flight]:
     text = SWEEP.read_text(encoding="utf-8").replace("MODE", mode).replace("MATERIAL", material)
     gps = None if sensor == "mocap" else sensor
     for speed in speeds:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "sweep.yaml"
             path.write_text(text.replace("SPEED", f"{speed:g}"), encoding="utf-8")
-            verdict = fly_px4(load_flyable(path), None, 1, Path(folder), gps=gps, speed=SPEED)
-            yield figures(part, sensor, f"{material} {mode} {speed:g}", verdict)
+            verdict = fly_px4(load_flyable(path), None, 1, Path(folder), gps=gps, speed=pace)
+            yield figures(part, sensor, f"{material} {mode} {speed:g}", verdict, pace)
 
 
-def _other_world(part: str, world: str, mission: str) -> Iterator[Flight]:
+def _other_world(part: str, _pace: float, world: str, mission: str) -> Iterator[Flight]:
     loaded = load_flyable(packaged("missions", MISSIONS[mission]))
     fly, seeds = (fly_fast, SEEDS) if world == "fast" else (fly_embedded, EMBEDDED_SEEDS)
     for seed in seeds:
@@ -174,30 +184,49 @@ def _other_world(part: str, world: str, mission: str) -> Iterator[Flight]:
             yield figures(part, "mocap", mission, fly(loaded, seed, Path(folder)))
 
 
-def parts() -> dict[str, Callable[[str], Iterator[Flight]]]:
-    """Name of every part -> what flies it."""
-    table: dict[str, Callable[[str], Iterator[Flight]]] = {}
+def _approach(part: str, pace: float, world: str) -> Iterator[Flight]:
+    path = packaged("missions", MISSIONS["single"])
+    text = path.read_text(encoding="utf-8")
+    for normal in APPROACHES_M_S:
+        changed = text.replace("normal_m_s: -1.0", f"normal_m_s: {normal:g}")
+        mission = parse_mission(Document(changed, str(path)))
+        for seed in APPROACH_SEEDS:
+            with tempfile.TemporaryDirectory() as folder:
+                if world == "fast":
+                    verdict = fly_fast(mission, seed, Path(folder))
+                else:
+                    verdict = fly_px4(mission, None, seed, Path(folder), speed=pace)
+                yield figures(part, "mocap", f"approach {normal:g}", verdict, pace)
+
+
+def parts() -> dict[str, Callable[[str, float], Iterator[Flight]]]:
+    """Name of every part -> what flies it, given the name and the pace in times real time."""
+    table: dict[str, Callable[[str, float], Iterator[Flight]]] = {}
     for sensor in ("mocap", "rtk", "plain"):
         for mission in MISSIONS:
-            table[f"{mission}-{sensor}"] = lambda p, m=mission, s=sensor: _accept(p, m, s)  # type: ignore[misc]
+            table[f"{mission}-{sensor}"] = partial(_accept, mission=mission, sensor=sensor)
     for sensor in ("mocap", "rtk"):
         for mode in ("rigid", "flexible"):
-            table[f"sweep-{mode}-{sensor}"] = lambda p, m=mode, s=sensor: _sweep(  # type: ignore[misc]
-                p, m, "acrylic", s, SPEEDS_M_S
+            table[f"sweep-{mode}-{sensor}"] = partial(
+                _sweep, mode=mode, material="acrylic", sensor=sensor, speeds=SPEEDS_M_S
             )
-    table["sweep-wood-mocap"] = lambda p: _sweep(p, "rigid", "wood", "mocap", (2.5, 3.0, 3.5, 4.0))
+    table["sweep-wood-mocap"] = partial(
+        _sweep, mode="rigid", material="wood", sensor="mocap", speeds=(2.5, 3.0, 3.5, 4.0)
+    )
     for world in ("fast", "embedded"):
         for mission in MISSIONS:
-            table[f"{world}-{mission}"] = lambda p, w=world, m=mission: _other_world(p, w, m)  # type: ignore[misc]
+            table[f"{world}-{mission}"] = partial(_other_world, world=world, mission=mission)
+    for world in ("fast", "px4"):
+        table[f"approach-{world}"] = partial(_approach, world=world)
     return table
 
 
-def fly_part(name: str, report_dir: Path) -> None:
+def fly_part(name: str, report_dir: Path, pace: float) -> None:
     """Fly one part; its lines replace what the results had of it."""
     path = report_dir / FLIGHTS
     kept = [flight for flight in load(report_dir) if flight.part != name]
     path.write_bytes(b"".join(msgspec.json.encode(flight) + b"\n" for flight in kept))
-    for flight in parts()[name](name):
+    for flight in parts()[name](name, pace):
         with path.open("ab") as results:
             results.write(msgspec.json.encode(flight) + b"\n")
         print(
@@ -326,6 +355,34 @@ def _worlds(flights: list[Flight], mission: str) -> list[str]:
     return _table(head, rows)
 
 
+def _approach_table(flights: list[Flight]) -> list[str]:
+    """Velocity at the impact, true less planned: mean and standard deviation over the seeds."""
+    planned = load_flyable(packaged("missions", MISSIONS["single"])).collisions[0].approach_m_s
+    assert planned is not None
+    along = planned[1]
+    head = ["planned m/s"]
+    for world in ("fast", "px4"):
+        head += [f"{world}: met", "normal m/s", "share", "along m/s"]
+    rows = []
+    for normal in APPROACHES_M_S:
+        row = [f"{normal:g}"]
+        for world in ("fast", "px4"):
+            group = [
+                f for f in flights if f.part == f"approach-{world}" and f.mission == f"approach {normal:g}"
+            ]
+            hits = [f.hits[0] for f in group if f.hits]
+            across = [h.normal_true_m_s - normal for h in hits if h.normal_true_m_s is not None]
+            beside = [h.tangential_true_m_s - along for h in hits if h.tangential_true_m_s is not None]
+            share = f"{100.0 * fmean(across) / normal:+.1f} %" if across else "–"
+            row += [f"{len(hits)} of {len(group)}", _mean(across), share, _mean(beside)]
+        rows.append(row)
+    return _table(head, rows)
+
+
+def _mean(values: list[float]) -> str:
+    return f"{fmean(values):+.3f} ± {stdev(values):.3f}" if len(values) > 1 else "–"
+
+
 def _force_ratio(hit: Hit) -> float | None:
     return hit.force_n / hit.force_true_n if hit.force_n and hit.force_true_n else None
 
@@ -333,8 +390,9 @@ def _force_ratio(hit: Hit) -> float | None:
 def report(flights: list[Flight]) -> str:
     """The tables, in Markdown."""
     lines = ["# Flights with a real PX4: the tables", ""]
+    paces = " and ".join(f"{pace:g}" for pace in sorted({f.speed for f in flights if f.world == "px4"}))
     lines += [
-        f"Generated by `python -m tools.campaign_px4` at {SPEED:g} times real time; docs/px4.md explains."
+        f"Generated by `python -m tools.campaign_px4` at {paces} times real time; docs/px4.md explains."
     ]
     lines += ["Two hits of a flight are given as first / second.", ""]
     for sensor, name in (("mocap", "motion capture"), ("rtk", "RTK-like GPS"), ("plain", "plain GPS")):
@@ -351,10 +409,14 @@ def report(flights: list[Flight]) -> str:
     for mission, title in (("single", "Single wall"), ("dual", "Dual collision")):
         if any(f.part == f"fast-{mission}" for f in flights):
             lines += [f"## {title} in three worlds: median (least to most)", "", *_worlds(flights, mission)]
+    if any(f.part.startswith("approach") for f in flights):
+        lines += ["## Velocity at the wall, true less planned: mean ± standard deviation over five seeds", ""]
+        lines += ["Single wall, motion capture; `share` is the mean of the normal error over the plan.", ""]
+        lines += _approach_table(flights)
     return "\n".join(lines)
 
 
-def run(report_dir: Path) -> None:
+def run(report_dir: Path, pace: float) -> None:
     """Fly everything and write the tables.
 
     Raises:
@@ -363,7 +425,7 @@ def run(report_dir: Path) -> None:
     find_install(None)
     report_dir.mkdir(parents=True, exist_ok=True)
     for name in parts():
-        fly_part(name, report_dir)
+        fly_part(name, report_dir, pace)
     (report_dir / TABLES).write_text(report(load(report_dir)), encoding="utf-8")
 
 
@@ -371,16 +433,17 @@ def main() -> int:
     """Command line; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--part", choices=[*parts(), "report"], help="one part, or only the tables")
+    parser.add_argument("--speed", type=float, default=SPEED, help="times real time; less on a busy machine")
     parser.add_argument("--report", type=Path, default=Path("build/campaign"))
     arguments = parser.parse_args()
     try:
         if arguments.part is None:
-            run(arguments.report)
+            run(arguments.report, arguments.speed)
             return 0
         arguments.report.mkdir(parents=True, exist_ok=True)
         if arguments.part != "report":
             find_install(None)
-            fly_part(arguments.part, arguments.report)
+            fly_part(arguments.part, arguments.report, arguments.speed)
         tables = report(load(arguments.report))
         (arguments.report / TABLES).write_text(tables, encoding="utf-8")
     except InputError as error:

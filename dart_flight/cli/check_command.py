@@ -7,8 +7,11 @@ import argparse
 from rich.console import Console
 from rich.markup import escape
 
-from dart_flight.check import CheckReport, check_mission, check_vehicle, decide
-from dart_flight.cli.options import add_driver_option
+from dart_flight.check.findings import CheckReport, decide
+from dart_flight.check.mission import check_mission
+from dart_flight.check.parameters import judge_claim
+from dart_flight.check.vehicle import check_vehicle
+from dart_flight.cli.options import add_driver_option, add_position_option
 from dart_flight.cli.terminal import emit_json, messages
 from dart_flight.config.mission import load_mission
 from dart_flight.flights import with_driver
@@ -21,6 +24,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--overrule", action="append", default=[], metavar="ITEM", help="fly although this item is no-go"
     )
+    add_position_option(parser)
     add_driver_option(parser)
 
 
@@ -31,7 +35,9 @@ def run(arguments: argparse.Namespace) -> int:
         mission = with_driver(mission, arguments.driver)
     findings = check_mission(mission)
     if arguments.connection is not None:
-        findings += check_vehicle(mission, arguments.connection)
+        findings += check_vehicle(mission, arguments.connection, arguments.position_from)
+    elif arguments.position_from is not None:
+        findings += judge_claim(mission, arguments.position_from)
     report = decide(mission, findings, arguments.overrule)
     if arguments.json:
         emit_json(report)
@@ -41,9 +47,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def show(report: CheckReport, console: Console) -> None:
-    """The findings, no-goes in red, and the word at the end."""
+    """The findings, no-goes in red, remarks in yellow, and the word at the end."""
     for finding in report.findings:
-        word = "[green]go[/]     " if finding.go else "[red]NO-GO[/]  "
+        word = "[green]go[/]       " if finding.go else "[red]NO-GO[/]    "
+        if finding.remark:
+            word = "[yellow]remark[/]   "
         if finding.overruled:
             word = "[yellow]overruled[/]"
         console.print(f"{word} [bold]{finding.item}[/]: {escape(finding.says)}", soft_wrap=True)

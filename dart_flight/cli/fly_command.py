@@ -5,14 +5,15 @@ from __future__ import annotations
 import argparse
 import sys
 
-from dart_flight.check import check_mission, check_vehicle, decide
+from dart_flight.check.findings import decide
+from dart_flight.check.mission import check_mission
+from dart_flight.check.vehicle import check_vehicle
 from dart_flight.cli.check_command import show
 from dart_flight.cli.flight_output import FlightLines, verdict_table
-from dart_flight.cli.options import add_flight_options
+from dart_flight.cli.options import add_flight_options, add_position_option
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.config.mission import Mission
 from dart_flight.flights import fly_vehicle, load_flyable, with_driver, with_standoff
-from dart_flight.planning.envelope import impact_warnings
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -26,6 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--overrule", action="append", default=[], metavar="ITEM", help="fly although `check` says no-go here"
     )
+    add_position_option(parser)
     parser.add_argument("--yes", action="store_true", help="do not ask before flying")
 
 
@@ -39,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     url = arguments.connection or mission.vehicle.connection.url
     console = messages()
     console.print(_intention(mission, url), soft_wrap=True)
-    findings = check_mission(mission) + check_vehicle(mission, url)
+    findings = check_mission(mission) + check_vehicle(mission, url, arguments.position_from)
     report = decide(mission, findings, arguments.overrule)
     show(report, console)
     if not report.go:
@@ -60,7 +62,6 @@ def _intention(mission: Mission, url: str) -> str:
     """What is about to happen, in words."""
     lines = [f"[bold]{mission.name}[/] on {url}, lock by {mission.vehicle.lock.driver.value}"]
     lines.append(f"  take off to {mission.altitude_m:g} m, to ({mission.start[0]:g}, {mission.start[1]:g})")
-    lines += [f"  [yellow]{line}[/]" for line in impact_warnings(mission)]
     for c in mission.collisions:
         if c.approach_m_s is not None:
             normal, tangential = c.approach_m_s

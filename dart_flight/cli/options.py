@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
+from dart_flight.config.parameters import PositionSource
 from dart_flight.config.vehicle import LockDriver
 
 
@@ -32,6 +33,19 @@ def add_driver_option(parser: argparse.ArgumentParser) -> None:
         choices=list(LockDriver),
         metavar="DRIVER",
         help="what moves the lock: " + ", ".join(LockDriver) + " (default: lock.driver of the configuration)",
+    )
+
+
+def add_position_option(parser: argparse.ArgumentParser) -> None:
+    """Where the vehicle's position comes from."""
+    parser.add_argument(
+        "--position-from",
+        type=PositionSource,
+        choices=list(PositionSource),
+        metavar="SOURCE",
+        help="where PX4's position comes from: "
+        + ", ".join(PositionSource)
+        + " (default: as the vehicle says)",
     )
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from dart_flight.cli.options import number
 from dart_flight.config.document import InputError
+from dart_flight.planning.positioning import PLAIN_GPS
 
 
 def add_px4_options(parser: argparse.ArgumentParser) -> None:
@@ -62,9 +63,4 @@ def gps_of(arguments: argparse.Namespace) -> str | None:
 
 def gps_warnings(gps: str | None) -> list[str]:
     """What to say of a receiver before the flight, a line each."""
-    if gps == "plain":
-        return [
-            "plain GPS wanders by a metre within a flight: the wall is not where the vehicle believes it; "
-            "a wall mission needs RTK or motion capture"
-        ]
-    return []
+    return [PLAIN_GPS] if gps == "plain" else []

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from enum import StrEnum
 from pathlib import Path
 
 import msgspec
@@ -21,6 +22,21 @@ Value = int | float
 _TYPES = {"6": int, "9": float}
 _NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}\Z")
 _INT32 = 1 << 31
+
+
+class PositionSource(StrEnum):
+    """Where PX4's position comes from."""
+
+    MOCAP = "mocap"  # motion capture
+    RTK = "rtk"  # GPS with corrections
+    PLAIN = "plain"  # GPS without
+
+
+_PLACE_FILES = {
+    PositionSource.MOCAP: ("indoor",),
+    PositionSource.RTK: ("outdoor",),
+    PositionSource.PLAIN: ("outdoor", "plain_gps"),
+}
 
 
 class Parameter(msgspec.Struct, frozen=True):
@@ -51,14 +67,18 @@ class Difference(msgspec.Struct, frozen=True):
         return f"{self.name} is {shown}, wanted {self.wanted:g}: {self.reason}"
 
 
-def vehicle_files(position_from: str) -> list[Path]:
-    """The packaged files for a vehicle, in the order in which they apply.
-
-    Args:
-        position_from: `mocap`, `rtk` or `plain` (GPS without corrections).
-    """
-    place = {"mocap": ("indoor",), "rtk": ("outdoor",), "plain": ("outdoor", "plain_gps")}[position_from]
+def vehicle_files(position_from: PositionSource | None) -> list[Path]:
+    """The packaged files for a vehicle, in the order in which they apply; None: those for every vehicle."""
+    place = () if position_from is None else _PLACE_FILES[position_from]
     return [packaged("configs", "px4", f"{name}.params") for name in ("collision", *place)]
+
+
+def vehicle_parameters(position_from: PositionSource | None) -> dict[str, Parameter]:
+    """The parameters of these files by name, the later file's where two name the same one."""
+    wanted: dict[str, Parameter] = {}
+    for path in vehicle_files(position_from):
+        wanted |= load_parameters(path)
+    return wanted
 
 
 def load_parameters(path: str | Path) -> dict[str, Parameter]:

@@ -500,10 +500,19 @@ class Executive:
         rising = miss > self._least_miss_m + _PASSED_RISE_M and self._elapsed_us(state) > _PASSED_AFTER_US
         if rising or timed_out:
             out.append(GoalPassed(state.now_us, self._least_miss_m))
-            goal = self.mission.goal.position_m
-            self._target = (goal[0], goal[1], self.mission.altitude_m)
+            self._head_for_goal(state, miss)
             self._captured_us = None
             self._go(Event.PASSED, state, out)
+
+    def _head_for_goal(self, state: FlightState, distance_m: float) -> None:
+        """Hold the goal; where a step to it would be flown faster than a transit, make it a transit."""
+        vehicle, goal = self.mission.vehicle, self.mission.goal.position_m
+        if vehicle.px4.mpc_xy_p * distance_m > vehicle.flying.transit_speed_m_s:
+            self._target = (state.position[0], state.position[1], self.mission.altitude_m)
+            self._fly_to(goal, vehicle.flying.transit_speed_m_s)
+        else:
+            self._transit = None
+            self._target = (goal[0], goal[1], self.mission.altitude_m)
 
     def _goal(self, state: FlightState, out: list[Output]) -> None:
         self._lock_to(self.mission.transit_mode, state, out)
@@ -511,7 +520,11 @@ class Executive:
         distance = distance2(state.position, goal.position_m)
         if distance > goal.capture_radius_m:
             self._captured_us = None
-            if self._elapsed_us(state) > (goal.hold_s + self.mission.limits.collision_timeout_s) * 1e6:
+            way_s = self._transit.duration_s if self._transit is not None else 0.0
+            if (
+                self._elapsed_us(state)
+                > (way_s + goal.hold_s + self.mission.limits.collision_timeout_s) * 1e6
+            ):
                 detail = f"still {distance:.2f} m from the goal"
                 self._guard.latch("goal_not_reached", detail, state, out)
         elif self._captured_us is None:
@@ -551,7 +564,7 @@ class Executive:
         t_s = (sample.t_us - self._entered_us) * 1e-6
         reference: ReferencePoint | None = None
         rehearsal = self.mission.standoff_m is not None
-        on_rails = (Phase.CLIMB, Phase.TRANSIT) if not rehearsal else tuple(Phase)
+        on_rails = (Phase.CLIMB, Phase.TRANSIT, Phase.GOAL) if not rehearsal else tuple(Phase)
         if self.phase in on_rails and self._transit is not None and self.phase is not Phase.PREPARE:
             reference = self._transit.at(t_s)
         elif self.phase is Phase.APPROACH and self._approach is not None:

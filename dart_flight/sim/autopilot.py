@@ -13,6 +13,7 @@ from collections.abc import Callable
 import msgspec
 
 from dart_flight.config.mission import Mission
+from dart_flight.config.parameters import PositionSource, Value, vehicle_parameters
 from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
 from dart_flight.geometry import Vec3, distance2, yaw_ned_of
 from dart_flight.lock.drivers.px4 import PREARM_ALWAYS, actuator_pulse_us, required_parameters
@@ -268,29 +269,31 @@ class Autopilot:
             self.disarm()
 
 
-def default_parameters(vehicle: VehicleConfig) -> dict[str, float]:
-    """PX4 parameters of the embedded autopilot: those of the configuration and what describes the rest."""
-    parameters = {
+def default_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
+    """PX4 parameters of the embedded autopilot: those of the configuration and what describes the rest.
+
+    An int is one of PX4's INT32 parameters, a float a REAL32.
+    """
+    parameters: dict[str, Value] = {
         field.encode_name: float(getattr(vehicle.px4, field.name))
         for field in msgspec.structs.fields(Px4Parameters)
     }
     parameters["MPC_THR_HOVER"] = vehicle.hover_thrust_fraction()
     parameters["THR_MDL_FAC"] = vehicle.thrust.model_factor
-    parameters["SYS_AUTOSTART"] = 4001.0
-    parameters["MAV_SYS_ID"] = 1.0
-    # What a vehicle that collides is asked for on the ground (`check`); PX4 v1.16 defaults.
+    parameters["SYS_AUTOSTART"] = 4001
+    parameters["MAV_SYS_ID"] = 1
+    # What `check` asks a vehicle in motion capture for, but what this one does: hold when offboard is lost,
+    # land after a while, and no sticks.
+    parameters |= {p.name: p.value for p in vehicle_parameters(PositionSource.MOCAP).values()}
     parameters |= {
-        "COM_OBL_RC_ACT": 5.0,
-        "COM_RCL_EXCEPT": 4.0,
-        "FD_FAIL_P": 60.0,
-        "FD_FAIL_R": 60.0,
+        "COM_OBL_RC_ACT": 5,
+        "COM_FAIL_ACT_T": _FAILSAFE_HOLD_S,
+        "COM_RCL_EXCEPT": 4,
         "COM_LKDOWN_TKO": 3.0,
-        "CBRK_FLIGHTTERM": 121212.0,
-        "IMU_GYRO_RATEMAX": 400.0,
     }
     # The lock's servo hangs on the output that the configuration names, set up as it asks.
     for required in required_parameters(vehicle.lock):
-        parameters[required.name] = float(required.value)
+        parameters[required.name] = required.value
     return parameters
 
 

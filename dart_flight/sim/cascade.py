@@ -8,6 +8,7 @@ gives body rates, PID on rates gives torques, which the mixer turns into four mo
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import msgspec
 
@@ -45,7 +46,7 @@ class Cascade:
         thrust: the motors' curve (THR_MDL_FAC), which the mixer inverts.
     """
 
-    def __init__(self, parameters: dict[str, float], hover_thrust: float, thrust: Thrust) -> None:
+    def __init__(self, parameters: Mapping[str, float], hover_thrust: float, thrust: Thrust) -> None:
         self.parameters, self.hover, self.thrust = parameters, hover_thrust, thrust
         self._velocity_integral: list[float] = [0.0, 0.0, 0.0]
         self._velocity_last: Vec3 | None = None

@@ -29,11 +29,6 @@ _VERSION = (1 << 24) | (16 << 16) | (0 << 8) | 255  # says v1.16.0, the version 
 _HOME_LAT, _HOME_LON, _HOME_ALT = 33.4242, -111.9281, 360.0
 _EARTH_M_PER_DEG = 111_320.0
 # Everything else that the embedded autopilot knows is a float in PX4, too.
-_INTEGER_PREFIXES = (
-    *("SYS_", "MAV_", "PWM_", "CBRK_", "FD_FAIL_"),
-    *("COM_PREARM_MODE", "COM_OBL_RC_ACT", "COM_RCL_EXCEPT", "IMU_GYRO_RATEMAX"),
-)
-
 # PX4 custom mode: main mode and, for the automatic modes, sub mode.
 _MODES: dict[FlightMode, tuple[int, int]] = {
     FlightMode.MANUAL: (3, 0),  # position control: what a pilot switches to
@@ -371,9 +366,9 @@ class MavlinkEndpoint:
     def _param_value(self, name: str, index: int) -> Any:
         value = self.autopilot.parameters[name]
         kind = mavlink.MAV_PARAM_TYPE_REAL32
-        if name.startswith(_INTEGER_PREFIXES):
+        if isinstance(value, int):
             # PX4 sends integers bytewise in the float field.
-            value = struct.unpack("<f", struct.pack("<i", int(value)))[0]
+            value = struct.unpack("<f", struct.pack("<i", value))[0]
             kind = mavlink.MAV_PARAM_TYPE_INT32
         count = len(self.autopilot.parameters)
         return mavlink.MAVLink_param_value_message(name.encode(), value, kind, count, index)
@@ -392,10 +387,12 @@ class MavlinkEndpoint:
         if name not in self.autopilot.parameters:
             return
         value = message.param_value
-        if message.param_type == mavlink.MAV_PARAM_TYPE_INT32:
-            value = float(struct.unpack("<i", struct.pack("<f", value))[0])
-        if math.isfinite(value):
-            self.autopilot.parameters[name] = value
+        whole = message.param_type == mavlink.MAV_PARAM_TYPE_INT32
+        # One of the other kind is answered with the value as it stays.
+        if isinstance(self.autopilot.parameters[name], int) is whole and (whole or math.isfinite(value)):
+            self.autopilot.parameters[name] = (
+                struct.unpack("<i", struct.pack("<f", value))[0] if whole else value
+            )
         self._send(link, self._param_value(name, list(self.autopilot.parameters).index(name)))
 
     # -- telemetry --

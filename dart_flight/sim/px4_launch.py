@@ -23,7 +23,7 @@ from pathlib import Path
 import msgspec
 
 from dart_flight.config.document import InputError
-from dart_flight.config.parameters import Value, load_parameters, vehicle_files
+from dart_flight.config.parameters import PositionSource, Value, load_parameters, vehicle_files
 from dart_flight.config.vehicle import LockDriver, Px4Parameters, VehicleConfig, packaged
 from dart_flight.errors import FlightError
 from dart_flight.lock.drivers.px4 import ACTUATOR_SET_1, PREARM_ALWAYS
@@ -87,7 +87,7 @@ def find_install(directory: str | Path | None) -> Install:
 
 def parameter_files(gps: str | None) -> list[Path]:
     """The packaged parameter files of a simulated flight, in the order in which they apply."""
-    return [*vehicle_files(gps or "mocap"), packaged("configs", "px4", "simulation.params")]
+    return [*vehicle_files(PositionSource(gps or "mocap")), packaged("configs", "px4", "simulation.params")]
 
 
 def flight_parameters(

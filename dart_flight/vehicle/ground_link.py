@@ -11,7 +11,6 @@ from typing import Any
 
 import msgspec
 from mavsdk.component_type import ComponentType
-from mavsdk.logging import log_subscribe
 from mavsdk.mavsdk import Configuration, Mavsdk
 from mavsdk.plugins.action import Action
 from mavsdk.plugins.info import Info
@@ -19,7 +18,8 @@ from mavsdk.plugins.param import Param
 from mavsdk.plugins.telemetry import Telemetry
 
 from dart_flight.streams import BY_NAME
-from dart_flight.vehicle.session import VehicleError, log_quietly
+from dart_flight.vehicle import sdk_log
+from dart_flight.vehicle.session import VehicleError
 
 
 class Observation(msgspec.Struct):
@@ -30,6 +30,7 @@ class Observation(msgspec.Struct):
     battery_v: float | None = None
     battery_remaining: float | None = None  # 0 to 1
     local_position_ok: bool = False
+    gps_fix: str | None = None  # MAVLink's type of fix in small letters; None: no receiver heard
 
 
 class GroundLink:
@@ -44,16 +45,16 @@ class GroundLink:
         self._mavsdk: Any = None
 
     def __enter__(self) -> GroundLink:
-        log_subscribe(log_quietly)
+        sdk_log.redirect()
         self._mavsdk = Mavsdk(Configuration.create_with_component_type(ComponentType.COMPANION_COMPUTER))
         try:
             self._mavsdk.add_any_connection_with_handle(self._url)
             system = self._mavsdk.first_autopilot(self._timeout_s)
         except Exception as error:
-            self._mavsdk.destroy()
+            self._close()
             raise VehicleError(f"cannot open {self._url}: {error}") from error
         if system is None:
-            self._mavsdk.destroy()
+            self._close()
             raise VehicleError(f"no autopilot on {self._url} within {self._timeout_s:g} s")
         self._action, self._param = Action(system), Param(system)
         self._telemetry, self._info = Telemetry(system), Info(system)
@@ -62,7 +63,11 @@ class GroundLink:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._mavsdk.destroy()
+        self._close()
+
+    def _close(self) -> None:
+        with sdk_log.closing():
+            self._mavsdk.destroy()
 
     def set_actuator(self, index: int, value: float) -> None:
         """Command a peripheral output, -1 to 1; an acknowledgement says nothing about movement."""
@@ -98,6 +103,9 @@ class GroundLink:
             share = 0.01 * float(b.remaining_percent)
             seen.battery_remaining = share if math.isfinite(share) else None
 
+        def gps(info: Any, _: Any) -> None:
+            seen.gps_fix = str(info.fix_type.name).lower()
+
         def health(h: Any, _: Any) -> None:
             seen.local_position_ok = bool(h.is_local_position_ok)
 
@@ -115,6 +123,7 @@ class GroundLink:
         t.subscribe_actuator_output_status(count("actuator"))
         t.subscribe_battery(battery)
         t.subscribe_health(health)
+        t.subscribe_gps_info(gps)
         began = time.monotonic()
         before = dict(counts)
         time.sleep(seconds)

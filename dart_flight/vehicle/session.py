@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 import math
 import re
 from collections.abc import Callable, Collection
@@ -17,7 +16,6 @@ from typing import Any
 
 import msgspec
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
-from mavsdk.logging import log_subscribe
 from mavsdk.plugins.action import Action
 from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkMessage
 from mavsdk.plugins.offboard import AccelerationNed, Offboard, PositionNedYaw, VelocityNedYaw
@@ -47,6 +45,7 @@ from dart_flight.samples import (
     VehicleAction,
 )
 from dart_flight.streams import ATTITUDE_TARGET, ESC, MESSAGE_ID, STREAMS, Stream
+from dart_flight.vehicle import sdk_log
 from dart_flight.vehicle.clock import Clock, ClockEstimate, host_us
 
 _MODES = {
@@ -362,15 +361,6 @@ class VehicleSession:
             self._utility.send_status_text(OwnStatusTextType.INFO, text[:50])
 
 
-_logger = logging.getLogger("dart_flight.mavsdk")
-
-
-def log_quietly(level: Any, message: str, _file: str | None, _line: int) -> bool:
-    """MAVSDK's own messages go to Python's logging; True: and nowhere else."""
-    _logger.log({0: 10, 1: 20, 2: 30, 3: 40}.get(int(level), 20), message)
-    return True
-
-
 class Connection:
     """Async context of a MAVSDK instance connected to one autopilot."""
 
@@ -387,8 +377,7 @@ class Connection:
         self._mavsdk: Any = None
 
     async def __aenter__(self) -> VehicleSession:
-        # MAVSDK prints to standard output, which belongs to `--json`.
-        log_subscribe(log_quietly)
+        sdk_log.redirect()
         self._mavsdk = Mavsdk(Configuration.create_with_component_type(self._component))
         await self._mavsdk.__aenter__()
         try:
@@ -397,15 +386,16 @@ class Connection:
             if system is None:
                 raise VehicleError(f"no autopilot on {self._url} within {self._timeout_s:g} s")
         except VehicleError:
-            await self._mavsdk.__aexit__(None, None, None)
+            await self.__aexit__()
             raise
         except Exception as error:
-            await self._mavsdk.__aexit__(None, None, None)
+            await self.__aexit__()
             raise VehicleError(f"cannot open {self._url}: {error}") from error
         return VehicleSession(self._mavsdk, system, self._deliver, self._clock)
 
     async def __aexit__(self, *exception: object) -> None:
-        await self._mavsdk.__aexit__(None, None, None)
+        with sdk_log.closing():
+            await self._mavsdk.__aexit__(None, None, None)
 
 
 def connect(

@@ -1,12 +1,15 @@
 """Whole missions in the fast world."""
 
+import math
 from pathlib import Path
 
 import msgspec
 import pytest
 
+from dart_flight.config import parse_mission
+from dart_flight.config.document import Document
 from dart_flight.flights import fly_fast, load_flyable
-from dart_flight.samples import Record, SetPoint
+from dart_flight.samples import GoalPassed, Record, SetPoint, TruthSample
 
 ROOT = Path(__file__).parents[2]
 
@@ -55,3 +58,20 @@ def test_missions_complete_over_seeds(seed: int) -> None:
     for name in ("dual_collision", "single_wall"):
         verdict = fly_fast(load_flyable(ROOT / f"missions/{name}.yaml"), seed, None)
         assert (verdict.outcome, verdict.reason) == ("completed", None)
+
+
+@pytest.mark.parametrize("goal", ["[-3.0, 1.0]", "[-5.0, 1.0]"])
+def test_a_goal_far_from_the_recovery_is_flown_to_at_transit_speed(goal: str) -> None:
+    text = (ROOT / "missions/single_wall.yaml").read_text()
+    text = text.replace("goal: {position_m: [0.4, 1.0]", f"goal: {{position_m: {goal}")
+    text = text.replace("x: [-1.5, 2.2]", "x: [-6.0, 2.2]")
+    mission = parse_mission(Document(text, str(ROOT / "missions/far.yaml")))
+    records: list[Record] = []
+    verdict = fly_fast(mission, 1, None, records.append)
+    assert (verdict.outcome, verdict.reason) == ("completed", None)
+    assert verdict.final_error_m is not None
+    assert verdict.final_error_m < 0.1
+    began = next(r.t_us for r in records if isinstance(r, GoalPassed))
+    after = [r for r in records if isinstance(r, TruthSample) and r.t_us > began]
+    speeds = [math.hypot(r.velocity_mission[0], r.velocity_mission[1]) for r in after]
+    assert max(speeds) < 1.3 * mission.vehicle.flying.transit_speed_m_s

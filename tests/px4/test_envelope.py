@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.check.findings import Finding
+from dart_flight.check.mission import check_mission
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
 from dart_flight.flights import load_flyable
@@ -71,3 +73,24 @@ def test_a_hit_after_which_px4_is_lost_is_announced(tmp_path: Path) -> None:
 def test_faster_than_anything_flown_is_announced(tmp_path: Path) -> None:
     assert impact_warnings(load_flyable(sweep(tmp_path, 4.0, "flexible"))) == []
     assert "faster than anything flown" in impact_warnings(load_flyable(sweep(tmp_path, 4.4, "flexible")))[0]
+
+
+def judged(folder: Path, speed: float, mode: str, material: str = "acrylic") -> dict[str, Finding]:
+    return {f.item: f for f in check_mission(load_flyable(sweep(folder, speed, mode, material)))}
+
+
+def test_check_refuses_what_px4_has_not_survived(tmp_path: Path) -> None:
+    assert "speed_1" not in judged(tmp_path, 4.0, "flexible")
+    assert not judged(tmp_path, 4.4, "flexible")["speed_1"].go
+    lost = judged(tmp_path, 4.0, "rigid", "wood")["force_1"]
+    assert not lost.go
+    assert "PX4 loses its position" in lost.says
+
+
+def test_check_tells_of_an_impact_close_to_full_scale(tmp_path: Path) -> None:
+    close = judged(tmp_path, 3.15, "rigid")["force_1"]
+    assert (close.go, close.remark) == (True, True)
+    beyond = judged(tmp_path, 3.5, "rigid")["force_1"]
+    assert (beyond.go, beyond.remark) == (False, False)
+    assert "lower bound" in beyond.says
+    assert not judged(tmp_path, 2.5, "rigid")["force_1"].remark

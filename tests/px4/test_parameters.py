@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from dart_flight.config.document import InputError
-from dart_flight.config.parameters import differences, load_parameters, vehicle_files
+from dart_flight.config.parameters import PositionSource, differences, load_parameters, vehicle_files
 from dart_flight.config.vehicle import Px4Parameters, load_vehicle, packaged
 from dart_flight.sim.px4_launch import airframe_parameters, flight_parameters, motors_from, parameter_files
 
@@ -29,7 +29,7 @@ def test_all_packaged_files_are_used() -> None:
 
 
 def test_a_vehicle_gets_nothing_of_the_simulations() -> None:
-    for position_from in ("mocap", "rtk", "plain"):
+    for position_from in PositionSource:
         assert "simulation.params" not in {path.name for path in vehicle_files(position_from)}
 
 

@@ -111,5 +111,5 @@ def test_the_lock_output_follows_the_parameters(autopilot: Autopilot) -> None:
     assert autopilot.actuator_pulse_us(1) is None
     autopilot.set_actuator(1, 1.0)
     assert autopilot.actuator_pulse_us(1) == pytest.approx(autopilot.vehicle.lock.px4.max_pulse_us)
-    autopilot.parameters["COM_PREARM_MODE"] = 0.0
+    autopilot.parameters["COM_PREARM_MODE"] = 0
     assert autopilot.actuator_pulse_us(1) is None  # disarmed, it does not move

@@ -1,0 +1,82 @@
+"""What a connected vehicle says of itself: parameters, and rates, battery and estimator as measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from dart_flight.check.findings import Finding
+from dart_flight.check.parameters import judge_parameters, judge_position, names_to_read, position_source
+from dart_flight.config.mission import Mission
+from dart_flight.config.parameters import PositionSource
+from dart_flight.config.vehicle import LockDriver
+from dart_flight.lock.drivers.px4 import parameter_problems, required_parameters
+from dart_flight.streams import BY_NAME
+from dart_flight.vehicle.ground_link import GroundLink, Observation
+
+_MEASURE_S = 3.0
+
+
+def check_vehicle(mission: Mission, url: str, position_from: PositionSource | None = None) -> list[Finding]:
+    """What a connected vehicle says of itself.
+
+    Args:
+        mission: what it is to fly.
+        url: MAVSDK connection URL.
+        position_from: what the operator believes; None: as the vehicle's parameters say.
+
+    Raises:
+        VehicleError: nothing answers at the URL.
+    """
+    names = names_to_read()
+    if mission.vehicle.lock.driver is LockDriver.PX4:
+        names += [required.name for required in required_parameters(mission.vehicle.lock)]
+    with GroundLink(url, mission.vehicle.connection.timeout_s) as link:
+        observed = link.observe(_MEASURE_S)
+        values = link.read_parameters(names)
+    found = position_source(values, observed.gps_fix)
+    return [
+        *judge_position(mission, found, observed.gps_fix, position_from),
+        *judge_parameters(mission, values, position_from or found),
+        *judge_observation(mission, observed),
+        *judge_lock(mission, values),
+    ]
+
+
+def judge_observation(mission: Mission, observed: Observation) -> list[Finding]:
+    """Rates, battery and estimator as observed."""
+    findings = [
+        Finding("version", True, f"PX4 {observed.version}" if observed.version else "version not told")
+    ]
+    for name, rate in observed.rates_hz.items():
+        needed = BY_NAME[name].expected_hz
+        findings.append(Finding(f"rate_{name}", rate >= needed, f"{rate:.0f} Hz, needs {needed:g}"))
+    guard, left, volts = mission.vehicle.guard, observed.battery_remaining, observed.battery_v
+    low = (left is not None and left < 2.0 * guard.battery_remaining) or (
+        volts is not None and volts < guard.battery_v
+    )
+    told = ", ".join(
+        text
+        for text in (
+            f"{100.0 * left:.0f} %" if left is not None else "",
+            f"{volts:.1f} V" if volts is not None else "",
+        )
+        if text
+    )
+    findings.append(Finding("battery", not low, told or "not told"))
+    says = "local position valid" if observed.local_position_ok else "no valid local position"
+    findings.append(Finding("estimator", observed.local_position_ok, says))
+    return findings
+
+
+def judge_lock(mission: Mission, values: Mapping[str, float]) -> list[Finding]:
+    """Whether the lock's servo would move."""
+    lock = mission.vehicle.lock
+    if lock.driver is LockDriver.MOCK:
+        says = "lock.driver is mock: nothing real moves; choose maestro, pwm or px4 (--driver)"
+        return [Finding("lock_driver", False, says)]
+    if lock.driver is not LockDriver.PX4:
+        return [Finding("lock_driver", True, f"{lock.driver.value}; try it with `dart-flight lock toggle`")]
+    problems = parameter_problems(lock, values)
+    return [
+        Finding("lock_driver", not problems, "; ".join(problems) or "PX4's output is set up for the servo")
+    ]

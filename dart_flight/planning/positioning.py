@@ -1,0 +1,29 @@
+"""Where PX4's position comes from, and what that means for a mission with walls."""
+
+from __future__ import annotations
+
+from dart_flight.config.mission import FrameOrigin, Mission
+from dart_flight.config.parameters import PositionSource
+
+PLAIN_GPS = (
+    "plain GPS wanders by a metre within a flight: the wall is not where the vehicle believes it; a wall "
+    "mission needs RTK or motion capture"
+)
+
+
+def frame_problem(mission: Mission, source: PositionSource) -> str | None:
+    """Why a mission's frame means nothing with this source; None where it does.
+
+    With GPS, PX4's local frame begins where it was switched on: only a frame at the take-off point, or a
+    mission that begins at its own origin, has a meaning.
+    """
+    spec = mission.frame
+    surveyed = spec.origin is FrameOrigin.LOCAL and (
+        mission.start != (0.0, 0.0) or spec.north_m != 0.0 or spec.east_m != 0.0
+    )
+    if source is PositionSource.MOCAP or not surveyed:
+        return None
+    return (
+        "with GPS PX4's local origin is where it was switched on, a surveyed room means nothing; "
+        "use frame: {origin: takeoff}"
+    )

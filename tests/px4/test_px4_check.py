@@ -1,0 +1,77 @@
+"""`check --connection` with a real PX4 that waits on the ground."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from dart_flight.check.findings import Finding
+from dart_flight.check.vehicle import check_vehicle
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import LockDriver
+from dart_flight.flights import load_flyable
+from dart_flight.sim.harness import Px4World
+from dart_flight.sim.pipe import Px4Spec, WorldSpec
+from dart_flight.sim.px4_launch import flight_parameters
+
+pytestmark = pytest.mark.px4
+
+MISSION = Path(__file__).parents[2] / "missions" / "single_wall.yaml"
+
+
+@contextmanager
+def waiting_px4(
+    mission: Mission, px4_dir: Path, folder: Path, gps: str | None, changes: dict[str, int | float]
+) -> Iterator[str]:
+    """A PX4 on the ground, set up as for `dry-run` but for `changes`; yields its URL."""
+    parameters = {**flight_parameters(mission.vehicle, gps), **changes}
+    spec = WorldSpec(
+        mission.source,
+        json.dumps(msgspec.to_builtins(mission.vehicle)),
+        1,
+        [],
+        LockDriver.MOCK,
+        None,
+        Px4Spec(str(px4_dir), str(folder), parameters, gps, 1.0),
+    )
+    world = Px4World(spec, lambda record: None)
+    try:
+        world.wait_ready()
+        yield f"udpin://127.0.0.1:{world.port}"
+    finally:
+        world.close()
+
+
+def by_item(findings: list[Finding]) -> dict[str, Finding]:
+    items = {f.item: f for f in findings}
+    assert len(items) == len(findings)  # nothing is judged twice
+    return items
+
+
+def test_our_own_setup_is_go_and_each_change_is_told(px4_dir: Path, tmp_path: Path) -> None:
+    mission = load_flyable(MISSION)
+    changes = {"NAV_RCL_ACT": 2, "COM_FAIL_ACT_T": 5.0}
+    with waiting_px4(mission, px4_dir, tmp_path, None, changes) as url:
+        found = by_item(check_vehicle(mission, url))
+    assert found["position_source"].says == "motion capture"
+    assert found["version"].says.startswith("PX4 1.")
+    # The lock's driver of this mission is the mock.
+    assert {item for item, f in found.items() if not f.go} == {"NAV_RCL_ACT", "lock_driver"}
+    assert {item for item, f in found.items() if f.remark} == {"COM_FAIL_ACT_T"}
+    assert "Land at once" in found["COM_FAIL_ACT_T"].says
+
+
+@pytest.mark.parametrize(("gps", "go"), [("rtk", True), ("plain", False)])
+def test_a_receiver_is_known_by_its_fix(px4_dir: Path, tmp_path: Path, gps: str, go: bool) -> None:
+    mission = load_flyable(MISSION)
+    with waiting_px4(mission, px4_dir, tmp_path, gps, {}) as url:
+        found = by_item(check_vehicle(mission, url))
+    position = found["position_source"]
+    assert position.go is go
+    assert ("rtk fixed" if go else "needs RTK or motion capture") in position.says
+    assert not [item for item, f in found.items() if f.remark]
