@@ -206,6 +206,8 @@ class Guard(Section, frozen=True):
     imu_clipped_s: Positive
     position_jump_m: Positive
     velocity_jump_m_s: Positive
+    reset_position_m: Positive
+    reset_velocity_m_s: Positive
     estimator_bad_s: NotNegative
     impact_window_s: NotNegative
     battery_remaining: Fraction

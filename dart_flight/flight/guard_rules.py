@@ -143,8 +143,7 @@ def _estimator_jump(v: View) -> str | None:
 
 
 def _estimator_reset(v: View) -> str | None:
-    resets = v.take_reset()
-    return "the estimator reset its position or velocity" if resets else None
+    return v.reset_step()
 
 
 def _estimator_flags(v: View) -> str | None:
@@ -309,8 +308,8 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule(
         "estimator_reset",
-        "PX4's estimator counts a reset, other than shortly after an impact",
-        "guard.impact_window_s",
+        "PX4's estimator counts a reset and position or velocity step, other than shortly after an impact",
+        "guard.reset_position_m, guard.reset_velocity_m_s, guard.impact_window_s",
         _A.HOLD,
         _S.FLYING,
         cause=_estimator_reset,

@@ -8,6 +8,7 @@ judged by host time.
 from __future__ import annotations
 
 import math
+from collections import deque
 
 from dart_flight.config.mission import Mission
 from dart_flight.flight.phases import Phase
@@ -35,6 +36,8 @@ _GAP_US = 500_000  # of silence, in which PX4 may have said anything
 _RATE_WINDOW_US = 1_000_000
 _CLIP_SHARE = 0.99
 _JUMP_REACH_US = 100_000  # odometry further apart says nothing about a jump
+_RESET_REACH_US = 100_000  # a step this near to a reset came with it
+_STEPS = 16  # odometry of more than twice that reach
 _STAMPED: dict[type, str] = {
     ImuSample: "imu",
     AttitudeSample: "attitude",
@@ -64,7 +67,8 @@ class View:
         self.battery_low_since_us: int | None = None
         self.flags_bad_since_us: int | None = None
         self.jump: str = ""
-        self.resets = 0  # of the estimator, outside of the window after an impact
+        self._reset_us: int | None = None  # the estimator's last reset, outside of the window after an impact
+        self._steps: deque[tuple[int, float, float]] = deque(maxlen=_STEPS)  # stamp, position m, velocity m/s
         self.inside_once = False
         self._failsafe_us: int | None = None
         self._gap_us: int | None = None
@@ -148,12 +152,22 @@ class View:
                 share = min(share, max(0.0, here / (here - there)))
         return (x + share * dx, y + share * dy)
 
-    def take_reset(self) -> int:
-        """Estimator resets since the last call."""
-        resets, self.resets = self.resets, 0
-        return resets
+    def reset_step(self) -> str | None:
+        """The step of position or velocity that came with a reset of the estimator, in words.
 
-    # -- memories --
+        ODOMETRY has one counter for resets of position, velocity and heading; the heading alone is no reason
+        to stop.
+        """
+        if self._reset_us is None:
+            return None
+        c = self.config
+        for t_us, position_m, velocity_m_s in self._steps:
+            large = position_m > c.reset_position_m or velocity_m_s > c.reset_velocity_m_s
+            if large and abs(t_us - self._reset_us) <= _RESET_REACH_US:
+                return f"by {position_m:.2f} m and {velocity_m_s:.2f} m/s"
+        if self.state.now_us - self._reset_us > _RESET_REACH_US:
+            self._reset_us = None
+        return None
 
     def _since_impact_us(self) -> float:
         return math.inf if self.impact_us is None else self.state.now_us - self.impact_us
@@ -194,17 +208,18 @@ class View:
         if before is None or item.t_us - before.t_us > _JUMP_REACH_US or self.shaken:
             return
         dt = (item.t_us - before.t_us) * 1e-6
-        step = math.dist(item.position_ned, _carried(before, item, dt))
-        if step > self.config.position_jump_m:
-            self.jump = f"position by {step:.2f} m"
-        step = math.dist(item.velocity_ned, before.velocity_ned)
-        if step > self.config.velocity_jump_m_s:
-            self.jump = f"velocity by {step:.2f} m/s"
+        away_m = math.dist(item.position_ned, _carried(before, item, dt))
+        faster_m_s = math.dist(item.velocity_ned, before.velocity_ned)
+        self._steps.append((item.t_us, away_m, faster_m_s))
+        if away_m > self.config.position_jump_m:
+            self.jump = f"position by {away_m:.2f} m"
+        if faster_m_s > self.config.velocity_jump_m_s:
+            self.jump = f"velocity by {faster_m_s:.2f} m/s"
 
     def _see_estimator(self, item: EstimatorSample) -> None:
         if item.reset_counter is not None:
-            if self._reset_counter is not None and item.reset_counter != self._reset_counter:
-                self.resets += not self.shaken
+            if self._reset_counter not in (None, item.reset_counter) and not self.shaken:
+                self._reset_us = self.state.now_us
             self._reset_counter = item.reset_counter
         if item.healthy is not None:
             self._estimator_bad = not item.healthy

@@ -130,6 +130,9 @@ def estimator_reset(c: HandFedCore) -> None:
     c.to_flight()
     c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
     c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
+    north, east, down = c.position_ned
+    c.position_ned = (north + 0.08, east, down)
+    c.run(0.05)
 
 
 @cause
@@ -364,6 +367,19 @@ def test_nothing_fires_in_a_quiet_flight() -> None:
     c.to_flight()
     c.run(1.0)
     assert not fired(c)
+
+
+def test_a_reset_of_the_heading_alone_is_none() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
+    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
+    c.run(0.3)
+    # Long after it, a step too small for `estimator_jump` has nothing to do with it.
+    north, east, down = c.position_ned
+    c.position_ned = (north + 0.08, east, down)
+    c.run(0.1)
+    assert fired(c) == []
 
 
 @pytest.mark.parametrize("name", ["estimator_jump", "estimator_reset", "estimator_flags"])

@@ -88,6 +88,20 @@ def test_the_log_describes_itself(flight: Log, single_wall: Mission) -> None:
         assert about[key], key
 
 
+def test_a_log_from_before_a_key_takes_its_default(flight: Log, single_wall: Mission) -> None:
+    about = dict(flight.about)
+    for name in ("flown", "vehicle"):
+        older = msgspec.json.decode(about[name])
+        del (older["vehicle"] if name == "flown" else older)["guard"]["reset_position_m"]
+        about[name] = msgspec.json.encode(older).decode()
+    assert flown_mission(about, "log") == single_wall
+    as_written = parse_written(*written_mission(about, "log"))
+    assert as_written.vehicle == single_wall.vehicle
+    damaged = {**about, "flown": "[]"}
+    with pytest.raises(InputError, match="damaged"):
+        flown_mission(damaged, "log")
+
+
 def test_nothing_is_read_from_the_disk_but_the_log(flight_path: Path, tmp_path: Path) -> None:
     """The mission and configuration files may be gone."""
     log = read_log(flight_path)
