@@ -36,6 +36,9 @@ campaign: $(STAMP)
 wheels: $(STAMP)  # needs the network
 	$(BIN)/python -m tools.check_wheels
 
+docs: $(STAMP)  # the parts of docs/ that the software writes itself
+	$(BIN)/python -m tools.generated
+
 format: $(STAMP)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .

@@ -1,16 +1,8 @@
-"""Writes the table of faults into `docs/faults.md`.
-
-python -m tools.fault_table
-"""
+"""The table of faults for `docs/faults.md` (`tools/generated.py`)."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from dart_flight.sim.faults import KINDS
-
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "faults.md"
-BEGIN, END = "<!-- begin: python -m tools.fault_table -->\n", "<!-- end -->"
 
 
 def table() -> str:
@@ -21,17 +13,3 @@ def table() -> str:
         default = f"{kind.value:g}" if kind.unit else "-"
         rows.append(f"| `{kind.name}` | {kind.what} | {kind.place.value} | {value} | {default} |")
     return "\n".join(rows) + "\n"
-
-
-def with_table(page: str) -> str:
-    """The page with today's table between its marks.
-
-    Raises:
-        ValueError: the marks are not there.
-    """
-    start, end = page.index(BEGIN) + len(BEGIN), page.index(END)
-    return f"{page[:start]}{table()}{page[end:]}"
-
-
-if __name__ == "__main__":
-    PAGE.write_text(with_table(PAGE.read_text()))

@@ -1,6 +1,4 @@
-"""Writes the tables of keys into `docs/missions.md` and `docs/configuration.md`, from the schemas.
-
-python -m tools.key_tables
+"""The tables of keys for `docs/missions.md` and `docs/configuration.md`, from the schemas.
 
 Mission and scenario: one table per section, descriptions from the types. Configuration: one row per key of
 `configs/dart.yaml`, with its value there and the comment beside it.
@@ -10,22 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from dart_flight.config.document import Document, dotted
-from tools.export_schemas import CONFIGURATION, ROOT, Schema, comments, schemas
-
-MISSIONS, CONFIGURATION_PAGE = ROOT / "docs" / "missions.md", ROOT / "docs" / "configuration.md"
-_MARK = re.compile(r"(<!-- begin: python -m tools\.key_tables (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
-
-
-def with_tables(page: str) -> str:
-    """The page with today's tables between its marks."""
-    return _MARK.sub(lambda mark: mark[1] + _TABLES[mark[2]]() + mark[3], page)
-
+from tools.schemas import CONFIGURATION, Schema, comments, schemas
 
 # --- mission and scenario ------------------------------------------------------------------------------
 
@@ -159,12 +147,3 @@ def _lookup(schema: Schema, key: tuple[str | int, ...]) -> Schema:
             here = schema["$defs"][_target(reference)]
         here = here["properties"][part] if "properties" in here else here["additionalProperties"]
     return here
-
-
-_TABLES = {"mission": mission_tables, "scenario": scenario_tables, "configuration": configuration_table}
-
-
-if __name__ == "__main__":
-    for path in (MISSIONS, CONFIGURATION_PAGE):
-        page: Path = path
-        page.write_text(with_tables(page.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,16 +1,8 @@
-"""Writes the mission's state diagram, from the table in `flight/phases.py`, into `docs/mission_phases.md`.
-
-python -m tools.phase_diagram
-"""
+"""The mission's state diagram for `docs/mission_phases.md`, from `flight/phases.py`."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from dart_flight.flight.phases import TRANSITIONS, Event, Phase
-
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "mission_phases.md"
-BEGIN, END = "<!-- begin: python -m tools.phase_diagram -->\n", "<!-- end -->"
 
 
 def diagram() -> str:
@@ -33,17 +25,3 @@ def diagram() -> str:
         for target in targets
     ]
     return "```mermaid\n" + "\n".join(lines) + "\n```\n\n" + "\n".join(ways) + "\n"
-
-
-def with_diagram(page: str) -> str:
-    """The page with the diagram of today's table between its marks.
-
-    Raises:
-        ValueError: the marks are not there.
-    """
-    start, end = page.index(BEGIN) + len(BEGIN), page.index(END)
-    return f"{page[:start]}{diagram()}{page[end:]}"
-
-
-if __name__ == "__main__":
-    PAGE.write_text(with_diagram(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

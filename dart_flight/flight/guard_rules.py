@@ -1,6 +1,6 @@
 """The one table of the guard's rules: name, what it says, threshold, action, who judges it.
 
-`guard` iterates over it; `docs/guard.md` is generated from it (`python -m tools.guard_table`). A rule with a
+`guard` iterates over it; `docs/guard.md` is generated from it (`python -m tools.generated`). A rule with a
 `cause` is judged here at every step of its `scope`; one without is reported by name by who knows the plan
 (the executive) or the fault (the core). Nothing outside of this table can overrule the mission.
 """

@@ -1,6 +1,6 @@
 """The mission as a state machine: phases, events, and the one table that says what follows what.
 
-`docs/mission_phases.md` is generated from the table (`python -m tools.phase_diagram`). Only `Executive`
+`docs/mission_phases.md` is generated from the table (`python -m tools.generated`). Only `Executive`
 changes the phase, and only through `TRANSITIONS`.
 """
 

@@ -8,7 +8,7 @@ import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from dart_flight.config.scenario import load_scenario
 from dart_flight.config.vehicle import Material, VehicleConfig, load_vehicle
 from dart_flight.flight.phases import Phase
 from tests.docs.snippets import PAGES, ROOT, Block, blocks
-from tools import concept_figures, key_tables, phase_diagram, wiring_drawing
+from tools import concept_figures, generated, wiring_drawing
 
 ALL = [block for page in PAGES for block in blocks(page)]
 LANGUAGES = {"", "sh", "yaml", "json", "ini", "mermaid", "python"}
@@ -39,28 +39,25 @@ def test_every_block_is_of_a_kind_that_is_checked() -> None:
 # --- generated -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("page", "generate"),
-    [
-        (phase_diagram.PAGE, phase_diagram.with_diagram),
-        (key_tables.MISSIONS, key_tables.with_tables),
-        (key_tables.CONFIGURATION_PAGE, key_tables.with_tables),
-    ],
-    ids=["phase_diagram", "key_tables missions", "key_tables configuration"],
-)
-def test_the_generated_part_is_up_to_date(page: Path, generate: Callable[[str], str]) -> None:
+@pytest.mark.parametrize("page", generated.pages(), ids=lambda page: page.name)
+def test_the_generated_parts_are_up_to_date(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    assert text == generate(text), f"run python -m {generate.__module__}"
+    assert text == generated.current(text), "run python -m tools.generated"
+
+
+def test_every_generated_part_has_its_place() -> None:
+    places = [name for names in generated.pages().values() for name in names]
+    assert sorted(places) == sorted(generated.PARTS)
 
 
 def test_every_phase_is_explained() -> None:
-    page = phase_diagram.PAGE.read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "mission_phases.md").read_text(encoding="utf-8")
     for phase in Phase:
         assert f"| `{phase}` |" in page
 
 
 def test_every_key_is_in_the_tables() -> None:
-    page = key_tables.CONFIGURATION_PAGE.read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
     document = Document.load(ROOT / "configs" / "dart.yaml")
     for key in document.lines:
         if key and not isinstance(key[-1], int):

@@ -13,7 +13,6 @@ from dart_flight.flights import fly_fast, load_flyable
 from dart_flight.samples import GuardEvent, Record, StatusSample
 from dart_flight.sim.faults import KINDS, Fault, parse_fault
 from dart_flight.sim.impairment import Impairment, LossyLink
-from tools import fault_table
 from tools.campaign_faults import PHASES, came_of, cell, expected, random_flight
 
 ROOT = Path(__file__).parents[2]
@@ -100,8 +99,3 @@ def test_a_lossy_link_does_what_it_says() -> None:
     assert sorted(mixed + rest) == list(range(2000))
     assert mixed != sorted(mixed)
     assert through(Impairment(down=True)) == ([], [])
-
-
-def test_the_page_shows_the_table_as_it_is() -> None:
-    page = fault_table.PAGE.read_text()
-    assert page == fault_table.with_table(page), "run python -m tools.fault_table"

@@ -27,7 +27,6 @@ from dart_flight.samples import (
     VehicleCommand,
 )
 from tests.flight.conftest import TELEPORTING, HandFedCore
-from tools import guard_table
 
 CAUSES: dict[str, Callable[[HandFedCore], object]] = {}
 
@@ -457,8 +456,3 @@ def test_thresholds_named_in_the_table_exist() -> None:
                 continue
             section, name = key.split(".")
             assert name in {f.name for f in msgspec.structs.fields(places[section])}, key
-
-
-def test_the_page_shows_the_table_as_it_is() -> None:
-    page = guard_table.PAGE.read_text()
-    assert page == guard_table.with_table(page), "run python -m tools.guard_table"

@@ -1,4 +1,4 @@
-"""docs/log.md and the Foxglove layout say what is in a log."""
+"""The Foxglove layout names what is in a log."""
 
 from __future__ import annotations
 
@@ -11,16 +11,9 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 
-from tools import log_page
-
 DOCS = Path(__file__).parents[2] / "docs"
 LAYOUT = json.loads((DOCS / "foxglove_layout.json").read_text())
 PATH = re.compile(r"^(/[a-z_/]+)((?:\.[a-z_]+(?:\[\d+\])?)*)$")
-
-
-def test_the_page_is_current() -> None:
-    page = log_page.PAGE.read_text(encoding="utf-8")
-    assert page == log_page.with_tables(page), "run python -m tools.log_page"
 
 
 def test_every_panel_of_the_layout_is_shown_once() -> None:

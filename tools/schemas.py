@@ -1,6 +1,4 @@
-"""Writes the JSON Schemas of mission, scenario and configuration from the types that the loader uses.
-
-python -m tools.export_schemas
+"""The JSON Schemas of mission, scenario and configuration, from the types that the loader uses.
 
 JSON Schema draft 7, because that is what editors' YAML support understands fully. Descriptions are the
 types' docstrings: the summary for a section, its `Attributes:` for the keys; for keys of the configuration
@@ -140,7 +138,8 @@ def _describe(schema: Schema, key: Key, text: str) -> None:
         schema["$defs"][struct]["properties"][key[-1]].setdefault("description", text)
 
 
-if __name__ == "__main__":
+def write() -> None:
+    """Write the files of docs/schemas."""
     FOLDER.mkdir(exist_ok=True)
     for name, schema in schemas().items():
         (FOLDER / name).write_text(text_of(schema), encoding="utf-8")

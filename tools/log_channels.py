@@ -1,17 +1,10 @@
-"""Writes the tables of channels into `docs/log.md`, from the schemas that every log carries.
-
-python -m tools.log_page
-"""
+"""The tables of channels for `docs/log.md`, from the schemas that every log carries."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 from dart_flight.recording.schema import INPUTS, NOTES, OUTPUTS, schema
 from dart_flight.samples import Record
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "log.md"
-BEGIN, END = "<!-- begin: python -m tools.log_page -->\n", "<!-- end -->"
 _GROUPS = (
     ("Inputs of the flight core", INPUTS),
     ("Outputs of the flight core", OUTPUTS),
@@ -38,17 +31,3 @@ def _channel(kind: type[Record]) -> list[str]:
         meaning = value.get("description", "").replace("|", "\\|")
         lines.append(f"| `{name}` | {type_} | {meaning} |")
     return [*lines, ""]
-
-
-def with_tables(page: str) -> str:
-    """The page with today's tables between its marks.
-
-    Raises:
-        ValueError: the marks are not there.
-    """
-    start, end = page.index(BEGIN) + len(BEGIN), page.index(END)
-    return f"{page[:start]}{tables()}{page[end:]}"
-
-
-if __name__ == "__main__":
-    PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
