@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 MISSION ?= missions/dual_collision.yaml
 
-.PHONY: dry-run test bench campaign wheels format lint types clean
+.PHONY: dry-run test bench campaign wheels docs format clean
 .DEFAULT_GOAL := test
 
 $(STAMP): pyproject.toml constraints.txt
