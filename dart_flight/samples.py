@@ -257,6 +257,7 @@ class VehicleAction(StrEnum):
     HOLD = "hold"
     LAND = "land"
     DISARM = "disarm"
+    KILL = "kill"  # disarms whether or not PX4 believes itself on the ground
 
 
 class VehicleCommand(Record, frozen=True, gc=False):

@@ -48,6 +48,7 @@ PHASES = ("take-off", "approach", "contact", "recovery", "goal")
 MISSIONS = ("dual_collision", "single_wall")
 _LANDING_M_S = 1.5
 _TILT_DEG = 80.0
+_DOWN_M = 0.2  # lying on its side the vehicle's centre is this high
 _STILL_M_S = 0.3
 
 
@@ -199,7 +200,7 @@ def _judge(flight: FastFlight, watch: _Watch, fault: Fault, outcome: str, rule: 
         held = a.mode in (FlightMode.MANUAL, FlightMode.HOLD) and speed < _STILL_M_S
         if not (outcome == "released" and held):
             yield f"still armed in {a.mode.value} at {speed:.2f} m/s"
-    elif watch.last is not None and watch.last.position_mission[2] > 0.1:
+    elif watch.last is not None and watch.last.position_mission[2] > _DOWN_M:
         yield "disarmed in the air"
     if outcome != "completed" and not rule:
         yield "nobody says why"

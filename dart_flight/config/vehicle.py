@@ -213,6 +213,7 @@ class Guard(Section, frozen=True):
     battery_remaining: Fraction
     battery_v: NotNegative
     battery_low_s: NotNegative
+    kill_after_s: Positive | None
     force_margin: Annotated[float, Meta(ge=1.0)]
     wall_late_s: Positive
     wall_early_m: Positive

@@ -2,8 +2,8 @@
 
 `review` is the last stage of every step. It judges the rules of `guard_rules` at every step; the executive
 and the core report by name what only they can know (`latch`). An override latches, in the order release >
-land > hold > break off; from then on the mission's set-points and commands go nowhere and the guard flies:
-it needs nothing of the executive.
+kill > land > hold > break off; from then on the mission's set-points and commands go nowhere and the guard
+flies: it needs nothing of the executive.
 """
 
 from __future__ import annotations
@@ -52,6 +52,8 @@ class Guard:
             for phase in Phase
         }
         self._view = View(mission)
+        # A landing is waited for until the motors would have been stopped.
+        self._landing_us = max(_LANDING_US, round(2e6 * (self._view.surely_down_s or 0.0)))
         self.action = Action.NONE
         self.reason: str | None = None
         self._rule: Rule | None = None
@@ -81,8 +83,9 @@ class Guard:
         out.append(GuardEvent(state.now_us, rule.name, rule.action.name.lower(), detail))
         if rule.action is Action.GIVE_UP:
             return True  # the executive ends the mission: nothing has left the ground
+        if rule.action is not Action.KILL or self.reason is None:  # the reason is what the landing began with
+            self.reason = f"{rule.name}: {detail}" if detail else rule.name
         self.action, self._rule = rule.action, rule
-        self.reason = f"{rule.name}: {detail}" if detail else rule.name
         self._since_us = state.now_us
         self._asked_us = None
         self._hold = None
@@ -134,9 +137,13 @@ class Guard:
             outcome = "released" if self._rule is not None and self._rule.by_person else "aborted"
             self.end = MissionEnd(state.now_us, outcome, self.reason, None)
             return
-        down = not state.status.armed and (state.on_ground or not self._view.was_offboard)
-        if down or state.now_us - self._since_us > _LANDING_US:
+        killed = self.action is Action.KILL
+        down = not state.status.armed and (state.on_ground or killed or not self._view.was_offboard)
+        if down or state.now_us - self._since_us > self._landing_us:
             self.end = MissionEnd(state.now_us, "aborted", self.reason, None)
+            return
+        if killed:
+            self._ask(VehicleAction.KILL, state, out)
             return
         if self.action is Action.LAND:
             self._land(state, out)

@@ -32,7 +32,8 @@ class Action(IntEnum):
     BREAK_OFF = 2  # away from the wall, hold, land
     HOLD = 3  # stop here, then land
     LAND = 4
-    RELEASE = 5  # silence: somebody else flies
+    KILL = 5  # motors off, whatever PX4 believes
+    RELEASE = 6  # silence: somebody else flies
 
 
 class Scope(StrEnum):
@@ -149,6 +150,11 @@ def _estimator_reset(v: View) -> str | None:
 def _estimator_flags(v: View) -> str | None:
     lasting = v.lasting_s(v.flags_bad_since_us)
     return f"no valid estimate for {lasting:.1f} s" if lasting > v.config.estimator_bad_s else None
+
+
+def _still_armed(v: View) -> str | None:
+    lasting, limit = v.lasting_s(v.landing_since_us), v.surely_down_s
+    return f"after {lasting:.0f} s in land mode" if limit is not None and lasting > limit else None
 
 
 def _battery(v: View) -> str | None:
@@ -327,6 +333,13 @@ RULES: tuple[Rule, ...] = (
         "guard.battery_remaining, guard.battery_v, guard.battery_low_s",
         _A.LAND,
         cause=_battery,
+    ),
+    Rule(
+        "still_armed",
+        "in PX4's land mode and still armed long after a landing must have ended",
+        "guard.kill_after_s, bounds_m.z",
+        _A.KILL,
+        cause=_still_armed,
     ),
     Rule("tilt", "tilted further than PX4 can be trusted to right", "guard.tilt_deg", _A.LAND, cause=_tilt),
     Rule(

@@ -37,6 +37,7 @@ _RATE_WINDOW_US = 1_000_000
 _CLIP_SHARE = 0.99
 _JUMP_REACH_US = 100_000  # odometry further apart says nothing about a jump
 _RESET_REACH_US = 100_000  # a step this near to a reset came with it
+_SURELY_DOWN = 3.0  # times the way down from the top of the flight space
 _STEPS = 16  # odometry of more than twice that reach
 _STAMPED: dict[type, str] = {
     ImuSample: "imu",
@@ -66,6 +67,7 @@ class View:
         self.clipped_since_us: int | None = None
         self.battery_low_since_us: int | None = None
         self.flags_bad_since_us: int | None = None
+        self.landing_since_us: int | None = None  # in land mode and armed
         self.jump: str = ""
         self._reset_us: int | None = None  # the estimator's last reset, outside of the window after an impact
         self._steps: deque[tuple[int, float, float]] = deque(maxlen=_STEPS)  # stamp, position m, velocity m/s
@@ -152,6 +154,14 @@ class View:
                 share = min(share, max(0.0, here / (here - there)))
         return (x + share * dx, y + share * dy)
 
+    @property
+    def surely_down_s(self) -> float | None:
+        """After this long in land mode a vehicle is down, whatever its estimator says; None: never so."""
+        if self.config.kill_after_s is None:
+            return None
+        way_down_s = self.mission.bounds.z[1] / self.mission.vehicle.px4.mpc_land_speed
+        return max(self.config.kill_after_s, _SURELY_DOWN * way_down_s)
+
     def reset_step(self) -> str | None:
         """The step of position or velocity that came with a reset of the estimator, in words.
 
@@ -228,6 +238,8 @@ class View:
         if item.flight_mode is FlightMode.OFFBOARD:
             self.was_offboard = True
         self.was_armed = self.was_armed or item.armed
+        landing = item.armed and item.flight_mode is FlightMode.LAND
+        self.landing_since_us = (self.landing_since_us or self.state.now_us) if landing else None
         low = (
             item.battery_remaining is not None and item.battery_remaining < self.config.battery_remaining
         ) or (item.battery_v is not None and item.battery_v < self.config.battery_v)

@@ -267,8 +267,8 @@ class FastFlight:
         a = self.autopilot
         if action is VehicleAction.ARM:
             ok = a.arm()
-        elif action is VehicleAction.DISARM:
-            ok = a.disarm()
+        elif action in (VehicleAction.DISARM, VehicleAction.KILL):
+            ok = a.disarm(force=action is VehicleAction.KILL)
         else:
             modes = {
                 VehicleAction.OFFBOARD: FlightMode.OFFBOARD,

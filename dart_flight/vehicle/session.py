@@ -331,6 +331,7 @@ class VehicleSession:
             VehicleAction.HOLD: self._action.hold_async,
             VehicleAction.LAND: self._action.land_async,
             VehicleAction.DISARM: self._action.disarm_async,
+            VehicleAction.KILL: self._action.kill_async,
         }
         # Callbacks and not the blocking calls: those never return once the connection is closed under them.
         loop = asyncio.get_running_loop()

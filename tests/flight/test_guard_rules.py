@@ -21,9 +21,11 @@ from dart_flight.samples import (
     MissionEnd,
     Mode,
     OperatorRequest,
+    Output,
     SetPoint,
     Silence,
     StatusText,
+    VehicleAction,
     VehicleCommand,
 )
 from tests.flight.conftest import TELEPORTING, HandFedCore
@@ -139,6 +141,15 @@ def estimator_flags(c: HandFedCore) -> None:
     c.to_flight()
     c.give(EstimatorSample(c.t_us, c.t_us, healthy=False))
     c.run(0.4)
+
+
+@cause
+def still_armed(c: HandFedCore) -> None:
+    c.to_flight()
+    c.set_status(battery_v=12.9)
+    c.run(1.2)
+    c.set_status(flight_mode=FlightMode.LAND, battery_v=15.0)
+    c.run(46.0)
 
 
 @cause
@@ -366,6 +377,23 @@ def test_nothing_fires_in_a_quiet_flight() -> None:
     c.to_flight()
     c.run(1.0)
     assert not fired(c)
+
+
+def test_motors_are_stopped_only_long_after_a_landing_must_have_ended() -> None:
+    def killed(outputs: list[Output]) -> bool:
+        return any(isinstance(o, VehicleCommand) and o.action is VehicleAction.KILL for o in outputs)
+
+    c = HandFedCore()
+    c.to_flight()
+    c.set_status(battery_v=12.9)
+    c.run(1.2)
+    c.set_status(flight_mode=FlightMode.LAND)
+    assert not killed(c.run(43.0))
+    assert killed(c.run(3.0))
+    c.set_status(armed=False)
+    c.run(0.1)
+    assert c.core.end is not None
+    assert c.core.end.outcome == "aborted"
 
 
 def test_a_reset_of_the_heading_alone_is_none() -> None:
