@@ -184,7 +184,8 @@ class Watcher:
 async def _raise_rates(watcher: Watcher, session: VehicleSession) -> None:
     """Ask for the streams that come at less than a mission needs."""
     await asyncio.sleep(1.5 * _RATE_WINDOW_S)
-    await session.set_rates([s.name for s in watcher.view().streams if s.rate_hz < s.expected_hz])
+    slow = [s.name for s in watcher.view().streams if s.rate_hz < s.expected_hz]
+    await session.set_rates(slow, watching=True)
 
 
 async def watch(

@@ -24,6 +24,11 @@ class Stream(msgspec.Struct, frozen=True):
     rate_hz: float
     expected_hz: float
 
+    @property
+    def watched_hz(self) -> float:
+        """Rate asked for by somebody who only watches: all of the IMU, of others little more than needed."""
+        return self.rate_hz if self.name == "imu" else min(self.rate_hz, 62.5)
+
 
 STREAMS: tuple[Stream, ...] = (
     Stream("imu", "HIGHRES_IMU", 250.0, 150.0),

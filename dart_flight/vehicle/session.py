@@ -168,11 +168,12 @@ class VehicleSession:
             d.subscribe_message("ODOMETRY", self._on_raw_odometry)
             d.subscribe_message("ESTIMATOR_STATUS", self._on_estimator_status)
 
-    async def set_rates(self, names: Collection[str] | None = None) -> list[str]:
+    async def set_rates(self, names: Collection[str] | None = None, watching: bool = False) -> list[str]:
         """Ask for the rates of the table; returns the names of the streams that were refused.
 
         Args:
             names: only of these of the table; None: all. Further ones subscribed to are always asked for.
+            watching: no faster than somebody needs who only watches.
         """
         t = self._telemetry
         calls = {
@@ -187,7 +188,8 @@ class VehicleSession:
             if names is not None and stream.name not in names:
                 continue
             try:
-                await asyncio.to_thread(calls[stream.name], stream.rate_hz)
+                rate_hz = stream.watched_hz if watching else stream.rate_hz
+                await asyncio.to_thread(calls[stream.name], rate_hz)
             except Exception:
                 refused.append(stream.name)
         for stream in self._extra:
