@@ -153,8 +153,8 @@ def _estimator_flags(v: View) -> str | None:
 
 
 def _still_armed(v: View) -> str | None:
-    lasting, limit = v.lasting_s(v.landing_since_us), v.surely_down_s
-    return f"after {lasting:.0f} s in land mode" if limit is not None and lasting > limit else None
+    limit = v.surely_down_s
+    return f"after {v.landing_s:.0f} s in land mode" if limit is not None and v.landing_s > limit else None
 
 
 def _battery(v: View) -> str | None:

@@ -67,7 +67,9 @@ class View:
         self.clipped_since_us: int | None = None
         self.battery_low_since_us: int | None = None
         self.flags_bad_since_us: int | None = None
-        self.landing_since_us: int | None = None  # in land mode and armed
+        self._landing_since_us: tuple[int, int] | None = (
+            None  # in land mode and armed: autopilot's, host's time
+        )
         self.jump: str = ""
         self._reset_us: int | None = None  # the estimator's last reset, outside of the window after an impact
         self._steps: deque[tuple[int, float, float]] = deque(maxlen=_STEPS)  # stamp, position m, velocity m/s
@@ -155,6 +157,17 @@ class View:
         return (x + share * dx, y + share * dy)
 
     @property
+    def landing_s(self) -> float:
+        """How long the vehicle has been in land mode and armed, seconds.
+
+        By the autopilot's time and by the host's: stamps that jump must not stop motors in the air.
+        """
+        if self._landing_since_us is None:
+            return 0.0
+        autopilot_us, host_us = self._landing_since_us
+        return min(self.state.now_us - autopilot_us, self.state.host_us - host_us) * 1e-6
+
+    @property
     def surely_down_s(self) -> float | None:
         """After this long in land mode a vehicle is down, whatever its estimator says; None: never so."""
         if self.config.kill_after_s is None:
@@ -238,8 +251,10 @@ class View:
         if item.flight_mode is FlightMode.OFFBOARD:
             self.was_offboard = True
         self.was_armed = self.was_armed or item.armed
-        landing = item.armed and item.flight_mode is FlightMode.LAND
-        self.landing_since_us = (self.landing_since_us or self.state.now_us) if landing else None
+        if not (item.armed and item.flight_mode is FlightMode.LAND):
+            self._landing_since_us = None
+        elif self._landing_since_us is None:
+            self._landing_since_us = (self.state.now_us, self.state.host_us)
         low = (
             item.battery_remaining is not None and item.battery_remaining < self.config.battery_remaining
         ) or (item.battery_v is not None and item.battery_v < self.config.battery_v)
