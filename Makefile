@@ -28,16 +28,16 @@ test: $(STAMP)
 	$(BIN)/pytest -m 'mavlink or px4' -rs --reruns 1
 
 bench: $(STAMP)
-	$(BIN)/python -m tools.bench
+	$(BIN)/python -m tools.bench.__main__
 
 campaign: $(STAMP)
-	$(BIN)/python -m tools.campaign
+	$(BIN)/python -m tools.campaigns.__main__
 
 wheels: $(STAMP)  # needs the network
 	$(BIN)/python -m tools.check_wheels
 
 docs: $(STAMP)  # the parts of docs/ that the software writes itself
-	$(BIN)/python -m tools.generated
+	$(BIN)/python -m tools.docs.generated
 
 format: $(STAMP)
 	$(BIN)/ruff format .

@@ -12,11 +12,10 @@ from typing import Any
 import msgspec
 
 from dart_flight.config.mission import Collision, Mission
-from dart_flight.contact.collision_map import collide
+from dart_flight.contact.contact_map import collide
 from dart_flight.contact.law import Onset
-from dart_flight.flight.phases import ON_GROUND, Phase
+from dart_flight.core.mission.phases import ON_GROUND, Phase
 from dart_flight.geometry import MissionFrame, Vec3, tilt_of
-from dart_flight.recording.px4_log import Px4Figures
 from dart_flight.samples import (
     AttitudeSample,
     ContactEnd,
@@ -80,6 +79,24 @@ class GuardVerdict(msgspec.Struct):
     rule: str
     action: str
     detail: str
+
+
+class Px4Figures(msgspec.Struct):
+    """A flight by PX4's log, while armed.
+
+    Attributes:
+        version: of PX4, as it told; None where it did not.
+        ekf_resets: of position and velocity.
+        clipped_samples: accelerometer samples at full scale, sum of the three axes.
+        failsafe: whether PX4 was in a failsafe.
+        attitude_failure: whether its failure detector saw one.
+    """
+
+    version: str | None = None
+    ekf_resets: int | None = None
+    clipped_samples: int | None = None
+    failsafe: bool | None = None
+    attitude_failure: bool | None = None
 
 
 class Verdict(msgspec.Struct):

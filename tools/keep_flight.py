@@ -14,10 +14,10 @@ from pathlib import Path
 import msgspec
 
 from dart_flight.recording.reader import Log, read_log
-from dart_flight.recording.replay import WITHOUT
 from dart_flight.recording.schema import INPUTS, OUTPUTS
 from dart_flight.recording.writer import LogPart
 from dart_flight.samples import ContactEnd, ForceEstimate
+from dart_flight.worlds.replay import WITHOUT
 
 _AFTER_US = 2_000_000
 

@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 from typing import IO
 
-from dart_flight.sim.impairment import Impairment, LossyLink
+from dart_flight.sim.faults.impairment import Impairment, LossyLink
 
 SET_POSITION_TARGET_LOCAL_NED = 84
 _IDLE_S = 0.05

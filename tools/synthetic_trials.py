@@ -16,11 +16,11 @@ import numpy as np
 from dart_flight.config import Coefficients, load_vehicle
 from dart_flight.config.vehicle import packaged
 from dart_flight.contact.coefficients import Array
-from dart_flight.contact.collision_map import drop
-from dart_flight.contact.course import Contact, trajectory
+from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
-from dart_flight.contact.trials import Series, Trial
+from dart_flight.contact.path import Contact, trajectory
 from dart_flight.geometry import GRAVITY_M_S2
+from dart_flight.identify.trials import Series, Trial
 from dart_flight.samples import Mode
 
 MASS_KG = 1.3

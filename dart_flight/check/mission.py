@@ -6,8 +6,8 @@ import math
 
 from dart_flight.check.findings import Finding
 from dart_flight.config.mission import Collision, Mission
-from dart_flight.flight.recovery import recovery_point
-from dart_flight.planning.approach import NoApproachError, plan_approach
+from dart_flight.core.mission.approach import NoApproachError, plan_approach
+from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.planning.envelope import (
     clipping_warning,
     expected_hit,

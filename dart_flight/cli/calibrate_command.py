@@ -8,12 +8,12 @@ from pathlib import Path
 
 from rich.table import Table
 
-from dart_flight.calibration import ThrustCalibration, calibrate_thrust, read_track
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.config import InputError, default_config_path, load_vehicle
 from dart_flight.config.document import Key
 from dart_flight.config.edit import write_values
 from dart_flight.config.vehicle import packaged
+from dart_flight.identify.thrust_curve import ThrustCalibration, calibrate_thrust, read_track
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

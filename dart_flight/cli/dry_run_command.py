@@ -16,7 +16,10 @@ from dart_flight.cli.px4_options import add_px4_options, gps_of, gps_warnings
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
-from dart_flight.flights import (
+from dart_flight.planning.envelope import impact_warnings
+from dart_flight.sim.faults.kinds import parse_fault
+from dart_flight.verdict import Verdict
+from dart_flight.worlds.flights import (
     fly_embedded,
     fly_fast,
     fly_fast_many,
@@ -26,9 +29,6 @@ from dart_flight.flights import (
     with_driver,
     with_standoff,
 )
-from dart_flight.planning.envelope import impact_warnings
-from dart_flight.sim.faults import parse_fault
-from dart_flight.verdict import Verdict
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

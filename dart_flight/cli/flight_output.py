@@ -5,7 +5,6 @@ from __future__ import annotations
 from rich.console import Console
 from rich.table import Table
 
-from dart_flight.flights import Summary
 from dart_flight.samples import (
     ContactEnd,
     GoalPassed,
@@ -19,6 +18,7 @@ from dart_flight.samples import (
     StatusText,
 )
 from dart_flight.verdict import CollisionVerdict, Velocities, Verdict
+from dart_flight.worlds.flights import Summary
 
 
 class FlightLines:

@@ -61,8 +61,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, fit, print, write."""
     from dart_flight.config.vehicle import load_vehicle
-    from dart_flight.contact import identification
     from dart_flight.contact.law import Onset
+    from dart_flight.identify import job as identification
 
     paths = list(arguments.trials)
     drop = arguments.drop
@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     if arguments.output and not arguments.surface:
         raise InputError("-o needs --surface, the name of the entry", key=("output",))
-    from dart_flight.recording.trials import readers
+    from dart_flight.identify.flight_trials import readers
 
     trials, found = identification.carry_out(job, vehicle, readers(arguments.surface))
     for note in found.notes:
@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output:
         _write(arguments, found, vehicle)
     if arguments.plot:
-        from dart_flight.contact import plots
+        from dart_flight.report import contact_figures as plots
 
         plots.plot_fit(arguments.plot, trials, found, vehicle.airframe.mass_kg, job.onset)
     if arguments.json:
@@ -103,7 +103,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _write(arguments: argparse.Namespace, found: Any, vehicle: Any) -> None:
-    from dart_flight.contact.materials_entry import materials_entry
+    from dart_flight.identify.materials_entry import materials_entry
 
     entry = materials_entry(found, arguments.surface, vehicle)
     try:
@@ -116,7 +116,7 @@ def _write(arguments: argparse.Namespace, found: Any, vehicle: Any) -> None:
 def _print(found: Any) -> None:
     from rich.table import Table
 
-    from dart_flight.contact.identification import UNITS
+    from dart_flight.identify.job import UNITS
 
     for mode, coefficients in found.coefficients.items():
         table = Table(title=f"{mode}: coefficients with 95 % intervals")

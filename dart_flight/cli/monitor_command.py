@@ -12,7 +12,7 @@ from rich.table import Table
 from dart_flight.cli.terminal import emit_json, tables
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.monitor import View, Watcher, watch
+from dart_flight.worlds.monitor import View, Watcher, watch
 
 _PERIOD_S = 0.2
 _BAR_N, _BAR_WIDTH = 40.0, 24

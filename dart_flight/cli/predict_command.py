@@ -68,7 +68,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _plot(arguments: argparse.Namespace, what: Any) -> None:
-    from dart_flight.contact import paper, plots, prediction
+    from dart_flight.contact import prediction
+    from dart_flight.report import contact_figures as plots
+    from dart_flight.report import paper
 
     if arguments.drop is None:
         contact = prediction.wall_contact(what, *arguments.velocity)

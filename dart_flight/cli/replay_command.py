@@ -9,7 +9,7 @@ from rich.table import Table
 
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.recording.reader import read_log
-from dart_flight.recording.replay import Replay, decision_rows, replay
+from dart_flight.worlds.replay import Replay, decision_rows, replay
 
 _MOST_SHOWN = 40
 

@@ -17,7 +17,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Compute the tables and print or write them."""
     from dart_flight.config.vehicle import load_vehicle
-    from dart_flight.contact import paper
+    from dart_flight.report import paper
 
     vehicle = load_vehicle(arguments.config)
     for surface in (paper.DROP_SURFACE, paper.FLIGHT_SURFACE):

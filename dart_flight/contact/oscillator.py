@@ -1,6 +1,6 @@
 """A contact as a damped oscillator: entered, followed in time, and searched for its events.
 
-The terms are those of `dart_flight.contact.collision_map`, which this is the other half of: with V the speed
+The terms are those of `dart_flight.contact.contact_map`, which this is the other half of: with V the speed
 scale, the force is lx = m V omega (phi - alpha) and the normal velocity V xi', and phi, xi, xi' all solve
 z'' + 2 zeta z' + z = 0 in tau = omega t. Every damping from none to far above critical is covered.
 

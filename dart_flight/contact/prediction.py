@@ -13,9 +13,9 @@ import numpy as np
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
-from dart_flight.contact.collision_map import collide, collision_map, drop
-from dart_flight.contact.course import Contact
+from dart_flight.contact.contact_map import collide, collision_map, drop
 from dart_flight.contact.law import Onset, coefficients_in_force
+from dart_flight.contact.path import Contact
 from dart_flight.geometry import GRAVITY_M_S2
 from dart_flight.samples import Mode
 

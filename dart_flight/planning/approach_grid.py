@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.config.scenario import Scenario
+from dart_flight.core.mission.approach import CLEARANCE_M, ON_PLANE_M, PEAK_OVER_MEAN
 from dart_flight.geometry import Vec2, Wall
-from dart_flight.planning.approach import CLEARANCE_M, ON_PLANE_M, PEAK_OVER_MEAN
 from dart_flight.planning.constraints import Constraints, Refusal
 
 Array = NDArray[np.float64]

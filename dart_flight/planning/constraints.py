@@ -1,6 +1,6 @@
 """What a plan may not do: the reasons to refuse a candidate, and the tests behind them.
 
-The rules are those that the executive and the guard hold in flight (`dart_flight.flight`), so that a plan is
+The rules are those that the executive and the guard hold in flight (`dart_flight.core`), so that a plan is
 not broken off by them, and what the mission file limits.
 """
 
@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.config.scenario import Scenario
+from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S, least_distance_m
 from dart_flight.geometry import GRAVITY_M_S2, Vec2, Wall
-from dart_flight.planning.closed_loop import ATTITUDE_LAG_S, least_distance_m
 from dart_flight.planning.flight_model import Leg, Window
 
 Array = NDArray[np.float64]

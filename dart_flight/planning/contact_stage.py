@@ -4,7 +4,7 @@ The contact law alone (paper, Sec. IV-B) fixes the duration T, the moment t_p of
 the detector's rule, the moment t_e at which the recovery set-point replaces the old reference: all three
 depend on coefficients and mass, not on the speed. Between the onset and T:
 
-along the normal, with PX4's loop of `dart_flight.planning.closed_loop` acting on the same motion,
+along the normal, with PX4's loop of `dart_flight.core.mission.position_loop` acting on the same motion,
 
     x'' = -(k x + f x')/m + a - b x'
     a'  = (kv (kp (r - x) + w - x') + i + b w - kd x'' - a) / tau,      i' = ki (kp (r - x) + w - x')
@@ -18,7 +18,7 @@ controller, which sees u, adds its push d to it:
 lx along the wall, and so the peak of the friction force, is that of the contact law alone at the speed of the
 onset. Until
 t_e the reference is the old one (r, moving at w), from then on the recovery set-point
-(`dart_flight.flight.recovery`), which is a sum of the peaks. So the normal part is a constant matrix per
+(`core/mission/recovery.py`), which is a sum of the peaks. So the normal part is a constant matrix per
 material and mode, exact by the matrix exponential, and the part along the wall needs integrals of
 exp(-c (1 + xi')) only, by Gauss quadrature to about 1e-10.
 """
@@ -35,10 +35,10 @@ from numpy.typing import NDArray
 
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.contact.coefficients import CoefficientArrays
-from dart_flight.contact.collision_map import friction_per_speed
+from dart_flight.contact.contact_map import friction_per_speed
 from dart_flight.contact.law import Onset
 from dart_flight.contact.oscillator import Course, enter, falling_root, find_events, motion
-from dart_flight.planning.closed_loop import Loop
+from dart_flight.core.mission.position_loop import Loop
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from dart_flight.config.document import InputError
 from dart_flight.config.scenario import Objective, Scenario
+from dart_flight.core.mission.approach import transit_to
 from dart_flight.geometry import Vec2, distance2
-from dart_flight.planning.approach import transit_to
 from dart_flight.planning.approach_grid import ApproachGrid, straight_is_blocked
 from dart_flight.planning.constraints import ADVICE, REFUSALS, Constraints, Refusal
 from dart_flight.planning.flight_model import Array, FreeFlight, Rows

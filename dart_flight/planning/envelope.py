@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from dart_flight.config.mission import Collision, Mission
-from dart_flight.contact import collision_map
+from dart_flight.contact import contact_map as collision_map
 from dart_flight.contact.law import Onset
 
 FLOWN_UP_TO_M_S = 4.0  # normal speed: the sweep's end, survived in both modes

@@ -1,7 +1,7 @@
 """Free flight under PX4's position loop, exactly, for many candidates at once.
 
 Per mission axis, with p the position relative to the set-point, v, a the acceleration that the attitude has
-reached, i the velocity loop's integral, b the air drag and the gains of `dart_flight.planning.closed_loop`:
+reached, i the velocity loop's integral, b the air drag and the gains of `core/mission/position_loop.py`:
 
     p' = v,   v' = a - b v,   i' = ki (-kp p - v)
     a' = (kv (-kp p - v) + i - kd v' - a) / tau
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.planning.closed_loop import Loop
+from dart_flight.core.mission.position_loop import Loop
 from dart_flight.planning.contact_stage import expm
 
 Array = NDArray[np.float64]

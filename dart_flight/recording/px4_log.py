@@ -6,29 +6,11 @@ import itertools
 from pathlib import Path
 from typing import Any
 
-import msgspec
+from dart_flight.verdict import Px4Figures
 
 _ARMED = 2  # vehicle_status.arming_state
 _RESET_COUNTERS = ("xy_reset_counter", "z_reset_counter", "vxy_reset_counter", "vz_reset_counter")
 _TOPICS = ["vehicle_status", "vehicle_local_position", "vehicle_imu_status", "failure_detector_status"]
-
-
-class Px4Figures(msgspec.Struct):
-    """A flight by PX4's log, while armed.
-
-    Attributes:
-        version: of PX4, as it told; None where it did not.
-        ekf_resets: of position and velocity.
-        clipped_samples: accelerometer samples at full scale, sum of the three axes.
-        failsafe: whether PX4 was in a failsafe.
-        attitude_failure: whether its failure detector saw one.
-    """
-
-    version: str | None = None
-    ekf_resets: int | None = None
-    clipped_samples: int | None = None
-    failsafe: bool | None = None
-    attitude_failure: bool | None = None
 
 
 def read_px4_log(path: str | Path, version: str | None = None) -> Px4Figures:

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from dart_flight.config.document import InputError
-from dart_flight.flight.phases import Phase
-from dart_flight.recording.course import Array
+from dart_flight.core.mission.phases import Phase
+from dart_flight.recording.arrays import Array
 from dart_flight.report.flight import Flight, Impact
 from dart_flight.samples import ContactEnd, ImpactOnset, LockPermission, LockPhase, LockState, PhaseChange
 

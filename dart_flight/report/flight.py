@@ -10,13 +10,12 @@ import msgspec
 import numpy as np
 
 from dart_flight.config.mission import Collision, Mission
-from dart_flight.contact.course import Contact, Trajectory, trajectory
 from dart_flight.contact.law import Onset
+from dart_flight.contact.path import Contact, Trajectory, trajectory
 from dart_flight.geometry import Vec3
 from dart_flight.recording.about import flown_mission
-from dart_flight.recording.course import Array, Course
+from dart_flight.recording.arrays import Array, Course
 from dart_flight.recording.reader import Log, read_log
-from dart_flight.recording.replay import Replay, replay
 from dart_flight.report.planned import PlannedFlight, planned_flight
 from dart_flight.samples import (
     ClockOffset,
@@ -29,6 +28,7 @@ from dart_flight.samples import (
     TruthContact,
 )
 from dart_flight.verdict import CollisionVerdict, Velocities, Verdict, VerdictBuilder
+from dart_flight.worlds.replay import Replay, replay
 
 _STEP_S = 0.0005
 _SHOWN_BEFORE_S, _SHOWN_AFTER_S = 0.05, 0.2

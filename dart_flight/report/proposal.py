@@ -13,11 +13,11 @@ from collections.abc import Sequence
 import msgspec
 
 from dart_flight.config.document import InputError
-from dart_flight.contact.identify import Estimate, Identification, identify
 from dart_flight.contact.law import Onset
-from dart_flight.contact.materials_entry import materials_entry
-from dart_flight.contact.trials import Trial
-from dart_flight.recording.trials import trials_of
+from dart_flight.identify.fit import Estimate, Identification, identify
+from dart_flight.identify.flight_trials import trials_of
+from dart_flight.identify.materials_entry import materials_entry
+from dart_flight.identify.trials import Trial
 from dart_flight.report.flight import Flight
 from dart_flight.samples import Mode
 

@@ -22,7 +22,7 @@ from dart_flight.samples import FlightMode, LandedState
 from dart_flight.sim import esc_status
 from dart_flight.sim.autopilot import TICK_US, Autopilot
 from dart_flight.sim.cascade import TrajectorySetPoint
-from dart_flight.sim.impairment import Impairment, LossyLink
+from dart_flight.sim.faults.impairment import Impairment, LossyLink
 
 _PX4 = 12  # MAV_AUTOPILOT_PX4
 _VERSION = (1 << 24) | (16 << 16) | (0 << 8) | 255  # says v1.16.0, the version whose behaviour this imitates

@@ -15,7 +15,7 @@ import msgspec
 
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.samples import TruthContact, TruthSample
-from dart_flight.sim.faults import Fault
+from dart_flight.sim.faults.kinds import Fault
 
 
 class Px4Spec(msgspec.Struct):

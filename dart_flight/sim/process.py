@@ -20,8 +20,8 @@ from dart_flight.config.document import Document
 from dart_flight.config.mission import parse_mission
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.sim.autopilot import TICK_S
-from dart_flight.sim.faults import Fault, Place, VehicleFault, impairment_of
-from dart_flight.sim.impairment import Impairment
+from dart_flight.sim.faults.impairment import Impairment
+from dart_flight.sim.faults.kinds import Fault, Place, VehicleFault, impairment_of
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 from dart_flight.sim.pipe import FaultLine, Horn, LineReader, LineWriter, Ready, Truth, WorldSpec
 from dart_flight.sim.vehicle import SimulatedVehicle
@@ -133,7 +133,7 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     spec = msgspec.json.decode(sys.stdin.buffer.readline(), type=WorldSpec)
     if spec.px4 is not None:
-        from dart_flight.sim.px4_process import Px4Process  # noqa: PLC0415  (only where PX4 flies)
+        from dart_flight.sim.px4.process import Px4Process  # noqa: PLC0415  (only where PX4 flies)
 
         return Px4Process(spec, spec.px4, sys.stdin.buffer, sys.stdout.buffer).run()
     VehicleProcess(spec, sys.stdin.buffer, sys.stdout.buffer).run()

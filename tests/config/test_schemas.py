@@ -15,7 +15,7 @@ from dart_flight.config import load_vehicle
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import load_mission
 from dart_flight.config.scenario import load_scenario
-from tools.schemas import FOLDER, ROOT, comments, schemas, text_of
+from tools.docs.schemas import FOLDER, ROOT, comments, schemas, text_of
 
 SHIPPED = sorted([*(ROOT / "configs").glob("*.yaml"), *(ROOT / "missions").rglob("*.yaml")])
 LOADERS: dict[str, Callable[[Path], object]] = {
@@ -41,7 +41,7 @@ def test_the_committed_files_are_those_of_the_types() -> None:
     wanted = schemas()
     assert sorted(path.name for path in FOLDER.iterdir()) == sorted(wanted)
     for name, schema in wanted.items():
-        assert (FOLDER / name).read_text() == text_of(schema), "run python -m tools.generated"
+        assert (FOLDER / name).read_text() == text_of(schema), "run python -m tools.docs.generated"
         jsonschema.Draft7Validator.check_schema(schema)
 
 

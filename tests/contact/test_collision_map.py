@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from dart_flight.config import Coefficients, load_vehicle
 from dart_flight.config.vehicle import packaged
 from dart_flight.contact.coefficients import CoefficientArrays
-from dart_flight.contact.collision_map import Collision, collide, collision_map, drop, drop_map
-from dart_flight.contact.course import Contact, passage, trajectory
+from dart_flight.contact.contact_map import Collision, collide, collision_map, drop, drop_map
 from dart_flight.contact.law import Onset, contact_force
+from dart_flight.contact.path import Contact, passage, trajectory
 from dart_flight.samples import Mode
 
 DATA = Path(__file__).parents[1] / "data"

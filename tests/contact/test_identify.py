@@ -13,10 +13,10 @@ import pytest
 from dart_flight.cli import main
 from dart_flight.config import Coefficients, InputError, load_vehicle
 from dart_flight.config.vehicle import packaged
-from dart_flight.contact.course import Contact
-from dart_flight.contact.identify import Estimate, Identification, identify
 from dart_flight.contact.law import Onset
-from dart_flight.contact.trials import Series, Trial, find_impact
+from dart_flight.contact.path import Contact
+from dart_flight.identify.fit import Estimate, Identification, identify
+from dart_flight.identify.trials import Series, Trial, find_impact
 from dart_flight.samples import Mode
 from tools.synthetic_trials import MASS_KG, drop_trial, wall_trial, write_csv
 
@@ -233,7 +233,7 @@ def test_the_impact_is_found_in_a_long_recording() -> None:
 
 def test_the_first_of_several_bounces() -> None:
     # A drop that goes on bouncing: the first contact counts.
-    from dart_flight.contact.stepping import simulate
+    from tests.oracles.stepping import simulate
 
     path = simulate(
         CONCRETE.rigid, MASS_KG, (0.2, 0.0, 0.0), (0.0, 0.0, 0.0), Onset.LCP,

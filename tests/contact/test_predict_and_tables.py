@@ -14,7 +14,7 @@ import pytest
 from dart_flight.cli import main
 from dart_flight.config import load_vehicle
 from dart_flight.config.vehicle import packaged
-from dart_flight.contact import paper
+from dart_flight.report import paper
 
 DATA = Path(__file__).parents[1] / "data"
 PAGE = Path(__file__).parents[2] / "docs" / "paper_tables.md"

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from dart_flight.config import Coefficients, load_vehicle
 from dart_flight.config.vehicle import packaged
 from dart_flight.contact.coefficients import Array, CoefficientArrays
-from dart_flight.contact.collision_map import collision_map, drop
+from dart_flight.contact.contact_map import collision_map, drop
 from dart_flight.contact.law import Onset
-from dart_flight.contact.stepping import Corner, simulate, step_corner, step_normal, stepped_map
 from dart_flight.samples import Mode
+from tests.oracles.stepping import Corner, simulate, step_corner, step_normal, stepped_map
 
 MASS = 1.3
 VEHICLE = load_vehicle(packaged("configs", "dart.yaml"))

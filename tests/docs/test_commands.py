@@ -33,7 +33,7 @@ NOT_RUN: list[tuple[str, str]] = [
     (r"^dart-flight lock calibrate", "asks at the keyboard"),
     (r"\.ulg", "needs a log of PX4's"),
     (
-        r"^python -m tools\.(bench|campaign|synthetic_trials|lossy_proxy|plan_|impact_)",
+        r"^python -m tools\.(bench|campaigns|synthetic_trials|lossy_proxy)",
         "takes minutes or waits",
     ),
     (r":14541", "needs the lossy proxy, which waits"),

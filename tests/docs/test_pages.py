@@ -20,9 +20,9 @@ from dart_flight.config.document import Document
 from dart_flight.config.mission import parse_mission
 from dart_flight.config.scenario import load_scenario
 from dart_flight.config.vehicle import Material, VehicleConfig, load_vehicle
-from dart_flight.flight.phases import Phase
+from dart_flight.core.mission.phases import Phase
 from tests.docs.snippets import PAGES, ROOT, Block, blocks
-from tools import concept_figures, generated, wiring_drawing
+from tools.docs import concept_figures, generated, wiring_drawing
 
 ALL = [block for page in PAGES for block in blocks(page)]
 LANGUAGES = {"", "sh", "yaml", "json", "ini", "mermaid", "python"}
@@ -42,7 +42,7 @@ def test_every_block_is_of_a_kind_that_is_checked() -> None:
 @pytest.mark.parametrize("page", generated.pages(), ids=lambda page: page.name)
 def test_the_generated_parts_are_up_to_date(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    assert text == generated.current(text), "run python -m tools.generated"
+    assert text == generated.current(text), "run python -m tools.docs.generated"
 
 
 def test_every_generated_part_has_its_place() -> None:

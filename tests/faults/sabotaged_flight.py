@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 from dart_flight.config.vehicle import LockDriver
-from dart_flight.flights import fly_vehicle, load_flyable, with_driver
-from dart_flight.sim.faults import parse_fault
-from dart_flight.sim.sabotage import Sabotage
+from dart_flight.sim.faults.kinds import parse_fault
+from dart_flight.worlds.flights import fly_vehicle, load_flyable, with_driver
+from dart_flight.worlds.sabotage import Sabotage
 
 mission, url, log_dir, fault = sys.argv[1:]
 fly_vehicle(

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.deadman import SystemdNotice
-from dart_flight.sim.harness import free_udp_port
+from dart_flight.worlds.deadman import SystemdNotice
+from dart_flight.worlds.vehicle_process import free_udp_port
 from tools.lossy_proxy import set_point_times
 
 ROOT = Path(__file__).parents[2]
@@ -25,7 +25,7 @@ STARVE_S = 0.3
 FED = """
 import sys, time
 from pathlib import Path
-from dart_flight.deadman import CORE, LOOP, Deadman
+from dart_flight.worlds.deadman import CORE, LOOP, Deadman
 deadman = Deadman({starve}, Path(sys.argv[1]))
 deadman.arm()
 print(time.monotonic(), deadman.pid, flush=True)
@@ -121,7 +121,14 @@ def test_systemd_is_told(tmp_path: Path) -> None:
 def test_nothing_that_flies_reads_the_time_of_day() -> None:
     """Jumps of the host's clock cannot matter to what never looks at it."""
     package = ROOT / "dart_flight"
-    for folder in ("flight", "vehicle", "lock/drivers", "lock/session.py", "deadman.py", "app.py"):
+    for folder in (
+        "core",
+        "vehicle",
+        "lock/drivers",
+        "lock/session.py",
+        "worlds/deadman.py",
+        "worlds/app.py",
+    ):
         path = package / folder
         for file in [path] if path.is_file() else path.rglob("*.py"):
             assert not re.search(

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.flights import fly_embedded, load_flyable
 from dart_flight.recording import read_log
 from dart_flight.samples import GuardEvent, ImuSample, SetPoint, Silence, StatusSample, VehicleCommand
-from dart_flight.sim.faults import Fault, parse_fault
-from tools.campaign_faults import expected
+from dart_flight.sim.faults.kinds import Fault, parse_fault
+from dart_flight.worlds.flights import fly_embedded, load_flyable
+from tools.campaigns.faults import expected
 
 ROOT = Path(__file__).parents[2]
 SINGLE = ROOT / "missions/single_wall.yaml"

@@ -1,8 +1,8 @@
-"""A sample of the campaign of malformed input (`tools/campaign_fuzz.py`, `docs/fuzz.md`)."""
+"""A sample of the campaign of malformed input (`tools/campaigns/fuzz.py`, `docs/fuzz.md`)."""
 
 import pytest
 
-from tools.campaign_fuzz import KINDS, feed
+from tools.campaigns.fuzz import KINDS, feed
 
 COUNTS = {"mission": 150, "scenario": 50, "configuration": 20, "log": 15, "frame": 1500}
 

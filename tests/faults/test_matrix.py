@@ -9,11 +9,11 @@ import pytest
 
 from dart_flight.cli import main
 from dart_flight.config import InputError
-from dart_flight.flights import fly_fast, load_flyable
 from dart_flight.samples import GuardEvent, Record, StatusSample
-from dart_flight.sim.faults import KINDS, Fault, parse_fault
-from dart_flight.sim.impairment import Impairment, LossyLink
-from tools.campaign_faults import PHASES, came_of, cell, expected, random_flight
+from dart_flight.sim.faults.impairment import Impairment, LossyLink
+from dart_flight.sim.faults.kinds import KINDS, Fault, parse_fault
+from dart_flight.worlds.flights import fly_fast, load_flyable
+from tools.campaigns.faults import PHASES, came_of, cell, expected, random_flight
 
 ROOT = Path(__file__).parents[2]
 SINGLE = ROOT / "missions/single_wall.yaml"

@@ -8,8 +8,8 @@ import pytest
 
 from dart_flight.config import parse_mission
 from dart_flight.config.document import Document
-from dart_flight.flights import fly_fast, load_flyable
 from dart_flight.samples import GoalPassed, Record, SetPoint, TruthSample
+from dart_flight.worlds.flights import fly_fast, load_flyable
 
 ROOT = Path(__file__).parents[2]
 

@@ -6,9 +6,9 @@ import msgspec
 
 from dart_flight.config import Mission
 from dart_flight.config.vehicle import LimitSwitch
-from dart_flight.flights import fly_fast, load_flyable
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
+from dart_flight.worlds.flights import fly_fast, load_flyable
 
 ROOT = Path(__file__).parents[2]
 
@@ -45,8 +45,8 @@ def test_a_limit_switch_that_stays_silent_breaks_it_off_too() -> None:
 
 
 def test_a_switch_that_falls_silent_in_flight_breaks_it_off() -> None:
-    from dart_flight.sim.fast import FastFlight
     from dart_flight.verdict import VerdictBuilder
+    from dart_flight.worlds.fast import FastFlight
 
     mission = dual(limit_switch=LimitSwitch(chip="gpiochip0", rigid_line=17))
     builder = VerdictBuilder(mission)

@@ -13,11 +13,11 @@ from rich.console import Console
 
 from dart_flight.cli.monitor_command import screen
 from dart_flight.config import load_mission
-from dart_flight.monitor import Watcher
 from dart_flight.samples import StatusText
-from dart_flight.sim.fast import FastFlight
-from dart_flight.sim.harness import free_udp_port
-from tests.flight.conftest import HandFedCore
+from dart_flight.worlds.fast import FastFlight
+from dart_flight.worlds.monitor import Watcher
+from dart_flight.worlds.vehicle_process import free_udp_port
+from tests.core.conftest import HandFedCore
 
 ROOT = Path(__file__).parents[2]
 

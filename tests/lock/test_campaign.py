@@ -7,7 +7,7 @@ import pytest
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.lock import state_machine
 from dart_flight.samples import LockState, Mode
-from tools.campaign_lock import campaign
+from tools.campaigns.lock import campaign
 
 
 @pytest.mark.parametrize(("controller", "toggles"), [("mock", 400), ("maestro", 100)])

@@ -21,7 +21,7 @@ from dart_flight.lock.ground import clock_us
 from dart_flight.lock.persistence import load_last
 from dart_flight.lock.servo import mode_of
 from dart_flight.samples import LockPhase, Mode
-from tools.emulated_maestro import EmulatedMaestro
+from tests.doubles.emulated_maestro import EmulatedMaestro
 
 
 class World:

@@ -16,7 +16,7 @@ from dart_flight.lock.drivers.maestro import MaestroDriver, error_names
 from dart_flight.lock.servo import ServoFaults, mode_of
 from dart_flight.lock.session import LockSession
 from dart_flight.samples import LockPhase, LockState, Mode
-from tools.emulated_maestro import EmulatedMaestro
+from tests.doubles.emulated_maestro import EmulatedMaestro
 
 Vary = Callable[..., LockConfig]
 

@@ -13,7 +13,7 @@ import pytest
 from dart_flight.cli import main
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.scenario import Objective, Scenario, load_scenario
-from dart_flight.flight.core import FlightCore
+from dart_flight.core.flight_core import FlightCore
 from dart_flight.planning.approach_grid import approach_grid
 from dart_flight.planning.constraints import CODE, Constraints, Refusal
 from dart_flight.planning.enumerate import Search, search

@@ -12,13 +12,13 @@ from scipy.linalg import expm as scipy_expm
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Collision, Mission, parse_mission
 from dart_flight.config.scenario import Scenario, load_scenario
-from dart_flight.planning.approach import NoApproachError, plan_approach
-from dart_flight.planning.closed_loop import Loop, least_distance_m
+from dart_flight.core.mission.approach import NoApproachError, plan_approach
+from dart_flight.core.mission.position_loop import Loop, least_distance_m
 from dart_flight.planning.constraints import REFUSALS, Constraints, Refusal
 from dart_flight.planning.contact_stage import expm
 from dart_flight.planning.flight_model import FreeFlight, Leg, loop_matrix
 from dart_flight.planning.trajectories import Course, new_flight, stages_for
-from tools.plan_reference import solve_candidate
+from tests.oracles.plan_reference import solve_candidate
 
 SCENARIOS = Path(__file__).parents[2] / "missions" / "scenarios"
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from dart_flight.config.document import InputError
-from dart_flight.sim.px4_launch import ENVIRONMENT, find_install
+from dart_flight.sim.px4.launch import ENVIRONMENT, find_install
 
 
 @pytest.fixture(scope="session")

@@ -15,11 +15,10 @@ import pytest
 
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import LockDriver, packaged
-from dart_flight.flights import with_driver
 from dart_flight.lock.drivers.px4 import actuator_value
 from dart_flight.samples import Mode
-from dart_flight.sim import px4_bridge
-from dart_flight.sim.px4_bridge import (
+from dart_flight.sim.px4 import bridge as px4_bridge
+from dart_flight.sim.px4.bridge import (
     ACCELEROMETER_LIMIT_M_S2,
     HOME_LAT_DEG,
     HOME_LON_DEG,
@@ -30,7 +29,8 @@ from dart_flight.sim.px4_bridge import (
     accelerometer_output,
     geodetic,
 )
-from tests.px4.fake_px4 import FakePx4
+from dart_flight.worlds.flights import with_driver
+from tests.doubles.fake_px4 import FakePx4
 
 COUNTS_PER_M_S2 = 2048.0 / 9.80665
 

@@ -20,9 +20,8 @@ from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.samples import TruthContact, TruthSample
-from dart_flight.sim.harness import Px4World, WorldError
 from dart_flight.sim.pipe import Px4Spec, WorldSpec
-from dart_flight.sim.px4_launch import (
+from dart_flight.sim.px4.launch import (
     ENVIRONMENT,
     SIMULATOR_PORT,
     Px4Error,
@@ -34,7 +33,8 @@ from dart_flight.sim.px4_launch import (
     judge_version,
     parse_version,
 )
-from tests.px4.fake_px4 import install
+from dart_flight.worlds.vehicle_process import Px4World, WorldError
+from tests.doubles.fake_px4 import install
 
 MISSION = packaged("missions", "dual_collision.yaml")
 

@@ -10,7 +10,7 @@ import pytest
 from dart_flight.config.document import InputError
 from dart_flight.config.parameters import PositionSource, differences, load_parameters, vehicle_files
 from dart_flight.config.vehicle import Px4Parameters, load_vehicle, packaged
-from dart_flight.sim.px4_launch import airframe_parameters, flight_parameters, motors_from, parameter_files
+from dart_flight.sim.px4.launch import airframe_parameters, flight_parameters, motors_from, parameter_files
 
 FILES = sorted(packaged("configs", "px4").glob("*.params"))
 

@@ -16,15 +16,15 @@ from typing import Any
 
 import pytest
 
-from dart_flight.flights import fly_px4, load_flyable
 from dart_flight.recording import read_log
 from dart_flight.samples import ForceEstimate, GuardEvent, ImpactPeak, MissionEnd
 from dart_flight.verdict import Verdict
+from dart_flight.worlds.flights import fly_px4, load_flyable
 
 pytestmark = pytest.mark.px4
 
 MISSIONS = Path(__file__).parents[2] / "missions"
-SWEEP = Path(__file__).parents[2] / "tools" / "px4_sweep_mission.yaml"
+SWEEP = Path(__file__).parents[2] / "tools" / "campaigns" / "px4_sweep_mission.yaml"
 FAST = 3.0  # times real time: what lockstep sustains here with room to spare
 
 
@@ -62,7 +62,7 @@ def test_single_wall_outdoors_with_rtk(px4_dir: Path, tmp_path: Path) -> None:
 
 def test_lock_servo_on_px4s_own_output(px4_dir: Path, tmp_path: Path) -> None:
     from dart_flight.config.vehicle import LockDriver
-    from dart_flight.flights import with_driver
+    from dart_flight.worlds.flights import with_driver
 
     mission = with_driver(load_flyable(MISSIONS / "dual_collision.yaml"), LockDriver.PX4)
     accept(fly_px4(mission, px4_dir, 1, tmp_path, speed=2.0))

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from dart_flight.recording import read_log
-from dart_flight.recording.replay import replay
 from dart_flight.report.flight import Flight
 from dart_flight.report.page import flight_page
 from dart_flight.samples import ForceEstimate, ImpactOnset, ImpactPeak, LockCommand, SetPoint
-from tools.campaign_replay import fly_and_replay
+from dart_flight.worlds.replay import replay
+from tools.campaigns.replay import fly_and_replay
 from tools.keep_flight import keep
 
 FLIGHTS = sorted((Path(__file__).parents[1] / "data" / "flights").glob("*.mcap"))

@@ -12,11 +12,11 @@ from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.flights import fly_fast, load_flyable
 from dart_flight.recording import Log, LogEntry, read_log
-from dart_flight.recording.replay import changed_mission, replay
 from dart_flight.samples import ImpactOnset, ImpactPeak, ImuSample, SetPoint
-from dart_flight.sim.fast import FastFlight
+from dart_flight.worlds.fast import FastFlight
+from dart_flight.worlds.flights import fly_fast, load_flyable
+from dart_flight.worlds.replay import changed_mission, replay
 
 
 def changed(log: Log, index: int, record: object) -> Log:

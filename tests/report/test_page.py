@@ -15,13 +15,13 @@ import pytest
 
 from dart_flight.cli import main
 from dart_flight.config.mission import Mission
-from dart_flight.flights import fly_fast
 from dart_flight.recording.reader import Log, LogEntry
 from dart_flight.report import figures
 from dart_flight.report.flight import Compared, Flight
 from dart_flight.report.page import comparison_page, flight_page
 from dart_flight.report.proposal import mean_half_width
 from dart_flight.samples import GuardEvent, TruthContact
+from dart_flight.worlds.flights import fly_fast
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
 SECTIONS = [

@@ -11,11 +11,11 @@ import yaml
 from dart_flight.cli import main
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
-from dart_flight.flights import load_flyable
 from dart_flight.report.flight import Flight
 from dart_flight.report.page import comparison_page, flight_page
 from dart_flight.report.proposal import propose
-from tools.other_wall import fly_against, with_walls
+from dart_flight.worlds.flights import load_flyable
+from tools.bench.other_wall import fly_against, with_walls
 
 CONFIG = packaged("configs", "dart.yaml")
 

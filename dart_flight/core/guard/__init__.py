@@ -1,0 +1,1 @@
+"""What is allowed: the rules, and the flying once one has fired."""

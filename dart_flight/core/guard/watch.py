@@ -1,0 +1,286 @@
+"""What the guard's rules look at: the flight state, and the little that has to be remembered between samples.
+
+`observe` is called once per step, before the rules. Memories are kept in the autopilot's stamps where a
+stream has them, so that a simulator at several times real time is judged as real time is; silence alone is
+judged by host time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from dart_flight.config.mission import Mission
+from dart_flight.core.mission.phases import Phase
+from dart_flight.core.sense.state import FlightState
+from dart_flight.geometry import Vec2, Vec3
+from dart_flight.samples import (
+    ActuatorSample,
+    AttitudeSample,
+    EstimatorSample,
+    FlightMode,
+    ForceEstimate,
+    ImuSample,
+    Input,
+    OdometrySample,
+    Output,
+    StatusSample,
+    StatusText,
+)
+from dart_flight.streams import BY_NAME
+
+STOP_TIME_S = 0.5  # PX4's position loop stops from a speed within about half a second of way
+_FAILSAFE_WORDS = ("failsafe",)
+_FAILSAFE_MEMORY_US = 3_000_000
+_GAP_US = 500_000  # of silence, in which PX4 may have said anything
+_RATE_WINDOW_US = 1_000_000
+_CLIP_SHARE = 0.99
+_JUMP_REACH_US = 100_000  # odometry further apart says nothing about a jump
+_RESET_REACH_US = 100_000  # a step this near to a reset came with it
+_SURELY_DOWN = 3.0  # times the way down from the top of the flight space
+_STEPS = 16  # odometry of more than twice that reach
+_STAMPED: dict[type, str] = {
+    ImuSample: "imu",
+    AttitudeSample: "attitude",
+    OdometrySample: "odometry",
+    ActuatorSample: "actuator",
+}
+
+
+class View:
+    """One flight as the rules see it."""
+
+    def __init__(self, mission: Mission) -> None:
+        self.mission = mission
+        self.config = mission.vehicle.guard
+        self.phase = Phase.READYING
+        self.state = FlightState(mission)  # replaced by the core's at the first step
+        self.forces: list[ForceEstimate] = []
+        self.land_asked = False
+        self.was_offboard = False
+        self.was_armed = False
+        self.impact_us: int | None = None
+        self.rates_hz: dict[str, float] = {}
+        self.stale: dict[str, int] = {}  # samples in a row whose stamp lies far in the past
+        self.since_imu = 0  # samples of other streams since the newest of the IMU
+        self.stuck_since_us: int | None = None
+        self.clipped_since_us: int | None = None
+        self.battery_low_since_us: int | None = None
+        self.flags_bad_since_us: int | None = None
+        self._landing_since_us: tuple[int, int] | None = (
+            None  # in land mode and armed: autopilot's, host's time
+        )
+        self.jump: str = ""
+        self._reset_us: int | None = None  # the estimator's last reset, outside of the window after an impact
+        self._steps: deque[tuple[int, float, float]] = deque(maxlen=_STEPS)  # stamp, position m, velocity m/s
+        self.inside_once = False
+        self._failsafe_us: int | None = None
+        self._gap_us: int | None = None
+        self._host_us = 0  # of the newest stamped sample
+        self._counts: dict[str, tuple[int, int]] = {}  # stream -> (first stamp, samples since)
+        self._imu: ImuSample | None = None
+        self._odometry: OdometrySample | None = None
+        self._reset_counter: int | None = None
+        self._estimator_bad = False
+
+    def observe(self, item: Input, state: FlightState, phase: Phase, out: list[Output]) -> None:
+        """Take the step's input, which has gone into `state`, and the mission's proposals."""
+        self.state, self.phase = state, phase
+        self.forces = [o for o in out if isinstance(o, ForceEstimate)]
+        self.jump = ""
+        name = _STAMPED.get(type(item))
+        if name is not None:
+            self._see_stamp(name, item)
+        if isinstance(item, ImuSample):
+            self._see_imu(item)
+        elif isinstance(item, OdometrySample):
+            self._see_odometry(item)
+        elif isinstance(item, EstimatorSample):
+            self._see_estimator(item)
+        elif isinstance(item, StatusSample):
+            self._see_status(item)
+        elif isinstance(item, StatusText) and any(w in item.text.lower() for w in _FAILSAFE_WORDS):
+            self._failsafe_us = state.now_us
+        self._see_flags()
+
+    # -- what rules ask --
+
+    @property
+    def shaken(self) -> bool:
+        """Shortly after an impact: what the contact does to estimator and altitude is no fault."""
+        return self._since_impact_us() < self.config.impact_window_s * 1e6
+
+    @property
+    def failsafe_said(self) -> bool:
+        """Whether PX4 has spoken of a failsafe within the last seconds."""
+        return self._failsafe_us is not None and self.state.now_us - self._failsafe_us < _FAILSAFE_MEMORY_US
+
+    @property
+    def was_cut_off(self) -> bool:
+        """Whether telemetry has come back within the last seconds after a gap."""
+        return self._gap_us is not None and self.state.now_us - self._gap_us < _FAILSAFE_MEMORY_US
+
+    @property
+    def foreign_mode(self) -> FlightMode | None:
+        """The flight mode, once PX4 has left offboard without being asked to."""
+        mode = self.state.status.flight_mode
+        if not self.was_offboard or mode in (FlightMode.OFFBOARD, FlightMode.UNKNOWN):
+            return None
+        if self.land_asked and (mode is FlightMode.LAND or self.state.on_ground):
+            return None
+        return mode
+
+    def age_s(self, name: str) -> float:
+        """Host time since a stream's newest sample was received, seconds; huge where there was none."""
+        return self.state.age_us(getattr(self.state, name)) * 1e-6
+
+    @property
+    def status_age_s(self) -> float:
+        """Host time since the autopilot's slow state was received, seconds."""
+        return (self.state.host_us - self.state.status.received_us) * 1e-6
+
+    def lasting_s(self, since_us: int | None) -> float:
+        """How long something has been going on, autopilot time, seconds; 0 where it is not."""
+        return 0.0 if since_us is None else (self.state.now_us - since_us) * 1e-6
+
+    def stop_point(self) -> Vec2:
+        """Where the vehicle would stop if told so now; a wall in the way stops it earlier."""
+        state = self.state
+        x, y = state.position[0], state.position[1]
+        dx, dy = STOP_TIME_S * state.velocity[0], STOP_TIME_S * state.velocity[1]
+        share = 1.0
+        for wall in self.mission.walls:
+            here = wall.signed_distance((x, y))
+            there = wall.signed_distance((x + dx, y + dy))
+            if here > there and there < 0.0 and here > -0.3 and wall.spans((x, y)):
+                share = min(share, max(0.0, here / (here - there)))
+        return (x + share * dx, y + share * dy)
+
+    @property
+    def landing_s(self) -> float:
+        """How long the vehicle has been in land mode and armed, seconds.
+
+        By the autopilot's time and by the host's: stamps that jump must not stop motors in the air.
+        """
+        if self._landing_since_us is None:
+            return 0.0
+        autopilot_us, host_us = self._landing_since_us
+        return min(self.state.now_us - autopilot_us, self.state.host_us - host_us) * 1e-6
+
+    @property
+    def surely_down_s(self) -> float | None:
+        """After this long in land mode a vehicle is down, whatever its estimator says; None: never so."""
+        if self.config.kill_after_s is None:
+            return None
+        way_down_s = self.mission.bounds.z[1] / self.mission.vehicle.px4.mpc_land_speed
+        return max(self.config.kill_after_s, _SURELY_DOWN * way_down_s)
+
+    def reset_step(self) -> str | None:
+        """The step of position or velocity that came with a reset of the estimator, in words.
+
+        ODOMETRY has one counter for resets of position, velocity and heading; the heading alone is no reason
+        to stop.
+        """
+        if self._reset_us is None:
+            return None
+        c = self.config
+        for t_us, position_m, velocity_m_s in self._steps:
+            large = position_m > c.reset_position_m or velocity_m_s > c.reset_velocity_m_s
+            if large and abs(t_us - self._reset_us) <= _RESET_REACH_US:
+                return f"by {position_m:.2f} m and {velocity_m_s:.2f} m/s"
+        if self.state.now_us - self._reset_us > _RESET_REACH_US:
+            self._reset_us = None
+        return None
+
+    def _since_impact_us(self) -> float:
+        return math.inf if self.impact_us is None else self.state.now_us - self.impact_us
+
+    def _see_stamp(self, name: str, item: Input) -> None:
+        assert isinstance(item, ImuSample | AttitudeSample | OdometrySample | ActuatorSample)
+        if self._host_us and item.received_us - self._host_us > _GAP_US:
+            self._gap_us = self.state.now_us
+        self._host_us = max(self._host_us, item.received_us)
+        self.since_imu = 0 if name == "imu" else self.since_imu + 1
+        newest = getattr(self.state, name)
+        lag_us = newest.t_us - item.t_us if newest is not None else 0
+        if lag_us > self.config.stamp_tolerance_s * 1e6:
+            self.stale[name] = self.stale.get(name, 0) + 1
+            return
+        self.stale[name] = 0
+        first_us, count = self._counts.get(name, (item.t_us, 0))
+        span_us = item.t_us - first_us
+        if span_us >= _RATE_WINDOW_US:
+            self.rates_hz[name] = count * 1e6 / span_us
+            first_us, count = item.t_us, 0
+        self._counts[name] = (first_us, count + 1)
+
+    def _see_imu(self, item: ImuSample) -> None:
+        if item is not self.state.imu:
+            return
+        before, self._imu = self._imu, item
+        same = before is not None and before.specific_force_frd == item.specific_force_frd
+        self.stuck_since_us = (self.stuck_since_us or item.t_us) if same else None
+        full = _CLIP_SHARE * self.mission.vehicle.imu.full_scale_m_s2
+        clipped = any(abs(f) >= full for f in item.specific_force_frd)
+        self.clipped_since_us = (self.clipped_since_us or item.t_us) if clipped else None
+
+    def _see_odometry(self, item: OdometrySample) -> None:
+        if item is not self.state.odometry:
+            return
+        before, self._odometry = self._odometry, item
+        if before is None or item.t_us - before.t_us > _JUMP_REACH_US or self.shaken:
+            return
+        dt = (item.t_us - before.t_us) * 1e-6
+        away_m = math.dist(item.position_ned, _carried(before, item, dt))
+        faster_m_s = math.dist(item.velocity_ned, before.velocity_ned)
+        self._steps.append((item.t_us, away_m, faster_m_s))
+        if away_m > self.config.position_jump_m:
+            self.jump = f"position by {away_m:.2f} m"
+        if faster_m_s > self.config.velocity_jump_m_s:
+            self.jump = f"velocity by {faster_m_s:.2f} m/s"
+
+    def _see_estimator(self, item: EstimatorSample) -> None:
+        if item.reset_counter is not None:
+            if self._reset_counter not in (None, item.reset_counter) and not self.shaken:
+                self._reset_us = self.state.now_us
+            self._reset_counter = item.reset_counter
+        if item.healthy is not None:
+            self._estimator_bad = not item.healthy
+
+    def _see_status(self, item: StatusSample) -> None:
+        if item.flight_mode is FlightMode.OFFBOARD:
+            self.was_offboard = True
+        self.was_armed = self.was_armed or item.armed
+        if not (item.armed and item.flight_mode is FlightMode.LAND):
+            self._landing_since_us = None
+        elif self._landing_since_us is None:
+            self._landing_since_us = (self.state.now_us, self.state.host_us)
+        low = (
+            item.battery_remaining is not None and item.battery_remaining < self.config.battery_remaining
+        ) or (item.battery_v is not None and item.battery_v < self.config.battery_v)
+        self.battery_low_since_us = (self.battery_low_since_us or self.state.now_us) if low else None
+
+    def _see_flags(self) -> None:
+        bad = self._estimator_bad or not self.state.status.local_position_ok
+        if not bad or self.shaken:
+            self.flags_bad_since_us = None
+        elif self.flags_bad_since_us is None and self.state.now_us:  # 0: nothing with a stamp has come yet
+            self.flags_bad_since_us = self.state.now_us
+
+
+def _carried(before: OdometrySample, after: OdometrySample, dt: float) -> Vec3:
+    """Where the position should be by the mean of the two velocities."""
+    p, v, w = before.position_ned, before.velocity_ned, after.velocity_ned
+    return (
+        p[0] + 0.5 * dt * (v[0] + w[0]),
+        p[1] + 0.5 * dt * (v[1] + w[1]),
+        p[2] + 0.5 * dt * (v[2] + w[2]),
+    )
+
+
+def low_rate(view: View) -> str | None:
+    """The first stream that comes at less than what a mission needs, in words."""
+    for name, rate_hz in view.rates_hz.items():
+        if rate_hz < BY_NAME[name].expected_hz:
+            return f"{name} at {rate_hz:.0f} Hz, needs {BY_NAME[name].expected_hz:.0f}"
+    return None

@@ -1,0 +1,410 @@
+"""Impact detection: threshold, peak of each component, end of contact, one event of each per impact.
+
+A collision is registered when the horizontal force reaches the threshold (ours; the paper tests each axis,
+switchable), less a slow baseline (`bias.py`). The forces of the recovery are the peaks: of the normal
+and of the tangential component each its own, since the onset, from a fit of the contact model's pulse
+(`core/sense/pulse.py`), because the maximum of noisy samples is biased upward. States: watching -> rising ->
+falling -> refractory -> watching. docs/force.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from enum import Enum, auto
+
+import msgspec
+
+from dart_flight.config.vehicle import Coefficients, Detection, ThresholdTest, VehicleConfig
+from dart_flight.core.sense.bias import Baseline, certainty
+from dart_flight.core.sense.pulse import NormalPulse, Prior, Reading, fit_friction, fit_normal
+from dart_flight.core.sense.state import FlightState
+from dart_flight.geometry import Vec2
+from dart_flight.samples import ContactEnd, ForceEstimate, ImpactOnset, ImpactPeak, LockPhase, Mode
+
+_RISE_SHARE = 0.3  # of the threshold: above it a sample before the crossing belongs to the contact
+_PEAK_DROP_SHARE = 0.25  # of the threshold: a smaller drop is noise
+_DROP_SIGMA = 2.5  # ... and so is one within this many standard deviations of the smoothed force
+_SMOOTH_SHARE = 0.02  # samples are averaged until their noise is this share of the top
+_MOST_SMOOTH = 5
+_TOP_SHARE = 0.7  # samples above this share of the maximum are the top of the pulse
+_TOP_REACH = 4  # samples on either side, at most
+_BEFORE = 8  # samples remembered from before the crossing
+_FAR_SIGMA = 4.6  # threshold over the noise of one sample: from here on two samples in a row will do
+_INTO_WALL = 0.1  # of the force: this much may point into the expected wall at the onset
+_CONFIDENT_MISFIT = 0.25  # of the peak: a fit this bad is worth nothing
+
+
+class _Sample(msgspec.Struct, gc=False):
+    """A sample of the contact; forces less the baseline, mission frame."""
+
+    t_us: int
+    dt_us: int
+    fx: float
+    fy: float
+    fz: float
+    push: Vec2
+    clipped: bool
+
+
+class _Stage(Enum):
+    WATCHING = auto()
+    RISING = auto()
+    FALLING = auto()
+    REFRACTORY = auto()
+
+
+Events = list[ImpactOnset | ImpactPeak | ContactEnd]
+
+
+class ImpactDetector:
+    """One impact, one onset, one peak, one end.
+
+    Attributes:
+        watching: set by the executive: on the ground, in the climb and on landing no contact is an impact.
+        expected_normal: outward normal of the wall that the plan hits next; without one, or where the force
+            points into the wall, the hit is not a planned one and the normal is taken along the force.
+        expected_material: of that wall, a key of the materials table; the pulse's first guess.
+    """
+
+    def __init__(self, vehicle: VehicleConfig) -> None:
+        self._vehicle, self._config = vehicle, vehicle.detection
+        self._mass = vehicle.airframe.mass_kg
+        self._tick_us = round(vehicle.imu.tick_s * 1e6)
+        self._lag_s = 0.5 / (math.pi * vehicle.imu.antialias_hz)
+        self._per_axis = self._config.threshold_test is ThresholdTest.PER_AXIS
+        self._priors = {
+            (name, mode): _prior(material.of(mode), self._mass)
+            for name, material in vehicle.materials.items()
+            for mode in Mode
+        }
+        self._typical = {
+            mode: _mean_prior([p for (_, m), p in self._priors.items() if m is mode]) for mode in Mode
+        }
+        self.baseline = Baseline(vehicle.estimation)
+        self._stage = _Stage.WATCHING
+        self._before: deque[_Sample] = deque(maxlen=_BEFORE)
+        self._samples: list[_Sample] = []
+        self._last_us = 0
+        self._previous: tuple[Vec2, Vec2] = ((0.0, 0.0), (0.0, 0.0))  # forces of the two samples before
+        self._armed = True  # the force has been below the release level since the last contact
+        self._noise = 0.0
+        self._normal: Vec2 = (1.0, 0.0)
+        self._onset: ImpactOnset | None = None
+        self._quiet_since_us: int | None = None
+        self._ended_us = 0
+        self.watching = False
+        self.expected_normal: Vec2 | None = None
+        self.expected_material: str | None = None
+
+    @property
+    def in_contact(self) -> bool:
+        """Between onset and end of contact."""
+        return self._stage in (_Stage.RISING, _Stage.FALLING)
+
+    @property
+    def stage(self) -> str:
+        """For people: watching, rising, falling or refractory."""
+        return self._stage.name.lower()
+
+    def update(self, estimate: ForceEstimate, received_us: int, state: FlightState) -> Events:
+        """Take the next force estimate; returns the events it brings, none at most times."""
+        t_us = estimate.t_us
+        dt_us = t_us - self._last_us if self._last_us else self._tick_us
+        self._last_us = t_us
+        force, base = estimate.force_mission, self.baseline.value
+        fx, fy = force[0] - base[0], force[1] - base[1]
+        stage = self._stage
+        if stage is _Stage.REFRACTORY and t_us - self._ended_us >= self._config.refractory_s * 1e6:
+            stage = self._stage = _Stage.WATCHING
+        if stage is _Stage.WATCHING or stage is _Stage.REFRACTORY:
+            self._noise = estimate.noise_n
+            return self._watch(estimate, fx, fy, dt_us, received_us, state)
+        events: Events = []
+        if stage is _Stage.RISING:
+            self._samples.append(
+                _Sample(t_us, dt_us, fx, fy, force[2], estimate.push_mission, estimate.clipped)
+            )
+            if self._peak_is_past(t_us):
+                self._stage = _Stage.FALLING
+                events.append(self._peak(t_us, received_us, state))
+        else:
+            end = self._end(t_us, fx, fy)
+            if end is not None:
+                events.append(end)
+        return events
+
+    # -- onset --
+
+    def _watch(
+        self, estimate: ForceEstimate, fx: float, fy: float, dt_us: int, received_us: int, state: FlightState
+    ) -> Events:
+        config = self._config
+        size = max(abs(fx), abs(fy)) if self._per_axis else math.sqrt(fx * fx + fy * fy)
+        threshold = config.force_threshold_n
+        over = size >= threshold
+        if size < config.release_fraction * threshold:
+            self._armed = True
+        sample = _Sample(
+            estimate.t_us, dt_us, fx, fy, estimate.force_mission[2], estimate.push_mission, estimate.clipped
+        )
+        watching = self.watching and self._armed and self._stage is _Stage.WATCHING
+        # One sample is enough where noise cannot have lifted it; else the mean of two or three in a row.
+        sure = size >= threshold + config.sure_sigma * self._noise
+        if over and watching and (sure or self._mean_is_over(fx, fy)):
+            return [self._begin(estimate, sample, received_us, state)]
+        self._previous = ((fx, fy), self._previous[0])
+        self._before.append(sample)
+        if not over or not self._armed:
+            f = estimate.force_mission
+            self.baseline.follow(f[0], f[1], dt_us * 1e-6)
+        return []
+
+    def _mean_is_over(self, fx: float, fy: float) -> bool:
+        """Whether the mean of as many samples as the noise asks for is over the threshold."""
+        x, y = confirmed_force(fx, fy, self._previous, self._noise, self._config)
+        size = max(abs(x), abs(y)) if self._per_axis else math.sqrt(x * x + y * y)
+        return size >= self._config.force_threshold_n
+
+    def _begin(
+        self, estimate: ForceEstimate, sample: _Sample, received_us: int, state: FlightState
+    ) -> ImpactOnset:
+        fx, fy = sample.fx, sample.fy
+        size = max(math.sqrt(fx * fx + fy * fy), 1e-9)
+        expected = self.expected_normal
+        # Friction comes first and may be many times the normal force, whose sign is then lost in noise: only
+        # a force clearly into the wall is not the planned hit. `_peak` looks again, at the impulse.
+        least = -(_INTO_WALL * size + 3.0 * self._noise)
+        planned = expected is not None and fx * expected[0] + fy * expected[1] > least
+        self._normal = expected if expected is not None and planned else (fx / size, fy / size)
+        rise = max(_RISE_SHARE * self._config.force_threshold_n, 2.0 * self._noise)
+        first_us = sample.t_us
+        for earlier in reversed(self._before):
+            if earlier.fx * earlier.fx + earlier.fy * earlier.fy < rise * rise:
+                break
+            first_us = earlier.t_us
+        oldest = self._before[0] if self._before else None
+        gained = 1.0 if oldest is None else 1.0 - math.hypot(oldest.fx, oldest.fy) / size
+        self._samples = [*self._before, sample]
+        self._before.clear()
+        self._quiet_since_us = None
+        self._armed = False
+        self._stage = _Stage.RISING
+        self.baseline.settle()
+        self._onset = ImpactOnset(
+            t_us=sample.t_us,
+            first_us=first_us,
+            received_us=received_us,
+            force_mission=estimate.force_mission,
+            velocity_mission=state.velocity_before(first_us),
+            position_mission=state.position_at(sample.t_us),
+            planned=planned,
+            # A contact rises out of nothing within a few ticks; wind and thrust errors do not.
+            confidence=certainty(size, self._noise, self._config) * max(0.0, min(1.0, gained)),
+        )
+        return self._onset
+
+    # -- peak --
+
+    def _peak_is_past(self, now_us: int) -> bool:
+        """Whether the normal force has dropped from its top by more than noise, or the wait is over."""
+        assert self._onset is not None
+        if now_us - self._onset.first_us >= self._config.peak_wait_s * 1e6:
+            return True
+        nx, ny = self._normal
+        inside = [s.fx * nx + s.fy * ny for s in self._samples if s.t_us >= self._onset.first_us]
+        if len(inside) < 3:
+            return False
+        size = self._smoothing(max(inside))
+        smooth = [sum(inside[i : i + size]) / size for i in range(len(inside) - size + 1)]
+        top = max(smooth, default=0.0)
+        threshold = self._config.force_threshold_n
+        if top < 0.5 * threshold:
+            return False
+        drop = max(
+            self._config.peak_drop_fraction * top,
+            _PEAK_DROP_SHARE * threshold,
+            _DROP_SIGMA * self._noise * math.sqrt(2.0 / size),
+        )
+        return smooth[-1] < top - drop
+
+    def _smoothing(self, top: float) -> int:
+        """Over how many samples to average so that their noise is small beside the top."""
+        ratio = self._noise / max(_SMOOTH_SHARE * top, 1e-6)
+        return max(1, min(_MOST_SMOOTH, round(ratio * ratio)))
+
+    def _peak(self, now_us: int, received_us: int, state: FlightState) -> ImpactPeak:
+        assert self._onset is not None
+        along = self._direction()
+        if not self._onset.planned or along[0] * self._normal[0] + along[1] * self._normal[1] <= 0.0:
+            self._normal = along
+        nx, ny = self._normal
+        reference_us = self._onset.first_us
+        readings = self._readings(reference_us)
+        pulse = self._fit(readings, state)
+        inside = [s for s in self._samples if s.t_us >= reference_us]
+        clipped = any(s.clipped for s in inside)
+        if pulse is None:
+            normal_n, peak_us = _top_of([(s.t_us, s.fx * nx + s.fy * ny) for s in inside])
+        else:
+            normal_n, peak_us = pulse.peak_n, reference_us + round(pulse.peak_s * 1e6)
+        tangential = self._friction(readings, pulse, inside, state)
+        confidence = 0.5 if pulse is None else max(0.0, 1.0 - pulse.misfit / _CONFIDENT_MISFIT)
+        return ImpactPeak(
+            t_us=min(peak_us, now_us),
+            detected_us=now_us,
+            received_us=received_us,
+            normal=self._normal,
+            normal_force_n=normal_n,
+            tangential_force_n=tangential,
+            position_mission=state.position_at(min(peak_us, now_us)),
+            clipped=clipped,
+            normal_sigma_n=self._noise if pulse is None else pulse.sigma_n,
+            fitted=pulse is not None,
+            confidence=confidence,
+            vertical_mean_n=sum(s.fz for s in inside) / len(inside),
+        )
+
+    def _direction(self) -> Vec2:
+        """Of the impulse so far: steadier than that of a single sample."""
+        sx = sum(s.fx * s.dt_us for s in self._samples)
+        sy = sum(s.fy * s.dt_us for s in self._samples)
+        size = math.hypot(sx, sy)
+        return (sx / size, sy / size) if size > 0.0 else self._normal
+
+    def _readings(self, reference_us: int) -> list[Reading]:
+        """The contact's samples as means over their ticks, seconds from `reference_us`, the filter's lag
+        off."""
+        nx, ny = self._normal
+        lag_us = self._lag_s * 1e6
+        out = []
+        last = len(self._samples) - 1
+        for i, s in enumerate(self._samples):
+            # What a clipped millisecond took away also lowers the ticks beside the clipped one.
+            bound = (
+                s.clipped
+                or (i > 0 and self._samples[i - 1].clipped)
+                or (i < last and self._samples[i + 1].clipped)
+            )
+            b = (s.t_us - reference_us - lag_us) * 1e-6
+            a = b - self._tick_us * 1e-6
+            out.append(Reading(a, b, s.fx * nx + s.fy * ny, s.fx * ny - s.fy * nx, bound))
+        return out
+
+    def _mean_push(self) -> Vec2:
+        n = len(self._samples)
+        return (sum(s.push[0] for s in self._samples) / n, sum(s.push[1] for s in self._samples) / n)
+
+    def _prior(self, state: FlightState) -> Prior:
+        rigid = state.lock.mode is Mode.RIGID and state.lock.phase is LockPhase.SETTLED
+        mode = Mode.RIGID if rigid else Mode.FLEXIBLE
+        assert self._onset is not None
+        if self.expected_material is not None and self._onset.planned:
+            return self._priors[self.expected_material, mode]
+        return self._typical[mode]
+
+    def _fit(self, readings: list[Reading], state: FlightState) -> NormalPulse | None:
+        push = self._mean_push()
+        towards = -(push[0] * self._normal[0] + push[1] * self._normal[1])
+        onset_s = -0.75 * self._tick_us * 1e-6
+        return fit_normal(readings, towards, self._prior(state), max(self._noise, 1e-3), onset_s, self._lag_s)
+
+    def _friction(
+        self, readings: list[Reading], pulse: NormalPulse | None, inside: list[_Sample], state: FlightState
+    ) -> float:
+        nx, ny = self._normal
+        if pulse is not None:
+            push = self._mean_push()
+            along = (push[0] * ny - push[1] * nx) / self._mass
+            kappa = self._prior(state).kappa
+            fitted = fit_friction(readings, pulse, along, self._mass, kappa, max(self._noise, 1e-3))
+            if fitted is not None:
+                return fitted
+        along_wall = [s.fx * ny - s.fy * nx for s in inside]
+        sign = -1.0 if abs(min(along_wall)) > max(along_wall) else 1.0
+        top, _ = _top_of([(s.t_us, sign * f) for s, f in zip(inside, along_wall, strict=True)])
+        return sign * max(0.0, top)
+
+    # -- end --
+
+    def _end(self, t_us: int, fx: float, fy: float) -> ContactEnd | None:
+        release = self._config.release_fraction * self._config.force_threshold_n
+        if fx * self._normal[0] + fy * self._normal[1] >= release:
+            self._quiet_since_us = None
+            return None
+        if self._quiet_since_us is None:
+            self._quiet_since_us = t_us
+        if t_us - self._quiet_since_us < self._config.contact_end_s * 1e6:
+            return None
+        assert self._onset is not None
+        self._stage = _Stage.REFRACTORY
+        self._ended_us = t_us
+        return ContactEnd(t_us=self._quiet_since_us, first_us=self._onset.first_us)
+
+
+def confirmed_force(
+    fx: float, fy: float, previous: tuple[Vec2, Vec2], noise_n: float, config: Detection
+) -> Vec2:
+    """Mean of the newest two samples, of three where the threshold is not `sure_sigma` times that mean's
+    noise."""
+    (ax, ay), (bx, by) = previous
+    if _FAR_SIGMA * noise_n <= config.force_threshold_n:
+        return (0.5 * (fx + ax), 0.5 * (fy + ay))
+    return ((fx + ax + bx) / 3.0, (fy + ay + by) / 3.0)
+
+
+def _prior(c: Coefficients, mass_kg: float) -> Prior:
+    return Prior(math.sqrt(c.k / mass_kg), 0.5 * c.f / mass_kg, max(1e-3, c.mu / mass_kg))
+
+
+def _mean_prior(priors: list[Prior]) -> Prior:
+    """Geometric mean over the materials: what is expected of a wall that nobody announced."""
+    n = max(1, len(priors))
+
+    def mean(values: list[float]) -> float:
+        return math.exp(sum(math.log(max(v, 1e-6)) for v in values) / n) if values else 1.0
+
+    if not priors:
+        return Prior(50.0, 4.0, 1.0)
+    return Prior(
+        mean([p.omega for p in priors]), mean([p.sigma for p in priors]), mean([p.kappa for p in priors])
+    )
+
+
+def _top_of(pulse: list[tuple[int, float]]) -> tuple[float, int]:
+    """Height and time of a pulse's top: the least-squares parabola through the samples near its maximum."""
+    top = max(range(len(pulse)), key=lambda i: pulse[i][1])
+    t0, height = pulse[top]
+    floor = _TOP_SHARE * height
+    first = last = top
+    while first > 0 and top - first < _TOP_REACH and pulse[first - 1][1] >= floor:
+        first -= 1
+    while last < len(pulse) - 1 and last - top < _TOP_REACH and pulse[last + 1][1] >= floor:
+        last += 1
+    points = [((t - t0) * 1e-3, y) for t, y in pulse[first : last + 1]]  # milliseconds from the maximum
+    if len(points) < 4:
+        return height, t0
+    # Normal equations of y = c + b x + a x^2, centred for conditioning.
+    n = float(len(points))
+    xm = sum(x for x, _ in points) / n
+    s2 = s3 = s4 = p0 = p1 = p2 = 0.0
+    for x, y in points:
+        d = x - xm
+        s2 += d * d
+        s3 += d * d * d
+        s4 += d * d * d * d
+        p0 += y
+        p1 += d * y
+        p2 += d * d * y
+    determinant = n * (s2 * s4 - s3 * s3) - s2 * s2 * s2
+    if determinant <= 0.0:
+        return height, t0
+    c = (p0 * (s2 * s4 - s3 * s3) - s2 * (p2 * s2 - p1 * s3)) / determinant
+    b = (n * (p1 * s4 - p2 * s3) - s2 * (p1 * s2 - p0 * s3)) / determinant
+    a = (n * (s2 * p2 - s3 * p1) - s2 * s2 * p0) / determinant
+    if a >= 0.0:
+        return height, t0
+    x_top = -0.5 * b / a
+    if not points[0][0] <= x_top + xm <= points[-1][0]:
+        return height, t0
+    return c - 0.25 * b * b / a, t0 + round((x_top + xm) * 1e3)

@@ -1,0 +1,169 @@
+"""Acceleration-based estimate of the external force (paper, Sec. IV-A; docs/force.md).
+
+    force = m R f - R T + m diag(b) v
+
+with f the specific force of the IMU (gravity is not in it), T the thrust vector, R body to mission, b the air
+drag along the mission's axes. Streams are aligned by the autopilot's stamps: a reading is the mean over the
+tick that ends at its stamp, later by the anti-alias filter's delay; attitude is carried to the middle of that
+time with the gyro, thrust is averaged over the tick. With `estimation.observer: momentum` the force comes
+from `core/sense/momentum.py` instead, from the same thrust, attitude and drag.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from dart_flight.config.vehicle import Observer, VehicleConfig
+from dart_flight.core.sense.arm_vibration import ArmFilter
+from dart_flight.core.sense.bias import HoverBias
+from dart_flight.core.sense.momentum import MomentumObserver
+from dart_flight.core.sense.state import FlightState
+from dart_flight.core.sense.thrust import ThrustModel
+from dart_flight.geometry import GRAVITY_M_S2, MissionFrame, Quaternion, Vec3, advance_attitude
+from dart_flight.samples import AttitudeSample, ForceEstimate, ImuSample, LockPhase, Mode
+
+_ATTITUDE_REACH_US = 60_000  # older attitudes are not carried on by the gyro
+_CLIP_SHARE = 0.99  # a reading this near full scale is a lower bound
+_HISTORY = 32
+
+
+class ForceEstimator:
+    """External force on the vehicle, one estimate for every IMU sample with an attitude near it.
+
+    Attributes:
+        thrust: give it the samples it can use.
+        hover: what has been learnt while hovering.
+    """
+
+    def __init__(self, vehicle: VehicleConfig) -> None:
+        e = vehicle.estimation
+        self._mass = vehicle.airframe.mass_kg
+        self._drag = vehicle.airframe.drag_per_s
+        self._clip = _CLIP_SHARE * vehicle.imu.full_scale_m_s2
+        # The middle of what a reading stands for lies this far before its stamp.
+        lag_s = 0.5 / (math.pi * vehicle.imu.antialias_hz)
+        self._centre_us = round((0.5 * vehicle.imu.tick_s + lag_s) * 1e6)
+        self._tick_s = vehicle.imu.tick_s
+        self.thrust = ThrustModel(vehicle)
+        self.hover = HoverBias(e, self._mass)
+        self._thrust_variance = e.thrust_error_n**2
+        self._attitude_variance = e.attitude_error_rad**2
+        self._filter_s = e.filter_s
+        self._arms = ArmFilter(e.arm_vibration, vehicle.imu.tick_s) if e.arm_vibration else None
+        self._momentum = (
+            MomentumObserver(self._mass, e.momentum_gain_per_s) if e.observer is Observer.MOMENTUM else None
+        )
+        self._attitudes: deque[AttitudeSample] = deque(maxlen=_HISTORY)
+        self._last_us: int | None = None
+        self._filtered: Vec3 = (0.0, 0.0, 0.0)
+        self._frame: MissionFrame | None = None
+        self._heading = (1.0, 0.0)
+
+    def take_attitude(self, sample: AttitudeSample) -> None:
+        """Remember an attitude."""
+        self._attitudes.append(sample)
+
+    def estimate(self, imu: ImuSample, state: FlightState, in_contact: bool = False) -> ForceEstimate | None:
+        """Force in newton, mission frame, at the IMU's stamp; None without an attitude near it.
+
+        Args:
+            imu: the sample; stamps advance.
+            state: attitude, velocity, lock.
+            in_contact: nothing is learnt of bias and noise meanwhile.
+        """
+        t_us = imu.t_us
+        dt_s = (t_us - self._last_us) * 1e-6 if self._last_us is not None else self._tick_s
+        self._last_us = t_us
+        hover = self.hover
+        curve_n = self.thrust.mean_over_tick(t_us)
+        q = self._attitude_at(t_us - self._centre_us, imu.rate_frd)
+        frame = state.frame
+        if q is None or frame is None:
+            return None
+        if frame is not self._frame:
+            self._frame = frame
+            self._heading = (math.cos(frame.heading_rad), math.sin(frame.heading_rad))
+        f, v = imu.specific_force_frd, state.velocity
+        if not in_contact and not state.on_ground:
+            speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+            hover.learn(f, imu.rate_frd, speed, curve_n, dt_s)
+        return self._force(imu, state, q, curve_n * hover.scale, dt_s)
+
+    def _force(
+        self, imu: ImuSample, state: FlightState, q: Quaternion, thrust_n: float, dt_s: float
+    ) -> ForceEstimate:
+        m, hover = self._mass, self.hover
+        fx, fy, fz = imu.specific_force_frd
+        w, x, y, z = q
+        c, s = self._heading
+        # Rows of R, body FRD to NED, written out; then NED to mission.
+        bx, by, bz = m * (fx - hover.bias_x), m * (fy - hover.bias_y), m * fz + thrust_n
+        down_n, down_e, down_d = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
+        n = (1.0 - 2.0 * (y * y + z * z)) * bx + 2.0 * (x * y - w * z) * by + down_n * bz
+        e = 2.0 * (x * y + w * z) * bx + (1.0 - 2.0 * (x * x + z * z)) * by + down_e * bz
+        d = 2.0 * (x * z - w * y) * bx + 2.0 * (y * z + w * x) * by + down_d * bz
+        v, b = state.velocity, self._drag
+        drag = (m * b[0] * v[0], m * b[1] * v[1], m * b[2] * v[2])
+        up = (-(down_n * c + down_e * s), -(down_n * s - down_e * c), down_d)
+        push = (thrust_n * up[0] - drag[0], thrust_n * up[1] - drag[1])
+        if self._momentum is not None:
+            known = (push[0], push[1], thrust_n * up[2] - drag[2] - m * GRAVITY_M_S2)
+            force = self._momentum.update(imu.t_us, dt_s, known, state.odometry, v)
+            clipped, noise = False, 0.1 * m * hover.noise_m_s2
+        else:
+            force = (n * c + e * s + drag[0], n * s - e * c + drag[1], -d + drag[2])
+            if self._arms is not None:
+                force = self._still(self._arms, force, state, dt_s)
+            clip, noise = self._clip, m * hover.noise_m_s2
+            clipped = abs(fx) >= clip or abs(fy) >= clip or abs(fz) >= clip
+        keep = math.exp(-dt_s / self._filter_s) if self._filter_s > 0.0 else 0.0
+        old = self._filtered
+        self._filtered = (
+            force[0] + (old[0] - force[0]) * keep,
+            force[1] + (old[1] - force[1]) * keep,
+            force[2] + (old[2] - force[2]) * keep,
+        )
+        covariance = self._covariance(force, up, noise * noise)
+        return ForceEstimate(imu.t_us, force, clipped, self._filtered, covariance, noise, push)
+
+    def _still(self, arms: ArmFilter, force: Vec3, state: FlightState, dt_s: float) -> Vec3:
+        """The force with the swinging of unlocked arms taken out."""
+        lock = state.lock
+        if lock.mode is Mode.RIGID and lock.phase is LockPhase.SETTLED:
+            arms.reset()
+            return force
+        m = self._mass
+        ax, ay = arms.remove(force[0] / m, force[1] / m, dt_s)
+        return (m * ax, m * ay, force[2])
+
+    def _covariance(
+        self, force: Vec3, up: Vec3, noise2: float
+    ) -> tuple[float, float, float, float, float, float]:
+        """White noise on each axis, thrust error along the thrust, attitude error across the force."""
+        t, a = self._thrust_variance, self._attitude_variance
+        x, y, z = force
+        ux, uy, uz = up
+        every = noise2 + a * (x * x + y * y + z * z)
+        return (
+            every + t * ux * ux - a * x * x,
+            every + t * uy * uy - a * y * y,
+            every + t * uz * uz - a * z * z,
+            t * ux * uy - a * x * y,
+            t * ux * uz - a * x * z,
+            t * uy * uz - a * y * z,
+        )
+
+    def _attitude_at(self, t_us: int, rate_frd: Vec3) -> Quaternion | None:
+        """The nearest attitude, carried to a moment by the gyro."""
+        best: AttitudeSample | None = None
+        away = _ATTITUDE_REACH_US
+        for sample in reversed(self._attitudes):
+            distance = abs(sample.t_us - t_us)
+            if distance <= away:
+                best, away = sample, distance
+            elif sample.t_us < t_us:
+                break  # stamps only get older from here
+        if best is None:
+            return None
+        return advance_attitude(best.q_frd_to_ned, rate_frd, (t_us - best.t_us) * 1e-6)

@@ -1,0 +1,151 @@
+"""Thrust from the best source at hand, through the calibrated curve, with motor lag and battery voltage.
+
+Sources (`estimation.thrust_source`): measured speed of the motors, thrust = c rpm^2, which needs neither lag
+nor voltage; commands to the motors, through the curve of `thrust:` and a first-order lag; the collective
+thrust that PX4's controller asks for, with the same lag. `auto` takes the first of them that is fresh; the
+motors' speed only where it comes often enough to show what a controller does in a contact. Whatever the
+source, hovering corrects it (`core/sense/bias.py`). Equations: docs/force.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from dart_flight.config.vehicle import ThrustSource, VehicleConfig
+from dart_flight.geometry import GRAVITY_M_S2
+from dart_flight.samples import ActuatorSample, AttitudeTargetSample, EscSample
+
+_ESC_PERIOD_US = 20_000  # `auto` takes no slower telemetry: switching to and fro would look like forces
+_PENDING = 16  # commands ahead of the IMU: a few ticks at most
+
+
+class LaggedCommands:
+    """Four values that follow stamped commands with a first-order lag.
+
+    A command holds from its own stamp on, whenever it arrives; stamps that do not advance are dropped.
+    """
+
+    def __init__(self, lag_s: float) -> None:
+        self._lag_us = lag_s * 1e6
+        self._pending: deque[tuple[int, tuple[float, float, float, float]]] = deque(maxlen=_PENDING)
+        self._target: tuple[float, float, float, float] | None = None
+        self._now_us = 0
+        self.newest_us = -(1 << 60)
+        self.value: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+    def take(self, t_us: int, values: tuple[float, float, float, float]) -> None:
+        """A command stamped `t_us`."""
+        if t_us <= self.newest_us:
+            return
+        self.newest_us = t_us
+        if self._target is None:
+            # Nothing is known of the time before: it has always been so.
+            self._target = self.value = values
+            self._now_us = t_us
+        else:
+            self._pending.append((t_us, values))
+
+    def advance(self, t_us: int) -> None:
+        """Carry `value` on to `t_us`; the past is not taken back."""
+        pending = self._pending
+        while pending and pending[0][0] <= t_us:
+            stamp, values = pending.popleft()
+            self._relax(stamp)
+            self._target = values
+        self._relax(t_us)
+
+    def _relax(self, t_us: int) -> None:
+        step = t_us - self._now_us
+        if step <= 0 or self._target is None:
+            return
+        self._now_us = t_us
+        a, b = self._target, self.value
+        if a == b:
+            return
+        left = math.exp(-step / self._lag_us) if self._lag_us > 0.0 else 0.0
+        self.value = (
+            a[0] + (b[0] - a[0]) * left,
+            a[1] + (b[1] - a[1]) * left,
+            a[2] + (b[2] - a[2]) * left,
+            a[3] + (b[3] - a[3]) * left,
+        )
+
+
+class ThrustModel:
+    """Total thrust along the body's up axis, newton, mean over a tick of the IMU.
+
+    Attributes:
+        source: what the last answer came from; None: nothing known yet, hover assumed.
+    """
+
+    def __init__(self, vehicle: VehicleConfig) -> None:
+        self._config = vehicle.estimation
+        self._curve = vehicle.thrust
+        self._hover_n = vehicle.airframe.mass_kg * GRAVITY_M_S2
+        self._timeout_us = round(self._config.thrust_timeout_s * 1e6)
+        self._motors = LaggedCommands(vehicle.thrust.motor_lag_s)
+        self._collective = LaggedCommands(vehicle.thrust.motor_lag_s)
+        self._esc: EscSample | None = None
+        self._esc_period_us = 1 << 60
+        self._voltage_factor = 1.0
+        self._last_n: float | None = None
+        self.source: ThrustSource | None = None
+
+    def take_actuator(self, sample: ActuatorSample) -> None:
+        """Commands to the motors."""
+        self._motors.take(sample.t_us, sample.motors)
+
+    def take_attitude_target(self, sample: AttitudeTargetSample) -> None:
+        """The controller's collective thrust."""
+        thrust = max(0.0, sample.thrust)
+        self._collective.take(sample.t_us, (thrust, thrust, thrust, thrust))
+
+    def take_esc(self, sample: EscSample) -> None:
+        """Measured motor speeds."""
+        if self._esc is not None:
+            if sample.t_us <= self._esc.t_us:
+                return
+            self._esc_period_us = sample.t_us - self._esc.t_us
+        self._esc = sample
+
+    def take_voltage(self, volts: float | None) -> None:
+        """Battery voltage; None where it is not known."""
+        battery = self._config.battery
+        if volts is not None and volts > 0.0 and battery.exponent > 0.0:
+            self._voltage_factor = (volts / battery.reference_v) ** battery.exponent
+
+    def mean_over_tick(self, t_us: int) -> float:
+        """Mean thrust in newton between the previous call's stamp and `t_us`."""
+        raw = self._at(t_us)
+        before = self._last_n if self._last_n is not None else raw
+        self._last_n = raw
+        return 0.5 * (before + raw)
+
+    def _at(self, t_us: int) -> float:
+        wanted, oldest = self._config.thrust_source, t_us - self._timeout_us
+        auto = wanted is ThrustSource.AUTO
+        esc, motors, collective = self._esc, self._motors, self._collective
+        # A single choice does not time out: an old value of the right source beats none.
+        per_rpm2 = self._config.esc_thrust_n_per_rpm2
+        if esc is not None and per_rpm2 is not None:
+            often = self._esc_period_us <= _ESC_PERIOD_US and esc.t_us >= t_us - _ESC_PERIOD_US
+            if wanted is ThrustSource.ESC or (auto and often):
+                self.source = ThrustSource.ESC
+                r = esc.rpm
+                return per_rpm2 * (r[0] * r[0] + r[1] * r[1] + r[2] * r[2] + r[3] * r[3])
+        known = motors.newest_us > 0
+        fresh = motors.newest_us >= oldest or collective.newest_us < motors.newest_us
+        if known and (wanted is ThrustSource.ACTUATOR or (auto and fresh)):
+            self.source = ThrustSource.ACTUATOR
+            motors.advance(t_us)
+            a, b, c, d = motors.value
+            f = self._curve.model_factor
+            relative = f * (a * a + b * b + c * c + d * d) + (1.0 - f) * (a + b + c + d)
+            return self._curve.full_n * relative * self._voltage_factor
+        if collective.newest_us > 0 and (auto or wanted is ThrustSource.ATTITUDE_TARGET):
+            self.source = ThrustSource.ATTITUDE_TARGET
+            collective.advance(t_us)
+            return 4.0 * self._curve.full_n * collective.value[0] * self._voltage_factor
+        self.source = None
+        return self._hover_n

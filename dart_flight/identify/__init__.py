@@ -1,0 +1,1 @@
+"""Contact coefficients and thrust curve from recorded data."""

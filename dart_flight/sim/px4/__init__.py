@@ -1,0 +1,1 @@
+"""A real PX4 SITL on our plant."""

@@ -1,0 +1,356 @@
+"""Starts and stops a real PX4 (SITL) from the user's own build or install, for one flight.
+
+PX4 runs in a fresh working folder, in a session of its own, on the first free instance number (which is what
+its ports follow from), with parameters by environment. Where PX4 comes from is the user's affair; its
+documentation explains building and installing it (docs/px4.md).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import fcntl
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+
+from dart_flight.config.document import InputError
+from dart_flight.config.parameters import PositionSource, Value, load_parameters, vehicle_files
+from dart_flight.config.vehicle import LockDriver, Px4Parameters, VehicleConfig, packaged
+from dart_flight.errors import FlightError
+from dart_flight.lock.drivers.px4 import ACTUATOR_SET_1, PREARM_ALWAYS
+from dart_flight.sim.plant import Motor, motors_of
+from dart_flight.sim.px4.bridge import SERVO_CHANNEL
+
+MODEL = "none_iris"  # PX4's airframe for an external simulator: a quadrotor in X
+ENVIRONMENT = "DART_PX4_DIR"
+TESTED, OLDEST = (1, 16), (1, 14)  # before 1.14 the names of the parameters were others
+SIMULATOR_PORT, ONBOARD_PORT = 4560, 14540
+_LOCAL_PORTS = (14580, 18570, 14280, 13030)  # UDP, plus the instance
+_INSTANCES = range(10)  # from the tenth on PX4 sends to one shared port
+_TERM_WAIT_S = 2.0
+_BOOTED = "Startup script returned successfully"
+_SET_PDEATHSIG = 1
+
+
+class Px4Error(FlightError):
+    """PX4 cannot be started, or is of the wrong version."""
+
+
+class Install(msgspec.Struct, frozen=True):
+    """Where PX4 is: its program and its `etc` folder."""
+
+    program: Path
+    etc: Path
+
+
+def find_install(directory: str | Path | None) -> Install:
+    """PX4 in an install (`bin/px4`, `etc`) or a build folder of the same layout.
+
+    Args:
+        directory: as the user gave it; None or empty: the environment's DART_PX4_DIR.
+
+    Raises:
+        InputError: there is none.
+    """
+    named = directory or os.environ.get(ENVIRONMENT)
+    if not named:
+        raise InputError(f"no PX4: give --px4 DIR or set {ENVIRONMENT} (see docs/px4.md)")
+    root = Path(named).expanduser().resolve()
+    for base in (root, root / "build" / "px4_sitl_default"):
+        program, etc = base / "bin" / "px4", base / "etc"
+        if program.is_file():
+            if not os.access(program, os.X_OK):
+                raise InputError("bin/px4 is not executable", source=str(base))
+            if not (etc / "init.d-posix" / "rcS").is_file():
+                raise InputError(
+                    "has bin/px4 but no etc/init.d-posix/rcS: not a SITL build", source=str(base)
+                )
+            if not list((etc / "init.d-posix" / "airframes").glob(f"*_{MODEL}")):
+                raise InputError(f"has no airframe {MODEL}: wrong version of PX4", source=str(base))
+            return Install(program, etc)
+    raise InputError(
+        "no PX4 SITL there: neither bin/px4 nor build/px4_sitl_default/bin/px4", source=str(root)
+    )
+
+
+# --- parameters --------------------------------------------------------------------------------------
+
+
+def parameter_files(gps: str | None) -> list[Path]:
+    """The packaged parameter files of a simulated flight, in the order in which they apply."""
+    return [*vehicle_files(PositionSource(gps or "mocap")), packaged("configs", "px4", "simulation.params")]
+
+
+def flight_parameters(
+    vehicle: VehicleConfig, gps: str | None, extra: list[Path] | None = None
+) -> dict[str, Value]:
+    """All parameters PX4 is started with: the airframe's and the configuration's, then those of the files.
+
+    Args:
+        vehicle: masses, motors and the `px4` section.
+        gps: `rtk` or `plain`; None: indoors.
+        extra: the user's own parameter files, which win.
+
+    Raises:
+        InputError: a file is wrong.
+    """
+    parameters: dict[str, Value] = airframe_parameters(vehicle)
+    for path in [*parameter_files(gps), *(extra or [])]:
+        parameters.update({p.name: p.value for p in load_parameters(path).values()})
+    return parameters
+
+
+def airframe_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
+    """What the configuration says of the vehicle, in PX4's parameters: motors, thrust curve, gains, servo."""
+    parameters: dict[str, Value] = {}
+    for i, motor in enumerate(motors_of(vehicle.airframe)):
+        parameters[f"CA_ROTOR{i}_PX"] = motor.x_m
+        parameters[f"CA_ROTOR{i}_PY"] = motor.y_m
+        parameters[f"CA_ROTOR{i}_KM"] = motor.yaw_m
+    parameters["THR_MDL_FAC"] = vehicle.thrust.model_factor
+    parameters["MPC_THR_HOVER"] = vehicle.hover_thrust_fraction()
+    for field in msgspec.structs.fields(Px4Parameters):
+        parameters[field.encode_name] = float(getattr(vehicle.px4, field.name))
+    if vehicle.lock.driver is LockDriver.PX4:
+        # In SITL every output is a simulated MAIN one, whatever pin the vehicle's servo is on.
+        function = ACTUATOR_SET_1 + vehicle.lock.px4.actuator_index - 1
+        parameters[f"PWM_MAIN_FUNC{SERVO_CHANNEL + 1}"] = function
+        parameters["COM_PREARM_MODE"] = PREARM_ALWAYS
+    return parameters
+
+
+def motors_from(parameters: Mapping[str, Value], vehicle: VehicleConfig) -> tuple[Motor, ...]:
+    """The motors of the airframe that PX4 is told to fly: its parameters, else the configuration's."""
+    motors = []
+    for i, own in enumerate(motors_of(vehicle.airframe)):
+        motors.append(
+            Motor(
+                float(parameters.get(f"CA_ROTOR{i}_PX", own.x_m)),
+                float(parameters.get(f"CA_ROTOR{i}_PY", own.y_m)),
+                float(parameters.get(f"CA_ROTOR{i}_KM", own.yaw_m)),
+            )
+        )
+    return tuple(motors)
+
+
+def environment(parameters: Mapping[str, Value]) -> dict[str, str]:
+    """Environment of the PX4 process: nothing of the caller's that could steer it, and the parameters."""
+    kept = {name: os.environ[name] for name in ("PATH", "HOME", "LANG", "TZ") if name in os.environ}
+    kept["PX4_SIM_MODEL"] = MODEL
+    for name, value in parameters.items():
+        kept[f"PX4_PARAM_{name}"] = str(value) if isinstance(value, int) else f"{value:.9g}"
+    return kept
+
+
+def arguments(install: Install, instance: int) -> list[str]:
+    """Command line of PX4: without a shell of its own (-d), by a path with a slash, as it wants."""
+    return [str(install.program), "-i", str(instance), "-d", str(install.etc)]
+
+
+# --- instance ----------------------------------------------------------------------------------------
+
+
+def claim_instance() -> tuple[int, socket.socket]:
+    """The first free PX4 instance and its simulator socket, listening; whoever listens owns the instance.
+
+    Raises:
+        Px4Error: all ten are taken.
+    """
+    for instance in _INSTANCES:
+        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind(("127.0.0.1", SIMULATOR_PORT + instance))
+            listener.listen(1)
+        except OSError:
+            listener.close()
+            continue
+        ports = [ONBOARD_PORT + instance, *(port + instance for port in _LOCAL_PORTS)]
+        if all(map(_udp_is_free, ports)) and not _instance_is_locked(instance):
+            return instance, listener
+        listener.close()
+    raise Px4Error(f"all {len(_INSTANCES)} PX4 instances are taken: stop one (ports 4560, 14540 and on)")
+
+
+def _udp_is_free(port: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("0.0.0.0", port))
+        except OSError:
+            return False
+    return True
+
+
+def _instance_is_locked(instance: int) -> bool:
+    """Whether a running PX4 holds the instance's lock file."""
+    try:
+        with open(f"/tmp/px4_lock-{instance}", "r+b") as lock:
+            fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return True
+    return False
+
+
+# --- the process -------------------------------------------------------------------------------------
+
+
+def _die_with_parent() -> None:
+    """In the child: killed when the process that started it dies; without its simulator PX4 only spins."""
+    ctypes.CDLL(None).prctl(_SET_PDEATHSIG, signal.SIGKILL)
+
+
+class Px4:
+    """One running PX4.
+
+    Start it from the main thread, before other threads run (the kernel ties its life to that thread).
+
+    Args:
+        install: where PX4 is.
+        instance: claimed with `claim_instance`.
+        folder: of the flight; PX4 works in `folder/px4`, its console goes to `folder/px4.log`.
+        parameters: to start with.
+
+    Raises:
+        Px4Error: the program does not start.
+    """
+
+    def __init__(
+        self, install: Install, instance: int, folder: Path, parameters: Mapping[str, Value]
+    ) -> None:
+        self._install, self.instance, self._folder = install, instance, folder
+        self.work = folder / "px4"
+        self.console = folder / "px4.log"
+        self.work.mkdir(parents=True, exist_ok=False)
+        try:
+            with open(self.console, "wb") as console:
+                self._process = subprocess.Popen(
+                    arguments(install, instance),
+                    cwd=self.work,
+                    env=environment(parameters),
+                    stdin=subprocess.DEVNULL,
+                    stdout=console,
+                    stderr=subprocess.STDOUT,
+                    start_new_session=True,
+                    preexec_fn=_die_with_parent,  # noqa: PLW1509  (no other thread runs yet)
+                )
+        except OSError as error:
+            raise Px4Error(f"{install.program} does not start: {error.strerror}") from None
+
+    @property
+    def pid(self) -> int:
+        """Process id, that of its session and process group, too."""
+        return self._process.pid
+
+    def ending(self) -> str | None:
+        """How the process ended, in words; None while it runs."""
+        code = self._process.poll()
+        if code is None:
+            return None
+        if code < 0:
+            return f"PX4 was killed by {signal.Signals(-code).name}"
+        return f"PX4 ended with status {code}"
+
+    def wait_connected(self, listener: socket.socket, timeout_s: float = 10.0) -> socket.socket:
+        """Accept PX4's simulator connection.
+
+        Raises:
+            Px4Error: it ends, or does not connect in time.
+        """
+        listener.settimeout(0.1)
+        deadline = time.monotonic() + timeout_s
+        while time.monotonic() < deadline:
+            with contextlib.suppress(TimeoutError):
+                return listener.accept()[0]
+            ending = self.ending()
+            if ending is not None:
+                raise Px4Error(f"{ending} before it connected{self._last_words()}")
+        raise Px4Error(f"PX4 did not connect to its simulator within {timeout_s:g} s{self._last_words()}")
+
+    def booted(self) -> bool:
+        """Whether its start-up script is through."""
+        with contextlib.suppress(OSError):
+            return _BOOTED.encode() in self.console.read_bytes()
+        return False
+
+    def _last_words(self) -> str:
+        with contextlib.suppress(OSError):
+            lines = self.console.read_text(errors="replace").splitlines()
+            errors = [line for line in lines if "ERROR" in line] or lines
+            if errors:
+                return f": {errors[-1].strip()}"
+        return ""
+
+    def ask_version(self) -> subprocess.Popen[bytes] | None:
+        """Ask the running PX4 for its version; read the answer with `parse_version`.
+
+        It answers only while the lockstep goes on, so this does not wait.
+        """
+        program = self._install.program.parent / "px4-ver"
+        if not program.exists():
+            return None
+        return subprocess.Popen(
+            [str(program), "--instance", str(self.instance), "all"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+
+    def stop(self) -> None:
+        """End it and everything it started: SIGTERM, then SIGKILL to its session."""
+        if self._process.poll() is None:
+            self._process.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(_TERM_WAIT_S)
+        # Its start-up script may still run, and before the first sensor message PX4 takes no signal but this.
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self.pid, signal.SIGKILL)
+        self._process.wait()
+        with contextlib.suppress(OSError):
+            os.unlink(f"/tmp/px4-sock-{self.instance}")
+
+    def keep_log(self) -> Path | None:
+        """Move PX4's ULog beside the flight's own and clear the rest away; None where there is none."""
+        logs = sorted(self.work.glob("log/**/*.ulg"), key=lambda path: path.stat().st_size)
+        if not logs:
+            return None
+        kept = self._folder / "px4.ulg"
+        logs[-1].replace(kept)
+        shutil.rmtree(self.work, ignore_errors=True)
+        return kept
+
+
+def parse_version(answer: str) -> tuple[int, int, int] | None:
+    """Version out of `px4-ver all`, such as (1, 16, 0); None where it says none."""
+    found = re.search(r"PX4 version:.*?(\d+)\.(\d+)\.(\d+)", answer)
+    if found is None:
+        return None
+    return (int(found[1]), int(found[2]), int(found[3]))
+
+
+def judge_version(version: tuple[int, int, int] | None) -> str | None:
+    """What there is to say about a version; None: nothing, it is the one the tables were flown with.
+
+    Raises:
+        Px4Error: it is too old.
+    """
+    tested = f"the tables of docs/px4.md are from v{TESTED[0]}.{TESTED[1]}"
+    if version is None:
+        return f"PX4 does not tell its version; {tested}"
+    text = ".".join(map(str, version))
+    if version[:2] < OLDEST:
+        raise Px4Error(f"PX4 v{text} is too old: at least v{OLDEST[0]}.{OLDEST[1]}, tested with v1.16")
+    if version[:2] != TESTED:
+        return f"PX4 v{text}; {tested}"
+    return None

@@ -1,0 +1,217 @@
+"""The world of a real PX4: the plant in lockstep with it, in a process that owns PX4 and ends it.
+
+The pipe to the app is the same as the embedded autopilot's (`pipe`). The process ends PX4 in every case: on
+the app's word, when PX4 dies or hangs, on SIGTERM, and when the app is gone (after PX4 has flown to its
+failsafe); when it is killed itself, the kernel kills PX4.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import signal
+import subprocess
+import time
+from pathlib import Path
+from typing import IO
+
+import msgspec
+
+from dart_flight.config.document import Document
+from dart_flight.config.mission import parse_mission
+from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.errors import FlightError
+from dart_flight.samples import TruthSample
+from dart_flight.sim.autopilot import TICK_S
+from dart_flight.sim.pipe import Died, Horn, LineReader, LineWriter, Px4Spec, Ready, Truth, WorldSpec
+from dart_flight.sim.process import run_in_real_time
+from dart_flight.sim.px4.bridge import HilLink, Px4LostError, Px4Vehicle
+from dart_flight.sim.px4.launch import (
+    ONBOARD_PORT,
+    Px4,
+    Px4Error,
+    claim_instance,
+    find_install,
+    judge_version,
+    motors_from,
+    parse_version,
+)
+
+_TRUTH_EVERY = 2  # ticks
+_BOOT_TIMEOUT_S = 15.0
+# Simulated time after booting in which the EKF aligns: it runs as fast as the machine goes.
+_WARM_UP_S = {None: 6.0, "rtk": 15.0, "plain": 15.0}
+_ORPHAN_S = 25.0  # after the app's death, host time; with the end of PX4 it stays within 30 s
+_LANDED_S = 1.0  # host time after disarming in which PX4 writes its log
+
+
+class _StoppedError(Exception):
+    """SIGTERM."""
+
+
+class Px4Process:
+    """Plant and PX4 between the app's pipe and PX4's sockets.
+
+    Args:
+        spec: of the world.
+        px4: its PX4 part.
+        commands, truth: the pipe.
+    """
+
+    def __init__(self, spec: WorldSpec, px4: Px4Spec, commands: IO[bytes], truth: IO[bytes]) -> None:
+        vehicle = msgspec.json.decode(spec.vehicle, type=VehicleConfig)
+        self._mission = parse_mission(Document.load(spec.mission), vehicle)
+        self._spec, self._px4_spec = spec, px4
+        self._commands, self._truth_stream = commands, truth
+        self._log: IO[str] | None = None
+        if spec.log is not None:
+            self._log = open(spec.log, "a", encoding="utf-8", buffering=1)  # noqa: SIM115
+        self._ticks = 0
+        self._armed = False
+        self._orphan_since_s: float | None = None
+        self._disarmed_at_s: float | None = None
+        self._over = False
+
+    def run(self) -> int:
+        """Start PX4, fly until the app is gone and the vehicle is down, stop PX4; returns the exit status."""
+        signal.signal(signal.SIGTERM, _stop)
+        px4: Px4 | None = None
+        status = 0
+        writer: LineWriter | None = None
+        try:
+            instance, listener = claim_instance()
+            # PX4 before any thread: the kernel ties its life to the thread that starts it.
+            px4 = Px4(
+                find_install(self._px4_spec.directory),
+                instance,
+                Path(self._px4_spec.folder),
+                self._px4_spec.parameters,
+            )
+            self._say(f"PX4 instance {instance}, process {px4.pid}")
+            writer = LineWriter(self._truth_stream)
+            self._fly(px4, HilLink(px4.wait_connected(listener)), writer)
+        except _StoppedError:
+            self._say("terminated")
+        except FlightError as error:
+            status = 1
+            cause = self._cause(px4, error)
+            self._say(cause)
+            writer = writer or LineWriter(self._truth_stream)
+            writer.put(Died(cause))
+        finally:
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
+            if px4 is not None:
+                px4.stop()
+                kept = px4.keep_log()
+                self._say(f"PX4 stopped, its log: {kept.name if kept else 'none'}")
+            if writer is not None:
+                writer.finish()
+        return status
+
+    @staticmethod
+    def _cause(px4: Px4 | None, error: FlightError) -> str:
+        """What ended the flight: PX4's own end explains a lost connection."""
+        if px4 is not None and isinstance(error, Px4LostError):
+            time.sleep(0.05)  # for the process to be gone, too
+            return px4.ending() or str(error)
+        return str(error)
+
+    def _say(self, text: str) -> None:
+        if self._log is not None:
+            self._log.write(f"{self._ticks * TICK_S:9.3f} s  {text}\n")
+
+    # -- flight --
+
+    def _fly(self, px4: Px4, link: HilLink, writer: LineWriter) -> None:
+        self._writer = writer
+        self._reader = LineReader(self._commands)
+        self._vehicle = Px4Vehicle(
+            self._mission,
+            self._spec.seed,
+            link,
+            self._px4_spec.gps,
+            motors_from(self._px4_spec.parameters, self._mission.vehicle),
+        )
+        version = self._boot(px4)
+        note = judge_version(version)
+        if note is not None:
+            self._say(note)
+        text = ".".join(map(str, version)) if version else None
+        self._free_run(_WARM_UP_S[self._px4_spec.gps])
+        self._say("ready")
+        writer.put(Ready(self._vehicle.time_us, ONBOARD_PORT + px4.instance, text, px4.pid))
+        gc.freeze()
+        begun, ticks = time.monotonic(), self._ticks
+        run_in_real_time(self._step, lambda: self._over, TICK_S / self._px4_spec.speed)
+        factor = (self._ticks - ticks) * TICK_S / (time.monotonic() - begun)
+        self._say(f"flown at {factor:.2f} times real time, {self._vehicle.clipped} clipped ticks")
+
+    def _boot(self, px4: Px4) -> tuple[int, int, int] | None:
+        """Step while PX4 boots, then ask for its version.
+
+        Raises:
+            Px4Error: it does not boot in time.
+        """
+        deadline = time.monotonic() + _BOOT_TIMEOUT_S
+        while not px4.booted():
+            self._free_run(0.2)
+            if time.monotonic() > deadline:
+                raise Px4Error(f"PX4 did not boot within {_BOOT_TIMEOUT_S:g} s, see {px4.console}")
+        asked = px4.ask_version()
+        if asked is None:
+            return None
+        while asked.poll() is None and time.monotonic() < deadline:
+            self._free_run(0.02)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            answer, _ = asked.communicate(timeout=0.5)
+            return parse_version(answer.decode(errors="replace"))
+        asked.kill()
+        return None
+
+    def _free_run(self, seconds: float) -> None:
+        """Step as fast as PX4 answers; the app sees nothing of it."""
+        for _ in range(round(seconds / TICK_S)):
+            self._vehicle.step()
+            self._ticks += 1
+
+    def _step(self) -> None:
+        while self._reader.items:
+            item = self._reader.items.popleft()
+            if isinstance(item, Horn):
+                self._vehicle.set_horn(item.pulse_us)
+        self._vehicle.step()
+        plant = self._vehicle.plant
+        if self._ticks % _TRUTH_EVERY == 0:
+            self._writer.put(Truth(state=plant.truth()))
+        while plant.finished:
+            self._writer.put(Truth(contact=plant.finished.pop(0)))
+        self._ticks += 1
+        if self._vehicle.armed is not self._armed:
+            self._armed = self._vehicle.armed
+            self._disarmed_at_s = None if self._armed else time.monotonic()
+            self._say("PX4 armed" if self._armed else f"PX4 disarmed at {_where(plant.truth())}")
+        if self._reader.closed:
+            self._fly_on_alone()
+
+    def _fly_on_alone(self) -> None:
+        """The app is gone: PX4 flies on to its failsafe; the end once it has disarmed."""
+        now = time.monotonic()
+        if self._orphan_since_s is None:
+            self._orphan_since_s = now
+            if self._armed:
+                self._say("the app is gone, PX4 flies on to its failsafe")
+        landed = not self._armed and (self._disarmed_at_s is None or now - self._disarmed_at_s > _LANDED_S)
+        if landed:
+            self._over = True
+        elif now - self._orphan_since_s > _ORPHAN_S:
+            self._say(f"PX4 has not landed within {_ORPHAN_S:g} s")
+            self._over = True
+
+
+def _where(truth: TruthSample) -> str:
+    x, y, z = truth.position_mission
+    return f"({x:.2f}, {y:.2f}, {z:.2f})"
+
+
+def _stop(_signum: int, _frame: object) -> None:
+    raise _StoppedError

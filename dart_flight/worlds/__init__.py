@@ -1,0 +1,1 @@
+"""The shells around the core, one per world, and what runs many flights."""

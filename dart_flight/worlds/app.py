@@ -1,0 +1,436 @@
+"""The shell around the core for worlds with a clock: streams -> queue -> core -> vehicle, lock, log.
+
+Threads: MAVSDK's own builds records and queues them; the core thread takes them, steps the core and sends
+set-points at once; the lock thread steps the lock's state machine and may block on its driver; the log thread
+encodes and writes; asyncio owns connecting, arming and mode changes, signals and the terminal.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import queue
+import signal
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+from dart_flight.config.mission import Mission
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.lock.drivers import Driver, make_driver
+from dart_flight.lock.drivers.mock import MockDriver
+from dart_flight.lock.session import LockSession
+from dart_flight.lock.state_machine import status_text
+from dart_flight.recording.writer import FlightLog
+from dart_flight.samples import (
+    ActuatorSample,
+    AttitudeSample,
+    CommandResult,
+    Input,
+    LockCommand,
+    LockPermission,
+    LockPhase,
+    LockState,
+    MissionEnd,
+    OdometrySample,
+    OperatorRequest,
+    Output,
+    PhaseChange,
+    Record,
+    SetPoint,
+    SetPointSent,
+    Silence,
+    Tick,
+    VehicleAction,
+    VehicleCommand,
+)
+from dart_flight.vehicle import VehicleSession, connect
+from dart_flight.vehicle.clock import Clock, host_us
+from dart_flight.verdict import VerdictBuilder
+from dart_flight.worlds.deadman import CORE, FEED_PERIOD_S, LOOP, Deadman, SystemdNotice
+
+_TICK_S = 0.02
+_SHOW_PERIOD_S = 0.05
+_LOCK_PERIOD_S = 0.01
+_BACKLOG = 64  # inputs; beyond it only the newest of the state streams is stepped
+_SWITCH_INTERVAL_S = 0.001  # a thread that computes gives way to MAVSDK's callbacks after a millisecond
+_END_GRACE_S = 0.3  # for the last truth and the log
+
+Progress = Callable[[Record], None]
+
+
+class World(Protocol):
+    """What a simulated world offers the app beside MAVLink."""
+
+    @property
+    def died(self) -> bool:
+        """Whether it has ended by itself."""
+
+    @property
+    def cause(self) -> str:
+        """What died, in words."""
+
+    def send_horn(self, pulse_us: float) -> None:
+        """Tell the plant where the mock servo's horn is."""
+
+
+class Sabotage(Protocol):
+    """Breaks things from inside, for tests."""
+
+    def __call__(
+        self, record: Record, loop: asyncio.AbstractEventLoop | None, mock: MockDriver | None
+    ) -> None:
+        """Take a record, on the core thread."""
+
+
+class CoreThread:
+    """Owner of the core: the one place that steps it.
+
+    Args:
+        core: the flight core.
+        send: sends a set-point at once.
+        carry_out: takes every other command; must not block.
+        observe: sees every input with its number, and what follows from it.
+        alive: called at every turn, at least every 20 ms; feeds the deadman.
+    """
+
+    def __init__(
+        self,
+        core: FlightCore,
+        send: Callable[[SetPoint], None],
+        carry_out: Callable[[Output], None],
+        observe: Callable[[Record, int], None],
+        alive: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._core, self._send, self._carry_out, self._observe = core, send, carry_out, observe
+        self._alive = alive
+        self._queue: queue.SimpleQueue[Input] = queue.SimpleQueue()
+        self._stop = threading.Event()
+        self._number = 0
+        self._ticked_us = 0
+        self._turned_us = host_us()
+        self.thread = threading.Thread(target=self._run, name="core", daemon=True)
+
+    def age_s(self) -> float:
+        """How long ago the thread last came round, seconds."""
+        return (host_us() - self._turned_us) * 1e-6
+
+    def put(self, item: Input) -> None:
+        """Queue an input; any thread, never blocks."""
+        self._queue.put(item)
+
+    def stop(self) -> None:
+        """End the thread after what is queued."""
+        self._stop.set()
+        self.thread.join(timeout=2.0)
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            self._turned_us = host_us()
+            self._alive()
+            for item in self._next():
+                self._step(item)
+            now = host_us()
+            if now - self._ticked_us >= _TICK_S * 1e6:
+                self._ticked_us = now
+                self._step(Tick(now))
+
+    def _next(self) -> list[Input]:
+        """What is queued, at least one or nothing within a tick; a backlog is coalesced, newest wins."""
+        try:
+            items = [self._queue.get(timeout=_TICK_S)]
+        except queue.Empty:
+            return []
+        with contextlib.suppress(queue.Empty):
+            while True:
+                items.append(self._queue.get_nowait())
+        if len(items) <= _BACKLOG:
+            return items
+        newest = {type(item): i for i, item in enumerate(items)}
+        state_streams = (AttitudeSample, OdometrySample, ActuatorSample)
+        return [
+            item
+            for i, item in enumerate(items)
+            if not isinstance(item, state_streams) or newest[type(item)] == i
+        ]
+
+    def _step(self, item: Input) -> None:
+        number = self._number
+        self._number += 1
+        outputs = self._core.step(item)
+        for output in outputs:
+            if isinstance(output, SetPoint):
+                self._send(output)
+                if output.recovery:
+                    sent = host_us()
+                    latency = sent - output.trigger_received_us
+                    self._observe(SetPointSent(output.t_us, sent, latency), number)
+        self._observe(item, number)
+        for output in outputs:
+            if not isinstance(output, SetPoint):
+                self._carry_out(output)
+            self._observe(output, number)
+
+
+class LockThread:
+    """The lock's state machine on the core's time base, with a driver that may block."""
+
+    def __init__(
+        self,
+        session: LockSession,
+        states: queue.SimpleQueue[LockState],
+        clock_known: Callable[[], bool],
+        deliver: Callable[[LockState], None],
+        after_poll: Callable[[], None],
+    ) -> None:
+        self._session, self._states, self._deliver = session, states, deliver
+        self._clock_known, self._after_poll = clock_known, after_poll
+        self._orders: queue.SimpleQueue[LockCommand | LockPermission] = queue.SimpleQueue()
+        self._stop = threading.Event()
+        self.thread = threading.Thread(target=self._run, name="lock", daemon=True)
+
+    def put(self, order: LockCommand | LockPermission) -> None:
+        """Queue an order of the core; any thread, never blocks."""
+        self._orders.put(order)
+
+    def stop(self) -> None:
+        """End the thread."""
+        self._stop.set()
+        self.thread.join(timeout=2.0)
+
+    def _run(self) -> None:
+        # The lock lives on the autopilot's clock: it starts once that is known.
+        while not self._clock_known():
+            if self._stop.wait(_LOCK_PERIOD_S):
+                return
+        self._session.start()
+        while not self._stop.is_set():
+            try:
+                order = self._orders.get(timeout=_LOCK_PERIOD_S)
+                if isinstance(order, LockCommand):
+                    self._session.command(order.mode)
+                else:
+                    self._session.permit(order.permitted)
+            except queue.Empty:
+                pass
+            self._session.poll()
+            self._after_poll()
+            while True:
+                try:
+                    self._deliver(self._states.get_nowait())
+                except queue.Empty:
+                    break
+
+
+class FlightApp:
+    """One flight over MAVSDK.
+
+    Args:
+        mission: what to fly.
+        url: MAVSDK connection URL.
+        log: where the flight is recorded.
+        verdict: takes the same records.
+        world: the simulated world, where there is one.
+        progress: sees every record, on a thread of its own: a terminal may block.
+        clock: the autopilot's; that of a real-time vehicle by default.
+        deadman_note: start a deadman, which writes here why it killed the program; None: no deadman.
+        sabotage: sees every record on the core thread, to break things there; for tests.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        url: str,
+        log: FlightLog,
+        verdict: VerdictBuilder,
+        world: World | None = None,
+        progress: Progress = lambda record: None,
+        clock: Clock | None = None,
+        deadman_note: Path | None = None,
+        sabotage: Sabotage | None = None,
+    ) -> None:
+        self._mission, self._url, self._log, self._verdict = mission, url, log, verdict
+        self._world, self._progress, self._clock = world, progress, clock
+        self._sabotage = sabotage
+        self._shown: deque[Record] = deque()
+        self._deadman_note = deadman_note
+        self._deadman: Deadman | None = None
+        self._mock: MockDriver | None = None
+        self._session: VehicleSession | None = None
+        self._done = asyncio.Event()
+        self._ended = threading.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._stops = 0
+        self._core = CoreThread(
+            FlightCore(mission), self._send, self._carry_out, self._observe, lambda: self._feed(CORE)
+        )
+        self._lock: LockThread | None = None
+
+    async def run(self) -> None:
+        """Fly; returns when the flight has ended.
+
+        Raises:
+            VehicleError: no autopilot at the URL.
+        """
+        self._loop = asyncio.get_running_loop()
+        timeout_s = self._mission.vehicle.connection.timeout_s
+        async with connect(self._url, timeout_s, self._core.put, clock=self._clock) as session:
+            self._session = session
+            self._lock = self._make_lock(session)
+            sys.setswitchinterval(_SWITCH_INTERVAL_S)
+            # What is loaded by now stays: the collector need not walk it in flight.
+            gc.collect()
+            gc.freeze()
+            terminal = threading.Thread(target=self._show, name="terminal", daemon=True)
+            terminal.start()
+            self._core.thread.start()
+            self._lock.thread.start()
+            session.subscribe(self._mission.vehicle.estimation)
+            self._listen_for_signals()
+            keeper = asyncio.create_task(self._keep_alive())
+            try:
+                await session.set_rates()
+                await self._watch()
+            finally:
+                keeper.cancel()
+                if self._deadman is not None:
+                    self._deadman.let_go()
+                self._core.stop()
+                self._lock.stop()
+                self._ended.set()
+                terminal.join(timeout=1.0)
+                for task in list(self._tasks):
+                    task.cancel()
+
+    def stop(self) -> None:
+        """The operator wants out: the first time leave the wall and land, the second time release."""
+        self._stops += 1
+        request = "land" if self._stops == 1 else "release"
+        self._core.put(OperatorRequest(host_us(), request))
+
+    # -- deadman and terminal --
+
+    def _feed(self, who: bytes) -> None:
+        if self._deadman is not None:
+            self._deadman.feed(who)
+
+    async def _keep_alive(self) -> None:
+        """The event loop's own pulse: feeds the deadman, and systemd while the core thread is alive too."""
+        systemd = SystemdNotice()
+        systemd.ready(f"flying {self._mission.name}")
+        starve_s = self._mission.vehicle.guard.deadman_s
+        if self._deadman_note is not None:
+            self._deadman = Deadman(starve_s, self._deadman_note)
+            self._feed(LOOP)
+            self._deadman.arm()
+        try:
+            while True:
+                if self._deadman is not None:
+                    self._deadman.feed(LOOP)
+                    self._deadman.mend()
+                if self._core.age_s() < starve_s:
+                    systemd.alive()
+                await asyncio.sleep(FEED_PERIOD_S)
+        finally:
+            systemd.stopping()
+
+    def _show(self) -> None:
+        """Looks now and then: waking up for every record would cost the core thread its latency."""
+        while not (self._ended.wait(_SHOW_PERIOD_S) and not self._shown):
+            while self._shown:
+                record = self._shown.popleft()
+                with contextlib.suppress(OSError):
+                    self._progress(record)
+
+    async def _watch(self) -> None:
+        while not self._done.is_set():
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._done.wait(), 0.2)
+            if self._world is not None and self._world.died and not self._done.is_set():
+                self._core.put(OperatorRequest(host_us(), "world_died", self._world.cause))
+        await asyncio.sleep(_END_GRACE_S)
+
+    def _listen_for_signals(self) -> None:
+        assert self._loop is not None
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):  # not the main thread
+                self._loop.add_signal_handler(number, self.stop)
+
+    # -- lock --
+
+    def _make_lock(self, session: VehicleSession) -> LockThread:
+        def clock_us() -> int:
+            return session.clock.to_autopilot(host_us())
+
+        config = self._mission.vehicle.lock
+        driver: Driver = make_driver(config, clock_us=clock_us, set_actuator=session.set_actuator)
+        self._mock = driver if isinstance(driver, MockDriver) else None
+        states: queue.SimpleQueue[LockState] = queue.SimpleQueue()
+        lock = LockSession(config, driver, clock_us, states.put)
+        sent: list[float] = []
+
+        def after_poll() -> None:
+            # In a dry-run the mock servo is part of the harness: its horn moves the simulated arms.
+            if self._world is not None and isinstance(driver, MockDriver):
+                pulse = driver.horn_pulse_us(clock_us())
+                if not sent or sent[-1] != pulse:
+                    sent[:] = [pulse]
+                    self._world.send_horn(pulse)
+
+        return LockThread(
+            lock, states, lambda: session.clock.offset_us is not None, self._take_lock_state, after_poll
+        )
+
+    def _take_lock_state(self, state: LockState) -> None:
+        self._core.put(state)
+        if state.phase is not LockPhase.TRAVELLING and self._session is not None:
+            self._session.tell_ground(status_text(state))
+
+    # -- what the core wants, on the core thread --
+
+    def _send(self, setpoint: SetPoint) -> None:
+        assert self._session is not None
+        # A refused set-point is not a fault of the core: PX4 keeps the last one, then its failsafe.
+        with contextlib.suppress(Exception):
+            self._session.send(setpoint)
+
+    def _carry_out(self, output: Output) -> None:
+        assert self._session is not None
+        assert self._loop is not None
+        assert self._lock is not None
+        if isinstance(output, VehicleCommand):
+            self._loop.call_soon_threadsafe(self._start_action, output.action)
+        elif isinstance(output, LockCommand | LockPermission):
+            self._lock.put(output)
+        elif isinstance(output, PhaseChange):
+            # For `monitor`; not on this thread, whose set-points must not wait for it.
+            self._loop.call_soon_threadsafe(self._session.tell_ground, f"phase {output.after}")
+        elif isinstance(output, Silence):
+            self._session.silence()
+        elif isinstance(output, MissionEnd):
+            self._session.silence()
+            self._loop.call_soon_threadsafe(self._done.set)
+
+    def _start_action(self, action: VehicleAction) -> None:
+        assert self._loop is not None
+        task = self._loop.create_task(self._perform(action))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _perform(self, action: VehicleAction) -> None:
+        assert self._session is not None
+        problem = await self._session.perform(action)
+        t_us = self._session.clock.to_autopilot(host_us())
+        self._core.put(CommandResult(t_us, action.value, not problem, problem))
+
+    def _observe(self, record: Record, number: int) -> None:
+        self._log.put(record, number)
+        self._verdict.take(record)
+        self._shown.append(record)
+        if self._sabotage is not None:
+            self._sabotage(record, self._loop, self._mock)

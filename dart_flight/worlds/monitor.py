@@ -1,0 +1,215 @@
+"""What a vehicle's telemetry shows of force and contact, without flying it: the core's eyes and no hands.
+
+`Watcher` is fed every record by MAVSDK's thread and runs estimator and detector on it; `view` is what a
+screen shows of it, asked for a few times a second from another thread. Nothing is ever sent to the vehicle
+beside requests for streams that come too slowly: on a link shared with a flying `dart-flight` none is slowed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+
+import msgspec
+
+from dart_flight.config.mission import Mission
+from dart_flight.core.sense.senses import Senses
+from dart_flight.geometry import MissionFrame, Vec3
+from dart_flight.samples import (
+    ActuatorSample,
+    AttitudeSample,
+    ForceEstimate,
+    ImpactPeak,
+    ImuSample,
+    Input,
+    LandedState,
+    OdometrySample,
+    StatusText,
+)
+from dart_flight.streams import STREAMS
+from dart_flight.vehicle import VehicleSession, connect
+from dart_flight.vehicle.clock import host_us
+
+_STREAM_OF = {
+    ImuSample: "imu",
+    AttitudeSample: "attitude",
+    OdometrySample: "odometry",
+    ActuatorSample: "actuator",
+}
+_RATE_WINDOW_S = 1.0
+
+
+class StreamView(msgspec.Struct):
+    """One stream: measured rate, what a mission needs, age of the newest sample; null before the first."""
+
+    name: str
+    rate_hz: float
+    expected_hz: float
+    age_ms: float | None
+
+
+class View(msgspec.Struct):
+    """What a screen shows; forces in newton, along the axes of the frame named."""
+
+    time_s: float
+    frame: str
+    force_n: Vec3 | None
+    filtered_n: Vec3 | None
+    sigma_n: float | None
+    clipped: bool
+    detection: str
+    peaks: list[tuple[float, float, float]]  # age in s, normal and tangential force in newton
+    thrust_source: str | None
+    noise_m_s2: float
+    thrust_scale: float
+    bias_m_s2: tuple[float, float]
+    streams: list[StreamView]
+    armed: bool
+    flight_mode: str
+    landed: str
+    battery_v: float | None
+    phase: str | None
+    lock: str | None
+    cpu_percent: float
+
+
+class Watcher:
+    """Estimator and detector on live telemetry.
+
+    Args:
+        mission: where the frame and the vehicle's configuration come from.
+        placed: the mission's frame lies where the mission says; otherwise forces are shown in NED.
+    """
+
+    def __init__(self, mission: Mission, placed: bool) -> None:
+        self._mutex = threading.Lock()
+        self._senses = Senses(mission)
+        self._placed = placed
+        # North, west, up: the mission frame with heading 0 is what is shown where nobody named a mission.
+        self._senses.state.frame = mission.frame_at((0.0, 0.0, 0.0)) if placed else MissionFrame()
+        self.estimation = mission.vehicle.estimation
+        self._estimate: ForceEstimate | None = None
+        self._peaks: deque[ImpactPeak] = deque(maxlen=5)
+        self._counts: dict[str, deque[int]] = {s.name: deque() for s in STREAMS}
+        self._phase: str | None = None
+        self._lock: str | None = None
+        self._began_us = host_us()
+        self._cpu = (time.monotonic(), time.process_time())
+
+    def take(self, item: Input) -> None:
+        """A record of the telemetry; any thread, short."""
+        with self._mutex:
+            self._take(item)
+
+    def _take(self, item: Input) -> None:
+        name = _STREAM_OF.get(type(item))
+        if name is not None:
+            self._counts[name].append(host_us())
+        if isinstance(item, StatusText):
+            self._read_text(item.text)
+            return
+        self._senses.detector.watching = self._senses.state.status.landed is LandedState.IN_AIR
+        estimate, events = self._senses.take(item)
+        if estimate is not None:
+            self._estimate = estimate
+            self._peaks.extend(event for event in events if isinstance(event, ImpactPeak))
+
+    def _read_text(self, text: str) -> None:
+        # A flying `dart-flight` tells the ground of its lock and its phase in STATUSTEXT.
+        if text.startswith("lock "):
+            self._lock = text.removeprefix("lock ")
+        elif text.startswith("phase "):
+            self._phase = text.removeprefix("phase ")
+
+    def view(self) -> View:
+        """The present state for a screen."""
+        with self._mutex:
+            return self._view()
+
+    def _view(self) -> View:
+        now, state, e = host_us(), self._senses.state, self._estimate
+        newest = state.imu.t_us if state.imu else 0
+        source = self._senses.estimator.thrust.source
+        hover = self._senses.estimator.hover
+        return View(
+            time_s=(now - self._began_us) * 1e-6,
+            frame="mission" if self._placed else "north, west, up",
+            force_n=e.force_mission if e else None,
+            filtered_n=e.filtered_mission if e else None,
+            sigma_n=math.sqrt(max(0.0, 0.5 * (e.covariance_n2[0] + e.covariance_n2[1]))) if e else None,
+            clipped=e.clipped if e else False,
+            detection=self._senses.detector.stage
+            if self._senses.detector.watching
+            else "not watching: on the ground",
+            peaks=[
+                ((newest - p.t_us) * 1e-6, p.normal_force_n, p.tangential_force_n)
+                for p in reversed(self._peaks)
+            ],
+            thrust_source=source.value if source else None,
+            noise_m_s2=hover.noise_m_s2,
+            thrust_scale=hover.scale,
+            bias_m_s2=(hover.bias_x, hover.bias_y),
+            streams=[
+                self._stream(s.name, s.expected_hz, now) for s in STREAMS if s.name in _STREAM_OF.values()
+            ],
+            armed=state.status.armed,
+            flight_mode=state.status.flight_mode.value,
+            landed=state.status.landed.value,
+            battery_v=state.status.battery_v,
+            phase=self._phase,
+            lock=self._lock,
+            cpu_percent=self._cpu_percent(),
+        )
+
+    def _stream(self, name: str, expected_hz: float, now: int) -> StreamView:
+        seen = self._counts[name]
+        newest = seen[-1] if seen else None
+        while seen and seen[0] < now - _RATE_WINDOW_S * 1e6:
+            seen.popleft()
+        age = (now - newest) * 1e-3 if newest is not None else None
+        return StreamView(name, len(seen) / _RATE_WINDOW_S, expected_hz, age)
+
+    def _cpu_percent(self) -> float:
+        wall, busy = time.monotonic(), time.process_time()
+        share = 100.0 * (busy - self._cpu[1]) / max(1e-3, wall - self._cpu[0])
+        self._cpu = (wall, busy)
+        return share
+
+
+async def _raise_rates(watcher: Watcher, session: VehicleSession) -> None:
+    """Ask for the streams that come at less than a mission needs."""
+    await asyncio.sleep(1.5 * _RATE_WINDOW_S)
+    slow = [s.name for s in watcher.view().streams if s.rate_hz < s.expected_hz]
+    await session.set_rates(slow, watching=True)
+
+
+async def watch(
+    watcher: Watcher,
+    url: str,
+    timeout_s: float,
+    show: Callable[[View], None],
+    period_s: float,
+    seconds: float | None,
+) -> None:
+    """Connect as a ground station, run the watcher, show a view every period, until cancelled or time is up.
+
+    Raises:
+        VehicleError: no autopilot at the URL.
+    """
+    async with connect(url, timeout_s, watcher.take, ground=True) as session:
+        session.subscribe(watcher.estimation, guarded=False)
+        rates = asyncio.create_task(_raise_rates(watcher, session))
+        end = None if seconds is None else time.monotonic() + seconds
+        try:
+            while end is None or time.monotonic() < end:
+                await asyncio.sleep(period_s)
+                show(watcher.view())
+        finally:
+            rates.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await rates

@@ -1,0 +1,135 @@
+"""A core fed by hand: no world, no clock, only samples."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from dart_flight.config import load_mission
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.core.guard.rules import RULES, Rule
+from dart_flight.geometry import Vec3, quaternion_from_euler
+from dart_flight.samples import (
+    ActuatorSample,
+    AttitudeSample,
+    ClockOffset,
+    FlightMode,
+    ImuSample,
+    Input,
+    LandedState,
+    LockPhase,
+    LockState,
+    Mode,
+    OdometrySample,
+    Output,
+    StatusSample,
+    Tick,
+)
+
+ROOT = Path(__file__).parents[2]
+HOVER = 0.5547  # command at which four motors of the configuration carry 1.3 kg
+
+
+# Tests put the vehicle where they need it: only the rule about just that must not see it.
+TELEPORTING = tuple(rule for rule in RULES if rule.name != "estimator_jump")
+
+
+class HandFedCore:
+    """Feeds hovering telemetry at 250 Hz; position, velocity and force are set by the test."""
+
+    def __init__(
+        self, mission: str = "missions/dual_collision.yaml", rules: tuple[Rule, ...] = TELEPORTING
+    ) -> None:
+        self.core = FlightCore(load_mission(ROOT / mission), rules)
+        self.noise_m_s2 = 1e-4  # a real IMU never repeats itself
+        self.odometry_every = 2
+        self.t_us = 10_000_000
+        self.position_ned: Vec3 = (0.0, 0.0, 0.0)
+        self.velocity_ned: Vec3 = (0.0, 0.0, 0.0)
+        self.force_ned: Vec3 = (0.0, 0.0, 0.0)
+        self.q = quaternion_from_euler(0.0, 0.0, 0.0)
+        self.status = StatusSample(self.t_us, self.t_us, local_position_ok=True, landed=LandedState.ON_GROUND)
+        self.outputs: list[Output] = []
+        self.silent: set[str] = set()
+        self.give(ClockOffset(self.t_us, 0))
+
+    def give(self, item: Input) -> list[Output]:
+        out = self.core.step(item)
+        self.outputs += out
+        return out
+
+    def run(self, seconds: float) -> list[Output]:
+        """Telemetry for a while; returns what came out."""
+        before = len(self.outputs)
+        for _ in range(round(seconds / 0.004)):
+            self.t_us += 4000
+            t = self.t_us
+            m = self.core.mission.vehicle.airframe.mass_kg
+            if "attitude" not in self.silent:
+                self.give(AttitudeSample(t, t, self.q))
+            if "odometry" not in self.silent and (t // 4000) % self.odometry_every == 0:
+                self.give(OdometrySample(t, t, self.position_ned, self.velocity_ned))
+            if "actuator" not in self.silent:
+                self.give(ActuatorSample(t, t, (HOVER,) * 4))
+            if "imu" not in self.silent:
+                f = self.force_ned
+                noise = self.noise_m_s2 * ((t // 4000) % 2)
+                self.give(ImuSample(t, t, (f[0] / m, f[1] / m, f[2] / m - 9.81 + noise), (0.0, 0.0, 0.0)))
+            if (t // 4000) % 5 == 0:
+                self.give(Tick(t))
+            if (t // 4000) % 50 == 0 and "status" not in self.silent:
+                self.set_status()
+        return self.outputs[before:]
+
+    def pulse(self, peak_ned: tuple[float, float], seconds: float = 0.06) -> list[Output]:
+        """A half-sine of force, as a contact gives."""
+        out = []
+        steps = round(seconds / 0.004)
+        for i in range(1, steps):
+            share = math.sin(math.pi * i / steps)
+            self.force_ned = (peak_ned[0] * share, peak_ned[1] * share, 0.0)
+            out += self.run(0.004)
+        self.force_ned = (0.0, 0.0, 0.0)
+        return out
+
+    def at_the_wood(self) -> None:
+        """Just before the wooden wall (mission (0.917, -1.1)) at the approach velocity; NED: y is west."""
+        self.to_flight()
+        self.position_ned = (0.917, 1.09, -1.0)
+        self.velocity_ned = (0.5, 0.6, 0.0)
+        self.run(0.05)
+
+    def set_status(self, **changes: object) -> list[Output]:
+        import msgspec
+
+        self.status = msgspec.structs.replace(self.status, t_us=self.t_us, received_us=self.t_us, **changes)
+        return self.give(self.status)
+
+    def set_lock(self, mode: Mode | None, phase: LockPhase = LockPhase.SETTLED) -> None:
+        self.give(LockState(self.t_us, phase, mode))
+
+    def to_prepare(self) -> None:
+        """Through the phases up to the run-up point, where the lock is to move."""
+        self.set_lock(Mode.RIGID)
+        self.run(0.5)
+        self.set_status(flight_mode=FlightMode.OFFBOARD)
+        self.run(0.1)
+        self.set_status(armed=True)
+        self.run(0.1)
+        self.set_status(landed=LandedState.IN_AIR)
+        self.position_ned = (0.0, 0.0, -1.0)
+        self.run(0.5)  # arrived in the climb
+        self.run(0.5)  # arrived at the run-up
+
+    def to_flight(self) -> None:
+        """Through the phases up to the approach of the first collision."""
+        self.to_prepare()
+        self.set_lock(Mode.FLEXIBLE)
+        self.run(0.02)
+
+
+@pytest.fixture
+def hand_fed() -> HandFedCore:
+    return HandFedCore()

@@ -1,0 +1,250 @@
+"""The core's decisions, sample by sample: phases, recovery, guard. No world, no clock."""
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.core.mission.phases import ON_GROUND, TRANSITIONS, Event, Phase
+from dart_flight.core.mission.recovery import recovery_point
+from dart_flight.samples import (
+    FlightMode,
+    ForceEstimate,
+    GuardEvent,
+    ImpactOnset,
+    ImpactPeak,
+    LandedState,
+    LockCommand,
+    LockPermission,
+    LockPhase,
+    MissionEnd,
+    Mode,
+    OperatorRequest,
+    Output,
+    SetPoint,
+    StatusText,
+    VehicleAction,
+    VehicleCommand,
+)
+from tests.core.conftest import HandFedCore
+
+
+def of(kind: type[Any], outputs: list[Output]) -> list[Any]:
+    return [o for o in outputs if isinstance(o, kind)]
+
+
+def pulse(core: HandFedCore, peak_ned: tuple[float, float]) -> list[Output]:
+    return core.pulse(peak_ned)
+
+
+def at_the_wood(core: HandFedCore) -> None:
+    core.at_the_wood()
+    assert core.core.phase is Phase.APPROACH
+
+
+def test_it_asks_for_offboard_only_with_set_points_streaming(hand_fed: HandFedCore) -> None:
+    hand_fed.set_lock(Mode.RIGID)
+    out = hand_fed.run(0.5)
+    first_ask = next(i for i, o in enumerate(out) if isinstance(o, VehicleCommand))
+    assert out[first_ask].action is VehicleAction.OFFBOARD  # type: ignore[union-attr]
+    assert len(of(SetPoint, out[:first_ask])) >= 10
+    assert not of(VehicleCommand, [o for o in out if getattr(o, "action", None) is VehicleAction.ARM])
+
+
+def test_acknowledgements_prove_nothing(hand_fed: HandFedCore) -> None:
+    """Only telemetry moves it on: without it the command is repeated, then the mission given up."""
+    hand_fed.set_lock(Mode.RIGID)
+    out = hand_fed.run(25.0)
+    asked = [o for o in of(VehicleCommand, out) if o.action is VehicleAction.OFFBOARD]
+    assert len(asked) >= 15
+    ends = of(MissionEnd, out)
+    assert [(e.outcome, e.reason) for e in ends] == [("aborted", "offboard_refused: PX4 refused offboard")]
+
+
+def test_it_waits_for_the_lock_before_anything(hand_fed: HandFedCore) -> None:
+    out = hand_fed.run(1.0)
+    assert of(LockCommand, out)[0].mode is Mode.RIGID
+    assert not of(SetPoint, out)
+    assert hand_fed.core.phase is Phase.READYING
+
+
+def test_one_impact_is_one_onset_one_peak_one_set_point(hand_fed: HandFedCore) -> None:
+    at_the_wood(hand_fed)
+    out = pulse(hand_fed, (-10.0, -16.0)) + hand_fed.run(0.1)
+    assert len(of(ImpactOnset, out)) == 1
+    peaks = of(ImpactPeak, out)
+    assert len(peaks) == 1
+    assert peaks[0].normal_force_n == pytest.approx(16.0, rel=0.03)
+    assert peaks[0].tangential_force_n == pytest.approx(-10.0, rel=0.03)
+    recovery = [o for o in of(SetPoint, out) if o.recovery]
+    assert len(recovery) == 1
+    # In NED: y of the mission is west. Away from the wall by 0.025 * 16, onward by 0.12 * 10.
+    north, east, down = recovery[0].position_ned
+    assert north == pytest.approx(0.93 + 1.2, abs=0.06)
+    assert east == pytest.approx(1.1 - 0.4, abs=0.06)
+    assert down == pytest.approx(-1.0, abs=1e-6)
+    # It leaves in the very step that knows the peak.
+    assert out.index(recovery[0]) - out.index(peaks[0]) <= 2
+
+
+def test_the_lock_never_moves_in_contact_or_before_the_arms_relaxed(hand_fed: HandFedCore) -> None:
+    at_the_wood(hand_fed)
+    out = pulse(hand_fed, (-10.0, -16.0))
+    assert [p.permitted for p in of(LockPermission, out)] == [False]
+    assert not of(LockCommand, out)
+    hand_fed.position_ned = (1.0, 1.0, -1.0)
+    end_us = hand_fed.t_us
+    out = hand_fed.run(0.15)
+    permission = of(LockPermission, out)[0]
+    command = of(LockCommand, out)[0]
+    assert permission.permitted
+    assert command.mode is Mode.RIGID
+    relaxation_us = hand_fed.core.mission.vehicle.lock.relaxation_s * 1e6
+    assert command.t_us - end_us >= relaxation_us - 8000  # the contact ends a sample or two before the pulse
+
+
+def test_a_lock_that_is_late_breaks_off_the_next_collision(hand_fed: HandFedCore) -> None:
+    at_the_wood(hand_fed)
+    pulse(hand_fed, (-10.0, -16.0))
+    hand_fed.run(0.1)
+    hand_fed.set_lock(Mode.RIGID, LockPhase.TRAVELLING)
+    hand_fed.position_ned = (1.2, 0.9, -1.0)
+    hand_fed.velocity_ned = (1.0, 0.0, 0.0)
+    out = hand_fed.run(0.3)
+    assert [(g.rule, g.action) for g in of(GuardEvent, out)] == [("lock_late", "break_off")]
+    last = of(SetPoint, out)[-1]
+    assert last.position_ned[0] < 1.65 - 0.45  # back from the acrylic wall
+
+
+def test_the_same_lock_in_time_does_not(hand_fed: HandFedCore) -> None:
+    at_the_wood(hand_fed)
+    pulse(hand_fed, (-10.0, -16.0))
+    hand_fed.run(0.1)
+    hand_fed.set_lock(Mode.RIGID)
+    hand_fed.position_ned = (1.2, 0.9, -1.0)
+    hand_fed.velocity_ned = (1.0, 0.0, 0.0)
+    assert not of(GuardEvent, hand_fed.run(0.3))
+
+
+# --- the guard (its rules one by one: test_guard_rules.py) ------------------------------------------------
+
+
+def test_silence_of_the_imu_is_judged_within_its_timeout(hand_fed: HandFedCore) -> None:
+    hand_fed.to_flight()
+    hand_fed.silent.add("imu")
+    start = hand_fed.t_us
+    event = of(GuardEvent, hand_fed.run(0.3))[0]
+    assert event.t_us - start <= 100_000
+
+
+def test_a_failsafe_of_px4_is_aborted_and_a_pilot_is_released(hand_fed: HandFedCore) -> None:
+    hand_fed.to_flight()
+    hand_fed.give(StatusText(hand_fed.t_us, hand_fed.t_us, "critical", "Failsafe activated"))
+    out = hand_fed.set_status(flight_mode=FlightMode.LAND)
+    end = of(MissionEnd, out)[0]
+    assert end.outcome == "aborted"
+    other = HandFedCore()
+    other.to_flight()
+    end = of(MissionEnd, other.set_status(flight_mode=FlightMode.HOLD))[0]
+    assert end.outcome == "released"
+
+
+def test_after_the_guard_has_fired_the_mission_is_not_heard(hand_fed: HandFedCore) -> None:
+    hand_fed.to_flight()
+    hand_fed.give(OperatorRequest(hand_fed.t_us, "land"))
+    out = hand_fed.run(4.0)
+    assert {o.position_ned for o in of(SetPoint, out)} == {of(SetPoint, out)[0].position_ned}
+    assert next(o.action for o in of(VehicleCommand, out)) is VehicleAction.LAND
+    hand_fed.set_status(flight_mode=FlightMode.LAND, landed=LandedState.ON_GROUND)
+    hand_fed.run(0.1)
+    end = of(MissionEnd, hand_fed.set_status(armed=False))[0]
+    assert (end.outcome, end.reason) == ("aborted", "operator: land asked for")
+
+
+def test_the_ground_under_the_guards_landing_is_no_impact(hand_fed: HandFedCore) -> None:
+    hand_fed.to_flight()
+    hand_fed.give(OperatorRequest(hand_fed.t_us, "land"))  # breaks off first, then lands
+    hand_fed.run(0.5)
+    assert of(ImpactOnset, pulse(hand_fed, (-10.0, -16.0)))  # still in the air: a wall behind it counts
+    hand_fed.run(4.0)
+    assert VehicleAction.LAND in {o.action for o in of(VehicleCommand, hand_fed.outputs)}
+    hand_fed.set_status(flight_mode=FlightMode.LAND)
+    assert not of(ImpactOnset, pulse(hand_fed, (-10.0, -16.0)) + hand_fed.run(0.5))
+
+
+def test_nothing_is_an_impact_once_a_rule_lands_at_once(hand_fed: HandFedCore) -> None:
+    hand_fed.to_flight()
+    hand_fed.silent.add("imu")
+    assert [g.action for g in of(GuardEvent, hand_fed.run(0.3))] == ["land"]
+    hand_fed.silent.clear()
+    assert not of(ImpactOnset, pulse(hand_fed, (-10.0, -16.0)) + hand_fed.run(0.5))
+
+
+def test_a_stronger_action_replaces_a_weaker_one_and_never_the_other_way(hand_fed: HandFedCore) -> None:
+    hand_fed.to_flight()
+    hand_fed.give(OperatorRequest(hand_fed.t_us, "land"))
+    hand_fed.silent.add("imu")
+    hand_fed.run(0.3)
+    hand_fed.give(OperatorRequest(hand_fed.t_us, "land"))
+    actions = [g.action for g in of(GuardEvent, hand_fed.outputs)]
+    assert actions == ["break_off", "land"]
+
+
+def test_a_fault_in_the_mission_code_becomes_a_landing(
+    hand_fed: HandFedCore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hand_fed.to_flight()
+
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("mission")
+
+    monkeypatch.setattr(hand_fed.core.executive, "step", broken)
+    out = hand_fed.run(0.1)
+    events = of(GuardEvent, out)
+    assert [(e.rule, e.action) for e in events] == [("mission_fault", "land")]
+    assert "ZeroDivisionError" in events[0].detail
+    assert of(VehicleCommand, out)[0].action is VehicleAction.LAND
+
+
+@pytest.mark.parametrize("shift_us", [0, -1_000_000])
+def test_stamps_that_do_not_advance_are_passed_over(hand_fed: HandFedCore, shift_us: int) -> None:
+    hand_fed.to_flight()
+    estimates = of(ForceEstimate, hand_fed.outputs)
+    t_us = hand_fed.t_us
+    hand_fed.t_us += shift_us - 4000
+    hand_fed.run(0.004)
+    assert of(ForceEstimate, hand_fed.outputs) == estimates
+    hand_fed.t_us = t_us
+
+
+# --- the table and the law --------------------------------------------------------------------------------
+
+
+def test_every_phase_can_be_reached_and_has_a_way_out() -> None:
+    reached = set(TRANSITIONS.values()) | {Phase.READYING}
+    assert reached == set(Phase)
+    for phase in Phase:
+        outs = [event for (before, event) in TRANSITIONS if before is phase]
+        assert bool(outs) == (phase is not Phase.DONE)
+        if phase not in (Phase.DONE,):
+            assert Event.OVERRULE in outs
+        if phase in ON_GROUND:
+            assert Event.GIVEN_UP in outs
+
+
+unit = st.floats(0.0, 2.0 * math.pi).map(lambda a: (math.cos(a), math.sin(a)))
+
+
+@given(unit, st.floats(0.1, 300.0), st.floats(-100.0, 100.0), st.floats(0.001, 0.2), st.floats(0.0, 0.2))
+def test_the_set_point_is_always_away_from_the_wall(
+    normal: tuple[float, float], fn: float, ft: float, an: float, at: float
+) -> None:
+    x, y, z = recovery_point((1.0, 2.0, 3.0), normal, fn, ft, an, at, 1.5)
+    away = (x - 1.0) * normal[0] + (y - 2.0) * normal[1]
+    along = (x - 1.0) * normal[1] - (y - 2.0) * normal[0]
+    assert away == pytest.approx(an * fn, rel=1e-9)
+    assert away > 0.0
+    assert along == pytest.approx(-at * ft, rel=1e-9, abs=1e-12)  # onward: against the friction force
+    assert z == 1.5

@@ -1,0 +1,429 @@
+"""Force estimate, its parts, and the seeded sample of `tools.campaigns.force`."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import msgspec
+import pytest
+
+from dart_flight.config import load_mission
+from dart_flight.config.vehicle import Observer, ThrustSource, VehicleConfig
+from dart_flight.core.sense.arm_vibration import ArmFilter
+from dart_flight.core.sense.detector import ImpactDetector
+from dart_flight.core.sense.force import ForceEstimator
+from dart_flight.core.sense.momentum import MomentumObserver
+from dart_flight.core.sense.pulse import Prior, Reading, fit_friction, fit_normal
+from dart_flight.core.sense.state import FlightState
+from dart_flight.core.sense.thrust import LaggedCommands, ThrustModel
+from dart_flight.geometry import IDENTITY, MissionFrame, Vec3, quaternion_from_euler
+from dart_flight.samples import (
+    ActuatorSample,
+    AttitudeSample,
+    AttitudeTargetSample,
+    EscSample,
+    ForceEstimate,
+    ImpactOnset,
+    ImpactPeak,
+    ImuSample,
+    LandedState,
+    Mode,
+    OdometrySample,
+    StatusSample,
+)
+from tests.core.conftest import HOVER, ROOT
+from tools.campaigns.force import judge, percentile
+from tools.campaigns.force_hits import grid
+from tools.campaigns.force_quiet import fly_quiet
+
+MISSION = load_mission(ROOT / "missions" / "dual_collision.yaml")
+VEHICLE = MISSION.vehicle
+MASS = VEHICLE.airframe.mass_kg
+
+
+def with_estimation(**changes: object) -> VehicleConfig:
+    return msgspec.structs.replace(VEHICLE, estimation=msgspec.structs.replace(VEHICLE.estimation, **changes))
+
+
+# --- pulse -------------------------------------------------------------------------------------------
+
+
+def true_pulse(
+    k: float, f: float, v: float, push_n: float, vy: float, mu: float
+) -> list[tuple[float, float]]:
+    """Normal and friction force every 10 us from the first force, by stepping the contact law."""
+    h, x, vx = 1e-5, f * v / k, -v
+    out: list[tuple[float, float]] = []
+    while True:
+        n = -(k * x + f * vx)
+        if n < 0.0 and out:
+            return out
+        n = max(n, 0.0)
+        t = -mu * n * vy
+        out.append((n, t))
+        vx += h * (n - push_n) / MASS
+        vy += h * t / MASS
+        x += h * vx
+
+
+def readings_of(
+    pulse: list[tuple[float, float]], phase_s: float, noise_n: float, full_n: float, lag_s: float
+) -> list[Reading]:
+    """Tick means of a filtered, saturated pulse up to some ticks after its top."""
+    rng = random.Random(3)
+    top = max(range(len(pulse)), key=lambda i: pulse[i][0])
+    keep = math.exp(-1e-5 / lag_s)
+    n = t = 0.0
+    fine = []
+    for i in range(-4000, min(len(pulse), top + 1500)):
+        wanted = pulse[i] if i >= 0 else (0.0, 0.0)
+        n, t = wanted[0] + (n - wanted[0]) * keep, wanted[1] + (t - wanted[1]) * keep
+        fine.append((min(n, full_n), t))
+    out = []
+    first = round(phase_s * 1e5)
+    for begin in range(first, len(fine) - 400, 400):
+        part = fine[begin : begin + 400]
+        a = (begin - 4000) * 1e-5 - lag_s
+        normal = sum(p[0] for p in part) / 400 + rng.gauss(0.0, noise_n)
+        tangential = sum(p[1] for p in part) / 400 + rng.gauss(0.0, noise_n)
+        out.append(Reading(a, a + 0.004, normal, tangential, any(p[0] >= full_n for p in part)))
+    return out
+
+
+@pytest.mark.parametrize("phase_s", [0.0, 0.001, 0.0035])
+@pytest.mark.parametrize(("mode", "push_n"), [(Mode.RIGID, 0.0), (Mode.FLEXIBLE, 7.0), (Mode.FLEXIBLE, -2.0)])
+def test_the_fit_puts_back_what_tick_and_filter_take_away(mode: Mode, push_n: float, phase_s: float) -> None:
+    c = VEHICLE.materials["acrylic"].of(mode)
+    pulse = true_pulse(c.k, c.f, 1.0, push_n, 0.5, c.mu)
+    readings = readings_of(pulse, phase_s, 1e-4, 1e9, 0.00073)
+    # A first guess that is 20 % off in stiffness.
+    prior = Prior(math.sqrt(1.2 * c.k / MASS), 0.5 * c.f / MASS, c.mu / MASS)
+    fit = fit_normal(readings, push_n, prior, 0.05, -0.003, 0.00073)
+    assert fit is not None
+    top = max(n for n, _ in pulse)
+    assert fit.peak_n == pytest.approx(top, rel=0.004)
+    assert fit.peak_s == pytest.approx(max(range(len(pulse)), key=lambda i: pulse[i][0]) * 1e-5, abs=8e-4)
+    friction = fit_friction(readings, fit, 0.0, MASS, 1.5 * c.mu / MASS, 0.05)
+    assert friction is not None
+    assert friction == pytest.approx(min(t for _, t in pulse), rel=0.03)
+
+
+def test_a_tick_takes_a_known_share_off_a_rigid_peak() -> None:
+    """The largest of the tick means against the true top of a 46 ms contact, every phase of the sampling."""
+    c = VEHICLE.materials["concrete"].rigid
+    pulse = true_pulse(c.k, c.f, 0.99, 0.0, 0.0, 0.0)
+    top = max(n for n, _ in pulse)
+    losses = []
+    for phase in range(8):
+        readings = readings_of(pulse, phase * 0.0005, 0.0, 1e9, 0.00073)
+        losses.append(1.0 - max(r.normal for r in readings) / top)
+    omega = math.sqrt(c.k / MASS)
+    averaging = (omega * 0.004) ** 2 / 24.0
+    assert min(losses) == pytest.approx(averaging, rel=0.6)
+    # With the worst phase the top lies between two ticks: four times as much.
+    assert max(losses) == pytest.approx(4.0 * averaging, rel=0.35)
+
+
+@pytest.mark.parametrize("share", [0.6, 0.75, 0.9])
+def test_a_clipped_pulse_is_reconstructed(share: float) -> None:
+    c = VEHICLE.materials["wood"].rigid
+    pulse = true_pulse(c.k, c.f, 3.0, 0.0, 0.0, 0.0)
+    top = max(n for n, _ in pulse)
+    readings = readings_of(pulse, 0.002, 0.2, share * top, 0.00073)
+    for i in range(1, len(readings) - 1):  # as the detector does: what touches a clipped tick is a bound, too
+        readings[i].bound = readings[i].bound or any(
+            r.normal >= 0.99 * share * top for r in readings[i - 1 : i + 2]
+        )
+    prior = Prior(math.sqrt(c.k / MASS), 0.5 * c.f / MASS, 0.2)
+    fit = fit_normal(readings, 0.0, prior, 0.26, -0.003, 0.00073)
+    assert fit is not None
+    assert fit.peak_n == pytest.approx(top, rel=0.04)
+    assert max(r.normal for r in readings) < share * top + 1.0
+
+
+# --- thrust ------------------------------------------------------------------------------------------
+
+
+def test_commands_act_from_their_stamp_on_with_the_motors_lag() -> None:
+    lagged = LaggedCommands(0.025)
+    lagged.take(1_000_000, (0.5,) * 4)
+    lagged.take(1_010_000, (0.7,) * 4)
+    lagged.take(1_005_000, (0.0,) * 4)  # late: its stamp does not advance
+    lagged.advance(1_008_000)
+    assert lagged.value == (0.5,) * 4
+    lagged.advance(1_035_000)
+    assert lagged.value[0] == pytest.approx(0.7 - 0.2 * math.exp(-1.0))
+
+
+def test_the_best_fresh_thrust_source_is_taken() -> None:
+    model = ThrustModel(with_estimation(esc_thrust_n_per_rpm2=1.1e-8))
+    assert model.mean_over_tick(1_000_000) == pytest.approx(MASS * 9.81)
+    assert model.source is None
+    model.take_attitude_target(AttitudeTargetSample(1_000_000, 0, 0.5))
+    assert model.mean_over_tick(1_004_000) == pytest.approx(0.5 * (MASS * 9.81 + 14.0))
+    assert model.source is ThrustSource.ATTITUDE_TARGET
+    model.take_actuator(ActuatorSample(1_008_000, 0, (HOVER,) * 4))
+    model.mean_over_tick(1_008_000)
+    assert model.source is ThrustSource.ACTUATOR
+    model.take_esc(EscSample(1_008_000, 0, (17_000.0,) * 4))
+    model.take_esc(EscSample(1_012_000, 0, (17_000.0,) * 4))
+    model.mean_over_tick(1_012_000)
+    assert model.mean_over_tick(1_016_000) == pytest.approx(4 * 1.1e-8 * 17_000.0**2)
+    assert model.source is ThrustSource.ESC
+    model.take_actuator(ActuatorSample(1_200_000, 0, (HOVER,) * 4))
+    model.mean_over_tick(1_200_000)
+    assert model.source is ThrustSource.ACTUATOR  # the ESC's telemetry is stale
+
+
+@pytest.mark.parametrize(("period_us", "constant"), [(100_000, 1.1e-8), (8_000, None)])
+def test_slow_or_uncalibrated_motor_speeds_are_no_source(period_us: int, constant: float | None) -> None:
+    model = ThrustModel(with_estimation(esc_thrust_n_per_rpm2=constant))
+    for t_us in range(1_000_000, 1_400_000, 4_000):
+        model.take_actuator(ActuatorSample(t_us, 0, (HOVER,) * 4))
+        if t_us % period_us == 0:
+            model.take_esc(EscSample(t_us, 0, (17_000.0,) * 4))
+        model.mean_over_tick(t_us)
+        assert model.source is ThrustSource.ACTUATOR
+
+
+def test_battery_voltage_scales_the_curve() -> None:
+    battery = msgspec.structs.replace(VEHICLE.estimation.battery, exponent=1.5)
+    model = ThrustModel(with_estimation(battery=battery))
+    model.take_actuator(ActuatorSample(1_000_000, 0, (HOVER,) * 4))
+    full = model.mean_over_tick(1_004_000)
+    model.take_voltage(0.9 * battery.reference_v)
+    model.mean_over_tick(1_008_000)
+    assert model.mean_over_tick(1_012_000) == pytest.approx(full * 0.9**1.5)
+    model.take_voltage(None)
+    assert model.mean_over_tick(1_016_000) == pytest.approx(full * 0.9**1.5)
+
+
+# --- estimator ---------------------------------------------------------------------------------------
+
+
+class Hovering:
+    """A hovering vehicle's samples into an estimator; force in NED, bias in FRD."""
+
+    def __init__(self, vehicle: VehicleConfig, sigma: float = 0.0) -> None:
+        self.state = FlightState(MISSION)
+        self.state.frame = MissionFrame()
+        self.state.status = StatusSample(0, 0, landed=LandedState.IN_AIR)
+        self.estimator = ForceEstimator(vehicle)
+        self.rng, self.sigma, self.t_us = random.Random(5), sigma, 1_000_000
+        self.bias: Vec3 = (0.0, 0.0, 0.0)
+        self.force: Vec3 = (0.0, 0.0, 0.0)
+        self.velocity: Vec3 = (0.0, 0.0, 0.0)
+        self.true_thrust = 1.0  # over the curve's
+        self.q = IDENTITY
+
+    def run(self, seconds: float) -> list[ForceEstimate]:
+        out = []
+        for _ in range(round(seconds / 0.004)):
+            self.t_us += 4000
+            t, f, b = self.t_us, self.force, self.bias
+            attitude = AttitudeSample(t, t, self.q)
+            self.state.take_attitude(attitude)
+            self.estimator.take_attitude(attitude)
+            self.velocity = (
+                self.velocity[0] + 0.004 * f[0] / MASS,
+                self.velocity[1] + 0.004 * f[1] / MASS,
+                0.0,
+            )
+            self.state.take_odometry(OdometrySample(t, t, (0.0, 0.0, -1.0), self.velocity))
+            self.estimator.thrust.take_actuator(ActuatorSample(t, t, (HOVER,) * 4))
+            noise = [self.rng.gauss(0.0, self.sigma) for _ in range(3)]
+            imu = ImuSample(
+                t,
+                t,
+                (
+                    f[0] / MASS + b[0] + noise[0],
+                    f[1] / MASS + b[1] + noise[1],
+                    f[2] / MASS - 9.81 * self.true_thrust + b[2] + noise[2],
+                ),
+                (0.0, 0.0, 0.0),
+            )
+            self.state.take_imu(imu)
+            estimate = self.estimator.estimate(imu, self.state)
+            assert estimate is not None
+            out.append(estimate)
+        return out
+
+
+def test_hover_tells_bias_thrust_scale_and_noise() -> None:
+    vehicle = Hovering(VEHICLE, sigma=0.3)
+    vehicle.bias, vehicle.true_thrust = (0.2, -0.15, 0.0), 0.93
+    vehicle.run(10.0)
+    hover = vehicle.estimator.hover
+    assert hover.bias_x == pytest.approx(0.2, abs=0.03)
+    assert hover.bias_y == pytest.approx(-0.15, abs=0.03)
+    assert hover.scale == pytest.approx(0.93, abs=0.01)
+    assert hover.noise_m_s2 == pytest.approx(0.3, rel=0.15)
+    last = vehicle.run(1.0)
+    for axis in range(3):
+        assert sum(e.force_mission[axis] for e in last) / len(last) == pytest.approx(0.0, abs=0.1)
+
+
+def test_the_covariance_says_how_far_the_estimate_is_off() -> None:
+    """White noise as stated; the filtered force is quieter than the raw one."""
+    vehicle = Hovering(VEHICLE, sigma=0.5)
+    vehicle.run(5.0)
+    estimates = vehicle.run(4.0)
+    n = len(estimates)
+    spread = sum(e.force_mission[0] ** 2 for e in estimates) / n
+    stated = sum(e.covariance_n2[0] for e in estimates) / n
+    assert stated == pytest.approx(spread, rel=0.25)
+    assert sum(e.filtered_mission[0] ** 2 for e in estimates) / n < 0.3 * spread
+    # Tilted, the thrust's error shows along the tilt.
+    vehicle.q = quaternion_from_euler(0.0, -0.5, 0.0)
+    tilted = vehicle.run(0.1)[-1]
+    assert tilted.covariance_n2[0] > tilted.covariance_n2[1]
+
+
+def test_a_reading_at_full_scale_is_a_lower_bound() -> None:
+    vehicle = Hovering(VEHICLE)
+    vehicle.run(0.1)
+    vehicle.force = (-VEHICLE.imu.full_scale_m_s2 * MASS, 0.0, 0.0)
+    assert all(e.clipped for e in vehicle.run(0.02))
+
+
+def test_the_momentum_observer_follows_a_slow_force_and_needs_no_accelerometer() -> None:
+    momentum = with_estimation(observer=Observer.MOMENTUM)
+    still_air = msgspec.structs.replace(momentum.airframe, drag_per_s=(0.0, 0.0, 0.0))
+    vehicle = Hovering(msgspec.structs.replace(momentum, airframe=still_air))
+    assert not any(e.clipped for e in vehicle.run(1.0))
+    vehicle.force = (2.0, -1.0, 0.0)
+    vehicle.bias = (1.0, 1.0, 0.0)  # of the accelerometer: of no effect
+    estimates = vehicle.run(1.0)
+    gain = VEHICLE.estimation.momentum_gain_per_s
+    # First order with time constant 1/K: 63 % after it, all of it in the end; y of the mission is west.
+    at_lag = estimates[round(1.0 / gain / 0.004)].force_mission
+    assert at_lag[0] == pytest.approx(2.0 * (1.0 - math.exp(-1.0)), abs=0.2)
+    assert estimates[-1].force_mission[0] == pytest.approx(2.0, abs=0.25)
+    assert estimates[-1].force_mission[1] == pytest.approx(1.0, abs=0.15)
+
+
+def test_the_momentum_observer_takes_late_odometry_at_its_stamp() -> None:
+    observer = MomentumObserver(1.0, 20.0)
+    velocities = [(0.004 * i * 3.0, 0.0, 0.0) for i in range(400)]
+    force: Vec3 = (0.0, 0.0, 0.0)
+    for i in range(400):
+        late = max(0, i - 5)
+        sample = OdometrySample(late * 4000 + 1, 0, (0.0, 0.0, 0.0), velocities[late])
+        force = observer.update(i * 4000 + 1, 0.004, (0.0, 0.0, 0.0), sample, velocities[late])
+    assert force[0] == pytest.approx(3.0, rel=0.02)
+
+
+def test_the_arms_swinging_is_taken_out() -> None:
+    arms = VEHICLE.estimation.arm_vibration
+    assert arms is not None
+    w, h = 2.0 * math.pi * arms.frequency_hz, 1e-5
+    q = v = 0.0
+    inverse = ArmFilter(arms, 0.004)
+    with_arms, without = [], []
+    for tick in range(100):
+        mean = true = 0.0
+        for i in range(400):
+            t = tick * 0.004 + i * h
+            a = 30.0 * math.sin(20.0 * t) if t < math.pi / 20.0 else 0.0
+            qdd = -w * w * q - 2.0 * arms.damping_ratio * w * v - a
+            q, v = q + h * v, v + h * qdd
+            mean, true = mean + (a - arms.mass_fraction * qdd) / 400, true + a / 400
+        with_arms.append(abs(mean - true))
+        without.append(abs(inverse.remove(mean, 0.0, 0.004)[0] - true))
+    assert max(with_arms) > 0.3
+    assert max(without) < 0.05
+
+
+# --- detector ----------------------------------------------------------------------------------------
+
+
+def feed(
+    forces: list[tuple[float, float]], noise_n: float = 0.26, normal: tuple[float, float] | None = None
+) -> list[object]:
+    """A detector's events for forces every 4 ms."""
+    detector = ImpactDetector(VEHICLE)
+    detector.watching, detector.expected_normal = True, normal
+    detector.expected_material = "wood" if normal else None
+    state = FlightState(MISSION)
+    events: list[object] = []
+    for i, (fx, fy) in enumerate(forces):
+        t = 1_000_000 + 4000 * i
+        events += detector.update(ForceEstimate(t, (fx, fy, 0.0), False, noise_n=noise_n), t, state)
+    return events
+
+
+def half_sine(peak: float, ticks: int) -> list[float]:
+    return [peak * math.sin(math.pi * (i + 0.5) / ticks) for i in range(ticks)]
+
+
+def test_planned_and_unplanned_hits_are_told_apart() -> None:
+    pulse = [(0.0, 0.0)] * 20 + [(-f, 0.2 * f) for f in half_sine(30.0, 12)] + [(0.0, 0.0)] * 20
+    onset, peak = feed(pulse, normal=(-1.0, 0.0))[:2]
+    assert isinstance(onset, ImpactOnset)
+    assert isinstance(peak, ImpactPeak)
+    assert onset.planned
+    assert peak.normal == (-1.0, 0.0)
+    assert onset.confidence > 0.95
+    assert peak.confidence > 0.8
+    onset, peak = feed(pulse, normal=(1.0, 0.0))[:2]  # from behind
+    assert isinstance(onset, ImpactOnset)
+    assert isinstance(peak, ImpactPeak)
+    assert not onset.planned
+    assert math.degrees(math.atan2(peak.normal[1], -peak.normal[0])) == pytest.approx(
+        math.degrees(math.atan(0.2)), abs=1.0
+    )
+
+
+def test_wind_is_no_contact_but_leaning_on_a_wall_is() -> None:
+    rise = [(4.0 * 0.5 * (1.0 - math.cos(math.pi * min(1.0, i / 125))), 0.0) for i in range(1000)]
+    assert feed(rise) == []
+    lean = [(9.0 * 0.5 * (1.0 - math.cos(math.pi * min(1.0, i / 250))), 0.0) for i in range(1000)]
+    assert len([e for e in feed(lean) if isinstance(e, ImpactOnset)]) == 1
+
+
+def test_one_noisy_sample_is_no_impact() -> None:
+    quiet = [(0.0, 0.0)] * 50
+    assert feed([*quiet, (5.9, 0.0), *quiet]) == []
+    assert len([e for e in feed([*quiet, (5.9, 0.0), (5.7, 0.0), *quiet]) if isinstance(e, ImpactOnset)]) == 1
+
+
+def test_the_wait_for_a_peak_is_bounded() -> None:
+    forever = [(0.0, 0.0)] * 20 + [(0.5 * i, 0.0) for i in range(200)]
+    events = feed(forever)
+    onset = next(e for e in events if isinstance(e, ImpactOnset))
+    peak = next(e for e in events if isinstance(e, ImpactPeak))
+    assert peak.detected_us - onset.first_us <= VEHICLE.detection.peak_wait_s * 1e6 + 4000
+
+
+# --- the campaign's sample -----------------------------------------------------------------------------
+
+
+def test_a_sample_of_the_grid_keeps_the_figures() -> None:
+    hits = list(grid((0.3, 0.75, 2.0, 3.0), (45.0, 270.0), (0.0, 30.0)))
+    rows = [row for i, hit in enumerate(hits) for row in judge(MISSION, hit, (0.2,), i)]
+    reached = [r for r in rows if r.reached]
+    assert len(reached) >= 50
+    assert all(r.onsets >= 1 for r in reached)
+    assert all(r.onsets <= r.contacts for r in reached)
+    assert all(r.delay_samples is not None and r.delay_samples <= 2 for r in reached)
+    errors = [abs(r.peak_error) for r in reached if not r.clipped]
+    assert percentile(errors, 0.5) <= 0.01
+    assert percentile(errors, 0.95) <= 0.05
+    assert max(r.direction_deg for r in reached) <= 5.0
+    # No lean away means that every hit from 0.3 m/s on reaches the threshold.
+    assert all(r.reached for r in rows if r.hit.lean != "away")
+
+
+def test_a_clipped_hit_is_reconstructed_from_plant_to_peak() -> None:
+    hits = [h for h in grid((3.5,), (0.0,), (0.0, 15.0), ("wood",)) if h.mode is Mode.RIGID]
+    rows = [row for i, hit in enumerate(hits) for row in judge(MISSION, hit, (0.2,), i)]
+    assert all(r.clipped and r.fitted for r in rows)
+    assert max(abs(r.peak_error) for r in rows) <= 0.05
+
+
+def test_a_minute_and_a_half_of_hard_flying_without_contact_is_quiet() -> None:
+    quiet = fly_quiet(MISSION, 90.0, 0.2, 4)
+    assert quiet.false_hits == []
+    assert quiet.max_tilt_deg > 30.0
+    assert quiet.wind_force_n > 1.0

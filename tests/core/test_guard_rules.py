@@ -1,0 +1,508 @@
+"""The table of the guard's rules: each fires on its cause, and not once it is taken out of the table."""
+
+import inspect
+import re
+from collections.abc import Callable
+
+import msgspec
+import pytest
+
+from dart_flight.core import flight_core as core
+from dart_flight.core.guard.guard import Guard
+from dart_flight.core.guard.rules import RULES, Action, Rule
+from dart_flight.core.mission import executive
+from dart_flight.core.mission.phases import Phase
+from dart_flight.geometry import quaternion_from_euler
+from dart_flight.samples import (
+    AttitudeSample,
+    EstimatorSample,
+    FlightMode,
+    GuardEvent,
+    ImuSample,
+    LandedState,
+    LockPhase,
+    MissionEnd,
+    Mode,
+    OperatorRequest,
+    Output,
+    SetPoint,
+    Silence,
+    StatusText,
+    VehicleAction,
+    VehicleCommand,
+)
+from tests.core.conftest import TELEPORTING, HandFedCore
+
+CAUSES: dict[str, Callable[[HandFedCore], object]] = {}
+
+
+def cause(fly: Callable[[HandFedCore], object]) -> Callable[[HandFedCore], object]:
+    CAUSES[fly.__name__.removeprefix("_")] = fly
+    return fly
+
+
+def at_the_acrylic(c: HandFedCore) -> None:
+    """After the first collision, on the way to the second wall."""
+    c.at_the_wood()
+    c.pulse((-10.0, -16.0))
+    c.run(0.1)
+    c.position_ned = (1.2, 0.9, -1.0)
+
+
+@cause
+def pilot(c: HandFedCore) -> None:
+    c.to_flight()
+    c.set_status(flight_mode=FlightMode.MANUAL)
+
+
+@cause
+def px4_failsafe(c: HandFedCore) -> None:
+    c.to_flight()
+    c.give(StatusText(c.t_us, c.t_us, "critical", "Failsafe activated"))
+    c.set_status(flight_mode=FlightMode.LAND)
+
+
+@cause
+def disarmed(c: HandFedCore) -> None:
+    c.to_flight()
+    c.set_status(armed=False)
+
+
+@cause
+def link_lost(c: HandFedCore) -> None:
+    c.to_flight()
+    c.silent |= {"imu", "attitude", "odometry", "actuator", "status"}
+    c.run(6.0)
+
+
+def silent(stream: str, seconds: float) -> Callable[[HandFedCore], object]:
+    def fly(c: HandFedCore) -> None:
+        c.to_flight()
+        c.silent.add(stream)
+        c.run(seconds)
+
+    return fly
+
+
+for _stream, _seconds in (
+    ("imu", 0.1),
+    ("attitude", 0.23),
+    ("odometry", 0.23),
+    ("actuator", 0.4),
+    ("status", 3.5),
+):
+    CAUSES[f"{_stream}_silent"] = silent(_stream, _seconds)
+
+
+@cause
+def stream_rate(c: HandFedCore) -> None:
+    c.to_flight()
+    c.odometry_every = 14  # 18 Hz, needs 30
+    c.run(2.2)
+
+
+@cause
+def stamps_backwards(c: HandFedCore) -> None:
+    c.to_flight()
+    for i in range(5):
+        c.give(AttitudeSample(c.t_us - 1_000_000 + 8000 * i, c.t_us, c.q))
+
+
+@cause
+def imu_stuck(c: HandFedCore) -> None:
+    c.to_flight()
+    c.noise_m_s2 = 0.0
+    c.run(0.15)
+
+
+@cause
+def imu_clipped(c: HandFedCore) -> None:
+    c.to_flight()
+    c.force_ned = (250.0, 0.0, 0.0)
+    c.run(0.3)
+
+
+@cause
+def estimator_jump(c: HandFedCore) -> None:
+    c.to_flight()
+    c.position_ned = (0.0, -0.4, -1.0)
+    c.run(0.1)
+
+
+@cause
+def estimator_reset(c: HandFedCore) -> None:
+    c.to_flight()
+    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
+    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
+    north, east, down = c.position_ned
+    c.position_ned = (north + 0.08, east, down)
+    c.run(0.05)
+
+
+@cause
+def estimator_flags(c: HandFedCore) -> None:
+    c.to_flight()
+    c.give(EstimatorSample(c.t_us, c.t_us, healthy=False))
+    c.run(0.4)
+
+
+@cause
+def still_armed(c: HandFedCore) -> None:
+    c.to_flight()
+    c.set_status(battery_v=12.9)
+    c.run(1.2)
+    c.set_status(flight_mode=FlightMode.LAND, battery_v=15.0)
+    c.run(46.0)
+
+
+@cause
+def battery(c: HandFedCore) -> None:
+    c.to_flight()
+    c.set_status(battery_v=12.9)
+    c.run(1.2)
+
+
+@cause
+def tilt(c: HandFedCore) -> None:
+    c.to_flight()
+    c.q = quaternion_from_euler(1.2, 0.0, 0.0)
+    c.run(0.02)
+
+
+@cause
+def altitude(c: HandFedCore) -> None:
+    c.to_flight()
+    c.position_ned = (0.0, 0.0, -2.2)
+    c.run(0.1)
+
+
+@cause
+def bounds(c: HandFedCore) -> None:
+    c.to_flight()
+    c.velocity_ned = (-1.0, 0.0, 0.0)
+    c.position_ned = (-1.7, 0.0, -1.0)  # inside, but half a metre of braking is not
+    c.run(0.1)
+
+
+@cause
+def speed(c: HandFedCore) -> None:
+    c.to_flight()
+    for step in range(1, 12):
+        c.velocity_ned = (0.0, -0.33 * step, 0.0)
+        c.run(0.008)
+
+
+@cause
+def force_over_limit(c: HandFedCore) -> None:
+    c.at_the_wood()
+    c.pulse((0.0, -190.0))
+
+
+@cause
+def peak_force(c: HandFedCore) -> None:
+    c.at_the_wood()
+    c.pulse((0.0, -160.0))
+
+
+@cause
+def wall_not_met(c: HandFedCore) -> None:
+    c.at_the_wood()
+    c.position_ned = (0.917, 1.3, -1.0)
+    c.run(0.1)
+
+
+@cause
+def wall_met_early(c: HandFedCore) -> None:
+    c.to_flight()
+    c.position_ned = (0.5, 0.6, -1.0)
+    c.run(0.1)
+    c.pulse((0.0, -20.0))
+
+
+@cause
+def unplanned_hit(c: HandFedCore) -> None:
+    c.to_flight()
+    c.core.executive.phase = Phase.GOAL
+    c.pulse((20.0, 0.0))
+
+
+@cause
+def no_peak(c: HandFedCore) -> None:
+    c.at_the_wood()
+    c.core.detector._peak_is_past = lambda now_us: False  # type: ignore[method-assign]
+    c.force_ned = (0.0, -20.0, 0.0)
+    c.run(0.4)
+
+
+@cause
+def lock_not_settled(c: HandFedCore) -> None:
+    c.to_flight()
+    c.set_lock(None, LockPhase.FAULT)
+    c.run(0.02)
+
+
+@cause
+def lock_late(c: HandFedCore) -> None:
+    at_the_acrylic(c)
+    c.set_lock(Mode.RIGID, LockPhase.TRAVELLING)
+    c.velocity_ned = (1.0, 0.0, 0.0)
+    c.run(0.3)
+
+
+@cause
+def lock_not_ready(c: HandFedCore) -> None:
+    c.to_prepare()
+    c.run(3.6)
+
+
+@cause
+def climb_timeout(c: HandFedCore) -> None:
+    c.set_lock(Mode.RIGID)
+    c.run(0.5)
+    c.set_status(flight_mode=FlightMode.OFFBOARD)
+    c.run(0.1)
+    c.set_status(armed=True, landed=LandedState.IN_AIR)
+    c.run(20.5)
+
+
+@cause
+def transit_timeout(c: HandFedCore) -> None:
+    c.set_lock(Mode.RIGID)
+    c.run(0.5)
+    c.set_status(flight_mode=FlightMode.OFFBOARD)
+    c.run(0.1)
+    c.set_status(armed=True, landed=LandedState.IN_AIR)
+    c.position_ned = (0.0, 0.0, -1.0)
+    for _ in range(50):
+        if c.core.phase is Phase.TRANSIT:
+            break
+        c.run(0.02)
+    c.position_ned = (0.2, 0.0, -1.0)
+    c.run(20.5)
+
+
+@cause
+def goal_not_reached(c: HandFedCore) -> None:
+    c.to_flight()
+    c.core.executive.phase = Phase.GOAL
+    c.run(11.0)
+
+
+@cause
+def not_ready(c: HandFedCore) -> None:
+    c.run(20.5)  # the lock says nothing
+
+
+@cause
+def offboard_refused(c: HandFedCore) -> None:
+    c.set_lock(Mode.RIGID)
+    c.run(21.0)
+
+
+@cause
+def arming_refused(c: HandFedCore) -> None:
+    c.set_lock(Mode.RIGID)
+    c.run(0.5)
+    c.set_status(flight_mode=FlightMode.OFFBOARD)
+    c.run(20.5)
+
+
+def asked(request: str) -> Callable[[HandFedCore], object]:
+    def fly(c: HandFedCore) -> None:
+        c.to_flight()
+        c.give(OperatorRequest(c.t_us, request))
+
+    return fly
+
+
+CAUSES |= {
+    "operator": asked("land"),
+    "operator_release": asked("release"),
+    "world_died": asked("world_died"),
+}
+
+
+@cause
+def operator_ground(c: HandFedCore) -> None:
+    c.run(0.1)
+    c.give(OperatorRequest(c.t_us, "land"))
+
+
+@cause
+def mission_fault(c: HandFedCore) -> None:
+    c.to_flight()
+
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("mission")
+
+    c.core.executive.step = broken  # type: ignore[method-assign, assignment]
+    c.run(0.02)
+
+
+def fired(c: HandFedCore) -> list[GuardEvent]:
+    return [o for o in c.outputs if isinstance(o, GuardEvent)]
+
+
+def test_every_rule_has_a_cause_here() -> None:
+    assert set(CAUSES) == {rule.name for rule in RULES}
+
+
+@pytest.mark.parametrize("rule", RULES, ids=lambda r: r.name)
+def test_a_rule_fires_on_its_cause_and_says_so(rule: Rule) -> None:
+    c = HandFedCore(rules=RULES if rule.name == "estimator_jump" else TELEPORTING)
+    CAUSES[rule.name](c)
+    events = fired(c)
+    mine = [e for e in events if e.rule == rule.name]
+    assert len(mine) == 1, [(e.rule, e.detail) for e in events]
+    assert mine[0].action == rule.action.name.lower()
+    after = c.outputs[c.outputs.index(mine[0]) :]
+    if rule.action is Action.RELEASE:
+        assert any(isinstance(o, Silence) for o in after)
+        assert not any(isinstance(o, SetPoint | VehicleCommand) for o in after)
+        end = next(o for o in after if isinstance(o, MissionEnd))
+        assert end.outcome == ("released" if rule.by_person else "aborted")
+        assert end.reason is not None
+        assert end.reason.startswith(rule.name)
+    elif rule.action is not Action.GIVE_UP:
+        assert c.core.guard.action is rule.action
+        assert c.core.phase in (Phase.OVERRULED, Phase.DONE)
+
+
+@pytest.mark.parametrize("rule", RULES, ids=lambda r: r.name)
+def test_without_the_rule_nobody_says_it(rule: Rule) -> None:
+    c = HandFedCore(rules=tuple(r for r in TELEPORTING if r is not rule))
+    CAUSES[rule.name](c)
+    assert rule.name not in [e.rule for e in fired(c)]
+
+
+def test_nothing_fires_in_a_quiet_flight() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.run(1.0)
+    assert not fired(c)
+
+
+def test_motors_are_stopped_only_long_after_a_landing_must_have_ended() -> None:
+    def killed(outputs: list[Output]) -> bool:
+        return any(isinstance(o, VehicleCommand) and o.action is VehicleAction.KILL for o in outputs)
+
+    c = HandFedCore()
+    c.to_flight()
+    c.set_status(battery_v=12.9)
+    c.run(1.2)
+    c.set_status(flight_mode=FlightMode.LAND)
+    assert not killed(c.run(43.0))
+    assert killed(c.run(3.0))
+    c.set_status(armed=False)
+    c.run(0.1)
+    assert c.core.end is not None
+    assert c.core.end.outcome == "aborted"
+
+
+def test_stamps_that_jump_in_a_landing_do_not_stop_the_motors() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.set_status(battery_v=12.9)
+    c.run(1.2)
+    c.set_status(flight_mode=FlightMode.LAND)
+    c.run(1.0)
+    c.give(ImuSample(c.t_us + 60_000_000, c.t_us, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0)))
+    c.run(0.5)
+    assert "still_armed" not in [e.rule for e in fired(c)]
+
+
+def test_a_reset_of_the_heading_alone_is_none() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
+    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
+    c.run(0.3)
+    # Long after it, a step too small for `estimator_jump` has nothing to do with it.
+    north, east, down = c.position_ned
+    c.position_ned = (north + 0.08, east, down)
+    c.run(0.1)
+    assert fired(c) == []
+
+
+@pytest.mark.parametrize("name", ["estimator_jump", "estimator_reset", "estimator_flags"])
+def test_the_estimator_is_not_judged_shortly_after_an_impact(name: str) -> None:
+    c = HandFedCore()
+    c.at_the_wood()
+    c.pulse((-10.0, -16.0))
+    c.set_lock(Mode.RIGID)
+    c.run(0.15)
+    whole = Guard(c.core.mission, RULES)  # only now: placing the vehicle by hand is a jump, too
+    c.core.guard._rules, c.core.guard._judged = whole._rules, whole._judged
+    # One disturbance at a time: of two rules with the same action only the first is heard.
+    if name == "estimator_flags":
+        c.give(EstimatorSample(c.t_us, c.t_us, healthy=False))
+    else:
+        north, east, down = c.position_ned
+        c.position_ned = (north + (0.4 if name == "estimator_jump" else 0.1), east, down)
+    if name == "estimator_reset":
+        c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=1))
+        c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=2))
+    c.run(0.5)
+    assert name not in [e.rule for e in fired(c)]
+
+
+def test_a_gap_and_then_hold_is_a_failsafe_and_sticks_are_a_pilot() -> None:
+    for mode, rule in ((FlightMode.HOLD, "px4_failsafe"), (FlightMode.MANUAL, "pilot")):
+        c = HandFedCore()
+        c.to_flight()
+        c.silent |= {"imu", "attitude", "odometry", "actuator", "status"}
+        c.run(1.5)
+        c.silent.clear()
+        c.run(0.02)
+        c.set_status(flight_mode=mode)
+        assert fired(c)[-1].rule == rule
+
+
+def test_a_pause_of_everything_is_given_longer_than_one_of_the_imu() -> None:
+    """A busy host holds up all streams for a tenth of a second; the guard lands when it lasts."""
+    c = HandFedCore()
+    c.to_flight()
+    c.silent |= {"imu", "attitude", "odometry", "actuator"}
+    c.run(0.15)
+    assert not fired(c)
+    c.run(0.1)
+    assert fired(c)
+
+
+def test_one_late_datagram_is_no_clock_that_runs_backwards() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    for _ in range(20):
+        c.give(AttitudeSample(c.t_us - 1_000_000, c.t_us, c.q))
+        c.run(0.02)
+    assert not fired(c)
+
+
+def test_names_that_others_report_are_in_the_table() -> None:
+    names = {rule.name: rule for rule in RULES}
+    for module, judge in ((executive, "executive"), (core, "core")):
+        told = set(
+            re.findall(r'latch\(\s*"(\w+)"|_give_up_after\(state, out, "(\w+)"', inspect.getsource(module))
+        )
+        found = {a or b for a, b in told}
+        assert found == {name for name, rule in names.items() if rule.judge == judge}
+
+
+def test_thresholds_named_in_the_table_exist() -> None:
+    c = HandFedCore()
+    mission, vehicle = c.core.mission, c.core.mission.vehicle
+    places = {
+        "guard": vehicle.guard,
+        "flying": vehicle.flying,
+        "lock": vehicle.lock,
+        "detection": vehicle.detection,
+        "limits": mission.limits,
+        "bounds_m": mission.bounds,
+        "goal": mission.goal,
+    }
+    for rule in RULES:
+        for key in filter(None, rule.threshold.split(", ")):
+            if key.startswith("streams:"):
+                continue
+            section, name = key.split(".")
+            assert name in {f.name for f in msgspec.structs.fields(places[section])}, key

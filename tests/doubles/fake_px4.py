@@ -1,0 +1,106 @@
+"""A stand-in for PX4 as the simulator sees it: TCP client, one answer for every HIL_SENSOR. Not a flight.
+
+Written into a folder as bin/px4 (`install`), it is what the launch and the world process are tested with
+where there is no PX4. `behaviour` says what it does wrong.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+ROOT = Path(__file__).parents[2]
+
+
+class FakePx4:
+    """The client's end of the simulator link.
+
+    Args:
+        port: the simulator's.
+        controls: what it answers with.
+    """
+
+    def __init__(self, port: int, controls: tuple[float, ...] = (0.0,) * 16, armed: bool = False) -> None:
+        self.socket = socket.create_connection(("127.0.0.1", port))
+        self.controls, self.armed = controls, armed
+        self.received: list[Any] = []
+        self._parser = mavlink.MAVLink(None)
+        self._pack = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+
+    def serve(self, sensors: int, answer: bool = True) -> None:
+        """Take messages until so many HIL_SENSOR have come, answering each."""
+        while sensors > 0:
+            data = self.socket.recv(65536)
+            if not data:
+                return
+            for message in self._parser.parse_buffer(data) or []:
+                self.received.append(message)
+                if message.get_type() == "HIL_SENSOR":
+                    sensors -= 1
+                    if answer:
+                        self.answer(message.time_usec)
+
+    def answer(self, time_us: int) -> None:
+        """One HIL_ACTUATOR_CONTROLS."""
+        reply = mavlink.MAVLink_hil_actuator_controls_message(
+            time_us, list(self.controls), 128 if self.armed else 0, 1
+        )
+        self.socket.sendall(reply.pack(self._pack))
+
+    def close(self) -> None:
+        """Close the connection."""
+        self.socket.close()
+
+
+def install(folder: Path, behaviour: str = "fly", version: str = "Release 1.16.0") -> Path:
+    """A PX4 install with this file as its program; returns its folder."""
+    (folder / "bin").mkdir(parents=True)
+    airframes = folder / "etc" / "init.d-posix" / "airframes"
+    airframes.mkdir(parents=True)
+    (airframes / "10016_none_iris").touch()
+    (airframes.parent / "rcS").touch()
+    program = folder / "bin" / "px4"
+    program.write_text(
+        f"#!/bin/sh\nexport PYTHONPATH={ROOT}\n"
+        f'exec {sys.executable} -m tests.doubles.fake_px4 {behaviour} "$@"\n'
+    )
+    program.chmod(0o755)
+    told = folder / "bin" / "px4-ver"
+    told.write_text(f"#!/bin/sh\necho 'HW arch: PX4_SITL'\necho 'PX4 version: {version} (17825792)'\n")
+    told.chmod(0o755)
+    return folder
+
+
+def main() -> None:
+    """Body of the program: px4 -i INSTANCE -d ETC."""
+    behaviour, instance = sys.argv[1], int(sys.argv[3])
+    # Lets a test see how it was started.
+    about = {"arguments": sys.argv[2:], "cwd": os.getcwd(), "environment": dict(os.environ)}
+    Path("started.json").write_text(json.dumps(about))
+    if behaviour == "ends":
+        print("ERROR [init] something is wrong")
+        sys.exit(3)
+    if behaviour == "stubborn":
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    if behaviour == "deaf":
+        time.sleep(60.0)
+    fake = FakePx4(4560 + instance)
+    print("INFO  [px4] Startup script returned successfully", flush=True)
+    Path("log/today").mkdir(parents=True)
+    Path("log/today/flight.ulg").write_bytes(b"ULog of a fake")
+    if behaviour == "dies":
+        fake.serve(4000)
+        os.kill(os.getpid(), signal.SIGKILL)
+    fake.serve(10_000_000)
+
+
+if __name__ == "__main__":
+    main()

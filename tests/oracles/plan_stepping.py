@@ -1,0 +1,212 @@
+"""The planner's flight model in plain NumPy time stepping, all candidates at once: the baseline of the bench.
+
+The same equations as `contact_stage` and `flight_model`, by semi-implicit Euler in steps of 1 ms, which is
+what one would write first. Candidates that have ended leave the arrays.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.config.scenario import Scenario
+from dart_flight.core.mission.position_loop import Loop
+from dart_flight.geometry import Wall
+from dart_flight.planning.approach_grid import ApproachGrid
+from dart_flight.planning.contact_stage import ContactStage
+from dart_flight.planning.trajectories import PASSED_AFTER_S, PASSED_RISE_M, Stages
+from dart_flight.samples import Mode
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+_HORIZON_S = 6.0
+
+
+class Flying(NamedTuple):
+    """States between contacts; p, v, a, i and the set-point are (2, n)."""
+
+    rows: Rows
+    p: Array
+    v: Array
+    a: Array
+    i: Array
+    goal: Array
+    t: Array
+
+    def take(self, rows: Rows | NDArray[np.bool_]) -> Flying:
+        """The chosen candidates."""
+        return Flying(self.rows[rows], *(value[..., rows] for value in self[1:]))
+
+
+class Ends(NamedTuple):
+    """Closest approaches of one mode sequence, (n,)."""
+
+    modes: tuple[Mode, ...]
+    rows: Rows
+    miss_m: Array
+    x: Array
+    y: Array
+
+
+def step_everything(
+    scenario: Scenario, stages: Stages, normal: Array, tangential: Array, grid: ApproachGrid, h: float = 1e-3
+) -> list[Ends]:
+    """All mode sequences of a scenario's first sequence without constraints."""
+    walls = [scenario.walls[name] for name in scenario.sequences[0]]
+    shape = np.broadcast_shapes(normal.shape, tangential.shape)
+    vn, vt = (np.broadcast_to(v, shape).ravel() for v in (normal, tangential))
+    fronts: list[tuple[tuple[Mode, ...], Flying]] = [
+        ((mode,), _first(scenario, stages[walls[0].name, mode], walls[0], vn, vt, grid, h))
+        for mode in scenario.modes
+    ]
+    for wall in walls[1:]:
+        fronts = [
+            ((*modes, mode), _later(scenario, stages[wall.name, mode], wall, front, h))
+            for modes, front in fronts
+            for mode in scenario.modes
+        ]
+    ends = []
+    for modes, front in fronts:
+        stage = stages[walls[-1].name, modes[-1]]
+        ends.append(_to_goal(scenario, modes, front, stage.duration_s - stage.engaged_s, h))
+    return ends
+
+
+def _axes(wall: Wall) -> tuple[Array, Array]:
+    return np.array(wall.normal)[:, None], np.array(wall.tangent)[:, None]
+
+
+def _first(
+    scenario: Scenario, stage: ContactStage, wall: Wall, vn: Array, vt: Array, grid: ApproachGrid, h: float
+) -> Flying:
+    n, t = _axes(wall)
+    b = np.array(scenario.vehicle.airframe.drag_per_s[:2])[:, None]
+    v = n * vn + t * vt
+    impact = np.stack((grid.impact_x.ravel(), grid.impact_y.ravel()))
+    onset = Flying(
+        np.arange(vn.size),
+        impact - stage.lead_s * v,
+        v,
+        b * v,
+        np.zeros_like(v),
+        impact - stage.lead_s * v,
+        grid.impact_s.ravel() - stage.lead_s,
+    )
+    return _contact(scenario, stage, wall, onset, v, h)
+
+
+def _contact(
+    scenario: Scenario, stage: ContactStage, wall: Wall, on: Flying, reference_speed: Array, h: float
+) -> Flying:
+    """A contact of everybody at once: it takes the same time for all."""
+    kp, kv, ki, kd, tau = Loop.of(scenario.vehicle.px4)
+    c, m = stage.coefficients, stage.mass_kg
+    n, t = _axes(wall)
+    bx, by, _ = scenario.vehicle.airframe.drag_per_s
+    n2 = wall.normal[0] ** 2
+    bn, bt = n2 * bx + (1.0 - n2) * by, n2 * by + (1.0 - n2) * bx
+
+    def parts(value: Array) -> tuple[Array, Array]:
+        return (n * value).sum(axis=0), (t * value).sum(axis=0)
+
+    point = np.array(wall.point)[:, None]
+    x, v = parts(on.p - point)[0], parts(on.v)[0]
+    rn, rt = parts(on.goal - point)[0], parts(on.goal - on.p)[1]
+    wn, wt = parts(reference_speed)
+    u = parts(on.v)[1]
+    (an, at), (jn, jt) = parts(on.a), parts(on.i)
+    q, push = np.zeros_like(x), np.zeros_like(x)
+    law_x, law_v, x0 = x.copy(), v.copy(), x.copy()
+    peak = friction = np.zeros_like(x)
+    peak_x, peak_q = x, q
+    steps = round(stage.duration_s / h)
+    engaged = round(stage.engaged_s / h)
+    for step in range(steps):
+        if step == engaged:
+            rn, wn = peak_x + stage.alphas[0] * peak, np.zeros_like(x)
+            rt, wt = peak_q + stage.alphas[1] * friction, np.zeros_like(x)
+        force = -(c.k * x + c.f * v)
+        law_force = np.maximum(-(c.k * law_x + c.f * law_v), 0.0)
+        better = force > peak
+        peak = np.where(better, force, peak)
+        peak_x, peak_q = np.where(better, x, peak_x), np.where(better, q, peak_q)
+        rub = c.mu * law_force * u
+        friction = np.where(np.abs(rub) > np.abs(friction), rub, friction)
+        slope_n = force / m + an - bn * v
+        slope_t = -rub / m
+        en, et = kp * (rn - x) + wn - v, kp * (rt - q) + wt - u
+        an = an + h * (kv * en + jn + bn * wn - kd * slope_n - an) / tau
+        at = at + h * (kv * et + jt + bt * wt - kd * (slope_t + at) - at) / tau
+        jn, jt = jn + h * ki * en, jt + h * ki * et
+        push = push + h * (at - c.mu / m * law_force * push)
+        v, u = v + h * slope_n, u + h * slope_t
+        x, q = x + h * v, q + h * u
+        law_v = law_v + h * law_force / m
+        law_x = law_x + h * law_v
+        rn, rt = rn + h * wn, rt + h * wt
+    goal = on.p + n * (peak_x + stage.alphas[0] * peak - x0) + t * (peak_q + stage.alphas[1] * friction)
+    return Flying(
+        on.rows,
+        on.p + n * (x - x0) + t * q,
+        n * v + t * (u + push),
+        n * an + t * at,
+        n * jn + t * jt,
+        goal,
+        on.t + stage.duration_s,
+    )
+
+
+def _free_step(loop: Loop, b: Array, f: Flying, h: float) -> Flying:
+    kp, kv, ki, kd, tau = loop
+    error = kp * (f.goal - f.p) - f.v
+    slope = f.a - b * f.v
+    v = f.v + h * slope
+    a = f.a + h * (kv * error + f.i - kd * slope - f.a) / tau
+    return Flying(f.rows, f.p + h * v, v, a, f.i + h * ki * error, f.goal, f.t + h)
+
+
+def _later(scenario: Scenario, stage: ContactStage, wall: Wall, flying: Flying, h: float) -> Flying:
+    loop, n = Loop.of(scenario.vehicle.px4), _axes(wall)[0]
+    b = np.array(scenario.vehicle.airframe.drag_per_s[:2])[:, None]
+    point = np.array(wall.point)[:, None]
+    reached: list[Flying] = []
+    flying = flying.take((n * (flying.p - point)).sum(axis=0) > 0.0)
+    for _ in range(round(_HORIZON_S / h)):
+        flying = _free_step(loop, b, flying, h)
+        met = (n * (flying.p - point + stage.lead_s * flying.v)).sum(axis=0) < 0.0
+        if met.any():
+            reached.append(flying.take(met))
+            flying = flying.take(~met)
+        if flying.rows.size == 0:
+            break
+    if not reached:
+        return _contact(scenario, stage, wall, flying.take(np.zeros(0, dtype=np.intp)), np.zeros((2, 0)), h)
+    joined = Flying(*(np.concatenate(v, axis=-1) for v in zip(*reached, strict=True)))
+    return _contact(scenario, stage, wall, joined, np.zeros_like(joined.v), h)
+
+
+def _to_goal(scenario: Scenario, modes: tuple[Mode, ...], flying: Flying, since: float, h: float) -> Ends:
+    loop = Loop.of(scenario.vehicle.px4)
+    b = np.array(scenario.vehicle.airframe.drag_per_s[:2])[:, None]
+    goal = np.array(scenario.goal.position_m)[:, None]
+    best = np.hypot(*(flying.p - goal))
+    place = flying.p.copy()
+    ended: list[tuple[Rows, Array, Array]] = []
+    for step in range(1, round(_HORIZON_S / h) + 1):
+        flying = _free_step(loop, b, flying, h)
+        distance = np.hypot(*(flying.p - goal))
+        nearer = distance < best
+        best = np.where(nearer, distance, best)
+        place = np.where(nearer, flying.p, place)
+        if step * h + since >= PASSED_AFTER_S:
+            passed = distance > best + PASSED_RISE_M
+            if passed.any():
+                ended.append((flying.rows[passed], best[passed], place[:, passed]))
+                flying, best, place = flying.take(~passed), best[~passed], place[:, ~passed]
+        if flying.rows.size == 0:
+            break
+    ended.append((flying.rows, best, place))
+    rows, misses, places = (np.concatenate(v, axis=-1) for v in zip(*ended, strict=True))
+    return Ends(modes, rows, misses, places[0], places[1])

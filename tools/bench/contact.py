@@ -1,0 +1,67 @@
+"""Benchmark of the contact model: the closed form against time stepping, side by side in one run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from dart_flight.config import load_vehicle
+from dart_flight.config.vehicle import packaged
+from dart_flight.contact.coefficients import CoefficientArrays
+from dart_flight.contact.contact_map import collision_map
+from dart_flight.contact.law import Onset
+from dart_flight.samples import Mode
+from tests.oracles.stepping import stepped_map
+
+BATCH = 100_000
+
+
+def _best_s(run: Callable[[], object], repeats: int) -> float:
+    """Shortest of several runs: what the code takes when nothing else disturbs it."""
+    times = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - begin)
+    return min(times)
+
+
+def rows(batch: int = BATCH) -> list[dict[str, Any]]:
+    """Rows for the benchmark table: collisions per second, one core.
+
+    The batch mixes all materials and modes of the configuration; `baseline` is the implicit Euler model at
+    the step that the name gives, `ratio` how many times faster the closed form is.
+    """
+    vehicle = load_vehicle(packaged("configs", "dart.yaml"))
+    table = CoefficientArrays.of([m.of(mode) for m in vehicle.materials.values() for mode in Mode])
+    mass = vehicle.airframe.mass_kg
+    random = np.random.default_rng(1)
+    which = random.integers(0, table.k.size, batch)
+    normal, tangential = -random.uniform(0.1, 3.0, batch), random.uniform(-1.5, 1.5, batch)
+
+    def closed() -> None:
+        collision_map(table, mass, normal, tangential, Onset.LCP, rows=which)
+
+    def stepped(step_s: float) -> Callable[[], object]:
+        return lambda: stepped_map(table, mass, normal, tangential, Onset.LCP, rows=which, step_s=step_s)
+
+    closed()
+    fast = batch / _best_s(closed, 15)
+    result = []
+    for name, step_s, repeats in (("contact map", 1e-3, 3), ("contact map, step 1e-4", 1e-4, 1)):
+        slow = batch / _best_s(stepped(step_s), repeats)
+        result.append(
+            {"name": name, "value": fast, "unit": "collisions/s", "baseline": slow, "ratio": fast / slow}
+        )
+    return result
+
+
+if __name__ == "__main__":
+    for row in rows():
+        print(
+            f"{row['name']:24s} {row['value'] / 1e6:8.2f} M {row['unit']}, "
+            f"stepping {row['baseline'] / 1e3:8.1f} k, {row['ratio']:.0f} times"
+        )

@@ -1,0 +1,240 @@
+"""Benchmark: from the IMU sample on the wire to the recovery set-point on the wire, through MAVSDK and UDP.
+
+The whole app runs (MAVSDK, core thread, lock thread, log) at the rates of the stream table against
+`impact_source`, a process of its own. Latency is from the source's sending of the IMU sample at which
+the peak was known to its receiving of the set-point that followed from it.
+
+    python -m tools.bench.latency [IMPACTS]
+    python -m tools.bench.latency compare IMPACTS
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+import dart_flight.worlds.app as app_module
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.core.guard.guard import Guard
+from dart_flight.core.guard.rules import Action
+from dart_flight.core.mission.phases import Phase
+from dart_flight.recording.writer import FlightLog
+from dart_flight.samples import (
+    Input,
+    LockPhase,
+    LockState,
+    Mode,
+    Output,
+    SetPoint,
+    SetPointSent,
+    VehicleCommand,
+)
+from dart_flight.verdict import VerdictBuilder
+from dart_flight.worlds.app import CoreThread, FlightApp
+from dart_flight.worlds.vehicle_process import free_udp_port
+from tools.bench.impact_source import MISSION, Record
+
+IMPACTS = 500
+PERIOD_S = 0.3  # a contact of 46 ms, its end, the refractory time
+_SAME_M = 1e-3  # a set-point on the wire is this near to the one that the core gave
+_LATEST_NS = 100_000_000
+
+
+class RepeatingCore(FlightCore):
+    """A core that is on its approach again 0.2 s after every impact."""
+
+    def __init__(self, mission: Mission) -> None:
+        super().__init__(mission)
+        self.recoveries: list[SetPoint] = []
+        self.overruled: list[str] = []  # why the guard took over, as when the machine stalls
+        self._again_us = 0
+        self._begun = False
+
+    def step(self, item: Input) -> list[Output]:
+        """As the core's."""
+        if isinstance(item, LockState):
+            item = LockState(item.t_us, LockPhase.SETTLED, Mode.RIGID)
+        executive, now = self.executive, self.state.now_us
+        if self.guard.action is not Action.NONE:
+            self.overruled.append(self.guard.reason or "")
+            self.guard = executive._guard = Guard(self.mission)
+            self._begun = False
+        status = self.state.status
+        ready = self.state.odometry is not None and status.armed and status.local_position_ok
+        rested = executive.phase is Phase.RECOVERY and now > self._again_us
+        if rested or (not self._begun and ready):
+            self._begin(now)
+        elif not self._begun:
+            executive.phase = Phase.READYING
+            self.state.lock = LockState(now, LockPhase.SETTLED, Mode.RIGID)
+        elif executive.phase is Phase.APPROACH and now - (executive._entered_us or 0) > 1_000_000:
+            executive._entered_us = now
+        outputs = super().step(item)
+        for output in outputs:
+            if isinstance(output, SetPoint) and output.recovery:
+                self.recoveries.append(output)
+                self._again_us = output.t_us + 200_000
+        # What the guard would have the vehicle do is reset above: the source stays in offboard mode.
+        return [output for output in outputs if not isinstance(output, VehicleCommand)]
+
+    def _begin(self, now_us: int) -> None:
+        executive, self._begun = self.executive, True
+        self.state.frame = self.mission.frame_at((0.0, 0.0, 0.0))  # the ground is not where it is first seen
+        executive.phase, executive.collision_index, executive._entered_us = Phase.APPROACH, 0, now_us
+        executive._approach = executive._approaches[1]
+
+
+class Result(msgspec.Struct):
+    """What was measured: per impact the latency on the wire and inside the program, milliseconds."""
+
+    wire_ms: list[float]
+    inside_ms: list[float]
+    expected: int
+    overruled: list[str]
+    cpu_percent: float
+
+
+def _mission() -> Mission:
+    mission = load_mission(MISSION)
+    first = msgspec.structs.replace(mission.collisions[0], mode=Mode.RIGID)
+    return msgspec.structs.replace(mission, collisions=(first,))
+
+
+def measure(impacts: int = IMPACTS) -> Result:
+    """Run source and app; takes about 0.3 s an impact."""
+    port = free_udp_port()
+    command = [sys.executable, "-m", "tools.bench.impact_source", str(port), str(impacts), str(PERIOD_S)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as source, tempfile.TemporaryDirectory() as folder:
+        core, inside, cpu = asyncio.run(_run_app(port, Path(folder), source))
+        assert source.stdout is not None
+        record = msgspec.json.decode(source.stdout.readline(), type=Record)
+    return Result(_match(core.recoveries, record), inside, impacts, core.overruled, cpu)
+
+
+async def _run_app(
+    port: int, folder: Path, source: subprocess.Popen[bytes]
+) -> tuple[RepeatingCore, list[float], float]:
+    mission = _mission()
+    log = FlightLog(folder / "flight.mcap", {})
+    inside: list[float] = []
+
+    def progress(record: object) -> None:
+        if isinstance(record, SetPointSent):
+            inside.append(record.latency_us * 1e-3)
+
+    app = FlightApp(mission, f"udpin://127.0.0.1:{port}", log, VerdictBuilder(mission), None, progress)
+    core = RepeatingCore(mission)
+    app._core = CoreThread(core, app._send, app._carry_out, app._observe)
+    flying = asyncio.create_task(app.run())
+    # Polled: the core is stepped on another thread.
+    while not core.recoveries and not flying.done():  # noqa: ASYNC110
+        await asyncio.sleep(0.1)
+    wall, busy = time.monotonic(), time.process_time()
+    # The source writes its record at the end; a full pipe does not stop it before that.
+    await asyncio.to_thread(_wait_for_output, source)
+    cpu = 100.0 * (time.process_time() - busy) / (time.monotonic() - wall)
+    app._done.set()
+    await flying
+    log.close()
+    return core, inside, cpu
+
+
+def _wait_for_output(source: subprocess.Popen[bytes]) -> None:
+    assert source.stdout is not None
+    source.stdout.peek(1)  # type: ignore[attr-defined]
+
+
+def _match(recoveries: list[SetPoint], record: Record) -> list[float]:
+    sent = dict(record.imu)
+    latencies = []
+    for output in recoveries:
+        begin = sent.get(output.t_us)
+        if begin is None:
+            continue
+        n, e, d = output.position_ned
+        for received, x, y, z in record.setpoints:
+            if not begin < received < begin + _LATEST_NS:
+                continue
+            if abs(x - n) < _SAME_M and abs(y - e) < _SAME_M and abs(z - d) < _SAME_M:
+                latencies.append((received - begin) * 1e-6)
+                break
+    return sorted(latencies)
+
+
+def percentile(values: list[float], share: float) -> float:
+    """The value below which a share of them lies."""
+    ordered = sorted(values)
+    return ordered[min(len(ordered) - 1, round(share * (len(ordered) - 1)))]
+
+
+def histogram(values: list[float]) -> str:
+    """Counts per class of latency, as text."""
+    edges = [0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 16.0, 100.0]
+    lines, low = [], 0.0
+    for edge in edges:
+        count = sum(low <= v < edge for v in values)
+        lines.append(f"{low:6.2f} to {edge:6.2f} ms {count:4d} {'#' * round(60 * count / len(values))}")
+        low = edge
+    return "\n".join(lines)
+
+
+def rows(impacts: int = IMPACTS) -> list[dict[str, Any]]:
+    """Rows for the benchmark table.
+
+    Raises:
+        RuntimeError: no impact was answered.
+    """
+    result = measure(impacts)
+    found = result.wire_ms
+    if not found:
+        raise RuntimeError(f"none of {impacts} impacts was answered; the guard: {result.overruled[:3]}")
+    print(f"{len(found)} of {result.expected} impacts answered, set-point for IMU sample, both on the wire:")
+    print(histogram(found))
+    if result.overruled:
+        print(
+            f"the guard took over {len(result.overruled)} times and was reset: "
+            + "; ".join(sorted(set(result.overruled)))
+        )
+    values = (
+        ("latency impact to set-point p50", percentile(found, 0.5), "ms"),
+        ("latency impact to set-point p99", percentile(found, 0.99), "ms"),
+        ("latency receipt to set-point p50", percentile(result.inside_ms, 0.5), "ms"),
+        ("latency receipt to set-point p99", percentile(result.inside_ms, 0.99), "ms"),
+        ("impacts unanswered", float(result.expected - len(found)), ""),
+        ("app share of a core at 250 Hz", result.cpu_percent, "%"),
+    )
+    return [
+        {"name": name, "value": v, "unit": unit, "baseline": None, "ratio": None} for name, v, unit in values
+    ]
+
+
+def compare(impacts: int) -> None:
+    """Print what switch interval and garbage collector do to the latency inside the program."""
+    print("switch interval ms | collector | receipt to set-point p50 | p90 | p99 | largest ms")
+    for interval_s, collector in ((0.001, True), (0.005, True), (0.0002, True), (0.001, False)):
+        app_module._SWITCH_INTERVAL_S = interval_s
+        (gc.enable if collector else gc.disable)()
+        result = measure(impacts)
+        inside = result.inside_ms
+        figures = " | ".join(f"{percentile(inside, s):.2f}" for s in (0.5, 0.9, 0.99, 1.0))
+        print(
+            f"{interval_s * 1e3:g} | {'on, frozen at start' if collector else 'off'} | {figures}", flush=True
+        )
+    gc.enable()
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["compare"]:
+        compare(int(sys.argv[2]))
+    else:
+        for row in rows(int(sys.argv[1]) if len(sys.argv) > 1 else IMPACTS):
+            print(row)

@@ -1,0 +1,39 @@
+"""Fast flights against walls that are not what the configuration says: plant and flight core disagree."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import Coefficients
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.recording.about import describe_flight
+from dart_flight.recording.writer import FlightLog
+from dart_flight.worlds.fast import FastFlight
+
+
+def with_walls(mission: Mission, **factors: float) -> Mission:
+    """The mission with every material's coefficients multiplied: `k=1.2`, `f=...`, `mu=...`, `nu=...`."""
+
+    def changed(c: Coefficients) -> Coefficients:
+        return msgspec.structs.replace(c, **{n: getattr(c, n) * x for n, x in factors.items()})
+
+    materials = {
+        name: msgspec.structs.replace(m, rigid=changed(m.rigid), flexible=changed(m.flexible))
+        for name, m in mission.vehicle.materials.items()
+    }
+    vehicle = msgspec.structs.replace(mission.vehicle, materials=materials)
+    return msgspec.structs.replace(mission, vehicle=vehicle)
+
+
+def fly_against(mission: Mission, real: Mission, seed: int, path: Path) -> Path:
+    """Fly a mission where the walls are those of `real`; returns the log, which knows only the mission."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    log = FlightLog(path, describe_flight(mission, "fast", seed))
+    flight = FastFlight(real, seed, observe=log.put)
+    flight.core = FlightCore(mission)
+    flight.run()
+    log.close()
+    return path

@@ -1,0 +1,149 @@
+"""Benchmarks of the planner; `rows()` gives them to `make bench`, run alone it prints the comparison too.
+
+python -m tools.bench.plan
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypedDict
+
+import msgspec
+import numpy as np
+
+from dart_flight.config.scenario import Scenario, load_scenario
+from dart_flight.planning.enumerate import draws_of
+from dart_flight.planning.trajectories import Arrivals, Course, Stages, new_flight, stages_for
+from tests.oracles.plan_reference import solve_candidate
+from tests.oracles.plan_stepping import Ends, step_everything
+
+SCENARIO = Path(__file__).parents[2] / "missions" / "scenarios" / "dual_collision.yaml"
+_ODE_SAMPLE = 24
+
+
+class Row(TypedDict):
+    """A row of `build/bench.json`."""
+
+    name: str
+    value: float
+    unit: str
+    baseline: float | None
+    ratio: float | None
+
+
+class _Case:
+    """The full enumeration of the dual collision, every candidate flown to its end."""
+
+    def __init__(self) -> None:
+        self.scenario: Scenario = load_scenario(SCENARIO)
+        self.normal = np.array(self.scenario.normal_m_s)[:, None]
+        self.tangential = np.array(self.scenario.tangential_m_s)[None, :]
+        self.count = self.normal.size * self.tangential.size * len(self.scenario.modes) ** 2
+
+    def enumerate(self) -> list[Arrivals]:
+        """Preparation included: nothing is kept between calls."""
+        stages = stages_for(self.scenario, [None])[0]
+        course = Course(self.scenario, self.scenario.sequences[0], new_flight(self.scenario), None)
+        grid = course.approach(self.normal, self.tangential)
+        return course.fly(stages, self.normal, self.tangential, grid)
+
+    def step(self) -> list[Ends]:
+        stages = self.stages()
+        course = Course(self.scenario, self.scenario.sequences[0], new_flight(self.scenario), None)
+        grid = course.approach(self.normal, self.tangential)
+        return step_everything(self.scenario, stages, self.normal, self.tangential, grid)
+
+    def stages(self) -> Stages:
+        """At nominal values."""
+        return stages_for(self.scenario, [None])[0]
+
+
+def _best(function: Callable[[], object], repeats: int) -> float:
+    """Least processor time of several runs, s: one process, one thread, whatever else the machine does."""
+    times = []
+    for _ in range(repeats):
+        began = time.process_time()
+        function()
+        times.append(time.process_time() - began)
+    return min(times)
+
+
+def enumeration() -> tuple[Row, str]:
+    """The full enumeration against time stepping; the text compares both with the ODE solution."""
+    case = _Case()
+    fast = _best(case.enumerate, 15)
+    slow = _best(case.step, 2)
+    row = Row(
+        name="plan enumeration 14884", value=fast * 1e3, unit="ms", baseline=slow * 1e3, ratio=slow / fast
+    )
+    return row, _errors(case)
+
+
+def _errors(case: _Case) -> str:
+    arrivals, ends = case.enumerate(), case.step()
+    stages = case.stages()
+    rng = np.random.default_rng(1)
+    course = Course(case.scenario, case.scenario.sequences[0], new_flight(case.scenario), None)
+    worst_plan = worst_step = worst_all = 0.0
+    reached = 0
+    for a, e in zip(arrivals, ends, strict=True):
+        assert a.modes == e.modes
+        common, in_a, in_e = np.intersect1d(a.rows, e.rows, return_indices=True)
+        reached += a.rows.size
+        away = np.hypot(a.x[in_a] - e.x[in_e], a.y[in_a] - e.y[in_e])
+        worst_all = max(worst_all, float(np.quantile(away, 0.95)))
+        for j in rng.choice(common.size, min(_ODE_SAMPLE // 4, common.size), replace=False):
+            i, n, t = common[j], *np.divmod(common[j], case.tangential.size)
+            velocity = (float(case.normal[n, 0]), float(case.tangential[0, t]))
+            grid = course.approach(np.array(velocity[0]), np.array(velocity[1]))
+            sequence = case.scenario.sequences[0]
+            exact = solve_candidate(case.scenario, sequence, a.modes, stages, velocity, grid)
+            k, m = in_a[j], in_e[j]
+            assert a.rows[k] == e.rows[m] == i
+            worst_plan = max(worst_plan, float(np.hypot(a.x[k] - exact.x, a.y[k] - exact.y)))
+            worst_step = max(worst_step, float(np.hypot(e.x[m] - exact.x, e.y[m] - exact.y)))
+    return (
+        f"terminal positions of {_ODE_SAMPLE} candidates against a 1e-10 ODE solution: planner within "
+        f"{worst_plan:.1e} m, time stepping within {worst_step:.1e} m; {reached} of {case.count} candidates "
+        f"reach both walls; planner and time stepping differ by {worst_all:.1e} m at the 95th percentile"
+    )
+
+
+def robust() -> Row:
+    """A million trajectories: the grid with 64 draws, constraints judged in every draw."""
+    scenario = load_scenario(SCENARIO)
+    uncertainty = msgspec.structs.replace(scenario.uncertainty, samples=68)
+    scenario = msgspec.structs.replace(scenario, uncertainty=uncertainty)
+    normal = np.array(scenario.normal_m_s)[:, None]
+    tangential = np.array(scenario.tangential_m_s)[None, :]
+    count = 0
+
+    def run() -> None:
+        nonlocal count
+        from dart_flight.planning.constraints import Constraints  # noqa: PLC0415
+
+        draws = draws_of(scenario, 1)
+        flight = new_flight(scenario)
+        course = Course(scenario, scenario.sequences[0], flight, Constraints(scenario))
+        grid = course.approach(normal, tangential)
+        count = 0
+        for draw, stages in zip(draws, stages_for(scenario, list(draws)), strict=True):
+            course.fly(stages, normal, tangential, grid, draw)
+            count += normal.size * tangential.size * len(scenario.modes) ** 2
+
+    taken = _best(run, 2)
+    return Row(name="plan robust 1e6", value=taken * 1e6 / count, unit="s", baseline=None, ratio=None)
+
+
+def rows() -> list[Row]:
+    """Rows for `make bench`."""
+    row, text = enumeration()
+    print(text)
+    return [row, robust()]
+
+
+if __name__ == "__main__":
+    for each in rows():
+        print(each)

@@ -1,0 +1,1 @@
+"""What `make campaign` runs in bulk, with a report each."""

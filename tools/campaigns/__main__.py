@@ -1,0 +1,45 @@
+"""`make campaign`: the bulk runs, one after the other; each prints or writes its report (docs/).
+
+python -m tools.campaigns.__main__ [NAME ...]      only these, e.g. `faults fuzz`
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+from rich.console import Console
+
+MODULES = {
+    "lock": "tools.campaigns.lock",
+    "identify": "tools.campaigns.identify",
+    "flight-identify": "tools.campaigns.flight_identify",
+    "replay": "tools.campaigns.replay",
+    "plan": "tools.campaigns.plan",
+    "agreement": "tools.campaigns.plan_agreement",
+    "force": "tools.campaigns.force",
+    "faults": "tools.campaigns.faults",
+    "fuzz": "tools.campaigns.fuzz",
+}
+
+
+def main() -> int:
+    """Run the campaigns named on the command line, all of them by default; 1 where one failed."""
+    wanted = sys.argv[1:] or list(MODULES)
+    unknown = [name for name in wanted if name not in MODULES]
+    if unknown:
+        sys.stderr.write(f"unknown campaign {unknown[0]}, known: {', '.join(MODULES)}\n")
+        return 2
+    console = Console(stderr=True)
+    failed = []
+    for name in wanted:
+        console.print(f"[bold]campaign {name}[/]")
+        if subprocess.run([sys.executable, "-m", MODULES[name]], check=False).returncode:
+            failed.append(name)
+    if failed:
+        console.print(f"[red]failed: {', '.join(failed)}[/]")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,395 @@
+"""Every fault in every phase, and thousands of random ones, in the fast world: is any flight uncontrolled?
+
+    python -m tools.campaigns.faults --runs 2000
+
+A flight counts as controlled only when all of this holds:
+
+* no exception escaped;
+* it ended: landed and disarmed (by the mission, the guard, or PX4's own failsafe once the app is gone), or
+  held still in another mode than offboard after a pilot took over;
+* what did not complete says why: a rule of the guard is in the log and in the verdict's reason (where the app
+  itself was hung or killed there is nobody left to say it: then PX4's failsafe must have landed the vehicle);
+* truth left the flight space by no more than `excursion_allowed_m`;
+* it touched the ground at no more than 1.5 m/s downwards and never tilted by 80
+  degrees;
+* its log opens.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import random
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import msgspec
+from mcap.records import Chunk, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.geometry import distance2, tilt_of
+from dart_flight.recording import read_log
+from dart_flight.recording.writer import FlightLog
+from dart_flight.samples import FlightMode, GuardEvent, Input, Note, Output, TruthSample
+from dart_flight.sim.faults.kinds import KINDS, Fault, excursion_allowed_m
+from dart_flight.verdict import VerdictBuilder
+from dart_flight.worlds.fast import FastFlight
+from dart_flight.worlds.flights import load_flyable
+from dart_flight.worlds.sabotage import fill_disk_of
+
+EXPECTED = Path(__file__).resolve().parents[2] / "tests" / "faults" / "expected.csv"
+PHASES = ("take-off", "approach", "contact", "recovery", "goal")
+MISSIONS = ("dual_collision", "single_wall")
+_LANDING_M_S = 1.5
+_TILT_DEG = 80.0
+_DOWN_M = 0.2  # lying on its side the vehicle's centre is this high
+_STILL_M_S = 0.3
+
+
+class Flown(msgspec.Struct):
+    """One faulted flight in a few figures."""
+
+    fault: Fault
+    seed: int
+    mission: str
+    began: bool
+    outcome: str
+    rule: str
+    decision_ms: float | None
+    excursion_m: float
+    landing_m_s: float
+    tilt_deg: float
+    problems: list[str]
+
+
+class _Watch:
+    """What truth did in one flight, and when somebody first decided something."""
+
+    def __init__(self, mission: Mission) -> None:
+        self._bounds = mission.bounds
+        self.flight: FastFlight | None = None
+        self.excursion = self.landing = self.tilt = 0.0
+        self.decided_us: int | None = None
+        self.rules: list[str] = []
+        self.last: TruthSample | None = None
+        self._was_high = False
+
+    def take(self, record: Input | Output | Note) -> None:
+        if isinstance(record, GuardEvent):
+            self.rules.append(record.rule)
+            self._decide()
+        elif isinstance(record, TruthSample):
+            self.last = record
+            x, y, z = record.position_mission
+            self.excursion = max(self.excursion, self._bounds.excess2((x, y)), z - self._bounds.z[1])
+            self.tilt = max(self.tilt, tilt_of(record.q_frd_to_ned))
+            self._was_high = self._was_high or z > 0.2
+            if self._was_high and z < 0.03:
+                self.landing = max(self.landing, -record.velocity_mission[2])
+
+    def on_text(self, text: str) -> None:
+        if "failsafe" in text.lower():
+            self._decide()
+
+    def _decide(self) -> None:
+        faulted = self.flight.faulted if self.flight is not None else None
+        if self.decided_us is None and faulted is not None and faulted.began_us is not None:
+            assert self.flight is not None
+            self.decided_us = self.flight.host_us
+
+
+def fly(mission: Mission, fault: Fault, seed: int, folder: Path | None = None) -> Flown:
+    """One flight with one fault, on to the ground; with `folder` its log is written, opened and removed."""
+    watch, builder = _Watch(mission), VerdictBuilder(mission)
+    path = None if folder is None else folder / f"{fault.name}-{fault.phase}-{seed}.mcap"
+    log = None if path is None else FlightLog(path, {"mission": mission.name})
+
+    filled: list[bool] = []
+
+    def observe(record: Input | Output | Note, number: int) -> None:
+        builder.take(record)
+        watch.take(record)
+        if log is not None:
+            log.put(record, number)
+            if filled:
+                return
+            if fault.name == "disk-full" and flight.faulted is not None and flight.faulted.began_us and path:
+                filled.append(True)
+                fill_disk_of(path)
+
+    flight = FastFlight(mission, seed, observe=observe, fault=fault)
+    watch.flight = flight
+    tell = flight.autopilot.say
+
+    def say(severity: str, text: str) -> None:
+        watch.on_text(text)
+        tell(severity, text)
+
+    flight.autopilot.say = say
+    problems = []
+    try:
+        flight.run()
+        flight.run_out()
+    except Exception as error:
+        problems.append(f"exception {type(error).__name__}: {error}")
+    problems += _close(log, path)
+    verdict = builder.build("fast", seed)
+    assert flight.faulted is not None
+    began = flight.faulted.began_us
+    rule = (verdict.reason or "").split(":")[0] if verdict.guard else ""
+    if flight.faulted.app_silent:
+        rule = "app gone"
+    problems += _judge(flight, watch, fault, verdict.outcome, rule)
+    return Flown(
+        fault=fault,
+        seed=seed,
+        mission=mission.name,
+        began=began is not None,
+        outcome=verdict.outcome,
+        rule=rule,
+        decision_ms=None if watch.decided_us is None or began is None else (watch.decided_us - began) * 1e-3,
+        excursion_m=watch.excursion,
+        landing_m_s=watch.landing,
+        tilt_deg=math.degrees(watch.tilt),
+        problems=problems,
+    )
+
+
+def _close(log: FlightLog | None, path: Path | None) -> list[str]:
+    if log is None or path is None:
+        return []
+    log.close()
+    try:
+        # Every record of every log decoded would take longer than the flights: a sample of them is.
+        if sum(path.name.encode()) % 10 == 0 or log.failure is not None:
+            named = bool(read_log(path).about.get("mission"))
+        else:
+            named = any(isinstance(record, Metadata) for record in _records(path))
+    except Exception as error:
+        return [f"its log does not open: {error}"]
+    finally:
+        path.unlink()
+    return [] if named else ["its log does not say what it is"]
+
+
+def _records(path: Path) -> list[object]:
+    """Everything in an MCAP file, checksums checked."""
+    with open(path, "rb") as stream:
+        records = list(StreamReader(stream, emit_chunks=True).records)
+    for chunk in records:
+        if isinstance(chunk, Chunk):
+            breakup_chunk(chunk, validate_crc=True)
+    return list(records)
+
+
+def _judge(flight: FastFlight, watch: _Watch, fault: Fault, outcome: str, rule: str) -> Iterator[str]:
+    """What is uncontrolled about a flight; nothing where it is not."""
+    a = flight.autopilot
+    assert flight.faulted is not None
+    gone = flight.faulted.app_silent
+    if flight.core.end is None and not gone:
+        yield "it did not end"
+    if a.armed:
+        speed = distance2(a.plant.velocity, (0.0, 0.0))
+        held = a.mode in (FlightMode.MANUAL, FlightMode.HOLD) and speed < _STILL_M_S
+        if not (outcome == "released" and held):
+            yield f"still armed in {a.mode.value} at {speed:.2f} m/s"
+    elif watch.last is not None and watch.last.position_mission[2] > _DOWN_M:
+        yield "disarmed in the air"
+    if outcome != "completed" and not rule:
+        yield "nobody says why"
+    allowed = excursion_allowed_m(fault)
+    if watch.excursion > allowed:
+        yield f"{watch.excursion:.2f} m out of bounds, {allowed:.2f} allowed"
+    if watch.landing > _LANDING_M_S:
+        yield f"met the ground at {watch.landing:.2f} m/s"
+    if math.degrees(watch.tilt) > _TILT_DEG:
+        yield f"tilted by {math.degrees(watch.tilt):.0f} degrees"
+
+
+# --- the matrix --------------------------------------------------------------------------------------------
+
+
+def expected() -> dict[tuple[str, str], frozenset[str]]:
+    """Cell -> what may come of it: rules of the guard, `completed`, or `app gone`."""
+    with open(EXPECTED, newline="") as file:
+        rows = list(csv.reader(file))
+    return {
+        (row[0], phase): frozenset(cell.split("|"))
+        for row in rows[1:]
+        for phase, cell in zip(rows[0][1:], row[1:], strict=True)
+    }
+
+
+def came_of(flown: Flown) -> str:
+    """A flight's outcome in the words of the table."""
+    return flown.rule if flown.outcome != "completed" else "completed"
+
+
+def _mission(name: str) -> Mission:
+    return load_flyable(packaged("missions", f"{name}.yaml"))
+
+
+def cell(fault: str, phase: str, seed: int = 1) -> Flown:
+    """One cell of the matrix: the paper's dual collision."""
+    kind = next(k for k in KINDS if k.name == fault)
+    with tempfile.TemporaryDirectory() as folder:
+        return fly(_mission("dual_collision"), Fault(fault, kind.value, phase), seed, Path(folder))
+
+
+def random_flight(number: int) -> Flown:
+    """One of the campaign's flights: fault, value, phase, moment and mission follow from its number."""
+    chance = random.Random(f"faults {number}")
+    kind = KINDS[number % len(KINDS)]
+    value = chance.uniform(kind.low, kind.high)
+    if kind.name == "packet-loss":
+        value = chance.uniform(1.0, 20.0)
+    elif kind.name in ("reorder", "duplicate"):
+        value = chance.uniform(1.0, 50.0)
+    elif kind.name == "delay":
+        value = chance.uniform(5.0, 300.0)
+    elif kind.name == "ekf-jump":
+        value = chance.uniform(-1.0, 1.0)
+    elif kind.name == "gust":
+        value = chance.uniform(-8.0, 8.0)
+    elif kind.name == "wall-nearer":
+        value = chance.uniform(-0.3, 0.3)
+    phase = chance.choice((None, "take-off", "transit", "approach", "contact", "recovery", "goal", "landing"))
+    fault = Fault(kind.name, value, phase, chance.choice((0.0, 0.0, chance.uniform(0.0, 3.0))))
+    with tempfile.TemporaryDirectory() as folder:
+        return fly(_mission(chance.choice(MISSIONS)), fault, number, Path(folder))
+
+
+def _flight(job: tuple[str, str] | int) -> Flown:
+    return random_flight(job) if isinstance(job, int) else cell(*job)
+
+
+def fly_all(jobs: list[tuple[str, str] | int], kept: Path) -> list[Flown]:
+    """Cells of the matrix and numbered random flights, two at a time; results are kept as they come.
+
+    `kept` has a line of JSON for every flight flown: what is there already is not flown again.
+    """
+    decode, results = msgspec.json.Decoder(tuple[tuple[str, str] | int, Flown]).decode, {}
+    if kept.exists():
+        results = dict(decode(line) for line in kept.read_bytes().splitlines())
+    missing = [job for job in jobs if job not in results]
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    with ProcessPoolExecutor(2) as pool, open(kept, "ab", buffering=0) as file:
+        for job, flown in zip(missing, pool.map(_flight, missing), strict=True):
+            results[job] = flown
+            file.write(msgspec.json.encode((job, flown)) + b"\n")
+    return [results[job] for job in jobs]
+
+
+# --- the report --------------------------------------------------------------------------------------------
+
+
+def _cell_text(flown: Flown) -> str:
+    if not flown.began:
+        return "-"
+    parts = [came_of(flown)]
+    if flown.decision_ms is not None:
+        parts.append(f"{flown.decision_ms:.0f} ms")
+    parts.append(f"{flown.excursion_m:.2f} m")
+    if flown.problems:
+        parts.append("**uncontrolled: " + "; ".join(flown.problems) + "**")
+    return "<br>".join(parts)
+
+
+def _most(values: Iterable[float]) -> float:
+    return max(values, default=0.0)
+
+
+def report(cells: list[Flown], flights: list[Flown]) -> str:
+    """The page."""
+    lines = [
+        "# Fault matrix",
+        "",
+        "Generated by `python -m tools.campaigns.faults` (`make campaign`). Fast world, the paper's dual",
+        "collision, seed 1: each fault of `sim/faults/kinds.py` at its default value, from the phase's",
+        "beginning on. A cell says what came of it, the time from the fault to the first decision (of the",
+        "guard, or of PX4's own failsafe where the app is gone), and how far truth got out of the bounds.",
+        "`tests/faults/expected.csv` says what each cell may be, and `tests/faults/test_matrix.py` holds it",
+        "to that. What counts as uncontrolled is in `tools/campaigns/faults.py`.",
+        "",
+        "| fault | " + " | ".join(PHASES) + " |",
+        "|---" * (len(PHASES) + 1) + "|",
+    ]
+    by_key = {(f.fault.name, f.fault.phase): f for f in cells}
+    for kind in KINDS:
+        value = f" {kind.value:g} {kind.unit}" if kind.unit else ""
+        row = " | ".join(_cell_text(by_key[kind.name, phase]) for phase in PHASES)
+        lines.append(f"| {kind.name}{value} | {row} |")
+    wrong = sum(bool(f.problems) for f in cells)
+    lines += ["", f"{len(cells)} cells, {wrong} uncontrolled.", "", "## Random faults", ""]
+    bad = [f for f in flights if f.problems]
+    begun = sum(f.began for f in flights)
+    decided = sorted(f.decision_ms for f in flights if f.decision_ms is not None)
+    lines += [
+        f"{len(flights)} flights with a random fault, value, phase and moment (both missions); in {begun} of",
+        f"them the fault's moment came. Uncontrolled: {len(bad)}. Logs that did not open: "
+        f"{sum('log' in p for f in flights for p in f.problems)}. Largest excursion",
+        f"beyond the bounds {_most(f.excursion_m for f in flights):.2f} m, hardest landing "
+        f"{_most(f.landing_m_s for f in flights):.2f} m/s, largest tilt "
+        f"{_most(f.tilt_deg for f in flights):.0f} degrees.",
+        "",
+        "| fault | flights | completed | other ends | median decision | largest excursion |",
+        "|---|---|---|---|---|---|",
+    ]
+    for kind in KINDS:
+        mine = [f for f in flights if f.fault.name == kind.name]
+        ends: dict[str, int] = {}
+        for f in mine:
+            ends[came_of(f)] = ends.get(came_of(f), 0) + 1
+        done = ends.pop("completed", 0)
+        told = (
+            ", ".join(f"{name} {count}" for name, count in sorted(ends.items(), key=lambda e: -e[1])) or "-"
+        )
+        times = sorted(f.decision_ms for f in mine if f.decision_ms is not None)
+        median = f"{times[len(times) // 2]:.0f} ms" if times else "-"
+        far = max((f.excursion_m for f in mine), default=0.0)
+        lines.append(f"| {kind.name} | {len(mine)} | {done} | {told} | {median} | {far:.2f} m |")
+    lines += [
+        f"- flight {f.seed}: {f.fault.name} {f.fault.value:g} @ {f.fault.phase}: {f.problems}" for f in bad
+    ]
+    if decided:
+        lines += ["", f"Decisions over all: {len(decided)}, median {decided[len(decided) // 2]:.0f} ms."]
+    return "\n".join(lines) + "\n"
+
+
+def run(report_dir: Path, runs: int = 2000) -> None:
+    """Matrix and campaign; writes `fault_matrix.md` into `report_dir`.
+
+    Raises:
+        RuntimeError: a flight was uncontrolled.
+    """
+    keys: list[tuple[str, str] | int] = [(kind.name, phase) for kind in KINDS for phase in PHASES]
+    cells = fly_all(keys, Path("build/faults_matrix.jsonl"))
+    flights = fly_all(list(range(runs)), Path("build/faults_random.jsonl"))
+    (report_dir / "fault_matrix.md").write_text(report(cells, flights))
+    bad = [f for f in (*cells, *flights) if f.problems]
+    if bad:
+        raise RuntimeError(f"{len(bad)} flights uncontrolled, first: {bad[0]}")
+
+
+def main() -> int:
+    """Run it from the command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--runs", type=int, default=2000)
+    parser.add_argument("--report-dir", type=Path, default=Path("docs"))
+    arguments = parser.parse_args()
+    run(arguments.report_dir, arguments.runs)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
+
+
+__all__ = ["EXPECTED", "PHASES", "came_of", "cell", "expected", "fly", "fly_all", "random_flight", "run"]

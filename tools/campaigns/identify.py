@@ -1,0 +1,259 @@
+"""The identification campaign: synthetic trial sets, errors against the Cramér-Rao bound, coverage.
+
+python -m tools.campaigns.identify --sets 200 -o docs/identification.md
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from dart_flight.config import Coefficients, InputError, load_vehicle
+from dart_flight.config.vehicle import packaged
+from dart_flight.contact.contact_map import drop
+from dart_flight.contact.law import Onset
+from dart_flight.identify.fit import deviation_bound, identify
+from dart_flight.identify.trials import Trial
+from dart_flight.samples import Mode
+from tools.synthetic_trials import MASS_KG, drop_trial, wall_trial
+
+# A normal error is at most 0.674 deviations in half of all cases.
+MEDIAN_OF_NORMAL = 0.6745
+SPEED_SPREAD = 0.03  # relative: nobody hits a wall at exactly the speed they meant
+HEIGHT_SPREAD = 0.02
+PLANE_SPREAD_M = 0.01
+
+Make = Callable[[np.random.Generator, float], list[Trial]]
+
+
+@dataclass
+class Case:
+    """One kind of trial set."""
+
+    name: str
+    truth: Coefficients
+    make: Make  # from a generator and the noise of a position sample
+    noise_m: float
+    wanted: tuple[str, ...] = ("k", "f")
+    drops: bool = False
+    share: float = 1.0  # of the sets that are asked for: a slow case makes do with fewer
+
+
+@dataclass
+class Outcome:
+    """What came back over all sets of a case, per coefficient."""
+
+    errors: dict[str, list[float]] = field(default_factory=dict)
+    covered: dict[str, list[bool]] = field(default_factory=dict)
+    widths: dict[str, list[float]] = field(default_factory=dict)
+    bounds: dict[str, list[float]] = field(default_factory=dict)
+    validation: list[tuple[float, float]] = field(default_factory=list)
+    failed: int = 0
+    sets: int = 0
+    seconds: float = 0.0
+
+
+def drops(c: Coefficients, mode: Mode) -> Make:
+    """Three drops from 0.05 m at 1000 Hz."""
+
+    def make(random: np.random.Generator, noise_m: float) -> list[Trial]:
+        plane = random.normal(0.0, PLANE_SPREAD_M)
+        heights = 0.05 * (1.0 + HEIGHT_SPREAD * random.standard_normal(3))
+        return [drop_trial(c, h, random, noise_m=noise_m, plane_m=plane, mode=mode.value) for h in heights]
+
+    return make
+
+
+def hits(c: Coefficients, mode: Mode, speeds: tuple[float, ...], full: bool = False) -> Make:
+    """Wall hits at 240 Hz; `full` with motion along the wall and height."""
+
+    def make(random: np.random.Generator, noise_m: float) -> list[Trial]:
+        plane = random.normal(0.0, PLANE_SPREAD_M)
+        spread = 1.0 + SPEED_SPREAD * random.standard_normal(len(speeds))
+        return [
+            wall_trial(
+                c, -v, random, noise_m=noise_m, plane_m=plane, mode=mode.value,
+                tangential_m_s=0.5 if full else None, with_vertical=full,
+            )
+            for v in np.array(speeds) * spread
+        ]  # fmt: skip
+
+    return make
+
+
+def cases() -> list[Case]:
+    """The kinds of trial sets that are examined, with the configuration's coefficients as the truth."""
+    vehicle = load_vehicle(packaged("configs", "dart.yaml"))
+    ground, wall = vehicle.materials["concrete"], vehicle.materials["acrylic"]
+    both = list(Mode)
+    three = (0.5, 1.0, 1.5)
+    every = ("k", "f", "mu", "nu")
+    return [
+        *(
+            Case(f"3 drops 0.05 m, {m.value}", ground.of(m), drops(ground.of(m), m), 0.0005, drops=True)
+            for m in both
+        ),
+        *(
+            Case(f"hits 0.5, 1.0, 1.5 m/s, {m.value}", wall.of(m), hits(wall.of(m), m, three), 0.001)
+            for m in both
+        ),
+        *(
+            Case(f"3 hits at 1.0 m/s, {m.value}", wall.of(m), hits(wall.of(m), m, (1.0, 1.0, 1.0)), 0.001)
+            for m in both
+        ),
+        *(
+            Case(
+                f"hits with way along and height, {m.value}",
+                wall.of(m),
+                hits(wall.of(m), m, three, True),
+                0.001,
+                every,
+                share=0.25,
+            )
+            for m in both
+        ),
+    ]  # fmt: skip
+
+
+def run(case: Case, sets: int, bound_sets: int, seed: int) -> Outcome:
+    """Identify `sets` synthetic sets of a case."""
+    sets = max(1, round(case.share * sets))
+    out = Outcome(sets=sets)
+    begin = time.process_time()
+    for i in range(sets):
+        # The same sequence draws the same sample times and speeds with and without noise.
+        trials = case.make(np.random.default_rng((seed, i)), case.noise_m)
+        mode = trials[0].mode
+        try:
+            found = identify(trials, MASS_KG, Onset.LCP)
+        except InputError:
+            out.failed += 1
+            continue
+        coefficients = found.coefficients[mode]
+        if any(coefficients[name] is None for name in case.wanted):
+            out.failed += 1
+            continue
+        for name in case.wanted:
+            estimate, true = coefficients[name], getattr(case.truth, name)
+            assert estimate is not None
+            out.errors.setdefault(name, []).append(estimate.value - true)
+            out.covered.setdefault(name, []).append(estimate.low <= true <= estimate.high)
+            out.widths.setdefault(name, []).append(0.5 * (estimate.high - estimate.low))
+        if case.drops:
+            fitted = drop(found.fitted(mode), MASS_KG, 0.2, Onset.LCP)
+            real = drop(case.truth, MASS_KG, 0.2, Onset.LCP)
+            out.validation.append(
+                (
+                    fitted.contact_time_s / real.contact_time_s - 1.0,
+                    fitted.max_rebound_speed_m_s / real.max_rebound_speed_m_s - 1.0,
+                )
+            )
+    out.seconds = time.process_time() - begin
+    noise = dict.fromkeys(("normal_m", "tangential_m", "vertical_m"), case.noise_m)
+    for i in range(min(bound_sets, sets)):
+        clean = case.make(np.random.default_rng((seed, i)), case.noise_m * 1e-3)
+        for bound in deviation_bound(clean, MASS_KG, Onset.LCP, noise).values():
+            for name in case.wanted:
+                out.bounds.setdefault(name, []).append(bound[name])
+    return out
+
+
+def page(results: list[tuple[Case, Outcome]]) -> str:
+    """The report as Markdown."""
+    head = [
+        "case", "sets", "", "truth", "bound σ", "bound / truth", "median error", "median / bound",
+        "rms / bound", "bias / bound", "half 95 % interval", "coverage",
+    ]  # fmt: skip
+    lines = ["| " + " | ".join(head) + " |", "| " + " | ".join(["---", "---:", "---"] + ["---:"] * 9) + " |"]
+    for case, out in results:
+        for name in case.wanted:
+            true, errors = getattr(case.truth, name), np.array(out.errors[name])
+            bound = float(np.mean(out.bounds[name]))
+            median = float(np.median(np.abs(errors)))
+            cells = [
+                case.name if name == case.wanted[0] else "",
+                str(out.sets) if name == case.wanted[0] else "",
+                name,
+                f"{true:g}",
+                f"{bound:.3g}",
+                f"{bound / true:.2%}",
+                f"{median / true:.2%}",
+                f"{median / bound:.2f}",
+                f"{np.sqrt(np.mean(errors**2)) / bound:.2f}",
+                f"{np.mean(errors) / bound:+.2f}",
+                f"{np.median(out.widths[name]) / true:.2%}",
+                f"{np.mean(out.covered[name]):.1%}",
+            ]
+            lines.append("| " + " | ".join(cells) + " |")
+    checks = []
+    for case, out in results:
+        if out.validation:
+            times, speeds = (_summary(list(values)) for values in zip(*out.validation, strict=True))
+            checks.append(f"| {case.name} | {times} | {speeds} |")
+    failures = ", ".join(f"{case.name}: {out.failed}" for case, out in results if out.failed) or "none"
+    seconds = sum(out.seconds for _, out in results) / sum(out.sets for _, out in results)
+    return f"""# How well coefficients are identified
+
+Generated by `python -m tools.campaigns.identify`; do not edit. Synthetic trial sets, onset `lcp`, truth from
+the configuration. Drops: 1000 Hz, 0.5 mm noise per sample; wall hits: 240 Hz, 1 mm. In
+every set the plane is off by a normal error of {1e3 * PLANE_SPREAD_M:.0f} mm that the fit does not know,
+speeds vary by {SPEED_SPREAD:.0%}, heights by {HEIGHT_SPREAD:.0%}, and sampling starts at any phase.
+
+The bound is Cramér and Rao's: no unbiased estimate from these samples has a smaller standard deviation, with
+the plane, the onset times and the approach velocities unknown too. Of a normal error of that deviation the
+median size is {MEDIAN_OF_NORMAL:.2f} bounds and the root mean square one bound. Coverage is how often the
+95 % interval holds the truth.
+
+{chr(10).join(lines)}
+
+Sets without a result: {failures}. One set takes {seconds:.1f} s of one core on average.
+
+## Validated on drops from 0.2 m
+
+As in the paper, coefficients from drops from 0.05 m predict drops from 0.2 m: relative error of the
+prediction with the identified coefficients against the truth, median size and 95th percentile.
+
+| case | contact time | largest rebound speed |
+| --- | --- | --- |
+{chr(10).join(checks)}
+"""
+
+
+def _summary(values: list[float]) -> str:
+    sizes = np.abs(values)
+    return f"{np.median(sizes):.3%}, {np.percentile(sizes, 95):.3%}"
+
+
+def main() -> None:
+    """Run the campaign and write its report."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--sets", type=int, default=200)
+    parser.add_argument("--bound-sets", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("-o", "--output", type=Path)
+    given = parser.parse_args()
+    results = []
+    for case in cases():
+        out = run(case, given.sets, given.bound_sets, given.seed)
+        results.append((case, out))
+        for name in case.wanted:
+            bound = np.mean(out.bounds[name])
+            median = np.median(np.abs(out.errors[name]))
+            print(
+                f"{case.name:45s} {name:2s} bound {bound:9.4g}  median error / bound {median / bound:.2f}  "
+                f"coverage {np.mean(out.covered[name]):.1%}  ({out.seconds:.0f} s)",
+                flush=True,
+            )
+        if given.output:  # what is known so far: a long run may be cut short
+            given.output.write_text(page(results), encoding="utf-8")
+    if not given.output:
+        print(page(results))
+
+
+if __name__ == "__main__":
+    main()

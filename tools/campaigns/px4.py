@@ -1,0 +1,456 @@
+"""Flights with a real PX4: acceptance with ten seeds, the speed sweep, the three worlds side by side, and how
+well the planned velocity is met at the wall.
+
+    DART_PX4_DIR=... python -m tools.campaigns.px4 [--part NAME] [--speed X] [--report DIR]
+
+Every flight's figures go to `px4_flights.jsonl` in the report folder as they come; a part that is flown again
+replaces its lines. The tables (`px4_tables.md`) are written from that file alone, so parts can be flown one
+by one. docs/px4_tables.md is such a report; docs/px4.md explains it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from statistics import fmean, stdev
+
+import msgspec
+
+from dart_flight.config.document import Document, InputError
+from dart_flight.config.mission import parse_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.recording import read_log
+from dart_flight.samples import OdometrySample, TruthSample
+from dart_flight.sim.px4.launch import find_install
+from dart_flight.verdict import Verdict
+from dart_flight.worlds.flights import fly_embedded, fly_fast, fly_px4, load_flyable
+
+SEEDS = range(1, 11)
+EMBEDDED_SEEDS = range(1, 4)  # real time: few
+SPEEDS_M_S = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
+APPROACH_SEEDS = range(1, 6)
+APPROACHES_M_S = (-0.6, -0.9, -1.2, -1.5)  # normal velocity; along the wall as in the mission
+SPEED = 3.0  # times real time, what lockstep sustains with room to spare where nothing else runs
+MISSIONS = {"single": "single_wall.yaml", "dual": "dual_collision.yaml"}
+SWEEP = Path(__file__).with_name("px4_sweep_mission.yaml")
+FLIGHTS, TABLES = "px4_flights.jsonl", "px4_tables.md"
+
+
+class Hit(msgspec.Struct):
+    """One collision of a flight: true and measured."""
+
+    wall: str
+    mode: str
+    normal_m_s: float | None
+    normal_true_m_s: float | None
+    tangential_true_m_s: float | None
+    force_n: float | None
+    force_true_n: float | None
+    contact_ms: float | None
+    detection_ms: float | None
+    setpoint_ms: float | None
+    clipped: bool
+
+
+class Flight(msgspec.Struct):
+    """One line of the results."""
+
+    part: str
+    world: str
+    speed: float  # times real time
+    sensor: str
+    mission: str
+    seed: int
+    outcome: str
+    reason: str | None
+    failsafe: bool | None
+    resets: int | None
+    clipped_samples: int | None
+    tilt_deg: float | None
+    ekf_m: float | None
+    velocity_error_m_s: float | None
+    miss_m: float | None
+    final_m: float | None
+    hits: list[Hit]
+    guard: list[str]
+
+
+def figures(part: str, sensor: str, mission: str, verdict: Verdict, pace: float = 1.0) -> Flight:
+    """A verdict in one line."""
+    hits = [
+        Hit(
+            c.wall,
+            c.mode,
+            c.measured.normal_m_s,
+            c.truth.normal_m_s if c.truth else None,
+            c.truth.tangential_m_s if c.truth else None,
+            c.measured.peak_force_n,
+            c.truth.peak_force_n if c.truth else None,
+            c.contact_time_ms,
+            c.detection_latency_ms,
+            c.setpoint_latency_ms,
+            c.clipped,
+        )
+        for c in verdict.collisions
+    ]
+    px4 = verdict.px4
+    return Flight(
+        part=part,
+        world=verdict.world,
+        speed=pace,
+        sensor=sensor,
+        mission=mission,
+        seed=verdict.seed or 0,
+        outcome=verdict.outcome,
+        reason=verdict.reason,
+        failsafe=px4.failsafe if px4 else None,
+        resets=px4.ekf_resets if px4 else None,
+        clipped_samples=px4.clipped_samples if px4 else None,
+        tilt_deg=verdict.max_tilt_deg,
+        ekf_m=verdict.ekf_error_m,
+        velocity_error_m_s=_velocity_error(verdict),
+        miss_m=verdict.goal_miss_m,
+        final_m=verdict.final_error_m,
+        hits=hits,
+        guard=[f"{g.rule}: {g.detail}" for g in verdict.guard],
+    )
+
+
+def _velocity_error(verdict: Verdict) -> float | None:
+    """Largest horizontal velocity error of the estimate in the second after a contact, from the flight's log.
+
+    From 20 ms after its end on: within the contact a lag of a tick shows as an error of force times lag.
+    Speeds are compared by magnitude along both axes, so the frames need not be turned into each other when
+    the mission's heading is north, as it is in all missions of this campaign.
+    """
+    if verdict.log is None or not verdict.collisions:
+        return None
+    true: list[TruthSample] = []
+    estimated: list[OdometrySample] = []
+    for entry in read_log(verdict.log).entries:
+        if isinstance(entry.record, TruthSample):
+            true.append(entry.record)
+        elif isinstance(entry.record, OdometrySample):
+            estimated.append(entry.record)
+    true.sort(key=lambda sample: sample.t_us)
+    ends = [c.t_us + round((c.contact_time_ms or 0.0) * 1e3) + 20_000 for c in verdict.collisions]
+    worst: float | None = None
+    i = 0
+    for sample in estimated:
+        if not any(0 <= sample.t_us - end_us < 1_000_000 for end_us in ends):
+            continue
+        while i + 1 < len(true) and true[i + 1].t_us <= sample.t_us:
+            i += 1
+        north, west = true[i].velocity_mission[0], true[i].velocity_mission[1]
+        error = max(abs(sample.velocity_ned[0] - north), abs(sample.velocity_ned[1] + west))
+        worst = error if worst is None else max(worst, error)
+    return worst
+
+
+# --- flying ------------------------------------------------------------------------------------------
+
+
+def _accept(part: str, pace: float, mission: str, sensor: str) -> Iterator[Flight]:
+    loaded = load_flyable(packaged("missions", MISSIONS[mission]))
+    gps = None if sensor == "mocap" else sensor
+    for seed in SEEDS:
+        with tempfile.TemporaryDirectory() as folder:
+            verdict = fly_px4(loaded, None, seed, Path(folder), gps=gps, speed=pace)
+            yield figures(part, sensor, mission, verdict, pace)
+
+
+def _sweep(
+    part: str, pace: float, mode: str, material: str, sensor: str, speeds: tuple[float, ...]
+) -> Iterator[Flight]:
+    text = SWEEP.read_text(encoding="utf-8").replace("MODE", mode).replace("MATERIAL", material)
+    gps = None if sensor == "mocap" else sensor
+    for speed in speeds:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "sweep.yaml"
+            path.write_text(text.replace("SPEED", f"{speed:g}"), encoding="utf-8")
+            verdict = fly_px4(load_flyable(path), None, 1, Path(folder), gps=gps, speed=pace)
+            yield figures(part, sensor, f"{material} {mode} {speed:g}", verdict, pace)
+
+
+def _other_world(part: str, _pace: float, world: str, mission: str) -> Iterator[Flight]:
+    loaded = load_flyable(packaged("missions", MISSIONS[mission]))
+    fly, seeds = (fly_fast, SEEDS) if world == "fast" else (fly_embedded, EMBEDDED_SEEDS)
+    for seed in seeds:
+        with tempfile.TemporaryDirectory() as folder:
+            yield figures(part, "mocap", mission, fly(loaded, seed, Path(folder)))
+
+
+def _approach(part: str, pace: float, world: str) -> Iterator[Flight]:
+    path = packaged("missions", MISSIONS["single"])
+    text = path.read_text(encoding="utf-8")
+    for normal in APPROACHES_M_S:
+        changed = text.replace("normal_m_s: -1.0", f"normal_m_s: {normal:g}")
+        mission = parse_mission(Document(changed, str(path)))
+        for seed in APPROACH_SEEDS:
+            with tempfile.TemporaryDirectory() as folder:
+                if world == "fast":
+                    verdict = fly_fast(mission, seed, Path(folder))
+                else:
+                    verdict = fly_px4(mission, None, seed, Path(folder), speed=pace)
+                yield figures(part, "mocap", f"approach {normal:g}", verdict, pace)
+
+
+def parts() -> dict[str, Callable[[str, float], Iterator[Flight]]]:
+    """Name of every part -> what flies it, given the name and the pace in times real time."""
+    table: dict[str, Callable[[str, float], Iterator[Flight]]] = {}
+    for sensor in ("mocap", "rtk", "plain"):
+        for mission in MISSIONS:
+            table[f"{mission}-{sensor}"] = partial(_accept, mission=mission, sensor=sensor)
+    for sensor in ("mocap", "rtk"):
+        for mode in ("rigid", "flexible"):
+            table[f"sweep-{mode}-{sensor}"] = partial(
+                _sweep, mode=mode, material="acrylic", sensor=sensor, speeds=SPEEDS_M_S
+            )
+    table["sweep-wood-mocap"] = partial(
+        _sweep, mode="rigid", material="wood", sensor="mocap", speeds=(2.5, 3.0, 3.5, 4.0)
+    )
+    for world in ("fast", "embedded"):
+        for mission in MISSIONS:
+            table[f"{world}-{mission}"] = partial(_other_world, world=world, mission=mission)
+    for world in ("fast", "px4"):
+        table[f"approach-{world}"] = partial(_approach, world=world)
+    return table
+
+
+def fly_part(name: str, report_dir: Path, pace: float) -> None:
+    """Fly one part; its lines replace what the results had of it."""
+    path = report_dir / FLIGHTS
+    kept = [flight for flight in load(report_dir) if flight.part != name]
+    path.write_bytes(b"".join(msgspec.json.encode(flight) + b"\n" for flight in kept))
+    for flight in parts()[name](name, pace):
+        with path.open("ab") as results:
+            results.write(msgspec.json.encode(flight) + b"\n")
+        print(
+            f"{name} seed {flight.seed} {flight.mission}: {flight.outcome} {flight.reason or ''}", flush=True
+        )
+
+
+def load(report_dir: Path) -> list[Flight]:
+    """The results so far."""
+    path = report_dir / FLIGHTS
+    if not path.exists():
+        return []
+    return [msgspec.json.decode(line, type=Flight) for line in path.read_bytes().splitlines()]
+
+
+# --- tables ------------------------------------------------------------------------------------------
+
+
+def _text(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"
+
+
+def _yes(value: bool | None) -> str:
+    return "–" if value is None else "yes" if value else "no"
+
+
+def _row(cells: list[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _table(head: list[str], rows: list[list[str]]) -> list[str]:
+    return [_row(head), _row(["---"] * len(head)), *map(_row, rows), ""]
+
+
+def _hits(flight: Flight, show: Callable[[Hit], str]) -> str:
+    return " / ".join(show(hit) for hit in flight.hits) or "–"
+
+
+def _acceptance(flights: list[Flight]) -> list[str]:
+    head = ["seed", "outcome", "failsafe", "normal m/s true", "measured", "peak N true", "measured"]
+    head += ["detected ms", "set-point ms", "tilt °", "EKF m", "resets", "miss m", "final m"]
+    rows = [
+        [
+            str(f.seed),
+            f.outcome + (f" ({f.reason})" if f.reason else ""),
+            _yes(f.failsafe),
+            _hits(f, lambda h: _text(h.normal_true_m_s, 2)),
+            _hits(f, lambda h: _text(h.normal_m_s, 2)),
+            _hits(f, lambda h: _text(h.force_true_n, 1)),
+            _hits(f, lambda h: _text(h.force_n, 1)),
+            _hits(f, lambda h: _text(h.detection_ms, 1)),
+            _hits(f, lambda h: _text(h.setpoint_ms, 1)),
+            _text(f.tilt_deg, 1),
+            _text(f.ekf_m, 3),
+            "–" if f.resets is None else str(f.resets),
+            _text(f.miss_m, 2),
+            _text(f.final_m, 3),
+        ]
+        for f in flights
+    ]
+    return _table(head, rows)
+
+
+def _sweep_table(flights: list[Flight]) -> list[str]:
+    head = ["m/s", "outcome", "failsafe", "peak N true", "measured", "clipped", "samples at full scale"]
+    head += ["velocity error after it m/s", "EKF m", "resets", "tilt °", "final m"]
+    rows = [
+        [
+            f.mission.split()[-1],
+            f.outcome + (f" ({f.reason})" if f.reason else ""),
+            _yes(f.failsafe),
+            _hits(f, lambda h: _text(h.force_true_n, 1)),
+            _hits(f, lambda h: _text(h.force_n, 1)),
+            _hits(f, lambda h: _yes(h.clipped)),
+            "–" if f.clipped_samples is None else str(f.clipped_samples),
+            _text(f.velocity_error_m_s, 2),
+            _text(f.ekf_m, 3),
+            "–" if f.resets is None else str(f.resets),
+            _text(f.tilt_deg, 1),
+            _text(f.final_m, 3),
+        ]
+        for f in flights
+    ]
+    return _table(head, rows)
+
+
+def _spread(values: list[float | None], digits: int) -> str:
+    known = sorted(v for v in values if v is not None)
+    if not known:
+        return "–"
+    middle = known[len(known) // 2]
+    return f"{middle:.{digits}f} ({known[0]:.{digits}f} to {known[-1]:.{digits}f})"
+
+
+def _worlds(flights: list[Flight], mission: str) -> list[str]:
+    groups = {
+        world: [f for f in flights if f.world == world and f.mission == mission and f.sensor == "mocap"]
+        for world in ("fast", "embedded", "px4")
+    }
+    head = ["", *(f"{world} ({len(group)} flights)" for world, group in groups.items())]
+
+    def line(name: str, of: Callable[[Flight], float | None], digits: int) -> list[str]:
+        return [name, *(_spread([of(f) for f in group], digits) for group in groups.values())]
+
+    rows = [
+        ["completed", *(f"{sum(f.outcome == 'completed' for f in g)} of {len(g)}" for g in groups.values())]
+    ]
+    walls = max((len(f.hits) for f in flights if f.mission == mission), default=0)
+    for i in range(walls):
+
+        def of(pick: Callable[[Hit], float | None], i: int = i) -> Callable[[Flight], float | None]:
+            return lambda f: pick(f.hits[i]) if i < len(f.hits) else None
+
+        n = f"hit {i + 1}: "
+        rows.append(line(n + "normal velocity, true, m/s", of(lambda h: h.normal_true_m_s), 3))
+        rows.append(line(n + "tangential velocity, true, m/s", of(lambda h: h.tangential_true_m_s), 3))
+        rows.append(line(n + "peak force, true, N", of(lambda h: h.force_true_n), 1))
+        rows.append(line(n + "peak force measured / true", of(_force_ratio), 3))
+        rows.append(line(n + "detection, ms", of(lambda h: h.detection_ms), 1))
+        rows.append(line(n + "set-point, ms", of(lambda h: h.setpoint_ms), 2))
+    rows.append(line("tilt up to, °", lambda f: f.tilt_deg, 1))
+    rows.append(line("position estimate off by up to, m", lambda f: f.ekf_m, 3))
+    rows.append(line("estimator resets", lambda f: f.resets, 0))
+    rows.append(line("goal miss, m", lambda f: f.miss_m, 3))
+    rows.append(line("final error, m", lambda f: f.final_m, 3))
+    return _table(head, rows)
+
+
+def _approach_table(flights: list[Flight]) -> list[str]:
+    """Velocity at the impact, true less planned: mean and standard deviation over the seeds."""
+    planned = load_flyable(packaged("missions", MISSIONS["single"])).collisions[0].approach_m_s
+    assert planned is not None
+    along = planned[1]
+    head = ["planned m/s"]
+    for world in ("fast", "px4"):
+        head += [f"{world}: met", "normal m/s", "share", "along m/s"]
+    rows = []
+    for normal in APPROACHES_M_S:
+        row = [f"{normal:g}"]
+        for world in ("fast", "px4"):
+            group = [
+                f for f in flights if f.part == f"approach-{world}" and f.mission == f"approach {normal:g}"
+            ]
+            hits = [f.hits[0] for f in group if f.hits]
+            across = [h.normal_true_m_s - normal for h in hits if h.normal_true_m_s is not None]
+            beside = [h.tangential_true_m_s - along for h in hits if h.tangential_true_m_s is not None]
+            share = f"{100.0 * fmean(across) / normal:+.1f} %" if across else "–"
+            row += [f"{len(hits)} of {len(group)}", _mean(across), share, _mean(beside)]
+        rows.append(row)
+    return _table(head, rows)
+
+
+def _mean(values: list[float]) -> str:
+    return f"{fmean(values):+.3f} ± {stdev(values):.3f}" if len(values) > 1 else "–"
+
+
+def _force_ratio(hit: Hit) -> float | None:
+    return hit.force_n / hit.force_true_n if hit.force_n and hit.force_true_n else None
+
+
+def report(flights: list[Flight]) -> str:
+    """The tables, in Markdown."""
+    lines = ["# Flights with a real PX4: the tables", ""]
+    paces = " and ".join(f"{pace:g}" for pace in sorted({f.speed for f in flights if f.world == "px4"}))
+    lines += [
+        f"Generated by `python -m tools.campaigns.px4` at {paces} times real time; docs/px4.md explains."
+    ]
+    lines += ["Two hits of a flight are given as first / second.", ""]
+    for sensor, name in (("mocap", "motion capture"), ("rtk", "RTK-like GPS"), ("plain", "plain GPS")):
+        for mission, title in (("single", "Single wall"), ("dual", "Dual collision")):
+            group = [f for f in flights if f.part == f"{mission}-{sensor}"]
+            if group:
+                good = sum(f.outcome == "completed" for f in group)
+                lines += [f"## {title}, {name}: {good} of {len(group)} completed", "", *_acceptance(group)]
+    for part in sorted({f.part for f in flights if f.part.startswith("sweep")}):
+        group = [f for f in flights if f.part == part]
+        surface, mode = group[0].mission.split()[:2]
+        sensor = {"mocap": "motion capture", "rtk": "RTK-like GPS"}[group[0].sensor]
+        lines += [f"## Speed sweep, {surface}, {mode}, {sensor}", "", *_sweep_table(group)]
+    for mission, title in (("single", "Single wall"), ("dual", "Dual collision")):
+        if any(f.part == f"fast-{mission}" for f in flights):
+            lines += [f"## {title} in three worlds: median (least to most)", "", *_worlds(flights, mission)]
+    if any(f.part.startswith("approach") for f in flights):
+        lines += ["## Velocity at the wall, true less planned: mean ± standard deviation over five seeds", ""]
+        lines += ["Single wall, motion capture; `share` is the mean of the normal error over the plan.", ""]
+        lines += _approach_table(flights)
+    return "\n".join(lines)
+
+
+def run(report_dir: Path, pace: float) -> None:
+    """Fly everything and write the tables.
+
+    Raises:
+        InputError: there is no PX4.
+    """
+    find_install(None)
+    report_dir.mkdir(parents=True, exist_ok=True)
+    for name in parts():
+        fly_part(name, report_dir, pace)
+    (report_dir / TABLES).write_text(report(load(report_dir)), encoding="utf-8")
+
+
+def main() -> int:
+    """Command line; returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--part", choices=[*parts(), "report"], help="one part, or only the tables")
+    parser.add_argument("--speed", type=float, default=SPEED, help="times real time; less on a busy machine")
+    parser.add_argument("--report", type=Path, default=Path("build/campaign"))
+    arguments = parser.parse_args()
+    try:
+        if arguments.part is None:
+            run(arguments.report, arguments.speed)
+            return 0
+        arguments.report.mkdir(parents=True, exist_ok=True)
+        if arguments.part != "report":
+            find_install(None)
+            fly_part(arguments.part, arguments.report, arguments.speed)
+        tables = report(load(arguments.report))
+        (arguments.report / TABLES).write_text(tables, encoding="utf-8")
+    except InputError as error:
+        print(error.one_line(), file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""What the software writes of its own documentation (`make docs`)."""

@@ -1,0 +1,250 @@
+"""Draws the figures of `docs/concepts.md` with the software's own functions.
+
+python -m tools.docs.concept_figures [FOLDER]
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.contact.law import Onset
+from dart_flight.contact.path import trajectory
+from dart_flight.contact.prediction import condition, wall_contact
+from dart_flight.geometry import MissionFrame, Vec2, Wall
+from dart_flight.lock.cam import limits_deg, rod_mm
+from dart_flight.recording.arrays import Course
+from dart_flight.recording.reader import read_log
+from dart_flight.samples import ImpactPeak, Mode, SetPoint
+from dart_flight.worlds.flights import fly_fast
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / "docs" / "img"
+# Lines differ in darkness and dash, so that they are told apart in grey.
+DARK, MIDDLE, LIGHT = "#000000", "#0072B2", "#999999"
+SOLID, DASHED, DOTTED = "-", (0, (5, 2)), (0, (1, 1.5))
+# Where there is room in the figure of the dual collision.
+_WALL_LABELS = {"wood": (-0.4, -1.35), "acrylic": (2.05, 0.5)}
+_IMPACT_LABELS = ((0.05, -0.3), (0.17, 0.35))
+_STYLE = {
+    "font.size": 9.0,
+    "svg.hashsalt": "dart-flight",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+
+
+def _figure(width_in: float, height_in: float, columns: int = 1) -> tuple[Any, Any]:
+    mpl.rcParams.update(_STYLE)
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    axes = figure.subplots(1, columns, squeeze=False)[0]
+    return figure, axes if columns > 1 else axes[0]
+
+
+def _arrow(axis: Any, begin: Vec2, way: Vec2, text: str, colour: str, style: Any = SOLID) -> None:
+    end = (begin[0] + way[0], begin[1] + way[1])
+    axis.annotate(
+        "",
+        end,
+        begin,
+        arrowprops={"arrowstyle": "-|>", "color": colour, "linestyle": style, "linewidth": 1.6},
+    )
+    length = math.hypot(*way)
+    place = (end[0] + 0.13 * way[0] / length, end[1] + 0.13 * way[1] / length)
+    axis.text(*place, text, color=colour, ha="center", va="center")
+
+
+def _draw_wall(axis: Any, wall: Wall) -> None:
+    """The plane of first touch as a line, hatched on the far side."""
+    reach = 0.5 * wall.length_m
+    (px, py), (tx, ty), (nx, ny) = wall.point, wall.tangent, wall.normal
+    ends = np.array([(px - reach * tx, py - reach * ty), (px + reach * tx, py + reach * ty)])
+    depth = -0.12 * np.array([nx, ny])
+    outline = np.vstack([ends, ends[::-1] + depth])
+    axis.fill(*outline.T, facecolor="white", edgecolor=LIGHT, hatch="////", linewidth=0.0)
+    axis.plot(*ends.T, color=DARK, linewidth=2.2)
+
+
+def _draw_vehicle(axis: Any, at: Vec2, yaw_mission_rad: float, size_m: float = 0.28) -> None:
+    """The frame as a square with its leading edge drawn heavily, seen from above."""
+    c, s = math.cos(yaw_mission_rad), math.sin(yaw_mission_rad)
+    corners = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
+    points = np.array(
+        [(at[0] + size_m * (c * x - s * y), at[1] + size_m * (s * x + c * y)) for x, y in corners]
+    )
+    axis.fill(*points.T, facecolor="#eeeeee", edgecolor=DARK, linewidth=1.0)
+    axis.plot(*points[[3, 0]].T, color=DARK, linewidth=3.0)
+
+
+def _plain(axis: Any) -> None:
+    axis.set_aspect("equal")
+    axis.axis("off")
+
+
+def frames(folder: Path) -> None:
+    """Local NED, the mission frame, the collision frame of a wall, and the angle of incidence."""
+    figure, (left, right) = _figure(8.2, 3.9, columns=2)
+    frame = MissionFrame(north_m=0.9, east_m=0.7, heading_rad=math.radians(60.0))
+
+    def on_paper(north: float, east: float) -> Vec2:
+        return east, north  # north is up
+
+    def drawn(v_mission: Vec2) -> Vec2:
+        n, e, _ = frame.vector_to_ned((*v_mission, 0.0))
+        return on_paper(n, e)
+
+    _arrow(left, (0.0, 0.0), on_paper(0.9, 0.0), "north", LIGHT, DASHED)
+    _arrow(left, (0.0, 0.0), on_paper(0.0, 0.9), "east", LIGHT, DASHED)
+    left.text(-0.05, -0.14, "PX4's local NED\n(down into the page)", color="#666666", ha="left", va="top")
+    origin = on_paper(frame.north_m, frame.east_m)
+    _arrow(left, origin, drawn((1.0, 0.0)), "x", DARK)
+    _arrow(left, origin, drawn((0.0, 1.0)), "y", DARK)
+    left.text(origin[0] + 0.12, origin[1] - 0.12, "mission frame\n(z out of the page)", ha="left", va="top")
+    left.plot([origin[0]] * 2, [origin[1], origin[1] + 0.62], color=LIGHT, linestyle=DOTTED)
+    arc = np.radians(np.linspace(90.0, 30.0, 30))
+    left.plot(origin[0] + 0.45 * np.cos(arc), origin[1] + 0.45 * np.sin(arc), color=DARK, linewidth=1.0)
+    left.text(origin[0] + 0.08, origin[1] + 0.66, "heading_deg", ha="left", va="bottom")
+    left.plot(*zip((0.0, 0.0), origin, strict=True), color=LIGHT, linestyle=DOTTED)
+    left.text(0.48, 0.42, "north_m,\neast_m", color="#666666", ha="left", va="center")
+    left.set(xlim=(-0.5, 2.1), ylim=(-0.5, 2.3))
+
+    wall = Wall("wall", (0.0, 0.0), (0.0, 1.0), 3.0, "acrylic")
+    _draw_wall(right, wall)
+    right.text(-1.5, -0.3, "wall", ha="left", va="center")
+    impact = (-0.5, 0.0)
+    for name, axis_vector in (("X†", (1.0, 0.0, 0.0)), ("Y†", (0.0, 1.0, 0.0))):
+        way = wall.from_collision(axis_vector)
+        lifted = (impact[0], impact[1] + 0.04)  # beside the line of the wall, not on it
+        _arrow(right, lifted, (0.65 * way[0], 0.65 * way[1]), "", DARK)
+        right.text(lifted[0] + 0.65 * way[0] + 0.06, lifted[1] + 0.65 * way[1] + 0.1, name)
+    right.text(impact[0] - 0.1, -0.3, "Z† into the page", ha="left", va="center")
+    velocity = wall.from_collision((-1.0, 0.5, 0.0))
+    begin = (impact[0] - 0.95 * velocity[0], impact[1] - 0.95 * velocity[1])
+    _arrow(right, begin, (0.88 * velocity[0], 0.88 * velocity[1]), "", MIDDLE, DASHED)
+    right.text(begin[0], begin[1] + 0.06, "velocity: normal −, tangential +", color=MIDDLE, ha="center")
+    turned = wall.parallel_yaw(-0.5 * math.pi) + math.radians(20.0)
+    at = (0.95, 0.85)
+    _draw_vehicle(right, at, turned)
+    right.plot([0.45, 1.5], [0.44, 0.44], color=LIGHT, linestyle=DOTTED)
+    incidence = f"angle of incidence {math.degrees(wall.incidence(turned)):.0f}°"
+    right.text(0.95, 1.32, f"leading edge heavy,\n{incidence}", ha="center", va="bottom")
+    right.set(xlim=(-1.6, 1.7), ylim=(-0.6, 1.7))
+    for axis in (left, right):
+        _plain(axis)
+    figure.savefig(folder / "concept_frames.png", dpi=150)
+
+
+def modes(folder: Path) -> None:
+    """What the cam does with the rods, and what the mode does with the same hit."""
+    vehicle = _mission("single_wall.yaml").vehicle
+    figure, (left, right) = _figure(8.2, 3.2, columns=2)
+    cam = vehicle.lock.cam
+    low, high = limits_deg(cam)
+    angle = np.linspace(low, high, 91)
+    left.plot(angle, [rod_mm(cam, float(a)) for a in angle], color=DARK)
+    for at, name, align in (
+        (low, "flexible:\nrods drawn back", "left"),
+        (high, "rigid:\nrods in the arms", "right"),
+    ):
+        left.plot(at, rod_mm(cam, at), "o", color=DARK)
+        shift = 6.0 if align == "left" else -14.0
+        left.text(at + shift, rod_mm(cam, at), name, ha=align, va="top")
+    left.set(xlabel="cam angle θ, degrees", ylabel="rod translation l, mm")
+    left.set_xticks(np.linspace(low, high, 4))
+    left.margins(y=0.15)
+    time_s = np.linspace(-0.01, 0.14, 601)
+    for mode, colour, style in ((Mode.RIGID, DARK, SOLID), (Mode.FLEXIBLE, MIDDLE, DASHED)):
+        what = condition(vehicle, "acrylic", mode.value, None, 0.0)
+        path = trajectory(wall_contact(what, -1.0, 0.5), time_s, 0.5)
+        force = path.normal_force_n
+        right.plot(1e3 * time_s, force, color=colour, linestyle=style)
+        top = int(np.argmax(force))
+        right.text(1e3 * time_s[top] + 4.0, force[top], f"{mode.value}, {force[top]:.0f} N", va="bottom")
+    right.set(xlabel="time since the onset, ms", ylabel="normal force, N", ylim=(0.0, 74.0))
+    figure.savefig(folder / "concept_modes.png", dpi=150)
+
+
+def contact(folder: Path) -> None:
+    """One hit by both onset rules: depth, velocity and force."""
+    vehicle = _mission("single_wall.yaml").vehicle
+    figure, axes = _figure(8.2, 2.9, columns=3)
+    time_s = np.linspace(-0.02, 0.12, 1401)
+    for onset, colour, style in ((Onset.LCP, DARK, SOLID), (Onset.TOUCH, MIDDLE, DASHED)):
+        hit = wall_contact(condition(vehicle, "acrylic", "flexible", onset.value, 0.0), -1.0, 0.5)
+        # Time counts from the moment the vehicle's centre is in the plane, where both rules agree.
+        inward_s = np.linspace(time_s[0], hit.turn_s, 2001)
+        to_plane_s = float(np.interp(0.0, -hit.normal(inward_s)[0], inward_s))
+        path = trajectory(hit, time_s + to_plane_s, 0.5)
+        values = (1e3 * path.normal_m, path.normal_m_s, path.normal_force_n)
+        for axis, value in zip(axes, values, strict=True):
+            axis.plot(1e3 * time_s, value, color=colour, linestyle=style, label=f"onset: {onset.value}")
+    labels = ("distance to the plane x†, mm", "velocity along X†, m/s", "normal force, N")
+    for axis, label in zip(axes, labels, strict=True):
+        axis.axhline(0.0, color=LIGHT, linewidth=0.8)
+        axis.axvline(0.0, color=LIGHT, linewidth=0.8)
+        axis.set(xlabel="time since the plane, ms", ylabel=label)
+    axes[0].set_ylim(-40.0, 45.0)
+    axes[0].legend(frameon=False, loc="upper right")
+    figure.savefig(folder / "concept_contact.png", dpi=150)
+
+
+def recovery(folder: Path) -> None:
+    """A flown dual collision from above: path, peak forces and the set-points that follow from them."""
+    mission = _mission("dual_collision.yaml")
+    with tempfile.TemporaryDirectory() as logs:
+        verdict = fly_fast(mission, 1, Path(logs))
+        if verdict.log is None or verdict.outcome != "completed":
+            raise RuntimeError(f"the flight for the figure: {verdict.outcome}, {verdict.reason}")
+        course = Course(read_log(verdict.log), mission)
+    assert course.frame is not None
+    figure, axis = _figure(6.8, 4.4)
+    for wall in mission.walls:
+        _draw_wall(axis, wall)
+        axis.text(*_WALL_LABELS[wall.name], wall.name, ha="center", va="center")
+    peaks = course.all(ImpactPeak)
+    flown = course.true.time_s > course.time_of(peaks[0].t_us) - 2.5
+    axis.plot(*course.true.position[flown, :2].T, color=DARK, linewidth=1.4, label="path of the vehicle")
+    set_points = [s for s in course.all(SetPoint) if s.recovery]
+    for number, peak in enumerate(peaks, start=1):
+        n, t = peak.normal, (peak.normal[1], -peak.normal[0])
+        force = [peak.normal_force_n * n[i] + peak.tangential_force_n * t[i] for i in (0, 1)]
+        at = (peak.position_mission[0], peak.position_mission[1])
+        axis.plot(*at, "o", color=DARK, markersize=5)
+        tip = (at[0] + 0.008 * force[0], at[1] + 0.008 * force[1])
+        axis.annotate("", tip, at, arrowprops={"arrowstyle": "-|>", "color": DARK, "linewidth": 2.5})
+        shift = _IMPACT_LABELS[number - 1]
+        axis.text(at[0] + shift[0], at[1] + shift[1], f"impact {number}: {math.hypot(*force):.0f} N")
+        target = course.frame.point_from_ned(next(s for s in set_points if s.t_us >= peak.t_us).position_ned)
+        style = {"color": MIDDLE, "linestyle": DASHED, "linewidth": 1.4}
+        axis.plot(
+            [at[0], target[0]], [at[1], target[1]], label="to the set-point" if number == 1 else None, **style
+        )
+        axis.plot(*target[:2], "s", markerfacecolor="white", markeredgecolor=MIDDLE, markersize=7)
+        axis.text(target[0], target[1] + 0.07, f"p_ref {number}", color=MIDDLE, ha="center")
+    axis.plot(*mission.goal.position_m, "*", color=DARK, markersize=12)
+    axis.text(mission.goal.position_m[0] - 0.08, mission.goal.position_m[1] + 0.03, "goal", ha="right")
+    axis.set(xlabel="x, m", ylabel="y, m", aspect="equal", ylim=(-1.55, 0.75))
+    axis.legend(frameon=False, loc="upper left")
+    figure.savefig(folder / "concept_recovery.png", dpi=150)
+
+
+def _mission(name: str) -> Mission:
+    return load_mission(ROOT / "missions" / name, ROOT / "configs" / "dart.yaml")
+
+
+FIGURES: tuple[Callable[[Path], None], ...] = (frames, modes, contact, recovery)
+
+
+if __name__ == "__main__":
+    target = Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER
+    for draw in FIGURES:
+        draw(target)

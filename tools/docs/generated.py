@@ -1,0 +1,54 @@
+"""What the software writes of its own documentation: `make docs` brings it up to date.
+
+A generated part stands in a page of docs/ between `<!-- begin: NAME -->` and `<!-- end -->`; the JSON Schemas
+in docs/schemas are whole files. Tests hold all of them to what the code says today.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from dart_flight.core.guard import rules as guard_rules
+from dart_flight.lock import state_machine
+from tools.docs import fault_table, key_tables, log_channels, phase_diagram, schemas
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+PARTS: dict[str, Callable[[], str]] = {
+    "configuration keys": key_tables.configuration_table,
+    "fault kinds": fault_table.table,
+    "guard rules": guard_rules.table,
+    "lock states": lambda: f"```mermaid\n{state_machine.diagram()}```\n",
+    "log channels": log_channels.tables,
+    "mission keys": key_tables.mission_tables,
+    "mission phases": phase_diagram.diagram,
+    "scenario keys": key_tables.scenario_tables,
+}
+_MARKED = re.compile(r"(<!-- begin: ([a-z ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def pages() -> dict[Path, list[str]]:
+    """The pages with generated parts, and the names of those."""
+    found = {page: [m[2] for m in _MARKED.finditer(page.read_text("utf-8"))] for page in DOCS.glob("*.md")}
+    return {page: names for page, names in sorted(found.items()) if names}
+
+
+def current(text: str) -> str:
+    """A page with its generated parts as they should be.
+
+    Raises:
+        KeyError: a part has a name that nothing writes.
+    """
+    return _MARKED.sub(lambda mark: mark[1] + PARTS[mark[2]]() + mark[3], text)
+
+
+def main() -> None:
+    """Write everything."""
+    schemas.write()
+    for page in pages():
+        page.write_text(current(page.read_text("utf-8")), "utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,149 @@
+"""The tables of keys for `docs/missions.md` and `docs/configuration.md`, from the schemas.
+
+Mission and scenario: one table per section, descriptions from the types. Configuration: one row per key of
+`configs/dart.yaml`, with its value there and the comment beside it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+
+from dart_flight.config.document import Document, dotted
+from tools.docs.schemas import CONFIGURATION, Schema, comments, schemas
+
+# --- mission and scenario ------------------------------------------------------------------------------
+
+
+def mission_tables() -> str:
+    """Every section of a mission file."""
+    return "".join(_sections(schemas()["mission.json"], known=set()))
+
+
+def scenario_tables() -> str:
+    """The sections of a scenario file that a mission does not have."""
+    return "".join(_sections(schemas()["scenario.json"], known=set(schemas()["mission.json"]["$defs"])))
+
+
+def _sections(schema: Schema, known: set[str]) -> Iterator[str]:
+    """A table per section, in the order in which they are first named."""
+    places = {_target(schema): ""}
+    waiting = list(places)
+    while waiting:
+        struct = waiting.pop(0)
+        definition = schema["$defs"][struct]
+        yield _section(definition, places[struct])
+        for name, value in definition["properties"].items():
+            for reference in re.findall(r"#/\$defs/(\w+)", msgspec.json.encode(value).decode()):
+                if reference not in places and reference not in known | {"Mode"}:
+                    if "properties" in schema["$defs"][reference]:
+                        waiting.append(reference)
+                    places[reference] = f"{places[struct]}{name}{_nested(value)}."
+
+
+def _section(definition: Schema, place: str) -> str:
+    required = set(definition["required"]) if "required" in definition else set()
+    title = f"`{place[:-1]}`" if place else "The file"
+    rows = [
+        f"**{title}**: {definition['description']}\n",
+        "| key | value | default | meaning |",
+        "|---|---|---|---|",
+    ]
+    for name, value in definition["properties"].items():
+        default = "required" if name in required else _default(value)
+        rows.append(f"| `{name}` | {_kind(value)} | {default} | {_cell(value.get('description', ''))} |")
+    return "\n".join(rows) + "\n\n"
+
+
+def _nested(value: Schema) -> str:
+    return ".NAME" if "additionalProperties" in value else "[i]" if value.get("type") == "array" else ""
+
+
+def _default(value: Schema) -> str:
+    default = value.get("default")
+    if default in (None, {}):
+        return "-"
+    if isinstance(default, list | tuple):
+        return ", ".join(f"`{item}`" for item in default)
+    return "see below" if isinstance(default, dict) else f"`{default}`"
+
+
+def _kind(value: Schema) -> str:
+    """What may be written, in words."""
+    if "anyOf" in value:
+        return " or ".join(_kind(option) for option in value["anyOf"] if option.get("type") != "null")
+    if "enum" in value:
+        return ", ".join(f"`{item}`" for item in value["enum"])
+    if "$ref" in value:
+        definition = _definitions()[_target(value)]
+        return _kind(definition) if "enum" in definition else "section"
+    kind = value.get("type")
+    if kind == "array":
+        items = value["items"]
+        if isinstance(items, list):
+            return f"{len(items)} numbers{_limits(items[0])}"
+        return f"list of {_kind(items)}" + ("s" if _kind(items) == "section" else "")
+    if kind == "object":
+        return f"name: {_kind(value['additionalProperties'])}"
+    words = {"number": "number", "integer": "whole number", "string": "text", "boolean": "`true`, `false`"}
+    return words[str(kind)] + _limits(value)
+
+
+def _limits(value: Schema) -> str:
+    bounds = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
+    found = [f"{sign} {value[name]:g}" for name, sign in bounds.items() if name in value]
+    return f" {', '.join(found)}" if found else ""
+
+
+def _target(value: Schema) -> str:
+    return str(value["$ref"]).rpartition("/")[2]
+
+
+def _definitions() -> dict[str, Schema]:
+    return {name: one for schema in schemas().values() for name, one in schema["$defs"].items()}
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+# --- configuration -------------------------------------------------------------------------------------
+
+
+def configuration_table() -> str:
+    """A row per key of the configuration that is shipped."""
+    text = CONFIGURATION.read_text(encoding="utf-8")
+    document, words = Document(text, CONFIGURATION.name), comments(text)
+    schema = schemas()["configuration.json"]
+    rows = ["| key | shipped | allowed | meaning and source |", "|---|---|---|---|"]
+    for key in document.lines:
+        value: Any = document.tree
+        for part in key:
+            value = value[part]
+        if not key or isinstance(key[-1], int):
+            continue
+        meaning = _cell(words.get(key, ""))
+        if isinstance(value, dict):
+            rows.append(f"| **`{dotted(key)}`** | | | {meaning} |")
+            continue
+        shown = "null" if value is None else msgspec.json.encode(value).decode().strip('"')
+        found = _lookup(schema, key)
+        rows.append(
+            f"| `{dotted(key)}` | {shown} | {_kind(found)} | {meaning or found.get('description', '')} |"
+        )
+    return "\n".join(rows) + "\n"
+
+
+def _lookup(schema: Schema, key: tuple[str | int, ...]) -> Schema:
+    """The schema of a key."""
+    here: Schema = schema
+    for part in key:
+        options = [here, *here.get("anyOf", [])]
+        reference = next((option for option in options if "$ref" in option), None)
+        if reference is not None:
+            here = schema["$defs"][_target(reference)]
+        here = here["properties"][part] if "properties" in here else here["additionalProperties"]
+    return here

@@ -1,0 +1,27 @@
+"""The mission's state diagram for `docs/mission_phases.md`, from `core/mission/phases.py`."""
+
+from __future__ import annotations
+
+from dart_flight.core.mission.phases import TRANSITIONS, Event, Phase
+
+
+def diagram() -> str:
+    """The table as a Mermaid state diagram; what nearly every phase has, the guard, as a line below it."""
+    lines = ["stateDiagram-v2", f"    [*] --> {next(iter(Phase))}"]
+    lines += [
+        f"    {before} --> {after}: {event}"
+        for (before, event), after in TRANSITIONS.items()
+        if event is not Event.OVERRULE
+    ]
+    lines += [
+        f"    {phase} --> [*]" for phase in Phase if not any(before is phase for before, _ in TRANSITIONS)
+    ]
+    overruled = {before: after for (before, event), after in TRANSITIONS.items() if event is Event.OVERRULE}
+    targets = sorted(set(overruled.values()))
+    ways = [
+        f"`{Event.OVERRULE}` leads to `{target}` from: "
+        + ", ".join(f"`{before}`" for before, after in overruled.items() if after is target)
+        + "."
+        for target in targets
+    ]
+    return "```mermaid\n" + "\n".join(lines) + "\n```\n\n" + "\n".join(ways) + "\n"
