@@ -14,8 +14,6 @@ import msgspec
 
 from dart_flight.geometry import Quaternion, Vec2, Vec3
 
-Covariance = tuple[float, float, float, float, float, float]
-
 
 class Mode(StrEnum):
     """State of the arms: Γ = 1 rigid (locked), Γ = 2 flexible (unlocked)."""
@@ -51,6 +49,69 @@ class LandedState(StrEnum):
     IN_AIR = "in_air"
     TAKING_OFF = "taking_off"
     LANDING = "landing"
+
+
+class World(StrEnum):
+    """Where a flight takes place (docs/architecture.md)."""
+
+    DRONE = "drone"
+    PX4 = "px4"  # a real PX4 on our plant
+    EMBEDDED = "embedded"  # our small autopilot, through MAVSDK
+    FAST = "fast"  # in process, simulated time
+
+
+class Outcome(StrEnum):
+    """How a flight ended."""
+
+    COMPLETED = "completed"
+    ABORTED = "aborted"
+    RELEASED = "released"  # a person took over
+
+
+class Request(StrEnum):
+    """What an operator, or the shell itself, asks of a flight under way."""
+
+    LAND = "land"  # leave the wall, land
+    RELEASE = "release"
+    WORLD_DIED = "world_died"  # by the shell: the simulated vehicle is gone
+
+
+class Phase(StrEnum):
+    """Where the mission stands; `core/mission/phases.py` says what follows what."""
+
+    READYING = "readying"  # waiting for telemetry, lock in the transit mode
+    OFFBOARD = "offboard"  # asking PX4 for offboard mode
+    ARMING = "arming"
+    CLIMB = "climb"
+    TRANSIT = "transit"  # to the run-up point, turning parallel to the wall
+    PREPARE = "prepare"  # lock to the collision's mode
+    APPROACH = "approach"
+    CONTACT = "contact"  # from onset to the peak of the normal force
+    RECOVERY = "recovery"
+    GOAL = "goal"  # holding the goal
+    LANDING = "landing"
+    DONE = "done"
+    OVERRULED = "overruled"  # the guard flies: break off, hold, land, or silence
+
+
+class Override(StrEnum):
+    """What an override of the guard does; a later one in this list replaces an earlier one."""
+
+    NONE = "none"
+    GIVE_UP = "give_up"  # on the ground: the mission ends before it has begun
+    BREAK_OFF = "break_off"  # away from the wall, hold, land
+    HOLD = "hold"  # stop here, then land
+    LAND = "land"
+    KILL = "kill"  # motors off, whatever PX4 believes
+    RELEASE = "release"  # silence: somebody else flies
+
+    @property
+    def rank(self) -> int:
+        """Position in the order of replacement."""
+        return _RANKS[self]
+
+
+_RANKS = {override: rank for rank, override in enumerate(Override)}
 
 
 class Record(msgspec.Struct, frozen=True, gc=False):
@@ -189,14 +250,11 @@ class CommandResult(Record, frozen=True, gc=False):
 
 
 class OperatorRequest(Record, frozen=True, gc=False):
-    """What the person at the keyboard asked for: `land` (leave the wall, land) or `release`.
-
-    The shell itself reports `world_died` this way: the simulated vehicle is gone, `detail` says what of it.
-    """
+    """What the person at the keyboard asked for; `detail` says what of the simulated vehicle has died."""
 
     topic: ClassVar[str] = "/in/operator"
     t_us: int
-    request: str
+    request: Request
     detail: str = ""
 
 
@@ -306,7 +364,7 @@ class ForceEstimate(Record, frozen=True, gc=False):
     force_mission: Vec3
     clipped: bool
     filtered_mission: Vec3 = (0.0, 0.0, 0.0)  # first-order low-pass of the force
-    covariance_n2: Covariance = (0.0,) * 6  # N2, mission frame: xx, yy, zz, xy, xz, yz
+    variance_n2: Vec3 = (0.0, 0.0, 0.0)  # N2, of each component's error, mission frame
     noise_n: float = 0.0  # white part of one component's error, standard deviation
     push_mission: Vec2 = (0.0, 0.0)  # horizontal force of thrust and drag, N: what leans on a wall
 
@@ -322,7 +380,6 @@ class ImpactOnset(Record, frozen=True, gc=False):
     velocity_mission: Vec3  # last before contact
     position_mission: Vec3
     planned: bool = False  # a wall was expected and the force points out of it
-    confidence: float = 1.0  # 0 to 1, docs/force.md
 
 
 class ImpactPeak(Record, frozen=True, gc=False):
@@ -339,7 +396,6 @@ class ImpactPeak(Record, frozen=True, gc=False):
     clipped: bool
     normal_sigma_n: float = 0.0  # standard error of the normal force
     fitted: bool = False  # from the contact model's pulse; otherwise from a parabola through the top
-    confidence: float = 1.0  # 0 to 1
     vertical_mean_n: float = 0.0  # mean vertical force since the onset, up
 
 
@@ -356,8 +412,8 @@ class PhaseChange(Record, frozen=True, gc=False):
 
     topic: ClassVar[str] = "/event/phase"
     t_us: int
-    before: str
-    after: str
+    before: Phase
+    after: Phase
     reason: str
     collision: int | None = None  # 1-based index of the collision it concerns
 
@@ -368,7 +424,7 @@ class GuardEvent(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/event/guard"
     t_us: int
     rule: str
-    action: str
+    action: Override
     detail: str
 
 
@@ -385,7 +441,7 @@ class MissionEnd(Record, frozen=True, gc=False):
 
     topic: ClassVar[str] = "/event/end"
     t_us: int
-    outcome: str  # completed, aborted, released
+    outcome: Outcome
     reason: str | None
     final_error_m: float | None
 

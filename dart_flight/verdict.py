@@ -14,7 +14,7 @@ import msgspec
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.contact.contact_map import collide
 from dart_flight.contact.law import Onset
-from dart_flight.core.mission.phases import ON_GROUND, Phase
+from dart_flight.core.mission.phases import ON_GROUND
 from dart_flight.geometry import MissionFrame, Vec3, tilt_of
 from dart_flight.samples import (
     AttitudeSample,
@@ -28,10 +28,14 @@ from dart_flight.samples import (
     MissionEnd,
     Mode,
     OdometrySample,
+    Outcome,
+    Override,
+    Phase,
     PhaseChange,
     SetPointSent,
     TruthContact,
     TruthSample,
+    World,
 )
 
 _TRUTH_MATCH_US = 60_000  # an impact and its truth lie this near in time
@@ -77,7 +81,7 @@ class GuardVerdict(msgspec.Struct):
 
     t_us: int
     rule: str
-    action: str
+    action: Override
     detail: str
 
 
@@ -103,9 +107,9 @@ class Verdict(msgspec.Struct):
     """A flight in one object (`docs/interfaces.md`); what is unknown is null."""
 
     mission: str
-    world: str
+    world: World | None
     seed: int | None
-    outcome: str
+    outcome: Outcome
     reason: str | None
     collisions: list[CollisionVerdict]
     guard: list[GuardVerdict]
@@ -132,7 +136,7 @@ class VerdictBuilder:
         self._guard: list[GuardVerdict] = []
         self._onset: ImpactOnset | None = None
         self._end: MissionEnd | None = None
-        self._phase = Phase.READYING.value
+        self._phase = Phase.READYING
         self._miss_m: float | None = None
         self._tilt_rad: float | None = None
         self._airborne_us: int | None = None
@@ -186,12 +190,12 @@ class VerdictBuilder:
             self._estimated.append((record.t_us, self._frame.point_from_ned(record.position_ned)))
 
     def _take_phase(self, record: PhaseChange) -> None:
-        if self._phase == Phase.READYING.value and self._odometry is not None:
+        if self._phase is Phase.READYING and self._odometry is not None:
             # As the executive does: the vehicle stands at its take-off point.
             self._frame = self._mission.frame_at(self._odometry.position_ned)
-        if self._phase in {p.value for p in ON_GROUND} and record.after == Phase.CLIMB.value:
+        if self._phase in ON_GROUND and record.after is Phase.CLIMB:
             self._airborne_us = record.t_us
-        if record.after == Phase.CONTACT.value and record.collision is not None and self._onset is not None:
+        if record.after is Phase.CONTACT and record.collision is not None and self._onset is not None:
             self._open(self._mission.collisions[record.collision - 1], self._onset)
         self._phase = record.after
 
@@ -256,7 +260,7 @@ class VerdictBuilder:
             times.settled_us = record.settled_us
 
     def build(
-        self, world: str, seed: int | None, log: str | None = None, px4_log: str | None = None
+        self, world: World | None, seed: int | None, log: str | None = None, px4_log: str | None = None
     ) -> Verdict:
         """The verdict of what has been taken so far; without an end the flight counts as aborted."""
         for collision in self._collisions:
@@ -269,7 +273,7 @@ class VerdictBuilder:
             mission=self._mission.name,
             world=world,
             seed=seed,
-            outcome=end.outcome if end else "aborted",
+            outcome=end.outcome if end else Outcome.ABORTED,
             reason=end.reason if end else "the program ended before the flight did",
             collisions=self._collisions,
             guard=self._guard,

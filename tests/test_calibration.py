@@ -12,7 +12,7 @@ import pytest
 from dart_flight.cli import main
 from dart_flight.config import InputError, load_mission, load_vehicle
 from dart_flight.identify.thrust_curve import calibrate_thrust, quiet_points, read_track
-from dart_flight.worlds.flights import fly_fast
+from dart_flight.worlds.fast import fly_fast
 
 ROOT = Path(__file__).parents[1]
 VEHICLE = load_vehicle(ROOT / "configs" / "dart.yaml")

@@ -29,7 +29,8 @@ from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.drivers.px4 import required_parameters
 from dart_flight.samples import Record, TruthContact, TruthSample
 from dart_flight.vehicle.ground_link import Observation
-from dart_flight.worlds.flights import fly_fast, load_flyable, with_driver, with_standoff
+from dart_flight.worlds.fast import fly_fast
+from dart_flight.worlds.prepare import load_flyable, with_driver, with_standoff
 from tests.flights.test_embedded_flights import simulated_vehicle
 
 ROOT = Path(__file__).parents[1]

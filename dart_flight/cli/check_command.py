@@ -14,7 +14,7 @@ from dart_flight.check.vehicle import check_vehicle
 from dart_flight.cli.options import add_driver_option, add_position_option
 from dart_flight.cli.terminal import emit_json, messages
 from dart_flight.config.mission import load_mission
-from dart_flight.worlds.flights import with_driver
+from dart_flight.worlds.prepare import with_driver
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

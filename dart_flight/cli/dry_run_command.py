@@ -12,23 +12,18 @@ from rich.progress import Progress
 
 from dart_flight.cli.flight_output import FlightLines, summary_table, verdict_table
 from dart_flight.cli.options import add_flight_options, whole_number
-from dart_flight.cli.px4_options import add_px4_options, gps_of, gps_warnings
+from dart_flight.cli.px4_options import add_px4_options, position_source_of, position_warnings
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.planning.envelope import impact_warnings
 from dart_flight.sim.faults.kinds import parse_fault
 from dart_flight.verdict import Verdict
-from dart_flight.worlds.flights import (
-    fly_embedded,
-    fly_fast,
-    fly_fast_many,
-    fly_px4,
-    load_flyable,
-    summarise,
-    with_driver,
-    with_standoff,
-)
+from dart_flight.worlds.campaigns import fly_fast_many, summarise
+from dart_flight.worlds.embedded import fly_embedded
+from dart_flight.worlds.fast import fly_fast
+from dart_flight.worlds.prepare import load_flyable, with_driver, with_standoff
+from dart_flight.worlds.px4 import fly_px4
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -50,7 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def _flight(arguments: argparse.Namespace) -> Callable[..., Verdict]:
     """The function that flies one mission in the wanted world: (mission, seed, log folder[, progress])."""
-    gps = gps_of(arguments)
+    position_from = position_source_of(arguments)
     fault = parse_fault(arguments.fault) if arguments.fault is not None else None
     if fault is not None and (arguments.runs is not None or arguments.px4 is not None):
         raise InputError("--fault is for one flight in the fast or the embedded world")
@@ -66,7 +61,7 @@ def _flight(arguments: argparse.Namespace) -> Callable[..., Verdict]:
             seed,
             log_dir,
             *progress,
-            gps=gps,
+            position_from=position_from,
             speed=arguments.speed or 1.0,
             parameter_files=tuple(arguments.params or ()),
         )
@@ -83,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
         mission = with_standoff(mission, arguments.standoff)
     fly = _flight(arguments)
     console = messages()
-    for line in [*impact_warnings(mission), *gps_warnings(gps_of(arguments))]:
+    for line in [*impact_warnings(mission), *position_warnings(position_source_of(arguments))]:
         console.print(f"[yellow]{line}[/]", soft_wrap=True)
     if arguments.runs is None:
         lines = FlightLines(console, arguments.verbose > 0)

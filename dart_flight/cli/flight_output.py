@@ -18,7 +18,7 @@ from dart_flight.samples import (
     StatusText,
 )
 from dart_flight.verdict import CollisionVerdict, Velocities, Verdict
-from dart_flight.worlds.flights import Summary
+from dart_flight.worlds.campaigns import Summary
 
 
 class FlightLines:
@@ -73,7 +73,9 @@ class FlightLines:
 
 def verdict_table(verdict: Verdict) -> Table:
     """The collisions of a flight, planned, measured and true."""
-    table = Table(title=f"{verdict.mission}, {verdict.world}: {verdict.outcome}", title_justify="left")
+    table = Table(
+        title=f"{verdict.mission}, {verdict.world or 'unknown'}: {verdict.outcome}", title_justify="left"
+    )
     for column in ("", "normal m/s", "tangential m/s", "peak force N", "contact ms", "detected ms"):
         table.add_column(column, justify="left" if not column else "right")
     for collision in verdict.collisions:

@@ -13,7 +13,8 @@ from dart_flight.cli.flight_output import FlightLines, verdict_table
 from dart_flight.cli.options import add_flight_options, add_position_option
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.config.mission import Mission
-from dart_flight.worlds.flights import fly_vehicle, load_flyable, with_driver, with_standoff
+from dart_flight.worlds.drone import fly_vehicle
+from dart_flight.worlds.prepare import load_flyable, with_driver, with_standoff
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

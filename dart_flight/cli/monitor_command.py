@@ -12,7 +12,7 @@ from rich.table import Table
 from dart_flight.cli.terminal import emit_json, tables
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.worlds.monitor import View, Watcher, watch
+from dart_flight.worlds.monitor import Screen, Watcher, watch
 
 _PERIOD_S = 0.2
 _BAR_N, _BAR_WIDTH = 40.0, 24
@@ -34,10 +34,10 @@ def run(arguments: argparse.Namespace) -> int:
     watcher = Watcher(mission, placed)
     connection = mission.vehicle.connection
     url = arguments.connection or connection.url
-    views: list[View] = []
+    views: list[Screen] = []
     console = tables()
 
-    def keep(view: View) -> None:
+    def keep(view: Screen) -> None:
         views[:] = [view]
 
     if arguments.json:
@@ -46,19 +46,19 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     with Live(console=console, auto_refresh=False, transient=False) as live:
 
-        def show(view: View) -> None:
+        def show(view: Screen) -> None:
             live.update(screen(view), refresh=True)
 
         asyncio.run(watch(watcher, url, connection.timeout_s, show, _PERIOD_S, arguments.seconds))
     return 0
 
 
-def screen(view: View) -> Group:
+def screen(view: Screen) -> Group:
     """A view as tables."""
     return Group(_force(view), _streams(view))
 
 
-def _force(view: View) -> Table:
+def _force(view: Screen) -> Table:
     table = Table(title=f"force, N ({view.frame})", title_justify="left", show_header=False, min_width=60)
     table.add_column()
     table.add_column(justify="right", min_width=8)
@@ -83,7 +83,7 @@ def _force(view: View) -> Table:
     return table
 
 
-def _streams(view: View) -> Table:
+def _streams(view: Screen) -> Table:
     battery = f"{view.battery_v:.1f} V" if view.battery_v is not None else "battery unknown"
     state = f"{'armed' if view.armed else 'disarmed'}, {view.flight_mode}, {view.landed}, {battery}"
     table = Table(title=state, title_justify="left", min_width=60)

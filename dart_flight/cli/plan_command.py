@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     console = messages()
     scenario = load_scenario(arguments.scenario, arguments.config)
     if arguments.connection is not None:
-        from dart_flight.worlds.flights import with_vehicle_parameters
+        from dart_flight.worlds.prepare import with_vehicle_parameters
 
         scenario = with_vehicle_parameters(scenario, arguments.connection)
     if arguments.objective is not None:

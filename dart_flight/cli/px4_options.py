@@ -7,6 +7,7 @@ from pathlib import Path
 
 from dart_flight.cli.options import number
 from dart_flight.config.document import InputError
+from dart_flight.config.parameters import PositionSource
 from dart_flight.planning.positioning import PLAIN_GPS
 
 
@@ -36,8 +37,8 @@ def add_px4_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def gps_of(arguments: argparse.Namespace) -> str | None:
-    """The receiver, or None indoors.
+def position_source_of(arguments: argparse.Namespace) -> PositionSource:
+    """Where PX4's position comes from in the simulation.
 
     Raises:
         InputError: the options do not fit together.
@@ -53,14 +54,14 @@ def gps_of(arguments: argparse.Namespace) -> str | None:
         for name, value in given.items():
             if value:
                 raise InputError(f"{name} needs --px4")
-        return None
+        return PositionSource.MOCAP
     if arguments.fast:
         raise InputError("--fast and --px4 exclude each other")
     if arguments.gps and not arguments.outdoor:
         raise InputError("--gps needs --outdoor")
-    return (arguments.gps or "rtk") if arguments.outdoor else None
+    return PositionSource(arguments.gps or "rtk") if arguments.outdoor else PositionSource.MOCAP
 
 
-def gps_warnings(gps: str | None) -> list[str]:
-    """What to say of a receiver before the flight, a line each."""
-    return [PLAIN_GPS] if gps == "plain" else []
+def position_warnings(position_from: PositionSource) -> list[str]:
+    """What to say of a source of position before the flight, a line each."""
+    return [PLAIN_GPS] if position_from is PositionSource.PLAIN else []

@@ -3,7 +3,9 @@
     core = FlightCore(mission)
     for output in core.step(sample): ...
 
-`step` never raises: a fault in the mission's code becomes a decision of the guard (land), with its reason.
+Data goes one way: *sense* turns the input into what is known, *mission* turns that into a proposal, *guard*
+disposes. None of them writes into another; what one has for the next is handed on here. `step` never raises:
+a fault in the mission's code becomes a decision of the guard (land), with its reason.
 """
 
 from __future__ import annotations
@@ -12,11 +14,14 @@ import traceback
 
 from dart_flight.config.mission import Mission
 from dart_flight.core.guard.guard import Guard
-from dart_flight.core.guard.rules import RULES, Action, Rule
+from dart_flight.core.guard.rules import RULES, Rule
 from dart_flight.core.mission.executive import Executive
-from dart_flight.core.mission.phases import ON_GROUND, Phase
-from dart_flight.core.sense.senses import Event, Senses
-from dart_flight.samples import ImpactOnset, Input, MissionEnd, OperatorRequest, Output
+from dart_flight.core.mission.proposal import Finding, Proposal
+from dart_flight.core.mission.rehearsal import Rehearsal
+from dart_flight.core.sense.detector import Expected
+from dart_flight.core.sense.senses import Sensed, Senses
+from dart_flight.core.sense.state import FlightState
+from dart_flight.samples import Input, MissionEnd, Output, Override, Phase
 
 
 class FlightCore:
@@ -27,82 +32,77 @@ class FlightCore:
         rules: of the guard; another table only in tests.
 
     Raises:
-        NoApproachError: an approach of the mission has no room (`planning.approach`).
+        NoApproachError: an approach of the mission has no room (`core.mission.approach`).
     """
 
     def __init__(self, mission: Mission, rules: tuple[Rule, ...] = RULES) -> None:
         self.mission = mission
         self._senses = Senses(mission)
-        self.state, self.detector = self._senses.state, self._senses.detector
-        self.guard = Guard(mission, rules)
-        self.executive = Executive(mission, self.detector, self.guard)
-        self._failed = False
+        self._executive = Executive(mission) if mission.standoff_m is None else Rehearsal(mission)
+        self._guard = Guard(mission, rules)
+        self._expected = Expected()  # by the mission, for the detector at the next step
+        self._fault: Finding | None = None  # of the guard's own code, for its next review
+        self.end: MissionEnd | None = None
+
+    @property
+    def state(self) -> FlightState:
+        """What is known of the vehicle; to read."""
+        return self._senses.state
 
     @property
     def phase(self) -> Phase:
         """Where the mission stands."""
-        return self.executive.phase
+        return self._executive.phase
 
     @property
-    def end(self) -> MissionEnd | None:
-        """How the flight ended, once it has."""
-        return self.executive.outcome
+    def override(self) -> Override:
+        """What the guard has put in the place of the mission."""
+        return self._guard.action
 
     def step(self, item: Input) -> list[Output]:
         """Take one input; returns commands to carry out and records to log, in order."""
-        out: list[Output] = []
         if self.end is not None:
-            return out
-        try:
-            events = self._ingest(item, out)
-            if self.guard.action is Action.NONE:
-                self.executive.step(item, self.state, events, out)
-        except Exception:
-            self._fault(out)
-        return self._dispose(item, out)
-
-    def _ingest(self, item: Input, out: list[Output]) -> list[Event]:
-        if isinstance(item, OperatorRequest):
-            self._operator(item, out)
             return []
-        estimate, events = self._senses.take(item)
-        if estimate is not None:
-            out.append(estimate)
-        for event in events:
-            if isinstance(event, ImpactOnset):
-                self.guard.note_impact(event.t_us)
-            out.append(event)
-        return events
-
-    def _operator(self, item: OperatorRequest, out: list[Output]) -> None:
-        state = self.state
-        if item.request == "release":
-            self.guard.latch("operator_release", "released by the operator", state, out)
-        elif item.request == "world_died":
-            self.guard.latch("world_died", item.detail or "the simulated vehicle is gone", state, out)
-        elif self.phase in ON_GROUND and not state.status.armed:
-            self.executive.overrule(state, out, "operator")
-            self.guard.latch("operator_ground", "stopped before take-off", state, out)
-        else:
-            self.guard.latch("operator", "land asked for", state, out)
-
-    def _fault(self, out: list[Output]) -> None:
-        """A fault in the mission's code: land, once, and say where."""
-        if self._failed:
-            return
-        self._failed = True
-        where = traceback.format_exc(limit=-2).strip().replace("\n", " | ")
-        self.guard.latch("mission_fault", where, self.state, out)
-
-    def _dispose(self, item: Input, out: list[Output]) -> list[Output]:
+        sensed, proposal = Sensed(), Proposal()
         try:
-            kept = self.guard.review(item, self.state, self.phase, out)
-            if self.guard.action is not Action.NONE:
-                self.executive.overrule(self.state, kept, self.guard.reason or "")
-            if self.guard.end is not None and self.end is None:
-                self.executive.finish(self.state, kept, self.guard.end)
+            sensed = self._senses.take(item, self._expected)
+            if self.override is Override.NONE:
+                self._executive.propose(item, self.state, sensed, proposal)
+                self._expected = proposal.expected
         except Exception:
-            # The guard itself is broken: nothing of this step goes out, PX4's own failsafe is the last line.
-            self._fault(out)
-            return [o for o in out if not o.topic.startswith("/out/")]
+            proposal.findings.append(_fault())
+        if proposal.frame is not None:
+            self.state.anchor(proposal.frame)
+        known: list[Output] = [*sensed.impacts]
+        if sensed.estimate is not None:
+            known.insert(0, sensed.estimate)
+        try:
+            return known + self._dispose(item, sensed, proposal)
+        except Exception:
+            # The guard itself is broken: no command of this step goes out, and it lands if it can.
+            self._fault = _fault()
+            return known + [o for o in proposal.outputs if not o.topic.startswith("/out/")]
+
+    def _dispose(self, item: Input, sensed: Sensed, proposal: Proposal) -> list[Output]:
+        if self._fault is not None:
+            proposal.findings.append(self._fault)
+            self._fault = None
+        guard, executive = self._guard, self._executive
+        kept = guard.review(item, self.state, sensed, self.phase, proposal)
+        if guard.action is not Override.NONE:
+            kept += executive.overruled(self.state.now_us, guard.reason or "")
+            # A wall met while the guard holds or backs off is an impact, the ground at the end is none.
+            if guard.landing:
+                self._expected = Expected()
+        if guard.end is not None:
+            self.end = guard.end
+            kept += executive.ended(guard.end)
+        elif proposal.end is not None and guard.action is Override.NONE:
+            self.end = proposal.end
+            kept.append(proposal.end)
         return kept
+
+
+def _fault() -> Finding:
+    """The exception under way as a finding: where it came from."""
+    return Finding("mission_fault", traceback.format_exc(limit=-2).strip().replace("\n", " | "))

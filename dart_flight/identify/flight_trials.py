@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from dart_flight.config.document import InputError
-from dart_flight.core.mission.phases import Phase
 from dart_flight.geometry import Wall
 from dart_flight.identify.trials import READERS as FILE_READERS
 from dart_flight.identify.trials import Readers, Reading, Series, Trial
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.arrays import Course
 from dart_flight.recording.reader import Log, read_log
-from dart_flight.samples import ImpactOnset, PhaseChange
+from dart_flight.samples import ImpactOnset, Phase, PhaseChange
 
 _BEFORE_S, _AFTER_S = 0.5, 0.4
 # What flight logs of the simulated vehicle, whose coefficients are known, are off by themselves
@@ -39,7 +38,7 @@ def trials_of(log: Log, material: str | None = None) -> dict[str, list[Trial]]:
     for record in course.records:
         if isinstance(record, ImpactOnset):
             onset = record
-        elif isinstance(record, PhaseChange) and record.after == Phase.CONTACT.value and onset is not None:
+        elif isinstance(record, PhaseChange) and record.after is Phase.CONTACT and onset is not None:
             collision = mission.collisions[(record.collision or 1) - 1]
             wall = collision.wall
             if material is None or wall.material == material:

@@ -21,9 +21,10 @@ from dart_flight import __version__
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
+from dart_flight.samples import World
 
 
-def describe_flight(mission: Mission, world: str, seed: int | None) -> dict[str, str]:
+def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[str, str]:
     """The description of a flight that is about to begin.
 
     Keys: `mission` (name), `mission_source`, `mission_text` (as written), `flown` (the resolved mission with
@@ -35,7 +36,7 @@ def describe_flight(mission: Mission, world: str, seed: int | None) -> dict[str,
         "mission_source": mission.source,
         "flown": msgspec.json.encode(mission).decode(),
         "vehicle": msgspec.json.encode(mission.vehicle).decode(),
-        "world": world,
+        "world": world.value,
         "seed": "" if seed is None else str(seed),
         "software": software_version(),
         "host": f"{platform.node()}, Python {platform.python_version()}",

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Imu
-from dart_flight.core.mission.phases import Phase
 from dart_flight.geometry import MissionFrame
 from dart_flight.recording.reader import Log
 from dart_flight.samples import (
     ForceEstimate,
     OdometrySample,
+    Phase,
     PhaseChange,
     Record,
     TruthSample,
@@ -114,6 +114,6 @@ def _frame(records: Sequence[Record], mission: Mission) -> MissionFrame | None:
     for record in records:
         if isinstance(record, OdometrySample):
             newest = record
-        elif isinstance(record, PhaseChange) and record.before == Phase.READYING.value and newest is not None:
+        elif isinstance(record, PhaseChange) and record.before is Phase.READYING and newest is not None:
             return mission.frame_at(newest.position_ned)
     return None

@@ -14,7 +14,7 @@ from dart_flight.config.document import InputError
 from dart_flight.recording.encoding import decode
 from dart_flight.recording.schema import RECORD_TYPES
 from dart_flight.recording.writer import ABOUT, END, FORMAT_VERSION, part_path
-from dart_flight.samples import Record
+from dart_flight.samples import Record, World
 
 # The writer's chunks are of a megabyte: a damaged length must not make the reader ask for gigabytes.
 _MOST_BYTES = 64 * 1024 * 1024
@@ -53,9 +53,10 @@ class Log(msgspec.Struct):
         return int(text) if text.isdigit() else None
 
     @property
-    def world(self) -> str:
-        """`drone`, `px4`, `embedded` or `fast`; `unknown` where the log was cut before it says."""
-        return self.about.get("world", "unknown")
+    def world(self) -> World | None:
+        """Where it was flown; None where the log was cut before it says."""
+        name = self.about.get("world", "")
+        return World(name) if name in set(World) else None
 
 
 def read_log(path: str | Path) -> Log:

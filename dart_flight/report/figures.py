@@ -14,10 +14,17 @@ from typing import Any
 import numpy as np
 
 from dart_flight.config.document import InputError
-from dart_flight.core.mission.phases import Phase
 from dart_flight.recording.arrays import Array
 from dart_flight.report.flight import Flight, Impact
-from dart_flight.samples import ContactEnd, ImpactOnset, LockPermission, LockPhase, LockState, PhaseChange
+from dart_flight.samples import (
+    ContactEnd,
+    ImpactOnset,
+    LockPermission,
+    LockPhase,
+    LockState,
+    Phase,
+    PhaseChange,
+)
 
 TRUE = {"color": "#000000", "linestyle": "-", "linewidth": 1.8}
 ESTIMATED = {"color": "#1f6fd0", "linestyle": (0, (5, 1.5)), "linewidth": 1.6}
@@ -139,15 +146,11 @@ def _draw_wall(axis: Any, wall: Any) -> None:
 
 def _airborne(flight: Flight) -> tuple[float, float] | None:
     changes = flight.course.all(PhaseChange)
-    begin = next((flight.course.time_of(c.t_us) for c in changes if c.after == Phase.CLIMB.value), None)
+    begin = next((flight.course.time_of(c.t_us) for c in changes if c.after is Phase.CLIMB), None)
     if begin is None:
         return None
     end = next(
-        (
-            flight.course.time_of(c.t_us)
-            for c in changes
-            if c.after in (Phase.LANDING.value, Phase.DONE.value)
-        ),
+        (flight.course.time_of(c.t_us) for c in changes if c.after in (Phase.LANDING, Phase.DONE)),
         float("inf"),
     )
     return begin, end

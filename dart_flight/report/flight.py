@@ -26,6 +26,7 @@ from dart_flight.samples import (
     SetPointSent,
     StatusSample,
     TruthContact,
+    World,
 )
 from dart_flight.verdict import CollisionVerdict, Velocities, Verdict, VerdictBuilder
 from dart_flight.worlds.replay import Replay, replay
@@ -269,7 +270,7 @@ class Flight:
         about = self.log.about
         started, monotonic = about.get("started_utc"), about.get("started_monotonic_us", "")
         armed = next((s for s in self.course.all(StatusSample) if s.armed), None)
-        if started is None or armed is None or not monotonic.isdigit() or self.log.world == "fast":
+        if started is None or armed is None or not monotonic.isdigit() or self.log.world is World.FAST:
             return None
         try:
             moment = datetime.fromisoformat(started) + timedelta(

@@ -16,6 +16,8 @@ from dart_flight.config.document import InputError
 from dart_flight.report import figures
 from dart_flight.report.flight import Flight, percentile
 from dart_flight.report.proposal import Proposal, mean_half_width, propose
+from dart_flight.samples import World
+from dart_flight.verdict import Verdict
 
 Cell = str | float | int | None
 Row = Sequence[Cell] | str  # text alone: a heading over the rows that follow
@@ -61,7 +63,7 @@ def flight_page(flight: Flight, *, identify: bool = False) -> str:
         _section("Contact coefficients", _proposals(propose([flight], identify))),
         _parameters(flight),
     ]
-    return _page(f"{v.mission}, {v.world}: {v.outcome}", parts)
+    return _page(f"{v.mission}, {_world(v)}: {v.outcome}", parts)
 
 
 def comparison_page(flights: Sequence[Flight], *, identify: bool = False) -> str:
@@ -73,7 +75,7 @@ def comparison_page(flights: Sequence[Flight], *, identify: bool = False) -> str
     flights = sorted(flights, key=lambda f: (f.log.about.get("started_utc", ""), f.log.seed or 0))
     _check_same_mission(flights)
     done = sum(f.verdict.outcome == "completed" for f in flights)
-    worlds = ", ".join(dict.fromkeys(f.verdict.world for f in flights))
+    worlds = ", ".join(dict.fromkeys(_world(f.verdict) for f in flights))
     title = f"{flights[0].verdict.mission}, {worlds}: {done} of {len(flights)} completed"
     indices = sorted({i.verdict.index for f in flights for i in f.impacts})
     force_figures = [
@@ -121,7 +123,7 @@ def _check_same_mission(flights: Sequence[Flight]) -> None:
 def _verdict(flight: Flight) -> str:
     v, about, replayed = flight.verdict, flight.log.about, flight.replay
     facts = [
-        ("world", v.world + (f", seed {v.seed}" if v.seed is not None else "")),
+        ("world", _world(v) + (f", seed {v.seed}" if v.seed is not None else "")),
         ("started", about.get("started_utc", "?")),
         ("software", f"dart-flight {about.get('software', '?')} on {about.get('host', '?')}"),
         ("log", flight.log.source + ("" if flight.log.complete else " (cut: not all of the flight is here)")),
@@ -155,7 +157,7 @@ def _verdict(flight: Flight) -> str:
 
 
 def _where_px4_log(flight: Flight) -> str:
-    if flight.log.world in ("fast", "embedded"):
+    if flight.log.world in (World.FAST, World.EMBEDDED):
         return "none: PX4 was not flown"
     armed = flight.armed_utc()
     return "not beside the log" + (f"; armed at {armed}" if armed else "")
@@ -219,7 +221,7 @@ def _timing_table(flight: Flight) -> str:
             ]
         )
     note = "<p class=note>From detection to recovery the core sends no set-point; PX4 holds the last one.</p>"
-    if flight.log.world == "fast":
+    if flight.log.world is World.FAST:
         note += "<p class=note>Simulated in one process: messages take no time.</p>"
     return _table(["ms", "median", "99 %", "most"], rows) + note
 
@@ -420,3 +422,7 @@ def _page(title: str, parts: Sequence[str]) -> str:
         f"<title>{html.escape(title)}</title><style>{style}</style></head><body>"
         f"<header><h1>{html.escape(title)}</h1></header><main>{''.join(parts)}</main></body></html>\n"
     )
+
+
+def _world(verdict: Verdict) -> str:
+    return verdict.world or "unknown"

@@ -25,7 +25,6 @@ from dart_flight.lock.drivers import Driver, make_driver
 from dart_flight.lock.drivers.mock import MockDriver
 from dart_flight.lock.session import LockSession
 from dart_flight.lock.state_machine import status_text
-from dart_flight.recording.writer import FlightLog
 from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
@@ -41,8 +40,8 @@ from dart_flight.samples import (
     Output,
     PhaseChange,
     Record,
+    Request,
     SetPoint,
-    SetPointSent,
     Silence,
     Tick,
     VehicleAction,
@@ -50,8 +49,8 @@ from dart_flight.samples import (
 )
 from dart_flight.vehicle import VehicleSession, connect
 from dart_flight.vehicle.clock import Clock, host_us
-from dart_flight.verdict import VerdictBuilder
 from dart_flight.worlds.deadman import CORE, FEED_PERIOD_S, LOOP, Deadman, SystemdNotice
+from dart_flight.worlds.runner import CoreRunner, Observe
 
 _TICK_S = 0.02
 _SHOW_PERIOD_S = 0.05
@@ -63,7 +62,7 @@ _END_GRACE_S = 0.3  # for the last truth and the log
 Progress = Callable[[Record], None]
 
 
-class World(Protocol):
+class SimulatedWorld(Protocol):
     """What a simulated world offers the app beside MAVLink."""
 
     @property
@@ -78,39 +77,18 @@ class World(Protocol):
         """Tell the plant where the mock servo's horn is."""
 
 
-class Sabotage(Protocol):
-    """Breaks things from inside, for tests."""
-
-    def __call__(
-        self, record: Record, loop: asyncio.AbstractEventLoop | None, mock: MockDriver | None
-    ) -> None:
-        """Take a record, on the core thread."""
-
-
 class CoreThread:
-    """Owner of the core: the one place that steps it.
+    """The thread that owns the core: takes inputs from one queue and steps.
 
     Args:
-        core: the flight core.
-        send: sends a set-point at once.
-        carry_out: takes every other command; must not block.
-        observe: sees every input with its number, and what follows from it.
+        runner: steps the core and hands out what follows.
         alive: called at every turn, at least every 20 ms; feeds the deadman.
     """
 
-    def __init__(
-        self,
-        core: FlightCore,
-        send: Callable[[SetPoint], None],
-        carry_out: Callable[[Output], None],
-        observe: Callable[[Record, int], None],
-        alive: Callable[[], None] = lambda: None,
-    ) -> None:
-        self._core, self._send, self._carry_out, self._observe = core, send, carry_out, observe
-        self._alive = alive
+    def __init__(self, runner: CoreRunner, alive: Callable[[], None] = lambda: None) -> None:
+        self._runner, self._alive = runner, alive
         self._queue: queue.SimpleQueue[Input] = queue.SimpleQueue()
         self._stop = threading.Event()
-        self._number = 0
         self._ticked_us = 0
         self._turned_us = host_us()
         self.thread = threading.Thread(target=self._run, name="core", daemon=True)
@@ -133,11 +111,11 @@ class CoreThread:
             self._turned_us = host_us()
             self._alive()
             for item in self._next():
-                self._step(item)
+                self._runner.take(item)
             now = host_us()
             if now - self._ticked_us >= _TICK_S * 1e6:
                 self._ticked_us = now
-                self._step(Tick(now))
+                self._runner.take(Tick(now))
 
     def _next(self) -> list[Input]:
         """What is queued, at least one or nothing within a tick; a backlog is coalesced, newest wins."""
@@ -157,23 +135,6 @@ class CoreThread:
             for i, item in enumerate(items)
             if not isinstance(item, state_streams) or newest[type(item)] == i
         ]
-
-    def _step(self, item: Input) -> None:
-        number = self._number
-        self._number += 1
-        outputs = self._core.step(item)
-        for output in outputs:
-            if isinstance(output, SetPoint):
-                self._send(output)
-                if output.recovery:
-                    sent = host_us()
-                    latency = sent - output.trigger_received_us
-                    self._observe(SetPointSent(output.t_us, sent, latency), number)
-        self._observe(item, number)
-        for output in outputs:
-            if not isinstance(output, SetPoint):
-                self._carry_out(output)
-            self._observe(output, number)
 
 
 class LockThread:
@@ -232,42 +193,41 @@ class FlightApp:
     Args:
         mission: what to fly.
         url: MAVSDK connection URL.
-        log: where the flight is recorded.
-        verdict: takes the same records.
+        observe: takes every record with its number, on the core thread.
         world: the simulated world, where there is one.
         progress: sees every record, on a thread of its own: a terminal may block.
         clock: the autopilot's; that of a real-time vehicle by default.
         deadman_note: start a deadman, which writes here why it killed the program; None: no deadman.
-        sabotage: sees every record on the core thread, to break things there; for tests.
+
+    Attributes:
+        loop: the event loop, while it flies.
+        mock: the driver of the mock servo, where the lock is driven by that.
     """
 
     def __init__(
         self,
         mission: Mission,
         url: str,
-        log: FlightLog,
-        verdict: VerdictBuilder,
-        world: World | None = None,
+        observe: Observe,
+        world: SimulatedWorld | None = None,
         progress: Progress = lambda record: None,
         clock: Clock | None = None,
         deadman_note: Path | None = None,
-        sabotage: Sabotage | None = None,
     ) -> None:
-        self._mission, self._url, self._log, self._verdict = mission, url, log, verdict
+        self._mission, self._url, self._observe = mission, url, observe
         self._world, self._progress, self._clock = world, progress, clock
-        self._sabotage = sabotage
         self._shown: deque[Record] = deque()
         self._deadman_note = deadman_note
         self._deadman: Deadman | None = None
-        self._mock: MockDriver | None = None
+        self.mock: MockDriver | None = None
         self._session: VehicleSession | None = None
         self._done = asyncio.Event()
         self._ended = threading.Event()
-        self._loop: asyncio.AbstractEventLoop | None = None
+        self.loop: asyncio.AbstractEventLoop | None = None
         self._tasks: set[asyncio.Task[None]] = set()
         self._stops = 0
         self._core = CoreThread(
-            FlightCore(mission), self._send, self._carry_out, self._observe, lambda: self._feed(CORE)
+            CoreRunner(FlightCore(mission), self, self._see, host_us), lambda: self._feed(CORE)
         )
         self._lock: LockThread | None = None
 
@@ -277,7 +237,7 @@ class FlightApp:
         Raises:
             VehicleError: no autopilot at the URL.
         """
-        self._loop = asyncio.get_running_loop()
+        self.loop = asyncio.get_running_loop()
         timeout_s = self._mission.vehicle.connection.timeout_s
         async with connect(self._url, timeout_s, self._core.put, clock=self._clock) as session:
             self._session = session
@@ -310,7 +270,7 @@ class FlightApp:
     def stop(self) -> None:
         """The operator wants out: the first time leave the wall and land, the second time release."""
         self._stops += 1
-        request = "land" if self._stops == 1 else "release"
+        request = Request.LAND if self._stops == 1 else Request.RELEASE
         self._core.put(OperatorRequest(host_us(), request))
 
     # -- deadman and terminal --
@@ -352,14 +312,14 @@ class FlightApp:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._done.wait(), 0.2)
             if self._world is not None and self._world.died and not self._done.is_set():
-                self._core.put(OperatorRequest(host_us(), "world_died", self._world.cause))
+                self._core.put(OperatorRequest(host_us(), Request.WORLD_DIED, self._world.cause))
         await asyncio.sleep(_END_GRACE_S)
 
     def _listen_for_signals(self) -> None:
-        assert self._loop is not None
+        assert self.loop is not None
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):  # not the main thread
-                self._loop.add_signal_handler(number, self.stop)
+                self.loop.add_signal_handler(number, self.stop)
 
     # -- lock --
 
@@ -369,7 +329,7 @@ class FlightApp:
 
         config = self._mission.vehicle.lock
         driver: Driver = make_driver(config, clock_us=clock_us, set_actuator=session.set_actuator)
-        self._mock = driver if isinstance(driver, MockDriver) else None
+        self.mock = driver if isinstance(driver, MockDriver) else None
         states: queue.SimpleQueue[LockState] = queue.SimpleQueue()
         lock = LockSession(config, driver, clock_us, states.put)
         sent: list[float] = []
@@ -391,34 +351,36 @@ class FlightApp:
         if state.phase is not LockPhase.TRAVELLING and self._session is not None:
             self._session.tell_ground(status_text(state))
 
-    # -- what the core wants, on the core thread --
+    # -- what the core wants, on the core thread (`runner.Hands`) --
 
-    def _send(self, setpoint: SetPoint) -> None:
+    def send(self, setpoint: SetPoint) -> None:
+        """A set-point, at once."""
         assert self._session is not None
         # A refused set-point is not a fault of the core: PX4 keeps the last one, then its failsafe.
         with contextlib.suppress(Exception):
             self._session.send(setpoint)
 
-    def _carry_out(self, output: Output) -> None:
+    def carry_out(self, output: Output) -> None:
+        """Every other command, without waiting for it."""
         assert self._session is not None
-        assert self._loop is not None
+        assert self.loop is not None
         assert self._lock is not None
         if isinstance(output, VehicleCommand):
-            self._loop.call_soon_threadsafe(self._start_action, output.action)
+            self.loop.call_soon_threadsafe(self._start_action, output.action)
         elif isinstance(output, LockCommand | LockPermission):
             self._lock.put(output)
         elif isinstance(output, PhaseChange):
             # For `monitor`; not on this thread, whose set-points must not wait for it.
-            self._loop.call_soon_threadsafe(self._session.tell_ground, f"phase {output.after}")
+            self.loop.call_soon_threadsafe(self._session.tell_ground, f"phase {output.after}")
         elif isinstance(output, Silence):
             self._session.silence()
         elif isinstance(output, MissionEnd):
             self._session.silence()
-            self._loop.call_soon_threadsafe(self._done.set)
+            self.loop.call_soon_threadsafe(self._done.set)
 
     def _start_action(self, action: VehicleAction) -> None:
-        assert self._loop is not None
-        task = self._loop.create_task(self._perform(action))
+        assert self.loop is not None
+        task = self.loop.create_task(self._perform(action))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
@@ -428,9 +390,6 @@ class FlightApp:
         t_us = self._session.clock.to_autopilot(host_us())
         self._core.put(CommandResult(t_us, action.value, not problem, problem))
 
-    def _observe(self, record: Record, number: int) -> None:
-        self._log.put(record, number)
-        self._verdict.take(record)
+    def _see(self, record: Record, number: int) -> None:
+        self._observe(record, number)
         self._shown.append(record)
-        if self._sabotage is not None:
-            self._sabotage(record, self._loop, self._mock)

@@ -6,10 +6,9 @@ The same decisions as everywhere else, as fast as the machine goes, the same for
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from pathlib import Path
 
-import msgspec
-
+from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.core.flight_core import FlightCore
@@ -29,27 +28,25 @@ from dart_flight.samples import (
     LockCommand,
     LockPermission,
     LockState,
-    Note,
     OdometrySample,
     Output,
+    Record,
     SetPoint,
-    SetPointSent,
+    Silence,
     StatusSample,
     StatusText,
     Tick,
     VehicleAction,
     VehicleCommand,
+    World,
 )
 from dart_flight.sim.cascade import TrajectorySetPoint
-from dart_flight.sim.faults.impairment import Impairment, LossyLink
-from dart_flight.sim.faults.kinds import Fault, Place, Trigger, VehicleFault, impairment_of, mock_faults_of
+from dart_flight.sim.faults.kinds import Fault
 from dart_flight.sim.vehicle import SimulatedVehicle
-
-Observer = Callable[[Input | Output | Note, int], None]
-
-Telemetry = (
-    ImuSample | AttitudeSample | OdometrySample | ActuatorSample | StatusSample | EstimatorSample | StatusText
-)
+from dart_flight.verdict import Verdict
+from dart_flight.worlds.faulted import FaultedFlight, Telemetry
+from dart_flight.worlds.flight_record import FlightRecord, Onlooker
+from dart_flight.worlds.runner import CoreRunner, Observe
 
 # The host reads its own clock; and a message takes 1 ms, the median of MAVSDK's callback over UDP.
 _HOST_OFFSET_US = 7_001_000
@@ -59,6 +56,11 @@ _STATUS_EVERY = 50  # 5 Hz, and at once when something changes
 _HOST_EVERY = 5  # ticks of 4 ms: lock polled and host time reported at 50 Hz
 _REPEAT_US = 50_000  # MAVSDK repeats the last set-point at 20 Hz
 _NAN3 = (math.nan, math.nan, math.nan)
+_MODES = {
+    VehicleAction.OFFBOARD: FlightMode.OFFBOARD,
+    VehicleAction.HOLD: FlightMode.HOLD,
+    VehicleAction.LAND: FlightMode.LAND,
+}
 
 
 class FastFlight:
@@ -79,16 +81,17 @@ class FastFlight:
         seed: int,
         driver: LockDriver = LockDriver.MOCK,
         faults: MockFaults | None = None,
-        observe: Observer | None = None,
+        observe: Observe | None = None,
         fault: Fault | None = None,
     ) -> None:
         self.mission = mission
-        self.core = FlightCore(mission)
         self.vehicle = SimulatedVehicle(mission, seed, driver)
         self.autopilot = self.vehicle.autopilot
         self.autopilot.say = self._on_text
-        self._observe = observe or (lambda item, number: None)
-        self._number = 0
+        self.deadman_s = mission.vehicle.guard.deadman_s
+        self._observe = observe
+        self._runner = CoreRunner(FlightCore(mission), self, self._see, lambda: self.host_us)
+        self.core = self._runner.core
         self._ticks = 0
         self._status: tuple[object, ...] = ()
         self._resets = -1
@@ -108,7 +111,7 @@ class FastFlight:
 
     def run(self, limit_s: float = 180.0) -> None:
         """Fly until the core says that it is over, or for `limit_s` seconds of simulated time."""
-        self._take(ClockOffset(self.host_us, 0))
+        self.take(ClockOffset(self.host_us, 0))
         self.lock.start()
         while self.core.end is None and self.autopilot.now_s < limit_s and not self._orphaned:
             self.tick()
@@ -148,21 +151,21 @@ class FastFlight:
             return
         if self._ticks % _HOST_EVERY == 0:
             self.lock.poll()
-            self._take(Tick(self.host_us))
+            self.take(Tick(self.host_us))
         while self._lock_states:
-            self._take(self._lock_states.pop(0))
+            self.take(self._lock_states.pop(0))
         self._telemetry()
         if self.faulted is not None:
             for item in self.faulted.arrived():
-                self._take(item)
+                self.take(item)
         self._repeat()
 
     def _truth(self) -> None:
         plant = self.autopilot.plant
         if self._ticks % _TRUTH_EVERY == 0:
-            self._observe(plant.truth(), self._number)
+            self._runner.note(plant.truth())
         while plant.finished:
-            self._observe(plant.finished.pop(0), self._number)
+            self._runner.note(plant.finished.pop(0))
 
     def _telemetry(self) -> None:
         a, t_us, received = self.autopilot, self.autopilot.time_us, self.host_us
@@ -188,61 +191,44 @@ class FastFlight:
 
     def _receive(self, item: Telemetry) -> None:
         if self.faulted is None:
-            self._take(item)
+            self.take(item)
         else:
             self.faulted.send_in(item)
 
     def _on_text(self, severity: str, text: str) -> None:
         self._texts.append((severity, text))
 
-    # -- the core and what it wants --
-
-    def forget_setpoint(self) -> None:
-        """MAVSDK has gone with the process: nothing repeats the last set-point."""
-        self._last_setpoint = None
+    # -- the core and what it wants (`runner.Hands`) --
 
     def take(self, item: Input) -> None:
-        """Give the core an input from outside: an operator's request, a fault's sample."""
-        self._take(item)
+        """Give the core an input; from outside an operator's request or a fault's sample."""
+        self._runner.take(item)
 
-    def _take(self, item: Input) -> None:
-        number = self._number
-        self._number += 1
-        self._observe(item, number)
+    def _see(self, record: Record, number: int) -> None:
+        if self._observe is not None:
+            self._observe(record, number)
         if self.faulted is not None:
-            self.faulted.sees(item)
-        for output in self.core.step(item):
-            self._observe(output, number)
-            if self.faulted is not None:
-                self.faulted.sees(output)
-            self._carry_out(output, number)
+            self.faulted.sees(record)
 
-    def _carry_out(self, output: Output, number: int) -> None:
-        if isinstance(output, SetPoint):
-            self._last_setpoint = output
-            self._transmit(output)
-            if output.recovery:
-                sent = self.host_us
-                latency = sent - output.trigger_received_us
-                self._observe(SetPointSent(output.t_us, sent, latency), number)
-        elif isinstance(output, VehicleCommand):
+    def send(self, setpoint: SetPoint) -> None:
+        """A set-point leaves the app; it is repeated from now on."""
+        self._last_setpoint = setpoint
+        self._transmit(setpoint)
+
+    def carry_out(self, output: Output) -> None:
+        """Every other command of the core."""
+        if isinstance(output, VehicleCommand):
             self._transmit(output.action)
         elif isinstance(output, LockCommand):
             self.lock.command(output.mode)
         elif isinstance(output, LockPermission):
             self.lock.permit(output.permitted)
-        elif output.topic == "/out/silence":
+        elif isinstance(output, Silence):
             self._last_setpoint = None
 
-    def _send(self, setpoint: SetPoint) -> None:
-        self.autopilot.set_trajectory(
-            TrajectorySetPoint(
-                setpoint.position_ned,
-                setpoint.velocity_ned or _NAN3,
-                setpoint.acceleration_ned or _NAN3,
-                setpoint.yaw_ned_rad,
-            )
-        )
+    def forget_setpoint(self) -> None:
+        """MAVSDK has gone with the process: nothing repeats the last set-point."""
+        self._last_setpoint = None
 
     def _repeat(self) -> None:
         if self._last_setpoint is not None and self.host_us - self._repeated_us >= _REPEAT_US:
@@ -259,7 +245,14 @@ class FastFlight:
     def deliver(self, order: SetPoint | VehicleAction) -> None:
         """A set-point or an action arrives at the autopilot."""
         if isinstance(order, SetPoint):
-            self._send(order)
+            self.autopilot.set_trajectory(
+                TrajectorySetPoint(
+                    order.position_ned,
+                    order.velocity_ned or _NAN3,
+                    order.acceleration_ned or _NAN3,
+                    order.yaw_ned_rad,
+                )
+            )
         else:
             self._perform(order)
 
@@ -270,95 +263,32 @@ class FastFlight:
         elif action in (VehicleAction.DISARM, VehicleAction.KILL):
             ok = a.disarm(force=action is VehicleAction.KILL)
         else:
-            modes = {
-                VehicleAction.OFFBOARD: FlightMode.OFFBOARD,
-                VehicleAction.HOLD: FlightMode.HOLD,
-                VehicleAction.LAND: FlightMode.LAND,
-            }
-            ok = a.set_mode(modes[action])
+            ok = a.set_mode(_MODES[action])
             if action is not VehicleAction.OFFBOARD:
                 self._last_setpoint = None
-        self._take(CommandResult(a.time_us, action.value, ok, "" if ok else "denied"))
+        self.take(CommandResult(a.time_us, action.value, ok, "" if ok else "denied"))
 
 
-class FaultedFlight:
-    """One fault in one fast flight: when it begins, and what it does between app and vehicle.
+def fly_fast(
+    mission: Mission,
+    seed: int,
+    log_dir: Path | None,
+    progress: Onlooker = lambda record: None,
+    lock_faults: MockFaults | None = None,
+    fault: Fault | None = None,
+) -> Verdict:
+    """Fly in process in simulated time; `log_dir` None leaves no log (campaigns).
 
-    A hang leaves MAVSDK repeating the last set-point until the deadman ends the process.
+    `lock_faults` are those of the mock servo from the start on; `fault` is what goes wrong, and when.
+
+    Raises:
+        InputError: the log cannot be written, or the lock driver has no place in simulated time.
     """
-
-    def __init__(self, flight: FastFlight, fault: Fault, seed: int) -> None:
-        self._flight, self.fault = flight, fault
-        self._trigger = Trigger(fault)
-        self.began_us: int | None = None  # host time
-        self._in: LossyLink[Telemetry] = LossyLink(seed)
-        self._out: LossyLink[SetPoint | VehicleAction] = LossyLink(seed + 1)
-        self._vehicle: VehicleFault | None = None
-        self._ended = False
-
-    @property
-    def app_silent(self) -> bool:
-        """The app has stopped doing anything."""
-        stops = self.fault.kind.place is Place.APP and self.fault.name != "disk-full"
-        return self.began_us is not None and stops
-
-    @property
-    def app_dead(self) -> bool:
-        """The deadman has ended it, or whoever killed it."""
-        if not self.app_silent or self.began_us is None:
-            return False
-        starve_s = 0.0 if self.fault.name == "sigkill" else self._flight.mission.vehicle.guard.deadman_s
-        return self._flight.host_us - self.began_us >= starve_s * 1e6
-
-    def sees(self, record: Input | Output) -> None:
-        """Take a record of the flight, to know the phase."""
-        self._trigger.sees(record)
-
-    def tick(self) -> None:
-        """Once per tick: begin when it is time, go on while it lasts."""
-        flight = self._flight
-        if self.began_us is None:
-            if not self._trigger.due(flight.autopilot.time_us):
-                return
-            self.began_us = flight.host_us
-            self._begin()
-        if self._vehicle is not None:
-            self._vehicle.tick()
-        lasts_s = self.fault.value if self.fault.name == "link-loss" and self.fault.value > 0.0 else None
-        if lasts_s is not None and not self._ended and flight.host_us - self.began_us > lasts_s * 1e6:
-            self._ended = True
-            self._in.impairment = self._out.impairment = Impairment()
-        if (self.app_dead or self.fault.name == "sigstop") and self.app_silent:
-            flight.forget_setpoint()
-        for order in self._out.pop(flight.autopilot.now_s):
-            flight.deliver(order)
-
-    def _begin(self) -> None:
-        flight, fault, place = self._flight, self.fault, self.fault.kind.place
-        if place is Place.LINK:
-            self._in.impairment = self._out.impairment = impairment_of(fault)
-        elif place is Place.LOCK:
-            if flight.mock is not None:
-                flight.mock.inject(mock_faults_of(fault))
-        elif place is not Place.APP:
-            self._vehicle = VehicleFault(flight.vehicle, fault)
-
-    def send_in(self, item: Telemetry) -> None:
-        """A sample on its way to the app."""
-        dropped = self.began_us is not None and self.fault.name == "imu-dropout"
-        if not (dropped and isinstance(item, ImuSample)):
-            self._in.push(self._flight.autopilot.now_s, item)
-
-    def arrived(self) -> list[Telemetry]:
-        """What reaches the app now, with the time at which it does."""
-        received = self._flight.host_us
-        return [
-            msgspec.structs.replace(item, received_us=received)
-            for item in self._in.pop(self._flight.autopilot.now_s)
-        ]
-
-    def send_out(self, order: SetPoint | VehicleAction) -> None:
-        """A set-point or an action on its way to the autopilot."""
-        self._out.push(self._flight.autopilot.now_s, order)
-        for one in self._out.pop(self._flight.autopilot.now_s):
-            self._flight.deliver(one)
+    driver = mission.vehicle.lock.driver
+    if driver not in (LockDriver.MOCK, LockDriver.PX4):
+        raise InputError(f"the lock driver {driver.value} cannot be simulated, only mock and px4")
+    record = FlightRecord(mission, World.FAST, seed, log_dir)
+    record.onlookers.append(progress)
+    FastFlight(mission, seed, driver, faults=lock_faults, observe=record, fault=fault).run()
+    record.close()
+    return record.build()

@@ -18,6 +18,7 @@ from collections.abc import Callable
 import msgspec
 
 from dart_flight.config.mission import Mission
+from dart_flight.core.sense.detector import Expected
 from dart_flight.core.sense.senses import Senses
 from dart_flight.geometry import MissionFrame, Vec3
 from dart_flight.samples import (
@@ -53,7 +54,7 @@ class StreamView(msgspec.Struct):
     age_ms: float | None
 
 
-class View(msgspec.Struct):
+class Screen(msgspec.Struct):
     """What a screen shows; forces in newton, along the axes of the frame named."""
 
     time_s: float
@@ -91,7 +92,7 @@ class Watcher:
         self._senses = Senses(mission)
         self._placed = placed
         # North, west, up: the mission frame with heading 0 is what is shown where nobody named a mission.
-        self._senses.state.frame = mission.frame_at((0.0, 0.0, 0.0)) if placed else MissionFrame()
+        self._senses.state.anchor(mission.frame_at((0.0, 0.0, 0.0)) if placed else MissionFrame())
         self.estimation = mission.vehicle.estimation
         self._estimate: ForceEstimate | None = None
         self._peaks: deque[ImpactPeak] = deque(maxlen=5)
@@ -113,11 +114,14 @@ class Watcher:
         if isinstance(item, StatusText):
             self._read_text(item.text)
             return
-        self._senses.detector.watching = self._senses.state.status.landed is LandedState.IN_AIR
-        estimate, events = self._senses.take(item)
-        if estimate is not None:
-            self._estimate = estimate
-            self._peaks.extend(event for event in events if isinstance(event, ImpactPeak))
+        sensed = self._senses.take(item, Expected(self._in_air))
+        if sensed.estimate is not None:
+            self._estimate = sensed.estimate
+            self._peaks.extend(event for event in sensed.impacts if isinstance(event, ImpactPeak))
+
+    @property
+    def _in_air(self) -> bool:
+        return self._senses.state.status.landed is LandedState.IN_AIR
 
     def _read_text(self, text: str) -> None:
         # A flying `dart-flight` tells the ground of its lock and its phase in STATUSTEXT.
@@ -126,26 +130,24 @@ class Watcher:
         elif text.startswith("phase "):
             self._phase = text.removeprefix("phase ")
 
-    def view(self) -> View:
+    def view(self) -> Screen:
         """The present state for a screen."""
         with self._mutex:
             return self._view()
 
-    def _view(self) -> View:
+    def _view(self) -> Screen:
         now, state, e = host_us(), self._senses.state, self._estimate
         newest = state.imu.t_us if state.imu else 0
         source = self._senses.estimator.thrust.source
         hover = self._senses.estimator.hover
-        return View(
+        return Screen(
             time_s=(now - self._began_us) * 1e-6,
             frame="mission" if self._placed else "north, west, up",
             force_n=e.force_mission if e else None,
             filtered_n=e.filtered_mission if e else None,
-            sigma_n=math.sqrt(max(0.0, 0.5 * (e.covariance_n2[0] + e.covariance_n2[1]))) if e else None,
+            sigma_n=math.sqrt(max(0.0, 0.5 * (e.variance_n2[0] + e.variance_n2[1]))) if e else None,
             clipped=e.clipped if e else False,
-            detection=self._senses.detector.stage
-            if self._senses.detector.watching
-            else "not watching: on the ground",
+            detection=self._senses.detector.stage if self._in_air else "not watching: on the ground",
             peaks=[
                 ((newest - p.t_us) * 1e-6, p.normal_force_n, p.tangential_force_n)
                 for p in reversed(self._peaks)
@@ -192,7 +194,7 @@ async def watch(
     watcher: Watcher,
     url: str,
     timeout_s: float,
-    show: Callable[[View], None],
+    show: Callable[[Screen], None],
     period_s: float,
     seconds: float | None,
 ) -> None:

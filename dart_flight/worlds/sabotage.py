@@ -8,23 +8,14 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
-from dart_flight.lock.drivers.mock import MockDriver
 from dart_flight.samples import Record
 from dart_flight.sim.faults.kinds import Fault, Place, Trigger, mock_faults_of
+from dart_flight.worlds.app import FlightApp
 from dart_flight.worlds.vehicle_process import WorldProcess
 
 _HANG_S = 60
-
-
-class Loop(Protocol):
-    """The event loop, as far as it is to be hung."""
-
-    def call_soon_threadsafe(self, callback: Callable[[float], None], seconds: float) -> object:
-        """Run `callback(seconds)` on the loop's thread."""
 
 
 class Sabotage:
@@ -32,16 +23,19 @@ class Sabotage:
 
     Args:
         fault: what goes wrong, and in which phase.
+        app: whose event loop or mock servo is to be broken.
         world: the simulated vehicle, for its own faults; None where there is none to tell.
         log: path of the flight log, whose disk may fill up.
     """
 
-    def __init__(self, fault: Fault, world: WorldProcess | None, log: Path | None) -> None:
-        self.fault, self._world, self._log = fault, world, log
+    def __init__(
+        self, fault: Fault, app: FlightApp, world: WorldProcess | None = None, log: Path | None = None
+    ) -> None:
+        self.fault, self._app, self._world, self._log = fault, app, world, log
         self._trigger = Trigger(fault)
         self._begun = False
 
-    def __call__(self, record: Record, loop: Loop | None, mock: MockDriver | None) -> None:
+    def __call__(self, record: Record) -> None:
         """Take a record; break what is to be broken when its time has come."""
         if self._begun or not self._trigger.sees(record):
             return
@@ -51,10 +45,10 @@ class Sabotage:
             # For who measures in another process: the monotonic clock is the machine's.
             sys.stderr.write(f"fault {self.fault.name} at monotonic {time.monotonic():.4f} s\n")
             sys.stderr.flush()
-            self._begin(loop, mock)
+            self._begin()
 
-    def _begin(self, loop: Loop | None, mock: MockDriver | None) -> None:
-        fault = self.fault
+    def _begin(self) -> None:
+        fault, loop, mock = self.fault, self._app.loop, self._app.mock
         if fault.kind.place is Place.LOCK:
             if mock is not None:
                 mock.inject(mock_faults_of(fault))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
 import signal
@@ -16,9 +17,11 @@ from pathlib import Path
 import msgspec
 
 from dart_flight.errors import FlightError
-from dart_flight.samples import TruthContact, TruthSample
+from dart_flight.samples import Record, TruthContact, TruthSample
 from dart_flight.sim.faults.kinds import Fault
 from dart_flight.sim.pipe import Died, FaultLine, Horn, Ready, Truth, WorldOutput, WorldSpec
+from dart_flight.worlds.app import FlightApp
+from dart_flight.worlds.flight_record import FlightRecord
 
 
 class WorldError(FlightError):
@@ -142,10 +145,6 @@ class WorldProcess:
                         self._on_truth(record)
 
 
-class EmbeddedWorld(WorldProcess):
-    """Plant and embedded autopilot."""
-
-
 class Px4World(WorldProcess):
     """Plant and a real PX4, which belongs to the process and ends with it."""
 
@@ -159,6 +158,33 @@ class Px4World(WorldProcess):
         if killed and self.ready is not None and self.ready.pid is not None:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.ready.pid, signal.SIGKILL)
+
+
+def fly_in_world(
+    record: FlightRecord,
+    make_world: Callable[[Callable[[Record], None]], WorldProcess],
+    make_app: Callable[[WorldProcess], FlightApp],
+) -> WorldProcess:
+    """Start a world, fly in it, end it; closes the record's log.
+
+    Args:
+        record: of the flight; takes the world's truth as well.
+        make_world: starts the world's process; takes what is to be called with its truth.
+        make_app: makes the app once the world is ready.
+
+    Raises:
+        WorldError, VehicleError: the simulated vehicle did not start or did not answer.
+    """
+    try:
+        world = make_world(record.truth)
+        try:
+            world.wait_ready()
+            asyncio.run(make_app(world).run())
+        finally:
+            world.close()
+    finally:
+        record.close()
+    return world
 
 
 def free_udp_port() -> int:

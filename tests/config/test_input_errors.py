@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from dart_flight.cli import main
 from dart_flight.config import InputError, load_mission, load_vehicle, parse_mission
 from dart_flight.config.document import Document
-from dart_flight.worlds.flights import load_flyable
+from dart_flight.worlds.prepare import load_flyable
 
 ROOT = Path(__file__).parents[2]
 DUAL = (ROOT / "missions/dual_collision.yaml").read_text()

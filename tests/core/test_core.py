@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dart_flight.core.mission.phases import ON_GROUND, TRANSITIONS, Event, Phase
+from dart_flight.core.mission.phases import ON_GROUND, TRANSITIONS, Cue
 from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.samples import (
     FlightMode,
@@ -23,6 +23,8 @@ from dart_flight.samples import (
     Mode,
     OperatorRequest,
     Output,
+    Phase,
+    Request,
     SetPoint,
     StatusText,
     VehicleAction,
@@ -153,7 +155,7 @@ def test_a_failsafe_of_px4_is_aborted_and_a_pilot_is_released(hand_fed: HandFedC
 
 def test_after_the_guard_has_fired_the_mission_is_not_heard(hand_fed: HandFedCore) -> None:
     hand_fed.to_flight()
-    hand_fed.give(OperatorRequest(hand_fed.t_us, "land"))
+    hand_fed.give(OperatorRequest(hand_fed.t_us, Request.LAND))
     out = hand_fed.run(4.0)
     assert {o.position_ned for o in of(SetPoint, out)} == {of(SetPoint, out)[0].position_ned}
     assert next(o.action for o in of(VehicleCommand, out)) is VehicleAction.LAND
@@ -165,7 +167,7 @@ def test_after_the_guard_has_fired_the_mission_is_not_heard(hand_fed: HandFedCor
 
 def test_the_ground_under_the_guards_landing_is_no_impact(hand_fed: HandFedCore) -> None:
     hand_fed.to_flight()
-    hand_fed.give(OperatorRequest(hand_fed.t_us, "land"))  # breaks off first, then lands
+    hand_fed.give(OperatorRequest(hand_fed.t_us, Request.LAND))  # breaks off first, then lands
     hand_fed.run(0.5)
     assert of(ImpactOnset, pulse(hand_fed, (-10.0, -16.0)))  # still in the air: a wall behind it counts
     hand_fed.run(4.0)
@@ -184,10 +186,10 @@ def test_nothing_is_an_impact_once_a_rule_lands_at_once(hand_fed: HandFedCore) -
 
 def test_a_stronger_action_replaces_a_weaker_one_and_never_the_other_way(hand_fed: HandFedCore) -> None:
     hand_fed.to_flight()
-    hand_fed.give(OperatorRequest(hand_fed.t_us, "land"))
+    hand_fed.give(OperatorRequest(hand_fed.t_us, Request.LAND))
     hand_fed.silent.add("imu")
     hand_fed.run(0.3)
-    hand_fed.give(OperatorRequest(hand_fed.t_us, "land"))
+    hand_fed.give(OperatorRequest(hand_fed.t_us, Request.LAND))
     actions = [g.action for g in of(GuardEvent, hand_fed.outputs)]
     assert actions == ["break_off", "land"]
 
@@ -200,7 +202,7 @@ def test_a_fault_in_the_mission_code_becomes_a_landing(
     def broken(*_: object) -> None:
         raise ZeroDivisionError("mission")
 
-    monkeypatch.setattr(hand_fed.core.executive, "step", broken)
+    monkeypatch.setattr(hand_fed.core._executive, "propose", broken)
     out = hand_fed.run(0.1)
     events = of(GuardEvent, out)
     assert [(e.rule, e.action) for e in events] == [("mission_fault", "land")]
@@ -229,9 +231,9 @@ def test_every_phase_can_be_reached_and_has_a_way_out() -> None:
         outs = [event for (before, event) in TRANSITIONS if before is phase]
         assert bool(outs) == (phase is not Phase.DONE)
         if phase not in (Phase.DONE,):
-            assert Event.OVERRULE in outs
+            assert Cue.OVERRULE in outs
         if phase in ON_GROUND:
-            assert Event.GIVEN_UP in outs
+            assert Cue.GIVEN_UP in outs
 
 
 unit = st.floats(0.0, 2.0 * math.pi).map(lambda a: (math.cos(a), math.sin(a)))

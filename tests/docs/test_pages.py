@@ -20,7 +20,7 @@ from dart_flight.config.document import Document
 from dart_flight.config.mission import parse_mission
 from dart_flight.config.scenario import load_scenario
 from dart_flight.config.vehicle import Material, VehicleConfig, load_vehicle
-from dart_flight.core.mission.phases import Phase
+from dart_flight.samples import Phase
 from tests.docs.snippets import PAGES, ROOT, Block, blocks
 from tools.docs import concept_figures, generated, wiring_drawing
 

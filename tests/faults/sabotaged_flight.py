@@ -3,18 +3,25 @@
 Run by `test_deadman.py` in a process of its own, because that process does not survive.
 """
 
+import asyncio
 import sys
 from pathlib import Path
 
 from dart_flight.config.vehicle import LockDriver
+from dart_flight.samples import World
 from dart_flight.sim.faults.kinds import parse_fault
-from dart_flight.worlds.flights import fly_vehicle, load_flyable, with_driver
+from dart_flight.worlds.app import FlightApp
+from dart_flight.worlds.embedded import DEADMAN_NOTE
+from dart_flight.worlds.flight_record import FlightRecord
+from dart_flight.worlds.prepare import load_flyable, with_driver
 from dart_flight.worlds.sabotage import Sabotage
 
-mission, url, log_dir, fault = sys.argv[1:]
-fly_vehicle(
-    with_driver(load_flyable(mission), LockDriver.PX4),
-    url,
-    Path(log_dir),
-    sabotage=Sabotage(parse_fault(fault), None, None),
-)
+path, url, log_dir, fault = sys.argv[1:]
+mission = with_driver(load_flyable(path), LockDriver.PX4)
+record = FlightRecord(mission, World.DRONE, None, Path(log_dir))
+app = FlightApp(mission, url, record, deadman_note=record.folder / DEADMAN_NOTE)
+record.onlookers.append(Sabotage(parse_fault(fault), app))
+try:
+    asyncio.run(app.run())
+finally:
+    record.close()

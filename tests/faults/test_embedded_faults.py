@@ -7,7 +7,8 @@ import pytest
 from dart_flight.recording import read_log
 from dart_flight.samples import GuardEvent, ImuSample, SetPoint, Silence, StatusSample, VehicleCommand
 from dart_flight.sim.faults.kinds import Fault, parse_fault
-from dart_flight.worlds.flights import fly_embedded, load_flyable
+from dart_flight.worlds.embedded import fly_embedded
+from dart_flight.worlds.prepare import load_flyable
 from tools.campaigns.faults import expected
 
 ROOT = Path(__file__).parents[2]

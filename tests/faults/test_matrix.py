@@ -12,7 +12,8 @@ from dart_flight.config import InputError
 from dart_flight.samples import GuardEvent, Record, StatusSample
 from dart_flight.sim.faults.impairment import Impairment, LossyLink
 from dart_flight.sim.faults.kinds import KINDS, Fault, parse_fault
-from dart_flight.worlds.flights import fly_fast, load_flyable
+from dart_flight.worlds.fast import fly_fast
+from dart_flight.worlds.prepare import load_flyable
 from tools.campaigns.faults import PHASES, came_of, cell, expected, random_flight
 
 ROOT = Path(__file__).parents[2]

@@ -18,7 +18,8 @@ import pytest
 
 from dart_flight.recording import read_log
 from dart_flight.samples import ImuSample, MissionEnd, PhaseChange, TruthContact
-from dart_flight.worlds.flights import fly_embedded, load_flyable
+from dart_flight.worlds.embedded import fly_embedded
+from dart_flight.worlds.prepare import load_flyable
 
 ROOT = Path(__file__).parents[2]
 SINGLE = "missions/single_wall.yaml"

@@ -9,7 +9,8 @@ import pytest
 from dart_flight.config import parse_mission
 from dart_flight.config.document import Document
 from dart_flight.samples import GoalPassed, Record, SetPoint, TruthSample
-from dart_flight.worlds.flights import fly_fast, load_flyable
+from dart_flight.worlds.fast import fly_fast
+from dart_flight.worlds.prepare import load_flyable
 
 ROOT = Path(__file__).parents[2]
 

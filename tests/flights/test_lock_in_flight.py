@@ -8,7 +8,9 @@ from dart_flight.config import Mission
 from dart_flight.config.vehicle import LimitSwitch
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
-from dart_flight.worlds.flights import fly_fast, load_flyable
+from dart_flight.samples import World
+from dart_flight.worlds.fast import fly_fast
+from dart_flight.worlds.prepare import load_flyable
 
 ROOT = Path(__file__).parents[2]
 
@@ -57,7 +59,7 @@ def test_a_switch_that_falls_silent_in_flight_breaks_it_off() -> None:
     assert flight.mock is not None
     flight.mock.inject(MockFaults(switch_silent=True))
     flight.run()
-    verdict = builder.build("fast", 1)
+    verdict = builder.build(World.FAST, 1)
     assert verdict.reason is not None
     assert verdict.reason.startswith("lock_late")
     assert [c.wall for c in verdict.collisions] == ["wood"]

@@ -13,7 +13,7 @@ from dart_flight.config.mission import load_mission
 from dart_flight.config.scenario import load_scenario
 from dart_flight.planning.enumerate import search
 from dart_flight.planning.mission_writer import write_mission
-from dart_flight.worlds.flights import fly_fast
+from dart_flight.worlds.fast import fly_fast
 
 SCENARIOS = Path(__file__).parents[2] / "missions" / "scenarios"
 

@@ -16,8 +16,8 @@ SCENARIOS = Path(__file__).parents[2] / "missions" / "scenarios"
 @pytest.mark.mavlink
 def test_gains_come_from_the_vehicle(tmp_path: Path) -> None:
     from dart_flight.sim.pipe import WorldSpec
-    from dart_flight.worlds.flights import with_vehicle_parameters
-    from dart_flight.worlds.vehicle_process import EmbeddedWorld, free_udp_port
+    from dart_flight.worlds.prepare import with_vehicle_parameters
+    from dart_flight.worlds.vehicle_process import WorldProcess, free_udp_port
 
     scenario = load_scenario(SCENARIOS / "dual_collision.yaml")
     tuned = msgspec.structs.replace(scenario.vehicle.px4, mpc_xy_p=1.25, mpc_xy_vel_p_acc=2.5)
@@ -32,7 +32,7 @@ def test_gains_come_from_the_vehicle(tmp_path: Path) -> None:
         LockDriver.MOCK,
         str(tmp_path / "world.txt"),
     )
-    world = EmbeddedWorld(spec, lambda record: None)
+    world = WorldProcess(spec, lambda record: None)
     try:
         world.wait_ready()
         read = with_vehicle_parameters(scenario, f"udpin://127.0.0.1:{port}")

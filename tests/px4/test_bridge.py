@@ -14,6 +14,7 @@ import msgspec
 import pytest
 
 from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.parameters import PositionSource
 from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.lock.drivers.px4 import actuator_value
 from dart_flight.samples import Mode
@@ -29,7 +30,7 @@ from dart_flight.sim.px4.bridge import (
     accelerometer_output,
     geodetic,
 )
-from dart_flight.worlds.flights import with_driver
+from dart_flight.worlds.prepare import with_driver
 from tests.doubles.fake_px4 import FakePx4
 
 COUNTS_PER_M_S2 = 2048.0 / 9.80665
@@ -109,7 +110,7 @@ def test_indoors_poses_and_no_gps(mission: Mission, pair: tuple[HilLink, FakePx4
 
 def test_outdoors_gps_and_no_poses(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
     link, fake = pair
-    vehicle = Px4Vehicle(mission, 1, link, gps="rtk")
+    vehicle = Px4Vehicle(mission, 1, link, position_from=PositionSource.RTK)
     thread = served(fake, 500)
     for _ in range(500):
         vehicle.step()

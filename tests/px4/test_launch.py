@@ -15,9 +15,10 @@ import msgspec
 import pytest
 
 from dart_flight.cli import main
-from dart_flight.cli.px4_options import gps_warnings
+from dart_flight.cli.px4_options import position_warnings
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
+from dart_flight.config.parameters import PositionSource
 from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.samples import TruthContact, TruthSample
 from dart_flight.sim.pipe import Px4Spec, WorldSpec
@@ -139,7 +140,13 @@ class Watched:
             [],
             LockDriver.MOCK,
             str(self.log),
-            Px4Spec(str(px4), str(folder), flight_parameters(vehicle, None), None, speed),
+            Px4Spec(
+                str(px4),
+                str(folder),
+                flight_parameters(vehicle, PositionSource.MOCAP),
+                PositionSource.MOCAP,
+                speed,
+            ),
         )
         self.world = Px4World(spec, self.truths.append)
 
@@ -265,8 +272,8 @@ def test_wrong_options_are_one_line(
 
 
 def test_plain_gps_is_advised_against() -> None:
-    assert "needs RTK or motion capture" in gps_warnings("plain")[0]
-    assert gps_warnings("rtk") == gps_warnings(None) == []
+    assert "needs RTK or motion capture" in position_warnings(PositionSource.PLAIN)[0]
+    assert position_warnings(PositionSource.RTK) == position_warnings(PositionSource.MOCAP) == []
 
 
 def test_a_surveyed_frame_is_refused_with_gps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -24,7 +24,7 @@ def test_every_packaged_parameter_has_its_reason(path: Path) -> None:
 
 
 def test_all_packaged_files_are_used() -> None:
-    used = {path.name for gps in (None, "rtk", "plain") for path in parameter_files(gps)}
+    used = {path.name for source in PositionSource for path in parameter_files(source)}
     assert used == {path.name for path in FILES}
 
 
@@ -98,15 +98,15 @@ def test_differences_between_a_vehicle_and_a_file(tmp_path: Path) -> None:
 
 def test_flight_parameters_indoors_outdoors_and_the_users_own(tmp_path: Path) -> None:
     vehicle = load_vehicle()
-    indoors = flight_parameters(vehicle, None)
-    outdoors = flight_parameters(vehicle, "rtk")
+    indoors = flight_parameters(vehicle, PositionSource.MOCAP)
+    outdoors = flight_parameters(vehicle, PositionSource.RTK)
     assert (indoors["EKF2_GPS_CTRL"], indoors["SYS_HAS_GPS"]) == (0, 0)
     assert (outdoors["EKF2_EV_CTRL"], outdoors["EKF2_GPS_CTRL"]) == (0, 7)
     assert indoors["MPC_XY_P"] == vehicle.px4.mpc_xy_p
     assert indoors["MPC_THR_HOVER"] == pytest.approx(vehicle.hover_thrust_fraction())
     own = tmp_path / "own.params"
     own.write_text("1\t1\tEKF2_EV_DELAY\t30\t9\n")
-    assert flight_parameters(vehicle, None, [own])["EKF2_EV_DELAY"] == 30.0
+    assert flight_parameters(vehicle, PositionSource.MOCAP, [own])["EKF2_EV_DELAY"] == 30.0
 
 
 def test_motors_of_the_plant_are_those_px4_is_told(tmp_path: Path) -> None:
@@ -123,5 +123,5 @@ def test_motors_of_the_plant_are_those_px4_is_told(tmp_path: Path) -> None:
     own.write_text(
         "1\t1\tCA_ROTOR0_PX\t0.1515\t9\n1\t1\tCA_ROTOR0_PY\t0.245\t9\n1\t1\tCA_ROTOR0_KM\t0.05\t9\n"
     )
-    first = motors_from(flight_parameters(vehicle, None, [own]), vehicle)[0]
+    first = motors_from(flight_parameters(vehicle, PositionSource.MOCAP, [own]), vehicle)[0]
     assert (first.x_m, first.y_m, first.yaw_m) == (0.1515, 0.245, 0.05)

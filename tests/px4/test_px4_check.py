@@ -13,10 +13,11 @@ import pytest
 from dart_flight.check.findings import Finding
 from dart_flight.check.vehicle import check_vehicle
 from dart_flight.config.mission import Mission
+from dart_flight.config.parameters import PositionSource
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.sim.pipe import Px4Spec, WorldSpec
 from dart_flight.sim.px4.launch import flight_parameters
-from dart_flight.worlds.flights import load_flyable
+from dart_flight.worlds.prepare import load_flyable
 from dart_flight.worlds.vehicle_process import Px4World
 
 pytestmark = pytest.mark.px4
@@ -26,10 +27,10 @@ MISSION = Path(__file__).parents[2] / "missions" / "single_wall.yaml"
 
 @contextmanager
 def waiting_px4(
-    mission: Mission, px4_dir: Path, folder: Path, gps: str | None, changes: dict[str, int | float]
+    mission: Mission, px4_dir: Path, folder: Path, source: PositionSource, changes: dict[str, int | float]
 ) -> Iterator[str]:
     """A PX4 on the ground, set up as for `dry-run` but for `changes`; yields its URL."""
-    parameters = {**flight_parameters(mission.vehicle, gps), **changes}
+    parameters = {**flight_parameters(mission.vehicle, source), **changes}
     spec = WorldSpec(
         mission.source,
         json.dumps(msgspec.to_builtins(mission.vehicle)),
@@ -37,7 +38,7 @@ def waiting_px4(
         [],
         LockDriver.MOCK,
         None,
-        Px4Spec(str(px4_dir), str(folder), parameters, gps, 1.0),
+        Px4Spec(str(px4_dir), str(folder), parameters, source, 1.0),
     )
     world = Px4World(spec, lambda record: None)
     try:
@@ -56,7 +57,7 @@ def by_item(findings: list[Finding]) -> dict[str, Finding]:
 def test_our_own_setup_is_go_and_each_change_is_told(px4_dir: Path, tmp_path: Path) -> None:
     mission = load_flyable(MISSION)
     changes = {"NAV_RCL_ACT": 2, "COM_FAIL_ACT_T": 5.0}
-    with waiting_px4(mission, px4_dir, tmp_path, None, changes) as url:
+    with waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, changes) as url:
         found = by_item(check_vehicle(mission, url))
     assert found["position_source"].says == "motion capture"
     assert found["version"].says.startswith("PX4 1.")
@@ -66,10 +67,12 @@ def test_our_own_setup_is_go_and_each_change_is_told(px4_dir: Path, tmp_path: Pa
     assert "Land at once" in found["COM_FAIL_ACT_T"].says
 
 
-@pytest.mark.parametrize(("gps", "go"), [("rtk", True), ("plain", False)])
-def test_a_receiver_is_known_by_its_fix(px4_dir: Path, tmp_path: Path, gps: str, go: bool) -> None:
+@pytest.mark.parametrize(("source", "go"), [(PositionSource.RTK, True), (PositionSource.PLAIN, False)])
+def test_a_receiver_is_known_by_its_fix(
+    px4_dir: Path, tmp_path: Path, source: PositionSource, go: bool
+) -> None:
     mission = load_flyable(MISSION)
-    with waiting_px4(mission, px4_dir, tmp_path, gps, {}) as url:
+    with waiting_px4(mission, px4_dir, tmp_path, source, {}) as url:
         found = by_item(check_vehicle(mission, url))
     position = found["position_source"]
     assert position.go is go

@@ -16,10 +16,12 @@ from typing import Any
 
 import pytest
 
+from dart_flight.config.parameters import PositionSource
 from dart_flight.recording import read_log
 from dart_flight.samples import ForceEstimate, GuardEvent, ImpactPeak, MissionEnd
 from dart_flight.verdict import Verdict
-from dart_flight.worlds.flights import fly_px4, load_flyable
+from dart_flight.worlds.prepare import load_flyable
+from dart_flight.worlds.px4 import fly_px4
 
 pytestmark = pytest.mark.px4
 
@@ -57,12 +59,12 @@ def test_dual_collision_indoors_in_real_time(px4_dir: Path, tmp_path: Path) -> N
 
 def test_single_wall_outdoors_with_rtk(px4_dir: Path, tmp_path: Path) -> None:
     mission = load_flyable(MISSIONS / "single_wall.yaml")
-    accept(fly_px4(mission, px4_dir, 1, tmp_path, gps="rtk", speed=FAST))
+    accept(fly_px4(mission, px4_dir, 1, tmp_path, position_from=PositionSource.RTK, speed=FAST))
 
 
 def test_lock_servo_on_px4s_own_output(px4_dir: Path, tmp_path: Path) -> None:
     from dart_flight.config.vehicle import LockDriver
-    from dart_flight.worlds.flights import with_driver
+    from dart_flight.worlds.prepare import with_driver
 
     mission = with_driver(load_flyable(MISSIONS / "dual_collision.yaml"), LockDriver.PX4)
     accept(fly_px4(mission, px4_dir, 1, tmp_path, speed=2.0))

@@ -9,7 +9,8 @@ import pytest
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording import Log, read_log
-from dart_flight.worlds.flights import fly_fast, load_flyable
+from dart_flight.worlds.fast import fly_fast
+from dart_flight.worlds.prepare import load_flyable
 
 
 @pytest.fixture(scope="session")

@@ -36,6 +36,8 @@ from dart_flight.samples import (
     LockState,
     MissionEnd,
     Mode,
+    Outcome,
+    Override,
     Record,
     SetPoint,
     Tick,
@@ -64,7 +66,7 @@ def test_what_is_missing_stays_missing() -> None:
     for record in (
         SetPoint(t_us=1, trigger_received_us=1, position_ned=(1.0, math.inf, math.nan), yaw_ned_rad=0.0),
         LockState(t_us=1, phase=LockPhase.SETTLED, mode=None),
-        MissionEnd(t_us=1, outcome="aborted", reason="nan", final_error_m=None),
+        MissionEnd(t_us=1, outcome=Outcome.ABORTED, reason="nan", final_error_m=None),
     ):
         back = decode(encode(record), msgspec.json.Decoder(type(record)))
         assert encode(back) == encode(record)
@@ -291,7 +293,7 @@ def test_at_the_bound_decisions_go_on(tmp_path: Path) -> None:
     wait_until(lambda: part_path(log.path, 2).exists())
     log.put(imu(1), 1)
     log.put(Tick(5), 2)
-    log.put(GuardEvent(t_us=9, rule="speed", action="hold", detail=""), 3)
+    log.put(GuardEvent(t_us=9, rule="speed", action=Override.HOLD, detail=""), 3)
     log.close()
     assert [e.number for e in read_log(log.path).entries] == [0, 3]
     assert read_log(log.path).end["lost"] == "2"

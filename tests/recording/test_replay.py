@@ -13,9 +13,9 @@ from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording import Log, LogEntry, read_log
-from dart_flight.samples import ImpactOnset, ImpactPeak, ImuSample, SetPoint
-from dart_flight.worlds.fast import FastFlight
-from dart_flight.worlds.flights import fly_fast, load_flyable
+from dart_flight.samples import ImpactOnset, ImpactPeak, ImuSample, SetPoint, World
+from dart_flight.worlds.fast import FastFlight, fly_fast
+from dart_flight.worlds.prepare import load_flyable
 from dart_flight.worlds.replay import changed_mission, replay
 
 
@@ -121,7 +121,7 @@ def test_a_flight_that_was_changed_by_options_is_replayed_as_flown(single_wall: 
     FastFlight(flown, 1, observe=lambda r, n: entries.append(LogEntry(n, r))).run()
     from dart_flight.recording.about import describe_flight
 
-    log = Log("log", describe_flight(flown, "fast", 1), {}, entries, True)
+    log = Log("log", describe_flight(flown, World.FAST, 1), {}, entries, True)
     assert replay(log).equal
     assert changed_mission(log, ["detection.force_threshold_n=6"]).altitude_m == 1.2
     with pytest.raises(InputError, match="only keys of the vehicle"):

@@ -10,7 +10,8 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.report.flight import Flight
 from dart_flight.sim.faults.kinds import parse_fault
-from dart_flight.worlds.flights import fly_fast, load_flyable
+from dart_flight.worlds.fast import fly_fast
+from dart_flight.worlds.prepare import load_flyable
 
 
 @pytest.fixture(scope="session")

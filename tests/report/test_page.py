@@ -20,8 +20,8 @@ from dart_flight.report import figures
 from dart_flight.report.flight import Compared, Flight
 from dart_flight.report.page import comparison_page, flight_page
 from dart_flight.report.proposal import mean_half_width
-from dart_flight.samples import GuardEvent, TruthContact
-from dart_flight.worlds.flights import fly_fast
+from dart_flight.samples import GuardEvent, Override, TruthContact
+from dart_flight.worlds.fast import fly_fast
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
 SECTIONS = [
@@ -214,7 +214,7 @@ def test_text_of_the_flight_is_not_markup(flight: Flight) -> None:
     mission = msgspec.structs.replace(mission, walls=tuple(walls.values()), collisions=collisions)
     about["flown"] = msgspec.json.encode(mission).decode()
     last = flight.log.entries[-1].number
-    entries = [*flight.log.entries, LogEntry(last, GuardEvent(1, evil, evil, evil))]
+    entries = [*flight.log.entries, LogEntry(last, GuardEvent(1, evil, Override.LAND, evil))]
     log = Log(f"/{evil}/flight.mcap", about, flight.log.end, entries, True)
     text = flight_page(Flight(log))
     page = Page(text)

@@ -14,7 +14,7 @@ from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 from dart_flight.report.flight import Flight
 from dart_flight.report.page import comparison_page, flight_page
 from dart_flight.report.proposal import propose
-from dart_flight.worlds.flights import load_flyable
+from dart_flight.worlds.prepare import load_flyable
 from tools.bench.other_wall import fly_against, with_walls
 
 CONFIG = packaged("configs", "dart.yaml")

@@ -25,21 +25,23 @@ import dart_flight.worlds.app as app_module
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.guard.guard import Guard
-from dart_flight.core.guard.rules import Action
-from dart_flight.core.mission.phases import Phase
-from dart_flight.recording.writer import FlightLog
 from dart_flight.samples import (
     Input,
     LockPhase,
     LockState,
     Mode,
     Output,
+    Override,
+    Phase,
     SetPoint,
     SetPointSent,
     VehicleCommand,
+    World,
 )
-from dart_flight.verdict import VerdictBuilder
+from dart_flight.vehicle.clock import host_us
 from dart_flight.worlds.app import CoreThread, FlightApp
+from dart_flight.worlds.flight_record import FlightRecord
+from dart_flight.worlds.runner import CoreRunner
 from dart_flight.worlds.vehicle_process import free_udp_port
 from tools.bench.impact_source import MISSION, Record
 
@@ -63,10 +65,10 @@ class RepeatingCore(FlightCore):
         """As the core's."""
         if isinstance(item, LockState):
             item = LockState(item.t_us, LockPhase.SETTLED, Mode.RIGID)
-        executive, now = self.executive, self.state.now_us
-        if self.guard.action is not Action.NONE:
-            self.overruled.append(self.guard.reason or "")
-            self.guard = executive._guard = Guard(self.mission)
+        executive, now = self._executive, self.state.now_us
+        if self.override is not Override.NONE:
+            self.overruled.append(self._guard.reason or "")
+            self._guard = Guard(self.mission)
             self._begun = False
         status = self.state.status
         ready = self.state.odometry is not None and status.armed and status.local_position_ok
@@ -87,10 +89,10 @@ class RepeatingCore(FlightCore):
         return [output for output in outputs if not isinstance(output, VehicleCommand)]
 
     def _begin(self, now_us: int) -> None:
-        executive, self._begun = self.executive, True
-        self.state.frame = self.mission.frame_at((0.0, 0.0, 0.0))  # the ground is not where it is first seen
-        executive.phase, executive.collision_index, executive._entered_us = Phase.APPROACH, 0, now_us
-        executive._approach = executive._approaches[1]
+        executive, self._begun = self._executive, True
+        self.state.anchor(self.mission.frame_at((0.0, 0.0, 0.0)))  # the ground is not where it is first seen
+        executive.phase, executive._index, executive._entered_us = Phase.APPROACH, 0, now_us
+        executive._begin_approach(self.mission.collisions[0])
 
 
 class Result(msgspec.Struct):
@@ -124,16 +126,16 @@ async def _run_app(
     port: int, folder: Path, source: subprocess.Popen[bytes]
 ) -> tuple[RepeatingCore, list[float], float]:
     mission = _mission()
-    log = FlightLog(folder / "flight.mcap", {})
+    record = FlightRecord(mission, World.EMBEDDED, None, folder)
     inside: list[float] = []
 
     def progress(record: object) -> None:
         if isinstance(record, SetPointSent):
             inside.append(record.latency_us * 1e-3)
 
-    app = FlightApp(mission, f"udpin://127.0.0.1:{port}", log, VerdictBuilder(mission), None, progress)
+    app = FlightApp(mission, f"udpin://127.0.0.1:{port}", record, None, progress)
     core = RepeatingCore(mission)
-    app._core = CoreThread(core, app._send, app._carry_out, app._observe)
+    app._core = CoreThread(CoreRunner(core, app, app._see, host_us))
     flying = asyncio.create_task(app.run())
     # Polled: the core is stepped on another thread.
     while not core.recoveries and not flying.done():  # noqa: ASYNC110
@@ -144,7 +146,7 @@ async def _run_app(
     cpu = 100.0 * (time.process_time() - busy) / (time.monotonic() - wall)
     app._done.set()
     await flying
-    log.close()
+    record.close()
     return core, inside, cpu
 
 

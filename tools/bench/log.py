@@ -13,7 +13,7 @@ from typing import Any
 from dart_flight.config.mission import load_mission
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.writer import FlightLog
-from dart_flight.samples import Record, TruthContact, TruthSample
+from dart_flight.samples import Record, TruthContact, TruthSample, World
 from dart_flight.worlds.fast import FastFlight
 
 _MISSION = Path(__file__).parents[2] / "missions" / "dual_collision.yaml"
@@ -64,7 +64,7 @@ def rows() -> list[dict[str, Any]]:
     paced = slots[: round(_PACED_S * 1e6 / _SLOT_US)]
     mission = load_mission(_MISSION)
     with tempfile.TemporaryDirectory() as folder:
-        log = FlightLog(Path(folder) / "flight.mcap", describe_flight(mission, "fast", 1))
+        log = FlightLog(Path(folder) / "flight.mcap", describe_flight(mission, World.FAST, 1))
         with_log, count = _pace(paced, log)
         log.close()
         size = log.path.stat().st_size

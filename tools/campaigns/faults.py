@@ -36,11 +36,11 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.geometry import distance2, tilt_of
 from dart_flight.recording import read_log
 from dart_flight.recording.writer import FlightLog
-from dart_flight.samples import FlightMode, GuardEvent, Input, Note, Output, TruthSample
+from dart_flight.samples import FlightMode, GuardEvent, Record, TruthSample, World
 from dart_flight.sim.faults.kinds import KINDS, Fault, excursion_allowed_m
 from dart_flight.verdict import VerdictBuilder
 from dart_flight.worlds.fast import FastFlight
-from dart_flight.worlds.flights import load_flyable
+from dart_flight.worlds.prepare import load_flyable
 from dart_flight.worlds.sabotage import fill_disk_of
 
 EXPECTED = Path(__file__).resolve().parents[2] / "tests" / "faults" / "expected.csv"
@@ -80,7 +80,7 @@ class _Watch:
         self.last: TruthSample | None = None
         self._was_high = False
 
-    def take(self, record: Input | Output | Note) -> None:
+    def take(self, record: Record) -> None:
         if isinstance(record, GuardEvent):
             self.rules.append(record.rule)
             self._decide()
@@ -112,7 +112,7 @@ def fly(mission: Mission, fault: Fault, seed: int, folder: Path | None = None) -
 
     filled: list[bool] = []
 
-    def observe(record: Input | Output | Note, number: int) -> None:
+    def observe(record: Record, number: int) -> None:
         builder.take(record)
         watch.take(record)
         if log is not None:
@@ -139,7 +139,7 @@ def fly(mission: Mission, fault: Fault, seed: int, folder: Path | None = None) -
     except Exception as error:
         problems.append(f"exception {type(error).__name__}: {error}")
     problems += _close(log, path)
-    verdict = builder.build("fast", seed)
+    verdict = builder.build(World.FAST, seed)
     assert flight.faulted is not None
     began = flight.faulted.began_us
     rule = (verdict.reason or "").split(":")[0] if verdict.guard else ""

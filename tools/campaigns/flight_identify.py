@@ -21,7 +21,7 @@ from dart_flight.identify.flight_trials import ALLOWANCE, trials_of
 from dart_flight.recording.reader import read_log
 from dart_flight.report.flight import Flight
 from dart_flight.report.proposal import AGREES, propose
-from dart_flight.worlds.flights import load_flyable
+from dart_flight.worlds.prepare import load_flyable
 from tools.bench.other_wall import fly_against, with_walls
 
 ROOT = Path(__file__).parents[2]

@@ -83,7 +83,7 @@ def judge(
     flown = fly_hit(vehicle, hit)
     rows = []
     for sigma in sigmas:
-        judged = judge_hit(vehicle, FlightState(mission), flown, sigma, seed, believed)
+        judged = judge_hit(vehicle, FlightState(), flown, sigma, seed, believed)
         peak, nan = judged.peak, math.nan
         delay = None
         if judged.onsets and flown.cross_us is not None:

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import msgspec
 
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.sense.detector import ImpactDetector, confirmed_force
+from dart_flight.core.sense.detector import Expected, ImpactDetector, confirmed_force
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import (
@@ -189,9 +189,7 @@ class Judge:
         self.state, self.vehicle = state, vehicle
         self.estimator = ForceEstimator(vehicle)
         self.detector = ImpactDetector(vehicle)
-        self.detector.watching = True
-        if planned is not None:
-            self.detector.expected_normal, self.detector.expected_material = planned
+        self.expected = Expected(True, *(planned or (None, None)))
         blind = msgspec.structs.replace(vehicle.detection, force_threshold_n=1e9)
         self._shadow = ImpactDetector(msgspec.structs.replace(vehicle, detection=blind))
         self._last: tuple[Vec2, Vec2] = ((0.0, 0.0), (0.0, 0.0))
@@ -204,15 +202,15 @@ class Judge:
         estimate = self.estimator.estimate(imu, self.state, self.detector.in_contact)
         if estimate is None:
             return []
-        base = self._shadow.baseline.value
+        base = self._shadow.slow_force.value
         size = math.hypot(estimate.force_mission[0] - base[0], estimate.force_mission[1] - base[1])
         x, y = estimate.force_mission[0] - base[0], estimate.force_mission[1] - base[1]
         detection = self.vehicle.detection
         mean = math.hypot(*confirmed_force(x, y, self._last, estimate.noise_n, detection))
         self.statistic = max(min(mean, size), size - detection.sure_sigma * estimate.noise_n)
         self._last = ((x, y), self._last[0])
-        self._shadow.update(estimate, imu.received_us, self.state)
-        return list(self.detector.update(estimate, imu.received_us, self.state))
+        self._shadow.update(estimate, imu.received_us, self.state, Expected())
+        return list(self.detector.update(estimate, imu.received_us, self.state, self.expected))
 
 
 def judge_hit(
@@ -248,7 +246,7 @@ def judge_hit(
         t = tick.t_us
         if i % 2 == 0:
             _odometry(judge, tick, flown.command if t > _START_US else hover, rng)
-        judge.detector.watching = t > _START_US
+        judge.expected = judge.expected._replace(watching=t > _START_US)
         measured, rate = imu.measure(tick.specific_force, (0.0, 0.0, 0.0))
         for event in judge.take(ImuSample(t, t + 1000, measured, rate)):
             if isinstance(event, ImpactOnset):

@@ -14,6 +14,7 @@ import msgspec
 
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.core.sense.detector import Expected
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import MissionFrame, Vec3, yaw_ned_of
 from dart_flight.samples import (
@@ -135,7 +136,7 @@ class _Flight:
         vehicle = mission.vehicle
         plant = Plant(_plant_vehicle(vehicle, sigma, self.rng), (), MissionFrame())
         self.autopilot = Autopilot(plant, seed)
-        self.state = FlightState(mission)
+        self.state = FlightState()
         self.state.frame = MissionFrame()
         mode = self.rng.choice(list(Mode))
         plant.set_mode(mode)
@@ -196,7 +197,7 @@ def fly_quiet(mission: Mission, seconds: float, sigma: float, seed: int, rough: 
         _fly(f, next_land)
         # As the executive: not on the ground, in the first half metre of the climb, or when landing.
         in_air = f.state.status.landed is LandedState.IN_AIR and a.mode is FlightMode.OFFBOARD
-        f.judge.detector.watching = in_air and a.estimator.position[2] < -0.5
+        f.judge.expected = Expected(in_air and a.estimator.position[2] < -0.5)
         for event in f.tick():
             if isinstance(event, ImpactOnset):
                 force = math.hypot(event.force_mission[0], event.force_mission[1])
@@ -206,7 +207,7 @@ def fly_quiet(mission: Mission, seconds: float, sigma: float, seed: int, rough: 
         b, w = a.vehicle.airframe.drag_per_s, a.plant.wind_ned
         force = mission.vehicle.airframe.mass_kg * math.hypot(b[0] * w[0], b[1] * w[1])
         out.wind_force_n = max(out.wind_force_n, force)
-        if f.judge.detector.watching:
+        if f.judge.expected.watching:
             highest = max(highest, f.judge.statistic)
         if i % _WINDOW_TICKS == _WINDOW_TICKS - 1:
             out.maxima.append(highest)

@@ -33,7 +33,8 @@ from dart_flight.config.vehicle import LockDriver, VehicleConfig, packaged
 from dart_flight.recording import read_log
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 from dart_flight.sim.vehicle import SimulatedVehicle
-from dart_flight.worlds.flights import fly_fast, load_flyable
+from dart_flight.worlds.fast import fly_fast
+from dart_flight.worlds.prepare import load_flyable
 
 KINDS = ("mission", "scenario", "configuration", "log", "frame")
 SLOW_S = 1.0

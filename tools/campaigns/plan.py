@@ -21,7 +21,7 @@ from dart_flight.planning.enumerate import Plan, search
 from dart_flight.planning.mission_writer import write_mission
 from dart_flight.planning.summary import with_objective
 from dart_flight.verdict import Verdict
-from dart_flight.worlds.flights import fly_fast_many
+from dart_flight.worlds.campaigns import fly_fast_many
 
 ROOT = Path(__file__).parents[2]
 SCENARIOS = 10

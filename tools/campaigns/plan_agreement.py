@@ -19,7 +19,7 @@ from dart_flight.planning.enumerate import Plan, search
 from dart_flight.planning.mission_writer import write_mission
 from dart_flight.samples import Mode, TruthContact
 from dart_flight.verdict import Verdict
-from dart_flight.worlds.flights import fly_fast
+from dart_flight.worlds.fast import fly_fast
 
 ROOT = Path(__file__).parents[2]
 FLIGHTS = 10

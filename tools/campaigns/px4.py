@@ -22,12 +22,16 @@ import msgspec
 
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import parse_mission
+from dart_flight.config.parameters import PositionSource
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording import read_log
 from dart_flight.samples import OdometrySample, TruthSample
 from dart_flight.sim.px4.launch import find_install
 from dart_flight.verdict import Verdict
-from dart_flight.worlds.flights import fly_embedded, fly_fast, fly_px4, load_flyable
+from dart_flight.worlds.embedded import fly_embedded
+from dart_flight.worlds.fast import fly_fast
+from dart_flight.worlds.prepare import load_flyable
+from dart_flight.worlds.px4 import fly_px4
 
 SEEDS = range(1, 11)
 EMBEDDED_SEEDS = range(1, 4)  # real time: few
@@ -100,7 +104,7 @@ def figures(part: str, sensor: str, mission: str, verdict: Verdict, pace: float 
     px4 = verdict.px4
     return Flight(
         part=part,
-        world=verdict.world,
+        world=verdict.world or "unknown",
         speed=pace,
         sensor=sensor,
         mission=mission,
@@ -156,10 +160,11 @@ def _velocity_error(verdict: Verdict) -> float | None:
 
 def _accept(part: str, pace: float, mission: str, sensor: str) -> Iterator[Flight]:
     loaded = load_flyable(packaged("missions", MISSIONS[mission]))
-    gps = None if sensor == "mocap" else sensor
     for seed in SEEDS:
         with tempfile.TemporaryDirectory() as folder:
-            verdict = fly_px4(loaded, None, seed, Path(folder), gps=gps, speed=pace)
+            verdict = fly_px4(
+                loaded, None, seed, Path(folder), position_from=PositionSource(sensor), speed=pace
+            )
             yield figures(part, sensor, mission, verdict, pace)
 
 
@@ -167,12 +172,13 @@ def _sweep(
     part: str, pace: float, mode: str, material: str, sensor: str, speeds: tuple[float, ...]
 ) -> Iterator[Flight]:
     text = SWEEP.read_text(encoding="utf-8").replace("MODE", mode).replace("MATERIAL", material)
-    gps = None if sensor == "mocap" else sensor
     for speed in speeds:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "sweep.yaml"
             path.write_text(text.replace("SPEED", f"{speed:g}"), encoding="utf-8")
-            verdict = fly_px4(load_flyable(path), None, 1, Path(folder), gps=gps, speed=pace)
+            verdict = fly_px4(
+                load_flyable(path), None, 1, Path(folder), position_from=PositionSource(sensor), speed=pace
+            )
             yield figures(part, sensor, f"{material} {mode} {speed:g}", verdict, pace)
 
 

@@ -20,7 +20,10 @@ import msgspec
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.reader import read_log
 from dart_flight.samples import ImuSample, MissionEnd
-from dart_flight.worlds.flights import fly_embedded, fly_fast, fly_px4, load_flyable
+from dart_flight.worlds.embedded import fly_embedded
+from dart_flight.worlds.fast import fly_fast
+from dart_flight.worlds.prepare import load_flyable
+from dart_flight.worlds.px4 import fly_px4
 from dart_flight.worlds.replay import replay
 
 ROOT = Path(__file__).parents[2]
@@ -79,7 +82,7 @@ def judge(path: Path) -> Result:
     for difference in again.differences[:3]:
         print(f"{path}: {difference.text()}", file=sys.stderr)
     return Result(
-        log.world,
+        log.world or "unknown",
         log.about["mission"],
         log.seed or 0,
         end.outcome if end else "cut",

@@ -25,7 +25,7 @@ from dart_flight.lock.cam import limits_deg, rod_mm
 from dart_flight.recording.arrays import Course
 from dart_flight.recording.reader import read_log
 from dart_flight.samples import ImpactPeak, Mode, SetPoint
-from dart_flight.worlds.flights import fly_fast
+from dart_flight.worlds.fast import fly_fast
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "img"

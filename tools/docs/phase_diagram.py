@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dart_flight.core.mission.phases import TRANSITIONS, Event, Phase
+from dart_flight.core.mission.phases import TRANSITIONS, Cue
+from dart_flight.samples import Phase
 
 
 def diagram() -> str:
@@ -11,15 +12,15 @@ def diagram() -> str:
     lines += [
         f"    {before} --> {after}: {event}"
         for (before, event), after in TRANSITIONS.items()
-        if event is not Event.OVERRULE
+        if event is not Cue.OVERRULE
     ]
     lines += [
         f"    {phase} --> [*]" for phase in Phase if not any(before is phase for before, _ in TRANSITIONS)
     ]
-    overruled = {before: after for (before, event), after in TRANSITIONS.items() if event is Event.OVERRULE}
+    overruled = {before: after for (before, event), after in TRANSITIONS.items() if event is Cue.OVERRULE}
     targets = sorted(set(overruled.values()))
     ways = [
-        f"`{Event.OVERRULE}` leads to `{target}` from: "
+        f"`{Cue.OVERRULE}` leads to `{target}` from: "
         + ", ".join(f"`{before}`" for before, after in overruled.items() if after is target)
         + "."
         for target in targets

@@ -1,17 +1,18 @@
 """The guard: sees the same state as the mission and disposes of what it proposes.
 
-`review` is the last stage of every step. It judges the rules of `guard_rules` at every step; the executive
-and the core report by name what only they can know (`latch`). An override latches, in the order release >
-kill > land > hold > break off; from then on the mission's set-points and commands go nowhere and the guard
-flies: it needs nothing of the executive.
+`review` is the last stage of every step. It judges the rules of `rules` at every step, and what the mission
+has found that only the mission can know. An override latches, in the order release > kill > land > hold >
+break off; from then on the mission's set-points and commands go nowhere and the guard flies: it needs nothing
+of the mission.
 """
 
 from __future__ import annotations
 
 from dart_flight.config.mission import Mission
-from dart_flight.core.guard.rules import RULES, RULES_BY_NAME, Action, Rule, in_scope
-from dart_flight.core.guard.watch import STOP_TIME_S, View
-from dart_flight.core.mission.phases import Phase
+from dart_flight.core.guard.rules import RULES, RULES_BY_NAME, Rule, in_scope
+from dart_flight.core.guard.watch import STOP_TIME_S, Watch
+from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import Vec3, norm
 from dart_flight.samples import (
@@ -21,7 +22,10 @@ from dart_flight.samples import (
     LockCommand,
     MissionEnd,
     OdometrySample,
+    Outcome,
     Output,
+    Override,
+    Phase,
     SetPoint,
     Silence,
     VehicleAction,
@@ -48,13 +52,15 @@ class Guard:
         self._rules = {rule.name: rule for rule in rules}
         # What is judged in which phase, sorted out once: this runs at every step of the flight.
         self._judged = {
-            phase: [(r.action, r.cause, r.name) for r in rules if r.cause is not None and in_scope(r, phase)]
+            phase: [
+                (r.action.rank, r.cause, r.name) for r in rules if r.cause is not None and in_scope(r, phase)
+            ]
             for phase in Phase
         }
-        self._view = View(mission)
+        self._watch = Watch(mission)
         # A landing is waited for until the motors would have been stopped.
-        self._landing_us = max(_LANDING_US, round(2e6 * (self._view.surely_down_s or 0.0)))
-        self.action = Action.NONE
+        self._landing_us = max(_LANDING_US, round(2e6 * (self._watch.surely_down_s or 0.0)))
+        self.action = Override.NONE
         self.reason: str | None = None
         self._rule: Rule | None = None
         self.end: MissionEnd | None = None
@@ -63,89 +69,105 @@ class Guard:
         self._hold: Vec3 | None = None
         self._yaw_ned = 0.0
 
-    # -- latching --
+    # -- the last stage of every step --
 
-    def latch(self, name: str, detail: str, state: FlightState, out: list[Output]) -> bool:
-        """Overrule the mission from now on, by the rule of this name.
+    def review(
+        self, item: Input, state: FlightState, sensed: Sensed, phase: Phase, proposal: Proposal
+    ) -> list[Output]:
+        """Judge a step's proposal.
 
-        A weaker action than the one in force changes nothing. Returns whether the rule is in the table: a
-        rule that has been taken out of it does nothing.
+        Args:
+            item: the step's input, which has gone into `state`.
+            state, sensed: what is known.
+            phase: of the mission, after its proposal.
+            proposal: what the mission wants.
+
+        Returns:
+            What really goes out. Once a rule has fired these are the guard's own commands.
+        """
+        self._watch.observe(item, state, sensed, phase)
+        events: list[Output] = []
+        for finding in proposal.findings:
+            self._fire(finding.rule, finding.detail, state, events)
+        if phase is not Phase.DONE and self.end is None:
+            self._judge(state, phase, events)
+        if self.action is Override.NONE:
+            self._remember(proposal.outputs)
+            return proposal.outputs + events
+        kept: list[Output] = [
+            o for o in proposal.outputs if not isinstance(o, SetPoint | VehicleCommand | LockCommand)
+        ]
+        kept += events
+        if self.end is None:
+            self._fly(item, state, kept)
+        return kept
+
+    @property
+    def landing(self) -> bool:
+        """Whether a landing has been asked for, by the mission or by the guard."""
+        return self._watch.land_asked
+
+    def _judge(self, state: FlightState, phase: Phase, events: list[Output]) -> None:
+        watch, rank = self._watch, self.action.rank
+        for action, cause, name in self._judged[phase]:
+            # A rule whose action is in force already has nothing to add.
+            if action > rank and (detail := cause(watch)) is not None:
+                self._fire(name, detail, state, events)
+                rank = self.action.rank
+
+    def _fire(self, name: str, detail: str, state: FlightState, events: list[Output]) -> None:
+        """Overrule the mission from now on, by the rule of this name; a weaker action changes nothing.
 
         Raises:
             KeyError: there is no such rule, and never was.
         """
         rule = self._rules.get(name)
         if rule is None:
-            assert name in RULES_BY_NAME, name
-            return False
-        if rule.action <= self.action:
-            return True
-        out.append(GuardEvent(state.now_us, rule.name, rule.action.name.lower(), detail))
-        if rule.action is Action.GIVE_UP:
-            return True  # the executive ends the mission: nothing has left the ground
-        if rule.action is not Action.KILL or self.reason is None:  # the reason is what the landing began with
+            if name not in RULES_BY_NAME:
+                raise KeyError(name)
+            return  # taken out of this guard's table
+        if rule.action.rank <= self.action.rank or self.end is not None:
+            return
+        events.append(GuardEvent(state.now_us, rule.name, rule.action, detail))
+        if rule.action is Override.GIVE_UP:  # nothing has left the ground
+            if state.status.armed:
+                events.append(VehicleCommand(state.now_us, VehicleAction.DISARM))
+            self.end = MissionEnd(state.now_us, Outcome.ABORTED, f"{rule.name}: {detail}", None)
+            return
+        if (
+            rule.action is not Override.KILL or self.reason is None
+        ):  # the reason is what the landing began with
             self.reason = f"{rule.name}: {detail}" if detail else rule.name
         self.action, self._rule = rule.action, rule
         self._since_us = state.now_us
         self._asked_us = None
         self._hold = None
-        return True
 
-    def note_impact(self, t_us: int) -> None:
-        """An impact: for a while the contact explains what estimator and altitude do."""
-        self._view.impact_us = t_us
-
-    @property
-    def landing(self) -> bool:
-        """Whether a landing has been asked for, by the mission or by the guard."""
-        return self._view.land_asked
-
-    # -- the last stage of every step --
-
-    def review(self, item: Input, state: FlightState, phase: Phase, out: list[Output]) -> list[Output]:
-        """Judge the step's proposals; returns what really goes out."""
-        self._view.observe(item, state, phase, out)
-        if phase is not Phase.DONE and self.end is None:
-            self._judge(state, phase, out)
-        if self.action is Action.NONE:
-            self._remember(out)
-            return out
-        kept: list[Output] = [o for o in out if not isinstance(o, SetPoint | VehicleCommand | LockCommand)]
-        if self.end is None:
-            self._fly(item, state, kept)
-        return kept
-
-    def _judge(self, state: FlightState, phase: Phase, out: list[Output]) -> None:
-        view = self._view
-        for action, cause, name in self._judged[phase]:
-            # A rule whose action is in force already has nothing to add.
-            if action > self.action and (detail := cause(view)) is not None:
-                self.latch(name, detail, state, out)
-
-    def _remember(self, out: list[Output]) -> None:
-        for one in out:
+    def _remember(self, outputs: list[Output]) -> None:
+        for one in outputs:
             if isinstance(one, SetPoint):
                 self._yaw_ned = one.yaw_ned_rad
             elif isinstance(one, VehicleCommand) and one.action is VehicleAction.LAND:
-                self._view.land_asked = True
+                self._watch.land_asked = True
 
     # -- flying --
 
     def _fly(self, item: Input, state: FlightState, out: list[Output]) -> None:
-        if self.action is Action.RELEASE:
+        if self.action is Override.RELEASE:
             out.append(Silence(state.now_us, self.reason or ""))
-            outcome = "released" if self._rule is not None and self._rule.by_person else "aborted"
+            by_person = self._rule is not None and self._rule.by_person
+            outcome = Outcome.RELEASED if by_person else Outcome.ABORTED
             self.end = MissionEnd(state.now_us, outcome, self.reason, None)
             return
-        killed = self.action is Action.KILL
-        down = not state.status.armed and (state.on_ground or killed or not self._view.was_offboard)
+        killed = self.action is Override.KILL
+        down = not state.status.armed and (state.on_ground or killed or not self._watch.was_offboard)
         if down or state.now_us - self._since_us > self._landing_us:
-            self.end = MissionEnd(state.now_us, "aborted", self.reason, None)
+            self.end = MissionEnd(state.now_us, Outcome.ABORTED, self.reason, None)
             return
         if killed:
             self._ask(VehicleAction.KILL, state, out)
             return
-        if self.action is Action.LAND:
+        if self.action is Override.LAND:
             self._land(state, out)
             return
         if isinstance(item, OdometrySample) and state.frame is not None:
@@ -167,7 +189,7 @@ class Guard:
     def _clear_of_walls(self, state: FlightState) -> Vec3:
         """The present place, moved away from walls to the retreat distance, at the mission's altitude."""
         x, y, z = state.position
-        if self.action is Action.BREAK_OFF:
+        if self.action is Override.BREAK_OFF:
             for wall in self._mission.walls:
                 distance = wall.signed_distance((x, y))
                 nx, ny = wall.normal
@@ -184,7 +206,7 @@ class Guard:
         return (x, y, max(z, min(self._mission.altitude_m, self._mission.bounds.z[1])))
 
     def _land(self, state: FlightState, out: list[Output]) -> None:
-        self._view.land_asked = True
+        self._watch.land_asked = True
         if state.status.flight_mode is FlightMode.LAND:
             if state.on_ground and state.now_us - self._since_us > _DISARM_AFTER_US:
                 self._ask(VehicleAction.DISARM, state, out)

@@ -11,7 +11,7 @@ import math
 from collections import deque
 
 from dart_flight.config.mission import Mission
-from dart_flight.core.mission.phases import Phase
+from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import Vec2, Vec3
 from dart_flight.samples import (
@@ -20,10 +20,12 @@ from dart_flight.samples import (
     EstimatorSample,
     FlightMode,
     ForceEstimate,
+    ImpactOnset,
     ImuSample,
     Input,
     OdometrySample,
-    Output,
+    OperatorRequest,
+    Phase,
     StatusSample,
     StatusText,
 )
@@ -47,15 +49,16 @@ _STAMPED: dict[type, str] = {
 }
 
 
-class View:
+class Watch:
     """One flight as the rules see it."""
 
     def __init__(self, mission: Mission) -> None:
         self.mission = mission
         self.config = mission.vehicle.guard
         self.phase = Phase.READYING
-        self.state = FlightState(mission)  # replaced by the core's at the first step
-        self.forces: list[ForceEstimate] = []
+        self.state = FlightState()  # replaced by the core's at the first step
+        self.force: ForceEstimate | None = None  # of this step
+        self.request: OperatorRequest | None = None  # of this step
         self.land_asked = False
         self.was_offboard = False
         self.was_armed = False
@@ -83,10 +86,14 @@ class View:
         self._reset_counter: int | None = None
         self._estimator_bad = False
 
-    def observe(self, item: Input, state: FlightState, phase: Phase, out: list[Output]) -> None:
-        """Take the step's input, which has gone into `state`, and the mission's proposals."""
-        self.state, self.phase = state, phase
-        self.forces = [o for o in out if isinstance(o, ForceEstimate)]
+    def observe(self, item: Input, state: FlightState, sensed: Sensed, phase: Phase) -> None:
+        """Take the step's input, which has gone into `state`, and what it has taught."""
+        self.state, self.phase, self.force = state, phase, sensed.estimate
+        self.request = item if isinstance(item, OperatorRequest) else None
+        for event in sensed.impacts:
+            if isinstance(event, ImpactOnset):
+                # For a while the contact explains what estimator and altitude do.
+                self.impact_us = event.t_us
         self.jump = ""
         name = _STAMPED.get(type(item))
         if name is not None:
@@ -278,9 +285,9 @@ def _carried(before: OdometrySample, after: OdometrySample, dt: float) -> Vec3:
     )
 
 
-def low_rate(view: View) -> str | None:
+def low_rate(watch: Watch) -> str | None:
     """The first stream that comes at less than what a mission needs, in words."""
-    for name, rate_hz in view.rates_hz.items():
+    for name, rate_hz in watch.rates_hz.items():
         if rate_hz < BY_NAME[name].expected_hz:
             return f"{name} at {rate_hz:.0f} Hz, needs {BY_NAME[name].expected_hz:.0f}"
     return None

@@ -8,26 +8,10 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-
-class Phase(StrEnum):
-    """Where the mission stands."""
-
-    READYING = "readying"  # waiting for telemetry, lock in the transit mode
-    OFFBOARD = "offboard"  # asking PX4 for offboard mode
-    ARMING = "arming"
-    CLIMB = "climb"
-    TRANSIT = "transit"  # to the run-up point, turning parallel to the wall
-    PREPARE = "prepare"  # lock to the collision's mode
-    APPROACH = "approach"
-    CONTACT = "contact"  # from onset to the peak of the normal force
-    RECOVERY = "recovery"
-    GOAL = "goal"  # holding the goal
-    LANDING = "landing"
-    DONE = "done"
-    OVERRULED = "overruled"  # the guard flies: break off, hold, land, or silence
+from dart_flight.samples import Phase
 
 
-class Event(StrEnum):
+class Cue(StrEnum):
     """What moves the mission on."""
 
     READY = "ready"
@@ -45,27 +29,27 @@ class Event(StrEnum):
     GIVEN_UP = "not ready in time"
 
 
-TRANSITIONS: dict[tuple[Phase, Event], Phase] = {
-    (Phase.READYING, Event.READY): Phase.OFFBOARD,
-    (Phase.OFFBOARD, Event.CONFIRMED): Phase.ARMING,
-    (Phase.ARMING, Event.CONFIRMED): Phase.CLIMB,
-    (Phase.CLIMB, Event.ARRIVED): Phase.TRANSIT,
-    (Phase.TRANSIT, Event.ARRIVED): Phase.PREPARE,
-    (Phase.PREPARE, Event.MODE_SETTLED): Phase.APPROACH,
-    (Phase.APPROACH, Event.ONSET): Phase.CONTACT,
-    (Phase.APPROACH, Event.STOOD_OFF): Phase.RECOVERY,
-    (Phase.CONTACT, Event.PEAK): Phase.RECOVERY,
-    (Phase.RECOVERY, Event.ONSET): Phase.CONTACT,
-    (Phase.RECOVERY, Event.RESTED): Phase.TRANSIT,
-    (Phase.RECOVERY, Event.PASSED): Phase.GOAL,
-    (Phase.GOAL, Event.HELD): Phase.LANDING,
-    (Phase.LANDING, Event.LANDED): Phase.DONE,
+TRANSITIONS: dict[tuple[Phase, Cue], Phase] = {
+    (Phase.READYING, Cue.READY): Phase.OFFBOARD,
+    (Phase.OFFBOARD, Cue.CONFIRMED): Phase.ARMING,
+    (Phase.ARMING, Cue.CONFIRMED): Phase.CLIMB,
+    (Phase.CLIMB, Cue.ARRIVED): Phase.TRANSIT,
+    (Phase.TRANSIT, Cue.ARRIVED): Phase.PREPARE,
+    (Phase.PREPARE, Cue.MODE_SETTLED): Phase.APPROACH,
+    (Phase.APPROACH, Cue.ONSET): Phase.CONTACT,
+    (Phase.APPROACH, Cue.STOOD_OFF): Phase.RECOVERY,
+    (Phase.CONTACT, Cue.PEAK): Phase.RECOVERY,
+    (Phase.RECOVERY, Cue.ONSET): Phase.CONTACT,
+    (Phase.RECOVERY, Cue.RESTED): Phase.TRANSIT,
+    (Phase.RECOVERY, Cue.PASSED): Phase.GOAL,
+    (Phase.GOAL, Cue.HELD): Phase.LANDING,
+    (Phase.LANDING, Cue.LANDED): Phase.DONE,
     # The ways out: on the ground the mission is given up, in the air the guard takes over.
-    (Phase.READYING, Event.GIVEN_UP): Phase.DONE,
-    (Phase.OFFBOARD, Event.GIVEN_UP): Phase.DONE,
-    (Phase.ARMING, Event.GIVEN_UP): Phase.DONE,
-    **{(phase, Event.OVERRULE): Phase.OVERRULED for phase in Phase if phase is not Phase.DONE},
-    (Phase.OVERRULED, Event.LANDED): Phase.DONE,
+    (Phase.READYING, Cue.GIVEN_UP): Phase.DONE,
+    (Phase.OFFBOARD, Cue.GIVEN_UP): Phase.DONE,
+    (Phase.ARMING, Cue.GIVEN_UP): Phase.DONE,
+    **{(phase, Cue.OVERRULE): Phase.OVERRULED for phase in Phase if phase is not Phase.DONE},
+    (Phase.OVERRULED, Cue.LANDED): Phase.DONE,
 }
 
 ON_GROUND = frozenset({Phase.READYING, Phase.OFFBOARD, Phase.ARMING})

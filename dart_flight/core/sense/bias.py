@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from dart_flight.config.vehicle import Detection, Estimation
+from dart_flight.config.vehicle import Estimation
 from dart_flight.geometry import GRAVITY_M_S2, Vec2, Vec3
 
 _NOISE_TIME_S = 0.5
@@ -81,7 +81,7 @@ class HoverBias:
         self.noise_m_s2 = math.sqrt(self._variance)
 
 
-class Baseline:
+class SlowForce:
     """Slow horizontal force, mission frame, newton, limited in size; `value` is taken off before a threshold.
 
     `value` is that of some samples ago, so that the foot of a contact is not taken off the contact itself.
@@ -111,9 +111,3 @@ class Baseline:
         self._now = self.value
         self._past.clear()
         self._past.append(self.value)
-
-
-def certainty(force_n: float, noise_n: float, detection: Detection) -> float:
-    """Chance from 0 to 1 that a force of this size is not noise around half the threshold."""
-    margin = (force_n - 0.5 * detection.force_threshold_n) / max(noise_n, 1e-6)
-    return max(0.0, math.erf(margin / math.sqrt(2.0)))

@@ -12,12 +12,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from enum import Enum, auto
+from typing import NamedTuple
 
 import msgspec
 
 from dart_flight.config.vehicle import Coefficients, Detection, ThresholdTest, VehicleConfig
-from dart_flight.core.sense.bias import Baseline, certainty
-from dart_flight.core.sense.pulse import NormalPulse, Prior, Reading, fit_friction, fit_normal
+from dart_flight.core.sense.bias import SlowForce
+from dart_flight.core.sense.pulse import NormalPulse, Prior, TickReading, fit_friction, fit_normal
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import Vec2
 from dart_flight.samples import ContactEnd, ForceEstimate, ImpactOnset, ImpactPeak, LockPhase, Mode
@@ -32,7 +33,20 @@ _TOP_REACH = 4  # samples on either side, at most
 _BEFORE = 8  # samples remembered from before the crossing
 _FAR_SIGMA = 4.6  # threshold over the noise of one sample: from here on two samples in a row will do
 _INTO_WALL = 0.1  # of the force: this much may point into the expected wall at the onset
-_CONFIDENT_MISFIT = 0.25  # of the peak: a fit this bad is worth nothing
+
+
+class Expected(NamedTuple):
+    """What contact the mission expects next; the core hands it from the mission to the detector.
+
+    Attributes:
+        watching: on the ground, in the climb and on landing no contact is an impact.
+        normal: outward normal of the wall that the plan hits next, mission frame; None: no wall is expected.
+        material: of that wall, a key of the materials table; the pulse's first guess.
+    """
+
+    watching: bool = False
+    normal: Vec2 | None = None
+    material: str | None = None
 
 
 class _Sample(msgspec.Struct, gc=False):
@@ -60,11 +74,8 @@ Events = list[ImpactOnset | ImpactPeak | ContactEnd]
 class ImpactDetector:
     """One impact, one onset, one peak, one end.
 
-    Attributes:
-        watching: set by the executive: on the ground, in the climb and on landing no contact is an impact.
-        expected_normal: outward normal of the wall that the plan hits next; without one, or where the force
-            points into the wall, the hit is not a planned one and the normal is taken along the force.
-        expected_material: of that wall, a key of the materials table; the pulse's first guess.
+    Without an expected wall, or where the force points into it, a hit is not a planned one and the normal is
+    taken along the force.
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:
@@ -81,7 +92,7 @@ class ImpactDetector:
         self._typical = {
             mode: _mean_prior([p for (_, m), p in self._priors.items() if m is mode]) for mode in Mode
         }
-        self.baseline = Baseline(vehicle.estimation)
+        self.slow_force = SlowForce(vehicle.estimation)
         self._stage = _Stage.WATCHING
         self._before: deque[_Sample] = deque(maxlen=_BEFORE)
         self._samples: list[_Sample] = []
@@ -93,9 +104,7 @@ class ImpactDetector:
         self._onset: ImpactOnset | None = None
         self._quiet_since_us: int | None = None
         self._ended_us = 0
-        self.watching = False
-        self.expected_normal: Vec2 | None = None
-        self.expected_material: str | None = None
+        self._expected = Expected()
 
     @property
     def in_contact(self) -> bool:
@@ -107,12 +116,15 @@ class ImpactDetector:
         """For people: watching, rising, falling or refractory."""
         return self._stage.name.lower()
 
-    def update(self, estimate: ForceEstimate, received_us: int, state: FlightState) -> Events:
+    def update(
+        self, estimate: ForceEstimate, received_us: int, state: FlightState, expected: Expected
+    ) -> Events:
         """Take the next force estimate; returns the events it brings, none at most times."""
+        self._expected = expected
         t_us = estimate.t_us
         dt_us = t_us - self._last_us if self._last_us else self._tick_us
         self._last_us = t_us
-        force, base = estimate.force_mission, self.baseline.value
+        force, base = estimate.force_mission, self.slow_force.value
         fx, fy = force[0] - base[0], force[1] - base[1]
         stage = self._stage
         if stage is _Stage.REFRACTORY and t_us - self._ended_us >= self._config.refractory_s * 1e6:
@@ -148,7 +160,7 @@ class ImpactDetector:
         sample = _Sample(
             estimate.t_us, dt_us, fx, fy, estimate.force_mission[2], estimate.push_mission, estimate.clipped
         )
-        watching = self.watching and self._armed and self._stage is _Stage.WATCHING
+        watching = self._expected.watching and self._armed and self._stage is _Stage.WATCHING
         # One sample is enough where noise cannot have lifted it; else the mean of two or three in a row.
         sure = size >= threshold + config.sure_sigma * self._noise
         if over and watching and (sure or self._mean_is_over(fx, fy)):
@@ -157,7 +169,7 @@ class ImpactDetector:
         self._before.append(sample)
         if not over or not self._armed:
             f = estimate.force_mission
-            self.baseline.follow(f[0], f[1], dt_us * 1e-6)
+            self.slow_force.follow(f[0], f[1], dt_us * 1e-6)
         return []
 
     def _mean_is_over(self, fx: float, fy: float) -> bool:
@@ -171,7 +183,7 @@ class ImpactDetector:
     ) -> ImpactOnset:
         fx, fy = sample.fx, sample.fy
         size = max(math.sqrt(fx * fx + fy * fy), 1e-9)
-        expected = self.expected_normal
+        expected = self._expected.normal
         # Friction comes first and may be many times the normal force, whose sign is then lost in noise: only
         # a force clearly into the wall is not the planned hit. `_peak` looks again, at the impulse.
         least = -(_INTO_WALL * size + 3.0 * self._noise)
@@ -183,14 +195,12 @@ class ImpactDetector:
             if earlier.fx * earlier.fx + earlier.fy * earlier.fy < rise * rise:
                 break
             first_us = earlier.t_us
-        oldest = self._before[0] if self._before else None
-        gained = 1.0 if oldest is None else 1.0 - math.hypot(oldest.fx, oldest.fy) / size
         self._samples = [*self._before, sample]
         self._before.clear()
         self._quiet_since_us = None
         self._armed = False
         self._stage = _Stage.RISING
-        self.baseline.settle()
+        self.slow_force.settle()
         self._onset = ImpactOnset(
             t_us=sample.t_us,
             first_us=first_us,
@@ -199,8 +209,6 @@ class ImpactDetector:
             velocity_mission=state.velocity_before(first_us),
             position_mission=state.position_at(sample.t_us),
             planned=planned,
-            # A contact rises out of nothing within a few ticks; wind and thrust errors do not.
-            confidence=certainty(size, self._noise, self._config) * max(0.0, min(1.0, gained)),
         )
         return self._onset
 
@@ -249,7 +257,6 @@ class ImpactDetector:
         else:
             normal_n, peak_us = pulse.peak_n, reference_us + round(pulse.peak_s * 1e6)
         tangential = self._friction(readings, pulse, inside, state)
-        confidence = 0.5 if pulse is None else max(0.0, 1.0 - pulse.misfit / _CONFIDENT_MISFIT)
         return ImpactPeak(
             t_us=min(peak_us, now_us),
             detected_us=now_us,
@@ -261,7 +268,6 @@ class ImpactDetector:
             clipped=clipped,
             normal_sigma_n=self._noise if pulse is None else pulse.sigma_n,
             fitted=pulse is not None,
-            confidence=confidence,
             vertical_mean_n=sum(s.fz for s in inside) / len(inside),
         )
 
@@ -272,7 +278,7 @@ class ImpactDetector:
         size = math.hypot(sx, sy)
         return (sx / size, sy / size) if size > 0.0 else self._normal
 
-    def _readings(self, reference_us: int) -> list[Reading]:
+    def _readings(self, reference_us: int) -> list[TickReading]:
         """The contact's samples as means over their ticks, seconds from `reference_us`, the filter's lag
         off."""
         nx, ny = self._normal
@@ -288,7 +294,7 @@ class ImpactDetector:
             )
             b = (s.t_us - reference_us - lag_us) * 1e-6
             a = b - self._tick_us * 1e-6
-            out.append(Reading(a, b, s.fx * nx + s.fy * ny, s.fx * ny - s.fy * nx, bound))
+            out.append(TickReading(a, b, s.fx * nx + s.fy * ny, s.fx * ny - s.fy * nx, bound))
         return out
 
     def _mean_push(self) -> Vec2:
@@ -299,18 +305,22 @@ class ImpactDetector:
         rigid = state.lock.mode is Mode.RIGID and state.lock.phase is LockPhase.SETTLED
         mode = Mode.RIGID if rigid else Mode.FLEXIBLE
         assert self._onset is not None
-        if self.expected_material is not None and self._onset.planned:
-            return self._priors[self.expected_material, mode]
+        if self._expected.material is not None and self._onset.planned:
+            return self._priors[self._expected.material, mode]
         return self._typical[mode]
 
-    def _fit(self, readings: list[Reading], state: FlightState) -> NormalPulse | None:
+    def _fit(self, readings: list[TickReading], state: FlightState) -> NormalPulse | None:
         push = self._mean_push()
         towards = -(push[0] * self._normal[0] + push[1] * self._normal[1])
         onset_s = -0.75 * self._tick_us * 1e-6
         return fit_normal(readings, towards, self._prior(state), max(self._noise, 1e-3), onset_s, self._lag_s)
 
     def _friction(
-        self, readings: list[Reading], pulse: NormalPulse | None, inside: list[_Sample], state: FlightState
+        self,
+        readings: list[TickReading],
+        pulse: NormalPulse | None,
+        inside: list[_Sample],
+        state: FlightState,
     ) -> float:
         nx, ny = self._normal
         if pulse is not None:

@@ -124,8 +124,8 @@ class ForceEstimator:
             force[1] + (old[1] - force[1]) * keep,
             force[2] + (old[2] - force[2]) * keep,
         )
-        covariance = self._covariance(force, up, noise * noise)
-        return ForceEstimate(imu.t_us, force, clipped, self._filtered, covariance, noise, push)
+        variance = self._variance(force, up, noise * noise)
+        return ForceEstimate(imu.t_us, force, clipped, self._filtered, variance, noise, push)
 
     def _still(self, arms: ArmFilter, force: Vec3, state: FlightState, dt_s: float) -> Vec3:
         """The force with the swinging of unlocked arms taken out."""
@@ -137,10 +137,8 @@ class ForceEstimator:
         ax, ay = arms.remove(force[0] / m, force[1] / m, dt_s)
         return (m * ax, m * ay, force[2])
 
-    def _covariance(
-        self, force: Vec3, up: Vec3, noise2: float
-    ) -> tuple[float, float, float, float, float, float]:
-        """White noise on each axis, thrust error along the thrust, attitude error across the force."""
+    def _variance(self, force: Vec3, up: Vec3, noise2: float) -> Vec3:
+        """White noise on each axis, thrust error along the thrust, attitude error across the force; N2."""
         t, a = self._thrust_variance, self._attitude_variance
         x, y, z = force
         ux, uy, uz = up
@@ -149,9 +147,6 @@ class ForceEstimator:
             every + t * ux * ux - a * x * x,
             every + t * uy * uy - a * y * y,
             every + t * uz * uz - a * z * z,
-            t * ux * uy - a * x * y,
-            t * ux * uz - a * x * z,
-            t * uy * uz - a * y * z,
         )
 
     def _attitude_at(self, t_us: int, rate_frd: Vec3) -> Quaternion | None:

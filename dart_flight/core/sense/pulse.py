@@ -33,7 +33,7 @@ _LEAST_OMEGA, _MOST_OMEGA = 8.0, 400.0
 _MOST_MISFIT = 0.12  # of the peak, root mean square: beyond it this is not the model's pulse
 
 
-class Reading(msgspec.Struct, gc=False):
+class TickReading(msgspec.Struct, gc=False):
     """Mean force over a tick: from `a` to `b` seconds, in newton; `bound`: the true one is at least that."""
 
     a: float
@@ -62,7 +62,6 @@ class NormalPulse(msgspec.Struct, gc=False):
     peak_n: float
     peak_s: float
     sigma_n: float
-    misfit: float  # root mean square over the peak
 
 
 def _terms(s: float, omega: float, sigma: float) -> tuple[float, float, float, float]:
@@ -83,7 +82,7 @@ def _terms(s: float, omega: float, sigma: float) -> tuple[float, float, float, f
 
 
 def fit_normal(
-    readings: list[Reading], push: float, prior: Prior, noise_n: float, onset_s: float, lag_s: float
+    readings: list[TickReading], push: float, prior: Prior, noise_n: float, onset_s: float, lag_s: float
 ) -> NormalPulse | None:
     """Fit onset, slope and frequency; None where the readings are too few or not such a pulse.
 
@@ -106,19 +105,19 @@ def fit_normal(
     return fit.result(lag_s)
 
 
-def _binned(readings: list[Reading]) -> list[tuple[Reading, int]]:
+def _binned(readings: list[TickReading]) -> list[tuple[TickReading, int]]:
     """At most some dozen readings: neighbours averaged, bounds and gaps left alone."""
     size = -(-len(readings) // _MOST_BINS)
     if size == 1:
         return [(r, 1) for r in readings]
-    out: list[tuple[Reading, int]] = []
+    out: list[tuple[TickReading, int]] = []
     for r in readings:
         if out:
             last, n = out[-1]
             if n < size and not r.bound and not last.bound and abs(r.a - last.b) < 1e-6:
                 share = (r.b - r.a) / (r.b - last.a)
                 out[-1] = (
-                    Reading(
+                    TickReading(
                         last.a,
                         r.b,
                         last.normal + share * (r.normal - last.normal),
@@ -136,7 +135,7 @@ class _Fit:
     """Gauss-Newton in (onset, slope, log frequency), with the frequency's prior as one more residual."""
 
     def __init__(
-        self, bins: list[tuple[Reading, int]], push: float, prior: Prior, noise_n: float, top: float
+        self, bins: list[tuple[TickReading, int]], push: float, prior: Prior, noise_n: float, top: float
     ) -> None:
         self._bins, self._push, self._prior, self._top = bins, push, prior, top
         self._weights = [1.0 / (noise_n * noise_n / n + (_MODEL_ERROR * top) ** 2) for _, n in bins]
@@ -265,7 +264,6 @@ class _Fit:
             peak_n=top,
             peak_s=self.start + at,
             sigma_n=math.sqrt(max(0.0, variance)),
-            misfit=misfit,
         )
 
     def _misfit(self) -> tuple[int, float]:
@@ -310,7 +308,7 @@ def _quadratic_of_inverse(n: list[float], g1: float, g2: float) -> float:
 
 
 def fit_friction(
-    readings: list[Reading],
+    readings: list[TickReading],
     pulse: NormalPulse,
     push_m_s2: float,
     mass_kg: float,
@@ -365,7 +363,7 @@ def _impulse(t: float, pulse: NormalPulse) -> float:
 
 
 def _tangential(
-    inside: list[Reading],
+    inside: list[TickReading],
     impulses: list[tuple[float, float]],
     push_m_s2: float,
     mass_kg: float,
@@ -394,7 +392,12 @@ def _tangential(
 
 
 def _friction_top(
-    inside: list[Reading], pulse: NormalPulse, speed: float, push_m_s2: float, mass_kg: float, kappa: float
+    inside: list[TickReading],
+    pulse: NormalPulse,
+    speed: float,
+    push_m_s2: float,
+    mass_kg: float,
+    kappa: float,
 ) -> float:
     """Largest friction of the model, sought on a grid of half a tick, with a parabola through it."""
     begin, end = pulse.start_s, inside[-1].b

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from dart_flight.config.mission import Mission
-from dart_flight.core.sense.detector import ImpactDetector
+from dart_flight.core.sense.detector import Expected, ImpactDetector
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.state import FlightState
 from dart_flight.samples import (
@@ -25,7 +27,19 @@ from dart_flight.samples import (
     Tick,
 )
 
-Event = ImpactOnset | ImpactPeak | ContactEnd
+
+class Sensed(NamedTuple):
+    """What one input has taught.
+
+    Attributes:
+        estimate: the external force, where the input gives one.
+        impacts: what the detector makes of it, none at most times.
+        in_contact: between onset and end of a contact.
+    """
+
+    estimate: ForceEstimate | None = None
+    impacts: tuple[ImpactOnset | ImpactPeak | ContactEnd, ...] = ()
+    in_contact: bool = False
 
 
 class Senses:
@@ -38,16 +52,16 @@ class Senses:
     """
 
     def __init__(self, mission: Mission) -> None:
-        self.state = FlightState(mission)
+        self.state = FlightState()
         self.estimator = ForceEstimator(mission.vehicle)
         self.detector = ImpactDetector(mission.vehicle)
 
-    def take(self, item: Input) -> tuple[ForceEstimate | None, list[Event]]:
-        """Take one input; returns the force that it gives, and what the detector makes of that."""
+    def take(self, item: Input, expected: Expected) -> Sensed:
+        """Take one input, knowing what contact the mission expects; returns what that teaches."""
         state, estimator = self.state, self.estimator
         if isinstance(item, ImuSample):
             if state.take_imu(item):
-                return self._feel(item)
+                return self._feel(item, expected)
         elif isinstance(item, AttitudeSample):
             if state.take_attitude(item):
                 estimator.take_attitude(item)
@@ -63,19 +77,19 @@ class Senses:
         elif isinstance(item, Tick):
             state.take_tick(item)
         elif isinstance(item, StatusSample):
-            state.status = item
+            state.take_status(item)
             estimator.thrust.take_voltage(item.battery_v)
-            state.host_us = max(state.host_us, item.received_us)
         elif isinstance(item, LockState):
-            state.lock = item
+            state.take_lock(item)
         elif isinstance(item, EstimatorSample):
-            state.host_us = max(state.host_us, item.received_us)
+            state.take_estimator(item)
         elif isinstance(item, ClockOffset):
             state.take_clock(item)
-        return None, []
+        return Sensed(in_contact=self.detector.in_contact)
 
-    def _feel(self, item: ImuSample) -> tuple[ForceEstimate | None, list[Event]]:
+    def _feel(self, item: ImuSample, expected: Expected) -> Sensed:
         estimate = self.estimator.estimate(item, self.state, self.detector.in_contact)
         if estimate is None:
-            return None, []
-        return estimate, self.detector.update(estimate, item.received_us, self.state)
+            return Sensed(in_contact=self.detector.in_contact)
+        impacts = self.detector.update(estimate, item.received_us, self.state, expected)
+        return Sensed(estimate, tuple(impacts), self.detector.in_contact)

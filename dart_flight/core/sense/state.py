@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections import deque
 
-from dart_flight.config.mission import Mission
 from dart_flight.geometry import MissionFrame, Vec3, add, scale, tilt_of, yaw_ned_of
 from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
     ClockOffset,
+    EstimatorSample,
     FlightMode,
     ImuSample,
     LandedState,
@@ -29,8 +29,7 @@ class FlightState:
     the clock offset while the streams are silent. `host_us` is the host's time of the newest receipt or tick.
     """
 
-    def __init__(self, mission: Mission) -> None:
-        self.mission = mission
+    def __init__(self) -> None:
         self.frame: MissionFrame | None = None
         self.now_us = 0
         self.host_us = 0
@@ -96,6 +95,19 @@ class FlightState:
         self.actuator = sample
         self.host_us = max(self.host_us, sample.received_us)
 
+    def take_status(self, sample: StatusSample) -> None:
+        """The autopilot's slow state."""
+        self.status = sample
+        self.host_us = max(self.host_us, sample.received_us)
+
+    def take_estimator(self, sample: EstimatorSample) -> None:
+        """What PX4 says of its estimator: a sign of life; the guard judges the rest."""
+        self.host_us = max(self.host_us, sample.received_us)
+
+    def take_lock(self, sample: LockState) -> None:
+        """State of the lock."""
+        self.lock = sample
+
     def take_tick(self, tick: Tick) -> None:
         """The host's clock goes by."""
         self.host_us = max(self.host_us, tick.host_us)
@@ -112,14 +124,14 @@ class FlightState:
 
     # -- derived --
 
-    def anchor(self) -> None:
-        """Fix the mission frame at the present position: the vehicle stands at its take-off point."""
-        assert self.odometry is not None
-        self.frame = self.mission.frame_at(self.odometry.position_ned)
-        self.position = self.frame.point_from_ned(self.odometry.position_ned)
-        self.velocity = self.frame.vector_from_ned(self.odometry.velocity_ned)
+    def anchor(self, frame: MissionFrame) -> None:
+        """From now on positions, velocities and yaw are in this mission frame."""
+        self.frame = frame
+        if self.odometry is not None:
+            self.position = frame.point_from_ned(self.odometry.position_ned)
+            self.velocity = frame.vector_from_ned(self.odometry.velocity_ned)
         if self.attitude is not None:
-            self.yaw = self.frame.yaw_from_ned(yaw_ned_of(self.attitude.q_frd_to_ned))
+            self.yaw = frame.yaw_from_ned(yaw_ned_of(self.attitude.q_frd_to_ned))
 
     def position_at(self, t_us: int) -> Vec3:
         """Position in the mission frame at a moment near the newest odometry, by constant velocity."""

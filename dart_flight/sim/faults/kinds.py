@@ -14,11 +14,10 @@ from enum import StrEnum
 import msgspec
 
 from dart_flight.config.document import InputError
-from dart_flight.core.mission.phases import Phase
 from dart_flight.geometry import add, scale
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
-from dart_flight.samples import FlightMode, PhaseChange, Record
+from dart_flight.samples import FlightMode, Phase, PhaseChange, Record
 from dart_flight.sim.cascade import TrajectorySetPoint
 from dart_flight.sim.faults.impairment import Impairment
 from dart_flight.sim.vehicle import SimulatedVehicle

@@ -19,6 +19,7 @@ import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
 from dart_flight.config.mission import Mission
+from dart_flight.config.parameters import PositionSource
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.errors import FlightError
 from dart_flight.geometry import Quaternion, Vec3
@@ -152,7 +153,7 @@ class Px4Vehicle:
         mission: walls, start, vehicle.
         seed: of every sensor's noise.
         link: to PX4.
-        gps: a key of `GPS_QUALITIES`; None: motion capture and no GPS.
+        position_from: motion capture (no GPS) or a GPS receiver.
         motors: the airframe's, as PX4's parameters have them; the configuration's by default.
     """
 
@@ -161,15 +162,15 @@ class Px4Vehicle:
         mission: Mission,
         seed: int,
         link: HilLink,
-        gps: str | None = None,
+        position_from: PositionSource = PositionSource.MOCAP,
         motors: tuple[Motor, ...] | None = None,
     ) -> None:
         self.vehicle, self._link = mission.vehicle, link
         self.plant = make_plant(mission, motors)
         rng = random.Random(seed)
         self._imu = ImuSensor(self.vehicle, rng)
-        self._pose = PoseSensor(self.vehicle, rng) if gps is None else None
-        self._gps = GpsReceiver(GPS_QUALITIES[gps], rng) if gps is not None else None
+        self._pose = PoseSensor(self.vehicle, rng) if position_from is PositionSource.MOCAP else None
+        self._gps = GpsReceiver(GPS_QUALITIES[position_from], rng) if self._pose is None else None
         self._barometer = Barometer(rng, HOME_ALTITUDE_M)
         self._magnetometer = Magnetometer(rng, HOME_FIELD_GAUSS)
         self._wind = Wind(self.vehicle.simulation, seed, TICK_US * 1e-6)

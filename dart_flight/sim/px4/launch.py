@@ -85,26 +85,26 @@ def find_install(directory: str | Path | None) -> Install:
 # --- parameters --------------------------------------------------------------------------------------
 
 
-def parameter_files(gps: str | None) -> list[Path]:
+def parameter_files(position_from: PositionSource) -> list[Path]:
     """The packaged parameter files of a simulated flight, in the order in which they apply."""
-    return [*vehicle_files(PositionSource(gps or "mocap")), packaged("configs", "px4", "simulation.params")]
+    return [*vehicle_files(position_from), packaged("configs", "px4", "simulation.params")]
 
 
 def flight_parameters(
-    vehicle: VehicleConfig, gps: str | None, extra: list[Path] | None = None
+    vehicle: VehicleConfig, position_from: PositionSource, extra: list[Path] | None = None
 ) -> dict[str, Value]:
     """All parameters PX4 is started with: the airframe's and the configuration's, then those of the files.
 
     Args:
         vehicle: masses, motors and the `px4` section.
-        gps: `rtk` or `plain`; None: indoors.
+        position_from: motion capture (indoors) or a GPS receiver.
         extra: the user's own parameter files, which win.
 
     Raises:
         InputError: a file is wrong.
     """
     parameters: dict[str, Value] = airframe_parameters(vehicle)
-    for path in [*parameter_files(gps), *(extra or [])]:
+    for path in [*parameter_files(position_from), *(extra or [])]:
         parameters.update({p.name: p.value for p in load_parameters(path).values()})
     return parameters
 

@@ -19,6 +19,7 @@ import msgspec
 
 from dart_flight.config.document import Document
 from dart_flight.config.mission import parse_mission
+from dart_flight.config.parameters import PositionSource
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.errors import FlightError
 from dart_flight.samples import TruthSample
@@ -40,7 +41,7 @@ from dart_flight.sim.px4.launch import (
 _TRUTH_EVERY = 2  # ticks
 _BOOT_TIMEOUT_S = 15.0
 # Simulated time after booting in which the EKF aligns: it runs as fast as the machine goes.
-_WARM_UP_S = {None: 6.0, "rtk": 15.0, "plain": 15.0}
+_WARM_UP_S = {PositionSource.MOCAP: 6.0, PositionSource.RTK: 15.0, PositionSource.PLAIN: 15.0}
 _ORPHAN_S = 25.0  # after the app's death, host time; with the end of PX4 it stays within 30 s
 _LANDED_S = 1.0  # host time after disarming in which PX4 writes its log
 
@@ -129,7 +130,7 @@ class Px4Process:
             self._mission,
             self._spec.seed,
             link,
-            self._px4_spec.gps,
+            self._px4_spec.position_from,
             motors_from(self._px4_spec.parameters, self._mission.vehicle),
         )
         version = self._boot(px4)
@@ -137,7 +138,7 @@ class Px4Process:
         if note is not None:
             self._say(note)
         text = ".".join(map(str, version)) if version else None
-        self._free_run(_WARM_UP_S[self._px4_spec.gps])
+        self._free_run(_WARM_UP_S[self._px4_spec.position_from])
         self._say("ready")
         writer.put(Ready(self._vehicle.time_us, ONBOARD_PORT + px4.instance, text, px4.pid))
         gc.freeze()

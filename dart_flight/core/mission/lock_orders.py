@@ -1,0 +1,61 @@
+"""When the lock may move, and the orders to move it.
+
+The rods can enter their slots only with the arms relaxed: never during a contact, nor before the arms have
+sprung back (paper, Sec. III; `lock.relaxation_s`).
+"""
+
+from __future__ import annotations
+
+from dart_flight.core.sense.state import FlightState
+from dart_flight.samples import LockCommand, LockPermission, LockPhase, Mode, Output
+
+RETRY_US = 1_000_000
+
+
+class LockOrders:
+    """Permission and commands of one flight.
+
+    Attributes:
+        contact_end_us: end of the last contact; None while there is one, or before the first.
+    """
+
+    def __init__(self, relaxation_s: float) -> None:
+        self._relaxation_us = relaxation_s * 1e6
+        self._impact_us: int | None = None
+        self.contact_end_us: int | None = None
+        self._permitted: bool | None = None
+        self._ordered: Mode | None = None
+        self._ordered_us: int | None = None
+
+    def contact_begins(self, t_us: int) -> None:
+        """An impact: from now on the lock may not move."""
+        self._impact_us, self.contact_end_us = t_us, None
+
+    def contact_ends(self, t_us: int) -> None:
+        """The force is gone; the arms spring back."""
+        self.contact_end_us = t_us
+
+    def permission(self, now_us: int, in_contact: bool) -> list[Output]:
+        """A record where it has changed whether the lock may move."""
+        relaxed = self.contact_end_us is not None and now_us - self.contact_end_us >= self._relaxation_us
+        permitted = not in_contact and (self._impact_us is None or relaxed)
+        if permitted == self._permitted:
+            return []
+        self._permitted = permitted
+        return [LockPermission(now_us, permitted)]
+
+    def phase_begins(self) -> None:
+        """An order may be given anew in a new phase, without waiting for the last one's retry."""
+        self._ordered_us = None
+
+    def to(self, mode: Mode, state: FlightState) -> list[Output]:
+        """The command to go to a mode where the lock is not there, may move, and was not told just now."""
+        if state.lock_is_in(mode):
+            return []
+        moving = state.lock.phase is LockPhase.TRAVELLING and state.lock.mode is mode
+        fresh = self._ordered is not mode or self._ordered_us is None
+        stale = self._ordered_us is not None and state.now_us - self._ordered_us >= RETRY_US
+        if not self._permitted or moving or not (fresh or stale):
+            return []
+        self._ordered, self._ordered_us = mode, state.now_us
+        return [LockCommand(state.now_us, mode)]

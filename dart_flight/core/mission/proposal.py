@@ -1,0 +1,45 @@
+"""What the mission makes of a step: outputs that it would like to go out, and what the core hands on."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import msgspec
+
+from dart_flight.core.sense.detector import Expected
+from dart_flight.geometry import MissionFrame
+from dart_flight.samples import MissionEnd, Output
+
+
+class Finding(NamedTuple):
+    """Something that only who knows the plan can see, by the name of the guard's rule for it.
+
+    Attributes:
+        rule: of `core.guard.rules`.
+        detail: what was found, in words.
+    """
+
+    rule: str
+    detail: str
+
+
+class Proposal(msgspec.Struct):
+    """One step's proposal; the guard disposes of it.
+
+    Attributes:
+        outputs: set-points, commands and records of decisions, in the order in which they were taken.
+        findings: for the guard's rules.
+        expected: what contact comes next, for the detector at the next step.
+        frame: where the mission frame lies, at the step that finds out.
+        end: the flight is over as planned.
+    """
+
+    outputs: list[Output] = msgspec.field(default_factory=list)
+    findings: list[Finding] = msgspec.field(default_factory=list)
+    expected: Expected = Expected()
+    frame: MissionFrame | None = None
+    end: MissionEnd | None = None
+
+    def find(self, rule: str, detail: str) -> None:
+        """Add a finding."""
+        self.findings.append(Finding(rule, detail))

@@ -1,0 +1,63 @@
+"""The rehearsal of a mission: the same walk, with every contact replaced by stopping before the wall."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from dart_flight.config.mission import Collision
+from dart_flight.core.mission.approach import stop_before
+from dart_flight.core.mission.executive import Executive
+from dart_flight.core.mission.phases import Cue
+from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.sense.senses import Sensed
+from dart_flight.core.sense.state import FlightState
+from dart_flight.samples import Phase
+
+
+class Rehearsal(Executive):
+    """Flies from rest to rest to `standoff_m` before each wall, then to the goal; no onset is the plan's."""
+
+    _underway: ClassVar = Executive._underway | {Phase.RECOVERY}
+
+    def _is_due(self, collision: Collision) -> bool:
+        return False
+
+    def _begin_approach(self, collision: Collision) -> None:
+        """Along the approach, but from rest to rest."""
+        approach = self._approaches[collision.index]
+        stop = stop_before(self.mission, collision, approach.begin, approach.impact)
+        self._references.fly_to(stop, min(approach.speed_m_s, self.mission.limits.speed_m_s))
+
+    def _approach(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
+        if self._has_arrived(state):
+            self._go(Cue.STOOD_OFF, state, p)
+            self._stand_off(state)
+        elif self._is_late(state):
+            p.find("transit_timeout", "stand-off point not reached")
+
+    def _stand_off(self, state: FlightState) -> None:
+        """At rest before the wall: the next collision, or the goal, comes next."""
+        self._lock.contact_ends(state.now_us)
+        self._references.hold(self._references.target)
+        self._index += 1
+
+    def _recovery(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
+        """What the recovery would do, from rest to rest: on to the next wall, or to the goal."""
+        following = self._collision
+        locked = self._lock_to(following.mode if following else self.mission.transit_mode, state, p)
+        if following is None:
+            self._references.fly_to(self.mission.goal.position_m)
+            self._captured_us = None
+            self._go(Cue.PASSED, state, p)
+        elif following.approach_m_s is not None:
+            self._go(Cue.RESTED, state, p)
+            self._begin_transit()
+        elif not self._references.on_transit:
+            if locked:
+                here = (state.position[0], state.position[1])
+                self._entered_us = state.now_us
+                self._references.fly_to(stop_before(self.mission, following, here, following.wall.foot(here)))
+        elif self._has_arrived(state):
+            self._stand_off(state)
+        if self._is_late(state):
+            p.find("transit_timeout", "stand-off point not reached")

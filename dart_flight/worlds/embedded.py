@@ -1,0 +1,73 @@
+"""The embedded world: our small autopilot on the plant, through MAVSDK over UDP, in real time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission
+from dart_flight.samples import World
+from dart_flight.verdict import Verdict
+from dart_flight.worlds.app import FlightApp
+from dart_flight.worlds.flight_record import FlightRecord, Onlooker
+
+if TYPE_CHECKING:  # simulation is an extra
+    from dart_flight.sim.faults.kinds import Fault
+    from dart_flight.worlds.vehicle_process import WorldProcess
+
+DEADMAN_NOTE = "deadman.txt"
+
+
+def fly_embedded(
+    mission: Mission,
+    seed: int,
+    log_dir: Path,
+    progress: Onlooker = lambda record: None,
+    *,
+    deadman: bool = False,
+    fault: Fault | None = None,
+) -> Verdict:
+    """Fly through MAVSDK over UDP against the embedded autopilot, in real time.
+
+    `deadman` starts the process that kills this one when it hangs; `fault` is what goes wrong.
+
+    Raises:
+        InputError: the log cannot be written.
+        WorldError, VehicleError: the simulated vehicle did not start or did not answer.
+    """
+    try:
+        from dart_flight.sim.pipe import WorldSpec  # noqa: PLC0415
+        from dart_flight.worlds.sabotage import Sabotage  # noqa: PLC0415
+        from dart_flight.worlds.vehicle_process import (  # noqa: PLC0415
+            WorldProcess,
+            fly_in_world,
+            free_udp_port,
+            world_log,
+        )
+    except ImportError as error:
+        raise InputError(f"simulation needs {error.name}: pip install 'dart-flight[sim]'") from None
+
+    port = free_udp_port()
+    record = FlightRecord(mission, World.EMBEDDED, seed, log_dir)
+    spec = WorldSpec(
+        mission.source,
+        msgspec.json.encode(mission.vehicle).decode(),
+        seed,
+        [port],
+        mission.vehicle.lock.driver,
+        world_log(record.folder),
+    )
+
+    def make_app(world: WorldProcess) -> FlightApp:
+        note = record.folder / DEADMAN_NOTE if deadman else None
+        url = f"udpin://127.0.0.1:{port}"
+        app = FlightApp(mission, url, record, world, progress, deadman_note=note)
+        if fault is not None:
+            record.onlookers.append(Sabotage(fault, app, world, record.path))
+        return app
+
+    fly_in_world(record, lambda on_truth: WorldProcess(spec, on_truth), make_app)
+    return record.build()

@@ -1,0 +1,73 @@
+"""Missions made ready to fly: checked for room and force, with another lock driver, or as a rehearsal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.scenario import Scenario
+from dart_flight.config.vehicle import LockDriver, Px4Parameters
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.core.mission.approach import NoApproachError
+from dart_flight.planning.envelope import impact_problem
+
+
+def load_flyable(path: str | Path, config: str | Path | None = None) -> Mission:
+    """Load a mission and make sure that its approaches have room and its impacts keep to its limit.
+
+    Raises:
+        InputError: the file is wrong, an approach cannot be flown, or an impact is over the force limit.
+    """
+    mission = load_mission(path, config)
+    try:
+        FlightCore(mission)
+    except NoApproachError as error:
+        raise InputError(str(error), source=str(path)) from None
+    problem = impact_problem(mission)
+    if problem is not None:
+        raise InputError(problem, source=str(path))
+    return mission
+
+
+def with_driver(mission: Mission, driver: LockDriver) -> Mission:
+    """The mission with another lock driver."""
+    lock = msgspec.structs.replace(mission.vehicle.lock, driver=driver)
+    vehicle = msgspec.structs.replace(mission.vehicle, lock=lock)
+    return msgspec.structs.replace(mission, vehicle=vehicle)
+
+
+def with_standoff(mission: Mission, standoff_m: float) -> Mission:
+    """The mission's rehearsal: every contact replaced by stopping so far before the wall.
+
+    Raises:
+        InputError: not a distance from 0.1 to 2 m.
+    """
+    if not 0.1 <= standoff_m <= 2.0:
+        raise InputError(f"{standoff_m:g} m, allowed is 0.1 to 2 m", key=("--standoff",))
+    return msgspec.structs.replace(mission, standoff_m=standoff_m)
+
+
+def with_vehicle_parameters(scenario: Scenario, url: str) -> Scenario:
+    """The scenario with the PX4 parameters that the vehicle at a connection really has.
+
+    Raises:
+        VehicleError: nothing answers, or it has none of the parameters.
+        InputError: one of them is out of the range that the flight model can take.
+    """
+    from dart_flight.vehicle.ground_link import GroundLink  # noqa: PLC0415
+    from dart_flight.vehicle.session import VehicleError  # noqa: PLC0415
+
+    vehicle = scenario.vehicle
+    own = msgspec.to_builtins(vehicle.px4)
+    with GroundLink(url, vehicle.connection.timeout_s) as link:
+        found = link.read_parameters(own)
+    if not found:
+        raise VehicleError(f"the vehicle on {url} tells none of its parameters")
+    try:
+        px4 = msgspec.convert({**own, **found}, Px4Parameters)
+    except msgspec.ValidationError as error:
+        raise InputError(f"the vehicle's parameters: {error}", source=url) from None
+    return msgspec.structs.replace(scenario, vehicle=msgspec.structs.replace(vehicle, px4=px4))

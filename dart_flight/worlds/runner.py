@@ -1,0 +1,67 @@
+"""The one way in which a shell steps the core and hands out what follows.
+
+The app (real time, MAVSDK) and the fast world (simulated time, in process) differ in where inputs come from
+and in who carries commands out (`Hands`), in nothing else: numbers, order and what is recorded are the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.samples import Input, Output, Record, SetPoint, SetPointSent
+
+Observe = Callable[[Record, int], None]
+
+
+class Hands(Protocol):
+    """What carries the core's commands out; nothing here may block or raise."""
+
+    def send(self, setpoint: SetPoint) -> None:
+        """A set-point, at once."""
+
+    def carry_out(self, output: Output) -> None:
+        """Every other output; records that are no commands are passed over."""
+
+
+class CoreRunner:
+    """Steps the core: numbers inputs, hands out outputs, shows both to whoever observes.
+
+    Args:
+        core: the flight core.
+        hands: carry out what it wants.
+        observe: sees every input with its number, then every output and note with the number of its input.
+        host_us: the host's monotonic clock, microseconds; simulated in the fast world.
+    """
+
+    def __init__(self, core: FlightCore, hands: Hands, observe: Observe, host_us: Callable[[], int]) -> None:
+        self.core = core
+        self._hands, self._observe, self._host_us = hands, observe, host_us
+        self._number = 0
+
+    def take(self, item: Input) -> None:
+        """Step the core with an input and hand out what follows; set-points leave before anything else."""
+        number = self._number
+        self._number += 1
+        outputs = self.core.step(item)
+        sent = [self._send(output) for output in outputs if isinstance(output, SetPoint)]
+        self._observe(item, number)
+        for output in outputs:
+            self._observe(output, number)
+            if not isinstance(output, SetPoint):
+                self._hands.carry_out(output)
+        for note in sent:
+            if note is not None:
+                self._observe(note, number)
+
+    def note(self, record: Record) -> None:
+        """Show a record that is neither input nor output: truth, at the number of the next input."""
+        self._observe(record, self._number)
+
+    def _send(self, setpoint: SetPoint) -> SetPointSent | None:
+        self._hands.send(setpoint)
+        if not setpoint.recovery:
+            return None
+        sent_us = self._host_us()
+        return SetPointSent(setpoint.t_us, sent_us, sent_us - setpoint.trigger_received_us)
