@@ -10,8 +10,8 @@ from rich.progress import Progress
 from dart_flight.cli.options import whole_number
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.config.scenario import Objective, load_scenario
-from dart_flight.planning.enumerate import search
 from dart_flight.planning.mission_writer import write_mission
+from dart_flight.planning.search import search
 from dart_flight.planning.summary import plan_summary, plan_table, refusal_table, with_objective
 
 

@@ -38,8 +38,8 @@ from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
 from dart_flight.contact.law import Onset
 from dart_flight.contact.oscillator import (
-    Course,
     Events,
+    Oscillation,
     enter,
     falling_root,
     find_events,
@@ -58,7 +58,7 @@ _NEWTON_STEPS = 60
 _NEAR_CRITICAL = 1e-8  # of 1 - zeta^2
 
 
-class Collision(NamedTuple, Generic[T]):
+class WallHit(NamedTuple, Generic[T]):
     """What comes out of a wall hit, in the collision frame; `T` is an array or a float.
 
     Attributes:
@@ -233,7 +233,7 @@ def _free(s: _Shape, normal: Array, tangential: Array) -> tuple[Array, ...]:
 def _pushed(
     c: CoefficientArrays, mass: Array, onset: Onset, state: tuple[Array, Array, Array]
 ) -> tuple[tuple[Array, ...], Array]:
-    """The eight arrays of `Collision`, and the largest outward speed in contact.
+    """The eight arrays of `WallHit`, and the largest outward speed in contact.
 
     `state` is normal and tangential velocity and the acceleration.
     """
@@ -272,7 +272,7 @@ def _pushed(
     ), fastest
 
 
-def _pushed_friction_peak(c: Course, events: Events, rub: Array) -> Array:
+def _pushed_friction_peak(c: Oscillation, events: Events, rub: Array) -> Array:
     """Largest l exp(-rub P) with l = phi - alpha, P its integral: stationary where l' = rub l^2."""
 
     def excess(tau: Array) -> tuple[Array, Array]:
@@ -335,7 +335,7 @@ class _Batch:
         return CoefficientArrays(*(v[part] for v in self.table)), self.mass[part]
 
 
-def collision_map(
+def contact_map(
     coefficients: CoefficientArrays,
     mass_kg: ArrayLike,
     normal_m_s: ArrayLike,
@@ -344,7 +344,7 @@ def collision_map(
     *,
     rows: Rows | None = None,
     acceleration_m_s2: ArrayLike | None = None,
-) -> Collision[Array]:
+) -> WallHit[Array]:
     """Wall hits (paper, Sec. IV-B) in closed form.
 
     Args:
@@ -372,7 +372,7 @@ def collision_map(
         inputs = (normal, tangential, np.asarray(acceleration_m_s2, dtype=float))
     _require(coefficients, mass, *inputs)
     batch = _Batch(coefficients, mass, rows, inputs)
-    out = np.empty((len(Collision._fields), batch.size))
+    out = np.empty((len(WallHit._fields), batch.size))
     shape = _shape(batch.table, batch.mass, onset) if batch.is_table else None
     for part in batch.parts():
         values = [v[part] for v in batch.inputs]
@@ -387,7 +387,7 @@ def collision_map(
             results = _free(_Shape(*(v[batch.rows[part]] for v in shape)), values[0], values[1])
         for target, result in zip(out, results, strict=True):
             target[part] = result
-    return Collision(*(v.reshape(batch.shape) for v in out))
+    return WallHit(*(v.reshape(batch.shape) for v in out))
 
 
 def friction_per_speed(
@@ -397,7 +397,7 @@ def friction_per_speed(
 
     Returns:
         A function of the normal velocity (m/s, any shape, < 0 approaches) that gives the peak of the friction
-        force per speed along the wall, N s/m, as `collision_map` has it.
+        force per speed along the wall, N s/m, as `contact_map` has it.
     """
     shape = _shape(coefficients, np.asarray(mass_kg), onset)
 
@@ -416,12 +416,12 @@ def collide(
     onset: Onset,
     *,
     acceleration_m_s2: float = 0.0,
-) -> Collision[float]:
-    """One wall hit; arguments, results and errors as `collision_map`."""
+) -> WallHit[float]:
+    """One wall hit; arguments, results and errors as `contact_map`."""
     push = acceleration_m_s2 or None
     table = CoefficientArrays.of(coefficients)
-    result = collision_map(table, mass_kg, normal_m_s, tangential_m_s, onset, acceleration_m_s2=push)
-    return Collision(*(float(v) for v in result))
+    result = contact_map(table, mass_kg, normal_m_s, tangential_m_s, onset, acceleration_m_s2=push)
+    return WallHit(*(float(v) for v in result))
 
 
 def fall(
@@ -455,7 +455,7 @@ def drop_map(
         onset: onset rule.
 
     Raises:
-        ValueError: as `collision_map`, or a height is not positive.
+        ValueError: as `contact_map`, or a height is not positive.
     """
     height, mass = np.asarray(height_m, dtype=float), np.asarray(mass_kg, dtype=float)
     _require(coefficients, mass, height)
@@ -469,7 +469,7 @@ def drop_map(
         normal = batch.inputs[0][part]
         still, g = np.zeros_like(normal), np.full_like(normal, -GRAVITY_M_S2)
         hit, fastest = _pushed(c, m, onset, (normal, still, g))
-        r = Collision(*hit)
+        r = WallHit(*hit)
         results = (r.contact_time_s, fastest, r.peak_normal_force_n, r.penetration_m, r.impulse_n_s)
         for target, result in zip(out, results, strict=True):
             target[part] = result

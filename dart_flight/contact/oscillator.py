@@ -38,7 +38,7 @@ def quarter_time(zeta: Array, w2: Array) -> Array:
     return np.where(near, 1.0 + w2 / 6.0, angle / safe)
 
 
-class Course(NamedTuple):
+class Oscillation(NamedTuple):
     """A contact in its own units: phi - alpha is the force, xi' the normal velocity (module docstring).
 
     V is |v| + |a|/omega, so that neither a vehicle at rest nor one without push is special.
@@ -56,7 +56,7 @@ class Course(NamedTuple):
     hits: NDArray[np.bool_]
 
 
-def enter(c: CoefficientArrays, mass: Array, normal: Array, onset: Onset, acceleration: Array) -> Course:
+def enter(c: CoefficientArrays, mass: Array, normal: Array, onset: Onset, acceleration: Array) -> Oscillation:
     """The contact that an approach at `normal` (m/s, < 0) begins, under a constant `acceleration` (m/s2)."""
     omega, zeta, w2 = oscillator(c, mass)
     speed = np.maximum(-normal, 0.0) + np.abs(acceleration) / omega
@@ -70,7 +70,7 @@ def enter(c: CoefficientArrays, mass: Array, normal: Array, onset: Onset, accele
     hits = (normal <= 0.0) & (speed > 0.0) & starts
     # Where nothing is hit an ordinary hit stands in, so that no event is undefined; the results drop it.
     rest = 2.0 * zeta if onset is Onset.TOUCH else 0.0 * zeta
-    return Course(
+    return Oscillation(
         omega,
         zeta,
         w2,
@@ -84,7 +84,7 @@ def enter(c: CoefficientArrays, mass: Array, normal: Array, onset: Onset, accele
     )
 
 
-def _basis(c: Course, tau: Array) -> tuple[Array, Array]:
+def _basis(c: Oscillation, tau: Array) -> tuple[Array, Array]:
     """exp(-zeta tau) cos(w tau) and exp(-zeta tau) sin(w tau)/w, at any damping; 0 at tau = inf."""
     finite = np.isfinite(tau)
     t = np.where(finite, tau, 0.0)
@@ -103,7 +103,7 @@ def _basis(c: Course, tau: Array) -> tuple[Array, Array]:
     return np.where(finite, even, 0.0), np.where(finite, odd, 0.0)
 
 
-def first_zero(c: Course, z0: Array, dz0: Array) -> Array:
+def first_zero(c: Oscillation, z0: Array, dz0: Array) -> Array:
     """First tau > 0 at which the solution with z(0) = z0, z'(0) = dz0 is zero; inf where there is none."""
     w = np.sqrt(np.abs(c.w2))
     near = w < 1e-9
@@ -125,7 +125,7 @@ def _solution(basis: tuple[Array, Array], zeta: Array, z0: Array, dz0: Array) ->
     return z0 * basis[0] + (dz0 + zeta * z0) * basis[1]
 
 
-def motion(c: Course, tau: Array) -> tuple[Array, Array, Array]:
+def motion(c: Oscillation, tau: Array) -> tuple[Array, Array, Array]:
     """phi, phi' and xi' at tau."""
     basis = _basis(c, tau)
     curve0 = -(2.0 * c.zeta * c.slope0 + c.phi0)
@@ -170,7 +170,7 @@ class Events(NamedTuple):
     end: Array  # force back to zero; inf where never
 
 
-def find_events(c: Course) -> Events:
+def find_events(c: Oscillation) -> Events:
     """Peak, turn and end of a contact, exact to rounding."""
     curve0 = -(2.0 * c.zeta * c.slope0 + c.phi0)
     falls = (c.slope0 < 0.0) | ((c.slope0 == 0.0) & (c.phi0 > 0.0))

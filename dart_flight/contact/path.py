@@ -1,6 +1,6 @@
 """A contact in time, in closed form: the trajectory of one hit, and where a hit leaves the vehicle.
 
-`collision_map` says what comes out of a contact; this module says what happens meanwhile: for plots, for
+`contact_map` says what comes out of a contact; this module says what happens meanwhile: for plots, for
 fitting recorded trials, and for whoever continues from the point of the peak force or of the release.
 Normal position, velocity and force are elementary (`dart_flight.contact.oscillator`); the way along the wall
 and the vertical impulse are integrals of smooth functions of them, by quadrature to the bounds stated.
@@ -281,7 +281,7 @@ def passage(
     *,
     rows: Rows | None = None,
 ) -> Passage:
-    """Positions and ways of wall hits; arguments as `collision_map`, without other acceleration.
+    """Positions and ways of wall hits; arguments as `contact_map`, without other acceleration.
 
     Ways and vertical impulse are exact to 1e-8 of themselves up to a damping ratio of 0.6, mu |v| = 20 and
     500 N; with the wood, acrylic and arms of the paper the ratio is at most 0.14 and mu |v| at most 15. A

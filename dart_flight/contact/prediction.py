@@ -13,7 +13,7 @@ import numpy as np
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
-from dart_flight.contact.contact_map import collide, collision_map, drop
+from dart_flight.contact.contact_map import collide, contact_map, drop
 from dart_flight.contact.law import Onset, coefficients_in_force
 from dart_flight.contact.path import Contact
 from dart_flight.geometry import GRAVITY_M_S2
@@ -129,7 +129,7 @@ def predict_batch_rows(
     table = [condition(vehicle, surface, mode.value, onset, incidence_deg) for mode in Mode]
     modes = [mode.value for mode in Mode]
     which, normal, tangential = _read_batch(path, modes)
-    result = collision_map(
+    result = contact_map(
         CoefficientArrays.of([row.coefficients for row in table]),
         table[0].mass_kg,
         normal,

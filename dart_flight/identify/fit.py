@@ -27,7 +27,7 @@ from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
 from dart_flight.contact.path import Contact
-from dart_flight.identify.trials import Impact, Series, Trial, find_impact, noise_of
+from dart_flight.identify.trials import Series, Trial, TrialImpact, find_impact, noise_of
 
 PLANE_SD_M = 0.015
 _T95 = 1.959964
@@ -385,7 +385,7 @@ class _Fit:
         return float(np.mean(np.abs(error - np.median(error))))
 
 
-def _first_span(trial: Trial, impact: Impact) -> tuple[float, float]:
+def _first_span(trial: Trial, impact: TrialImpact) -> tuple[float, float]:
     if trial.acceleration_m_s2 < 0.0:
         # A drop is free fall only from its release on, and after the rebound only until the next contact.
         fall = 0.85 * -impact.approach_m_s / -trial.acceleration_m_s2

@@ -10,9 +10,9 @@ import numpy as np
 from dart_flight.config.document import InputError
 from dart_flight.geometry import Wall
 from dart_flight.identify.trials import READERS as FILE_READERS
-from dart_flight.identify.trials import Readers, Reading, Series, Trial
+from dart_flight.identify.trials import Readers, Series, Trial, TrialReading
 from dart_flight.recording.about import flown_mission
-from dart_flight.recording.arrays import Course
+from dart_flight.recording.arrays import FlightArrays
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.samples import ImpactOnset, Phase, PhaseChange
 
@@ -32,7 +32,7 @@ def trials_of(log: Log, material: str | None = None) -> dict[str, list[Trial]]:
         InputError: the log does not hold its mission.
     """
     mission = flown_mission(log.about, log.source)
-    course = Course(log, mission)
+    course = FlightArrays(log, mission)
     found: dict[str, list[Trial]] = {}
     onset: ImpactOnset | None = None
     for record in course.records:
@@ -50,7 +50,7 @@ def trials_of(log: Log, material: str | None = None) -> dict[str, list[Trial]]:
     return found
 
 
-def _series(course: Course, wall: Wall, onset_us: int) -> dict[str, Series]:
+def _series(course: FlightArrays, wall: Wall, onset_us: int) -> dict[str, Series]:
     at = course.time_of(onset_us)
     motion, force = course.estimated, course.estimated_force
     near = (motion.time_s > at - _BEFORE_S) & (motion.time_s < at + _AFTER_S)
@@ -68,14 +68,14 @@ def _series(course: Course, wall: Wall, onset_us: int) -> dict[str, Series]:
     }
 
 
-def reader_for(material: str | None) -> Callable[[Path, Reading], list[Trial]]:
+def reader_for(material: str | None) -> Callable[[Path, TrialReading], list[Trial]]:
     """A reader of flight logs for `contact.trials.read_trials`.
 
     Args:
         material: take the collisions with this material; None: there must be only one.
     """
 
-    def read(path: Path, how: Reading) -> list[Trial]:
+    def read(path: Path, how: TrialReading) -> list[Trial]:
         by_material = trials_of(read_log(path), material)
         if not by_material:
             what = f"no collision with {material}" if material else "no collision"

@@ -12,7 +12,7 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.law import Onset
 from dart_flight.geometry import GRAVITY_M_S2
 from dart_flight.identify.fit import Identification, identify
-from dart_flight.identify.trials import COLUMNS, UNLABELLED, Readers, Reading, Trial, read_trials
+from dart_flight.identify.trials import COLUMNS, UNLABELLED, Readers, Trial, TrialReading, read_trials
 
 UNITS = {"k": "N/m", "f": "N s/m", "mu": "s/m", "nu": "N"}
 
@@ -48,7 +48,7 @@ def carry_out(
         raise InputError(f"{job.contact_distance_m:g} m, expected 0 to 1", key=("contact-distance",))
     if job.height_m is not None and not 0.0 < job.height_m <= 10.0:
         raise InputError(f"{job.height_m:g} m, expected a height above 0 and up to 10", key=("drop",))
-    how = Reading(
+    how = TrialReading(
         mode=job.mode or UNLABELLED,
         drop=job.drop,
         contact_distance_m=job.contact_distance_m,

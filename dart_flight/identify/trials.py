@@ -75,7 +75,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Reading:
+class TrialReading:
     """How files are to be read.
 
     Attributes:
@@ -97,13 +97,13 @@ class Reading:
     mass_kg: float = 1.3
 
 
-Readers = dict[str, Callable[[Path, Reading], list[Trial]]]
+Readers = dict[str, Callable[[Path, TrialReading], list[Trial]]]
 
 
 # --- reading --------------------------------------------------------------------------------------------
 
 
-def read_trials(path: str | Path, how: Reading, readers: Readers | None = None) -> list[Trial]:
+def read_trials(path: str | Path, how: TrialReading, readers: Readers | None = None) -> list[Trial]:
     """The trials of a file.
 
     Args:
@@ -133,11 +133,11 @@ def read_trials(path: str | Path, how: Reading, readers: Readers | None = None) 
     ]
 
 
-def _acceleration(how: Reading) -> float:
+def _acceleration(how: TrialReading) -> float:
     return -GRAVITY_M_S2 if how.drop else 0.0
 
 
-def read_csv(path: Path, how: Reading) -> list[Trial]:
+def read_csv(path: Path, how: TrialReading) -> list[Trial]:
     """A CSV with a header: `time_s`, `normal_m`, and any of `COLUMNS`; an empty cell is no sample.
 
     Raises:
@@ -207,7 +207,7 @@ def _number(cell: str, name: str, source: str, line: int) -> float:
     return value
 
 
-def read_ulog(path: Path, how: Reading) -> list[Trial]:
+def read_ulog(path: Path, how: TrialReading) -> list[Trial]:
     """A PX4 ULog: local position and velocity, and the force along the normal from the IMU.
 
     The force is mass times the horizontal specific force, less its mean before the impact: what thrust and
@@ -242,7 +242,7 @@ def read_ulog(path: Path, how: Reading) -> list[Trial]:
     return [Trial(source, series, how.mode, _acceleration(how))]
 
 
-def _axes(how: Reading) -> tuple[Array, Array]:
+def _axes(how: TrialReading) -> tuple[Array, Array]:
     """Outward normal and tangent (Y of the collision frame) in NED."""
     if how.wall is None:
         return np.array([0.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0])
@@ -262,7 +262,7 @@ def _increasing(time: Array, value: Array) -> Series:
     return Series(time[keep], value[keep])
 
 
-def _from_local_position(data: Any, how: Reading) -> dict[str, Series]:
+def _from_local_position(data: Any, how: TrialReading) -> dict[str, Series]:
     time = _stamps(data)
     position = np.stack([np.asarray(data[name], dtype=float) for name in ("x", "y", "z")], axis=1)
     normal, tangent = _axes(how)
@@ -277,7 +277,7 @@ def _from_local_position(data: Any, how: Reading) -> dict[str, Series]:
     return series
 
 
-def _from_imu(imu: Any, attitude: Any, how: Reading) -> dict[str, Series]:
+def _from_imu(imu: Any, attitude: Any, how: TrialReading) -> dict[str, Series]:
     time = _stamps(imu)
     specific = np.stack([np.asarray(imu[f"accelerometer_m_s2[{i}]"], dtype=float) for i in range(3)], axis=1)
     stamps = _stamps(attitude)
@@ -308,7 +308,7 @@ READERS: Readers = {
 # --- finding the impact ---------------------------------------------------------------------------------
 
 
-class Impact(NamedTuple):
+class TrialImpact(NamedTuple):
     """Where the impact is in a recording, roughly: what a fit starts from.
 
     Attributes:
@@ -363,7 +363,7 @@ def _slopes(time: Array, value: Array, half_s: float) -> Array:
     return np.where(spread > 0.0, (stx - st * sx / n) / np.where(spread > 0.0, spread, 1.0), 0.0)
 
 
-def find_impact(trial: Trial) -> Impact:
+def find_impact(trial: Trial) -> TrialImpact:
     """The first strong turn from approaching to leaving in a recording of any length.
 
     Raises:
@@ -374,7 +374,7 @@ def find_impact(trial: Trial) -> Impact:
     step = float(np.median(np.diff(time)))
     speed = _slopes(time, value, max(0.012, 2.5 * step))
     candidates = np.flatnonzero((speed[:-1] < 0.0) & (speed[1:] >= 0.0)) + 1
-    found: list[Impact] = []
+    found: list[TrialImpact] = []
     reach = 0.12  # to either side: more than half of the longest contact
     for i in candidates:
         at = float(time[i])
@@ -382,7 +382,7 @@ def find_impact(trial: Trial) -> Impact:
         after = (time > at) & (time <= at + reach)
         if before.sum() < 3 or after.sum() < 3:
             continue
-        turn = Impact(
+        turn = TrialImpact(
             at, float(speed[before].min()), float(speed[after].max()), float(value[i]), noise_of(trial.normal)
         )
         quick = (turn.rebound_m_s - turn.approach_m_s) / (2.0 * reach) >= _TURN_M_S2
@@ -416,7 +416,7 @@ def find_impact(trial: Trial) -> Impact:
     return impact
 
 
-def _line_slope(time: Array, value: Array, impact: Impact) -> float:
+def _line_slope(time: Array, value: Array, impact: TrialImpact) -> float:
     """Approach velocity as the median slope between samples (Theil and Sen): deaf to a third of outliers."""
     straight = (time > impact.turn_s - 0.25) & (time < impact.turn_s - 0.07)
     t, x = time[straight][-200:], value[straight][-200:]

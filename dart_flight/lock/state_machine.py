@@ -72,7 +72,7 @@ Action = SetPulse | PulsesOff | Refused
 # --- the table ---------------------------------------------------------------------------------------
 
 
-class Event(StrEnum):
+class LockEvent(StrEnum):
     """What can change the phase."""
 
     COMMANDED = "commanded"
@@ -84,26 +84,26 @@ class Event(StrEnum):
     DRIVER_FAILED = "driver failed"
 
 
-TRANSITIONS: dict[LockPhase, dict[Event, LockPhase]] = {
+TRANSITIONS: dict[LockPhase, dict[LockEvent, LockPhase]] = {
     LockPhase.UNKNOWN: {
-        Event.COMMANDED: LockPhase.TRAVELLING,
-        Event.FOUND: LockPhase.TRAVELLING,
-        Event.DRIVER_FAILED: LockPhase.FAULT,
+        LockEvent.COMMANDED: LockPhase.TRAVELLING,
+        LockEvent.FOUND: LockPhase.TRAVELLING,
+        LockEvent.DRIVER_FAILED: LockPhase.FAULT,
     },
     LockPhase.TRAVELLING: {
-        Event.ARRIVED: LockPhase.SETTLED,
-        Event.CONTACT: LockPhase.TRAVELLING,
-        Event.TIMED_OUT: LockPhase.FAULT,
-        Event.DISPLACED: LockPhase.FAULT,
-        Event.DRIVER_FAILED: LockPhase.FAULT,
+        LockEvent.ARRIVED: LockPhase.SETTLED,
+        LockEvent.CONTACT: LockPhase.TRAVELLING,
+        LockEvent.TIMED_OUT: LockPhase.FAULT,
+        LockEvent.DISPLACED: LockPhase.FAULT,
+        LockEvent.DRIVER_FAILED: LockPhase.FAULT,
     },
     LockPhase.SETTLED: {
-        Event.COMMANDED: LockPhase.TRAVELLING,
-        Event.DISPLACED: LockPhase.FAULT,
-        Event.DRIVER_FAILED: LockPhase.FAULT,
+        LockEvent.COMMANDED: LockPhase.TRAVELLING,
+        LockEvent.DISPLACED: LockPhase.FAULT,
+        LockEvent.DRIVER_FAILED: LockPhase.FAULT,
     },
     LockPhase.FAULT: {
-        Event.COMMANDED: LockPhase.TRAVELLING,
+        LockEvent.COMMANDED: LockPhase.TRAVELLING,
     },
 }
 
@@ -191,7 +191,7 @@ class LockStateMachine:
         if found is None:
             self._replace(t_us, reason=why_not)
             return []
-        self._begin(t_us, found, Event.FOUND, commanded_us=None)
+        self._begin(t_us, found, LockEvent.FOUND, commanded_us=None)
         self._pulses_off = reading is not None and reading.pulse_us is None
         self._sent_us = t_us
         return []
@@ -209,7 +209,7 @@ class LockStateMachine:
             return []
         if mode is Mode.RIGID and not self._permitted:
             return self._refuse(t_us, mode, NOT_PERMITTED)
-        self._begin(t_us, mode, Event.COMMANDED, commanded_us=t_us)
+        self._begin(t_us, mode, LockEvent.COMMANDED, commanded_us=t_us)
         return [SetPulse(self.config.servo.pulse_us(mode), mode)]
 
     def release(self, t_us: int) -> list[Action]:
@@ -232,7 +232,7 @@ class LockStateMachine:
         locking = self._state.phase is LockPhase.TRAVELLING and self._target is Mode.RIGID
         if permitted or not locking or self._state.commanded_us is None:
             return []
-        self._begin(t_us, Mode.FLEXIBLE, Event.CONTACT, commanded_us=t_us, reason=str(Event.CONTACT))
+        self._begin(t_us, Mode.FLEXIBLE, LockEvent.CONTACT, commanded_us=t_us, reason=str(LockEvent.CONTACT))
         return [SetPulse(self.config.servo.pulse_us(Mode.FLEXIBLE), Mode.FLEXIBLE)]
 
     # -- inputs: what happened --
@@ -244,7 +244,7 @@ class LockStateMachine:
 
     def driver_failed(self, t_us: int, reason: str) -> list[Action]:
         """The driver could not do what was asked, or could not be read."""
-        self._go(t_us, Event.DRIVER_FAILED, reason=reason)
+        self._go(t_us, LockEvent.DRIVER_FAILED, reason=reason)
         return []
 
     def reading(self, t_us: int, reading: DriverReading) -> list[Action]:
@@ -260,11 +260,11 @@ class LockStateMachine:
         """Time goes by."""
         phase = self._state.phase
         if phase is LockPhase.TRAVELLING and t_us - self._begun_us >= self.config.timeout_s * 1e6:
-            self._go(t_us, Event.TIMED_OUT, reason=self._why_not_arrived())
+            self._go(t_us, LockEvent.TIMED_OUT, reason=self._why_not_arrived())
         elif phase is LockPhase.SETTLED and self._state.feedback:
             silent_s = (t_us - self._last_reading_us) * 1e-6
             if silent_s > self.config.timeout_s:
-                self._go(t_us, Event.DRIVER_FAILED, reason=f"no reading for {silent_s:.1f} s")
+                self._go(t_us, LockEvent.DRIVER_FAILED, reason=f"no reading for {silent_s:.1f} s")
         return []
 
     # -- judgement of readings --
@@ -274,7 +274,9 @@ class LockStateMachine:
         if target is None or self._sent_us is None or due_us is None or t_us < self._sent_us:
             return  # taken before the driver had the command: it says nothing about this travel
         if self._wrong_for(t_us, not self._pulses_off and reading.pulse_us is None):
-            self._go(t_us, Event.DISPLACED, reason=self._complaint("the controller lost the pulse", reading))
+            self._go(
+                t_us, LockEvent.DISPLACED, reason=self._complaint("the controller lost the pulse", reading)
+            )
             return
         own, other = reading.switch(target), reading.switch(target.other)
         self._closed_since_us = _since(self._closed_since_us, t_us) if own else None
@@ -282,9 +284,9 @@ class LockStateMachine:
             return
         if own is None:
             if t_us >= due_us:
-                self._go(t_us, Event.ARRIVED, feedback=False)
+                self._go(t_us, LockEvent.ARRIVED, feedback=False)
         elif self._closed_since_us is not None and self._lasted(self._closed_since_us, t_us):
-            self._go(t_us, Event.ARRIVED, feedback=True)
+            self._go(t_us, LockEvent.ARRIVED, feedback=True)
 
     def _read_settled(self, t_us: int, reading: DriverReading) -> None:
         target = self._target
@@ -300,7 +302,7 @@ class LockStateMachine:
         elif not self._pulse_as_it_should_be(reading):
             complaint = f"the controller puts out {reading.pulse_us:.0f} us"
         if self._wrong_for(t_us, bool(complaint)):
-            self._go(t_us, Event.DISPLACED, reason=self._complaint(complaint, reading))
+            self._go(t_us, LockEvent.DISPLACED, reason=self._complaint(complaint, reading))
 
     def _wrong_for(self, t_us: int, wrong: bool) -> bool:
         """Whether something has now been wrong for the debounce time."""
@@ -361,7 +363,7 @@ class LockStateMachine:
     # -- changes --
 
     def _begin(
-        self, t_us: int, mode: Mode, event: Event, *, commanded_us: int | None, reason: str | None = None
+        self, t_us: int, mode: Mode, event: LockEvent, *, commanded_us: int | None, reason: str | None = None
     ) -> None:
         self._target = mode
         self._pulses_off = False
@@ -373,7 +375,7 @@ class LockStateMachine:
     def _go(
         self,
         t_us: int,
-        event: Event,
+        event: LockEvent,
         *,
         reason: str | None = None,
         feedback: bool = False,

@@ -1,7 +1,7 @@
 """What a plan may not do: the reasons to refuse a candidate, and the tests behind them.
 
-The rules are those that the executive and the guard hold in flight (`dart_flight.core`), so that a plan is
-not broken off by them, and what the mission file limits.
+The rules are those of the core (`core.mission`, `core.guard`), so that a plan is not broken off by them, and
+what the mission file limits.
 """
 
 from __future__ import annotations
@@ -13,16 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.config.scenario import Scenario
-from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S, least_distance_m
+from dart_flight.core.mission.arithmetic import Arithmetic
+from dart_flight.core.mission.executive import STOP_MARGIN_M
+from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S, STOP_TIME_S, least_distance_m, stop_share
 from dart_flight.geometry import GRAVITY_M_S2, Vec2, Wall
 from dart_flight.planning.flight_model import Leg, Window
+from dart_flight.planning.task import Task
 
 Array = NDArray[np.float64]
+ARRAYS = Arithmetic(np.hypot, np.sqrt, np.maximum, np.minimum, np.where)
 Codes = NDArray[np.int8]
 
-STOP_TIME_S = 0.5  # the guard's: PX4's loop stops within about half a second of way
-STOP_MARGIN_M = 0.02  # the executive's, of "holding still stops short of the wall"
 LEAST_REBOUND_M_S = 0.05
 # A wall counts as touched when it would be reached within this time: forces begin before the plane (`lcp`).
 _TOUCH_S = 0.01
@@ -71,23 +72,23 @@ ADVICE = {
 
 
 class Constraints:
-    """The tests of one scenario, vectorised over candidates.
+    """The tests of one task, vectorised over candidates.
 
     Args:
-        scenario: limits, bounds, walls.
+        task: limits, bounds, walls.
         ignored: reasons that do not count, to find out which of them stand in the way.
     """
 
-    def __init__(self, scenario: Scenario, ignored: frozenset[Refusal] = frozenset()) -> None:
+    def __init__(self, task: Task, ignored: frozenset[Refusal] = frozenset()) -> None:
         self._ignored = ignored
-        self.bounds, self.limits = scenario.bounds, scenario.limits
-        self.walls = tuple(scenario.walls.values())
-        vehicle = scenario.vehicle
+        self.bounds, self.limits = task.bounds, task.limits
+        self.walls = tuple(task.walls.values())
+        vehicle = task.vehicle
         self.threshold_n = vehicle.detection.force_threshold_n
         self.refractory_s = vehicle.detection.refractory_s
         self.most_acceleration = GRAVITY_M_S2 * math.tan(math.radians(vehicle.px4.mpc_tiltmax_air))
         self.lock_s = vehicle.lock.relaxation_s + vehicle.lock.switch_time_s + _LOCK_POLL_S
-        self._reach = _reach_tables(scenario)
+        self._reach = _reach_tables(task)
 
     def mark(
         self, codes: Codes, where: NDArray[np.bool_] | NDArray[np.intp] | np.bool_, reason: Refusal
@@ -157,15 +158,7 @@ class Constraints:
 
     def _leaves(self, w: Window) -> NDArray[np.bool_]:
         """Where the bounds are left or would be before stopping; a wall in the way stops earlier (guard)."""
-        share: NDArray[Any] = np.ones_like(w.x)
-        for wall in self.walls:
-            (nx, ny), (px, py), (tx, ty) = wall.normal, wall.point, wall.tangent
-            here = nx * (w.x - px) + ny * (w.y - py)
-            there = here + STOP_TIME_S * (nx * w.vx + ny * w.vy)
-            spans = np.abs(tx * (w.x - px) + ty * (w.y - py)) <= 0.5 * wall.length_m
-            stops = (here > there) & (there < 0.0) & (here > -0.3) & spans
-            way = np.where(stops, here - there, 1.0)
-            share = np.minimum(share, np.where(stops, np.maximum(here / way, 0.0), 1.0))
+        share = stop_share(ARRAYS, self.walls, (w.x, w.y), (w.vx, w.vy))
         leaves = _outside(self.bounds.x, w.x, share * w.vx)
         leaves |= _outside(self.bounds.y, w.y, share * w.vy)
         return leaves
@@ -223,7 +216,7 @@ def _touches(wall: Wall, w: Window) -> NDArray[np.bool_]:
     return touches
 
 
-def _reach_tables(scenario: Scenario) -> tuple[Array, Array, Array]:
+def _reach_tables(task: Task) -> tuple[Array, Array, Array]:
     """Braking way by the executive's own rule; it is homogeneous in speed and acceleration."""
     knots = np.linspace(0.0, 1.0, 41)
     far = 100.0
@@ -231,7 +224,7 @@ def _reach_tables(scenario: Scenario) -> tuple[Array, Array, Array]:
     for sign in (1.0, -1.0):
         tables.append(
             [
-                far - least_distance_m(far, s, sign * (1.0 - s) / ATTITUDE_LAG_S, far, scenario.vehicle.px4)
+                far - least_distance_m(far, s, sign * (1.0 - s) / ATTITUDE_LAG_S, far, task.vehicle.px4)
                 for s in knots
             ]
         )

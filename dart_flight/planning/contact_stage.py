@@ -37,8 +37,8 @@ from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import friction_per_speed
 from dart_flight.contact.law import Onset
-from dart_flight.contact.oscillator import Course, enter, falling_root, find_events, motion
-from dart_flight.core.mission.position_loop import Loop
+from dart_flight.contact.oscillator import Oscillation, enter, falling_root, find_events, motion
+from dart_flight.core.mission.position_loop import PositionLoop
 
 Array = NDArray[np.float64]
 
@@ -269,20 +269,20 @@ def build_stages(
     drop = _time_of_drop(course, events.peak, events.end, vehicle.detection.peak_drop_fraction)
     delay = np.maximum((drop - events.peak) / omega, _LEAST_AFTER_PEAK_S) + 1.0 / vehicle.imu.rate_hz
     engaged = events.peak / omega + np.maximum(delay + _SETPOINT_USED_S + np.asarray(extra_delay_s), 0.0)
-    loop = Loop.of(vehicle.px4)
+    loop = PositionLoop.of(vehicle.px4)
     for i, stage in enumerate(stages):
         if not math.isfinite(events.end[i]):
             continue
         stage.duration_s = float(events.end[i] / omega[i])
         stage.peak_s = float(events.peak[i] / omega[i])
         stage.engaged_s = min(float(engaged[i]), stage.duration_s)
-        one = Course(*(np.asarray(v[i]) for v in course))
+        one = Oscillation(*(np.asarray(v[i]) for v in course))
         _prepare_normal(stage, loop, drags[i][0])
         _prepare_tangential(stage, loop, drags[i][1], one)
     return stages
 
 
-def _time_of_drop(course: Course, peak: Array, end: Array, fraction: float) -> Array:
+def _time_of_drop(course: Oscillation, peak: Array, end: Array, fraction: float) -> Array:
     """When the force has fallen by a fraction of its peak, in 1/omega."""
     finite = np.where(np.isfinite(end), end, 2.0 * peak + 1.0)
     level = (1.0 - fraction) * motion(course, peak)[0]
@@ -294,7 +294,7 @@ def _time_of_drop(course: Course, peak: Array, end: Array, fraction: float) -> A
     return falling_root(excess, peak, finite, 0.5 * (peak + finite))
 
 
-def _prepare_normal(stage: ContactStage, loop: Loop, drag: float) -> None:
+def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float) -> None:
     """The matrix from (v, a, i, r, w) at the onset to the rows of `NormalOut` after the first."""
     c, m = stage.coefficients, stage.mass_kg
     kp, kv, ki, kd, tau = loop
@@ -356,7 +356,7 @@ class _Phases:
         return np.concatenate((row, np.zeros(_NODES)))
 
 
-def _prepare_tangential(stage: ContactStage, loop: Loop, drag: float, course: Course) -> None:
+def _prepare_tangential(stage: ContactStage, loop: PositionLoop, drag: float, course: Oscillation) -> None:
     kp, kv, ki, kd, tau = loop
     phases = _Phases(stage.engaged_s, stage.duration_s - stage.engaged_s)
     times, weights = phases.times, phases.weights

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from dart_flight.config.mission import Collision, Mission
-from dart_flight.contact import contact_map as collision_map
+from dart_flight.contact import contact_map
 from dart_flight.contact.law import Onset
 
 FLOWN_UP_TO_M_S = 4.0  # normal speed: the sweep's end, survived in both modes
@@ -34,14 +34,14 @@ def impact_velocity(collision: Collision) -> tuple[float, float] | None:
     return None
 
 
-def expected_hit(mission: Mission, collision: Collision) -> collision_map.Collision[float] | None:
+def expected_hit(mission: Mission, collision: Collision) -> contact_map.WallHit[float] | None:
     """What the contact law makes of a collision's velocity; None where nobody knows the velocity."""
     velocity = impact_velocity(collision)
     if velocity is None or velocity[0] >= 0.0:
         return None
     vehicle = mission.vehicle
     coefficients = vehicle.materials[collision.wall.material].of(collision.mode)
-    return collision_map.collide(coefficients, vehicle.airframe.mass_kg, *velocity, Onset(vehicle.onset))
+    return contact_map.collide(coefficients, vehicle.airframe.mass_kg, *velocity, Onset(vehicle.onset))
 
 
 def expected_force_n(mission: Mission, collision: Collision) -> float | None:

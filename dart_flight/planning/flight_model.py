@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.mission.position_loop import Loop
+from dart_flight.core.mission.position_loop import PositionLoop
 from dart_flight.planning.contact_stage import expm
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ class Window(NamedTuple):
     vy: Array32
 
 
-def loop_matrix(loop: Loop, drag_per_s: float) -> Array:
+def loop_matrix(loop: PositionLoop, drag_per_s: float) -> Array:
     """A of the module docstring for the states (p, v, a, i): (4, 4)."""
     kp, kv, ki, kd, tau = loop
     return np.array(
@@ -108,7 +108,7 @@ class FreeFlight:
     """
 
     def __init__(self, vehicle: VehicleConfig, horizon_s: float) -> None:
-        self.loop = Loop.of(vehicle.px4)
+        self.loop = PositionLoop.of(vehicle.px4)
         self.count = math.ceil(horizon_s / GRID_S / WINDOW) * WINDOW
         self.times: Array = GRID_S * np.arange(self.count + 1, dtype=np.float64)
         bx, by, _ = vehicle.airframe.drag_per_s

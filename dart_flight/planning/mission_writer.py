@@ -13,7 +13,7 @@ import msgspec
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import parse_mission
 from dart_flight.config.scenario import Scenario
-from dart_flight.planning.enumerate import Plan
+from dart_flight.planning.search import Plan
 
 _DIGITS = 4
 # Words and paths that YAML reads as text without quotes.

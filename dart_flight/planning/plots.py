@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.config.document import InputError
-from dart_flight.planning.enumerate import Candidates, Plan, Planner, Search
 from dart_flight.planning.flight_model import FreeFlight, Leg
-from dart_flight.planning.trajectories import Arrivals
+from dart_flight.planning.rollout import Arrivals
+from dart_flight.planning.search import Candidates, Plan, Planner, Search
 from dart_flight.samples import Mode
 
 if TYPE_CHECKING:

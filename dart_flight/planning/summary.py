@@ -9,7 +9,7 @@ from rich.table import Table
 
 from dart_flight.config.scenario import Objective, Scenario
 from dart_flight.planning.constraints import ADVICE
-from dart_flight.planning.enumerate import Plan, Search
+from dart_flight.planning.search import Plan, Search
 
 _UNITS = {
     Objective.NEAREST: "m",

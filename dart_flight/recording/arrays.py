@@ -41,7 +41,7 @@ class Force(NamedTuple):
     force: Array
 
 
-class Course:
+class FlightArrays:
     """The arrays of one flight.
 
     Times are seconds since the first change of phase (the beginning where there is none); `time_of` converts

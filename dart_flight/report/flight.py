@@ -14,7 +14,7 @@ from dart_flight.contact.law import Onset
 from dart_flight.contact.path import Contact, Trajectory, trajectory
 from dart_flight.geometry import Vec3
 from dart_flight.recording.about import flown_mission
-from dart_flight.recording.arrays import Array, Course
+from dart_flight.recording.arrays import Array, FlightArrays
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.report.planned import PlannedFlight, planned_flight
 from dart_flight.samples import (
@@ -77,7 +77,7 @@ class Impact:
     Attributes:
         index, wall, mode, material: which.
         verdict: planned, measured and true.
-        at_s: detection, seconds of the flight's `Course`.
+        at_s: detection, seconds of the flight's `FlightArrays`.
         planned: the verdict's; what the mission does not say of a later collision is the flight model's.
         prediction: the contact law at the measured velocity, in time since its onset.
         onset_s: when the predicted contact begins: so that its peak is where the measured one is; where none
@@ -127,7 +127,7 @@ class Impact:
         if over.size:
             self.onset_s = self.at_s - float(time[over[0]])
 
-    def _compare(self, course: Course) -> list[Compared]:
+    def _compare(self, course: FlightArrays) -> list[Compared]:
         """The rows of the report's table."""
         v, plan, truth, peak = self.verdict, self.planned, self._truth, self._peak
         true = v.truth if v.truth is not None else Velocities()
@@ -172,7 +172,7 @@ class Impact:
         slowed = math.exp(-contact.coefficients.mu * float(contact.impulse(contact.end_s)) / contact.mass_kg)
         return float(contact.normal(end)[1][0]), tangential * slowed, 1e3 * contact.end_s
 
-    def _measured_out(self, course: Course) -> tuple[float | None, float | None]:
+    def _measured_out(self, course: FlightArrays) -> tuple[float | None, float | None]:
         """Normal and tangential velocity by PX4's estimate when the force was gone, m/s."""
         end_us, motion = self.verdict.lock.contact_end_us, course.estimated
         if end_us is None or not motion.time_s.size:
@@ -238,7 +238,7 @@ class Flight:
     def __init__(self, log: Log) -> None:
         self.log = log
         self.mission = flown_mission(log.about, log.source)
-        self.course = Course(log, self.mission)
+        self.course = FlightArrays(log, self.mission)
         builder = VerdictBuilder(self.mission)
         for record in self.course.records:
             builder.take(record)
@@ -288,7 +288,7 @@ class Flight:
         return [frame.point_from_ned(s.position_ned) for s in self.course.all(SetPoint) if s.recovery]
 
 
-def _peak_after(course: Course, onset_us: int) -> ImpactPeak | None:
+def _peak_after(course: FlightArrays, onset_us: int) -> ImpactPeak | None:
     """The peaks of the impact whose onset was then."""
     last: int | None = None
     for record in course.records:
@@ -299,7 +299,7 @@ def _peak_after(course: Course, onset_us: int) -> ImpactPeak | None:
     return None
 
 
-def _truth_near(course: Course, verdict: CollisionVerdict) -> TruthContact | None:
+def _truth_near(course: FlightArrays, verdict: CollisionVerdict) -> TruthContact | None:
     """The simulated contact that the verdict's truth is of."""
     if verdict.truth is None:
         return None
@@ -307,7 +307,7 @@ def _truth_near(course: Course, verdict: CollisionVerdict) -> TruthContact | Non
     return min(same, key=lambda t: abs(t.t_us - verdict.t_us), default=None)
 
 
-def _timing(course: Course) -> Timing:
+def _timing(course: FlightArrays) -> Timing:
     received = np.array([s.trigger_received_us for s in course.all(SetPoint)], dtype=float)
     interval = np.diff(received) * 1e-3
     delays = []

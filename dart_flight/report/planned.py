@@ -1,7 +1,7 @@
 """The planned path of a mission: the planner's flight model from start to goal, for the map and the table.
 
 A mission file holds the approach and the gains, not the path; the path follows from them by the same model
-that chose them (`planning.trajectories`).
+that chose them (`planning.rollout`).
 """
 
 from __future__ import annotations
@@ -14,17 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.config.mission import (
-    BoundsSpec,
     Collision,
-    GoalSpec,
     Mission,
-    StartSpec,
 )
-from dart_flight.config.scenario import GridSpec, Objective, Scenario, ScenarioFile, SearchSpec, Uncertainty
-from dart_flight.geometry import Vec2, Wall
+from dart_flight.geometry import Vec2
 from dart_flight.planning.flight_model import FreeFlight
-from dart_flight.planning.trajectories import Arrivals, Course, Hits, new_flight, stages_for
-from dart_flight.samples import Mode
+from dart_flight.planning.rollout import Arrivals, Hits, Rollout, new_flight, stages_for
+from dart_flight.planning.task import task_of
 from dart_flight.verdict import Velocities
 
 _POINTS = 60  # of a leg
@@ -79,66 +75,16 @@ def _groups(collisions: Sequence[Collision]) -> list[list[Collision]]:
 
 def _fly(mission: Mission, group: Sequence[Collision]) -> tuple[Arrivals | None, FreeFlight, Vec2]:
     """One approach and what follows from it; None where it does not get through; and its run-up point."""
-    scenario = _scenario(mission, group)
-    flight = new_flight(scenario)
-    course = Course(scenario, scenario.sequences[0], flight, None, keep_hits=True)
-    normal, tangential = np.array(scenario.normal_m_s), np.array(scenario.tangential_m_s)
-    grid = course.approach(normal, tangential)
+    task = task_of(mission, group)
+    flight = new_flight(task)
+    rollout = Rollout(task, tuple(task.walls), flight, None, keep_hits=True)
+    assert group[0].approach_m_s is not None
+    normal, tangential = (np.array([v]) for v in group[0].approach_m_s)
+    grid = rollout.approach(normal, tangential)
     begin = (float(np.ravel(grid.begin_x)[0]), float(np.ravel(grid.begin_y)[0]))
-    found = course.fly(stages_for(scenario, [None])[0], normal, tangential, grid)
+    found = rollout.fly(stages_for(task, [None])[0], normal, tangential, grid)
     modes = tuple(c.mode for c in group)
     return next((a for a in found if a.modes == modes and a.rows.size), None), flight, begin
-
-
-def _scenario(mission: Mission, group: Sequence[Collision]) -> Scenario:
-    """The question whose only candidate is this approach; every collision has a wall of its own name."""
-    first = group[0]
-    assert first.approach_m_s is not None
-    assert first.impact_point is not None
-    # The planner meets the wall on the ray from the start: where a mission says the point, seen from there.
-    vx, vy, _ = first.approach_velocity()
-    until = first.wall.signed_distance(mission.start) / -first.approach_m_s[0]
-    start = (first.impact_point[0] - vx * until, first.impact_point[1] - vy * until)
-    if np.allclose(start, mission.start, atol=1e-6):
-        start = mission.start
-    walls = {str(c.index): _named(c.wall, str(c.index)) for c in group}
-    normal, tangential = first.approach_m_s
-    search = SearchSpec(GridSpec(normal, normal, 1.0), GridSpec(tangential, tangential, 1.0))
-    bounds = mission.bounds
-    spec = ScenarioFile(
-        version=1,
-        start=StartSpec(start, mission.altitude_m),
-        goal=GoalSpec(mission.goal.position_m),
-        bounds_m=BoundsSpec(bounds.x, bounds.y, bounds.z),
-        walls={},
-        sequence=list(walls),
-        search=search,
-    )
-    return Scenario(
-        name=mission.name,
-        source=mission.source,
-        spec=spec,
-        vehicle=mission.vehicle,
-        vehicle_path=None,
-        start=start,
-        altitude_m=mission.altitude_m,
-        goal=mission.goal,
-        bounds=bounds,
-        walls=walls,
-        sequences=(tuple(walls),),
-        chosen_by_planner=False,
-        normal_m_s=(normal,),
-        tangential_m_s=(tangential,),
-        modes=tuple(Mode),
-        alphas={str(c.index): (c.alpha_normal_m_per_n, c.alpha_tangential_m_per_n) for c in group},
-        limits=mission.limits,
-        objective=Objective.NEAREST,
-        uncertainty=Uncertainty(),
-    )
-
-
-def _named(wall: Wall, name: str) -> Wall:
-    return msgspec.structs.replace(wall, name=name)
 
 
 def _path(flight: FreeFlight, hit: Hits, until_s: float) -> NDArray[np.float64]:

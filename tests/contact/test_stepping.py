@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from dart_flight.config import Coefficients, load_vehicle
 from dart_flight.config.vehicle import packaged
 from dart_flight.contact.coefficients import Array, CoefficientArrays
-from dart_flight.contact.contact_map import collision_map, drop
+from dart_flight.contact.contact_map import contact_map, drop
 from dart_flight.contact.law import Onset
 from dart_flight.samples import Mode
 from tests.oracles.stepping import Corner, simulate, step_corner, step_normal, stepped_map
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.filterwarnings("error")
 def test_converges_to_the_closed_form_with_first_order(onset: Onset, push: float) -> None:
     table = CoefficientArrays.of(TABLE)
     normal, tangential = np.array([-0.3, -0.8, -1.5, -2.5]), np.array([0.5, -1.0, 0.2, 1.5])
-    exact = collision_map(table, MASS, normal, tangential, onset, acceleration_m_s2=push)
+    exact = contact_map(table, MASS, normal, tangential, onset, acceleration_m_s2=push)
     errors = []
     for step in (4e-5, 1e-5):
         stepped = stepped_map(table, MASS, normal, tangential, onset, step_s=step, acceleration_m_s2=push)

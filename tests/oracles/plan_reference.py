@@ -17,11 +17,12 @@ from scipy.optimize import brentq
 
 from dart_flight.config.scenario import Scenario
 from dart_flight.config.vehicle import Coefficients
-from dart_flight.core.mission.position_loop import Loop
+from dart_flight.core.mission.executive import PASSED_AFTER_S, PASSED_RISE_M
+from dart_flight.core.mission.position_loop import PositionLoop
 from dart_flight.geometry import Wall
 from dart_flight.planning.approach_grid import ApproachGrid
 from dart_flight.planning.contact_stage import ContactStage
-from dart_flight.planning.trajectories import PASSED_AFTER_S, PASSED_RISE_M, Stages
+from dart_flight.planning.rollout import Stages
 from dart_flight.samples import Mode
 
 Array = NDArray[np.float64]
@@ -73,7 +74,11 @@ def _friction_peak(c: Coefficients, mass: float, lead: float, vn: float) -> floa
 
 
 def _contact_ode(
-    stage: ContactStage, loop: Loop, drag: tuple[float, float], normal: list[float], slide: list[float]
+    stage: ContactStage,
+    loop: PositionLoop,
+    drag: tuple[float, float],
+    normal: list[float],
+    slide: list[float],
 ) -> tuple[list[float], list[float], float, float]:
     """A contact; `normal` is (v, a, i, r, w), `slide` (v, a, i, r, w) at the onset.
 
@@ -128,7 +133,7 @@ def solve_candidate(
     grid: ApproachGrid,
 ) -> Terminal:
     """One candidate by the ODE solver; `grid` holds its approach alone."""
-    loop = Loop.of(scenario.vehicle.px4)
+    loop = PositionLoop.of(scenario.vehicle.px4)
     b = scenario.vehicle.airframe.drag_per_s
     walls = [scenario.walls[name] for name in sequence]
     vn, vt = velocity
@@ -166,7 +171,7 @@ def _drags(wall: Wall, b: tuple[float, float, float]) -> tuple[float, float]:
     return n2 * b[0] + (1.0 - n2) * b[1], n2 * b[1] + (1.0 - n2) * b[0]
 
 
-def _free(goal: Array, loop: Loop, b: tuple[float, float, float]) -> Any:
+def _free(goal: Array, loop: PositionLoop, b: tuple[float, float, float]) -> Any:
     kp, kv, ki, kd, tau = loop
     drag = np.array(b[:2])
 
@@ -180,7 +185,7 @@ def _free(goal: Array, loop: Loop, b: tuple[float, float, float]) -> Any:
 
 
 def _to_wall(
-    z: Array, goal: Array, loop: Loop, b: tuple[float, float, float], wall: Wall, lead: float
+    z: Array, goal: Array, loop: PositionLoop, b: tuple[float, float, float], wall: Wall, lead: float
 ) -> tuple[float, Array]:
     n, point = np.array(wall.normal), np.array(wall.point)
 
@@ -195,7 +200,7 @@ def _to_wall(
 def _to_goal(
     z: Array,
     goal: Array,
-    loop: Loop,
+    loop: PositionLoop,
     b: tuple[float, float, float],
     target: Array,
     times: tuple[float, float],

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.config.scenario import Scenario
-from dart_flight.core.mission.position_loop import Loop
+from dart_flight.core.mission.executive import PASSED_AFTER_S, PASSED_RISE_M
+from dart_flight.core.mission.position_loop import PositionLoop
 from dart_flight.geometry import Wall
 from dart_flight.planning.approach_grid import ApproachGrid
 from dart_flight.planning.contact_stage import ContactStage
-from dart_flight.planning.trajectories import PASSED_AFTER_S, PASSED_RISE_M, Stages
+from dart_flight.planning.rollout import Stages
 from dart_flight.samples import Mode
 
 Array = NDArray[np.float64]
@@ -101,7 +102,7 @@ def _contact(
     scenario: Scenario, stage: ContactStage, wall: Wall, on: Flying, reference_speed: Array, h: float
 ) -> Flying:
     """A contact of everybody at once: it takes the same time for all."""
-    kp, kv, ki, kd, tau = Loop.of(scenario.vehicle.px4)
+    kp, kv, ki, kd, tau = PositionLoop.of(scenario.vehicle.px4)
     c, m = stage.coefficients, stage.mass_kg
     n, t = _axes(wall)
     bx, by, _ = scenario.vehicle.airframe.drag_per_s
@@ -158,7 +159,7 @@ def _contact(
     )
 
 
-def _free_step(loop: Loop, b: Array, f: Flying, h: float) -> Flying:
+def _free_step(loop: PositionLoop, b: Array, f: Flying, h: float) -> Flying:
     kp, kv, ki, kd, tau = loop
     error = kp * (f.goal - f.p) - f.v
     slope = f.a - b * f.v
@@ -168,7 +169,7 @@ def _free_step(loop: Loop, b: Array, f: Flying, h: float) -> Flying:
 
 
 def _later(scenario: Scenario, stage: ContactStage, wall: Wall, flying: Flying, h: float) -> Flying:
-    loop, n = Loop.of(scenario.vehicle.px4), _axes(wall)[0]
+    loop, n = PositionLoop.of(scenario.vehicle.px4), _axes(wall)[0]
     b = np.array(scenario.vehicle.airframe.drag_per_s[:2])[:, None]
     point = np.array(wall.point)[:, None]
     reached: list[Flying] = []
@@ -188,7 +189,7 @@ def _later(scenario: Scenario, stage: ContactStage, wall: Wall, flying: Flying, 
 
 
 def _to_goal(scenario: Scenario, modes: tuple[Mode, ...], flying: Flying, since: float, h: float) -> Ends:
-    loop = Loop.of(scenario.vehicle.px4)
+    loop = PositionLoop.of(scenario.vehicle.px4)
     b = np.array(scenario.vehicle.airframe.drag_per_s[:2])[:, None]
     goal = np.array(scenario.goal.position_m)[:, None]
     best = np.hypot(*(flying.p - goal))

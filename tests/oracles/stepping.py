@@ -9,7 +9,7 @@ With position x, velocity v, step h and the contact plane's normal n, the end of
 lx = max(0, -q)/(1 + g), q = k x + (k h + f)(vx + h ax), g = (k h + f) h / m. In a corner the two planes
 couple, and the four cases (none, first, second, both) are enumerated.
 
-The errors are of first order in h; `collision_map` is exact. This is the independent check on it, the source
+The errors are of first order in h; `contact_map` is exact. This is the independent check on it, the source
 of trajectories over several contacts, and the model that follows another law of motion step by step.
 """
 
@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
-from dart_flight.contact.contact_map import Collision
+from dart_flight.contact.contact_map import WallHit
 from dart_flight.contact.law import Onset
 
 # Friction in a corner acts along the other plane's normal: the normal forces are solved again with the new
@@ -73,8 +73,8 @@ def stepped_map(
     rows: Rows | None = None,
     acceleration_m_s2: float = 0.0,
     longest_s: float = 2.0,
-) -> Collision[Array]:
-    """Wall hits by time stepping; arguments and results as `collision_map`, to first order in `step_s`.
+) -> WallHit[Array]:
+    """Wall hits by time stepping; arguments and results as `contact_map`, to first order in `step_s`.
 
     Every hit starts at its onset. A contact that has not ended after `longest_s` counts as never ending.
 
@@ -92,7 +92,7 @@ def stepped_map(
     shape = vn.shape
     c = CoefficientArrays(*(np.broadcast_to(v, shape).reshape(-1) for v in c))
     v_in, slip_in = vn.reshape(-1), vt.reshape(-1)
-    out = Collision(*(np.zeros(v_in.size) for _ in Collision._fields))
+    out = WallHit(*(np.zeros(v_in.size) for _ in WallHit._fields))
     out.normal_out_m_s[:], out.tangential_out_m_s[:] = v_in, slip_in
 
     index = np.flatnonzero(v_in < 0.0)  # the hits that are still in contact
@@ -121,10 +121,10 @@ def stepped_map(
     peak = out.peak_normal_force_n
     nu = np.broadcast_to(coefficients.nu if rows is None else coefficients.nu[rows], shape).reshape(-1)
     out.peak_vertical_force_n[:] = nu * peak / (1.0 + peak)
-    return Collision(*(values.reshape(shape) for values in out))
+    return WallHit(*(values.reshape(shape) for values in out))
 
 
-def _record(out: Collision[Array], index: Rows, force: Array, x: Array, friction: Array) -> None:
+def _record(out: WallHit[Array], index: Rows, force: Array, x: Array, friction: Array) -> None:
     for target, value in (
         (out.peak_normal_force_n, force),
         (out.penetration_m, -x),

@@ -13,11 +13,11 @@ from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Collision, Mission, parse_mission
 from dart_flight.config.scenario import Scenario, load_scenario
 from dart_flight.core.mission.approach import NoApproachError, plan_approach
-from dart_flight.core.mission.position_loop import Loop, least_distance_m
+from dart_flight.core.mission.position_loop import PositionLoop, least_distance_m
 from dart_flight.planning.constraints import REFUSALS, Constraints, Refusal
 from dart_flight.planning.contact_stage import expm
 from dart_flight.planning.flight_model import FreeFlight, Leg, loop_matrix
-from dart_flight.planning.trajectories import Course, new_flight, stages_for
+from dart_flight.planning.rollout import Rollout, new_flight, stages_for
 from tests.oracles.plan_reference import solve_candidate
 
 SCENARIOS = Path(__file__).parents[2] / "missions" / "scenarios"
@@ -43,7 +43,7 @@ def test_state_between_grid_points_is_the_exact_solution(dual: Scenario) -> None
     for index, d in ((0, 0.03), (17, -0.05), (40, 0.05)):
         after = flight.near(leg, np.full(2, index)).leg_at(np.full(2, d))
         t = flight.times[index] + d
-        loop = Loop.of(dual.vehicle.px4)
+        loop = PositionLoop.of(dual.vehicle.px4)
         assert after.x == pytest.approx(scipy_expm(loop_matrix(loop, 0.2) * t) @ leg.x, abs=1e-11)
         assert after.y == pytest.approx(scipy_expm(loop_matrix(loop, 0.4) * t) @ leg.y, abs=1e-11)
 
@@ -58,13 +58,13 @@ def test_terminal_states_against_an_ode_solver(name: str) -> None:
     rng = np.random.default_rng(3)
     compared = 0
     for sequence in scenario.sequences[-2:]:
-        course = Course(scenario, sequence, flight, Constraints(scenario))
-        grid = course.approach(normal, tangential)
-        for a in course.fly(stages, normal, tangential, grid):
+        rollout = Rollout(scenario, sequence, flight, Constraints(scenario))
+        grid = rollout.approach(normal, tangential)
+        for a in rollout.fly(stages, normal, tangential, grid):
             i = int(rng.integers(a.rows.size))
             n, t = divmod(int(a.rows[i]), tangential.size)
             velocity = (float(normal[n, 0]), float(tangential[0, t]))
-            one = course.approach(np.array(velocity[0]), np.array(velocity[1]))
+            one = rollout.approach(np.array(velocity[0]), np.array(velocity[1]))
             exact = solve_candidate(scenario, sequence, a.modes, stages, velocity, one)
             ours = (a.x[i], a.y[i], a.vx[i], a.vy[i], a.miss_m[i])
             assert ours == pytest.approx(exact[1:], abs=1e-6)
@@ -73,13 +73,13 @@ def test_terminal_states_against_an_ode_solver(name: str) -> None:
 
 
 def test_approaches_are_refused_as_the_executive_refuses_them(dual: Scenario) -> None:
-    course = Course(dual, ("wood", "acrylic"), new_flight(dual), Constraints(dual))
+    rollout = Rollout(dual, ("wood", "acrylic"), new_flight(dual), Constraints(dual))
     text = (SCENARIOS.parent / "dual_collision.yaml").read_text()
     rng = np.random.default_rng(5)
     seen: set[Refusal | None] = set()
     for _ in range(150):
         n, t = -float(rng.uniform(0.05, 3.0)), float(rng.uniform(-2.0, 2.0))
-        grid = course.approach(np.array(n), np.array(t))
+        grid = rollout.approach(np.array(n), np.array(t))
         old = "normal_m_s: -0.6, tangential_m_s: 0.5"
         assert old in text
         document = Document(text.replace(old, f"normal_m_s: {n!r}, tangential_m_s: {t!r}"), "mission")

@@ -11,7 +11,7 @@ import numpy as np
 from dart_flight.config import load_vehicle
 from dart_flight.config.vehicle import packaged
 from dart_flight.contact.coefficients import CoefficientArrays
-from dart_flight.contact.contact_map import collision_map
+from dart_flight.contact.contact_map import contact_map
 from dart_flight.contact.law import Onset
 from dart_flight.samples import Mode
 from tests.oracles.stepping import stepped_map
@@ -43,7 +43,7 @@ def rows(batch: int = BATCH) -> list[dict[str, Any]]:
     normal, tangential = -random.uniform(0.1, 3.0, batch), random.uniform(-1.5, 1.5, batch)
 
     def closed() -> None:
-        collision_map(table, mass, normal, tangential, Onset.LCP, rows=which)
+        contact_map(table, mass, normal, tangential, Onset.LCP, rows=which)
 
     def stepped(step_s: float) -> Callable[[], object]:
         return lambda: stepped_map(table, mass, normal, tangential, Onset.LCP, rows=which, step_s=step_s)

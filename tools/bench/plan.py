@@ -14,8 +14,8 @@ import msgspec
 import numpy as np
 
 from dart_flight.config.scenario import Scenario, load_scenario
-from dart_flight.planning.enumerate import draws_of
-from dart_flight.planning.trajectories import Arrivals, Course, Stages, new_flight, stages_for
+from dart_flight.planning.rollout import Arrivals, Rollout, Stages, new_flight, stages_for
+from dart_flight.planning.search import draws_of
 from tests.oracles.plan_reference import solve_candidate
 from tests.oracles.plan_stepping import Ends, step_everything
 
@@ -45,14 +45,14 @@ class _Case:
     def enumerate(self) -> list[Arrivals]:
         """Preparation included: nothing is kept between calls."""
         stages = stages_for(self.scenario, [None])[0]
-        course = Course(self.scenario, self.scenario.sequences[0], new_flight(self.scenario), None)
-        grid = course.approach(self.normal, self.tangential)
-        return course.fly(stages, self.normal, self.tangential, grid)
+        rollout = Rollout(self.scenario, self.scenario.sequences[0], new_flight(self.scenario), None)
+        grid = rollout.approach(self.normal, self.tangential)
+        return rollout.fly(stages, self.normal, self.tangential, grid)
 
     def step(self) -> list[Ends]:
         stages = self.stages()
-        course = Course(self.scenario, self.scenario.sequences[0], new_flight(self.scenario), None)
-        grid = course.approach(self.normal, self.tangential)
+        rollout = Rollout(self.scenario, self.scenario.sequences[0], new_flight(self.scenario), None)
+        grid = rollout.approach(self.normal, self.tangential)
         return step_everything(self.scenario, stages, self.normal, self.tangential, grid)
 
     def stages(self) -> Stages:
@@ -85,7 +85,7 @@ def _errors(case: _Case) -> str:
     arrivals, ends = case.enumerate(), case.step()
     stages = case.stages()
     rng = np.random.default_rng(1)
-    course = Course(case.scenario, case.scenario.sequences[0], new_flight(case.scenario), None)
+    rollout = Rollout(case.scenario, case.scenario.sequences[0], new_flight(case.scenario), None)
     worst_plan = worst_step = worst_all = 0.0
     reached = 0
     for a, e in zip(arrivals, ends, strict=True):
@@ -97,7 +97,7 @@ def _errors(case: _Case) -> str:
         for j in rng.choice(common.size, min(_ODE_SAMPLE // 4, common.size), replace=False):
             i, n, t = common[j], *np.divmod(common[j], case.tangential.size)
             velocity = (float(case.normal[n, 0]), float(case.tangential[0, t]))
-            grid = course.approach(np.array(velocity[0]), np.array(velocity[1]))
+            grid = rollout.approach(np.array(velocity[0]), np.array(velocity[1]))
             sequence = case.scenario.sequences[0]
             exact = solve_candidate(case.scenario, sequence, a.modes, stages, velocity, grid)
             k, m = in_a[j], in_e[j]
@@ -126,11 +126,11 @@ def robust() -> Row:
 
         draws = draws_of(scenario, 1)
         flight = new_flight(scenario)
-        course = Course(scenario, scenario.sequences[0], flight, Constraints(scenario))
-        grid = course.approach(normal, tangential)
+        rollout = Rollout(scenario, scenario.sequences[0], flight, Constraints(scenario))
+        grid = rollout.approach(normal, tangential)
         count = 0
         for draw, stages in zip(draws, stages_for(scenario, list(draws)), strict=True):
-            course.fly(stages, normal, tangential, grid, draw)
+            rollout.fly(stages, normal, tangential, grid, draw)
             count += normal.size * tangential.size * len(scenario.modes) ** 2
 
     taken = _best(run, 2)

@@ -17,8 +17,8 @@ from typing import NamedTuple
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
 from dart_flight.config.scenario import Objective, load_scenario
-from dart_flight.planning.enumerate import Plan, search
 from dart_flight.planning.mission_writer import write_mission
+from dart_flight.planning.search import Plan, search
 from dart_flight.planning.summary import with_objective
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.campaigns import fly_fast_many

@@ -15,8 +15,8 @@ import msgspec
 
 from dart_flight.config.mission import load_mission
 from dart_flight.config.scenario import load_scenario
-from dart_flight.planning.enumerate import Plan, search
 from dart_flight.planning.mission_writer import write_mission
+from dart_flight.planning.search import Plan, search
 from dart_flight.samples import Mode, TruthContact
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.fast import fly_fast

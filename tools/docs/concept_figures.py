@@ -22,7 +22,7 @@ from dart_flight.contact.path import trajectory
 from dart_flight.contact.prediction import condition, wall_contact
 from dart_flight.geometry import MissionFrame, Vec2, Wall
 from dart_flight.lock.cam import limits_deg, rod_mm
-from dart_flight.recording.arrays import Course
+from dart_flight.recording.arrays import FlightArrays
 from dart_flight.recording.reader import read_log
 from dart_flight.samples import ImpactPeak, Mode, SetPoint
 from dart_flight.worlds.fast import fly_fast
@@ -204,7 +204,7 @@ def recovery(folder: Path) -> None:
         verdict = fly_fast(mission, 1, Path(logs))
         if verdict.log is None or verdict.outcome != "completed":
             raise RuntimeError(f"the flight for the figure: {verdict.outcome}, {verdict.reason}")
-        course = Course(read_log(verdict.log), mission)
+        course = FlightArrays(read_log(verdict.log), mission)
     assert course.frame is not None
     figure, axis = _figure(6.8, 4.4)
     for wall in mission.walls:

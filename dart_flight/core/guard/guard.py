@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from dart_flight.config.mission import Mission
 from dart_flight.core.guard.rules import RULES, RULES_BY_NAME, Rule, in_scope
-from dart_flight.core.guard.watch import STOP_TIME_S, Watch
+from dart_flight.core.guard.watch import Watch
+from dart_flight.core.mission.position_loop import STOP_TIME_S
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState

@@ -11,6 +11,8 @@ import math
 from collections import deque
 
 from dart_flight.config.mission import Mission
+from dart_flight.core.mission.arithmetic import SCALARS
+from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import Vec2, Vec3
@@ -31,7 +33,6 @@ from dart_flight.samples import (
 )
 from dart_flight.streams import BY_NAME
 
-STOP_TIME_S = 0.5  # PX4's position loop stops from a speed within about half a second of way
 _FAILSAFE_WORDS = ("failsafe",)
 _FAILSAFE_MEMORY_US = 3_000_000
 _GAP_US = 500_000  # of silence, in which PX4 may have said anything
@@ -152,16 +153,10 @@ class Watch:
 
     def stop_point(self) -> Vec2:
         """Where the vehicle would stop if told so now; a wall in the way stops it earlier."""
-        state = self.state
-        x, y = state.position[0], state.position[1]
-        dx, dy = STOP_TIME_S * state.velocity[0], STOP_TIME_S * state.velocity[1]
-        share = 1.0
-        for wall in self.mission.walls:
-            here = wall.signed_distance((x, y))
-            there = wall.signed_distance((x + dx, y + dy))
-            if here > there and there < 0.0 and here > -0.3 and wall.spans((x, y)):
-                share = min(share, max(0.0, here / (here - there)))
-        return (x + share * dx, y + share * dy)
+        x, y, _ = self.state.position
+        vx, vy, _ = self.state.velocity
+        way_s = STOP_TIME_S * stop_share(SCALARS, self.mission.walls, (x, y), (vx, vy))
+        return (x + way_s * vx, y + way_s * vy)
 
     @property
     def landing_s(self) -> float:

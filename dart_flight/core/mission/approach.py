@@ -7,17 +7,22 @@ PX4 so that its P-PID cascade has only errors to remove.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import NamedTuple
 
 import msgspec
 
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import Flying
-from dart_flight.geometry import Vec2, Vec3, distance2
+from dart_flight.core.mission.arithmetic import SCALARS, Arithmetic, Number
+from dart_flight.geometry import Vec2, Vec3, Wall, distance2
 
 # Speed follows 3 s^2 - 2 s^3: the peak acceleration is 1.5 times the mean, the way half of speed times time.
 PEAK_OVER_MEAN = 1.5
 CLEARANCE_M = 0.15
 ON_PLANE_M = 1e-6  # an impact lies on its wall's plane but for rounding
+_ON_RAY_M = 1e-6  # ... and the start on the ray of its approach
+_LEAST_TRANSIT_S = 0.1
 
 
 class ReferencePoint(msgspec.Struct, frozen=True, gc=False):
@@ -56,7 +61,7 @@ class Approach(msgspec.Struct, frozen=True):
     @property
     def impact_s(self) -> float:
         """Time of the impact after the start of the run-up."""
-        return self.ramp_s + (self.length_m - 0.5 * self.speed_m_s * self.ramp_s) / self.speed_m_s
+        return float(impact_time_s(self.length_m, self.speed_m_s, self.ramp_s))
 
     def at(self, t_s: float) -> ReferencePoint:
         """The reference `t_s` seconds after the start of the run-up; it goes on through the wall."""
@@ -79,37 +84,115 @@ class NoApproachError(ValueError):
     """There is no room for the run-up, or something is in its way."""
 
 
+class RunUp(NamedTuple):
+    """Where an approach begins and how it speeds up; numbers, or arrays of them."""
+
+    begin: tuple[Number, Number]
+    direction: tuple[Number, Number]
+    speed_m_s: Number
+    ramp_s: Number
+
+
+def run_up(
+    m: Arithmetic,
+    start: Vec2,
+    impact: tuple[Number, Number],
+    velocity: tuple[Number, Number],
+    flying: Flying,
+) -> RunUp:
+    """The run-up of an approach.
+
+    It starts at the mission's start where that lies on the ray and is far enough from the wall, otherwise as
+    far back along the ray as the acceleration and the steady run need.
+
+    Args:
+        m: for numbers or for arrays.
+        start: of the mission.
+        impact: where the vehicle's centre meets the plane.
+        velocity: at the impact, mission frame, m/s.
+        flying: acceleration and steady run.
+    """
+    vx, vy = velocity
+    speed = m.hypot(vx, vy)
+    direction = (vx / speed, vy / speed)
+    ramp_s = PEAK_OVER_MEAN * speed / flying.acceleration_m_s2
+    needed = 0.5 * speed * ramp_s + speed * flying.steady_run_s
+    from_start = m.hypot(start[0] - impact[0], start[1] - impact[1])
+    ray_end = (start[0] + direction[0] * from_start, start[1] + direction[1] * from_start)
+    on_ray = m.hypot(ray_end[0] - impact[0], ray_end[1] - impact[1]) < _ON_RAY_M
+    from_there = (from_start >= needed) & on_ray
+    begin = (
+        m.where(from_there, start[0], impact[0] - direction[0] * needed),
+        m.where(from_there, start[1], impact[1] - direction[1] * needed),
+    )
+    return RunUp(begin, direction, speed, ramp_s)
+
+
+def impact_time_s(length_m: Number, speed_m_s: Number, ramp_s: Number) -> Number:
+    """Time of the impact after the start of a run-up of this length."""
+    return ramp_s + (length_m - 0.5 * speed_m_s * ramp_s) / speed_m_s
+
+
+def is_blocked(
+    m: Arithmetic,
+    wall: Wall,
+    a: tuple[Number, Number],
+    b: tuple[Number, Number],
+    end_clearance_m: float = CLEARANCE_M,
+) -> Number:
+    """Whether a wall stands in the way from one point to another, or the way begins too near behind it.
+
+    Args:
+        m: for numbers or for arrays.
+        wall: the obstacle.
+        a, b: ends of the way, mission frame.
+        end_clearance_m: that `b` must keep from the plane; `a` keeps `CLEARANCE_M`.
+    """
+    here = wall.signed_distance(a)
+    da, db = here - CLEARANCE_M, wall.signed_distance(b) - end_clearance_m
+    crosses = (da * db < 0.0) | ((da < 0.0) & (here > -CLEARANCE_M))
+    gap = da - db
+    share = m.where(gap != 0.0, da / m.where(gap != 0.0, gap, 1.0), 0.0)
+    crossing = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
+    return crosses & (abs(wall.along(crossing)) <= 0.5 * wall.length_m)
+
+
+def legs_to_impact(
+    start: Vec2, begin: tuple[Number, Number], impact: tuple[Number, Number], wall: Wall, first: bool
+) -> Callable[[Wall], list[tuple[tuple[Number, Number], tuple[Number, Number], float]]]:
+    """The straight ways before an impact, as (a, b, clearance at b), against any wall.
+
+    Args:
+        start: of the mission; the way from there to the run-up point counts for the first collision.
+        begin, impact: of the run-up.
+        wall: that is to be hit: the run-up ends on its plane.
+        first: whether this is the mission's first collision.
+    """
+
+    def against(other: Wall) -> list[tuple[tuple[Number, Number], tuple[Number, Number], float]]:
+        legs = [(begin, impact, -ON_PLANE_M if other == wall else CLEARANCE_M)]
+        return [*legs, (start, begin, CLEARANCE_M)] if first else legs
+
+    return against
+
+
 def plan_approach(mission: Mission, collision: Collision) -> Approach:
     """The run-up and approach of a collision that has one.
-
-    The run-up starts at the mission's start where that lies on the ray and is far enough from the wall,
-    otherwise as far back along the ray as the acceleration and the steady run need.
 
     Raises:
         NoApproachError: the run-up leaves the bounds, or a wall is in its way.
     """
-    assert collision.approach_m_s is not None
     assert collision.impact_point is not None
-    flying = mission.vehicle.flying
-    velocity = collision.approach_velocity()
-    speed = math.hypot(velocity[0], velocity[1])
-    direction = (velocity[0] / speed, velocity[1] / speed)
-    ramp_s = PEAK_OVER_MEAN * speed / flying.acceleration_m_s2
-    needed = 0.5 * speed * ramp_s + speed * flying.steady_run_s
+    vx, vy, _ = collision.approach_velocity()
     impact = collision.impact_point
-    from_start = distance2(mission.start, impact)
-    ray_end = (mission.start[0] + direction[0] * from_start, mission.start[1] + direction[1] * from_start)
-    if from_start >= needed and distance2(ray_end, impact) < 1e-6:
-        begin = mission.start
-    else:
-        begin = (impact[0] - direction[0] * needed, impact[1] - direction[1] * needed)
+    begin, direction, speed, ramp_s = run_up(SCALARS, mission.start, impact, (vx, vy), mission.vehicle.flying)
     approach = Approach(begin, impact, direction, speed, ramp_s, mission.altitude_m)
     _check_room(mission, collision, approach)
     return approach
 
 
 def _check_room(mission: Mission, collision: Collision, approach: Approach) -> None:
-    begin = approach.begin
+    begin, impact = approach.begin, approach.impact
     excess = mission.bounds.excess2(begin)
     if excess > 0.0:
         raise NoApproachError(
@@ -117,24 +200,15 @@ def _check_room(mission: Mission, collision: Collision, approach: Approach) -> N
             f"({begin[0]:.2f}, {begin[1]:.2f}), {excess:.2f} m outside bounds_m; approach slower or from "
             "further along the wall, or move start back along the ray"
         )
-    excess = mission.bounds.excess2(approach.impact)
+    excess = mission.bounds.excess2(impact)
     if excess > 0.0:
         raise NoApproachError(
-            f"the impact at ({approach.impact[0]:.2f}, {approach.impact[1]:.2f}) is {excess:.2f} m outside "
-            "bounds_m"
+            f"the impact at ({impact[0]:.2f}, {impact[1]:.2f}) is {excess:.2f} m outside bounds_m"
         )
-    legs: list[tuple[Vec2, Vec2]] = [(begin, approach.impact)]
-    if collision.index == 1:
-        legs.append((mission.start, begin))
+    legs = legs_to_impact(mission.start, begin, impact, collision.wall, collision.index == 1)
     for wall in mission.walls:
-        for a, b in legs:
-            end_clearance = -ON_PLANE_M if wall == collision.wall and b == approach.impact else CLEARANCE_M
-            da, db = wall.signed_distance(a) - CLEARANCE_M, wall.signed_distance(b) - end_clearance
-            if da * db < 0.0 or (da < 0.0 and wall.signed_distance(a) > -CLEARANCE_M):
-                share = da / (da - db) if da != db else 0.0
-                crossing = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
-                if wall.spans(crossing):
-                    raise NoApproachError(f"wall {wall.name} is in the way of the run-up")
+        if any(is_blocked(SCALARS, wall, *leg) for leg in legs(wall)):
+            raise NoApproachError(f"wall {wall.name} is in the way of the run-up")
 
 
 def stop_before(mission: Mission, collision: Collision, begin: Vec2, impact: Vec2) -> Vec2:
@@ -145,6 +219,14 @@ def stop_before(mission: Mission, collision: Collision, begin: Vec2, impact: Vec
         return begin
     share = (here - standoff) / (here - there)
     return (begin[0] + share * (impact[0] - begin[0]), begin[1] + share * (impact[1] - begin[1]))
+
+
+def transit_time_s(m: Arithmetic, way_m: Number, speed_m_s: float, acceleration_m_s2: float) -> Number:
+    """Of the quickest smooth flight from rest to rest over a way within the limits.
+
+    Quintic: peak speed 1.875 way/T, peak acceleration 5.774 way/T^2.
+    """
+    return m.maximum(1.875 * way_m / speed_m_s, m.sqrt(5.774 * way_m / acceleration_m_s2))
 
 
 class Transit(msgspec.Struct, frozen=True):
@@ -158,9 +240,8 @@ class Transit(msgspec.Struct, frozen=True):
     def between(cls, begin: Vec3, end: Vec3, speed_m_s: float, acceleration_m_s2: float) -> Transit:
         """The quickest smooth transit within the limits."""
         way = math.dist(begin, end)
-        # Quintic rest-to-rest: peak speed 1.875 way/T, peak acceleration 5.774 way/T^2.
-        duration = max(1.875 * way / speed_m_s, math.sqrt(5.774 * way / acceleration_m_s2), 0.1)
-        return cls(begin, end, duration)
+        duration = transit_time_s(SCALARS, way, speed_m_s, acceleration_m_s2)
+        return cls(begin, end, max(duration, _LEAST_TRANSIT_S))
 
     def at(self, t_s: float) -> ReferencePoint:
         """The reference `t_s` seconds after the start; it stays at the end."""
@@ -176,8 +257,3 @@ class Transit(msgspec.Struct, frozen=True):
             (d[0] * speed, d[1] * speed, d[2] * speed),
             (d[0] * acceleration, d[1] * acceleration, d[2] * acceleration),
         )
-
-
-def transit_to(begin: Vec3, end: Vec3, flying: Flying) -> Transit:
-    """A transit within the configured speed and acceleration."""
-    return Transit.between(begin, end, flying.transit_speed_m_s, flying.acceleration_m_s2)

@@ -11,15 +11,46 @@ move much. The planner (`flight_model`) has both.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from dart_flight.config.vehicle import Px4Parameters
+from dart_flight.core.mission.arithmetic import Arithmetic, Number
+from dart_flight.geometry import Wall
 
 # Attitude loop (MC_ROLL_P 6.5) and motors; held to the plant in tests/planning/test_against_plant.py.
 ATTITUDE_LAG_S = 0.15
 
 
-class Loop(NamedTuple):
+STOP_TIME_S = 0.5  # the loop stops from a speed within about half a second of way
+_BEHIND_M = 0.3  # further behind a plane is the other side of the wall
+
+
+def stop_share(
+    m: Arithmetic, walls: Iterable[Wall], position: tuple[Number, Number], velocity: tuple[Number, Number]
+) -> Number:
+    """The share of `STOP_TIME_S` times velocity after which the vehicle would stand if told so now.
+
+    1 in the open; less where a wall in the way stops it earlier.
+
+    Args:
+        m: for numbers or for arrays.
+        walls: of the room.
+        position, velocity: horizontal, mission frame.
+    """
+    share: Number = 1.0
+    (x, y), (vx, vy) = position, velocity
+    for wall in walls:
+        here = wall.signed_distance(position)
+        there = wall.signed_distance((x + STOP_TIME_S * vx, y + STOP_TIME_S * vy))
+        within = abs(wall.along(position)) <= 0.5 * wall.length_m
+        stops = (here > there) & (there < 0.0) & (here > -_BEHIND_M) & within
+        way = m.where(stops, here - there, 1.0)
+        share = m.minimum(share, m.where(stops, m.maximum(here / way, 0.0), 1.0))
+    return share
+
+
+class PositionLoop(NamedTuple):
     """Gains of the horizontal loop: kp 1/s, kv 1/s, ki 1/s2, kd, and the lag tau in s."""
 
     kp: float
@@ -29,7 +60,7 @@ class Loop(NamedTuple):
     tau: float
 
     @classmethod
-    def of(cls, px4: Px4Parameters) -> Loop:
+    def of(cls, px4: Px4Parameters) -> PositionLoop:
         """The loop of a vehicle with these parameters."""
         return cls(
             px4.mpc_xy_p, px4.mpc_xy_vel_p_acc, px4.mpc_xy_vel_i_acc, px4.mpc_xy_vel_d_acc, ATTITUDE_LAG_S

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from dart_flight.config import Coefficients, load_vehicle
 from dart_flight.config.vehicle import packaged
 from dart_flight.contact.coefficients import CoefficientArrays
-from dart_flight.contact.contact_map import Collision, collide, collision_map, drop, drop_map
+from dart_flight.contact.contact_map import WallHit, collide, contact_map, drop, drop_map
 from dart_flight.contact.law import Onset, contact_force
 from dart_flight.contact.path import Contact, passage, trajectory
 from dart_flight.samples import Mode
@@ -58,7 +58,7 @@ def test_all_reference_wall_collisions(onset: Onset) -> None:
     table = CoefficientArrays.of([VEHICLE.materials["acrylic"].of(mode) for mode in Mode])
     which = np.array([list(Mode).index(Mode(row["mode"])) for row in rows])
     normal, tangential = (np.array([float(row[k]) for row in rows]) for k in ("vx_in_m_s", "vy_in_m_s"))
-    result = collision_map(table, MASS, normal, tangential, onset, rows=which)
+    result = contact_map(table, MASS, normal, tangential, onset, rows=which)
     for column, got in {
         "vx_out_m_s": result.normal_out_m_s,
         "vy_out_m_s": result.tangential_out_m_s,
@@ -195,9 +195,9 @@ def test_scaling_with_speed(c: Coefficients, normal: float, onset: Onset, factor
 @given(coefficient_sets, approaches, slips, onsets)
 def test_push_of_zero_is_no_push(c: Coefficients, normal: float, tangential: float, onset: Onset) -> None:
     table = CoefficientArrays.of(c)
-    plain = collision_map(table, MASS, normal, tangential, onset)
-    pushed = collision_map(table, MASS, normal, tangential, onset, acceleration_m_s2=0.0)
-    for name, a, b in zip(Collision._fields, plain, pushed, strict=True):
+    plain = contact_map(table, MASS, normal, tangential, onset)
+    pushed = contact_map(table, MASS, normal, tangential, onset, acceleration_m_s2=0.0)
+    for name, a, b in zip(WallHit._fields, plain, pushed, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12, err_msg=name)
 
 
@@ -226,9 +226,7 @@ def test_overdamped_lcp_never_lets_go() -> None:
 @pytest.mark.parametrize("push", [None, 0.0, -9.81, 3.0])
 def test_what_does_not_approach_is_not_touched(onset: Onset, push: float | None) -> None:
     table = CoefficientArrays.of(TABLE[0])
-    r = collision_map(
-        table, MASS, np.array([0.7, 1e-12]), np.array([-0.2, 0.0]), onset, acceleration_m_s2=push
-    )
+    r = contact_map(table, MASS, np.array([0.7, 1e-12]), np.array([-0.2, 0.0]), onset, acceleration_m_s2=push)
     np.testing.assert_array_equal(r.normal_out_m_s, [0.7, 1e-12])
     np.testing.assert_array_equal(r.tangential_out_m_s, [-0.2, 0.0])
     for values in r[2:]:
@@ -240,8 +238,8 @@ def test_zero_and_grazing_speeds_stay_finite(onset: Onset) -> None:
     table = CoefficientArrays.of(TABLE)
     speeds = np.array([0.0, -0.0, -1e-300, -1e-15, -1e-9])[:, None]
     for push in (None, 0.0, -2.0, 5.0):
-        r = collision_map(table, MASS, speeds, 0.5, onset, acceleration_m_s2=push)
-        for name, values in zip(Collision._fields, r, strict=True):
+        r = contact_map(table, MASS, speeds, 0.5, onset, acceleration_m_s2=push)
+        for name, values in zip(WallHit._fields, r, strict=True):
             assert values.shape == (5, 4)
             assert not np.isnan(values).any(), name
         if push is None:
@@ -269,8 +267,8 @@ def test_rows_take_and_scalars_agree(onset: Onset, push: float | None) -> None:
     rows = random.integers(0, len(TABLE), n)
     normal, tangential = -random.uniform(0.05, 3.0, n), random.uniform(-1.5, 1.5, n)
     table = CoefficientArrays.of(TABLE)
-    by_row = collision_map(table, MASS, normal, tangential, onset, rows=rows, acceleration_m_s2=push)
-    each = collision_map(table.take(rows), MASS, normal, tangential, onset, acceleration_m_s2=push)
+    by_row = contact_map(table, MASS, normal, tangential, onset, rows=rows, acceleration_m_s2=push)
+    each = contact_map(table.take(rows), MASS, normal, tangential, onset, acceleration_m_s2=push)
     for a, b in zip(by_row, each, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12)
     for i in (0, 4095, 4096, n - 1):
@@ -280,11 +278,11 @@ def test_rows_take_and_scalars_agree(onset: Onset, push: float | None) -> None:
 
 def test_broadcasting() -> None:
     table = CoefficientArrays(*(v[:, None] for v in CoefficientArrays.of(TABLE)))
-    r = collision_map(table, MASS, np.linspace(-2.0, -0.1, 5), 0.3, Onset.LCP)
+    r = contact_map(table, MASS, np.linspace(-2.0, -0.1, 5), 0.3, Onset.LCP)
     assert r.peak_normal_force_n.shape == (4, 5)
     want = collide(TABLE[2], MASS, -2.0, 0.3, Onset.LCP)
     assert close(float(r.peak_normal_force_n[2, 0]), want.peak_normal_force_n)
-    assert collision_map(CoefficientArrays.of(TABLE[0]), MASS, -1.0, 0.0, Onset.LCP).impulse_n_s.shape == ()
+    assert contact_map(CoefficientArrays.of(TABLE[0]), MASS, -1.0, 0.0, Onset.LCP).impulse_n_s.shape == ()
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])

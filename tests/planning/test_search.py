@@ -16,8 +16,8 @@ from dart_flight.config.scenario import Objective, Scenario, load_scenario
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.planning.approach_grid import approach_grid
 from dart_flight.planning.constraints import CODE, Constraints, Refusal
-from dart_flight.planning.enumerate import Search, search
 from dart_flight.planning.mission_writer import write_mission
+from dart_flight.planning.search import Search, search
 from dart_flight.planning.summary import with_objective
 from dart_flight.samples import Mode
 

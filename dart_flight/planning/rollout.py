@@ -15,8 +15,8 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.config.scenario import Scenario
 from dart_flight.config.vehicle import Coefficients
+from dart_flight.core.mission.executive import PASSED_AFTER_S, PASSED_RISE_M
 from dart_flight.geometry import Vec2, Wall
 from dart_flight.planning.approach_grid import ApproachGrid, approach_grid
 from dart_flight.planning.constraints import CODE, REFUSALS, Constraints, Refusal
@@ -37,10 +37,9 @@ from dart_flight.planning.flight_model import (
     closest,
     first_crossing,
 )
+from dart_flight.planning.task import Task
 from dart_flight.samples import Mode
 
-PASSED_RISE_M = 0.03  # the executive's: the distance to the goal has risen by more than its noise
-PASSED_AFTER_S = 0.25
 _HORIZON_S = 6.0  # what has not come by then does not come: the loop has settled
 Outcome = TypeVar("Outcome", NormalOut, TangentialOut)
 Stages = dict[tuple[str, Mode], ContactStage]
@@ -153,33 +152,33 @@ class Draw(NamedTuple):
     delay_s: float
 
 
-def stages_for(scenario: Scenario, draws: Sequence[Draw | None]) -> list[Stages]:
+def stages_for(task: Task, draws: Sequence[Draw | None]) -> list[Stages]:
     """Contact stages of every wall with gains in every mode, for every draw (None: the nominal values)."""
-    keys = [(name, mode) for name in scenario.alphas for mode in scenario.modes]
+    keys = [(name, mode) for name in task.alphas for mode in task.modes]
     table, alphas, drags, delays = [], [], [], []
-    bx, by, _ = scenario.vehicle.airframe.drag_per_s
+    bx, by, _ = task.vehicle.airframe.drag_per_s
     for draw in draws:
         for name, mode in keys:
-            wall = scenario.walls[name]
-            c = scenario.vehicle.materials[wall.material].of(mode)
+            wall = task.walls[name]
+            c = task.vehicle.materials[wall.material].of(mode)
             if draw is not None:
                 k, f, mu = draw.factors[name, mode]
                 c = Coefficients(c.k * k, c.f * f, c.mu * mu, c.nu)
             table.append(c)
-            alphas.append(scenario.alphas[name])
+            alphas.append(task.alphas[name])
             n2 = wall.normal[0] ** 2
             drags.append((n2 * bx + (1.0 - n2) * by, n2 * by + (1.0 - n2) * bx))
             delays.append(draw.delay_s if draw is not None else 0.0)
-    stages = build_stages(scenario.vehicle, table, alphas, drags, delays)
+    stages = build_stages(task.vehicle, table, alphas, drags, delays)
     n = len(keys)
     return [dict(zip(keys, stages[i * n : (i + 1) * n], strict=True)) for i in range(len(draws))]
 
 
-class Course:
+class Rollout:
     """One sequence of walls, for any approach velocities.
 
     Args:
-        scenario: walls, goal, limits.
+        task: walls, goal, limits.
         sequence: names of the walls in the order of the hits.
         flight: the loop's tables, shared between courses.
         constraints: None lets every candidate fly on to its end, wherever that leads (for comparisons).
@@ -188,21 +187,21 @@ class Course:
 
     def __init__(
         self,
-        scenario: Scenario,
+        task: Task,
         sequence: Sequence[str],
         flight: FreeFlight,
         constraints: Constraints | None,
         keep_hits: bool = False,
     ) -> None:
-        self.scenario, self.flight, self.constraints = scenario, flight, constraints
-        self.walls = [scenario.walls[name] for name in sequence]
+        self.task, self.flight, self.constraints = task, flight, constraints
+        self.walls = [task.walls[name] for name in sequence]
         self.keep_hits = keep_hits
         self.refused = np.zeros(len(REFUSALS) + 1, dtype=np.int64)
-        self._goal: Vec2 = scenario.goal.position_m
+        self._goal: Vec2 = task.goal.position_m
 
     def approach(self, normal: Array, tangential: Array) -> ApproachGrid:
         """Approaches to the first wall."""
-        return approach_grid(self.scenario, self.walls[0], normal, tangential, self.constraints)
+        return approach_grid(self.task, self.walls[0], normal, tangential, self.constraints)
 
     def fly(
         self, stages: Stages, normal: Array, tangential: Array, grid: ApproachGrid, draw: Draw | None = None
@@ -215,9 +214,7 @@ class Course:
             grid: from `approach` for them.
             draw: shifts of the approach.
         """
-        firsts = [
-            self._first(stages, i, normal, tangential, grid, draw) for i in range(len(self.scenario.modes))
-        ]
+        firsts = [self._first(stages, i, normal, tangential, grid, draw) for i in range(len(self.task.modes))]
         fronts = [front for front in firsts if front is not None]
         for number, wall in enumerate(self.walls[1:], start=2):
             if fronts:
@@ -226,7 +223,7 @@ class Course:
 
     def _weight(self, collision: int) -> int:
         """Candidates that one approach stands for once the first `collision` modes are fixed."""
-        return int(len(self.scenario.modes) ** (len(self.walls) - collision))
+        return int(len(self.task.modes) ** (len(self.walls) - collision))
 
     def _refuse(self, codes: NDArray[np.int8], collision: int) -> NDArray[np.bool_]:
         """Count refusals; returns who stays."""
@@ -253,8 +250,8 @@ class Course:
         draw: Draw | None,
     ) -> _Front | None:
         wall = self.walls[0]
-        stage = stages[wall.name, self.scenario.modes[mode]]
-        bx, by, _ = self.scenario.vehicle.airframe.drag_per_s
+        stage = stages[wall.name, self.task.modes[mode]]
+        bx, by, _ = self.task.vehicle.airframe.drag_per_s
         n2 = wall.normal[0] ** 2
         bn, bt = n2 * bx + (1.0 - n2) * by, n2 * by + (1.0 - n2) * bx
         vn = normal if draw is None else np.minimum(normal + draw.normal_m_s, -1e-3)
@@ -346,11 +343,11 @@ class Course:
         series = near.along(wall.normal)
         series[0] -= wall.normal[0] * wall.point[0] + wall.normal[1] * wall.point[1]
         fronts = []
-        for i, mode in enumerate(self.scenario.modes):
+        for i, mode in enumerate(self.task.modes):
             stage = stages[wall.name, mode]
             d = first_crossing(series, stage.lead_s, -GRID_S - 2.0 * stage.lead_s, 1e-3)
             leg, after = near.leg_at(d), near.times + d
-            here = reached._replace(modes=reached.modes * len(self.scenario.modes) + i)
+            here = reached._replace(modes=reached.modes * len(self.task.modes) + i)
             codes = self._reached_codes(reached, wall, i, after)
             if codes is not None:
                 stays = np.flatnonzero(self._refuse(codes, number))
@@ -364,7 +361,7 @@ class Course:
         if self.constraints is None:
             return None
         codes = np.zeros(after.size, dtype=np.int8)
-        switched = front.modes % len(self.scenario.modes) != mode
+        switched = front.modes % len(self.task.modes) != mode
         if switched.any():
             lock_s = self.constraints.lock_s
             then = self.flight.at(front.leg, lock_s)
@@ -457,7 +454,7 @@ class Course:
             passes = self._refuse(self.constraints.to_goal(*state[:2], self._goal), len(self.walls))
         every = (miss, arrived.t_s + near.times + d, arrived.force_n, *state)
         arrivals = []
-        for number, modes in enumerate(itertools.product(self.scenario.modes, repeat=len(self.walls))):
+        for number, modes in enumerate(itertools.product(self.task.modes, repeat=len(self.walls))):
             mine = np.flatnonzero(passes & (arrived.modes == number))
             if mine.size:
                 hits = tuple(hit.take(mine) for hit in arrived.hits)
@@ -518,9 +515,9 @@ def _along(direction: Vec2, x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
     return along
 
 
-def new_flight(scenario: Scenario) -> FreeFlight:
-    """Tables for a scenario."""
-    return FreeFlight(scenario.vehicle, min(_HORIZON_S, scenario.limits.collision_timeout_s))
+def new_flight(task: Task) -> FreeFlight:
+    """Tables for a task."""
+    return FreeFlight(task.vehicle, min(_HORIZON_S, task.limits.collision_timeout_s))
 
 
 def _flatten(shape: tuple[int, ...], out: Outcome) -> Outcome:

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from dart_flight.config.document import InputError
 from dart_flight.config.scenario import Objective, Scenario
-from dart_flight.core.mission.approach import transit_to
+from dart_flight.core.mission.approach import Transit
 from dart_flight.geometry import Vec2, distance2
 from dart_flight.planning.approach_grid import ApproachGrid, straight_is_blocked
 from dart_flight.planning.constraints import ADVICE, REFUSALS, Constraints, Refusal
 from dart_flight.planning.flight_model import Array, FreeFlight, Rows
-from dart_flight.planning.trajectories import Arrivals, Course, Draw, new_flight, stages_for
+from dart_flight.planning.rollout import Arrivals, Draw, Rollout, new_flight, stages_for
 from dart_flight.samples import Mode
 
 Progress = Callable[[int, int], None]  # trajectories done, of how many
@@ -98,7 +98,7 @@ class Plan(msgspec.Struct, frozen=True):
         return tuple(c.mode for c in self.collisions)
 
 
-class Baseline(msgspec.Struct, frozen=True):
+class DirectFlight(msgspec.Struct, frozen=True):
     """Flying from start to goal without any collision."""
 
     blocked_by: str | None
@@ -145,7 +145,7 @@ class Search(msgspec.Struct, frozen=True):
     trajectories: int
     refused: dict[Refusal, int]
     elapsed_s: float
-    baseline: Baseline | None
+    baseline: DirectFlight | None
     maps: tuple[Candidates, ...]
 
 
@@ -209,11 +209,11 @@ class Planner:
         self, ignored: frozenset[Refusal]
     ) -> Iterator[tuple[tuple[str, ...], list[Arrivals], ApproachGrid]]:
         for sequence in self.scenario.sequences:
-            course = Course(self.scenario, sequence, self.flight, Constraints(self.scenario, ignored))
-            grid = course.approach(self.normal, self.tangential)
-            arrivals = course.fly(self.nominal, self.normal, self.tangential, grid)
+            rollout = Rollout(self.scenario, sequence, self.flight, Constraints(self.scenario, ignored))
+            grid = rollout.approach(self.normal, self.tangential)
+            arrivals = rollout.fly(self.nominal, self.normal, self.tangential, grid)
             if not ignored:
-                self.refused += course.refused
+                self.refused += rollout.refused
                 self.flown += self.approaches * len(self.scenario.modes) ** len(sequence)
                 self._progress(self.flown, self.candidates)
             yield sequence, arrivals, grid
@@ -270,11 +270,11 @@ class Planner:
             rows = np.unique(np.concatenate([c.rows for c in group]))
             normal, tangential = np.divmod(rows, self.tangential.size)
             vn, vt = self.normal[normal, 0], self.tangential[0, tangential]
-            course = Course(self.scenario, sequence, self.flight, Constraints(self.scenario))
-            grid = course.approach(vn, vt)
+            rollout = Rollout(self.scenario, sequence, self.flight, Constraints(self.scenario))
+            grid = rollout.approach(vn, vt)
             misses = {c.modes: np.full((len(draws), rows.size), math.nan) for c in group}
             for i, (draw, of_draw) in enumerate(zip(draws, stages, strict=True)):
-                for a in course.fly(of_draw, vn, vt, grid, draw):
+                for a in rollout.fly(of_draw, vn, vt, grid, draw):
                     if a.modes in misses:
                         misses[a.modes][i, a.rows] = a.miss_m
                 self.flown += sum(c.rows.size for c in group)
@@ -308,9 +308,9 @@ class Planner:
 
     def trace(self, c: Candidates, chosen: NDArray[np.intp]) -> Arrivals:
         """Some candidates of a map flown once more, with their collisions and legs kept."""
-        course = Course(self.scenario, c.sequence, self.flight, Constraints(self.scenario), keep_hits=True)
+        rollout = Rollout(self.scenario, c.sequence, self.flight, Constraints(self.scenario), keep_hits=True)
         vn, vt = c.normal_m_s[chosen], c.tangential_m_s[chosen]
-        arrivals = course.fly(self.nominal, vn, vt, course.approach(vn, vt))
+        arrivals = rollout.fly(self.nominal, vn, vt, rollout.approach(vn, vt))
         return next(a for a in arrivals if a.modes == c.modes)
 
     def why_infeasible(self) -> str:
@@ -410,9 +410,11 @@ def _spread(maps: list[Candidates], indices: Rows) -> Iterator[tuple[Candidates,
         yield maps[which], int(index - (ends[which] - maps[which].rows.size))
 
 
-def _baseline(scenario: Scenario) -> Baseline:
+def _baseline(scenario: Scenario) -> DirectFlight:
     goal = scenario.goal.position_m
     z = scenario.altitude_m
     start = (scenario.start[0], scenario.start[1], z)
-    transit = transit_to(start, (goal[0], goal[1], z), scenario.vehicle.flying)
-    return Baseline(straight_is_blocked(scenario, scenario.start, goal), transit.duration_s)
+    flying = scenario.vehicle.flying
+    end = (goal[0], goal[1], z)
+    transit = Transit.between(start, end, flying.transit_speed_m_s, flying.acceleration_m_s2)
+    return DirectFlight(straight_is_blocked(scenario, scenario.start, goal), transit.duration_s)

@@ -1,0 +1,91 @@
+"""What a rollout needs to know: vehicle, room, and what may be tried at which wall.
+
+A checked `Scenario` is one; a part of a mission is made one by `task_of`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Protocol
+
+import msgspec
+
+from dart_flight.config.mission import Bounds, Collision, GoalSpec, Limits, Mission
+from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.geometry import Vec2, Wall
+from dart_flight.samples import Mode
+
+
+class Task(Protocol):
+    """Read-only."""
+
+    @property
+    def vehicle(self) -> VehicleConfig:
+        """Gains, drag, materials, lock."""
+
+    @property
+    def start(self) -> Vec2:
+        """Mission frame, metres."""
+
+    @property
+    def goal(self) -> GoalSpec:
+        """Where it is, and how near counts."""
+
+    @property
+    def bounds(self) -> Bounds:
+        """The flight space."""
+
+    @property
+    def walls(self) -> Mapping[str, Wall]:
+        """By name."""
+
+    @property
+    def limits(self) -> Limits:
+        """Of the mission."""
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """That may be tried."""
+
+    @property
+    def alphas(self) -> Mapping[str, tuple[float, float]]:
+        """Gains (A_n, A_t) of the recovery set-point per wall, m/N."""
+
+
+class MissionTask(NamedTuple):
+    """Collisions of a mission that follow from one approach; every one has a wall of its own name."""
+
+    vehicle: VehicleConfig
+    start: Vec2
+    goal: GoalSpec
+    bounds: Bounds
+    walls: dict[str, Wall]
+    limits: Limits
+    modes: tuple[Mode, ...]
+    alphas: dict[str, tuple[float, float]]
+
+
+def task_of(mission: Mission, group: Sequence[Collision]) -> MissionTask:
+    """The task whose only candidate is the approach of the group's first collision."""
+    first = group[0]
+    assert first.approach_m_s is not None
+    assert first.impact_point is not None
+    # A rollout meets the wall on the ray from the start: where a mission says the point, seen from there.
+    vx, vy, _ = first.approach_velocity()
+    until = first.wall.signed_distance(mission.start) / -first.approach_m_s[0]
+    start = (first.impact_point[0] - vx * until, first.impact_point[1] - vy * until)
+    if all(abs(a - b) < _SAME_M for a, b in zip(start, mission.start, strict=True)):
+        start = mission.start
+    return MissionTask(
+        mission.vehicle,
+        start,
+        mission.goal,
+        mission.bounds,
+        {str(c.index): msgspec.structs.replace(c.wall, name=str(c.index)) for c in group},
+        mission.limits,
+        tuple(Mode),
+        {str(c.index): (c.alpha_normal_m_per_n, c.alpha_tangential_m_per_n) for c in group},
+    )
+
+
+_SAME_M = 1e-6
