@@ -14,8 +14,9 @@ import msgspec
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.contact.contact_map import collide
 from dart_flight.contact.law import Onset
+from dart_flight.core.mission.anchor import Anchor
 from dart_flight.core.mission.phases import ON_GROUND
-from dart_flight.geometry import MissionFrame, Vec3, tilt_of
+from dart_flight.geometry import Vec3, tilt_of
 from dart_flight.samples import (
     AttitudeSample,
     ContactEnd,
@@ -141,8 +142,7 @@ class VerdictBuilder:
         self._tilt_rad: float | None = None
         self._airborne_us: int | None = None
         self._landed_us: int | None = None
-        self._frame: MissionFrame | None = None
-        self._odometry: OdometrySample | None = None
+        self._anchor = Anchor(mission)
         self._estimated: list[tuple[int, Vec3]] = []
         self._true: list[tuple[int, Vec3]] = []
 
@@ -153,6 +153,7 @@ class VerdictBuilder:
 
     def take(self, record: Any) -> None:
         """Take the next record; kinds that do not matter here are passed over."""
+        self._anchor.take(record)
         if isinstance(record, AttitudeSample):
             if self._airborne_us is not None and self._landed_us is None:
                 self._tilt_rad = max(self._tilt_rad or 0.0, tilt_of(record.q_frd_to_ned))
@@ -185,14 +186,11 @@ class VerdictBuilder:
                 self._landed_us = record.t_us
 
     def _take_odometry(self, record: OdometrySample) -> None:
-        self._odometry = record
-        if self._frame is not None and self._airborne_us is not None and self._landed_us is None:
-            self._estimated.append((record.t_us, self._frame.point_from_ned(record.position_ned)))
+        frame = self._anchor.frame
+        if frame is not None and self._airborne_us is not None and self._landed_us is None:
+            self._estimated.append((record.t_us, frame.point_from_ned(record.position_ned)))
 
     def _take_phase(self, record: PhaseChange) -> None:
-        if self._phase is Phase.READYING and self._odometry is not None:
-            # As the executive does: the vehicle stands at its take-off point.
-            self._frame = self._mission.frame_at(self._odometry.position_ned)
         if self._phase in ON_GROUND and record.after is Phase.CLIMB:
             self._airborne_us = record.t_us
         if record.after is Phase.CONTACT and record.collision is not None and self._onset is not None:

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Imu
+from dart_flight.core.mission.anchor import Anchor
 from dart_flight.geometry import MissionFrame
 from dart_flight.recording.reader import Log
 from dart_flight.samples import (
     ForceEstimate,
     OdometrySample,
-    Phase,
     PhaseChange,
     Record,
     TruthSample,
@@ -109,11 +109,9 @@ def _rows(vectors: Any) -> Array:
 
 
 def _frame(records: Sequence[Record], mission: Mission) -> MissionFrame | None:
-    """As the core anchors it: at the newest odometry when the mission gets ready."""
-    newest: OdometrySample | None = None
+    anchor = Anchor(mission)
     for record in records:
-        if isinstance(record, OdometrySample):
-            newest = record
-        elif isinstance(record, PhaseChange) and record.before is Phase.READYING and newest is not None:
-            return mission.frame_at(newest.position_ned)
-    return None
+        anchor.take(record)
+        if anchor.frame is not None:
+            break
+    return anchor.frame
