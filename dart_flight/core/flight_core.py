@@ -23,6 +23,8 @@ from dart_flight.core.sense.senses import Sensed, Senses
 from dart_flight.core.sense.state import FlightState
 from dart_flight.samples import Input, MissionEnd, Output, Override, Phase
 
+_NOTHING = Sensed()
+
 
 class FlightCore:
     """Estimates, detects, recovers, walks through one mission, and says no.
@@ -63,21 +65,22 @@ class FlightCore:
         """Take one input; returns commands to carry out and records to log, in order."""
         if self.end is not None:
             return []
-        sensed, proposal = Sensed(), Proposal()
+        sensed, proposal = _NOTHING, Proposal()
         try:
             sensed = self._senses.take(item, self._expected)
-            if self.override is Override.NONE:
+            if self._guard.action is Override.NONE:
                 self._executive.propose(item, self.state, sensed, proposal)
                 self._expected = proposal.expected
         except Exception:
             proposal.findings.append(_fault())
         if proposal.frame is not None:
             self.state.anchor(proposal.frame)
-        known: list[Output] = [*sensed.impacts]
+        known: list[Output] = []
         if sensed.estimate is not None:
-            known.insert(0, sensed.estimate)
+            known = [sensed.estimate, *sensed.impacts]
         try:
-            return known + self._dispose(item, sensed, proposal)
+            known += self._dispose(item, sensed, proposal)
+            return known
         except Exception:
             # The guard itself is broken: no command of this step goes out, and it lands if it can.
             self._fault = _fault()

@@ -8,8 +8,10 @@ of the mission.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from dart_flight.config.mission import Mission
-from dart_flight.core.guard.rules import RULES, RULES_BY_NAME, Rule, in_scope
+from dart_flight.core.guard.rules import RULES, RULES_BY_NAME, Rule, Scope, in_scope
 from dart_flight.core.guard.watch import Watch
 from dart_flight.core.mission.position_loop import STOP_TIME_S
 from dart_flight.core.mission.proposal import Proposal
@@ -52,12 +54,8 @@ class Guard:
         self._config = mission.vehicle.guard
         self._rules = {rule.name: rule for rule in rules}
         # What is judged in which phase, sorted out once: this runs at every step of the flight.
-        self._judged = {
-            phase: [
-                (r.action.rank, r.cause, r.name) for r in rules if r.cause is not None and in_scope(r, phase)
-            ]
-            for phase in Phase
-        }
+        self._judged = {phase: _sorted_out(rules, phase, asked=False) for phase in Phase}
+        self._judged_asked = {phase: _sorted_out(rules, phase, asked=True) for phase in Phase}
         self._watch = Watch(mission)
         # A landing is waited for until the motors would have been stopped.
         self._landing_us = max(_LANDING_US, round(2e6 * (self._watch.surely_down_s or 0.0)))
@@ -110,7 +108,8 @@ class Guard:
 
     def _judge(self, state: FlightState, phase: Phase, events: list[Output]) -> None:
         watch, rank = self._watch, self.action.rank
-        for action, cause, name in self._judged[phase]:
+        judged = self._judged if watch.request is None else self._judged_asked
+        for action, cause, name in judged[phase]:
             # A rule whose action is in force already has nothing to add.
             if action > rank and (detail := cause(watch)) is not None:
                 self._fire(name, detail, state, events)
@@ -218,3 +217,14 @@ class Guard:
         if self._asked_us is None or state.now_us - self._asked_us >= _RETRY_US:
             self._asked_us = state.now_us
             out.append(VehicleCommand(state.now_us, action))
+
+
+def _sorted_out(
+    rules: tuple[Rule, ...], phase: Phase, *, asked: bool
+) -> list[tuple[int, Callable[[Watch], str | None], str]]:
+    """What is judged in a phase: rank of the action, cause, name; with the rules on requests or without."""
+    return [
+        (rule.action.rank, rule.cause, rule.name)
+        for rule in rules
+        if rule.cause is not None and in_scope(rule, phase) and (asked or rule.scope is not Scope.ASKED)
+    ]

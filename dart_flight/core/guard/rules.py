@@ -30,6 +30,7 @@ class Scope(StrEnum):
     ALWAYS = "always"
     AIR = "in the air"
     FLYING = "while the mission flies"  # not while landing or once overruled
+    ASKED = "on a request"  # of the operator or the shell
 
 
 class Rule(msgspec.Struct, frozen=True):
@@ -219,7 +220,7 @@ def _world_died(v: Watch) -> str | None:
 
 # --- the table ---------------------------------------------------------------------------------------------
 
-_ALWAYS, _AIR, _FLYING = Scope.ALWAYS, Scope.AIR, Scope.FLYING
+_ALWAYS, _AIR, _FLYING, _ASKED = Scope.ALWAYS, Scope.AIR, Scope.FLYING, Scope.ASKED
 _GIVE_UP, _BREAK_OFF, _HOLD = Override.GIVE_UP, Override.BREAK_OFF, Override.HOLD
 _LAND, _KILL, _RELEASE = Override.LAND, Override.KILL, Override.RELEASE
 
@@ -272,11 +273,11 @@ RULES: tuple[Rule, ...] = (
     Rule("force_over_limit", "the contact force goes well over the limit while it lasts",
          "limits.peak_force_n, guard.force_margin", _BREAK_OFF, _FLYING, _force),
     Rule("operator_ground", "the operator stops the flight before take-off", "",
-         _LAND, _ALWAYS, _operator_stops),
-    Rule("operator", "the operator asks to land (Ctrl-C)", "", _BREAK_OFF, _ALWAYS, _operator_lands),
+         _LAND, _ASKED, _operator_stops),
+    Rule("operator", "the operator asks to land (Ctrl-C)", "", _BREAK_OFF, _ASKED, _operator_lands),
     Rule("operator_release", "the operator lets go of the vehicle (second Ctrl-C)", "",
-         _RELEASE, _ALWAYS, _operator_releases, by_person=True),
-    Rule("world_died", "the simulated vehicle is gone", "", _RELEASE, _ALWAYS, _world_died),
+         _RELEASE, _ASKED, _operator_releases, by_person=True),
+    Rule("world_died", "the simulated vehicle is gone", "", _RELEASE, _ASKED, _world_died),
     # found by the mission, which alone knows the plan
     Rule("peak_force", "an impact's peak was over the limit", "limits.peak_force_n", _BREAK_OFF),
     Rule("wall_not_met", "the wall was not met where or when it should have been",
@@ -305,8 +306,8 @@ RULES_BY_NAME = {rule.name: rule for rule in RULES}
 
 
 def in_scope(rule: Rule, phase: Phase) -> bool:
-    """Whether a rule is judged in a phase."""
-    if rule.scope is Scope.ALWAYS:
+    """Whether a rule is judged in a phase, at every step of it or when there is a request."""
+    if rule.scope in (Scope.ALWAYS, Scope.ASKED):
         return True
     if phase in ON_GROUND:  # there the mission's time-outs judge
         return False

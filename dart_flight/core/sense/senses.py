@@ -42,6 +42,9 @@ class Sensed(NamedTuple):
     in_contact: bool = False
 
 
+_NOTHING, _TOUCHING = Sensed(), Sensed(in_contact=True)
+
+
 class Senses:
     """State, estimator and detector, fed together.
 
@@ -85,7 +88,7 @@ class Senses:
             state.take_estimator(item)
         elif isinstance(item, ClockOffset):
             state.take_clock(item)
-        return Sensed(in_contact=self.detector.in_contact)
+        return _TOUCHING if self.detector.in_contact else _NOTHING
 
     def _feel(self, item: ImuSample, expected: Expected) -> Sensed:
         estimate = self.estimator.estimate(item, self.state, self.detector.in_contact)
