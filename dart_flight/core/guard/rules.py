@@ -172,8 +172,7 @@ def _bounds(v: Watch) -> str | None:
     excess = bounds.excess2(v.state.position)
     if excess > 0.0:
         return f"{excess:.2f} m outside"
-    v.inside_once = True
-    excess = bounds.excess2(v.stop_point())
+    excess = v.stop_excess_m()
     return f"would stop {excess:.2f} m outside" if excess > 0.0 else None
 
 

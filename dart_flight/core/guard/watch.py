@@ -15,7 +15,7 @@ from dart_flight.core.mission.arithmetic import SCALARS
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import Vec2, Vec3
+from dart_flight.geometry import Vec3
 from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
@@ -77,7 +77,6 @@ class Watch:
         self.jump: str = ""
         self._reset_us: int | None = None  # the estimator's last reset, outside of the window after an impact
         self._steps: deque[tuple[int, float, float]] = deque(maxlen=_STEPS)  # stamp, position m, velocity m/s
-        self.inside_once = False
         self._failsafe_us: int | None = None
         self._gap_us: int | None = None
         self._host_us = 0  # of the newest stamped sample
@@ -151,12 +150,14 @@ class Watch:
         """How long something has been going on, autopilot time, seconds; 0 where it is not."""
         return 0.0 if since_us is None else (self.state.now_us - since_us) * 1e-6
 
-    def stop_point(self) -> Vec2:
-        """Where the vehicle would stop if told so now; a wall in the way stops it earlier."""
-        x, y, _ = self.state.position
-        vx, vy, _ = self.state.velocity
+    def stop_excess_m(self) -> float:
+        """How far outside of the bounds the vehicle would stop if told so now; a wall stops it earlier."""
+        (x, y, _), (vx, vy, _) = self.state.position, self.state.velocity
+        bounds = self.mission.bounds
+        if bounds.excess2((x + STOP_TIME_S * vx, y + STOP_TIME_S * vy)) <= 0.0:
+            return 0.0  # the bounds are convex: then no earlier point lies outside either
         way_s = STOP_TIME_S * stop_share(SCALARS, self.mission.walls, (x, y), (vx, vy))
-        return (x + way_s * vx, y + way_s * vy)
+        return bounds.excess2((x + way_s * vx, y + way_s * vy))
 
     @property
     def landing_s(self) -> float:
