@@ -103,7 +103,7 @@ class Override(StrEnum):
     HOLD = "hold"  # stop here, then land
     LAND = "land"
     KILL = "kill"  # motors off, whatever PX4 believes
-    RELEASE = "release"  # silence: somebody else flies
+    RELEASE = "release"  # silence: the pilot or PX4 flies
 
     @property
     def rank(self) -> int:

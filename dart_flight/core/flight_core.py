@@ -25,7 +25,7 @@ from dart_flight.samples import Input, MissionEnd, Output, Override, Phase
 
 
 class FlightCore:
-    """Estimates, detects, recovers, walks through one mission, and says no.
+    """Estimates the force, detects impacts, flies one mission and applies the guard's rules.
 
     Args:
         mission: checked and resolved.
