@@ -21,6 +21,7 @@ from typing import Any
 import msgspec
 
 from dart_flight.config.mission import load_mission
+from dart_flight.geometry import GRAVITY_M_S2
 from dart_flight.samples import FlightMode, LandedState
 from dart_flight.sim.autopilot import TICK_S, TICK_US, ImuReading, make_autopilot
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
@@ -76,7 +77,7 @@ def main(port: int, impacts: int, period_s: float) -> int:
     rng = random.Random(1)
     autopilot = make_autopilot(mission, 1)
     autopilot.armed, autopilot.mode, autopilot.landed = True, FlightMode.OFFBOARD, LandedState.IN_AIR
-    hover = mission.vehicle.thrust.command_for(mission.vehicle.airframe.mass_kg * 9.81 / 4.0)
+    hover = mission.vehicle.thrust.command_for(mission.vehicle.airframe.mass_kg * GRAVITY_M_S2 / 4.0)
     autopilot.motors = (hover,) * 4
     e = autopilot.estimator
     e.ok, e.position = True, POSITION_NED
@@ -95,7 +96,7 @@ def main(port: int, impacts: int, period_s: float) -> int:
         noise = [rng.gauss(0.0, 0.2) for _ in range(3)]
         autopilot.imu = ImuReading(
             autopilot.time_us // TICK_US * TICK_US,
-            (-force / mass + noise[0], noise[1], -9.81 + noise[2]),
+            (-force / mass + noise[0], noise[1], -GRAVITY_M_S2 + noise[2]),
             (0.0, 0.0, 0.0),
         )
         endpoint.exchange()

@@ -14,7 +14,7 @@ from enum import StrEnum
 import msgspec
 
 from dart_flight.config.document import InputError
-from dart_flight.geometry import add, scale
+from dart_flight.geometry import GRAVITY_M_S2, add, scale
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
 from dart_flight.samples import FlightMode, Phase, PhaseChange, Record
@@ -220,7 +220,7 @@ class VehicleFault:
         self._autopilot.imu_stuck = True
 
     def _begin_imu_clip(self) -> None:
-        self._autopilot.imu_sensor.full_scale_m_s2 = self._fault.value * 9.81
+        self._autopilot.imu_sensor.full_scale_m_s2 = self._fault.value * GRAVITY_M_S2
 
     def _begin_ekf_jump(self) -> None:
         shift = (self._fault.value, 0.0, 0.0)
