@@ -1,5 +1,4 @@
-"""Thrust curve of the motors from the hover segments of flights (`dart-flight calibrate thrust`,
-docs/force.md).
+"""Thrust curve of the motors from the hover segments of flights (docs/force.md).
 
 While the vehicle flies slowly and steadily its thrust is mass times the specific force along its thrust
 axis, so every quiet stretch of a log is one point of the curve: commands in, force out. The curve
@@ -74,8 +73,7 @@ class Points(msgspec.Struct):
 
 
 class ThrustCalibration(msgspec.Struct):
-    """Thrust curve and how well it fits; standard errors beside what was fitted, null beside what was
-    kept."""
+    """Thrust curve and how well it fits; standard errors of what was fitted, null for what was kept."""
 
     segments: int
     full_n: float

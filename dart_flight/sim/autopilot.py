@@ -74,7 +74,7 @@ class Autopilot:
         self._failsafe_since_s: float | None = None
         self._quiet_since_s = 0.0
         self._tick = 0
-        # PX4 has been up for a while when somebody connects, and its clock is not the host's.
+        # PX4 has been up for a while when a client connects, and its clock is not the host's.
         plant.time_offset_us = 7_000_000
 
     # -- what telemetry reads --

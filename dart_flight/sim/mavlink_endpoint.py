@@ -1,6 +1,6 @@
 """The embedded autopilot's MAVLink side: what PX4 would send and answer, over UDP.
 
-Message rates are PX4's onboard defaults until somebody asks for others (`SET_MESSAGE_INTERVAL`), and snap to
+Message rates are PX4's onboard defaults until a client asks for others (`SET_MESSAGE_INTERVAL`), and snap to
 ticks of 4 ms as PX4's do. One endpoint has one or more links, each a UDP socket that sends to a fixed port:
 14540 for a companion, 14550 for a ground station.
 """
@@ -109,7 +109,7 @@ class MavlinkEndpoint:
     """Answers MAVLink for one autopilot.
 
     Args:
-        autopilot: stepped by somebody else, one tick before every `exchange`.
+        autopilot: stepped by the caller, one tick before every `exchange`.
         ports: remote UDP ports on this host, one link each.
     """
 
@@ -203,7 +203,7 @@ class MavlinkEndpoint:
         now_s = self.autopilot.now_s
         for link in self.links:
             for packed in link.to_app.pop(now_s):
-                # Nobody listening yet, or no more: a datagram is allowed to be lost.
+                # No listener yet, or no more: a datagram is allowed to be lost.
                 with contextlib.suppress(OSError):
                     link.socket.sendto(packed, link.remote)
 

@@ -174,7 +174,7 @@ class VehicleSession:
 
         Args:
             names: only of these of the table; None: all. Further ones subscribed to are always asked for.
-            watching: no faster than somebody needs who only watches.
+            watching: no faster than is needed to watch.
         """
         t = self._telemetry
         calls = {
@@ -360,7 +360,7 @@ class VehicleSession:
         self._action.set_actuator(index, value)
 
     def tell_ground(self, text: str) -> None:
-        """A STATUSTEXT for whoever watches, where the link allows."""
+        """A STATUSTEXT for the ground station, where the link allows."""
         with contextlib.suppress(Exception):
             self._utility.send_status_text(OwnStatusTextType.INFO, text[:50])
 

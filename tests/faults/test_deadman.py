@@ -1,4 +1,4 @@
-"""The deadman: who starves dies, and nobody else. In flight: measured on the wire, not in the program."""
+"""The deadman: kills a program that hangs, and no other. In flight: measured on the wire, from outside."""
 
 import os
 import re

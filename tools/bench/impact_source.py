@@ -3,9 +3,8 @@
     python -m tools.bench.impact_source PORT IMPACTS PERIOD_S
 
 Sends what the embedded autopilot would send, armed and in offboard mode, with the contact model's rigid
-pulse on
-the IMU every PERIOD_S seconds. When done it prints one JSON object: when every IMU sample went to the wire
-and when every set-point came from it, host's monotonic nanoseconds.
+pulse on the IMU every PERIOD_S seconds. When done it prints one JSON object: when every IMU sample went to
+the wire and when every set-point came from it, host's monotonic nanoseconds.
 """
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-"""Single simulated hits for judging force estimate and detector: plant, IMU and core parts, no mission
-around.
+"""Single simulated hits for judging force estimate and detector: plant, IMU and core parts, no mission.
 
 The plant flies ballistically (constant equal motor commands, so it keeps its tilt) into one wall; what a
 perfect IMU would read is kept, so that the same hit can be estimated under different noise.
@@ -55,7 +54,7 @@ _ATTITUDE_SIGMA_RAD, _VELOCITY_SIGMA_M_S = 0.005, 0.03
 
 
 class Hit(msgspec.Struct, frozen=True):
-    """One case: velocity at the wall, who meets what, and how it is tilted.
+    """One case: velocity at the wall, mode and material, and tilt.
 
     `lean` says where the thrust points: `in` to the wall, `along` it, or `away` from it.
     """

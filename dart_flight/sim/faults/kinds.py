@@ -1,9 +1,9 @@
 """The one table of what can go wrong in a simulated flight, and how it is brought about.
 
 `dry-run --fault NAME[=VALUE][@PHASE]`: the fault begins when the mission first reaches the phase (without:
-at once) and stays. Where a fault acts decides who applies it: `plant`, `sensor` and `autopilot` belong to
-the simulated vehicle (`VehicleFault.apply`), `link` to the messages between it and the app, `lock` to the
-mock servo, `app` to the program itself.
+at once) and stays. Where a fault acts decides which part applies it: `plant`, `sensor` and `autopilot`
+belong to the simulated vehicle (`VehicleFault.apply`), `link` to the messages between it and the app, `lock`
+to the mock servo, `app` to the program itself.
 """
 
 from __future__ import annotations
