@@ -201,7 +201,7 @@ class LockDriver(StrEnum):
 
 
 class LockStartup(StrEnum):
-    """What the lock does when the program starts: move to a known end, or believe what it finds."""
+    """What the lock does when the program starts: move to a known end, or go by what it finds."""
 
     HOME = "home"
     ADOPT = "adopt"
@@ -212,7 +212,7 @@ class LockConfig(Section, frozen=True):
 
     Attributes:
         driver: what moves the servo; mock: a modelled servo.
-        startup: home: move to home_mode; adopt: believe what is found.
+        startup: home: move to home_mode; adopt: go by what is found.
         home_mode: end to which `home` moves.
         relaxation_s: time after a contact before the lock may move: the arms spring back first.
         timeout_s: a travel that takes longer is a fault, and so is a limit switch not read for longer.
