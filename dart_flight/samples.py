@@ -14,6 +14,9 @@ import msgspec
 
 from dart_flight.geometry import Quaternion, Vec2, Vec3
 
+# Pulse widths of the motor outputs at the commands 0 and 1: PX4's PWM_<bank>_MIN and _MAX as it ships.
+MOTOR_STOP_US, MOTOR_FULL_US = 1000.0, 2000.0
+
 
 class Mode(StrEnum):
     """State of the arms: Γ = 1 rigid (locked), Γ = 2 flexible (unlocked)."""
@@ -103,7 +106,7 @@ class Override(StrEnum):
     HOLD = "hold"  # stop here, then land
     LAND = "land"
     KILL = "kill"  # motors off, whatever PX4 believes
-    RELEASE = "release"  # silence: somebody else flies
+    RELEASE = "release"  # silence: the pilot or PX4 flies
 
     @property
     def rank(self) -> int:

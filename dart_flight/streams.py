@@ -26,7 +26,7 @@ class Stream(msgspec.Struct, frozen=True):
 
     @property
     def watched_hz(self) -> float:
-        """Rate asked for by somebody who only watches: all of the IMU, of others little more than needed."""
+        """Rate asked for in order to watch: all of the IMU, of others little more than needed."""
         return self.rate_hz if self.name == "imu" else min(self.rate_hz, 62.5)
 
 

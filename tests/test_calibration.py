@@ -52,12 +52,11 @@ def test_command_line_writes_the_configuration(
     said = json.loads(capsys.readouterr().out)
     assert load_vehicle(config).thrust.full_n == pytest.approx(said["full_n"], abs=1e-3)
     assert said["full_n"] == pytest.approx(7.0, rel=0.04)
-    assert "# [example] calibrate at hover" in config.read_text()
+    assert "# at full command, at the voltage estimation.battery.reference_v\n" in config.read_text()
 
 
 def ulog(path: Path, volts: float, factor: float, full_n: float) -> None:
-    """A PX4 log of slow climbs and descents on a given curve at a given voltage (reference 16 V, exponent
-    1)."""
+    """A PX4 log of slow climbs and descents on a given curve at a voltage (16 V, exponent 1)."""
 
     def message(kind: bytes, content: bytes) -> bytes:
         return struct.pack("<Hc", len(content), kind) + content

@@ -1,4 +1,4 @@
-"""Imports point one way (docs/architecture.md), and each door to the outside has one room."""
+"""Imports point one way (docs/architecture.md), and each package from outside is imported in one place."""
 
 import ast
 from collections.abc import Iterator
@@ -33,7 +33,7 @@ FLOORS = {
 }
 # Inside the core likewise: what is known, what is proposed, what is allowed.
 CORE_FLOORS = {"sense": 0, "mission": 1, "guard": 2, "flight_core": 3}
-# Who may import a package from outside.
+# Where a package from outside may be imported.
 DOORS = {
     "mavsdk": ("vehicle/",),
     "serial": ("lock/drivers/maestro.py",),

@@ -66,7 +66,7 @@ class Proxy:
     def _receive(self, one: socket.socket) -> None:
         try:
             data, sender = one.recvfrom(4096)
-        except OSError:  # an earlier datagram found nobody listening
+        except OSError:  # an earlier datagram found no listener
             return
         now = time.monotonic()
         if one is self._vehicle_side:

@@ -68,7 +68,7 @@ def _rc_override(value: float, _: Mission) -> tuple[bool, str]:
     return takes_over, (
         "the pilot's sticks take over in offboard"
         if takes_over
-        else "the pilot's sticks do NOT take over in offboard: only his mode switch does"
+        else "the pilot's sticks do NOT take over in offboard: only the mode switch does"
     )
 
 
@@ -167,7 +167,7 @@ def judge_parameters(
     for parameter in PARAMETERS:
         difference = different.pop(parameter.name, None)
         if parameter.name not in values:
-            findings.append(Finding(parameter.name, False, "cannot be read: nobody knows what PX4 will do"))
+            findings.append(Finding(parameter.name, False, "cannot be read: what PX4 will do is not known"))
             continue
         go, says = parameter.judge(values[parameter.name], mission)
         if go and difference is not None:
@@ -221,7 +221,7 @@ def judge_position(
         mission: for its frame.
         found: by `position_source`.
         gps_fix: as there.
-        claimed: by the operator; None: he says nothing.
+        claimed: by the operator; None: not claimed.
     """
     item, fix = "position_source", (gps_fix or "no fix").replace("_", " ")
     if found is None:

@@ -16,7 +16,8 @@ import msgspec
 from msgspec import Meta
 
 from dart_flight.config.document import Document, InputError, Key
-from dart_flight.config.vehicle import NotNegative, Positive, Section, VehicleConfig, load_vehicle
+from dart_flight.config.section import NotNegative, Positive, Section
+from dart_flight.config.vehicle import VehicleConfig, load_vehicle
 from dart_flight.geometry import MissionFrame, Vec2, Vec3, Wall
 from dart_flight.samples import Mode
 

@@ -53,7 +53,7 @@ class Parameter(msgspec.Struct, frozen=True):
     reason: str
 
 
-class Difference(msgspec.Struct, frozen=True):
+class ParameterDifference(msgspec.Struct, frozen=True):
     """A parameter of the vehicle that is not as wanted; `actual` None: the vehicle has no such parameter."""
 
     name: str
@@ -134,7 +134,7 @@ def _parse(line: str, reason: str) -> Parameter:
     return Parameter(name, value, reason)
 
 
-def differences(wanted: Mapping[str, Parameter], actual: Mapping[str, float]) -> list[Difference]:
+def differences(wanted: Mapping[str, Parameter], actual: Mapping[str, float]) -> list[ParameterDifference]:
     """Where a vehicle's parameters differ from a file, in the file's order.
 
     Args:
@@ -146,5 +146,5 @@ def differences(wanted: Mapping[str, Parameter], actual: Mapping[str, float]) ->
         value = actual.get(parameter.name)
         # REAL32: equal to seven digits is equal.
         if value is None or not math.isclose(value, parameter.value, rel_tol=1e-6, abs_tol=1e-9):
-            found.append(Difference(parameter.name, parameter.value, value, parameter.reason))
+            found.append(ParameterDifference(parameter.name, parameter.value, value, parameter.reason))
     return found

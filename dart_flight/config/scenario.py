@@ -28,7 +28,8 @@ from dart_flight.config.mission import (
     resolve_space,
     unknown_name,
 )
-from dart_flight.config.vehicle import NotNegative, Positive, Section, VehicleConfig, load_vehicle
+from dart_flight.config.section import NotNegative, Positive, Section
+from dart_flight.config.vehicle import VehicleConfig, load_vehicle
 from dart_flight.geometry import Vec2, Wall
 from dart_flight.samples import Mode
 

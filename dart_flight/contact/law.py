@@ -10,6 +10,7 @@ vehicle's centre to its plane of first touch, negative in compression.
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
@@ -66,6 +67,5 @@ def coefficients_in_force(
         KeyError: the material is not in the vehicle's table.
     """
     table = vehicle.materials[material]
-    # The threshold is in degrees in the configuration; 0.0174533 rad per degree.
-    folds = abs(incidence_rad) < vehicle.airframe.incidence_rigid_deg * 0.017453292519943295
+    folds = abs(incidence_rad) < math.radians(vehicle.airframe.incidence_rigid_deg)
     return table.of(mode if folds else Mode.RIGID)

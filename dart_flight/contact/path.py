@@ -1,7 +1,7 @@
 """A contact in time, in closed form: the trajectory of one hit, and where a hit leaves the vehicle.
 
 `contact_map` says what comes out of a contact; this module says what happens meanwhile: for plots, for
-fitting recorded trials, and for whoever continues from the point of the peak force or of the release.
+fitting recorded trials, and to continue from the point of the peak force or of the release.
 Normal position, velocity and force are elementary (`dart_flight.contact.oscillator`); the way along the wall
 and the vertical impulse are integrals of smooth functions of them, by quadrature to the bounds stated.
 """

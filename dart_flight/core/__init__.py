@@ -1,5 +1,5 @@
 """The flight core: samples in, commands and decisions out. No I/O, no clock, no asyncio.
 
-The way of one IMU sample: `core.step` -> `senses` (`state` -> `force_estimator` -> `detector`) -> `executive`
+The path of one IMU sample: `flight_core` -> `sense` (`state` -> `force` -> `detector`) -> `mission.executive`
 (which calls `recovery` at the peak) -> `guard` -> out.
 """

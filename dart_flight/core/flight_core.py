@@ -27,7 +27,7 @@ _NOTHING = Sensed()
 
 
 class FlightCore:
-    """Estimates, detects, recovers, walks through one mission, and says no.
+    """Estimates the force, detects impacts, flies one mission and applies the guard's rules.
 
     Args:
         mission: checked and resolved.

@@ -1,4 +1,4 @@
-"""Contact coefficients from recorded trials: one joint least-squares fit with honest intervals.
+"""Contact coefficients from recorded trials: one joint least-squares fit, with intervals.
 
 All trials of a call share one plane, whose position is known to a centimetre or two and estimated along; all
 trials of a mode share its coefficients; every trial has its own onset time and approach velocity. The model

@@ -1,5 +1,4 @@
-"""Thrust curve of the motors from the hover segments of flights (`dart-flight calibrate thrust`,
-docs/force.md).
+"""Thrust curve of the motors from the hover segments of flights (docs/force.md).
 
 While the vehicle flies slowly and steadily its thrust is mass times the specific force along its thrust
 axis, so every quiet stretch of a log is one point of the curve: commands in, force out. The curve
@@ -22,8 +21,11 @@ from numpy.typing import NDArray
 
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.geometry import GRAVITY_M_S2
 from dart_flight.recording.reader import read_log
 from dart_flight.samples import (
+    MOTOR_FULL_US,
+    MOTOR_STOP_US,
     ActuatorSample,
     FlightMode,
     ImuSample,
@@ -43,7 +45,6 @@ _MOST_SPEED_M_S = 1.5
 _LEAST_POINTS = 6
 _FACTOR_ERROR = 0.1  # a factor less certain than this is not taken from the flight
 _LEAST_VOLTAGE_SPREAD = 0.02  # relative standard deviation
-_PWM_LOW, _PWM_HIGH = 1000.0, 2000.0
 
 
 class Track(msgspec.Struct):
@@ -72,8 +73,7 @@ class Points(msgspec.Struct):
 
 
 class ThrustCalibration(msgspec.Struct):
-    """Thrust curve and how well it fits; standard errors beside what was fitted, null beside what was
-    kept."""
+    """Thrust curve and how well it fits; standard errors of what was fitted, null for what was kept."""
 
     segments: int
     full_n: float
@@ -194,7 +194,7 @@ def _ulog_motors(topics: dict[str, Any], source: str) -> tuple[Array, Array]:
     if "actuator_outputs" in topics:
         data = topics["actuator_outputs"]
         pwm = _columns(data, "output", 4)
-        return _seconds(data), np.clip((pwm - _PWM_LOW) / (_PWM_HIGH - _PWM_LOW), 0.0, 1.0)
+        return _seconds(data), np.clip((pwm - MOTOR_STOP_US) / (MOTOR_FULL_US - MOTOR_STOP_US), 0.0, 1.0)
     raise InputError("has neither actuator_motors nor actuator_outputs", source=source)
 
 
@@ -304,7 +304,7 @@ def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustC
 
 
 def _hover_command(full_n: float, factor: float, mass_kg: float) -> float:
-    relative = mass_kg * 9.81 / (4.0 * full_n)
+    relative = mass_kg * GRAVITY_M_S2 / (4.0 * full_n)
     if factor < 1e-6:
         return relative
     b = 1.0 - factor

@@ -417,7 +417,7 @@ def find_impact(trial: Trial) -> TrialImpact:
 
 
 def _line_slope(time: Array, value: Array, impact: TrialImpact) -> float:
-    """Approach velocity as the median slope between samples (Theil and Sen): deaf to a third of outliers."""
+    """Approach velocity as the median slope between samples (Theil and Sen): bears a third of outliers."""
     straight = (time > impact.turn_s - 0.25) & (time < impact.turn_s - 0.07)
     t, x = time[straight][-200:], value[straight][-200:]
     apart = t[None, :] - t[:, None] > 0.03

@@ -1,7 +1,7 @@
 """The lock on the ground, in real time and by hand: what `dart-flight lock` does, without its printing.
 
-Who types a command stands beside the vehicle and sees the arms; so locking is permitted here, and the
-first command replaces homing.
+The person at the keyboard stands beside the vehicle and sees the arms; so locking is permitted here, and
+the first command replaces homing.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What outlives the process: the last command to the servo, and who has the servo now.
+"""What outlives the process: the last command to the servo, and which process has it now.
 
 Both live in `$DART_FLIGHT_STATE_DIR`, by default in the XDG state folder. The last command is a command:
 after a restart it says what was asked of the servo, not where the horn is.
@@ -43,7 +43,7 @@ def _usable(folder: Path) -> Path:
 
 
 class LastCommand(msgspec.Struct, frozen=True):
-    """What the servo was last told, by whom, and how far it was known to have got.
+    """The last command to the servo, where it came from, and how far the servo was known to have got.
 
     Attributes:
         driver: through which driver.
@@ -145,8 +145,8 @@ class ServoTakenError(Exception):
     """
 
     def __init__(self, pid: int | None) -> None:
-        who = "another process" if pid is None else f"process {pid}"
-        super().__init__(f"the lock's servo is in use by {who}")
+        owner = "another process" if pid is None else f"process {pid}"
+        super().__init__(f"the lock's servo is in use by {owner}")
         self.pid = pid
 
 

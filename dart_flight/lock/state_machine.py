@@ -181,7 +181,7 @@ class LockStateMachine:
     def start(self, t_us: int, reading: DriverReading | None) -> list[Action]:
         """The program starts: home or adopt, as configured; `reading` is the driver's first, if it has one.
 
-        Adopting believes a closed switch, else a pulse that the hardware is still putting out at one of the
+        Adopting goes by a closed switch, else a pulse that the hardware is still putting out at one of the
         two ends; that counts as a travel begun now, because it may have been commanded just before. Nothing
         found stays `unknown`: a command written down by the last run is no knowledge of where the horn is.
         """

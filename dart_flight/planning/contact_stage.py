@@ -16,8 +16,7 @@ controller, which sees u, adds its push d to it:
     d' = -(mu/m) lx d + a,                                              velocity u + d
 
 lx along the wall, and so the peak of the friction force, is that of the contact law alone at the speed of the
-onset. Until
-t_e the reference is the old one (r, moving at w), from then on the recovery set-point
+onset. Until t_e the reference is the old one (r, moving at w), from then on the recovery set-point
 (`core/mission/recovery.py`), which is a sum of the peaks. So the normal part is a constant matrix per
 material and mode, exact by the matrix exponential, and the part along the wall needs integrals of
 exp(-c (1 + xi')) only, by Gauss quadrature to about 1e-10.

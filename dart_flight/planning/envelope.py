@@ -35,7 +35,7 @@ def impact_velocity(collision: Collision) -> tuple[float, float] | None:
 
 
 def expected_hit(mission: Mission, collision: Collision) -> contact_map.WallHit[float] | None:
-    """What the contact law makes of a collision's velocity; None where nobody knows the velocity."""
+    """What the contact law makes of a collision's velocity; None where the velocity is not known."""
     velocity = impact_velocity(collision)
     if velocity is None or velocity[0] >= 0.0:
         return None

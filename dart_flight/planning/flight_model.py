@@ -162,7 +162,7 @@ class Grid(NamedTuple):
         )
 
     def stays_before(self, normal: tuple[float, float], offset: float, index: int) -> NDArray[np.bool_]:
-        """Who never gets behind a plane (normal . p = offset) from a grid point on, whatever comes."""
+        """Which ones surely stay before a plane (normal . p = offset) from a grid point on."""
         ax, ay = self.flight.axes
         nearest = normal[0] * self.goal_x[:, 0] + normal[1] * self.goal_y[:, 0] - offset
         if normal[0]:

@@ -226,7 +226,7 @@ class Rollout:
         return int(len(self.task.modes) ** (len(self.walls) - collision))
 
     def _refuse(self, codes: NDArray[np.int8], collision: int) -> NDArray[np.bool_]:
-        """Count refusals; returns who stays."""
+        """Count refusals; returns which candidates stay."""
         if codes.any():
             self.refused[1:] += (
                 self._weight(collision) * np.bincount(codes.ravel(), minlength=self.refused.size)[1:]
@@ -377,7 +377,7 @@ class Rollout:
         live = np.arange(front.leg.size)
         grid = self.flight.grid(front.leg)
         indices, found = [], []
-        # A wall is met from its free side: who is behind its plane at the release does not come to it.
+        # A wall is met from its free side: a candidate behind its plane at the release does not reach it.
         side = _along(wall.normal, front.leg.x[0] + front.leg.goal_x, front.leg.y[0] + front.leg.goal_y)
         before = np.flatnonzero(side > offset)
         if before.size < live.size:
@@ -463,7 +463,7 @@ class Rollout:
         return arrivals
 
     def _search_goal(self, front: _Front) -> tuple[Rows, Rows]:
-        """Grid index of the least distance before the executive sees it rise, and who gets there."""
+        """Grid index of the least distance before the executive sees it rise; which rows get there."""
         live = np.arange(front.leg.size)
         grid = self.flight.grid(front.leg)
         best = np.full(live.size, math.inf, dtype=np.float32)

@@ -15,7 +15,7 @@ import msgspec
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameters import PositionSource, Value, vehicle_parameters
 from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
-from dart_flight.geometry import Vec3, distance2, yaw_ned_of
+from dart_flight.geometry import GRAVITY_M_S2, Vec3, distance2, yaw_ned_of
 from dart_flight.lock.drivers.px4 import PREARM_ALWAYS, actuator_pulse_us, required_parameters
 from dart_flight.samples import FlightMode, LandedState
 from dart_flight.sim.cascade import Cascade, TrajectorySetPoint
@@ -64,7 +64,7 @@ class Autopilot:
         self.landed = LandedState.ON_GROUND
         self.motors: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
         self.actuator_set: list[float] = [math.nan] * 6
-        self.imu = ImuReading(0, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0))
+        self.imu = ImuReading(0, (0.0, 0.0, -GRAVITY_M_S2), (0.0, 0.0, 0.0))
         self.failsafe: str | None = None
         self.imu_stuck = False  # faults: the reported IMU hangs, the flying one does not
         self.battery_left: float | None = None
@@ -74,7 +74,7 @@ class Autopilot:
         self._failsafe_since_s: float | None = None
         self._quiet_since_s = 0.0
         self._tick = 0
-        # PX4 has been up for a while when somebody connects, and its clock is not the host's.
+        # PX4 has been up for a while when a client connects, and its clock is not the host's.
         plant.time_offset_us = 7_000_000
 
     # -- what telemetry reads --

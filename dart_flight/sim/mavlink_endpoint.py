@@ -1,6 +1,6 @@
 """The embedded autopilot's MAVLink side: what PX4 would send and answer, over UDP.
 
-Message rates are PX4's onboard defaults until somebody asks for others (`SET_MESSAGE_INTERVAL`), and snap to
+Message rates are PX4's onboard defaults until a client asks for others (`SET_MESSAGE_INTERVAL`), and snap to
 ticks of 4 ms as PX4's do. One endpoint has one or more links, each a UDP socket that sends to a fixed port:
 14540 for a companion, 14550 for a ground station.
 """
@@ -18,7 +18,7 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 from dart_flight.geometry import distance2
-from dart_flight.samples import FlightMode, LandedState
+from dart_flight.samples import MOTOR_FULL_US, MOTOR_STOP_US, FlightMode, LandedState
 from dart_flight.sim import esc_status
 from dart_flight.sim.autopilot import TICK_US, Autopilot
 from dart_flight.sim.cascade import TrajectorySetPoint
@@ -46,6 +46,7 @@ _LANDED = {
     LandedState.TAKING_OFF: mavlink.MAV_LANDED_STATE_TAKEOFF,
     LandedState.LANDING: mavlink.MAV_LANDED_STATE_LANDING,
 }
+_DISARMED_US = 900.0  # pulse of a motor output that is off
 _SEVERITY = {"critical": 2, "error": 3, "warning": 4, "info": 6}
 
 # message -> default rate in Hz on PX4's onboard link
@@ -108,7 +109,7 @@ class MavlinkEndpoint:
     """Answers MAVLink for one autopilot.
 
     Args:
-        autopilot: stepped by somebody else, one tick before every `exchange`.
+        autopilot: stepped by the caller, one tick before every `exchange`.
         ports: remote UDP ports on this host, one link each.
     """
 
@@ -202,7 +203,7 @@ class MavlinkEndpoint:
         now_s = self.autopilot.now_s
         for link in self.links:
             for packed in link.to_app.pop(now_s):
-                # Nobody listening yet, or no more: a datagram is allowed to be lost.
+                # No listener yet, or no more: a datagram is allowed to be lost.
                 with contextlib.suppress(OSError):
                     link.socket.sendto(packed, link.remote)
 
@@ -551,7 +552,8 @@ class MavlinkEndpoint:
     def _outputs(self) -> list[float]:
         """Motor and servo outputs as PWM, microseconds."""
         a = self.autopilot
-        outputs = [900.0] * 4 if not a.armed else [1000.0 + 1000.0 * u for u in a.motors]
+        span = MOTOR_FULL_US - MOTOR_STOP_US
+        outputs = [MOTOR_STOP_US + span * u for u in a.motors] if a.armed else [_DISARMED_US] * 4
         servo = a.actuator_pulse_us(a.vehicle.lock.px4.actuator_index)
         return [*outputs, servo if servo is not None else 0.0]
 

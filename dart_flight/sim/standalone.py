@@ -1,4 +1,4 @@
-"""The simulated vehicle for somebody else's program: no pipe, no truth, until it is stopped."""
+"""The simulated vehicle for another program: no pipe, no truth, until it is stopped."""
 
 from __future__ import annotations
 

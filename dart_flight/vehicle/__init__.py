@@ -1,4 +1,4 @@
-"""The one door to PX4: nothing else imports mavsdk."""
+"""The only access to PX4: nothing else imports mavsdk."""
 
 from dart_flight.vehicle.clock import ClockEstimate, LockstepClock
 from dart_flight.vehicle.ground_link import GroundLink

@@ -28,6 +28,8 @@ from mavsdk.plugins.telemetry import Telemetry
 from dart_flight.config.vehicle import Estimation, ThrustSource
 from dart_flight.errors import FlightError
 from dart_flight.samples import (
+    MOTOR_FULL_US,
+    MOTOR_STOP_US,
     ActuatorSample,
     AttitudeSample,
     AttitudeTargetSample,
@@ -65,7 +67,6 @@ _LANDED = {
     SdkLandedState.TAKING_OFF: LandedState.TAKING_OFF,
     SdkLandedState.LANDING: LandedState.LANDING,
 }
-_PWM_LOW, _PWM_HIGH = 1000.0, 2000.0
 _ACTION_TIMEOUT_S = 5.0
 _RESET_COUNTER = re.compile(r'"reset_counter":\s*(\d+)')
 _FLAGS = re.compile(r'"flags":\s*(\d+)')
@@ -173,7 +174,7 @@ class VehicleSession:
 
         Args:
             names: only of these of the table; None: all. Further ones subscribed to are always asked for.
-            watching: no faster than somebody needs who only watches.
+            watching: no faster than is needed to watch.
         """
         t = self._telemetry
         calls = {
@@ -269,8 +270,8 @@ class VehicleSession:
         status = _decode_actuator(message.fields_json)
         if len(status.actuator) < 4:
             return
-        span = _PWM_HIGH - _PWM_LOW
-        m = [max(0.0, min(1.0, ((pwm or 0.0) - _PWM_LOW) / span)) for pwm in status.actuator[:4]]
+        span = MOTOR_FULL_US - MOTOR_STOP_US
+        m = [max(0.0, min(1.0, ((pwm or 0.0) - MOTOR_STOP_US) / span)) for pwm in status.actuator[:4]]
         self._deliver(ActuatorSample(status.time_usec, received, (m[0], m[1], m[2], m[3])))
 
     def _on_esc(self, message: Any, _: Any) -> None:
@@ -359,7 +360,7 @@ class VehicleSession:
         self._action.set_actuator(index, value)
 
     def tell_ground(self, text: str) -> None:
-        """A STATUSTEXT for whoever watches, where the link allows."""
+        """A STATUSTEXT for the ground station, where the link allows."""
         with contextlib.suppress(Exception):
             self._utility.send_status_text(OwnStatusTextType.INFO, text[:50])
 

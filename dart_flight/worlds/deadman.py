@@ -42,7 +42,7 @@ class Deadman:
     """
 
     def __init__(self, starve_s: float, note: Path | None = None) -> None:
-        # A handle and not a number: a number may be somebody else's by the time it is used.
+        # A handle and not a number: a number may belong to another process by the time it is used.
         self._self = os.pidfd_open(os.getpid())
         self._arguments = [
             *(str(self._self), str(os.getpid()), str(starve_s)),
@@ -149,7 +149,7 @@ class SystemdNotice:
 
 
 def _watch(handle: int, pid: int, starve_s: float, note: str) -> int:
-    """Body of the process: reads the pipe until it is let go, closed, or somebody starves."""
+    """Body of the process: reads the pipe until told to end, until it closes, or until it kills."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     os.set_blocking(0, False)

@@ -71,7 +71,7 @@ class FaultedFlight:
 
     @property
     def app_dead(self) -> bool:
-        """The deadman has ended it, or whoever killed it."""
+        """The deadman or another process has killed it."""
         if not self.app_silent or self.began_us is None:
             return False
         starve_s = 0.0 if self.fault.name == "sigkill" else self._flight.deadman_s

@@ -1,4 +1,4 @@
-"""What is kept of one flight: its log, its verdict, and who else looks on."""
+"""What is kept of one flight: its log, its verdict, and its onlookers."""
 
 from __future__ import annotations
 

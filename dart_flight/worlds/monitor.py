@@ -1,4 +1,4 @@
-"""What a vehicle's telemetry shows of force and contact, without flying it: the core's eyes and no hands.
+"""What a vehicle's telemetry shows of force and contact, without flying it: the core's senses alone.
 
 `Watcher` is fed every record by MAVSDK's thread and runs estimator and detector on it; `view` is what a
 screen shows of it, asked for a few times a second from another thread. Nothing is ever sent to the vehicle
@@ -91,7 +91,7 @@ class Watcher:
         self._mutex = threading.Lock()
         self._senses = Senses(mission)
         self._placed = placed
-        # North, west, up: the mission frame with heading 0 is what is shown where nobody named a mission.
+        # North, west, up: the mission frame with heading 0 is what is shown where no mission is given.
         self._senses.state.anchor(mission.frame_at((0.0, 0.0, 0.0)) if placed else MissionFrame())
         self.estimation = mission.vehicle.estimation
         self._estimate: ForceEstimate | None = None

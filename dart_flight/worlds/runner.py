@@ -1,7 +1,7 @@
 """The one way in which a shell steps the core and hands out what follows.
 
 The app (real time, MAVSDK) and the fast world (simulated time, in process) differ in where inputs come from
-and in who carries commands out (`Hands`), in nothing else: numbers, order and what is recorded are the same.
+and in what carries commands out (`Hands`), in nothing else: numbers, order and what is recorded are the same.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Hands(Protocol):
 
 
 class CoreRunner:
-    """Steps the core: numbers inputs, hands out outputs, shows both to whoever observes.
+    """Steps the core: numbers inputs, hands out outputs, shows both to the observer.
 
     Args:
         core: the flight core.

@@ -42,7 +42,7 @@ class Sabotage:
         now_us = getattr(record, "t_us", 0)
         if now_us and self._trigger.due(now_us):
             self._begun = True
-            # For who measures in another process: the monotonic clock is the machine's.
+            # For measurements in another process: the monotonic clock is the machine's.
             sys.stderr.write(f"fault {self.fault.name} at monotonic {time.monotonic():.4f} s\n")
             sys.stderr.flush()
             self._begin()

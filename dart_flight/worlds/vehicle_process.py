@@ -188,7 +188,7 @@ def fly_in_world(
 
 
 def free_udp_port() -> int:
-    """A UDP port on the loopback that nobody uses at the moment."""
+    """A UDP port on the loopback that is free at the moment."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

@@ -15,7 +15,8 @@ from dart_flight.config import load_vehicle
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import load_mission
 from dart_flight.config.scenario import load_scenario
-from tools.docs.schemas import FOLDER, ROOT, comments, schemas, text_of
+from tools.docs import configuration_comments
+from tools.docs.schemas import FOLDER, ROOT, meaning, schemas, text_of
 
 SHIPPED = sorted([*(ROOT / "configs").glob("*.yaml"), *(ROOT / "missions").rglob("*.yaml")])
 LOADERS: dict[str, Callable[[Path], object]] = {
@@ -90,26 +91,64 @@ def keys(schema: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
             yield struct, name, value
 
 
-def test_every_key_of_mission_and_scenario_is_explained() -> None:
-    for name in ("mission.json", "scenario.json"):
-        schema = schemas()[name]
-        for struct, key, value in keys(schema):
-            reference = value.get("$ref", "").rpartition("/")[2]
-            assert "description" in value or "description" in schema["$defs"].get(reference, {}), (
-                f"{struct}.{key} needs a line under Attributes"
-            )
+@pytest.mark.parametrize("name", sorted(LOADERS))
+def test_every_key_is_explained_beside_its_type(name: str) -> None:
+    schema = schemas()[name]
+    for struct, key, _ in keys(schema):
+        section = {"$ref": f"#/$defs/{struct}", "$defs": schema["$defs"]}
+        assert meaning(section, (key,)), f"{struct}.{key} needs a line under Attributes"
 
 
-def test_comments_of_the_configuration_reach_its_schema() -> None:
-    described = {
-        (struct, key): value.get("description")
-        for struct, key, value in keys(schemas()["configuration.json"])
-    }
-    assert described["Airframe", "mass_kg"] == "[paper] Sec. III"
-    # A comment that goes on in the next line.
-    assert str(described["Detection", "sure_sigma"]).endswith("has to be over it")
+def test_a_key_takes_its_own_meaning_before_that_of_its_section() -> None:
+    schema = schemas()["configuration.json"]
+    assert meaning(schema, ("airframe",)) == "The vehicle as a body."
+    assert meaning(schema, ("lock", "limit_switch")).endswith("null: none, a travel is over after its time.")
+    # One type in two places.
+    assert meaning(schema, ("estimation", "arm_vibration")).endswith("null: not taken out.")
+    assert "simulated IMU" in meaning(schema, ("simulation", "arm_vibration"))
+    # By the name in the file, which is not the attribute's.
+    assert meaning(schema, ("px4", "MPC_LAND_SPEED")) == "sinking speed of a landing, m/s."
 
 
-def test_only_the_key_that_begins_a_line_owns_its_comment() -> None:
-    found = comments("a: {b: 1}   # of a\nc:  # of c\n  # and on\n  d: 2\n")
-    assert found == {("a",): "of a", ("c",): "of c and on"}
+# --- the comments of the configuration -------------------------------------------------------------------
+
+CONFIGURATION = (ROOT / "configs" / "dart.yaml").read_text(encoding="utf-8")
+
+
+def test_the_comments_of_the_configuration_are_those_of_the_types() -> None:
+    assert configuration_comments.current(CONFIGURATION) == CONFIGURATION, "run make docs"
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        "# something else [paper] Sec. III",
+        "# something else\n        # in two lines [paper] Sec. III",
+        "# [paper] Sec. III",
+        "#[paper] Sec.\n   # III",
+    ],
+)
+def test_the_meaning_is_written_anew_and_the_source_stays(other: str) -> None:
+    line = "# of the vehicle as it flies, battery included [paper] Sec. III\n"
+    assert CONFIGURATION.count(line) == 1
+    assert configuration_comments.current(CONFIGURATION.replace(line, other + "\n")) == CONFIGURATION
+
+
+def test_a_source_is_written_by_hand() -> None:
+    changed = CONFIGURATION.replace("[paper] Sec. III\n", "[ours] weighed\n", 1)
+    assert configuration_comments.current(changed) == changed != CONFIGURATION
+    assert configuration_comments.sources(changed)["airframe", "mass_kg"] == "[ours] weighed"
+
+
+def test_a_long_source_goes_on_in_the_next_line() -> None:
+    words = " ".join(f"word{i}" for i in range(30))
+    changed = CONFIGURATION.replace("[paper] Sec. III\n", f"[ours] {words}\n", 1)
+    written = configuration_comments.current(changed)
+    assert max(map(len, written.splitlines()[10:])) <= 110
+    assert configuration_comments.sources(written)["airframe", "mass_kg"] == f"[ours] {words}"
+    assert configuration_comments.current(written) == written
+
+
+def test_names_of_the_user_and_what_is_below_them_have_no_comment() -> None:
+    for row in CONFIGURATION[CONFIGURATION.index("  concrete:") : CONFIGURATION.index("onset:")].splitlines():
+        assert "#" not in row

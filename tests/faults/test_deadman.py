@@ -1,4 +1,4 @@
-"""The deadman: who starves dies, and nobody else. In flight: measured on the wire, not in the program."""
+"""The deadman: kills a program that hangs, and no other. In flight: measured on the wire, from outside."""
 
 import os
 import re
@@ -181,7 +181,7 @@ def test_set_points_stop_on_the_wire_within_half_a_second(fault: str, tmp_path: 
             timeout=60,
             check=False,
         )
-        time.sleep(1.0)  # whoever still sends is still recorded
+        time.sleep(1.0)  # what still sends is still recorded
     assert flight.returncode == -signal.SIGKILL, flight.stderr
     at = re.search(r"at monotonic ([0-9.]+) s", flight.stderr)
     assert at is not None, flight.stderr

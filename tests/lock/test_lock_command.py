@@ -210,7 +210,7 @@ def test_two_processes_and_the_death_of_the_first(world: World, capsys: pytest.C
     finally:
         first.send_signal(signal.SIGKILL)
         first.communicate(timeout=10)
-    # Dead in the middle of the travel: nobody owns the servo, and nobody claims to know where it is.
+    # Dead in the middle of the travel: no process owns the servo, and where it is is not known.
     assert main(world.command("status")) == 0
     unknown, last = capsys.readouterr().out.splitlines()
     assert unknown.startswith("mock: unknown")

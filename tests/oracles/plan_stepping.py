@@ -101,7 +101,7 @@ def _first(
 def _contact(
     scenario: Scenario, stage: ContactStage, wall: Wall, on: Flying, reference_speed: Array, h: float
 ) -> Flying:
-    """A contact of everybody at once: it takes the same time for all."""
+    """A contact of all candidates at once: it takes the same time for all."""
     kp, kv, ki, kd, tau = PositionLoop.of(scenario.vehicle.px4)
     c, m = stage.coefficients, stage.mass_kg
     n, t = _axes(wall)

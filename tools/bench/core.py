@@ -16,8 +16,7 @@ _REPEATS = 3
 
 
 def recorded_inputs() -> tuple[list[Input], float, float]:
-    """Every input of a simulated dual collision, the flight's simulated time and the time it took,
-    seconds."""
+    """Every input of a simulated dual collision, its simulated time and the time it took, s."""
     inputs: list[Input] = []
     flight = FastFlight(load_mission(_MISSION), 1)
     step = flight.core.step

@@ -3,9 +3,8 @@
     python -m tools.bench.impact_source PORT IMPACTS PERIOD_S
 
 Sends what the embedded autopilot would send, armed and in offboard mode, with the contact model's rigid
-pulse on
-the IMU every PERIOD_S seconds. When done it prints one JSON object: when every IMU sample went to the wire
-and when every set-point came from it, host's monotonic nanoseconds.
+pulse on the IMU every PERIOD_S seconds. When done it prints one JSON object: when every IMU sample went to
+the wire and when every set-point came from it, host's monotonic nanoseconds.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ from typing import Any
 import msgspec
 
 from dart_flight.config.mission import load_mission
+from dart_flight.geometry import GRAVITY_M_S2
 from dart_flight.samples import FlightMode, LandedState
 from dart_flight.sim.autopilot import TICK_S, TICK_US, ImuReading, make_autopilot
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
@@ -76,7 +76,7 @@ def main(port: int, impacts: int, period_s: float) -> int:
     rng = random.Random(1)
     autopilot = make_autopilot(mission, 1)
     autopilot.armed, autopilot.mode, autopilot.landed = True, FlightMode.OFFBOARD, LandedState.IN_AIR
-    hover = mission.vehicle.thrust.command_for(mission.vehicle.airframe.mass_kg * 9.81 / 4.0)
+    hover = mission.vehicle.thrust.command_for(mission.vehicle.airframe.mass_kg * GRAVITY_M_S2 / 4.0)
     autopilot.motors = (hover,) * 4
     e = autopilot.estimator
     e.ok, e.position = True, POSITION_NED
@@ -95,7 +95,7 @@ def main(port: int, impacts: int, period_s: float) -> int:
         noise = [rng.gauss(0.0, 0.2) for _ in range(3)]
         autopilot.imu = ImuReading(
             autopilot.time_us // TICK_US * TICK_US,
-            (-force / mass + noise[0], noise[1], -9.81 + noise[2]),
+            (-force / mass + noise[0], noise[1], -GRAVITY_M_S2 + noise[2]),
             (0.0, 0.0, 0.0),
         )
         endpoint.exchange()

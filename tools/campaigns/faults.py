@@ -8,10 +8,9 @@ A flight counts as controlled only when all of this holds:
 * it ended: landed and disarmed (by the mission, the guard, or PX4's own failsafe once the app is gone), or
   held still in another mode than offboard after a pilot took over;
 * what did not complete says why: a rule of the guard is in the log and in the verdict's reason (where the app
-  itself was hung or killed there is nobody left to say it: then PX4's failsafe must have landed the vehicle);
+  itself was hung or killed nothing is left to say it: then PX4's failsafe must have landed the vehicle);
 * truth left the flight space by no more than `excursion_allowed_m`;
-* it touched the ground at no more than 1.5 m/s downwards and never tilted by 80
-  degrees;
+* it touched the ground at no more than 1.5 m/s downwards and never tilted by 80 degrees;
 * its log opens.
 """
 
@@ -69,7 +68,7 @@ class Flown(msgspec.Struct):
 
 
 class _Watch:
-    """What truth did in one flight, and when somebody first decided something."""
+    """What truth did in one flight, and when a part of the program first decided something."""
 
     def __init__(self, mission: Mission) -> None:
         self._bounds = mission.bounds
@@ -203,7 +202,7 @@ def _judge(flight: FastFlight, watch: _Watch, fault: Fault, outcome: str, rule: 
     elif watch.last is not None and watch.last.position_mission[2] > _DOWN_M:
         yield "disarmed in the air"
     if outcome != "completed" and not rule:
-        yield "nobody says why"
+        yield "not completed, and no reason given"
     allowed = excursion_allowed_m(fault)
     if watch.excursion > allowed:
         yield f"{watch.excursion:.2f} m out of bounds, {allowed:.2f} allowed"

@@ -1,5 +1,4 @@
-"""Single simulated hits for judging force estimate and detector: plant, IMU and core parts, no mission
-around.
+"""Single simulated hits for judging force estimate and detector: plant, IMU and core parts, no mission.
 
 The plant flies ballistically (constant equal motor commands, so it keeps its tilt) into one wall; what a
 perfect IMU would read is kept, so that the same hit can be estimated under different noise.
@@ -18,6 +17,7 @@ from dart_flight.core.sense.detector import Expected, ImpactDetector, confirmed_
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import (
+    GRAVITY_M_S2,
     MissionFrame,
     Quaternion,
     Vec2,
@@ -54,7 +54,7 @@ _ATTITUDE_SIGMA_RAD, _VELOCITY_SIGMA_M_S = 0.005, 0.03
 
 
 class Hit(msgspec.Struct, frozen=True):
-    """One case: velocity at the wall, who meets what, and how it is tilted.
+    """One case: velocity at the wall, mode and material, and tilt.
 
     `lean` says where the thrust points: `in` to the wall, `along` it, or `away` from it.
     """
@@ -112,7 +112,7 @@ def fly_hit(vehicle: VehicleConfig, hit: Hit) -> Flown:
     wall = Wall("wall", (0.0, 0.0), normal, 50.0, hit.material)
     towards = {"in": (-1.0, 0.0), "along": (0.0, 1.0), "away": (1.0, 0.0)}[hit.lean]
     tilt = math.radians(hit.tilt_deg)
-    push = 9.81 * math.tan(tilt)
+    push = GRAVITY_M_S2 * math.tan(tilt)
     accel = (push * towards[0], push * towards[1])
     # Backwards in time from the wall; drag over that time is small and shows in the true speed. Leaning in,
     # the vehicle has come from rest at most, else it would have come through the wall.
@@ -125,7 +125,7 @@ def fly_hit(vehicle: VehicleConfig, hit: Hit) -> Flown:
     plant.velocity = FRAME.vector_to_ned((v0[0] * nx + v0[1] * ny, v0[0] * ny - v0[1] * nx, 0.0))
     plant.q = _attitude(wall, tilt, towards)
     plant.set_mode(hit.mode)
-    command = vehicle.thrust.command_for(vehicle.airframe.mass_kg * 9.81 / math.cos(tilt) / 4.0)
+    command = vehicle.thrust.command_for(vehicle.airframe.mass_kg * GRAVITY_M_S2 / math.cos(tilt) / 4.0)
     plant.motor = [command] * 4
     return _record(plant, wall, hit, command, vehicle.detection.force_threshold_n)
 
@@ -237,7 +237,7 @@ def judge_hit(
     state.frame = FRAME
     state.lock = LockState(_START_US, LockPhase.SETTLED, flown.hit.mode)
     state.status = StatusSample(_START_US, _START_US, landed=LandedState.IN_AIR)
-    hover = vehicle.thrust.command_for(vehicle.airframe.mass_kg * 9.81 / 4.0)
+    hover = vehicle.thrust.command_for(vehicle.airframe.mass_kg * GRAVITY_M_S2 / 4.0)
     judge = Judge(state, believed or vehicle, (flown.normal, flown.hit.material))
     onsets: list[ImpactOnset] = []
     peak: ImpactPeak | None = None
@@ -266,7 +266,7 @@ def _hover(flown: Flown) -> list[Tick]:
     return [
         Tick(
             first.t_us - (count - i) * TICK_US,
-            (0.0, 0.0, -9.81),
+            (0.0, 0.0, -GRAVITY_M_S2),
             q,
             first.position,
             (0.0, 0.0, 0.0),

@@ -24,7 +24,7 @@ from tools.synthetic_trials import MASS_KG, drop_trial, wall_trial
 
 # A normal error is at most 0.674 deviations in half of all cases.
 MEDIAN_OF_NORMAL = 0.6745
-SPEED_SPREAD = 0.03  # relative: nobody hits a wall at exactly the speed they meant
+SPEED_SPREAD = 0.03  # relative: no wall is hit at exactly the intended speed
 HEIGHT_SPREAD = 0.02
 PLANE_SPREAD_M = 0.01
 

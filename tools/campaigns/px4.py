@@ -1,5 +1,4 @@
-"""Flights with a real PX4: acceptance with ten seeds, the speed sweep, the three worlds side by side, and how
-well the planned velocity is met at the wall.
+"""Flights with a real PX4: acceptance, speed sweep, the worlds side by side, and the velocity at the wall.
 
     DART_PX4_DIR=... python -m tools.campaigns.px4 [--part NAME] [--speed X] [--report DIR]
 

@@ -1,7 +1,8 @@
 """What the software writes of its own documentation: `make docs` brings it up to date.
 
 A generated part stands in a page of docs/ between `<!-- begin: NAME -->` and `<!-- end -->`; the JSON Schemas
-in docs/schemas are whole files. Tests hold all of them to what the code says today.
+in docs/schemas are whole files; of the comments in configs/dart.yaml it is the part before the source. Tests
+hold all of them to what the code says today.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from pathlib import Path
 
 from dart_flight.core.guard import rules as guard_rules
 from dart_flight.lock import state_machine
-from tools.docs import fault_table, key_tables, log_channels, phase_diagram, schemas
+from tools.docs import configuration_comments, fault_table, key_tables, log_channels, phase_diagram, schemas
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PARTS: dict[str, Callable[[], str]] = {
@@ -46,6 +47,7 @@ def current(text: str) -> str:
 def main() -> None:
     """Write everything."""
     schemas.write()
+    configuration_comments.write()
     for page in pages():
         page.write_text(current(page.read_text("utf-8")), "utf-8")
 

@@ -1,7 +1,7 @@
 """The tables of keys for `docs/missions.md` and `docs/configuration.md`, from the schemas.
 
-Mission and scenario: one table per section, descriptions from the types. Configuration: one row per key of
-`configs/dart.yaml`, with its value there and the comment beside it.
+Mission and scenario: one table per section. Configuration: one row per key of `configs/dart.yaml`, with its
+value there and the source that its comment names.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from typing import Any
 import msgspec
 
 from dart_flight.config.document import Document, dotted
-from tools.docs.schemas import CONFIGURATION, Schema, comments, schemas
+from tools.docs.configuration_comments import CONFIGURATION, sources
+from tools.docs.schemas import Schema, lookup, meaning, schemas, target
 
 # --- mission and scenario ------------------------------------------------------------------------------
 
@@ -30,7 +31,7 @@ def scenario_tables() -> str:
 
 def _sections(schema: Schema, known: set[str]) -> Iterator[str]:
     """A table per section, in the order in which they are first named."""
-    places = {_target(schema): ""}
+    places = {target(schema): ""}
     waiting = list(places)
     while waiting:
         struct = waiting.pop(0)
@@ -78,7 +79,7 @@ def _kind(value: Schema) -> str:
     if "enum" in value:
         return ", ".join(f"`{item}`" for item in value["enum"])
     if "$ref" in value:
-        definition = _definitions()[_target(value)]
+        definition = _definitions()[target(value)]
         return _kind(definition) if "enum" in definition else "section"
     kind = value.get("type")
     if kind == "array":
@@ -98,10 +99,6 @@ def _limits(value: Schema) -> str:
     return f" {', '.join(found)}" if found else ""
 
 
-def _target(value: Schema) -> str:
-    return str(value["$ref"]).rpartition("/")[2]
-
-
 def _definitions() -> dict[str, Schema]:
     return {name: one for schema in schemas().values() for name, one in schema["$defs"].items()}
 
@@ -116,34 +113,19 @@ def _cell(text: str) -> str:
 def configuration_table() -> str:
     """A row per key of the configuration that is shipped."""
     text = CONFIGURATION.read_text(encoding="utf-8")
-    document, words = Document(text, CONFIGURATION.name), comments(text)
+    document, named = Document(text, CONFIGURATION.name), sources(text)
     schema = schemas()["configuration.json"]
-    rows = ["| key | shipped | allowed | meaning and source |", "|---|---|---|---|"]
+    rows = ["| key | shipped | allowed | meaning | source of the shipped value |", "|---|---|---|---|---|"]
     for key in document.lines:
         value: Any = document.tree
         for part in key:
             value = value[part]
         if not key or isinstance(key[-1], int):
             continue
-        meaning = _cell(words.get(key, ""))
+        words = f"{_cell(meaning(schema, key))} | {_cell(named.get(key, ''))}"
         if isinstance(value, dict):
-            rows.append(f"| **`{dotted(key)}`** | | | {meaning} |")
+            rows.append(f"| **`{dotted(key)}`** | | | {words} |")
             continue
         shown = "null" if value is None else msgspec.json.encode(value).decode().strip('"')
-        found = _lookup(schema, key)
-        rows.append(
-            f"| `{dotted(key)}` | {shown} | {_kind(found)} | {meaning or found.get('description', '')} |"
-        )
+        rows.append(f"| `{dotted(key)}` | {shown} | {_kind(lookup(schema, key))} | {words} |")
     return "\n".join(rows) + "\n"
-
-
-def _lookup(schema: Schema, key: tuple[str | int, ...]) -> Schema:
-    """The schema of a key."""
-    here: Schema = schema
-    for part in key:
-        options = [here, *here.get("anyOf", [])]
-        reference = next((option for option in options if "$ref" in option), None)
-        if reference is not None:
-            here = schema["$defs"][_target(reference)]
-        here = here["properties"][part] if "properties" in here else here["additionalProperties"]
-    return here

@@ -1,8 +1,7 @@
 """The JSON Schemas of mission, scenario and configuration, from the types that the loader uses.
 
 JSON Schema draft 7, because that is what editors' YAML support understands fully. Descriptions are the
-types' docstrings: the summary for a section, its `Attributes:` for the keys; for keys of the configuration
-without one, the comment beside the key in `configs/dart.yaml`.
+types' docstrings: the summary for a section, its `Attributes:` for the keys.
 """
 
 from __future__ import annotations
@@ -16,27 +15,23 @@ from typing import Any
 
 import msgspec
 
-from dart_flight.config.document import Document, Key
+from dart_flight.config.document import Key
 from dart_flight.config.mission import MissionFile
 from dart_flight.config.scenario import ScenarioFile
 from dart_flight.config.vehicle import VehicleConfig
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "schemas"
-CONFIGURATION = ROOT / "configs" / "dart.yaml"
 
 Schema = dict[str, Any]
 
 
 def schemas() -> dict[str, Schema]:
     """File name -> schema."""
-    configuration = _schema(VehicleConfig, "DART vehicle configuration")
-    for key, text in comments(CONFIGURATION.read_text(encoding="utf-8")).items():
-        _describe(configuration, key, text)
     return {
         "mission.json": _schema(MissionFile, "DART mission"),
         "scenario.json": _schema(ScenarioFile, "DART scenario"),
-        "configuration.json": configuration,
+        "configuration.json": _schema(VehicleConfig, "DART vehicle configuration"),
     }
 
 
@@ -45,23 +40,32 @@ def text_of(schema: Schema) -> str:
     return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
 
-def comments(text: str) -> dict[Key, str]:
-    """Key -> the comment on its line and on comment lines that go on from there, of a YAML file."""
-    rows = text.splitlines()
-    found: dict[Key, str] = {}
-    for key, number in Document(text, "").lines.items():
-        match = re.search(r"\s# ?(.*)$", rows[number - 1])
-        # Of a flow mapping on one line only the key that begins the line owns the comment.
-        name = str(key[-1]) if key else ""
-        if match is None or not rows[number - 1].lstrip().startswith(f"{name}:"):
-            continue
-        words = [match[1]]
-        for row in rows[number:]:
-            if not row.lstrip().startswith("#"):
-                break
-            words.append(row.lstrip("# "))
-        found[key] = " ".join(words)
-    return found
+def meaning(schema: Schema, key: Key) -> str:
+    """What a key of a document means: its own description, else that of its section; one line."""
+    found = lookup(schema, key)
+    for option in (found, *found.get("anyOf", [])):
+        if "description" in option:
+            return str(option["description"])
+        if "$ref" in option:
+            return str(schema["$defs"][target(option)].get("description", ""))
+    return ""
+
+
+def lookup(schema: Schema, key: Key) -> Schema:
+    """The schema of a key of a document."""
+    here: Schema = schema
+    for part in key:
+        options = [here, *here.get("anyOf", [])]
+        reference = next((option for option in options if "$ref" in option), None)
+        if reference is not None:
+            here = schema["$defs"][target(reference)]
+        here = here["properties"][part] if "properties" in here else here["additionalProperties"]
+    return here
+
+
+def target(value: Schema) -> str:
+    """The name that a reference leads to."""
+    return str(value["$ref"]).rpartition("/")[2]
 
 
 def _schema(type_: type[msgspec.Struct], title: str) -> Schema:
@@ -70,8 +74,9 @@ def _schema(type_: type[msgspec.Struct], title: str) -> Schema:
         definition = schema["$defs"][struct.__name__]
         summary, attributes = _docstring(struct)
         definition["description"] = summary
+        keys = {field.name: field.encode_name for field in msgspec.structs.fields(struct)}
         for name, text in attributes.items():
-            definition["properties"][name]["description"] = text
+            definition["properties"][keys[name]]["description"] = text
     return {"$schema": "http://json-schema.org/draft-07/schema#", "title": title, **schema}
 
 
@@ -123,19 +128,6 @@ def _docstring(struct: type[msgspec.Struct]) -> tuple[str, dict[str, str]]:
             for name in names:
                 attributes[name] += " " + line.strip()
     return " ".join(summary.split()), attributes
-
-
-def _describe(schema: Schema, key: Key, text: str) -> None:
-    """Give a key of the document a description, unless its type has one or the type is used elsewhere too."""
-    struct = schema["$ref"].rpartition("/")[2]
-    for part in key[:-1]:
-        options = schema["$defs"][struct]["properties"].get(part, {})
-        reference = next((r for r in re.findall(r"#/\$defs/(\w+)", json.dumps(options))), None)
-        if reference is None or "additionalProperties" in options:
-            return
-        struct = reference
-    if json.dumps(schema).count(f'"#/$defs/{struct}"') == 1:
-        schema["$defs"][struct]["properties"][key[-1]].setdefault("description", text)
 
 
 def write() -> None:

@@ -228,7 +228,7 @@ RULES: tuple[Rule, ...] = (
     # judged here, at every step of the scope
     Rule("px4_failsafe", "PX4 has left offboard by itself: its failsafe flies", "",
          _RELEASE, _ALWAYS, _px4_failsafe),
-    Rule("pilot", "somebody has taken PX4 out of offboard: the pilot flies", "",
+    Rule("pilot", "PX4 was taken out of offboard: the pilot flies", "",
          _RELEASE, _ALWAYS, _pilot, by_person=True),
     Rule("disarmed", "PX4 has disarmed in the air", "", _RELEASE, _AIR, _disarmed),
     Rule("link_lost", "nothing at all comes from the vehicle: PX4's own failsafe must act",

@@ -12,7 +12,7 @@ from dart_flight.samples import MissionEnd, Output
 
 
 class Finding(NamedTuple):
-    """Something that only who knows the plan can see, by the name of the guard's rule for it.
+    """Something that only the mission, which knows the plan, can see, by the name of the guard's rule for it.
 
     Attributes:
         rule: of `core.guard.rules`.

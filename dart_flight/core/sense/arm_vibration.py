@@ -1,9 +1,8 @@
 """What the IMU feels of the unlocked arms, taken out of the force again.
 
 The arms, a share s of the mass, swing against the body: q'' = -w^2 q - 2 z w q' - a, with a the acceleration
-of
-the common centre of mass by the contact. The IMU sits on the body and reads a - s q''. Over one tick T the
-mean of q'' is the change of q' over T, so with a constant over the tick
+of the common centre of mass by the contact. The IMU sits on the body and reads a - s q''. Over one tick T
+the mean of q'' is the change of q' over T, so with a constant over the tick
 
     mean reading = a - s (q'(T) - q'(0)) / T,     (q, q')(T) = F (q, q')(0) + G a
 

@@ -1,11 +1,9 @@
-"""What is learnt of the estimate's own errors in flight: hover bias, thrust scale, noise, and the slow
-baseline.
+"""What is learnt of the estimate's own errors in flight: hover bias, thrust scale, noise, slow baseline.
 
 Along the thrust axis the accelerometer reads the thrust, in any flight without contact: air drag along that
-axis
-is small. Across it, while the vehicle hovers, it reads its own bias, wind at most. Slow forces that come and
-go (wind, errors
-of thrust and drag when tilted) are followed by a baseline with a limit; a contact rises too fast for it.
+axis is small. Across it, while the vehicle hovers, it reads its own bias, wind at most. Slow forces that come
+and go (wind, errors of thrust and drag when tilted) are followed by a baseline with a limit; a contact rises
+too fast for it.
 """
 
 from __future__ import annotations

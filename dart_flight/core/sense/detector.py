@@ -279,8 +279,7 @@ class ImpactDetector:
         return (sx / size, sy / size) if size > 0.0 else self._normal
 
     def _readings(self, reference_us: int) -> list[TickReading]:
-        """The contact's samples as means over their ticks, seconds from `reference_us`, the filter's lag
-        off."""
+        """The contact's samples as means over their ticks, seconds from `reference_us` less the lag."""
         nx, ny = self._normal
         lag_us = self._lag_s * 1e6
         out = []
@@ -355,8 +354,7 @@ class ImpactDetector:
 def confirmed_force(
     fx: float, fy: float, previous: tuple[Vec2, Vec2], noise_n: float, config: Detection
 ) -> Vec2:
-    """Mean of the newest two samples, of three where the threshold is not `sure_sigma` times that mean's
-    noise."""
+    """Mean of the newest two samples; of three where their noise is too large for `sure_sigma`."""
     (ax, ay), (bx, by) = previous
     if _FAR_SIGMA * noise_n <= config.force_threshold_n:
         return (0.5 * (fx + ax), 0.5 * (fy + ay))
@@ -368,7 +366,7 @@ def _prior(c: Coefficients, mass_kg: float) -> Prior:
 
 
 def _mean_prior(priors: list[Prior]) -> Prior:
-    """Geometric mean over the materials: what is expected of a wall that nobody announced."""
+    """Geometric mean over the materials: what is expected of a wall that is in no plan."""
     n = max(1, len(priors))
 
     def mean(values: list[float]) -> float:

@@ -6,11 +6,9 @@ towards the wall, C the slope of the force at the onset, sigma = f/(2m), w^2 = k
     F'' + 2 sigma F' + w^2 F = w^2 B,   F(0) = 0, F'(0) = C
 
 and its impulse P = B t + (C - F' - 2 sigma F)/w^2 is in closed form too. A reading is the mean over a tick,
-so it
-is compared with the model's mean over that tick, (P(b) - P(a))/(b - a): no correction factor is needed for
-the
-averaging. The anti-alias filter delays by its lag and takes (w lag)^2/2 off the top, which is put back.
-Readings at full scale are lower bounds: they count only where the model is below them. Friction is
+so it is compared with the model's mean over that tick, (P(b) - P(a))/(b - a): no correction factor is needed
+for the averaging. The anti-alias filter delays by its lag and takes (w lag)^2/2 off the top, which is put
+back. Readings at full scale are lower bounds: they count only where the model is below them. Friction is
 -mu F v_t with v_t decaying by the impulse; its mean over a tick is the change of v_t.
 
 Scalar floats and `math` only: some tens of samples, once per impact.

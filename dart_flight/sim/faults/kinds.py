@@ -1,9 +1,9 @@
 """The one table of what can go wrong in a simulated flight, and how it is brought about.
 
 `dry-run --fault NAME[=VALUE][@PHASE]`: the fault begins when the mission first reaches the phase (without:
-at once) and stays. Where a fault acts decides who applies it: `plant`, `sensor` and `autopilot` belong to
-the simulated vehicle (`VehicleFault.apply`), `link` to the messages between it and the app, `lock` to the
-mock servo, `app` to the program itself.
+at once) and stays. Where a fault acts decides which part applies it: `plant`, `sensor` and `autopilot`
+belong to the simulated vehicle (`VehicleFault.apply`), `link` to the messages between it and the app, `lock`
+to the mock servo, `app` to the program itself.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from enum import StrEnum
 import msgspec
 
 from dart_flight.config.document import InputError
-from dart_flight.geometry import add, scale
+from dart_flight.geometry import GRAVITY_M_S2, add, scale
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
 from dart_flight.samples import FlightMode, Phase, PhaseChange, Record
@@ -220,7 +220,7 @@ class VehicleFault:
         self._autopilot.imu_stuck = True
 
     def _begin_imu_clip(self) -> None:
-        self._autopilot.imu_sensor.full_scale_m_s2 = self._fault.value * 9.81
+        self._autopilot.imu_sensor.full_scale_m_s2 = self._fault.value * GRAVITY_M_S2
 
     def _begin_ekf_jump(self) -> None:
         shift = (self._fault.value, 0.0, 0.0)

@@ -40,10 +40,12 @@ from dart_flight.sim.wind import Wind
 
 SERVO_CHANNEL = 4  # of HIL_ACTUATOR_CONTROLS, after the motors: PWM_MAIN 5 in PX4's simulated outputs
 
+_PX4_G_M_S2 = 9.80665  # PX4's CONSTANTS_ONE_G, not the gravity that we fly with
+
 # PX4 keeps the simulated accelerometer as 16-bit counts of 1/2048 g and does not saturate when it converts:
 # one count more than the type holds wraps around to the other sign. It cuts the fraction off and takes 32767
 # counts, and nothing less on the negative side, for clipped: hence the 0.4.
-ACCELEROMETER_LIMIT_M_S2 = 32767.4 / 2048.0 * 9.80665
+ACCELEROMETER_LIMIT_M_S2 = 32767.4 / 2048.0 * _PX4_G_M_S2
 GYRO_LIMIT_RAD_S = math.radians(2000.0 * 32767.0 / 32768.0)
 
 # Where PX4 is told that it is: near Zurich, with the field that its own world magnetic model has there.

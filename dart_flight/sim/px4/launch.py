@@ -160,7 +160,7 @@ def arguments(install: Install, instance: int) -> list[str]:
 
 
 def claim_instance() -> tuple[int, socket.socket]:
-    """The first free PX4 instance and its simulator socket, listening; whoever listens owns the instance.
+    """The first free PX4 instance and its simulator socket, listening; to listen is to own it.
 
     Raises:
         Px4Error: all ten are taken.

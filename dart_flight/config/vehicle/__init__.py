@@ -1,0 +1,52 @@
+"""`configs/dart.yaml`: the vehicle, its sensors, its materials, the lock and every threshold.
+
+The types here are the schema (`docs/schemas/`) and say what every key means; the numbers and their sources
+are in the file.
+"""
+
+from dart_flight.config.vehicle.airframe import Airframe, Coefficients, Imu, Material, Thrust
+from dart_flight.config.vehicle.autopilot import Px4Parameters
+from dart_flight.config.vehicle.configuration import (
+    VehicleConfig,
+    default_config_path,
+    load_vehicle,
+    packaged,
+)
+from dart_flight.config.vehicle.estimation import (
+    ArmVibration,
+    Detection,
+    Estimation,
+    Observer,
+    ThresholdTest,
+    ThrustSource,
+)
+from dart_flight.config.vehicle.flight import Flying
+from dart_flight.config.vehicle.lock import Cam, LimitSwitch, LockConfig, LockDriver, LockStartup, Servo
+from dart_flight.config.vehicle.simulation import Simulation
+
+__all__ = [
+    "Airframe",
+    "ArmVibration",
+    "Cam",
+    "Coefficients",
+    "Detection",
+    "Estimation",
+    "Flying",
+    "Imu",
+    "LimitSwitch",
+    "LockConfig",
+    "LockDriver",
+    "LockStartup",
+    "Material",
+    "Observer",
+    "Px4Parameters",
+    "Servo",
+    "Simulation",
+    "ThresholdTest",
+    "Thrust",
+    "ThrustSource",
+    "VehicleConfig",
+    "default_config_path",
+    "load_vehicle",
+    "packaged",
+]

@@ -1,0 +1,110 @@
+"""The vehicle as a body, its motors and its IMU, and the materials that it meets."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta
+
+from dart_flight.config.section import Fraction, NotNegative, Positive, Section
+from dart_flight.samples import Mode
+
+
+class Airframe(Section, frozen=True):
+    """The vehicle as a body.
+
+    Attributes:
+        mass_kg: of the vehicle as it flies, battery included.
+        contact_distance_m: from the centre of mass to the wall's plane at the first contact.
+        incidence_rigid_deg: from this angle of incidence on the arms cannot fold: rigid values in both modes.
+        drag_per_s: [b_x, b_y, b_z] along the mission's axes: acceleration by air drag = -b * air speed.
+        inertia_kg_m2: about [forward, right, down]; only for the simulation.
+        arm_x_m: motor to centre of mass, forward; only for the simulation.
+        arm_y_m: motor to centre of mass, sideways; only for the simulation.
+    """
+
+    mass_kg: Positive
+    contact_distance_m: NotNegative
+    incidence_rigid_deg: Annotated[float, Meta(ge=0.0, le=45.0)]
+    drag_per_s: tuple[NotNegative, NotNegative, NotNegative]
+    inertia_kg_m2: tuple[Positive, Positive, Positive]
+    arm_x_m: Positive
+    arm_y_m: Positive
+
+
+class Thrust(Section, frozen=True):
+    """Thrust of one motor: full_n * (factor u² + (1 - factor) u), u from 0 to 1, with first-order lag.
+
+    Attributes:
+        full_n: at full command, at the voltage estimation.battery.reference_v.
+        model_factor: share of the square term, PX4's THR_MDL_FAC.
+        motor_lag_s: time constant of motor and propeller.
+    """
+
+    full_n: Positive
+    model_factor: Fraction
+    motor_lag_s: NotNegative
+
+    def force_n(self, command: float) -> float:
+        """Steady thrust in newton of one motor at a command from 0 to 1."""
+        u = max(0.0, min(1.0, command))
+        return self.full_n * (self.model_factor * u * u + (1.0 - self.model_factor) * u)
+
+    def command_for(self, force_n: float) -> float:
+        """The command from 0 to 1 that gives a steady thrust; saturates."""
+        relative = max(0.0, min(1.0, force_n / self.full_n))
+        a = self.model_factor
+        if a < 1e-6:
+            return relative
+        b = 1.0 - a
+        return float((-b + (b * b + 4.0 * a * relative) ** 0.5) / (2.0 * a))
+
+
+class Imu(Section, frozen=True):
+    """What the IMU can read.
+
+    Attributes:
+        full_scale_m_s2: largest reading of the accelerometer on each axis, either sign.
+        rate_hz: of the samples that PX4 sends.
+        tick_s: time over which one sample is averaged.
+        antialias_hz: -3 dB frequency of the accelerometer's own low-pass, first order.
+    """
+
+    full_scale_m_s2: Positive
+    rate_hz: Positive
+    tick_s: Positive
+    antialias_hz: Positive
+
+
+class Coefficients(Section, frozen=True):
+    """Contact coefficients of one material in one mode (paper, Sec. IV-B and V-A).
+
+    Attributes:
+        k: stiffness, N/m.
+        f: damping, N s/m.
+        mu: friction, s/m (friction force = mu * normal force * tangential speed).
+        nu: bound of the vertical contact force, N.
+    """
+
+    k: Positive
+    f: NotNegative
+    mu: NotNegative
+    nu: NotNegative
+
+
+class Material(Section, frozen=True):
+    """Contact coefficients of one material.
+
+    Attributes:
+        rigid: with the arms locked.
+        flexible: with the arms free.
+        source: where the numbers come from, and whether they are measured or assumed.
+    """
+
+    rigid: Coefficients
+    flexible: Coefficients
+    source: str = ""
+
+    def of(self, mode: Mode) -> Coefficients:
+        """The coefficients of a mode."""
+        return self.rigid if mode is Mode.RIGID else self.flexible

@@ -1,0 +1,87 @@
+"""How to reach the autopilot, and its parameters."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta
+
+from dart_flight.config.section import Fraction, NotNegative, Positive, Section
+
+
+class ConnectionConfig(Section, frozen=True):
+    """How to reach the autopilot.
+
+    Attributes:
+        url: of MAVSDK, such as serial:///dev/ttyAMA0:921600 or udpin://0.0.0.0:14540.
+        timeout_s: longest wait for the autopilot's heartbeat.
+    """
+
+    url: str
+    timeout_s: Positive
+
+
+class Px4Parameters(Section, frozen=True, rename="upper"):
+    """PX4 parameters that the flight model and the embedded autopilot use, by PX4's own names.
+
+    Attributes:
+        mpc_xy_p: velocity per horizontal position error, 1/s.
+        mpc_z_p: velocity per vertical position error, 1/s.
+        mpc_xy_vel_p_acc: acceleration per horizontal velocity error, 1/s.
+        mpc_xy_vel_i_acc: acceleration per integral of the horizontal velocity error, 1/s2.
+        mpc_xy_vel_d_acc: opposed acceleration per measured horizontal acceleration.
+        mpc_z_vel_p_acc: acceleration per vertical velocity error, 1/s.
+        mpc_z_vel_i_acc: acceleration per integral of the vertical velocity error, 1/s2.
+        mpc_z_vel_d_acc: opposed acceleration per measured vertical acceleration.
+        mpc_xy_vel_max: largest horizontal velocity set-point, m/s.
+        mpc_z_vel_max_up: largest climbing velocity set-point, m/s.
+        mpc_z_vel_max_dn: largest sinking velocity set-point, m/s.
+        mpc_tiltmax_air: largest tilt set-point in the air, degrees.
+        mpc_land_speed: sinking speed of a landing, m/s.
+        mpc_thr_min: smallest collective thrust, 0 to 1.
+        mpc_thr_max: largest collective thrust, 0 to 1.
+        mc_roll_p: roll rate per roll error, 1/s.
+        mc_pitch_p: pitch rate per pitch error, 1/s.
+        mc_yaw_p: yaw rate per yaw error, 1/s.
+        mc_rollrate_p: normalised torque per roll rate error, s/rad.
+        mc_rollrate_i: normalised torque per integral of the roll rate error, 1/rad.
+        mc_rollrate_d: opposed normalised torque per roll acceleration, s2/rad.
+        mc_pitchrate_p: normalised torque per pitch rate error, s/rad.
+        mc_pitchrate_i: normalised torque per integral of the pitch rate error, 1/rad.
+        mc_pitchrate_d: opposed normalised torque per pitch acceleration, s2/rad.
+        mc_yawrate_p: normalised torque per yaw rate error, s/rad.
+        mc_yawrate_i: normalised torque per integral of the yaw rate error, 1/rad.
+        mis_takeoff_alt: height of PX4's own take-off, m.
+        com_of_loss_t: silence of the set-points after which PX4's failsafe acts, s.
+        com_disarm_land: time on the ground after which PX4 disarms, s; not positive: never.
+    """
+
+    mpc_xy_p: Positive
+    mpc_z_p: Positive
+    mpc_xy_vel_p_acc: Positive
+    mpc_xy_vel_i_acc: NotNegative
+    mpc_xy_vel_d_acc: NotNegative
+    mpc_z_vel_p_acc: Positive
+    mpc_z_vel_i_acc: NotNegative
+    mpc_z_vel_d_acc: NotNegative
+    mpc_xy_vel_max: Positive
+    mpc_z_vel_max_up: Positive
+    mpc_z_vel_max_dn: Positive
+    mpc_tiltmax_air: Annotated[float, Meta(gt=0.0, lt=90.0)]
+    mpc_land_speed: Positive
+    mpc_thr_min: Fraction
+    mpc_thr_max: Fraction
+    mc_roll_p: Positive
+    mc_pitch_p: Positive
+    mc_yaw_p: Positive
+    mc_rollrate_p: Positive
+    mc_rollrate_i: NotNegative
+    mc_rollrate_d: NotNegative
+    mc_pitchrate_p: Positive
+    mc_pitchrate_i: NotNegative
+    mc_pitchrate_d: NotNegative
+    mc_yawrate_p: Positive
+    mc_yawrate_i: NotNegative
+    mis_takeoff_alt: Positive
+    com_of_loss_t: Positive
+    com_disarm_land: float

@@ -1,0 +1,148 @@
+"""The estimate of the external force and the detection of impacts in it."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from dart_flight.config.section import Fraction, NotNegative, Positive, Section
+
+
+class Observer(StrEnum):
+    """Which estimate of the external force the detector and the recovery use."""
+
+    ACCELERATION = "acceleration"
+    MOMENTUM = "momentum"
+
+
+class ThrustSource(StrEnum):
+    """What the thrust is computed from; `auto` takes the best that is fresh, in this order from ESC on."""
+
+    AUTO = "auto"
+    ESC = "esc"
+    ACTUATOR = "actuator"
+    ATTITUDE_TARGET = "attitude_target"
+
+
+class Battery(Section, frozen=True):
+    """Thrust at a command against battery voltage: thrust = curve * (voltage / reference_v) ** exponent.
+
+    Attributes:
+        reference_v: battery voltage at which thrust.full_n was calibrated.
+        exponent: 0: the voltage does not matter; `calibrate thrust` fits it.
+    """
+
+    reference_v: Positive
+    exponent: NotNegative
+
+
+class HoverLearning(Section, frozen=True):
+    """What is learnt in flight: accelerometer bias while hovering, thrust scale in all flight.
+
+    Attributes:
+        speed_m_s: it counts as hovering below this speed and below rate_rad_s.
+        rate_rad_s: likewise, sum of the body rates' magnitudes.
+        time_constant_s: of bias and thrust scale.
+        bias_limit_m_s2: largest bias of the accelerometer that is taken off, per axis.
+        thrust_scale_limit: largest relative correction of the calibrated thrust curve.
+    """
+
+    speed_m_s: Positive
+    rate_rad_s: Positive
+    time_constant_s: Positive
+    bias_limit_m_s2: NotNegative
+    thrust_scale_limit: Fraction
+
+
+class ArmVibration(Section, frozen=True):
+    """The damped in-plane vibration of the unlocked arms, as the IMU feels it.
+
+    Attributes:
+        frequency_hz: undamped natural frequency.
+        damping_ratio: 0: none, 1: critical.
+        mass_fraction: the arms' share of the vehicle's mass.
+    """
+
+    frequency_hz: Positive
+    damping_ratio: Fraction
+    mass_fraction: Fraction
+
+
+class Estimation(Section, frozen=True):
+    """The estimate of the external force (docs/force.md).
+
+    Attributes:
+        observer: acceleration (impacts) or momentum (slow, sustained contact).
+        momentum_gain_per_s: bandwidth of the momentum observer.
+        thrust_source: where the thrust comes from; auto: esc, actuator, attitude_target, the first that is
+            fresh.
+        thrust_timeout_s: with auto, older motor commands are not fresh.
+        thrust_error_n: standard deviation of the whole thrust after calibration.
+        esc_thrust_n_per_rpm2: one motor's thrust over its speed squared, m g / (sum of rpm^2) at hover; null:
+            motor speeds are not used.
+        attitude_error_rad: standard deviation of PX4's attitude.
+        imu_noise_m_s2: standard deviation of one sample, until it has been measured in flight.
+        filter_s: time constant of the filtered force; 0: not filtered.
+        baseline_s: time constant of the baseline: slow forces (wind, errors of thrust and drag), followed
+            outside of contacts and taken off before the threshold.
+        baseline_limit_n: largest force that the baseline takes off.
+        arm_vibration: what the IMU feels of the unlocked arms; null: not taken out.
+    """
+
+    observer: Observer
+    momentum_gain_per_s: Positive
+    thrust_source: ThrustSource
+    thrust_timeout_s: Positive
+    thrust_error_n: NotNegative
+    esc_thrust_n_per_rpm2: Positive | None
+    battery: Battery
+    attitude_error_rad: NotNegative
+    imu_noise_m_s2: Positive
+    filter_s: NotNegative
+    baseline_s: Positive
+    baseline_limit_n: NotNegative
+    arm_vibration: ArmVibration | None
+    hover: HoverLearning
+
+    def __post_init__(self) -> None:
+        if self.thrust_source is ThrustSource.ESC and self.esc_thrust_n_per_rpm2 is None:
+            raise ValueError("thrust_source esc needs esc_thrust_n_per_rpm2")
+
+    @property
+    def uses_esc(self) -> bool:
+        """Whether measured motor speeds may be the source of thrust."""
+        return self.esc_thrust_n_per_rpm2 is not None and self.thrust_source in (
+            ThrustSource.AUTO,
+            ThrustSource.ESC,
+        )
+
+
+class ThresholdTest(StrEnum):
+    """How the horizontal force is compared with the threshold."""
+
+    MAGNITUDE = "magnitude"
+    PER_AXIS = "per_axis"
+
+
+class Detection(Section, frozen=True):
+    """When a force is an impact.
+
+    Attributes:
+        force_threshold_n: horizontal force, less the baseline, from which on it is an impact.
+        threshold_test: magnitude: of the horizontal force; per_axis: the larger of its mission components.
+        release_fraction: a contact is over, and the next one possible, below this fraction of the threshold.
+        peak_drop_fraction: the peak is past once the normal force drops by this share.
+        peak_wait_s: longest wait for the peak after the onset.
+        contact_end_s: time below the release fraction that ends a contact.
+        refractory_s: time after a contact in which no new impact is registered.
+        sure_sigma: one sample over the threshold by this many times its noise is enough; else the mean of two
+            or three in a row has to be over it.
+    """
+
+    force_threshold_n: Positive
+    threshold_test: ThresholdTest
+    release_fraction: Fraction
+    peak_drop_fraction: Fraction
+    peak_wait_s: Positive
+    contact_end_s: Positive
+    refractory_s: NotNegative
+    sure_sigma: NotNegative

@@ -1,0 +1,95 @@
+"""How the mission is flown between the contacts, and from where on the guard overrules it."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta
+
+from dart_flight.config.section import Fraction, NotNegative, Positive, Section
+
+
+class GuardThresholds(Section, frozen=True):
+    """Thresholds of the guard's rules (docs/guard.md).
+
+    Attributes:
+        stream_timeout_s: IMU, attitude or odometry silent for longer: land.
+        status_timeout_s: no heartbeat for longer: land.
+        altitude_tolerance_m: allowed beyond bounds_m.z for impact_window_s after an impact.
+        tilt_deg: tilted further: land.
+        wall_overrun_m: this far behind the wall's plane without a contact: break off.
+        retreat_m: distance from the wall that is kept after breaking off.
+        imu_timeout_s: IMU silent for longer while other streams are not: land.
+        actuator_timeout_s: motor outputs silent for longer: hold.
+        link_lost_s: no stream at all for longer: release, so that PX4's failsafe flies.
+        stamp_tolerance_s: stamps further in the past, five in a row: the autopilot's clock went back, land.
+        imu_stuck_s: the very same reading for longer: land.
+        imu_clipped_s: IMU at full scale for longer: land.
+        position_jump_m: step of the position between two odometry samples, beside the motion: hold.
+        velocity_jump_m_s: step of the velocity between two odometry samples: hold.
+        reset_position_m: a reset that PX4 counts with a step of the position over this: hold.
+        reset_velocity_m_s: a reset that PX4 counts with a step of the velocity over this: hold.
+        estimator_bad_s: no valid position for longer: land.
+        impact_window_s: this long after an impact the estimator is not judged, the altitude less strictly.
+        battery_remaining: less charge than this share: land.
+        battery_v: lower voltage of the battery: land.
+        battery_low_s: either has to be low for longer than this.
+        kill_after_s: in PX4's land mode and still armed for longer: motors off; null: never.
+        force_margin: break off when a single sample exceeds limits.peak_force_n times this factor.
+        wall_late_s: wall not met this long after the planned impact: break off.
+        wall_early_m: a contact further before the wall's plane is not the planned wall: break off.
+        deadman_s: core thread or event loop hang for longer: the program is killed.
+    """
+
+    stream_timeout_s: Positive
+    status_timeout_s: Positive
+    altitude_tolerance_m: Positive
+    tilt_deg: Annotated[float, Meta(gt=0.0, le=180.0)]
+    wall_overrun_m: Positive
+    retreat_m: Positive
+    imu_timeout_s: Positive
+    actuator_timeout_s: Positive
+    link_lost_s: Positive
+    stamp_tolerance_s: Positive
+    imu_stuck_s: Positive
+    imu_clipped_s: Positive
+    position_jump_m: Positive
+    velocity_jump_m_s: Positive
+    reset_position_m: Positive
+    reset_velocity_m_s: Positive
+    estimator_bad_s: NotNegative
+    impact_window_s: NotNegative
+    battery_remaining: Fraction
+    battery_v: NotNegative
+    battery_low_s: NotNegative
+    kill_after_s: Positive | None
+    force_margin: Annotated[float, Meta(ge=1.0)]
+    wall_late_s: Positive
+    wall_early_m: Positive
+    deadman_s: Annotated[float, Meta(ge=0.1, le=2.0)]
+
+
+class Flying(Section, frozen=True):
+    """How the vehicle flies between the collisions.
+
+    Attributes:
+        climb_speed_m_s: largest speed of the climb.
+        transit_speed_m_s: largest speed to the run-up point and to the goal.
+        acceleration_m_s2: largest acceleration of the reference.
+        yaw_rate_deg_s: largest turning rate of the reference.
+        steady_run_s: constant speed before the wall, so that the velocity is met.
+        arrive_m: the vehicle has arrived when it is nearer to the target than this and slow.
+        arrive_speed_m_s: slow is below this speed.
+        arrive_s: both have to hold for this long.
+        ready_timeout_s: longest wait for telemetry, offboard mode, arming, the end of climb or transit.
+    """
+
+    climb_speed_m_s: Positive
+    transit_speed_m_s: Positive
+    acceleration_m_s2: Positive
+    yaw_rate_deg_s: Positive
+    steady_run_s: NotNegative
+    arrive_m: Positive
+    arrive_speed_m_s: Positive
+    arrive_s: NotNegative
+    ready_timeout_s: Positive

@@ -1,0 +1,284 @@
+"""The lock: cam, servo, drivers."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+from dart_flight.config.section import NotNegative, Positive, Section
+from dart_flight.samples import Mode
+
+
+class Cam(Section, frozen=True):
+    """Cam of the locking mechanism: l = r_cam - r cos(theta), theta_0 to theta_0 + 90° (paper, eq. 1).
+
+    Attributes:
+        r_cam_mm: r_cam of the law, whose l is the translation of the rods.
+        r_mm: r of the law, at most r_cam_mm.
+        theta0_deg: theta_0 of the law: the cam angle where the rods are drawn back.
+    """
+
+    r_cam_mm: Positive
+    r_mm: Positive
+    # From 0 to 180° the law has one inverse.
+    theta0_deg: Annotated[float, Meta(ge=0.0, le=90.0)]
+
+    def __post_init__(self) -> None:
+        if self.r_mm > self.r_cam_mm:
+            raise ValueError(f"r_mm {self.r_mm:g} must not exceed r_cam_mm {self.r_cam_mm:g}")
+
+
+class Servo(Section, frozen=True):
+    """The servo and its calibration: pulse width and cam angle of the two ends, speed, end stops.
+
+    Attributes:
+        rigid_pulse_us: at which the arms are locked; `dart-flight lock calibrate` writes it.
+        flexible_pulse_us: at which the arms are free; `dart-flight lock calibrate` writes it.
+        rigid_deg: cam angle at rigid_pulse_us, within the cam's range.
+        flexible_deg: cam angle at flexible_pulse_us, within the cam's range.
+        direction: 1: the cam angle grows with the pulse width; -1: it falls.
+        min_pulse_us: shortest pulse that the servo may be given.
+        max_pulse_us: longest pulse that the servo may be given.
+        tolerance_us: a pulse this near to that of an end counts as there.
+        supply_v: of the servo, 4.8 to 6.0 V.
+        s_per_60deg_at_4v8: time for 60 degrees at 4.8 V, s.
+        s_per_60deg_at_6v0: time for 60 degrees at 6.0 V, s.
+        settle_margin_s: added to the travel time before the lock counts as settled.
+        travel_s: measured time of the full travel, instead of the two above; null: not measured.
+    """
+
+    rigid_pulse_us: Annotated[float, Meta(gt=0.0)]
+    flexible_pulse_us: Annotated[float, Meta(gt=0.0)]
+    rigid_deg: float
+    flexible_deg: float
+    direction: Literal[-1, 1]
+    min_pulse_us: Positive
+    max_pulse_us: Positive
+    tolerance_us: Positive
+    supply_v: Annotated[float, Meta(ge=4.8, le=6.0)]
+    s_per_60deg_at_4v8: Positive
+    s_per_60deg_at_6v0: Positive
+    settle_margin_s: NotNegative
+    travel_s: Positive | None = None
+
+    def __post_init__(self) -> None:
+        low, high = self.min_pulse_us, self.max_pulse_us
+        if low >= high:
+            raise ValueError(f"min_pulse_us {low:g} must be below max_pulse_us {high:g}")
+        for name in ("rigid_pulse_us", "flexible_pulse_us"):
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name} must be within the servo's range {low:g} to {high:g}")
+        span_us = self.rigid_pulse_us - self.flexible_pulse_us
+        if abs(span_us) <= 2.0 * self.tolerance_us:
+            raise ValueError(
+                "rigid_pulse_us and flexible_pulse_us must differ by more than twice "
+                f"tolerance_us {self.tolerance_us:g}"
+            )
+        span_deg = self.rigid_deg - self.flexible_deg
+        if span_deg == 0.0:
+            raise ValueError("rigid_deg and flexible_deg must differ")
+        if span_us * span_deg * self.direction < 0.0:
+            raise ValueError(
+                f"direction {self.direction} contradicts the two points: from flexible to rigid the pulse "
+                f"changes by {span_us:+g} us and the angle by {span_deg:+g} degrees"
+            )
+
+    def pulse_us(self, mode: Mode) -> float:
+        """Calibrated pulse width of a mode's end."""
+        return self.rigid_pulse_us if mode is Mode.RIGID else self.flexible_pulse_us
+
+    @property
+    def us_per_deg(self) -> float:
+        """Pulse width per degree of cam angle, positive; from the two points."""
+        return abs(self.rigid_pulse_us - self.flexible_pulse_us) / abs(self.rigid_deg - self.flexible_deg)
+
+    @property
+    def s_per_deg(self) -> float:
+        """Seconds per degree: the measured full travel, else the catalogue interpolated by supply voltage."""
+        if self.travel_s is not None:
+            return self.travel_s / abs(self.rigid_deg - self.flexible_deg)
+        share = (self.supply_v - 4.8) / (6.0 - 4.8)
+        return (self.s_per_60deg_at_4v8 + share * (self.s_per_60deg_at_6v0 - self.s_per_60deg_at_4v8)) / 60.0
+
+    @property
+    def full_travel_s(self) -> float:
+        """Seconds from one mode's end to the other's, without margin."""
+        return self.s_per_deg * abs(self.rigid_deg - self.flexible_deg)
+
+
+class Maestro(Section, frozen=True):
+    """Serial servo controller (Pololu Maestro), for the driver maestro.
+
+    Attributes:
+        port: serial port, such as /dev/ttyACM0.
+        channel: of the controller, to which the servo is connected.
+        baud: of the serial line.
+        speed_limit_us_s: limit of the pulse's change, a multiple of 25; 0: none.
+        reply_timeout_s: longest wait for a reply of the controller.
+    """
+
+    port: str
+    channel: Annotated[int, Meta(ge=0, le=23)]
+    baud: Annotated[int, Meta(ge=300, le=200_000)]
+    speed_limit_us_s: Annotated[float, Meta(ge=0.0, le=25.0 * 16383)]
+    reply_timeout_s: Annotated[float, Meta(gt=0.0, le=1.0)]
+
+    def __post_init__(self) -> None:
+        if not self.port:
+            raise ValueError("port must name a serial port, such as /dev/ttyACM0")
+        if self.speed_limit_us_s % 25.0 != 0.0:
+            raise ValueError(f"speed_limit_us_s {self.speed_limit_us_s:g} must be a multiple of 25")
+
+
+class Pwm(Section, frozen=True):
+    """Hardware PWM of the Raspberry Pi through sysfs, for the driver pwm.
+
+    Attributes:
+        sysfs_dir: where the kernel shows its PWM chips.
+        chip: number N of pwmchipN.
+        channel: of the chip, to which the servo is connected.
+        period_us: of the pulses.
+    """
+
+    sysfs_dir: str
+    chip: Annotated[int, Meta(ge=0)]
+    channel: Annotated[int, Meta(ge=0)]
+    period_us: Annotated[float, Meta(ge=2_500.0, le=50_000.0)]
+
+
+class Px4Output(Section, frozen=True):
+    """PX4's own servo output through `set_actuator`, for the driver px4.
+
+    Attributes:
+        actuator_index: of PX4's output function "Peripheral via Actuator Set", 1 to 6.
+        bank: of the pin to which the servo is connected.
+        pin: number in its bank.
+        timer: number of the pin's timer group, which must run at 50 Hz (`PWM_<bank>_TIM<timer>`).
+        min_pulse_us: pulse of the actuator value -1, `PWM_<bank>_MIN<pin>`.
+        max_pulse_us: pulse of the actuator value 1, `PWM_<bank>_MAX<pin>`.
+    """
+
+    actuator_index: Annotated[int, Meta(ge=1, le=6)]
+    bank: Literal["MAIN", "AUX"]
+    pin: Annotated[int, Meta(ge=1, le=16)]
+    timer: Annotated[int, Meta(ge=0, le=7)]
+    # The ranges are what PX4 allows for the two parameters.
+    min_pulse_us: Annotated[float, Meta(ge=800.0, le=1400.0)]
+    max_pulse_us: Annotated[float, Meta(ge=1600.0, le=2200.0)]
+
+
+class LimitSwitch(Section, frozen=True):
+    """Switches at one or both ends of the travel, on GPIO lines; an end without one has no feedback.
+
+    Attributes:
+        chip: GPIO chip, such as /dev/gpiochip0.
+        rigid_line: of the switch at the rigid end; null: none.
+        flexible_line: of the switch at the flexible end; null: none.
+        active_low: whether a closed switch pulls its line to ground.
+    """
+
+    chip: str
+    rigid_line: Annotated[int, Meta(ge=0)] | None = None
+    flexible_line: Annotated[int, Meta(ge=0)] | None = None
+    active_low: bool = True
+
+    def __post_init__(self) -> None:
+        if self.rigid_line is None and self.flexible_line is None:
+            raise ValueError("needs rigid_line, flexible_line or both")
+        if self.rigid_line == self.flexible_line:
+            raise ValueError("rigid_line and flexible_line must differ")
+
+
+class LockDriver(StrEnum):
+    """What moves the servo."""
+
+    MAESTRO = "maestro"
+    PWM = "pwm"
+    PX4 = "px4"
+    MOCK = "mock"
+
+
+class LockStartup(StrEnum):
+    """What the lock does when the program starts: move to a known end, or go by what it finds."""
+
+    HOME = "home"
+    ADOPT = "adopt"
+
+
+class LockConfig(Section, frozen=True):
+    """The locking mechanism (docs/lock.md).
+
+    Attributes:
+        driver: what moves the servo; mock: a modelled servo.
+        startup: home: move to home_mode; adopt: go by what is found.
+        home_mode: end to which `home` moves.
+        relaxation_s: time after a contact before the lock may move: the arms spring back first.
+        timeout_s: a travel that takes longer is a fault, and so is a limit switch not read for longer.
+        debounce_s: a switch or a lost pulse counts after this long.
+        limit_switch: {chip: /dev/gpiochip0, rigid_line: 23, flexible_line: 24, active_low: true}, or one of
+            the two lines; null: none, a travel is over after its time.
+    """
+
+    driver: LockDriver
+    startup: LockStartup
+    home_mode: Mode
+    relaxation_s: NotNegative
+    timeout_s: Positive
+    debounce_s: NotNegative
+    cam: Cam
+    servo: Servo
+    maestro: Maestro
+    pwm: Pwm
+    px4: Px4Output
+    limit_switch: LimitSwitch | None = None
+
+    def __post_init__(self) -> None:
+        servo, theta0 = self.servo, self.cam.theta0_deg
+        for name in ("rigid_deg", "flexible_deg"):
+            if not theta0 <= getattr(servo, name) <= theta0 + 90.0:
+                raise ValueError(
+                    f"servo.{name} {getattr(servo, name):g} is outside the cam's range "
+                    f"{theta0:g} to {theta0 + 90.0:g} degrees"
+                )
+        for angle in (theta0, theta0 + 90.0):
+            pulse = servo.flexible_pulse_us + servo.direction * servo.us_per_deg * (
+                angle - servo.flexible_deg
+            )
+            if not servo.min_pulse_us - 1e-6 <= pulse <= servo.max_pulse_us + 1e-6:
+                raise ValueError(
+                    f"the cam's range {theta0:g} to {theta0 + 90.0:g} degrees goes over the servo's end "
+                    f"stops: {angle:g} degrees is {pulse:.0f} us, allowed {servo.min_pulse_us:g} to "
+                    f"{servo.max_pulse_us:g}"
+                )
+        if self.timeout_s <= self.switch_time_s:
+            raise ValueError(
+                f"timeout_s {self.timeout_s:g} must be longer than the travel with its margin, "
+                f"{self.switch_time_s:.3f} s"
+            )
+        if self.driver is LockDriver.PX4:
+            for name in ("rigid_pulse_us", "flexible_pulse_us"):
+                if not self.px4.min_pulse_us <= getattr(servo, name) <= self.px4.max_pulse_us:
+                    raise ValueError(
+                        f"servo.{name} must be within px4.min_pulse_us {self.px4.min_pulse_us:g} and "
+                        f"px4.max_pulse_us {self.px4.max_pulse_us:g}"
+                    )
+        if self.driver is LockDriver.PWM and servo.max_pulse_us >= self.pwm.period_us:
+            raise ValueError(
+                f"servo.max_pulse_us must be below pwm.period_us {self.pwm.period_us:g}, the servo's frame"
+            )
+
+    @property
+    def ramp_us_s(self) -> float | None:
+        """Speed limit of the pulse width itself in us/s, where the driver has one."""
+        limit = self.maestro.speed_limit_us_s
+        return limit if self.driver is LockDriver.MAESTRO and limit > 0.0 else None
+
+    @property
+    def switch_time_s(self) -> float:
+        """Seconds from the driver's taking the command to `settled`: travel, speed limit and margin."""
+        travel, servo = self.servo.full_travel_s, self.servo
+        if self.ramp_us_s is not None:
+            travel = max(travel, abs(servo.rigid_pulse_us - servo.flexible_pulse_us) / self.ramp_us_s)
+        return travel + servo.settle_margin_s
