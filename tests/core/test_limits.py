@@ -1,0 +1,203 @@
+"""Limits in time and space of what the core does: each test fails when its limit is ignored or moved."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import msgspec
+import pytest
+
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.core.mission.phases import Phase
+from dart_flight.geometry import quaternion_from_euler
+from dart_flight.samples import (
+    ClockOffset,
+    FlightMode,
+    GoalPassed,
+    GuardEvent,
+    ImpactOnset,
+    LandedState,
+    Mode,
+    OperatorRequest,
+    SetPoint,
+    VehicleAction,
+    VehicleCommand,
+)
+from tests.core.conftest import TELEPORTING, HandFedCore
+
+SINGLE = "missions/single_wall.yaml"
+
+
+def after_the_contact(c: HandFedCore) -> None:
+    """The single wall has been hit at 1.65 m north, and the lock has followed; the vehicle is clear of it."""
+    c.to_flight()
+    c.position_ned = (1.6, -0.5, -1.0)
+    c.velocity_ned = (1.0, -0.5, 0.0)
+    c.run(0.05)
+    c.pulse((-20.0, 10.0))
+    c.velocity_ned = (0.0, 0.0, 0.0)
+    c.position_ned = (1.0, -0.5, -1.0)
+    c.set_lock(Mode.RIGID)
+    c.run(0.1)
+    assert c.core.phase is Phase.RECOVERY
+
+
+# --- the detector ------------------------------------------------------------------------------------------
+
+
+def test_arms_that_swing_after_a_contact_are_no_second_impact() -> None:
+    """For the refractory time after a contact's end nothing is an impact, and right after it everything is."""
+    c = HandFedCore()
+    c.at_the_wood()
+    c.pulse((-10.0, -16.0))
+    refractory_s = c.core.mission.vehicle.detection.refractory_s
+    c.velocity_ned = (0.0, 0.0, 0.0)
+    c.run(0.05)
+    assert not c.core.detector.in_contact
+    # Well over the threshold, from rest, but over before the refractory time is.
+    swing = c.pulse((-14.0, 0.0), refractory_s - 0.08)
+    assert not [o for o in swing if isinstance(o, ImpactOnset)]
+    c.run(0.1)
+    again = c.pulse((-14.0, 0.0)) + c.run(0.1)
+    assert len([o for o in again if isinstance(o, ImpactOnset)]) == 1
+
+
+# --- commands ----------------------------------------------------------------------------------------------
+
+
+def lands(c: HandFedCore, seconds: float) -> list[float]:
+    """When landing is asked for, seconds from now on."""
+    began = c.t_us
+    out = c.run(seconds)
+    asked = [o for o in out if isinstance(o, VehicleCommand)]
+    assert {o.action for o in asked} <= {VehicleAction.LAND}
+    return [(o.t_us - began) * 1e-6 for o in asked]
+
+
+def test_the_guard_asks_for_its_landing_every_second_until_telemetry_shows_it() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.q = quaternion_from_euler(1.2, 0.0, 0.0)  # lands at once
+    times = lands(c, 3.5)
+    assert [round(t) for t in times] == [0, 1, 2, 3]
+    assert all(0.99 < b - a < 1.02 for a, b in itertools.pairwise(times))
+    c.set_status(flight_mode=FlightMode.LAND)
+    assert lands(c, 2.5) == []
+
+
+def test_the_mission_asks_for_its_landing_every_second_until_telemetry_shows_it() -> None:
+    c = HandFedCore(SINGLE)
+    after_the_contact(c)
+    c.position_ned = (0.4, -1.0, -1.0)  # at the goal
+    c.run(8.5)  # until the recovery's time is over
+    c.run(2.0)
+    assert c.core.phase is Phase.LANDING
+    times = lands(c, 3.5)
+    assert 3 <= len(times) <= 4
+    assert all(0.99 < b - a < 1.02 for a, b in itertools.pairwise(times))
+    c.set_status(flight_mode=FlightMode.LAND)
+    assert lands(c, 2.5) == []
+    c.set_status(landed=LandedState.ON_GROUND)
+    c.set_status(armed=False)
+    c.run(0.02)
+    assert c.core.end is not None
+    assert c.core.end.outcome == "completed"
+
+
+# --- where the guard holds ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("up_m", "held_m"),
+    [
+        (0.6, 1.0),  # too low: at the mission's altitude
+        (1.0, 1.0),
+        (1.6, 1.6),  # higher than the mission: it does not come down on what may be below
+    ],
+)
+def test_the_guard_holds_at_the_missions_altitude_or_where_it_is_above_it(up_m: float, held_m: float) -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.position_ned = (0.0, 0.0, -up_m)
+    c.run(0.02)
+    assert not [o for o in c.outputs if isinstance(o, GuardEvent)]
+    c.give(OperatorRequest(c.t_us, "land"))
+    held = [o for o in c.run(0.5) if isinstance(o, SetPoint)]
+    assert held
+    assert {round(o.position_ned[2], 6) for o in held} == {-held_m}
+
+
+def test_the_guard_does_not_climb_out_of_the_flight_space() -> None:
+    """The loader refuses a mission higher than its flight space; the guard does not rely on that."""
+    c = HandFedCore()
+    mission = c.core.mission
+    low = msgspec.structs.replace(mission.bounds, z=(0.3, 0.96))
+    c.core = FlightCore(msgspec.structs.replace(mission, bounds=low), TELEPORTING)
+    c.give(ClockOffset(c.t_us, 0))
+    c.to_flight()
+    c.position_ned = (0.0, 0.0, -0.9)
+    c.run(0.02)
+    c.give(OperatorRequest(c.t_us, "land"))
+    held = [o for o in c.run(0.5) if isinstance(o, SetPoint)]
+    assert {round(o.position_ned[2], 6) for o in held} == {-0.96}
+
+
+# --- heading -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("yaw", [0.6, -0.6])
+def test_the_heading_turns_no_faster_than_allowed_and_gets_there(yaw: float) -> None:
+    """It stands askew; the walls want a multiple of a quarter turn."""
+    c = HandFedCore()
+    c.q = quaternion_from_euler(0.0, 0.0, yaw)
+    c.set_lock(Mode.RIGID)
+    c.run(0.5)
+    c.set_status(flight_mode=FlightMode.OFFBOARD)
+    c.run(0.1)
+    c.set_status(armed=True)
+    c.run(0.1)
+    c.set_status(landed=LandedState.IN_AIR)
+    c.position_ned = (0.0, 0.0, -1.0)
+    out = [o for o in c.run(2.0) if isinstance(o, SetPoint)]
+    assert c.core.phase is Phase.TRANSIT  # its own heading has not followed: it has not arrived
+    assert out[0].yaw_ned_rad == pytest.approx(yaw)
+    rate = math.radians(c.core.mission.vehicle.flying.yaw_rate_deg_s)
+    rates = [(b.yaw_ned_rad - a.yaw_ned_rad) / (1e-6 * (b.t_us - a.t_us)) for a, b in itertools.pairwise(out)]
+    turning = [r for r in rates if abs(r) > 1e-6]
+    assert max(abs(r) for r in turning) <= rate * 1.001
+    # At the full rate all the way but for the last step, and the short way round.
+    assert sum(abs(abs(r) - rate) < 1e-3 * rate for r in turning) >= len(turning) - 1
+    assert {math.copysign(1.0, r) for r in turning} == {math.copysign(1.0, -yaw)}
+    assert len(turning) * 0.008 == pytest.approx(abs(yaw) / rate, abs=0.02)
+    assert out[-1].yaw_ned_rad == pytest.approx(0.0, abs=1e-9)
+
+
+# --- the goal ----------------------------------------------------------------------------------------------
+
+
+def test_the_goal_is_passed_once_the_way_to_it_grows_by_more_than_its_noise() -> None:
+    """Goal at (0.4, 1.0): it comes as near as 0.30 m, and further away again."""
+    c = HandFedCore(SINGLE)
+    after_the_contact(c)
+
+    def at(miss_m: float, seconds: float) -> list[GoalPassed]:
+        c.position_ned = (0.4 + miss_m, -1.0, -1.0)
+        return [o for o in c.run(seconds) if isinstance(o, GoalPassed)]
+
+    assert at(0.5, 0.2) == []
+    assert at(0.3, 0.3) == []
+    assert at(0.32, 0.3) == []  # noise
+    passed = at(0.36, 0.1)
+    assert [round(p.miss_m, 3) for p in passed] == [0.3]
+    assert c.core.phase is Phase.GOAL
+
+
+def test_right_after_a_contact_the_goal_is_not_passed_yet() -> None:
+    c = HandFedCore(SINGLE)
+    after_the_contact(c)
+    c.position_ned = (0.9, -1.0, -1.0)
+    c.run(0.04)
+    c.position_ned = (1.1, -1.0, -1.0)
+    assert not [o for o in c.run(0.04) if isinstance(o, GoalPassed)]
+    assert [o for o in c.run(0.3) if isinstance(o, GoalPassed)]

@@ -1,0 +1,167 @@
+"""The core thread with inputs queued by hand: what it steps, in which order, and what it may leave out."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable
+
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.samples import (
+    ActuatorSample,
+    AttitudeSample,
+    ImuSample,
+    Input,
+    LockPermission,
+    OdometrySample,
+    Output,
+    Record,
+    SetPoint,
+    SetPointSent,
+    StatusSample,
+    Tick,
+)
+from dart_flight.worlds.app import CoreThread
+
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+
+
+class SteppedCore(FlightCore):
+    """In place of the core: notes what it is given and answers what the test wants."""
+
+    def __init__(self, answer: Callable[[Input], list[Output]] = lambda item: []) -> None:
+        self.taken: list[Input] = []
+        self._answer = answer
+
+    def step(self, item: Input) -> list[Output]:
+        self.taken.append(item)
+        return [] if isinstance(item, Tick) else self._answer(item)
+
+    @property
+    def samples(self) -> list[Input]:
+        """What it was given, without the ticks."""
+        return [item for item in self.taken if not isinstance(item, Tick)]
+
+
+class Harness:
+    """A core thread with ears: what is sent, carried out and observed, in order."""
+
+    def __init__(self, core: SteppedCore) -> None:
+        self.core = core
+        self.turns = 0
+        self.did: list[tuple[str, Record]] = []
+        self.observed: list[tuple[Record, int]] = []
+        self.thread = CoreThread(core, self._send, self._carry_out, self._observe, self._alive)
+
+    def _send(self, setpoint: SetPoint) -> None:
+        self.did.append(("send", setpoint))
+
+    def _carry_out(self, output: Output) -> None:
+        self.did.append(("carry out", output))
+
+    def _observe(self, record: Record, number: int) -> None:
+        self.observed.append((record, number))
+
+    def _alive(self) -> None:
+        self.turns += 1
+
+    def run(self, items: list[Input], seconds: float = 0.0) -> None:
+        """What was queued before the thread began is there at once, as after a stall of the machine."""
+        for item in items:
+            self.thread.put(item)
+        self.thread.thread.start()
+        deadline = time.monotonic() + 10.0
+        last = items[-1] if items else None
+        while last is not None and last not in self.core.taken and time.monotonic() < deadline:
+            time.sleep(0.002)
+        time.sleep(seconds)
+        self.thread.stop()
+        assert not self.thread.thread.is_alive()
+
+
+def backlog(rounds: int) -> list[Input]:
+    """`rounds` times attitude, odometry, motor commands, IMU; one status in between."""
+    items: list[Input] = []
+    for t in range(4000, 4000 * (rounds + 1), 4000):
+        items.append(AttitudeSample(t, t, LEVEL))
+        items.append(OdometrySample(t, t, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)))
+        if t == 4000 * (rounds // 2):
+            items.append(StatusSample(t, t))
+        items.append(ActuatorSample(t, t, (0.5,) * 4))
+        items.append(ImuSample(t, t, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0)))
+    return items
+
+
+def test_of_a_backlog_only_the_newest_of_each_state_stream_is_stepped() -> None:
+    harness = Harness(SteppedCore())
+    items = backlog(40)
+    harness.run(items)
+    newest = {type(item): item for item in items}
+    kept = [
+        item
+        for item in items
+        if not isinstance(item, AttitudeSample | OdometrySample | ActuatorSample)
+        or item is newest[type(item)]
+    ]
+    # Every IMU sample and the status are there, and the order is that of arrival.
+    assert harness.core.samples == kept
+    assert len(kept) == 40 + 1 + 3
+
+
+def test_a_short_queue_is_stepped_as_it_came() -> None:
+    harness = Harness(SteppedCore())
+    items = backlog(15)
+    assert len(items) == 61
+    harness.run(items)
+    assert harness.core.samples == items
+
+
+def test_inputs_are_numbered_as_they_are_consumed_with_what_follows_from_them() -> None:
+    permission = LockPermission(5, True)
+    harness = Harness(SteppedCore(lambda item: [permission] if isinstance(item, StatusSample) else []))
+    harness.run(backlog(40))
+    inputs = [(record, number) for record, number in harness.observed if record is not permission]
+    assert [number for _, number in inputs] == list(range(len(inputs)))
+    assert [record for record, _ in inputs] == harness.core.taken
+    status = next(number for record, number in inputs if isinstance(record, StatusSample))
+    assert [number for record, number in harness.observed if record is permission] == [status]
+
+
+def test_set_points_are_sent_before_anything_else_is_done() -> None:
+    setpoint = SetPoint(4000, 4000, (0.0, 0.0, -1.0), 0.0)
+    permission = LockPermission(4000, True)
+
+    def answer(item: Input) -> list[Output]:
+        return [permission, setpoint]
+
+    harness = Harness(SteppedCore(answer))
+    harness.run([AttitudeSample(4000, 4000, LEVEL)])
+    assert harness.did == [("send", setpoint), ("carry out", permission)]
+    assert not [r for r, _ in harness.observed if isinstance(r, SetPointSent)]
+
+
+def test_the_latency_of_a_recovery_set_point_is_observed() -> None:
+    from dart_flight.vehicle.clock import host_us
+
+    received_us = host_us()
+    setpoint = SetPoint(4000, received_us, (0.0, 0.0, -1.0), 0.0, recovery=True)
+    harness = Harness(SteppedCore(lambda item: [setpoint]))
+    harness.run([AttitudeSample(4000, received_us, LEVEL)])
+    sent = next(r for r, _ in harness.observed if isinstance(r, SetPointSent))
+    assert sent.latency_us == sent.sent_us - received_us
+    assert 0 <= sent.latency_us < 5_000_000
+
+
+def test_without_inputs_it_ticks_every_20_ms_and_says_that_it_lives() -> None:
+    harness = Harness(SteppedCore())
+    assert harness.thread.age_s() < 1.0
+    harness.run([], 0.5)
+    ticks = [item.host_us for item in harness.core.taken if isinstance(item, Tick)]
+    gaps = sorted(b - a for a, b in itertools.pairwise(ticks))
+    assert 5 <= len(ticks) <= 26  # a shared machine may hold it up; it never goes faster
+    assert gaps[0] >= 20_000
+    assert gaps[len(gaps) // 2] < 60_000
+    assert harness.turns >= len(ticks)
+    assert harness.core.samples == []
+    time.sleep(0.1)
+    assert 0.1 <= harness.thread.age_s() < 10.0  # it does not come round any more
