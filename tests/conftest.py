@@ -3,6 +3,9 @@
 from hypothesis import settings
 
 import dart_flight  # noqa: F401  before NumPy: it sets the number of its threads
+from tests.shared_flights import flown
+
+__all__ = ["flown"]
 
 # Deterministic examples: the same commit gives the same answer on every machine.
 settings.register_profile("ci", derandomize=True, deadline=None, max_examples=100)

@@ -10,19 +10,17 @@ import numpy as np
 import pytest
 
 from dart_flight.cli import main
-from dart_flight.config import InputError, load_mission, load_vehicle
+from dart_flight.config import InputError, load_vehicle
 from dart_flight.identify.thrust_curve import calibrate_thrust, quiet_points, read_track
-from dart_flight.worlds.fast import fly_fast
+from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[1]
 VEHICLE = load_vehicle(ROOT / "configs" / "dart.yaml")
 
 
 @pytest.fixture(scope="module")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("flights")
-    fly_fast(load_mission(ROOT / "missions" / "single_wall.yaml"), 2, folder)
-    return next(folder.rglob("flight.mcap"))
+def flight(flown: SharedFlights) -> Path:
+    return flown("single_wall", 2).log
 
 
 def test_own_log_gives_the_plants_curve(flight: Path) -> None:

@@ -11,6 +11,7 @@ from dart_flight.lock.servo import ServoFaults
 from dart_flight.samples import World
 from dart_flight.worlds.fast import fly_fast
 from dart_flight.worlds.prepare import load_flyable
+from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[2]
 
@@ -65,14 +66,14 @@ def test_a_switch_that_falls_silent_in_flight_breaks_it_off() -> None:
     assert [c.wall for c in verdict.collisions] == ["wood"]
 
 
-def test_a_stuck_servo_without_a_switch_is_revealed_by_the_contact_time() -> None:
+def test_a_stuck_servo_without_a_switch_is_revealed_by_the_contact_time(flown: SharedFlights) -> None:
     """The controller reports what it commands: `settled (no feedback)`. The wall tells the truth."""
     verdict = fly_fast(dual(), 1, None, lock_faults=MockFaults(servo=ServoFaults(stuck=True)))
     assert [(c.mode, c.mode_by_contact_time) for c in verdict.collisions] == [
         ("flexible", "flexible"),
         ("rigid", "flexible"),
     ]
-    healthy = fly_fast(dual(), 1, None)
+    healthy = flown("dual_collision", 1).verdict
     assert [(c.mode, c.mode_by_contact_time) for c in healthy.collisions] == [
         ("flexible", "flexible"),
         ("rigid", "rigid"),

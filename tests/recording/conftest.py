@@ -9,8 +9,8 @@ import pytest
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording import Log, read_log
-from dart_flight.worlds.fast import fly_fast
 from dart_flight.worlds.prepare import load_flyable
+from tests.shared_flights import SharedFlights
 
 
 @pytest.fixture(scope="session")
@@ -19,10 +19,8 @@ def single_wall() -> Mission:
 
 
 @pytest.fixture(scope="session")
-def flight_path(single_wall: Mission, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    verdict = fly_fast(single_wall, 1, tmp_path_factory.mktemp("flights"))
-    assert verdict.log is not None
-    return Path(verdict.log).resolve()
+def flight_path(flown: SharedFlights) -> Path:
+    return flown("single_wall", 1).log
 
 
 @pytest.fixture(scope="session")

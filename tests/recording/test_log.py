@@ -28,7 +28,7 @@ from dart_flight.recording import FlightLog, Log, read_log
 from dart_flight.recording.about import flown_mission, parse_written, written_mission
 from dart_flight.recording.encoding import decode, encode
 from dart_flight.recording.schema import CLOCKS, RECORD_TYPES, schema
-from dart_flight.recording.writer import ABOUT, FORMAT_VERSION, LogPart, part_path
+from dart_flight.recording.writer import ABOUT, FORMAT_VERSION, part_path
 from dart_flight.samples import (
     GuardEvent,
     ImuSample,
@@ -183,16 +183,25 @@ def small_log(path: Path) -> bytes:
     return path.read_bytes()
 
 
-@pytest.mark.parametrize("part", range(4))
-def test_a_log_cut_at_every_byte(part: int, tmp_path: Path) -> None:
-    """Every byte from the first record on, every eighth of the description and the schemas before it."""
-    LogPart(tmp_path / "empty.mcap", {"mission": "small"}, 1).close()
-    begin = (tmp_path / "empty.mcap").stat().st_size
+def places_to_cut(whole: bytes) -> list[int]:
+    """Every byte at the beginning and the end of each record of the file, every sixteenth inside of one."""
+    magic, head, near = 8, 9, 24  # bytes; a record is its kind, its length in eight bytes, and its content
+    places, begin = list(range(magic)), magic
+    while begin < len(whole) - magic:
+        end = begin + head + int.from_bytes(whole[begin + 1 : begin + head], "little")
+        inside = range(begin, end)
+        places += [at for at in inside if at < begin + head + near or at >= end - near or at % 16 == 0]
+        begin = end
+    assert begin == len(whole) - magic
+    return [*places, *range(begin, len(whole))]
+
+
+def test_a_log_cut_at_every_kind_of_place(tmp_path: Path) -> None:
     whole = small_log(tmp_path / "whole.mcap")
     entries = read_log(tmp_path / "whole.mcap").entries
     assert len(entries) == 12
     path, known = tmp_path / "flight.mcap", 0
-    for cut in [*range(part, begin, 32), *range(begin + part, len(whole), 4)]:
+    for cut in places_to_cut(whole):
         path.write_bytes(whole[:cut])
         log = read_log(path)
         assert log.entries == entries[: len(log.entries)]

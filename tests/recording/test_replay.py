@@ -11,12 +11,11 @@ import pytest
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
-from dart_flight.config.vehicle import packaged
 from dart_flight.recording import Log, LogEntry, read_log
 from dart_flight.samples import ImpactOnset, ImpactPeak, ImuSample, SetPoint, World
-from dart_flight.worlds.fast import FastFlight, fly_fast
-from dart_flight.worlds.prepare import load_flyable
+from dart_flight.worlds.fast import FastFlight
 from dart_flight.worlds.replay import changed_mission, replay
+from tests.shared_flights import SharedFlights
 
 
 def changed(log: Log, index: int, record: object) -> Log:
@@ -36,11 +35,8 @@ def test_a_flight_replays_bit_for_bit(flight: Log) -> None:
 
 
 @pytest.mark.parametrize("seed", range(2, 6))
-def test_dual_collisions_replay_bit_for_bit(seed: int, tmp_path: Path) -> None:
-    mission = load_flyable(packaged("missions", "dual_collision.yaml"), packaged("configs", "dart.yaml"))
-    verdict = fly_fast(mission, seed, tmp_path)
-    assert verdict.log is not None
-    result = replay(read_log(verdict.log))
+def test_dual_collisions_replay_bit_for_bit(seed: int, flown: SharedFlights) -> None:
+    result = replay(read_log(flown("dual_collision", seed).log))
     assert result.equal, result.differences[0].text()
     assert sum(isinstance(r, ImpactPeak) for r in result.replayed) == 2
 

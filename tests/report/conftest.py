@@ -9,9 +9,9 @@ import pytest
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.report.flight import Flight
-from dart_flight.sim.faults.kinds import parse_fault
-from dart_flight.worlds.fast import fly_fast
+from dart_flight.report.page import comparison_page, flight_page
 from dart_flight.worlds.prepare import load_flyable
+from tests.shared_flights import SharedFlights
 
 
 @pytest.fixture(scope="session")
@@ -20,21 +20,37 @@ def dual() -> Mission:
 
 
 @pytest.fixture(scope="session")
-def trials(dual: Mission, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+def trials(flown: SharedFlights) -> list[Path]:
     """Three flights of the dual collision."""
-    folder = tmp_path_factory.mktemp("trials")
-    return [Path(fly_fast(dual, seed, folder).log or "").resolve() for seed in (1, 2, 3)]
+    return [flown("dual_collision", seed).log for seed in (1, 2, 3)]
 
 
 @pytest.fixture(scope="session")
-def flight(trials: list[Path]) -> Flight:
-    return Flight.read(trials[0])
+def flights(trials: list[Path]) -> list[Flight]:
+    """The three, read."""
+    return [Flight.read(path) for path in trials]
 
 
 @pytest.fixture(scope="session")
-def aborted(dual: Mission, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def flight(flights: list[Flight]) -> Flight:
+    return flights[0]
+
+
+@pytest.fixture(scope="session")
+def page(flight: Flight) -> str:
+    """The page of the first flight."""
+    return flight_page(flight)
+
+
+@pytest.fixture(scope="session")
+def compared(flights: list[Flight]) -> str:
+    """The page that compares the three, given out of order."""
+    return comparison_page(flights[::-1])
+
+
+@pytest.fixture(scope="session")
+def aborted(flown: SharedFlights) -> Path:
     """A flight into a wall that is not there."""
-    fault = parse_fault("wall-missing@approach")
-    verdict = fly_fast(dual, 1, tmp_path_factory.mktemp("aborted"), fault=fault)
+    verdict, log = flown("dual_collision", 1, "wall-missing@approach")
     assert verdict.outcome == "aborted"
-    return Path(verdict.log or "").resolve()
+    return log

@@ -12,9 +12,10 @@ from dart_flight.cli import main
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 from dart_flight.report.flight import Flight
-from dart_flight.report.page import comparison_page, flight_page
-from dart_flight.report.proposal import propose
+from dart_flight.report.page import comparison_page
+from dart_flight.report.proposal import Proposal, propose
 from dart_flight.worlds.prepare import load_flyable
+from tests.shared_flights import SharedFlights
 from tools.bench.other_wall import fly_against, with_walls
 
 CONFIG = packaged("configs", "dart.yaml")
@@ -26,11 +27,14 @@ def single() -> Mission:
 
 
 @pytest.fixture(scope="module")
-def stiffer(single: Mission, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+def stiffer(single: Mission, flown: SharedFlights) -> list[Path]:
     """Two flights against a wall whose k is a fifth above the configuration's."""
-    folder = tmp_path_factory.mktemp("stiffer")
-    real = with_walls(single, k=1.2)
-    return [fly_against(single, real, seed, folder / str(seed) / "flight.mcap") for seed in (1, 2)]
+
+    def fly(folder: Path) -> None:
+        for seed in (1, 2):
+            fly_against(single, with_walls(single, k=1.2), seed, folder / str(seed) / "flight.mcap")
+
+    return sorted(flown.once("stiffer-wall", fly).glob("*/flight.mcap"))
 
 
 def with_entry(text: str, path: Path) -> VehicleConfig:
@@ -41,20 +45,19 @@ def with_entry(text: str, path: Path) -> VehicleConfig:
     return load_vehicle(path)
 
 
-def test_flights_that_agree_propose_nothing(trials: list[Path]) -> None:
-    flights = [Flight.read(path) for path in trials]
+def test_flights_that_agree_propose_nothing(flights: list[Flight], page: str, compared: str) -> None:
     proposals = propose(flights)
     assert {p.material for p in proposals} == {"wood", "acrylic"}
     for proposal in proposals:
         assert proposal.entry == ""
         assert proposal.suggestions == []
         assert "agree" in proposal.note
-    assert "Proposed entry" not in comparison_page(flights)
-    assert "Proposed entry" not in flight_page(flights[0])
+    assert "Proposed entry" not in compared
+    assert "Proposed entry" not in page
 
 
 def test_a_stiffer_wall_is_proposed_and_the_entry_loads(
-    stiffer: list[Path], single: Mission, tmp_path: Path
+    stiffer: list[Path], single: Mission, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flights = [Flight.read(path) for path in stiffer]
     (proposal,) = propose(flights)
@@ -68,7 +71,16 @@ def test_a_stiffer_wall_is_proposed_and_the_entry_loads(
     assert flexible.k == pytest.approx(1.2 * 1250.0, rel=0.03)
     # The mode that was not flown stays.
     assert vehicle.materials["acrylic"].rigid == single.vehicle.materials["acrylic"].rigid
+    # The page shows what is proposed; not identified a second time, which takes seconds.
+    asked: list[object] = []
+
+    def already(*given: object) -> list[Proposal]:
+        asked.append(given)
+        return [proposal]
+
+    monkeypatch.setattr("dart_flight.report.page.propose", already)
     page = comparison_page(flights)
+    assert asked == [(flights, False)]
     assert "Proposed entry" in page
     assert "materials:\n  acrylic:" in page
 

@@ -21,7 +21,9 @@ from dart_flight.samples import (
     StatusSample,
     Tick,
 )
+from dart_flight.vehicle.clock import host_us
 from dart_flight.worlds.app import CoreThread
+from dart_flight.worlds.runner import CoreRunner
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 
@@ -51,12 +53,12 @@ class Harness:
         self.turns = 0
         self.did: list[tuple[str, Record]] = []
         self.observed: list[tuple[Record, int]] = []
-        self.thread = CoreThread(core, self._send, self._carry_out, self._observe, self._alive)
+        self.thread = CoreThread(CoreRunner(core, self, self._observe, host_us), self._alive)
 
-    def _send(self, setpoint: SetPoint) -> None:
+    def send(self, setpoint: SetPoint) -> None:
         self.did.append(("send", setpoint))
 
-    def _carry_out(self, output: Output) -> None:
+    def carry_out(self, output: Output) -> None:
         self.did.append(("carry out", output))
 
     def _observe(self, record: Record, number: int) -> None:
@@ -141,8 +143,6 @@ def test_set_points_are_sent_before_anything_else_is_done() -> None:
 
 
 def test_the_latency_of_a_recovery_set_point_is_observed() -> None:
-    from dart_flight.vehicle.clock import host_us
-
     received_us = host_us()
     setpoint = SetPoint(4000, received_us, (0.0, 0.0, -1.0), 0.0, recovery=True)
     harness = Harness(SteppedCore(lambda item: [setpoint]))
