@@ -3,9 +3,9 @@
 from hypothesis import settings
 
 import dart_flight  # noqa: F401  before NumPy: it sets the number of its threads
-from tests.shared_flights import flown
+from tests.shared_flights import commanded, flown
 
-__all__ = ["flown"]
+__all__ = ["commanded", "flown"]
 
 # Deterministic examples: the same commit gives the same answer on every machine.
 settings.register_profile("ci", derandomize=True, deadline=None, max_examples=100)

@@ -1,11 +1,18 @@
-"""Fast flights that several tests look at: flown once for the whole run of the tests, by whichever worker
-comes first."""
+"""Flights that several tests look at: flown once for the whole run of the tests, by whichever worker comes
+first."""
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
-from collections.abc import Callable
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,8 +24,11 @@ from dart_flight.sim.faults.kinds import parse_fault
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.fast import fly_fast
 from dart_flight.worlds.prepare import load_flyable
+from dart_flight.worlds.vehicle_process import free_udp_port
 
-VERDICT = "verdict.json"
+ROOT = Path(__file__).parents[1]
+VERDICT, SAID = "verdict.json", "said.json"
+PATIENCE_S = 0.5  # as with a PX4 in lockstep
 
 
 class Flown(NamedTuple):
@@ -62,9 +72,125 @@ class SharedFlights:
                 (folder / "done").touch()
         return folder
 
+    def forget(self, name: str) -> None:
+        """Let `once` do it again."""
+        (self._folder / name / "done").unlink(missing_ok=True)
+
+
+class Commanded(msgspec.Struct):
+    """What a command in real time has left: what it said, and the folder that it ran in."""
+
+    folder: str
+    status: int
+    output: str
+    errors: str
+
+    @property
+    def log(self) -> Path:
+        """The log of its flight."""
+        return next(Path(self.folder).glob("flights/*/flight.mcap"))
+
+
+def patient(config: str) -> str:
+    """The configuration with longer silences allowed, for flights in real time that are about other things.
+
+    Side by side on a shared machine all streams may pause for longer than the guard puts up with.
+    """
+    text, count = re.subn(r"(imu_timeout_s|stream_timeout_s): [0-9.]+", rf"\1: {PATIENCE_S}", config)
+    assert count == 2
+    return text
+
+
+class LiveFlights:
+    """Commands that fly in real time, each in a folder made by `init` with a `patient` guard.
+
+    Args:
+        shared: where their folders are.
+        again: the test is run once more: nothing that an earlier flight left is good enough.
+    """
+
+    def __init__(self, shared: SharedFlights, again: bool = False) -> None:
+        self._shared, self._again = shared, again
+
+    def __call__(self, command: str, simulate: str | None = None) -> Commanded:
+        """What a command has left; `simulate` is the vehicle that it flies, in a process beside it.
+
+        A flight with a vehicle beside it gets a port of its own, the answer to the question that only a
+        terminal is asked, and `--json`.
+        """
+        name = "-".join(re.findall(r"[\w.]+", command))
+        if self._again:
+            self._shared.forget(name)
+        folder = self._shared.once(name, lambda folder: self._run(folder, command, simulate))
+        return msgspec.json.decode((folder / SAID).read_bytes(), type=Commanded)
+
+    @staticmethod
+    def _run(folder: Path, command: str, simulate: str | None) -> None:
+        shim = folder / "bin" / "dart-flight"
+        shim.parent.mkdir(exist_ok=True)
+        shim.write_text(f'#!/bin/sh\nexec {sys.executable} -m dart_flight "$@"\n')
+        shim.chmod(0o755)
+        lab = folder / "lab"
+        environment = os.environ | {
+            "PATH": f"{shim.parent}:{os.environ['PATH']}",
+            "PYTHONPATH": str(ROOT),
+            "DART_FLIGHT_STATE_DIR": str(folder / "state"),
+        }
+        shutil.rmtree(lab / "flights", ignore_errors=True)
+        if not lab.exists():
+            start = [str(shim), "init", str(lab)]
+            subprocess.run(start, env=environment, check=True, capture_output=True, timeout=60)
+            config = lab / "configs" / "dart.yaml"
+            config.write_text(patient(config.read_text(encoding="utf-8")), encoding="utf-8")
+        with contextlib.ExitStack() as stack:
+            if simulate is not None:
+                port = str(free_udp_port())
+                command = f"{command.replace('14540', port)} --yes --json"
+                simulate = f"{simulate.replace(' --port 14540', '')} --port {port}"
+                stack.enter_context(_beside(simulate, lab, environment))
+            done = subprocess.run(
+                ["bash", "-c", command],
+                cwd=lab,
+                env=environment,
+                capture_output=True,
+                text=True,
+                timeout=120,
+                check=False,
+            )
+        said = Commanded(str(lab), done.returncode, done.stdout, done.stderr)
+        (folder / SAID).write_bytes(msgspec.json.encode(said))
+
+
+@contextlib.contextmanager
+def _beside(command: str, folder: Path, environment: dict[str, str]) -> Iterator[None]:
+    process = subprocess.Popen(
+        ["bash", "-c", f"exec {command}"],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        time.sleep(1.0)
+        assert process.poll() is None, "simulate ended"
+        yield
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(10.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
 
 @pytest.fixture(scope="session")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> SharedFlights:
     """Flights that are flown once."""
     own = tmp_path_factory.getbasetemp()
     return SharedFlights((own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "flown")
+
+
+@pytest.fixture
+def commanded(flown: SharedFlights, request: pytest.FixtureRequest) -> LiveFlights:
+    """Commands in real time that are run once, and once more where a test is (`--reruns`)."""
+    return LiveFlights(flown, getattr(request.node, "execution_count", 1) > 1)

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib.util
 import os
 import re
 import shutil
-import signal
-import socket
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from dart_flight.cli import COMMANDS, build_parser
 from tests.docs.snippets import PAGES, ROOT, Command, commands
+from tests.shared_flights import LiveFlights
 
 # What is not run here, and why. What calls dart-flight is still parsed.
 NOT_RUN: list[tuple[str, str]] = [
@@ -197,52 +193,6 @@ def real_time() -> list[tuple[str, str | None]]:
 
 @pytest.mark.mavlink
 @pytest.mark.parametrize(("command", "simulate"), real_time(), ids=[text for text, _ in real_time()])
-def test_in_real_time(command: str, simulate: str | None, laboratory: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "lab"
-    shutil.copytree(laboratory, folder)
-    environment = _environment(laboratory.parent) | {"DART_FLIGHT_STATE_DIR": str(tmp_path / "state")}
-    with contextlib.ExitStack() as stack:
-        if simulate is not None:
-            # Ports of its own, and an answer to the question that only a terminal is asked.
-            port = str(_free_port())
-            command = f"{command.replace('14540', port)} --yes"
-            simulate = f"{simulate.replace(' --port 14540', '')} --port {port}"
-            stack.enter_context(_beside(simulate, folder, environment))
-        done = subprocess.run(
-            ["bash", "-c", command],
-            cwd=folder,
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=120,
-            check=False,
-        )
-    assert done.returncode == 0, done.stderr[-2000:]
-
-
-def _free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-@contextlib.contextmanager
-def _beside(command: str, folder: Path, environment: dict[str, str]) -> Iterator[None]:
-    process = subprocess.Popen(
-        ["bash", "-c", f"exec {command}"],
-        cwd=folder,
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        time.sleep(1.0)
-        assert process.poll() is None, "simulate ended"
-        yield
-    finally:
-        process.send_signal(signal.SIGINT)
-        try:
-            process.wait(10.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+def test_in_real_time(command: str, simulate: str | None, commanded: LiveFlights) -> None:
+    done = commanded(command, simulate)
+    assert done.status == 0, done.errors[-2000:]

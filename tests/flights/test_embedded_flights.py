@@ -6,7 +6,6 @@ What happens to processes is tested on processes: the command line in one, the v
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -17,9 +16,10 @@ from pathlib import Path
 import pytest
 
 from dart_flight.recording import read_log
+from dart_flight.report.flight import Flight
 from dart_flight.samples import ImuSample, MissionEnd, PhaseChange, TruthContact
-from dart_flight.worlds.embedded import fly_embedded
-from dart_flight.worlds.prepare import load_flyable
+from dart_flight.worlds.vehicle_process import free_udp_port
+from tests.shared_flights import LiveFlights, patient
 
 ROOT = Path(__file__).parents[2]
 SINGLE = "missions/single_wall.yaml"
@@ -34,6 +34,13 @@ def command(*arguments: str) -> subprocess.Popen[str]:
         stderr=subprocess.PIPE,
         text=True,
     )
+
+
+def patiently(folder: Path) -> tuple[str, str]:
+    """The option that takes a configuration that is patient with a shared machine."""
+    config = folder / "dart.yaml"
+    config.write_text(patient((ROOT / "configs/dart.yaml").read_text()))
+    return "--config", str(config)
 
 
 def read_until(process: subprocess.Popen[str], word: str) -> None:
@@ -59,9 +66,7 @@ def wait_for_text(path: Path, text: str, timeout_s: float) -> str:
 @contextmanager
 def simulated_vehicle(mission: str) -> Iterator[str]:
     """`dart-flight simulate` in a process; yields the URL that reaches it."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_udp_port()
     vehicle = command("simulate", mission, "--port", str(port))
     try:
         yield f"udpin://127.0.0.1:{port}"
@@ -71,8 +76,8 @@ def simulated_vehicle(mission: str) -> Iterator[str]:
 
 
 @pytest.mark.mavlink
-def test_dual_collision_through_mavsdk(tmp_path: Path) -> None:
-    verdict = fly_embedded(load_flyable(ROOT / "missions/dual_collision.yaml"), 1, tmp_path)
+def test_dual_collision_through_mavsdk(commanded: LiveFlights) -> None:
+    verdict = Flight.read(commanded(f"dart-flight dry-run {DUAL}").log).verdict
     assert (verdict.outcome, verdict.reason) == ("completed", None)
     assert [(c.wall, c.mode) for c in verdict.collisions] == [("wood", "flexible"), ("acrylic", "rigid")]
     first = verdict.collisions[0]
@@ -90,25 +95,11 @@ def test_dual_collision_through_mavsdk(tmp_path: Path) -> None:
 
 
 @pytest.mark.mavlink
-def test_simulate_in_one_terminal_and_fly_in_another(tmp_path: Path) -> None:
-    with simulated_vehicle(DUAL) as url:
-        flight = command(
-            *(
-                "fly",
-                DUAL,
-                "--yes",
-                "--driver",
-                "px4",
-                "--connection",
-                url,
-                "--log-dir",
-                str(tmp_path),
-                "--json",
-            )
-        )
-        output, _ = flight.communicate(timeout=90)
-    verdict = json.loads(output)  # one object on standard output and nothing else
-    assert flight.returncode == 0
+def test_simulate_in_one_terminal_and_fly_in_another(commanded: LiveFlights) -> None:
+    fly = f"dart-flight fly {DUAL} --driver px4 --connection udpin://127.0.0.1:14540"
+    done = commanded(fly, "dart-flight simulate")
+    verdict = json.loads(done.output)  # one object on standard output and nothing else
+    assert done.status == 0
     assert (verdict["world"], verdict["outcome"]) == ("drone", "completed")
     assert [(c["wall"], c["mode"]) for c in verdict["collisions"]] == [
         ("wood", "flexible"),
@@ -135,13 +126,13 @@ def test_a_plain_mavsdk_script_flies_the_simulated_vehicle() -> None:
 
 @pytest.mark.mavlink
 def test_sigkill_in_flight_leaves_a_landed_vehicle_and_a_log(tmp_path: Path) -> None:
-    flight = command("dry-run", SINGLE, "--log-dir", str(tmp_path))
+    flight = command("dry-run", SINGLE, *patiently(tmp_path), "--log-dir", str(tmp_path / "flights"))
     read_until(flight, "approach")
     time.sleep(0.5)
     flight.kill()
     killed_s = time.monotonic()
     flight.wait()
-    folder = next(tmp_path.iterdir())
+    folder = next((tmp_path / "flights").iterdir())
     said = wait_for_text(folder / "autopilot.log", "simulated vehicle stops", 35.0)
     assert time.monotonic() - killed_s < 30.0
     story = [
@@ -165,7 +156,8 @@ def test_sigkill_in_flight_leaves_a_landed_vehicle_and_a_log(tmp_path: Path) -> 
 
 @pytest.mark.mavlink
 def test_control_c_leaves_the_wall_and_lands(tmp_path: Path) -> None:
-    flight = command("dry-run", SINGLE, "--log-dir", str(tmp_path), "--json")
+    flights = tmp_path / "flights"
+    flight = command("dry-run", SINGLE, *patiently(tmp_path), "--log-dir", str(flights), "--json")
     read_until(flight, "approach")
     time.sleep(1.0)
     flight.send_signal(signal.SIGINT)
@@ -174,7 +166,7 @@ def test_control_c_leaves_the_wall_and_lands(tmp_path: Path) -> None:
     assert flight.returncode == 1
     assert verdict["outcome"] == "aborted"
     assert verdict["reason"].startswith("operator")
-    log = read_log(tmp_path / os.listdir(tmp_path)[0] / "flight.mcap")
+    log = read_log(next(flights.glob("*/flight.mcap")))
     assert log.complete
     assert any(isinstance(e.record, MissionEnd) for e in log.entries)
     assert not any(isinstance(e.record, TruthContact) for e in log.entries)

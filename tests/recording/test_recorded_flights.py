@@ -11,7 +11,8 @@ from dart_flight.report.flight import Flight
 from dart_flight.report.page import flight_page
 from dart_flight.samples import ForceEstimate, ImpactOnset, ImpactPeak, LockCommand, SetPoint
 from dart_flight.worlds.replay import replay
-from tools.campaigns.replay import fly_and_replay
+from tests.shared_flights import LiveFlights
+from tools.campaigns.replay import fly_and_replay, judge
 from tools.keep_flight import keep
 
 FLIGHTS = sorted((Path(__file__).parents[1] / "data" / "flights").glob("*.mcap"))
@@ -67,8 +68,8 @@ def test_a_sample_of_the_campaign(mission: str, seed: int, tmp_path: Path) -> No
 
 
 @pytest.mark.mavlink
-def test_a_real_time_flight_replays_bit_for_bit(tmp_path: Path) -> None:
+def test_a_real_time_flight_replays_bit_for_bit(commanded: LiveFlights) -> None:
     """Whatever becomes of the flight on a busy machine: what was decided is decided again."""
-    result = fly_and_replay("embedded", "single_wall", 1, tmp_path)
+    result = judge(commanded("dart-flight dry-run missions/single_wall.yaml").log)
     assert (result.differences, result.missing) == (0, 0)
     assert result.inputs > 5000
