@@ -145,6 +145,25 @@ def test_the_guard_does_not_climb_out_of_the_flight_space() -> None:
     assert {round(o.position_ned[2], 6) for o in held} == {-0.96}
 
 
+@pytest.mark.parametrize(("speed_m_s", "after_s"), [(0.0, 1.5), (0.05, 1.5), (0.3, 3.0)])
+def test_the_guard_holds_half_as_long_where_it_stands_still(speed_m_s: float, after_s: float) -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.velocity_ned = (speed_m_s, 0.0, 0.0)
+    c.run(0.02)
+    c.give(OperatorRequest(c.t_us, Request.LAND))
+    assert lands(c, after_s + 0.5)[0] == pytest.approx(after_s, abs=0.02)
+
+
+@pytest.mark.parametrize("detail", ["", "PX4 has ended by SIGKILL"])
+def test_what_has_died_is_said_where_it_is_known(detail: str) -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.give(OperatorRequest(c.t_us, Request.WORLD_DIED, detail))
+    said = [o.detail for o in c.outputs if isinstance(o, GuardEvent)]
+    assert said == [detail or "the simulated vehicle is gone"]
+
+
 # --- heading -----------------------------------------------------------------------------------------------
 
 

@@ -20,6 +20,7 @@ MODULES = {
     "force": "tools.campaigns.force",
     "faults": "tools.campaigns.faults",
     "fuzz": "tools.campaigns.fuzz",
+    "mutants": "tools.campaigns.mutants",
 }
 
 

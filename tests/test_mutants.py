@@ -1,0 +1,91 @@
+"""The mutation campaign's own parts: what it draws compiles, is another program, and comes by a seed."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from tools.campaigns import mutants
+from tools.campaigns.mutants import Mutant, Result, all_mutants, draw, judged, mutants_of, report
+
+SOURCE = '''"""A module."""
+
+LIMIT = 0.5
+
+
+def over(x: float, y: float | None = 2) -> bool:
+    """Whether it is."""
+    assert x == 1.0
+    print(f"{x:.3f} {1 + 1}")
+    return not (x > -LIMIT and y is not None)
+'''
+
+
+@pytest.fixture(scope="module")
+def everything() -> list[Mutant]:
+    return all_mutants()
+
+
+def test_every_mutant_is_another_program_that_compiles(everything: list[Mutant]) -> None:
+    sources = {m.path: (mutants.ROOT / m.path).read_bytes() for m in everything}
+    trees = {path: ast.dump(ast.parse(source)) for path, source in sources.items()}
+    assert len(everything) > 1000
+    for mutant in everything[::40]:
+        changed = mutant.applied(sources[mutant.path])
+        assert ast.dump(ast.parse(changed)) != trees[mutant.path], mutant
+
+
+def test_what_is_mutated_and_what_is_not(tmp_path: Path) -> None:
+    path = tmp_path / "module.py"
+    path.write_text(SOURCE)
+    found = {(m.line, m.kind, m.before) for m in mutants_of(path, tmp_path)}
+    assert found == {
+        (3, "constant", "0.5"),
+        (6, "constant", "2"),
+        (8, "early return", "def over"),  # before its first statement
+        (9, "call dropped", "print(f'{x:.3f} {1 + 1}')"),
+        (10, "not", "not (x > -LIMIT and y is not None)"),
+        (10, "and/or", "x > -LIMIT and y is not None"),
+        (10, "comparison", "x > -LIMIT"),
+        (10, "sign", "-LIMIT"),
+        (10, "comparison", "y is not None"),
+    }
+
+
+def test_a_seed_draws_the_same_again() -> None:
+    assert draw(30, 1) == draw(30, 1)
+    assert draw(30, 1) != draw(30, 2)
+    assert len(draw(30, 1)) == len({m.key for m in draw(30, 1)}) == 30
+    kinds = [m.kind for m in draw(90, 1)]
+    assert max(map(kinds.count, set(kinds))) - min(map(kinds.count, set(kinds))) <= 1
+
+
+def test_the_core_thread_is_among_them_and_the_rest_of_the_app_is_not(everything: list[Mutant]) -> None:
+    functions = {m.function.split(".")[0] for m in everything if m.path == "dart_flight/worlds/app.py"}
+    assert functions == {"CoreThread"}
+    assert any(m.function.startswith("CoreRunner") for m in everything)
+
+
+def test_what_was_judged_is_still_there(everything: list[Mutant]) -> None:
+    """A verdict on code that has changed since is none."""
+    known = judged()
+    assert set(known) <= {m.key for m in everything}
+    assert all(verdict in ("equivalent", "accepted") and why for verdict, why in known.values())
+
+
+def test_the_report_shows_who_survived() -> None:
+    one, two = draw(2, 1)
+    page = report([Result(one, "killed", "core/test_core.py::test_x"), Result(two, "survived")], 1, 100, 3.0)
+    assert "Survived: 1, " in page
+    assert f"`{Path(two.path).name}:{two.line}`" in page
+    assert "| `core/test_core.py::test_x` | 1 |" in page
+
+
+def test_a_tree_says_what_failed_in_it(tmp_path: Path) -> None:
+    (tmp_path / "pyproject.toml").write_text("[tool.pytest.ini_options]\n")
+    (tmp_path / "test_it.py").write_text("def test_good(): pass\ndef test_bad(): assert 0\n")
+    assert mutants.run_tests(tmp_path, ["test_it.py"]) == ("killed", "test_it.py::test_bad")
+    (tmp_path / "test_it.py").write_text("def test_good(): pass\n")
+    assert mutants.run_tests(tmp_path, ["test_it.py"]) == ("survived", "")
