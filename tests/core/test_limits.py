@@ -17,6 +17,7 @@ from dart_flight.samples import (
     GoalPassed,
     GuardEvent,
     ImpactOnset,
+    ImpactPeak,
     LandedState,
     Mode,
     OperatorRequest,
@@ -63,6 +64,27 @@ def test_arms_that_swing_after_a_contact_are_no_second_impact() -> None:
     c.run(0.1)
     again = c.pulse((-14.0, 0.0)) + c.run(0.1)
     assert len([o for o in again if isinstance(o, ImpactOnset)]) == 1
+
+
+def test_friction_alone_is_the_beginning_of_the_planned_hit() -> None:
+    """It comes first: only a force clearly into the wall is not the planned one."""
+    c = HandFedCore()
+    c.at_the_wood()
+    out = c.pulse((-14.0, 0.0))
+    assert [o.planned for o in out if isinstance(o, ImpactOnset)] == [True]
+    assert not [o for o in out if isinstance(o, GuardEvent)]
+
+
+def test_the_peak_of_a_hit_from_behind_is_felt_as_soon_as_any() -> None:
+    """Its force points into the wall: the wall's normal says nothing of it."""
+    c = HandFedCore()
+    c.at_the_wood()
+    began = c.t_us
+    out = c.pulse((0.0, 16.0)) + c.run(0.1)
+    assert [o.planned for o in out if isinstance(o, ImpactOnset)] == [False]
+    (peak,) = [o for o in out if isinstance(o, ImpactPeak)]
+    assert peak.detected_us - began < 60_000
+    assert peak.normal == pytest.approx((0.0, -1.0), abs=0.05)
 
 
 # --- commands ----------------------------------------------------------------------------------------------
