@@ -24,10 +24,10 @@ test: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/pytest -m 'not mavlink and not px4' -n auto --dist worksteal
+	$(BIN)/pytest -m px4 -rs --reruns 1 tests/px4
 	@# In real time they mostly wait, so they go side by side. The guard lands after 100 ms of silence; a shared
 	@# machine may stall for longer: once more.
 	$(BIN)/pytest -m mavlink -n 3 --dist worksteal -rs --reruns 1
-	$(BIN)/pytest -m px4 -rs --reruns 1 tests/px4
 
 bench: $(STAMP)
 	$(BIN)/python -m tools.bench.__main__
