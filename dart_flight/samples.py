@@ -479,6 +479,7 @@ class TruthSample(Record, frozen=True, gc=False):
     contact_force_mission: Vec3
     q_frd_to_ned: Quaternion
     mode: Mode
+    contact_torque_frd: Vec3 = (0.0, 0.0, 0.0)  # of walls, about the centre of mass, N m
 
 
 class TruthContact(Record, frozen=True, gc=False):
@@ -496,6 +497,11 @@ class TruthContact(Record, frozen=True, gc=False):
     peak_normal_force_n: float
     peak_friction_force_n: float
     position_mission: Vec3
+    incidence_rad: float = 0.0  # leading edge against the wall at first touch, signed: positive turned left
+    tilt_rad: float = 0.0  # at first touch
+    rate_out_frd: Vec3 = (0.0, 0.0, 0.0)  # body rate at the end, rad/s
+    lead_m: float = 0.0  # how much nearer the right guard was than the left one at first touch
+    peak_torque_nm: float = 0.0  # largest torque of the wall about the centre of mass
 
 
 class SetPointSent(Record, frozen=True, gc=False):

@@ -12,7 +12,8 @@ import math
 import msgspec
 
 from dart_flight.config.mission import Mission
-from dart_flight.config.vehicle import Airframe, Coefficients, VehicleConfig
+from dart_flight.config.vehicle import Airframe, BodyModel, Coefficients, VehicleConfig
+from dart_flight.contact.body import Plane, Touch, guards_of, touch
 from dart_flight.contact.law import Onset, coefficients_in_force, contact_force
 from dart_flight.geometry import (
     GRAVITY_M_S2,
@@ -22,10 +23,13 @@ from dart_flight.geometry import (
     Vec3,
     Wall,
     advance_attitude,
+    norm,
     quaternion_conjugate,
     quaternion_from_euler,
     quaternion_normalise,
     rotate,
+    tilt_of,
+    wrap_angle,
     yaw_ned_of,
 )
 from dart_flight.samples import Mode, TruthContact, TruthSample
@@ -35,6 +39,7 @@ CONTACT_STEPS = 10  # of 0.1 ms in one step of 1 ms
 _NEAR_WALL_M = 0.08  # below 5 m/s no contact begins further away
 _BEHIND_M = -0.6  # a vehicle this far behind a plane is on the wall's other side
 _YAW_TORQUE_PER_THRUST_M = 0.016  # drag torque of a 6-inch propeller per newton of thrust, example value
+_REBOUND_S = 0.01  # a guard that comes back within this time belongs to the same contact
 _GROUND_SPEED_M_S = 0.05  # regularisation of the ground's friction
 
 # Motors in PX4's order for a quadrotor in X, FRD: sign of x, sign of y, direction of the yaw torque.
@@ -71,17 +76,30 @@ class _WallPlane(msgspec.Struct):
     normal: Vec3
     tangent: Vec3
     down: Vec3
+    surface: Plane  # of the wall itself, for the guards
 
 
 class _OpenContact:
     """Book-keeping of a contact in progress."""
 
     def __init__(
-        self, plane: _WallPlane, mode: Mode, t_s: float, vx: float, vy: float, position: Vec3
+        self,
+        plane: _WallPlane,
+        mode: Mode,
+        t_s: float,
+        vx: float,
+        vy: float,
+        position: Vec3,
+        incidence: float,
+        tilt: float,
     ) -> None:
         self.plane, self.mode, self.start_s = plane, mode, t_s
         self.normal_in, self.tangential_in, self.position = vx, vy, position
-        self.peak_normal = self.peak_friction = 0.0
+        self.incidence, self.tilt = incidence, tilt
+        self.peak_normal = self.peak_friction = self.peak_torque = 0.0
+        self.last_s = t_s  # of the newest force
+        self.velocity_out: Vec3 = (0.0, 0.0, 0.0)
+        self.rate_out: Vec3 = (0.0, 0.0, 0.0)
 
 
 class Plant:
@@ -108,7 +126,7 @@ class Plant:
         self.vehicle, self.frame = vehicle, frame
         self.motors = motors if motors is not None else motors_of(vehicle.airframe)
         self.onset = Onset(vehicle.onset)
-        self.planes = [_plane(wall, frame) for wall in walls]
+        self.planes = [_plane(wall, frame, vehicle.simulation.contact.guard_out_m) for wall in walls]
         self.mass = vehicle.airframe.mass_kg
         self.time_s = 0.0
         self.position: Vec3 = start_ned
@@ -120,6 +138,9 @@ class Plant:
         self.mode = Mode.FLEXIBLE
         self.wind_ned: Vec3 = (0.0, 0.0, 0.0)
         self.contact_force_ned: Vec3 = (0.0, 0.0, 0.0)  # of walls, at the end of the last step
+        self.contact_torque_frd: Vec3 = (0.0, 0.0, 0.0)  # likewise, about the centre of mass
+        self.body = vehicle.simulation.contact
+        self._guards = guards_of(self.body) if self.body.body is BodyModel.GUARDS else ()
         self.on_ground = True
         self.finished: list[TruthContact] = []
         self.time_offset_us = 0
@@ -167,8 +188,12 @@ class Plant:
             up_ned[1] * thrust_n / self.mass + drag[1],
             up_ned[2] * thrust_n / self.mass + drag[2],
         )
-        contact = self._translate(pushed)
-        self._turn(torque)
+        planes = self._planes_near()
+        if self._guards and planes and not self._near_ground:
+            contact = self._collide(pushed, torque, planes)
+        else:
+            contact = self._translate(pushed, planes)
+            self._turn(torque)
         self.time_s += STEP_S
         shaken = self._shake(contact)
         return (
@@ -220,18 +245,102 @@ class Plant:
 
     # -- translation and contact --
 
-    def _translate(self, pushed: Vec3) -> Vec3:
-        """Move the centre of mass; returns the mean acceleration by contact (walls and ground), NED."""
-        free = (pushed[0], pushed[1], pushed[2] + GRAVITY_M_S2)
-        planes = [
+    @property
+    def _near_ground(self) -> bool:
+        return self.position[2] > self.ground_down - 0.01
+
+    def _planes_near(self) -> list[tuple[_WallPlane, Coefficients]]:
+        return [
             (plane, coefficients)
             for plane in self.planes
             if (coefficients := self._coefficients_near(plane)) is not None
         ]
-        near_ground = self.position[2] > self.ground_down - 0.01
-        if not planes and not near_ground:
+
+    def _collide(self, pushed: Vec3, torque: Vec3, planes: list[tuple[_WallPlane, Coefficients]]) -> Vec3:
+        """Move and turn the body near walls, in the air; returns the mean acceleration by contact, NED.
+
+        Midpoint rule over position, velocity, attitude and rate, in steps of 0.1 ms; thrust and drag are
+        constant over the millisecond.
+        """
+        free = (pushed[0], pushed[1], pushed[2] + GRAVITY_M_S2)
+        h = STEP_S / CONTACT_STEPS
+        before = self.velocity
+        self.on_ground = False
+        for i in range(CONTACT_STEPS):
+            p, v, q, w = self.position, self.velocity, self.q, self.rate
+            a, b, _ = self._touching(p, v, q, w, free, torque, planes)
+            mid_p = (p[0] + 0.5 * h * v[0], p[1] + 0.5 * h * v[1], p[2] + 0.5 * h * v[2])
+            mid_v = (v[0] + 0.5 * h * a[0], v[1] + 0.5 * h * a[1], v[2] + 0.5 * h * a[2])
+            mid_w = (w[0] + 0.5 * h * b[0], w[1] + 0.5 * h * b[1], w[2] + 0.5 * h * b[2])
+            mid_q = advance_attitude(q, w, 0.5 * h)
+            a, b, _ = self._touching(mid_p, mid_v, mid_q, mid_w, free, torque, planes)
+            self.position = (p[0] + h * mid_v[0], p[1] + h * mid_v[1], p[2] + h * mid_v[2])
+            self.velocity = (v[0] + h * a[0], v[1] + h * a[1], v[2] + h * a[2])
+            self.rate = (w[0] + h * b[0], w[1] + h * b[1], w[2] + h * b[2])
+            self.q = quaternion_normalise(advance_attitude(q, mid_w, h))
+            _, _, felt = self._touching(self.position, self.velocity, self.q, self.rate, free, torque, planes)
+            for (plane, _), one in zip(planes, felt, strict=True):
+                self._note_contact(plane, one, self.time_s + i * h, v)
+        v = self.velocity
+        return (
+            (v[0] - before[0]) / STEP_S - free[0],
+            (v[1] - before[1]) / STEP_S - free[1],
+            (v[2] - before[2]) / STEP_S - free[2],
+        )
+
+    def _touching(
+        self,
+        p: Vec3,
+        v: Vec3,
+        q: Quaternion,
+        w: Vec3,
+        free: Vec3,
+        torque: Vec3,
+        planes: list[tuple[_WallPlane, Coefficients]],
+    ) -> tuple[Vec3, Vec3, list[Touch]]:
+        """Acceleration (NED), angular acceleration (FRD), and what the guards feel of each wall."""
+        levers = [(rotate(q, guard.at), rotate(q, guard.friction_at)) for guard in self._guards]
+        rate = rotate(q, w)
+        felt = [
+            touch(
+                levers,
+                c,
+                self.onset,
+                plane.surface,
+                p,
+                v,
+                rate,
+                self.vehicle.vertical_force_sign,
+                self.body.vertical_lever_m,
+            )
+            for plane, c in planes
+        ]
+        fx, fy, fz = (sum(one.force[i] for one in felt) for i in range(3))
+        turned = rotate(
+            quaternion_conjugate(q),
+            (
+                sum(one.torque[0] for one in felt),
+                sum(one.torque[1] for one in felt),
+                sum(one.torque[2] for one in felt),
+            ),
+        )
+        self.contact_force_ned, self.contact_torque_frd = (fx, fy, fz), turned
+        m, (ix, iy, iz) = self.mass, self.vehicle.airframe.inertia_kg_m2
+        acceleration = (free[0] + fx / m, free[1] + fy / m, free[2] + fz / m)
+        angular = (
+            (torque[0] + turned[0] - (iz - iy) * w[1] * w[2]) / ix,
+            (torque[1] + turned[1] - (ix - iz) * w[2] * w[0]) / iy,
+            (torque[2] + turned[2] - (iy - ix) * w[0] * w[1]) / iz,
+        )
+        return acceleration, angular, felt
+
+    def _translate(self, pushed: Vec3, planes: list[tuple[_WallPlane, Coefficients]]) -> Vec3:
+        """Move the centre of mass; returns the mean acceleration by contact (walls and ground), NED."""
+        free = (pushed[0], pushed[1], pushed[2] + GRAVITY_M_S2)
+        if not planes and not self._near_ground:
             self.on_ground = False
-            self.contact_force_ned = (0.0, 0.0, 0.0)
+            self.contact_force_ned = self.contact_torque_frd = (0.0, 0.0, 0.0)
+            self._let_go()
             p, v, h = self.position, self.velocity, STEP_S
             self.position = (
                 p[0] + h * (v[0] + 0.5 * h * free[0]),
@@ -313,37 +422,67 @@ class Plant:
     def _note_contacts(
         self, planes: list[tuple[_WallPlane, Coefficients]], t_s: float, velocity_before: Vec3
     ) -> None:
+        """As a point: the whole force acts at the centre of mass."""
         for plane, c in planes:
             lx, ly, _ = self._wall_force(plane, c, self.position, self.velocity)
-            current = self._open.get(plane.wall.name)
-            n, t = plane.normal, plane.tangent
-            if lx > 0.0:
-                if current is None:
-                    vx = n[0] * velocity_before[0] + n[1] * velocity_before[1]
-                    vy = t[0] * velocity_before[0] + t[1] * velocity_before[1]
-                    position = self.frame.point_from_ned(self.position)
-                    current = _OpenContact(plane, self.mode, t_s, vx, vy, position)
-                    self._open[plane.wall.name] = current
-                current.peak_normal = max(current.peak_normal, lx)
-                current.peak_friction = max(current.peak_friction, abs(ly))
-            elif current is not None:
-                del self._open[plane.wall.name]
-                v = self.velocity
-                self.finished.append(
-                    TruthContact(
-                        t_us=self._stamp(current.start_s),
-                        end_us=self._stamp(t_s),
-                        wall=plane.wall.name,
-                        mode=current.mode,
-                        normal_in_m_s=current.normal_in,
-                        tangential_in_m_s=current.tangential_in,
-                        normal_out_m_s=n[0] * v[0] + n[1] * v[1],
-                        tangential_out_m_s=t[0] * v[0] + t[1] * v[1],
-                        peak_normal_force_n=current.peak_normal,
-                        peak_friction_force_n=current.peak_friction,
-                        position_mission=current.position,
-                    )
-                )
+            felt = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), lx, ly, 0.5 * lx, 0.5 * lx)
+            self._note_contact(plane, felt, t_s, velocity_before)
+
+    def _note_contact(self, plane: _WallPlane, felt: Touch, t_s: float, velocity_before: Vec3) -> None:
+        """Follow one wall's contact from its first force to its last."""
+        current = self._open.get(plane.wall.name)
+        if felt.normal_n > 0.0:
+            if current is None:
+                current = self._begin_contact(plane, t_s, velocity_before)
+            current.peak_normal = max(current.peak_normal, felt.normal_n)
+            current.peak_friction = max(current.peak_friction, abs(felt.friction_n))
+            current.peak_torque = max(current.peak_torque, norm(felt.torque))
+            current.last_s, current.velocity_out, current.rate_out = t_s, self.velocity, self.rate
+        elif current is not None and (not self._guards or t_s - current.last_s > _REBOUND_S):
+            self._end_contact(current, t_s)
+
+    def _begin_contact(self, plane: _WallPlane, t_s: float, velocity_before: Vec3) -> _OpenContact:
+        n, t = plane.normal, plane.tangent
+        vx = n[0] * velocity_before[0] + n[1] * velocity_before[1]
+        vy = t[0] * velocity_before[0] + t[1] * velocity_before[1]
+        position = self.frame.point_from_ned(self.position)
+        yaw = self.frame.yaw_from_ned(yaw_ned_of(self.q))
+        incidence = wrap_angle(yaw - plane.wall.parallel_yaw(yaw))
+        current = _OpenContact(plane, self.mode, t_s, vx, vy, position, incidence, tilt_of(self.q))
+        self._open[plane.wall.name] = current
+        return current
+
+    def _let_go(self) -> None:
+        """Away from every wall: what is still open has ended with its last force."""
+        for current in list(self._open.values()):
+            self._end_contact(current, current.last_s)
+
+    def _end_contact(self, current: _OpenContact, t_s: float) -> None:
+        plane = current.plane
+        del self._open[plane.wall.name]
+        n, t = plane.normal, plane.tangent
+        # The point's contact ends with the step that has no force any more, as it always did.
+        v, end_s = (self.velocity, t_s) if not self._guards else (current.velocity_out, current.last_s)
+        self.finished.append(
+            TruthContact(
+                t_us=self._stamp(current.start_s),
+                end_us=self._stamp(end_s),
+                wall=plane.wall.name,
+                mode=current.mode,
+                normal_in_m_s=current.normal_in,
+                tangential_in_m_s=current.tangential_in,
+                normal_out_m_s=n[0] * v[0] + n[1] * v[1],
+                tangential_out_m_s=t[0] * v[0] + t[1] * v[1],
+                peak_normal_force_n=current.peak_normal,
+                peak_friction_force_n=current.peak_friction,
+                position_mission=current.position,
+                incidence_rad=current.incidence,
+                tilt_rad=current.tilt,
+                rate_out_frd=current.rate_out,
+                lead_m=2.0 * self.body.guard_along_m * math.sin(current.incidence),
+                peak_torque_nm=current.peak_torque,
+            )
+        )
 
     def _shake(self, contact: Vec3) -> Vec2:
         """Acceleration of the body about the common centre of mass by the flexible arms' vibration, NED.
@@ -389,6 +528,7 @@ class Plant:
             contact_force_mission=self.frame.vector_from_ned(self.contact_force_ned),
             q_frd_to_ned=self.q,
             mode=self.mode,
+            contact_torque_frd=self.contact_torque_frd,
         )
 
 
@@ -402,11 +542,15 @@ def make_plant(mission: Mission, motors: tuple[Motor, ...] | None = None) -> Pla
     return plant
 
 
-def _plane(wall: Wall, frame: MissionFrame) -> _WallPlane:
-    return _WallPlane(
-        wall=wall,
-        point=frame.point_to_ned((wall.point[0], wall.point[1], 0.0)),
-        normal=frame.vector_to_ned(wall.from_collision((1.0, 0.0, 0.0))),
-        tangent=frame.vector_to_ned(wall.from_collision((0.0, 1.0, 0.0))),
-        down=frame.vector_to_ned(wall.from_collision((0.0, 0.0, 1.0))),
+def _plane(wall: Wall, frame: MissionFrame, out_m: float) -> _WallPlane:
+    """A wall in NED; its surface lies `out_m` behind the plane of the vehicle's centre."""
+    point = frame.point_to_ned((wall.point[0], wall.point[1], 0.0))
+    normal = frame.vector_to_ned(wall.from_collision((1.0, 0.0, 0.0)))
+    tangent = frame.vector_to_ned(wall.from_collision((0.0, 1.0, 0.0)))
+    down = frame.vector_to_ned(wall.from_collision((0.0, 0.0, 1.0)))
+    on_surface = (
+        point[0] - out_m * normal[0],
+        point[1] - out_m * normal[1],
+        point[2] - out_m * normal[2],
     )
+    return _WallPlane(wall, point, normal, tangent, down, Plane(on_surface, normal, tangent, down))

@@ -22,13 +22,15 @@ from dart_flight.config.vehicle.estimation import (
 )
 from dart_flight.config.vehicle.flight import Flying
 from dart_flight.config.vehicle.lock import Cam, LimitSwitch, LockConfig, LockDriver, LockStartup, Servo
-from dart_flight.config.vehicle.simulation import Simulation
+from dart_flight.config.vehicle.simulation import BodyModel, ContactBody, Simulation
 
 __all__ = [
     "Airframe",
     "ArmVibration",
+    "BodyModel",
     "Cam",
     "Coefficients",
+    "ContactBody",
     "Detection",
     "Estimation",
     "Flying",

@@ -2,8 +2,43 @@
 
 from __future__ import annotations
 
-from dart_flight.config.section import NotNegative, Positive, Section
+from enum import StrEnum
+from typing import Annotated
+
+from msgspec import Meta
+
+from dart_flight.config.section import Fraction, NotNegative, Positive, Section
 from dart_flight.config.vehicle.estimation import ArmVibration
+
+
+class BodyModel(StrEnum):
+    """What of the simulated vehicle touches a wall."""
+
+    POINT = "point"
+    GUARDS = "guards"
+
+
+class ContactBody(Section, frozen=True):
+    """The simulated vehicle as a body that touches walls.
+
+    Attributes:
+        body: point: the centre of mass, as in the paper's equations; guards: two guard points a side.
+        guard_out_m: from the centre of mass to the guards' plane.
+        guard_along_m: from the middle of a side to either of its guards.
+        guard_height_m: of the guards above the centre of mass.
+        friction_lever_share: share of the guards' lever at which friction acts; 0: through the centre of
+            mass, 1: at the guards.
+        vertical_lever_m: how far outside of the centre of mass the vertical force acts.
+        scatter: standard deviation of the coefficients from hit to hit, relative.
+    """
+
+    body: BodyModel = BodyModel.POINT
+    guard_out_m: Positive = 0.20
+    guard_along_m: NotNegative = 0.13
+    guard_height_m: Annotated[float, Meta(ge=-0.5, le=0.5)] = 0.0
+    friction_lever_share: Fraction = 0.3
+    vertical_lever_m: NotNegative = 0.02
+    scatter: NotNegative = 0.0
 
 
 class Simulation(Section, frozen=True):
@@ -26,6 +61,7 @@ class Simulation(Section, frozen=True):
         wind_north_east_m_s: [north, east], steady; where the air goes to.
         gust_m_s: standard deviation of gusts beside the steady wind, per axis.
         gust_time_s: correlation time of the gusts.
+        contact: the vehicle as a body that touches walls.
     """
 
     imu_noise_m_s2: NotNegative
@@ -44,3 +80,4 @@ class Simulation(Section, frozen=True):
     wind_north_east_m_s: tuple[float, float]
     gust_m_s: NotNegative
     gust_time_s: Positive
+    contact: ContactBody = ContactBody()

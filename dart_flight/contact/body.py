@@ -1,0 +1,156 @@
+"""The contact law at the guards of a body: who touches where, and what force and torque follow.
+
+A vehicle touches a wall with guard points, two on each of its four sides: `out_m` from the centre of mass,
+`along_m` to either side of the middle, `height_m` above it. Each guard is a point of the published law with
+its share of the coefficients: with both guards of a side at the same depth, k/2 and f/2 each sum to the point
+law, so the symmetric hit keeps its normal force, contact time and exit velocity. Friction is -mu lambda ydot
+with the guard's own sliding velocity; the vertical force keeps its sum -nu L/(1 + L), L the sum of the normal
+forces on the wall.
+
+What the paper does not tell is a parameter here (`config/vehicle/simulation.py`, `ContactBody`): the share of
+the friction's lever that turns the vehicle, and the lever of the vertical force. The friction acts, and its
+sliding velocity is taken, at the same reduced lever, so it only ever takes energy out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from dart_flight.config.vehicle import Coefficients, ContactBody
+from dart_flight.contact.law import Onset, normal_force
+from dart_flight.geometry import Vec3
+
+
+class Guard(NamedTuple):
+    """One guard point, body FRD, metres from the centre of mass."""
+
+    at: Vec3
+    friction_at: Vec3  # where its friction acts: the same point with the horizontal lever reduced
+
+
+class Plane(NamedTuple):
+    """A wall's surface with the axes of its collision frame, world frame (NED or any other).
+
+    Attributes:
+        point: on the surface.
+        normal: outward.
+        tangent: Y of the collision frame.
+        down: Z of the collision frame.
+    """
+
+    point: Vec3
+    normal: Vec3
+    tangent: Vec3
+    down: Vec3
+
+
+class Touch(NamedTuple):
+    """What the guards feel of one wall.
+
+    Attributes:
+        force: sum, world frame, newton.
+        torque: about the centre of mass, world frame, N m.
+        normal_n: sum of the normal forces.
+        friction_n: sum of the friction forces along the tangent, signed.
+        right_n, left_n: normal force on the guards at the tangent's positive and negative side.
+    """
+
+    force: Vec3
+    torque: Vec3
+    normal_n: float
+    friction_n: float
+    right_n: float
+    left_n: float
+
+
+_NOTHING = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+
+
+def guards_of(body: ContactBody) -> tuple[Guard, ...]:
+    """The eight guards of a four-fold symmetric vehicle: front, right, back, left, two each."""
+    out, along, z = body.guard_out_m, body.guard_along_m, -body.guard_height_m
+    share = body.friction_lever_share
+    guards = []
+    for ox, oy in ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)):
+        for side in (1.0, -1.0):
+            x, y = out * ox - side * along * oy, out * oy + side * along * ox
+            guards.append(Guard((x, y, z), (share * x, share * y, share * z)))
+    return tuple(guards)
+
+
+def touch(
+    guards: Sequence[tuple[Vec3, Vec3]],
+    c: Coefficients,
+    onset: Onset,
+    plane: Plane,
+    position: Vec3,
+    velocity: Vec3,
+    rate: Vec3,
+    vertical_sign: int,
+    vertical_lever_m: float,
+) -> Touch:
+    """Force and torque of one wall on the guards.
+
+    Args:
+        guards: levers of each guard and of its friction, rotated into the world frame, metres.
+        c: coefficients of the whole side (the point law's).
+        onset: onset rule.
+        plane: the surface.
+        position, velocity: of the centre of mass, world frame.
+        rate: angular velocity, world frame, rad/s.
+        vertical_sign: as in `law.contact_force`.
+        vertical_lever_m: how far outside of the centre of mass the vertical force acts.
+    """
+    n, t, d = plane.normal, plane.tangent, plane.down
+    half = Coefficients(0.5 * c.k, 0.5 * c.f, c.mu, c.nu)
+    px, py, pz = position[0] - plane.point[0], position[1] - plane.point[1], position[2] - plane.point[2]
+    depth, speed = (
+        n[0] * px + n[1] * py + n[2] * pz,
+        n[0] * velocity[0] + n[1] * velocity[1] + n[2] * velocity[2],
+    )
+    sliding = t[0] * velocity[0] + t[1] * velocity[1] + t[2] * velocity[2]
+    wx, wy, wz = rate
+    total = friction = right = left = 0.0
+    tx = ty = tz = 0.0
+    for (rx, ry, rz), (fx, fy, fz) in guards:
+        x = depth + n[0] * rx + n[1] * ry + n[2] * rz
+        if x > _NEAR_M:
+            continue
+        turning = n[0] * (wy * rz - wz * ry) + n[1] * (wz * rx - wx * rz) + n[2] * (wx * ry - wy * rx)
+        force = normal_force(half, onset, x, speed + turning)
+        if force == 0.0:
+            continue
+        slip = sliding + t[0] * (wy * fz - wz * fy) + t[1] * (wz * fx - wx * fz) + t[2] * (wx * fy - wy * fx)
+        rub = -c.mu * force * slip
+        total += force
+        friction += rub
+        if t[0] * rx + t[1] * ry + t[2] * rz >= 0.0:
+            right += force
+        else:
+            left += force
+        tx += force * (ry * n[2] - rz * n[1]) + rub * (fy * t[2] - fz * t[1])
+        ty += force * (rz * n[0] - rx * n[2]) + rub * (fz * t[0] - fx * t[2])
+        tz += force * (rx * n[1] - ry * n[0]) + rub * (fx * t[1] - fy * t[0])
+    if total == 0.0:
+        return _NOTHING
+    lift = vertical_sign * c.nu * total / (1.0 + total)
+    lever = -vertical_lever_m * lift
+    tx += lever * (n[1] * d[2] - n[2] * d[1])
+    ty += lever * (n[2] * d[0] - n[0] * d[2])
+    tz += lever * (n[0] * d[1] - n[1] * d[0])
+    return Touch(
+        (
+            total * n[0] + friction * t[0] + lift * d[0],
+            total * n[1] + friction * t[1] + lift * d[1],
+            total * n[2] + friction * t[2] + lift * d[2],
+        ),
+        (tx, ty, tz),
+        total,
+        friction,
+        right,
+        left,
+    )
+
+
+_NEAR_M = 0.08  # below 5 m/s no contact begins further away
