@@ -124,6 +124,7 @@ class Verdict(msgspec.Struct):
         None  # largest distance of the estimated position from the true one, in the air
     )
     px4: Px4Figures | None = None
+    drawn: dict[str, float | str] = msgspec.field(default_factory=dict)  # of the simulated world (`--vary`)
 
 
 class VerdictBuilder:

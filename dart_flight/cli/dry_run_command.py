@@ -11,12 +11,13 @@ from typing import Any
 from rich.progress import Progress
 
 from dart_flight.cli.flight_output import FlightLines, summary_table, verdict_table
-from dart_flight.cli.options import add_flight_options, whole_number
+from dart_flight.cli.options import add_flight_options, add_set_option, add_vary_option, whole_number
 from dart_flight.cli.px4_options import add_px4_options, position_source_of, position_warnings
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.planning.envelope import impact_warnings
+from dart_flight.sim.draws import parse_vary
 from dart_flight.sim.faults.kinds import parse_fault
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.campaigns import fly_fast_many, summarise
@@ -41,18 +42,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="NAME[=VALUE][@PHASE]",
         help="something goes wrong, from this phase on; docs/faults.md has the table",
     )
+    add_set_option(parser)
+    add_vary_option(parser)
 
 
-def _flight(arguments: argparse.Namespace) -> Callable[..., Verdict]:
+def _flight(arguments: argparse.Namespace, mission: Mission) -> Callable[..., Verdict]:
     """The function that flies one mission in the wanted world: (mission, seed, log folder[, progress])."""
     position_from = position_source_of(arguments)
     fault = parse_fault(arguments.fault) if arguments.fault is not None else None
+    spreads = _spreads(arguments, mission)
     if fault is not None and (arguments.runs is not None or arguments.px4 is not None):
         raise InputError("--fault is for one flight in the fast or the embedded world")
     if arguments.px4 is None and arguments.fast:
-        return partial(fly_fast, fault=fault)
+        return partial(fly_fast, fault=fault, spreads=spreads)
     if arguments.px4 is None:
-        return partial(fly_embedded, deadman=True, fault=fault)
+        return partial(fly_embedded, deadman=True, fault=fault, spreads=spreads)
 
     def fly(mission: Mission, seed: int, log_dir: Path, *progress: Any) -> Verdict:
         return fly_px4(
@@ -64,19 +68,24 @@ def _flight(arguments: argparse.Namespace) -> Callable[..., Verdict]:
             position_from=position_from,
             speed=arguments.speed or 1.0,
             parameter_files=tuple(arguments.params or ()),
+            spreads=spreads,
         )
 
     return fly
 
 
+def _spreads(arguments: argparse.Namespace, mission: Mission) -> dict[str, float]:
+    return parse_vary(arguments.vary, mission.vehicle.simulation.spreads)
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
-    mission = load_flyable(arguments.mission, arguments.config)
+    mission = load_flyable(arguments.mission, arguments.config, arguments.set)
     if arguments.driver is not None:
         mission = with_driver(mission, arguments.driver)
     if arguments.standoff is not None:
         mission = with_standoff(mission, arguments.standoff)
-    fly = _flight(arguments)
+    fly = _flight(arguments, mission)
     console = messages()
     for line in [*impact_warnings(mission), *position_warnings(position_source_of(arguments))]:
         console.print(f"[yellow]{line}[/]", soft_wrap=True)
@@ -97,7 +106,8 @@ def run(arguments: argparse.Namespace) -> int:
             bar.advance(task)
 
         if arguments.fast:
-            verdicts = fly_fast_many(mission, seeds, arguments.log_dir, done)
+            spreads = _spreads(arguments, mission)
+            verdicts = fly_fast_many(mission, seeds, arguments.log_dir, done, spreads)
         else:
             verdicts = []
             for seed in seeds:

@@ -36,6 +36,28 @@ def add_driver_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_set_option(parser: argparse.ArgumentParser) -> None:
+    """Keys of the configuration, changed for this call."""
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="a key of the configuration, such as simulation.contact.body=guards; repeatable",
+    )
+
+
+def add_vary_option(parser: argparse.ArgumentParser) -> None:
+    """What of the simulated world is drawn anew by every seed."""
+    parser.add_argument(
+        "--vary",
+        action="append",
+        default=[],
+        metavar="NAME[=SD]",
+        help="what is drawn anew by every seed, all for everything; repeatable (docs/draws.md)",
+    )
+
+
 def add_position_option(parser: argparse.ArgumentParser) -> None:
     """Where the vehicle's position comes from."""
     parser.add_argument(

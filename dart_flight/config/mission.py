@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import math
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal, Protocol
@@ -297,27 +298,30 @@ class Mission(msgspec.Struct, frozen=True):
         return MissionFrame(north, east, takeoff_ned[2], math.radians(self.frame.heading_deg))
 
 
-def load_mission(path: str | Path, config: str | Path | None = None) -> Mission:
+def load_mission(path: str | Path, config: str | Path | None = None, settings: Sequence[str] = ()) -> Mission:
     """Load, validate and resolve a mission file.
 
     Args:
         path: the mission.
         config: vehicle configuration that overrides the one the mission names.
+        settings: `KEY=VALUE`, keys of the vehicle configuration that differ from the file.
 
     Raises:
         InputError: in the mission or in the configuration.
     """
-    return parse_mission(Document.load(path), config)
+    return parse_mission(Document.load(path), config, settings)
 
 
-def parse_mission(document: Document, config: str | Path | VehicleConfig | None = None) -> Mission:
+def parse_mission(
+    document: Document, config: str | Path | VehicleConfig | None = None, settings: Sequence[str] = ()
+) -> Mission:
     """As `load_mission`, from a document already read; `config` may be a configuration already loaded."""
     spec = document.convert(MissionFile)
     if isinstance(config, VehicleConfig):
         return resolve(spec, config, document)
     if config is None and spec.vehicle is not None:
         config = Path(document.source).parent / spec.vehicle
-    return resolve(spec, load_vehicle(config), document)
+    return resolve(spec, load_vehicle(config, settings), document)
 
 
 def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mission:

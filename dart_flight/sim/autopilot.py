@@ -299,4 +299,4 @@ def default_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
 
 def make_autopilot(mission: Mission, seed: int, say: Callable[[str, str], None] | None = None) -> Autopilot:
     """The simulated vehicle standing on the ground below a mission's start, arms free."""
-    return Autopilot(make_plant(mission), seed, say)
+    return Autopilot(make_plant(mission, seed=seed), seed, say)

@@ -47,6 +47,7 @@ class WorldSpec(msgspec.Struct):
     driver: LockDriver
     log: str | None = None
     px4: Px4Spec | None = None
+    spreads: dict[str, float] = msgspec.field(default_factory=dict)  # what differs from the mission (`draws`)
 
 
 class Horn(msgspec.Struct, tag="horn"):

@@ -8,6 +8,7 @@ rest in steps of 1 ms. `tests/sim/test_plant.py` holds it to the reference solut
 from __future__ import annotations
 
 import math
+import random
 
 import msgspec
 
@@ -112,6 +113,7 @@ class Plant:
         start_ned: where it stands, metres.
         yaw_ned_rad: heading it stands at.
         motors: the airframe's four motors in the autopilot's order; the configuration's by default.
+        scatter_seed: of the coefficients' scatter from hit to hit.
     """
 
     def __init__(
@@ -122,6 +124,7 @@ class Plant:
         start_ned: Vec3 = (0.0, 0.0, 0.0),
         yaw_ned_rad: float = 0.0,
         motors: tuple[Motor, ...] | None = None,
+        scatter_seed: int = 0,
     ) -> None:
         self.vehicle, self.frame = vehicle, frame
         self.motors = motors if motors is not None else motors_of(vehicle.airframe)
@@ -140,6 +143,8 @@ class Plant:
         self.contact_force_ned: Vec3 = (0.0, 0.0, 0.0)  # of walls, at the end of the last step
         self.contact_torque_frd: Vec3 = (0.0, 0.0, 0.0)  # likewise, about the centre of mass
         self.body = vehicle.simulation.contact
+        self._rng = random.Random(scatter_seed)
+        self._scattered: dict[str, tuple[float, float, float]] = {}
         self._guards = guards_of(self.body) if self.body.body is BodyModel.GUARDS else ()
         self.on_ground = True
         self.finished: list[TruthContact] = []
@@ -378,7 +383,19 @@ class Plant:
         # A rod cannot enter its slot while the arms are folded: the mode of a contact is that of its start.
         mode = open_contact.mode if open_contact else self.mode
         incidence = plane.wall.incidence(self.frame.yaw_from_ned(yaw_ned_of(self.q)))
-        return coefficients_in_force(self.vehicle, plane.wall.material, mode, incidence)
+        c = coefficients_in_force(self.vehicle, plane.wall.material, mode, incidence)
+        if self.body.half_engaged and mode is Mode.RIGID:
+            flexible = coefficients_in_force(self.vehicle, plane.wall.material, Mode.FLEXIBLE, incidence)
+            c = _between(c, flexible)
+        if self.body.scatter:
+            k, f, mu = self._scattered.setdefault(plane.wall.name, self._scatter())
+            c = Coefficients(c.k * k, c.f * f, c.mu * mu, c.nu)
+        return c
+
+    def _scatter(self) -> tuple[float, float, float]:
+        """Factors of k, f and mu for the next hit of a wall."""
+        factors = [max(0.1, 1.0 + self.body.scatter * self._rng.gauss(0.0, 1.0)) for _ in range(3)]
+        return (factors[0], factors[1], factors[2])
 
     def _wall_force(self, plane: _WallPlane, c: Coefficients, p: Vec3, v: Vec3) -> Vec3:
         """Contact force in newton in the collision frame at a position and velocity in NED."""
@@ -460,6 +477,7 @@ class Plant:
     def _end_contact(self, current: _OpenContact, t_s: float) -> None:
         plane = current.plane
         del self._open[plane.wall.name]
+        self._scattered.pop(plane.wall.name, None)
         n, t = plane.normal, plane.tangent
         # The point's contact ends with the step that has no force any more, as it always did.
         v, end_s = (self.velocity, t_s) if not self._guards else (current.velocity_out, current.last_s)
@@ -532,14 +550,28 @@ class Plant:
         )
 
 
-def make_plant(mission: Mission, motors: tuple[Motor, ...] | None = None) -> Plant:
+def make_plant(mission: Mission, motors: tuple[Motor, ...] | None = None, seed: int = 0) -> Plant:
     """The vehicle standing on the ground below a mission's start, arms free."""
     flat = mission.frame_at((0.0, 0.0, 0.0))
     x, y = mission.start
     start_ned = flat.point_to_ned((x, y, 0.0))
-    plant = Plant(mission.vehicle, mission.walls, mission.frame_at(start_ned), start_ned, motors=motors)
+    plant = Plant(
+        mission.vehicle,
+        mission.walls,
+        mission.frame_at(start_ned),
+        start_ned,
+        motors=motors,
+        scatter_seed=seed,
+    )
     plant.set_mode(Mode.FLEXIBLE)
     return plant
+
+
+def _between(a: Coefficients, b: Coefficients) -> Coefficients:
+    """Half-engaged rods: the geometric mean of both modes."""
+    return Coefficients(
+        math.sqrt(a.k * b.k), math.sqrt(a.f * b.f), math.sqrt(a.mu * b.mu), math.sqrt(a.nu * b.nu)
+    )
 
 
 def _plane(wall: Wall, frame: MissionFrame, out_m: float) -> _WallPlane:

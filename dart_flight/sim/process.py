@@ -20,6 +20,7 @@ from dart_flight.config.document import Document
 from dart_flight.config.mission import parse_mission
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.sim.autopilot import TICK_S
+from dart_flight.sim.draws import draw_world
 from dart_flight.sim.faults.impairment import Impairment
 from dart_flight.sim.faults.kinds import Fault, Place, VehicleFault, impairment_of
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
@@ -53,7 +54,8 @@ class VehicleProcess:
     def __init__(self, spec: WorldSpec, commands: IO[bytes], truth: IO[bytes]) -> None:
         vehicle = msgspec.json.decode(spec.vehicle, type=VehicleConfig)
         mission = parse_mission(Document.load(spec.mission), vehicle)
-        self._vehicle = SimulatedVehicle(mission, spec.seed, spec.driver)
+        true = draw_world(mission, spec.seed, spec.spreads).mission
+        self._vehicle = SimulatedVehicle(true, spec.seed, spec.driver)
         self._autopilot = self._vehicle.autopilot
         self._endpoint = MavlinkEndpoint(self._autopilot, tuple(spec.ports))
         self._log: IO[str] | None = None

@@ -22,7 +22,7 @@ from typing import Protocol
 from dart_flight.config.mission import Mission
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.lock.drivers import Driver, make_driver
-from dart_flight.lock.drivers.mock import MockDriver
+from dart_flight.lock.drivers.mock import MockDriver, MockFaults
 from dart_flight.lock.session import LockSession
 from dart_flight.lock.state_machine import status_text
 from dart_flight.samples import (
@@ -198,6 +198,7 @@ class FlightApp:
         progress: sees every record, on a thread of its own: a terminal may block.
         clock: the autopilot's; that of a real-time vehicle by default.
         deadman_note: start a deadman, which writes here why it killed the program; None: no deadman.
+        lock_faults: of the mock servo from the start on.
 
     Attributes:
         loop: the event loop, while it flies.
@@ -213,11 +214,12 @@ class FlightApp:
         progress: Progress = lambda record: None,
         clock: Clock | None = None,
         deadman_note: Path | None = None,
+        lock_faults: MockFaults | None = None,
     ) -> None:
         self._mission, self._url, self._observe = mission, url, observe
         self._world, self._progress, self._clock = world, progress, clock
         self._shown: deque[Record] = deque()
-        self._deadman_note = deadman_note
+        self._deadman_note, self._lock_faults = deadman_note, lock_faults
         self._deadman: Deadman | None = None
         self.mock: MockDriver | None = None
         self._session: VehicleSession | None = None
@@ -330,6 +332,8 @@ class FlightApp:
         config = self._mission.vehicle.lock
         driver: Driver = make_driver(config, clock_us=clock_us, set_actuator=session.set_actuator)
         self.mock = driver if isinstance(driver, MockDriver) else None
+        if self.mock is not None and self._lock_faults is not None:
+            self.mock.inject(self._lock_faults)
         states: queue.SimpleQueue[LockState] = queue.SimpleQueue()
         lock = LockSession(config, driver, clock_us, states.put)
         sent: list[float] = []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -35,16 +35,21 @@ class Summary(msgspec.Struct):
     peak_force_error_percent: Spread | None
 
 
-def _fast_run(arguments: tuple[Mission, int, str | None]) -> Verdict:
-    mission, seed, log_dir = arguments
-    return fly_fast(mission, seed, Path(log_dir) if log_dir else None)
+def _fast_run(arguments: tuple[Mission, int, str | None, dict[str, float]]) -> Verdict:
+    mission, seed, log_dir, spreads = arguments
+    return fly_fast(mission, seed, Path(log_dir) if log_dir else None, spreads=spreads)
 
 
 def fly_fast_many(
-    mission: Mission, seeds: Iterable[int], log_dir: Path | None, done: Callable[[Verdict], None]
+    mission: Mission,
+    seeds: Iterable[int],
+    log_dir: Path | None,
+    done: Callable[[Verdict], None],
+    spreads: Mapping[str, float] | None = None,
 ) -> list[Verdict]:
     """Many fast flights, spread over the processor's cores, in the order of the seeds."""
-    jobs = [(mission, seed, str(log_dir) if log_dir else None) for seed in seeds]
+    drawn = dict(spreads or {})
+    jobs = [(mission, seed, str(log_dir) if log_dir else None, drawn) for seed in seeds]
     verdicts = []
     with ProcessPoolExecutor() as pool:
         for verdict in pool.map(_fast_run, jobs):

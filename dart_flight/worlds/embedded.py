@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,16 +30,19 @@ def fly_embedded(
     *,
     deadman: bool = False,
     fault: Fault | None = None,
+    spreads: Mapping[str, float] | None = None,
 ) -> Verdict:
     """Fly through MAVSDK over UDP against the embedded autopilot, in real time.
 
-    `deadman` starts the process that kills this one when it hangs; `fault` is what goes wrong.
+    `deadman` starts the process that kills this one when it hangs; `fault` is what goes wrong;
+    `spreads` says what is drawn anew by the seed (`sim.draws`).
 
     Raises:
         InputError: the log cannot be written.
         WorldError, VehicleError: the simulated vehicle did not start or did not answer.
     """
     try:
+        from dart_flight.sim.draws import draw_world  # noqa: PLC0415
         from dart_flight.sim.pipe import WorldSpec  # noqa: PLC0415
         from dart_flight.worlds.sabotage import Sabotage  # noqa: PLC0415
         from dart_flight.worlds.vehicle_process import (  # noqa: PLC0415
@@ -51,7 +55,8 @@ def fly_embedded(
         raise InputError(f"simulation needs {error.name}: pip install 'dart-flight[sim]'") from None
 
     port = free_udp_port()
-    record = FlightRecord(mission, World.EMBEDDED, seed, log_dir)
+    drawn = draw_world(mission, seed, spreads or {})
+    record = FlightRecord(mission, World.EMBEDDED, seed, log_dir, drawn.drawn)
     spec = WorldSpec(
         mission.source,
         msgspec.json.encode(mission.vehicle).decode(),
@@ -59,12 +64,15 @@ def fly_embedded(
         [port],
         mission.vehicle.lock.driver,
         world_log(record.folder),
+        spreads=dict(spreads or {}),
     )
 
     def make_app(world: WorldProcess) -> FlightApp:
         note = record.folder / DEADMAN_NOTE if deadman else None
         url = f"udpin://127.0.0.1:{port}"
-        app = FlightApp(mission, url, record, world, progress, deadman_note=note)
+        app = FlightApp(
+            mission, url, record, world, progress, deadman_note=note, lock_faults=drawn.lock_faults
+        )
         if fault is not None:
             record.onlookers.append(Sabotage(fault, app, world, record.path))
         return app

@@ -6,6 +6,7 @@ The same decisions as everywhere else, as fast as the machine goes, the same for
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 from dart_flight.config.document import InputError
@@ -41,6 +42,7 @@ from dart_flight.samples import (
     World,
 )
 from dart_flight.sim.cascade import TrajectorySetPoint
+from dart_flight.sim.draws import DrawnWorld, draw_world
 from dart_flight.sim.faults.kinds import Fault
 from dart_flight.sim.vehicle import SimulatedVehicle
 from dart_flight.verdict import Verdict
@@ -73,6 +75,7 @@ class FastFlight:
         faults: of the mock servo.
         observe: sees every input with its number, every output and note with the number of its input.
         fault: what goes wrong, and when.
+        world: what is drawn (`sim.draws`), where it differs from the mission.
     """
 
     def __init__(
@@ -83,9 +86,11 @@ class FastFlight:
         faults: MockFaults | None = None,
         observe: Observe | None = None,
         fault: Fault | None = None,
+        world: DrawnWorld | None = None,
     ) -> None:
         self.mission = mission
-        self.vehicle = SimulatedVehicle(mission, seed, driver)
+        true = mission if world is None else world.mission
+        self.vehicle = SimulatedVehicle(true, seed, driver)
         self.autopilot = self.vehicle.autopilot
         self.autopilot.say = self._on_text
         self.deadman_s = mission.vehicle.guard.deadman_s
@@ -276,10 +281,12 @@ def fly_fast(
     progress: Onlooker = lambda record: None,
     lock_faults: MockFaults | None = None,
     fault: Fault | None = None,
+    spreads: Mapping[str, float] | None = None,
 ) -> Verdict:
     """Fly in process in simulated time; `log_dir` None leaves no log (campaigns).
 
-    `lock_faults` are those of the mock servo from the start on; `fault` is what goes wrong, and when.
+    `lock_faults` are those of the mock servo from the start on; `fault` is what goes wrong, and when;
+    `spreads` says what is drawn anew by the seed (`sim.draws`).
 
     Raises:
         InputError: the log cannot be written, or the lock driver has no place in simulated time.
@@ -287,8 +294,10 @@ def fly_fast(
     driver = mission.vehicle.lock.driver
     if driver not in (LockDriver.MOCK, LockDriver.PX4):
         raise InputError(f"the lock driver {driver.value} cannot be simulated, only mock and px4")
-    record = FlightRecord(mission, World.FAST, seed, log_dir)
+    world = draw_world(mission, seed, spreads or {})
+    faults = lock_faults or world.lock_faults
+    record = FlightRecord(mission, World.FAST, seed, log_dir, world.drawn)
     record.onlookers.append(progress)
-    FastFlight(mission, seed, driver, faults=lock_faults, observe=record, fault=fault).run()
+    FastFlight(mission, seed, driver, faults=faults, observe=record, fault=fault, world=world).run()
     record.close()
     return record.build()

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+
+import msgspec
 
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
@@ -26,6 +28,7 @@ class FlightRecord:
         world: in which world.
         seed: of a simulated flight.
         log_dir: where the flight's folder goes; None: no log (campaigns).
+        drawn: what the simulated world was drawn as, name -> value.
 
     Attributes:
         onlookers: called with every record, on the thread that took it.
@@ -34,13 +37,20 @@ class FlightRecord:
         InputError: the log cannot be written.
     """
 
-    def __init__(self, mission: Mission, world: World, seed: int | None, log_dir: Path | None) -> None:
-        self._world, self._seed = world, seed
+    def __init__(
+        self,
+        mission: Mission,
+        world: World,
+        seed: int | None,
+        log_dir: Path | None,
+        drawn: Mapping[str, float | str] | None = None,
+    ) -> None:
+        self._world, self._seed, self._drawn = world, seed, dict(drawn or {})
         self.verdict = VerdictBuilder(mission)
         self.onlookers: list[Onlooker] = [self.verdict.take]
         self._log: FlightLog | None = None
         if log_dir is not None:
-            self._log = _open_log(mission, world, seed, log_dir)
+            self._log = _open_log(mission, world, seed, log_dir, self._drawn)
 
     @property
     def path(self) -> Path:
@@ -75,7 +85,9 @@ class FlightRecord:
         """The verdict so far; `px4_log` is PX4's own log, where there is one."""
         log = relative(self.path) if self._log is not None else None
         kept = relative(px4_log) if px4_log is not None and px4_log.exists() else None
-        return self.verdict.build(self._world, self._seed, log, kept)
+        built = self.verdict.build(self._world, self._seed, log, kept)
+        built.drawn = self._drawn
+        return built
 
 
 def relative(path: Path) -> str:
@@ -85,9 +97,14 @@ def relative(path: Path) -> str:
     return str(path)
 
 
-def _open_log(mission: Mission, world: World, seed: int | None, log_dir: Path) -> FlightLog:
+def _open_log(
+    mission: Mission, world: World, seed: int | None, log_dir: Path, drawn: Mapping[str, float | str]
+) -> FlightLog:
     try:
         path = new_flight_folder(log_dir, mission.name) / LOG_NAME
-        return FlightLog(path, describe_flight(mission, world, seed))
+        about = describe_flight(mission, world, seed)
+        if drawn:
+            about["drawn"] = msgspec.json.encode(drawn).decode()
+        return FlightLog(path, about)
     except OSError as error:
         raise InputError(f"cannot write the flight log: {error.strerror}", source=str(log_dir)) from None

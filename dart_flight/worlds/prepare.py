@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -15,13 +16,13 @@ from dart_flight.core.mission.approach import NoApproachError
 from dart_flight.planning.envelope import impact_problem
 
 
-def load_flyable(path: str | Path, config: str | Path | None = None) -> Mission:
+def load_flyable(path: str | Path, config: str | Path | None = None, settings: Sequence[str] = ()) -> Mission:
     """Load a mission and make sure that its approaches have room and its impacts keep to its limit.
 
     Raises:
         InputError: the file is wrong, an approach cannot be flown, or an impact is over the force limit.
     """
-    mission = load_mission(path, config)
+    mission = load_mission(path, config, settings)
     try:
         FlightCore(mission)
     except NoApproachError as error:

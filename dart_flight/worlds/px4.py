@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,6 +35,7 @@ def fly_px4(
     position_from: PositionSource = PositionSource.MOCAP,
     speed: float = 1.0,
     parameter_files: tuple[Path, ...] = (),
+    spreads: Mapping[str, float] | None = None,
 ) -> Verdict:
     """Fly through MAVSDK over UDP against a real PX4 SITL on our plant, in lockstep.
 
@@ -46,12 +48,14 @@ def fly_px4(
         position_from: motion capture (indoors, no GPS) or a GPS receiver.
         speed: simulated seconds per second.
         parameter_files: PX4 parameters on top of `configs/px4/`.
+        spreads: what is drawn anew by the seed (`sim.draws`).
 
     Raises:
         InputError: there is no PX4, a parameter file is wrong, or the mission's frame cannot be had with GPS.
         WorldError, VehicleError: PX4 did not start or did not answer.
     """
     try:
+        from dart_flight.sim.draws import draw_world  # noqa: PLC0415
         from dart_flight.sim.pipe import Px4Spec, WorldSpec  # noqa: PLC0415
         from dart_flight.sim.px4.launch import find_install, flight_parameters  # noqa: PLC0415
         from dart_flight.worlds.vehicle_process import Px4World, fly_in_world, world_log  # noqa: PLC0415
@@ -64,7 +68,8 @@ def fly_px4(
         raise InputError(problem, source=mission.source, key=("frame", "origin"))
     mission = _for_lockstep(mission, speed)
     parameters = flight_parameters(mission.vehicle, position_from, list(parameter_files))
-    record = FlightRecord(mission, World.PX4, seed, log_dir)
+    drawn = draw_world(mission, seed, spreads or {})
+    record = FlightRecord(mission, World.PX4, seed, log_dir, drawn.drawn)
     folder = record.folder
     spec = WorldSpec(
         mission.source,
@@ -74,12 +79,15 @@ def fly_px4(
         mission.vehicle.lock.driver,
         world_log(folder),
         Px4Spec(str(install.program.parents[1]), str(folder.resolve()), parameters, position_from, speed),
+        spreads=dict(spreads or {}),
     )
 
     def make_app(world: WorldProcess) -> FlightApp:
         # PX4 chose the port itself, by its instance.
         url = f"udpin://127.0.0.1:{world.port}"
-        return FlightApp(mission, url, record, world, progress, LockstepClock(speed))
+        return FlightApp(
+            mission, url, record, world, progress, LockstepClock(speed), lock_faults=drawn.lock_faults
+        )
 
     world = fly_in_world(record, lambda on_truth: Px4World(spec, on_truth), make_app)
     ulog = folder / "px4.ulg"

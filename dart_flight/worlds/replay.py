@@ -12,15 +12,14 @@ from __future__ import annotations
 
 import difflib
 import math
-import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import msgspec
 
-from dart_flight.config.document import Document, InputError, Key
-from dart_flight.config.mission import Mission, MissionFile
-from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission
+from dart_flight.config.settings import apply_settings
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.mission.approach import NoApproachError
 from dart_flight.recording.about import flown_mission, machine, parse_written, written_mission
@@ -277,19 +276,7 @@ def changed_mission(log: Log, settings: Sequence[str]) -> Mission:
     flown = flown_mission(log.about, log.source)
     mission, vehicle = written_mission(log.about, log.source)
     as_written = parse_written(mission, vehicle)
-    vehicle_keys = {f.encode_name for f in msgspec.structs.fields(VehicleConfig)} - {"version"}
-    mission_keys = {f.encode_name for f in msgspec.structs.fields(MissionFile)} - {"version", "vehicle"}
-    of_mission = False
-    for setting in settings:
-        key, value = _parse_setting(setting)
-        if key[0] in vehicle_keys:
-            _set(vehicle, key, value, setting)
-        elif key[0] in mission_keys:
-            _set(mission, key, value, setting)
-            of_mission = True
-        else:
-            known = ", ".join(sorted(vehicle_keys | mission_keys))
-            raise InputError(f"--set {setting}: unknown key {key[0]}, known: {known}")
+    of_mission = mission in apply_settings(settings, vehicle, mission)
     try:
         changed = parse_written(mission, vehicle)
     except InputError as error:
@@ -304,41 +291,6 @@ def changed_mission(log: Log, settings: Sequence[str]) -> Mission:
             source=log.source,
         )
     return msgspec.structs.replace(flown, vehicle=changed.vehicle)
-
-
-def _parse_setting(setting: str) -> tuple[Key, Any]:
-    name, equals, text = setting.partition("=")
-    parts = re.findall(r"[^.\[\]]+", name.strip())
-    if not equals or not parts or not text.strip():
-        raise InputError(f"--set {setting}: expected KEY=VALUE, such as detection.force_threshold_n=8")
-    try:
-        value = Document(f"value: {text}", "--set").tree["value"]
-    except InputError as error:
-        raise InputError(f"--set {setting}: {error.message}") from None
-    return tuple(int(part) if part.isdigit() else part for part in parts), value
-
-
-def _set(document: Document, key: Key, value: Any, setting: str) -> None:
-    node: Any = document.tree
-    for part in key[:-1]:
-        node = _child(node, part, setting)
-    last = key[-1]
-    if isinstance(node, list):
-        _child(node, last, setting)
-        node[int(last)] = value
-    elif isinstance(node, dict):
-        node[str(last)] = value
-    else:
-        raise InputError(f"--set {setting}: there is nothing below {key[-2]}")
-
-
-def _child(node: Any, part: str | int, setting: str) -> Any:
-    if isinstance(node, dict) and str(part) in node:
-        return node[str(part)]
-    if isinstance(node, list) and isinstance(part, int) and part < len(node):
-        return node[part]
-    known = f"0 to {len(node) - 1}" if isinstance(node, list) else ", ".join(node or ())
-    raise InputError(f"--set {setting}: unknown key {part}, known: {known}")
 
 
 __all__ = ["DECISIONS", "Difference", "Replay", "changed_mission", "decision_rows", "replay"]

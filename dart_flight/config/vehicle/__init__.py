@@ -22,7 +22,7 @@ from dart_flight.config.vehicle.estimation import (
 )
 from dart_flight.config.vehicle.flight import Flying
 from dart_flight.config.vehicle.lock import Cam, LimitSwitch, LockConfig, LockDriver, LockStartup, Servo
-from dart_flight.config.vehicle.simulation import BodyModel, ContactBody, Simulation
+from dart_flight.config.vehicle.simulation import BodyModel, ContactBody, Simulation, Spreads
 
 __all__ = [
     "Airframe",
@@ -44,6 +44,7 @@ __all__ = [
     "Px4Parameters",
     "Servo",
     "Simulation",
+    "Spreads",
     "ThresholdTest",
     "Thrust",
     "ThrustSource",

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Literal
 
 from dart_flight.config.document import Document
 from dart_flight.config.section import Section
+from dart_flight.config.settings import apply_settings
 from dart_flight.config.vehicle.airframe import Airframe, Imu, Material, Thrust
 from dart_flight.config.vehicle.autopilot import ConnectionConfig, Px4Parameters
 from dart_flight.config.vehicle.estimation import Detection, Estimation
@@ -67,13 +69,18 @@ def default_config_path() -> Path:
     return local if local.exists() else packaged("configs", "dart.yaml")
 
 
-def load_vehicle(path: str | Path | None = None) -> VehicleConfig:
+def load_vehicle(path: str | Path | None = None, settings: Sequence[str] = ()) -> VehicleConfig:
     """Load and validate a vehicle configuration.
+
+    Args:
+        path: of the file; the default configuration without.
+        settings: `KEY=VALUE` with a dotted key, set before the validation (`config.settings`).
 
     Raises:
         InputError: as `Document`; or the thrust cannot carry the mass.
     """
     document = Document.load(path or default_config_path())
+    apply_settings(settings, document)
     config = document.convert(VehicleConfig)
     if config.hover_thrust_fraction() > 0.8:
         raise document.error(

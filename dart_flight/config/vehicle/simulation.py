@@ -30,6 +30,7 @@ class ContactBody(Section, frozen=True):
             mass, 1: at the guards.
         vertical_lever_m: how far outside of the centre of mass the vertical force acts.
         scatter: standard deviation of the coefficients from hit to hit, relative.
+        half_engaged: the rods stop half-way: the arms are neither locked nor free.
     """
 
     body: BodyModel = BodyModel.POINT
@@ -37,8 +38,37 @@ class ContactBody(Section, frozen=True):
     guard_along_m: NotNegative = 0.13
     guard_height_m: Annotated[float, Meta(ge=-0.5, le=0.5)] = 0.0
     friction_lever_share: Fraction = 0.3
-    vertical_lever_m: NotNegative = 0.02
+    vertical_lever_m: NotNegative = 0.01
     scatter: NotNegative = 0.0
+    half_engaged: bool = False
+
+
+class Spreads(Section, frozen=True):
+    """How far a real flight may be from what is believed: default spreads of `--vary`.
+
+    Attributes:
+        contact: k, f, mu, nu of every wall and mode, relative, constant over a flight.
+        contact_scatter: likewise, anew for every hit.
+        lock_true_mode: probability that the lock is stuck or half engaged, whatever it reports.
+        wall_offset_m: of every wall along its normal.
+        wall_yaw_deg: of every wall about its middle.
+        guard_height_m: of the guards against the centre of mass.
+        mass: relative, inertia with it.
+        wind_m_s: steady wind, per axis; gusts of half of it.
+        servo: travel time, relative.
+        battery: thrust, relative.
+    """
+
+    contact: NotNegative = 0.2
+    contact_scatter: NotNegative = 0.05
+    lock_true_mode: Fraction = 0.01
+    wall_offset_m: NotNegative = 0.03
+    wall_yaw_deg: NotNegative = 4.0
+    guard_height_m: NotNegative = 0.02
+    mass: NotNegative = 0.03
+    wind_m_s: NotNegative = 0.5
+    servo: NotNegative = 0.2
+    battery: NotNegative = 0.05
 
 
 class Simulation(Section, frozen=True):
@@ -62,6 +92,7 @@ class Simulation(Section, frozen=True):
         gust_m_s: standard deviation of gusts beside the steady wind, per axis.
         gust_time_s: correlation time of the gusts.
         contact: the vehicle as a body that touches walls.
+        spreads: how far a real flight may be from what is believed.
     """
 
     imu_noise_m_s2: NotNegative
@@ -81,3 +112,4 @@ class Simulation(Section, frozen=True):
     gust_m_s: NotNegative
     gust_time_s: Positive
     contact: ContactBody = ContactBody()
+    spreads: Spreads = Spreads()

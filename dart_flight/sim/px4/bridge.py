@@ -168,7 +168,7 @@ class Px4Vehicle:
         motors: tuple[Motor, ...] | None = None,
     ) -> None:
         self.vehicle, self._link = mission.vehicle, link
-        self.plant = make_plant(mission, motors)
+        self.plant = make_plant(mission, motors, seed)
         rng = random.Random(seed)
         self._imu = ImuSensor(self.vehicle, rng)
         self._pose = PoseSensor(self.vehicle, rng) if position_from is PositionSource.MOCAP else None

@@ -24,6 +24,7 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.errors import FlightError
 from dart_flight.samples import TruthSample
 from dart_flight.sim.autopilot import TICK_S
+from dart_flight.sim.draws import draw_world
 from dart_flight.sim.pipe import Died, Horn, LineReader, LineWriter, Px4Spec, Ready, Truth, WorldSpec
 from dart_flight.sim.process import run_in_real_time
 from dart_flight.sim.px4.bridge import HilLink, Px4LostError, Px4Vehicle
@@ -61,7 +62,8 @@ class Px4Process:
 
     def __init__(self, spec: WorldSpec, px4: Px4Spec, commands: IO[bytes], truth: IO[bytes]) -> None:
         vehicle = msgspec.json.decode(spec.vehicle, type=VehicleConfig)
-        self._mission = parse_mission(Document.load(spec.mission), vehicle)
+        believed = parse_mission(Document.load(spec.mission), vehicle)
+        self._mission = draw_world(believed, spec.seed, spec.spreads).mission
         self._spec, self._px4_spec = spec, px4
         self._commands, self._truth_stream = commands, truth
         self._log: IO[str] | None = None

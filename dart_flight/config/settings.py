@@ -1,0 +1,77 @@
+"""`--set KEY=VALUE`: keys of a vehicle configuration or of a mission changed before they are validated."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Sequence
+from typing import Any
+
+from dart_flight.config.document import Document, InputError, Key
+
+
+def apply_settings(settings: Sequence[str], *documents: Document) -> list[Document]:
+    """Change documents in place; the first one that has the key's first part is changed.
+
+    Args:
+        settings: `KEY=VALUE` with a dotted key, such as `detection.force_threshold_n=8`,
+            `materials.wood.rigid.k=5000` or `collisions[0].alpha_m_per_n=[0.1, 0.02]`.
+        documents: a vehicle configuration, then perhaps a mission.
+
+    Returns:
+        The documents that were changed.
+
+    Raises:
+        InputError: a key is unknown, or a setting is not `KEY=VALUE`.
+    """
+    changed: list[Document] = []
+    for setting in settings:
+        key, value = _parse_setting(setting)
+        document = next((d for d in documents if key[0] in _settable(d)), None)
+        if document is None:
+            known = sorted({name for d in documents for name in _settable(d)})
+            near = difflib.get_close_matches(str(key[0]), known, n=1)
+            hint = f"did you mean {near[0]}?" if near else "known: " + ", ".join(known)
+            raise InputError(f"--set {setting}: unknown key {key[0]}, {hint}")
+        _set(document, key, value, setting)
+        changed.append(document)
+    return changed
+
+
+def _settable(document: Document) -> set[str]:
+    return set(document.tree) - {"version", "vehicle"}
+
+
+def _parse_setting(setting: str) -> tuple[Key, Any]:
+    name, equals, text = setting.partition("=")
+    parts = re.findall(r"[^.\[\]]+", name.strip())
+    if not equals or not parts or not text.strip():
+        raise InputError(f"--set {setting}: expected KEY=VALUE, such as detection.force_threshold_n=8")
+    try:
+        value = Document(f"value: {text}", "--set").tree["value"]
+    except InputError as error:
+        raise InputError(f"--set {setting}: {error.message}") from None
+    return tuple(int(part) if part.isdigit() else part for part in parts), value
+
+
+def _set(document: Document, key: Key, value: Any, setting: str) -> None:
+    node: Any = document.tree
+    for part in key[:-1]:
+        node = _child(node, part, setting)
+    last = key[-1]
+    if isinstance(node, list):
+        _child(node, last, setting)
+        node[int(last)] = value
+    elif isinstance(node, dict):
+        node[str(last)] = value
+    else:
+        raise InputError(f"--set {setting}: there is nothing below {key[-2]}")
+
+
+def _child(node: Any, part: str | int, setting: str) -> Any:
+    if isinstance(node, dict) and str(part) in node:
+        return node[str(part)]
+    if isinstance(node, list) and isinstance(part, int) and part < len(node):
+        return node[part]
+    known = f"0 to {len(node) - 1}" if isinstance(node, list) else ", ".join(node or ())
+    raise InputError(f"--set {setting}: unknown key {part}, known: {known}")

@@ -1,0 +1,236 @@
+"""The world as it really is in one flight: what `--vary` draws from a seed, and what it changes.
+
+The flight core believes the mission; the simulated vehicle flies in the drawn one. Every quantity has its own
+stream of random numbers, so that varying one more leaves the others as they were.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple
+
+import msgspec
+
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission, unknown_name
+from dart_flight.config.vehicle import Coefficients, Material, Spreads, VehicleConfig
+from dart_flight.geometry import Wall
+from dart_flight.lock.drivers.mock import MockFaults
+from dart_flight.lock.servo import ServoFaults
+from dart_flight.samples import Mode
+
+Drawn = dict[str, float | str]
+
+_LEAST_FACTOR = 0.1  # no quantity shrinks below this share of its nominal value
+NAMES = tuple(field.encode_name for field in msgspec.structs.fields(Spreads))
+
+
+class DrawnWorld(NamedTuple):
+    """One draw.
+
+    Attributes:
+        mission: with the true vehicle and the true walls; for the simulated vehicle only.
+        lock_faults: of the mock servo.
+        drawn: name -> value, for log and verdict.
+    """
+
+    mission: Mission
+    lock_faults: MockFaults | None
+    drawn: Drawn
+
+
+def parse_vary(settings: Iterable[str], spreads: Spreads) -> dict[str, float]:
+    """Spreads by name from `NAME[=SD]`; `all` stands for every name at its default.
+
+    Raises:
+        InputError: unknown name, or not a number of at least 0.
+    """
+    wanted: dict[str, float] = {}
+    for setting in settings:
+        name, given, text = setting.partition("=")
+        if name == "all" and not given:
+            wanted = {**{n: float(getattr(spreads, n)) for n in NAMES}, **wanted}
+            continue
+        if name not in NAMES:
+            raise InputError(f"--vary {setting}: {unknown_name(name, [*NAMES, 'all'])}")
+        try:
+            sd = float(text) if given else float(getattr(spreads, name))
+        except ValueError:
+            sd = math.nan
+        if not 0.0 <= sd <= 100.0:
+            raise InputError(
+                f"--vary {setting}: the spread must be a number from 0 to 100, such as {name}=0.1"
+            )
+        wanted[name] = sd
+    return wanted
+
+
+def draw_world(mission: Mission, seed: int, spreads: Mapping[str, float]) -> DrawnWorld:
+    """The world of one flight.
+
+    Args:
+        mission: as believed.
+        seed: the same seed and spreads give the same world.
+        spreads: standard deviations by name (`parse_vary`).
+    """
+    world = DrawnWorld(mission, None, {})
+    for name in NAMES:  # in the table's order, whatever order they were asked in
+        if spreads.get(name):
+            world = _DRAWS[name](world, random.Random(f"{seed} {name}"), spreads[name])
+    return world
+
+
+def _factor(rng: random.Random, sd: float) -> float:
+    return max(_LEAST_FACTOR, 1.0 + sd * rng.gauss(0.0, 1.0))
+
+
+def _with_vehicle(world: DrawnWorld, vehicle: VehicleConfig, **drawn: float | str) -> DrawnWorld:
+    mission = msgspec.structs.replace(world.mission, vehicle=vehicle)
+    return world._replace(mission=mission, drawn=world.drawn | drawn)
+
+
+def _with_simulation(world: DrawnWorld, drawn: Drawn, **changes: object) -> DrawnWorld:
+    vehicle = world.mission.vehicle
+    simulation = msgspec.structs.replace(vehicle.simulation, **changes)
+    return _with_vehicle(world, msgspec.structs.replace(vehicle, simulation=simulation), **drawn)
+
+
+def _with_contact(world: DrawnWorld, drawn: Drawn, **changes: object) -> DrawnWorld:
+    contact = msgspec.structs.replace(world.mission.vehicle.simulation.contact, **changes)
+    return _with_simulation(world, drawn, contact=contact)
+
+
+def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
+    """k, f, mu and nu of every wall and mode, constant over the flight."""
+    mission = world.mission
+    materials, drawn = dict(mission.vehicle.materials), Drawn()
+    renamed: dict[str, Wall] = {}
+    for wall in mission.walls:
+        old, name = materials[wall.material], f"{wall.material} of {wall.name}"
+        per_mode = {}
+        for mode in Mode:
+            factors = [_factor(rng, sd) for _ in range(4)]
+            c = old.of(mode)
+            per_mode[mode] = Coefficients(
+                c.k * factors[0], c.f * factors[1], c.mu * factors[2], c.nu * factors[3]
+            )
+            for symbol, factor in zip(("k", "f", "mu", "nu"), factors, strict=True):
+                drawn[f"contact.{wall.name}.{mode.value}.{symbol}"] = factor
+        materials[name] = Material(per_mode[Mode.RIGID], per_mode[Mode.FLEXIBLE], old.source)
+        renamed[wall.name] = msgspec.structs.replace(wall, material=name)
+    world = _with_walls(world, renamed)
+    vehicle = msgspec.structs.replace(mission.vehicle, materials=materials)
+    return _with_vehicle(world, vehicle, **drawn)
+
+
+def _with_walls(world: DrawnWorld, walls: Mapping[str, Wall]) -> DrawnWorld:
+    mission = world.mission
+    collisions = tuple(msgspec.structs.replace(c, wall=walls[c.wall.name]) for c in mission.collisions)
+    changed = msgspec.structs.replace(
+        mission, walls=tuple(walls[w.name] for w in mission.walls), collisions=collisions
+    )
+    return world._replace(mission=changed)
+
+
+def _wall_offset(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
+    """Every wall moved along its normal."""
+    walls, drawn = {}, Drawn()
+    for wall in world.mission.walls:
+        away = sd * rng.gauss(0.0, 1.0)
+        point = (wall.point[0] + away * wall.normal[0], wall.point[1] + away * wall.normal[1])
+        walls[wall.name] = msgspec.structs.replace(wall, point=point)
+        drawn[f"wall_offset_m.{wall.name}"] = away
+    return _with_walls(world, walls)._replace(drawn=world.drawn | drawn)
+
+
+def _wall_yaw(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
+    """Every wall turned about its middle, counter-clockwise seen from above."""
+    walls, drawn = {}, Drawn()
+    for wall in world.mission.walls:
+        angle_deg = sd * rng.gauss(0.0, 1.0)
+        walls[wall.name] = turned(wall, angle_deg)
+        drawn[f"wall_yaw_deg.{wall.name}"] = angle_deg
+    return _with_walls(world, walls)._replace(drawn=world.drawn | drawn)
+
+
+def turned(wall: Wall, angle_deg: float) -> Wall:
+    """A wall turned about its middle, counter-clockwise seen from above."""
+    c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
+    nx, ny = wall.normal
+    return msgspec.structs.replace(wall, normal=(c * nx - s * ny, s * nx + c * ny))
+
+
+def _contact_scatter(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
+    """k, f and mu anew for every hit; the plant draws them."""
+    return _with_contact(world, {"contact_scatter": sd}, scatter=sd)
+
+
+def _guard_height(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
+    height = world.mission.vehicle.simulation.contact.guard_height_m + sd * rng.gauss(0.0, 1.0)
+    return _with_contact(world, {"guard_height_m": height}, guard_height_m=height)
+
+
+def _mass(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
+    """Mass, and inertia with it."""
+    factor = _factor(rng, sd)
+    vehicle = world.mission.vehicle
+    ix, iy, iz = vehicle.airframe.inertia_kg_m2
+    airframe = msgspec.structs.replace(
+        vehicle.airframe,
+        mass_kg=vehicle.airframe.mass_kg * factor,
+        inertia_kg_m2=(ix * factor, iy * factor, iz * factor),
+    )
+    return _with_vehicle(world, msgspec.structs.replace(vehicle, airframe=airframe), mass=factor)
+
+
+def _wind(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
+    """Steady wind from anywhere, gusts of half its spread."""
+    north, east = world.mission.vehicle.simulation.wind_north_east_m_s
+    north, east = north + sd * rng.gauss(0.0, 1.0), east + sd * rng.gauss(0.0, 1.0)
+    drawn: Drawn = {"wind_north_m_s": north, "wind_east_m_s": east}
+    return _with_simulation(world, drawn, wind_north_east_m_s=(north, east), gust_m_s=0.5 * sd)
+
+
+def _servo(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
+    """Travel time under load."""
+    factor = _factor(rng, sd)
+    faults = world.lock_faults or MockFaults()
+    servo = msgspec.structs.replace(faults.servo, slow=factor)
+    return world._replace(
+        lock_faults=msgspec.structs.replace(faults, servo=servo), drawn=world.drawn | {"servo": factor}
+    )
+
+
+def _lock_true_mode(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
+    """With this probability the servo does not do what it is told: stuck from the start, or half engaged."""
+    if rng.random() >= sd:
+        return world._replace(drawn=world.drawn | {"lock_true_mode": "as commanded"})
+    if rng.random() < 0.5:
+        faults = world.lock_faults or MockFaults()
+        faults = msgspec.structs.replace(faults, servo=ServoFaults(stuck=True))
+        return world._replace(lock_faults=faults, drawn=world.drawn | {"lock_true_mode": "stuck"})
+    return _with_contact(world, {"lock_true_mode": "half engaged"}, half_engaged=True)
+
+
+def _battery(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
+    """Thrust of all motors, as by a battery fuller or emptier than believed."""
+    factor = _factor(rng, sd)
+    vehicle = world.mission.vehicle
+    thrust = msgspec.structs.replace(vehicle.thrust, full_n=vehicle.thrust.full_n * factor)
+    return _with_vehicle(world, msgspec.structs.replace(vehicle, thrust=thrust), battery=factor)
+
+
+_DRAWS: dict[str, Callable[[DrawnWorld, random.Random, float], DrawnWorld]] = {
+    "contact": _contact,
+    "contact_scatter": _contact_scatter,
+    "lock_true_mode": _lock_true_mode,
+    "wall_offset_m": _wall_offset,
+    "wall_yaw_deg": _wall_yaw,
+    "guard_height_m": _guard_height,
+    "mass": _mass,
+    "wind_m_s": _wind,
+    "servo": _servo,
+    "battery": _battery,
+}
