@@ -87,6 +87,7 @@ class _OpenContact:
         self,
         plane: _WallPlane,
         mode: Mode,
+        coefficients: Coefficients,
         t_s: float,
         vx: float,
         vy: float,
@@ -94,7 +95,7 @@ class _OpenContact:
         incidence: float,
         tilt: float,
     ) -> None:
-        self.plane, self.mode, self.start_s = plane, mode, t_s
+        self.plane, self.mode, self.coefficients, self.start_s = plane, mode, coefficients, t_s
         self.normal_in, self.tangential_in, self.position = vx, vy, position
         self.incidence, self.tilt = incidence, tilt
         self.peak_normal = self.peak_friction = self.peak_torque = 0.0
@@ -284,8 +285,8 @@ class Plant:
             self.rate = (w[0] + h * b[0], w[1] + h * b[1], w[2] + h * b[2])
             self.q = quaternion_normalise(advance_attitude(q, mid_w, h))
             _, _, felt = self._touching(self.position, self.velocity, self.q, self.rate, free, torque, planes)
-            for (plane, _), one in zip(planes, felt, strict=True):
-                self._note_contact(plane, one, self.time_s + i * h, v)
+            for (plane, c), one in zip(planes, felt, strict=True):
+                self._note_contact(plane, c, one, self.time_s + i * h, v)
         v = self.velocity
         return (
             (v[0] - before[0]) / STEP_S - free[0],
@@ -380,11 +381,12 @@ class Plant:
         if not plane.wall.spans(position):
             return None
         open_contact = self._open.get(plane.wall.name)
-        # A rod cannot enter its slot while the arms are folded: the mode of a contact is that of its start.
-        mode = open_contact.mode if open_contact else self.mode
+        if open_contact is not None:
+            # Neither rods nor arms change what they are while they are loaded: as at the contact's start.
+            return open_contact.coefficients
         incidence = plane.wall.incidence(self.frame.yaw_from_ned(yaw_ned_of(self.q)))
-        c = coefficients_in_force(self.vehicle, plane.wall.material, mode, incidence)
-        if self.body.half_engaged and mode is Mode.RIGID:
+        c = coefficients_in_force(self.vehicle, plane.wall.material, self.mode, incidence)
+        if self.body.half_engaged and self.mode is Mode.RIGID:
             flexible = coefficients_in_force(self.vehicle, plane.wall.material, Mode.FLEXIBLE, incidence)
             c = _between(c, flexible)
         if self.body.scatter:
@@ -443,14 +445,16 @@ class Plant:
         for plane, c in planes:
             lx, ly, _ = self._wall_force(plane, c, self.position, self.velocity)
             felt = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), lx, ly, 0.5 * lx, 0.5 * lx)
-            self._note_contact(plane, felt, t_s, velocity_before)
+            self._note_contact(plane, c, felt, t_s, velocity_before)
 
-    def _note_contact(self, plane: _WallPlane, felt: Touch, t_s: float, velocity_before: Vec3) -> None:
+    def _note_contact(
+        self, plane: _WallPlane, c: Coefficients, felt: Touch, t_s: float, velocity_before: Vec3
+    ) -> None:
         """Follow one wall's contact from its first force to its last."""
         current = self._open.get(plane.wall.name)
         if felt.normal_n > 0.0:
             if current is None:
-                current = self._begin_contact(plane, t_s, velocity_before)
+                current = self._begin_contact(plane, c, t_s, velocity_before)
             current.peak_normal = max(current.peak_normal, felt.normal_n)
             current.peak_friction = max(current.peak_friction, abs(felt.friction_n))
             current.peak_torque = max(current.peak_torque, norm(felt.torque))
@@ -458,14 +462,16 @@ class Plant:
         elif current is not None and (not self._guards or t_s - current.last_s > _REBOUND_S):
             self._end_contact(current, t_s)
 
-    def _begin_contact(self, plane: _WallPlane, t_s: float, velocity_before: Vec3) -> _OpenContact:
+    def _begin_contact(
+        self, plane: _WallPlane, c: Coefficients, t_s: float, velocity_before: Vec3
+    ) -> _OpenContact:
         n, t = plane.normal, plane.tangent
         vx = n[0] * velocity_before[0] + n[1] * velocity_before[1]
         vy = t[0] * velocity_before[0] + t[1] * velocity_before[1]
         position = self.frame.point_from_ned(self.position)
         yaw = self.frame.yaw_from_ned(yaw_ned_of(self.q))
         incidence = wrap_angle(yaw - plane.wall.parallel_yaw(yaw))
-        current = _OpenContact(plane, self.mode, t_s, vx, vy, position, incidence, tilt_of(self.q))
+        current = _OpenContact(plane, self.mode, c, t_s, vx, vy, position, incidence, tilt_of(self.q))
         self._open[plane.wall.name] = current
         return current
 

@@ -1,0 +1,173 @@
+"""The simulated vehicle as a body with guards: against an independent integration, and what it may not do."""
+
+import math
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from dart_flight.config.vehicle import BodyModel, Coefficients, ContactBody, VehicleConfig
+from dart_flight.contact.body import Plane, guards_of, touch
+from dart_flight.contact.law import Onset
+from dart_flight.geometry import GRAVITY_M_S2, MissionFrame, Vec3, Wall, quaternion_from_euler, rotate
+from dart_flight.samples import Mode, TruthContact
+from dart_flight.sim.plant import Plant
+from tests.oracles.rigid_body import Body, Law, fly
+from tests.sim.test_plant import HOVER, VEHICLE
+
+ROOT = Path(__file__).parents[2]
+WALL = Wall("wall", (1.0, 0.0), (-1.0, 0.0), 80.0, "acrylic")
+
+
+def body_vehicle(**changes: object) -> VehicleConfig:
+    """The configured vehicle without drag, with guards."""
+    contact = msgspec.structs.replace(VEHICLE.simulation.contact, body=BodyModel.GUARDS, **changes)
+    simulation = msgspec.structs.replace(VEHICLE.simulation, contact=contact)
+    still_air = msgspec.structs.replace(
+        VEHICLE.airframe, drag_per_s=(0.0, 0.0, 0.0), incidence_rigid_deg=45.0
+    )
+    return msgspec.structs.replace(VEHICLE, simulation=simulation, airframe=still_air)
+
+
+def before_the_wall(
+    vehicle: VehicleConfig, mode: Mode, normal: float, tangential: float, yaw: float
+) -> Plant:
+    """In the air, 5 cm before an acrylic wall to the north, turned by `yaw` radians."""
+    plant = Plant(vehicle, (WALL,), MissionFrame())
+    plant.position = plant.frame.point_to_ned((0.95, 0.0, 5.0))
+    plant.velocity = plant.frame.vector_to_ned(WALL.from_collision((normal, tangential, 0.0)))
+    plant.q = quaternion_from_euler(0.0, 0.0, yaw)
+    plant.motor = [HOVER] * 4
+    plant.set_mode(mode)
+    return plant
+
+
+def first_contact(plant: Plant) -> TruthContact:
+    while not plant.finished and plant.time_s < 2.0:
+        plant.advance((HOVER,) * 4)
+    return plant.finished[0]
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize("speed", [-0.6, -1.0, -2.0])
+def test_the_symmetric_hit_is_the_points(mode: Mode, speed: float) -> None:
+    """With the vertical force through the centre nothing turns, and the normal law is the published one."""
+    vehicle = body_vehicle(vertical_lever_m=0.0)
+    point = msgspec.structs.replace(
+        vehicle, simulation=msgspec.structs.replace(vehicle.simulation, contact=ContactBody())
+    )
+    hits = [first_contact(before_the_wall(v, mode, speed, 0.0, 0.0)) for v in (vehicle, point)]
+    guards, centre = hits
+    assert guards.peak_normal_force_n == pytest.approx(centre.peak_normal_force_n, rel=0.03)
+    assert guards.normal_out_m_s == pytest.approx(centre.normal_out_m_s, rel=0.03)
+    durations = [hit.end_us - hit.t_us for hit in hits]
+    assert durations[0] == pytest.approx(durations[1], rel=0.03)
+    assert guards.rate_out_frd == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+
+
+def test_a_leading_guard_turns_the_vehicle_away_from_its_side() -> None:
+    """Nose to the north wall and turned clockwise: the left guard leads and the vehicle turns further on."""
+    hit = first_contact(before_the_wall(body_vehicle(), Mode.RIGID, -1.0, 0.0, math.radians(8.0)))
+    assert abs(math.degrees(hit.incidence_rad)) == pytest.approx(8.0, abs=0.5)
+    assert hit.peak_normal_force_n < 60.0  # 63.6 with both guards at once
+    assert hit.rate_out_frd[2] < -0.5
+    assert hit.peak_torque_nm > 1.0
+
+
+def rotation(q: tuple[float, float, float, float]) -> np.ndarray:
+    return np.array([rotate(q, e) for e in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]).T
+
+
+# NED to the wall's frame: X = south, Z = X x Y = down, Y = west (right when looking along X).
+TO_WALL = np.array([[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
+# FRD to forward, left, up.
+TO_FLU = np.diag([1.0, -1.0, -1.0])
+
+
+@settings(max_examples=12, phases=(Phase.explicit, Phase.generate))  # shrinking would take minutes
+@given(
+    st.sampled_from(list(Mode)),
+    st.floats(-2.5, -0.3),
+    st.floats(-1.0, 1.0),
+    st.floats(-0.25, 0.25),
+    st.floats(-0.15, 0.15),
+    st.floats(-2.0, 2.0),
+    st.floats(0.0, 1.0),
+    st.floats(-0.03, 0.03),
+)
+def test_agrees_with_an_independent_rigid_body(
+    mode: Mode,
+    normal: float,
+    tangential: float,
+    yaw: float,
+    roll: float,
+    rate: float,
+    share: float,
+    height: float,
+) -> None:
+    vehicle = body_vehicle(friction_lever_share=share, guard_height_m=height)
+    plant = before_the_wall(vehicle, mode, normal, tangential, yaw)
+    plant.q = quaternion_from_euler(roll, 0.5 * roll, yaw)
+    plant.rate = (0.3 * rate, -0.2 * rate, rate)
+    contact = vehicle.simulation.contact
+    c = vehicle.materials["acrylic"].of(mode)
+    body = Body(
+        vehicle.airframe.mass_kg,
+        np.array(vehicle.airframe.inertia_kg_m2),
+        contact.guard_out_m,
+        contact.guard_along_m,
+        height,
+        share,
+        contact.vertical_lever_m,
+    )
+    law = Law(c.k, c.f, c.mu, c.nu, vehicle.vertical_force_sign)
+    surface = np.array([1.0 + contact.guard_out_m, 0.0, 0.0])
+    x = TO_WALL @ (np.array(plant.position) - surface)
+    r = TO_WALL @ rotation(plant.q) @ TO_FLU
+    w = TO_FLU @ np.array(plant.rate)
+    steps = 150
+    # Nothing but the wall: motors off and gravity taken out by a thrust that would be there.
+    plant._motors = lambda commands: (0.0, (0.0, 0.0, 0.0))  # type: ignore[method-assign]
+    plant._drag = lambda: (0.0, 0.0, -GRAVITY_M_S2)  # type: ignore[method-assign]
+    plant.advance((0.0,) * 4, steps)
+    x, v, r, w = fly(body, law, x, TO_WALL @ _start_velocity(normal, tangential), r, w, 1e-3 * steps)
+    assert TO_WALL @ (np.array(plant.position) - surface) == pytest.approx(x, abs=1e-4)
+    assert TO_WALL @ np.array(plant.velocity) == pytest.approx(v, abs=2e-3)
+    assert rotation(plant.q) == pytest.approx(TO_WALL.T @ r @ TO_FLU, abs=1e-3)
+
+
+def _start_velocity(normal: float, tangential: float) -> np.ndarray:
+    return np.array(MissionFrame().vector_to_ned(WALL.from_collision((normal, tangential, 0.0))))
+
+
+vectors = st.tuples(*[st.floats(-2.0, 2.0)] * 3)
+
+
+@given(
+    st.floats(-0.04, 0.02),
+    vectors,
+    vectors,
+    st.floats(-0.5, 0.5),
+    st.floats(0.0, 1.0),
+    st.floats(0.0, 10.0),
+)
+def test_friction_never_puts_energy_in(
+    depth: float, velocity: Vec3, rate: Vec3, yaw: float, share: float, mu: float
+) -> None:
+    """At the friction's own lever the power of friction is never positive, whatever the share that turns."""
+    contact = ContactBody(body=BodyModel.GUARDS, friction_lever_share=share)
+    q = quaternion_from_euler(0.0, 0.0, yaw)
+    levers = [(rotate(q, g.at), rotate(q, g.friction_at)) for g in guards_of(contact)]
+    plane = Plane((0.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
+    where = (-0.2 - depth, 0.0, 0.0)
+
+    def power(friction: float) -> float:
+        c = Coefficients(4200.0, 15.0, friction, 0.0)
+        one = touch(levers, c, Onset.LCP, plane, where, velocity, rate, -1, 0.0)
+        linear = sum(f * v for f, v in zip(one.force, velocity, strict=True))
+        return linear + sum(t * w for t, w in zip(one.torque, rate, strict=True))
+
+    assert power(mu) - power(0.0) <= 1e-9

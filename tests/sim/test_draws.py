@@ -1,0 +1,81 @@
+"""What `--vary` draws: reproducible, each quantity by itself, told in log and verdict."""
+
+import json
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.config.document import InputError
+from dart_flight.recording.reader import read_log
+from dart_flight.sim.draws import NAMES, draw_world, parse_vary
+from dart_flight.worlds.fast import fly_fast
+from dart_flight.worlds.prepare import load_flyable
+from dart_flight.worlds.replay import replay
+
+ROOT = Path(__file__).parents[2]
+MISSION = load_flyable(ROOT / "missions/single_wall.yaml", None, ["simulation.contact.body=guards"])
+SPREADS = MISSION.vehicle.simulation.spreads
+
+
+def test_all_is_every_name_at_its_default_and_a_value_given_wins() -> None:
+    wanted = parse_vary(["mass=0.2", "all"], SPREADS)
+    assert set(wanted) == set(NAMES)
+    assert wanted["mass"] == 0.2
+    assert wanted["contact"] == SPREADS.contact
+
+
+@pytest.mark.parametrize("setting", ["mas", "mass=heavy", "mass=-1", "mass=nan", "all=2"])
+def test_a_wrong_setting_is_named(setting: str) -> None:
+    with pytest.raises(InputError, match="--vary " + setting.split("=", maxsplit=1)[0]):
+        parse_vary([setting], SPREADS)
+
+
+def test_the_same_seed_draws_the_same_world_and_one_name_more_leaves_the_others() -> None:
+    few = draw_world(MISSION, 3, parse_vary(["mass", "wall_yaw_deg"], SPREADS))
+    many = draw_world(MISSION, 3, parse_vary(["all"], SPREADS))
+    assert few == draw_world(MISSION, 3, parse_vary(["wall_yaw_deg", "mass"], SPREADS))
+    assert few.drawn.items() <= many.drawn.items()
+    assert draw_world(MISSION, 4, parse_vary(["mass"], SPREADS)).drawn != {"mass": few.drawn["mass"]}
+
+
+def test_the_mission_itself_is_left_as_it_is() -> None:
+    before = msgspec.json.encode(MISSION)
+    world = draw_world(MISSION, 1, parse_vary(["all"], SPREADS))
+    assert msgspec.json.encode(MISSION) == before
+    assert world.mission.walls != MISSION.walls
+    assert world.mission.vehicle.airframe.mass_kg != MISSION.vehicle.airframe.mass_kg
+
+
+def test_a_varied_flight_tells_what_was_drawn_and_replays(tmp_path: Path) -> None:
+    verdict = fly_fast(MISSION, 2, tmp_path, spreads=parse_vary(["all"], SPREADS))
+    assert verdict.outcome == "completed"
+    log = read_log(str(verdict.log))
+    assert json.loads(log.about["drawn"]) == pytest.approx(verdict.drawn)
+    truth = verdict.collisions[0].truth
+    assert truth is not None
+    # Truth is that of the world flown: an oblique wall of other stiffness takes another force.
+    assert truth.peak_force_n != verdict.collisions[0].planned.peak_force_n
+    assert replay(log).equal
+
+
+def test_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    arguments = [
+        "dry-run",
+        str(ROOT / "missions/single_wall.yaml"),
+        "--fast",
+        "--json",
+        "--log-dir",
+        str(tmp_path),
+    ]
+    status = main(
+        [*arguments, "--set", "simulation.contact.body=guards", "--vary", "mass=0.1", "--seed", "5"]
+    )
+    verdict = json.loads(capsys.readouterr().out)
+    assert status == 0
+    assert list(verdict["drawn"]) == ["mass"]
+    assert main([*arguments, "--vary", "mas"]) == 2
+    assert "did you mean mass?" in capsys.readouterr().err
+    assert main([*arguments, "--set", "simulatio.contact.body=guards"]) == 2
+    assert "did you mean simulation?" in capsys.readouterr().err
