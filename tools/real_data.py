@@ -8,17 +8,27 @@ python -m tools.real_data walls DIR     mrl-abazari/mav_contact_lcs: experiment_
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import math
 import re
 import sqlite3
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from dart_flight.config import Coefficients
 from dart_flight.contact.coefficients import Array
+from dart_flight.contact.contact_map import drop
+from dart_flight.contact.law import Onset
 from dart_flight.geometry import GRAVITY_M_S2
+from dart_flight.identify.fit import identify
+from dart_flight.identify.held_out import compare
+from dart_flight.identify.hits import Hit, hit_of
+from dart_flight.identify.law_fit import HitTable, best_fit, fit_law, predict
+from dart_flight.identify.laws import candidate_laws
 from dart_flight.identify.trials import Series, Trial
 
 DROP_MASS_KG = 0.241
@@ -163,3 +173,124 @@ def walls(folder: Path, *, with_force: bool = True) -> list[Trial]:
             series["normal_force_n"] = Series(time - strongest, normal)
         trials.append(Trial(name, series, "rigid"))
     return trials
+
+
+# --- what comes out -------------------------------------------------------------------------------------
+
+
+def _percent(value: float) -> str:
+    return f"{100.0 * value:+.1f} %"
+
+
+def judge_drops(by_height: dict[str, list[Trial]]) -> None:
+    """Each height as the training one: peak force and rebound at the others, with law and baselines."""
+    hits = {name: [hit_of(trial, DROP_MASS_KG) for trial in trials] for name, trials in by_height.items()}
+    for name, members in hits.items():
+        peaks = np.array([h.peak_force_n for h in members if h.peak_force_n is not None])
+        outs = np.array([h.normal_out_m_s for h in members if h.normal_out_m_s is not None])
+        print(
+            f"{name}: {len(members)} drops, in {members[0].normal_in_m_s:.2f} m/s, peak "
+            f"{np.median(peaks):.1f} N (spread of repeats {np.std(peaks) / np.mean(peaks):.0%}, "
+            f"{sum(h.clipped for h in members)} clipped), "
+            f"rebound {np.median(outs):.2f} m/s ({np.std(outs) / np.mean(outs):.0%}, "
+            f"{len(members) - outs.size} unknown)"
+        )
+    for training, trials in by_height.items():
+        found = identify(trials, DROP_MASS_KG, Onset.LCP, compare_laws=False)
+        fitted = found.coefficients[trials[0].mode]
+        k, f = fitted["k"], fitted["f"]
+        own = hits[training]
+        slope = np.median([h.peak_force_n / h.normal_in_m_s for h in own if h.peak_force_n is not None])
+        ratio = found.restitution[trials[0].mode]
+        if k is None or f is None or ratio is None:
+            print(f"from {training}: unknown")
+            continue
+        print(f"from {training}: k {k.value:.0f} ({k.low:.0f} to {k.high:.0f}), f {f.value:.2f}")
+        for other, members in hits.items():
+            if other == training:
+                continue
+            height = by_height[other][0].height_m
+            assert height is not None
+            said = drop(Coefficients(k=k.value, f=f.value, mu=0.0, nu=0.0), DROP_MASS_KG, height, Onset.LCP)
+            peak = float(np.median([h.peak_force_n for h in members if h.peak_force_n is not None]))
+            out = float(np.median([h.normal_out_m_s for h in members if h.normal_out_m_s is not None]))
+            speed = members[0].normal_in_m_s
+            print(
+                f"  {other}: peak {said.peak_force_n:.1f} N of {peak:.1f} "
+                f"({_percent(said.peak_force_n / peak - 1.0)}; "
+                f"force-proportional {_percent(float(slope) * speed / peak - 1.0)}), rebound "
+                f"{said.max_rebound_speed_m_s:.2f} m/s of {out:.2f} "
+                f"({_percent(said.max_rebound_speed_m_s / out - 1.0)}; "
+                f"constant-restitution {_percent(ratio.value * speed / out - 1.0)})"
+            )
+    print(_compared([h for members in hits.values() for h in members], DROP_MASS_KG))
+
+
+def _compared(hits: Sequence[Hit], mass_kg: float) -> str:
+    found = compare(list(candidate_laws(Onset.LCP).values()), hits, mass_kg)
+    rows = {**found.laws, **found.baselines, "scatter": found.scatter}
+    cells = [f"  {name}: peak {e.peak_force}, out {e.outgoing_speed}" for name, e in rows.items()]
+    return "\n".join([found.sentence, *cells])
+
+
+def judge_walls(trials: Sequence[Trial]) -> None:
+    """Every half of the hits as the training one: outgoing speed and peak of the other half."""
+    hits = [hit_of(trial, WALL_MASS_KG) for trial in trials]
+    for h in hits:
+        print(
+            f"{h.name}: in {h.normal_in_m_s:.3f}, out {h.normal_out_m_s:.3f} m/s, along "
+            f"{h.tangential_in_m_s:.2f} to {h.tangential_out_m_s:.2f}, peak {h.peak_force_n}, "
+            f"{h.samples_in_contact} samples"
+        )
+    table = HitTable.of(hits)
+    halves = list(itertools.combinations(range(len(hits)), len(hits) // 2))
+    weights = np.zeros((len(halves), len(hits)))
+    for row, half in enumerate(halves):
+        weights[row, list(half)] = 1.0
+    rest = weights == 0.0
+    errors: dict[str, tuple[Array, Array]] = {}
+    for name, law in candidate_laws(Onset.LCP).items():
+        if not table.shows_size:
+            break
+        start = best_fit(law, table, WALL_MASS_KG).values[0]
+        values = fit_law(law, table, WALL_MASS_KG, weights, start).values
+        outcome = predict(law, values, table, WALL_MASS_KG)
+        errors[name] = outcome.peak_force_n / table.peak - 1.0, outcome.normal_out_m_s - table.speed_out
+    share = np.array([np.median((table.speed_out / table.speed_in)[row > 0.0]) for row in weights])
+    slope = np.array([np.median((table.peak / table.speed_in)[row > 0.0]) for row in weights])
+    errors["baselines"] = (
+        slope[:, None] * table.speed_in / table.peak - 1.0,
+        share[:, None] * table.speed_in - table.speed_out,
+    )
+    for name, (peak, out) in errors.items():
+        off = np.abs(peak[rest])
+        said = f"{np.nanmedian(off):.1%}" if np.isfinite(off).any() else "(unknown)"
+        print(
+            f"{len(halves)} halves, {name}: peak force off by {said}, "
+            f"outgoing speed by {np.median(np.abs(out[rest])):.3f} m/s in the median"
+        )
+    print(_compared(hits, WALL_MASS_KG))
+    found = identify(trials, WALL_MASS_KG, Onset.LCP, compare_laws=False)
+    print({name: found.coefficients["rigid"][name] for name in ("k", "f", "mu")})
+    print(f"restitution {found.restitution['rigid']}, tangential ratio {found.tangential_ratio['rigid']}")
+
+
+def main() -> None:
+    """Read, judge, print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=("drops", "walls"))
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--aside", action="store_true", help="the drops that were kept aside")
+    given = parser.parse_args()
+    if given.what == "walls":
+        judge_walls(walls(given.folder))
+        return
+    found = drops(given.folder, aside=given.aside)
+    judge_drops({name: trials for name, trials in found.items() if name in DROP_FOLDERS})
+    for name in ASIDE_FOLDERS:
+        if name in found:
+            judge_drops({name: found[name]})
+
+
+if __name__ == "__main__":
+    main()

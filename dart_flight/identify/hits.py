@@ -21,9 +21,10 @@ _WINDOW_S = 0.2  # free flight on either side
 _GUARD_S = 0.03  # not free flight for sure, before the contact's own extent is known
 _BEND_SD_M_S2 = 3.0  # a controller's acceleration before and after a wall hit, standard deviation
 _DEVIATES = 4.0  # deviations of a position that has left its free flight
-_LEAST = 4  # samples in contact from which its duration and depth can be read
+_LEAST = 6  # samples within the contact's limits from which its duration and depth can be read
 # A force that swings this far to the other side, as a share of the peak, is a sensor or a frame that rings.
 _RINGS = 0.3
+_DOMINATED = 0.5  # and this far: a wall only pushes, so half of what is read is not its force
 _BRIDGED_S = 0.015  # a pause within one contact: first a corner lands, then the rest
 _FELT = 8.0  # deviations of a force that is contact
 _SHORTEST_FLIGHT_S = 0.04
@@ -47,7 +48,8 @@ class Hit:
         begin_s, end_s: the contact in the recording, widened to whole samples.
         samples_in_contact: position samples in it.
         clipped: the sensor was at its limit; the peak is unknown then.
-        rings: the force swings to the other side; its duration is not that of the contact.
+        rings: the force swings to the other side; its duration is not that of the contact, and where it
+            swings far, its peak is not either.
         notes: what a reader should know, in sentences.
     """
 
@@ -289,10 +291,16 @@ def _pulse(name: str, time: Array, force: Array, noise: float, bridged_s: float)
     notes = []
     if clipped:
         notes.append(f"{name}: the force is cut off at {peak:.3g} N; its peak is unknown")
-    if rings:
+    dominated = force.min() < -_DOMINATED * peak
+    if dominated:
+        notes.append(
+            f"{name}: the force swings to {float(force.min()):.3g} N after {peak:.3g} N: the sensor's "
+            "mounting rings, peak and duration of the contact are unknown"
+        )
+    elif rings:
         notes.append(f"{name}: the force swings to the other side (a sensor or frame that rings)")
     return _Felt(
-        None if clipped else peak,
+        None if clipped or dominated else peak,
         None if rings or clipped else float(time[last] - time[first]) * 1.05,
         clipped,
         rings,
@@ -304,7 +312,7 @@ def _pulse(name: str, time: Array, force: Array, noise: float, bridged_s: float)
 
 
 def _of_accelerometer(trial: Trial, mass_kg: float) -> Hit:
-    """A drop as an accelerometer along the normal feels it: rest, free fall, pulse, flight, next pulse."""
+    """A drop as an accelerometer along the normal feels it: rest, fall, pulse, flight, next pulse."""
     if trial.acceleration_m_s2 >= 0.0:
         raise InputError(
             "an accelerometer alone does not tell how fast a wall is hit: it needs normal_m or normal_m_s, "

@@ -60,10 +60,9 @@ class HitTable(NamedTuple):
 
     @property
     def shows_size(self) -> bool:
-        """Whether anything tells forces or times; speeds alone do not tell stiffness."""
-        return bool(
-            np.isfinite(self.peak).any() or np.isfinite(self.contact).any() or np.isfinite(self.depth).any()
-        )
+        """Whether half of the hits or more tell a force, a duration or a depth: speeds tell no stiffness."""
+        told = np.isfinite(self.peak) | np.isfinite(self.contact) | np.isfinite(self.depth)
+        return bool(2 * told.sum() >= told.size)
 
 
 class LawFit(NamedTuple):
@@ -113,11 +112,12 @@ def predict(law: ContactLaw, values: Array, hits: HitTable, mass_kg: float) -> L
 def _residuals(law: ContactLaw, logs: Array, hits: HitTable, mass_kg: float) -> Array:
     """Weighted by their deviations, (fits, 4 n); 0 where there is nothing to compare."""
     r = predict(law, np.exp(logs), hits, mass_kg)
+    fuzzy = np.where(np.isfinite(hits.peak), 4.0, 1.0)
     parts = (
         (r.normal_out_m_s - hits.speed_out) / hits.speed_in / SD_OUT,
         np.log(np.maximum(r.peak_force_n, 1e-9) / hits.peak) / SD_PEAK,
-        np.log(np.maximum(r.contact_s, 1e-9) / hits.contact) / SD_CONTACT,
-        np.log(np.maximum(r.compression_m, 1e-9) / hits.depth) / SD_DEPTH,
+        np.log(np.maximum(r.contact_s, 1e-9) / hits.contact) / (SD_CONTACT * fuzzy),
+        np.log(np.maximum(r.compression_m, 1e-9) / hits.depth) / (SD_DEPTH * fuzzy),
     )
     weighted: Array = np.nan_to_num(np.concatenate(parts, axis=1), nan=0.0)
     return weighted

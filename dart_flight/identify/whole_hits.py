@@ -21,7 +21,7 @@ from dart_flight.identify.laws import ContactLaw
 _RESAMPLES = 60
 _SEED = 1  # the same trials give the same interval
 _LEAST_ALONG_M_S = 0.1  # along the wall, below which a ratio says nothing
-_WIDEST_LOG = math.log(10.0)
+_WIDEST_LOG = math.log(3.0)  # a parameter known less well than to a factor of three is not known
 
 
 def _ratio(shares: Array, deviations: Array, top: float) -> Estimate | None:
