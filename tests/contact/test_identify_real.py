@@ -296,8 +296,8 @@ def test_the_stepped_paper_law_is_the_closed_form(onset: Onset) -> None:
 
 def hit(speed: float, out: float | None, peak: float | None, contact: float | None = None) -> Hit:
     return Hit(
-    two = [hit(1.0, 0.4, 80.0), hit(2.0, 0.8, 160.0)]
-    said = compare(list(candidate_laws(Onset.TOUCH).values()), two, MASS_KG)
+        "hit", "rigid", speed, out, None, None, 0.001, 0.001, 0.0, peak, contact, None, 0.0, 0.0, 0.05, 10,
+        False, False,
     )  # fmt: skip
 
 
@@ -343,9 +343,8 @@ def test_the_law_that_made_the_hits_predicts_them() -> None:
 
 
 def test_two_hits_tell_no_law() -> None:
-    said = compare(
-        list(candidate_laws(Onset.TOUCH).values()), [hit(1.0, 0.4, 80.0), hit(2.0, 0.8, 160.0)], MASS_KG
-    )
+    two = [hit(1.0, 0.4, 80.0), hit(2.0, 0.8, 160.0)]
+    said = compare(list(candidate_laws(Onset.TOUCH).values()), two, MASS_KG)
     assert said.best is None
 
 
@@ -353,18 +352,8 @@ def test_two_hits_tell_no_law() -> None:
 
 
 def test_prediction_from_restitution(capsys: pytest.CaptureFixture[str]) -> None:
-    command = [
-        "predict",
-        "--restitution",
-        "0.5",
-        "--tangential-ratio",
-        "0.8",
-        "--velocity",
-        "-1.2",
-        "0.5",
-        "--json",
-    ]
-    assert main(command) == 0
+    ratios = ["--restitution", "0.5", "--tangential-ratio", "0.8"]
+    assert main(["predict", *ratios, "--velocity", "-1.2", "0.5", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["normal_out_m_s"] == pytest.approx(0.6)
     assert said["tangential_out_m_s"] == pytest.approx(0.4)
