@@ -21,6 +21,7 @@ from dart_flight.identify.held_out import HeldOut, compare
 from dart_flight.identify.hits import Hit, hit_of
 from dart_flight.identify.intervals import covariance
 from dart_flight.identify.judgement import SampleResult, SampleTrial, conclude
+from dart_flight.identify.law_fit import HitTable, predict
 from dart_flight.identify.laws import ContactLaw, candidate_laws
 from dart_flight.identify.sample_fit import PLANE_SD_M
 from dart_flight.identify.solver import solve, without_derived
@@ -32,6 +33,7 @@ BASELINE = "baseline"  # no law: restitution and force per speed
 BEST = "best"  # what predicts held-out hits best
 LAWS = (PAPER, "preload", "hertz", "two-stage", BASELINE, BEST)
 _LEAST_IN_CONTACT = 4
+_PREDICTS = 0.1  # error of peak and speed out up to which a fit of samples stands although it is off
 _COEFFICIENTS = ("k", "f", "mu", "nu")
 
 
@@ -156,6 +158,8 @@ def _coefficients(
     """From samples where the law fits them, from whole hits elsewhere."""
     found = dict(result.coefficients[mode]) if result and mode in result.coefficients else None
     bad = result is not None and mode in result.bad
+    if bad and found is not None and _predicts(found, paper, hits, mass_kg):
+        bad = False  # off at the samples by more than noise, but right in what is asked of it
     if found is None or bad:
         whole, more = law_parameters(paper, hits, mass_kg)
         notes += [f"{mode}: {note}" for note in more]
@@ -176,6 +180,21 @@ def _coefficients(
         if found[name] is None:
             notes.append(f"{mode}: {what}")
     return found
+
+
+def _predicts(
+    found: dict[str, Estimate | None], paper: ContactLaw, hits: Sequence[Hit], mass_kg: float
+) -> bool:
+    """Whether coefficients give peak and speed out of their own hits to a tenth, in the median."""
+    k, f = found["k"], found["f"]
+    if k is None or f is None:
+        return False
+    table = HitTable.of(hits)
+    said = predict(paper, np.array([[k.value, f.value]]), table, mass_kg)
+    peak = np.abs(said.peak_force_n[0] / table.peak - 1.0)
+    out = np.abs(said.normal_out_m_s[0] - table.speed_out) / table.speed_in
+    known = [float(np.median(v[np.isfinite(v)])) for v in (peak, out) if np.isfinite(v).any()]
+    return bool(known) and max(known) < _PREDICTS
 
 
 def _trial_fit(hit: Hit, sampled: SampleTrial | None) -> TrialFit:
