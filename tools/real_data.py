@@ -283,9 +283,14 @@ def main() -> None:
     parser.add_argument("--aside", action="store_true", help="the drops that were kept aside")
     given = parser.parse_args()
     if given.what == "walls":
-        judge_walls(walls(given.folder))
+        hits = walls(given.folder)
+        if not hits:
+            parser.error(f"no experiment_data/*/*.db3 in {given.folder}")
+        judge_walls(hits)
         return
     found = drops(given.folder, aside=given.aside)
+    if not found:
+        parser.error(f"no drops in {given.folder}")
     judge_drops({name: trials for name, trials in found.items() if name in DROP_FOLDERS})
     for name in ASIDE_FOLDERS:
         if name in found:
