@@ -18,6 +18,10 @@ def _height_or_trial(text: str) -> float | str:
         return text
 
 
+# As `dart_flight.identify.fit.LAWS`, which needs numpy: --help does without.
+LAWS = ("paper", "preload", "hertz", "two-stage", "baseline", "best")
+
+
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument(
@@ -54,6 +58,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="for flight logs: a point of the plane of first touch in local NED (m), and the heading of its "
         "outward normal (degrees)",
     )
+    parser.add_argument(
+        "--bump", action="store_true", help="for PX4 logs: the strongest horizontal acceleration is the hit"
+    )
+    parser.add_argument("--mass", type=float, metavar="KG", help="of the vehicle (the configuration's)")
+    parser.add_argument(
+        "--law",
+        choices=LAWS,
+        default="paper",
+        help="whose parameters to give beside the paper's coefficients; baseline: none, restitution only; "
+        "best: what predicts held-out hits best",
+    )
     parser.add_argument("-o", "--output", metavar="FILE", help="write a materials entry (YAML)")
     parser.add_argument("--plot", metavar="FILE", help="recordings and fit (PNG, PDF, SVG)")
 
@@ -81,6 +96,9 @@ def run(arguments: argparse.Namespace) -> int:
         contact_distance_m=arguments.contact_distance,
         columns=arguments.columns,
         wall=tuple(arguments.wall) if arguments.wall else None,
+        mass_kg=arguments.mass,
+        bump=arguments.bump,
+        law=arguments.law,
     )
     if arguments.output and not arguments.surface:
         raise InputError("-o needs --surface, the name of the entry", key=("output",))
@@ -94,7 +112,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.plot:
         from dart_flight.report import contact_figures as plots
 
-        plots.plot_fit(arguments.plot, trials, found, vehicle.airframe.mass_kg, job.onset)
+        mass = vehicle.airframe.mass_kg if job.mass_kg is None else job.mass_kg
+        plots.plot_fit(arguments.plot, trials, found, mass, job.onset)
     if arguments.json:
         emit_json(identification.as_json(found))
     else:
@@ -113,29 +132,78 @@ def _write(arguments: argparse.Namespace, found: Any, vehicle: Any) -> None:
     messages().print(f"wrote {arguments.output}")
 
 
+def _estimates(title: str, rows: Any) -> None:
+    """A table of estimates: name, estimate or None, unit."""
+    from rich.table import Table
+
+    table = Table(title=title)
+    for name in ("", "value", "low", "high", "unit"):
+        table.add_column(name, justify="left" if name in ("", "unit") else "right")
+    for name, estimate, unit in rows:
+        shown = ["unknown", "", ""] if estimate is None else [f"{v:.4g}" for v in estimate]
+        table.add_row(name, *shown, unit)
+    tables().print(table)
+
+
 def _print(found: Any) -> None:
     from rich.table import Table
 
+    from dart_flight.contact.law import Onset
     from dart_flight.identify.job import UNITS
+    from dart_flight.identify.laws import candidate_laws
 
+    units = {law.name: {p.name: p.unit for p in law.parameters} for law in candidate_laws(Onset.LCP).values()}
     for mode, coefficients in found.coefficients.items():
-        table = Table(title=f"{mode}: coefficients with 95 % intervals")
-        for name in ("", "value", "low", "high", "unit"):
-            table.add_column(name, justify="left" if name in ("", "unit") else "right")
-        for name, estimate in coefficients.items():
-            shown = ["unknown", "", ""] if estimate is None else [f"{v:.4g}" for v in estimate]
-            table.add_row(name, *shown, UNITS[name])
-        tables().print(table)
+        rows = [(name, estimate, UNITS[name]) for name, estimate in coefficients.items()]
+        rows += [
+            ("restitution", found.restitution[mode], ""),
+            ("tangential ratio", found.tangential_ratio[mode], ""),
+        ]
+        _estimates(f"{mode}: coefficients with 95 % intervals", rows)
+        parameters = found.law_parameters[mode]
+        if parameters and found.law != "paper":
+            name = found.law if found.law in units else found.held_out[mode].best
+            rows = [(n, e, units[name].get(n, "")) for n, e in parameters.items()]
+            _estimates(f"{mode}: law {name}", rows)
+        if mode in found.held_out and found.held_out[mode].laws:
+            _print_held_out(found.held_out[mode])
     table = Table(title="trials")
-    for name in ("trial", "normal m/s", "along m/s", "samples in contact"):
-        table.add_column(name, justify="left" if name == "trial" else "right")
-    for trial in found.trials:
-        along = "" if trial.tangential_m_s is None else f"{trial.tangential_m_s:.3f}"
-        table.add_row(trial.name, f"{trial.normal_m_s:.3f}", along, str(trial.samples_in_contact))
-    tables().print(table)
-    plane = found.plane_m
-    tables().print(
-        f"plane of first touch at {1e3 * plane.value:.1f} mm "
-        f"({1e3 * plane.low:.1f} to {1e3 * plane.high:.1f}); residuals: "
-        + ", ".join(f"{name} {value:.3g}" for name, value in found.residuals.items())
+    columns = (
+        "trial",
+        "normal m/s",
+        "out m/s",
+        "along m/s",
+        "peak N",
+        "samples in contact",
+        "set aside",
+        "used",
     )
+    for name in columns:
+        table.add_column(name, justify="left" if name in ("trial", "used") else "right")
+    for trial in found.trials:
+        numbers = (trial.normal_m_s, trial.normal_out_m_s, trial.tangential_m_s)
+        shown = ["" if v is None else f"{v:.3f}" for v in numbers]
+        peak = "" if trial.peak_force_n is None else f"{trial.peak_force_n:.1f}"
+        aside = f"{trial.set_aside.contact} in contact, {trial.set_aside.free} free"
+        table.add_row(trial.name, *shown, peak, str(trial.samples_in_contact), aside, trial.used)
+    tables().print(table)
+    if found.plane_m is not None:
+        plane = found.plane_m
+        tables().print(
+            f"plane of first touch at {1e3 * plane.value:.1f} mm "
+            f"({1e3 * plane.low:.1f} to {1e3 * plane.high:.1f}); residuals: "
+            + ", ".join(f"{name} {value:.3g}" for name, value in found.residuals.items())
+        )
+
+
+def _print_held_out(compared: Any) -> None:
+    from rich.table import Table
+
+    what = "speeds" if compared.held_out == "speed" else "hits"
+    table = Table(title=f"{compared.mode}: median error on held-out {what}")
+    for name in ("", "peak force", "outgoing speed"):
+        table.add_column(name, justify="right" if name else "left")
+    rows = {**compared.laws, **compared.baselines, "scatter of repeats": compared.scatter}
+    for name, errors in rows.items():
+        table.add_row(name, *("" if v is None else f"{100.0 * v:.1f} %" for v in errors))
+    tables().print(table)

@@ -15,7 +15,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     # argparse takes -0.5 for a number but -5e-1 for an option; scripts print both.
     parser._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
-    parser.add_argument("--surface", required=True, help="a material of the configuration")
+    parser.add_argument("--surface", help="a material of the configuration")
     parser.add_argument("--mode", choices=("rigid", "flexible"), help="state of the arms")
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument(
@@ -27,6 +27,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     what.add_argument("--drop", type=float, metavar="HEIGHT", help="drop from this height, m")
     what.add_argument("--batch", metavar="FILE", help="CSV of wall hits: mode, normal_m_s, tangential_m_s")
+    parser.add_argument(
+        "--restitution",
+        type=float,
+        metavar="E",
+        help="without a surface: outgoing over incoming normal speed, as `identify` gives it",
+    )
+    parser.add_argument(
+        "--tangential-ratio", type=float, metavar="R", help="with --restitution: the same along the wall"
+    )
     parser.add_argument("--onset", choices=("lcp", "touch"), help="rule for the onset (the configuration's)")
     parser.add_argument(
         "--incidence-deg", type=float, default=0.0, metavar="DEG", help="leading edge against the wall"
@@ -41,6 +50,10 @@ def run(arguments: argparse.Namespace) -> int:
     from dart_flight.config.vehicle import load_vehicle
     from dart_flight.contact import prediction
 
+    if arguments.restitution is not None or arguments.tangential_ratio is not None:
+        return _from_ratios(arguments)
+    if arguments.surface is None:
+        raise InputError("--surface is required, or --restitution", key=("surface",))
     vehicle = load_vehicle(arguments.config)
     where = (arguments.surface, arguments.onset, arguments.incidence_deg)
     if arguments.batch is not None:
@@ -64,6 +77,37 @@ def run(arguments: argparse.Namespace) -> int:
         emit_json(numbers)
     else:
         _print(numbers, what, arguments)
+    return 0
+
+
+def _from_ratios(arguments: argparse.Namespace) -> int:
+    """Outgoing speeds from restitution and tangential ratio; the rest is null."""
+    from dart_flight.contact import prediction
+
+    if arguments.restitution is None:
+        raise InputError("--tangential-ratio needs --restitution", key=("restitution",))
+    given = [
+        name for name in ("surface", "mode", "batch", "onset", "plot") if getattr(arguments, name) is not None
+    ]
+    if given:
+        raise InputError(f"--restitution stands without --{given[0]}", key=("restitution",))
+    ratios = prediction.Ratios(arguments.restitution, arguments.tangential_ratio)
+    if arguments.drop is None:
+        numbers = prediction.predict_wall_from_ratios(ratios, *arguments.velocity)
+    else:
+        numbers = prediction.predict_drop_from_ratios(ratios, arguments.drop)
+    if arguments.json:
+        emit_json(numbers)
+        return 0
+    from rich.table import Table
+
+    table = Table(title="from restitution and tangential ratio: forces and times cannot be known from these")
+    table.add_column("quantity")
+    table.add_column("value", justify="right")
+    table.add_column("unit")
+    for name, value in numbers.items():
+        table.add_row(*prediction.described(name, float("nan") if value is None else value))
+    tables().print(table)
     return 0
 
 

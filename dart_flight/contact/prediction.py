@@ -13,7 +13,7 @@ import numpy as np
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
-from dart_flight.contact.contact_map import collide, contact_map, drop
+from dart_flight.contact.contact_map import Drop, collide, contact_map, drop
 from dart_flight.contact.law import Onset, coefficients_in_force
 from dart_flight.contact.path import Contact
 from dart_flight.geometry import GRAVITY_M_S2
@@ -29,6 +29,7 @@ WALL_COLUMNS = (
     "peak_friction_force_n",
     "impulse_n_s",
 )
+DROP_NAMES = Drop._fields
 _FASTEST_M_S = 100.0  # beyond this an input is a mistake of units
 
 
@@ -92,6 +93,58 @@ def predict_wall(what: Condition, normal_m_s: float, tangential_m_s: float) -> d
     last = r.contact_time_s if math.isfinite(r.contact_time_s) else 0.0
     lift = what.coefficients.nu * what.mass_kg * float(contact.lifted(last)[1]) if last else math.nan
     return r._asdict() | {"vertical_impulse_n_s": lift}
+
+
+class Ratios(NamedTuple):
+    """What speeds alone tell of a contact: speed out over speed in, along the normal and along the wall."""
+
+    restitution: float
+    tangential_ratio: float | None
+
+    def checked(self) -> Ratios:
+        """Itself.
+
+        Raises:
+            InputError: a ratio creates energy or turns the motion round.
+        """
+        for key, value in (("restitution", self.restitution), ("tangential-ratio", self.tangential_ratio)):
+            if value is not None and not 0.0 <= value <= 1.0:
+                raise InputError(f"{value:g} is not a ratio from 0 to 1", key=(key,))
+        return self
+
+
+def predict_wall_from_ratios(
+    ratios: Ratios, normal_m_s: float, tangential_m_s: float
+) -> dict[str, float | None]:
+    """The numbers of `predict_wall`; what the ratios cannot tell (forces, times, depth) is None.
+
+    Raises:
+        InputError: a ratio is not from 0 to 1, or the velocity does not approach the wall.
+    """
+    ratios.checked()
+    if not -_FASTEST_M_S <= normal_m_s < 0.0 or not abs(tangential_m_s) <= _FASTEST_M_S:
+        raise InputError(
+            f"normal {normal_m_s:g} m/s does not approach the wall, it must be negative", key=("velocity",)
+        )
+    numbers: dict[str, float | None] = dict.fromkeys((*WALL_COLUMNS, "vertical_impulse_n_s"))
+    numbers["normal_out_m_s"] = -ratios.restitution * normal_m_s
+    if ratios.tangential_ratio is not None:
+        numbers["tangential_out_m_s"] = ratios.tangential_ratio * tangential_m_s
+    return numbers
+
+
+def predict_drop_from_ratios(ratios: Ratios, height_m: float) -> dict[str, float | None]:
+    """The numbers of `predict_drop`; what a restitution cannot tell is None.
+
+    Raises:
+        InputError: the ratio is not from 0 to 1, or the height is not one of a drop.
+    """
+    ratios.checked()
+    if not 0.0 < height_m <= 100.0:
+        raise InputError(f"{height_m:g} m, expected a height above 0 and up to 100", key=("drop",))
+    numbers: dict[str, float | None] = dict.fromkeys(DROP_NAMES)
+    numbers["max_rebound_speed_m_s"] = ratios.restitution * math.sqrt(2.0 * GRAVITY_M_S2 * height_m)
+    return numbers
 
 
 def drop_contact(what: Condition, height_m: float) -> Contact:

@@ -11,7 +11,9 @@ from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.law import Onset
 from dart_flight.geometry import GRAVITY_M_S2
-from dart_flight.identify.fit import Identification, identify
+from dart_flight.identify.estimates import Estimate, Identification
+from dart_flight.identify.fit import PAPER, identify
+from dart_flight.identify.held_out import HeldOut
 from dart_flight.identify.trials import COLUMNS, UNLABELLED, Readers, Trial, TrialReading, read_trials
 
 UNITS = {"k": "N/m", "f": "N s/m", "mu": "s/m", "nu": "N"}
@@ -29,6 +31,9 @@ class Job:
     contact_distance_m: float = 0.0
     columns: str | None = None
     wall: tuple[float, float, float] | None = None
+    mass_kg: float | None = None
+    bump: bool = False
+    law: str = PAPER
 
 
 def carry_out(
@@ -48,20 +53,25 @@ def carry_out(
         raise InputError(f"{job.contact_distance_m:g} m, expected 0 to 1", key=("contact-distance",))
     if job.height_m is not None and not 0.0 < job.height_m <= 10.0:
         raise InputError(f"{job.height_m:g} m, expected a height above 0 and up to 10", key=("drop",))
+    mass_kg = vehicle.airframe.mass_kg if job.mass_kg is None else job.mass_kg
+    if not 0.01 <= mass_kg <= 100.0:
+        raise InputError(f"{mass_kg:g} kg, expected 0.01 to 100", key=("mass",))
     how = TrialReading(
         mode=job.mode or UNLABELLED,
         drop=job.drop,
         contact_distance_m=job.contact_distance_m,
         columns=_columns(job.columns),
         wall=job.wall,
-        mass_kg=vehicle.airframe.mass_kg,
+        mass_kg=mass_kg,
+        height_m=job.height_m,
+        bump=job.bump,
     )
     trials = [trial for path in job.paths for trial in read_trials(path, how, readers)]
-    found = identify(trials, vehicle.airframe.mass_kg, job.onset)
+    found = identify(trials, mass_kg, job.onset, law=job.law)
     if job.height_m is not None:
         expected = math.sqrt(2.0 * GRAVITY_M_S2 * job.height_m)
-        for trial in found.trials:
-            if abs(-trial.normal_m_s / expected - 1.0) > 0.2:
+        for trial, read in zip(found.trials, trials, strict=True):
+            if "normal_m" in read.series and abs(-trial.normal_m_s / expected - 1.0) > 0.2:
                 found.notes.append(
                     f"{trial.name}: arrives at {-trial.normal_m_s:.2f} m/s; a drop from {job.height_m:g} m "
                     f"arrives at {expected:.2f} m/s"
@@ -89,16 +99,43 @@ def _columns(text: str | None) -> dict[str, str]:
     return columns
 
 
+def _said(estimate: Estimate | None) -> dict[str, float] | None:
+    return None if estimate is None else estimate._asdict()
+
+
+def _compared(found: HeldOut) -> dict[str, Any]:
+    return {
+        "held_out": found.held_out,
+        "hits": found.hits,
+        "laws": {name: errors._asdict() for name, errors in found.laws.items()},
+        "baselines": {name: errors._asdict() for name, errors in found.baselines.items()},
+        "scatter": found.scatter._asdict(),
+        "best": found.best,
+        "better_by": found.better_by._asdict(),
+        "earned": found.earned,
+    }
+
+
 def as_json(found: Identification) -> dict[str, Any]:
     """The result as the object `--json` prints."""
     return {
         "coefficients": {
-            mode: {name: None if e is None else e._asdict() for name, e in coefficients.items()}
+            mode: {name: _said(e) for name, e in coefficients.items()}
             for mode, coefficients in found.coefficients.items()
         },
+        "restitution": {mode: _said(e) for mode, e in found.restitution.items()},
+        "tangential_ratio": {mode: _said(e) for mode, e in found.tangential_ratio.items()},
+        "law": {
+            "name": found.law,
+            "parameters": {
+                mode: {name: _said(e) for name, e in parameters.items()}
+                for mode, parameters in found.law_parameters.items()
+            },
+        },
+        "held_out": {mode: _compared(h) for mode, h in found.held_out.items()},
         "residuals": found.residuals,
-        "plane_m": found.plane_m._asdict(),
+        "plane_m": _said(found.plane_m),
         "vertical_side": found.vertical_side,
-        "trials": [trial._asdict() for trial in found.trials],
+        "trials": [trial._asdict() | {"set_aside": trial.set_aside._asdict()} for trial in found.trials],
         "notes": found.notes,
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
-from dart_flight.identify.fit import Estimate, Identification
+from dart_flight.identify.estimates import Estimate, Identification
 from dart_flight.samples import Mode
 
 

@@ -30,7 +30,11 @@ COLUMNS = (
     "tangential_m_s",
     "normal_force_n",
     "tangential_force_n",
+    "specific_force_m_s2",
+    "normal_acceleration_m_s2",
 )
+# One of these says that there is an impact at all.
+_ANY_OF = ("normal_m", "normal_m_s", "specific_force_m_s2", "normal_acceleration_m_s2")
 _TIME = "time_s"
 
 _LONGEST_STEP_S = 0.03  # of sampling: the shortest contacts take 0.05 s
@@ -55,9 +59,12 @@ class Trial:
 
     Attributes:
         name: for messages, usually the file.
-        series: by column name (`COLUMNS`); `normal_m` is always there. Rates may differ.
+        series: by column name (`COLUMNS`); rates may differ. `normal_m` is there unless the trial is an
+            accelerometer's: then `specific_force_m_s2` is, along the outward normal (in a drop: up).
         mode: `rigid`, `flexible` or `unlabelled`.
         acceleration_m_s2: along the normal in free flight: 0 at a wall, -9.81 in a drop.
+        height_m: of a drop, where it is known.
+        position_measured: whether `normal_m` was recorded; if not, it is integrated from `normal_m_s`.
         allowance: coefficient -> share of it by which recordings of this kind are off however many there are;
             the intervals are widened by it.
     """
@@ -66,6 +73,8 @@ class Trial:
     series: dict[str, Series]
     mode: str = UNLABELLED
     acceleration_m_s2: float = 0.0
+    height_m: float | None = None
+    position_measured: bool = True
     allowance: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -87,6 +96,8 @@ class TrialReading:
         wall: for logs in local NED: north and east of the plane of first touch, and the heading of its
             outward normal in degrees.
         mass_kg: turns measured acceleration into force.
+        height_m: of drops, where it is known.
+        bump: take a log's strongest horizontal acceleration for a wall hit.
     """
 
     mode: str = UNLABELLED
@@ -95,6 +106,8 @@ class TrialReading:
     columns: dict[str, str] = field(default_factory=dict)
     wall: tuple[float, float, float] | None = None
     mass_kg: float = 1.3
+    height_m: float | None = None
+    bump: bool = False
 
 
 Readers = dict[str, Callable[[Path, TrialReading], list[Trial]]]
@@ -122,13 +135,13 @@ def read_trials(path: str | Path, how: TrialReading, readers: Readers | None = N
     for trial in trials:
         _check(trial)
     shift = how.contact_distance_m
-    if not shift:
-        return trials
     return [
         replace(
             trial,
             series=trial.series | {"normal_m": Series(trial.normal.time_s, trial.normal.value - shift)},
         )
+        if shift and "normal_m" in trial.series
+        else trial
         for trial in trials
     ]
 
@@ -163,14 +176,13 @@ def read_csv(path: Path, how: TrialReading) -> list[Trial]:
             places[name] = header.index(wanted)
         elif name in how.columns:
             raise InputError(f"no column {wanted!r}, there are: {', '.join(header)}", source=source, line=1)
-    for name in (_TIME, "normal_m"):
-        if name not in places:
-            raise InputError(
-                f"missing column {name} (map others with --columns {name}=...), "
-                f"there are: {', '.join(header)}",
-                source=source,
-                line=lines[0][0],
-            )
+    if not any(name in places for name in _ANY_OF) or _TIME not in places:
+        name = "normal_m" if _TIME in places else _TIME
+        raise InputError(
+            f"missing column {name} (map others with --columns {name}=...), there are: {', '.join(header)}",
+            source=source,
+            line=lines[0][0],
+        )
     values: dict[str, list[float]] = {name: [] for name in places}
     last = -math.inf
     for (number, _), row in zip(lines[1:], rows[1:], strict=True):
@@ -190,9 +202,35 @@ def read_csv(path: Path, how: TrialReading) -> list[Trial]:
         there = np.isfinite(value)
         if there.any():
             series[name] = Series(time[there], value[there])
-    if "normal_m" not in series:
+    if not any(name in series for name in _ANY_OF):
         raise InputError("the column normal_m is empty", source=source)
-    return [Trial(source, series, how.mode, _acceleration(how))]
+    return [_trial(source, series, how)]
+
+
+def _trial(source: str, series: dict[str, Series], how: TrialReading) -> Trial:
+    """A trial whose series are in the form the fits take.
+
+    Acceleration becomes specific force (what an accelerometer feels: gravity is not in it), and beside
+    positions specific force becomes force. Velocity alone is integrated to a position that finds the impact.
+    """
+    series = dict(series)
+    acceleration = series.pop("normal_acceleration_m_s2", None)
+    if acceleration is not None and "specific_force_m_s2" not in series:
+        series["specific_force_m_s2"] = Series(acceleration.time_s, acceleration.value - _acceleration(how))
+    measured = "normal_m" in series
+    if not measured and "normal_m_s" in series:
+        time, speed = series["normal_m_s"]
+        way = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
+        series["normal_m"] = Series(time, way)
+        turns = np.flatnonzero((speed[:-1] < 0.0) & (speed[1:] >= 0.0))
+        if turns.size:  # the plane is where the fastest turn is
+            jumps = [speed[i + 1 : i + 8].max() - speed[max(i - 7, 0) : i + 1].min() for i in turns]
+            series["normal_m"] = Series(time, way - way[turns[int(np.argmax(jumps))]])
+    if "normal_m" in series and "specific_force_m_s2" in series and "normal_force_n" not in series:
+        time, felt = series.pop("specific_force_m_s2")
+        series["normal_force_n"] = Series(time, how.mass_kg * felt)
+    height = how.height_m if how.drop else None
+    return Trial(source, series, how.mode, _acceleration(how), height, measured or "normal_m" not in series)
 
 
 def _number(cell: str, name: str, source: str, line: int) -> float:
@@ -221,9 +259,11 @@ def read_ulog(path: Path, how: TrialReading) -> list[Trial]:
         from pyulog import ULog  # noqa: PLC0415
     except ImportError:
         raise InputError("needs pyulog: pip install dart-flight[identify]", source=source) from None
-    if how.wall is None and not how.drop:
+    if how.wall is None and not how.drop and not how.bump:
         raise InputError(
-            "a flight log does not say where the wall is: give --wall NORTH EAST HEADING", source=source
+            "a flight log does not say where the wall is: give --wall NORTH EAST HEADING, or --bump to take "
+            "the strongest horizontal acceleration for the hit",
+            source=source,
         )
     wanted = ["vehicle_local_position", "vehicle_attitude", "sensor_combined"]
     try:
@@ -234,12 +274,41 @@ def read_ulog(path: Path, how: TrialReading) -> list[Trial]:
         # pyulog raises whatever its parsing stumbles over.
         raise InputError("not a readable ULog", source=source) from None
     topics = {entry.name: entry.data for entry in log.data_list if entry.multi_id == 0}
-    if "vehicle_local_position" not in topics:
+    felt = "sensor_combined" in topics and "vehicle_attitude" in topics
+    if how.wall is None and not how.drop:
+        how = replace(how, wall=_bump(topics, felt, source))
+    series: dict[str, Series] = {}
+    if "vehicle_local_position" in topics:
+        series = _from_local_position(topics["vehicle_local_position"], how)
+    elif not how.drop or not felt:
         raise InputError("has no vehicle_local_position", source=source)
-    series = _from_local_position(topics["vehicle_local_position"], how)
-    if "sensor_combined" in topics and "vehicle_attitude" in topics:
+    if felt:
         series |= _from_imu(topics["sensor_combined"], topics["vehicle_attitude"], how)
-    return [Trial(source, series, how.mode, _acceleration(how))]
+        if "normal_m" not in series:
+            time, force = series.pop("normal_force_n")
+            series = {"specific_force_m_s2": Series(time, force / how.mass_kg)}
+    return [_trial(source, series, how)]
+
+
+def _bump(topics: Any, felt: bool, source: str) -> tuple[float, float, float]:
+    """Where the strongest horizontal acceleration was, and its heading: the outward normal of a wall."""
+    if not felt or "vehicle_local_position" not in topics:
+        raise InputError(
+            "--bump needs vehicle_local_position, vehicle_attitude and sensor_combined", source=source
+        )
+    time, ned = _specific_force_ned(topics["sensor_combined"], topics["vehicle_attitude"])
+    level = ned - np.median(ned, axis=0)
+    at = int(np.argmax(np.hypot(level[:, 0], level[:, 1])))
+    near = np.abs(time - time[at]) < 0.02
+    north, east = level[near, 0].mean(), level[near, 1].mean()
+    place = topics["vehicle_local_position"]
+    stamps = _stamps(place)
+    about = np.abs(stamps - time[at]) < 0.15
+    if about.sum() < 3:
+        raise InputError("no position about the strongest acceleration", source=source)
+    x, y = (np.asarray(place[name], dtype=float)[about] for name in ("x", "y"))
+    deepest = int(np.argmin(x * north + y * east))
+    return float(x[deepest]), float(y[deepest]), math.degrees(math.atan2(east, north))
 
 
 def _axes(how: TrialReading) -> tuple[Array, Array]:
@@ -277,7 +346,8 @@ def _from_local_position(data: Any, how: TrialReading) -> dict[str, Series]:
     return series
 
 
-def _from_imu(imu: Any, attitude: Any, how: TrialReading) -> dict[str, Series]:
+def _specific_force_ned(imu: Any, attitude: Any) -> tuple[Array, Array]:
+    """Times (n,) and specific force in NED (n, 3)."""
     time = _stamps(imu)
     specific = np.stack([np.asarray(imu[f"accelerometer_m_s2[{i}]"], dtype=float) for i in range(3)], axis=1)
     stamps = _stamps(attitude)
@@ -288,7 +358,11 @@ def _from_imu(imu: Any, attitude: Any, how: TrialReading) -> dict[str, Series]:
     q /= np.linalg.norm(q, axis=1, keepdims=True)
     scalar, vector = q[:, :1], q[:, 1:]
     turn: Array = 2.0 * np.cross(vector, specific)
-    ned = specific + scalar * turn + np.cross(vector, turn)
+    return time, specific + scalar * turn + np.cross(vector, turn)
+
+
+def _from_imu(imu: Any, attitude: Any, how: TrialReading) -> dict[str, Series]:
+    time, ned = _specific_force_ned(imu, attitude)
     normal, tangent = _axes(how)
     series = {"normal_force_n": _increasing(time, how.mass_kg * (ned @ normal))}
     if how.wall is not None:
@@ -327,12 +401,14 @@ class TrialImpact(NamedTuple):
 
 
 def _check(trial: Trial) -> None:
-    time, value = trial.normal
     for name, series in trial.series.items():
         if series.time_s.size > 1 and not (np.diff(series.time_s) > 0.0).all():
             raise InputError("time does not increase", source=trial.name, key=(name,))
         if not (np.isfinite(series.time_s).all() and np.isfinite(series.value).all()):
             raise InputError("values that are not numbers", source=trial.name, key=(name,))
+    if "normal_m" not in trial.series:
+        return
+    time, value = trial.normal
     if time.size < 12:
         raise InputError(f"{time.size} samples are too few for an impact", source=trial.name)
     far = float(np.abs(value).max())

@@ -13,7 +13,7 @@ from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.law import Onset
 from dart_flight.contact.path import Contact, Trajectory, trajectory
 from dart_flight.contact.prediction import Condition
-from dart_flight.identify.fit import Identification
+from dart_flight.identify.estimates import Identification
 from dart_flight.identify.trials import Trial
 from dart_flight.report.paper import PublishedDrop
 
@@ -166,7 +166,10 @@ def plot_fit(
     Raises:
         InputError: matplotlib is missing, or the file cannot be written.
     """
-    shown = list(zip(trials, found.trials, strict=True))[:6]
+    fitted = zip(trials, found.trials, strict=True)
+    shown = [(trial, fit) for trial, fit in fitted if fit.used == "samples" and found.is_known(fit.mode)][:6]
+    if not shown or found.plane_m is None:
+        raise InputError("no trial shows its contact in samples, nothing to plot", key=("plot",))
     figure, axes = _figure(len(shown))
     for axis, (trial, fit) in zip(axes, shown, strict=True):
         c = found.fitted(fit.mode, Coefficients(k=1.0, f=0.0, mu=0.0, nu=0.0))

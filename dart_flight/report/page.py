@@ -13,9 +13,10 @@ from statistics import fmean, stdev
 import msgspec
 
 from dart_flight.config.document import InputError
+from dart_flight.identify.estimates import mean_half_width
 from dart_flight.report import figures
 from dart_flight.report.flight import Flight, percentile
-from dart_flight.report.proposal import Proposal, mean_half_width, propose
+from dart_flight.report.proposal import Proposal, propose
 from dart_flight.samples import World
 from dart_flight.verdict import Verdict
 

@@ -7,14 +7,14 @@ identified.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import msgspec
 
 from dart_flight.config.document import InputError
 from dart_flight.contact.law import Onset
-from dart_flight.identify.fit import Estimate, Identification, identify
+from dart_flight.identify.estimates import Estimate, Identification, mean_half_width
+from dart_flight.identify.fit import identify
 from dart_flight.identify.flight_trials import trials_of
 from dart_flight.identify.materials_entry import materials_entry
 from dart_flight.identify.trials import Trial
@@ -25,7 +25,6 @@ from dart_flight.samples import Mode
 # spread; its measured velocity, on which the prediction stands, is off by up to 4 %.
 AGREES = 0.05
 ALONE = 0.1
-_T_FEW = (12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.2622, 2.2281)
 _MOST_TRIALS = 5  # per mode: more narrow the interval little and take long
 
 
@@ -86,7 +85,7 @@ def _of_material(
     trials = _trials(material, flights)
     vehicle = flights[0].mission.vehicle
     try:
-        found = identify(trials, vehicle.airframe.mass_kg, Onset(vehicle.onset))
+        found = identify(trials, vehicle.airframe.mass_kg, Onset(vehicle.onset), compare_laws=False)
         suggestions = _suggest(found, material, flights[0])
         changes = any(s.change for s in suggestions)
         entry = materials_entry(found, material, vehicle) if changes else ""
@@ -99,26 +98,6 @@ def _of_material(
 def _mean(values: list[float]) -> tuple[float, float]:
     half = mean_half_width(values)
     return sum(values) / len(values), ALONE if half is None else half
-
-
-def mean_half_width(values: Sequence[float]) -> float | None:
-    """Half the 95 % interval of the mean by Student's t; None from fewer than two values."""
-    n = len(values)
-    if n < 2:
-        return None
-    mean = sum(values) / n
-    deviation = math.sqrt(sum((v - mean) ** 2 for v in values) / (n - 1))
-    return _student_t(n - 1) * deviation / math.sqrt(n)
-
-
-def _student_t(freedom: int) -> float:
-    """97.5 % point of Student's t: tabulated where the expansion about the normal quantile is not close."""
-    if freedom <= len(_T_FEW):
-        return _T_FEW[freedom - 1]
-    z = 1.959964
-    g1, g2 = (z**3 + z) / 4.0, (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / 96.0
-    g3 = (3.0 * z**7 + 19.0 * z**5 + 17.0 * z**3 - 15.0 * z) / 384.0
-    return z + g1 / freedom + g2 / freedom**2 + g3 / freedom**3
 
 
 def _trials(material: str, flights: Sequence[Flight]) -> list[Trial]:

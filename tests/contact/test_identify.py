@@ -67,6 +67,7 @@ def test_wall_hits(mode: Mode, onset: Onset) -> None:
         # Twice the half width: 3.9 deviations.
         assert abs(estimate.value - true) < estimate.high - estimate.low
         assert 0.002 < relative_width(estimate) < 0.08
+    assert found.plane_m is not None
     assert found.plane_m.value == pytest.approx(0.012, abs=0.002)
     assert found.residuals["normal_m"] == pytest.approx(0.001, rel=0.15)
     assert found.coefficients[mode.value]["mu"] is None
@@ -84,6 +85,7 @@ def test_drops_at_a_plane_that_is_off(mode: Mode) -> None:
         estimate = get(found, mode, name)
         assert abs(estimate.value - getattr(c, name)) < estimate.high - estimate.low
         assert estimate.value == pytest.approx(getattr(c, name), rel=0.08)
+    assert found.plane_m is not None
     assert found.plane_m.value == pytest.approx(-0.009, abs=0.001)
 
 
@@ -352,10 +354,6 @@ def test_unusable_trials(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> 
     assert "before the plane" in written(time, value + 0.4)
     assert "behind the plane" in written(time, value - 0.8)
     assert "too few" in written(time[:5], value[:5])
-    deepest = int(np.argmin(value))
-    keep = np.abs(time - time[deepest]) > 0.045
-    keep[deepest] = True
-    assert "1 sample in contact" in written(time[keep], value[keep])
     path.write_text("")
     assert "empty" in refused(capsys, str(path))
     path.write_bytes(b"\xff\xfe\x00\x01")

@@ -15,11 +15,11 @@ import pytest
 
 from dart_flight.cli import main
 from dart_flight.config.mission import Mission
+from dart_flight.identify.estimates import mean_half_width
 from dart_flight.recording.reader import Log, LogEntry
 from dart_flight.report import figures
 from dart_flight.report.flight import Compared, Flight
 from dart_flight.report.page import flight_page
-from dart_flight.report.proposal import mean_half_width
 from dart_flight.samples import GuardEvent, Override, TruthContact
 from dart_flight.worlds.fast import fly_fast
 
