@@ -7,12 +7,11 @@ import math
 from dart_flight.check.findings import Finding
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import NoApproachError, plan_approach
+from dart_flight.core.mission.planned import expected_hit, impact_velocity
 from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.planning.envelope import (
     clipping_warning,
-    expected_hit,
     full_scale_n,
-    impact_velocity,
     speed_warning,
 )
 

@@ -248,7 +248,8 @@ def quiet_points(
         else:
             rows.append((*found, float(start)))
     table = np.array(rows, dtype=float).reshape(-1, 5)
-    return Points(*table.T, motors=track.motors.shape[1], rejected=rejected)
+    square, linear, force, volts, start_s = table.T
+    return Points(square, linear, force, volts, start_s, track.motors.shape[1], rejected)
 
 
 def _point(
@@ -296,12 +297,18 @@ def said_of(rejected: dict[str, int]) -> str:
 
 
 def _joined(parts: list[Points]) -> Points:
-    arrays = [
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("square", "linear", "force", "volts", "start_s")
-    ]
-    rejected = {name: sum(part.rejected[name] for part in parts) for name in TESTS}
-    return Points(*arrays, motors=parts[0].motors, rejected=rejected)
+    def all_of(name: str) -> Array:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    return Points(
+        all_of("square"),
+        all_of("linear"),
+        all_of("force"),
+        all_of("volts"),
+        all_of("start_s"),
+        parts[0].motors,
+        {name: sum(part.rejected[name] for part in parts) for name in TESTS},
+    )
 
 
 def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustCalibration:

@@ -22,6 +22,7 @@ from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
     AttitudeTargetSample,
+    DetectionFloor,
     EscSample,
     ForceEstimate,
     ImpactOnset,
@@ -348,7 +349,9 @@ def feed(
     events: list[object] = []
     for i, (fx, fy) in enumerate(forces):
         t = 1_000_000 + 4000 * i
-        events += detector.update(ForceEstimate(t, (fx, fy, 0.0), False, noise_n=noise_n), t, state, expected)
+        estimate = ForceEstimate(t, (fx, fy, 0.0), False, noise_n=noise_n)
+        found = detector.update(estimate, t, state, expected)
+        events += [e for e in found if not isinstance(e, DetectionFloor)]
     return events
 
 
