@@ -58,7 +58,7 @@ _LEAST_IMU_HZ = 90.0  # below it a rigid contact is four samples
 _LEAST_WINDOWS = 8
 _FOLDS = 4  # held-out parts
 _BLOCK = 5  # windows that are held out together, 2.5 s
-_RISEN_M = 0.5  # above the ground: taken off
+_RISEN_M = 0.3  # above the ground: taken off
 _TAKEOFF_S = 5.0  # ... where the height is not known
 _TOUCHDOWN_S = 3.0  # an impact this long before PX4 says landed is the ground
 _MOTOR_PERIOD_S = 0.01  # commands between the logged ones, on a straight line
@@ -97,6 +97,7 @@ class Felt(msgspec.Struct):
         clipped: the accelerometer was at full scale: a lower bound.
         kind: `impact`, or `touch-down` where PX4 says landed shortly after.
         speed_m_s: horizontal, before it.
+        height_m: above where the log begins, by PX4's estimate; None where it has none.
     """
 
     t_s: float
@@ -106,6 +107,7 @@ class Felt(msgspec.Struct):
     clipped: bool
     kind: str
     speed_m_s: float
+    height_m: float | None
 
 
 class FeltFlight(msgspec.Struct):
@@ -113,6 +115,7 @@ class FeltFlight(msgspec.Struct):
 
     log: str
     px4_version: str | None
+    begin_s: float  # of the log, on the autopilot's clock
     duration_s: float
     flight_s: float
     noise_n: float | None
@@ -480,7 +483,7 @@ def _without_motors(log: ULogFile) -> Track:
 
 
 def flights_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
-    """From, to in seconds: in the air, from half a metre up to what PX4 calls landed."""
+    """From, to in seconds: in the air, from 0.3 m up to what PX4 calls landed."""
     begin, end = float(track.imu_s[0]), float(track.imu_s[-1])
     landed = log.first("vehicle_land_detected")
     if landed is None:
@@ -500,7 +503,7 @@ def flights_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
 
 
 def _off_the_ground(log: ULogFile, begin: float, end: float) -> float:
-    """When a flight has risen by half a metre: PX4's land detector says "in the air" at the first thrust."""
+    """When a flight has risen a little: PX4's land detector says "in the air" at the first thrust."""
     position = log.first("vehicle_local_position")
     if position is None:
         return begin + _TAKEOFF_S
@@ -615,6 +618,7 @@ class Pass:
         return FeltFlight(
             log=log.source,
             px4_version=".".join(str(v) for v in log.version) if log.version else None,
+            begin_s=begin,
             duration_s=float(track.imu_s[-1]) - begin,
             flight_s=sum(b - a for a, b in self._flying),
             noise_n=None if mass_kg is None else mass_kg * float(noise[0]),
@@ -627,18 +631,25 @@ class Pass:
             floor_flexible_m_s2=float(noise[4]),
             drag_per_s=drag,
             thrust=curve,
-            impacts=[self._impact(o, begin, track.ground, mass_kg) for o in self.onsets],
+            impacts=[self._impact(o, begin, track.ground, where, mass_kg) for o in self.onsets],
             unknown=unknown,
             series=FeltSeries(table[:, 0] - begin, table[:, 1:4], table[:, 4], where[1], where[0]),
         )
 
     def _impact(
-        self, onset: ImpactOnset, begin: float, ground: list[tuple[float, float]], mass_kg: float | None
+        self,
+        onset: ImpactOnset,
+        begin: float,
+        ground: list[tuple[float, float]],
+        where: tuple[Array, Array],
+        mass_kg: float | None,
     ) -> Felt:
         peak = next((p for p in self.peaks if p.detected_us >= onset.t_us), None)
         fx, fy = onset.force_mission[:2] if peak is None else peak.normal
         size = math.hypot(fx, fy) if peak is None else peak.normal_force_n
         t = onset.first_us * 1e-6
+        down_m = where[0][:, 2]
+        height = float(down_m[0] - np.interp(t - begin, where[1], down_m)) if len(down_m) else math.nan
         down = any(a - _TOUCHDOWN_S <= t <= b for a, b in ground)
         return Felt(
             t_s=t - begin,
@@ -648,6 +659,7 @@ class Pass:
             clipped=peak is not None and peak.clipped,
             kind="touch-down" if down else "impact",
             speed_m_s=math.hypot(onset.velocity_mission[0], onset.velocity_mission[1]),
+            height_m=height if math.isfinite(height) else None,
         )
 
 

@@ -343,7 +343,7 @@ def feed(
     forces: list[tuple[float, float]], noise_n: float = 0.26, normal: tuple[float, float] | None = None
 ) -> list[object]:
     """A detector's events for forces every 4 ms."""
-    detector = ImpactDetector(VEHICLE)
+    detector = ImpactDetector(with_estimation(imu_noise_m_s2=0.2))  # has flown long enough to know
     expected = Expected(True, normal, "wood" if normal else None)
     state = FlightState()
     events: list[object] = []

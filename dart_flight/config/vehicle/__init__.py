@@ -22,7 +22,7 @@ from dart_flight.config.vehicle.estimation import (
 )
 from dart_flight.config.vehicle.flight import Flying
 from dart_flight.config.vehicle.lock import Cam, LimitSwitch, LockConfig, LockDriver, LockStartup, Servo
-from dart_flight.config.vehicle.simulation import Simulation
+from dart_flight.config.vehicle.simulation import ImuRinging, Simulation
 
 __all__ = [
     "Airframe",
@@ -33,6 +33,7 @@ __all__ = [
     "Estimation",
     "Flying",
     "Imu",
+    "ImuRinging",
     "LimitSwitch",
     "LockConfig",
     "LockDriver",

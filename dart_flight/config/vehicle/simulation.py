@@ -6,6 +6,26 @@ from dart_flight.config.section import NotNegative, Positive, Section
 from dart_flight.config.vehicle.estimation import ArmVibration
 
 
+class ImuRinging(Section, frozen=True):
+    """What motors and frame shake into the accelerometer, per axis of the reported sample, root mean square.
+
+    Attributes:
+        white_m_s2: without any colour, beside imu_noise_m_s2.
+        tone_m_s2: of one tone.
+        tone_hz_low: the tone wanders from here ...
+        tone_hz_high: ... to here, over seconds.
+    """
+
+    white_m_s2: NotNegative = 0.0
+    tone_m_s2: NotNegative = 0.0
+    tone_hz_low: Positive = 50.0
+    tone_hz_high: Positive = 200.0
+
+    def __post_init__(self) -> None:
+        if self.tone_hz_low > self.tone_hz_high:
+            raise ValueError(f"tone_hz_low {self.tone_hz_low:g} must not exceed tone_hz_high")
+
+
 class Simulation(Section, frozen=True):
     """What only the simulated vehicle needs.
 
@@ -26,6 +46,7 @@ class Simulation(Section, frozen=True):
         wind_north_east_m_s: [north, east], steady; where the air goes to.
         gust_m_s: standard deviation of gusts beside the steady wind, per axis.
         gust_time_s: correlation time of the gusts.
+        imu_ringing: what motors and frame shake into the accelerometer; null: nothing.
     """
 
     imu_noise_m_s2: NotNegative
@@ -44,3 +65,4 @@ class Simulation(Section, frozen=True):
     wind_north_east_m_s: tuple[float, float]
     gust_m_s: NotNegative
     gust_time_s: Positive
+    imu_ringing: ImuRinging | None = None

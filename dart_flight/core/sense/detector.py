@@ -475,8 +475,8 @@ def confirmed_force(
 def _foot_of(samples: list[_Sample], along: Vec2) -> int:
     """Where a pulse that only a mean shows began: the moment from which on its sum only grew."""
     forces = [s.fx * along[0] + s.fy * along[1] for s in samples]
-    # Largest sum of a stretch that ends at the newest sample, against a force that is there all the time.
-    rest = 0.25 * sum(forces[-_BEFORE:]) / min(len(forces), _BEFORE)
+    # Largest sum of a stretch that ends at the newest sample, less half of what is felt there now.
+    rest = 0.5 * sum(forces[-_BEFORE:]) / min(len(forces), _BEFORE)
     best, total, first = -math.inf, 0.0, len(samples) - 1
     for i in range(len(samples) - 1, -1, -1):
         total += forces[i] - rest

@@ -14,7 +14,6 @@ from dart_flight.geometry import Vec2
 
 _QUICK_S, _SLOW_S = 0.5, 5.0  # a manoeuvre counts at once, and its noise is not forgotten at once
 _OUTLIER = 9.0  # a square counts at most this many times the present variance
-_LEAST_LAG = 3  # samples between the two means that are compared
 _DELAY = 10  # samples: what a contact's foot teaches is thrown away at its onset
 _MOST_STEP_S = 0.05  # after a gap in the stream one sample counts for this long at most
 
@@ -40,8 +39,9 @@ class WindowMean:
         self._since_sum = 0
         self._quick = self._slow = noise_n * noise_n / max(1, samples)
         self._pending: deque[float] = deque()
-        # Two means that share no sample: a force that is there all the time is no noise.
-        self._past: deque[Vec2] = deque(maxlen=max(_LEAST_LAG, samples))
+        # A force that is there all the time is no noise: two means are compared that share no sample. One
+        # window apart they agree by chance only for a tone that the window itself takes out.
+        self._past: deque[Vec2] = deque(maxlen=max(1, samples))
         self.mean: Vec2 = (0.0, 0.0)
         self.full = False
         self.noise_n = math.sqrt(self._slow)
