@@ -14,6 +14,7 @@ from dart_flight.geometry import Vec2
 
 _QUICK_S, _SLOW_S = 0.5, 5.0  # a manoeuvre counts at once, and its noise is not forgotten at once
 _OUTLIER = 9.0  # a square counts at most this many times the present variance
+_ASSUMED = 5  # samples that the noise to begin with counts for
 _DELAY = 10  # samples: what a contact's foot teaches is thrown away at its onset
 _MOST_STEP_S = 0.05  # after a gap in the stream one sample counts for this long at most
 
@@ -37,6 +38,7 @@ class WindowMean:
         self._kept: deque[tuple[int, float, float]] = deque()
         self._x = self._y = 0.0
         self._since_sum = 0
+        self._seen = 0
         self._quick = self._slow = noise_n * noise_n / max(1, samples)
         self._pending: deque[float] = deque()
         # A force that is there all the time is no noise: two means are compared that share no sample. One
@@ -77,9 +79,12 @@ class WindowMean:
         if len(pending) <= _DELAY:
             return
         square = pending.popleft()
-        step = min(dt_s, _MOST_STEP_S)
-        self._quick += step / _QUICK_S * (min(square, _OUTLIER * self._quick) - self._quick)
-        self._slow += step / _SLOW_S * (min(square, _OUTLIER * self._slow) - self._slow)
+        step, self._seen = min(dt_s, _MOST_STEP_S), self._seen + 1
+        # At first a plain mean, so that what was assumed is forgotten once something is known.
+        first = 1.0 / (_ASSUMED + self._seen)
+        quick, slow = max(step / _QUICK_S, first), max(step / _SLOW_S, first)
+        self._quick += quick * (min(square, _OUTLIER * self._quick) - self._quick)
+        self._slow += slow * (min(square, _OUTLIER * self._slow) - self._slow)
         # A force without any noise does not exist: never let certainty become absolute.
         self._quick, self._slow = max(self._quick, 1e-4), max(self._slow, 1e-4)
         self.noise_n = math.sqrt(max(self._quick, self._slow))
