@@ -45,6 +45,7 @@ _TOP_SHARE = 0.7  # samples above this share of the maximum are the top of the p
 _TOP_REACH = 4  # samples on either side, at most
 _BEFORE = 8  # samples remembered from before the crossing
 _FAR_SIGMA = 4.6  # threshold over the noise of one sample: from here on two samples in a row will do
+_OFTEN_SIGMA = 1.0  # more for one sample and for two: noise has many more chances there than in a long mean
 _MARGIN_SIGMA = 1.0  # a pulse is promised to be found this many deviations over the threshold
 _LONGEST_CONTACT_S = 0.5  # in noise the end of a contact may drown
 _INTO_WALL = 0.1  # of the force: this much may point into the expected wall at the onset
@@ -224,8 +225,8 @@ class ImpactDetector:
         least, sigma = self._config.force_threshold_n, self._config.noise_sigma
         one, two, short, long = self._windows
         return (
-            max(least, sigma * one.noise_n),
-            max(least, sigma * two.noise_n),
+            max(least, (sigma + _OFTEN_SIGMA) * one.noise_n),
+            max(least, (sigma + _OFTEN_SIGMA) * two.noise_n),
             max(least, sigma * short.noise_n),
             max(least, sigma * long.noise_n),
         )
