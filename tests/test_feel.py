@@ -6,6 +6,7 @@ import json
 import math
 import random
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,11 +20,17 @@ pytest.importorskip("pyulog")
 FULL_M_S2, FACTOR = 22.0, 0.3
 HIT_S, HIT_M_S2, HIT_DEG, LONG_S = 30.0, 14.0, 60.0, 0.15
 VIBRATION_M_S2 = 2.5
+Rows = list[tuple[float, list[float]]]
 
 
 def topics(motor_hz: float = 100.0, motors: bool = True) -> Topics:
     """40 s in the air, slow climbs and descents, vibration, one hit; level, facing north."""
-    rng, imu, attitude, position, commands, landed = random.Random(5), [], [], [], [], []
+    rng = random.Random(5)
+    imu: Rows = []
+    attitude: Rows = []
+    position: Rows = []
+    commands: Rows = []
+    landed: Rows = []
     every = round(250.0 / motor_hz)
     for i in range(11_250):
         t, stamp = i * 0.004, 1e6 + 4000 * i
@@ -41,7 +48,7 @@ def topics(motor_hz: float = 100.0, motors: bool = True) -> Topics:
             commands.append((stamp, [u] * 4))
         if i % 250 == 0:
             landed.append((stamp, [t < 2.0 or t > 42.0]))
-    out = {
+    out: dict[tuple[str, int], tuple[str, Rows]] = {
         ("sensor_combined", 0): ("float[3] gyro_rad;float[3] accelerometer_m_s2;", imu),
         ("vehicle_attitude", 0): ("float[4] q;", attitude),
         ("vehicle_local_position", 0): ("float x;float y;float z;float vx;float vy;float vz;", position),
@@ -52,10 +59,10 @@ def topics(motor_hz: float = 100.0, motors: bool = True) -> Topics:
     return out
 
 
-def felt(path: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, object]:
+def felt(path: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:
     assert main(["feel", str(path), "--json", *more]) == 0
-    (flight,) = json.loads(capsys.readouterr().out)
-    return flight
+    flights: list[dict[str, Any]] = json.loads(capsys.readouterr().out)
+    return flights[0]
 
 
 def test_the_one_hit_is_felt_with_size_direction_and_time(

@@ -16,7 +16,7 @@ from dart_flight.config.document import InputError
 from dart_flight.report import figures
 from dart_flight.report.flight import Flight, percentile
 from dart_flight.report.proposal import Proposal, mean_half_width, propose
-from dart_flight.samples import World
+from dart_flight.samples import DetectionFloor, World
 from dart_flight.verdict import Verdict
 
 Cell = str | float | int | None
@@ -59,7 +59,7 @@ def flight_page(flight: Flight, *, identify: bool = False) -> str:
             + _lock_table(flight)
             + _timing_table(flight),
         ),
-        section("Guard and decisions", _guard_table(flight) + _phase_table(flight)),
+        section("Guard and decisions", _guard_table(flight) + _noise_table(flight) + _phase_table(flight)),
         section("Contact coefficients", _proposals(propose([flight], identify))),
         _parameters(flight),
     ]
@@ -233,6 +233,32 @@ def _guard_table(flight: Flight) -> str:
         [flight.course.time_of(g.t_us), g.rule, g.action, g.detail] for g in flight.verdict.guard
     ]
     return table(["s", "rule", "action", "detail"], rows)
+
+
+def _noise_table(flight: Flight) -> str:
+    """What could be felt as each approach began; empty for flights from before that was recorded."""
+    rows: list[Row] = [
+        [
+            flight.course.time_of(f.t_us),
+            f.threshold_n,
+            f.noise_short_n,
+            f.noise_long_n,
+            f.rigid_n,
+            f.flexible_n,
+        ]
+        for f in flight.course.all(DetectionFloor)
+    ]
+    if not rows:
+        return ""
+    heads = [
+        "s",
+        "threshold N",
+        "noise, short mean N",
+        "long mean N",
+        "rigid felt from N",
+        "flexible felt from N",
+    ]
+    return table(heads, rows)
 
 
 def _phase_table(flight: Flight) -> str:

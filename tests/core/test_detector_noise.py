@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+from typing import Any
 
 import msgspec
 import pytest
@@ -41,8 +42,9 @@ def noisy(seconds: float, sigma_n: float, seed: int = 1, tone_hz: float | None =
 
 def run(
     forces: Forces, vehicle: VehicleConfig = VEHICLE, watching: bool = True, noise_n: float = 3.0
-) -> tuple[ImpactDetector, list[object]]:
-    detector, state, events = ImpactDetector(vehicle), FlightState(), []
+) -> tuple[ImpactDetector, list[Any]]:
+    detector, state = ImpactDetector(vehicle), FlightState()
+    events: list[Any] = []
     for i, (fx, fy) in enumerate(forces):
         t = 1_000_000 + 4000 * i
         estimate = ForceEstimate(t, (fx, fy, 0.0), False, noise_n=noise_n)
@@ -50,7 +52,7 @@ def run(
     return detector, events
 
 
-def onsets(events: list[object]) -> list[ImpactOnset]:
+def onsets(events: list[Any]) -> list[ImpactOnset]:
     return [e for e in events if isinstance(e, ImpactOnset)]
 
 

@@ -237,10 +237,10 @@ def summary(rows: list[dict[str, Any]]) -> str:
             f"median {sorted(fitted)[len(fitted) // 2]:.1f} %, worst {max(fitted):.1f} %"
         )
     impacts = [i for r in flown for i in r["impacts"]]
-    downs = sum(any(i["kind"] == "touch-down" for i in r["impacts"]) for r in flown)
+    felt = sum(any(i["kind"] == "touch-down" for i in r["impacts"]) for r in flown)
     low = sum(i["kind"] == "impact" and is_low(i) for i in impacts)
     high = sum(i["kind"] == "impact" and not is_low(i) for i in impacts)
-    lines.append(f"touch-downs felt in {downs} logs, other impacts: {low} near the ground, {high} above")
+    lines.append(f"touch-downs felt in {felt} logs, other impacts: {low} near the ground, {high} above")
     pulses = [p for r in flown for p in r.get("pulses", [])]
     for over in sorted({p["over_floor"] for p in pulses}):
         of = [p for p in pulses if p["over_floor"] == over]
