@@ -410,6 +410,18 @@ class ContactEnd(Record, frozen=True, gc=False):
     first_us: int
 
 
+class DetectionFloor(Record, frozen=True, gc=False):
+    """What can be felt at the start of an approach, by the noise learnt so far, newton (docs/force.md)."""
+
+    topic: ClassVar[str] = "/estimate/detection"
+    t_us: int
+    threshold_n: float  # the lowest that is in force
+    noise_short_n: float  # deviation of a component of the short mean
+    noise_long_n: float  # ... of the long mean
+    rigid_n: float  # peak from which on a rigid contact with this wall is found for certain
+    flexible_n: float  # ... a flexible contact
+
+
 class PhaseChange(Record, frozen=True, gc=False):
     """The mission executive went from one phase to the next."""
 
@@ -459,6 +471,7 @@ Output = (
     | ImpactOnset
     | ImpactPeak
     | ContactEnd
+    | DetectionFloor
     | PhaseChange
     | GuardEvent
     | GoalPassed

@@ -7,12 +7,12 @@ import math
 from dart_flight.check.findings import Finding
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import NoApproachError, plan_approach
+from dart_flight.core.mission.planned import expected_hit, impact_velocity
 from dart_flight.core.mission.recovery import recovery_point
+from dart_flight.core.sense.detector import ImpactDetector
 from dart_flight.planning.envelope import (
     clipping_warning,
-    expected_hit,
     full_scale_n,
-    impact_velocity,
     speed_warning,
 )
 
@@ -26,6 +26,7 @@ def check_mission(mission: Mission) -> list[Finding]:
     for collision in mission.collisions:
         findings += _check_approach(mission, collision)
         findings += _check_force(mission, collision)
+        findings += _check_noise(mission, collision)
         findings += _check_speed(mission, collision)
         findings += _check_recovery(mission, collision)
         findings += _check_servo(mission, collision)
@@ -94,6 +95,22 @@ def _check_force(mission: Mission, collision: Collision) -> list[Finding]:
         go = force <= full_scale_n(mission)
         return [Finding(item, go, clipping, remark=go)]
     return [Finding(item, True, f"{says}, limit {limit:g} N")]
+
+
+def _check_noise(mission: Mission, collision: Collision) -> list[Finding]:
+    """Whether the hit could be told from the vibration that is assumed until one is measured in flight."""
+    hit, vehicle = expected_hit(mission, collision), mission.vehicle
+    if hit is None or vehicle.detection.noise_sigma <= 0.0:
+        return []
+    floor = ImpactDetector(vehicle).floor_n(hit.contact_time_s)
+    if hit.peak_normal_force_n >= floor:
+        return []
+    says = (
+        f"{collision.mode.value}, {hit.peak_normal_force_n:.1f} N at wall {collision.wall.name}: with "
+        f"vibration of {vehicle.estimation.imu_noise_m_s2:g} m/s2 only {floor:.1f} N is sure to be felt; "
+        "`feel` says what yours is"
+    )
+    return [Finding(f"noise_{collision.index}", True, says, remark=True)]
 
 
 def _check_speed(mission: Mission, collision: Collision) -> list[Finding]:

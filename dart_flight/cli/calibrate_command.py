@@ -13,7 +13,12 @@ from dart_flight.config import InputError, default_config_path, load_vehicle
 from dart_flight.config.document import Key
 from dart_flight.config.edit import write_values
 from dart_flight.config.vehicle import packaged
-from dart_flight.identify.thrust_curve import ThrustCalibration, calibrate_thrust, read_track
+from dart_flight.identify.thrust_curve import (
+    ThrustCalibration,
+    calibrate_thrust,
+    read_track,
+    said_of,
+)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -34,6 +39,9 @@ def run(arguments: argparse.Namespace) -> int:
         emit_json(result)
     else:
         tables().print(_table(result))
+        for note in result.notes:
+            messages().print(note, soft_wrap=True)
+        messages().print(f"windows rejected: {said_of(result.rejected) or 'none'}", soft_wrap=True)
     if arguments.write:
         values: dict[Key, float] = {("thrust", "full_n"): round(result.full_n, 4)}
         if result.model_factor_error is not None:

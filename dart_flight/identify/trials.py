@@ -19,6 +19,7 @@ import numpy as np
 from dart_flight.config.document import InputError
 from dart_flight.contact.coefficients import Array
 from dart_flight.geometry import GRAVITY_M_S2
+from dart_flight.recording.ulog import open_ulog
 
 UNLABELLED = "unlabelled"
 # Columns of a trial, in the collision frame; `vertical_m` is a height (against Z at a wall). Required first.
@@ -255,25 +256,14 @@ def read_ulog(path: Path, how: TrialReading) -> list[Trial]:
         InputError: pyulog is missing, the file is not a ULog, or topics are missing; no wall was given.
     """
     source = str(path)
-    try:
-        from pyulog import ULog  # noqa: PLC0415
-    except ImportError:
-        raise InputError("needs pyulog: pip install dart-flight[identify]", source=source) from None
     if how.wall is None and not how.drop and not how.bump:
         raise InputError(
             "a flight log does not say where the wall is: give --wall NORTH EAST HEADING, or --bump to take "
             "the strongest horizontal acceleration for the hit",
             source=source,
         )
-    wanted = ["vehicle_local_position", "vehicle_attitude", "sensor_combined"]
-    try:
-        log = ULog(source, wanted)
-    except OSError as error:
-        raise InputError(f"cannot read: {error.strerror or error}", source=source) from None
-    except Exception:
-        # pyulog raises whatever its parsing stumbles over.
-        raise InputError("not a readable ULog", source=source) from None
-    topics = {entry.name: entry.data for entry in log.data_list if entry.multi_id == 0}
+    log = open_ulog(path, ("vehicle_local_position", "vehicle_attitude", "sensor_combined"))
+    topics = {name: instances[0] for name, instances in log.topics.items() if 0 in instances}
     felt = "sensor_combined" in topics and "vehicle_attitude" in topics
     if how.wall is None and not how.drop:
         how = replace(how, wall=_bump(topics, felt, source))

@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 
 from dart_flight.config.mission import Collision, Mission
-from dart_flight.contact import contact_map
-from dart_flight.contact.law import Onset
+from dart_flight.core.mission.planned import expected_hit, impact_velocity
 
 FLOWN_UP_TO_M_S = 4.0  # normal speed: the sweep's end, survived in both modes
 CLIP_SHARE = 0.95  # of full scale: what is left for tilt, noise and friction
@@ -20,28 +19,6 @@ LOST_SHARE = 1.3
 def full_scale_n(mission: Mission) -> float:
     """The force in newton at which the accelerometer is at full scale."""
     return mission.vehicle.airframe.mass_kg * mission.vehicle.imu.full_scale_m_s2
-
-
-def impact_velocity(collision: Collision) -> tuple[float, float] | None:
-    """(normal, tangential) velocity at the impact in m/s, collision frame: as planned, else as predicted.
-
-    None where the mission says neither, as for a wall that a recovery leads to.
-    """
-    if collision.approach_m_s is not None:
-        return collision.approach_m_s
-    if collision.predicted is not None:
-        return (collision.predicted.normal_m_s, collision.predicted.tangential_m_s)
-    return None
-
-
-def expected_hit(mission: Mission, collision: Collision) -> contact_map.WallHit[float] | None:
-    """What the contact law makes of a collision's velocity; None where the velocity is not known."""
-    velocity = impact_velocity(collision)
-    if velocity is None or velocity[0] >= 0.0:
-        return None
-    vehicle = mission.vehicle
-    coefficients = vehicle.materials[collision.wall.material].of(collision.mode)
-    return contact_map.collide(coefficients, vehicle.airframe.mass_kg, *velocity, Onset(vehicle.onset))
 
 
 def expected_force_n(mission: Mission, collision: Collision) -> float | None:

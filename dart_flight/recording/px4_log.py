@@ -6,6 +6,8 @@ import itertools
 from pathlib import Path
 from typing import Any
 
+from dart_flight.config.document import InputError
+from dart_flight.recording.ulog import open_ulog
 from dart_flight.verdict import Px4Figures
 
 _ARMED = 2  # vehicle_status.arming_state
@@ -20,13 +22,11 @@ def read_px4_log(path: str | Path, version: str | None = None) -> Px4Figures:
     """
     figures = Px4Figures(version)
     try:
-        from pyulog import ULog  # noqa: PLC0415  (an extra, slow to import)
-
-        log = ULog(str(path), _TOPICS)
-    except Exception:
+        log = open_ulog(path, _TOPICS)
+    except InputError:
         # No pyulog, no file, or a log cut off in its header: the flight's verdict does not depend on it.
         return figures
-    topics = {data.name: data.data for data in log.data_list if data.multi_id == 0}
+    topics = {name: instances[0] for name, instances in log.topics.items() if 0 in instances}
     status = topics.get("vehicle_status")
     if status is None:
         return figures

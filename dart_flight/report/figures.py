@@ -376,3 +376,20 @@ def errors_over_trials(flights: Sequence[Flight]) -> str:
 def texts_of(svg: str) -> list[str]:
     """The words in a figure; for tests."""
     return [t.strip() for t in re.findall(r"<text[^>]*>([^<]+)</text>", svg)]
+
+
+# --- other vehicles' logs ------------------------------------------------------------------------------
+
+
+def felt_force(time_s: Array, force_m_s2: Array, threshold_m_s2: Array, impacts_s: Sequence[float]) -> str:
+    """Horizontal force over mass of a whole flight: of every twentieth of a second the largest."""
+    figure, axis = _figure(2.6)
+    step = max(1, round(0.05 / max(float(np.median(np.diff(time_s))), 1e-3))) if len(time_s) > 1 else 1
+    count = max(1, len(time_s) // step)
+    largest = np.array([force_m_s2[i * step : (i + 1) * step].max() for i in range(count)])
+    axis.plot(time_s[: count * step : step], largest, **ESTIMATED)
+    axis.plot(time_s[::step], threshold_m_s2[::step], color=_GREY, linewidth=1.0)
+    for at in impacts_s:
+        axis.axvline(at, color="#000000", linewidth=0.8)
+    axis.set(xlabel="s", ylabel="m/s²")
+    return _svg(figure)

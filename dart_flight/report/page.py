@@ -17,7 +17,7 @@ from dart_flight.identify.estimates import mean_half_width
 from dart_flight.report import figures
 from dart_flight.report.flight import Flight, percentile
 from dart_flight.report.proposal import Proposal, propose
-from dart_flight.samples import World
+from dart_flight.samples import DetectionFloor, World
 from dart_flight.verdict import Verdict
 
 Cell = str | float | int | None
@@ -29,10 +29,10 @@ def flight_page(flight: Flight, *, identify: bool = False) -> str:
     v = flight.verdict
     parts = [
         _verdict(flight),
-        _section("Predicted against measured", _impact_table(flight)),
-        _section(
+        section("Predicted against measured", _impact_table(flight)),
+        section(
             "Path and motion",
-            _figures(
+            shown(
                 (
                     figures.flight_map([flight]),
                     "From above, mission frame. Hatched: walls. Planned: until the closest to the goal.",
@@ -42,29 +42,29 @@ def flight_page(flight: Flight, *, identify: bool = False) -> str:
         ),
     ]
     if flight.impacts:
-        shown = (
+        forces = (
             (
                 figures.impact_forces(flight, impact),
                 f"{impact.title}. Predicted: contact law at the measured velocity.",
             )
             for impact in flight.impacts
         )
-        parts.append(_section("Force of each impact", _figures(*shown)))
+        parts.append(section("Force of each impact", shown(*forces)))
     parts += [
-        _section(
+        section(
             "Lock and timing",
-            _figures(
+            shown(
                 (figures.timeline(flight), "Phases, contact, permission to lock, state of the lock."),
                 (figures.timing(flight), "Regularity of set-points and delay of IMU samples."),
             )
             + _lock_table(flight)
             + _timing_table(flight),
         ),
-        _section("Guard and decisions", _guard_table(flight) + _phase_table(flight)),
-        _section("Contact coefficients", _proposals(propose([flight], identify))),
+        section("Guard and decisions", _guard_table(flight) + _noise_table(flight) + _phase_table(flight)),
+        section("Contact coefficients", _proposals(propose([flight], identify))),
         _parameters(flight),
     ]
-    return _page(f"{v.mission}, {_world(v)}: {v.outcome}", parts)
+    return page(f"{v.mission}, {_world(v)}: {v.outcome}", parts)
 
 
 def comparison_page(flights: Sequence[Flight], *, identify: bool = False) -> str:
@@ -84,11 +84,11 @@ def comparison_page(flights: Sequence[Flight], *, identify: bool = False) -> str
         for index in indices
     ]
     parts = [
-        _section("Flights", _flights_table(flights)),
-        _section("Over all trials", _statistics(flights, indices)),
-        _section(
+        section("Flights", _flights_table(flights)),
+        section("Over all trials", _statistics(flights, indices)),
+        section(
             "Paths and forces",
-            _figures(
+            shown(
                 (
                     figures.flight_map(flights),
                     "All paths from above, mission frame. Planned: to the closest approach to the goal.",
@@ -97,10 +97,10 @@ def comparison_page(flights: Sequence[Flight], *, identify: bool = False) -> str
                 *force_figures,
             ),
         ),
-        _section("Contact coefficients", _proposals(propose(flights, identify))),
+        section("Contact coefficients", _proposals(propose(flights, identify))),
         _parameters(flights[0], flights[1:]),
     ]
-    return _page(title, parts)
+    return page(title, parts)
 
 
 def _check_same_mission(flights: Sequence[Flight]) -> None:
@@ -181,7 +181,7 @@ def _impact_table(flight: Flight) -> str:
         "estimate, those out when the force was gone. True: the simulated vehicle. Error: of the measured "
         "value, against the true one where there is one, else the predicted or planned.</p>"
     )
-    return _table(heads, rows) + note
+    return table(heads, rows) + note
 
 
 def _lock_table(flight: Flight) -> str:
@@ -199,7 +199,7 @@ def _lock_table(flight: Flight) -> str:
             [impact.title, after(times.relaxed_us), after(times.commanded_us), after(times.settled_us)]
         )
     heads = ["after the contact's end, ms", "arms relaxed", "commanded", "settled"]
-    return _table(heads, rows) if rows else ""
+    return table(heads, rows) if rows else ""
 
 
 def _timing_table(flight: Flight) -> str:
@@ -224,7 +224,7 @@ def _timing_table(flight: Flight) -> str:
     note = "<p class=note>From detection to recovery the core sends no set-point; PX4 holds the last one.</p>"
     if flight.log.world is World.FAST:
         note += "<p class=note>Simulated in one process: messages take no time.</p>"
-    return _table(["ms", "median", "99 %", "most"], rows) + note
+    return table(["ms", "median", "99 %", "most"], rows) + note
 
 
 def _guard_table(flight: Flight) -> str:
@@ -233,7 +233,33 @@ def _guard_table(flight: Flight) -> str:
     rows: list[Row] = [
         [flight.course.time_of(g.t_us), g.rule, g.action, g.detail] for g in flight.verdict.guard
     ]
-    return _table(["s", "rule", "action", "detail"], rows)
+    return table(["s", "rule", "action", "detail"], rows)
+
+
+def _noise_table(flight: Flight) -> str:
+    """What could be felt as each approach began; empty for flights from before that was recorded."""
+    rows: list[Row] = [
+        [
+            flight.course.time_of(f.t_us),
+            f.threshold_n,
+            f.noise_short_n,
+            f.noise_long_n,
+            f.rigid_n,
+            f.flexible_n,
+        ]
+        for f in flight.course.all(DetectionFloor)
+    ]
+    if not rows:
+        return ""
+    heads = [
+        "s",
+        "threshold N",
+        "noise, short mean N",
+        "long mean N",
+        "rigid felt from N",
+        "flexible felt from N",
+    ]
+    return table(heads, rows)
 
 
 def _phase_table(flight: Flight) -> str:
@@ -242,7 +268,7 @@ def _phase_table(flight: Flight) -> str:
     rows: list[Row] = [
         [flight.course.time_of(c.t_us), c.before, c.after, c.reason] for c in flight.course.all(PhaseChange)
     ]
-    return _details("Phases", _table(["s", "from", "to", "because"], rows))
+    return _details("Phases", table(["s", "from", "to", "because"], rows))
 
 
 def _proposals(proposals: list[Proposal]) -> str:
@@ -270,7 +296,7 @@ def _proposals(proposals: list[Proposal]) -> str:
                 for s in p.suggestions
             ]
             heads = ["mode", "", "configured", "identified", "low", "high", ""]
-            parts.append(_table(heads, rows))
+            parts.append(table(heads, rows))
         if p.entry:
             parts.append(f"<p>Proposed entry of the configuration:</p><pre>{html.escape(p.entry)}</pre>")
     return "".join(parts)
@@ -286,7 +312,7 @@ def _parameters(flight: Flight, others: Sequence[Flight] = ()) -> str:
         else ""
     )
     vehicle = msgspec.json.format(about.get("vehicle", "{}"), indent=2)
-    return _section(
+    return section(
         "Parameters used",
         note
         + _details(
@@ -309,7 +335,7 @@ def _flights_table(flights: Sequence[Flight]) -> str:
              "equal" if f.replay.equal else f"{len(f.replay.differences)} differ"]
         )  # fmt: skip
     heads = ["flight", "outcome", "impacts", "goal miss m", "final error m", "tilt °", "replay"]
-    return _table(heads, rows)
+    return table(heads, rows)
 
 
 def _statistics(flights: Sequence[Flight], indices: list[int]) -> str:
@@ -334,7 +360,7 @@ def _statistics(flights: Sequence[Flight], indices: list[int]) -> str:
             _spread("detected after, ms", (i.verdict.detection_latency_ms for i in hits)),
         ]
     note = "<p class=note>± 95 %: half width of the interval of the mean, by Student's t.</p>"
-    return _table(["", "n", "mean", "± 95 %", "sd", "least", "most"], rows) + note
+    return table(["", "n", "mean", "± 95 %", "sd", "least", "most"], rows) + note
 
 
 def _percent(share: float | None) -> float | None:
@@ -354,7 +380,8 @@ def _spread(name: str, values: Iterable[float | None]) -> list[Cell]:
 # --- HTML ----------------------------------------------------------------------------------------------
 
 
-def _section(title: str, body: str) -> str:
+def section(title: str, body: str) -> str:
+    """A part of a page, with its heading."""
     return f"<section><h2>{html.escape(title)}</h2>{body}</section>"
 
 
@@ -362,9 +389,10 @@ def _details(title: str, body: str) -> str:
     return f"<details><summary>{html.escape(title)}</summary>{body}</details>"
 
 
-def _figures(*shown: tuple[str, str]) -> str:
+def shown(*figures_and_captions: tuple[str, str]) -> str:
+    """Figures (SVG text), each with its caption."""
     parts = []
-    for svg, caption in shown:
+    for svg, caption in figures_and_captions:
         data = base64.b64encode(svg.encode()).decode()
         text = html.escape(caption)
         parts.append(
@@ -374,7 +402,8 @@ def _figures(*shown: tuple[str, str]) -> str:
     return f"<div class=figures>{''.join(parts)}</div>"
 
 
-def _table(heads: Sequence[str], rows: Sequence[Row]) -> str:
+def table(heads: Sequence[str], rows: Sequence[Row]) -> str:
+    """A table; columns of numbers are set to the right."""
     firsts = next((row for row in rows if not isinstance(row, str)), [])
     head = "".join(
         f"<th{' class=n' if _is_number(cell) else ''}>{html.escape(h)}</th>"
@@ -415,7 +444,8 @@ def _cell(value: Cell) -> str:
     return f"<td class=n>{value:.{digits}f}</td>"
 
 
-def _page(title: str, parts: Sequence[str]) -> str:
+def page(title: str, parts: Sequence[str]) -> str:
+    """The whole file."""
     style = resources.files("dart_flight.report").joinpath("page.css").read_text(encoding="utf-8")
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'

@@ -11,7 +11,7 @@ from collections import deque
 
 import msgspec
 
-from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.config.vehicle import ImuRinging, VehicleConfig
 from dart_flight.geometry import (
     Quaternion,
     Vec3,
@@ -39,13 +39,48 @@ class ImuSensor:
         self._sigma, self._gyro_sigma = s.imu_noise_m_s2, s.gyro_noise_rad_s
         self.full_scale_m_s2 = vehicle.imu.full_scale_m_s2
         self.bias: Vec3 = gauss3(rng, s.imu_bias_m_s2)
+        ringing = s.imu_ringing
+        self._ringing = None if ringing is None else _Ringing(ringing, vehicle.imu.tick_s, rng)
 
     def measure(self, specific_force_frd: Vec3, rate_frd: Vec3) -> tuple[Vec3, Vec3]:
         """(specific force m/s2, body rate rad/s), FRD, as reported for one tick."""
         noisy = add(add(specific_force_frd, self.bias), gauss3(self._rng, self._sigma))
+        if self._ringing is not None:
+            noisy = add(noisy, self._ringing.next())
         f, s = specific_force_frd, self.full_scale_m_s2
         read = (_saturate(f[0], noisy[0], s), _saturate(f[1], noisy[1], s), _saturate(f[2], noisy[2], s))
         return read, add(rate_frd, gauss3(self._rng, self._gyro_sigma))
+
+
+class _Ringing:
+    """White noise, and one tone whose frequency wanders; the axes differ in phase."""
+
+    _WANDER_S = 1.0  # over which the tone crosses its band
+
+    def __init__(self, config: ImuRinging, tick_s: float, rng: random.Random) -> None:
+        self._config, self._tick_s, self._rng = config, tick_s, rng
+        self._low, self._high = config.tone_hz_low, config.tone_hz_high
+        self._hz = rng.uniform(self._low, self._high)
+        self._phase = 0.0
+        self._shift = (rng.uniform(0.0, math.tau), rng.uniform(0.0, math.tau), rng.uniform(0.0, math.tau))
+
+    def next(self) -> Vec3:
+        """The next tick's, m/s2, FRD."""
+        c = self._config
+        white = gauss3(self._rng, c.white_m_s2)
+        if c.tone_m_s2 <= 0.0:
+            return white
+        step = (self._high - self._low) * math.sqrt(self._tick_s / self._WANDER_S)
+        self._hz = max(self._low, min(self._high, self._hz + self._rng.gauss(0.0, step)))
+        self._phase = (self._phase + math.tau * self._hz * self._tick_s) % math.tau
+        top = math.sqrt(2.0) * c.tone_m_s2
+        a, b, d = self._shift
+        tone = (
+            top * math.sin(self._phase + a),
+            top * math.sin(self._phase + b),
+            top * math.sin(self._phase + d),
+        )
+        return add(white, tone)
 
 
 def _saturate(true: float, noisy: float, scale: float) -> float:

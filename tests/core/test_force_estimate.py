@@ -22,6 +22,7 @@ from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
     AttitudeTargetSample,
+    DetectionFloor,
     EscSample,
     ForceEstimate,
     ImpactOnset,
@@ -342,13 +343,15 @@ def feed(
     forces: list[tuple[float, float]], noise_n: float = 0.26, normal: tuple[float, float] | None = None
 ) -> list[object]:
     """A detector's events for forces every 4 ms."""
-    detector = ImpactDetector(VEHICLE)
+    detector = ImpactDetector(with_estimation(imu_noise_m_s2=0.2))  # has flown long enough to know
     expected = Expected(True, normal, "wood" if normal else None)
     state = FlightState()
     events: list[object] = []
     for i, (fx, fy) in enumerate(forces):
         t = 1_000_000 + 4000 * i
-        events += detector.update(ForceEstimate(t, (fx, fy, 0.0), False, noise_n=noise_n), t, state, expected)
+        estimate = ForceEstimate(t, (fx, fy, 0.0), False, noise_n=noise_n)
+        found = detector.update(estimate, t, state, expected)
+        events += [e for e in found if not isinstance(e, DetectionFloor)]
     return events
 
 

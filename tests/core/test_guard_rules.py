@@ -1,6 +1,7 @@
 """The table of the guard's rules: each fires on its cause, and not once it is taken out of the table."""
 
 import inspect
+import random
 import re
 from collections.abc import Callable
 
@@ -315,6 +316,27 @@ def asked(request: Request) -> Callable[[HandFedCore], object]:
         c.give(OperatorRequest(c.t_us, request))
 
     return fly
+
+
+@cause
+def hit_in_noise(c: HandFedCore) -> None:
+    """The climb shakes, the approach is to be told from that."""
+    c.set_lock(Mode.RIGID)
+    c.run(0.5)
+    c.set_status(flight_mode=FlightMode.OFFBOARD)
+    c.run(0.1)
+    c.set_status(armed=True)
+    c.run(0.1)
+    c.set_status(landed=LandedState.IN_AIR)
+    rng = random.Random(1)
+    for _ in range(750):
+        c.force_ned = (rng.gauss(0.0, 25.0), rng.gauss(0.0, 25.0), 0.0)
+        c.run(0.004)
+    c.force_ned = (0.0, 0.0, 0.0)
+    c.position_ned = (0.0, 0.0, -1.0)
+    c.run(1.0)
+    c.set_lock(Mode.FLEXIBLE)
+    c.run(0.02)
 
 
 CAUSES |= {

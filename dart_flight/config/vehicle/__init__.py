@@ -22,7 +22,7 @@ from dart_flight.config.vehicle.estimation import (
 )
 from dart_flight.config.vehicle.flight import Flying
 from dart_flight.config.vehicle.lock import Cam, LimitSwitch, LockConfig, LockDriver, LockStartup, Servo
-from dart_flight.config.vehicle.simulation import BodyModel, ContactBody, Simulation, Spreads
+from dart_flight.config.vehicle.simulation import BodyModel, ContactBody, ImuRinging, Simulation, Spreads
 
 __all__ = [
     "Airframe",
@@ -35,6 +35,7 @@ __all__ = [
     "Estimation",
     "Flying",
     "Imu",
+    "ImuRinging",
     "LimitSwitch",
     "LockConfig",
     "LockDriver",

@@ -136,6 +136,10 @@ class Detection(Section, frozen=True):
         refractory_s: time after a contact in which no new impact is registered.
         sure_sigma: one sample over the threshold by this many times its noise is enough; else the mean of two
             or three in a row has to be over it.
+        noise_sigma: the threshold is at least this many times the learnt noise of what is compared with it;
+            0: noise does not lift it.
+        short_window_s: mean over which a rigid contact is looked for in noise.
+        long_window_s: mean over which a flexible contact is looked for in noise.
     """
 
     force_threshold_n: Positive
@@ -146,3 +150,7 @@ class Detection(Section, frozen=True):
     contact_end_s: Positive
     refractory_s: NotNegative
     sure_sigma: NotNegative
+    # Flights from before these keys are replayed as they were flown: without a lifted threshold.
+    noise_sigma: NotNegative = 0.0
+    short_window_s: Positive = 0.032
+    long_window_s: Positive = 0.1

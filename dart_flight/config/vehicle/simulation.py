@@ -71,6 +71,26 @@ class Spreads(Section, frozen=True):
     battery: NotNegative = 0.05
 
 
+class ImuRinging(Section, frozen=True):
+    """What motors and frame shake into the accelerometer, per axis of the reported sample, root mean square.
+
+    Attributes:
+        white_m_s2: without any colour, beside imu_noise_m_s2.
+        tone_m_s2: of one tone.
+        tone_hz_low: the tone wanders from here ...
+        tone_hz_high: ... to here, over seconds.
+    """
+
+    white_m_s2: NotNegative = 0.0
+    tone_m_s2: NotNegative = 0.0
+    tone_hz_low: Positive = 50.0
+    tone_hz_high: Positive = 200.0
+
+    def __post_init__(self) -> None:
+        if self.tone_hz_low > self.tone_hz_high:
+            raise ValueError(f"tone_hz_low {self.tone_hz_low:g} must not exceed tone_hz_high")
+
+
 class Simulation(Section, frozen=True):
     """What only the simulated vehicle needs.
 
@@ -93,6 +113,7 @@ class Simulation(Section, frozen=True):
         gust_time_s: correlation time of the gusts.
         contact: the vehicle as a body that touches walls.
         spreads: how far a real flight may be from what is believed.
+        imu_ringing: what motors and frame shake into the accelerometer; null: nothing.
     """
 
     imu_noise_m_s2: NotNegative
@@ -113,3 +134,4 @@ class Simulation(Section, frozen=True):
     gust_time_s: Positive
     contact: ContactBody = ContactBody()
     spreads: Spreads = Spreads()
+    imu_ringing: ImuRinging | None = None

@@ -282,6 +282,8 @@ RULES: tuple[Rule, ...] = (
     Rule("wall_not_met", "the wall was not met where or when it should have been",
          "guard.wall_overrun_m, guard.wall_late_s, limits.collision_timeout_s", _BREAK_OFF),
     Rule("wall_met_early", "a contact well before the planned wall", "guard.wall_early_m", _BREAK_OFF),
+    Rule("hit_in_noise", "the planned hit cannot be told from the vibration learnt so far",
+         "detection.noise_sigma, detection.short_window_s, detection.long_window_s", _BREAK_OFF),
     Rule("unplanned_hit", "an impact where the plan has none", "", _BREAK_OFF),
     Rule("no_peak", "a contact whose force does not fall again", "detection.peak_wait_s", _BREAK_OFF),
     Rule("lock_not_settled", "the lock is not in the planned mode in the approach or at the impact", "",

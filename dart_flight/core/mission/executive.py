@@ -14,6 +14,7 @@ from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import Approach, plan_approach
 from dart_flight.core.mission.lock_orders import LockOrders
 from dart_flight.core.mission.phases import TRANSITIONS, WATCHING, Cue
+from dart_flight.core.mission.planned import expected_hit
 from dart_flight.core.mission.position_loop import least_distance_m
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.recovery import recovery_point
@@ -23,6 +24,7 @@ from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import distance2, norm, yaw_ned_of
 from dart_flight.samples import (
+    DetectionFloor,
     GoalPassed,
     ImpactOnset,
     ImpactPeak,
@@ -108,6 +110,8 @@ class Executive:
                 self._on_onset(event, state, p)
             elif isinstance(event, ImpactPeak):
                 self._on_peak(event, state, p)
+            elif isinstance(event, DetectionFloor):
+                self._on_floor(event, p)
             else:
                 self._lock.contact_ends(event.t_us)
         p.outputs += self._lock.permission(state.now_us, sensed.in_contact)
@@ -291,6 +295,17 @@ class Executive:
             p.find("lock_not_settled", detail)
         else:
             self._go(Cue.ONSET, state, p)
+
+    def _on_floor(self, event: DetectionFloor, p: Proposal) -> None:
+        """Whether the planned hit can be told from the vibration at all; a wall not felt is flown into."""
+        collision, vehicle = self._collision, self.mission.vehicle
+        if collision is None or event.threshold_n <= vehicle.detection.force_threshold_n:
+            return
+        hit = expected_hit(self.mission, collision)
+        floor = event.rigid_n if collision.mode is Mode.RIGID else event.flexible_n
+        if hit is not None and hit.peak_normal_force_n < floor:
+            what = f"{collision.mode.value}, {hit.peak_normal_force_n:.0f} N at wall {collision.wall.name}"
+            p.find("hit_in_noise", f"{what}: cannot be told from vibration here, {floor:.0f} N can")
 
     def _contact(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if self._takes_longer_than(2 * self.mission.vehicle.detection.peak_wait_s, state):

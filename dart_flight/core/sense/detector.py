@@ -4,7 +4,11 @@ A collision is registered when the horizontal force reaches the threshold (ours;
 switchable), less a slow baseline (`bias.py`). The forces of the recovery are the peaks: of the normal
 and of the tangential component each its own, since the onset, from a fit of the contact model's pulse
 (`core/sense/pulse.py`), because the maximum of noisy samples is biased upward. States: watching -> rising ->
-falling -> refractory -> watching. docs/force.md.
+falling -> refractory -> watching.
+
+Where the vehicle shakes, the threshold is a multiple of the noise of what is compared with it: of a sample,
+of two, of a mean as long as a rigid contact, of one as long as a flexible contact (`core/sense/window.py`).
+The shortest whose noise leaves the configured threshold alone decides; if none does, all do. docs/force.md.
 """
 
 from __future__ import annotations
@@ -20,8 +24,17 @@ from dart_flight.config.vehicle import Coefficients, Detection, ThresholdTest, V
 from dart_flight.core.sense.bias import SlowForce
 from dart_flight.core.sense.pulse import NormalPulse, Prior, TickReading, fit_friction, fit_normal
 from dart_flight.core.sense.state import FlightState
+from dart_flight.core.sense.window import WindowMean, half_sine_share
 from dart_flight.geometry import Vec2
-from dart_flight.samples import ContactEnd, ForceEstimate, ImpactOnset, ImpactPeak, LockPhase, Mode
+from dart_flight.samples import (
+    ContactEnd,
+    DetectionFloor,
+    ForceEstimate,
+    ImpactOnset,
+    ImpactPeak,
+    LockPhase,
+    Mode,
+)
 
 _RISE_SHARE = 0.3  # of the threshold: above it a sample before the crossing belongs to the contact
 _PEAK_DROP_SHARE = 0.25  # of the threshold: a smaller drop is noise
@@ -32,6 +45,9 @@ _TOP_SHARE = 0.7  # samples above this share of the maximum are the top of the p
 _TOP_REACH = 4  # samples on either side, at most
 _BEFORE = 8  # samples remembered from before the crossing
 _FAR_SIGMA = 4.6  # threshold over the noise of one sample: from here on two samples in a row will do
+_OFTEN_SIGMA = 1.0  # more for one sample and for two: noise has many more chances there than in a long mean
+_MARGIN_SIGMA = 1.0  # a pulse is promised to be found this many deviations over the threshold
+_LONGEST_CONTACT_S = 0.5  # in noise the end of a contact may drown
 _INTO_WALL = 0.1  # of the force: this much may point into the expected wall at the onset
 
 
@@ -68,7 +84,7 @@ class _Stage(Enum):
     REFRACTORY = auto()
 
 
-Events = list[ImpactOnset | ImpactPeak | ContactEnd]
+Events = list[ImpactOnset | ImpactPeak | ContactEnd | DetectionFloor]
 
 
 class ImpactDetector:
@@ -94,7 +110,15 @@ class ImpactDetector:
         }
         self.slow_force = SlowForce(vehicle.estimation)
         self._stage = _Stage.WATCHING
-        self._before: deque[_Sample] = deque(maxlen=_BEFORE)
+        tick_s, noise_n = vehicle.imu.tick_s, self._mass * vehicle.estimation.imu_noise_m_s2
+        lengths = (0.0, 2.0 * tick_s, self._config.short_window_s, self._config.long_window_s)
+        self._windows = [WindowMean(s, noise_n, round(s / tick_s)) for s in lengths]
+        self._lengths = lengths
+        self._sizes = [0.0, 0.0, 0.0, 0.0]
+        self._by_mean: WindowMean | None = None  # the window that saw the contact under way, else samples
+        self._threshold = self._config.force_threshold_n  # that saw it
+        most = max(_BEFORE, round(self._config.long_window_s / tick_s) + _BEFORE)
+        self._before: deque[_Sample] = deque(maxlen=most if self._config.noise_sigma > 0.0 else _BEFORE)
         self._samples: list[_Sample] = []
         self._last_us = 0
         self._previous: tuple[Vec2, Vec2] = ((0.0, 0.0), (0.0, 0.0))  # forces of the two samples before
@@ -120,7 +144,6 @@ class ImpactDetector:
         self, estimate: ForceEstimate, received_us: int, state: FlightState, expected: Expected
     ) -> Events:
         """Take the next force estimate; returns the events it brings, none at most times."""
-        self._expected = expected
         t_us = estimate.t_us
         dt_us = t_us - self._last_us if self._last_us else self._tick_us
         self._last_us = t_us
@@ -129,10 +152,14 @@ class ImpactDetector:
         stage = self._stage
         if stage is _Stage.REFRACTORY and t_us - self._ended_us >= self._config.refractory_s * 1e6:
             stage = self._stage = _Stage.WATCHING
+        told = self._tell_floor(t_us, expected)
+        self._expected = expected
+        if self._config.noise_sigma > 0.0:
+            self._sizes = [window.add(t_us, fx, fy) for window in self._windows]
         if stage is _Stage.WATCHING or stage is _Stage.REFRACTORY:
             self._noise = estimate.noise_n
-            return self._watch(estimate, fx, fy, dt_us, received_us, state)
-        events: Events = []
+            return told + self._watch(estimate, fx, fy, dt_us, received_us, state)
+        events: Events = told
         if stage is _Stage.RISING:
             self._samples.append(
                 _Sample(t_us, dt_us, fx, fy, force[2], estimate.push_mission, estimate.clipped)
@@ -161,27 +188,101 @@ class ImpactDetector:
             estimate.t_us, dt_us, fx, fy, estimate.force_mission[2], estimate.push_mission, estimate.clipped
         )
         watching = self._expected.watching and self._armed and self._stage is _Stage.WATCHING
-        # One sample is enough where noise cannot have lifted it; else the mean of two or three in a row.
-        sure = size >= threshold + config.sure_sigma * self._noise
-        if over and watching and (sure or self._mean_is_over(fx, fy)):
+        if watching and self._is_contact(fx, fy, size, over):
             return [self._begin(estimate, sample, received_us, state)]
         self._previous = ((fx, fy), self._previous[0])
         self._before.append(sample)
+        if config.noise_sigma > 0.0 and self._stage is _Stage.WATCHING:
+            for window in self._windows:
+                window.learn(dt_us * 1e-6)
         if not over or not self._armed:
             f = estimate.force_mission
             self.slow_force.follow(f[0], f[1], dt_us * 1e-6)
         return []
 
-    def _mean_is_over(self, fx: float, fy: float) -> bool:
+    def _is_contact(self, fx: float, fy: float, size: float, over: bool) -> bool:
+        """Whether the sample, the mean of the newest two or three, or a longer mean is over its threshold."""
+        one, two, short, long = self.thresholds_n()
+        threshold = self._config.force_threshold_n
+        self._by_mean, self._threshold = None, threshold
+        if over:
+            # One sample is enough where noise cannot have lifted it; else two or three in a row.
+            if size >= max(threshold + self._config.sure_sigma * self._noise, one):
+                return True
+            if self._mean_is_over(fx, fy, two):
+                return True
+        if two <= threshold:
+            return False
+        if self._windows[2].full and self._size_of(2) >= short:
+            self._by_mean, self._threshold = self._windows[2], short
+        elif short > threshold and self._windows[3].full and self._size_of(3) >= long:
+            self._by_mean, self._threshold = self._windows[3], long
+        return self._by_mean is not None
+
+    def thresholds_n(self) -> tuple[float, float, float, float]:
+        """Of one sample, of the mean of two, of the short and of the long window, newton: the configured
+        threshold, or the multiple of the learnt noise where that is more."""
+        least, sigma = self._config.force_threshold_n, self._config.noise_sigma
+        one, two, short, long = self._windows
+        return (
+            max(least, (sigma + _OFTEN_SIGMA) * one.noise_n),
+            max(least, (sigma + _OFTEN_SIGMA) * two.noise_n),
+            max(least, sigma * short.noise_n),
+            max(least, sigma * long.noise_n),
+        )
+
+    def floor_n(self, duration_s: float) -> float:
+        """The peak from which on a half-sine of this duration is found for certain, newton.
+
+        One deviation over the threshold of the window that sees it best, over the share of the peak that the
+        window keeps.
+        """
+        best = math.inf
+        for i, threshold in enumerate(self.thresholds_n()):
+            if i >= 2 and self.thresholds_n()[i - 1] <= self._config.force_threshold_n:
+                break  # a longer window is not asked
+            lifted = threshold + _MARGIN_SIGMA * self._windows[i].noise_n
+            best = min(best, lifted / half_sine_share(self._lengths[i], duration_s))
+        return best
+
+    @property
+    def noise_n(self) -> tuple[float, float]:
+        """Learnt deviation of one component of the short and of the long mean, newton."""
+        return (self._windows[2].noise_n, self._windows[3].noise_n)
+
+    def _tell_floor(self, t_us: int, expected: Expected) -> Events:
+        """What can be felt, once when a wall begins to be expected."""
+        if self._config.noise_sigma <= 0.0 or expected.normal is None or self._expected.normal is not None:
+            return []
+        thresholds = self.thresholds_n()
+        rigid, flexible = (self._prior_of(expected, m).half_period_s for m in (Mode.RIGID, Mode.FLEXIBLE))
+        return [
+            DetectionFloor(
+                t_us=t_us,
+                threshold_n=min(thresholds),
+                noise_short_n=self._windows[2].noise_n,
+                noise_long_n=self._windows[3].noise_n,
+                rigid_n=self.floor_n(rigid),
+                flexible_n=self.floor_n(flexible),
+            )
+        ]
+
+    def _size_of(self, index: int) -> float:
+        if not self._per_axis:
+            return self._sizes[index]
+        x, y = self._windows[index].mean
+        return max(abs(x), abs(y))
+
+    def _mean_is_over(self, fx: float, fy: float, threshold: float) -> bool:
         """Whether the mean of as many samples as the noise asks for is over the threshold."""
         x, y = confirmed_force(fx, fy, self._previous, self._noise, self._config)
         size = max(abs(x), abs(y)) if self._per_axis else math.sqrt(x * x + y * y)
-        return size >= self._config.force_threshold_n
+        return size >= threshold
 
     def _begin(
         self, estimate: ForceEstimate, sample: _Sample, received_us: int, state: FlightState
     ) -> ImpactOnset:
-        fx, fy = sample.fx, sample.fy
+        fx, fy = self._by_mean.mean if self._by_mean is not None else (sample.fx, sample.fy)
         size = max(math.sqrt(fx * fx + fy * fy), 1e-9)
         expected = self._expected.normal
         # Friction comes first and may be many times the normal force, whose sign is then lost in noise: only
@@ -189,14 +290,21 @@ class ImpactDetector:
         least = -(_INTO_WALL * size + 3.0 * self._noise)
         planned = expected is not None and fx * expected[0] + fy * expected[1] > least
         self._normal = expected if expected is not None and planned else (fx / size, fy / size)
-        rise = max(_RISE_SHARE * self._config.force_threshold_n, 2.0 * self._noise)
-        first_us = sample.t_us
-        for earlier in reversed(self._before):
-            if earlier.fx * earlier.fx + earlier.fy * earlier.fy < rise * rise:
-                break
-            first_us = earlier.t_us
-        self._samples = [*self._before, sample]
+        before = list(self._before)
+        if self._by_mean is None:
+            before = before[-_BEFORE:]
+            rise = max(_RISE_SHARE * self._config.force_threshold_n, 2.0 * self._noise)
+            first_us = sample.t_us
+            for earlier in reversed(before):
+                if earlier.fx * earlier.fx + earlier.fy * earlier.fy < rise * rise:
+                    break
+                first_us = earlier.t_us
+        else:
+            first_us = _foot_of([*before, sample], (fx / size, fy / size))
+        self._samples = [*before, sample]
         self._before.clear()
+        for window in self._windows:
+            window.forget()
         self._quiet_since_us = None
         self._armed = False
         self._stage = _Stage.RISING
@@ -304,9 +412,10 @@ class ImpactDetector:
         rigid = state.lock.mode is Mode.RIGID and state.lock.phase is LockPhase.SETTLED
         mode = Mode.RIGID if rigid else Mode.FLEXIBLE
         assert self._onset is not None
-        if self._expected.material is not None and self._onset.planned:
-            return self._priors[self._expected.material, mode]
-        return self._typical[mode]
+        return self._prior_of(self._expected if self._onset.planned else Expected(), mode)
+
+    def _prior_of(self, expected: Expected, mode: Mode) -> Prior:
+        return self._typical[mode] if expected.material is None else self._priors[expected.material, mode]
 
     def _fit(self, readings: list[TickReading], state: FlightState) -> NormalPulse | None:
         push = self._mean_push()
@@ -337,15 +446,18 @@ class ImpactDetector:
     # -- end --
 
     def _end(self, t_us: int, fx: float, fy: float) -> ContactEnd | None:
-        release = self._config.release_fraction * self._config.force_threshold_n
-        if fx * self._normal[0] + fy * self._normal[1] >= release:
+        release = self._config.release_fraction * self._threshold
+        if self._by_mean is not None:
+            fx, fy = self._windows[2].mean
+        assert self._onset is not None
+        lasts = t_us - self._onset.first_us < _LONGEST_CONTACT_S * 1e6 or self._config.noise_sigma <= 0.0
+        if lasts and fx * self._normal[0] + fy * self._normal[1] >= release:
             self._quiet_since_us = None
             return None
         if self._quiet_since_us is None:
             self._quiet_since_us = t_us
         if t_us - self._quiet_since_us < self._config.contact_end_s * 1e6:
             return None
-        assert self._onset is not None
         self._stage = _Stage.REFRACTORY
         self._ended_us = t_us
         return ContactEnd(t_us=self._quiet_since_us, first_us=self._onset.first_us)
@@ -359,6 +471,19 @@ def confirmed_force(
     if _FAR_SIGMA * noise_n <= config.force_threshold_n:
         return (0.5 * (fx + ax), 0.5 * (fy + ay))
     return ((fx + ax + bx) / 3.0, (fy + ay + by) / 3.0)
+
+
+def _foot_of(samples: list[_Sample], along: Vec2) -> int:
+    """Where a pulse that only a mean shows began: the moment from which on its sum only grew."""
+    forces = [s.fx * along[0] + s.fy * along[1] for s in samples]
+    # Largest sum of a stretch that ends at the newest sample, less half of what is felt there now.
+    rest = 0.5 * sum(forces[-_BEFORE:]) / min(len(forces), _BEFORE)
+    best, total, first = -math.inf, 0.0, len(samples) - 1
+    for i in range(len(samples) - 1, -1, -1):
+        total += forces[i] - rest
+        if total > best:
+            best, first = total, i
+    return samples[first].t_us
 
 
 def _prior(c: Coefficients, mass_kg: float) -> Prior:

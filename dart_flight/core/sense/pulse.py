@@ -48,6 +48,11 @@ class Prior(msgspec.Struct, gc=False, frozen=True):
     sigma: float
     kappa: float
 
+    @property
+    def half_period_s(self) -> float:
+        """About how long a contact lasts: half a period of the damped oscillation."""
+        return math.pi / math.sqrt(max(self.omega**2 - self.sigma**2, 0.01 * self.omega**2))
+
 
 class NormalPulse(msgspec.Struct, gc=False):
     """A fitted normal pulse: onset, slope there, frequency, damping, push; peak, its moment and error."""

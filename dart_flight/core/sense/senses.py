@@ -14,6 +14,7 @@ from dart_flight.samples import (
     AttitudeTargetSample,
     ClockOffset,
     ContactEnd,
+    DetectionFloor,
     EscSample,
     EstimatorSample,
     ForceEstimate,
@@ -33,12 +34,12 @@ class Sensed(NamedTuple):
 
     Attributes:
         estimate: the external force, where the input gives one.
-        impacts: what the detector makes of it, none at most times.
+        impacts: what the detector makes of it, none at most times; what it can feel, as an approach begins.
         in_contact: between onset and end of a contact.
     """
 
     estimate: ForceEstimate | None = None
-    impacts: tuple[ImpactOnset | ImpactPeak | ContactEnd, ...] = ()
+    impacts: tuple[ImpactOnset | ImpactPeak | ContactEnd | DetectionFloor, ...] = ()
     in_contact: bool = False
 
 

@@ -1,0 +1,29 @@
+"""What the contact law says of a planned hit."""
+
+from __future__ import annotations
+
+from dart_flight.config.mission import Collision, Mission
+from dart_flight.contact import contact_map
+from dart_flight.contact.law import Onset
+
+
+def impact_velocity(collision: Collision) -> tuple[float, float] | None:
+    """(normal, tangential) velocity at the impact in m/s, collision frame: as planned, else as predicted.
+
+    None where the mission says neither, as for a wall that a recovery leads to.
+    """
+    if collision.approach_m_s is not None:
+        return collision.approach_m_s
+    if collision.predicted is not None:
+        return (collision.predicted.normal_m_s, collision.predicted.tangential_m_s)
+    return None
+
+
+def expected_hit(mission: Mission, collision: Collision) -> contact_map.WallHit[float] | None:
+    """What the contact law makes of a collision's velocity; None where the velocity is not known."""
+    velocity = impact_velocity(collision)
+    if velocity is None or velocity[0] >= 0.0:
+        return None
+    vehicle = mission.vehicle
+    coefficients = vehicle.materials[collision.wall.material].of(collision.mode)
+    return contact_map.collide(coefficients, vehicle.airframe.mass_kg, *velocity, Onset(vehicle.onset))

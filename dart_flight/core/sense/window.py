@@ -1,0 +1,105 @@
+"""The horizontal force averaged over windows as long as the contacts waited for, and its own noise.
+
+A motor's ringing and white noise shrink in a mean over 30 or 100 ms, a contact of that length hardly does. By
+how much they shrink depends on their frequency, so it is not computed from the noise of a sample: what is
+learnt, outside of contacts, is by how much each mean itself varies. docs/force.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from dart_flight.geometry import Vec2
+
+_QUICK_S, _SLOW_S = 0.5, 5.0  # a manoeuvre counts at once, and its noise is not forgotten at once
+_OUTLIER = 9.0  # a square counts at most this many times the present variance
+_ASSUMED = 5  # samples that the noise to begin with counts for
+_DELAY = 10  # samples: what a contact's foot teaches is thrown away at its onset
+_MOST_STEP_S = 0.05  # after a gap in the stream one sample counts for this long at most
+
+
+class WindowMean:
+    """Mean of the horizontal force over the newest `length_s`, and the learnt deviation of that mean.
+
+    Args:
+        length_s: 0 for the sample itself.
+        noise_n: deviation of one sample and axis to begin with, taken as white.
+        samples: how many samples the window holds at the IMU's nominal rate.
+
+    Attributes:
+        mean: newton, mission frame.
+        full: whether the samples reach back over the whole window.
+        noise_n: deviation of one component of the mean.
+    """
+
+    def __init__(self, length_s: float, noise_n: float, samples: int) -> None:
+        self._length_us = length_s * 1e6
+        self._kept: deque[tuple[int, float, float]] = deque()
+        self._x = self._y = 0.0
+        self._since_sum = 0
+        self._seen = 0
+        self._quick = self._slow = noise_n * noise_n / max(1, samples)
+        self._pending: deque[float] = deque()
+        # A force that is there all the time is no noise: two means are compared that share no sample. One
+        # window apart they agree by chance only for a tone that the window itself takes out.
+        self._past: deque[Vec2] = deque(maxlen=max(1, samples))
+        self.mean: Vec2 = (0.0, 0.0)
+        self.full = False
+        self.noise_n = math.sqrt(self._slow)
+
+    def add(self, t_us: int, fx: float, fy: float) -> float:
+        """Take a sample; returns the size of the mean."""
+        kept = self._kept
+        kept.append((t_us, fx, fy))
+        self._x += fx
+        self._y += fy
+        first = t_us - self._length_us
+        while kept[0][0] <= first and len(kept) > 1:
+            _, x, y = kept.popleft()
+            self._x -= x
+            self._y -= y
+            self._since_sum += 1
+            self.full = True
+        if self._since_sum > len(kept):
+            # Rounding must not pile up over hours: sum anew once a window.
+            self._since_sum = 0
+            self._x, self._y = sum(s[1] for s in kept), sum(s[2] for s in kept)
+        n = len(kept)
+        x, y = self.mean = (self._x / n, self._y / n)
+        return math.sqrt(x * x + y * y)
+
+    def learn(self, dt_s: float) -> None:
+        """A mean outside of contacts teaches the noise: how far it is from the one a window before it."""
+        past, pending = self._past, self._pending
+        if len(past) == past.maxlen:
+            dx, dy = self.mean[0] - past[0][0], self.mean[1] - past[0][1]
+            pending.append(0.25 * (dx * dx + dy * dy))
+        past.append(self.mean)
+        if len(pending) <= _DELAY:
+            return
+        square = pending.popleft()
+        step, self._seen = min(dt_s, _MOST_STEP_S), self._seen + 1
+        # At first a plain mean, so that what was assumed is forgotten once something is known.
+        first = 1.0 / (_ASSUMED + self._seen)
+        quick, slow = max(step / _QUICK_S, first), max(step / _SLOW_S, first)
+        self._quick += quick * (min(square, _OUTLIER * self._quick) - self._quick)
+        self._slow += slow * (min(square, _OUTLIER * self._slow) - self._slow)
+        # A force without any noise does not exist: never let certainty become absolute.
+        self._quick, self._slow = max(self._quick, 1e-4), max(self._slow, 1e-4)
+        self.noise_n = math.sqrt(max(self._quick, self._slow))
+
+    def forget(self) -> None:
+        """A contact has begun, or the stream broke off: what it has taught so far is thrown away."""
+        self._pending.clear()
+        self._past.clear()
+
+
+def half_sine_share(length_s: float, duration_s: float) -> float:
+    """The largest mean over a window of a half-sine of height one."""
+    if length_s <= 0.0:
+        return 1.0
+    if length_s >= duration_s:
+        return 2.0 * duration_s / (math.pi * length_s)
+    angle = 0.5 * math.pi * length_s / duration_s
+    return math.sin(angle) / angle

@@ -1,0 +1,229 @@
+"""PX4's own log (ULog), opened in one place: topics as arrays, motor commands decoded, battery plausible.
+
+PX4 1.9 and later. What `actuator_outputs` holds depends on version and output type: pulse widths between
+`PWM_MIN` and `PWM_MAX` (until 1.11), `PWM_MAIN_MIN` and `_MAX` (1.12) or those of each pin (from 1.13 on),
+DShot's 0 to 1999, UAVCAN's 0 to 8191, and in simulation 0 to 1. There may be several instances: motors on
+one, servos or nothing on the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.config.document import InputError
+
+Array = NDArray[np.float64]
+
+_LEAST_CELL_V = 3.0  # a flying pack has at least one cell; 0.05 V is a sensor that is not connected
+_LONGEST_COUNT = 8
+_MAV_TYPE_MOTORS = {2: 4, 13: 6, 14: 8}  # MAV_TYPE: quadrotor, hexarotor, octorotor
+_PWM = (1000.0, 2000.0)
+_DSHOT = (0.0, 1999.0)
+_UAVCAN = (0.0, 8191.0)
+_LOWEST_PULSE = 800.0  # a pulse width of an armed output is never shorter
+_LONGEST_PULSE = 2200.0
+_STILL = 1e-3  # share of the range: outputs that vary less are not motors
+
+
+class ULogFile(msgspec.Struct):
+    """One log.
+
+    Attributes:
+        source: the file, for messages.
+        topics: name -> instance -> field -> array, as PX4 wrote it; only topics with samples.
+        parameters: PX4's parameters at the start of the log.
+        version: PX4's version, None where the log does not say or it was built between releases.
+        gaps_s: seconds in all that the logger lost.
+    """
+
+    source: str
+    topics: dict[str, dict[int, dict[str, Any]]]
+    parameters: dict[str, float]
+    version: tuple[int, int, int] | None
+    gaps_s: float
+
+    def first(self, name: str) -> dict[str, Any] | None:
+        """Instance 0 of a topic, None where it was not logged."""
+        return self.topics.get(name, {}).get(0)
+
+    def rate_hz(self, name: str) -> float | None:
+        """Mean rate of a topic's first instance, None where it was not logged."""
+        data = self.first(name)
+        if data is None or len(data["timestamp"]) < 2:
+            return None
+        t = seconds(data)
+        return float((len(t) - 1) / max(t[-1] - t[0], 1e-6))
+
+
+class MotorCommands(msgspec.Struct):
+    """Commands to the motors over time.
+
+    Attributes:
+        time_s: stamps.
+        values: (samples, motors), 0 to 1.
+        said: where they come from and how they were decoded.
+    """
+
+    time_s: Array
+    values: Array
+    said: str
+
+
+class Battery(msgspec.Struct):
+    """Battery voltage over time; `said` is why it was left out, empty where it was not."""
+
+    time_s: Array
+    volts: Array
+    said: str = ""
+
+
+def open_ulog(path: str | Path, topics: Sequence[str]) -> ULogFile:
+    """Open a log and take some topics out of it.
+
+    Raises:
+        InputError: pyulog is missing, the file cannot be read or is not a ULog.
+    """
+    source = str(path)
+    try:
+        from pyulog import ULog  # noqa: PLC0415  (an extra, slow to import)
+    except ImportError:
+        raise InputError("needs pyulog: pip install dart-flight[identify]", source=source) from None
+    try:
+        log = ULog(source, list(topics))
+    except OSError as error:
+        raise InputError(f"cannot read: {error.strerror or error}", source=source) from None
+    except Exception:
+        # pyulog raises whatever its parsing stumbles over.
+        raise InputError("not a readable ULog", source=source) from None
+    found: dict[str, dict[int, dict[str, Any]]] = {}
+    for entry in log.data_list:
+        if len(entry.data["timestamp"]):
+            found.setdefault(entry.name, {})[entry.multi_id] = entry.data
+    release = int(log.msg_info_dict.get("ver_sw_release", 0))
+    version = (release >> 24 & 255, release >> 16 & 255, release >> 8 & 255) if release else None
+    return ULogFile(
+        source=source,
+        topics=found,
+        parameters={name: float(value) for name, value in log.initial_parameters.items()},
+        version=version,
+        gaps_s=sum(d.duration for d in log.dropouts) * 1e-3,
+    )
+
+
+def seconds(data: dict[str, Any]) -> Array:
+    """Stamps of a topic in seconds of the autopilot's clock: of the measurement where the topic has it."""
+    name = (
+        "timestamp_sample" if "timestamp_sample" in data and data["timestamp_sample"].any() else "timestamp"
+    )
+    return np.asarray(data[name], dtype=float) * 1e-6
+
+
+def columns(data: dict[str, Any], name: str, count: int) -> Array:
+    """An array field as (samples, count)."""
+    return np.stack([np.asarray(data[f"{name}[{i}]"], dtype=float) for i in range(count)], axis=1)
+
+
+def motor_commands(log: ULogFile) -> MotorCommands:
+    """What PX4 sent to the motors, 0 to 1, decoded by version and output type.
+
+    Raises:
+        InputError: no topic has commands of motors.
+    """
+    motors = log.first("actuator_motors")
+    if motors is not None:
+        present = sum(1 for name in motors if name.startswith("control["))
+        control = columns(motors, "control", present)
+        used = np.isfinite(control).mean(axis=0) > 0.5
+        used &= np.nan_to_num(np.nanmax(np.where(np.isfinite(control), control, 0.0), axis=0)) > 0.0
+        if used.any():
+            values = np.clip(np.nan_to_num(control[:, used]), 0.0, 1.0)
+            return MotorCommands(seconds(motors), values, f"actuator_motors, {values.shape[1]} motors")
+    outputs = log.topics.get("actuator_outputs", {})
+    found = [d for i, data in sorted(outputs.items()) if (d := _decoded(log, i, data)) is not None]
+    if not found:
+        what = "actuator_outputs without a motor that moves" if outputs else "no actuator_outputs"
+        raise InputError(f"has no actuator_motors, and {what}", source=log.source)
+    # Motors move most: an instance of servos, or the copy on another port, moves less.
+    return max(found, key=lambda c: float(c.values.std(axis=0).mean()))
+
+
+def _count(log: ULogFile) -> int:
+    """How many motors the vehicle has, by its parameters; four where they do not say."""
+    count = log.parameters.get("CA_ROTOR_COUNT", 0.0) or _MAV_TYPE_MOTORS.get(
+        int(log.parameters.get("MAV_TYPE", 0.0)), 4
+    )
+    return int(min(count, _LONGEST_COUNT))
+
+
+def _decoded(log: ULogFile, instance: int, data: dict[str, Any]) -> MotorCommands | None:
+    present = sum(1 for name in data if name.startswith("output["))
+    raw = np.nan_to_num(columns(data, "output", min(_count(log), present)))
+    top = float(raw.max(initial=0.0))
+    if top <= 0.0:
+        return None
+    turning = raw[raw > 0.0]
+    if top <= 1.0:
+        kind, low, high = "0 to 1", np.zeros(raw.shape[1]), np.ones(raw.shape[1])
+    elif top > _LONGEST_PULSE:
+        kind, low, high = "UAVCAN 0 to 8191", *_range(raw.shape[1], _UAVCAN)
+    elif float(turning.min()) < _LOWEST_PULSE:
+        kind, low, high = "DShot 0 to 1999", *_range(raw.shape[1], _DSHOT)
+    else:
+        low, high = _pulse_range(log.parameters, instance, raw.shape[1])
+        kind = f"PWM {low.min():.0f} to {high.max():.0f} us"
+    values = np.clip((raw - low) / (high - low), 0.0, 1.0)
+    if float(values.std(axis=0).mean()) < _STILL:
+        return None
+    said = f"actuator_outputs[{instance}], {kind}, {values.shape[1]} motors"
+    return MotorCommands(seconds(data), values, said)
+
+
+def _range(count: int, limits: tuple[float, float]) -> tuple[Array, Array]:
+    return np.full(count, limits[0]), np.full(count, limits[1])
+
+
+def _pulse_range(parameters: dict[str, float], instance: int, count: int) -> tuple[Array, Array]:
+    """Shortest and longest pulse of each output: the pin's own, else the port's, else all of them."""
+    bank = "MAIN" if instance == 0 else "AUX"
+    ends = []
+    for end, default in (("MIN", _PWM[0]), ("MAX", _PWM[1])):
+        names = [(f"PWM_{bank}_{end}{pin}", f"PWM_{bank}_{end}", f"PWM_{end}") for pin in range(1, count + 1)]
+        # A pin's value of -1 (and 0) means: as the port.
+        ends.append(
+            np.array(
+                [next((v for n in pin if (v := parameters.get(n, -1.0)) > 0.0), default) for pin in names]
+            )
+        )
+    low, high = ends
+    return low, np.where(high > low, high, low + _PWM[1] - _PWM[0])
+
+
+def battery(log: ULogFile) -> Battery:
+    """Battery voltage where it can be one; otherwise empty, with the reason."""
+    empty = np.empty(0)
+    data = log.first("battery_status")
+    if data is None:
+        return Battery(empty, empty, "no battery_status")
+    volts = np.asarray(data["voltage_v"], dtype=float)
+    if not np.isfinite(volts).any() or float(np.nanmedian(volts)) < _LEAST_CELL_V:
+        return Battery(empty, empty, f"battery voltage of {float(np.nanmedian(volts)):.2f} V is none")
+    good = np.isfinite(volts) & (volts >= _LEAST_CELL_V)
+    return Battery(seconds(data)[good], volts[good])
+
+
+__all__ = [
+    "Battery",
+    "MotorCommands",
+    "ULogFile",
+    "battery",
+    "columns",
+    "motor_commands",
+    "open_ulog",
+    "seconds",
+]

@@ -1,0 +1,159 @@
+"""The detector in noise: what it learns, what it then needs, what it keeps."""
+
+from __future__ import annotations
+
+import math
+import random
+from typing import Any
+
+import msgspec
+import pytest
+
+from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.core.sense.detector import Expected, ImpactDetector
+from dart_flight.core.sense.state import FlightState
+from dart_flight.core.sense.window import WindowMean, half_sine_share
+from dart_flight.samples import ContactEnd, DetectionFloor, ForceEstimate, ImpactOnset, ImpactPeak
+from tests.core.test_force_estimate import VEHICLE, half_sine
+
+Forces = list[tuple[float, float]]
+LEARNT = 750  # samples, 3 s: as long as a climb, in which nothing is watched for
+
+
+def lifted(sigma: float = 5.0) -> VehicleConfig:
+    return msgspec.structs.replace(
+        VEHICLE, detection=msgspec.structs.replace(VEHICLE.detection, noise_sigma=sigma)
+    )
+
+
+def noisy(seconds: float, sigma_n: float, seed: int = 1, tone_hz: float | None = None) -> Forces:
+    """White noise, or a tone with the same root mean square and a phase that wanders."""
+    rng = random.Random(seed)
+    phase, out = rng.uniform(0.0, math.tau), []
+    for _ in range(round(seconds / 0.004)):
+        if tone_hz is None:
+            out.append((rng.gauss(0.0, sigma_n), rng.gauss(0.0, sigma_n)))
+        else:
+            phase += math.tau * tone_hz * 0.004 + rng.gauss(0.0, 0.05)
+            top = math.sqrt(2.0) * sigma_n
+            out.append((top * math.sin(phase), top * math.sin(phase + 1.0)))
+    return out
+
+
+def run(
+    forces: Forces, vehicle: VehicleConfig = VEHICLE, watching: bool = True, noise_n: float = 3.0
+) -> tuple[ImpactDetector, list[Any]]:
+    detector, state = ImpactDetector(vehicle), FlightState()
+    events: list[Any] = []
+    for i, (fx, fy) in enumerate(forces):
+        t = 1_000_000 + 4000 * i
+        estimate = ForceEstimate(t, (fx, fy, 0.0), False, noise_n=noise_n)
+        events += detector.update(estimate, t, state, Expected(watching and i > LEARNT))
+    return detector, events
+
+
+def onsets(events: list[Any]) -> list[ImpactOnset]:
+    return [e for e in events if isinstance(e, ImpactOnset)]
+
+
+def with_pulse(forces: Forces, at_s: float, peak: float, duration_s: float) -> Forces:
+    pulse = half_sine(peak, round(duration_s / 0.004))
+    first = round(at_s / 0.004)
+    out = list(forces)
+    for i, push in enumerate(pulse):
+        x, y = out[first + i]
+        out[first + i] = (x + 0.8 * push, y - 0.6 * push)
+    return out
+
+
+@pytest.mark.parametrize("tone_hz", [None, 50.0, 83.3, 120.0, 200.0])
+def test_noise_alone_is_no_impact_and_the_papers_first_hit_is_found(tone_hz: float | None) -> None:
+    # 15.4 N peak, flexible, where one sample is off by 3.9 N.
+    forces = noisy(60.0, 3.9, tone_hz=tone_hz)
+    assert onsets(run(forces)[1]) == []
+    found = onsets(run(with_pulse(forces, 30.0, 15.4, 0.15))[1])
+    assert len(found) == 1
+    assert 31.0 <= found[0].t_us * 1e-6 <= 31.15
+    assert 30.94 <= found[0].first_us * 1e-6 <= 31.1
+
+
+def test_without_it_noise_makes_impacts() -> None:
+    assert len(onsets(run(noisy(20.0, 3.9), lifted(0.0), noise_n=0.26)[1])) > 3
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("duration_s", [0.032, 0.06, 0.1, 0.18])
+def test_a_pulse_at_the_stated_floor_is_found(duration_s: float, seed: int) -> None:
+    forces = noisy(12.0, 3.9, seed)
+    detector, _ = run(forces[: round(8.0 / 0.004)])
+    floor = detector.floor_n(duration_s)
+    short, long = detector.noise_n
+    assert floor <= 6.0 * max(
+        short / half_sine_share(0.032, duration_s), 5.6 / 6.0 + 0.0
+    ) * 1.001 or floor <= (6.0 * long / half_sine_share(0.1, duration_s) * 1.001)
+    found = onsets(run(with_pulse(forces, 9.0, 1.25 * floor, duration_s))[1])
+    assert [9.99 <= e.t_us * 1e-6 <= 10.0 + duration_s + 0.04 for e in found] == [True]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_threshold_is_under_the_configured_one_whatever_is_learnt(seed: int) -> None:
+    rng = random.Random(seed)
+    detector, state = ImpactDetector(VEHICLE), FlightState()
+    size = 1.0
+    for i in range(6000):
+        if i % 500 == 0:
+            size = rng.choice((0.0, 0.1, 1.0, 4.0, 20.0, 100.0))
+        force = (rng.gauss(0.0, size), rng.gauss(0.0, size), 0.0)
+        t = 1_000_000 + 4000 * i + rng.randrange(0, 2000)
+        detector.update(ForceEstimate(t, force, False, noise_n=size), t, state, Expected(i % 1000 < 600))
+        assert min(detector.thresholds_n()) >= VEHICLE.detection.force_threshold_n
+        assert detector.floor_n(0.05) >= VEHICLE.detection.force_threshold_n
+
+
+@pytest.mark.parametrize("sigma_n", [0.0, 0.3, 3.9])
+def test_without_force_there_is_no_event(sigma_n: float) -> None:
+    assert run(noisy(20.0, sigma_n), noise_n=max(sigma_n, 0.01))[1] == []
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_events_come_in_order_and_once(seed: int) -> None:
+    forces = noisy(40.0, 3.9, seed)
+    for at in (8.0, 16.0, 24.0, 32.0):
+        forces = with_pulse(forces, at, 40.0, 0.06 if at < 20.0 else 0.15)
+    events = [e for e in run(forces)[1] if not isinstance(e, DetectionFloor)]
+    kinds = [type(e) for e in events]
+    assert kinds == [ImpactOnset, ImpactPeak, ContactEnd] * 4
+    for onset, peak, end in zip(events[::3], events[1::3], events[2::3], strict=True):
+        assert onset.first_us <= onset.t_us <= peak.detected_us <= end.t_us + 20_000
+        assert peak.normal_force_n == pytest.approx(40.0, rel=0.4)
+
+
+def test_a_quiet_vehicle_is_not_slower_for_it() -> None:
+    forces = with_pulse(noisy(20.0, 0.26), 10.0, 15.4, 0.15)
+    with_it, without = run(forces, noise_n=0.26)[1], run(forces, lifted(0.0), noise_n=0.26)[1]
+    assert with_it == without
+    assert len(onsets(with_it)) == 1
+
+
+def test_the_window_forgets_no_rounding_and_learns_no_constant_force() -> None:
+    window = WindowMean(0.032, 1.0, 8)
+    rng = random.Random(2)
+    kept: list[float] = []
+    for i in range(20_000):
+        x = 50.0 + rng.gauss(0.0, 1.0)
+        kept = [*kept, x][-8:]
+        window.add(4000 * i, x, 0.0)
+        window.learn(0.004)
+    assert window.mean[0] == pytest.approx(sum(kept) / 8, abs=1e-9)
+    # One of two axes is noisy: per component 1 / sqrt(2) of its deviation over sqrt(8).
+    assert window.noise_n == pytest.approx(1.0 / math.sqrt(16.0), rel=0.4)
+
+
+@pytest.mark.parametrize("length_s", [0.0, 0.032, 0.1, 0.3])
+def test_the_share_of_a_half_sine_is_its_largest_mean(length_s: float) -> None:
+    duration, n = 0.15, 1000
+    values = [math.sin(math.pi * (i + 0.5) / n) for i in range(n)]
+    width = max(1, round(length_s / duration * n))
+    padded = [0.0] * width + values + [0.0] * width
+    best = max(sum(padded[i : i + width]) / width for i in range(0, n + width, 5))
+    assert half_sine_share(length_s, duration) == pytest.approx(best, abs=0.01)

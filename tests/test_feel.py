@@ -1,0 +1,122 @@
+"""`dart-flight feel`: a log made of known forces."""
+
+from __future__ import annotations
+
+import json
+import math
+import random
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.identify.trials import TrialReading, read_trials
+from tests.doubles.ulog_file import Topics, write_ulog
+
+pytest.importorskip("pyulog")
+
+FULL_M_S2, FACTOR = 22.0, 0.3
+HIT_S, HIT_M_S2, HIT_DEG, LONG_S = 30.0, 14.0, 60.0, 0.15
+VIBRATION_M_S2 = 2.5
+Rows = list[tuple[float, list[float]]]
+
+
+def topics(motor_hz: float = 100.0, motors: bool = True) -> Topics:
+    """40 s in the air, slow climbs and descents, vibration, one hit; level, facing north."""
+    rng = random.Random(5)
+    imu: Rows = []
+    attitude: Rows = []
+    position: Rows = []
+    commands: Rows = []
+    landed: Rows = []
+    every = round(250.0 / motor_hz)
+    for i in range(11_250):
+        t, stamp = i * 0.004, 1e6 + 4000 * i
+        u = 0.5 + 0.05 * math.sin(0.5 * t)
+        thrust = FULL_M_S2 * (FACTOR * u * u + (1.0 - FACTOR) * u)
+        push = HIT_M_S2 * math.sin(math.pi * (t - HIT_S) / LONG_S) if 0.0 <= t - HIT_S <= LONG_S else 0.0
+        north, east = (push * f(math.radians(HIT_DEG)) for f in (math.cos, math.sin))
+        shake = [rng.gauss(0.0, VIBRATION_M_S2) for _ in range(3)]
+        imu.append((stamp, [0.0, 0.0, 0.0, north + shake[0], east + shake[1], shake[2] - thrust]))
+        if i % 10 == 0:
+            attitude.append((stamp, [1.0, 0.0, 0.0, 0.0]))
+        if i % 25 == 0:
+            position.append((stamp, [0.0, 0.0, -min(2.0, max(0.0, t - 2.0)), 0.0, 0.0, 0.0]))
+        if i % every == 0:
+            commands.append((stamp, [u] * 4))
+        if i % 250 == 0:
+            landed.append((stamp, [t < 2.0 or t > 42.0]))
+    out: dict[tuple[str, int], tuple[str, Rows]] = {
+        ("sensor_combined", 0): ("float[3] gyro_rad;float[3] accelerometer_m_s2;", imu),
+        ("vehicle_attitude", 0): ("float[4] q;", attitude),
+        ("vehicle_local_position", 0): ("float x;float y;float z;float vx;float vy;float vz;", position),
+        ("vehicle_land_detected", 0): ("bool landed;", landed),
+    }
+    if motors:
+        out["actuator_motors", 0] = ("float[4] control;", commands)
+    return out
+
+
+def felt(path: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:
+    assert main(["feel", str(path), "--json", *more]) == 0
+    flights: list[dict[str, Any]] = json.loads(capsys.readouterr().out)
+    return flights[0]
+
+
+def test_the_one_hit_is_felt_with_size_direction_and_time(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flight = felt(write_ulog(tmp_path / "a.ulg", topics(), release=0x010E00FF), capsys, "--mass", "2.0")
+    (impact,) = flight["impacts"]
+    assert impact["t_s"] == pytest.approx(HIT_S, abs=0.05)
+    assert impact["acceleration_m_s2"] == pytest.approx(HIT_M_S2, rel=0.2)
+    assert impact["force_n"] == pytest.approx(2.0 * impact["acceleration_m_s2"])
+    assert impact["direction_deg"] == pytest.approx(HIT_DEG, abs=8.0)
+    assert impact["kind"] == "impact"
+    assert not impact["clipped"]
+    assert flight["noise_m_s2"] == pytest.approx(VIBRATION_M_S2, rel=0.15)
+    assert flight["noise_n"] == pytest.approx(2.0 * flight["noise_m_s2"])
+    assert flight["noise_short_m_s2"] == pytest.approx(VIBRATION_M_S2 / math.sqrt(8.0), rel=0.3)
+    thrust = flight["thrust"]
+    assert thrust["full_m_s2"] == pytest.approx(FULL_M_S2, rel=0.03)
+    assert thrust["held_out_percent"] < 5.0
+    assert flight["px4_version"] == "1.14.0"
+
+
+def test_without_a_mass_there_are_no_newtons(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flight = felt(write_ulog(tmp_path / "a.ulg", topics()), capsys)
+    assert flight["noise_n"] is None
+    assert flight["threshold_n"] is None
+    assert [i["force_n"] for i in flight["impacts"]] == [None]
+    assert any("mass" in what for what in flight["unknown"])
+
+
+def test_slow_and_missing_topics_are_named_with_what_would_help(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    slow = felt(write_ulog(tmp_path / "slow.ulg", topics(motor_hz=10.0)), capsys)["unknown"]
+    assert any("at 10 Hz" in what for what in slow)
+    assert any("SDLOG_PROFILE" in what for what in slow)
+    flight = felt(write_ulog(tmp_path / "none.ulg", topics(motors=False)), capsys)
+    assert flight["thrust"] is None
+    assert any(what.startswith("thrust: has no actuator_motors") for what in flight["unknown"])
+
+
+def test_a_log_without_attitude_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    some = {key: value for key, value in topics().items() if key[0] != "vehicle_attitude"}
+    assert main(["feel", str(write_ulog(tmp_path / "a.ulg", some))]) == 2
+    assert "has no vehicle_attitude" in capsys.readouterr().err
+
+
+def test_trials_and_page_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib")
+    path, page = write_ulog(tmp_path / "a.ulg", topics()), tmp_path / "page.html"
+    status = main(["feel", str(path), "--mass", "1.3", "-o", str(tmp_path / "t"), "--report", str(page)])
+    assert status == 0
+    (trial,) = read_trials(tmp_path / "t" / "a_impact1.csv", TrialReading())
+    force = trial.series["normal_force_n"]
+    top = force.time_s[int(np.argmax(np.convolve(force.value, np.ones(9) / 9, mode="same")))]
+    assert top == pytest.approx(LONG_S / 2.0, abs=0.05)
+    assert "a.ulg" in page.read_text()
