@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 
 from dart_flight.config.mission import Collision, Mission
+from dart_flight.config.provenance import VehicleSource
 from dart_flight.contact.contact_map import collide
 from dart_flight.contact.law import Onset
 from dart_flight.core.mission.anchor import Anchor
@@ -124,6 +125,7 @@ class Verdict(msgspec.Struct):
         None  # largest distance of the estimated position from the true one, in the air
     )
     px4: Px4Figures | None = None
+    vehicle: VehicleSource | None = None
 
 
 class VerdictBuilder:
@@ -282,6 +284,7 @@ class VerdictBuilder:
             log=log,
             px4_log=px4_log,
             ekf_error_m=self._ekf_error_m(),
+            vehicle=self._mission.flown_vehicle(),
         )
 
     def _ekf_error_m(self) -> float | None:

@@ -6,10 +6,12 @@ import argparse
 import os
 from pathlib import Path
 
+import msgspec
 from rich.table import Table
 
 from dart_flight.cli.terminal import emit_json, messages, tables
-from dart_flight.config import InputError, default_config_path, load_vehicle
+from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.config import InputError, default_config_path, find_vehicle
 from dart_flight.config.document import Key
 from dart_flight.config.edit import write_values
 from dart_flight.config.vehicle import packaged
@@ -26,12 +28,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry the command out. Returns the exit status."""
     path = Path(arguments.config) if arguments.config else default_config_path()
-    vehicle = load_vehicle(path)
+    vehicle, source = find_vehicle(path)
+    say_vehicle(source, messages(), asked=arguments.config is not None)
     if arguments.write:
         _refuse_unwritable(arguments, path)
     result = calibrate_thrust([read_track(log) for log in arguments.logs], vehicle)
     if arguments.json:
-        emit_json(result)
+        emit_json({**msgspec.structs.asdict(result), "vehicle": source})
     else:
         tables().print(_table(result))
     if arguments.write:

@@ -13,6 +13,7 @@ from dart_flight.check.parameters import judge_claim
 from dart_flight.check.vehicle import check_vehicle
 from dart_flight.cli.options import add_driver_option, add_position_option
 from dart_flight.cli.terminal import emit_json, messages
+from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import load_mission
 from dart_flight.worlds.prepare import with_driver
 
@@ -31,6 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     mission = load_mission(arguments.mission, arguments.config)
+    say_vehicle(mission.flown_vehicle(), messages(), asked=arguments.config is not None)
     if arguments.driver is not None:
         mission = with_driver(mission, arguments.driver)
     findings = check_mission(mission)

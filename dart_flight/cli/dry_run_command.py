@@ -14,6 +14,7 @@ from dart_flight.cli.flight_output import FlightLines, summary_table, verdict_ta
 from dart_flight.cli.options import add_flight_options, whole_number
 from dart_flight.cli.px4_options import add_px4_options, position_source_of, position_warnings
 from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.planning.envelope import impact_warnings
@@ -78,6 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
         mission = with_standoff(mission, arguments.standoff)
     fly = _flight(arguments)
     console = messages()
+    say_vehicle(mission.flown_vehicle(), console, asked=arguments.config is not None)
     for line in [*impact_warnings(mission), *position_warnings(position_source_of(arguments))]:
         console.print(f"[yellow]{line}[/]", soft_wrap=True)
     if arguments.runs is None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 
 
@@ -60,7 +61,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, fit, print, write."""
-    from dart_flight.config.vehicle import load_vehicle
+    from dart_flight.config.provenance import find_vehicle
     from dart_flight.contact.law import Onset
     from dart_flight.identify import job as identification
 
@@ -71,7 +72,8 @@ def run(arguments: argparse.Namespace) -> int:
         drop = True
     if not paths:
         raise InputError("no trials given", key=("TRIAL",))
-    vehicle = load_vehicle(arguments.config)
+    vehicle, source = find_vehicle(arguments.config)
+    say_vehicle(source, messages(), asked=arguments.config is not None)
     job = identification.Job(
         paths=paths,
         mode=arguments.mode,
@@ -96,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
 
         plots.plot_fit(arguments.plot, trials, found, vehicle.airframe.mass_kg, job.onset)
     if arguments.json:
-        emit_json(identification.as_json(found))
+        emit_json({**identification.as_json(found), "vehicle": source})
     else:
         _print(found)
     return 0

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from dart_flight.cli.terminal import emit_json, messages, tables
-from dart_flight.config import InputError, default_config_path, load_vehicle
+from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.config import InputError, default_config_path, find_vehicle
 from dart_flight.config.document import Document
 from dart_flight.config.edit import write_values
 from dart_flight.config.vehicle import LockConfig, LockDriver, packaged
@@ -45,7 +46,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry the command out. Returns 0 when the lock is where it was asked to be."""
     path = Path(arguments.config) if arguments.config else default_config_path()
-    vehicle = load_vehicle(path)
+    vehicle, source = find_vehicle(path)
+    say_vehicle(source, messages(), asked=arguments.config is not None)
+    arguments.vehicle = source
     config = _with_driver(vehicle.lock, arguments.driver, path)
     if arguments.action == "calibrate":
         _refuse_packaged(arguments, path)
@@ -158,6 +161,7 @@ def _report(
             "travel_s": None,
             "last_command": last,
             "owner_pid": owner_pid,
+            "vehicle": arguments.vehicle,
         }
         if state is not None and state.settled_us is not None and state.commanded_us is not None:
             report["travel_s"] = (state.settled_us - state.commanded_us) * 1e-6

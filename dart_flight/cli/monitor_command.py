@@ -9,9 +9,10 @@ from rich.console import Group
 from rich.live import Live
 from rich.table import Table
 
-from dart_flight.cli.terminal import emit_json, tables
+from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import load_mission
-from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle import default_config_path, packaged
 from dart_flight.worlds.monitor import Screen, Watcher, watch
 
 _PERIOD_S = 0.2
@@ -28,9 +29,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status. With --json: the last view, at the end."""
     placed = arguments.mission is not None
-    mission = load_mission(
-        arguments.mission if placed else packaged("missions", "single_wall.yaml"), arguments.config
-    )
+    # Without a mission of its own the vehicle is this folder's, not that of the packaged mission.
+    config = arguments.config or (None if placed else default_config_path())
+    mission = load_mission(arguments.mission if placed else packaged("missions", "single_wall.yaml"), config)
+    say_vehicle(mission.flown_vehicle(), messages(), asked=arguments.config is not None)
     watcher = Watcher(mission, placed)
     connection = mission.vehicle.connection
     url = arguments.connection or connection.url

@@ -9,6 +9,7 @@ from rich.progress import Progress
 
 from dart_flight.cli.options import whole_number
 from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.scenario import Objective, load_scenario
 from dart_flight.planning.mission_writer import write_mission
 from dart_flight.planning.search import search
@@ -49,6 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     console = messages()
     scenario = load_scenario(arguments.scenario, arguments.config)
+    say_vehicle(scenario.vehicle_source, console, asked=arguments.config is not None)
     if arguments.connection is not None:
         from dart_flight.worlds.prepare import with_vehicle_parameters
 

@@ -7,7 +7,8 @@ import re
 import sys
 from typing import Any
 
-from dart_flight.cli.terminal import emit_json, tables
+from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 
 
@@ -38,16 +39,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Predict, print, plot."""
-    from dart_flight.config.vehicle import load_vehicle
+    from dart_flight.config.provenance import find_vehicle
     from dart_flight.contact import prediction
 
-    vehicle = load_vehicle(arguments.config)
+    vehicle, source = find_vehicle(arguments.config)
+    say_vehicle(source, messages(), asked=arguments.config is not None)
     where = (arguments.surface, arguments.onset, arguments.incidence_deg)
     if arguments.batch is not None:
         if arguments.plot or arguments.mode:
             raise InputError("--batch takes the mode from the file and plots nothing")
         if arguments.json:
-            emit_json({"collisions": prediction.predict_batch_rows(vehicle, *where, path=arguments.batch)})
+            rows = prediction.predict_batch_rows(vehicle, *where, path=arguments.batch)
+            emit_json({"collisions": rows, "vehicle": source})
         else:
             sys.stdout.write(prediction.predict_batch(vehicle, *where, path=arguments.batch))
         return 0
@@ -61,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.plot:
         _plot(arguments, what)
     if arguments.json:
-        emit_json(numbers)
+        emit_json({**numbers, "vehicle": source})
     else:
         _print(numbers, what, arguments)
     return 0

@@ -16,8 +16,10 @@ import msgspec
 from msgspec import Meta
 
 from dart_flight.config.document import Document, InputError, Key
+from dart_flight.config.kinds import FileKind, load_document, refuse_other_keys
+from dart_flight.config.provenance import FoundVehicle, VehicleSource, find_vehicle
 from dart_flight.config.section import NotNegative, Positive, Section
-from dart_flight.config.vehicle import VehicleConfig, load_vehicle
+from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.geometry import MissionFrame, Vec2, Vec3, Wall
 from dart_flight.samples import Mode
 
@@ -283,6 +285,14 @@ class Mission(msgspec.Struct, frozen=True):
     limits: Limits
     predicted: MissPrediction | None
     standoff_m: float | None = None  # a rehearsal: every contact replaced by stopping so far before the wall
+    vehicle_source: VehicleSource | None = None  # where the configuration came from; old logs do not say
+
+    def flown_vehicle(self) -> VehicleSource:
+        """Which vehicle it is, for everything that is said of the mission."""
+        mass_kg = self.vehicle.airframe.mass_kg
+        if self.vehicle_source is None:
+            return VehicleSource(None, None, mass_kg)
+        return msgspec.structs.replace(self.vehicle_source, mass_kg=mass_kg)
 
     def frame_at(self, takeoff_ned: Vec3) -> MissionFrame:
         """The mission frame once the take-off point is known (local NED, metres)."""
@@ -307,17 +317,23 @@ def load_mission(path: str | Path, config: str | Path | None = None) -> Mission:
     Raises:
         InputError: in the mission or in the configuration.
     """
-    return parse_mission(Document.load(path), config)
+    return parse_mission(load_document(path, FileKind.MISSION), config)
 
 
-def parse_mission(document: Document, config: str | Path | VehicleConfig | None = None) -> Mission:
+def parse_mission(
+    document: Document, config: str | Path | VehicleConfig | FoundVehicle | None = None
+) -> Mission:
     """As `load_mission`, from a document already read; `config` may be a configuration already loaded."""
+    refuse_other_keys(document, FileKind.MISSION)
     spec = document.convert(MissionFile)
     if isinstance(config, VehicleConfig):
         return resolve(spec, config, document)
-    if config is None and spec.vehicle is not None:
-        config = Path(document.source).parent / spec.vehicle
-    return resolve(spec, load_vehicle(config), document)
+    if not isinstance(config, FoundVehicle):
+        if config is None and spec.vehicle is not None:
+            config = Path(document.source).parent / spec.vehicle
+        config = find_vehicle(config)
+    mission = resolve(spec, config.config, document)
+    return msgspec.structs.replace(mission, vehicle_source=config.source)
 
 
 def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mission:

@@ -16,6 +16,7 @@ import msgspec
 from msgspec import Meta
 
 from dart_flight.config.document import Document, Key
+from dart_flight.config.kinds import FileKind, load_document
 from dart_flight.config.mission import (
     Bounds,
     BoundsSpec,
@@ -28,8 +29,9 @@ from dart_flight.config.mission import (
     resolve_space,
     unknown_name,
 )
+from dart_flight.config.provenance import VehicleSource, find_vehicle
 from dart_flight.config.section import NotNegative, Positive, Section
-from dart_flight.config.vehicle import VehicleConfig, load_vehicle
+from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.geometry import Vec2, Wall
 from dart_flight.samples import Mode
 
@@ -134,6 +136,7 @@ class Scenario(msgspec.Struct, frozen=True):
     Attributes:
         spec: as written; the mission file repeats its walls, frame and so on word for word.
         vehicle_path: the configuration's file, or None where it is the default one.
+        vehicle_source: where it came from; None where it was given.
         walls: planes of the vehicle's centre, by name.
         sequences: walls in the order of the hits; several where the file says `any`.
         chosen_by_planner: whether it does.
@@ -160,6 +163,7 @@ class Scenario(msgspec.Struct, frozen=True):
     limits: Limits
     objective: Objective
     uncertainty: Uncertainty
+    vehicle_source: VehicleSource | None = None
 
 
 def load_scenario(
@@ -176,12 +180,16 @@ def load_scenario(
     Raises:
         InputError: in the scenario or in the configuration.
     """
-    document = Document.load(path)
+    document = load_document(path, FileKind.SCENARIO)
     spec = document.convert(ScenarioFile)
     if config is None and spec.vehicle is not None:
         config = Path(document.source).parent / spec.vehicle
-    loaded = vehicle or load_vehicle(config)
-    return resolve_scenario(spec, loaded, None if config is None else Path(config), document)
+    path_taken = None if config is None else Path(config)
+    if vehicle is not None:
+        return resolve_scenario(spec, vehicle, path_taken, document)
+    found = find_vehicle(config)
+    scenario = resolve_scenario(spec, found.config, path_taken, document)
+    return msgspec.structs.replace(scenario, vehicle_source=found.source)
 
 
 def resolve_scenario(

@@ -40,6 +40,7 @@ def plan_summary(result: Search) -> dict[str, Any]:
         "elapsed_s": result.elapsed_s,
         "baseline": result.baseline,
         "plans": result.plans,
+        "vehicle": result.scenario.vehicle_source,
     }
 
 

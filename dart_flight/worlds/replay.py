@@ -295,8 +295,9 @@ def changed_mission(log: Log, settings: Sequence[str]) -> Mission:
     except InputError as error:
         place = ".".join(str(part) for part in error.key)
         raise InputError(f"--set: {place}: {error.message}" if place else f"--set: {error.message}") from None
-    if msgspec.structs.replace(as_written, source=flown.source) == flown:
-        return changed
+    same = {"source": flown.source, "vehicle_source": flown.vehicle_source}
+    if msgspec.structs.replace(as_written, **same) == flown:
+        return msgspec.structs.replace(changed, **same)
     # Flown otherwise than written (a rehearsal): what was flown stays, with the changed vehicle.
     if of_mission:
         raise InputError(
