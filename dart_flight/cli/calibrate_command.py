@@ -29,10 +29,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Carry the command out. Returns the exit status."""
     path = Path(arguments.config) if arguments.config else default_config_path()
     vehicle, source = find_vehicle(path)
-    say_vehicle(source, messages(), asked=arguments.config is not None)
     if arguments.write:
         _refuse_unwritable(arguments, path)
     result = calibrate_thrust([read_track(log) for log in arguments.logs], vehicle)
+    say_vehicle(source, messages(), asked=arguments.config is not None)
     if arguments.json:
         emit_json({**msgspec.structs.asdict(result), "vehicle": source})
     else:

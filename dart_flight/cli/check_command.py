@@ -32,7 +32,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     mission = load_mission(arguments.mission, arguments.config)
-    say_vehicle(mission.flown_vehicle(), messages(), asked=arguments.config is not None)
     if arguments.driver is not None:
         mission = with_driver(mission, arguments.driver)
     findings = check_mission(mission)
@@ -41,6 +40,7 @@ def run(arguments: argparse.Namespace) -> int:
     elif arguments.position_from is not None:
         findings += judge_claim(mission, arguments.position_from)
     report = decide(mission, findings, arguments.overrule)
+    say_vehicle(mission.flown_vehicle(), messages(), asked=arguments.config is not None)
     if arguments.json:
         emit_json(report)
     else:

@@ -47,7 +47,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Carry the command out. Returns 0 when the lock is where it was asked to be."""
     path = Path(arguments.config) if arguments.config else default_config_path()
     vehicle, source = find_vehicle(path)
-    say_vehicle(source, messages(), asked=arguments.config is not None)
     arguments.vehicle = source
     config = _with_driver(vehicle.lock, arguments.driver, path)
     if arguments.action == "calibrate":
@@ -150,6 +149,7 @@ def _report(
     ok: bool,
     owner_pid: int | None = None,
 ) -> None:
+    say_vehicle(arguments.vehicle, messages(), asked=arguments.config is not None)
     last = load_last()
     if arguments.json:
         report: dict[str, Any] = {

@@ -50,7 +50,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     console = messages()
     scenario = load_scenario(arguments.scenario, arguments.config)
-    say_vehicle(scenario.vehicle_source, console, asked=arguments.config is not None)
     if arguments.connection is not None:
         from dart_flight.worlds.prepare import with_vehicle_parameters
 
@@ -63,6 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
         result = search(
             scenario, top, arguments.seed, lambda done, of: bar.update(task, completed=done, total=of)
         )
+    say_vehicle(scenario.vehicle_source, console, asked=arguments.config is not None)
     plan = result.plans[min(arguments.rank, len(result.plans)) - 1]
     if arguments.output is not None:
         write_mission(scenario, plan, arguments.output)

@@ -43,16 +43,22 @@ def run(arguments: argparse.Namespace) -> int:
     from dart_flight.contact import prediction
 
     vehicle, source = find_vehicle(arguments.config)
-    say_vehicle(source, messages(), asked=arguments.config is not None)
+
+    def say() -> None:
+        say_vehicle(source, messages(), asked=arguments.config is not None)
+
     where = (arguments.surface, arguments.onset, arguments.incidence_deg)
     if arguments.batch is not None:
         if arguments.plot or arguments.mode:
             raise InputError("--batch takes the mode from the file and plots nothing")
         if arguments.json:
             rows = prediction.predict_batch_rows(vehicle, *where, path=arguments.batch)
+            say()
             emit_json({"collisions": rows, "vehicle": source})
         else:
-            sys.stdout.write(prediction.predict_batch(vehicle, *where, path=arguments.batch))
+            text = prediction.predict_batch(vehicle, *where, path=arguments.batch)
+            say()
+            sys.stdout.write(text)
         return 0
     if arguments.mode is None:
         raise InputError("--mode is required: rigid or flexible")
@@ -63,6 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
         numbers = prediction.predict_drop(what, arguments.drop)
     if arguments.plot:
         _plot(arguments, what)
+    say()
     if arguments.json:
         emit_json({**numbers, "vehicle": source})
     else:

@@ -21,10 +21,10 @@ def run(arguments: argparse.Namespace) -> int:
     from dart_flight.report import paper
 
     vehicle, source = find_vehicle(arguments.config)
-    say_vehicle(source, messages(), asked=arguments.config is not None)
     for surface in (paper.DROP_SURFACE, paper.FLIGHT_SURFACE):
         if surface not in vehicle.materials:
             raise InputError(f"the tables need the material {surface}", key=("materials",))
+    say_vehicle(source, messages(), asked=arguments.config is not None)
     if arguments.output:
         try:
             Path(arguments.output).write_text(paper.page(vehicle), encoding="utf-8")
