@@ -5,6 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 from rich.table import Table
 
+from dart_flight.recording.flight_time import FlightTime
 from dart_flight.samples import (
     ContactEnd,
     GoalPassed,
@@ -22,21 +23,21 @@ from dart_flight.worlds.campaigns import Summary
 
 
 class FlightLines:
-    """Prints the decisions of a flight as they come, with the time since the first."""
+    """Prints the decisions of a flight as they come, with the time since its zero (`flight_time`)."""
 
     def __init__(self, console: Console, verbose: bool = False) -> None:
         self._console, self._verbose = console, verbose
-        self._start_us: int | None = None
+        self._time = FlightTime()
 
     def __call__(self, record: Record) -> None:
         """Print a record if it is a decision."""
+        self._time.take(record)
         line = self._line(record)
         if line is None:
             return
-        t_us = getattr(record, "t_us", 0)
-        if self._start_us is None:
-            self._start_us = t_us
-        self._console.print(f"[dim]{(t_us - self._start_us) * 1e-6:7.2f} s[/]  {line}")
+        time_s = self._time.seconds(getattr(record, "t_us", 0))
+        shown = " " * 9 if time_s is None else f"{time_s:7.2f} s"
+        self._console.print(f"[dim]{shown}[/]  {line}", soft_wrap=True)
 
     def _line(self, record: Record) -> str | None:
         if isinstance(record, PhaseChange):

@@ -9,7 +9,7 @@ from dart_flight.config.provenance import VehicleSource, passed_over
 
 
 def say_vehicle(source: VehicleSource | None, console: Console, *, asked: bool = False) -> None:
-    """Name the configuration and its mass; where another one lies at hand and the packaged one is taken, that.
+    """Name the configuration and its mass; where the packaged one is taken and another is at hand, say so.
 
     Args:
         source: what was found; None says nothing.

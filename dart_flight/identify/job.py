@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 from dart_flight.config.document import InputError
@@ -13,6 +14,7 @@ from dart_flight.contact.law import Onset
 from dart_flight.geometry import GRAVITY_M_S2
 from dart_flight.identify.fit import Identification, identify
 from dart_flight.identify.trials import COLUMNS, UNLABELLED, Readers, Trial, TrialReading, read_trials
+from dart_flight.recording.found import from_each, logs_in
 
 UNITS = {"k": "N/m", "f": "N s/m", "mu": "s/m", "nu": "N"}
 
@@ -42,7 +44,8 @@ def carry_out(
         readers: file suffix -> reader, `trials.READERS` by default.
 
     Raises:
-        InputError: an option or a trial cannot be used.
+        InputError: an option or a trial cannot be used; of several logs those without a collision are left
+            out with a note.
     """
     if not 0.0 <= job.contact_distance_m <= 1.0:
         raise InputError(f"{job.contact_distance_m:g} m, expected 0 to 1", key=("contact-distance",))
@@ -56,8 +59,13 @@ def carry_out(
         wall=job.wall,
         mass_kg=vehicle.airframe.mass_kg,
     )
-    trials = [trial for path in job.paths for trial in read_trials(path, how, readers)]
+    left_out: list[str] = []
+    paths = logs_in(job.paths)
+    trials = list(
+        chain.from_iterable(from_each(paths, lambda path: read_trials(path, how, readers), left_out.append))
+    )
     found = identify(trials, vehicle.airframe.mass_kg, job.onset)
+    found.notes[:0] = left_out
     if job.height_m is not None:
         expected = math.sqrt(2.0 * GRAVITY_M_S2 * job.height_m)
         for trial in found.trials:

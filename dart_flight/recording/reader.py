@@ -22,6 +22,13 @@ _MAGIC = b"\x89MCAP0\r\n"
 _DECODERS = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
 
 
+class NothingInItError(InputError):
+    """A flight log, but without what is wanted of it: a flight that ended early, or a log cut near its start.
+
+    Where many logs are given it is left out, with a word.
+    """
+
+
 class LogEntry(msgspec.Struct, frozen=True):
     """One record of a log and the number of the input it is or follows from."""
 
@@ -134,4 +141,4 @@ def _check_version(about: dict[str, str], source: str) -> None:
         )
 
 
-__all__ = ["Log", "LogEntry", "read_log"]
+__all__ = ["Log", "LogEntry", "NothingInItError", "read_log"]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -10,9 +13,10 @@ from typing import Any
 import msgspec
 
 from dart_flight.config.mission import Mission
-from dart_flight.samples import Outcome
+from dart_flight.samples import OperatorRequest, Outcome, Record, Request
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.fast import fly_fast
+from dart_flight.worlds.flight_record import Onlooker
 
 
 class Spread(msgspec.Struct):
@@ -35,6 +39,38 @@ class Summary(msgspec.Struct):
     peak_force_error_percent: Spread | None
 
 
+class RunsInterruptedError(Exception):
+    """Ctrl-C, SIGTERM or SIGHUP before the last of many flights; `verdicts` are those of the complete ones."""
+
+    def __init__(self, verdicts: list[Verdict]) -> None:
+        super().__init__(f"interrupted after {len(verdicts)} flights")
+        self.verdicts = verdicts
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[None]:
+    """SIGTERM and SIGHUP (a dropped session) end many flights as Ctrl-C does."""
+
+    def interrupt(signum: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _left_alone() -> None:
+    """In a process of the pool: the parent decides what an interrupt means."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
 def _fast_run(arguments: tuple[Mission, int, str | None]) -> Verdict:
     mission, seed, log_dir = arguments
     return fly_fast(mission, seed, Path(log_dir) if log_dir else None)
@@ -43,13 +79,56 @@ def _fast_run(arguments: tuple[Mission, int, str | None]) -> Verdict:
 def fly_fast_many(
     mission: Mission, seeds: Iterable[int], log_dir: Path | None, done: Callable[[Verdict], None]
 ) -> list[Verdict]:
-    """Many fast flights, spread over the processor's cores, in the order of the seeds."""
+    """Many fast flights, spread over the processor's cores, in the order of the seeds.
+
+    Raises:
+        RunsInterruptedError: by Ctrl-C; the flights under way are flown to their end, those after them are not begun.
+    """
     jobs = [(mission, seed, str(log_dir) if log_dir else None) for seed in seeds]
-    verdicts = []
-    with ProcessPoolExecutor() as pool:
-        for verdict in pool.map(_fast_run, jobs):
-            done(verdict)
-            verdicts.append(verdict)
+    verdicts: list[Verdict] = []
+    with _interruptible(), ProcessPoolExecutor(initializer=_left_alone) as pool:
+        flights = [pool.submit(_fast_run, job) for job in jobs]
+        try:
+            for flight in flights:
+                verdicts.append(flight.result())
+                done(verdicts[-1])
+        except KeyboardInterrupt:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise RunsInterruptedError(
+                [f.result() for f in flights if f.done() and not f.cancelled()]
+            ) from None
+    return verdicts
+
+
+def fly_one_by_one(
+    fly: Callable[[int, Onlooker], Verdict], seeds: Iterable[int], done: Callable[[Verdict], None]
+) -> list[Verdict]:
+    """Many flights in real time, one after the other.
+
+    Args:
+        fly: flies one seed; an onlooker sees its records.
+        seeds: of the flights.
+        done: called after each.
+
+    Raises:
+        RunsInterruptedError: by Ctrl-C, which the flight under way has answered by landing; it is among the verdicts.
+    """
+    verdicts: list[Verdict] = []
+    asked: list[Record] = []
+
+    def look(record: Record) -> None:
+        if isinstance(record, OperatorRequest) and record.request is not Request.WORLD_DIED:
+            asked.append(record)
+
+    with _interruptible():
+        try:
+            for seed in seeds:
+                verdicts.append(fly(seed, look))
+                done(verdicts[-1])
+                if asked:
+                    raise RunsInterruptedError(verdicts)
+        except KeyboardInterrupt:
+            raise RunsInterruptedError(verdicts) from None
     return verdicts
 
 

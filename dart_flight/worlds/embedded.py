@@ -39,6 +39,7 @@ def fly_embedded(
         WorldError, VehicleError: the simulated vehicle did not start or did not answer.
     """
     try:
+        from dart_flight.sim.extras import need_mavlink  # noqa: PLC0415
         from dart_flight.sim.pipe import WorldSpec  # noqa: PLC0415
         from dart_flight.worlds.sabotage import Sabotage  # noqa: PLC0415
         from dart_flight.worlds.vehicle_process import (  # noqa: PLC0415
@@ -50,6 +51,7 @@ def fly_embedded(
     except ImportError as error:
         raise InputError(f"simulation needs {error.name}: pip install 'dart-flight[sim]'") from None
 
+    need_mavlink()
     port = free_udp_port()
     record = FlightRecord(mission, World.EMBEDDED, seed, log_dir)
     spec = WorldSpec(

@@ -9,11 +9,10 @@ from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import shown_path
 from dart_flight.recording.about import describe_flight
+from dart_flight.recording.found import LOG_NAME
 from dart_flight.recording.writer import FlightLog, new_flight_folder
 from dart_flight.samples import Record, World
 from dart_flight.verdict import Verdict, VerdictBuilder
-
-LOG_NAME = "flight.mcap"
 
 Onlooker = Callable[[Record], None]
 
