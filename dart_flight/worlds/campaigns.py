@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
+import os
 import signal
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +43,7 @@ class Summary(msgspec.Struct):
 
 
 class RunsInterruptedError(Exception):
-    """Ctrl-C, SIGTERM or SIGHUP before the last of many flights; `verdicts` are those of the complete ones."""
+    """Ctrl-C, SIGTERM or SIGHUP before the last of many flights; `verdicts` are of the complete ones."""
 
     def __init__(self, verdicts: list[Verdict]) -> None:
         super().__init__(f"interrupted after {len(verdicts)} flights")
@@ -82,22 +85,36 @@ def fly_fast_many(
     """Many fast flights, spread over the processor's cores, in the order of the seeds.
 
     Raises:
-        RunsInterruptedError: by Ctrl-C; the flights under way are flown to their end, those after them are not begun.
+        RunsInterruptedError: by Ctrl-C. The flights under way are flown to their end, those after them are not
+            begun; a second Ctrl-C ends those under way, too.
     """
-    jobs = [(mission, seed, str(log_dir) if log_dir else None) for seed in seeds]
-    verdicts: list[Verdict] = []
-    with _interruptible(), ProcessPoolExecutor(initializer=_left_alone) as pool:
-        flights = [pool.submit(_fast_run, job) for job in jobs]
+    waiting = deque((mission, seed, str(log_dir) if log_dir else None) for seed in seeds)
+    flights: list[Future[Verdict]] = []
+    workers = os.cpu_count() or 1
+    with _interruptible(), ProcessPoolExecutor(workers, initializer=_left_alone) as pool:
+        under_way: set[Future[Verdict]] = set()
         try:
-            for flight in flights:
-                verdicts.append(flight.result())
-                done(verdicts[-1])
+            while waiting or under_way:
+                # Never more than there are processes: what the pool has queued could not be called off.
+                while waiting and len(under_way) < workers:
+                    flights.append(pool.submit(_fast_run, waiting.popleft()))
+                    under_way.add(flights[-1])
+                landed, under_way = wait(under_way, return_when=FIRST_COMPLETED)
+                for flight in landed:
+                    done(flight.result())
         except KeyboardInterrupt:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise RunsInterruptedError(
-                [f.result() for f in flights if f.done() and not f.cancelled()]
-            ) from None
-    return verdicts
+            _let_land(under_way)
+            complete = [f.result() for f in flights if f.done() and f.exception() is None]
+            raise RunsInterruptedError(complete) from None
+    return [flight.result() for flight in flights]
+
+
+def _let_land(flights: Iterable[Future[Verdict]]) -> None:
+    try:
+        wait(flights)
+    except KeyboardInterrupt:
+        for process in multiprocessing.active_children():
+            process.terminate()
 
 
 def fly_one_by_one(
@@ -111,7 +128,7 @@ def fly_one_by_one(
         done: called after each.
 
     Raises:
-        RunsInterruptedError: by Ctrl-C, which the flight under way has answered by landing; it is among the verdicts.
+        RunsInterruptedError: by Ctrl-C; the flight under way has landed at that, and is among the verdicts.
     """
     verdicts: list[Verdict] = []
     asked: list[Record] = []
