@@ -85,8 +85,8 @@ def fly_fast_many(
     """Many fast flights, spread over the processor's cores, in the order of the seeds.
 
     Raises:
-        RunsInterruptedError: by Ctrl-C. The flights under way are flown to their end, those after them are not
-            begun; a second Ctrl-C ends those under way, too.
+        RunsInterruptedError: by Ctrl-C. The flights under way are flown to their end, no other is begun; a
+            second Ctrl-C ends those under way, too.
     """
     waiting = deque((mission, seed, str(log_dir) if log_dir else None) for seed in seeds)
     flights: list[Future[Verdict]] = []
