@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from dart_flight.cli.options import link_of
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config import InputError, default_config_path, find_vehicle
@@ -53,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
         _refuse_packaged(arguments, path)
     if config.driver is not LockDriver.PX4:
         return _owned(arguments, config, path, None)
-    url = arguments.connection or vehicle.connection.url
+    url = link_of(arguments, vehicle.connection)
     with _px4_link(url, vehicle.connection.timeout_s) as link:
         problems = parameter_problems(
             config, link.read_parameters(required.name for required in required_parameters(config))

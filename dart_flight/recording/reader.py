@@ -11,6 +11,7 @@ from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from dart_flight.config.document import InputError
+from dart_flight.config.kinds import FileKind, refuse_other_kind
 from dart_flight.recording.encoding import decode
 from dart_flight.recording.schema import RECORD_TYPES
 from dart_flight.recording.writer import ABOUT, END, FORMAT_VERSION, part_path
@@ -94,6 +95,7 @@ def _read_part(path: Path, log: Log) -> None:
         with open(path, "rb") as stream:
             start = stream.read(len(_MAGIC))
             if not _MAGIC.startswith(start):
+                refuse_other_kind(path, FileKind.FLIGHT_LOG)
                 raise InputError("not a flight log (no MCAP file)", source=source)
             stream.seek(0)
             for entry in _entries(stream, log, found, source):
