@@ -12,6 +12,7 @@ import numpy as np
 
 from dart_flight.config.document import InputError
 from dart_flight.config.kinds import FileKind, refuse_other_kind
+from dart_flight.config.mission import unknown_name
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
 from dart_flight.contact.contact_map import collide, contact_map, drop
@@ -54,9 +55,7 @@ def condition(
         InputError: the surface is not in the configuration, or the incidence is not from 0 to 45°.
     """
     if surface not in vehicle.materials:
-        raise InputError(
-            f"unknown surface {surface!r}, known: {', '.join(vehicle.materials)}", key=("surface",)
-        )
+        raise InputError(unknown_name(surface, list(vehicle.materials)), key=("surface",))
     if not 0.0 <= incidence_deg <= 45.0:
         raise InputError(f"{incidence_deg:g} is not an angle from 0 to 45", key=("incidence-deg",))
     c = coefficients_in_force(vehicle, surface, Mode(mode), math.radians(incidence_deg))

@@ -19,7 +19,7 @@ from typing import Any
 import msgspec
 
 from dart_flight.config.document import Document, InputError, Key
-from dart_flight.config.mission import Mission, MissionFile
+from dart_flight.config.mission import Mission, MissionFile, unknown_name
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.mission.approach import NoApproachError
@@ -291,8 +291,8 @@ def changed_mission(log: Log, settings: Sequence[str]) -> Mission:
             _set(mission, key, value, setting)
             of_mission = True
         else:
-            known = ", ".join(sorted(vehicle_keys | mission_keys))
-            raise InputError(f"--set {setting}: unknown key {key[0]}, known: {known}")
+            known = sorted(vehicle_keys | mission_keys)
+            raise InputError(f"--set {setting}: {unknown_name(str(key[0]), known)}")
     try:
         changed = parse_written(mission, vehicle)
     except InputError as error:
@@ -341,8 +341,9 @@ def _child(node: Any, part: str | int, setting: str) -> Any:
         return node[str(part)]
     if isinstance(node, list) and isinstance(part, int) and part < len(node):
         return node[part]
-    known = f"0 to {len(node) - 1}" if isinstance(node, list) else ", ".join(node or ())
-    raise InputError(f"--set {setting}: unknown key {part}, known: {known}")
+    if isinstance(node, list):
+        raise InputError(f"--set {setting}: unknown key {part}, known: 0 to {len(node) - 1}")
+    raise InputError(f"--set {setting}: {unknown_name(str(part), list(node or ()))}")
 
 
 __all__ = ["DECISIONS", "Difference", "Replay", "changed_mission", "decision_rows", "replay"]
