@@ -18,12 +18,16 @@ from msgspec import Meta
 from dart_flight.config.document import Document, InputError, Key
 from dart_flight.config.kinds import FileKind, load_document, refuse_other_keys
 from dart_flight.config.provenance import FoundVehicle, VehicleSource, find_vehicle
-from dart_flight.config.section import NotNegative, Positive, Section
+from dart_flight.config.section import Section
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.geometry import MissionFrame, Vec2, Vec3, Wall
 from dart_flight.samples import Mode
 
 Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
+Velocity = Annotated[float, Meta(ge=-20.0, le=20.0)]
+Direction = Annotated[float, Meta(ge=-1e6, le=1e6)]
+# Metres of set-point per newton: the paper's largest is 0.12. At 1 a weak hit already leads across a room.
+Alpha = Annotated[float, Meta(ge=0.0, le=1.0)]
 Point2 = tuple[Coordinate, Coordinate]
 Range = tuple[Coordinate, Coordinate]
 
@@ -75,7 +79,7 @@ class GoalSpec(Section, frozen=True):
     """
 
     position_m: Point2
-    capture_radius_m: Positive = 0.15
+    capture_radius_m: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.15
     hold_s: Annotated[float, Meta(ge=0.0, le=600.0)] = 2.0
 
 
@@ -112,8 +116,8 @@ class WallSpec(Section, frozen=True):
     """
 
     point_m: Point2
-    normal: tuple[float, float]
-    length_m: Positive
+    normal: tuple[Direction, Direction]
+    length_m: Annotated[float, Meta(gt=0.0, le=1000.0)]
     material: str
     given_at: GivenAt = GivenAt.CENTRE
 
@@ -127,7 +131,7 @@ class ApproachSpec(Section, frozen=True):
     """
 
     normal_m_s: Annotated[float, Meta(lt=0.0, ge=-20.0)]
-    tangential_m_s: Annotated[float, Meta(ge=-20.0, le=20.0)] = 0.0
+    tangential_m_s: Velocity = 0.0
 
 
 class CollisionPrediction(Section, frozen=True):
@@ -141,12 +145,12 @@ class CollisionPrediction(Section, frozen=True):
         contact_time_s: how long the contact lasts.
     """
 
-    t_s: float
+    t_s: Annotated[float, Meta(ge=0.0, le=3600.0)]
     position_m: Point2
-    normal_m_s: float
-    tangential_m_s: float
-    peak_force_n: float
-    contact_time_s: float
+    normal_m_s: Velocity
+    tangential_m_s: Velocity
+    peak_force_n: Annotated[float, Meta(ge=0.0, le=10_000.0)]
+    contact_time_s: Annotated[float, Meta(ge=0.0, le=10.0)]
 
 
 class MissPrediction(Section, frozen=True):
@@ -156,7 +160,7 @@ class MissPrediction(Section, frozen=True):
         goal_miss_m: smallest distance to the goal after the last contact.
     """
 
-    goal_miss_m: float
+    goal_miss_m: Annotated[float, Meta(ge=0.0, le=10_000.0)]
 
 
 class CollisionSpec(Section, frozen=True):
@@ -180,8 +184,8 @@ class CollisionSpec(Section, frozen=True):
     mode: Mode
     approach: ApproachSpec | None = None
     impact_point_m: Point2 | None = None
-    alpha_m_per_n: tuple[NotNegative, NotNegative] | None = None
-    alpha_wall_m_per_n: tuple[NotNegative, NotNegative] | None = None
+    alpha_m_per_n: tuple[Alpha, Alpha] | None = None
+    alpha_wall_m_per_n: tuple[Alpha, Alpha] | None = None
     predicted: CollisionPrediction | None = None
 
 
@@ -197,9 +201,9 @@ class Limits(Section, frozen=True):
         collision_timeout_s: longest recovery; then the goal is flown to, or the next wall given up.
     """
 
-    speed_m_s: Positive = 3.0
-    peak_force_n: Positive = 150.0
-    collision_timeout_s: Positive = 8.0
+    speed_m_s: Annotated[float, Meta(gt=0.0, le=20.0)] = 3.0
+    peak_force_n: Annotated[float, Meta(gt=0.0, le=2000.0)] = 150.0
+    collision_timeout_s: Annotated[float, Meta(gt=0.0, le=120.0)] = 8.0
 
 
 class MissionFile(Section, frozen=True):

@@ -18,6 +18,7 @@ from msgspec import Meta
 from dart_flight.config.document import Document, Key
 from dart_flight.config.kinds import FileKind, load_document
 from dart_flight.config.mission import (
+    Alpha,
     Bounds,
     BoundsSpec,
     FrameSpec,
@@ -30,7 +31,7 @@ from dart_flight.config.mission import (
     unknown_name,
 )
 from dart_flight.config.provenance import VehicleSource, find_vehicle
-from dart_flight.config.section import NotNegative, Positive, Section
+from dart_flight.config.section import Section
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.geometry import Vec2, Wall
 from dart_flight.samples import Mode
@@ -60,7 +61,7 @@ class GridSpec(Section, frozen=True):
 
     min: Annotated[float, Meta(ge=-20.0, le=20.0)]
     max: Annotated[float, Meta(ge=-20.0, le=20.0)]
-    step: Positive
+    step: Annotated[float, Meta(gt=0.0, le=40.0)]
 
 
 class SearchSpec(Section, frozen=True):
@@ -124,8 +125,8 @@ class ScenarioFile(Section, frozen=True):
     frame: FrameSpec = FrameSpec()
     transit_mode: Mode = Mode.RIGID
     limits: Limits = Limits()
-    alpha_m_per_n: dict[str, tuple[NotNegative, NotNegative]] = msgspec.field(default_factory=dict)
-    alpha_wall_m_per_n: dict[str, tuple[NotNegative, NotNegative]] = msgspec.field(default_factory=dict)
+    alpha_m_per_n: dict[str, tuple[Alpha, Alpha]] = msgspec.field(default_factory=dict)
+    alpha_wall_m_per_n: dict[str, tuple[Alpha, Alpha]] = msgspec.field(default_factory=dict)
     objective: Objective = Objective.NEAREST
     uncertainty: Uncertainty = Uncertainty()
 

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
-from dart_flight.config.section import NotNegative, Positive, Section
+from typing import Annotated
+
+from msgspec import Meta
+
+from dart_flight.config.section import Seconds, Section, Volts
 from dart_flight.config.vehicle.estimation import ArmVibration
+
+Wind = Annotated[float, Meta(ge=-50.0, le=50.0)]
 
 
 class Simulation(Section, frozen=True):
@@ -28,19 +34,19 @@ class Simulation(Section, frozen=True):
         gust_time_s: correlation time of the gusts.
     """
 
-    imu_noise_m_s2: NotNegative
-    imu_bias_m_s2: NotNegative
-    imu_delay_s: NotNegative
-    gyro_noise_rad_s: NotNegative
-    pose_rate_hz: Positive
-    pose_noise_m: NotNegative
-    pose_delay_s: NotNegative
-    attitude_noise_rad: NotNegative
+    imu_noise_m_s2: Annotated[float, Meta(ge=0.0, le=50.0)]
+    imu_bias_m_s2: Annotated[float, Meta(ge=0.0, le=20.0)]
+    imu_delay_s: Annotated[float, Meta(ge=0.0, le=1.0)]
+    gyro_noise_rad_s: Annotated[float, Meta(ge=0.0, le=10.0)]
+    pose_rate_hz: Annotated[float, Meta(ge=1.0, le=1000.0)]
+    pose_noise_m: Annotated[float, Meta(ge=0.0, le=10.0)]
+    pose_delay_s: Annotated[float, Meta(ge=0.0, le=1.0)]
+    attitude_noise_rad: Annotated[float, Meta(ge=0.0, le=1.0)]
     arm_vibration: ArmVibration
-    ground_stiffness_n_m: Positive
-    ground_damping_n_s_m: NotNegative
-    ground_friction: NotNegative
-    battery_v: Positive
-    wind_north_east_m_s: tuple[float, float]
-    gust_m_s: NotNegative
-    gust_time_s: Positive
+    ground_stiffness_n_m: Annotated[float, Meta(ge=1.0, le=1000000.0)]
+    ground_damping_n_s_m: Annotated[float, Meta(ge=0.0, le=100000.0)]
+    ground_friction: Annotated[float, Meta(ge=0.0, le=10.0)]
+    battery_v: Volts
+    wind_north_east_m_s: tuple[Wind, Wind]
+    gust_m_s: Annotated[float, Meta(ge=0.0, le=50.0)]
+    gust_time_s: Seconds
