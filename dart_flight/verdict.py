@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 
 from dart_flight.config.mission import Collision, Mission
+from dart_flight.config.provenance import VehicleSource
 from dart_flight.contact.contact_map import collide
 from dart_flight.contact.law import Onset
 from dart_flight.core.mission.anchor import Anchor
@@ -125,6 +126,7 @@ class Verdict(msgspec.Struct):
     )
     px4: Px4Figures | None = None
     drawn: dict[str, float | str] = msgspec.field(default_factory=dict)  # of the simulated world (`--vary`)
+    vehicle: VehicleSource | None = None
 
 
 class VerdictBuilder:
@@ -283,6 +285,7 @@ class VerdictBuilder:
             log=log,
             px4_log=px4_log,
             ekf_error_m=self._ekf_error_m(),
+            vehicle=self._mission.flown_vehicle(),
         )
 
     def _ekf_error_m(self) -> float | None:

@@ -8,6 +8,7 @@ import msgspec
 
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
+from dart_flight.config.provenance import VehicleSource
 
 
 class Finding(msgspec.Struct, frozen=True):
@@ -34,6 +35,7 @@ class CheckReport(msgspec.Struct, frozen=True):
     mission: str
     go: bool
     findings: list[Finding]
+    vehicle: VehicleSource
 
 
 def decide(mission: Mission, findings: Iterable[Finding], overrule: Iterable[str] = ()) -> CheckReport:
@@ -52,4 +54,5 @@ def decide(mission: Mission, findings: Iterable[Finding], overrule: Iterable[str
     judged = [
         msgspec.structs.replace(f, overruled=True) if not f.go and f.item in wanted else f for f in found
     ]
-    return CheckReport(mission.name, all(f.go or f.overruled for f in judged), judged)
+    go = all(f.go or f.overruled for f in judged)
+    return CheckReport(mission.name, go, judged, mission.flown_vehicle())

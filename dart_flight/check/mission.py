@@ -3,35 +3,57 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 from dart_flight.check.findings import Finding
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import NoApproachError, plan_approach
+from dart_flight.core.mission.arithmetic import SCALARS
 from dart_flight.core.mission.planned import expected_hit, impact_velocity
+from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.core.sense.detector import ImpactDetector
+from dart_flight.geometry import Vec3
 from dart_flight.planning.envelope import (
     clipping_warning,
     full_scale_n,
     speed_warning,
 )
+from dart_flight.planning.planned import PlannedFlight, planned_flight
 
 _CLEARANCE_M = 0.15  # of start and goal from a wall's plane
 _WEAK = 1.3  # an impact below this many thresholds may be missed
+_FAR_OUTSIDE_M = 2.0  # the paper's own plan has a set-point 0.5 m outside
+_SAME_M = 1e-6
+_SAME_M_S = 0.02  # predictions are written rounded
 
 
 def check_mission(mission: Mission) -> list[Finding]:
     """What can be judged without a vehicle."""
     findings = _check_places(mission)
+    planned = _planned(mission)
     for collision in mission.collisions:
         findings += _check_approach(mission, collision)
         findings += _check_force(mission, collision)
         findings += _check_noise(mission, collision)
         findings += _check_speed(mission, collision)
-        findings += _check_recovery(mission, collision)
+        findings += _check_recovery(mission, collision, planned)
         findings += _check_servo(mission, collision)
+    if planned is not None:
+        findings += _check_path(mission, planned)
     findings += _check_coefficients(mission)
     return findings
+
+
+def _planned(mission: Mission) -> PlannedFlight | None:
+    """The flight by the planner's model; None where an approach cannot even be flown, which is a finding."""
+    try:
+        for collision in mission.collisions:
+            if collision.approach_m_s is not None:
+                plan_approach(mission, collision)
+    except NoApproachError:
+        return None
+    return planned_flight(mission)
 
 
 def _check_places(mission: Mission) -> list[Finding]:
@@ -119,18 +141,58 @@ def _check_speed(mission: Mission, collision: Collision) -> list[Finding]:
     return [] if warning is None else [Finding(f"speed_{collision.index}", False, warning)]
 
 
-def _check_recovery(mission: Mission, collision: Collision) -> list[Finding]:
+def _check_path(mission: Mission, planned: PlannedFlight) -> list[Finding]:
+    """Whether the vehicle stays within the bounds, and would if it were told to stop: as the guard judges."""
+    worst, where, stops = 0.0, (0.0, 0.0), False
+    for x, y, vx, vy in _states(mission, planned):
+        share = STOP_TIME_S * stop_share(SCALARS, mission.walls, (x, y), (vx, vy))
+        for point, by_stopping in (((x, y), False), ((x + share * vx, y + share * vy), True)):
+            excess = mission.bounds.excess2(point)
+            if excess > worst + _SAME_M:
+                worst, where, stops = excess, point, by_stopping
+    place = f"({where[0]:.2f}, {where[1]:.2f})"
+    if worst > 0.0 and stops:
+        says = f"on the predicted path the vehicle would stop at {place}, {worst:.2f} m outside bounds_m"
+        return [Finding("path", False, says)]
+    if worst > 0.0:
+        says = f"the predicted path leads to {place}, {worst:.2f} m outside bounds_m"
+        return [Finding("path", False, says)]
+    reached = "" if len(planned.hits) == len(mission.collisions) else ", as far as the model follows it"
+    return [Finding("path", True, f"the predicted path and where it could stop lie within bounds_m{reached}")]
+
+
+def _states(mission: Mission, planned: PlannedFlight) -> Iterator[tuple[float, float, float, float]]:
+    """Positions and velocities of the planned flight: steady runs to the walls, then the free flights."""
+    for collision in mission.collisions:
+        if collision.impact_point is not None:
+            vx, vy, _ = collision.approach_velocity()
+            for share in (0.0, 0.25, 0.5, 0.75, 1.0):
+                before_s = share * mission.vehicle.flying.steady_run_s
+                x, y = collision.impact_point
+                yield x - before_s * vx, y - before_s * vy, vx, vy
+    for leg in planned.legs:
+        for x, y, vx, vy in leg.tolist():
+            yield x, y, vx, vy
+
+
+def _check_recovery(mission: Mission, collision: Collision, planned: PlannedFlight | None) -> list[Finding]:
     """Where the recovery leads: to the next wall where that is the plan, and not into one otherwise."""
     hit, item = expected_hit(mission, collision), f"recovery_{collision.index}"
     place = collision.impact_point or (collision.predicted.position_m if collision.predicted else None)
     velocity = impact_velocity(collision)
-    if hit is None or place is None or velocity is None:
+    modelled = planned.hits.get(collision.index) if planned is not None else None
+    if hit is not None and place is not None and velocity is not None:
+        normal_n, friction_n = hit.peak_normal_force_n, hit.peak_friction_force_n
+    elif modelled is not None:
+        place, velocity = modelled.position, (modelled.normal_m_s, modelled.tangential_m_s)
+        normal_n, friction_n = modelled.normal_n, abs(modelled.tangential_n)
+    else:
         return []
-    along = math.copysign(hit.peak_friction_force_n, -velocity[1])  # friction is against the motion
+    along = math.copysign(friction_n, -velocity[1])  # friction is against the motion
     target = recovery_point(
         (place[0], place[1], 0.0),
         collision.wall.normal,
-        hit.peak_normal_force_n,
+        normal_n,
         along,
         collision.alpha_normal_m_per_n,
         collision.alpha_tangential_m_per_n,
@@ -138,20 +200,49 @@ def _check_recovery(mission: Mission, collision: Collision) -> list[Finding]:
     )
     says = f"set-point after wall {collision.wall.name} about ({target[0]:.2f}, {target[1]:.2f})"
     following = next((c for c in mission.collisions if c.index == collision.index + 1), None)
+    as_planned = planned is not None and _is_as_planned(mission, planned)
     if following is not None and following.approach_m_s is None:
         beyond = following.wall.signed_distance(target)
         if beyond > 0.0:
             short = f"{says}: {beyond:.2f} m short of wall {following.wall.name}, which it should lead to"
             return [Finding(item, False, short)]
-        return [Finding(item, True, f"{says}, leads to wall {following.wall.name}")]
+        return [
+            _outside(
+                mission, item, target, f"{says}, leads to wall {following.wall.name}", "that wall", as_planned
+            )
+        ]
     for wall in mission.walls:
         crossed = wall.signed_distance(place) > 0.0 >= wall.signed_distance(target)
         if wall is not collision.wall and crossed and wall.spans(target):
             return [Finding(item, False, f"{says}: behind wall {wall.name}, which is not to be hit next")]
+    return [_outside(mission, item, target, says, "the goal", as_planned)]
+
+
+def _is_as_planned(mission: Mission, planned: PlannedFlight) -> bool:
+    """Whether `plan` wrote the mission, and its predictions still follow from it.
+
+    The planner has judged path, speed and acceleration that its set-points lead to, how far out they may lie.
+    """
+    return all(
+        c.predicted is not None
+        and c.index in planned.hits
+        and math.isclose(c.predicted.normal_m_s, planned.hits[c.index].normal_m_s, abs_tol=_SAME_M_S)
+        and math.isclose(c.predicted.tangential_m_s, planned.hits[c.index].tangential_m_s, abs_tol=_SAME_M_S)
+        for c in mission.collisions
+    )
+
+
+def _outside(mission: Mission, item: str, target: Vec3, says: str, first: str, planned: bool) -> Finding:
+    """A set-point outside of the bounds only pulls where something comes before it; far out it is a slip."""
     outside = mission.bounds.excess2(target)
+    if outside > _FAR_OUTSIDE_M and not planned:
+        far = f"{says}, {outside:.2f} m outside bounds_m, more than {_FAR_OUTSIDE_M:g} m: is alpha meant so?"
+        return Finding(item, False, far)
     if outside > 0.0:
-        says += f", {outside:.2f} m outside bounds_m: the goal must be passed before"
-    return [Finding(item, True, says)]
+        return Finding(
+            item, True, f"{says}, {outside:.2f} m outside bounds_m: {first} must come before", remark=True
+        )
+    return Finding(item, True, says)
 
 
 def _check_servo(mission: Mission, collision: Collision) -> list[Finding]:

@@ -7,9 +7,11 @@ prints; it holds no logic. `InputError` becomes one line and exit status 2 here,
 from __future__ import annotations
 
 import argparse
+import difflib
 import importlib
 import logging
 import os
+import re
 import sys
 from collections.abc import Collection, Sequence
 from typing import Any
@@ -42,11 +44,58 @@ COMMANDS = {
 EXIT_OK, EXIT_INCOMPLETE, EXIT_INPUT = 0, 1, 2
 
 
+_WRONG_VALUE = re.compile(r"argument (?P<name>.+?): invalid (choice|\w+ value): (?P<value>'[^']*')")
+
+
 class _Parser(argparse.ArgumentParser):
-    """Errors of usage in one line, like every other wrong input."""
+    """Errors of usage in one line, like every other wrong input, with the nearest word that is known."""
 
     def error(self, message: str) -> None:  # type: ignore[override]
-        self.exit(EXIT_INPUT, f"{self.prog}: {message} (see `{self.prog} --help`)\n")
+        self.exit(EXIT_INPUT, f"{self.prog}: {self._in_words(message)} (see `{self.prog} --help`)\n")
+
+    def parse_args(self, args=None, namespace=None):  # type: ignore[no-untyped-def]
+        """As argparse has it, but an option that does not exist is told with the nearest that does."""
+        parsed, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            command = self._command(parsed)
+            option = next((word.partition("=")[0] for word in unknown if word.startswith("-")), None)
+            if option is None:
+                command.error(f"unexpected argument {unknown[0]!r}")
+            else:
+                known = [name for action in command._actions for name in action.option_strings]
+                command.error(f"unknown option {option}{_near(option, known)}")
+        return parsed
+
+    def _command(self, parsed: argparse.Namespace) -> _Parser:
+        """The parser of the command that was given."""
+        for action in self._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                found = action.choices.get(getattr(parsed, action.dest))
+                return found if isinstance(found, _Parser) else self
+        return self
+
+    def _in_words(self, message: str) -> str:
+        """A wrong value with the nearest of those that are allowed."""
+        wrong = _WRONG_VALUE.match(message)
+        if wrong is None:
+            return message
+        action = next((a for a in self._actions if a.choices and wrong["name"] in _names(a)), None)
+        if action is None or action.choices is None:
+            return message
+        known = [str(choice) for choice in action.choices]
+        near = _near(wrong["value"].strip("'"), known)
+        what = "command" if action.dest == "command" else wrong["name"]
+        return f"unknown {what} {wrong['value']}{near or ', known: ' + ', '.join(known)}"
+
+
+def _names(action: argparse.Action) -> list[str]:
+    """What argparse may call an argument in its messages."""
+    return ["/".join(action.option_strings), str(action.metavar), action.dest]
+
+
+def _near(word: str, known: list[str]) -> str:
+    near = difflib.get_close_matches(word, known, n=1)
+    return f", did you mean {near[0]}?" if near else ""
 
 
 def build_parser(wanted: Collection[str]) -> argparse.ArgumentParser:

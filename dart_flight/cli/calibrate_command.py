@@ -6,10 +6,12 @@ import argparse
 import os
 from pathlib import Path
 
+import msgspec
 from rich.table import Table
 
 from dart_flight.cli.terminal import emit_json, messages, tables
-from dart_flight.config import InputError, default_config_path, load_vehicle
+from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.config import InputError, default_config_path, find_vehicle
 from dart_flight.config.document import Key
 from dart_flight.config.edit import write_values
 from dart_flight.config.vehicle import packaged
@@ -19,24 +21,32 @@ from dart_flight.identify.thrust_curve import (
     read_track,
     said_of,
 )
+from dart_flight.recording.found import from_each, logs_in
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("what", choices=("thrust",))
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="flight log (.mcap) or PX4 ULog (.ulg)")
+    parser.add_argument(
+        "logs", nargs="+", metavar="LOG", help=".mcap, PX4 ULog (.ulg), or a folder of flights"
+    )
     parser.add_argument("--write", action="store_true", help="write the curve into the configuration")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry the command out. Returns the exit status."""
     path = Path(arguments.config) if arguments.config else default_config_path()
-    vehicle = load_vehicle(path)
+    vehicle, source = find_vehicle(path)
     if arguments.write:
         _refuse_unwritable(arguments, path)
-    result = calibrate_thrust([read_track(log) for log in arguments.logs], vehicle)
+    left_out: list[str] = []
+    tracks = from_each(logs_in(arguments.logs), read_track, left_out.append)
+    result = calibrate_thrust(tracks, vehicle)
+    for line in left_out:
+        messages().print(line, markup=False, soft_wrap=True)
+    say_vehicle(source, messages(), asked=arguments.config is not None)
     if arguments.json:
-        emit_json(result)
+        emit_json({**msgspec.structs.asdict(result), "vehicle": source})
     else:
         tables().print(_table(result))
         for note in result.notes:

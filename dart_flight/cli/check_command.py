@@ -11,8 +11,9 @@ from dart_flight.check.findings import CheckReport, decide
 from dart_flight.check.mission import check_mission
 from dart_flight.check.parameters import judge_claim
 from dart_flight.check.vehicle import check_vehicle
-from dart_flight.cli.options import add_driver_option, add_position_option
+from dart_flight.cli.options import add_driver_option, add_position_option, link_of
 from dart_flight.cli.terminal import emit_json, messages
+from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import load_mission
 from dart_flight.worlds.prepare import with_driver
 
@@ -35,10 +36,12 @@ def run(arguments: argparse.Namespace) -> int:
         mission = with_driver(mission, arguments.driver)
     findings = check_mission(mission)
     if arguments.connection is not None:
-        findings += check_vehicle(mission, arguments.connection, arguments.position_from)
+        url = link_of(arguments, mission.vehicle.connection)
+        findings += check_vehicle(mission, url, arguments.position_from)
     elif arguments.position_from is not None:
         findings += judge_claim(mission, arguments.position_from)
     report = decide(mission, findings, arguments.overrule)
+    say_vehicle(mission.flown_vehicle(), messages(), asked=arguments.config is not None)
     if arguments.json:
         emit_json(report)
     else:

@@ -14,17 +14,21 @@ from dart_flight.cli.flight_output import FlightLines, summary_table, verdict_ta
 from dart_flight.cli.options import add_flight_options, add_set_option, add_vary_option, whole_number
 from dart_flight.cli.px4_options import add_px4_options, position_source_of, position_warnings
 from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
+from dart_flight.config.provenance import shown_path
 from dart_flight.planning.envelope import impact_warnings
 from dart_flight.sim.draws import parse_vary
 from dart_flight.sim.faults.kinds import parse_fault
 from dart_flight.verdict import Verdict
-from dart_flight.worlds.campaigns import fly_fast_many, summarise
+from dart_flight.worlds.campaigns import RunsInterruptedError, fly_fast_many, fly_one_by_one, summarise
 from dart_flight.worlds.embedded import fly_embedded
 from dart_flight.worlds.fast import fly_fast
 from dart_flight.worlds.prepare import load_flyable, with_driver, with_standoff
 from dart_flight.worlds.px4 import fly_px4
+
+EXIT_INTERRUPTED = 130  # as a shell has it for SIGINT: the rest of a script ends, too
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -87,6 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
         mission = with_standoff(mission, arguments.standoff)
     fly = _flight(arguments, mission)
     console = messages()
+    say_vehicle(mission.flown_vehicle(), console, asked=arguments.config is not None)
     for line in [*impact_warnings(mission), *position_warnings(position_source_of(arguments))]:
         console.print(f"[yellow]{line}[/]", soft_wrap=True)
     if arguments.runs is None:
@@ -99,23 +104,40 @@ def run(arguments: argparse.Namespace) -> int:
             console.print(f"log: {verdict.log}", soft_wrap=True)
         return 0 if verdict.outcome == "completed" else 1
     seeds = range(arguments.seed, arguments.seed + arguments.runs)
+    interrupted = False
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("flights", total=arguments.runs)
 
         def done(_: Verdict) -> None:
             bar.advance(task)
 
-        if arguments.fast:
-            spreads = _spreads(arguments, mission)
-            verdicts = fly_fast_many(mission, seeds, arguments.log_dir, done, spreads)
-        else:
-            verdicts = []
-            for seed in seeds:
-                verdicts.append(fly(mission, seed, arguments.log_dir))
-                done(verdicts[-1])
+        try:
+            if arguments.fast:
+                spreads = _spreads(arguments, mission)
+                verdicts = fly_fast_many(mission, seeds, arguments.log_dir, done, spreads)
+            else:
+                verdicts = fly_one_by_one(
+                    lambda seed, look: fly(mission, seed, arguments.log_dir, look), seeds, done
+                )
+        except RunsInterruptedError as stopped:
+            verdicts, interrupted = stopped.verdicts, True
     summary = summarise(verdicts)
+    if interrupted:
+        console.print(f"[red]interrupted[/]: {len(verdicts)} of {arguments.runs} flights were flown")
     if arguments.json:
-        emit_json({"runs": verdicts, "summary": summary})
+        emit_json(
+            {
+                "runs": verdicts,
+                "summary": summary,
+                "interrupted": interrupted,
+                "log_dir": shown_path(arguments.log_dir),
+                "vehicle": mission.flown_vehicle(),
+            }
+        )
     else:
         tables().print(summary_table(summary))
+    if verdicts:
+        console.print(f"logs: {len(verdicts)} flights in {shown_path(arguments.log_dir)}", soft_wrap=True)
+    if interrupted:
+        return EXIT_INTERRUPTED
     return 0 if summary.completed == summary.runs else 1

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from rich.console import Console
+from rich.console import Console, Group, RenderableType
+from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
+from dart_flight.recording.flight_time import FlightTime
 from dart_flight.samples import (
     ContactEnd,
     GoalPassed,
@@ -22,21 +25,21 @@ from dart_flight.worlds.campaigns import Summary
 
 
 class FlightLines:
-    """Prints the decisions of a flight as they come, with the time since the first."""
+    """Prints the decisions of a flight as they come, with the time since its zero (`flight_time`)."""
 
     def __init__(self, console: Console, verbose: bool = False) -> None:
         self._console, self._verbose = console, verbose
-        self._start_us: int | None = None
+        self._time = FlightTime()
 
     def __call__(self, record: Record) -> None:
         """Print a record if it is a decision."""
+        self._time.take(record)
         line = self._line(record)
         if line is None:
             return
-        t_us = getattr(record, "t_us", 0)
-        if self._start_us is None:
-            self._start_us = t_us
-        self._console.print(f"[dim]{(t_us - self._start_us) * 1e-6:7.2f} s[/]  {line}")
+        time_s = self._time.seconds(getattr(record, "t_us", 0))
+        shown = " " * 9 if time_s is None else f"{time_s:7.2f} s"
+        self._console.print(f"[dim]{shown}[/]  {line}", soft_wrap=True)
 
     def _line(self, record: Record) -> str | None:
         if isinstance(record, PhaseChange):
@@ -71,17 +74,23 @@ class FlightLines:
         return f"lock {record.phase.value}{mode}{feedback}" + (f": {record.reason}" if record.reason else "")
 
 
-def verdict_table(verdict: Verdict) -> Table:
-    """The collisions of a flight, planned, measured and true."""
-    table = Table(
-        title=f"{verdict.mission}, {verdict.world or 'unknown'}: {verdict.outcome}", title_justify="left"
-    )
-    for column in ("", "normal m/s", "tangential m/s", "peak force N", "contact ms", "detected ms"):
-        table.add_column(column, justify="left" if not column else "right")
-    for collision in verdict.collisions:
-        _add_collision(table, collision)
+def verdict_table(verdict: Verdict) -> RenderableType:
+    """A flight: how it ended and why, its collisions planned, measured and true, and its figures."""
+    title = Text(f"{verdict.mission}, {verdict.world or 'unknown'}: {verdict.outcome}", style="italic")
+    parts: list[RenderableType] = [title]
+    if verdict.reason is not None:
+        parts.append(Text(f"reason: {verdict.reason}", style="red"))
+    if verdict.collisions:
+        table = Table()
+        for column in ("", "normal\nm/s", "along\nm/s", "peak\nN", "contact\nms", "detected\nms"):
+            table.add_column(column, justify="left" if not column else "right", no_wrap=bool(column))
+        for collision in verdict.collisions:
+            _add_collision(table, collision)
+        parts.append(table)
+    else:
+        parts.append(Text("no planned collision was flown"))
     figures = [
-        f"{name} {value:.2f} {unit}"
+        f"{name} {value:.2f}\N{NO-BREAK SPACE}{unit}"
         for name, value, unit in (
             ("goal miss", verdict.goal_miss_m, "m"),
             ("final error", verdict.final_error_m, "m"),
@@ -91,9 +100,9 @@ def verdict_table(verdict: Verdict) -> Table:
         )
         if value is not None
     ]
-    table.caption = ", ".join(figures)
-    table.caption_justify = "left"
-    return table
+    if figures:
+        parts.append(Text(", ".join(figures)))
+    return Group(*parts)
 
 
 def _add_collision(table: Table, c: CollisionVerdict) -> None:
@@ -139,5 +148,5 @@ def summary_table(summary: Summary) -> Table:
         if spread is not None:
             table.add_row(name, *(f"{v:.3f}" for v in (spread.median, spread.low, spread.high)))
     for reason, count in summary.reasons.items():
-        table.add_row(f"[red]{reason}[/]", str(count))
+        table.add_row(f"[red]{escape(reason)}[/]", str(count))
     return table

@@ -10,8 +10,9 @@ from dart_flight.check.mission import check_mission
 from dart_flight.check.vehicle import check_vehicle
 from dart_flight.cli.check_command import show
 from dart_flight.cli.flight_output import FlightLines, verdict_table
-from dart_flight.cli.options import add_flight_options, add_position_option
+from dart_flight.cli.options import add_flight_options, add_position_option, link_of
 from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import Mission
 from dart_flight.worlds.drone import fly_vehicle
 from dart_flight.worlds.prepare import load_flyable, with_driver, with_standoff
@@ -39,8 +40,9 @@ def run(arguments: argparse.Namespace) -> int:
         mission = with_driver(mission, arguments.driver)
     if arguments.standoff is not None:
         mission = with_standoff(mission, arguments.standoff)
-    url = arguments.connection or mission.vehicle.connection.url
+    url = link_of(arguments, mission.vehicle.connection)
     console = messages()
+    say_vehicle(mission.flown_vehicle(), console, asked=arguments.config is not None)
     console.print(_intention(mission, url), soft_wrap=True)
     findings = check_mission(mission) + check_vehicle(mission, url, arguments.position_from)
     report = decide(mission, findings, arguments.overrule)

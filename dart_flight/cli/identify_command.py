@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 
 
@@ -75,7 +76,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, fit, print, write."""
-    from dart_flight.config.vehicle import load_vehicle
+    from dart_flight.config.provenance import find_vehicle
     from dart_flight.contact.law import Onset
     from dart_flight.identify import job as identification
 
@@ -86,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
         drop = True
     if not paths:
         raise InputError("no trials given", key=("TRIAL",))
-    vehicle = load_vehicle(arguments.config)
+    vehicle, source = find_vehicle(arguments.config)
     job = identification.Job(
         paths=paths,
         mode=arguments.mode,
@@ -105,31 +106,51 @@ def run(arguments: argparse.Namespace) -> int:
     from dart_flight.identify.flight_trials import readers
 
     trials, found = identification.carry_out(job, vehicle, readers(arguments.surface))
+    say_vehicle(source, messages(), asked=arguments.config is not None)
     for note in found.notes:
-        messages().print(note)
+        messages().print(note, markup=False, soft_wrap=True)
+    from dart_flight.identify.goodness import expected_residuals, judge_fit
+
+    judged = judge_fit(found.residuals, expected_residuals(trials))
+    for line in judged.says:
+        messages().print(f"[red]{line}[/]", soft_wrap=True)
+    # First what was found, whatever becomes of the files.
+    if arguments.json:
+        emit_json({**identification.as_json(found), "fit": judged._asdict(), "vehicle": source})
+    else:
+        _print(found)
+        tables().print("[green]fit: good[/]" if judged.good else "[red]fit: poor[/]")
     if arguments.output:
-        _write(arguments, found, vehicle)
+        _write(arguments, found, vehicle, poor=not judged.good)
     if arguments.plot:
         from dart_flight.report import contact_figures as plots
 
         mass = vehicle.airframe.mass_kg if job.mass_kg is None else job.mass_kg
         plots.plot_fit(arguments.plot, trials, found, mass, job.onset)
-    if arguments.json:
-        emit_json(identification.as_json(found))
-    else:
-        _print(found)
     return 0
 
 
-def _write(arguments: argparse.Namespace, found: Any, vehicle: Any) -> None:
+def _write(arguments: argparse.Namespace, found: Any, vehicle: Any, *, poor: bool) -> None:
     from dart_flight.identify.materials_entry import materials_entry
 
-    entry = materials_entry(found, arguments.surface, vehicle)
+    entry = materials_entry(found, arguments.surface, vehicle, poor=poor)
     try:
-        Path(arguments.output).write_text(entry, encoding="utf-8")
+        Path(arguments.output).write_text(entry.text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"cannot write: {error.strerror or error}", source=str(arguments.output)) from None
-    messages().print(f"wrote {arguments.output}")
+    console = messages()
+    console.print(f"wrote {arguments.output}", markup=False, soft_wrap=True)
+    if entry.assumed:
+        console.print(
+            f"[yellow]not seen in these trials, written as 0 and marked: {', '.join(entry.assumed)}[/]",
+            soft_wrap=True,
+        )
+    for mode in entry.missing:
+        console.print(
+            f"[yellow]not complete: {mode} is not known; a configuration needs it: "
+            f"identify trials with --mode {mode}[/]",
+            soft_wrap=True,
+        )
 
 
 def _estimates(title: str, rows: Any) -> None:

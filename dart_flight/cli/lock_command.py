@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from dart_flight.cli.options import link_of
 from dart_flight.cli.terminal import emit_json, messages, tables
-from dart_flight.config import InputError, default_config_path, load_vehicle
+from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.config import InputError, default_config_path, find_vehicle
 from dart_flight.config.document import Document
 from dart_flight.config.edit import write_values
 from dart_flight.config.vehicle import LockConfig, LockDriver, packaged
@@ -45,13 +47,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry the command out. Returns 0 when the lock is where it was asked to be."""
     path = Path(arguments.config) if arguments.config else default_config_path()
-    vehicle = load_vehicle(path)
+    vehicle, source = find_vehicle(path)
+    arguments.vehicle = source
     config = _with_driver(vehicle.lock, arguments.driver, path)
     if arguments.action == "calibrate":
         _refuse_packaged(arguments, path)
     if config.driver is not LockDriver.PX4:
         return _owned(arguments, config, path, None)
-    url = arguments.connection or vehicle.connection.url
+    url = link_of(arguments, vehicle.connection)
     with _px4_link(url, vehicle.connection.timeout_s) as link:
         problems = parameter_problems(
             config, link.read_parameters(required.name for required in required_parameters(config))
@@ -147,6 +150,7 @@ def _report(
     ok: bool,
     owner_pid: int | None = None,
 ) -> None:
+    say_vehicle(arguments.vehicle, messages(), asked=arguments.config is not None)
     last = load_last()
     if arguments.json:
         report: dict[str, Any] = {
@@ -158,6 +162,7 @@ def _report(
             "travel_s": None,
             "last_command": last,
             "owner_pid": owner_pid,
+            "vehicle": arguments.vehicle,
         }
         if state is not None and state.settled_us is not None and state.commanded_us is not None:
             report["travel_s"] = (state.settled_us - state.commanded_us) * 1e-6

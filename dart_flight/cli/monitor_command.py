@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 import asyncio
 
+import msgspec
 from rich.console import Group
 from rich.live import Live
 from rich.table import Table
 
-from dart_flight.cli.terminal import emit_json, tables
+from dart_flight.cli.options import link_of, number
+from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import load_mission
-from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle import default_config_path, packaged
 from dart_flight.worlds.monitor import Screen, Watcher, watch
 
 _PERIOD_S = 0.2
@@ -22,18 +25,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("--connection", metavar="URL", help="default: connection.url of the configuration")
     parser.add_argument("--mission", metavar="FILE", help="show forces along this mission's axes")
-    parser.add_argument("--seconds", type=float, metavar="S", help="end by itself after this long")
+    parser.add_argument("--seconds", type=number(0.0, 1e6), metavar="S", help="end by itself after this long")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status. With --json: the last view, at the end."""
     placed = arguments.mission is not None
-    mission = load_mission(
-        arguments.mission if placed else packaged("missions", "single_wall.yaml"), arguments.config
-    )
+    # Without a mission of its own the vehicle is this folder's, not that of the packaged mission.
+    config = arguments.config or (None if placed else default_config_path())
+    mission = load_mission(arguments.mission if placed else packaged("missions", "single_wall.yaml"), config)
     watcher = Watcher(mission, placed)
     connection = mission.vehicle.connection
-    url = arguments.connection or connection.url
+    url = link_of(arguments, connection)
+    say_vehicle(mission.flown_vehicle(), messages(), asked=arguments.config is not None)
     views: list[Screen] = []
     console = tables()
 
@@ -42,7 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.json:
         asyncio.run(watch(watcher, url, connection.timeout_s, keep, _PERIOD_S, arguments.seconds))
-        emit_json(views[-1] if views else None)
+        view = msgspec.structs.asdict(views[-1]) if views else {}
+        emit_json({**view, "vehicle": mission.flown_vehicle()})
         return 0
     with Live(console=console, auto_refresh=False, transient=False) as live:
 

@@ -6,8 +6,10 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
+from dart_flight.config.link_url import usable_link
 from dart_flight.config.parameters import PositionSource
 from dart_flight.config.vehicle import LockDriver
+from dart_flight.config.vehicle.autopilot import ConnectionConfig
 
 
 def add_flight_options(parser: argparse.ArgumentParser) -> None:
@@ -69,6 +71,17 @@ def add_position_option(parser: argparse.ArgumentParser) -> None:
         + ", ".join(PositionSource)
         + " (default: as the vehicle says)",
     )
+
+
+def link_of(arguments: argparse.Namespace, connection: ConnectionConfig) -> str:
+    """The URL of `--connection`, else the configuration's.
+
+    Raises:
+        InputError: it has the wrong form, or names a serial port that is not there.
+    """
+    if arguments.connection is not None:
+        return usable_link(arguments.connection)
+    return usable_link(connection.url, "connection.url")
 
 
 def whole_number(low: int, high: int) -> Callable[[str], int]:

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from rich.progress import Progress
 
-from dart_flight.cli.options import whole_number
+from dart_flight.cli.options import link_of, whole_number
 from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.scenario import Objective, load_scenario
 from dart_flight.planning.mission_writer import write_mission
 from dart_flight.planning.search import search
@@ -52,7 +53,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.connection is not None:
         from dart_flight.worlds.prepare import with_vehicle_parameters
 
-        scenario = with_vehicle_parameters(scenario, arguments.connection)
+        url = link_of(arguments, scenario.vehicle.connection)
+        scenario = with_vehicle_parameters(scenario, url)
     if arguments.objective is not None:
         scenario = with_objective(scenario, arguments.objective)
     with Progress(console=console, transient=True) as bar:
@@ -61,6 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
         result = search(
             scenario, top, arguments.seed, lambda done, of: bar.update(task, completed=done, total=of)
         )
+    say_vehicle(scenario.vehicle_source, console, asked=arguments.config is not None)
     plan = result.plans[min(arguments.rank, len(result.plans)) - 1]
     if arguments.output is not None:
         write_mission(scenario, plan, arguments.output)

@@ -7,7 +7,8 @@ import re
 import sys
 from typing import Any
 
-from dart_flight.cli.terminal import emit_json, tables
+from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 
 
@@ -47,22 +48,30 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Predict, print, plot."""
-    from dart_flight.config.vehicle import load_vehicle
+    from dart_flight.config.provenance import find_vehicle
     from dart_flight.contact import prediction
 
     if arguments.restitution is not None or arguments.tangential_ratio is not None:
         return _from_ratios(arguments)
     if arguments.surface is None:
         raise InputError("--surface is required, or --restitution", key=("surface",))
-    vehicle = load_vehicle(arguments.config)
+    vehicle, source = find_vehicle(arguments.config)
+
+    def say() -> None:
+        say_vehicle(source, messages(), asked=arguments.config is not None)
+
     where = (arguments.surface, arguments.onset, arguments.incidence_deg)
     if arguments.batch is not None:
         if arguments.plot or arguments.mode:
             raise InputError("--batch takes the mode from the file and plots nothing")
         if arguments.json:
-            emit_json({"collisions": prediction.predict_batch_rows(vehicle, *where, path=arguments.batch)})
+            rows = prediction.predict_batch_rows(vehicle, *where, path=arguments.batch)
+            say()
+            emit_json({"collisions": rows, "vehicle": source})
         else:
-            sys.stdout.write(prediction.predict_batch(vehicle, *where, path=arguments.batch))
+            text = prediction.predict_batch(vehicle, *where, path=arguments.batch)
+            say()
+            sys.stdout.write(text)
         return 0
     if arguments.mode is None:
         raise InputError("--mode is required: rigid or flexible")
@@ -73,8 +82,9 @@ def run(arguments: argparse.Namespace) -> int:
         numbers = prediction.predict_drop(what, arguments.drop)
     if arguments.plot:
         _plot(arguments, what)
+    say()
     if arguments.json:
-        emit_json(numbers)
+        emit_json({**numbers, "vehicle": source})
     else:
         _print(numbers, what, arguments)
     return 0

@@ -1,22 +1,29 @@
-"""`dart-flight replay LOG`: the flight again through the same decisions."""
+"""`dart-flight replay LOG...`: flights again through the same decisions."""
 
 from __future__ import annotations
 
 import argparse
+import re
+from pathlib import Path
+from typing import Any
 
 from rich.markup import escape
 from rich.table import Table
 
 from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.config.mission import Mission
+from dart_flight.recording.about import flown_mission
+from dart_flight.recording.found import from_each, logs_in
 from dart_flight.recording.reader import read_log
 from dart_flight.worlds.replay import Replay, decision_rows, replay
 
 _MOST_SHOWN = 40
+_PARTS = re.compile(r", (?![^(]*\))")  # not the commas of a vector
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("log", metavar="LOG", help="flight.mcap of a flight")
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="flight.mcap, or a folder of flights")
     parser.add_argument(
         "--set",
         dest="settings",
@@ -29,19 +36,36 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit status: 0 all equal, 1 something differs."""
-    result = replay(read_log(arguments.log), arguments.settings)
-    if result.note:
-        messages().print(result.note)
+    """Run the command; returns the exit status: 0 all equal, 1 something differs.
+
+    With --json: one object; of several logs whether all are equal, and an object per log.
+    """
+    console = messages()
+    paths = logs_in(arguments.logs)
+    summaries: list[dict[str, Any]] = []
+
+    def one(path: Path) -> bool:
+        log = read_log(path)
+        mission = flown_mission(log.about, log.source)
+        result = replay(log, arguments.settings)
+        name = f"{path}: " if len(paths) > 1 else ""
+        if result.note:
+            console.print(f"{name}{result.note}", markup=False, soft_wrap=True)
+        if arguments.json:
+            summaries.append(_summary(path, mission, result))
+        else:
+            _print(name, result)
+        return result.equal
+
+    equal = all(from_each(paths, one, lambda line: console.print(line, markup=False, soft_wrap=True)))
     if arguments.json:
-        emit_json(_summary(result))
-    else:
-        _print(result)
-    return 0 if result.equal else 1
+        emit_json(summaries[0] if len(paths) == 1 else {"equal": equal, "replays": summaries})
+    return 0 if equal else 1
 
 
-def _summary(result: Replay) -> dict[str, object]:
+def _summary(path: Path, mission: Mission, result: Replay) -> dict[str, Any]:
     return {
+        "log": str(path),
         "equal": result.equal,
         "exact": result.exact,
         "inputs": result.inputs,
@@ -52,29 +76,43 @@ def _summary(result: Replay) -> dict[str, object]:
         "missing_inputs": result.missing,
         "note": result.note,
         "rows": [list(row) for row in decision_rows(result)],
+        "vehicle": mission.flown_vehicle(),
     }
 
 
-def _print(result: Replay) -> None:
+def _print(name: str, result: Replay) -> None:
     out = tables()
     how = "bit for bit" if result.exact else "to 1e-9 (recorded on another kind of machine)"
     if result.equal:
         out.print(
-            f"[green]equal[/]: {result.outputs} outputs on {result.inputs} inputs, "
-            f"{len(result.recorded)} of them decisions, {how}"
+            f"{escape(name)}[green]equal[/]: {result.outputs} outputs on {result.inputs} inputs, "
+            f"{len(result.recorded)} of them decisions, {how}",
+            soft_wrap=True,
         )
         return
     first = result.differences[0]
     out.print(
-        f"[red]different[/]: {len(result.differences)} of {result.outputs} outputs, compared {how}. "
-        f"First at input {first.number}, {first.t_us * 1e-6:.3f} s: {escape(first.text())}",
+        f"{escape(name)}[red]different[/]: {len(result.differences)} of {result.outputs} outputs, "
+        f"compared {how}. First at input {first.number}, {(first.t_us - result.zero_us) * 1e-6:.3f} s: "
+        f"{escape(first.text())}",
         soft_wrap=True,
     )
-    table = Table("s", "decision", "recorded", "replayed", title="decisions", title_justify="left")
     rows = decision_rows(result)
-    for time_s, name, before, after in rows[:_MOST_SHOWN]:
-        style = None if before == after else "bold"
-        table.add_row(f"{time_s:.3f}", name, escape(before), escape(after), style=style)
-    out.print(table)
-    if len(rows) > _MOST_SHOWN:
-        out.print(f"and {len(rows) - _MOST_SHOWN} more")
+    different = [row for row in rows if row[2] != row[3]]
+    if different:
+        table = Table("s", "decision", "recorded", "replayed", title="decisions", title_justify="left")
+        for time_s, decision, before, after in different[:_MOST_SHOWN]:
+            table.add_row(f"{time_s:.3f}", decision, *_changes(before, after))
+        out.print(table)
+    if len(different) > _MOST_SHOWN:
+        out.print(f"and {len(different) - _MOST_SHOWN} more")
+    out.print(f"{len(rows) - len(different)} decisions are as recorded")
+
+
+def _changes(before: str, after: str) -> tuple[str, str]:
+    """Of two forms of a decision the parts that differ; a decision of one side only as it is."""
+    one, other = _PARTS.split(before), _PARTS.split(after)
+    if len(one) != len(other) or "-" in (before, after):
+        return escape(before), escape(after)
+    apart = [(a, b) for a, b in zip(one, other, strict=True) if a != b]
+    return escape(", ".join(a for a, _ in apart)), escape(", ".join(b for _, b in apart))

@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 
 from dart_flight.cli.terminal import emit_json, messages
 from dart_flight.config.document import InputError
+from dart_flight.recording.found import from_each, logs_in
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="flight.mcap; several give a comparison")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="the HTML file")
+    parser.add_argument(
+        "logs",
+        nargs="+",
+        metavar="LOG",
+        help="flight.mcap or folder of flights; several: a comparison",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE",
+        help="HTML file (default: report.html beside the logs)",
+    )
     parser.add_argument(
         "--identify",
         action="store_true",
@@ -25,17 +38,25 @@ def run(arguments: argparse.Namespace) -> int:
     from dart_flight.report.flight import Flight
     from dart_flight.report.page import comparison_page, flight_page
 
-    flights = [Flight.read(path) for path in arguments.logs]
+    console = messages()
+    paths = logs_in(arguments.logs)
+    flights = from_each(paths, Flight.read, lambda line: console.print(line, markup=False, soft_wrap=True))
+    output = arguments.output or _beside(paths)
     identify = arguments.identify
     if len(flights) == 1:
         page = flight_page(flights[0], identify=identify)
     else:
         page = comparison_page(flights, identify=identify)
     try:
-        arguments.output.write_text(page, encoding="utf-8")
+        output.write_text(page, encoding="utf-8")
     except OSError as error:
-        raise InputError(f"cannot write: {error.strerror}", source=str(arguments.output)) from None
-    messages().print(f"wrote {arguments.output}", soft_wrap=True)
+        raise InputError(f"cannot write: {error.strerror}", source=str(output)) from None
+    console.print(f"wrote {output}", markup=False, soft_wrap=True)
     if arguments.json:
-        emit_json({"page": str(arguments.output), "verdicts": [flight.verdict for flight in flights]})
+        emit_json({"page": str(output), "verdicts": [flight.verdict for flight in flights]})
     return 0
+
+
+def _beside(logs: list[Path]) -> Path:
+    """In the folder of the one log, or in the one that holds all of them."""
+    return Path(os.path.commonpath([log.parent.resolve() for log in logs])) / "report.html"

@@ -6,9 +6,10 @@ import argparse
 
 from dart_flight.cli.options import whole_number
 from dart_flight.cli.terminal import messages
-from dart_flight.config.document import InputError
+from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import load_mission
-from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle import default_config_path, packaged
+from dart_flight.sim.extras import need_mavlink
 
 GROUND_STATION_PORT = 14550
 
@@ -32,14 +33,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
-    try:
-        from dart_flight.sim.standalone import run_vehicle
-    except ImportError as error:
-        raise InputError(f"simulation needs {error.name}: pip install 'dart-flight[sim]'") from None
+    need_mavlink()
+    from dart_flight.sim.standalone import run_vehicle
 
     path = arguments.mission or packaged("missions", "dual_collision.yaml")
-    mission = load_mission(path, arguments.config)
+    # Without a mission of its own the vehicle is this folder's, not that of the packaged mission.
+    config = arguments.config or (None if arguments.mission else default_config_path())
+    mission = load_mission(path, config)
     console = messages()
+    say_vehicle(mission.flown_vehicle(), console, asked=arguments.config is not None)
     console.print(
         f"simulated vehicle for [bold]{mission.name}[/], sends to UDP {arguments.port} and "
         f"{GROUND_STATION_PORT}; its lock servo listens to PX4's actuator "

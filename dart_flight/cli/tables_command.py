@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 
 
@@ -16,13 +17,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Compute the tables and print or write them."""
-    from dart_flight.config.vehicle import load_vehicle
+    from dart_flight.config.provenance import find_vehicle
     from dart_flight.report import paper
 
-    vehicle = load_vehicle(arguments.config)
+    vehicle, source = find_vehicle(arguments.config)
     for surface in (paper.DROP_SURFACE, paper.FLIGHT_SURFACE):
         if surface not in vehicle.materials:
             raise InputError(f"the tables need the material {surface}", key=("materials",))
+    say_vehicle(source, messages(), asked=arguments.config is not None)
     if arguments.output:
         try:
             Path(arguments.output).write_text(paper.page(vehicle), encoding="utf-8")
@@ -42,6 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
                     "published": paper.STIFFNESS_RATIO,
                     "model": paper.stiffness_ratios(vehicle),
                 },
+                "vehicle": source,
             }
         )
     elif not arguments.output:

@@ -2,6 +2,7 @@
 
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Collision, Mission, load_mission, parse_mission
+from dart_flight.config.provenance import VehicleSource, find_vehicle
 from dart_flight.config.vehicle import Coefficients, VehicleConfig, default_config_path, load_vehicle
 
 __all__ = [
@@ -10,7 +11,9 @@ __all__ = [
     "InputError",
     "Mission",
     "VehicleConfig",
+    "VehicleSource",
     "default_config_path",
+    "find_vehicle",
     "load_mission",
     "load_vehicle",
     "parse_mission",

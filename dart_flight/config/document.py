@@ -18,6 +18,8 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 import msgspec
 import yaml
 
+from dart_flight.config.units import unit_of
+
 T = TypeVar("T")
 Key = tuple[str | int, ...]
 
@@ -223,7 +225,7 @@ def _innermost(value: Any, type_: Any, key: Key, text: str) -> tuple[Key, str]:
             msgspec.convert(part, part_type)
         except msgspec.ValidationError as error:
             return _innermost(part, part_type, (*key, part_key), str(error))
-    return key, _explain(text, type_)
+    return key, _explain(text, type_) + _range(type_, value, key)
 
 
 def _parts(value: Any, type_: Any) -> Iterator[tuple[str | int, Any, Any]]:
@@ -285,6 +287,29 @@ _WORDS = {
 }
 
 
+def _range(type_: Any, value: Any, key: Key) -> str:
+    """The whole range of a number that is not in it, with the unit, and the number itself."""
+    limits = next(_limits(type_), None)
+    if limits is None or isinstance(value, bool) or not isinstance(value, int | float):
+        return ""
+    low = limits.ge if limits.ge is not None else limits.gt
+    high = limits.le if limits.le is not None else limits.lt
+    unit = unit_of(next((part for part in reversed(key) if isinstance(part, str)), ""))
+    if low is None or high is None:
+        return ""
+    shown = f"{low:g} to {high:g}{' ' if unit else ''}{unit}"
+    return f" (plausible: {shown}, not {value:g})"
+
+
+def _limits(type_: Any) -> Iterator[msgspec.Meta]:
+    """The limits of a number, also in a union."""
+    if hasattr(type_, "__metadata__"):
+        yield from (meta for meta in type_.__metadata__ if isinstance(meta, msgspec.Meta))
+    elif get_origin(type_) not in (dict, list, tuple):
+        for part in get_args(type_):
+            yield from _limits(part)
+
+
 def _explain(text: str, type_: Any) -> str:
     """Msgspec's words in the words of a YAML file."""
     if text.startswith("Invalid enum value"):
@@ -298,3 +323,9 @@ def _explain(text: str, type_: Any) -> str:
     for word, plain in _WORDS.items():
         text = text.replace(word, plain)
     return text[:1].lower() + text[1:]
+
+
+def unknown_name(name: str, known: list[str]) -> str:
+    """Words for a name that is not among the known ones."""
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"unknown {name}, " + (f"did you mean {near[0]}?" if near else "known: " + ", ".join(known))

@@ -6,7 +6,6 @@ unit normals, gains in the wall's own axes, the point of impact. `docs/missions.
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Sequence
 from enum import StrEnum
@@ -16,13 +15,19 @@ from typing import Annotated, Literal, Protocol
 import msgspec
 from msgspec import Meta
 
-from dart_flight.config.document import Document, InputError, Key
-from dart_flight.config.section import NotNegative, Positive, Section
-from dart_flight.config.vehicle import VehicleConfig, load_vehicle
+from dart_flight.config.document import Document, InputError, Key, unknown_name
+from dart_flight.config.kinds import FileKind, load_document, refuse_other_keys
+from dart_flight.config.provenance import FoundVehicle, VehicleSource, find_vehicle
+from dart_flight.config.section import Section
+from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.geometry import MissionFrame, Vec2, Vec3, Wall
 from dart_flight.samples import Mode
 
 Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
+Velocity = Annotated[float, Meta(ge=-20.0, le=20.0)]
+Direction = Annotated[float, Meta(ge=-1e6, le=1e6)]
+# Metres of set-point per newton: the paper's largest is 0.12. At 1 a weak hit already leads across a room.
+Alpha = Annotated[float, Meta(ge=0.0, le=1.0)]
 Point2 = tuple[Coordinate, Coordinate]
 Range = tuple[Coordinate, Coordinate]
 
@@ -74,7 +79,7 @@ class GoalSpec(Section, frozen=True):
     """
 
     position_m: Point2
-    capture_radius_m: Positive = 0.15
+    capture_radius_m: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.15
     hold_s: Annotated[float, Meta(ge=0.0, le=600.0)] = 2.0
 
 
@@ -111,8 +116,8 @@ class WallSpec(Section, frozen=True):
     """
 
     point_m: Point2
-    normal: tuple[float, float]
-    length_m: Positive
+    normal: tuple[Direction, Direction]
+    length_m: Annotated[float, Meta(gt=0.0, le=1000.0)]
     material: str
     given_at: GivenAt = GivenAt.CENTRE
 
@@ -126,7 +131,7 @@ class ApproachSpec(Section, frozen=True):
     """
 
     normal_m_s: Annotated[float, Meta(lt=0.0, ge=-20.0)]
-    tangential_m_s: Annotated[float, Meta(ge=-20.0, le=20.0)] = 0.0
+    tangential_m_s: Velocity = 0.0
 
 
 class CollisionPrediction(Section, frozen=True):
@@ -140,12 +145,12 @@ class CollisionPrediction(Section, frozen=True):
         contact_time_s: how long the contact lasts.
     """
 
-    t_s: float
+    t_s: Annotated[float, Meta(ge=0.0, le=3600.0)]
     position_m: Point2
-    normal_m_s: float
-    tangential_m_s: float
-    peak_force_n: float
-    contact_time_s: float
+    normal_m_s: Velocity
+    tangential_m_s: Velocity
+    peak_force_n: Annotated[float, Meta(ge=0.0, le=10_000.0)]
+    contact_time_s: Annotated[float, Meta(ge=0.0, le=10.0)]
 
 
 class MissPrediction(Section, frozen=True):
@@ -155,7 +160,7 @@ class MissPrediction(Section, frozen=True):
         goal_miss_m: smallest distance to the goal after the last contact.
     """
 
-    goal_miss_m: float
+    goal_miss_m: Annotated[float, Meta(ge=0.0, le=10_000.0)]
 
 
 class CollisionSpec(Section, frozen=True):
@@ -179,8 +184,8 @@ class CollisionSpec(Section, frozen=True):
     mode: Mode
     approach: ApproachSpec | None = None
     impact_point_m: Point2 | None = None
-    alpha_m_per_n: tuple[NotNegative, NotNegative] | None = None
-    alpha_wall_m_per_n: tuple[NotNegative, NotNegative] | None = None
+    alpha_m_per_n: tuple[Alpha, Alpha] | None = None
+    alpha_wall_m_per_n: tuple[Alpha, Alpha] | None = None
     predicted: CollisionPrediction | None = None
 
 
@@ -196,9 +201,9 @@ class Limits(Section, frozen=True):
         collision_timeout_s: longest recovery; then the goal is flown to, or the next wall given up.
     """
 
-    speed_m_s: Positive = 3.0
-    peak_force_n: Positive = 150.0
-    collision_timeout_s: Positive = 8.0
+    speed_m_s: Annotated[float, Meta(gt=0.0, le=20.0)] = 3.0
+    peak_force_n: Annotated[float, Meta(gt=0.0, le=2000.0)] = 150.0
+    collision_timeout_s: Annotated[float, Meta(gt=0.0, le=120.0)] = 8.0
 
 
 class MissionFile(Section, frozen=True):
@@ -284,6 +289,14 @@ class Mission(msgspec.Struct, frozen=True):
     limits: Limits
     predicted: MissPrediction | None
     standoff_m: float | None = None  # a rehearsal: every contact replaced by stopping so far before the wall
+    vehicle_source: VehicleSource | None = None  # where the configuration came from; old logs do not say
+
+    def flown_vehicle(self) -> VehicleSource:
+        """Which vehicle it is, for everything that is said of the mission."""
+        mass_kg = self.vehicle.airframe.mass_kg
+        if self.vehicle_source is None:
+            return VehicleSource(None, None, mass_kg)
+        return msgspec.structs.replace(self.vehicle_source, mass_kg=mass_kg)
 
     def frame_at(self, takeoff_ned: Vec3) -> MissionFrame:
         """The mission frame once the take-off point is known (local NED, metres)."""
@@ -309,19 +322,25 @@ def load_mission(path: str | Path, config: str | Path | None = None, settings: S
     Raises:
         InputError: in the mission or in the configuration.
     """
-    return parse_mission(Document.load(path), config, settings)
+    return parse_mission(load_document(path, FileKind.MISSION), config, settings)
 
 
 def parse_mission(
-    document: Document, config: str | Path | VehicleConfig | None = None, settings: Sequence[str] = ()
+    document: Document,
+    config: str | Path | VehicleConfig | FoundVehicle | None = None,
+    settings: Sequence[str] = (),
 ) -> Mission:
     """As `load_mission`, from a document already read; `config` may be a configuration already loaded."""
+    refuse_other_keys(document, FileKind.MISSION)
     spec = document.convert(MissionFile)
     if isinstance(config, VehicleConfig):
         return resolve(spec, config, document)
-    if config is None and spec.vehicle is not None:
-        config = Path(document.source).parent / spec.vehicle
-    return resolve(spec, load_vehicle(config, settings), document)
+    if not isinstance(config, FoundVehicle):
+        if config is None and spec.vehicle is not None:
+            config = Path(document.source).parent / spec.vehicle
+        config = find_vehicle(config, settings)
+    mission = resolve(spec, config.config, document)
+    return msgspec.structs.replace(mission, vehicle_source=config.source)
 
 
 def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mission:
@@ -507,12 +526,6 @@ def _ray_meets_wall(start: Vec2, wall: Wall, approach_m_s: Vec2) -> Vec2:
     v = wall.from_collision((approach_m_s[0], approach_m_s[1], 0.0))
     t = wall.signed_distance(start) / -approach_m_s[0]
     return (start[0] + v[0] * t, start[1] + v[1] * t)
-
-
-def unknown_name(name: str, known: list[str]) -> str:
-    """Words for a name that is not among the known ones."""
-    near = difflib.get_close_matches(name, known, n=1)
-    return f"unknown {name}, " + (f"did you mean {near[0]}?" if near else "known: " + ", ".join(known))
 
 
 __all__ = [

@@ -15,8 +15,10 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from dart_flight.config.document import Document, Key
+from dart_flight.config.document import Document, Key, unknown_name
+from dart_flight.config.kinds import FileKind, load_document
 from dart_flight.config.mission import (
+    Alpha,
     Bounds,
     BoundsSpec,
     FrameSpec,
@@ -26,10 +28,10 @@ from dart_flight.config.mission import (
     WallSpec,
     resolve_alphas,
     resolve_space,
-    unknown_name,
 )
-from dart_flight.config.section import NotNegative, Positive, Section
-from dart_flight.config.vehicle import VehicleConfig, load_vehicle
+from dart_flight.config.provenance import VehicleSource, find_vehicle
+from dart_flight.config.section import Section
+from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.geometry import Vec2, Wall
 from dart_flight.samples import Mode
 
@@ -58,7 +60,7 @@ class GridSpec(Section, frozen=True):
 
     min: Annotated[float, Meta(ge=-20.0, le=20.0)]
     max: Annotated[float, Meta(ge=-20.0, le=20.0)]
-    step: Positive
+    step: Annotated[float, Meta(gt=0.0, le=40.0)]
 
 
 class SearchSpec(Section, frozen=True):
@@ -122,8 +124,8 @@ class ScenarioFile(Section, frozen=True):
     frame: FrameSpec = FrameSpec()
     transit_mode: Mode = Mode.RIGID
     limits: Limits = Limits()
-    alpha_m_per_n: dict[str, tuple[NotNegative, NotNegative]] = msgspec.field(default_factory=dict)
-    alpha_wall_m_per_n: dict[str, tuple[NotNegative, NotNegative]] = msgspec.field(default_factory=dict)
+    alpha_m_per_n: dict[str, tuple[Alpha, Alpha]] = msgspec.field(default_factory=dict)
+    alpha_wall_m_per_n: dict[str, tuple[Alpha, Alpha]] = msgspec.field(default_factory=dict)
     objective: Objective = Objective.NEAREST
     uncertainty: Uncertainty = Uncertainty()
 
@@ -134,6 +136,7 @@ class Scenario(msgspec.Struct, frozen=True):
     Attributes:
         spec: as written; the mission file repeats its walls, frame and so on word for word.
         vehicle_path: the configuration's file, or None where it is the default one.
+        vehicle_source: where it came from; None where it was given.
         walls: planes of the vehicle's centre, by name.
         sequences: walls in the order of the hits; several where the file says `any`.
         chosen_by_planner: whether it does.
@@ -160,6 +163,7 @@ class Scenario(msgspec.Struct, frozen=True):
     limits: Limits
     objective: Objective
     uncertainty: Uncertainty
+    vehicle_source: VehicleSource | None = None
 
 
 def load_scenario(
@@ -176,12 +180,16 @@ def load_scenario(
     Raises:
         InputError: in the scenario or in the configuration.
     """
-    document = Document.load(path)
+    document = load_document(path, FileKind.SCENARIO)
     spec = document.convert(ScenarioFile)
     if config is None and spec.vehicle is not None:
         config = Path(document.source).parent / spec.vehicle
-    loaded = vehicle or load_vehicle(config)
-    return resolve_scenario(spec, loaded, None if config is None else Path(config), document)
+    path_taken = None if config is None else Path(config)
+    if vehicle is not None:
+        return resolve_scenario(spec, vehicle, path_taken, document)
+    found = find_vehicle(config)
+    scenario = resolve_scenario(spec, found.config, path_taken, document)
+    return msgspec.structs.replace(scenario, vehicle_source=found.source)
 
 
 def resolve_scenario(

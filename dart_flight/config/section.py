@@ -13,8 +13,13 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-Positive = Annotated[float, Meta(gt=0.0)]
-NotNegative = Annotated[float, Meta(ge=0.0)]
+# Every number has two ends: what lies beyond is a slip of the unit (130 for 0.13) or of the key.
+# Where a key's own range is not known better, these hold.
+Seconds = Annotated[float, Meta(gt=0.0, le=600.0)]
+SecondsOrZero = Annotated[float, Meta(ge=0.0, le=600.0)]
+Metres = Annotated[float, Meta(gt=0.0, le=100.0)]
+Speed = Annotated[float, Meta(gt=0.0, le=30.0)]
+Volts = Annotated[float, Meta(gt=0.0, le=100.0)]
 Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Sequence
 from typing import Any
 
-from dart_flight.config.document import Document, InputError, Key
+from dart_flight.config.document import Document, InputError, Key, unknown_name
 
 
 def apply_settings(settings: Sequence[str], *documents: Document) -> list[Document]:
@@ -30,9 +29,7 @@ def apply_settings(settings: Sequence[str], *documents: Document) -> list[Docume
         document = next((d for d in documents if key[0] in _settable(d)), None)
         if document is None:
             known = sorted({name for d in documents for name in _settable(d)})
-            near = difflib.get_close_matches(str(key[0]), known, n=1)
-            hint = f"did you mean {near[0]}?" if near else "known: " + ", ".join(known)
-            raise InputError(f"--set {setting}: unknown key {key[0]}, {hint}")
+            raise InputError(f"--set {setting}: {unknown_name(str(key[0]), known)}")
         _set(document, key, value, setting)
         changed.append(document)
     return changed
@@ -73,5 +70,6 @@ def _child(node: Any, part: str | int, setting: str) -> Any:
         return node[str(part)]
     if isinstance(node, list) and isinstance(part, int) and part < len(node):
         return node[part]
-    known = f"0 to {len(node) - 1}" if isinstance(node, list) else ", ".join(node or ())
-    raise InputError(f"--set {setting}: unknown key {part}, known: {known}")
+    if isinstance(node, list):
+        raise InputError(f"--set {setting}: unknown key {part}, known: 0 to {len(node) - 1}")
+    raise InputError(f"--set {setting}: {unknown_name(str(part), list(node or ()))}")

@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dart_flight.config.document import InputError
+from dart_flight.config.document import InputError, unknown_name
+from dart_flight.config.kinds import FileKind, refuse_other_kind
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
 from dart_flight.contact.contact_map import Drop, collide, contact_map, drop
@@ -54,9 +55,7 @@ def condition(
         InputError: the surface is not in the configuration, or the incidence is not from 0 to 45°.
     """
     if surface not in vehicle.materials:
-        raise InputError(
-            f"unknown surface {surface!r}, known: {', '.join(vehicle.materials)}", key=("surface",)
-        )
+        raise InputError(unknown_name(surface, list(vehicle.materials)), key=("surface",))
     if not 0.0 <= incidence_deg <= 45.0:
         raise InputError(f"{incidence_deg:g} is not an angle from 0 to 45", key=("incidence-deg",))
     c = coefficients_in_force(vehicle, surface, Mode(mode), math.radians(incidence_deg))
@@ -66,19 +65,25 @@ def condition(
     )
 
 
+def hit_problem(normal_m_s: float, tangential_m_s: float) -> tuple[str, str] | None:
+    """Which velocity cannot be that of a wall hit, and why; the same for one hit and for a file of them."""
+    for name, value in (("normal", normal_m_s), ("tangential", tangential_m_s)):
+        if not abs(value) <= _FASTEST_M_S:
+            return name, f"{value:g} m/s, expected at most {_FASTEST_M_S:g}"
+    if not normal_m_s < 0.0:
+        return "normal", f"{normal_m_s:g} m/s does not approach the wall, it must be negative"
+    return None
+
+
 def wall_contact(what: Condition, normal_m_s: float, tangential_m_s: float) -> Contact:
     """The hit, for its course in time.
 
     Raises:
         InputError: the velocity does not approach the wall, or is not one of a vehicle.
     """
-    for name, value in (("normal", normal_m_s), ("tangential", tangential_m_s)):
-        if not abs(value) <= _FASTEST_M_S:
-            raise InputError(f"{name} {value:g} m/s, expected at most {_FASTEST_M_S:g}", key=("velocity",))
-    if not normal_m_s < 0.0:
-        raise InputError(
-            f"normal {normal_m_s:g} m/s does not approach the wall, it must be negative", key=("velocity",)
-        )
+    problem = hit_problem(normal_m_s, tangential_m_s)
+    if problem is not None:
+        raise InputError(f"{problem[0]} {problem[1]}", key=("velocity",))
     return Contact(what.coefficients, what.mass_kg, normal_m_s, what.onset)
 
 
@@ -227,6 +232,7 @@ def _read_batch(path: str | Path, modes: list[str]) -> tuple[Rows, Array, Array]
     reader.fieldnames = header
     for name in BATCH_COLUMNS:
         if name not in header:
+            refuse_other_kind(path, FileKind.TRIAL)
             raise InputError(
                 f"missing column {name}, expected {', '.join(BATCH_COLUMNS)}", source=source, line=1
             )
@@ -245,11 +251,14 @@ def _read_batch(path: str | Path, modes: list[str]) -> tuple[Rows, Array, Array]
                 value = float(row[name] or "")
             except ValueError:
                 value = math.nan
-            if not abs(value) <= _FASTEST_M_S:
+            if math.isnan(value):
                 raise InputError(
                     f"{row[name]!r} is not a speed in m/s", source=source, line=line, key=(name,)
                 )
             pair.append(value)
+        problem = hit_problem(*pair)
+        if problem is not None:
+            raise InputError(problem[1], source=source, line=line, key=(f"{problem[0]}_m_s",))
         speeds.append(pair)
     values = np.array(speeds, dtype=float).reshape(-1, 2)
     return np.array(which, dtype=np.intp), values[:, 0], values[:, 1]

@@ -13,7 +13,7 @@ from dart_flight.identify.trials import READERS as FILE_READERS
 from dart_flight.identify.trials import Readers, Series, Trial, TrialReading
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.arrays import FlightArrays
-from dart_flight.recording.reader import Log, read_log
+from dart_flight.recording.reader import Log, NothingInItError, read_log
 from dart_flight.samples import ImpactOnset, Phase, PhaseChange
 
 _BEFORE_S, _AFTER_S = 0.5, 0.4
@@ -79,7 +79,7 @@ def reader_for(material: str | None) -> Callable[[Path, TrialReading], list[Tria
         by_material = trials_of(read_log(path), material)
         if not by_material:
             what = f"no collision with {material}" if material else "no collision"
-            raise InputError(f"{what} in this flight", source=str(path))
+            raise NothingInItError(f"{what} in this flight", source=str(path))
         if len(by_material) > 1:
             names = ", ".join(by_material)
             raise InputError(f"collisions with {names}: say which with --surface", source=str(path))

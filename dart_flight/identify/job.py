@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 from dart_flight.config.document import InputError
@@ -15,6 +16,7 @@ from dart_flight.identify.estimates import Estimate, Identification
 from dart_flight.identify.fit import PAPER, identify
 from dart_flight.identify.held_out import HeldOut
 from dart_flight.identify.trials import COLUMNS, UNLABELLED, Readers, Trial, TrialReading, read_trials
+from dart_flight.recording.found import from_each, logs_in
 
 UNITS = {"k": "N/m", "f": "N s/m", "mu": "s/m", "nu": "N"}
 
@@ -47,7 +49,8 @@ def carry_out(
         readers: file suffix -> reader, `trials.READERS` by default.
 
     Raises:
-        InputError: an option or a trial cannot be used.
+        InputError: an option or a trial cannot be used; of several logs those without a collision are left
+            out with a note.
     """
     if not 0.0 <= job.contact_distance_m <= 1.0:
         raise InputError(f"{job.contact_distance_m:g} m, expected 0 to 1", key=("contact-distance",))
@@ -66,8 +69,13 @@ def carry_out(
         height_m=job.height_m,
         bump=job.bump,
     )
-    trials = [trial for path in job.paths for trial in read_trials(path, how, readers)]
+    left_out: list[str] = []
+    paths = logs_in(job.paths)
+    trials = list(
+        chain.from_iterable(from_each(paths, lambda path: read_trials(path, how, readers), left_out.append))
+    )
     found = identify(trials, mass_kg, job.onset, law=job.law)
+    found.notes[:0] = left_out
     if job.height_m is not None:
         expected = math.sqrt(2.0 * GRAVITY_M_S2 * job.height_m)
         for trial, read in zip(found.trials, trials, strict=True):

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.geometry import GRAVITY_M_S2
-from dart_flight.recording.reader import read_log
+from dart_flight.recording.reader import NothingInItError, read_log
 from dart_flight.recording.ulog import ULogFile, battery, columns, motor_commands, open_ulog, seconds
 from dart_flight.samples import (
     ActuatorSample,
@@ -145,7 +145,7 @@ def _read_own(path: str | Path) -> Track:
     odometry = [r for r in records if isinstance(r, OdometrySample)]
     status = [r for r in records if isinstance(r, StatusSample)]
     if not imu or not motors:
-        raise InputError("has no IMU samples or no motor commands", source=str(path))
+        raise NothingInItError("has no IMU samples or no motor commands", source=str(path))
     volts = [(r.t_us, r.battery_v) for r in status if r.battery_v is not None]
     # A landing may touch the ground half a second before PX4's land detector says so: leave it out whole.
     grounded = [

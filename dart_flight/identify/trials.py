@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dart_flight.config.document import InputError
+from dart_flight.config.kinds import FileKind, refuse_other_kind
 from dart_flight.contact.coefficients import Array
 from dart_flight.geometry import GRAVITY_M_S2
 from dart_flight.recording.ulog import open_ulog
@@ -131,6 +132,7 @@ def read_trials(path: str | Path, how: TrialReading, readers: Readers | None = N
     known = READERS if readers is None else readers
     reader = known.get(Path(path).suffix.lower())
     if reader is None:
+        refuse_other_kind(path, FileKind.TRIAL, FileKind.ULOG, FileKind.FLIGHT_LOG)
         raise InputError(f"unknown kind of trial, known: {', '.join(known)}", source=str(path))
     trials = reader(Path(path), how)
     for trial in trials:

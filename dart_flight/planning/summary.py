@@ -40,27 +40,27 @@ def plan_summary(result: Search) -> dict[str, Any]:
         "elapsed_s": result.elapsed_s,
         "baseline": result.baseline,
         "plans": result.plans,
+        "vehicle": result.scenario.vehicle_source,
     }
 
 
 def plan_table(result: Search) -> Table:
     """The best plans, one per row and its later collisions below."""
     objective = result.scenario.objective
-    table = Table(title=f"{result.scenario.name}: best by {objective.value}", title_justify="left")
-    for column in (
-        "",
-        "wall",
-        "mode",
-        "normal m/s",
-        "tangential m/s",
-        "peak N",
-        "miss m",
-        "to goal s",
-        "score",
-    ):
-        table.add_column(column, justify="left" if column in ("", "wall", "mode") else "right")
+    table = Table(
+        title=f"{result.scenario.name}: best by {objective.value}",
+        title_justify="left",
+        box=None,  # so that eighty columns hold it, also with those of robust
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+    )
+    for column in ("", "wall", "mode"):
+        table.add_column(column, overflow="fold")
+    columns = ["normal\nm/s", "along\nm/s", "peak\nN", "miss\nm", "goal\ns", "score"]
     if objective is Objective.ROBUST:
-        table.add_column("expected / worst m, failed", justify="right")
+        columns += ["expect.\nm", "worst\nm", "failed"]
+    for column in columns:
+        table.add_column(column, justify="right", no_wrap=True)
     for plan in result.plans:
         for i, c in enumerate(plan.collisions):
             head = [str(plan.rank) if i == 0 else ""]
@@ -88,7 +88,7 @@ def plan_table(result: Search) -> Table:
 def _tail(plan: Plan) -> list[str]:
     tail = [f"{plan.goal_miss_m:.3f}", f"{plan.time_to_goal_s:.2f}", f"{plan.score:.3f}"]
     if plan.expected_miss_m is not None:
-        tail.append(f"{plan.expected_miss_m:.3f} / {plan.worst_miss_m:.3f}, {plan.failed_draws or 0.0:.0%}")
+        tail += [f"{plan.expected_miss_m:.3f}", f"{plan.worst_miss_m:.3f}", f"{plan.failed_draws or 0.0:.0%}"]
     return tail
 
 

@@ -21,6 +21,7 @@ from dart_flight import __version__
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
+from dart_flight.recording.reader import NothingInItError
 from dart_flight.samples import World
 
 
@@ -83,7 +84,7 @@ def flown_mission(about: dict[str, str], source: str) -> Mission:
     """
     text = about.get("flown")
     if text is None:
-        raise InputError("the log does not hold its mission", source=source)
+        raise NothingInItError("the log does not hold its mission", source=source)
     try:
         flown = msgspec.json.decode(text)
         _complete(flown["vehicle"])

@@ -13,11 +13,11 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Imu
 from dart_flight.core.mission.anchor import Anchor
 from dart_flight.geometry import MissionFrame
+from dart_flight.recording.flight_time import zero_of
 from dart_flight.recording.reader import Log
 from dart_flight.samples import (
     ForceEstimate,
     OdometrySample,
-    PhaseChange,
     Record,
     TruthSample,
 )
@@ -44,8 +44,8 @@ class Force(NamedTuple):
 class FlightArrays:
     """The arrays of one flight.
 
-    Times are seconds since the first change of phase (the beginning where there is none); `time_of` converts
-    autopilot stamps.
+    Times are seconds since the zero that every output has (`flight_time`); `time_of` converts autopilot
+    stamps.
 
     Attributes:
         start_us: the autopilot's time that is 0 s here.
@@ -58,10 +58,7 @@ class FlightArrays:
 
     def __init__(self, log: Log, mission: Mission) -> None:
         self.records: list[Record] = [entry.record for entry in log.entries]
-        stamps = [getattr(r, "t_us", 0) for r in self.all(PhaseChange)] or [
-            r.t_us for r in self.all(OdometrySample)
-        ]
-        self.start_us = stamps[0] if stamps else 0
+        self.start_us = zero_of(self.records)
         self.frame = _frame(self.records, mission)
         self.estimated = self._estimated()
         truth = self.all(TruthSample)

@@ -9,6 +9,7 @@ from typing import Any, TextIO
 import msgspec
 
 from dart_flight.config.document import InputError
+from dart_flight.recording.flight_time import zero_of
 from dart_flight.recording.reader import Log
 from dart_flight.recording.schema import schema
 from dart_flight.samples import Record
@@ -19,9 +20,9 @@ _AXES = {2: "xy", 3: "xyz", 4: "wxyz", 6: ("xx", "yy", "zz", "xy", "xz", "yz")}
 def export_csv(log: Log, folder: Path) -> list[Path]:
     """Write `<record>.csv` for every kind of record in the log, `about.json`, and `columns.csv`.
 
-    Columns: `time_s` (autopilot clock, since the first record), `number` of the input, then the record's
-    fields with vectors spread (`position_ned_x`). `columns.csv` says unit and frame of every column. Floats
-    keep their full precision; what is missing is an empty cell.
+    Columns: `time_s` (autopilot clock, since the flight's zero, `flight_time`), `number` of the input, then
+    the record's fields with vectors spread (`position_ned_x`). `columns.csv` says unit and frame of every
+    column. Floats keep their full precision; what is missing is an empty cell.
 
     Raises:
         InputError: a file cannot be written.
@@ -37,10 +38,9 @@ def export_csv(log: Log, folder: Path) -> list[Path]:
 
 def _write_records(log: Log, folder: Path) -> list[Path]:
     kinds: dict[type[Record], list[tuple[int, int, Record]]] = {}
-    t_us = first_us = 0
+    t_us, first_us = 0, zero_of(entry.record for entry in log.entries)
     for entry in log.entries:
         t_us = getattr(entry.record, "t_us", t_us) or t_us
-        first_us = first_us or t_us
         kinds.setdefault(type(entry.record), []).append((t_us, entry.number, entry.record))
     paths = []
     descriptions: list[tuple[str, str, str]] = []

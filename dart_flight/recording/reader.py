@@ -11,6 +11,7 @@ from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from dart_flight.config.document import InputError
+from dart_flight.config.kinds import FileKind, refuse_other_kind
 from dart_flight.recording.encoding import decode
 from dart_flight.recording.schema import RECORD_TYPES
 from dart_flight.recording.writer import ABOUT, END, FORMAT_VERSION, part_path
@@ -20,6 +21,13 @@ from dart_flight.samples import Record, World
 _MOST_BYTES = 64 * 1024 * 1024
 _MAGIC = b"\x89MCAP0\r\n"
 _DECODERS = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
+
+
+class NothingInItError(InputError):
+    """A flight log, but without what is wanted of it: a flight that ended early, or a log cut near its start.
+
+    Where many logs are given it is left out, with a word.
+    """
 
 
 class LogEntry(msgspec.Struct, frozen=True):
@@ -87,6 +95,7 @@ def _read_part(path: Path, log: Log) -> None:
         with open(path, "rb") as stream:
             start = stream.read(len(_MAGIC))
             if not _MAGIC.startswith(start):
+                refuse_other_kind(path, FileKind.FLIGHT_LOG)
                 raise InputError("not a flight log (no MCAP file)", source=source)
             stream.seek(0)
             for entry in _entries(stream, log, found, source):
@@ -134,4 +143,4 @@ def _check_version(about: dict[str, str], source: str) -> None:
         )
 
 
-__all__ = ["Log", "LogEntry", "read_log"]
+__all__ = ["Log", "LogEntry", "NothingInItError", "read_log"]

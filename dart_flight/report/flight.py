@@ -13,10 +13,10 @@ from dart_flight.config.mission import Collision, Mission
 from dart_flight.contact.law import Onset
 from dart_flight.contact.path import Contact, Trajectory, trajectory
 from dart_flight.geometry import Vec3
+from dart_flight.planning.planned import PlannedFlight, planned_flight
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.arrays import Array, FlightArrays
 from dart_flight.recording.reader import Log, read_log
-from dart_flight.report.planned import PlannedFlight, planned_flight
 from dart_flight.samples import (
     ClockOffset,
     ImpactOnset,
@@ -98,7 +98,9 @@ class Impact:
         self.material = self.collision.wall.material
         modelled = flight.planned.hits.get(verdict.index)
         unplanned = verdict.planned.normal_m_s is None
-        self.planned: Velocities = modelled if unplanned and modelled is not None else verdict.planned
+        self.planned = verdict.planned
+        if unplanned and modelled is not None:
+            self.planned = Velocities(modelled.normal_m_s, modelled.tangential_m_s, modelled.normal_n)
         self._peak = _peak_after(course, verdict.t_us)
         self._truth = _truth_near(course, verdict)
         self.prediction: Trajectory | None = None

@@ -108,7 +108,10 @@ def _check_same_mission(flights: Sequence[Flight]) -> None:
     first = flights[0]
     for other in flights[1:]:
         alike = msgspec.structs.replace(
-            other.mission, source=first.mission.source, vehicle=first.mission.vehicle
+            other.mission,
+            source=first.mission.source,
+            vehicle=first.mission.vehicle,
+            vehicle_source=first.mission.vehicle_source,
         )
         if alike != first.mission:
             raise InputError(
@@ -121,10 +124,17 @@ def _check_same_mission(flights: Sequence[Flight]) -> None:
 # --- parts ---------------------------------------------------------------------------------------------
 
 
+def _vehicle(v: Verdict) -> str:
+    assert v.vehicle is not None
+    packaged = ", the packaged configuration" if v.vehicle.packaged else ""
+    return f"{v.vehicle.source or 'as the log says'}{packaged}, {v.vehicle.mass_kg:g} kg"
+
+
 def _verdict(flight: Flight) -> str:
     v, about, replayed = flight.verdict, flight.log.about, flight.replay
     facts = [
         ("world", _world(v) + (f", seed {v.seed}" if v.seed is not None else "")),
+        ("vehicle", _vehicle(v)),
         ("started", about.get("started_utc", "?")),
         ("software", f"dart-flight {about.get('software', '?')} on {about.get('host', '?')}"),
         ("log", flight.log.source + ("" if flight.log.complete else " (cut: not all of the flight is here)")),

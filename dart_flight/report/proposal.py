@@ -88,7 +88,7 @@ def _of_material(
         found = identify(trials, vehicle.airframe.mass_kg, Onset(vehicle.onset), compare_laws=False)
         suggestions = _suggest(found, material, flights[0])
         changes = any(s.change for s in suggestions)
-        entry = materials_entry(found, material, vehicle) if changes else ""
+        entry = materials_entry(found, material, vehicle).text if changes else ""
     except InputError as error:
         return Proposal(material, disagreement, [], "", f"could not be identified: {error.message}")
     note = " ".join(found.notes)

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import msgspec
 
-from dart_flight.config.document import InputError
-from dart_flight.config.mission import Mission, unknown_name
+from dart_flight.config.document import InputError, unknown_name
+from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Coefficients, Material, Spreads, VehicleConfig
 from dart_flight.geometry import Wall
 from dart_flight.lock.drivers.mock import MockFaults

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from dart_flight.config.mission import Mission
-from dart_flight.samples import Outcome
+from dart_flight.samples import OperatorRequest, Outcome, Record, Request
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.fast import fly_fast
+from dart_flight.worlds.flight_record import Onlooker
 
 
 class Spread(msgspec.Struct):
@@ -35,6 +42,38 @@ class Summary(msgspec.Struct):
     peak_force_error_percent: Spread | None
 
 
+class RunsInterruptedError(Exception):
+    """Ctrl-C, SIGTERM or SIGHUP before the last of many flights; `verdicts` are of the complete ones."""
+
+    def __init__(self, verdicts: list[Verdict]) -> None:
+        super().__init__(f"interrupted after {len(verdicts)} flights")
+        self.verdicts = verdicts
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[None]:
+    """SIGTERM and SIGHUP (a dropped session) end many flights as Ctrl-C does."""
+
+    def interrupt(signum: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _left_alone() -> None:
+    """In a process of the pool: the parent decides what an interrupt means."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
 def _fast_run(arguments: tuple[Mission, int, str | None, dict[str, float]]) -> Verdict:
     mission, seed, log_dir, spreads = arguments
     return fly_fast(mission, seed, Path(log_dir) if log_dir else None, spreads=spreads)
@@ -47,14 +86,71 @@ def fly_fast_many(
     done: Callable[[Verdict], None],
     spreads: Mapping[str, float] | None = None,
 ) -> list[Verdict]:
-    """Many fast flights, spread over the processor's cores, in the order of the seeds."""
+    """Many fast flights, spread over the processor's cores, in the order of the seeds.
+
+    Raises:
+        RunsInterruptedError: by Ctrl-C. The flights under way are flown to their end, no other is begun; a
+            second Ctrl-C ends those under way, too.
+    """
     drawn = dict(spreads or {})
-    jobs = [(mission, seed, str(log_dir) if log_dir else None, drawn) for seed in seeds]
-    verdicts = []
-    with ProcessPoolExecutor() as pool:
-        for verdict in pool.map(_fast_run, jobs):
-            done(verdict)
-            verdicts.append(verdict)
+    waiting = deque((mission, seed, str(log_dir) if log_dir else None, drawn) for seed in seeds)
+    flights: list[Future[Verdict]] = []
+    workers = os.cpu_count() or 1
+    with _interruptible(), ProcessPoolExecutor(workers, initializer=_left_alone) as pool:
+        under_way: set[Future[Verdict]] = set()
+        try:
+            while waiting or under_way:
+                # Never more than there are processes: what the pool has queued could not be called off.
+                while waiting and len(under_way) < workers:
+                    flights.append(pool.submit(_fast_run, waiting.popleft()))
+                    under_way.add(flights[-1])
+                landed, under_way = wait(under_way, return_when=FIRST_COMPLETED)
+                for flight in landed:
+                    done(flight.result())
+        except KeyboardInterrupt:
+            _let_land(under_way)
+            complete = [f.result() for f in flights if f.done() and f.exception() is None]
+            raise RunsInterruptedError(complete) from None
+    return [flight.result() for flight in flights]
+
+
+def _let_land(flights: Iterable[Future[Verdict]]) -> None:
+    try:
+        wait(flights)
+    except KeyboardInterrupt:
+        for process in multiprocessing.active_children():
+            process.terminate()
+
+
+def fly_one_by_one(
+    fly: Callable[[int, Onlooker], Verdict], seeds: Iterable[int], done: Callable[[Verdict], None]
+) -> list[Verdict]:
+    """Many flights in real time, one after the other.
+
+    Args:
+        fly: flies one seed; an onlooker sees its records.
+        seeds: of the flights.
+        done: called after each.
+
+    Raises:
+        RunsInterruptedError: by Ctrl-C; the flight under way has landed at that, and is among the verdicts.
+    """
+    verdicts: list[Verdict] = []
+    asked: list[Record] = []
+
+    def look(record: Record) -> None:
+        if isinstance(record, OperatorRequest) and record.request is not Request.WORLD_DIED:
+            asked.append(record)
+
+    with _interruptible():
+        try:
+            for seed in seeds:
+                verdicts.append(fly(seed, look))
+                done(verdicts[-1])
+                if asked:
+                    raise RunsInterruptedError(verdicts)
+        except KeyboardInterrupt:
+            raise RunsInterruptedError(verdicts) from None
     return verdicts
 
 

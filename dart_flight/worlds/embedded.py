@@ -43,6 +43,7 @@ def fly_embedded(
     """
     try:
         from dart_flight.sim.draws import draw_world  # noqa: PLC0415
+        from dart_flight.sim.extras import need_mavlink  # noqa: PLC0415
         from dart_flight.sim.pipe import WorldSpec  # noqa: PLC0415
         from dart_flight.worlds.sabotage import Sabotage  # noqa: PLC0415
         from dart_flight.worlds.vehicle_process import (  # noqa: PLC0415
@@ -54,6 +55,7 @@ def fly_embedded(
     except ImportError as error:
         raise InputError(f"simulation needs {error.name}: pip install 'dart-flight[sim]'") from None
 
+    need_mavlink()
     port = free_udp_port()
     drawn = draw_world(mission, seed, spreads or {})
     record = FlightRecord(mission, World.EMBEDDED, seed, log_dir, drawn.drawn)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -10,12 +9,12 @@ import msgspec
 
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
+from dart_flight.config.provenance import shown_path
 from dart_flight.recording.about import describe_flight
+from dart_flight.recording.found import LOG_NAME
 from dart_flight.recording.writer import FlightLog, new_flight_folder
 from dart_flight.samples import Record, World
 from dart_flight.verdict import Verdict, VerdictBuilder
-
-LOG_NAME = "flight.mcap"
 
 Onlooker = Callable[[Record], None]
 
@@ -83,18 +82,11 @@ class FlightRecord:
 
     def build(self, px4_log: Path | None = None) -> Verdict:
         """The verdict so far; `px4_log` is PX4's own log, where there is one."""
-        log = relative(self.path) if self._log is not None else None
-        kept = relative(px4_log) if px4_log is not None and px4_log.exists() else None
+        log = shown_path(self.path) if self._log is not None else None
+        kept = shown_path(px4_log) if px4_log is not None and px4_log.exists() else None
         built = self.verdict.build(self._world, self._seed, log, kept)
         built.drawn = self._drawn
         return built
-
-
-def relative(path: Path) -> str:
-    """A path as people name it: below the working directory without what leads there."""
-    with contextlib.suppress(ValueError):
-        return str(path.resolve().relative_to(Path.cwd()))
-    return str(path)
 
 
 def _open_log(

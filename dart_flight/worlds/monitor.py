@@ -200,10 +200,13 @@ async def watch(
 ) -> None:
     """Connect as a ground station, run the watcher, show a view every period, until cancelled or time is up.
 
+    Where nothing answers that time is not waited for in vain: it ends after `seconds`, too.
+
     Raises:
         VehicleError: no autopilot at the URL.
     """
-    async with connect(url, timeout_s, watcher.take, ground=True) as session:
+    wait_s = timeout_s if seconds is None else min(timeout_s, seconds)
+    async with connect(url, wait_s, watcher.take, ground=True) as session:
         session.subscribe(watcher.estimation, guarded=False)
         rates = asyncio.create_task(_raise_rates(watcher, session))
         end = None if seconds is None else time.monotonic() + seconds

@@ -56,12 +56,14 @@ def fly_px4(
     """
     try:
         from dart_flight.sim.draws import draw_world  # noqa: PLC0415
+        from dart_flight.sim.extras import need_mavlink  # noqa: PLC0415
         from dart_flight.sim.pipe import Px4Spec, WorldSpec  # noqa: PLC0415
         from dart_flight.sim.px4.launch import find_install, flight_parameters  # noqa: PLC0415
         from dart_flight.worlds.vehicle_process import Px4World, fly_in_world, world_log  # noqa: PLC0415
     except ImportError as error:
         raise InputError(f"simulation needs {error.name}: pip install 'dart-flight[sim]'") from None
 
+    need_mavlink()
     install = find_install(directory)
     problem = frame_problem(mission, position_from)
     if problem is not None:

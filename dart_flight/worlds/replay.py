@@ -24,6 +24,7 @@ from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.mission.approach import NoApproachError
 from dart_flight.recording.about import flown_mission, machine, parse_written, written_mission
 from dart_flight.recording.encoding import encode
+from dart_flight.recording.flight_time import zero_of
 from dart_flight.recording.reader import Log
 from dart_flight.recording.schema import INPUTS, OUTPUTS
 from dart_flight.samples import (
@@ -92,6 +93,7 @@ class Replay(msgspec.Struct):
         exact: whether the comparison was bit for bit; otherwise to a relative 1e-9.
         differences: every output that is not as recorded.
         recorded, replayed: the decisions of both, in order.
+        zero_us: the autopilot's time that is 0 s (`recording.flight_time`).
         missing: numbers of inputs that the log lost; the core's state may differ from there on.
         note: what a reader should know, or "".
     """
@@ -104,6 +106,7 @@ class Replay(msgspec.Struct):
     replayed: list[Record]
     missing: int
     note: str
+    zero_us: int = 0
 
     @property
     def equal(self) -> bool:
@@ -138,6 +141,7 @@ def replay(log: Log, settings: Sequence[str] = (), *, exact: bool | None = None)
     last = inputs[-1][0] if inputs else -1
     compared_to = last if log.complete else last - _IN_FLIGHT
     result = Replay(0, 0, exact, [], [], [], _missing([n for n, _ in inputs]), "")
+    result.zero_us = zero_of(item for _, item in inputs)
     t_us = 0
     for number, item in inputs:
         t_us = getattr(item, "t_us", t_us)
@@ -223,12 +227,11 @@ def _show(record: Record | None) -> str:
 
 
 def decision_rows(result: Replay) -> list[tuple[float, str, str, str]]:
-    """Recorded and replayed decisions side by side, in time: (s since the first, kind, recorded, replayed).
+    """Recorded and replayed decisions side by side, in time: (s, kind, recorded, replayed).
 
     A decision that both took stands in one row, also where its numbers or its time differ a little.
     """
-    both = (*result.recorded, *result.replayed)
-    first_us = min((getattr(r, "t_us", 0) for r in both), default=0)
+    first_us = result.zero_us
     rows: list[tuple[float, str, str, str]] = []
     for one, other in _pairs(result.recorded, result.replayed):
         some = one or other
@@ -282,8 +285,9 @@ def changed_mission(log: Log, settings: Sequence[str]) -> Mission:
     except InputError as error:
         place = ".".join(str(part) for part in error.key)
         raise InputError(f"--set: {place}: {error.message}" if place else f"--set: {error.message}") from None
-    if msgspec.structs.replace(as_written, source=flown.source) == flown:
-        return changed
+    same = {"source": flown.source, "vehicle_source": flown.vehicle_source}
+    if msgspec.structs.replace(as_written, **same) == flown:
+        return msgspec.structs.replace(changed, **same)
     # Flown otherwise than written (a rehearsal): what was flown stays, with the changed vehicle.
     if of_mission:
         raise InputError(

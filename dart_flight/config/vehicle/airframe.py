@@ -6,8 +6,11 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from dart_flight.config.section import Fraction, NotNegative, Positive, Section
+from dart_flight.config.section import Fraction, Section
 from dart_flight.samples import Mode
+
+Drag = Annotated[float, Meta(ge=0.0, le=10.0)]
+Inertia = Annotated[float, Meta(gt=0.0, le=10.0)]
 
 
 class Airframe(Section, frozen=True):
@@ -23,13 +26,13 @@ class Airframe(Section, frozen=True):
         arm_y_m: motor to centre of mass, sideways; only for the simulation.
     """
 
-    mass_kg: Positive
-    contact_distance_m: NotNegative
+    mass_kg: Annotated[float, Meta(ge=0.05, le=50.0)]
+    contact_distance_m: Annotated[float, Meta(ge=0.0, le=2.0)]
     incidence_rigid_deg: Annotated[float, Meta(ge=0.0, le=45.0)]
-    drag_per_s: tuple[NotNegative, NotNegative, NotNegative]
-    inertia_kg_m2: tuple[Positive, Positive, Positive]
-    arm_x_m: Positive
-    arm_y_m: Positive
+    drag_per_s: tuple[Drag, Drag, Drag]
+    inertia_kg_m2: tuple[Inertia, Inertia, Inertia]
+    arm_x_m: Annotated[float, Meta(ge=0.01, le=2.0)]
+    arm_y_m: Annotated[float, Meta(ge=0.01, le=2.0)]
 
 
 class Thrust(Section, frozen=True):
@@ -41,9 +44,9 @@ class Thrust(Section, frozen=True):
         motor_lag_s: time constant of motor and propeller.
     """
 
-    full_n: Positive
+    full_n: Annotated[float, Meta(ge=0.1, le=500.0)]
     model_factor: Fraction
-    motor_lag_s: NotNegative
+    motor_lag_s: Annotated[float, Meta(ge=0.0, le=1.0)]
 
     def force_n(self, command: float) -> float:
         """Steady thrust in newton of one motor at a command from 0 to 1."""
@@ -70,10 +73,10 @@ class Imu(Section, frozen=True):
         antialias_hz: -3 dB frequency of the accelerometer's own low-pass, first order.
     """
 
-    full_scale_m_s2: Positive
-    rate_hz: Positive
-    tick_s: Positive
-    antialias_hz: Positive
+    full_scale_m_s2: Annotated[float, Meta(ge=10.0, le=5000.0)]
+    rate_hz: Annotated[float, Meta(ge=10.0, le=10000.0)]
+    tick_s: Annotated[float, Meta(gt=0.0, le=0.1)]
+    antialias_hz: Annotated[float, Meta(ge=1.0, le=20000.0)]
 
 
 class Coefficients(Section, frozen=True):
@@ -86,10 +89,10 @@ class Coefficients(Section, frozen=True):
         nu: bound of the vertical contact force, N.
     """
 
-    k: Positive
-    f: NotNegative
-    mu: NotNegative
-    nu: NotNegative
+    k: Annotated[float, Meta(ge=1.0, le=1000000.0)]
+    f: Annotated[float, Meta(ge=0.0, le=10000.0)]
+    mu: Annotated[float, Meta(ge=0.0, le=100.0)]
+    nu: Annotated[float, Meta(ge=0.0, le=1000.0)]
 
 
 class Material(Section, frozen=True):

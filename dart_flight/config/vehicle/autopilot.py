@@ -6,7 +6,11 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from dart_flight.config.section import Fraction, NotNegative, Positive, Section
+from dart_flight.config.link_url import link_problem
+from dart_flight.config.section import Fraction, Seconds, Section, Speed
+
+Gain = Annotated[float, Meta(gt=0.0, le=1000.0)]
+GainOrZero = Annotated[float, Meta(ge=0.0, le=1000.0)]
 
 
 class ConnectionConfig(Section, frozen=True):
@@ -18,7 +22,12 @@ class ConnectionConfig(Section, frozen=True):
     """
 
     url: str
-    timeout_s: Positive
+    timeout_s: Seconds
+
+    def __post_init__(self) -> None:
+        problem = link_problem(self.url)
+        if problem is not None:
+            raise ValueError(f"url {problem}")
 
 
 class Px4Parameters(Section, frozen=True, rename="upper"):
@@ -56,32 +65,32 @@ class Px4Parameters(Section, frozen=True, rename="upper"):
         com_disarm_land: time on the ground after which PX4 disarms, s; not positive: never.
     """
 
-    mpc_xy_p: Positive
-    mpc_z_p: Positive
-    mpc_xy_vel_p_acc: Positive
-    mpc_xy_vel_i_acc: NotNegative
-    mpc_xy_vel_d_acc: NotNegative
-    mpc_z_vel_p_acc: Positive
-    mpc_z_vel_i_acc: NotNegative
-    mpc_z_vel_d_acc: NotNegative
-    mpc_xy_vel_max: Positive
-    mpc_z_vel_max_up: Positive
-    mpc_z_vel_max_dn: Positive
+    mpc_xy_p: Gain
+    mpc_z_p: Gain
+    mpc_xy_vel_p_acc: Gain
+    mpc_xy_vel_i_acc: GainOrZero
+    mpc_xy_vel_d_acc: GainOrZero
+    mpc_z_vel_p_acc: Gain
+    mpc_z_vel_i_acc: GainOrZero
+    mpc_z_vel_d_acc: GainOrZero
+    mpc_xy_vel_max: Speed
+    mpc_z_vel_max_up: Speed
+    mpc_z_vel_max_dn: Speed
     mpc_tiltmax_air: Annotated[float, Meta(gt=0.0, lt=90.0)]
-    mpc_land_speed: Positive
+    mpc_land_speed: Speed
     mpc_thr_min: Fraction
     mpc_thr_max: Fraction
-    mc_roll_p: Positive
-    mc_pitch_p: Positive
-    mc_yaw_p: Positive
-    mc_rollrate_p: Positive
-    mc_rollrate_i: NotNegative
-    mc_rollrate_d: NotNegative
-    mc_pitchrate_p: Positive
-    mc_pitchrate_i: NotNegative
-    mc_pitchrate_d: NotNegative
-    mc_yawrate_p: Positive
-    mc_yawrate_i: NotNegative
-    mis_takeoff_alt: Positive
-    com_of_loss_t: Positive
-    com_disarm_land: float
+    mc_roll_p: Gain
+    mc_pitch_p: Gain
+    mc_yaw_p: Gain
+    mc_rollrate_p: Gain
+    mc_rollrate_i: GainOrZero
+    mc_rollrate_d: GainOrZero
+    mc_pitchrate_p: Gain
+    mc_pitchrate_i: GainOrZero
+    mc_pitchrate_d: GainOrZero
+    mc_yawrate_p: Gain
+    mc_yawrate_i: GainOrZero
+    mis_takeoff_alt: Annotated[float, Meta(gt=0.0, le=100.0)]
+    com_of_loss_t: Annotated[float, Meta(gt=0.0, le=60.0)]
+    com_disarm_land: Annotated[float, Meta(ge=-1.0, le=600.0)]

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import Annotated
 
-from dart_flight.config.section import Fraction, NotNegative, Positive, Section
+from msgspec import Meta
+
+from dart_flight.config.section import Fraction, Seconds, Section, Speed, Volts
 
 
 class Observer(StrEnum):
@@ -31,8 +34,8 @@ class Battery(Section, frozen=True):
         exponent: 0: the voltage does not matter; `calibrate thrust` fits it.
     """
 
-    reference_v: Positive
-    exponent: NotNegative
+    reference_v: Volts
+    exponent: Annotated[float, Meta(ge=0.0, le=5.0)]
 
 
 class HoverLearning(Section, frozen=True):
@@ -46,10 +49,10 @@ class HoverLearning(Section, frozen=True):
         thrust_scale_limit: largest relative correction of the calibrated thrust curve.
     """
 
-    speed_m_s: Positive
-    rate_rad_s: Positive
-    time_constant_s: Positive
-    bias_limit_m_s2: NotNegative
+    speed_m_s: Speed
+    rate_rad_s: Annotated[float, Meta(gt=0.0, le=20.0)]
+    time_constant_s: Seconds
+    bias_limit_m_s2: Annotated[float, Meta(ge=0.0, le=20.0)]
     thrust_scale_limit: Fraction
 
 
@@ -62,7 +65,7 @@ class ArmVibration(Section, frozen=True):
         mass_fraction: the arms' share of the vehicle's mass.
     """
 
-    frequency_hz: Positive
+    frequency_hz: Annotated[float, Meta(ge=0.1, le=1000.0)]
     damping_ratio: Fraction
     mass_fraction: Fraction
 
@@ -89,17 +92,17 @@ class Estimation(Section, frozen=True):
     """
 
     observer: Observer
-    momentum_gain_per_s: Positive
+    momentum_gain_per_s: Annotated[float, Meta(gt=0.0, le=1000.0)]
     thrust_source: ThrustSource
-    thrust_timeout_s: Positive
-    thrust_error_n: NotNegative
-    esc_thrust_n_per_rpm2: Positive | None
+    thrust_timeout_s: Seconds
+    thrust_error_n: Annotated[float, Meta(ge=0.0, le=100.0)]
+    esc_thrust_n_per_rpm2: Annotated[float, Meta(gt=0.0, le=1e-3)] | None
     battery: Battery
-    attitude_error_rad: NotNegative
-    imu_noise_m_s2: Positive
-    filter_s: NotNegative
-    baseline_s: Positive
-    baseline_limit_n: NotNegative
+    attitude_error_rad: Annotated[float, Meta(ge=0.0, le=1.0)]
+    imu_noise_m_s2: Annotated[float, Meta(gt=0.0, le=50.0)]
+    filter_s: Annotated[float, Meta(ge=0.0, le=10.0)]
+    baseline_s: Seconds
+    baseline_limit_n: Annotated[float, Meta(ge=0.0, le=1000.0)]
     arm_vibration: ArmVibration | None
     hover: HoverLearning
 
@@ -142,15 +145,15 @@ class Detection(Section, frozen=True):
         long_window_s: mean over which a flexible contact is looked for in noise.
     """
 
-    force_threshold_n: Positive
+    force_threshold_n: Annotated[float, Meta(gt=0.0, le=1000.0)]
     threshold_test: ThresholdTest
     release_fraction: Fraction
     peak_drop_fraction: Fraction
-    peak_wait_s: Positive
-    contact_end_s: Positive
-    refractory_s: NotNegative
-    sure_sigma: NotNegative
+    peak_wait_s: Annotated[float, Meta(gt=0.0, le=10.0)]
+    contact_end_s: Annotated[float, Meta(gt=0.0, le=10.0)]
+    refractory_s: Annotated[float, Meta(ge=0.0, le=10.0)]
+    sure_sigma: Annotated[float, Meta(ge=0.0, le=100.0)]
     # Flights from before these keys are replayed as they were flown: without a lifted threshold.
-    noise_sigma: NotNegative = 0.0
-    short_window_s: Positive = 0.032
-    long_window_s: Positive = 0.1
+    noise_sigma: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.0
+    short_window_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.032
+    long_window_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.1

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from dart_flight.config.section import Fraction, NotNegative, Positive, Section
+from dart_flight.config.section import Fraction, Metres, Seconds, SecondsOrZero, Section, Speed
 
 
 class GuardThresholds(Section, frozen=True):
@@ -41,31 +41,31 @@ class GuardThresholds(Section, frozen=True):
         deadman_s: core thread or event loop hang for longer: the program is killed.
     """
 
-    stream_timeout_s: Positive
-    status_timeout_s: Positive
-    altitude_tolerance_m: Positive
+    stream_timeout_s: Seconds
+    status_timeout_s: Seconds
+    altitude_tolerance_m: Metres
     tilt_deg: Annotated[float, Meta(gt=0.0, le=180.0)]
-    wall_overrun_m: Positive
-    retreat_m: Positive
-    imu_timeout_s: Positive
-    actuator_timeout_s: Positive
-    link_lost_s: Positive
-    stamp_tolerance_s: Positive
-    imu_stuck_s: Positive
-    imu_clipped_s: Positive
-    position_jump_m: Positive
-    velocity_jump_m_s: Positive
-    reset_position_m: Positive
-    reset_velocity_m_s: Positive
-    estimator_bad_s: NotNegative
-    impact_window_s: NotNegative
+    wall_overrun_m: Metres
+    retreat_m: Metres
+    imu_timeout_s: Seconds
+    actuator_timeout_s: Seconds
+    link_lost_s: Seconds
+    stamp_tolerance_s: Seconds
+    imu_stuck_s: Seconds
+    imu_clipped_s: Seconds
+    position_jump_m: Metres
+    velocity_jump_m_s: Speed
+    reset_position_m: Metres
+    reset_velocity_m_s: Speed
+    estimator_bad_s: SecondsOrZero
+    impact_window_s: SecondsOrZero
     battery_remaining: Fraction
-    battery_v: NotNegative
-    battery_low_s: NotNegative
-    kill_after_s: Positive | None
-    force_margin: Annotated[float, Meta(ge=1.0)]
-    wall_late_s: Positive
-    wall_early_m: Positive
+    battery_v: Annotated[float, Meta(ge=0.0, le=100.0)]
+    battery_low_s: SecondsOrZero
+    kill_after_s: Seconds | None
+    force_margin: Annotated[float, Meta(ge=1.0, le=10.0)]
+    wall_late_s: Seconds
+    wall_early_m: Metres
     deadman_s: Annotated[float, Meta(ge=0.1, le=2.0)]
 
 
@@ -84,12 +84,12 @@ class Flying(Section, frozen=True):
         ready_timeout_s: longest wait for telemetry, offboard mode, arming, the end of climb or transit.
     """
 
-    climb_speed_m_s: Positive
-    transit_speed_m_s: Positive
-    acceleration_m_s2: Positive
-    yaw_rate_deg_s: Positive
-    steady_run_s: NotNegative
-    arrive_m: Positive
-    arrive_speed_m_s: Positive
-    arrive_s: NotNegative
-    ready_timeout_s: Positive
+    climb_speed_m_s: Speed
+    transit_speed_m_s: Speed
+    acceleration_m_s2: Annotated[float, Meta(gt=0.0, le=50.0)]
+    yaw_rate_deg_s: Annotated[float, Meta(gt=0.0, le=720.0)]
+    steady_run_s: SecondsOrZero
+    arrive_m: Metres
+    arrive_speed_m_s: Speed
+    arrive_s: SecondsOrZero
+    ready_timeout_s: Seconds

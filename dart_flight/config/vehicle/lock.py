@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from dart_flight.config.section import NotNegative, Positive, Section
+from dart_flight.config.section import Seconds, Section
 from dart_flight.samples import Mode
 
 
@@ -20,8 +20,8 @@ class Cam(Section, frozen=True):
         theta0_deg: theta_0 of the law: the cam angle where the rods are drawn back.
     """
 
-    r_cam_mm: Positive
-    r_mm: Positive
+    r_cam_mm: Annotated[float, Meta(gt=0.0, le=200.0)]
+    r_mm: Annotated[float, Meta(gt=0.0, le=200.0)]
     # From 0 to 180° the law has one inverse.
     theta0_deg: Annotated[float, Meta(ge=0.0, le=90.0)]
 
@@ -49,19 +49,19 @@ class Servo(Section, frozen=True):
         travel_s: measured time of the full travel, instead of the two above; null: not measured.
     """
 
-    rigid_pulse_us: Annotated[float, Meta(gt=0.0)]
-    flexible_pulse_us: Annotated[float, Meta(gt=0.0)]
-    rigid_deg: float
-    flexible_deg: float
+    rigid_pulse_us: Annotated[float, Meta(gt=0.0, le=5000.0)]
+    flexible_pulse_us: Annotated[float, Meta(gt=0.0, le=5000.0)]
+    rigid_deg: Annotated[float, Meta(ge=-360.0, le=360.0)]
+    flexible_deg: Annotated[float, Meta(ge=-360.0, le=360.0)]
     direction: Literal[-1, 1]
-    min_pulse_us: Positive
-    max_pulse_us: Positive
-    tolerance_us: Positive
+    min_pulse_us: Annotated[float, Meta(gt=0.0, le=5000.0)]
+    max_pulse_us: Annotated[float, Meta(gt=0.0, le=5000.0)]
+    tolerance_us: Annotated[float, Meta(gt=0.0, le=1000.0)]
     supply_v: Annotated[float, Meta(ge=4.8, le=6.0)]
-    s_per_60deg_at_4v8: Positive
-    s_per_60deg_at_6v0: Positive
-    settle_margin_s: NotNegative
-    travel_s: Positive | None = None
+    s_per_60deg_at_4v8: Annotated[float, Meta(gt=0.0, le=5.0)]
+    s_per_60deg_at_6v0: Annotated[float, Meta(gt=0.0, le=5.0)]
+    settle_margin_s: Annotated[float, Meta(ge=0.0, le=10.0)]
+    travel_s: Annotated[float, Meta(gt=0.0, le=30.0)] | None = None
 
     def __post_init__(self) -> None:
         low, high = self.min_pulse_us, self.max_pulse_us
@@ -224,9 +224,9 @@ class LockConfig(Section, frozen=True):
     driver: LockDriver
     startup: LockStartup
     home_mode: Mode
-    relaxation_s: NotNegative
-    timeout_s: Positive
-    debounce_s: NotNegative
+    relaxation_s: Annotated[float, Meta(ge=0.0, le=10.0)]
+    timeout_s: Seconds
+    debounce_s: Annotated[float, Meta(ge=0.0, le=10.0)]
     cam: Cam
     servo: Servo
     maestro: Maestro

@@ -7,8 +7,10 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from dart_flight.config.section import Fraction, NotNegative, Positive, Section
+from dart_flight.config.section import Fraction, Seconds, Section, Volts
 from dart_flight.config.vehicle.estimation import ArmVibration
+
+Wind = Annotated[float, Meta(ge=-50.0, le=50.0)]
 
 
 class BodyModel(StrEnum):
@@ -34,12 +36,12 @@ class ContactBody(Section, frozen=True):
     """
 
     body: BodyModel = BodyModel.POINT
-    guard_out_m: Positive = 0.20
-    guard_along_m: NotNegative = 0.13
+    guard_out_m: Annotated[float, Meta(gt=0.0, le=2.0)] = 0.20
+    guard_along_m: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.13
     guard_height_m: Annotated[float, Meta(ge=-0.5, le=0.5)] = 0.0
     friction_lever_share: Fraction = 0.3
-    vertical_lever_m: NotNegative = 0.01
-    scatter: NotNegative = 0.0
+    vertical_lever_m: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.01
+    scatter: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     half_engaged: bool = False
 
 
@@ -59,16 +61,16 @@ class Spreads(Section, frozen=True):
         battery: thrust, relative.
     """
 
-    contact: NotNegative = 0.2
-    contact_scatter: NotNegative = 0.05
+    contact: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.2
+    contact_scatter: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.05
     lock_true_mode: Fraction = 0.01
-    wall_offset_m: NotNegative = 0.03
-    wall_yaw_deg: NotNegative = 4.0
-    guard_height_m: NotNegative = 0.02
-    mass: NotNegative = 0.03
-    wind_m_s: NotNegative = 0.5
-    servo: NotNegative = 0.2
-    battery: NotNegative = 0.05
+    wall_offset_m: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.03
+    wall_yaw_deg: Annotated[float, Meta(ge=0.0, le=45.0)] = 4.0
+    guard_height_m: Annotated[float, Meta(ge=0.0, le=0.5)] = 0.02
+    mass: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.03
+    wind_m_s: Annotated[float, Meta(ge=0.0, le=20.0)] = 0.5
+    servo: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.2
+    battery: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.05
 
 
 class ImuRinging(Section, frozen=True):
@@ -81,10 +83,10 @@ class ImuRinging(Section, frozen=True):
         tone_hz_high: ... to here, over seconds.
     """
 
-    white_m_s2: NotNegative = 0.0
-    tone_m_s2: NotNegative = 0.0
-    tone_hz_low: Positive = 50.0
-    tone_hz_high: Positive = 200.0
+    white_m_s2: Annotated[float, Meta(ge=0.0, le=50.0)] = 0.0
+    tone_m_s2: Annotated[float, Meta(ge=0.0, le=50.0)] = 0.0
+    tone_hz_low: Annotated[float, Meta(gt=0.0, le=1000.0)] = 50.0
+    tone_hz_high: Annotated[float, Meta(gt=0.0, le=1000.0)] = 200.0
 
     def __post_init__(self) -> None:
         if self.tone_hz_low > self.tone_hz_high:
@@ -116,22 +118,22 @@ class Simulation(Section, frozen=True):
         imu_ringing: what motors and frame shake into the accelerometer; null: nothing.
     """
 
-    imu_noise_m_s2: NotNegative
-    imu_bias_m_s2: NotNegative
-    imu_delay_s: NotNegative
-    gyro_noise_rad_s: NotNegative
-    pose_rate_hz: Positive
-    pose_noise_m: NotNegative
-    pose_delay_s: NotNegative
-    attitude_noise_rad: NotNegative
+    imu_noise_m_s2: Annotated[float, Meta(ge=0.0, le=50.0)]
+    imu_bias_m_s2: Annotated[float, Meta(ge=0.0, le=20.0)]
+    imu_delay_s: Annotated[float, Meta(ge=0.0, le=1.0)]
+    gyro_noise_rad_s: Annotated[float, Meta(ge=0.0, le=10.0)]
+    pose_rate_hz: Annotated[float, Meta(ge=1.0, le=1000.0)]
+    pose_noise_m: Annotated[float, Meta(ge=0.0, le=10.0)]
+    pose_delay_s: Annotated[float, Meta(ge=0.0, le=1.0)]
+    attitude_noise_rad: Annotated[float, Meta(ge=0.0, le=1.0)]
     arm_vibration: ArmVibration
-    ground_stiffness_n_m: Positive
-    ground_damping_n_s_m: NotNegative
-    ground_friction: NotNegative
-    battery_v: Positive
-    wind_north_east_m_s: tuple[float, float]
-    gust_m_s: NotNegative
-    gust_time_s: Positive
+    ground_stiffness_n_m: Annotated[float, Meta(ge=1.0, le=1000000.0)]
+    ground_damping_n_s_m: Annotated[float, Meta(ge=0.0, le=100000.0)]
+    ground_friction: Annotated[float, Meta(ge=0.0, le=10.0)]
+    battery_v: Volts
+    wind_north_east_m_s: tuple[Wind, Wind]
+    gust_m_s: Annotated[float, Meta(ge=0.0, le=50.0)]
+    gust_time_s: Seconds
     contact: ContactBody = ContactBody()
     spreads: Spreads = Spreads()
     imu_ringing: ImuRinging | None = None

@@ -13,7 +13,7 @@ from enum import StrEnum
 
 import msgspec
 
-from dart_flight.config.document import InputError
+from dart_flight.config.document import InputError, unknown_name
 from dart_flight.geometry import GRAVITY_M_S2, add, scale
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
@@ -132,10 +132,10 @@ def parse_fault(text: str) -> Fault:
     body, at, phase = text.partition("@")
     name, equals, number = body.partition("=")
     if name not in BY_NAME:
-        raise InputError(f"unknown fault {name!r}, known: {', '.join(BY_NAME)}", key=("--fault",))
+        raise InputError(unknown_name(name, list(BY_NAME)), key=("--fault",))
     kind = BY_NAME[name]
     if at and phase not in PHASES:
-        raise InputError(f"unknown phase {phase!r}, known: {', '.join(PHASES)}", key=("--fault",))
+        raise InputError(f"phase: {unknown_name(phase, list(PHASES))}", key=("--fault",))
     value = kind.value
     if equals:
         try:

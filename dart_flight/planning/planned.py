@@ -1,4 +1,4 @@
-"""The planned path of a mission: the planner's flight model from start to goal, for the map and the table.
+"""The planned path of a mission: the planner's flight model from start to goal, for `check` and the report.
 
 A mission file holds the approach and the gains, not the path; the path follows from them by the same model
 that chose them (`planning.rollout`).
@@ -8,22 +8,35 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.config.mission import (
-    Collision,
-    Mission,
-)
+from dart_flight.config.mission import Collision, Mission
 from dart_flight.geometry import Vec2
 from dart_flight.planning.flight_model import FreeFlight
 from dart_flight.planning.rollout import Arrivals, Hits, Rollout, new_flight, stages_for
 from dart_flight.planning.task import task_of
-from dart_flight.verdict import Velocities
 
 _POINTS = 60  # of a leg
+
+
+class PlannedHit(NamedTuple):
+    """A collision as the flight model meets it.
+
+    Attributes:
+        position: of the vehicle's centre at the onset, mission frame.
+        normal_m_s, tangential_m_s: velocity then, collision frame.
+        normal_n, tangential_n: peaks of the force, friction as a force along the wall's tangent.
+    """
+
+    position: Vec2
+    normal_m_s: float
+    tangential_m_s: float
+    normal_n: float
+    tangential_n: float
 
 
 class PlannedFlight(msgspec.Struct):
@@ -31,13 +44,14 @@ class PlannedFlight(msgspec.Struct):
 
     Attributes:
         approaches: straight lines, mission frame, metres: start, run-up point, impact.
-        legs: paths (n, 2) from a release to the next onset, the last to the closest approach to the goal.
-        hits: collision index -> velocities at the onset and peak normal force.
+        legs: (n, 4), x, y, vx, vy from an onset over the release to the next onset, the last to the closest
+            approach to the goal. At the onset itself the velocity is given as 0.
+        hits: collision index -> the hit; none for a wall that the model does not reach.
     """
 
     approaches: list[list[Vec2]]
     legs: list[NDArray[np.float64]]
-    hits: dict[int, Velocities]
+    hits: dict[int, PlannedHit]
 
 
 def planned_flight(mission: Mission) -> PlannedFlight:
@@ -58,8 +72,9 @@ def planned_flight(mission: Mission) -> PlannedFlight:
             continue
         last = group[-1] is mission.collisions[-1]
         for i, (collision, hit) in enumerate(zip(group, arrivals.hits, strict=True)):
-            planned.hits[collision.index] = Velocities(
-                float(hit.normal_m_s[0]), float(hit.tangential_m_s[0]), float(hit.normal_n[0])
+            planned.hits[collision.index] = PlannedHit(
+                (float(hit.x[0]), float(hit.y[0])),
+                *(float(v[0]) for v in (hit.normal_m_s, hit.tangential_m_s, hit.normal_n, hit.tangential_n)),
             )
             following = arrivals.hits[i + 1].t_s if i + 1 < len(group) else arrivals.t_s if last else None
             if following is not None:
@@ -88,10 +103,11 @@ def _fly(mission: Mission, group: Sequence[Collision]) -> tuple[Arrivals | None,
 
 
 def _path(flight: FreeFlight, hit: Hits, until_s: float) -> NDArray[np.float64]:
-    """From the onset of a hit over its release to a time, mission frame (n, 2)."""
+    """From the onset of a hit over its release to a time, mission frame (n, 4)."""
     release_s = float(hit.t_s[0] + hit.duration_s[0])
-    points = [(float(hit.x[0]), float(hit.y[0]))]
+    points = [(float(hit.x[0]), float(hit.y[0]), 0.0, 0.0)]
     for t_s in np.linspace(0.0, max(until_s - release_s, 0.0), _POINTS):
         at = flight.at(hit.leg, float(t_s))
-        points.append((float(at.x[0, 0] + at.goal_x[0]), float(at.y[0, 0] + at.goal_y[0])))
+        x, y = float(at.x[0, 0] + at.goal_x[0]), float(at.y[0, 0] + at.goal_y[0])
+        points.append((x, y, float(at.x[1, 0]), float(at.y[1, 0])))
     return np.array(points)

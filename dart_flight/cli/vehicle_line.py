@@ -1,0 +1,32 @@
+"""Which vehicle the numbers are for: a line on standard error, before them."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.markup import escape
+
+from dart_flight.config.provenance import VehicleSource, passed_over
+
+
+def say_vehicle(source: VehicleSource | None, console: Console, *, asked: bool = False) -> None:
+    """Name the configuration and its mass; where the packaged one is taken and another is at hand, say so.
+
+    Args:
+        source: what was found; None says nothing.
+        console: for messages.
+        asked: the file was named with --config: then nothing was passed over.
+    """
+    if source is None:
+        return
+    which = source.source or "as its log says"
+    if source.packaged:
+        which = f"the packaged configuration ({which})"
+    console.print(f"vehicle: {escape(which)}, {source.mass_kg:g} kg", soft_wrap=True)
+    others = [] if asked else passed_over(source)
+    if others:
+        more = f" (and {len(others) - 1} more)" if len(others) > 1 else ""
+        console.print(
+            f"[yellow]not taken: {escape(others[0])}{more}, although it is at hand; "
+            f"--config {escape(others[0])} takes it[/]",
+            soft_wrap=True,
+        )

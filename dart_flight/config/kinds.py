@@ -1,0 +1,84 @@
+"""What kind of file it is that a person has named, for the word that helps where it is the wrong one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from dart_flight.config.document import Document, InputError
+
+
+class FileKind(Enum):
+    """The files that commands take: what it is, and what to do with it."""
+
+    MISSION = "a mission: fly, dry-run, simulate and check take it"
+    SCENARIO = "a scenario: `dart-flight plan` makes a mission of it"
+    CONFIGURATION = "a vehicle configuration: --config takes it"
+    FLIGHT_LOG = "a flight log: replay, report, export, identify and calibrate take it"
+    ULOG = "a PX4 ULog: identify and calibrate take it"
+    TRIAL = "a CSV file: identify takes trials, `predict --batch` wall hits"
+
+
+# Top-level keys that only one kind of file has.
+_MARKS = {
+    FileKind.MISSION: ("collisions",),
+    FileKind.SCENARIO: ("search", "sequence"),
+    FileKind.CONFIGURATION: ("airframe", "thrust"),
+}
+_MAGIC = {b"\x89MCAP0\r\n": FileKind.FLIGHT_LOG, b"ULog\x01\x12\x35": FileKind.ULOG}
+
+
+def kind_of_tree(tree: Mapping[str, Any]) -> FileKind | None:
+    """The kind of a YAML file by its keys; None where they fit none or several."""
+    found = [kind for kind, marks in _MARKS.items() if any(mark in tree for mark in marks)]
+    return found[0] if len(found) == 1 else None
+
+
+def kind_of_file(path: str | Path) -> FileKind | None:
+    """The kind of a file by its content, CSV by its name; None where it cannot be told or read."""
+    try:
+        with open(path, "rb") as file:
+            start = file.read(8)
+        for magic, kind in _MAGIC.items():
+            if start.startswith(magic):
+                return kind
+        if Path(path).suffix.lower() == ".csv":
+            return FileKind.TRIAL
+        return kind_of_tree(Document.load(path).tree)
+    except (OSError, InputError):
+        return None
+
+
+def load_document(path: str | Path, wanted: FileKind) -> Document:
+    """Read a YAML file that is to be of a kind.
+
+    Raises:
+        InputError: as `Document.load`, or the file is of another kind, which is named.
+    """
+    try:
+        document = Document.load(path)
+    except InputError:
+        refuse_other_kind(path, wanted)
+        raise
+    refuse_other_keys(document, wanted)
+    return document
+
+
+def refuse_other_kind(path: str | Path, *wanted: FileKind) -> None:
+    """Make sure that a file is none of the other known kinds.
+
+    Raises:
+        InputError: it is, with what to do with it.
+    """
+    kind = kind_of_file(path)
+    if kind is not None and kind not in wanted:
+        raise InputError(f"this is {kind.value}", source=str(path))
+
+
+def refuse_other_keys(document: Document, wanted: FileKind) -> None:
+    """As `refuse_other_kind`, of a YAML file already read."""
+    kind = kind_of_tree(document.tree)
+    if kind is not None and kind is not wanted:
+        raise InputError(f"this is {kind.value}", source=document.source)

@@ -1,0 +1,242 @@
+"""Logs as a person has them: many, in folders, some of flights that ended early; one zero of time in all."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.config import load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.recording.about import describe_flight
+from dart_flight.recording.writer import FlightLog
+from dart_flight.samples import World
+
+ROOT = Path(__file__).parents[2]
+MISSION = str(packaged("missions", "single_wall.yaml"))
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two flights in one folder."""
+    folder = tmp_path_factory.mktemp("flown")
+    assert main(["dry-run", MISSION, "--fast", "--runs", "2", "--log-dir", str(folder / "flights")]) == 0
+    return folder
+
+
+@pytest.fixture
+def folder(flown: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The same in a working folder of its own, with a log of a flight that never began."""
+    shutil.copytree(flown / "flights", tmp_path / "flights")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def stub(folder: Path) -> Path:
+    path = folder / "flights" / "20200101T000000-stub" / "flight.mcap"
+    path.parent.mkdir()
+    FlightLog(path, describe_flight(load_mission(MISSION), World.EMBEDDED, 1)).close()
+    return path
+
+
+def logs(folder: Path) -> list[str]:
+    return [str(path) for path in sorted((folder / "flights").glob("*/flight.mcap"))]
+
+
+@pytest.mark.parametrize("named", ["folder", "glob"])
+def test_replay_takes_many(named: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["flights"] if named == "folder" else logs(folder)
+    assert main(["replay", *words, "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["equal"] is True
+    assert [len(printed["replays"]), len({r["log"] for r in printed["replays"]})] == [2, 2]
+    assert main(["replay", *words]) == 0
+    assert capsys.readouterr().out.count("equal") == 2
+
+
+def test_export_puts_each_beside_its_log(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["export", "flights", "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["exports"]) == 2
+    for log in logs(folder):
+        assert (Path(log).parent / "csv" / "columns.csv").exists()
+    assert main(["export", *logs(folder), "-o", "all"]) == 0
+    assert len(list(Path("all").glob("*/columns.csv"))) == 2
+
+
+def test_report_goes_beside_the_logs(folder: Path) -> None:
+    pytest.importorskip("matplotlib")
+    one = logs(folder)[0]
+    assert main(["report", one]) == 0
+    assert (Path(one).parent / "report.html").exists()
+    assert main(["report", "flights"]) == 0
+    assert (folder / "flights" / "report.html").exists()
+
+
+def test_a_folder_without_flights(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("empty").mkdir()
+    for command in ("replay", "export", "report", "identify"):
+        assert main([command, "empty"]) == 2
+        assert "no flight log (flight.mcap) below this folder" in capsys.readouterr().err
+
+
+def test_stub_logs_do_not_break_a_glob(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("scipy")
+    path = stub(folder)
+    identify = ["identify", "--surface", "acrylic", "--json"]
+    assert main([*identify, *logs(folder)]) == 0
+    streams = capsys.readouterr()
+    assert len(json.loads(streams.out)["trials"]) == 2
+    assert "left out" in streams.err
+    assert "stub" in streams.err
+    assert main(["calibrate", "thrust", *logs(folder), "--json"]) == 0
+    assert "left out" in capsys.readouterr().err
+    assert main([*identify, str(path)]) == 2, "alone there is nothing to do with it"
+    path.write_bytes(b"")
+    assert main([*identify, *logs(folder)]) == 0
+    capsys.readouterr()
+    assert main(["replay", *logs(folder)]) == 0
+    assert "left out" in capsys.readouterr().err
+
+
+def test_one_zero_of_time(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The same phase change in the terminal, in the CSV, in the replay and in the report."""
+    pytest.importorskip("matplotlib")
+    assert main(["dry-run", MISSION, "--fast", "--log-dir", "one"]) == 0
+    shown = re.search(r"([\d.]+) s +contact \(collision 1\)", capsys.readouterr().err)
+    assert shown is not None
+    terminal = float(shown[1])
+    (log,) = Path("one").glob("*/flight.mcap")
+    assert main(["export", str(log)]) == 0
+    (changed,) = (p for p in (log.parent / "csv").glob("*.csv") if "before,after" in p.read_text())
+    with open(changed, newline="") as file:
+        changes = list(csv.DictReader(file))
+    table = next(float(row["time_s"]) for row in changes if row["after"] == "contact")
+    assert abs(table - terminal) <= 0.005 + 1e-9
+    capsys.readouterr()
+    assert main(["replay", str(log), "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    replayed = next(row[0] for row in rows if "after contact" in row[2])
+    assert replayed == pytest.approx(table, abs=1e-6)
+    assert main(["report", str(log)]) == 0
+    page = (log.parent / "report.html").read_text()
+    cell = re.search(r"<td[^>]*>([\d.]+)</td>\s*<td[^>]*>approach</td>\s*<td[^>]*>contact</td>", page)
+    assert cell is not None
+    assert float(cell[1]) == pytest.approx(table, abs=0.051)
+
+
+def test_replay_shows_only_what_differs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = logs(folder)[0]
+    assert main(["replay", log, "--set", "detection.force_threshold_n=9"]) == 1
+    out = capsys.readouterr().out
+    assert "ContactEnd" in out
+    assert "arming" not in out, "as recorded"
+    assert "decisions are as recorded" in out
+
+
+def test_an_abort_shows_its_reason(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dry-run", MISSION, "--fast", "--fault", "ekf-jump@transit"]) == 1
+    out = capsys.readouterr().out
+    assert "reason: " in out
+    assert "peak" not in out, "no empty columns"
+    assert main(["dry-run", MISSION, "--fast", "--fault", "ekf-jump@transit", "--json"]) == 1
+    verdict = json.loads(capsys.readouterr().out)
+    assert verdict["reason"] in out.replace("\n", " ") or verdict["reason"][:30] in out
+
+
+def test_truth_is_null_where_there_is_none(folder: Path) -> None:
+    from dart_flight.recording.about import flown_mission
+    from dart_flight.recording.reader import read_log
+    from dart_flight.samples import TruthContact, TruthSample
+    from dart_flight.verdict import VerdictBuilder
+
+    log = read_log(logs(folder)[0])
+    builder = VerdictBuilder(flown_mission(log.about, log.source))
+    for entry in log.entries:
+        if not isinstance(entry.record, TruthSample | TruthContact):
+            builder.take(entry.record)
+    verdict = builder.build(World.DRONE, None)
+    assert [c.truth for c in verdict.collisions] == [None]
+    assert verdict.ekf_error_m is None
+
+
+def test_tables_fit_eighty_columns(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    scenarios = packaged("missions", "scenarios")
+    for words, status in (
+        (["plan", str(scenarios / "dual_collision.yaml"), "--top", "3"], 0),
+        (["plan", str(scenarios / "one_wall.yaml"), "--objective", "robust", "--top", "2"], 0),
+        (["dry-run", str(packaged("missions", "dual_collision.yaml")), "--fast"], 0),
+        (["dry-run", MISSION, "--fast", "--runs", "1"], 0),
+        (["predict", "--surface", "acrylic", "--mode", "rigid", "--drop", "0.2"], 0),
+        (["calibrate", "thrust", "flights"], 0),
+    ):
+        assert main(words) == status
+        out = capsys.readouterr().out
+        assert "…" not in out, f"{words}: cut\n{out}"
+        assert max(map(len, out.splitlines())) <= 80
+
+
+def test_a_campaign_says_where_its_logs_are(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["dry-run", MISSION, "--fast", "--runs", "2", "--log-dir", "campaign"]
+    assert main([*words, "--json"]) == 0
+    streams = capsys.readouterr()
+    assert "logs: 2 flights in campaign" in streams.err
+    printed = json.loads(streams.out)
+    assert printed["log_dir"] == "campaign"
+    assert printed["interrupted"] is False
+    assert all(Path(run["log"]).exists() for run in printed["runs"])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+def test_an_interrupted_campaign_sums_up_what_is_there(number: signal.Signals, tmp_path: Path) -> None:
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dart_flight", "dry-run", MISSION, "--fast", "--runs", "200", "--json"],
+        cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        start_new_session=True,
+    )  # fmt: skip
+    until = time.monotonic() + 120.0
+    while len(list(tmp_path.glob("flights/*/flight.mcap"))) < 4 and time.monotonic() < until:
+        time.sleep(0.1)  # so that some are complete: every process has begun its second one
+    if number is signal.SIGINT:
+        os.killpg(process.pid, number)  # as a terminal does
+    else:
+        process.send_signal(number)
+    out, err = process.communicate(timeout=120.0)
+    assert process.returncode == 130, err
+    printed = json.loads(out)
+    flown = len(printed["runs"])
+    assert printed["interrupted"] is True
+    assert 1 <= flown < 200
+    assert printed["summary"]["completed"] == flown
+    assert all((tmp_path / run["log"]).exists() for run in printed["runs"])
+    assert f"{flown} of 200 flights were flown" in err
+    assert f"logs: {flown} flights in flights" in err
+
+
+@pytest.mark.parametrize("words", [["dry-run", MISSION], ["dry-run", MISSION, "--runs", "2"], ["simulate"]])
+def test_without_the_extra_nothing_is_begun(
+    words: list[str], folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in [n for n in sys.modules if n.split(".")[0] == "pymavlink"] + [
+        "dart_flight.sim.standalone", "dart_flight.sim.mavlink_endpoint",
+    ]:  # fmt: skip
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setitem(sys.modules, "pymavlink", None)
+    before = set(folder.rglob("*"))
+    assert main(words) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert said[-1] == "simulation needs pymavlink: pip install 'dart-flight[sim]'"
+    assert set(folder.rglob("*")) == before, "no log folder of a flight that cannot be"

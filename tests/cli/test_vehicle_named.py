@@ -1,0 +1,115 @@
+"""Every command that computes with a vehicle says which: on standard error, and in --json."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.config import find_vehicle, load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.recording.about import describe_flight, flown_mission
+from dart_flight.samples import World
+
+MISSION = str(packaged("missions", "single_wall.yaml"))
+SCENARIO = str(packaged("missions", "scenarios", "one_wall.yaml"))
+PREDICT = ["predict", "--surface", "acrylic", "--mode", "rigid", "--velocity", "-1", "0"]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder without a configuration."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("DART_FLIGHT_CONFIG", raising=False)
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
+    return tmp_path
+
+
+def own(folder: Path, name: str = "configs/dart.yaml", mass: str = "0.9") -> Path:
+    path = folder / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(packaged("configs", "dart.yaml").read_text().replace("mass_kg: 1.3", f"mass_kg: {mass}"))
+    return path
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        PREDICT,
+        ["tables"],
+        ["plan", SCENARIO, "--top", "1"],
+        ["check", MISSION],
+        ["lock", "status", "--driver", "mock"],
+        ["dry-run", MISSION, "--fast", "--runs", "1"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_command_names_its_vehicle(
+    command: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = own(folder)
+    assert main([*command, "--config", str(path), "--json"]) == 0
+    streams = capsys.readouterr()
+    printed = json.loads(streams.out)
+    wanted = {"source": "configs/dart.yaml", "packaged": False, "mass_kg": 0.9}
+    assert printed["vehicle"] == wanted
+    for run in printed.get("runs", []):
+        assert run["vehicle"] == wanted
+    assert "vehicle: configs/dart.yaml, 0.9 kg" in streams.err
+
+
+def test_the_folders_own_is_taken_and_shown(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    own(folder)
+    assert main([*PREDICT, "--json"]) == 0
+    streams = capsys.readouterr()
+    assert json.loads(streams.out)["vehicle"]["mass_kg"] == 0.9
+    assert "not taken" not in streams.err
+
+
+def test_the_packaged_one_where_there_is_no_other(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "notes.yaml").write_text("shopping: [milk]\n")
+    assert main([*PREDICT, "--json"]) == 0
+    streams = capsys.readouterr()
+    vehicle = json.loads(streams.out)["vehicle"]
+    assert vehicle["packaged"] is True
+    assert "the packaged configuration" in streams.err
+    assert "not taken" not in streams.err
+
+
+@pytest.mark.parametrize("name", ["mine.yaml", "configs/lab.yaml"])
+def test_a_configuration_that_is_passed_over_is_named(
+    name: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own(folder, name)
+    assert main(PREDICT) == 0
+    assert f"not taken: {name}" in capsys.readouterr().err
+    assert main([*PREDICT, "--config", str(packaged("configs", "dart.yaml"))]) == 0
+    assert "not taken" not in capsys.readouterr().err, "asked for by name"
+
+
+def test_a_mission_that_names_the_packaged_one_passes_over_the_environments(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = own(folder.parent, f"{folder.name}-elsewhere.yaml")
+    monkeypatch.setenv("DART_FLIGHT_CONFIG", str(path))
+    assert main(["check", MISSION]) == 0
+    assert f"not taken: {path}" in capsys.readouterr().err.replace("\n", "")
+
+
+def test_wrong_input_is_still_one_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["predict", "--surface", "acrylic", "--mode", "rigid", "--velocity", "1", "0"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_the_log_carries_it_and_old_logs_load_without(folder: Path) -> None:
+    own(folder)
+    mission = load_mission(MISSION, "configs/dart.yaml")
+    assert mission.flown_vehicle() == find_vehicle("configs/dart.yaml").source
+    about = describe_flight(mission, World.FAST, 1)
+    assert flown_mission(about, "x").flown_vehicle() == mission.flown_vehicle()
+    flown = json.loads(about["flown"])
+    del flown["vehicle_source"]
+    old = flown_mission({"flown": json.dumps(flown)}, "x").flown_vehicle()
+    assert (old.source, old.packaged, old.mass_kg) == (None, None, 0.9)

@@ -1,0 +1,174 @@
+"""What a person meets at the keyboard: slips of words, names and files, told in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.config.link_url import link_problem
+from dart_flight.config.vehicle import packaged
+
+MISSION = str(packaged("missions", "single_wall.yaml"))
+SCENARIO = str(packaged("missions", "scenarios", "one_wall.yaml"))
+CONFIG = str(packaged("configs", "dart.yaml"))
+FLIGHT = str(next((Path(__file__).parents[1] / "data" / "flights").rglob("*.mcap")))
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    try:
+        status = main(list(words))
+    except SystemExit as exit_:
+        status = int(str(exit_.code))
+    streams = capsys.readouterr()
+    assert status == 2, streams.err
+    assert streams.out == ""
+    assert streams.err.count("\n") == 1, streams.err
+    return streams.err
+
+
+@pytest.mark.parametrize(
+    ("words", "near"),
+    [
+        (["dryrun", MISSION], "dry-run"),
+        (["replai", FLIGHT], "replay"),
+        (["dry-run", MISSION, "--sede", "3"], "--seed"),
+        (["dry-run", MISSION, "--fsat"], "--fast"),
+        (["lock", "toggel"], "toggle"),
+        (["lock", "status", "--driver", "mokc"], "mock"),
+        (["dry-run", MISSION, "--driver", "mokc"], "mock"),
+        (["plan", SCENARIO, "--objective", "nearst"], "nearest"),
+        (["calibrate", "thurst", FLIGHT], "thrust"),
+        (["completion", "bsh"], "bash"),
+        (["dry-run", MISSION, "--fast", "--fault", "servo-slw"], "servo-slow"),
+        (["dry-run", MISSION, "--fast", "--fault", "servo-slow@aproach"], "approach"),
+        (["predict", "--surface", "acrilic", "--mode", "rigid", "--drop", "1"], "acrylic"),
+        (["replay", FLIGHT, "--set", "detektion.force_threshold_n=8"], "detection"),
+    ],
+    ids=lambda value: " ".join(value[:1] + value[2:]) if isinstance(value, list) else "",
+)
+def test_the_near_miss_is_suggested(words: list[str], near: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert f"did you mean {near}?" in refused(capsys, *words)
+
+
+def test_without_a_near_one_the_commands_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "known: fly, dry-run, simulate" in refused(capsys, "zzz")
+
+
+@pytest.mark.parametrize(
+    ("words", "kind"),
+    [
+        (["check", SCENARIO], "this is a scenario: `dart-flight plan`"),
+        (["dry-run", CONFIG], "this is a vehicle configuration: --config"),
+        (["dry-run", FLIGHT], "this is a flight log: replay"),
+        (["plan", MISSION], "this is a mission: fly"),
+        (["check", MISSION, "--config", MISSION], "this is a mission"),
+        (["replay", MISSION], "this is a mission"),
+        (["report", SCENARIO, "-o", "x.html"], "this is a scenario"),
+        (["identify", MISSION], "this is a mission"),
+        (["calibrate", "thrust", CONFIG], "this is a vehicle configuration"),
+        (["predict", "--surface", "acrylic", "--batch", MISSION], "this is a mission"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_the_wrong_kind_of_file_is_named(
+    words: list[str], kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert kind in refused(capsys, *words)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["check", MISSION],
+        ["fly", MISSION, "--yes"],
+        ["monitor"],
+        ["plan", SCENARIO],
+        ["lock", "status", "--driver", "px4"],
+    ],
+    ids=lambda words: words[0],
+)
+@pytest.mark.parametrize("url", ["ttyAMA0", "serial:///dev/tty-none:57600"])
+def test_a_link_that_cannot_be(
+    words: list[str], url: str, capsys: pytest.CaptureFixture[str], tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path))
+    try:
+        status = main([*words, "--connection", url])
+    except SystemExit as exit_:
+        status = int(str(exit_.code))
+    said = capsys.readouterr().err.splitlines()
+    assert status == 2
+    assert said[-1].startswith("--connection: ")
+    assert "serial:///dev/ttyAMA0:921600" in said[-1], "the allowed forms"
+    assert "Traceback" not in "".join(said)
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "udpin://0.0.0.0:14540", "udp://:14540", "udpout://10.0.0.2:14550", "tcpout://localhost:5760",
+        "tcpin://0.0.0.0:5760", "serial:///dev/ttyAMA0:921600", "serial_flowcontrol:///dev/ttyS1:57600",
+    ],
+)  # fmt: skip
+def test_forms_that_mavsdk_takes(url: str) -> None:
+    assert link_problem(url) is None
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "",
+        "foo",
+        "udpin://0.0.0.0",
+        "udpin://0.0.0.0:99999",
+        "serial:///dev/ttyAMA0",
+        "serial://x:5",
+        "udpin://:1",
+    ],
+)
+def test_forms_that_it_does_not(url: str) -> None:
+    assert link_problem(url) is not None
+
+
+def test_a_malformed_url_in_the_configuration(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "dart.yaml"
+    text = Path(CONFIG).read_text()
+    url = next(line for line in text.splitlines() if line.strip().startswith("url:"))
+    path.write_text(text.replace(url, "  url: udpin:14540"))
+    said = refused(capsys, "check", MISSION, "--config", str(path))
+    assert "connection" in said
+    assert "allowed are" in said
+
+
+@pytest.mark.parametrize(
+    ("row", "key"),
+    [("rigid,1.0,0.5", "normal_m_s"), ("rigid,0,0.5", "normal_m_s"), ("rigid,-1.0,500", "tangential_m_s")],
+)
+def test_batch_refuses_what_velocity_refuses(
+    row: str, key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "hits.csv"
+    path.write_text(f"mode,normal_m_s,tangential_m_s\nrigid,-1.0,0.5\n{row}\n")
+    batch = refused(capsys, "predict", "--surface", "acrylic", "--batch", str(path))
+    assert f"hits.csv:3: {key}" in batch
+    _, normal, tangential = row.split(",")
+    one = refused(
+        capsys, "predict", "--surface", "acrylic", "--mode", "rigid", "--velocity", normal, tangential
+    )
+    assert batch.split(": ")[-1].split(", ")[-1] == one.split(", ")[-1], "for the same reason"
+
+
+def test_monitor_ends_when_nothing_comes(capsys: pytest.CaptureFixture[str]) -> None:
+    import socket
+    import time
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    begun = time.monotonic()
+    assert main(["monitor", "--connection", f"udpin://127.0.0.1:{port}", "--seconds", "0.5"]) == 1
+    assert time.monotonic() - begun < 15.0, "connection.timeout_s is 30 s"
+    assert "no autopilot" in capsys.readouterr().err
