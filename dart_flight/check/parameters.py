@@ -148,7 +148,8 @@ def names_to_read() -> list[str]:
     """Every parameter that the judgements here look at."""
     names = [p.name for p in PARAMETERS] + list(_GAINS)
     for source in PositionSource:
-        names += vehicle_parameters(source)
+        for name, parameter in vehicle_parameters(source).items():
+            names += [name] if parameter.renamed is None else [name, parameter.renamed]
     return list(dict.fromkeys(names))
 
 

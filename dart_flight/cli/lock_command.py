@@ -24,7 +24,7 @@ from dart_flight.lock.state_machine import describe
 from dart_flight.samples import LockPhase, LockState, Mode
 
 if TYPE_CHECKING:
-    from dart_flight.vehicle import GroundLink
+    from dart_flight.vehicle.ground_link import GroundLink
 
 EXIT_OK, EXIT_INCOMPLETE = 0, 1
 
@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _px4_link(url: str, timeout_s: float) -> GroundLink:
-    from dart_flight.vehicle import GroundLink
+    from dart_flight.vehicle.ground_link import GroundLink
 
     return GroundLink(url, timeout_s)
 

@@ -47,8 +47,8 @@ from dart_flight.samples import (
     VehicleAction,
     VehicleCommand,
 )
-from dart_flight.vehicle import VehicleSession, connect
 from dart_flight.vehicle.clock import Clock, host_us
+from dart_flight.vehicle.session import VehicleSession, connect
 from dart_flight.worlds.deadman import CORE, FEED_PERIOD_S, LOOP, Deadman, SystemdNotice
 from dart_flight.worlds.runner import CoreRunner, Observe
 

@@ -33,8 +33,8 @@ from dart_flight.samples import (
     StatusText,
 )
 from dart_flight.streams import STREAMS
-from dart_flight.vehicle import VehicleSession, connect
 from dart_flight.vehicle.clock import host_us
+from dart_flight.vehicle.session import VehicleSession, connect
 
 _STREAM_OF = {
     ImuSample: "imu",
