@@ -63,8 +63,15 @@ def judge_observation(mission: Mission, observed: Observation) -> list[Finding]:
         if text
     )
     findings.append(Finding("battery", not low, told or "not told"))
-    says = "local position valid" if observed.local_position_ok else "no valid local position"
+    said = ", ".join(dict.fromkeys([*observed.blocking, *observed.said]))
+    says = "local position valid"
+    if not observed.local_position_ok:
+        says = "no valid local position" + (f"; PX4 says: {said}" if said else "")
     findings.append(Finding("estimator", observed.local_position_ok, says))
+    if observed.blocking or observed.said:
+        # No no-go: PX4 judges its present mode, and `fly` arms in offboard.
+        begin = "PX4 would not arm as it is: " if observed.blocking else "PX4 says: "
+        findings.append(Finding("px4_checks", True, begin + said, remark=True))
     return findings
 
 

@@ -13,10 +13,12 @@ from dart_flight.samples import (
     AttitudeSample,
     AttitudeTargetSample,
     ClockOffset,
+    CommandResult,
     ContactEnd,
     EscSample,
     EstimatorSample,
     ForceEstimate,
+    HealthReport,
     ImpactOnset,
     ImpactPeak,
     ImuSample,
@@ -24,6 +26,7 @@ from dart_flight.samples import (
     LockState,
     OdometrySample,
     StatusSample,
+    StatusText,
     Tick,
 )
 
@@ -88,6 +91,12 @@ class Senses:
             state.take_estimator(item)
         elif isinstance(item, ClockOffset):
             state.take_clock(item)
+        elif isinstance(item, StatusText):
+            state.take_text(item)
+        elif isinstance(item, HealthReport):
+            state.take_health(item)
+        elif isinstance(item, CommandResult):
+            state.take_result(item)
         return _TOUCHING if self.detector.in_contact else _NOTHING
 
     def _feel(self, item: ImuSample, expected: Expected) -> Sensed:

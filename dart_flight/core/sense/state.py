@@ -9,8 +9,10 @@ from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
     ClockOffset,
+    CommandResult,
     EstimatorSample,
     FlightMode,
+    HealthReport,
     ImuSample,
     LandedState,
     LockPhase,
@@ -18,8 +20,13 @@ from dart_flight.samples import (
     Mode,
     OdometrySample,
     StatusSample,
+    StatusText,
     Tick,
 )
+
+_SEVERE = frozenset({"emergency", "alert", "critical", "error", "warning"})
+_SAID_US = 15_000_000  # PX4's words older than this explain nothing any more
+_MOST_REASONS = 6
 
 
 class FlightState:
@@ -46,6 +53,9 @@ class FlightState:
         self.yaw = 0.0
         self.tilt_rad = 0.0
         self._velocities: deque[tuple[int, Vec3]] = deque(maxlen=32)
+        self.health: HealthReport | None = None
+        self._said: dict[str, int] = {}  # PX4's last warnings and worse, oldest first; when
+        self._refused: dict[str, str] = {}  # command -> PX4's answer, while it is a refusal
 
     def take_odometry(self, sample: OdometrySample) -> bool:
         """A position and velocity; False where its stamp does not advance."""
@@ -118,6 +128,25 @@ class FlightState:
         """Autopilot time minus host time."""
         self.clock_offset_us = sample.offset_us
 
+    def take_text(self, sample: StatusText) -> None:
+        """What PX4 says; warnings and worse are remembered."""
+        if sample.severity in _SEVERE:
+            self._said.pop(sample.text, None)  # the newest last
+            self._said[sample.text] = self.now_us
+            if len(self._said) > _MOST_REASONS:
+                del self._said[next(iter(self._said))]
+
+    def take_health(self, sample: HealthReport) -> None:
+        """PX4's health and arming checks."""
+        self.health = sample
+
+    def take_result(self, sample: CommandResult) -> None:
+        """How PX4 answered a command."""
+        if sample.ok:
+            self._refused.pop(sample.command, None)
+        else:
+            self._refused[sample.command] = sample.detail
+
     def _saw(self, t_us: int, received_us: int) -> None:
         self.now_us = max(self.now_us, t_us)
         self.host_us = max(self.host_us, received_us)
@@ -149,6 +178,27 @@ class FlightState:
     def age_us(self, sample: ImuSample | AttitudeSample | OdometrySample | ActuatorSample | None) -> int:
         """Host time since a stream's newest sample was received; huge where there was none."""
         return self.host_us - sample.received_us if sample is not None else 1 << 60
+
+    def reasons(self, command: str | None = None) -> str:
+        """Why PX4 does not do something, in its own words.
+
+        Args:
+            command: that it refuses; its answer is told where it gives no other reason.
+
+        Returns:
+            Words such as "; PX4 says: No offboard signal", to be appended; empty where there are none.
+        """
+        found: list[str] = []
+        if self.health is not None:
+            found += self.health.blocking
+        found += [text for text, t_us in self._said.items() if self.now_us - t_us < _SAID_US]
+        if self.health is not None and not self.health.blocking:
+            found += self.health.others
+        found = list(dict.fromkeys(found))[:_MOST_REASONS]
+        if found:
+            return "; PX4 says: " + ", ".join(found)
+        answer = self._refused.get(command or "")
+        return f"; PX4 answers: {answer}" if answer else ""
 
     @property
     def in_offboard(self) -> bool:
