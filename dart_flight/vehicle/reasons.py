@@ -48,7 +48,7 @@ def of_checks(report: Any) -> Report:
 
 
 def of_sys_status(fields_json: str) -> Report | None:
-    """What SYS_STATUS says, for a PX4 that sends no report: sensors in use that are not well; None: nothing."""
+    """What SYS_STATUS says, for a PX4 without reports: sensors in use that are not well; None: nothing."""
     enabled, healthy = _ENABLED.search(fields_json), _HEALTHY.search(fields_json)
     if enabled is None or healthy is None:
         return None
