@@ -148,9 +148,18 @@ def names_to_read() -> list[str]:
     """Every parameter that the judgements here look at."""
     names = [p.name for p in PARAMETERS] + list(_GAINS)
     for source in PositionSource:
-        for name, parameter in vehicle_parameters(source).items():
-            names += [name] if parameter.renamed is None else [name, parameter.renamed]
+        names += vehicle_parameters(source)
     return list(dict.fromkeys(names))
+
+
+def other_names(values: Mapping[str, float]) -> list[str]:
+    """By what names versions of PX4 have the parameters that could not be read."""
+    return [
+        parameter.renamed
+        for source in PositionSource
+        for name, parameter in vehicle_parameters(source).items()
+        if parameter.renamed is not None and name not in values
+    ]
 
 
 def judge_parameters(

@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from dart_flight.check.findings import Finding
-from dart_flight.check.parameters import judge_parameters, judge_position, names_to_read, position_source
+from dart_flight.check.parameters import (
+    judge_parameters,
+    judge_position,
+    names_to_read,
+    other_names,
+    position_source,
+)
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameters import PositionSource
 from dart_flight.config.vehicle import LockDriver
@@ -33,6 +39,7 @@ def check_vehicle(mission: Mission, url: str, position_from: PositionSource | No
     with GroundLink(url, mission.vehicle.connection.timeout_s) as link:
         observed = link.observe(_MEASURE_S)
         values = link.read_parameters(names)
+        values |= link.read_parameters(dict.fromkeys(other_names(values)))
     found = position_source(values, observed.gps_fix)
     return [
         *judge_position(mission, found, observed.gps_fix, position_from),

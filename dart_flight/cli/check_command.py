@@ -14,6 +14,7 @@ from dart_flight.check.vehicle import check_vehicle
 from dart_flight.cli.options import add_driver_option, add_position_option
 from dart_flight.cli.terminal import emit_json, messages
 from dart_flight.config.mission import load_mission
+from dart_flight.vehicle.link import LinkLease
 from dart_flight.worlds.prepare import with_driver
 
 
@@ -35,7 +36,8 @@ def run(arguments: argparse.Namespace) -> int:
         mission = with_driver(mission, arguments.driver)
     findings = check_mission(mission)
     if arguments.connection is not None:
-        findings += check_vehicle(mission, arguments.connection, arguments.position_from)
+        with LinkLease(arguments.connection, "check"):
+            findings += check_vehicle(mission, arguments.connection, arguments.position_from)
     elif arguments.position_from is not None:
         findings += judge_claim(mission, arguments.position_from)
     report = decide(mission, findings, arguments.overrule)

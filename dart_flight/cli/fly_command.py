@@ -13,6 +13,7 @@ from dart_flight.cli.flight_output import FlightLines, verdict_table
 from dart_flight.cli.options import add_flight_options, add_position_option
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.config.mission import Mission
+from dart_flight.vehicle.link import LinkLease
 from dart_flight.worlds.drone import fly_vehicle
 from dart_flight.worlds.prepare import load_flyable, with_driver, with_standoff
 
@@ -40,6 +41,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.standoff is not None:
         mission = with_standoff(mission, arguments.standoff)
     url = arguments.connection or mission.vehicle.connection.url
+    with LinkLease(url, "fly") as lease:
+        return _fly(arguments, mission, url, lease)
+
+
+def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkLease) -> int:
     console = messages()
     console.print(_intention(mission, url), soft_wrap=True)
     findings = check_mission(mission) + check_vehicle(mission, url, arguments.position_from)
@@ -50,7 +56,8 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.yes and not _confirmed():
         console.print("not flown")
         return 1
-    verdict = fly_vehicle(mission, url, arguments.log_dir, FlightLines(console, arguments.verbose > 0))
+    lines = FlightLines(console, arguments.verbose > 0)
+    verdict = fly_vehicle(mission, url, arguments.log_dir, lines, lease)
     if arguments.json:
         emit_json(verdict)
     else:

@@ -22,6 +22,7 @@ from dart_flight.lock.ground import GroundLock, calibration, ground_driver
 from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTakenError, forget_last, load_last
 from dart_flight.lock.state_machine import describe
 from dart_flight.samples import LockPhase, LockState, Mode
+from dart_flight.vehicle.link import LinkLease
 
 if TYPE_CHECKING:
     from dart_flight.vehicle.ground_link import GroundLink
@@ -52,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     if config.driver is not LockDriver.PX4:
         return _owned(arguments, config, path, None)
     url = arguments.connection or vehicle.connection.url
-    with _px4_link(url, vehicle.connection.timeout_s) as link:
+    with LinkLease(url, "lock"), _px4_link(url, vehicle.connection.timeout_s) as link:
         problems = parameter_problems(
             config, link.read_parameters(required.name for required in required_parameters(config))
         )

@@ -50,9 +50,11 @@ def run(arguments: argparse.Namespace) -> int:
     console = messages()
     scenario = load_scenario(arguments.scenario, arguments.config)
     if arguments.connection is not None:
+        from dart_flight.vehicle.link import LinkLease
         from dart_flight.worlds.prepare import with_vehicle_parameters
 
-        scenario = with_vehicle_parameters(scenario, arguments.connection)
+        with LinkLease(arguments.connection, "plan"):
+            scenario = with_vehicle_parameters(scenario, arguments.connection)
     if arguments.objective is not None:
         scenario = with_objective(scenario, arguments.objective)
     with Progress(console=console, transient=True) as bar:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import argparse
 
+from rich.console import Console
+
 from dart_flight.cli.options import whole_number
 from dart_flight.cli.terminal import messages
 from dart_flight.config.document import InputError
-from dart_flight.config.mission import load_mission
+from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
+from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of
 
 GROUND_STATION_PORT = 14550
 
@@ -33,16 +36,46 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     try:
-        from dart_flight.sim.standalone import run_vehicle
+        from dart_flight.sim.standalone import Feed
     except ImportError as error:
         raise InputError(f"simulation needs {error.name}: pip install 'dart-flight[sim]'") from None
 
     path = arguments.mission or packaged("missions", "dual_collision.yaml")
     mission = load_mission(path, arguments.config)
     console = messages()
+    feed = Feed(arguments.port)
+    try:
+        station = LinkLease(feed_of(GROUND_STATION_PORT), "simulate")
+        ports = [arguments.port]
+        try:
+            if arguments.port != GROUND_STATION_PORT:
+                station.acquire()
+                ports.append(GROUND_STATION_PORT)
+        except LinkTakenError as error:
+            # A ground station takes two vehicles of one system id for one, too.
+            console.print(f"nothing goes to UDP {GROUND_STATION_PORT}: {error.message}", soft_wrap=True)
+        try:
+            _run(arguments, mission, path, tuple(ports), feed.own_port, console)
+        finally:
+            station.release()
+    finally:
+        feed.release()
+    return 0
+
+
+def _run(
+    arguments: argparse.Namespace,
+    mission: Mission,
+    path: object,
+    ports: tuple[int, ...],
+    own_port: int,
+    console: Console,
+) -> None:
+    from dart_flight.sim.standalone import run_vehicle
+
     console.print(
-        f"simulated vehicle for [bold]{mission.name}[/], sends to UDP {arguments.port} and "
-        f"{GROUND_STATION_PORT}; its lock servo listens to PX4's actuator "
+        f"simulated vehicle for [bold]{mission.name}[/], sends to UDP {' and '.join(map(str, ports))}"
+        f"; its lock servo listens to PX4's actuator "
         f"{mission.vehicle.lock.px4.actuator_index}. In another terminal:",
         soft_wrap=True,
     )
@@ -50,6 +83,4 @@ def run(arguments: argparse.Namespace) -> int:
         f"  dart-flight fly {path} --driver px4 --connection udpin://127.0.0.1:{arguments.port}",
         soft_wrap=True,
     )
-    ports = tuple(dict.fromkeys((arguments.port, GROUND_STATION_PORT)))
-    run_vehicle(mission, arguments.seed, ports, lambda line: console.print(line, soft_wrap=True))
-    return 0
+    run_vehicle(mission, arguments.seed, ports, lambda line: console.print(line, soft_wrap=True), own_port)

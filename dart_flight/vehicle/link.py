@@ -29,6 +29,7 @@ from dart_flight.lock.persistence import state_dir
 _SERIAL = re.compile(r"serial(?:_flowcontrol)?://(?P<device>[^:]+)(?::\d+)?$")
 _NETWORK = re.compile(r"(?P<kind>udpin|udpout|udp|tcpin|tcpout|tcp)://(?P<host>[^:]*)(?::(?P<port>\d+))?$")
 _ATTEMPTS, _PAUSE_S = 3, 0.02
+_STARTING_S = 2.0
 _DEFAULT_PORT = {"udp": 14540, "tcp": 5760}
 
 
@@ -88,6 +89,11 @@ def place_of(url: str) -> Place:
     return Place(f"{kind[:3]}-{'in' if kind.endswith('in') else 'out'}-{host}-{port}")
 
 
+def feed_of(port: int) -> str:
+    """What a simulated vehicle leases: the sending to a UDP port. A program that receives leases its URL."""
+    return f"feed:{port}"
+
+
 def link_folder() -> Path:
     """Where the leases are."""
     return state_dir() / "links"
@@ -110,6 +116,7 @@ class LinkLease:
     def __init__(self, url: str, command: str, log: Path | None = None, *, probe: bool = True) -> None:
         self._url, self._probe = url, probe
         self._place = place_of(url)
+        self._path = _file_of(url)
         self._holder = Holder(os.getpid(), command, url, None if log is None else str(log.resolve()))
         self._descriptor: int | None = None
         self._device: int | None = None
@@ -146,7 +153,7 @@ class LinkLease:
             os.close(self._device)
             self._device = None
         if self._descriptor is not None:
-            os.ftruncate(self._descriptor, 0)
+            self._path.unlink(missing_ok=True)
             os.close(self._descriptor)
             self._descriptor = None
 
@@ -160,29 +167,31 @@ class LinkLease:
         self.release()
 
     def _lock_file(self) -> int:
-        folder = link_folder()
-        path = folder / f"{self._place.key}{_network()}.json"
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        except OSError as error:
-            raise InputError(
-                f"cannot write: {error.strerror}; set DART_FLIGHT_STATE_DIR", source=str(path)
-            ) from None
-        for attempt in range(_ATTEMPTS):
+        path = self._path
+        attempt = 0
+        while True:
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            except OSError as error:
+                raise InputError(
+                    f"cannot write: {error.strerror}; set DART_FLIGHT_STATE_DIR", source=str(path)
+                ) from None
             try:
                 # Not a record lock: two parts of one process exclude each other as well.
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
                 holder = _read(descriptor)
-                if holder is None and attempt + 1 < _ATTEMPTS:
-                    time.sleep(_PAUSE_S)  # somebody just looks whether it is held, or is about to write
-                    continue
                 os.close(descriptor)
-                who = holder.words() if holder is not None else "another dart-flight"
-                raise LinkTakenError(f"in use by {who}", source=self._url) from None
-            break
-        return descriptor
+                attempt += 1
+                if holder is None and attempt < _ATTEMPTS:
+                    time.sleep(_PAUSE_S)  # a program just looks whether it is held, or is about to write
+                    continue
+                words = holder.words() if holder is not None else "another dart-flight"
+                raise LinkTakenError(f"in use by {words}", source=self._url) from None
+            if _is_at(descriptor, path):
+                return descriptor
+            os.close(descriptor)  # given back, and so removed, between opening and locking
 
     def _write(self) -> None:
         assert self._descriptor is not None
@@ -192,7 +201,13 @@ class LinkLease:
 
     def _look_for_others(self) -> None:
         port = self._place.udp_port
-        if port is not None and not udp_port_is_free(port, self._place.host):
+        if port is None:
+            return
+        # A `simulate` that is just starting listens there for a moment, for other senders.
+        end = time.monotonic() + (_STARTING_S if holder_of(feed_of(port)) is not None else 0.0)
+        while not udp_port_is_free(port, self._place.host) and time.monotonic() < end:
+            time.sleep(_PAUSE_S)
+        if not udp_port_is_free(port, self._place.host):
             raise LinkTakenError(f"UDP port {port} is in use by {owner_of_udp_port(port)}", source=self._url)
 
     def _lock_device(self, device: Path) -> None:
@@ -214,9 +229,25 @@ class LinkLease:
             raise LinkTakenError(f"{device} is in use by {others}", source=self._url)
 
 
+def free_link(command: str, log: Path | None = None) -> tuple[int, LinkLease]:
+    """A UDP port of the loopback that nothing uses, and its lease, held.
+
+    Raises:
+        InputError: the state folder cannot be used.
+    """
+    while True:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = int(probe.getsockname()[1])
+        lease = LinkLease(f"udpin://127.0.0.1:{port}", command, log)
+        with contextlib.suppress(LinkTakenError):
+            lease.acquire()
+            return port, lease
+
+
 def holder_of(url: str) -> Holder | None:
     """Which program of this software has a link now; None: none."""
-    return _holder_in(link_folder() / f"{place_of(url).key}{_network()}.json")
+    return _holder_in(_file_of(url))
 
 
 def held_links() -> Iterator[Holder]:
@@ -225,6 +256,18 @@ def held_links() -> Iterator[Holder]:
         holder = _holder_in(path)
         if holder is not None:
             yield holder
+
+
+def _file_of(url: str) -> Path:
+    return link_folder() / f"{place_of(url).key}{_network()}.json"
+
+
+def _is_at(descriptor: int, path: Path) -> bool:
+    """Whether a path still leads to an open file."""
+    try:
+        return os.path.samestat(os.fstat(descriptor), os.stat(path))
+    except OSError:
+        return False
 
 
 def _holder_in(path: Path) -> Holder | None:

@@ -416,7 +416,9 @@ class Connection:
         deliver: Callable[[Input], None],
         ground: bool,
         clock: Clock | None,
+        opened: Callable[[], None],
     ) -> None:
+        self._opened = opened
         self._url, self._timeout_s, self._deliver, self._clock = url, timeout_s, deliver, clock
         self._component = ComponentType.GROUND_STATION if ground else ComponentType.COMPANION_COMPUTER
         self._mavsdk: Any = None
@@ -436,6 +438,7 @@ class Connection:
         except Exception as error:
             await self.__aexit__()
             raise VehicleError(f"cannot open {self._url}: {error}") from error
+        self._opened()
         return VehicleSession(self._mavsdk, system, self._deliver, self._clock)
 
     async def __aexit__(self, *exception: object) -> None:
@@ -450,6 +453,7 @@ def connect(
     *,
     ground: bool = False,
     clock: Clock | None = None,
+    opened: Callable[[], None] = lambda: None,
 ) -> Connection:
     """Connect to the first autopilot on a URL: `async with connect(...) as session`.
 
@@ -460,8 +464,9 @@ def connect(
         ground: appear as a ground station instead of a companion computer. On the vehicle a companion: a
             ground station's heartbeat from the vehicle itself may hide the loss of the real one.
         clock: of an autopilot whose time is not real time (`LockstepClock`).
+        opened: called once MAVSDK has the link open and an autopilot answers.
 
     Raises:
         VehicleError: on entering, when the URL cannot be opened or no autopilot answers.
     """
-    return Connection(url, timeout_s, deliver, ground, clock)
+    return Connection(url, timeout_s, deliver, ground, clock, opened)

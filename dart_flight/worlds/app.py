@@ -198,6 +198,7 @@ class FlightApp:
         progress: sees every record, on a thread of its own: a terminal may block.
         clock: the autopilot's; that of a real-time vehicle by default.
         deadman_note: start a deadman, which writes here why it killed the program; None: no deadman.
+        opened: called once the link is open.
 
     Attributes:
         loop: the event loop, while it flies.
@@ -213,11 +214,12 @@ class FlightApp:
         progress: Progress = lambda record: None,
         clock: Clock | None = None,
         deadman_note: Path | None = None,
+        opened: Callable[[], None] = lambda: None,
     ) -> None:
         self._mission, self._url, self._observe = mission, url, observe
         self._world, self._progress, self._clock = world, progress, clock
         self._shown: deque[Record] = deque()
-        self._deadman_note = deadman_note
+        self._deadman_note, self._opened = deadman_note, opened
         self._deadman: Deadman | None = None
         self.mock: MockDriver | None = None
         self._session: VehicleSession | None = None
@@ -239,7 +241,9 @@ class FlightApp:
         """
         self.loop = asyncio.get_running_loop()
         timeout_s = self._mission.vehicle.connection.timeout_s
-        async with connect(self._url, timeout_s, self._core.put, clock=self._clock) as session:
+        async with connect(
+            self._url, timeout_s, self._core.put, clock=self._clock, opened=self._opened
+        ) as session:
             self._session = session
             self._lock = self._make_lock(session)
             sys.setswitchinterval(_SWITCH_INTERVAL_S)

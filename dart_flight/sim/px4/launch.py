@@ -39,7 +39,7 @@ from dart_flight.errors import FlightError
 from dart_flight.lock.drivers.px4 import ACTUATOR_SET_1, PREARM_ALWAYS
 from dart_flight.sim.plant import Motor, motors_of
 from dart_flight.sim.px4.bridge import SERVO_CHANNEL
-from dart_flight.vehicle.link import LinkLease, LinkTakenError
+from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of, holder_of, udp_port_is_free
 
 MODEL = "none_iris"  # PX4's airframe for an external simulator: a quadrotor in X
 ENVIRONMENT = "DART_PX4_DIR"
@@ -259,12 +259,14 @@ def claim_instance() -> Instance:
         Px4Error: all ten are taken.
     """
     for number in _INSTANCES:
-        lease = LinkLease(f"udpin://127.0.0.1:{ONBOARD_PORT + number}", "dry-run --px4")
+        # The port that PX4 sends to: leased by the sender here, by the receiver in the app.
+        lease = LinkLease(feed_of(ONBOARD_PORT + number), "dry-run --px4")
         try:
             lease.acquire()
         except LinkTakenError:
             continue
-        listener = _free_simulator_port(number)
+        taken = holder_of(f"udpin://127.0.0.1:{ONBOARD_PORT + number}") is not None
+        listener = None if taken else _free_simulator_port(number)
         if listener is not None:
             return Instance(number, listener, lease)
         lease.release()
@@ -282,19 +284,10 @@ def _free_simulator_port(number: int) -> socket.socket | None:
         listener.close()
         return None
     ports = [ONBOARD_PORT + number, *(port + number for port in _LOCAL_PORTS)]
-    if all(map(_udp_is_free, ports)) and not _instance_is_locked(number):
+    if all(map(udp_port_is_free, ports)) and not _instance_is_locked(number):
         return listener
     listener.close()
     return None
-
-
-def _udp_is_free(port: int) -> bool:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind(("0.0.0.0", port))
-        except OSError:
-            return False
-    return True
 
 
 def _instance_is_locked(instance: int) -> bool:
