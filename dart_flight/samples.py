@@ -228,6 +228,15 @@ class HealthReport(Record, frozen=True, gc=False):
     others: tuple[str, ...]  # what else is wrong, for other modes
 
 
+class OtherVehicle(Record, frozen=True, gc=False):
+    """Another autopilot on the same link, by its system id; what it sends is told apart."""
+
+    topic: ClassVar[str] = "/in/other_vehicle"
+    t_us: int
+    received_us: int
+    system: int
+
+
 # --- inputs: lock, results, operator, time -----------------------------------------------------------
 
 
@@ -298,6 +307,7 @@ Input = (
     | EstimatorSample
     | StatusText
     | HealthReport
+    | OtherVehicle
     | LockState
     | CommandResult
     | OperatorRequest

@@ -54,6 +54,8 @@ def judge_observation(mission: Mission, observed: Observation) -> list[Finding]:
     findings = [
         Finding("version", True, f"PX4 {observed.version}" if observed.version else "version not told")
     ]
+    if observed.other_vehicle is not None:
+        findings.append(Finding("second_vehicle", False, observed.other_vehicle))
     for name, rate in observed.rates_hz.items():
         needed = BY_NAME[name].expected_hz
         findings.append(Finding(f"rate_{name}", rate >= needed, f"{rate:.0f} Hz, needs {needed:g}"))

@@ -20,8 +20,10 @@ from mavsdk.plugins.mavlink_direct import MavlinkDirect
 from mavsdk.plugins.param import Param
 from mavsdk.plugins.telemetry import Telemetry
 
+from dart_flight.core.guard.sources import TwoClocks
 from dart_flight.streams import BY_NAME
 from dart_flight.vehicle import reasons, sdk_log
+from dart_flight.vehicle.clock import host_us
 from dart_flight.vehicle.session import VehicleError
 
 
@@ -36,9 +38,11 @@ class Observation(msgspec.Struct):
     gps_fix: str | None = None  # MAVLink's type of fix in small letters; None: no receiver heard
     blocking: tuple[str, ...] = ()  # what keeps PX4 from arming in its present mode, in its words
     problems: tuple[str, ...] = ()  # what else its checks find
+    other_vehicle: str | None = None  # another vehicle on the same link, in words
     said: list[str] = []  # its texts and events, warnings and worse
 
 
+_STAMP_TOLERANCE_US = 500_000
 _REPORT_S = 5.0  # on top, where something is amiss: until MAVSDK has fetched the words for it
 
 
@@ -65,6 +69,7 @@ class GroundLink:
         if system is None:
             self._close()
             raise VehicleError(f"no autopilot on {self._url} within {self._timeout_s:g} s")
+        self._system_id = system.get_system_id()
         self._action, self._param = Action(system), Param(system)
         self._telemetry, self._info = Telemetry(system), Info(system)
         self._events, self._direct = Events(system), MavlinkDirect(system)
@@ -130,7 +135,17 @@ class GroundLink:
         ):
             with contextlib.suppress(Exception):  # refused: the count shows what comes anyway
                 set_rate(BY_NAME[name].rate_hz)
-        t.subscribe_imu(count("imu"))
+        count_imu, clocks = count("imu"), TwoClocks(_STAMP_TOLERANCE_US)
+
+        def imu(sample: Any, _: Any) -> None:
+            count_imu(sample, _)
+            received = host_us()
+            clocks.take(int(sample.timestamp_us), received)
+            apart_s = clocks.apart_s(received)
+            if apart_s is not None:
+                seen.other_vehicle = f"two clocks in turn under one system id, {apart_s:.1f} s apart"
+
+        t.subscribe_imu(imu)
         t.subscribe_attitude_quaternion(count("attitude"))
         t.subscribe_odometry(count("odometry"))
         t.subscribe_actuator_output_status(count("actuator"))
@@ -143,6 +158,9 @@ class GroundLink:
         time.sleep(seconds)
         elapsed = time.monotonic() - began
         seen.rates_hz = {name: (counts[name] - before[name]) / elapsed for name in counts}
+        for system in self._mavsdk.get_systems():
+            if system.has_autopilot() and system.get_system_id() != self._system_id:
+                seen.other_vehicle = f"system {system.get_system_id()} sends on the same link"
         amiss = not seen.local_position_ok or seen.blocking
         while amiss and not reported.is_set() and time.monotonic() - began < seconds + _REPORT_S:
             reported.wait(0.1)

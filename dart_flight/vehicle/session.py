@@ -43,6 +43,7 @@ from dart_flight.samples import (
     Input,
     LandedState,
     OdometrySample,
+    OtherVehicle,
     SetPoint,
     StatusSample,
     StatusText,
@@ -135,6 +136,7 @@ class VehicleSession:
         self._status = StatusSample(t_us=0, received_us=0)
         self._silent = False
         self._events = Events(self._raw)
+        self._other: int | None = None  # system id of another autopilot on the link
         self._checked = False  # whether PX4 has sent a report of its checks
         self._health: tuple[bool, tuple[str, ...], tuple[str, ...]] | None = None
 
@@ -312,6 +314,19 @@ class VehicleSession:
         received = host_us()
         severity = text.type.name.lower() if hasattr(text.type, "name") else str(text.type)
         self._deliver(StatusText(self.clock.to_autopilot(received), received, severity, text.text))
+
+    async def look_for_others(self) -> None:
+        """Deliver another autopilot on the link, once; its messages are told apart by its system id."""
+        if self._other is not None:
+            return
+        own = self._raw.get_system_id()
+        for system in await self._mavsdk.get_systems():
+            raw = getattr(system, "_system", system)
+            if raw.has_autopilot() and raw.get_system_id() != own:
+                self._other = int(raw.get_system_id())
+                received = host_us()
+                self._deliver(OtherVehicle(self.clock.to_autopilot(received), received, self._other))
+                return
 
     def _subscribe_events(self) -> None:
         """PX4's reasons: what it says as events and not as texts, and its health and arming checks.

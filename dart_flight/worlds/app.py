@@ -259,7 +259,7 @@ class FlightApp:
             keeper = asyncio.create_task(self._keep_alive())
             try:
                 await session.set_rates()
-                await self._watch()
+                await self._watch(session)
             finally:
                 keeper.cancel()
                 if self._deadman is not None:
@@ -311,10 +311,11 @@ class FlightApp:
                 with contextlib.suppress(OSError):
                     self._progress(record)
 
-    async def _watch(self) -> None:
+    async def _watch(self, session: VehicleSession) -> None:
         while not self._done.is_set():
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._done.wait(), 0.2)
+            await session.look_for_others()
             if self._world is not None and self._world.died and not self._done.is_set():
                 self._core.put(OperatorRequest(host_us(), Request.WORLD_DIED, self._world.cause))
         await asyncio.sleep(_END_GRACE_S)
