@@ -208,13 +208,33 @@ class EstimatorSample(Record, frozen=True, gc=False):
 
 
 class StatusText(Record, frozen=True, gc=False):
-    """STATUSTEXT of the autopilot."""
+    """STATUSTEXT of the autopilot, or an event of PX4 in words."""
 
     topic: ClassVar[str] = "/in/statustext"
     t_us: int
     received_us: int
-    severity: str
+    severity: str  # emergency, alert, critical, error, warning, notice, info or debug
     text: str
+
+
+class HealthReport(Record, frozen=True, gc=False):
+    """PX4's health and arming checks, one record for every change: what keeps it from arming or flying on."""
+
+    topic: ClassVar[str] = "/in/health"
+    t_us: int
+    received_us: int
+    can_arm: bool  # in the mode that it is in
+    blocking: tuple[str, ...]  # in that mode, warnings and worse
+    others: tuple[str, ...]  # what else is wrong, for other modes
+
+
+class OtherVehicle(Record, frozen=True, gc=False):
+    """Another autopilot on the same link, by its system id; what it sends is told apart."""
+
+    topic: ClassVar[str] = "/in/other_vehicle"
+    t_us: int
+    received_us: int
+    system: int
 
 
 # --- inputs: lock, results, operator, time -----------------------------------------------------------
@@ -286,6 +306,8 @@ Input = (
     | StatusSample
     | EstimatorSample
     | StatusText
+    | HealthReport
+    | OtherVehicle
     | LockState
     | CommandResult
     | OperatorRequest

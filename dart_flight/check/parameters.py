@@ -152,6 +152,16 @@ def names_to_read() -> list[str]:
     return list(dict.fromkeys(names))
 
 
+def other_names(values: Mapping[str, float]) -> list[str]:
+    """By what names versions of PX4 have the parameters that could not be read."""
+    return [
+        parameter.renamed
+        for source in PositionSource
+        for name, parameter in vehicle_parameters(source).items()
+        if parameter.renamed is not None and name not in values
+    ]
+
+
 def judge_parameters(
     mission: Mission, values: Mapping[str, float], source: PositionSource | None
 ) -> list[Finding]:

@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from dart_flight.check.findings import Finding
-from dart_flight.check.parameters import judge_parameters, judge_position, names_to_read, position_source
+from dart_flight.check.parameters import (
+    judge_parameters,
+    judge_position,
+    names_to_read,
+    other_names,
+    position_source,
+)
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameters import PositionSource
 from dart_flight.config.vehicle import LockDriver
@@ -33,6 +39,7 @@ def check_vehicle(mission: Mission, url: str, position_from: PositionSource | No
     with GroundLink(url, mission.vehicle.connection.timeout_s) as link:
         observed = link.observe(_MEASURE_S)
         values = link.read_parameters(names)
+        values |= link.read_parameters(dict.fromkeys(other_names(values)))
     found = position_source(values, observed.gps_fix)
     return [
         *judge_position(mission, found, observed.gps_fix, position_from),
@@ -47,6 +54,8 @@ def judge_observation(mission: Mission, observed: Observation) -> list[Finding]:
     findings = [
         Finding("version", True, f"PX4 {observed.version}" if observed.version else "version not told")
     ]
+    if observed.other_vehicle is not None:
+        findings.append(Finding("second_vehicle", False, observed.other_vehicle))
     for name, rate in observed.rates_hz.items():
         needed = BY_NAME[name].expected_hz
         findings.append(Finding(f"rate_{name}", rate >= needed, f"{rate:.0f} Hz, needs {needed:g}"))
@@ -63,8 +72,15 @@ def judge_observation(mission: Mission, observed: Observation) -> list[Finding]:
         if text
     )
     findings.append(Finding("battery", not low, told or "not told"))
-    says = "local position valid" if observed.local_position_ok else "no valid local position"
+    said = ", ".join(dict.fromkeys([*observed.blocking, *observed.said]))
+    says = "local position valid"
+    if not observed.local_position_ok:
+        says = "no valid local position" + (f"; PX4 says: {said}" if said else "")
     findings.append(Finding("estimator", observed.local_position_ok, says))
+    if observed.blocking or observed.said:
+        # No no-go: PX4 judges its present mode, and `fly` arms in offboard.
+        begin = "PX4 would not arm as it is: " if observed.blocking else "PX4 says: "
+        findings.append(Finding("px4_checks", True, begin + said, remark=True))
     return findings
 
 

@@ -15,6 +15,7 @@ from dart_flight.cli.options import add_driver_option, add_position_option, link
 from dart_flight.cli.terminal import emit_json, messages
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import load_mission
+from dart_flight.vehicle.link import LinkLease
 from dart_flight.worlds.prepare import with_driver
 
 
@@ -37,7 +38,8 @@ def run(arguments: argparse.Namespace) -> int:
     findings = check_mission(mission)
     if arguments.connection is not None:
         url = link_of(arguments, mission.vehicle.connection)
-        findings += check_vehicle(mission, url, arguments.position_from)
+        with LinkLease(url, "check"):
+            findings += check_vehicle(mission, url, arguments.position_from)
     elif arguments.position_from is not None:
         findings += judge_claim(mission, arguments.position_from)
     report = decide(mission, findings, arguments.overrule)

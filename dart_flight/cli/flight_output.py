@@ -12,6 +12,7 @@ from dart_flight.samples import (
     ContactEnd,
     GoalPassed,
     GuardEvent,
+    HealthReport,
     ImpactPeak,
     LockPhase,
     LockState,
@@ -23,6 +24,8 @@ from dart_flight.samples import (
 from dart_flight.verdict import CollisionVerdict, Velocities, Verdict
 from dart_flight.worlds.campaigns import Summary
 
+_QUIET = frozenset({"notice", "info", "debug"})
+
 
 class FlightLines:
     """Prints the decisions of a flight as they come, with the time since its zero (`flight_time`)."""
@@ -30,6 +33,7 @@ class FlightLines:
     def __init__(self, console: Console, verbose: bool = False) -> None:
         self._console, self._verbose = console, verbose
         self._time = FlightTime()
+        self._problems: tuple[str, ...] = ()
 
     def __call__(self, record: Record) -> None:
         """Print a record if it is a decision."""
@@ -62,9 +66,19 @@ class FlightLines:
             return f"[{colour}]{record.outcome}[/]" + (f": {record.reason}" if record.reason else "")
         if isinstance(record, LockState):
             return self._lock_line(record)
-        if isinstance(record, StatusText) and self._verbose:
-            return f"[dim]PX4 {record.severity}: {record.text}[/]"
+        if isinstance(record, StatusText) and (self._verbose or record.severity not in _QUIET):
+            return f"[dim]PX4 {record.severity}: {escape(record.text)}[/]"
+        if isinstance(record, HealthReport):
+            return self._health_line(record)
         return None
+
+    def _health_line(self, record: HealthReport) -> str | None:
+        """What PX4's checks hold against arming; nothing where that has not changed."""
+        problems = record.blocking or (record.others if self._verbose else ())
+        changed, self._problems = problems != self._problems, problems
+        if not changed or not problems:
+            return None
+        return f"[dim]PX4's checks: {escape(', '.join(problems))}[/]"
 
     def _lock_line(self, record: LockState) -> str | None:
         if record.phase is LockPhase.TRAVELLING and not self._verbose:

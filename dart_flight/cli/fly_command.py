@@ -14,6 +14,7 @@ from dart_flight.cli.options import add_flight_options, add_position_option, lin
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import Mission
+from dart_flight.vehicle.link import LinkLease
 from dart_flight.worlds.drone import fly_vehicle
 from dart_flight.worlds.prepare import load_flyable, with_driver, with_standoff
 
@@ -41,6 +42,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.standoff is not None:
         mission = with_standoff(mission, arguments.standoff)
     url = link_of(arguments, mission.vehicle.connection)
+    with LinkLease(url, "fly") as lease:
+        return _fly(arguments, mission, url, lease)
+
+
+def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkLease) -> int:
     console = messages()
     say_vehicle(mission.flown_vehicle(), console, asked=arguments.config is not None)
     console.print(_intention(mission, url), soft_wrap=True)
@@ -52,7 +58,8 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.yes and not _confirmed():
         console.print("not flown")
         return 1
-    verdict = fly_vehicle(mission, url, arguments.log_dir, FlightLines(console, arguments.verbose > 0))
+    lines = FlightLines(console, arguments.verbose > 0)
+    verdict = fly_vehicle(mission, url, arguments.log_dir, lines, lease)
     if arguments.json:
         emit_json(verdict)
     else:

@@ -24,9 +24,10 @@ from dart_flight.lock.ground import GroundLock, calibration, ground_driver
 from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTakenError, forget_last, load_last
 from dart_flight.lock.state_machine import describe
 from dart_flight.samples import LockPhase, LockState, Mode
+from dart_flight.vehicle.link import LinkLease
 
 if TYPE_CHECKING:
-    from dart_flight.vehicle import GroundLink
+    from dart_flight.vehicle.ground_link import GroundLink
 
 EXIT_OK, EXIT_INCOMPLETE = 0, 1
 
@@ -55,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     if config.driver is not LockDriver.PX4:
         return _owned(arguments, config, path, None)
     url = link_of(arguments, vehicle.connection)
-    with _px4_link(url, vehicle.connection.timeout_s) as link:
+    with LinkLease(url, "lock"), _px4_link(url, vehicle.connection.timeout_s) as link:
         problems = parameter_problems(
             config, link.read_parameters(required.name for required in required_parameters(config))
         )
@@ -67,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _px4_link(url: str, timeout_s: float) -> GroundLink:
-    from dart_flight.vehicle import GroundLink
+    from dart_flight.vehicle.ground_link import GroundLink
 
     return GroundLink(url, timeout_s)
 

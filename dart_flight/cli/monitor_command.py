@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
+import os
+from collections.abc import Callable
+from pathlib import Path
 
 import msgspec
 from rich.console import Group
@@ -13,49 +17,125 @@ from rich.table import Table
 from dart_flight.cli.options import link_of, number
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
-from dart_flight.config.mission import load_mission
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import default_config_path, packaged
-from dart_flight.worlds.monitor import Screen, Watcher, watch
+from dart_flight.recording.about import flown_mission
+from dart_flight.recording.follow import LogFollower
+from dart_flight.vehicle.link import Holder, LinkLease, LinkTakenError, held_links, holder_of, place_of
+from dart_flight.worlds.monitor import Screen, Watcher, follow, watch
 
 _PERIOD_S = 0.2
+_NICE = 10
 _BAR_N, _BAR_WIDTH = 40.0, 24
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("--connection", metavar="URL", help="default: connection.url of the configuration")
+    parser.add_argument(
+        "--connection",
+        metavar="URL",
+        help="watch the vehicle here (default: a flight under way on this machine, else connection.url)",
+    )
     parser.add_argument("--mission", metavar="FILE", help="show forces along this mission's axes")
+    parser.add_argument("--log", type=Path, metavar="FILE", help="follow this flight's log")
     parser.add_argument("--seconds", type=number(0.0, 1e6), metavar="S", help="end by itself after this long")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status. With --json: the last view, at the end."""
-    placed = arguments.mission is not None
-    # Without a mission of its own the vehicle is this folder's, not that of the packaged mission.
-    config = arguments.config or (None if placed else default_config_path())
-    mission = load_mission(arguments.mission if placed else packaged("missions", "single_wall.yaml"), config)
-    watcher = Watcher(mission, placed)
-    connection = mission.vehicle.connection
-    url = link_of(arguments, connection)
-    say_vehicle(mission.flown_vehicle(), messages(), asked=arguments.config is not None)
     views: list[Screen] = []
-    console = tables()
 
     def keep(view: Screen) -> None:
         views[:] = [view]
 
     if arguments.json:
-        asyncio.run(watch(watcher, url, connection.timeout_s, keep, _PERIOD_S, arguments.seconds))
+        mission = _watch(arguments, keep)
         view = msgspec.structs.asdict(views[-1]) if views else {}
         emit_json({**view, "vehicle": mission.flown_vehicle()})
         return 0
-    with Live(console=console, auto_refresh=False, transient=False) as live:
+    with Live(console=tables(), auto_refresh=False, transient=False) as live:
 
         def show(view: Screen) -> None:
             live.update(screen(view), refresh=True)
 
-        asyncio.run(watch(watcher, url, connection.timeout_s, show, _PERIOD_S, arguments.seconds))
+        _watch(arguments, show)
     return 0
+
+
+def _watch(arguments: argparse.Namespace, show: Callable[[Screen], None]) -> Mission:
+    """Watch a flight by its log, or the vehicle on the link; returns whose configuration was used."""
+    placed = arguments.mission is not None
+    # Without a mission of its own the vehicle is this folder's, not that of the packaged mission.
+    config = arguments.config or (None if placed else default_config_path())
+    mission = load_mission(arguments.mission if placed else packaged("missions", "single_wall.yaml"), config)
+    connection = mission.vehicle.connection
+    if arguments.connection is None:
+        flight = _flight(arguments.log, connection.url)
+        if flight is not None:
+            return _follow(*flight, show, arguments.seconds)
+    url = link_of(arguments, connection)
+    say_vehicle(mission.flown_vehicle(), messages(), asked=arguments.config is not None)
+    watcher = Watcher(mission, placed)
+    lease = LinkLease(url, "monitor")
+    try:
+        lease.acquire()
+    except LinkTakenError as error:
+        raise InputError(
+            f"{error.message}; without --connection `monitor` watches a flight by its log", source=url
+        ) from None
+    try:
+        asyncio.run(
+            watch(watcher, url, connection.timeout_s, show, _PERIOD_S, arguments.seconds, lease.close_device)
+        )
+    finally:
+        lease.release()
+    return mission
+
+
+def _flight(log: Path | None, url: str) -> tuple[Path, Callable[[], bool]] | None:
+    """The log of the flight under way, and whether it still is; None: there is none.
+
+    Raises:
+        InputError: there are several, none of them on the configuration's link.
+    """
+    if log is not None:
+        held = [holder for holder in held_links() if holder.log == str(log.resolve())]
+        return log, _still_held(held[0]) if held else lambda: False
+    flights = [holder for holder in held_links() if holder.log is not None]
+    here = [holder for holder in flights if place_of(holder.url) == place_of(url)]
+    if not flights:
+        return None
+    if len(flights) > 1 and len(here) != 1:
+        several = "; ".join(f"{holder.words()}: {holder.log}" for holder in flights)
+        raise InputError(f"several flights are under way, say which with --log: {several}")
+    flight = here[0] if here else flights[0]
+    messages().print(f"watching {flight.words()} by its log {flight.log}", markup=False, soft_wrap=True)
+    return Path(flight.log or ""), _still_held(flight)
+
+
+def _still_held(flight: Holder) -> Callable[[], bool]:
+    return lambda: holder_of(flight.url) == flight
+
+
+def _follow(
+    log: Path, flying: Callable[[], bool], show: Callable[[Screen], None], seconds: float | None
+) -> Mission:
+    """Raises InputError: the log cannot be read."""
+    # What the flight needs goes first.
+    with contextlib.suppress(OSError):
+        os.nice(_NICE)
+    try:
+        follower = LogFollower(log)
+        first = follower.read()
+        mission = flown_mission(follower.about, str(log))
+        watcher = Watcher(mission, placed=True)
+        for entry in first:
+            watcher.take_record(entry.record)
+        follow(watcher, follower, show, _PERIOD_S, seconds, flying)
+        return mission
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot follow: {error}", source=str(log)) from None
 
 
 def screen(view: Screen) -> Group:

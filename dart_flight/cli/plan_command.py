@@ -51,10 +51,12 @@ def run(arguments: argparse.Namespace) -> int:
     console = messages()
     scenario = load_scenario(arguments.scenario, arguments.config)
     if arguments.connection is not None:
+        from dart_flight.vehicle.link import LinkLease
         from dart_flight.worlds.prepare import with_vehicle_parameters
 
         url = link_of(arguments, scenario.vehicle.connection)
-        scenario = with_vehicle_parameters(scenario, url)
+        with LinkLease(url, "plan"):
+            scenario = with_vehicle_parameters(scenario, url)
     if arguments.objective is not None:
         scenario = with_objective(scenario, arguments.objective)
     with Progress(console=console, transient=True) as bar:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import argparse
 
+from rich.console import Console
+
 from dart_flight.cli.options import whole_number
 from dart_flight.cli.terminal import messages
 from dart_flight.cli.vehicle_line import say_vehicle
-from dart_flight.config.mission import load_mission
+from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import default_config_path, packaged
 from dart_flight.sim.extras import need_mavlink
+from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of
 
 GROUND_STATION_PORT = 14550
 
@@ -34,7 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     need_mavlink()
-    from dart_flight.sim.standalone import run_vehicle
+    from dart_flight.sim.standalone import Feed
 
     path = arguments.mission or packaged("missions", "dual_collision.yaml")
     # Without a mission of its own the vehicle is this folder's, not that of the packaged mission.
@@ -42,9 +45,39 @@ def run(arguments: argparse.Namespace) -> int:
     mission = load_mission(path, config)
     console = messages()
     say_vehicle(mission.flown_vehicle(), console, asked=arguments.config is not None)
+    feed = Feed(arguments.port)
+    try:
+        station = LinkLease(feed_of(GROUND_STATION_PORT), "simulate")
+        ports = [arguments.port]
+        try:
+            if arguments.port != GROUND_STATION_PORT:
+                station.acquire()
+                ports.append(GROUND_STATION_PORT)
+        except LinkTakenError as error:
+            # A ground station takes two vehicles of one system id for one, too.
+            console.print(f"nothing goes to UDP {GROUND_STATION_PORT}: {error.message}", soft_wrap=True)
+        try:
+            _run(arguments, mission, path, tuple(ports), feed.own_port, console)
+        finally:
+            station.release()
+    finally:
+        feed.release()
+    return 0
+
+
+def _run(
+    arguments: argparse.Namespace,
+    mission: Mission,
+    path: object,
+    ports: tuple[int, ...],
+    own_port: int,
+    console: Console,
+) -> None:
+    from dart_flight.sim.standalone import run_vehicle
+
     console.print(
-        f"simulated vehicle for [bold]{mission.name}[/], sends to UDP {arguments.port} and "
-        f"{GROUND_STATION_PORT}; its lock servo listens to PX4's actuator "
+        f"simulated vehicle for [bold]{mission.name}[/], sends to UDP {' and '.join(map(str, ports))}"
+        f"; its lock servo listens to PX4's actuator "
         f"{mission.vehicle.lock.px4.actuator_index}. In another terminal:",
         soft_wrap=True,
     )
@@ -52,6 +85,4 @@ def run(arguments: argparse.Namespace) -> int:
         f"  dart-flight fly {path} --driver px4 --connection udpin://127.0.0.1:{arguments.port}",
         soft_wrap=True,
     )
-    ports = tuple(dict.fromkeys((arguments.port, GROUND_STATION_PORT)))
-    run_vehicle(mission, arguments.seed, ports, lambda line: console.print(line, soft_wrap=True))
-    return 0
+    run_vehicle(mission, arguments.seed, ports, lambda line: console.print(line, soft_wrap=True), own_port)

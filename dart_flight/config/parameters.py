@@ -1,7 +1,9 @@
 """PX4 parameter files in QGroundControl's format, and how a vehicle's parameters differ from one.
 
 A line is `vehicle-id component-id name value type`, separated by tabs, type 6 for INT32 and 9 for REAL32;
-lines that start with # are comments. Ours give the reason of every parameter in the comment above it.
+lines that start with # are comments. Ours give the reason of every parameter in the comment above it, and
+where versions of PX4 differ, a line of its own there: `#? absent before v1.16` (a PX4 without it goes well
+without it), `#? renamed NAME after v1.17` (a PX4 without it has it under that name).
 """
 
 from __future__ import annotations
@@ -22,6 +24,9 @@ Value = int | float
 _TYPES = {"6": int, "9": float}
 _NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}\Z")
 _INT32 = 1 << 31
+_VERSIONS = re.compile(
+    r"#\?\s*(absent|renamed\s+(?P<name>[A-Z][A-Z0-9_]{0,15}))\s+(?P<where>(?:before|after) v\d+\.\d+)$"
+)
 
 
 class PositionSource(StrEnum):
@@ -46,11 +51,15 @@ class Parameter(msgspec.Struct, frozen=True):
         name: PX4's name, at most 16 characters.
         value: int for INT32, float for REAL32.
         reason: the comment lines directly above it, joined; empty without.
+        absent: versions of PX4 that do not have it under this name, such as "before v1.16"; empty: none.
+        renamed: its name there; None: they go without it.
     """
 
     name: str
     value: Value
     reason: str
+    absent: str = ""
+    renamed: str | None = None
 
 
 class ParameterDifference(msgspec.Struct, frozen=True):
@@ -96,25 +105,37 @@ def load_parameters(path: str | Path) -> dict[str, Parameter]:
         raise InputError(f"cannot read: {error}", source=str(path)) from None
     parameters: dict[str, Parameter] = {}
     reason: list[str] = []
+    versions: tuple[str, str | None] = ("", None)
     for number, raw in enumerate(text.splitlines(), start=1):
         line = raw.strip()
         if not line:
             reason.clear()
+            versions = ("", None)
+        elif line.startswith("#?"):
+            found = _VERSIONS.match(line)
+            if found is None:
+                raise InputError(
+                    f"{line!r}, allowed are `#? absent before v1.16` and `#? renamed NAME after v1.17`",
+                    source=str(path),
+                    line=number,
+                )
+            versions = (found["where"], found["name"])
         elif line.startswith("#"):
             reason.append(line.lstrip("# "))
         else:
             try:
-                parameter = _parse(line, " ".join(reason))
+                parameter = _parse(line, " ".join(reason), versions)
                 if parameter.name in parameters:
                     raise ValueError(f"{parameter.name} is there twice")
             except ValueError as error:
                 raise InputError(str(error), source=str(path), line=number) from None
             parameters[parameter.name] = parameter
             reason.clear()
+            versions = ("", None)
     return parameters
 
 
-def _parse(line: str, reason: str) -> Parameter:
+def _parse(line: str, reason: str, versions: tuple[str, str | None]) -> Parameter:
     fields = line.split("\t") if "\t" in line else line.split()
     if len(fields) != 5:
         raise ValueError(
@@ -131,7 +152,7 @@ def _parse(line: str, reason: str) -> Parameter:
         raise ValueError(f"{name}: {text!r} is not a number of type {kind}") from None
     if not math.isfinite(value) or (kind == "6" and not -_INT32 <= value < _INT32):
         raise ValueError(f"{name}: {text} is out of range")
-    return Parameter(name, value, reason)
+    return Parameter(name, value, reason, *versions)
 
 
 def differences(wanted: Mapping[str, Parameter], actual: Mapping[str, float]) -> list[ParameterDifference]:
@@ -143,8 +164,14 @@ def differences(wanted: Mapping[str, Parameter], actual: Mapping[str, float]) ->
     """
     found = []
     for parameter in wanted.values():
-        value = actual.get(parameter.name)
+        name = parameter.name
+        if name not in actual and parameter.absent:
+            if parameter.renamed is None:
+                continue  # this version goes without it
+            if parameter.renamed in actual:
+                name = parameter.renamed
+        value = actual.get(name)
         # REAL32: equal to seven digits is equal.
         if value is None or not math.isclose(value, parameter.value, rel_tol=1e-6, abs_tol=1e-9):
-            found.append(ParameterDifference(parameter.name, parameter.value, value, parameter.reason))
+            found.append(ParameterDifference(name, parameter.value, value, parameter.reason))
     return found

@@ -20,7 +20,7 @@ from dart_flight.samples import Record, World
 # The writer's chunks are of a megabyte: a damaged length must not make the reader ask for gigabytes.
 _MOST_BYTES = 64 * 1024 * 1024
 _MAGIC = b"\x89MCAP0\r\n"
-_DECODERS = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
+DECODERS = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
 
 
 class NothingInItError(InputError):
@@ -127,8 +127,8 @@ def _entries(stream: BinaryIO, log: Log, found: dict[str, str], source: str) -> 
         for inner in breakup_chunk(record, validate_crc=True):
             if isinstance(inner, Channel):
                 topics[inner.id] = inner.topic
-            elif isinstance(inner, Message) and topics.get(inner.channel_id) in _DECODERS:
-                yield LogEntry(inner.sequence, decode(inner.data, _DECODERS[topics[inner.channel_id]]))
+            elif isinstance(inner, Message) and topics.get(inner.channel_id) in DECODERS:
+                yield LogEntry(inner.sequence, decode(inner.data, DECODERS[topics[inner.channel_id]]))
 
 
 def _check_version(about: dict[str, str], source: str) -> None:

@@ -77,11 +77,11 @@ _ESC_THRUST_N_PER_RPM2 = 1.1e-8  # where the configuration has none, example val
 
 
 class Link:
-    """One UDP socket, its peer and the rates asked for on it."""
+    """One UDP socket, its peer and the rates asked for on it; `local_port` 0: any."""
 
-    def __init__(self, remote_port: int, host: str = "127.0.0.1") -> None:
+    def __init__(self, remote_port: int, host: str = "127.0.0.1", local_port: int = 0) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind((host, 0))
+        self.socket.bind((host, local_port))
         self.socket.setblocking(False)
         self.remote = (host, remote_port)
         self.period_ticks: dict[int, int] = {}
@@ -111,11 +111,12 @@ class MavlinkEndpoint:
     Args:
         autopilot: stepped by the caller, one tick before every `exchange`.
         ports: remote UDP ports on this host, one link each.
+        local_port: of the first link; 0: any.
     """
 
-    def __init__(self, autopilot: Autopilot, ports: tuple[int, ...]) -> None:
+    def __init__(self, autopilot: Autopilot, ports: tuple[int, ...], local_port: int = 0) -> None:
         self.autopilot = autopilot
-        self.links = [Link(port) for port in ports]
+        self.links = [Link(port, local_port=0 if i else local_port) for i, port in enumerate(ports)]
         self.stopped: set[int] = set()  # messages that a fault keeps back
         self._pack = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
         self._tick = 0

@@ -13,7 +13,7 @@ from typing import IO
 
 import msgspec
 
-from dart_flight.config.parameters import PositionSource
+from dart_flight.config.parameters import Parameter, PositionSource
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.samples import TruthContact, TruthSample
 from dart_flight.sim.faults.kinds import Fault
@@ -25,14 +25,14 @@ class Px4Spec(msgspec.Struct):
     Attributes:
         directory: holds PX4's bin/px4 and etc/.
         folder: of the flight; PX4 works in a folder below it.
-        parameters: PX4 parameters to start with, by name.
+        parameters: PX4 parameters to set before it starts to fly, by name.
         position_from: motion capture (indoors, no GPS) or a GPS receiver.
         speed: simulated seconds per second.
     """
 
     directory: str
     folder: str
-    parameters: dict[str, int | float]
+    parameters: dict[str, Parameter]
     position_from: PositionSource = PositionSource.MOCAP
     speed: float = 1.0
 

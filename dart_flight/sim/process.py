@@ -23,6 +23,7 @@ from dart_flight.sim.autopilot import TICK_S
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.faults.impairment import Impairment
 from dart_flight.sim.faults.kinds import Fault, Place, VehicleFault, impairment_of
+from dart_flight.sim.faults.twin import second_vehicle
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 from dart_flight.sim.pipe import FaultLine, Horn, LineReader, LineWriter, Ready, Truth, WorldSpec
 from dart_flight.sim.vehicle import SimulatedVehicle
@@ -69,6 +70,8 @@ class VehicleProcess:
         self._over = False
         self._fault: VehicleFault | None = None
         self._link_back_s: float | None = None
+        self._mission, self._seed, self._ports = mission, spec.seed, tuple(spec.ports)
+        self._twin: tuple[SimulatedVehicle, MavlinkEndpoint] | None = None
 
     def run(self) -> None:
         """Fly in real time until the app is gone and the vehicle is down."""
@@ -98,6 +101,10 @@ class VehicleProcess:
             self._link_back_s = None
         self._vehicle.advance()
         self._endpoint.exchange()
+        if self._twin is not None:
+            twin, endpoint = self._twin
+            twin.advance()
+            endpoint.exchange()
         plant = self._autopilot.plant
         if self._ticks % _TRUTH_EVERY == 0:
             self._writer.put(Truth(state=plant.truth()))
@@ -113,6 +120,9 @@ class VehicleProcess:
             self._fault = VehicleFault(self._vehicle, fault)
         elif fault.name == "imu-dropout":
             self._endpoint.stop_imu()
+        elif fault.name == "second-vehicle":
+            twin = second_vehicle(self._mission, self._seed, fault.value, self._autopilot.time_us)
+            self._twin = (twin, MavlinkEndpoint(twin.autopilot, self._ports))
         else:
             self._endpoint.impair(impairment_of(fault))
             if fault.name == "link-loss" and fault.value > 0.0:

@@ -5,19 +5,107 @@ from __future__ import annotations
 import contextlib
 import gc
 import signal
+import socket
+import struct
+import time
 from collections.abc import Callable
+
+from pymavlink.dialects.v20 import common as mavlink
 
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 from dart_flight.sim.process import run_in_real_time
 from dart_flight.sim.vehicle import SimulatedVehicle
+from dart_flight.vehicle.link import (
+    LinkLease,
+    LinkTakenError,
+    feed_of,
+    owner_of_udp_port,
+    udp_port_is_free,
+)
+
+_OWN_PORT = 40  # of PX4's own, 14580, from the one that it sends to, 14540
+_LISTEN_S = 1.2  # a heartbeat comes every second
 
 
-def run_vehicle(mission: Mission, seed: int, ports: tuple[int, ...], say: Callable[[str], None]) -> None:
-    """Simulate in real time until SIGINT or SIGTERM; `say` takes lines for the terminal."""
+class Feed:
+    """The right to be the vehicle on a UDP port: nobody else sends there, as far as can be known.
+
+    Another `simulate` or `dry-run --px4` is known by its lease; PX4's own simulator by the port that it has
+    of its own, which is bound here, too, so that the later one of the two gives up; any other sender by
+    listening, where no program receives on the port yet.
+
+    Args:
+        port: to send to.
+
+    Raises:
+        LinkTakenError: something sends there already; names it where that is known.
+        InputError: the state folder cannot be used.
+    """
+
+    def __init__(self, port: int) -> None:
+        self.port, self.own_port = port, port + _OWN_PORT if port + _OWN_PORT < 1 << 16 else port - _OWN_PORT
+        where = f"UDP port {port}"
+        self._lease = LinkLease(feed_of(port), "simulate")
+        try:
+            self._lease.acquire()
+        except LinkTakenError as error:
+            raise LinkTakenError(f"another vehicle sends there: {error.message}", source=where) from None
+        try:
+            if not udp_port_is_free(self.own_port):
+                owner = owner_of_udp_port(self.own_port)
+                raise LinkTakenError(
+                    f"another vehicle sends there, {owner}, from UDP port {self.own_port}; "
+                    "choose another --port",
+                    source=where,
+                )
+            heard = _listen(port)
+            if heard is not None:
+                raise LinkTakenError(
+                    f"another vehicle sends there, {heard}; choose another --port", source=where
+                )
+        except LinkTakenError:
+            self._lease.release()
+            raise
+
+    def release(self) -> None:
+        """Give it back."""
+        self._lease.release()
+
+
+def _listen(port: int) -> str | None:
+    """Which MAVLink arrives at a port that no program has; None: none, or somebody has the port."""
+    parser = mavlink.MAVLink(None)
+    parser.robust_parsing = True
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
+        try:
+            ear.bind(("127.0.0.1", port))
+        except OSError:
+            return None
+        end = time.monotonic() + _LISTEN_S
+        while (left := end - time.monotonic()) > 0.0:
+            ear.settimeout(left)
+            try:
+                data, sender = ear.recvfrom(65536)
+            except TimeoutError:
+                break
+            with contextlib.suppress(mavlink.MAVError, struct.error):
+                for message in parser.parse_buffer(data) or []:
+                    if message.get_type() != "BAD_DATA":
+                        return f"MAVLink system {message.get_srcSystem()} from UDP port {sender[1]}"
+    return None
+
+
+def run_vehicle(
+    mission: Mission, seed: int, ports: tuple[int, ...], say: Callable[[str], None], own_port: int = 0
+) -> None:
+    """Simulate in real time until SIGINT or SIGTERM; `say` takes lines for the terminal.
+
+    `own_port` is the UDP port that it sends to the first of the ports from; 0: any.
+    """
     vehicle = SimulatedVehicle(mission, seed, LockDriver.PX4)
-    endpoint = MavlinkEndpoint(vehicle.autopilot, ports)
+    endpoint = MavlinkEndpoint(vehicle.autopilot, ports, own_port)
     to_link = vehicle.autopilot.say
     stopped: list[int] = []
 

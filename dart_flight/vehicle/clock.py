@@ -8,6 +8,8 @@ from typing import Protocol
 
 _WINDOW = 8  # seconds, one best value each
 _LOCKSTEP_STEP_US = 2000
+_LEAP_US = 1_000_000
+_LEAPS_BELIEVED = 50
 _STEP_US = 200  # smaller changes of the estimate are not worth an input
 
 
@@ -42,6 +44,7 @@ class ClockEstimate:
         self._best: deque[int] = deque(maxlen=_WINDOW)
         self._second = 0
         self._reported: int | None = None
+        self._leaps = 0
 
     @property
     def offset_us(self) -> int | None:
@@ -51,6 +54,12 @@ class ClockEstimate:
     def update(self, t_us: int, received_us: int) -> int | None:
         """Take one stamped message; returns the new estimate where it has changed noticeably."""
         difference = t_us - received_us
+        if self._offset_us is not None and difference - self._offset_us > _LEAP_US:
+            # Another vehicle's, on the same link, as long as ours comes in between.
+            self._leaps += 1
+            if self._leaps < _LEAPS_BELIEVED:
+                return None
+        self._leaps = 0
         second = received_us // 1_000_000
         if second != self._second or not self._best:
             self._second = second

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import threading
 import time
 from collections.abc import Callable, Iterable
 from types import TracebackType
@@ -13,12 +14,16 @@ import msgspec
 from mavsdk.component_type import ComponentType
 from mavsdk.mavsdk import Configuration, Mavsdk
 from mavsdk.plugins.action import Action
+from mavsdk.plugins.events import Events
 from mavsdk.plugins.info import Info
+from mavsdk.plugins.mavlink_direct import MavlinkDirect
 from mavsdk.plugins.param import Param
 from mavsdk.plugins.telemetry import Telemetry
 
+from dart_flight.core.guard.sources import TwoClocks
 from dart_flight.streams import BY_NAME
-from dart_flight.vehicle import sdk_log
+from dart_flight.vehicle import reasons, sdk_log
+from dart_flight.vehicle.clock import host_us
 from dart_flight.vehicle.session import VehicleError
 
 
@@ -31,6 +36,14 @@ class Observation(msgspec.Struct):
     battery_remaining: float | None = None  # 0 to 1
     local_position_ok: bool = False
     gps_fix: str | None = None  # MAVLink's type of fix in small letters; None: no receiver heard
+    blocking: tuple[str, ...] = ()  # what keeps PX4 from arming in its present mode, in its words
+    problems: tuple[str, ...] = ()  # what else its checks find
+    other_vehicle: str | None = None  # another vehicle on the same link, in words
+    said: list[str] = []  # its texts and events, warnings and worse
+
+
+_STAMP_TOLERANCE_US = 500_000
+_REPORT_S = 5.0  # on top, where something is amiss: until MAVSDK has fetched the words for it
 
 
 class GroundLink:
@@ -56,8 +69,10 @@ class GroundLink:
         if system is None:
             self._close()
             raise VehicleError(f"no autopilot on {self._url} within {self._timeout_s:g} s")
+        self._system_id = system.get_system_id()
         self._action, self._param = Action(system), Param(system)
         self._telemetry, self._info = Telemetry(system), Info(system)
+        self._events, self._direct = Events(system), MavlinkDirect(system)
         return self
 
     def __exit__(
@@ -86,7 +101,10 @@ class GroundLink:
         return values
 
     def observe(self, seconds: float) -> Observation:
-        """Ask for the rates of the stream table, then listen; blocks for that long."""
+        """Ask for the rates of the stream table, then listen; blocks for that long.
+
+        Where PX4 has no position or would not arm, up to 5 s more until it has said why.
+        """
         t, seen = self._telemetry, Observation()
         counts: dict[str, int] = {}
 
@@ -117,19 +135,60 @@ class GroundLink:
         ):
             with contextlib.suppress(Exception):  # refused: the count shows what comes anyway
                 set_rate(BY_NAME[name].rate_hz)
-        t.subscribe_imu(count("imu"))
+        count_imu, clocks = count("imu"), TwoClocks(_STAMP_TOLERANCE_US)
+
+        def imu(sample: Any, _: Any) -> None:
+            count_imu(sample, _)
+            received = host_us()
+            clocks.take(int(sample.timestamp_us), received)
+            apart_s = clocks.apart_s(received)
+            if apart_s is not None:
+                seen.other_vehicle = f"two clocks in turn under one system id, {apart_s:.1f} s apart"
+
+        t.subscribe_imu(imu)
         t.subscribe_attitude_quaternion(count("attitude"))
         t.subscribe_odometry(count("odometry"))
         t.subscribe_actuator_output_status(count("actuator"))
         t.subscribe_battery(battery)
         t.subscribe_health(health)
         t.subscribe_gps_info(gps)
+        reported = self._listen_for_reasons(seen)
         began = time.monotonic()
         before = dict(counts)
         time.sleep(seconds)
         elapsed = time.monotonic() - began
         seen.rates_hz = {name: (counts[name] - before[name]) / elapsed for name in counts}
+        for system in self._mavsdk.get_systems():
+            if system.has_autopilot() and system.get_system_id() != self._system_id:
+                seen.other_vehicle = f"system {system.get_system_id()} sends on the same link"
+        amiss = not seen.local_position_ok or seen.blocking
+        while amiss and not reported.is_set() and time.monotonic() - began < seconds + _REPORT_S:
+            reported.wait(0.1)
         with contextlib.suppress(Exception):
             v = self._info.get_version()
             seen.version = f"{v.flight_sw_major}.{v.flight_sw_minor}.{v.flight_sw_patch}"
         return seen
+
+    def _listen_for_reasons(self, seen: Observation) -> threading.Event:
+        """Collect why PX4 does not arm; the event is set once its own report has come."""
+        reported = threading.Event()
+
+        def say(severity: str, text: str) -> None:
+            if severity in reasons.SEVERE and text not in seen.said:
+                seen.said.append(text)
+
+        def checks(report: Any, _: Any) -> None:
+            reported.set()
+            _, seen.blocking, seen.problems = reasons.of_checks(report)
+
+        def sys_status(message: Any, _: Any) -> None:
+            found = None if reported.is_set() else reasons.of_sys_status(message.fields_json)
+            if found is not None:
+                _, seen.blocking, seen.problems = found
+
+        self._telemetry.subscribe_status_text(lambda t, _: say(t.type.name.lower(), t.text))
+        self._direct.subscribe_message("SYS_STATUS", sys_status)
+        with contextlib.suppress(Exception):
+            self._events.subscribe_events(lambda e, _: say(reasons.severity(e.log_level), e.message))
+            self._events.subscribe_health_and_arming_checks(checks)
+        return reported

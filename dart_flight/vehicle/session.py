@@ -17,6 +17,7 @@ from typing import Any
 import msgspec
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
 from mavsdk.plugins.action import Action
+from mavsdk.plugins.events import Events
 from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkMessage
 from mavsdk.plugins.offboard import AccelerationNed, Offboard, PositionNedYaw, VelocityNedYaw
 from mavsdk.plugins.server_utility import ServerUtility
@@ -37,17 +38,19 @@ from dart_flight.samples import (
     EscSample,
     EstimatorSample,
     FlightMode,
+    HealthReport,
     ImuSample,
     Input,
     LandedState,
     OdometrySample,
+    OtherVehicle,
     SetPoint,
     StatusSample,
     StatusText,
     VehicleAction,
 )
 from dart_flight.streams import ATTITUDE_TARGET, ESC, MESSAGE_ID, STREAMS, Stream
-from dart_flight.vehicle import sdk_log
+from dart_flight.vehicle import reasons, sdk_log
 from dart_flight.vehicle.clock import Clock, ClockEstimate, host_us
 
 _MODES = {
@@ -132,6 +135,10 @@ class VehicleSession:
         self.clock: Clock = clock if clock is not None else ClockEstimate()
         self._status = StatusSample(t_us=0, received_us=0)
         self._silent = False
+        self._events = Events(self._raw)
+        self._other: int | None = None  # system id of another autopilot on the link
+        self._checked = False  # whether PX4 has sent a report of its checks
+        self._health: tuple[bool, tuple[str, ...], tuple[str, ...]] | None = None
 
     # -- telemetry --
 
@@ -156,6 +163,8 @@ class VehicleSession:
         t.subscribe_health(lambda h, _: self._on_status(local_position_ok=bool(h.is_local_position_ok)))
         t.subscribe_battery(self._on_battery)
         t.subscribe_status_text(self._on_status_text)
+        if guarded:
+            self._subscribe_events()
         # What the telemetry plugin leaves out: the stamp of the motors' outputs, and all of the others.
         d = self._direct
         d.subscribe_message("ACTUATOR_OUTPUT_STATUS", self._on_actuator)
@@ -306,6 +315,53 @@ class VehicleSession:
         severity = text.type.name.lower() if hasattr(text.type, "name") else str(text.type)
         self._deliver(StatusText(self.clock.to_autopilot(received), received, severity, text.text))
 
+    async def look_for_others(self) -> None:
+        """Deliver another autopilot on the link, once; its messages are told apart by its system id."""
+        if self._other is not None:
+            return
+        own = self._raw.get_system_id()
+        for system in await self._mavsdk.get_systems():
+            raw = getattr(system, "_system", system)
+            if raw.has_autopilot() and raw.get_system_id() != own:
+                self._other = int(raw.get_system_id())
+                received = host_us()
+                self._deliver(OtherVehicle(self.clock.to_autopilot(received), received, self._other))
+                return
+
+    def _subscribe_events(self) -> None:
+        """PX4's reasons: what it says as events and not as texts, and its health and arming checks.
+
+        MAVSDK fetches the words from the vehicle, or from its cache; a vehicle without them has only texts
+        and the sensors of SYS_STATUS.
+        """
+        self._direct.subscribe_message("SYS_STATUS", self._on_sys_status)
+        with contextlib.suppress(Exception):  # of no use to a flight that has the rest
+            self._events.subscribe_events(self._on_event)
+            self._events.subscribe_health_and_arming_checks(self._on_checks)
+
+    def _on_event(self, event: Any, _: Any) -> None:
+        received = host_us()
+        text = StatusText(
+            self.clock.to_autopilot(received), received, reasons.severity(event.log_level), event.message
+        )
+        self._deliver(text)
+
+    def _on_checks(self, report: Any, _: Any) -> None:
+        self._checked = True
+        self._deliver_health(*reasons.of_checks(report))
+
+    def _on_sys_status(self, message: Any, _: Any) -> None:
+        found = None if self._checked else reasons.of_sys_status(message.fields_json)
+        if found is not None:
+            self._deliver_health(*found)
+
+    def _deliver_health(self, can_arm: bool, blocking: tuple[str, ...], others: tuple[str, ...]) -> None:
+        now = (can_arm, blocking, others)
+        if now != self._health:
+            self._health = now
+            received = host_us()
+            self._deliver(HealthReport(self.clock.to_autopilot(received), received, *now))
+
     # -- commands --
 
     def send(self, setpoint: SetPoint) -> None:
@@ -375,7 +431,9 @@ class Connection:
         deliver: Callable[[Input], None],
         ground: bool,
         clock: Clock | None,
+        opened: Callable[[], None],
     ) -> None:
+        self._opened = opened
         self._url, self._timeout_s, self._deliver, self._clock = url, timeout_s, deliver, clock
         self._component = ComponentType.GROUND_STATION if ground else ComponentType.COMPANION_COMPUTER
         self._mavsdk: Any = None
@@ -395,6 +453,7 @@ class Connection:
         except Exception as error:
             await self.__aexit__()
             raise VehicleError(f"cannot open {self._url}: {error}") from error
+        self._opened()
         return VehicleSession(self._mavsdk, system, self._deliver, self._clock)
 
     async def __aexit__(self, *exception: object) -> None:
@@ -409,6 +468,7 @@ def connect(
     *,
     ground: bool = False,
     clock: Clock | None = None,
+    opened: Callable[[], None] = lambda: None,
 ) -> Connection:
     """Connect to the first autopilot on a URL: `async with connect(...) as session`.
 
@@ -419,8 +479,9 @@ def connect(
         ground: appear as a ground station instead of a companion computer. On the vehicle a companion: a
             ground station's heartbeat from the vehicle itself may hide the loss of the real one.
         clock: of an autopilot whose time is not real time (`LockstepClock`).
+        opened: called once MAVSDK has the link open and an autopilot answers.
 
     Raises:
         VehicleError: on entering, when the URL cannot be opened or no autopilot answers.
     """
-    return Connection(url, timeout_s, deliver, ground, clock)
+    return Connection(url, timeout_s, deliver, ground, clock, opened)

@@ -47,8 +47,8 @@ from dart_flight.samples import (
     VehicleAction,
     VehicleCommand,
 )
-from dart_flight.vehicle import VehicleSession, connect
 from dart_flight.vehicle.clock import Clock, host_us
+from dart_flight.vehicle.session import VehicleSession, connect
 from dart_flight.worlds.deadman import CORE, FEED_PERIOD_S, LOOP, Deadman, SystemdNotice
 from dart_flight.worlds.runner import CoreRunner, Observe
 
@@ -199,6 +199,7 @@ class FlightApp:
         clock: the autopilot's; that of a real-time vehicle by default.
         deadman_note: start a deadman, which writes here why it killed the program; None: no deadman.
         lock_faults: of the mock servo from the start on.
+        opened: called once the link is open.
 
     Attributes:
         loop: the event loop, while it flies.
@@ -215,11 +216,12 @@ class FlightApp:
         clock: Clock | None = None,
         deadman_note: Path | None = None,
         lock_faults: MockFaults | None = None,
+        opened: Callable[[], None] = lambda: None,
     ) -> None:
         self._mission, self._url, self._observe = mission, url, observe
         self._world, self._progress, self._clock = world, progress, clock
         self._shown: deque[Record] = deque()
-        self._deadman_note, self._lock_faults = deadman_note, lock_faults
+        self._deadman_note, self._lock_faults, self._opened = deadman_note, lock_faults, opened
         self._deadman: Deadman | None = None
         self.mock: MockDriver | None = None
         self._session: VehicleSession | None = None
@@ -241,7 +243,9 @@ class FlightApp:
         """
         self.loop = asyncio.get_running_loop()
         timeout_s = self._mission.vehicle.connection.timeout_s
-        async with connect(self._url, timeout_s, self._core.put, clock=self._clock) as session:
+        async with connect(
+            self._url, timeout_s, self._core.put, clock=self._clock, opened=self._opened
+        ) as session:
             self._session = session
             self._lock = self._make_lock(session)
             sys.setswitchinterval(_SWITCH_INTERVAL_S)
@@ -257,7 +261,7 @@ class FlightApp:
             keeper = asyncio.create_task(self._keep_alive())
             try:
                 await session.set_rates()
-                await self._watch()
+                await self._watch(session)
             finally:
                 keeper.cancel()
                 if self._deadman is not None:
@@ -309,10 +313,11 @@ class FlightApp:
                 with contextlib.suppress(OSError):
                     self._progress(record)
 
-    async def _watch(self) -> None:
+    async def _watch(self, session: VehicleSession) -> None:
         while not self._done.is_set():
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._done.wait(), 0.2)
+            await session.look_for_others()
             if self._world is not None and self._world.died and not self._done.is_set():
                 self._core.put(OperatorRequest(host_us(), Request.WORLD_DIED, self._world.cause))
         await asyncio.sleep(_END_GRACE_S)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from dart_flight.config.mission import Mission
 from dart_flight.samples import World
+from dart_flight.vehicle.link import LinkLease
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.app import FlightApp
 from dart_flight.worlds.embedded import DEADMAN_NOTE
@@ -14,18 +15,30 @@ from dart_flight.worlds.flight_record import FlightRecord, Onlooker
 
 
 def fly_vehicle(
-    mission: Mission, url: str, log_dir: Path, progress: Onlooker = lambda record: None
+    mission: Mission,
+    url: str,
+    log_dir: Path,
+    progress: Onlooker = lambda record: None,
+    lease: LinkLease | None = None,
 ) -> Verdict:
     """Fly on whatever answers at a connection URL.
 
+    `lease` is the link's, held by the caller; it is told where the log is. None: one is taken for the flight.
+
     Raises:
         InputError: the log cannot be written.
+        LinkTakenError: another program has the link.
         VehicleError: nothing answers.
     """
+    if lease is None:
+        with LinkLease(url, "fly") as own:
+            return fly_vehicle(mission, url, log_dir, progress, own)
     record = FlightRecord(mission, World.DRONE, None, log_dir)
     try:
         note = record.folder / DEADMAN_NOTE
-        asyncio.run(FlightApp(mission, url, record, None, progress, deadman_note=note).run())
+        lease.note_log(record.path)
+        app = FlightApp(mission, url, record, None, progress, deadman_note=note, opened=lease.close_device)
+        asyncio.run(app.run())
     finally:
         record.close()
     return record.build()

@@ -11,6 +11,7 @@ import msgspec
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.samples import World
+from dart_flight.vehicle.link import free_link
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.app import FlightApp
 from dart_flight.worlds.flight_record import FlightRecord, Onlooker
@@ -49,16 +50,19 @@ def fly_embedded(
         from dart_flight.worlds.vehicle_process import (  # noqa: PLC0415
             WorldProcess,
             fly_in_world,
-            free_udp_port,
             world_log,
         )
     except ImportError as error:
         raise InputError(f"simulation needs {error.name}: pip install 'dart-flight[sim]'") from None
 
     need_mavlink()
-    port = free_udp_port()
     drawn = draw_world(mission, seed, spreads or {})
     record = FlightRecord(mission, World.EMBEDDED, seed, log_dir, drawn.drawn)
+    try:
+        port, lease = free_link("dry-run", record.path)
+    except InputError:
+        record.close()
+        raise
     spec = WorldSpec(
         mission.source,
         msgspec.json.encode(mission.vehicle).decode(),
@@ -79,5 +83,8 @@ def fly_embedded(
             record.onlookers.append(Sabotage(fault, app, world, record.path))
         return app
 
-    fly_in_world(record, lambda on_truth: WorldProcess(spec, on_truth), make_app)
+    try:
+        fly_in_world(record, lambda on_truth: WorldProcess(spec, on_truth), make_app)
+    finally:
+        lease.release()
     return record.build()

@@ -6,7 +6,7 @@ The same decisions as everywhere else, as fast as the machine goes, the same for
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from dart_flight.config.document import InputError
@@ -65,6 +65,40 @@ _MODES = {
 }
 
 
+class TelemetrySender:
+    """What one simulated vehicle sends, at the rates of the stream table.
+
+    Args:
+        vehicle: the sender.
+        begins: it has only now been switched on, and says its state at once.
+    """
+
+    def __init__(self, vehicle: SimulatedVehicle, begins: bool = True) -> None:
+        self._autopilot = a = vehicle.autopilot
+        self._status: tuple[object, ...] = () if begins else (a.armed, a.mode, a.landed, a.estimator.ok)
+        self._resets = -1
+
+    def due(self, ticks: int, received: int) -> Iterator[Telemetry]:
+        """The samples of a tick, received at a host time."""
+        a, t_us = self._autopilot, self._autopilot.time_us
+        e = a.estimator
+        if ticks % _HALF_RATE == 0:
+            # Stamped in milliseconds, as the MAVLink message is.
+            yield AttitudeSample(t_us // 1000 * 1000, received, e.q)
+            if e.ok:
+                yield OdometrySample(t_us, received, e.position, e.velocity)
+            yield ActuatorSample(t_us, received, a.motors)
+        yield ImuSample(a.imu.t_us, received, a.imu.specific_force_frd, a.imu.rate_frd)
+        if e.resets != self._resets:
+            self._resets = e.resets
+            yield EstimatorSample(t_us, received, e.resets)
+        status = (a.armed, a.mode, a.landed, e.ok)
+        if status != self._status or ticks % _STATUS_EVERY == 0:
+            self._status = status
+            volts = a.vehicle.simulation.battery_v
+            yield StatusSample(t_us, received, *status, volts, a.battery_remaining)
+
+
 class FastFlight:
     """One simulated flight.
 
@@ -98,8 +132,8 @@ class FastFlight:
         self._runner = CoreRunner(FlightCore(mission), self, self._see, lambda: self.host_us)
         self.core = self._runner.core
         self._ticks = 0
-        self._status: tuple[object, ...] = ()
-        self._resets = -1
+        self._sender = TelemetrySender(self.vehicle)
+        self._twin_sender: TelemetrySender | None = None
         self._texts: list[tuple[str, str]] = []
         self._last_setpoint: SetPoint | None = None
         self._repeated_us = 0
@@ -173,26 +207,16 @@ class FastFlight:
             self._runner.note(plant.finished.pop(0))
 
     def _telemetry(self) -> None:
-        a, t_us, received = self.autopilot, self.autopilot.time_us, self.host_us
-        e = a.estimator
-        if self._ticks % _HALF_RATE == 0:
-            # Stamped in milliseconds, as the MAVLink message is.
-            self._receive(AttitudeSample(t_us // 1000 * 1000, received, e.q))
-            if e.ok:
-                self._receive(OdometrySample(t_us, received, e.position, e.velocity))
-            self._receive(ActuatorSample(t_us, received, a.motors))
-        self._receive(ImuSample(a.imu.t_us, received, a.imu.specific_force_frd, a.imu.rate_frd))
-        if e.resets != self._resets:
-            self._resets = e.resets
-            self._receive(EstimatorSample(t_us, received, e.resets))
-        status = (a.armed, a.mode, a.landed, e.ok)
-        if status != self._status or self._ticks % _STATUS_EVERY == 0:
-            self._status = status
-            volts = a.vehicle.simulation.battery_v
-            self._receive(StatusSample(t_us, received, *status, volts, a.battery_remaining))
+        for item in self._sender.due(self._ticks, self.host_us):
+            self._receive(item)
+        if self.faulted is not None and self.faulted.twin is not None:
+            if self._twin_sender is None:
+                self._twin_sender = TelemetrySender(self.faulted.twin, begins=False)
+            for item in self._twin_sender.due(self._ticks, self.host_us):
+                self._receive(item)
         while self._texts:
             severity, text = self._texts.pop(0)
-            self._receive(StatusText(t_us, received, severity, text))
+            self._receive(StatusText(self.autopilot.time_us, self.host_us, severity, text))
 
     def _receive(self, item: Telemetry) -> None:
         if self.faulted is None:

@@ -6,6 +6,7 @@ from typing import Protocol
 
 import msgspec
 
+from dart_flight.config.mission import Mission
 from dart_flight.lock.drivers.mock import MockDriver
 from dart_flight.samples import (
     ActuatorSample,
@@ -22,6 +23,7 @@ from dart_flight.samples import (
 from dart_flight.sim.autopilot import Autopilot
 from dart_flight.sim.faults.impairment import Impairment, LossyLink
 from dart_flight.sim.faults.kinds import Fault, Place, Trigger, VehicleFault, impairment_of, mock_faults_of
+from dart_flight.sim.faults.twin import second_vehicle
 from dart_flight.sim.vehicle import SimulatedVehicle
 
 Telemetry = (
@@ -32,6 +34,7 @@ Telemetry = (
 class Flight(Protocol):
     """What a fault needs of the flight that it strikes."""
 
+    mission: Mission
     vehicle: SimulatedVehicle
     autopilot: Autopilot
     mock: MockDriver | None
@@ -61,6 +64,8 @@ class FaultedFlight:
         self._in: LossyLink[Telemetry] = LossyLink(seed)
         self._out: LossyLink[SetPoint | VehicleAction] = LossyLink(seed + 1)
         self._vehicle: VehicleFault | None = None
+        self._seed = seed
+        self.twin: SimulatedVehicle | None = None  # a second vehicle on the link, once it sends
         self._ended = False
 
     @property
@@ -91,6 +96,8 @@ class FaultedFlight:
             self._begin()
         if self._vehicle is not None:
             self._vehicle.tick()
+        if self.twin is not None:
+            self.twin.advance()
         lasts_s = self.fault.value if self.fault.name == "link-loss" and self.fault.value > 0.0 else None
         if lasts_s is not None and not self._ended and flight.host_us - self.began_us > lasts_s * 1e6:
             self._ended = True
@@ -102,6 +109,8 @@ class FaultedFlight:
 
     def _begin(self) -> None:
         flight, fault, place = self._flight, self.fault, self.fault.kind.place
+        if fault.name == "second-vehicle":
+            self.twin = second_vehicle(flight.mission, self._seed, fault.value, flight.autopilot.time_us)
         if place is Place.LINK:
             self._in.impairment = self._out.impairment = impairment_of(fault)
         elif place is Place.LOCK:

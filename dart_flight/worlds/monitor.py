@@ -14,6 +14,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from typing import get_args
 
 import msgspec
 
@@ -21,6 +22,8 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.sense.detector import Expected
 from dart_flight.core.sense.senses import Senses
 from dart_flight.geometry import MissionFrame, Vec3
+from dart_flight.lock.state_machine import status_text
+from dart_flight.recording.follow import LogFollower
 from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
@@ -29,12 +32,15 @@ from dart_flight.samples import (
     ImuSample,
     Input,
     LandedState,
+    LockState,
     OdometrySample,
+    PhaseChange,
+    Record,
     StatusText,
 )
 from dart_flight.streams import STREAMS
-from dart_flight.vehicle import VehicleSession, connect
 from dart_flight.vehicle.clock import host_us
+from dart_flight.vehicle.session import VehicleSession, connect
 
 _STREAM_OF = {
     ImuSample: "imu",
@@ -43,6 +49,8 @@ _STREAM_OF = {
     ActuatorSample: "actuator",
 }
 _RATE_WINDOW_S = 1.0
+_FOLLOW_S = 0.05  # the log's writer hands over as often
+_INPUTS = get_args(Input)
 
 
 class StreamView(msgspec.Struct):
@@ -102,6 +110,13 @@ class Watcher:
         self._began_us = host_us()
         self._cpu = (time.monotonic(), time.process_time())
 
+    def take_record(self, record: Record) -> None:
+        """A record of a flight's log: inputs as from telemetry, and the phase; any thread."""
+        if isinstance(record, PhaseChange):
+            self._phase = record.after.value
+        elif isinstance(record, _INPUTS):
+            self.take(record)
+
     def take(self, item: Input) -> None:
         """A record of the telemetry; any thread, short."""
         with self._mutex:
@@ -110,10 +125,13 @@ class Watcher:
     def _take(self, item: Input) -> None:
         name = _STREAM_OF.get(type(item))
         if name is not None:
-            self._counts[name].append(host_us())
+            # The host's clock is the machine's: for a log that a flight here is writing, too.
+            self._counts[name].append(getattr(item, "received_us", 0))
         if isinstance(item, StatusText):
             self._read_text(item.text)
             return
+        if isinstance(item, LockState):
+            self._lock = status_text(item).removeprefix("lock ")
         sensed = self._senses.take(item, Expected(self._in_air))
         if sensed.estimate is not None:
             self._estimate = sensed.estimate
@@ -197,6 +215,7 @@ async def watch(
     show: Callable[[Screen], None],
     period_s: float,
     seconds: float | None,
+    opened: Callable[[], None] = lambda: None,
 ) -> None:
     """Connect as a ground station, run the watcher, show a view every period, until cancelled or time is up.
 
@@ -206,7 +225,7 @@ async def watch(
         VehicleError: no autopilot at the URL.
     """
     wait_s = timeout_s if seconds is None else min(timeout_s, seconds)
-    async with connect(url, wait_s, watcher.take, ground=True) as session:
+    async with connect(url, wait_s, watcher.take, ground=True, opened=opened) as session:
         session.subscribe(watcher.estimation, guarded=False)
         rates = asyncio.create_task(_raise_rates(watcher, session))
         end = None if seconds is None else time.monotonic() + seconds
@@ -218,3 +237,38 @@ async def watch(
             rates.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await rates
+
+
+def follow(
+    watcher: Watcher,
+    log: LogFollower,
+    show: Callable[[Screen], None],
+    period_s: float,
+    seconds: float | None,
+    flying: Callable[[], bool],
+) -> None:
+    """Run the watcher on the log of a flight under way, show a view every period.
+
+    Neither link nor flight take part. Ends when time is up, the log is finished, or the flight's process is
+    gone.
+
+    Raises:
+        OSError: the log cannot be read.
+        ValueError: it is damaged.
+    """
+    end = None if seconds is None else time.monotonic() + seconds
+    shown_s = -math.inf
+    while end is None or time.monotonic() < end:
+        alive = flying()  # before reading: what it wrote last is still read
+        entries = log.read()
+        for entry in entries:
+            watcher.take_record(entry.record)
+        now = time.monotonic()
+        if now - shown_s >= period_s:
+            shown_s = now
+            show(watcher.view())
+        if log.ended or (not alive and not entries):
+            break
+        if not entries:
+            time.sleep(_FOLLOW_S)
+    show(watcher.view())

@@ -15,6 +15,7 @@ from dart_flight.planning.positioning import frame_problem
 from dart_flight.recording.px4_log import read_px4_log
 from dart_flight.samples import World
 from dart_flight.vehicle.clock import LockstepClock
+from dart_flight.vehicle.link import LinkLease
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.app import FlightApp
 from dart_flight.worlds.flight_record import FlightRecord, Onlooker
@@ -84,14 +85,23 @@ def fly_px4(
         spreads=dict(spreads or {}),
     )
 
+    leases: list[LinkLease] = []
+
     def make_app(world: WorldProcess) -> FlightApp:
         # PX4 chose the port itself, by its instance.
         url = f"udpin://127.0.0.1:{world.port}"
+        lease = LinkLease(url, "dry-run --px4", record.path)
+        lease.acquire()
+        leases.append(lease)
         return FlightApp(
             mission, url, record, world, progress, LockstepClock(speed), lock_faults=drawn.lock_faults
         )
 
-    world = fly_in_world(record, lambda on_truth: Px4World(spec, on_truth), make_app)
+    try:
+        world = fly_in_world(record, lambda on_truth: Px4World(spec, on_truth), make_app)
+    finally:
+        for lease in leases:
+            lease.release()
     ulog = folder / "px4.ulg"
     built = record.build(px4_log=ulog)
     built.px4 = read_px4_log(ulog, world.version)

@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 from dart_flight.core.mission.phases import ON_GROUND, TRANSITIONS, Cue
 from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.samples import (
+    CommandResult,
     FlightMode,
     ForceEstimate,
     GuardEvent,
+    HealthReport,
     ImpactOnset,
     ImpactPeak,
     LandedState,
@@ -250,3 +252,52 @@ def test_the_set_point_is_always_away_from_the_wall(
     assert away > 0.0
     assert along == pytest.approx(-at * ft, rel=1e-9, abs=1e-12)  # onward: against the friction force
     assert z == 1.5
+
+
+# --- why PX4 refuses ---------------------------------------------------------------------------------------
+
+
+def reason(outputs: list[Output]) -> str:
+    (end,) = of(MissionEnd, outputs)
+    return str(end.reason)
+
+
+def test_a_refusal_carries_what_px4_says(hand_fed: HandFedCore) -> None:
+    hand_fed.set_lock(Mode.RIGID)
+    hand_fed.run(18.0)
+    t_us = hand_fed.t_us
+    hand_fed.give(
+        HealthReport(t_us, t_us, False, ("Heading estimate invalid",), ("No manual control input",))
+    )
+    hand_fed.give(StatusText(t_us, t_us, "critical", "Arming denied: Resolve system health failures first"))
+    hand_fed.give(StatusText(t_us, t_us, "info", "logging: opened log file"))
+    assert reason(hand_fed.run(10.0)) == (
+        "offboard_refused: PX4 refused offboard; PX4 says: Heading estimate invalid, "
+        "Arming denied: Resolve system health failures first"
+    )
+
+
+def test_words_of_long_ago_explain_nothing(hand_fed: HandFedCore) -> None:
+    hand_fed.set_lock(Mode.RIGID)
+    hand_fed.run(0.2)
+    hand_fed.give(StatusText(hand_fed.t_us, hand_fed.t_us, "warning", "compass swung"))
+    assert reason(hand_fed.run(25.0)) == "offboard_refused: PX4 refused offboard"
+
+
+def test_without_words_the_answer_is_told(hand_fed: HandFedCore) -> None:
+    hand_fed.set_lock(Mode.RIGID)
+    hand_fed.run(1.0)
+    hand_fed.give(CommandResult(hand_fed.t_us, "offboard", False, "COMMAND_DENIED"))
+    assert reason(hand_fed.run(25.0)) == "offboard_refused: PX4 refused offboard; PX4 answers: COMMAND_DENIED"
+
+
+def test_what_is_wrong_for_other_modes_is_told_where_nothing_else_is(hand_fed: HandFedCore) -> None:
+    hand_fed.set_lock(Mode.RIGID)
+    hand_fed.give(HealthReport(hand_fed.t_us, hand_fed.t_us, True, (), ("No offboard signal",)))
+    assert reason(hand_fed.run(25.0)).endswith("; PX4 says: No offboard signal")
+
+
+def test_a_lock_that_is_not_ready_is_not_px4s_affair(hand_fed: HandFedCore) -> None:
+    hand_fed.run(1.0)
+    hand_fed.give(HealthReport(hand_fed.t_us, hand_fed.t_us, False, ("Battery low",), ()))
+    assert reason(hand_fed.run(25.0)) == "not_ready: no lock rigid"

@@ -23,7 +23,9 @@ from dart_flight.samples import (
     LockPhase,
     MissionEnd,
     Mode,
+    OdometrySample,
     OperatorRequest,
+    OtherVehicle,
     Output,
     Override,
     Phase,
@@ -102,6 +104,29 @@ def stream_rate(c: HandFedCore) -> None:
     c.to_flight()
     c.odometry_every = 14  # 18 Hz, needs 30
     c.run(2.2)
+
+
+def in_turn(c: HandFedCore, ahead_us: int, apart_m: float, seconds: float) -> None:
+    """Telemetry of two vehicles in turn."""
+    for _ in range(round(seconds / 0.004)):
+        c.run(0.004)
+        t, received = c.t_us + ahead_us + 1000, c.t_us
+        x, y, z = c.position_ned
+        c.give(ImuSample(t, received, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0)))
+        c.give(AttitudeSample(t, received, c.q))
+        c.give(OdometrySample(t, received, (x, y + apart_m, z), c.velocity_ned))
+
+
+@cause
+def second_vehicle_ground(c: HandFedCore) -> None:
+    c.run(0.1)
+    in_turn(c, 238_000_000, 3.0, 0.1)
+
+
+@cause
+def second_vehicle(c: HandFedCore) -> None:
+    c.to_flight()
+    in_turn(c, -238_000_000, 0.0, 0.1)
 
 
 @cause
@@ -532,3 +557,83 @@ def test_thresholds_named_in_the_table_exist() -> None:
                 continue
             section, name = key.split(".")
             assert name in {f.name for f in msgspec.structs.fields(places[section])}, key
+
+
+@pytest.mark.parametrize("ahead_s", [238.0, -238.0, 2.0, -0.7])
+def test_two_clocks_in_turn_are_two_vehicles_and_time_does_not_leap(ahead_s: float) -> None:
+    c = HandFedCore()
+    c.to_flight()
+    before_us = c.t_us
+    in_turn(c, round(ahead_s * 1e6), 0.0, 0.1)
+    assert [e.rule for e in fired(c)] == ["second_vehicle"]
+    assert f"{abs(ahead_s):.1f} s apart" in fired(c)[0].detail
+    assert 0 <= c.core.state.now_us - before_us < 1_000_000
+
+
+def test_two_positions_at_one_clock_are_two_vehicles() -> None:
+    c = HandFedCore(rules=RULES)
+    c.to_flight()
+    in_turn(c, 0, 3.0, 0.1)
+    assert fired(c)[-1].rule == "second_vehicle"  # after the jump, which is seen first
+    assert "3.0 m apart" in fired(c)[-1].detail
+    assert c.core.override is Override.LAND
+
+
+def test_the_slow_state_of_the_other_vehicle_ends_nothing() -> None:
+    """It stands there disarmed, in another mode: neither a pilot, nor a landing, nor the end of the flight."""
+    c = HandFedCore()
+    c.to_flight()
+    in_turn(c, 238_000_000, 3.0, 0.1)
+    assert any(isinstance(o, VehicleCommand) and o.action is VehicleAction.LAND for o in c.outputs)
+    c.set_status(armed=False, flight_mode=FlightMode.HOLD, landed=LandedState.ON_GROUND)
+    in_turn(c, 238_000_000, 3.0, 2.0)
+    assert [e.rule for e in fired(c)] == ["second_vehicle"]
+    assert c.core.end is None
+
+
+def test_a_pilot_still_takes_over_beside_a_second_vehicle() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    in_turn(c, 238_000_000, 3.0, 0.1)
+    c.set_status(flight_mode=FlightMode.MANUAL)
+    assert fired(c)[-1].rule == "pilot"
+
+
+@pytest.mark.parametrize("back_s", [5.0, 400.0])
+def test_a_clock_that_jumps_once_stays_one_that_runs_backwards(back_s: float) -> None:
+    c = HandFedCore()
+    c.to_flight()
+    us = round(back_s * 1e6)
+    for i in range(1, 60):
+        t, received = c.t_us - us + 4000 * i, c.t_us + 4000 * i
+        c.give(AttitudeSample(t, received, c.q))
+        c.give(ImuSample(t, received, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)))
+        c.give(OdometrySample(t, received, c.position_ned, c.velocity_ned))
+    assert [e.rule for e in fired(c)] == ["stamps_backwards"]
+
+
+def test_a_clock_that_jumps_ahead_is_believed_in_the_end() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    for i in range(1, 60):
+        t, received = c.t_us + 50_000_000 + 4000 * i, c.t_us + 4000 * i
+        c.give(AttitudeSample(t, received, c.q))
+        c.give(ImuSample(t, received, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)))
+    assert c.core.state.imu is not None
+    assert c.core.state.imu.t_us > c.t_us + 50_000_000
+    assert "second_vehicle" not in [e.rule for e in fired(c)]
+
+
+def test_another_system_on_the_link_is_refused_before_take_off_and_harmless_in_the_air() -> None:
+    c = HandFedCore()
+    c.run(0.1)
+    c.give(OtherVehicle(c.t_us, c.t_us, 7))
+    assert [(e.rule, e.detail) for e in fired(c)] == [
+        ("second_vehicle_ground", "system 7 sends on the same link")
+    ]
+    assert c.core.end is not None
+    c = HandFedCore()
+    c.to_flight()
+    c.give(OtherVehicle(c.t_us, c.t_us, 7))  # its samples are told apart
+    c.run(0.2)
+    assert not fired(c)

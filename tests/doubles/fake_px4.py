@@ -12,10 +12,16 @@ import signal
 import socket
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
+
+from dart_flight.config.mission import load_mission
+from dart_flight.config.parameters import PositionSource
+from dart_flight.config.vehicle import packaged
+from dart_flight.sim.px4.launch import flight_parameters
 
 ROOT = Path(__file__).parents[2]
 
@@ -60,8 +66,45 @@ class FakePx4:
         self.socket.close()
 
 
-def install(folder: Path, behaviour: str = "fly", version: str = "Release 1.16.0") -> Path:
-    """A PX4 install with this file as its program; returns its folder."""
+_CLIENT = """#!/bin/sh
+store={folder}/parameters-$2
+case "$3" in
+set)
+  case " {missing} " in *" $4 "*) echo "ERROR [param] Parameter $4 not found."; exit 0 ;; esac
+  value=$5
+  case " {stuck} " in *" $4 "*) value=0.0000 ;; esac
+  echo "x * $4 [1,2] : $value" >> $store ;;
+show)
+  echo "Symbols: x = used, + = saved, * = unsaved"
+  echo "x   SYS_AUTOSTART [1,2] : 10016"
+  sed 's/^/    /; s/$/ [1,2] : 0.0000/' {folder}/known
+  test ! -e $store || cat $store
+  test ! -e {folder}/booted || cat {folder}/after_boot ;;
+esac
+"""
+
+
+def install(
+    folder: Path,
+    behaviour: str = "fly",
+    version: str = "Release 1.16.0",
+    *,
+    known: Iterable[str] = (),
+    missing: str = "",
+    stuck: str = "",
+    overwritten: str = "",
+) -> Path:
+    """A PX4 install with this file as its program; returns its folder.
+
+    Args:
+        folder: where.
+        behaviour: what it does wrong.
+        version: what it says of itself.
+        known: parameters that it has; those of a flight indoors are there in any case.
+        missing: names of parameters that it does not have, separated by spaces.
+        stuck: names of those that stay 0 whatever they are set to.
+        overwritten: one that its start-up script sets to 77.
+    """
     (folder / "bin").mkdir(parents=True)
     airframes = folder / "etc" / "init.d-posix" / "airframes"
     airframes.mkdir(parents=True)
@@ -76,7 +119,23 @@ def install(folder: Path, behaviour: str = "fly", version: str = "Release 1.16.0
     told = folder / "bin" / "px4-ver"
     told.write_text(f"#!/bin/sh\necho 'HW arch: PX4_SITL'\necho 'PX4 version: {version} (17825792)'\n")
     told.chmod(0o755)
+    vehicle = load_mission(packaged("missions", "dual_collision.yaml")).vehicle
+    names = {*known, *flight_parameters(vehicle, PositionSource.MOCAP)} - set(missing.split())
+    (folder / "known").write_text("".join(f"{name}\n" for name in sorted(names)))
+    (folder / "after_boot").write_text(f"x * {overwritten} [1,2] : 77\n" if overwritten else "")
+    client = folder / "bin" / "px4-param"
+    client.write_text(_CLIENT.format(folder=folder, missing=missing, stuck=stuck))
+    client.chmod(0o755)
     return folder
+
+
+def _connect(port: int) -> FakePx4:
+    """As PX4 does: again and again, until its simulator listens."""
+    while True:
+        try:
+            return FakePx4(port)
+        except ConnectionRefusedError:
+            time.sleep(0.01)
 
 
 def main() -> None:
@@ -90,9 +149,11 @@ def main() -> None:
         sys.exit(3)
     if behaviour == "stubborn":
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    print("INFO  [simulator_mavlink] Waiting for simulator to accept connection on TCP port", flush=True)
     if behaviour == "deaf":
         time.sleep(60.0)
-    fake = FakePx4(4560 + instance)
+    fake = _connect(4560 + instance)
+    (Path(sys.argv[5]).parent / "booted").touch()
     print("INFO  [px4] Startup script returned successfully", flush=True)
     Path("log/today").mkdir(parents=True)
     Path("log/today/flight.ulg").write_bytes(b"ULog of a fake")

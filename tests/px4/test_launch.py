@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import socket
@@ -30,6 +29,7 @@ from dart_flight.sim.px4.launch import (
     claim_instance,
     environment,
     find_install,
+    fitting,
     flight_parameters,
     judge_version,
     parse_version,
@@ -73,32 +73,42 @@ def test_command_line_and_environment(tmp_path: Path, monkeypatch: pytest.Monkey
     found = find_install(install(tmp_path / "px4"))
     assert arguments(found, 3) == [str(found.program), "-i", "3", "-d", str(found.etc)]
     assert "/" in arguments(found, 0)[0]
-    env = environment({"COM_OBL_RC_ACT": 4, "EKF2_EV_DELAY": 10.0, "CA_ROTOR0_PX": 0.1515})
+    env = environment()
     assert env["PX4_SIM_MODEL"] == "none_iris"
-    assert env["PX4_PARAM_COM_OBL_RC_ACT"] == "4"
-    assert float(env["PX4_PARAM_EKF2_EV_DELAY"]) == 10.0
-    assert float(env["PX4_PARAM_CA_ROTOR0_PX"]) == 0.1515
-    assert "PX4_PARAM_MPC_XY_P" not in env  # the caller's environment steers nothing
+    # Parameters go through PX4's client, which every version has; the caller's environment steers nothing.
+    assert not [name for name in env if name.startswith("PX4_PARAM_")]
     assert "PX4_SIM_SPEED_FACTOR" not in env
 
 
-def test_an_instance_belongs_to_whoever_listens() -> None:
-    first, held = claim_instance()
-    with contextlib.closing(held):
-        second, other = claim_instance()
-        with contextlib.closing(other):
-            assert second > first
-            assert other.getsockname()[1] == SIMULATOR_PORT + second
+def test_an_instance_belongs_to_whoever_claims_it() -> None:
+    first = claim_instance()
+    second = claim_instance()
+    assert second.number > first.number
+    assert second.listen().getsockname()[1] == SIMULATOR_PORT + second.number
+    first.release()
+    again = claim_instance()
+    assert again.number == first.number
+    again.release()
+    second.release()
+
+
+def test_an_instance_whose_simulator_port_is_taken_is_passed_over() -> None:
+    free = claim_instance()
+    free.release()
+    with socket.create_server(("127.0.0.1", SIMULATOR_PORT + free.number)):
+        other = claim_instance()
+        other.release()
+    assert other.number != free.number
 
 
 def test_an_instance_whose_mavlink_port_is_taken_is_passed_over() -> None:
-    free, listener = claim_instance()
-    listener.close()
+    free = claim_instance()
+    free.release()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-        taken.bind(("127.0.0.1", 14540 + free))
-        other, listener = claim_instance()
-        listener.close()
-        assert other != free
+        taken.bind(("127.0.0.1", 14540 + free.number))
+        other = claim_instance()
+        other.release()
+        assert other.number != free.number
 
 
 @pytest.mark.parametrize(
@@ -115,7 +125,8 @@ def test_version_out_of_what_px4_says(answer: str, version: tuple[int, int, int]
 
 def test_an_old_version_is_refused_and_another_one_noted() -> None:
     assert judge_version((1, 16, 2)) is None
-    assert "v1.15.4" in (judge_version((1, 15, 4)) or "")
+    assert judge_version((1, 14, 4)) is None
+    assert "v1.18.1" in (judge_version((1, 18, 1)) or "")
     assert "does not tell" in (judge_version(None) or "")
     with pytest.raises(Px4Error, match=r"v1\.13\.3 is too old"):
         judge_version((1, 13, 3))
@@ -168,7 +179,10 @@ def test_world_starts_px4_in_a_fresh_folder_and_ends_it(tmp_path: Path, launched
     assert ready.version == "1.16.0"
     about = json.loads((watched.folder / "px4" / "started.json").read_text())
     assert Path(about["cwd"]) == watched.folder / "px4"
-    assert about["environment"]["PX4_PARAM_EKF2_EV_CTRL"] == "11"
+    set_there = (tmp_path / "px4" / f"parameters-{about['arguments'][1]}").read_text()
+    assert "EKF2_EV_CTRL [1,2] : 11\n" in set_there
+    said = watched.log.read_text()
+    assert "parameters set and read back" in said
     assert watched.world.port == 14540 + int(about["arguments"][1])
     deadline = time.monotonic() + 5.0
     while not watched.truths and time.monotonic() < deadline:
@@ -205,6 +219,56 @@ def test_a_px4_that_cannot_fly_is_a_clear_word(
     with pytest.raises(WorldError) as caught:
         watched.world.wait_ready()
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("faults", "words"),
+    [
+        ({"stuck": "MPC_XY_P"}, r"did not take: MPC_XY_P: set to 0\.95, PX4 has 0"),
+        ({"missing": "FD_FAIL_R"}, r"no parameter FD_FAIL_R \(wanted 60\)"),
+        # What a start-up script sets after the parameters were delivered wins: that must be seen, too.
+        ({"overwritten": "EKF2_HGT_REF"}, r"did not take: EKF2_HGT_REF: set to 3, PX4 has 77"),
+    ],
+)
+def test_a_parameter_that_does_not_take_is_named_with_both_values(
+    tmp_path: Path, launched: list[Watched], faults: dict[str, str], words: str
+) -> None:
+    watched = Watched(tmp_path / "flight", install(tmp_path / "px4", **faults))
+    launched.append(watched)
+    with pytest.raises(WorldError, match=words) as caught:
+        watched.world.wait_ready()
+    assert "\n" not in str(caught.value)
+
+
+def test_the_command_says_which_parameter_did_not_take_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    px4 = install(tmp_path / "px4", stuck="EKF2_EV_CTRL")
+    assert main(["dry-run", str(MISSION), "--px4", str(px4), "--log-dir", str(tmp_path / "flights")]) == 1
+    lines = [line for line in capsys.readouterr().err.splitlines() if "EKF2_EV_CTRL" in line]
+    assert len(lines) == 1
+    assert "EKF2_EV_CTRL: set to 11, PX4 has 0" in lines[0]
+
+
+def test_what_a_version_goes_without_is_left_out_and_said(tmp_path: Path, launched: list[Watched]) -> None:
+    watched = Watched(tmp_path / "flight", install(tmp_path / "px4", missing="COM_RAM_MAX"))
+    launched.append(watched)
+    watched.world.wait_ready()
+    assert "this version has no COM_RAM_MAX" in watched.log.read_text()
+
+
+def test_a_renamed_parameter_goes_by_its_name_there() -> None:
+    wanted = flight_parameters(load_mission(MISSION).vehicle, PositionSource.RTK)
+    before = dict.fromkeys(wanted, 0.0)
+    assert fitting(wanted, before)["EKF2_GPS_DELAY"] == 100.0
+    after = {**before, "SENS_GPS0_DELAY": 10.0}
+    del after["EKF2_GPS_DELAY"]
+    chosen = fitting(wanted, after)
+    assert chosen["SENS_GPS0_DELAY"] == 100.0
+    assert "EKF2_GPS_DELAY" not in chosen
+    del after["SENS_GPS0_DELAY"]  # a delay that nobody can set is not gone without
+    with pytest.raises(Px4Error, match="EKF2_GPS_DELAY"):
+        fitting(wanted, after)
 
 
 def test_px4_dying_in_flight_is_told_to_the_app(tmp_path: Path, launched: list[Watched]) -> None:

@@ -10,7 +10,13 @@ import pytest
 from dart_flight.config.document import InputError
 from dart_flight.config.parameters import PositionSource, differences, load_parameters, vehicle_files
 from dart_flight.config.vehicle import Px4Parameters, load_vehicle, packaged
-from dart_flight.sim.px4.launch import airframe_parameters, flight_parameters, motors_from, parameter_files
+from dart_flight.sim.px4.launch import (
+    airframe_parameters,
+    flight_parameters,
+    motors_from,
+    parameter_files,
+    values_of,
+)
 
 FILES = sorted(packaged("configs", "px4").glob("*.params"))
 
@@ -96,17 +102,34 @@ def test_differences_between_a_vehicle_and_a_file(tmp_path: Path) -> None:
     assert "not on this vehicle" in found[1].line()
 
 
+def test_a_parameter_that_some_versions_lack_is_no_difference_there(tmp_path: Path) -> None:
+    path = tmp_path / "some.params"
+    path.write_text(
+        "# why\n#? absent before v1.16\n1\t1\tA\t4\t6\n# so\n#? renamed NEW_B after v1.17\n1\t1\tB\t2\t9\n"
+        "# it\n1\t1\tC\t1\t6\n"
+    )
+    wanted = load_parameters(path)
+    assert (wanted["A"].reason, wanted["A"].absent, wanted["B"].renamed) == ("why", "before v1.16", "NEW_B")
+    assert wanted["C"].absent == ""
+    assert differences(wanted, {"NEW_B": 2.0, "C": 1.0}) == []
+    assert [d.name for d in differences(wanted, {"A": 3.0, "NEW_B": 1.0})] == ["A", "NEW_B", "C"]
+    assert [d.name for d in differences(wanted, {"A": 4.0, "C": 1.0})] == ["B"]  # under neither name
+    path.write_text("#? gone\n1\t1\tA\t4\t6\n")
+    with pytest.raises(InputError, match="absent before"):
+        load_parameters(path)
+
+
 def test_flight_parameters_indoors_outdoors_and_the_users_own(tmp_path: Path) -> None:
     vehicle = load_vehicle()
-    indoors = flight_parameters(vehicle, PositionSource.MOCAP)
-    outdoors = flight_parameters(vehicle, PositionSource.RTK)
+    indoors = values_of(flight_parameters(vehicle, PositionSource.MOCAP))
+    outdoors = values_of(flight_parameters(vehicle, PositionSource.RTK))
     assert (indoors["EKF2_GPS_CTRL"], indoors["SYS_HAS_GPS"]) == (0, 0)
     assert (outdoors["EKF2_EV_CTRL"], outdoors["EKF2_GPS_CTRL"]) == (0, 7)
     assert indoors["MPC_XY_P"] == vehicle.px4.mpc_xy_p
     assert indoors["MPC_THR_HOVER"] == pytest.approx(vehicle.hover_thrust_fraction())
     own = tmp_path / "own.params"
     own.write_text("1\t1\tEKF2_EV_DELAY\t30\t9\n")
-    assert flight_parameters(vehicle, PositionSource.MOCAP, [own])["EKF2_EV_DELAY"] == 30.0
+    assert flight_parameters(vehicle, PositionSource.MOCAP, [own])["EKF2_EV_DELAY"].value == 30.0
 
 
 def test_motors_of_the_plant_are_those_px4_is_told(tmp_path: Path) -> None:
@@ -123,5 +146,5 @@ def test_motors_of_the_plant_are_those_px4_is_told(tmp_path: Path) -> None:
     own.write_text(
         "1\t1\tCA_ROTOR0_PX\t0.1515\t9\n1\t1\tCA_ROTOR0_PY\t0.245\t9\n1\t1\tCA_ROTOR0_KM\t0.05\t9\n"
     )
-    first = motors_from(flight_parameters(vehicle, PositionSource.MOCAP, [own]), vehicle)[0]
+    first = motors_from(values_of(flight_parameters(vehicle, PositionSource.MOCAP, [own])), vehicle)[0]
     assert (first.x_m, first.y_m, first.yaw_m) == (0.1515, 0.245, 0.05)

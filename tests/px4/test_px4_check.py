@@ -13,7 +13,7 @@ import pytest
 from dart_flight.check.findings import Finding
 from dart_flight.check.vehicle import check_vehicle
 from dart_flight.config.mission import Mission
-from dart_flight.config.parameters import PositionSource
+from dart_flight.config.parameters import Parameter, PositionSource
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.sim.pipe import Px4Spec, WorldSpec
 from dart_flight.sim.px4.launch import flight_parameters
@@ -30,7 +30,8 @@ def waiting_px4(
     mission: Mission, px4_dir: Path, folder: Path, source: PositionSource, changes: dict[str, int | float]
 ) -> Iterator[str]:
     """A PX4 on the ground, set up as for `dry-run` but for `changes`; yields its URL."""
-    parameters = {**flight_parameters(mission.vehicle, source), **changes}
+    own = {name: Parameter(name, value, "") for name, value in changes.items()}
+    parameters = {**flight_parameters(mission.vehicle, source), **own}
     spec = WorldSpec(
         mission.source,
         json.dumps(msgspec.to_builtins(mission.vehicle)),

@@ -1,15 +1,20 @@
-"""Flights with a real PX4: acceptance, speed sweep, the worlds side by side, and the velocity at the wall.
+"""Flights with a real PX4: acceptance, speed sweep, three worlds, velocity at the wall, versions of PX4.
+
+Acceptance flies ten seeds; the versions are both missions on every version of PX4 at hand.
 
     DART_PX4_DIR=... python -m tools.campaigns.px4 [--part NAME] [--speed X] [--report DIR]
+    python -m tools.campaigns.px4 --part versions --px4 NAME=DIR [--px4 NAME=DIR ...]
 
 Every flight's figures go to `px4_flights.jsonl` in the report folder as they come; a part that is flown again
 replaces its lines. The tables (`px4_tables.md`) are written from that file alone, so parts can be flown one
-by one. docs/px4_tables.md is such a report; docs/px4.md explains it.
+by one. docs/px4_tables.md is such a report; docs/px4.md explains it. The table of versions goes into
+docs/px4.md itself; a version that is flown again replaces its lines.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -41,6 +46,11 @@ SPEED = 3.0  # times real time, what lockstep sustains with room to spare where 
 MISSIONS = {"single": "single_wall.yaml", "dual": "dual_collision.yaml"}
 SWEEP = Path(__file__).with_name("px4_sweep_mission.yaml")
 FLIGHTS, TABLES = "px4_flights.jsonl", "px4_tables.md"
+VERSIONS = "version "  # begins the names of the parts that compare versions; then NAME
+VERSION_SEEDS = range(1, 3)
+VERSION_FLIGHTS = (("dual", "mocap"), ("single", "mocap"), ("single", "rtk"))
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "px4.md"
+_MARKED = re.compile(r"(<!-- flown: versions -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 class Hit(msgspec.Struct):
@@ -80,6 +90,7 @@ class Flight(msgspec.Struct):
     final_m: float | None
     hits: list[Hit]
     guard: list[str]
+    told: str | None = None  # PX4's version as it tells it
 
 
 def figures(part: str, sensor: str, mission: str, verdict: Verdict, pace: float = 1.0) -> Flight:
@@ -120,6 +131,7 @@ def figures(part: str, sensor: str, mission: str, verdict: Verdict, pace: float 
         final_m=verdict.final_error_m,
         hits=hits,
         guard=[f"{g.rule}: {g.detail}" for g in verdict.guard],
+        told=px4.version if px4 else None,
     )
 
 
@@ -237,6 +249,26 @@ def fly_part(name: str, report_dir: Path, pace: float) -> None:
         print(
             f"{name} seed {flight.seed} {flight.mission}: {flight.outcome} {flight.reason or ''}", flush=True
         )
+
+
+def fly_version(name: str, directory: str, report_dir: Path, pace: float) -> None:
+    """Both missions on one version of PX4; its lines replace what the results had of it."""
+    part = VERSIONS + name
+    path = report_dir / FLIGHTS
+    kept = [flight for flight in load(report_dir) if flight.part != part]
+    path.write_bytes(b"".join(msgspec.json.encode(flight) + b"\n" for flight in kept))
+    for mission, sensor in VERSION_FLIGHTS:
+        loaded = load_flyable(packaged("missions", MISSIONS[mission]))
+        for seed in VERSION_SEEDS:
+            with tempfile.TemporaryDirectory() as folder:
+                source = PositionSource(sensor)
+                verdict = fly_px4(loaded, directory, seed, Path(folder), position_from=source, speed=pace)
+                flight = figures(part, sensor, mission, verdict, pace)
+            with path.open("ab") as results:
+                results.write(msgspec.json.encode(flight) + b"\n")
+            print(
+                f"{part} {mission} {sensor} seed {seed}: {flight.outcome} {flight.reason or ''}", flush=True
+            )
 
 
 def load(report_dir: Path) -> list[Flight]:
@@ -392,6 +424,35 @@ def _force_ratio(hit: Hit) -> float | None:
     return hit.force_n / hit.force_true_n if hit.force_n and hit.force_true_n else None
 
 
+def versions_table(flights: list[Flight]) -> str:
+    """What was flown on which version, one row for each version, mission and source of position."""
+    head = ["PX4", "says", "mission", "position", "completed", "final error m", "tilt up to °"]
+    head += ["EKF off by m", "failsafes"]
+    rows = []
+    for part in dict.fromkeys(f.part for f in flights if f.part.startswith(VERSIONS)):
+        for mission, sensor in VERSION_FLIGHTS:
+            group = [f for f in flights if (f.part, f.mission, f.sensor) == (part, mission, sensor)]
+            name = [part.removeprefix(VERSIONS), group[0].told or "–" if group else "–"]
+            if not group:
+                rows.append([*name, mission, sensor, "not flown", *["–"] * 4])
+                continue
+            good = sum(f.outcome == "completed" for f in group)
+            reasons = sorted({f.reason for f in group if f.reason})
+            rows.append(
+                [
+                    *name,
+                    mission,
+                    sensor,
+                    f"{good} of {len(group)}" + (f" ({'; '.join(reasons)})" if reasons else ""),
+                    " / ".join(_text(f.final_m, 3) for f in group),
+                    _text(max((f.tilt_deg for f in group if f.tilt_deg is not None), default=None), 1),
+                    _text(max((f.ekf_m for f in group if f.ekf_m is not None), default=None), 3),
+                    str(sum(bool(f.failsafe) for f in group)),
+                ]
+            )
+    return "\n".join(_table(head, rows))
+
+
 def report(flights: list[Flight]) -> str:
     """The tables, in Markdown."""
     lines = ["# Flights with a real PX4: the tables", ""]
@@ -437,7 +498,10 @@ def run(report_dir: Path, pace: float) -> None:
 def main() -> int:
     """Command line; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--part", choices=[*parts(), "report"], help="one part, or only the tables")
+    parser.add_argument(
+        "--part", choices=[*parts(), "versions", "report"], help="one part, or only the tables"
+    )
+    parser.add_argument("--px4", action="append", default=[], metavar="NAME=DIR", help="a version to fly")
     parser.add_argument("--speed", type=float, default=SPEED, help="times real time; less on a busy machine")
     parser.add_argument("--report", type=Path, default=Path("build/campaign"))
     arguments = parser.parse_args()
@@ -446,6 +510,13 @@ def main() -> int:
             run(arguments.report, arguments.speed)
             return 0
         arguments.report.mkdir(parents=True, exist_ok=True)
+        if arguments.part == "versions":
+            for name, _, directory in (one.partition("=") for one in arguments.px4):
+                find_install(directory)
+                fly_version(name, directory, arguments.report, arguments.speed)
+            table = versions_table(load(arguments.report))
+            PAGE.write_text(_MARKED.sub(lambda m: m[1] + table + m[2], PAGE.read_text("utf-8")), "utf-8")
+            return 0
         if arguments.part != "report":
             find_install(None)
             fly_part(arguments.part, arguments.report, arguments.speed)

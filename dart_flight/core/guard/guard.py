@@ -38,6 +38,7 @@ from dart_flight.samples import (
 _HOLD_US = 3_000_000
 _RETRY_US = 1_000_000
 _DISARM_AFTER_US = 15_000_000  # PX4 disarms by itself after landing; the command is for when it does not
+_UNSURE_US = 15_000_000
 _LANDING_US = 60_000_000  # from 2 m at 0.7 m/s a landing takes 5 s
 
 
@@ -56,6 +57,7 @@ class Guard:
         # What is judged in which phase, sorted out once: this runs at every step of the flight.
         self._judged = {phase: _sorted_out(rules, phase, asked=False) for phase in Phase}
         self._judged_asked = {phase: _sorted_out(rules, phase, asked=True) for phase in Phase}
+        self._explaining = {rule.name for rule in rules if rule.explains}
         self._watch = Watch(mission)
         # A landing is waited for until the motors would have been stopped.
         self._landing_us = max(_LANDING_US, round(2e6 * (self._watch.surely_down_s or 0.0)))
@@ -114,6 +116,15 @@ class Guard:
             if action > rank and (detail := cause(watch)) is not None:
                 self._fire(name, detail, state, events)
                 rank = self.action.rank
+            elif action == rank and name in self._explaining:
+                self._explain(name, cause(watch), state, events)
+
+    def _explain(self, name: str, detail: str | None, state: FlightState, events: list[Output]) -> None:
+        """The cause of what is in force already shows: its rule is named, and is the reason from now on."""
+        rule = self._rules[name]
+        if detail is not None and self._rule is not None and self._rule.name in rule.explains:
+            events.append(GuardEvent(state.now_us, rule.name, rule.action, detail))
+            self._rule, self.reason = rule, f"{rule.name}: {detail}"
 
     def _fire(self, name: str, detail: str, state: FlightState, events: list[Output]) -> None:
         """Overrule the mission from now on, by the rule of this name; a weaker action changes nothing.
@@ -161,6 +172,8 @@ class Guard:
             return
         killed = self.action is Override.KILL
         down = not state.status.armed and (state.on_ground or killed or not self._watch.was_offboard)
+        if self._watch.unsure and state.now_us - self._since_us < _UNSURE_US:
+            down = False  # it may be the other one that stands there
         if down or state.now_us - self._since_us > self._landing_us:
             self.end = MissionEnd(state.now_us, Outcome.ABORTED, self.reason, None)
             return

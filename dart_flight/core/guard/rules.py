@@ -28,6 +28,7 @@ class Scope(StrEnum):
     """When a rule is judged."""
 
     ALWAYS = "always"
+    GROUND = "before take-off"
     AIR = "in the air"
     FLYING = "while the mission flies"  # not while landing or once overruled
     ASKED = "on a request"  # of the operator or the shell
@@ -44,6 +45,8 @@ class Rule(msgspec.Struct, frozen=True):
         scope: when it is judged.
         cause: says what is wrong now, or None; a rule without one comes as a finding of the mission.
         by_person: a person took over: the flight counts as released, not as aborted.
+        explains: rules that may have fired for the same cause before it could be told: where their action is
+            in force and no weaker, the reason becomes this rule's.
     """
 
     name: str
@@ -53,6 +56,7 @@ class Rule(msgspec.Struct, frozen=True):
     scope: Scope = Scope.ALWAYS
     cause: Callable[[Watch], str | None] | None = None
     by_person: bool = False
+    explains: frozenset[str] = frozenset()
 
 
 # --- causes ------------------------------------------------------------------------------------------------
@@ -75,6 +79,8 @@ def _by_px4(v: Watch) -> bool:
 
 def _disarmed(v: Watch) -> str | None:
     status = v.state.status
+    if v.unsure:  # it may be the other vehicle's state
+        return None
     if v.was_armed and not status.armed and not v.state.on_ground and not v.land_asked:
         return "PX4 has disarmed in the air"
     return None
@@ -116,6 +122,14 @@ def _link_lost(v: Watch) -> str | None:
         return None
     age = min(v.status_age_s, *(v.age_s(name) for name in ("imu", "attitude", "odometry")))
     return f"nothing from the vehicle for {age:.1f} s" if age > v.config.link_lost_s else None
+
+
+def _second_vehicle(v: Watch) -> str | None:
+    return v.second_vehicle
+
+
+def _second_vehicle_ground(v: Watch) -> str | None:
+    return v.other_system
 
 
 def _stamps_backwards(v: Watch) -> str | None:
@@ -220,6 +234,7 @@ def _world_died(v: Watch) -> str | None:
 # --- the table ---------------------------------------------------------------------------------------------
 
 _ALWAYS, _AIR, _FLYING, _ASKED = Scope.ALWAYS, Scope.AIR, Scope.FLYING, Scope.ASKED
+_GROUND = Scope.GROUND
 _GIVE_UP, _BREAK_OFF, _HOLD = Override.GIVE_UP, Override.BREAK_OFF, Override.HOLD
 _LAND, _KILL, _RELEASE = Override.LAND, Override.KILL, Override.RELEASE
 
@@ -244,6 +259,12 @@ RULES: tuple[Rule, ...] = (
     Rule("status_silent", "no heartbeat for too long", "guard.status_timeout_s", _LAND, _AIR, _status_silent),
     Rule("stream_rate", "a stream comes at less than the rate that a mission needs (`streams.py`)",
          "streams: expected_hz", _HOLD, _FLYING, low_rate),
+    Rule("second_vehicle_ground", "a second vehicle sends on the link, whatever its system id",
+         "guard.stamp_tolerance_s, guard.position_jump_m", _GIVE_UP, _GROUND, _second_vehicle_ground),
+    Rule("second_vehicle", "two vehicles come in turn under one system id: two clocks, or two positions",
+         "guard.stamp_tolerance_s, guard.position_jump_m", _LAND, _AIR, _second_vehicle,
+         explains=frozenset({"stamps_backwards", "odometry_silent", "attitude_silent", "imu_silent",
+                             "status_silent", "estimator_flags", "tilt", "altitude"})),
     Rule("stamps_backwards", "the autopilot's time stamps have gone back: it has restarted, or its clock has",
          "guard.stamp_tolerance_s", _LAND, _AIR, _stamps_backwards),
     Rule("imu_stuck", "the IMU repeats one reading: no sensor is that quiet", "guard.imu_stuck_s",
@@ -310,8 +331,8 @@ def in_scope(rule: Rule, phase: Phase) -> bool:
     """Whether a rule is judged in a phase, at every step of it or when there is a request."""
     if rule.scope in (Scope.ALWAYS, Scope.ASKED):
         return True
-    if phase in ON_GROUND:  # there the mission's time-outs judge
-        return False
+    if rule.scope is Scope.GROUND or phase in ON_GROUND:  # else the mission's time-outs judge there
+        return rule.scope is Scope.GROUND and phase in ON_GROUND
     return rule.scope is Scope.AIR or phase not in (Phase.OVERRULED, Phase.LANDING)
 
 

@@ -11,6 +11,7 @@ import math
 from collections import deque
 
 from dart_flight.config.mission import Mission
+from dart_flight.core.guard.sources import TwoClocks, TwoPlaces
 from dart_flight.core.mission.arithmetic import SCALARS
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.sense.senses import Sensed
@@ -27,6 +28,7 @@ from dart_flight.samples import (
     Input,
     OdometrySample,
     OperatorRequest,
+    OtherVehicle,
     Phase,
     StatusSample,
     StatusText,
@@ -35,8 +37,10 @@ from dart_flight.streams import BY_NAME
 
 _FAILSAFE_WORDS = ("failsafe",)
 _FAILSAFE_MEMORY_US = 3_000_000
+_UNSURE_US = 250_000  # in which a second vehicle shows for certain
 _GAP_US = 500_000  # of silence, in which PX4 may have said anything
 _RATE_WINDOW_US = 1_000_000
+_LEAP_US = 1_000_000
 _CLIP_SHARE = 0.99
 _JUMP_REACH_US = 100_000  # odometry further apart says nothing about a jump
 _RESET_REACH_US = 100_000  # a step this near to a reset came with it
@@ -77,6 +81,11 @@ class Watch:
         self.jump: str = ""
         self._reset_us: int | None = None  # the estimator's last reset, outside of the window after an impact
         self._steps: deque[tuple[int, float, float]] = deque(maxlen=_STEPS)  # stamp, position m, velocity m/s
+        tolerance_us = self.config.stamp_tolerance_s * 1e6
+        self._clocks = {name: TwoClocks(tolerance_us) for name in _STAMPED.values()}
+        self._places = TwoPlaces(self.config.position_jump_m)
+        self._other_system: int | None = None
+        self.second_vehicle: str | None = None  # how a second vehicle on the link shows; it does not go away
         self._failsafe_us: int | None = None
         self._gap_us: int | None = None
         self._host_us = 0  # of the newest stamped sample
@@ -106,11 +115,20 @@ class Watch:
             self._see_estimator(item)
         elif isinstance(item, StatusSample):
             self._see_status(item)
+        elif isinstance(item, OtherVehicle):
+            self._other_system = item.system
         elif isinstance(item, StatusText) and any(w in item.text.lower() for w in _FAILSAFE_WORDS):
             self._failsafe_us = state.now_us
         self._see_flags()
 
     # -- what rules ask --
+
+    @property
+    def other_system(self) -> str | None:
+        """Another vehicle on the link, in words: one that is told apart, or one that is not."""
+        if self._other_system is not None:
+            return f"system {self._other_system} sends on the same link"
+        return self.second_vehicle
 
     @property
     def shaken(self) -> bool:
@@ -133,9 +151,23 @@ class Watch:
         mode = self.state.status.flight_mode
         if not self.was_offboard or mode in (FlightMode.OFFBOARD, FlightMode.UNKNOWN):
             return None
+        # The modes of two vehicles come in turn; sticks are a pilot's, and from then on nothing is sent.
+        if self.unsure and mode is not FlightMode.MANUAL:
+            return None
         if self.land_asked and (mode is FlightMode.LAND or self.state.on_ground):
             return None
         return mode
+
+    @property
+    def unsure(self) -> bool:
+        """Whether the slow state may be another vehicle's: there is one, or the last moments look like it."""
+        if self.second_vehicle is not None:
+            return True
+        odd = [clocks.odd_us for clocks in self._clocks.values()]
+        return any(
+            odd_us is not None and self._host_us - odd_us < _UNSURE_US
+            for odd_us in (*odd, self._places.odd_us)
+        )
 
     def age_s(self, name: str) -> float:
         """Host time since a stream's newest sample was received, seconds; huge where there was none."""
@@ -204,10 +236,14 @@ class Watch:
             self._gap_us = self.state.now_us
         self._host_us = max(self._host_us, item.received_us)
         self.since_imu = 0 if name == "imu" else self.since_imu + 1
+        if self.second_vehicle is None:
+            self._look_for_second(name, item)
         newest = getattr(self.state, name)
         lag_us = newest.t_us - item.t_us if newest is not None else 0
         if lag_us > self.config.stamp_tolerance_s * 1e6:
             self.stale[name] = self.stale.get(name, 0) + 1
+            return
+        if -lag_us > _LEAP_US:  # not taken yet: another vehicle's, or a clock that has jumped
             return
         self.stale[name] = 0
         first_us, count = self._counts.get(name, (item.t_us, 0))
@@ -216,6 +252,23 @@ class Watch:
             self.rates_hz[name] = count * 1e6 / span_us
             first_us, count = item.t_us, 0
         self._counts[name] = (first_us, count + 1)
+
+    def _look_for_second(
+        self, name: str, item: ImuSample | AttitudeSample | OdometrySample | ActuatorSample
+    ) -> None:
+        clocks = self._clocks[name]
+        clocks.take(item.t_us, item.received_us)
+        if clocks.odd_us is not None:
+            # One stream alone may come by two ways, one of them late; a vehicle sends them all.
+            apart_s = [c.apart_s(item.received_us) for c in self._clocks.values()]
+            found = [seconds for seconds in apart_s if seconds is not None]
+            if len(found) > 1 and max(found) - min(found) < self.config.stamp_tolerance_s:
+                self.second_vehicle = f"two clocks in turn, {found[0]:.1f} s apart"
+        if isinstance(item, OdometrySample):
+            self._places.take(item)
+            apart_m = self._places.apart_m(item.received_us)
+            if apart_m is not None:
+                self.second_vehicle = f"odometry with two positions in turn, {apart_m:.1f} m apart"
 
     def _see_imu(self, item: ImuSample) -> None:
         if item is not self.state.imu:

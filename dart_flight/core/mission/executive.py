@@ -195,7 +195,7 @@ class Executive:
             "attitude": state.attitude is not None,
             "odometry": state.odometry is not None,
             "local position": state.status.local_position_ok,
-            f"lock {self.mission.transit_mode.value}": locked,
+            _lock_name(self.mission): locked,
         }
         if all(there.values()):
             assert state.odometry is not None
@@ -207,7 +207,10 @@ class Executive:
             self._references.stand(position, yaw, state.now_us)
             self._go(Cue.READY, state, p)
         elif self._is_late(state):
-            p.find("not_ready", "no " + ", no ".join(name for name, yes in there.items() if not yes))
+            missing = [name for name, yes in there.items() if not yes]
+            # What keeps the lock is not PX4's to say.
+            why = "" if missing == [_lock_name(self.mission)] else state.reasons()
+            p.find("not_ready", "no " + ", no ".join(missing) + why)
 
     def _offboard(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if state.in_offboard:
@@ -216,7 +219,7 @@ class Executive:
         if self._elapsed_us(state) > _STREAMING_US:
             self._ask(VehicleAction.OFFBOARD, state, p)
         if self._is_late(state):
-            p.find("offboard_refused", "PX4 refused offboard")
+            p.find("offboard_refused", "PX4 refused offboard" + state.reasons("offboard"))
 
     def _arming(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if state.status.armed:
@@ -225,7 +228,7 @@ class Executive:
             return
         self._ask(VehicleAction.ARM, state, p)
         if self._is_late(state):
-            p.find("arming_refused", "PX4 refused to arm")
+            p.find("arming_refused", "PX4 refused to arm" + state.reasons("arm"))
 
     # -- between the collisions --
 
@@ -438,3 +441,7 @@ class Executive:
         self._references.slew_yaw(self._wanted_yaw(state), state.now_us)
         since_us = self._entered_us if self.phase in self._underway else None
         p.outputs.append(self._references.setpoint(frame, sample.t_us, sample.received_us, since_us))
+
+
+def _lock_name(mission: Mission) -> str:
+    return f"lock {mission.transit_mode.value}"

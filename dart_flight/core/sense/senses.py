@@ -13,11 +13,13 @@ from dart_flight.samples import (
     AttitudeSample,
     AttitudeTargetSample,
     ClockOffset,
+    CommandResult,
     ContactEnd,
     DetectionFloor,
     EscSample,
     EstimatorSample,
     ForceEstimate,
+    HealthReport,
     ImpactOnset,
     ImpactPeak,
     ImuSample,
@@ -25,6 +27,7 @@ from dart_flight.samples import (
     LockState,
     OdometrySample,
     StatusSample,
+    StatusText,
     Tick,
 )
 
@@ -89,6 +92,12 @@ class Senses:
             state.take_estimator(item)
         elif isinstance(item, ClockOffset):
             state.take_clock(item)
+        elif isinstance(item, StatusText):
+            state.take_text(item)
+        elif isinstance(item, HealthReport):
+            state.take_health(item)
+        elif isinstance(item, CommandResult):
+            state.take_result(item)
         return _TOUCHING if self.detector.in_contact else _NOTHING
 
     def _feel(self, item: ImuSample, expected: Expected) -> Sensed:

@@ -9,8 +9,10 @@ from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
     ClockOffset,
+    CommandResult,
     EstimatorSample,
     FlightMode,
+    HealthReport,
     ImuSample,
     LandedState,
     LockPhase,
@@ -18,8 +20,16 @@ from dart_flight.samples import (
     Mode,
     OdometrySample,
     StatusSample,
+    StatusText,
     Tick,
 )
+
+_SEVERE = frozenset({"emergency", "alert", "critical", "error", "warning"})
+_SAID_US = 15_000_000  # PX4's words older than this explain nothing any more
+_MOST_REASONS = 6
+_LEAP_US = 1_000_000
+_FASTEST = 20  # simulated seconds per second
+_LEAPS_BELIEVED = 25
 
 
 class FlightState:
@@ -46,11 +56,18 @@ class FlightState:
         self.yaw = 0.0
         self.tilt_rad = 0.0
         self._velocities: deque[tuple[int, Vec3]] = deque(maxlen=32)
+        self._stamp_us = self._stamped_us = 0  # of the newest sample taken, and its receipt
+        self._leapt: dict[str, int] = {}  # samples in a row that are too far ahead
+        self.health: HealthReport | None = None
+        self._said: dict[str, int] = {}  # PX4's last warnings and worse, oldest first; when
+        self._refused: dict[str, str] = {}  # command -> PX4's answer, while it is a refusal
 
     def take_odometry(self, sample: OdometrySample) -> bool:
         """A position and velocity; False where its stamp does not advance."""
         previous = self.odometry
-        if previous is not None and sample.t_us <= previous.t_us:
+        if previous is not None and (
+            sample.t_us <= previous.t_us or self._leaps("odometry", sample, previous)
+        ):
             return False
         self.odometry = sample
         self._saw(sample.t_us, sample.received_us)
@@ -73,7 +90,10 @@ class FlightState:
 
     def take_attitude(self, sample: AttitudeSample) -> bool:
         """An attitude; False where its stamp does not advance."""
-        if self.attitude is not None and sample.t_us <= self.attitude.t_us:
+        previous = self.attitude
+        if previous is not None and (
+            sample.t_us <= previous.t_us or self._leaps("attitude", sample, previous)
+        ):
             return False
         self.attitude = sample
         self._saw(sample.t_us, sample.received_us)
@@ -84,7 +104,8 @@ class FlightState:
 
     def take_imu(self, sample: ImuSample) -> bool:
         """An IMU sample; False where its stamp does not advance."""
-        if self.imu is not None and sample.t_us <= self.imu.t_us:
+        previous = self.imu
+        if previous is not None and (sample.t_us <= previous.t_us or self._leaps("imu", sample, previous)):
             return False
         self.imu = sample
         self._saw(sample.t_us, sample.received_us)
@@ -92,6 +113,9 @@ class FlightState:
 
     def take_actuator(self, sample: ActuatorSample) -> None:
         """Motor commands."""
+        previous = self.actuator
+        if previous is not None and self._leaps("actuator", sample, previous):
+            return
         self.actuator = sample
         self.host_us = max(self.host_us, sample.received_us)
 
@@ -112,13 +136,56 @@ class FlightState:
         """The host's clock goes by."""
         self.host_us = max(self.host_us, tick.host_us)
         if self.clock_offset_us is not None:
-            self.now_us = max(self.now_us, self.host_us + self.clock_offset_us)
+            now_us = self.host_us + self.clock_offset_us
+            if self._stamp_us:  # a clock estimate may be that of another vehicle
+                now_us = min(now_us, self._stamp_us + self.host_us - self._stamped_us + _LEAP_US)
+            self.now_us = max(self.now_us, now_us)
 
     def take_clock(self, sample: ClockOffset) -> None:
         """Autopilot time minus host time."""
         self.clock_offset_us = sample.offset_us
 
+    def take_text(self, sample: StatusText) -> None:
+        """What PX4 says; warnings and worse are remembered."""
+        if sample.severity in _SEVERE:
+            self._said.pop(sample.text, None)  # the newest last
+            self._said[sample.text] = self.now_us
+            if len(self._said) > _MOST_REASONS:
+                del self._said[next(iter(self._said))]
+
+    def take_health(self, sample: HealthReport) -> None:
+        """PX4's health and arming checks."""
+        self.health = sample
+
+    def take_result(self, sample: CommandResult) -> None:
+        """How PX4 answered a command."""
+        if sample.ok:
+            self._refused.pop(sample.command, None)
+        else:
+            self._refused[sample.command] = sample.detail
+
+    def _leaps(
+        self,
+        stream: str,
+        sample: ImuSample | AttitudeSample | OdometrySample | ActuatorSample,
+        previous: ImuSample | AttitudeSample | OdometrySample | ActuatorSample,
+    ) -> bool:
+        """Whether a stamp lies further ahead than time can have gone by: another vehicle's, on the same link.
+
+        A clock that has really jumped is believed after a few samples in a row.
+        """
+        elapsed_us = sample.received_us - previous.received_us
+        if sample.t_us - previous.t_us <= _LEAP_US + _FASTEST * max(0, elapsed_us):
+            self._leapt.pop(stream, None)
+            return False
+        self._leapt[stream] = self._leapt.get(stream, 0) + 1
+        if self._leapt[stream] < _LEAPS_BELIEVED:
+            return True
+        del self._leapt[stream]
+        return False
+
     def _saw(self, t_us: int, received_us: int) -> None:
+        self._stamp_us, self._stamped_us = t_us, received_us
         self.now_us = max(self.now_us, t_us)
         self.host_us = max(self.host_us, received_us)
 
@@ -149,6 +216,27 @@ class FlightState:
     def age_us(self, sample: ImuSample | AttitudeSample | OdometrySample | ActuatorSample | None) -> int:
         """Host time since a stream's newest sample was received; huge where there was none."""
         return self.host_us - sample.received_us if sample is not None else 1 << 60
+
+    def reasons(self, command: str | None = None) -> str:
+        """Why PX4 does not do something, in its own words.
+
+        Args:
+            command: that it refuses; its answer is told where it gives no other reason.
+
+        Returns:
+            Words such as "; PX4 says: No offboard signal", to be appended; empty where there are none.
+        """
+        found: list[str] = []
+        if self.health is not None:
+            found += self.health.blocking
+        found += [text for text, t_us in self._said.items() if self.now_us - t_us < _SAID_US]
+        if self.health is not None and not self.health.blocking:
+            found += self.health.others
+        found = list(dict.fromkeys(found))[:_MOST_REASONS]
+        if found:
+            return "; PX4 says: " + ", ".join(found)
+        answer = self._refused.get(command or "")
+        return f"; PX4 answers: {answer}" if answer else ""
 
     @property
     def in_offboard(self) -> bool:

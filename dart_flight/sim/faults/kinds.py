@@ -62,6 +62,15 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind("delay", _P.LINK, "messages come late", "ms", 50.0, 0.0, 2000.0),
     FaultKind("reorder", _P.LINK, "messages overtake each other by 20 ms", "%", 10.0, 0.0, 100.0),
     FaultKind("duplicate", _P.LINK, "messages come twice", "%", 10.0, 0.0, 100.0),
+    FaultKind(
+        "second-vehicle",
+        _P.LINK,
+        "another vehicle with the same system id sends on the link, its clock this far ahead",
+        "s",
+        238.0,
+        -1000.0,
+        1000.0,
+    ),
     FaultKind("imu-dropout", _P.LINK, "no more IMU samples in the telemetry"),
     FaultKind("imu-stuck", _P.SENSOR, "the reported IMU repeats its last reading"),
     FaultKind("imu-clip", _P.SENSOR, "the accelerometer clips at this many g", "g", 4.0, 1.2, 16.0),
@@ -183,6 +192,7 @@ def impairment_of(fault: Fault) -> Impairment:
         "reorder": Impairment(reorder=share),
         "duplicate": Impairment(duplicate=share),
         "imu-dropout": Impairment(),
+        "second-vehicle": Impairment(),
     }[fault.name]
 
 

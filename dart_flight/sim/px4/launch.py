@@ -1,8 +1,10 @@
 """Starts and stops a real PX4 (SITL) from the user's own build or install, for one flight.
 
 PX4 runs in a fresh working folder, in a session of its own, on the first free instance number (which is what
-its ports follow from), with parameters by environment. Where PX4 comes from is the user's affair; its
-documentation explains building and installing it (docs/px4.md).
+its ports follow from). Its parameters go through PX4's own client while it waits for its simulator: every
+version from v1.14 on waits there, with its airframe's defaults applied and estimator and controllers not yet
+started. Where PX4 comes from is the user's affair; its documentation explains building and installing it
+(docs/px4.md).
 """
 
 from __future__ import annotations
@@ -10,12 +12,14 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import fcntl
+import math
 import os
 import re
 import shutil
 import signal
 import socket
 import subprocess
+import tempfile
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,21 +27,35 @@ from pathlib import Path
 import msgspec
 
 from dart_flight.config.document import InputError
-from dart_flight.config.parameters import PositionSource, Value, load_parameters, vehicle_files
+from dart_flight.config.parameters import (
+    Parameter,
+    PositionSource,
+    Value,
+    load_parameters,
+    vehicle_files,
+)
 from dart_flight.config.vehicle import LockDriver, Px4Parameters, VehicleConfig, packaged
 from dart_flight.errors import FlightError
 from dart_flight.lock.drivers.px4 import ACTUATOR_SET_1, PREARM_ALWAYS
 from dart_flight.sim.plant import Motor, motors_of
 from dart_flight.sim.px4.bridge import SERVO_CHANNEL
+from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of, holder_of, udp_port_is_free
 
 MODEL = "none_iris"  # PX4's airframe for an external simulator: a quadrotor in X
 ENVIRONMENT = "DART_PX4_DIR"
-TESTED, OLDEST = (1, 16), (1, 14)  # before 1.14 the names of the parameters were others
+# Flown, with results in docs/px4.md; before 1.14 the names of the parameters were others.
+TESTED: tuple[tuple[int, int], ...] = ((1, 14), (1, 15), (1, 16), (1, 17))
+OLDEST = (1, 14)
 SIMULATOR_PORT, ONBOARD_PORT = 4560, 14540
 _LOCAL_PORTS = (14580, 18570, 14280, 13030)  # UDP, plus the instance
 _INSTANCES = range(10)  # from the tenth on PX4 sends to one shared port
 _TERM_WAIT_S = 2.0
+_WAITING = "Waiting for simulator to accept connection"
 _BOOTED = "Startup script returned successfully"
+_CLIENT, _VERSION = "px4-param", "px4-ver"
+_ANSWER_S = 5.0
+_LISTED = re.compile(r"^[x ] [ *+] (?P<name>[A-Z][A-Z0-9_]*) \[.*\] : (?P<value>\S+)\s*$")
+_DIGITS = 5.1e-5  # `px4-param show` writes four decimals
 _SET_PDEATHSIG = 1
 
 
@@ -70,6 +88,8 @@ def find_install(directory: str | Path | None) -> Install:
         if program.is_file():
             if not os.access(program, os.X_OK):
                 raise InputError("bin/px4 is not executable", source=str(base))
+            if not (base / "bin" / _CLIENT).exists():
+                raise InputError(f"has bin/px4 but no bin/{_CLIENT}", source=str(base))
             if not (etc / "init.d-posix" / "rcS").is_file():
                 raise InputError(
                     "has bin/px4 but no etc/init.d-posix/rcS: not a SITL build", source=str(base)
@@ -92,8 +112,8 @@ def parameter_files(position_from: PositionSource) -> list[Path]:
 
 def flight_parameters(
     vehicle: VehicleConfig, position_from: PositionSource, extra: list[Path] | None = None
-) -> dict[str, Value]:
-    """All parameters PX4 is started with: the airframe's and the configuration's, then those of the files.
+) -> dict[str, Parameter]:
+    """All parameters PX4 is given: the airframe's and the configuration's, then those of the files.
 
     Args:
         vehicle: masses, motors and the `px4` section.
@@ -103,10 +123,61 @@ def flight_parameters(
     Raises:
         InputError: a file is wrong.
     """
-    parameters: dict[str, Value] = airframe_parameters(vehicle)
+    own = airframe_parameters(vehicle)
+    parameters = {name: Parameter(name, value, "the configuration") for name, value in own.items()}
     for path in [*parameter_files(position_from), *(extra or [])]:
-        parameters.update({p.name: p.value for p in load_parameters(path).values()})
+        for name, parameter in load_parameters(path).items():
+            before = parameters.get(name)
+            if before is not None and not parameter.absent:  # what versions have it is not the user's to know
+                parameter = msgspec.structs.replace(parameter, absent=before.absent, renamed=before.renamed)
+            parameters[name] = parameter
     return parameters
+
+
+def values_of(parameters: Mapping[str, Parameter]) -> dict[str, Value]:
+    """Name and value of each."""
+    return {name: parameter.value for name, parameter in parameters.items()}
+
+
+def fitting(parameters: Mapping[str, Parameter], known: Mapping[str, float]) -> dict[str, Value]:
+    """Which parameters to set in a PX4 that knows these: renamed ones by their name there.
+
+    Raises:
+        Px4Error: it does not know one, and configs/px4 does not say that it may be missing.
+    """
+    chosen: dict[str, Value] = {}
+    for name, parameter in parameters.items():
+        if name in known:
+            chosen[name] = parameter.value
+        elif parameter.renamed in known:
+            chosen.setdefault(str(parameter.renamed), parameter.value)
+        elif not parameter.absent or parameter.renamed is not None:
+            raise Px4Error(
+                f"this PX4 has no parameter {name} (wanted {parameter.value:g}): "
+                "its version is not one of docs/px4.md, or the name is wrong"
+            )
+    return chosen
+
+
+def not_taken(wanted: Mapping[str, Value], actual: Mapping[str, float]) -> str | None:
+    """The first parameter that is not as it was set, with both values; None: all are."""
+    for name, value in wanted.items():
+        has = actual.get(name)
+        near = _DIGITS if isinstance(value, float) else 0.0
+        if has is None or not math.isclose(has, value, rel_tol=1e-6, abs_tol=near):
+            return f"{name}: set to {value:g}, PX4 has {'none' if has is None else format(has, 'g')}"
+    return None
+
+
+def parse_parameters(listing: str) -> dict[str, float]:
+    """Name and value of every parameter out of `px4-param show -a`."""
+    found = {}
+    for line in listing.splitlines():
+        match = _LISTED.match(line)
+        if match is not None:
+            with contextlib.suppress(ValueError):
+                found[match["name"]] = float(match["value"])
+    return found
 
 
 def airframe_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
@@ -142,12 +213,13 @@ def motors_from(parameters: Mapping[str, Value], vehicle: VehicleConfig) -> tupl
     return tuple(motors)
 
 
-def environment(parameters: Mapping[str, Value]) -> dict[str, str]:
-    """Environment of the PX4 process: nothing of the caller's that could steer it, and the parameters."""
+def environment() -> dict[str, str]:
+    """Environment of the PX4 process: nothing of the caller's that could steer it.
+
+    PX4_PARAM_* variables set parameters from v1.16 on, and not in the same order in every version.
+    """
     kept = {name: os.environ[name] for name in ("PATH", "HOME", "LANG", "TZ") if name in os.environ}
     kept["PX4_SIM_MODEL"] = MODEL
-    for name, value in parameters.items():
-        kept[f"PX4_PARAM_{name}"] = str(value) if isinstance(value, int) else f"{value:.9g}"
     return kept
 
 
@@ -159,35 +231,63 @@ def arguments(install: Install, instance: int) -> list[str]:
 # --- instance ----------------------------------------------------------------------------------------
 
 
-def claim_instance() -> tuple[int, socket.socket]:
-    """The first free PX4 instance and its simulator socket, listening; to listen is to own it.
+class Instance:
+    """A PX4 instance that is ours: its number, its simulator port bound and not yet listening.
+
+    Attributes:
+        number: 0 to 9; the ports follow from it.
+    """
+
+    def __init__(self, number: int, listener: socket.socket, lease: LinkLease) -> None:
+        self.number, self._listener, self._lease = number, listener, lease
+
+    def listen(self) -> socket.socket:
+        """Let PX4 connect."""
+        self._listener.listen(1)
+        return self._listener
+
+    def release(self) -> None:
+        """Give the number back."""
+        self._listener.close()
+        self._lease.release()
+
+
+def claim_instance() -> Instance:
+    """The first PX4 instance whose ports nothing uses.
 
     Raises:
         Px4Error: all ten are taken.
     """
-    for instance in _INSTANCES:
-        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    for number in _INSTANCES:
+        # The port that PX4 sends to: leased by the sender here, by the receiver in the app.
+        lease = LinkLease(feed_of(ONBOARD_PORT + number), "dry-run --px4")
         try:
-            listener.bind(("127.0.0.1", SIMULATOR_PORT + instance))
-            listener.listen(1)
-        except OSError:
-            listener.close()
+            lease.acquire()
+        except LinkTakenError:
             continue
-        ports = [ONBOARD_PORT + instance, *(port + instance for port in _LOCAL_PORTS)]
-        if all(map(_udp_is_free, ports)) and not _instance_is_locked(instance):
-            return instance, listener
-        listener.close()
+        taken = holder_of(f"udpin://127.0.0.1:{ONBOARD_PORT + number}") is not None
+        listener = None if taken else _free_simulator_port(number)
+        if listener is not None:
+            return Instance(number, listener, lease)
+        lease.release()
     raise Px4Error(f"all {len(_INSTANCES)} PX4 instances are taken: stop one (ports 4560, 14540 and on)")
 
 
-def _udp_is_free(port: int) -> bool:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind(("0.0.0.0", port))
-        except OSError:
-            return False
-    return True
+def _free_simulator_port(number: int) -> socket.socket | None:
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        with socket.create_server(("127.0.0.1", SIMULATOR_PORT + number)):
+            pass  # nobody listens there; two that only bind would not see each other
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(("127.0.0.1", SIMULATOR_PORT + number))
+    except OSError:
+        listener.close()
+        return None
+    ports = [ONBOARD_PORT + number, *(port + number for port in _LOCAL_PORTS)]
+    if all(map(udp_port_is_free, ports)) and not _instance_is_locked(number):
+        return listener
+    listener.close()
+    return None
 
 
 def _instance_is_locked(instance: int) -> bool:
@@ -219,15 +319,12 @@ class Px4:
         install: where PX4 is.
         instance: claimed with `claim_instance`.
         folder: of the flight; PX4 works in `folder/px4`, its console goes to `folder/px4.log`.
-        parameters: to start with.
 
     Raises:
         Px4Error: the program does not start.
     """
 
-    def __init__(
-        self, install: Install, instance: int, folder: Path, parameters: Mapping[str, Value]
-    ) -> None:
+    def __init__(self, install: Install, instance: int, folder: Path) -> None:
         self._install, self.instance, self._folder = install, instance, folder
         self.work = folder / "px4"
         self.console = folder / "px4.log"
@@ -237,7 +334,7 @@ class Px4:
                 self._process = subprocess.Popen(
                     arguments(install, instance),
                     cwd=self.work,
-                    env=environment(parameters),
+                    env=environment(),
                     stdin=subprocess.DEVNULL,
                     stdout=console,
                     stderr=subprocess.STDOUT,
@@ -261,6 +358,54 @@ class Px4:
             return f"PX4 was killed by {signal.Signals(-code).name}"
         return f"PX4 ended with status {code}"
 
+    def wait_waiting(self, timeout_s: float = 10.0) -> None:
+        """Wait until PX4 waits for its simulator, which must not listen yet.
+
+        Raises:
+            Px4Error: it ends, or does not get there in time.
+        """
+        deadline = time.monotonic() + timeout_s
+        while not self._says(_WAITING):
+            self._check_alive("before it connected")
+            if time.monotonic() > deadline:
+                raise Px4Error(f"PX4 did not start within {timeout_s:g} s{self._last_words()}")
+            time.sleep(0.02)
+
+    def set_parameters(self, parameters: Mapping[str, Parameter]) -> dict[str, Value]:
+        """Set parameters while PX4 waits for its simulator, and read every one back.
+
+        Returns:
+            What was set; parameters that this version goes without are left out.
+
+        Raises:
+            Px4Error: PX4 does not answer, does not know a parameter, or one has not taken; names it.
+        """
+        known = parse_parameters(self._answer(_CLIENT, "show", "-a"))
+        if not known:
+            raise Px4Error(f"PX4 does not tell its parameters{self._last_words()}")
+        chosen = fitting(parameters, known)
+        for name, value in chosen.items():
+            self._answer(_CLIENT, "set", name, str(value) if isinstance(value, int) else f"{value:.9g}")
+        self.check_parameters(chosen, parse_parameters(self._answer(_CLIENT, "show", "-a")))
+        return chosen
+
+    @staticmethod
+    def check_parameters(wanted: Mapping[str, Value], actual: Mapping[str, float]) -> None:
+        """Compare what was set with what PX4 has.
+
+        Raises:
+            Px4Error: one has not taken; name and both values.
+        """
+        problem = not_taken(wanted, actual)
+        if problem is not None:
+            raise Px4Error(f"a parameter did not take: {problem}")
+
+    def version(self) -> tuple[int, int, int] | None:
+        """PX4's version, while it waits for its simulator; None where it does not tell."""
+        with contextlib.suppress(Px4Error):
+            return parse_version(self._answer(_VERSION, "all"))
+        return None
+
     def wait_connected(self, listener: socket.socket, timeout_s: float = 10.0) -> socket.socket:
         """Accept PX4's simulator connection.
 
@@ -272,16 +417,22 @@ class Px4:
         while time.monotonic() < deadline:
             with contextlib.suppress(TimeoutError):
                 return listener.accept()[0]
-            ending = self.ending()
-            if ending is not None:
-                raise Px4Error(f"{ending} before it connected{self._last_words()}")
+            self._check_alive("before it connected")
         raise Px4Error(f"PX4 did not connect to its simulator within {timeout_s:g} s{self._last_words()}")
+
+    def _check_alive(self, when: str) -> None:
+        ending = self.ending()
+        if ending is not None:
+            raise Px4Error(f"{ending} {when}{self._last_words()}")
+
+    def _says(self, words: str) -> bool:
+        with contextlib.suppress(OSError):
+            return words.encode() in self.console.read_bytes()
+        return False
 
     def booted(self) -> bool:
         """Whether its start-up script is through."""
-        with contextlib.suppress(OSError):
-            return _BOOTED.encode() in self.console.read_bytes()
-        return False
+        return self._says(_BOOTED)
 
     def _last_words(self) -> str:
         with contextlib.suppress(OSError):
@@ -291,21 +442,35 @@ class Px4:
                 return f": {errors[-1].strip()}"
         return ""
 
-    def ask_version(self) -> subprocess.Popen[bytes] | None:
-        """Ask the running PX4 for its version; read the answer with `parse_version`.
+    def ask_parameters(self) -> Question:
+        """Ask the running PX4 for its parameters.
 
         It answers only while the lockstep goes on, so this does not wait.
         """
-        program = self._install.program.parent / "px4-ver"
-        if not program.exists():
-            return None
-        return subprocess.Popen(
-            [str(program), "--instance", str(self.instance), "all"],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
+        return Question(self._command(_CLIENT, "show", "-a"))
+
+    def _command(self, program: str, *arguments: str) -> list[str]:
+        return [str(self._install.program.parent / program), "--instance", str(self.instance), *arguments]
+
+    def _answer(self, program: str, *arguments: str) -> str:
+        """What one of PX4's clients prints.
+
+        Raises:
+            Px4Error: PX4 does not answer.
+        """
+        try:
+            done = subprocess.run(
+                self._command(program, *arguments),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                timeout=_ANSWER_S,
+                check=False,
+            )
+        except (OSError, subprocess.TimeoutExpired):
+            self._check_alive(f"while {program} asked it")
+            raise Px4Error(f"PX4 does not answer {program} {' '.join(arguments)}") from None
+        return done.stdout.decode(errors="replace")
 
     def stop(self) -> None:
         """End it and everything it started: SIGTERM, then SIGKILL to its session."""
@@ -331,6 +496,39 @@ class Px4:
         return kept
 
 
+class Question:
+    """A question to the running PX4 that is answered while its simulator goes on.
+
+    Args:
+        command: what asks.
+    """
+
+    def __init__(self, command: list[str]) -> None:
+        self._out = tempfile.TemporaryFile()  # noqa: SIM115  (a pipe would fill up)
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=self._out,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+
+    @property
+    def answered(self) -> bool:
+        """Whether the whole answer is there."""
+        return self._process.poll() is not None
+
+    def close(self) -> str:
+        """The answer so far; gives up where it is not complete."""
+        if not self.answered:
+            self._process.kill()
+        self._process.wait()
+        self._out.seek(0)
+        answer = self._out.read().decode(errors="replace")
+        self._out.close()
+        return answer
+
+
 def parse_version(answer: str) -> tuple[int, int, int] | None:
     """Version out of `px4-ver all`, such as (1, 16, 0); None where it says none."""
     found = re.search(r"PX4 version:.*?(\d+)\.(\d+)\.(\d+)", answer)
@@ -340,17 +538,17 @@ def parse_version(answer: str) -> tuple[int, int, int] | None:
 
 
 def judge_version(version: tuple[int, int, int] | None) -> str | None:
-    """What there is to say about a version; None: nothing, it is the one the tables were flown with.
+    """What there is to say about a version; None: nothing, docs/px4.md has flights with it.
 
     Raises:
         Px4Error: it is too old.
     """
-    tested = f"the tables of docs/px4.md are from v{TESTED[0]}.{TESTED[1]}"
+    flown = "docs/px4.md has flights with " + ", ".join(f"v{a}.{b}" for a, b in TESTED)
     if version is None:
-        return f"PX4 does not tell its version; {tested}"
+        return f"PX4 does not tell its version; {flown}"
     text = ".".join(map(str, version))
     if version[:2] < OLDEST:
-        raise Px4Error(f"PX4 v{text} is too old: at least v{OLDEST[0]}.{OLDEST[1]}, tested with v1.16")
-    if version[:2] != TESTED:
-        return f"PX4 v{text}; {tested}"
+        raise Px4Error(f"PX4 v{text} is too old: at least v{OLDEST[0]}.{OLDEST[1]} is needed; {flown}")
+    if version[:2] not in TESTED:
+        return f"PX4 v{text}; {flown}"
     return None

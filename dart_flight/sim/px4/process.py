@@ -7,10 +7,8 @@ failsafe); when it is killed itself, the kernel kills PX4.
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import signal
-import subprocess
 import time
 from pathlib import Path
 from typing import IO
@@ -19,7 +17,7 @@ import msgspec
 
 from dart_flight.config.document import Document
 from dart_flight.config.mission import parse_mission
-from dart_flight.config.parameters import PositionSource
+from dart_flight.config.parameters import PositionSource, Value
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.errors import FlightError
 from dart_flight.samples import TruthSample
@@ -30,13 +28,15 @@ from dart_flight.sim.process import run_in_real_time
 from dart_flight.sim.px4.bridge import HilLink, Px4LostError, Px4Vehicle
 from dart_flight.sim.px4.launch import (
     ONBOARD_PORT,
+    Instance,
     Px4,
     Px4Error,
     claim_instance,
     find_install,
     judge_version,
     motors_from,
-    parse_version,
+    parse_parameters,
+    values_of,
 )
 
 _TRUTH_EVERY = 2  # ticks
@@ -71,6 +71,8 @@ class Px4Process:
             self._log = open(spec.log, "a", encoding="utf-8", buffering=1)  # noqa: SIM115
         self._ticks = 0
         self._armed = False
+        self._version: tuple[int, int, int] | None = None
+        self._set: dict[str, Value] = {}
         self._orphan_since_s: float | None = None
         self._disarmed_at_s: float | None = None
         self._over = False
@@ -79,20 +81,17 @@ class Px4Process:
         """Start PX4, fly until the app is gone and the vehicle is down, stop PX4; returns the exit status."""
         signal.signal(signal.SIGTERM, _stop)
         px4: Px4 | None = None
+        instance: Instance | None = None
         status = 0
         writer: LineWriter | None = None
         try:
-            instance, listener = claim_instance()
+            instance = claim_instance()
             # PX4 before any thread: the kernel ties its life to the thread that starts it.
-            px4 = Px4(
-                find_install(self._px4_spec.directory),
-                instance,
-                Path(self._px4_spec.folder),
-                self._px4_spec.parameters,
-            )
-            self._say(f"PX4 instance {instance}, process {px4.pid}")
+            px4 = Px4(find_install(self._px4_spec.directory), instance.number, Path(self._px4_spec.folder))
+            self._say(f"PX4 instance {instance.number}, process {px4.pid}")
+            self._prepare(px4)
             writer = LineWriter(self._truth_stream)
-            self._fly(px4, HilLink(px4.wait_connected(listener)), writer)
+            self._fly(px4, HilLink(px4.wait_connected(instance.listen())), writer)
         except _StoppedError:
             self._say("terminated")
         except FlightError as error:
@@ -107,6 +106,8 @@ class Px4Process:
                 px4.stop()
                 kept = px4.keep_log()
                 self._say(f"PX4 stopped, its log: {kept.name if kept else 'none'}")
+            if instance is not None:
+                instance.release()
             if writer is not None:
                 writer.finish()
         return status
@@ -123,6 +124,24 @@ class Px4Process:
         if self._log is not None:
             self._log.write(f"{self._ticks * TICK_S:9.3f} s  {text}\n")
 
+    def _prepare(self, px4: Px4) -> None:
+        """While PX4 waits for its simulator: judge its version, set its parameters.
+
+        Raises:
+            Px4Error: PX4 ends or does not answer, is too old, or a parameter has not taken.
+        """
+        px4.wait_waiting()
+        self._version = px4.version()
+        note = judge_version(self._version)
+        if note is not None:
+            self._say(note)
+        self._set = px4.set_parameters(self._px4_spec.parameters)
+        left_out = [name for name in self._px4_spec.parameters if name not in self._set]
+        self._say(
+            f"{len(self._set)} parameters set and read back"
+            + (f"; this version has no {', '.join(left_out)}" if left_out else "")
+        )
+
     # -- flight --
 
     def _fly(self, px4: Px4, link: HilLink, writer: LineWriter) -> None:
@@ -133,13 +152,10 @@ class Px4Process:
             self._spec.seed,
             link,
             self._px4_spec.position_from,
-            motors_from(self._px4_spec.parameters, self._mission.vehicle),
+            motors_from(values_of(self._px4_spec.parameters), self._mission.vehicle),
         )
-        version = self._boot(px4)
-        note = judge_version(version)
-        if note is not None:
-            self._say(note)
-        text = ".".join(map(str, version)) if version else None
+        self._boot(px4)
+        text = ".".join(map(str, self._version)) if self._version else None
         self._free_run(_WARM_UP_S[self._px4_spec.position_from])
         self._say("ready")
         writer.put(Ready(self._vehicle.time_us, ONBOARD_PORT + px4.instance, text, px4.pid))
@@ -149,27 +165,26 @@ class Px4Process:
         factor = (self._ticks - ticks) * TICK_S / (time.monotonic() - begun)
         self._say(f"flown at {factor:.2f} times real time, {self._vehicle.clipped} clipped ticks")
 
-    def _boot(self, px4: Px4) -> tuple[int, int, int] | None:
-        """Step while PX4 boots, then ask for its version.
+    def _boot(self, px4: Px4) -> None:
+        """Step while PX4 boots, then look whether its start-up script has left the parameters alone.
 
         Raises:
-            Px4Error: it does not boot in time.
+            Px4Error: it does not boot in time, or a parameter is no longer what was set.
         """
         deadline = time.monotonic() + _BOOT_TIMEOUT_S
         while not px4.booted():
             self._free_run(0.2)
             if time.monotonic() > deadline:
                 raise Px4Error(f"PX4 did not boot within {_BOOT_TIMEOUT_S:g} s, see {px4.console}")
-        asked = px4.ask_version()
-        if asked is None:
-            return None
-        while asked.poll() is None and time.monotonic() < deadline:
-            self._free_run(0.02)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            answer, _ = asked.communicate(timeout=0.5)
-            return parse_version(answer.decode(errors="replace"))
-        asked.kill()
-        return None
+        asked = px4.ask_parameters()
+        try:
+            while not asked.answered:
+                self._free_run(0.02)
+                if time.monotonic() > deadline:
+                    raise Px4Error("PX4 does not tell its parameters after booting")
+        finally:
+            answer = asked.close()
+        px4.check_parameters(self._set, parse_parameters(answer))
 
     def _free_run(self, seconds: float) -> None:
         """Step as fast as PX4 answers; the app sees nothing of it."""

@@ -1,0 +1,30 @@
+"""A second simulated vehicle on the link of the first: it stands beside it, under the same system id."""
+
+from __future__ import annotations
+
+import msgspec
+
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import LockDriver
+from dart_flight.geometry import add
+from dart_flight.sim.vehicle import SimulatedVehicle
+
+_APART_NED = (0.0, 4.0, 0.0)  # outside of the missions' flight space, on its own floor
+_OTHER_SEED = 1000
+
+
+def second_vehicle(mission: Mission, seed: int, ahead_s: float, now_us: int) -> SimulatedVehicle:
+    """The vehicle, standing and disarmed.
+
+    Args:
+        mission: of the first one.
+        seed: of the first one.
+        ahead_s: its clock less that of the first one.
+        now_us: the first one's clock.
+    """
+    twin = SimulatedVehicle(msgspec.structs.replace(mission, walls=()), seed + _OTHER_SEED, LockDriver.PX4)
+    plant, autopilot = twin.autopilot.plant, twin.autopilot
+    plant.position = add(plant.position, _APART_NED)
+    autopilot.estimator.shift(_APART_NED)
+    plant.time_offset_us += now_us - autopilot.time_us + round(ahead_s * 1e6)
+    return twin

@@ -1,0 +1,341 @@
+"""Which program has a link: one vehicle, one program.
+
+MAVSDK opens UDP ports so that others can open them, too, and a serial device without asking anybody: a second
+program takes half of the datagrams or bytes away, and the flight with them. So every command of this software
+that talks to a vehicle takes a `LinkLease` first. It is an advisory lock in the state folder, one file per
+link, that the kernel gives back when its process ends; the file says who has it, and where the flight's log
+is, for `monitor`. Other people's programs are found by what they have open.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import re
+import socket
+import termios
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+
+import msgspec
+
+from dart_flight.config.document import InputError
+from dart_flight.lock.persistence import state_dir
+
+_SERIAL = re.compile(r"serial(?:_flowcontrol)?://(?P<device>[^:]+)(?::\d+)?$")
+_NETWORK = re.compile(r"(?P<kind>udpin|udpout|udp|tcpin|tcpout|tcp)://(?P<host>[^:]*)(?::(?P<port>\d+))?$")
+_ATTEMPTS, _PAUSE_S = 3, 0.02
+_STARTING_S = 2.0
+_DEFAULT_PORT = {"udp": 14540, "tcp": 5760}
+
+
+class LinkTakenError(InputError):
+    """Another program has the link."""
+
+
+class Holder(msgspec.Struct, frozen=True):
+    """Who has a link.
+
+    Attributes:
+        pid: of the process.
+        command: of this software, such as `fly`.
+        url: as the operator wrote it.
+        log: the flight's log, absolute; None: there is none, or not yet.
+    """
+
+    pid: int
+    command: str
+    url: str
+    log: str | None = None
+
+    def words(self) -> str:
+        """Such as "fly, process 1234"."""
+        return f"{self.command}, process {self.pid}"
+
+
+class Place(msgspec.Struct, frozen=True):
+    """Where a URL leads, as far as sharing goes: two URLs with one `key` cannot be used at once.
+
+    Attributes:
+        key: part of a file name.
+        udp_port: that this side binds; None: none.
+        device: serial device; None: none.
+    """
+
+    key: str
+    udp_port: int | None = None
+    host: str = ""
+    device: Path | None = None
+
+
+def place_of(url: str) -> Place:
+    """Where a MAVSDK connection URL leads; what is no such URL gets a key all the same, MAVSDK refuses it."""
+    serial = _SERIAL.match(url)
+    if serial is not None:
+        # /dev/serial0, /dev/ttyAMA0 and /dev/serial/by-id/... may be one device.
+        device = Path(os.path.realpath(serial["device"]))
+        return Place("serial-" + str(device).strip("/").replace("/", "-"), device=device)
+    network = _NETWORK.match(url)
+    if network is None:
+        return Place("url-" + re.sub(r"[^A-Za-z0-9.]+", "-", url)[:80])
+    kind, host = network["kind"], network["host"]
+    port = int(network["port"] or _DEFAULT_PORT[kind[:3]])
+    if kind == "udpin" or (kind == "udp" and host in ("", "0.0.0.0", "127.0.0.1", "localhost")):
+        return Place(f"udp-{port}", udp_port=port, host=host)
+    return Place(f"{kind[:3]}-{'in' if kind.endswith('in') else 'out'}-{host}-{port}")
+
+
+def feed_of(port: int) -> str:
+    """What a simulated vehicle leases: the sending to a UDP port. A program that receives leases its URL."""
+    return f"feed:{port}"
+
+
+def link_folder() -> Path:
+    """Where the leases are."""
+    return state_dir() / "links"
+
+
+class LinkLease:
+    """The right to use one link, for as long as the process lives or until it is released.
+
+    Args:
+        url: MAVSDK connection URL.
+        command: of this software that wants it.
+        log: the flight's log.
+        probe: look for other people's programs on it, too.
+
+    Raises:
+        LinkTakenError: on entering, when another program has it; names it.
+        InputError: on entering, when the state folder cannot be used.
+    """
+
+    def __init__(self, url: str, command: str, log: Path | None = None, *, probe: bool = True) -> None:
+        self._url, self._probe = url, probe
+        self._place = place_of(url)
+        self._path = _file_of(url)
+        self._holder = Holder(os.getpid(), command, url, None if log is None else str(log.resolve()))
+        self._descriptor: int | None = None
+        self._device: int | None = None
+
+    def acquire(self) -> None:
+        """Take the link."""
+        self._descriptor = self._lock_file()
+        try:
+            if self._probe:
+                self._look_for_others()
+            if self._place.device is not None:
+                self._lock_device(self._place.device)
+        except InputError:
+            self.release()
+            raise
+        self._write()
+
+    def note_log(self, log: Path) -> None:
+        """Say where the flight's log is, for `monitor`."""
+        self._holder = msgspec.structs.replace(self._holder, log=str(log.resolve()))
+        self._write()
+
+    def close_device(self) -> None:
+        """Once MAVSDK has opened a serial device: nobody else may open it, but root."""
+        if self._device is not None:
+            with contextlib.suppress(OSError):
+                fcntl.ioctl(self._device, termios.TIOCEXCL)
+
+    def release(self) -> None:
+        """Give the link back; harmless when it is not held."""
+        if self._device is not None:
+            with contextlib.suppress(OSError):
+                fcntl.ioctl(self._device, termios.TIOCNXCL)
+            os.close(self._device)
+            self._device = None
+        if self._descriptor is not None:
+            self._path.unlink(missing_ok=True)
+            os.close(self._descriptor)
+            self._descriptor = None
+
+    def __enter__(self) -> LinkLease:
+        self.acquire()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release()
+
+    def _lock_file(self) -> int:
+        path = self._path
+        attempt = 0
+        while True:
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            except OSError as error:
+                raise InputError(
+                    f"cannot write: {error.strerror}; set DART_FLIGHT_STATE_DIR", source=str(path)
+                ) from None
+            try:
+                # Not a record lock: two parts of one process exclude each other as well.
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                holder = _read(descriptor)
+                os.close(descriptor)
+                attempt += 1
+                if holder is None and attempt < _ATTEMPTS:
+                    time.sleep(_PAUSE_S)  # a program just looks whether it is held, or is about to write
+                    continue
+                words = holder.words() if holder is not None else "another dart-flight"
+                raise LinkTakenError(f"in use by {words}", source=self._url) from None
+            if _is_at(descriptor, path):
+                return descriptor
+            os.close(descriptor)  # given back, and so removed, between opening and locking
+
+    def _write(self) -> None:
+        assert self._descriptor is not None
+        content = msgspec.json.encode(self._holder)
+        os.pwrite(self._descriptor, content, 0)
+        os.ftruncate(self._descriptor, len(content))
+
+    def _look_for_others(self) -> None:
+        port = self._place.udp_port
+        if port is None:
+            return
+        # A `simulate` that is just starting listens there for a moment, for other senders.
+        end = time.monotonic() + (_STARTING_S if holder_of(feed_of(port)) is not None else 0.0)
+        while not udp_port_is_free(port, self._place.host) and time.monotonic() < end:
+            time.sleep(_PAUSE_S)
+        if not udp_port_is_free(port, self._place.host):
+            raise LinkTakenError(f"UDP port {port} is in use by {owner_of_udp_port(port)}", source=self._url)
+
+    def _lock_device(self, device: Path) -> None:
+        try:
+            self._device = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+        except FileNotFoundError:
+            raise InputError("there is no such serial device", source=self._url) from None
+        except OSError as error:
+            if error.errno == errno.EBUSY:
+                who = _owners_of_device(device)
+                raise LinkTakenError(f"{device} is in use by {who}", source=self._url) from None
+            raise InputError(f"cannot open {device}: {error.strerror}", source=self._url) from None
+        others = _owners_of_device(device, besides=os.getpid())
+        try:
+            fcntl.flock(self._device, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise LinkTakenError(f"{device} is in use by {others}", source=self._url) from None
+        if others != _SOMEBODY:
+            raise LinkTakenError(f"{device} is in use by {others}", source=self._url)
+
+
+def free_link(command: str, log: Path | None = None) -> tuple[int, LinkLease]:
+    """A UDP port of the loopback that nothing uses, and its lease, held.
+
+    Raises:
+        InputError: the state folder cannot be used.
+    """
+    while True:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = int(probe.getsockname()[1])
+        lease = LinkLease(f"udpin://127.0.0.1:{port}", command, log)
+        with contextlib.suppress(LinkTakenError):
+            lease.acquire()
+            return port, lease
+
+
+def holder_of(url: str) -> Holder | None:
+    """Which program of this software has a link now; None: none."""
+    return _holder_in(_file_of(url))
+
+
+def held_links() -> Iterator[Holder]:
+    """The programs of this software that have a link now."""
+    for path in sorted(link_folder().glob(f"*{_network()}.json")):
+        holder = _holder_in(path)
+        if holder is not None:
+            yield holder
+
+
+def _file_of(url: str) -> Path:
+    return link_folder() / f"{place_of(url).key}{_network()}.json"
+
+
+def _is_at(descriptor: int, path: Path) -> bool:
+    """Whether a path still leads to an open file."""
+    try:
+        return os.path.samestat(os.fstat(descriptor), os.stat(path))
+    except OSError:
+        return False
+
+
+def _holder_in(path: Path) -> Holder | None:
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return _read(descriptor)
+    finally:
+        os.close(descriptor)
+    return None
+
+
+def _read(descriptor: int) -> Holder | None:
+    with contextlib.suppress(OSError, msgspec.DecodeError):
+        return msgspec.json.decode(os.pread(descriptor, 65536, 0), type=Holder)
+    return None
+
+
+def _network() -> str:
+    """Ports are those of one network namespace: containers that share a home do not share them."""
+    with contextlib.suppress(OSError):
+        return f"@{os.stat('/proc/self/ns/net').st_ino}"
+    return "@"
+
+
+# --- ports and devices -------------------------------------------------------------------------------
+
+_SOMEBODY = "another program"
+
+
+def udp_port_is_free(port: int, host: str = "") -> bool:
+    """Whether nothing is bound to a UDP port; a bind that shares it, as MAVSDK's, counts as bound."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((host if host and host != "localhost" else "0.0.0.0", port))
+        except OSError as error:
+            return error.errno != errno.EADDRINUSE
+    return True
+
+
+def owner_of_udp_port(port: int) -> str:
+    """The program that has a UDP port, as far as this user may see it."""
+    wanted = f":{port:04X}"
+    inodes = set()
+    for table in ("/proc/net/udp", "/proc/net/udp6"):
+        with contextlib.suppress(OSError):
+            for line in Path(table).read_text().splitlines()[1:]:
+                fields = line.split()
+                if fields[1].endswith(wanted):
+                    inodes.add(f"socket:[{fields[9]}]")
+    return _owners(inodes)
+
+
+def _owners_of_device(device: Path, besides: int | None = None) -> str:
+    return _owners({str(device)}, besides)
+
+
+def _owners(targets: set[str], besides: int | None = None) -> str:
+    """Which processes have one of these open, in words."""
+    found = []
+    for process in Path("/proc").iterdir():
+        if not process.name.isdigit() or int(process.name) == besides:
+            continue
+        with contextlib.suppress(OSError):
+            if any(os.readlink(entry) in targets for entry in (process / "fd").iterdir()):
+                found.append(f"{(process / 'comm').read_text().strip()}, process {process.name}")
+    return " and ".join(sorted(found)) or _SOMEBODY

@@ -1,0 +1,65 @@
+"""Why PX4 does not do what it is asked: its health and arming checks, else SYS_STATUS, in words."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+_BAD_AT_MOST = 4  # log level: warning; 0 is emergency
+_SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
+SEVERE = frozenset(_SEVERITIES[: _BAD_AT_MOST + 1])
+_ENABLED = re.compile(r'"onboard_control_sensors_enabled":\s*(\d+)')
+_HEALTHY = re.compile(r'"onboard_control_sensors_health":\s*(\d+)')
+_PREARM = 1 << 28  # MAV_SYS_STATUS_PREARM_CHECK
+# MAV_SYS_STATUS_SENSOR, as far as a vehicle like this has them.
+_SENSORS = {
+    0: "gyro",
+    1: "accelerometer",
+    2: "magnetometer",
+    3: "barometer",
+    5: "GPS",
+    6: "optical flow",
+    7: "position by vision",
+    9: "external position",
+    14: "position control",
+    15: "motor outputs",
+    16: "remote control",
+    20: "geofence",
+    21: "attitude and position estimate",
+    25: "battery",
+    29: "obstacle avoidance",
+}
+
+Report = tuple[bool, tuple[str, ...], tuple[str, ...]]  # can arm, what blocks, what else is wrong
+
+
+def severity(log_level: Any) -> str:
+    """An event's log level by the name that STATUSTEXT has for it."""
+    level = int(log_level)
+    return _SEVERITIES[level] if 0 <= level < len(_SEVERITIES) else "debug"
+
+
+def of_checks(report: Any) -> Report:
+    """MAVSDK's report of PX4's health and arming checks; what is only told and not amiss is left out."""
+    mode = report.current_mode_intention
+    blocking = () if mode.can_arm_or_run else _words(mode.problems)
+    others = tuple(word for word in _words(report.all_problems) if word not in blocking)
+    return bool(mode.can_arm_or_run), blocking, others
+
+
+def of_sys_status(fields_json: str) -> Report | None:
+    """What SYS_STATUS says, for a PX4 without reports: sensors in use that are not well; None: nothing."""
+    enabled, healthy = _ENABLED.search(fields_json), _HEALTHY.search(fields_json)
+    if enabled is None or healthy is None:
+        return None
+    bad = int(enabled[1]) & ~int(healthy[1])
+    words = tuple(f"{name} not healthy" for bit, name in _SENSORS.items() if bad & 1 << bit)
+    refused = bool(bad & _PREARM)
+    if refused and not words:
+        words = ("preflight checks failed",)
+    return not refused, words if refused else (), () if refused else words
+
+
+def _words(problems: Any) -> tuple[str, ...]:
+    found = (p.message.strip() for p in problems if int(p.log_level) <= _BAD_AT_MOST)
+    return tuple(dict.fromkeys(word for word in found if word))

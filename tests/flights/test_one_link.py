@@ -1,0 +1,189 @@
+"""One vehicle, one program: what happens on a link that a flight has, in processes as people start them."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from dart_flight.worlds.vehicle_process import free_udp_port
+from tests.shared_flights import patient
+
+ROOT = Path(__file__).parents[2]
+SINGLE = "missions/single_wall.yaml"
+
+
+class Commands:
+    """dart-flight in processes that share one state folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.config = folder / "dart.yaml"
+        self.config.write_text(patient((ROOT / "configs/dart.yaml").read_text()))
+        self._environment = {**os.environ, "DART_FLIGHT_STATE_DIR": str(folder / "state")}
+        self._started: list[subprocess.Popen[str]] = []
+
+    def start(self, *words: str) -> subprocess.Popen[str]:
+        """Start one, output kept for `communicate`."""
+        process = subprocess.Popen(
+            [sys.executable, "-m", "dart_flight", *words],
+            cwd=ROOT,
+            env=self._environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self._started.append(process)
+        return process
+
+    def run(self, *words: str) -> tuple[int, str]:
+        """Run one to its end; returns status and what it says on standard error."""
+        _, error = self.start(*words).communicate(timeout=60.0)
+        return self._started[-1].returncode, error
+
+    def end(self) -> None:
+        """Stop what still runs."""
+        for process in self._started:
+            with contextlib.suppress(ProcessLookupError):
+                process.terminate()
+        for process in self._started:
+            process.communicate(timeout=40.0)
+
+
+@pytest.fixture
+def commands(tmp_path: Path) -> Iterator[Commands]:
+    started = Commands(tmp_path)
+    yield started
+    started.end()
+
+
+def wait_until_it_sends(port: int) -> None:
+    """Until a datagram arrives; the port is free again afterwards."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
+        ear.bind(("127.0.0.1", port))
+        ear.settimeout(20.0)
+        ear.recv(65536)
+
+
+def test_a_second_simulated_vehicle_on_a_port_is_refused_and_names_the_first(commands: Commands) -> None:
+    port = free_udp_port()
+    first = commands.start("simulate", "--port", str(port))
+    wait_until_it_sends(port)
+    status, error = commands.run("simulate", "--port", str(port))
+    assert status == 2
+    assert error.splitlines() == [
+        f"UDP port {port}: another vehicle sends there: in use by simulate, process {first.pid}"
+    ]
+
+
+def test_any_other_sender_of_mavlink_on_the_port_is_heard(commands: Commands) -> None:
+    port = free_udp_port()
+    packed = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3).pack(mavlink.MAVLink(None, srcSystem=7))
+    simulate = commands.start("simulate", "--port", str(port))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        while simulate.poll() is None:
+            with contextlib.suppress(OSError):
+                sender.sendto(packed, ("127.0.0.1", port))
+            time.sleep(0.2)
+        own = sender.getsockname()[1]
+    _, error = simulate.communicate()
+    assert simulate.returncode == 2
+    assert f"another vehicle sends there, MAVLink system 7 from UDP port {own}" in error
+
+
+def test_a_vehicle_that_has_px4s_own_port_is_heard_of_though_a_flight_has_the_other(
+    commands: Commands,
+) -> None:
+    """A PX4 simulator feeds the port, a program receives there already: nothing can be listened to."""
+    port = free_udp_port()
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as fly,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as px4,
+    ):
+        fly.bind(("127.0.0.1", port))
+        px4.bind(("0.0.0.0", port + 40))
+        status, error = commands.run("simulate", "--port", str(port))
+    assert status == 2
+    assert f"process {os.getpid()}, from UDP port {port + 40}" in error
+
+
+@pytest.mark.mavlink
+def test_no_second_program_gets_at_a_flight_and_monitor_watches_it_by_its_log(commands: Commands) -> None:
+    port = free_udp_port()
+    url = f"udpin://127.0.0.1:{port}"
+    log_dir = commands.folder / "flights"
+    commands.start("simulate", SINGLE, "--port", str(port))
+    wait_until_it_sends(port)
+    fly = commands.start(
+        "fly", SINGLE, "--config", str(commands.config), "--connection", url, "--driver", "px4", "--yes",
+        "--json", "--log-dir", str(log_dir),
+    )  # fmt: skip
+    assert fly.stderr is not None
+    said = ""
+    for line in fly.stderr:
+        said += line
+        if "approach" in line:
+            break
+    else:
+        pytest.fail(said)
+    monitor = commands.start("monitor", "--json")  # in the approach, without a URL
+    for words in (["monitor", "--connection", url, "--seconds", "1"], ["check", SINGLE, "--connection", url]):
+        status, error = commands.run(*words)
+        assert status == 2
+        assert f"in use by fly, process {fly.pid}" in error
+        assert len(error.splitlines()) == 1
+    out, _ = fly.communicate(timeout=90.0)
+    verdict = json.loads(out)
+    assert verdict["outcome"] == "completed", verdict["reason"]
+    view, error = monitor.communicate(timeout=30.0)  # ends with the flight
+    assert f"watching fly, process {fly.pid}" in error
+    seen: dict[str, Any] = json.loads(view)
+    assert seen["phase"] == "done"
+    assert seen["frame"] == "mission"
+    assert len(seen["peaks"]) == 1
+    assert seen["peaks"][0][1] == pytest.approx(verdict["collisions"][0]["measured"]["peak_force_n"], rel=0.1)
+
+
+@pytest.mark.mavlink
+def test_monitor_without_a_flight_or_a_vehicle_says_so(commands: Commands) -> None:
+    text = commands.config.read_text()
+    commands.config.write_text(text.replace("timeout_s: 30.0", "timeout_s: 2.0", 1))
+    port = free_udp_port()
+    status, error = commands.run(
+        "monitor",
+        "--config",
+        str(commands.config),
+        "--connection",
+        f"udpin://127.0.0.1:{port}",
+        "--seconds",
+        "1",
+    )
+    assert status == 1
+    assert "no autopilot on" in error
+
+
+@pytest.mark.mavlink
+def test_monitor_watches_a_dry_run_and_can_be_stopped_at_any_time(commands: Commands) -> None:
+    flight = commands.start(
+        "dry-run", SINGLE, "--config", str(commands.config), "--json", "--log-dir", str(commands.folder / "f")
+    )
+    assert flight.stderr is not None
+    for line in flight.stderr:
+        if "climb" in line:
+            break
+    monitor = commands.start("monitor", "--json")
+    time.sleep(3.0)
+    monitor.send_signal(signal.SIGKILL)
+    out, _ = flight.communicate(timeout=90.0)
+    assert json.loads(out)["outcome"] == "completed"

@@ -1,0 +1,58 @@
+"""A log read while it is written: nothing twice, nothing lost, over parts and up to the end."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from dart_flight.recording import read_log
+from dart_flight.recording.follow import LogFollower
+from dart_flight.recording.writer import FlightLog
+from dart_flight.samples import StatusText, Tick
+
+
+def drain(follower: LogFollower, wanted: int, timeout_s: float = 10.0) -> list[int]:
+    numbers: list[int] = []
+    end = time.monotonic() + timeout_s
+    while len(numbers) < wanted and time.monotonic() < end:
+        numbers += [entry.number for entry in follower.read()]
+        time.sleep(0.01)
+    return numbers
+
+
+@pytest.mark.parametrize("part_bytes", [1, 1 << 26])
+def test_records_come_as_they_are_written(tmp_path: Path, part_bytes: int) -> None:
+    log = FlightLog(tmp_path / "flight.mcap", {"mission": "m"}, part_bytes=part_bytes)
+    follower = LogFollower(log.path)
+    for begin in (0, 100, 200):
+        for number in range(begin, begin + 100):
+            log.put(Tick(number), number)
+        assert drain(follower, 100) == list(range(begin, begin + 100))
+        assert follower.about["mission"] == "m"
+        assert not follower.ended
+    log.put(StatusText(1, 2, "info", "the end"), 300)
+    log.close()
+    assert drain(follower, 1) == [300]
+    follower.read()
+    assert follower.ended
+    assert follower.read() == []
+    assert len(read_log(log.path).entries) == 301
+
+
+def test_half_a_record_is_waited_for(tmp_path: Path) -> None:
+    log = FlightLog(tmp_path / "whole.mcap", {})
+    for number in range(1000):
+        log.put(Tick(number), number)
+    log.close()
+    whole = log.path.read_bytes()
+    growing = tmp_path / "growing.mcap"
+    numbers: list[int] = []
+    growing.write_bytes(whole[:20])
+    follower = LogFollower(growing)
+    for end in range(20, len(whole) + 97, 97):
+        growing.write_bytes(whole[:end])
+        numbers += [entry.number for entry in follower.read()]
+    assert numbers == list(range(1000))
+    assert follower.ended

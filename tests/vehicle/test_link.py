@@ -1,0 +1,203 @@
+"""One link, one program: leases between processes, other people's programs, serial devices."""
+
+from __future__ import annotations
+
+import os
+import pty
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.config.document import InputError
+from dart_flight.config.vehicle import packaged
+from dart_flight.vehicle.link import (
+    LinkLease,
+    LinkTakenError,
+    free_link,
+    held_links,
+    holder_of,
+    place_of,
+    udp_port_is_free,
+)
+
+MISSION = str(packaged("missions", "single_wall.yaml"))
+HOLD = """
+import sys, time
+from pathlib import Path
+from dart_flight.vehicle.link import LinkLease
+lease = LinkLease(sys.argv[1], "fly", Path(sys.argv[2]))
+lease.acquire()
+print("held", flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.fixture(autouse=True)
+def _own_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
+
+
+@pytest.fixture
+def port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture
+def url(port: int) -> str:
+    return f"udpin://0.0.0.0:{port}"
+
+
+@pytest.fixture
+def flying(url: str, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """Another process that holds the link, as a flight does."""
+    command = [sys.executable, "-c", HOLD, url, str(tmp_path / "flight.mcap")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "held\n"
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def test_two_ways_to_write_one_place_are_one_place(tmp_path: Path) -> None:
+    device = tmp_path / "ttyTest"
+    device.touch()
+    (tmp_path / "serial0").symlink_to(device)
+    assert place_of(f"serial://{device}:921600") == place_of(f"serial://{tmp_path}/serial0")
+    assert place_of("udpin://0.0.0.0:14540").key == place_of("udpin://127.0.0.1:14540").key
+    assert place_of("udp://:14540").udp_port == 14540
+    assert place_of("udpin://0.0.0.0:14540").key != place_of("udpin://0.0.0.0:14541").key
+    assert place_of("udpout://10.0.0.1:14540").udp_port is None
+
+
+def test_the_program_that_holds_a_link_is_named(
+    flying: subprocess.Popen[str], url: str, tmp_path: Path
+) -> None:
+    with pytest.raises(LinkTakenError) as caught:
+        LinkLease(url.replace("0.0.0.0", "127.0.0.1"), "monitor").acquire()
+    assert caught.value.message == f"in use by fly, process {flying.pid}"
+    holder = holder_of(url)
+    assert holder is not None
+    assert (holder.pid, holder.log) == (flying.pid, str(tmp_path / "flight.mcap"))
+    assert [one.pid for one in held_links()] == [flying.pid]
+
+
+def test_a_link_is_free_again_however_its_program_ended(flying: subprocess.Popen[str], url: str) -> None:
+    flying.send_signal(signal.SIGKILL)
+    flying.wait()
+    assert holder_of(url) is None
+    with LinkLease(url, "check"):
+        assert holder_of(url) is not None
+    assert list(held_links()) == []
+
+
+def test_two_parts_of_one_program_exclude_each_other(url: str) -> None:
+    with LinkLease(url, "fly"), pytest.raises(LinkTakenError, match="in use by fly"):
+        LinkLease(url, "check").acquire()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["fly", MISSION, "--yes"],
+        ["check", MISSION],
+        ["monitor", "--seconds", "1"],
+        ["lock", "status", "--driver", "px4"],
+        ["plan", str(packaged("missions", "scenarios", "one_wall.yaml"))],
+    ],
+    ids=lambda command: command[0],
+)
+def test_every_command_on_a_link_in_use_is_refused_in_one_line(
+    flying: subprocess.Popen[str], url: str, command: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*command, "--connection", url]) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "in use" in line]
+    assert f"in use by fly, process {flying.pid}" in line
+
+
+def test_a_foreign_program_on_the_port_is_named(port: int, url: str) -> None:
+    listen = "import socket,sys,time; s=socket.socket(type=socket.SOCK_DGRAM);"
+    # As MAVSDK and ground stations open it: others may share.
+    listen += "s.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1);"
+    listen += f"s.bind(('127.0.0.1', {port})); print('bound', flush=True); time.sleep(60)"
+    other = subprocess.Popen([sys.executable, "-c", listen], stdout=subprocess.PIPE, text=True)
+    try:
+        assert other.stdout is not None
+        other.stdout.readline()
+        assert not udp_port_is_free(port)
+        with pytest.raises(
+            LinkTakenError, match=rf"UDP port {port} is in use by python.*, process {other.pid}"
+        ):
+            LinkLease(url, "fly").acquire()
+    finally:
+        other.kill()
+        other.communicate()
+    with LinkLease(url, "fly"):
+        pass
+
+
+def test_free_links_differ() -> None:
+    (one, first), (two, second) = free_link("dry-run"), free_link("dry-run")
+    first.release()
+    second.release()
+    assert one != two
+
+
+# --- serial -----------------------------------------------------------------------------------------------
+
+
+def test_a_serial_device_that_another_program_has_open_is_refused(tmp_path: Path) -> None:
+    master, slave = pty.openpty()
+    name = os.ttyname(slave)
+    os.close(slave)
+    reader = subprocess.Popen(
+        [sys.executable, "-c", f"f=open({name!r},'rb',0); print('open', flush=True); f.read()"],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert reader.stdout is not None
+        reader.stdout.readline()
+        with pytest.raises(LinkTakenError, match=f"{name} is in use by python.*, process {reader.pid}"):
+            LinkLease(f"serial://{name}:921600", "fly").acquire()
+    finally:
+        reader.kill()
+        reader.communicate()
+        os.close(master)
+
+
+def test_a_serial_device_is_locked_for_other_programs_and_other_state_folders() -> None:
+    master, slave = pty.openpty()
+    name = os.ttyname(slave)
+    os.close(slave)
+    url = f"serial://{name}:57600"
+    with LinkLease(url, "fly") as lease:
+        lease.close_device()
+        take = "import fcntl,os,sys; d=os.open(sys.argv[1], os.O_RDWR);"
+        take += "fcntl.flock(d, fcntl.LOCK_EX|fcntl.LOCK_NB)"
+        # What pyserial does with exclusive=True.
+        done = subprocess.run([sys.executable, "-c", take, name], capture_output=True, text=True, check=False)
+        assert done.returncode != 0
+        elsewhere = {**os.environ, "DART_FLIGHT_STATE_DIR": os.environ["DART_FLIGHT_STATE_DIR"] + "2"}
+        command = [sys.executable, "-m", "dart_flight", "check", MISSION, "--connection", url]
+        checked = subprocess.run(command, env=elsewhere, capture_output=True, text=True, check=False)
+        assert checked.returncode == 2
+        assert f"{name} is in use by" in checked.stderr
+        assert f"process {os.getpid()}" in checked.stderr
+        assert len(checked.stderr.splitlines()) == 1
+    with LinkLease(url, "fly"):
+        pass
+    os.close(master)
+
+
+def test_a_serial_device_that_is_not_there_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(InputError, match="no such serial device"):
+        LinkLease("serial:///dev/ttyNone9:57600", "fly").acquire()

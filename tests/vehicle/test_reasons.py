@@ -1,0 +1,49 @@
+"""PX4's reasons in words: its checks as MAVSDK reports them, else the sensors of SYS_STATUS."""
+
+from __future__ import annotations
+
+import json
+
+from mavsdk.plugins.events import (
+    HealthAndArmingCheckMode,
+    HealthAndArmingCheckProblem,
+    HealthAndArmingCheckReport,
+    LogLevel,
+)
+
+from dart_flight.vehicle.reasons import of_checks, of_sys_status, severity
+
+
+def problem(text: str, level: LogLevel = LogLevel.ERROR) -> HealthAndArmingCheckProblem:
+    return HealthAndArmingCheckProblem(text, "", level, "system")
+
+
+def test_what_blocks_comes_before_what_is_wrong_for_other_modes() -> None:
+    blocking = [problem("No valid position estimate"), problem("Home position not set", LogLevel.INFO)]
+    everything = [*blocking, problem("No manual control input"), problem("No valid position estimate")]
+    report = HealthAndArmingCheckReport(HealthAndArmingCheckMode("Hold", False, blocking), [], everything)
+    assert of_checks(report) == (False, ("No valid position estimate",), ("No manual control input",))
+    report.current_mode_intention.can_arm_or_run = True
+    assert of_checks(report)[:2] == (True, ())
+
+
+def sys_status(enabled: int, healthy: int) -> str:
+    return json.dumps({"onboard_control_sensors_enabled": enabled, "onboard_control_sensors_health": healthy})
+
+
+def test_sensors_in_use_that_are_not_well_are_named() -> None:
+    every = 1 << 28 | 1 | 2 | 4 | 8
+    assert of_sys_status(sys_status(every, every)) == (True, (), ())
+    assert of_sys_status(sys_status(every, every & ~4 & ~(1 << 28))) == (
+        False,
+        ("magnetometer not healthy",),
+        (),
+    )
+    assert of_sys_status(sys_status(every, every & ~(1 << 28))) == (False, ("preflight checks failed",), ())
+    assert of_sys_status("{}") is None
+
+
+def test_levels_of_events_are_those_of_texts() -> None:
+    assert severity(LogLevel.CRITICAL) == "critical"
+    assert severity(LogLevel.WARNING) == "warning"
+    assert severity(9) == "debug"
