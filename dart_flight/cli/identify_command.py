@@ -149,7 +149,7 @@ def _print(found: Any) -> None:
         tables().print(table)
     table = Table(title="trials")
     for name in ("trial", "normal m/s", "along m/s", "samples in contact"):
-        table.add_column(name, justify="left" if name == "trial" else "right")
+        table.add_column(name, justify="left" if name == "trial" else "right", overflow="fold")
     for trial in found.trials:
         along = "" if trial.tangential_m_s is None else f"{trial.tangential_m_s:.3f}"
         table.add_row(trial.name, f"{trial.normal_m_s:.3f}", along, str(trial.samples_in_contact))
