@@ -580,7 +580,7 @@ def test_two_positions_at_one_clock_are_two_vehicles() -> None:
 
 
 def test_the_slow_state_of_the_other_vehicle_ends_nothing() -> None:
-    """It stands there disarmed, in another mode: neither a pilot, nor a landing, nor the end of the flight."""
+    """It stands there disarmed, in another mode: neither a pilot, a landing, nor the end of the flight."""
     c = HandFedCore()
     c.to_flight()
     in_turn(c, 238_000_000, 3.0, 0.1)

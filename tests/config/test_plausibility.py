@@ -1,0 +1,130 @@
+"""Every number of the files has two ends; what lies beyond is told with its unit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.config import load_mission
+from dart_flight.config.mission import MissionFile
+from dart_flight.config.scenario import ScenarioFile
+from dart_flight.config.units import unit_of
+from dart_flight.config.vehicle import VehicleConfig, packaged
+
+ROOT = Path(__file__).parents[2]
+DUAL = (ROOT / "missions/dual_collision.yaml").read_text()
+CONFIG = (ROOT / "configs/dart.yaml").read_text()
+
+
+def numbers(type_: object, name: str, seen: set[type]) -> Iterator[tuple[str, msgspec.inspect.FloatType]]:
+    """Every number in a file's type, with its key."""
+    if isinstance(type_, msgspec.inspect.FloatType):
+        yield name, type_
+    elif isinstance(type_, msgspec.inspect.StructType) and type_.cls not in seen:
+        seen.add(type_.cls)
+        for field in type_.fields:
+            yield from numbers(field.type, f"{name}.{field.encode_name}", seen)
+    elif isinstance(type_, msgspec.inspect.UnionType):
+        for part in type_.types:
+            yield from numbers(part, name, seen)
+    elif isinstance(type_, msgspec.inspect.TupleType):
+        for part in type_.item_types:
+            yield from numbers(part, name, seen)
+    elif isinstance(type_, msgspec.inspect.DictType):
+        yield from numbers(type_.value_type, name, seen)
+    elif isinstance(type_, msgspec.inspect.ListType):
+        yield from numbers(type_.item_type, name, seen)
+
+
+@pytest.mark.parametrize("file", [VehicleConfig, MissionFile, ScenarioFile])
+def test_every_number_has_two_ends(file: type) -> None:
+    found = list(numbers(msgspec.inspect.type_info(file), "", set()))
+    assert len(found) > 15
+    open_ended = [
+        name for name, n in found
+        if (n.ge is None and n.gt is None) or (n.le is None and n.lt is None)
+    ]  # fmt: skip
+    assert not open_ended
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "says"),
+    [
+        ("arm_x_m: 0.", "arm_x_m: 130", "0.01 to 2 m, not"),
+        ("contact_distance_m: 0.", "contact_distance_m: 20", "0 to 2 m, not"),
+        ("mass_kg: 1.3", "mass_kg: 1300", "0.05 to 50 kg, not 1300"),
+    ],
+)
+def test_a_configuration_out_of_range(
+    before: str, after: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert before in CONFIG
+    path = tmp_path / "dart.yaml"
+    path.write_text(CONFIG.replace(before, after))
+    assert main(["check", str(ROOT / "missions/dual_collision.yaml"), "--config", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert says in said
+    assert said.count("\n") == 1
+
+
+def test_a_mission_out_of_range(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mission.yaml"
+    path.write_text(DUAL.replace("[0.12, 0.025]", "[25, 25]"))
+    assert main(["check", str(path)]) == 2
+    assert "alpha_m_per_n[0]: " in (said := capsys.readouterr().err)
+    assert "0 to 1 m/N, not 25" in said
+
+
+def check(tmp_path: Path, capsys: pytest.CaptureFixture[str], *changes: tuple[str, str]) -> tuple[int, str]:
+    text = DUAL.replace("../configs/dart.yaml", str(packaged("configs", "dart.yaml")))
+    for before, after in changes:
+        assert before in text
+        text = text.replace(before, after)
+    path = tmp_path / "mission.yaml"
+    path.write_text(text)
+    load_mission(path)
+    return main(["check", str(path)]), capsys.readouterr().err
+
+
+def test_the_papers_own_set_point_outside_is_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, said = check(tmp_path, capsys)
+    assert status == 0
+    assert "remark" in said
+    assert "0.51 m outside bounds_m" in said
+
+
+def test_a_set_point_far_outside_is_a_no_go(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, said = check(tmp_path, capsys, ("[0.12, 0.025]", "[0.25, 0.5]"))
+    assert status == 1
+    assert "NO-GO     recovery_1" in said
+
+
+def test_a_set_point_of_a_wall_that_a_recovery_leads_to_counts_as_well(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    second = "mode: rigid, alpha_m_per_n: [0.025, 0.025]"
+    status, said = check(tmp_path, capsys, (second, second.replace("[0.025, 0.025]", "[0.9, 0.5]")))
+    assert status == 1
+    assert "NO-GO     recovery_2" in said
+    assert "NO-GO     path" in said, "and it would fly out of the bounds"
+
+
+@pytest.mark.parametrize("scenario", ["dual_collision", "one_wall", "any_walls"])
+def test_what_the_planner_writes_is_go(
+    scenario: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "planned.yaml"
+    assert main(["plan", str(packaged("missions", "scenarios", f"{scenario}.yaml")), "-o", str(path)]) == 0
+    assert main(["check", str(path)]) == 0
+
+
+def test_units_are_read_from_names() -> None:
+    units = {"mass_kg": "kg", "drag_per_s": "1/s", "alpha_m_per_n": "m/N", "speed_m_s": "m/s", "k": "N/m"}
+    assert {name: unit_of(name) for name in units} == units
+    assert unit_of("exponent") == ""

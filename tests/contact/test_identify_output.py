@@ -1,0 +1,131 @@
+"""What `identify` hands back: what it found, whatever becomes of the file, and whether to believe it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.config import load_vehicle
+from dart_flight.config.vehicle import packaged
+from dart_flight.identify.judgement import judge_fit
+from dart_flight.samples import Mode
+from tools.synthetic_trials import drop_trial, wall_trial, write_csv
+
+pytest.importorskip("scipy")
+
+VEHICLE = load_vehicle(packaged("configs", "dart.yaml"))
+
+
+@pytest.fixture
+def drops(tmp_path: Path) -> list[str]:
+    random = np.random.default_rng(2)
+    concrete = VEHICLE.materials["concrete"]
+    paths = []
+    for height in (0.05, 0.2):
+        path = tmp_path / f"drop_{height:g}.csv"
+        write_csv(drop_trial(concrete.rigid, height, random), path)
+        paths.append(str(path))
+    return paths
+
+
+@pytest.fixture
+def hits(tmp_path: Path) -> list[str]:
+    random = np.random.default_rng(1)
+    paths = []
+    for speed in (0.6, 1.2):
+        path = tmp_path / f"hit_{speed:g}.csv"
+        c = VEHICLE.materials["acrylic"].flexible
+        write_csv(
+            wall_trial(c, -speed, random, mode="flexible", tangential_m_s=0.5, with_vertical=True), path
+        )
+        paths.append(str(path))
+    return paths
+
+
+def test_a_new_material_keeps_what_is_known(
+    drops: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "felt.yaml"
+    words = ["identify", *drops, "--mode", "rigid", "--drop", "--surface", "felt", "-o", str(out)]
+    assert main([*words, "--json"]) == 0
+    streams = capsys.readouterr()
+    found = json.loads(streams.out)["coefficients"]["rigid"]
+    assert found["nu"] is None
+    assert found["k"]["value"] == pytest.approx(VEHICLE.materials["concrete"].rigid.k, rel=0.03)
+    text = out.read_text()
+    assert f"k: {found['k']['value']:.6g}" in text
+    assert "nu not seen in the trials, assumed" in text
+    assert "assumed: mu of rigid, nu of rigid" in text, "in the source, which `check` shows"
+    assert "# flexible: not known" in text
+    assert "flexible is not known" in streams.err
+    assert "mu of rigid, nu of rigid" in streams.err
+
+
+def test_with_both_modes_the_entry_is_accepted(
+    drops: list[str], hits: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "felt.yaml"
+    assert main(["identify", *hits, "--mode", "flexible", "--surface", "felt", "-o", str(out)]) == 0
+    flexible = next(line for line in out.read_text().splitlines() if line.startswith("    flexible:"))
+    assert main(["identify", *drops, "--mode", "rigid", "--drop", "--surface", "felt", "-o", str(out)]) == 0
+    entry = out.read_text().splitlines()
+    entry = [flexible if "# flexible" in line else line for line in entry]
+    config = tmp_path / "dart.yaml"
+    text = packaged("configs", "dart.yaml").read_text()
+    config.write_text(text.replace("\n  concrete:\n", "\n" + "\n".join(entry[1:]) + "\n  concrete:\n", 1))
+    material = load_vehicle(config).materials["felt"]
+    assert material.of(Mode.RIGID).nu == 0.0
+    assert "assumed" in material.source
+
+
+def test_what_was_found_is_printed_before_a_file_that_cannot_be_written(
+    drops: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "missing" / "felt.yaml"
+    words = ["identify", *drops, "--mode", "rigid", "--drop", "--surface", "felt", "-o", str(out), "--json"]
+    assert main(words) == 2
+    streams = capsys.readouterr()
+    assert json.loads(streams.out)["coefficients"]["rigid"]["k"]["value"] > 0.0
+    assert "cannot write" in streams.err
+
+
+def test_a_good_fit_is_called_good(
+    drops: list[str], hits: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    for words in ([*drops, "--drop", "--mode", "rigid"], [*hits, "--mode", "flexible"]):
+        assert main(["identify", *words]) == 0
+        streams = capsys.readouterr()
+        assert "fit: good" in streams.out
+        assert "poor" not in streams.err
+
+
+def test_wall_hits_taken_for_drops_are_noticed(
+    hits: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "entry.yaml"
+    words = ["identify", *hits, "--drop", "--mode", "flexible", "--surface", "acrylic", "-o", str(out)]
+    assert main([*words, "--json"]) == 0
+    streams = capsys.readouterr()
+    fit = json.loads(streams.out)["fit"]
+    assert fit["good"] is False
+    assert "--drop" in fit["says"][0]
+    assert "poor fit: the residual of normal_m" in streams.err
+    assert "POOR FIT" in out.read_text()
+
+
+def test_drops_taken_for_wall_hits_are_noticed(drops: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["identify", *drops, "--mode", "rigid", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["fit"]["good"] is False
+
+
+def test_the_judgement_by_itself() -> None:
+    assert judge_fit({"normal_m": 1e-3}, {"normal_m": 1e-3}).good
+    poor = judge_fit({"normal_m": 35e-3, "tangential_m": 1e-3}, {"normal_m": 1e-3, "tangential_m": 1e-3})
+    assert not poor.good
+    assert len(poor.says) == 1
+    assert "35.0 times" in poor.says[0]
+    assert judge_fit({"normal_force_n": 9.0}, {}).good, "nothing to compare with"
