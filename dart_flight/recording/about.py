@@ -22,14 +22,17 @@ from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 from dart_flight.recording.reader import NothingInItError
+from dart_flight.recording.schema import OUTPUTS
 from dart_flight.samples import World
+
+OUTPUT_KINDS = "output_kinds"  # those that the writing program has: a later one may know more
 
 
 def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[str, str]:
     """The description of a flight that is about to begin.
 
     Keys: `mission` (name), `mission_source`, `mission_text` (as written), `flown` (the resolved mission with
-    its vehicle, JSON), `vehicle` (configuration, JSON), `world`, `seed`, `software`, `host`, `machine`,
+    its vehicle, JSON), `vehicle` (configuration, JSON), `world`, `seed`, `software`, `host`, `machine`, `output_kinds`,
     `started_utc` and `started_monotonic_us`, which relate the host's clocks.
     """
     about = {
@@ -42,6 +45,7 @@ def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[st
         "software": software_version(),
         "host": f"{platform.node()}, Python {platform.python_version()}",
         "machine": machine(),
+        OUTPUT_KINDS: " ".join(kind.__name__ for kind in OUTPUTS),
         "started_utc": datetime.now(UTC).isoformat(timespec="microseconds"),
         "started_monotonic_us": str(time.monotonic_ns() // 1000),
     }

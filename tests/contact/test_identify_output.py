@@ -11,7 +11,7 @@ import pytest
 from dart_flight.cli import main
 from dart_flight.config import load_vehicle
 from dart_flight.config.vehicle import packaged
-from dart_flight.identify.judgement import judge_fit
+from dart_flight.identify.goodness import judge_fit
 from dart_flight.samples import Mode
 from tools.synthetic_trials import drop_trial, wall_trial, write_csv
 
