@@ -33,6 +33,7 @@ BASELINE = "baseline"  # no law: restitution and force per speed
 BEST = "best"  # what predicts held-out hits best
 LAWS = (PAPER, "preload", "hertz", "two-stage", BASELINE, BEST)
 _LEAST_IN_CONTACT = 4
+_SLOW_SAMPLING_S = 0.006
 _PREDICTS = 0.1  # error of peak and speed out up to which a fit of samples stands although it is off
 _COEFFICIENTS = ("k", "f", "mu", "nu")
 
@@ -121,8 +122,13 @@ def _fit_samples(
     positions = [
         i for i, trial in enumerate(trials) if "normal_m" in trial.series and trial.position_measured
     ]
-    # The hit's extent is widened to whole samples on both sides.
-    few = {i: max(hits[i].samples_in_contact - 2, 0) for i in positions}
+    # Where sampling is slow the hit's own extent (widened to whole samples on both sides) decides at once;
+    # where it is fast that extent begins late, when the path has bent by more than noise, the fit decides.
+    few = {
+        i: max(hits[i].samples_in_contact - 2, 0)
+        for i in positions
+        if float(np.median(np.diff(trials[i].normal.time_s))) > _SLOW_SAMPLING_S
+    }
     few = {i: n for i, n in few.items() if n < _LEAST_IN_CONTACT}
     chosen = [i for i in positions if i not in few]
     result = None

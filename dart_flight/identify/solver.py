@@ -15,6 +15,7 @@ from dart_flight.identify.sample_fit import SampleFit
 from dart_flight.identify.trials import Trial, noise_of
 from dart_flight.identify.windows import AFTER_S, BEFORE_S
 
+_DEAD = 1e-6  # in any unit: a recording that changes by less is not one
 _CURVED = 4.5  # deviations of a curvature in free flight that is not noise
 
 
@@ -106,10 +107,17 @@ def _is_curved(fit: SampleFit, theta: Array) -> bool:
 
 
 def without_derived(trials: Sequence[Trial]) -> tuple[list[Trial], list[str]]:
-    """Leave out velocities that were only differenced from the positions: they would count twice."""
+    """Leave out what is no measurement: velocities differenced from the positions, dead channels.
+
+    The former would count twice; the latter seem to have no noise at all and would count for everything.
+    """
     kept, notes = [], []
     for trial in trials:
         series = dict(trial.series)
+        for name in [n for n, (_, value) in series.items() if float(np.ptp(value)) < _DEAD]:
+            if name != "normal_m":
+                del series[name]
+                notes.append(f"{trial.name}: {name} never changes and was not used")
         for axis in ("normal", "tangential"):
             position, velocity = series.get(f"{axis}_m"), series.get(f"{axis}_m_s")
             if position is None or velocity is None or position.time_s.size < 20:
