@@ -41,6 +41,8 @@ class Proxy:
         self, listen: int, to: int, impairment: Impairment, seed: int, record: IO[str] | None
     ) -> None:
         self._vehicle_side = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        # A `simulate` that starts beside it listens there for a moment.
+        self._vehicle_side.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self._vehicle_side.bind(("127.0.0.1", listen))
         self._app_side = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._app_side.bind(("127.0.0.1", 0))

@@ -25,7 +25,7 @@ from dart_flight.recording.reader import NothingInItError
 from dart_flight.recording.schema import OUTPUTS
 from dart_flight.samples import World
 
-OUTPUT_KINDS = "output_kinds"  # those that the writing program has: a later one may know more
+OUTPUT_KINDS = "output_kinds"  # those that the writing program has
 
 
 def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[str, str]:

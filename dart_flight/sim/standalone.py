@@ -26,7 +26,7 @@ from dart_flight.vehicle.link import (
 )
 
 _OWN_PORT = 40  # of PX4's own, 14580, from the one that it sends to, 14540
-_LISTEN_S = 1.2  # a heartbeat comes every second
+_LISTEN_S = 0.4  # a vehicle sends dozens of messages a second
 
 
 class Feed:
@@ -79,6 +79,10 @@ def _listen(port: int) -> str | None:
     parser = mavlink.MAVLink(None)
     parser.robust_parsing = True
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
+        # MAVSDK, too, lets others open its port: a program that starts in this moment is not kept out.
+        ear.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if not udp_port_is_free(port, "127.0.0.1"):
+            return None
         try:
             ear.bind(("127.0.0.1", port))
         except OSError:

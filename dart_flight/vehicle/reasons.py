@@ -55,9 +55,8 @@ def of_sys_status(fields_json: str) -> Report | None:
     bad = int(enabled[1]) & ~int(healthy[1])
     words = tuple(f"{name} not healthy" for bit, name in _SENSORS.items() if bad & 1 << bit)
     refused = bool(bad & _PREARM)
-    if refused and not words:
-        words = ("preflight checks failed",)
-    return not refused, words if refused else (), () if refused else words
+    # The sensors need not be what the checks fail on.
+    return not refused, ("preflight checks failed",) if refused else (), words
 
 
 def _words(problems: Any) -> tuple[str, ...]:

@@ -273,7 +273,7 @@ def test_a_refusal_carries_what_px4_says(hand_fed: HandFedCore) -> None:
     hand_fed.give(StatusText(t_us, t_us, "info", "logging: opened log file"))
     assert reason(hand_fed.run(10.0)) == (
         "offboard_refused: PX4 refused offboard; PX4 says: Heading estimate invalid, "
-        "Arming denied: Resolve system health failures first"
+        "Arming denied: Resolve system health failures first; also No manual control input"
     )
 
 

@@ -46,6 +46,20 @@ def test_imu_drop_out_is_decided_within_a_tenth_of_a_second() -> None:
         assert flown.decision_ms <= 100.0
 
 
+@pytest.mark.parametrize("ahead_s", [238.0, -238.0])
+@pytest.mark.parametrize("phase", [*PHASES, "landing"])
+def test_a_second_vehicle_on_the_link_is_named_at_once_in_every_phase(phase: str, ahead_s: float) -> None:
+    verdict = fly_fast(load_flyable(SINGLE), 1, None, fault=Fault("second-vehicle", ahead_s, phase))
+    assert verdict.outcome == "aborted"
+    assert (verdict.reason or "").startswith("second_vehicle: two clocks in turn, 238.0 s apart")
+
+
+@pytest.mark.parametrize("ahead_s", [238.0, -238.0, 3.0, 0.0])
+def test_a_second_vehicle_on_the_link_is_refused_on_the_ground(ahead_s: float) -> None:
+    verdict = fly_fast(load_flyable(SINGLE), 1, None, fault=Fault("second-vehicle", ahead_s))
+    assert (verdict.reason or "").startswith("second_vehicle_ground: ")
+
+
 def test_the_pilot_has_it_at_once() -> None:
     """From the sample that shows the mode change to silence: the same step."""
     records: list[Record] = []

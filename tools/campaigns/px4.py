@@ -429,7 +429,8 @@ def versions_table(flights: list[Flight]) -> str:
     head = ["PX4", "says", "mission", "position", "completed", "final error m", "tilt up to °"]
     head += ["EKF off by m", "failsafes"]
     rows = []
-    for part in dict.fromkeys(f.part for f in flights if f.part.startswith(VERSIONS)):
+    parts = {f.part for f in flights if f.part.startswith(VERSIONS)}
+    for part in sorted(parts, key=lambda part: (not part.removeprefix(VERSIONS).startswith("v"), part)):
         for mission, sensor in VERSION_FLIGHTS:
             group = [f for f in flights if (f.part, f.mission, f.sensor) == (part, mission, sensor)]
             name = [part.removeprefix(VERSIONS), group[0].told or "–" if group else "–"]

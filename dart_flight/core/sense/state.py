@@ -230,11 +230,14 @@ class FlightState:
         if self.health is not None:
             found += self.health.blocking
         found += [text for text, t_us in self._said.items() if self.now_us - t_us < _SAID_US]
-        if self.health is not None and not self.health.blocking:
-            found += self.health.others
+        others = () if self.health is None else self.health.others
         found = list(dict.fromkeys(found))[:_MOST_REASONS]
+        # What PX4 holds against other modes may be behind it: without a position there is no offboard signal.
+        also = [word for word in others if word not in found][:_MOST_REASONS]
         if found:
-            return "; PX4 says: " + ", ".join(found)
+            return "; PX4 says: " + ", ".join(found) + ("; also " + ", ".join(also) if also else "")
+        if also:
+            return "; PX4 says: " + ", ".join(also)
         answer = self._refused.get(command or "")
         return f"; PX4 answers: {answer}" if answer else ""
 
