@@ -32,8 +32,8 @@ def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[st
     """The description of a flight that is about to begin.
 
     Keys: `mission` (name), `mission_source`, `mission_text` (as written), `flown` (the resolved mission with
-    its vehicle, JSON), `vehicle` (configuration, JSON), `world`, `seed`, `software`, `host`, `machine`, `output_kinds`,
-    `started_utc` and `started_monotonic_us`, which relate the host's clocks.
+    its vehicle, JSON), `vehicle` (configuration, JSON), `world`, `seed`, `software`, `host`, `machine`,
+    `output_kinds`, `started_utc` and `started_monotonic_us`, which relate the host's clocks.
     """
     about = {
         "mission": mission.name,
