@@ -20,6 +20,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import shown_path
 from dart_flight.planning.envelope import impact_warnings
 from dart_flight.sim.draws import parse_vary
+from dart_flight.sim.extras import need_mavlink
 from dart_flight.sim.faults.kinds import parse_fault
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.campaigns import RunsInterruptedError, fly_fast_many, fly_one_by_one, summarise
@@ -59,8 +60,13 @@ def _flight(arguments: argparse.Namespace, mission: Mission) -> Callable[..., Ve
         raise InputError("--fault is for one flight in the fast or the embedded world")
     if arguments.px4 is None and arguments.fast:
         return partial(fly_fast, fault=fault, spreads=spreads)
+    need_mavlink()
     if arguments.px4 is None:
         return partial(fly_embedded, deadman=True, fault=fault, spreads=spreads)
+
+    from dart_flight.sim.px4.launch import find_install
+
+    find_install(arguments.px4)
 
     def fly(mission: Mission, seed: int, log_dir: Path, *progress: Any) -> Verdict:
         return fly_px4(

@@ -325,7 +325,8 @@ def _explain(text: str, type_: Any) -> str:
     return text[:1].lower() + text[1:]
 
 
-def unknown_name(name: str, known: list[str]) -> str:
-    """Words for a name that is not among the known ones."""
+def unknown_name(name: str, known: list[str], what: str = "") -> str:
+    """Words for a name that is not among the known ones; `what` it is the name of."""
     near = difflib.get_close_matches(name, known, n=1)
-    return f"unknown {name}, " + (f"did you mean {near[0]}?" if near else "known: " + ", ".join(known))
+    shown = f"{what} {name!r}" if what else name
+    return f"unknown {shown}, " + (f"did you mean {near[0]}?" if near else "known: " + ", ".join(known))

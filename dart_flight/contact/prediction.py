@@ -55,7 +55,7 @@ def condition(
         InputError: the surface is not in the configuration, or the incidence is not from 0 to 45°.
     """
     if surface not in vehicle.materials:
-        raise InputError(unknown_name(surface, list(vehicle.materials)), key=("surface",))
+        raise InputError(unknown_name(surface, list(vehicle.materials), "surface"), key=("surface",))
     if not 0.0 <= incidence_deg <= 45.0:
         raise InputError(f"{incidence_deg:g} is not an angle from 0 to 45", key=("incidence-deg",))
     c = coefficients_in_force(vehicle, surface, Mode(mode), math.radians(incidence_deg))

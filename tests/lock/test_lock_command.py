@@ -161,7 +161,7 @@ def test_a_controller_that_does_not_answer_is_status_1(
         ("rigid_pulse_us: 1980.0", "rigid_pulse_us: 1020.0", (), "must differ"),
         ("theta0_deg: 0.0", "theta0_deg: 30.0", (), "outside the cam's range"),
         ("period_us: 20000.0", "period_us: 1.0", (), "lock.pwm.period_us"),
-        ("version: 1", "version: 1", ("--driver", "hand"), "invalid choice: 'hand'"),
+        ("version: 1", "version: 1", ("--driver", "hand"), "unknown --driver 'hand'"),
     ],
 )
 def test_wrong_input_is_one_line_and_status_2(

@@ -84,7 +84,8 @@ def test_the_log_describes_itself(flight: Log, single_wall: Mission) -> None:
     assert about["mission_text"] == Path(single_wall.source).read_text()
     assert flown_mission(about, "log") == single_wall
     as_written = parse_written(*written_mission(about, "log"))
-    assert msgspec.structs.replace(as_written, source=single_wall.source) == single_wall
+    here = {"source": single_wall.source, "vehicle_source": single_wall.vehicle_source}
+    assert msgspec.structs.replace(as_written, **here) == single_wall
     assert (flight.world, flight.seed) == ("fast", 1)
     for key in ("software", "host", "machine", "started_utc", "started_monotonic_us"):
         assert about[key], key

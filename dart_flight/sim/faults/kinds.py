@@ -141,10 +141,10 @@ def parse_fault(text: str) -> Fault:
     body, at, phase = text.partition("@")
     name, equals, number = body.partition("=")
     if name not in BY_NAME:
-        raise InputError(unknown_name(name, list(BY_NAME)), key=("--fault",))
+        raise InputError(unknown_name(name, list(BY_NAME), "fault"), key=("--fault",))
     kind = BY_NAME[name]
     if at and phase not in PHASES:
-        raise InputError(f"phase: {unknown_name(phase, list(PHASES))}", key=("--fault",))
+        raise InputError(unknown_name(phase, list(PHASES), "phase"), key=("--fault",))
     value = kind.value
     if equals:
         try:
