@@ -234,7 +234,7 @@ class OtherVehicle(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/in/other_vehicle"
     t_us: int
     received_us: int
-    system: int
+    system: int  # MAVLink's system id
 
 
 # --- inputs: lock, results, operator, time -----------------------------------------------------------

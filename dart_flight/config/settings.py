@@ -29,7 +29,7 @@ def apply_settings(settings: Sequence[str], *documents: Document) -> list[Docume
         document = next((d for d in documents if key[0] in _settable(d)), None)
         if document is None:
             known = sorted({name for d in documents for name in _settable(d)})
-            raise InputError(f"--set {setting}: {unknown_name(str(key[0]), known)}")
+            raise InputError(f"--set {setting}: {unknown_name(str(key[0]), known, 'key')}")
         _set(document, key, value, setting)
         changed.append(document)
     return changed
@@ -72,4 +72,4 @@ def _child(node: Any, part: str | int, setting: str) -> Any:
         return node[part]
     if isinstance(node, list):
         raise InputError(f"--set {setting}: unknown key {part}, known: 0 to {len(node) - 1}")
-    raise InputError(f"--set {setting}: {unknown_name(str(part), list(node or ()))}")
+    raise InputError(f"--set {setting}: {unknown_name(str(part), list(node or ()), 'key')}")

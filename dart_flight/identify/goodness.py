@@ -56,6 +56,8 @@ def expected_residuals(trials: Sequence[Trial]) -> dict[str, float]:
     noise: dict[str, list[float]] = {}
     size: dict[str, list[float]] = {}
     for trial in trials:
+        if "normal_m" not in trial.series:
+            continue  # an accelerometer alone: judged with its law (`judgement`)
         impact = find_impact(trial)
         for name, series in trial.series.items():
             near = np.abs(series.time_s - impact.turn_s) <= _CONTACT_S

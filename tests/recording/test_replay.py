@@ -92,10 +92,10 @@ def test_a_gain_changes_the_recovery_only(flight: Log) -> None:
         ("detection.force_threshold_n=-1", "detection.force_threshold_n"),
         ("detection.force_threshold_n=much", "expected a number"),
         ("detection.force_threshold_n", "KEY=VALUE"),
-        ("detector.force_threshold_n=8", "unknown key detector"),
+        ("detector.force_threshold_n=8", "unknown key 'detector'"),
         ("collisions[3].mode=rigid", "unknown key 3, known: 0 to 0"),
         ("collisions[0].mode=stiff", "only: rigid, flexible"),
-        ("materials.steel.rigid.k=1", "unknown key steel"),
+        ("materials.steel.rigid.k=1", "unknown key 'steel'"),
         ("start.altitude_m=9", "bounds_m z"),
         ("airframe.mass_kg=[", "not valid YAML"),
         ("airframe.mass_kg.kg=1", "nothing below"),
@@ -150,7 +150,7 @@ def test_the_command(flight_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert main(["replay", str(flight_path), "--set", "detection.force_threshold_n=20", "--json"]) == 1
     answer = json.loads(capsys.readouterr().out)
     assert answer["equal"] is False
-    assert "ImpactOnset" in answer["first"]
+    assert "DetectionFloor" in answer["first"]
     assert main(["replay", str(flight_path), "--set", "detection.force_threshold_n=20"]) == 1
     shown = capsys.readouterr().out
     assert "ImpactOnset" in shown

@@ -49,6 +49,7 @@ _STREAMING_US = 200_000  # PX4 accepts offboard only with set-points already str
 _REST_TIMEOUT_US = 4_000_000
 _REST_AFTER_US = 500_000
 _DISARM_AFTER_US = 8_000_000
+_DOWN_US = 200_000  # one report of landed and disarmed may be another vehicle's on the same link
 # The wall stops the vehicle in a contact, PX4 lands it.
 _SILENT = frozenset({Phase.READYING, Phase.CONTACT, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
 
@@ -77,6 +78,7 @@ class Executive:
         self._least_miss_m = math.inf
         self._captured_us: int | None = None
         self._final_error_m: float | None = None
+        self._down_us: int | None = None  # since when landed and disarmed
         self._steps: dict[Phase, Callable[[FlightState, Sensed, Proposal], None]] = {
             Phase.READYING: self._readying,
             Phase.OFFBOARD: self._offboard,
@@ -417,7 +419,11 @@ class Executive:
             self._go(Cue.HELD, state, p)
 
     def _landing(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
-        if state.on_ground and not state.status.armed:
+        if not (state.on_ground and not state.status.armed):
+            self._down_us = None
+        elif self._down_us is None:
+            self._down_us = state.now_us
+        if self._down_us is not None and state.now_us - self._down_us >= _DOWN_US:
             self._go(Cue.LANDED, state, p)
             p.end = MissionEnd(state.now_us, Outcome.COMPLETED, None, self._final_error_m)
         elif state.on_ground and self._elapsed_us(state) > _DISARM_AFTER_US:
