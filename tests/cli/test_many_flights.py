@@ -207,7 +207,7 @@ def test_an_interrupted_campaign_sums_up_what_is_there(number: signal.Signals, t
         cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         start_new_session=True,
         # Whatever runs the tests may ignore Ctrl-C, and its children would inherit that.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
     )  # fmt: skip
     until = time.monotonic() + 120.0
     while len(list(tmp_path.glob("flights/*/flight.mcap"))) < 4 and time.monotonic() < until:
