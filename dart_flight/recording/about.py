@@ -116,6 +116,8 @@ def written_mission(about: dict[str, str], source: str) -> tuple[Document, Docum
 def _complete(vehicle: dict[str, Any]) -> None:
     """Put what a log's configuration could not know yet into it."""
     known = msgspec.to_builtins(load_vehicle(packaged("configs", "dart.yaml")))
+    # Where a key changes what is decided, a log without it was flown without it.
+    known["detection"]["noise_sigma"] = 0.0
 
     def fill(section: dict[str, Any], like: dict[str, Any]) -> None:
         for key, value in like.items():
