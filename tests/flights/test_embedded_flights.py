@@ -173,13 +173,13 @@ def test_control_c_leaves_the_wall_and_lands(tmp_path: Path) -> None:
 
 
 @pytest.mark.mavlink
-def test_nobody_there_is_said_in_one_line(tmp_path: Path) -> None:
+def test_a_silent_port_is_said_in_one_line(tmp_path: Path) -> None:
     config = (ROOT / "configs/dart.yaml").read_text().replace("timeout_s: 30.0", "timeout_s: 1.0")
     path = tmp_path / "dart.yaml"
     path.write_text(config)
     flight = command(
         *("fly", SINGLE, "--yes", "--config", str(path), "--log-dir", str(tmp_path)),
-        *("--connection", "udpin://127.0.0.1:0"),
+        *("--connection", f"udpin://127.0.0.1:{free_udp_port()}"),
     )
     _, errors = flight.communicate(timeout=30)
     assert flight.returncode == 1
