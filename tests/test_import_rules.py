@@ -15,6 +15,8 @@ FLOORS = {
     "samples": 1,
     "streams": 1,
     "config": 2,
+    "state_folder": 3,
+    "figure_panels": 3,
     "contact": 3,
     "core": 4,
     "verdict": 5,

@@ -123,7 +123,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output:
         _write(arguments, found, vehicle, poor=not judged.good)
     if arguments.plot:
-        from dart_flight.report import contact_figures as plots
+        from dart_flight.identify import plots
 
         mass = vehicle.airframe.mass_kg if job.mass_kg is None else job.mass_kg
         plots.plot_fit(arguments.plot, trials, found, mass, job.onset)

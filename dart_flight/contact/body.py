@@ -1,4 +1,4 @@
-"""The contact law at the guards of a body: who touches where, and what force and torque follow.
+"""The contact law at the guards of a body: which guards touch, and what force and torque follow.
 
 A vehicle touches a wall with guard points, two on each of its four sides: `out_m` from the centre of mass,
 `along_m` to either side of the middle, `height_m` above it. Each guard is a point of the published law with

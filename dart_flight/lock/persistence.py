@@ -1,12 +1,11 @@
 """What outlives the process: the last command to the servo, and which process has it now.
 
-Both live in `$DART_FLIGHT_STATE_DIR`, by default in the XDG state folder. The last command is a command:
-after a restart it says what was asked of the servo, not where the horn is.
+Both live in the state folder. The last command is a command: after a restart it says what was asked of the
+servo, not where the horn is.
 """
 
 from __future__ import annotations
 
-import fcntl
 import os
 import tempfile
 from datetime import UTC, datetime
@@ -15,29 +14,9 @@ from types import TracebackType
 
 import msgspec
 
-from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.samples import LockPhase, LockState, Mode
-
-
-def state_dir() -> Path:
-    """`$DART_FLIGHT_STATE_DIR`, else `$XDG_STATE_HOME/dart-flight`, else `~/.local/state/dart-flight`."""
-    named = os.environ.get("DART_FLIGHT_STATE_DIR")
-    if named:
-        return Path(named)
-    xdg = os.environ.get("XDG_STATE_HOME")
-    return (Path(xdg) if xdg else Path.home() / ".local" / "state") / "dart-flight"
-
-
-def _usable(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"cannot use the state folder: {error.strerror}; set DART_FLIGHT_STATE_DIR", source=str(folder)
-        ) from None
-    return folder
-
+from dart_flight.state_folder import HeldError, HeldFile, state_dir, usable
 
 # --- the last command --------------------------------------------------------------------------------
 
@@ -84,7 +63,7 @@ class CommandStore:
             InputError: it cannot be made.
         """
         self._driver = driver
-        self._folder = _usable(folder or state_dir())
+        self._folder = usable(folder or state_dir())
         self._mode: Mode | None = None
         self.problem: str | None = None
 
@@ -151,17 +130,10 @@ class ServoTakenError(Exception):
 
 
 class ServoOwnership:
-    """A record lock on `lock.pid`: the system gives it back when its process ends, however it ends.
-
-    Record locks are of the process, so a child does not keep the lock of a parent that died. The file must
-    be opened nowhere else in the process: closing any descriptor of it would give the lock up.
-    """
-
-    _held_here = False
+    """The right to move the servo: a `HeldFile`, `lock.pid`, with the owner's process number in it."""
 
     def __init__(self, folder: Path | None = None) -> None:
-        self._path = (folder or state_dir()) / "lock.pid"
-        self._descriptor: int | None = None
+        self._file = HeldFile((folder or state_dir()) / "lock.pid")
 
     def acquire(self) -> None:
         """Take the servo.
@@ -170,33 +142,14 @@ class ServoOwnership:
             ServoTakenError: another process, or another part of this one, has it.
             InputError: the state folder cannot be used.
         """
-        if ServoOwnership._held_here:
-            raise ServoTakenError(os.getpid())
-        _usable(self._path.parent)
         try:
-            descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        except OSError as error:
-            raise InputError(
-                f"cannot write: {error.strerror}; set DART_FLIGHT_STATE_DIR", source=str(self._path)
-            ) from None
-        try:
-            fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            owner = _pid_in(descriptor)
-            os.close(descriptor)
-            raise ServoTakenError(owner) from None
-        os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
-        self._descriptor = descriptor
-        ServoOwnership._held_here = True
+            self._file.acquire(f"{os.getpid()}\n".encode())
+        except HeldError as error:
+            raise ServoTakenError(_pid_in(error.content)) from None
 
     def release(self) -> None:
         """Give the servo back; harmless when it is not held."""
-        if self._descriptor is not None:
-            os.ftruncate(self._descriptor, 0)
-            os.close(self._descriptor)
-            self._descriptor = None
-            ServoOwnership._held_here = False
+        self._file.release()
 
     def __enter__(self) -> ServoOwnership:
         self.acquire()
@@ -208,8 +161,8 @@ class ServoOwnership:
         self.release()
 
 
-def _pid_in(descriptor: int) -> int | None:
+def _pid_in(content: bytes) -> int | None:
     try:
-        return int(os.pread(descriptor, 32, 0))
-    except (OSError, ValueError):
+        return int(content)
+    except ValueError:
         return None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeVar
 
@@ -10,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.config.mission import Mission
-from dart_flight.config.vehicle import Imu
 from dart_flight.core.mission.anchor import Anchor
 from dart_flight.geometry import MissionFrame
 from dart_flight.recording.flight_time import zero_of
@@ -70,7 +68,7 @@ class FlightArrays:
         )
         self.true_force = Force(time_s, _rows(r.contact_force_mission for r in truth))
         estimates = self.all(ForceEstimate)
-        middle_s = self._times(estimates) - _reading_lag_s(mission.vehicle.imu)
+        middle_s = self._times(estimates) - mission.vehicle.imu.reading_lag_s
         self.estimated_force = Force(middle_s, _rows(r.force_mission for r in estimates))
 
     def all(self, kind: type[R]) -> list[R]:
@@ -93,11 +91,6 @@ class FlightArrays:
             _rows(frame.point_from_ned(s.position_ned) for s in samples if frame),
             _rows(frame.vector_from_ned(s.velocity_ned) for s in samples if frame),
         )
-
-
-def _reading_lag_s(imu: Imu) -> float:
-    """How far before its stamp the middle of a reading lies: half a tick and the filter's lag."""
-    return 0.5 * imu.tick_s + 0.5 / (math.pi * imu.antialias_hz)
 
 
 def _rows(vectors: Any) -> Array:

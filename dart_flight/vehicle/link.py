@@ -24,11 +24,11 @@ from types import TracebackType
 import msgspec
 
 from dart_flight.config.document import InputError
-from dart_flight.lock.persistence import state_dir
+from dart_flight.state_folder import HeldError, HeldFile, content_of_held, state_dir
 
 _SERIAL = re.compile(r"serial(?:_flowcontrol)?://(?P<device>[^:]+)(?::\d+)?$")
 _NETWORK = re.compile(r"(?P<kind>udpin|udpout|udp|tcpin|tcpout|tcp)://(?P<host>[^:]*)(?::(?P<port>\d+))?$")
-_ATTEMPTS, _PAUSE_S = 3, 0.02
+_PAUSE_S = 0.02
 _STARTING_S = 2.0
 _DEFAULT_PORT = {"udp": 14540, "tcp": 5760}
 
@@ -116,14 +116,18 @@ class LinkLease:
     def __init__(self, url: str, command: str, log: Path | None = None, *, probe: bool = True) -> None:
         self._url, self._probe = url, probe
         self._place = place_of(url)
-        self._path = _file_of(url)
+        self._file = HeldFile(_file_of(url))
         self._holder = Holder(os.getpid(), command, url, None if log is None else str(log.resolve()))
-        self._descriptor: int | None = None
         self._device: int | None = None
 
     def acquire(self) -> None:
         """Take the link."""
-        self._descriptor = self._lock_file()
+        try:
+            self._file.acquire(self._says())
+        except HeldError as error:
+            holder = _decoded(error.content)
+            words = holder.words() if holder is not None else "another dart-flight"
+            raise LinkTakenError(f"in use by {words}", source=self._url) from None
         try:
             if self._probe:
                 self._look_for_others()
@@ -132,12 +136,11 @@ class LinkLease:
         except InputError:
             self.release()
             raise
-        self._write()
 
     def note_log(self, log: Path) -> None:
         """Say where the flight's log is, for `monitor`."""
         self._holder = msgspec.structs.replace(self._holder, log=str(log.resolve()))
-        self._write()
+        self._file.write(self._says())
 
     def close_device(self) -> None:
         """Once MAVSDK has opened a serial device: nobody else may open it, but root."""
@@ -152,10 +155,7 @@ class LinkLease:
                 fcntl.ioctl(self._device, termios.TIOCNXCL)
             os.close(self._device)
             self._device = None
-        if self._descriptor is not None:
-            self._path.unlink(missing_ok=True)
-            os.close(self._descriptor)
-            self._descriptor = None
+        self._file.release()
 
     def __enter__(self) -> LinkLease:
         self.acquire()
@@ -166,38 +166,8 @@ class LinkLease:
     ) -> None:
         self.release()
 
-    def _lock_file(self) -> int:
-        path = self._path
-        attempt = 0
-        while True:
-            try:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-            except OSError as error:
-                raise InputError(
-                    f"cannot write: {error.strerror}; set DART_FLIGHT_STATE_DIR", source=str(path)
-                ) from None
-            try:
-                # Not a record lock: two parts of one process exclude each other as well.
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                holder = _read(descriptor)
-                os.close(descriptor)
-                attempt += 1
-                if holder is None and attempt < _ATTEMPTS:
-                    time.sleep(_PAUSE_S)  # a program just looks whether it is held, or is about to write
-                    continue
-                words = holder.words() if holder is not None else "another dart-flight"
-                raise LinkTakenError(f"in use by {words}", source=self._url) from None
-            if _is_at(descriptor, path):
-                return descriptor
-            os.close(descriptor)  # given back, and so removed, between opening and locking
-
-    def _write(self) -> None:
-        assert self._descriptor is not None
-        content = msgspec.json.encode(self._holder)
-        os.pwrite(self._descriptor, content, 0)
-        os.ftruncate(self._descriptor, len(content))
+    def _says(self) -> bytes:
+        return msgspec.json.encode(self._holder)
 
     def _look_for_others(self) -> None:
         port = self._place.udp_port
@@ -217,8 +187,8 @@ class LinkLease:
             raise InputError("there is no such serial device", source=self._url) from None
         except OSError as error:
             if error.errno == errno.EBUSY:
-                who = _owners_of_device(device)
-                raise LinkTakenError(f"{device} is in use by {who}", source=self._url) from None
+                owners = _owners_of_device(device)
+                raise LinkTakenError(f"{device} is in use by {owners}", source=self._url) from None
             raise InputError(f"cannot open {device}: {error.strerror}", source=self._url) from None
         others = _owners_of_device(device, besides=os.getpid())
         try:
@@ -262,31 +232,14 @@ def _file_of(url: str) -> Path:
     return link_folder() / f"{place_of(url).key}{_network()}.json"
 
 
-def _is_at(descriptor: int, path: Path) -> bool:
-    """Whether a path still leads to an open file."""
-    try:
-        return os.path.samestat(os.fstat(descriptor), os.stat(path))
-    except OSError:
-        return False
-
-
 def _holder_in(path: Path) -> Holder | None:
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-    except OSError:
-        return None
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError:
-        return _read(descriptor)
-    finally:
-        os.close(descriptor)
-    return None
+    content = content_of_held(path)
+    return None if content is None else _decoded(content)
 
 
-def _read(descriptor: int) -> Holder | None:
-    with contextlib.suppress(OSError, msgspec.DecodeError):
-        return msgspec.json.decode(os.pread(descriptor, 65536, 0), type=Holder)
+def _decoded(content: bytes) -> Holder | None:
+    with contextlib.suppress(msgspec.DecodeError):
+        return msgspec.json.decode(content, type=Holder)
     return None
 
 

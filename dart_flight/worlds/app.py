@@ -281,9 +281,9 @@ class FlightApp:
 
     # -- deadman and terminal --
 
-    def _feed(self, who: bytes) -> None:
+    def _feed(self, part: bytes) -> None:
         if self._deadman is not None:
-            self._deadman.feed(who)
+            self._deadman.feed(part)
 
     async def _keep_alive(self) -> None:
         """The event loop's own pulse: feeds the deadman, and systemd while the core thread is alive too."""

@@ -74,16 +74,16 @@ class Deadman:
         self._armed = True
         self._write(_ARM)
 
-    def feed(self, who: bytes) -> None:
+    def feed(self, part: bytes) -> None:
         """`CORE` or `LOOP` is alive; any thread, never blocks, cheap enough for every step."""
         now = time.monotonic()
-        if now - self._fed_s[who] >= FEED_PERIOD_S:
-            self._fed_s[who] = now
-            self._write(who)
+        if now - self._fed_s[part] >= FEED_PERIOD_S:
+            self._fed_s[part] = now
+            self._write(part)
 
-    def age_s(self, who: bytes) -> float:
+    def age_s(self, part: bytes) -> float:
         """How long ago `CORE` or `LOOP` was alive, seconds."""
-        return time.monotonic() - self._fed_s[who]
+        return time.monotonic() - self._fed_s[part]
 
     def mend(self) -> None:
         """Start another watcher where this one has died."""
@@ -166,17 +166,17 @@ def _watch(handle: int, pid: int, starve_s: float, note: str) -> int:
                 return 0
         except BlockingIOError:
             food = b""
-        for who in fed_s:
-            if who in food:
-                fed_s[who] = now
+        for part in fed_s:
+            if part in food:
+                fed_s[part] = now
         if _ARM in food or now - looked_s > _OWN_PAUSE_S:
             # Just armed, or this process itself did not run: what happened meanwhile it cannot know.
             armed = armed or _ARM in food
             fed_s = dict.fromkeys(fed_s, now)
         looked_s = now
-        starved = [who for who, at_s in fed_s.items() if now - at_s > starve_s]
+        starved = [part for part, at_s in fed_s.items() if now - at_s > starve_s]
         if armed and starved:
-            names = " and ".join("core thread" if who == CORE else "event loop" for who in starved)
+            names = " and ".join("core thread" if part == CORE else "event loop" for part in starved)
             _kill(handle, pid, f"{names} silent for {now - min(fed_s.values()):.3f} s", note)
             return 1
         if not food:

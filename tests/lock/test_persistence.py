@@ -19,9 +19,9 @@ from dart_flight.lock.persistence import (
     ServoTakenError,
     forget_last,
     load_last,
-    state_dir,
 )
 from dart_flight.samples import LockPhase, LockState, Mode
+from dart_flight.state_folder import state_dir
 
 HOLD = """
 import os, sys, time

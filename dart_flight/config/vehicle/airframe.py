@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
 from msgspec import Meta
@@ -77,6 +78,16 @@ class Imu(Section, frozen=True):
     rate_hz: Annotated[float, Meta(ge=10.0, le=10000.0)]
     tick_s: Annotated[float, Meta(gt=0.0, le=0.1)]
     antialias_hz: Annotated[float, Meta(ge=1.0, le=20000.0)]
+
+    @property
+    def filter_lag_s(self) -> float:
+        """How far the accelerometer's own low-pass is behind: the delay of a first-order filter."""
+        return 0.5 / (math.pi * self.antialias_hz)
+
+    @property
+    def reading_lag_s(self) -> float:
+        """How far before its stamp the middle of a reading lies: half a tick and the filter's lag."""
+        return 0.5 * self.tick_s + self.filter_lag_s
 
 
 class Coefficients(Section, frozen=True):

@@ -98,7 +98,7 @@ class ImpactDetector:
         self._vehicle, self._config = vehicle, vehicle.detection
         self._mass = vehicle.airframe.mass_kg
         self._tick_us = round(vehicle.imu.tick_s * 1e6)
-        self._lag_s = 0.5 / (math.pi * vehicle.imu.antialias_hz)
+        self._lag_s = vehicle.imu.filter_lag_s
         self._per_axis = self._config.threshold_test is ThresholdTest.PER_AXIS
         self._priors = {
             (name, mode): _prior(material.of(mode), self._mass)

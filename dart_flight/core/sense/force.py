@@ -42,8 +42,7 @@ class ForceEstimator:
         self._drag = vehicle.airframe.drag_per_s
         self._clip = _CLIP_SHARE * vehicle.imu.full_scale_m_s2
         # The middle of what a reading stands for lies this far before its stamp.
-        lag_s = 0.5 / (math.pi * vehicle.imu.antialias_hz)
-        self._centre_us = round((0.5 * vehicle.imu.tick_s + lag_s) * 1e6)
+        self._centre_us = round(vehicle.imu.reading_lag_s * 1e6)
         self._tick_s = vehicle.imu.tick_s
         self.thrust = ThrustModel(vehicle)
         self.hover = HoverBias(e, self._mass)

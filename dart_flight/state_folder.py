@@ -1,0 +1,167 @@
+"""The state folder: what outlives a process, and files in it that say which process has what.
+
+It is `$DART_FLIGHT_STATE_DIR`, by default in the XDG state folder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import time
+from pathlib import Path
+from typing import Self
+
+from dart_flight.config.document import InputError
+
+_ATTEMPTS, _PAUSE_S = 3, 0.02
+_LONGEST = 65536
+
+
+def state_dir() -> Path:
+    """`$DART_FLIGHT_STATE_DIR`, else `$XDG_STATE_HOME/dart-flight`, else `~/.local/state/dart-flight`."""
+    named = os.environ.get("DART_FLIGHT_STATE_DIR")
+    if named:
+        return Path(named)
+    xdg = os.environ.get("XDG_STATE_HOME")
+    return (Path(xdg) if xdg else Path.home() / ".local" / "state") / "dart-flight"
+
+
+def usable(folder: Path) -> Path:
+    """The folder, made where it is missing.
+
+    Raises:
+        InputError: it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"cannot use the state folder: {error.strerror}; set DART_FLIGHT_STATE_DIR", source=str(folder)
+        ) from None
+    return folder
+
+
+class HeldError(Exception):
+    """Another holder has the file.
+
+    Attributes:
+        content: what it wrote into it; empty where it wrote nothing yet.
+    """
+
+    def __init__(self, content: bytes) -> None:
+        super().__init__("in use")
+        self.content = content
+
+
+class HeldFile:
+    """An advisory lock on a file, and in it what its holder says of itself.
+
+    The kernel gives it back when the process ends, however it ends. Two parts of one process exclude each
+    other as well; a forked child does not keep what its parent held.
+
+    Args:
+        path: the file; made on acquiring, removed on release.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._descriptor: int | None = None
+
+    def acquire(self, content: bytes) -> None:
+        """Take it and write who has it.
+
+        Args:
+            content: what to write.
+
+        Raises:
+            HeldError: it is held.
+            InputError: it cannot be written.
+        """
+        attempt = 0
+        while True:
+            descriptor = self._open()
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                other = os.pread(descriptor, _LONGEST, 0)
+                os.close(descriptor)
+                attempt += 1
+                if attempt < _ATTEMPTS:  # it may be a program that only looks whether the file is held
+                    time.sleep(_PAUSE_S)
+                    continue
+                raise HeldError(other) from None
+            if _is_at(descriptor, self._path):
+                break
+            os.close(descriptor)  # given back, and so removed, between opening and locking
+        self._descriptor = descriptor
+        _held.add(self)
+        self.write(content)
+
+    def write(self, content: bytes) -> None:
+        """Replace what it says."""
+        assert self._descriptor is not None
+        os.pwrite(self._descriptor, content, 0)
+        os.ftruncate(self._descriptor, len(content))
+
+    def release(self) -> None:
+        """Give it back; harmless when it is not held."""
+        if self._descriptor is not None:
+            self._path.unlink(missing_ok=True)
+            self.drop()
+
+    def drop(self) -> None:
+        """Forget it without giving it back: what a forked child does."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+            _held.discard(self)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
+
+    def _open(self) -> int:
+        usable(self._path.parent)
+        try:
+            return os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise InputError(
+                f"cannot write: {error.strerror}; set DART_FLIGHT_STATE_DIR", source=str(self._path)
+            ) from None
+
+
+def content_of_held(path: Path) -> bytes | None:
+    """What the holder of a file wrote; None: it is not held."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return os.pread(descriptor, _LONGEST, 0)
+    finally:
+        os.close(descriptor)
+    return None
+
+
+def _is_at(descriptor: int, path: Path) -> bool:
+    """Whether a path still leads to an open file."""
+    with contextlib.suppress(OSError):
+        return os.path.samestat(os.fstat(descriptor), os.stat(path))
+    return False
+
+
+_held: set[HeldFile] = set()
+
+
+def _drop_all() -> None:
+    for held in list(_held):
+        held.drop()
+
+
+# flock belongs to the open file, which a forked child shares: it would outlive a parent that died.
+os.register_at_fork(after_in_child=_drop_all)
