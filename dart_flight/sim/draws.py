@@ -15,7 +15,7 @@ import msgspec
 
 from dart_flight.config.document import InputError, unknown_name
 from dart_flight.config.mission import Mission
-from dart_flight.config.vehicle import Coefficients, Material, Spreads, VehicleConfig
+from dart_flight.config.vehicle import Coefficients, ImuRinging, Material, Spreads, VehicleConfig
 from dart_flight.geometry import Wall
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
@@ -23,6 +23,8 @@ from dart_flight.samples import Mode
 
 Drawn = dict[str, float | str]
 
+_RINGING_M_S2 = (2.0, 3.0)  # of one sample in hover, per axis, in recordings (docs/real_data.md)
+_RINGING_WHITE_M_S2 = 0.8  # of that without colour: what a mean over 32 ms of those recordings leaves
 _LEAST_FACTOR = 0.1  # no quantity shrinks below this share of its nominal value
 NAMES = tuple(field.encode_name for field in msgspec.structs.fields(Spreads))
 
@@ -222,6 +224,17 @@ def _battery(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
     return _with_vehicle(world, msgspec.structs.replace(vehicle, thrust=thrust), battery=factor)
 
 
+def _imu(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
+    """The IMU off the centre of mass, and a frame that rings as real ones do in hover."""
+    x, y, z = world.mission.vehicle.simulation.imu_position_m
+    position = (x + sd * rng.gauss(0.0, 1.0), y + sd * rng.gauss(0.0, 1.0), z + sd * rng.gauss(0.0, 1.0))
+    shaking = rng.uniform(*_RINGING_M_S2)
+    ringing = ImuRinging(_RINGING_WHITE_M_S2, math.sqrt(shaking**2 - _RINGING_WHITE_M_S2**2))
+    drawn: Drawn = {f"imu_position_m.{axis}": p for axis, p in zip("xyz", position, strict=True)}
+    drawn["imu_ringing_m_s2"] = shaking
+    return _with_simulation(world, drawn, imu_position_m=position, imu_ringing=ringing)
+
+
 _DRAWS: dict[str, Callable[[DrawnWorld, random.Random, float], DrawnWorld]] = {
     "contact": _contact,
     "contact_scatter": _contact_scatter,
@@ -233,4 +246,5 @@ _DRAWS: dict[str, Callable[[DrawnWorld, random.Random, float], DrawnWorld]] = {
     "wind_m_s": _wind,
     "servo": _servo,
     "battery": _battery,
+    "imu": _imu,
 }

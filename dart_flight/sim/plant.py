@@ -23,6 +23,7 @@ from dart_flight.geometry import (
     Vec2,
     Vec3,
     Wall,
+    add,
     advance_attitude,
     norm,
     quaternion_conjugate,
@@ -155,6 +156,8 @@ class Plant:
         self._arm: tuple[Vec2, Vec2] = ((0.0, 0.0), (0.0, 0.0))
         self._arm_omega = 2.0 * math.pi * vibration.frequency_hz
         self._sensed: Vec3 = (0.0, 0.0, -GRAVITY_M_S2)
+        lever = vehicle.simulation.imu_position_m
+        self._imu_lever: Vec3 | None = lever if any(lever) else None
         # First-order low-pass: what is left of a difference after a step, and its mean over the step.
         steps_per_lag = 2.0 * math.pi * vehicle.imu.antialias_hz * STEP_S
         self._antialias_decay = math.exp(-steps_per_lag)
@@ -167,16 +170,19 @@ class Plant:
         """Advance by `steps` milliseconds.
 
         Returns:
-            The mean specific force over that time, body FRD, m/s2: what an IMU without noise would report,
-            with the arms' vibration, through its anti-alias filter, each millisecond saturated at the
-            sensor's full scale.
+            The mean specific force over that time, body FRD, m/s2: what an IMU without noise would report
+            where it sits, with the arms' vibration, through its anti-alias filter, each millisecond saturated
+            at the sensor's full scale.
         """
         fx = fy = fz = 0.0
         scale = self.vehicle.imu.full_scale_m_s2
         keep, mean = self._antialias_decay, self._antialias_mean
         for _ in range(steps):
+            rate = self.rate
             force = self._advance_one(motor_commands)
             new, old = rotate(quaternion_conjugate(self.q), force), self._sensed
+            if self._imu_lever is not None:
+                new = add(new, _acceleration_at(self._imu_lever, rate, self.rate))
             d = (old[0] - new[0], old[1] - new[1], old[2] - new[2])
             self._sensed = (new[0] + keep * d[0], new[1] + keep * d[1], new[2] + keep * d[2])
             f = (new[0] + mean * d[0], new[1] + mean * d[1], new[2] + mean * d[2])
@@ -571,6 +577,19 @@ def make_plant(mission: Mission, motors: tuple[Motor, ...] | None = None, seed: 
     )
     plant.set_mode(Mode.FLEXIBLE)
     return plant
+
+
+def _acceleration_at(lever: Vec3, before: Vec3, after: Vec3) -> Vec3:
+    """What a point off the centre of mass feels beside it, FRD: alpha x r + w x (w x r), mean of one step."""
+    rx, ry, rz = lever
+    ax, ay, az = ((b - a) / STEP_S for a, b in zip(before, after, strict=True))
+    wx, wy, wz = (0.5 * (a + b) for a, b in zip(before, after, strict=True))
+    along, square = wx * rx + wy * ry + wz * rz, wx * wx + wy * wy + wz * wz
+    return (
+        ay * rz - az * ry + wx * along - square * rx,
+        az * rx - ax * rz + wy * along - square * ry,
+        ax * ry - ay * rx + wz * along - square * rz,
+    )
 
 
 def _between(a: Coefficients, b: Coefficients) -> Coefficients:

@@ -171,3 +171,26 @@ def test_friction_never_puts_energy_in(
         return linear + sum(t * w for t, w in zip(one.torque, rate, strict=True))
 
     assert power(mu) - power(0.0) <= 1e-9
+
+
+def test_an_imu_off_the_centre_feels_the_turning() -> None:
+    """Against the second derivative of the lever's own path, of a body that turns freely in the air."""
+    lever = (0.05, 0.04, -0.03)
+
+    def reading(at: Vec3) -> tuple[np.ndarray, np.ndarray]:
+        simulation = msgspec.structs.replace(VEHICLE.simulation, imu_position_m=at)
+        imu = msgspec.structs.replace(VEHICLE.imu, antialias_hz=1e6)
+        plant = Plant(msgspec.structs.replace(VEHICLE, simulation=simulation, imu=imu), (), MissionFrame())
+        plant.position, plant.rate = (0.0, 0.0, -5.0), (6.0, -4.0, 3.0)
+        felt, path = [], []
+        for _ in range(5):
+            path.append(rotation(plant.q) @ np.array(lever))
+            felt.append(rotation(plant.q) @ np.array(plant.advance((0.9, 0.2, 0.1, 0.6))))
+        return np.array(felt), np.array(path)
+
+    off, path = reading(lever)
+    centre, _ = reading((0.0, 0.0, 0.0))
+    swings = np.diff(path, n=2, axis=0) / 1e-6
+    assert np.linalg.norm(swings[2]) > 3.0
+    # The mean over a millisecond lies half a step beside the difference's middle.
+    assert (off - centre)[2] == pytest.approx(0.5 * (swings[1] + swings[2]), abs=0.3)

@@ -11,6 +11,7 @@ from dart_flight.config.section import Fraction, Seconds, Section, Volts
 from dart_flight.config.vehicle.estimation import ArmVibration
 
 Wind = Annotated[float, Meta(ge=-50.0, le=50.0)]
+Lever = Annotated[float, Meta(ge=-1.0, le=1.0)]
 
 
 class BodyModel(StrEnum):
@@ -59,6 +60,7 @@ class Spreads(Section, frozen=True):
         wind_m_s: steady wind, per axis; gusts of half of it.
         servo: travel time, relative.
         battery: thrust, relative.
+        imu: IMU off the centre of mass, metres, per axis; ringing of 2 to 3 m/s2 comes with it.
     """
 
     contact: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.2
@@ -71,6 +73,7 @@ class Spreads(Section, frozen=True):
     wind_m_s: Annotated[float, Meta(ge=0.0, le=20.0)] = 0.5
     servo: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.2
     battery: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.05
+    imu: Annotated[float, Meta(ge=0.0, le=0.5)] = 0.02
 
 
 class ImuRinging(Section, frozen=True):
@@ -116,6 +119,7 @@ class Simulation(Section, frozen=True):
         contact: the vehicle as a body that touches walls.
         spreads: how far a real flight may be from what is believed.
         imu_ringing: what motors and frame shake into the accelerometer; null: nothing.
+        imu_position_m: [forward, right, down] of the centre of mass, where the IMU really is.
     """
 
     imu_noise_m_s2: Annotated[float, Meta(ge=0.0, le=50.0)]
@@ -137,3 +141,4 @@ class Simulation(Section, frozen=True):
     contact: ContactBody = ContactBody()
     spreads: Spreads = Spreads()
     imu_ringing: ImuRinging | None = None
+    imu_position_m: tuple[Lever, Lever, Lever] = (0.0, 0.0, 0.0)
