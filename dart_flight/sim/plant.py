@@ -30,6 +30,7 @@ from dart_flight.geometry import (
     quaternion_from_euler,
     quaternion_normalise,
     rotate,
+    scale,
     tilt_of,
     wrap_angle,
     yaw_ned_of,
@@ -79,6 +80,14 @@ class _WallPlane(msgspec.Struct):
     tangent: Vec3
     down: Vec3
     surface: Plane  # of the wall itself, for the guards
+
+    def move(self, away_m: float) -> None:
+        """Stand elsewhere: so far out along the normal."""
+        nx, ny = self.wall.normal
+        px, py = self.wall.point
+        self.wall = msgspec.structs.replace(self.wall, point=(px + away_m * nx, py + away_m * ny))
+        self.point = add(self.point, scale(self.normal, away_m))
+        self.surface = self.surface._replace(point=add(self.surface.point, scale(self.normal, away_m)))
 
 
 class _OpenContact:
@@ -175,7 +184,7 @@ class Plant:
             at the sensor's full scale.
         """
         fx = fy = fz = 0.0
-        scale = self.vehicle.imu.full_scale_m_s2
+        most = self.vehicle.imu.full_scale_m_s2
         keep, mean = self._antialias_decay, self._antialias_mean
         for _ in range(steps):
             rate = self.rate
@@ -186,9 +195,9 @@ class Plant:
             d = (old[0] - new[0], old[1] - new[1], old[2] - new[2])
             self._sensed = (new[0] + keep * d[0], new[1] + keep * d[1], new[2] + keep * d[2])
             f = (new[0] + mean * d[0], new[1] + mean * d[1], new[2] + mean * d[2])
-            fx += max(-scale, min(scale, f[0]))
-            fy += max(-scale, min(scale, f[1]))
-            fz += max(-scale, min(scale, f[2]))
+            fx += max(-most, min(most, f[0]))
+            fy += max(-most, min(most, f[1]))
+            fz += max(-most, min(most, f[2]))
         return (fx / steps, fy / steps, fz / steps)
 
     def _advance_one(self, commands: tuple[float, float, float, float]) -> Vec3:

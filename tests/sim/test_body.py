@@ -194,3 +194,10 @@ def test_an_imu_off_the_centre_feels_the_turning() -> None:
     assert np.linalg.norm(swings[2]) > 3.0
     # The mean over a millisecond lies half a step beside the difference's middle.
     assert (off - centre)[2] == pytest.approx(0.5 * (swings[1] + swings[2]), abs=0.3)
+
+
+def test_a_wall_that_is_moved_is_met_there_by_the_guards() -> None:
+    plants = [before_the_wall(body_vehicle(), Mode.RIGID, -1.0, 0.0, 0.0) for _ in range(2)]
+    plants[1].planes[0].move(0.02)
+    here, nearer = (first_contact(plant).position_mission[0] for plant in plants)
+    assert here - nearer == pytest.approx(0.02, abs=1e-3)

@@ -67,7 +67,7 @@ class Flown(msgspec.Struct):
     problems: list[str]
 
 
-class _Watch:
+class Watch:
     """What truth did in one flight, and when a part of the program first decided something."""
 
     def __init__(self, mission: Mission) -> None:
@@ -105,7 +105,7 @@ class _Watch:
 
 def fly(mission: Mission, fault: Fault, seed: int, folder: Path | None = None) -> Flown:
     """One flight with one fault, on to the ground; with `folder` its log is written, opened and removed."""
-    watch, builder = _Watch(mission), VerdictBuilder(mission)
+    watch, builder = Watch(mission), VerdictBuilder(mission)
     path = None if folder is None else folder / f"{fault.name}-{fault.phase}-{seed}.mcap"
     log = None if path is None else FlightLog(path, {"mission": mission.name})
 
@@ -144,7 +144,7 @@ def fly(mission: Mission, fault: Fault, seed: int, folder: Path | None = None) -
     rule = (verdict.reason or "").split(":")[0] if verdict.guard else ""
     if flight.faulted.app_silent:
         rule = "app gone"
-    problems += _judge(flight, watch, fault, verdict.outcome, rule)
+    problems += judge(flight, watch, fault, verdict.outcome, rule)
     return Flown(
         fault=fault,
         seed=seed,
@@ -187,11 +187,10 @@ def _records(path: Path) -> list[object]:
     return list(records)
 
 
-def _judge(flight: FastFlight, watch: _Watch, fault: Fault, outcome: str, rule: str) -> Iterator[str]:
+def judge(flight: FastFlight, watch: Watch, fault: Fault | None, outcome: str, rule: str) -> Iterator[str]:
     """What is uncontrolled about a flight; nothing where it is not."""
     a = flight.autopilot
-    assert flight.faulted is not None
-    gone = flight.faulted.app_silent
+    gone = flight.faulted is not None and flight.faulted.app_silent
     if flight.core.end is None and not gone:
         yield "it did not end"
     if a.armed:

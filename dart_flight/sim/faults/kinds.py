@@ -14,7 +14,7 @@ from enum import StrEnum
 import msgspec
 
 from dart_flight.config.document import InputError, unknown_name
-from dart_flight.geometry import GRAVITY_M_S2, add, scale
+from dart_flight.geometry import GRAVITY_M_S2, scale
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
 from dart_flight.samples import FlightMode, Phase, PhaseChange, Record
@@ -260,12 +260,9 @@ class VehicleFault:
         plant, d = self._autopilot.plant, self._fault.value
         here = plant.frame.point_from_ned(plant.position)
         for plane in plant.planes:
-            nx, ny = plane.wall.normal
-            px, py = plane.wall.point
             if -1.0 < plane.wall.signed_distance(here) < d + 0.1:
                 continue  # it would stand inside the vehicle: walls are wrongly surveyed, they do not jump
-            plane.wall = msgspec.structs.replace(plane.wall, point=(px + d * nx, py + d * ny))
-            plane.point = add(plane.point, scale(plane.normal, d))
+            plane.move(d)
 
     def _begin_other_material(self) -> None:
         materials = self._autopilot.vehicle.materials
