@@ -164,6 +164,12 @@ def turned(wall: Wall, angle_deg: float) -> Wall:
     return msgspec.structs.replace(wall, normal=(c * nx - s * ny, s * nx + c * ny))
 
 
+def turn_walls(world: DrawnWorld, angles_deg: Mapping[str, float]) -> DrawnWorld:
+    """The world with walls turned by so much, by name (`turned`)."""
+    walls = {w.name: turned(w, angles_deg.get(w.name, 0.0)) for w in world.mission.walls}
+    return _with_walls(world, walls)
+
+
 def _contact_scatter(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
     """k, f and mu anew for every hit; the plant draws them."""
     return _with_contact(world, {"contact_scatter": sd}, scatter=sd)

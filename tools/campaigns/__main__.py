@@ -18,6 +18,7 @@ MODULES = {
     "plan": "tools.campaigns.plan",
     "agreement": "tools.campaigns.plan_agreement",
     "force": "tools.campaigns.force",
+    "body": "tools.campaigns.body",
     "faults": "tools.campaigns.faults",
     "fuzz": "tools.campaigns.fuzz",
     "mutants": "tools.campaigns.mutants",

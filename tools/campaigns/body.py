@@ -1,0 +1,631 @@
+"""Hits of a body: the shipped missions against walls that stand askew, over what the body may be like.
+
+    python -m tools.campaigns.body                 # everything, docs/img/body.png, build/body.md
+    python -m tools.campaigns.body yaw vary        # only these parts; also: corners, map
+    python -m tools.campaigns.body yaw --runs 5 --case default --mission dual_collision --fresh
+
+Fast world, guards. What the paper does not tell of the body are the ranges of `RANGES`; a `Case` is one point
+in them. `yaw` flies both missions over seeds with every wall turned by the same angle; `corners` finds the worst
+corner of the ranges; `map` goes over the ranges and beyond them, to where it stops being flyable; `vary` draws
+everything (`--vary all`). A flight is kept under build/body/ as soon as it has landed: an interrupted campaign
+goes on where it was; `--fresh` forgets what was flown (after a change of the software).
+
+No decision of the software may be tuned on the seeds from `FIRST_SEED` on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import math
+import statistics
+import sys
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from rich.console import Console
+
+from dart_flight.config.document import InputError
+from dart_flight.config.kinds import FileKind, load_document
+from dart_flight.config.mission import Mission, parse_mission
+from dart_flight.config.vehicle import LockDriver, load_vehicle
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.core.mission.approach import NoApproachError
+from dart_flight.geometry import norm, tilt_of
+from dart_flight.samples import ActuatorSample, ImuSample, Outcome, Record, TruthContact, TruthSample, World
+from dart_flight.sim.draws import DrawnWorld, draw_world, parse_vary, turn_walls
+from dart_flight.verdict import VerdictBuilder
+from dart_flight.worlds.fast import FastFlight
+from tools.campaigns.faults import Watch, judge
+
+ROOT = Path(__file__).resolve().parents[2]
+KEPT = ROOT / "build" / "body"
+PICTURE = ROOT / "docs" / "img" / "body.png"
+MISSIONS = ("single_wall", "dual_collision")
+PARTS = ("corners", "yaw", "map", "vary")
+FIRST_SEED = 7001
+YAWS_DEG = (0.0, 5.0, -5.0, 10.0, -10.0)
+_AFTER_US = 600_000  # what a hit does to tilt and rate shows within this time
+_MOTOR_AT_LIMIT = 0.995  # of full command; or as little above none
+
+
+class Case(msgspec.Struct, frozen=True):
+    """What the paper does not tell of the body: one point in the ranges.
+
+    Attributes:
+        name: for tables.
+        friction_lever_share, vertical_lever_m, guard_height_m, guard_along_m: as in `simulation.contact`.
+        inertia: factor of the configured one.
+    """
+
+    name: str
+    friction_lever_share: float
+    vertical_lever_m: float
+    guard_height_m: float
+    guard_along_m: float
+    inertia: float
+
+    def settings(self) -> tuple[str, ...]:
+        """As `--set` takes them."""
+        moments = load_vehicle(ROOT / "configs" / "dart.yaml").airframe.inertia_kg_m2
+        contact = [
+            f"simulation.contact.{key}={getattr(self, key):g}"
+            for key in ("friction_lever_share", "vertical_lever_m", "guard_height_m", "guard_along_m")
+        ]
+        inertia = ", ".join(f"{self.inertia * moment:g}" for moment in moments)
+        return ("simulation.contact.body=guards", *contact, f"airframe.inertia_kg_m2=[{inertia}]")
+
+
+# Plausible ranges, with their sources in configs/dart.yaml; not to be turned down once recovery is worked on.
+RANGES: dict[str, tuple[float, float]] = {
+    "friction_lever_share": (0.0, 1.0),
+    "vertical_lever_m": (0.0, 0.04),
+    "guard_height_m": (-0.03, 0.03),
+    "guard_along_m": (0.10, 0.16),
+    "inertia": (0.7, 1.4),
+}
+
+
+def default_case() -> Case:
+    """The configured body."""
+    body = load_vehicle(ROOT / "configs" / "dart.yaml").simulation.contact
+    return Case(
+        "default",
+        body.friction_lever_share,
+        body.vertical_lever_m,
+        body.guard_height_m,
+        body.guard_along_m,
+        1.0,
+    )
+
+
+def corners() -> list[Case]:
+    """Every corner of the ranges, named by low (-) and high (+) in the order of `RANGES`."""
+    found = []
+    for ends in itertools.product((0, 1), repeat=len(RANGES)):
+        values = [limits[end] for limits, end in zip(RANGES.values(), ends, strict=True)]
+        found.append(Case("".join("-+"[end] for end in ends), *values))
+    return found
+
+
+MIDDLE = Case("mid-range", *((low + high) / 2.0 for low, high in RANGES.values()))
+WORST = Case("worst corner", 1.0, 0.04, 0.03, 0.16, 0.7)  # by the part `corners`
+
+
+class Job(msgspec.Struct, frozen=True):
+    """One flight.
+
+    Attributes:
+        mission: name of a shipped one.
+        seed: of sensors, scatter and draws.
+        case: the body.
+        yaw_deg: every wall turned by so much, counter-clockwise seen from above.
+        normal_m_s: of the first approach; None: as the mission has it.
+        vary: as `--vary` takes it.
+    """
+
+    mission: str
+    seed: int
+    case: Case
+    yaw_deg: float = 0.0
+    normal_m_s: float | None = None
+    vary: tuple[str, ...] = ()
+
+
+class HitFigures(msgspec.Struct):
+    """One true contact and what the vehicle did in the 0.6 s from its beginning on, or until the next."""
+
+    wall: str
+    mode: str
+    normal_m_s: float
+    tangential_m_s: float
+    peak_n: float
+    torque_nm: float
+    incidence_deg: float
+    rate_out_deg_s: float
+    tilt_deg: float = 0.0
+    rate_deg_s: float = 0.0
+    saturated_s: float = 0.0
+
+
+class Flown(msgspec.Struct):
+    """One flight in a few figures.
+
+    Attributes:
+        job: what was flown.
+        outcome: of the verdict, or `refused` where the mission cannot be flown at all.
+        rule: what broke it off; empty where it completed.
+        problems: why it counts as uncontrolled (`tools.campaigns.faults`); empty where it does not.
+        tilt_deg: largest of the flight.
+        miss_m: of the goal.
+        hits: true contacts in order.
+        drawn: by `vary`.
+    """
+
+    job: Job
+    outcome: str
+    rule: str
+    problems: list[str]
+    tilt_deg: float
+    miss_m: float | None
+    hits: list[HitFigures]
+    drawn: dict[str, float | str]
+
+    @property
+    def kind(self) -> str:
+        """completed, broken off, uncontrolled or refused."""
+        if self.problems:
+            return "uncontrolled"
+        if self.outcome == "refused":
+            return "refused"
+        return "completed" if self.outcome == Outcome.COMPLETED else "broken off"
+
+    def second(self) -> HitFigures | None:
+        """The first contact with the second collision's wall."""
+        walls = list(dict.fromkeys(hit.wall for hit in self.hits))
+        return next((hit for hit in self.hits if len(walls) > 1 and hit.wall == walls[1]), None)
+
+
+class _HitWatch:
+    """Collects what follows every true contact."""
+
+    def __init__(self) -> None:
+        self.contacts: list[TruthContact] = []
+        self._tilts: list[tuple[int, float]] = []
+        self._rates: list[tuple[int, float]] = []
+        self._motors: list[tuple[int, bool]] = []
+
+    def take(self, record: Record) -> None:
+        if isinstance(record, TruthContact):
+            self.contacts.append(record)
+        elif isinstance(record, TruthSample):
+            self._tilts.append((record.t_us, tilt_of(record.q_frd_to_ned)))
+        elif isinstance(record, ImuSample):
+            self._rates.append((record.t_us, norm(record.rate_frd)))
+        elif isinstance(record, ActuatorSample):
+            at_limit = any(u > _MOTOR_AT_LIMIT or u < 1.0 - _MOTOR_AT_LIMIT for u in record.motors)
+            self._motors.append((record.t_us, at_limit))
+
+    def figures(self) -> list[HitFigures]:
+        begins = [c.t_us for c in self.contacts] + [sys.maxsize]
+        found = []
+        for contact, following in zip(self.contacts, begins[1:], strict=True):
+            begin, end = contact.t_us, min(following, contact.t_us + _AFTER_US)
+            mine = [
+                [value for t, value in series if begin <= t < end]
+                for series in (self._tilts, self._rates, self._motors)
+            ]
+            found.append(
+                HitFigures(
+                    wall=contact.wall,
+                    mode=contact.mode.value,
+                    normal_m_s=contact.normal_in_m_s,
+                    tangential_m_s=contact.tangential_in_m_s,
+                    peak_n=contact.peak_normal_force_n,
+                    torque_nm=contact.peak_torque_nm,
+                    incidence_deg=math.degrees(contact.incidence_rad),
+                    rate_out_deg_s=math.degrees(norm(contact.rate_out_frd)),
+                    tilt_deg=math.degrees(max(mine[0], default=0.0)),
+                    rate_deg_s=math.degrees(max(mine[1], default=0.0)),
+                    saturated_s=sum(mine[2]) * 0.008,  # motor outputs come at 125 Hz
+                )
+            )
+        return found
+
+
+def _mission(job: Job) -> Mission:
+    """The mission as believed.
+
+    Raises:
+        InputError: it cannot be flown with this approach.
+    """
+    document = load_document(ROOT / "missions" / f"{job.mission}.yaml", FileKind.MISSION)
+    if job.normal_m_s is not None:
+        document.tree["collisions"][0]["approach"]["normal_m_s"] = job.normal_m_s
+        document.tree["limits"] = {"speed_m_s": 4.0, "peak_force_n": 200.0}
+    mission = parse_mission(document, None, job.case.settings())
+    try:
+        FlightCore(mission)
+    except NoApproachError as error:
+        raise InputError(str(error)) from None
+    return mission
+
+
+def fly(job: Job) -> Flown:
+    """One flight, on to the ground."""
+    try:
+        mission = _mission(job)
+    except InputError as error:
+        return Flown(job, "refused", str(error), [], 0.0, None, [], {})
+    if job.vary:
+        spreads = parse_vary(job.vary, mission.vehicle.simulation.spreads)
+        world = draw_world(mission, job.seed, spreads)
+    else:
+        world = DrawnWorld(mission, None, {})
+    world = turn_walls(world, {wall.name: job.yaw_deg for wall in mission.walls})
+    watch, hits, builder = Watch(mission), _HitWatch(), VerdictBuilder(mission)
+
+    def observe(record: Record, number: int) -> None:
+        for one in (builder, watch, hits):
+            one.take(record)
+
+    flight = FastFlight(
+        mission, job.seed, LockDriver.MOCK, faults=world.lock_faults, observe=observe, world=world
+    )
+    problems = []
+    try:
+        flight.run()
+        flight.run_out()
+    except Exception as error:
+        problems.append(f"exception {type(error).__name__}: {error}")
+    verdict = builder.build(World.FAST, job.seed)
+    # A flight may be broken off more than once on its way down: the first reason is the cause.
+    rule = verdict.guard[0].rule if verdict.guard and verdict.outcome != Outcome.COMPLETED else ""
+    problems += judge(flight, watch, None, verdict.outcome, rule)
+    return Flown(
+        job=job,
+        outcome=verdict.outcome.value,
+        rule=rule,
+        problems=problems,
+        tilt_deg=math.degrees(watch.tilt),
+        miss_m=verdict.goal_miss_m,
+        hits=hits.figures(),
+        drawn=world.drawn,
+    )
+
+
+def fly_all(part: str, jobs: Sequence[Job], processes: int, fresh: bool = False) -> list[Flown]:
+    """Fly what build/body/ does not have yet; results in the order of the jobs."""
+    path = KEPT / f"{part}.jsonl"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if fresh:
+        path.unlink(missing_ok=True)
+    decode = msgspec.json.Decoder(Flown).decode
+    lines = path.read_bytes().splitlines() if path.exists() else []
+    have = {flown.job: flown for flown in map(decode, lines)}
+    missing = [job for job in jobs if job not in have]
+    console = Console(stderr=True)
+    with ProcessPoolExecutor(processes) as pool, open(path, "ab", buffering=0) as file:
+        for count, flown in enumerate(pool.map(fly, missing), 1):
+            have[flown.job] = flown
+            file.write(msgspec.json.encode(flown) + b"\n")
+            if count % 20 == 0:
+                console.print(f"{part}: {count} of {len(missing)}")
+    return [have[job] for job in jobs]
+
+
+# --- what is flown -----------------------------------------------------------------------------------------
+
+
+def yaw_jobs(cases: Iterable[Case], missions: Iterable[str], runs: int) -> list[Job]:
+    """Both missions, every yaw, over seeds."""
+    seeds = range(FIRST_SEED, FIRST_SEED + runs)
+    return [
+        Job(mission, seed, case, yaw)
+        for case, mission, yaw, seed in itertools.product(cases, missions, YAWS_DEG, seeds)
+    ]
+
+
+def corner_jobs() -> list[Job]:
+    """Every corner once, with walls true and askew."""
+    return [
+        Job("dual_collision", FIRST_SEED, case, yaw)
+        for case, yaw in itertools.product(corners(), (0.0, 10.0, -10.0))
+    ]
+
+
+def vary_jobs(runs: int) -> list[Job]:
+    """Dual flights with everything drawn."""
+    return [
+        Job("dual_collision", seed, default_case(), vary=("all",))
+        for seed in range(FIRST_SEED, FIRST_SEED + runs)
+    ]
+
+
+class Panel(msgspec.Struct, frozen=True):
+    """One map: two quantities over and beyond their ranges, everything else at its default.
+
+    Attributes:
+        title: above it.
+        mission: flown.
+        x, y: names of `Case`'s fields, `yaw_deg` or `normal_m_s`.
+        xs, ys: values.
+        yaw_deg: of the walls, where it is not an axis.
+    """
+
+    title: str
+    mission: str
+    x: str
+    y: str
+    xs: tuple[float, ...]
+    ys: tuple[float, ...]
+    yaw_deg: float = 0.0
+
+    def job(self, x: float, y: float) -> Job:
+        """One cell of it."""
+        given = {self.x: x, self.y: y}
+        changes = {name: value for name, value in given.items() if name in RANGES}
+        case = msgspec.structs.replace(default_case(), name="map", **changes)
+        return Job(
+            self.mission,
+            FIRST_SEED,
+            case,
+            given.get("yaw_deg", self.yaw_deg),
+            given.get("normal_m_s"),
+        )
+
+
+_ANGLES = (-30.0, -20.0, -15.0, -10.0, -5.0, 0.0, 5.0, 10.0, 15.0, 20.0, 30.0)
+PANELS = (
+    Panel(
+        "Dual collision, walls 5 degrees askew",
+        "dual_collision",
+        "friction_lever_share",
+        "vertical_lever_m",
+        (0.0, 0.25, 0.5, 0.75, 1.0),
+        (0.0, 0.01, 0.02, 0.04, 0.07, 0.1, 0.15, 0.2),
+        5.0,
+    ),
+    Panel(
+        "Dual collision",
+        "dual_collision",
+        "yaw_deg",
+        "guard_height_m",
+        _ANGLES,
+        (-0.1, -0.06, -0.03, 0.0, 0.03, 0.06, 0.1),
+    ),
+    Panel("Single wall", "single_wall", "yaw_deg", "normal_m_s", _ANGLES, (-0.5, -1.0, -1.5, -2.0, -2.5)),
+    Panel(
+        "Dual collision, walls 5 degrees askew",
+        "dual_collision",
+        "guard_along_m",
+        "inertia",
+        (0.05, 0.10, 0.13, 0.16, 0.20),
+        (0.4, 0.7, 1.0, 1.4, 2.0),
+        5.0,
+    ),
+)
+_LABELS = {
+    "friction_lever_share": "share of the guards' lever at which friction acts",
+    "vertical_lever_m": "lever of the vertical force, m",
+    "guard_height_m": "guards above the centre of mass, m",
+    "guard_along_m": "guards to either side of the middle, m",
+    "inertia": "inertia, times the configured one",
+    "yaw_deg": "walls turned against the mission, degrees",
+    "normal_m_s": "approach, m/s",
+}
+
+
+# --- what came of it ---------------------------------------------------------------------------------------
+
+
+def wilson(successes: int, flights: int) -> tuple[float, float]:
+    """95 % interval of a success rate (Wilson's score interval)."""
+    z, p = 1.959964, successes / flights
+    middle = (p + z * z / (2 * flights)) / (1 + z * z / flights)
+    half = z * math.sqrt(p * (1 - p) / flights + z * z / (4 * flights**2)) / (1 + z * z / flights)
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def _counts(flights: Sequence[Flown]) -> str:
+    """Ends other than completion, most frequent first."""
+    ends = Counter(f.rule or "-" if f.kind != "uncontrolled" else "uncontrolled" for f in flights)
+    del ends[""], ends["-"]
+    return ", ".join(f"{name} {count}" for name, count in ends.most_common()) or "-"
+
+
+def _middle_and_worst(values: Iterable[float], digits: int = 0) -> str:
+    known = list(values)
+    if not known:
+        return "-"
+    worst = max(known, key=abs)
+    return f"{statistics.median(known):.{digits}f}, {worst:.{digits}f}"
+
+
+def yaw_table(flights: Sequence[Flown]) -> str:
+    """Markdown: a row a case, mission and yaw; figures are median, worst."""
+    lines = [
+        "| body | mission | wall yaw | completed | broken off | uncontrolled | tilt after first hit, deg | "
+        "rate after it, deg/s | motors at a limit, ms | second hit, m/s | its force, N | tilt after it, deg |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    groups: dict[tuple[str, str, float], list[Flown]] = {}
+    for f in flights:
+        groups.setdefault((f.job.case.name, f.job.mission, f.job.yaw_deg), []).append(f)
+    for (case, mission, yaw), mine in groups.items():
+        first = [f.hits[0] for f in mine if f.hits]
+        second = [hit for f in mine if (hit := f.second()) is not None]
+        lost = sum(f.kind == "uncontrolled" for f in mine)
+        cells = [
+            case,
+            mission,
+            f"{yaw:+.0f}" if yaw else "0",
+            f"{sum(f.kind == 'completed' for f in mine)} of {len(mine)}",
+            _counts([f for f in mine if f.kind == "broken off"]),
+            str(lost),
+            _middle_and_worst(h.tilt_deg for h in first),
+            _middle_and_worst(h.rate_deg_s for h in first),
+            _middle_and_worst(1e3 * h.saturated_s for h in first),
+            _middle_and_worst((h.normal_m_s for h in second), 2),
+            _middle_and_worst(h.peak_n for h in second),
+            _middle_and_worst(h.tilt_deg for h in second),
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def badness(flights: Sequence[Flown]) -> tuple[float, ...]:
+    """How bad a corner is: uncontrolled, then not completed, then tilt and rate after hits."""
+    hits = [hit for f in flights for hit in f.hits]
+    return (
+        sum(f.kind == "uncontrolled" for f in flights),
+        sum(f.kind != "completed" for f in flights),
+        max((hit.tilt_deg for hit in hits), default=0.0),
+        max((hit.rate_deg_s for hit in hits), default=0.0),
+    )
+
+
+def corner_table(flights: Sequence[Flown]) -> str:
+    """Markdown: corners, worst first."""
+    groups: dict[Case, list[Flown]] = {}
+    for f in flights:
+        groups.setdefault(f.job.case, []).append(f)
+    lines = [
+        f"| {' | '.join(RANGES)} | completed | broken off | uncontrolled | tilt, deg | rate, deg/s |",
+        "|" + "---|" * (len(RANGES) + 5),
+    ]
+    for case, mine in sorted(groups.items(), key=lambda group: badness(group[1]), reverse=True):
+        lost, _, tilt, rate = badness(mine)
+        values = [f"{getattr(case, name):g}" for name in RANGES]
+        done = f"{sum(f.kind == 'completed' for f in mine)} of {len(mine)}"
+        off = _counts([f for f in mine if f.kind == "broken off"])
+        lines.append(f"| {' | '.join(values)} | {done} | {off} | {lost:.0f} | {tilt:.0f} | {rate:.0f} |")
+    return "\n".join(lines) + "\n"
+
+
+def vary_table(flights: Sequence[Flown]) -> str:
+    """Markdown: success rate with its interval, every break-off by its cause, and what was drawn there."""
+    done = sum(f.kind == "completed" for f in flights)
+    low, high = wilson(done, len(flights))
+    lost = [f for f in flights if f.kind == "uncontrolled"]
+    lines = [
+        f"{done} of {len(flights)} completed: {100 * done / len(flights):.1f} % "
+        f"(95 % interval {100 * low:.1f} to {100 * high:.1f} %), {len(lost)} uncontrolled.",
+        "",
+        "| broken off by | flights | seeds |",
+        "|---|---|---|",
+    ]
+    causes: dict[str, list[int]] = {}
+    for f in flights:
+        if f.kind == "broken off":
+            causes.setdefault(f.rule, []).append(f.job.seed)
+    for rule, seeds in sorted(causes.items(), key=lambda cause: -len(cause[1])):
+        shown = ", ".join(map(str, seeds[:12])) + (", ..." if len(seeds) > 12 else "")
+        lines.append(f"| `{rule}` | {len(seeds)} | {shown} |")
+    lines += ["", *(f"- uncontrolled, seed {f.job.seed}: {'; '.join(f.problems)}" for f in lost)]
+    first = [f.hits[0] for f in flights if f.hits]
+    second = [hit for f in flights if (hit := f.second()) is not None]
+    for said, hits in (("First hit", first), ("Second hit", second)):
+        lines.append(
+            f"{said} (median, worst of {len(hits)}): {_middle_and_worst((h.normal_m_s for h in hits), 2)} m/s, "
+            f"{_middle_and_worst(h.peak_n for h in hits)} N, tilt after it "
+            f"{_middle_and_worst(h.tilt_deg for h in hits)} degrees, rate "
+            f"{_middle_and_worst(h.rate_deg_s for h in hits)} deg/s."
+        )
+    return "\n".join(lines) + "\n"
+
+
+def draw_map(flights: Sequence[Flown], path: Path) -> None:
+    """The map as a picture; needs the extra `report`."""
+    from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib.patches import Rectangle  # noqa: PLC0415
+
+    found = {f.job: f for f in flights}
+    figure = Figure(figsize=(11.0, 9.0), layout="constrained")
+    marks = {"broken off": ("x", "white"), "uncontrolled": ("X", "red"), "refused": ("_", "0.5")}
+    mesh: Any = None
+    for panel, axes in zip(PANELS, figure.subplots(2, 2).flat, strict=True):
+        cells = [[found[panel.job(x, y)] for x in panel.xs] for y in panel.ys]
+        tilt = [[math.nan if f.kind == "refused" else f.tilt_deg for f in row] for row in cells]
+        mesh = axes.imshow(tilt, origin="lower", aspect="auto", cmap="viridis", vmin=0.0, vmax=80.0)
+        for j, row in enumerate(cells):
+            for i, f in enumerate(row):
+                if f.kind in marks:
+                    marker, colour = marks[f.kind]
+                    axes.plot(i, j, marker=marker, color=colour, markersize=8, linestyle="none")
+                if f.kind == "broken off":
+                    axes.annotate(
+                        f.rule,
+                        (i, j),
+                        xytext=(0, -9),
+                        textcoords="offset points",
+                        ha="center",
+                        fontsize=5,
+                        color="white",
+                    )
+        ends = [
+            [k for k, v in enumerate(values) if name not in RANGES or RANGES[name][0] <= v <= RANGES[name][1]]
+            for name, values in ((panel.x, panel.xs), (panel.y, panel.ys))
+        ]
+        (left, right), (low, high) = ((at[0] - 0.5, at[-1] + 0.5) for at in ends)
+        axes.add_patch(
+            Rectangle((left, low), right - left, high - low, fill=False, edgecolor="white", linestyle="--")
+        )
+        axes.set_xticks(range(len(panel.xs)), [f"{v:g}" for v in panel.xs])
+        axes.set_yticks(range(len(panel.ys)), [f"{v:g}" for v in panel.ys])
+        axes.set_xlabel(_LABELS[panel.x])
+        axes.set_ylabel(_LABELS[panel.y])
+        axes.set_title(panel.title, fontsize=10)
+    figure.colorbar(mesh, ax=figure.axes, label="largest tilt of the flight, degrees", shrink=0.6)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Fly what is asked for; 1 where a flight was uncontrolled."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("part", nargs="*", help=f"of {', '.join(PARTS)}; all by default")
+    parser.add_argument("--runs", type=int, help="seeds of yaw (20) and flights of vary (200)")
+    parser.add_argument("--case", action="append", choices=("default", "mid-range", "worst corner"))
+    parser.add_argument("--mission", action="append", choices=MISSIONS)
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--fresh", action="store_true", help="forget what was flown")
+    parser.add_argument("--out", type=Path, default=ROOT / "build" / "body.md")
+    parser.add_argument("--picture", type=Path, default=PICTURE)
+    options = parser.parse_args(arguments)
+    unknown = [part for part in options.part if part not in PARTS]
+    if unknown:
+        parser.error(f"unknown part {unknown[0]}, known: {', '.join(PARTS)}")
+    cases = [c for c in (default_case(), MIDDLE, WORST) if c.name in (options.case or [c.name])]
+    said, lost = [], 0
+    for part in options.part or PARTS:
+        if part == "yaw":
+            jobs = yaw_jobs(cases, options.mission or MISSIONS, options.runs or 20)
+        elif part == "corners":
+            jobs = corner_jobs()
+        elif part == "vary":
+            jobs = vary_jobs(options.runs or 200)
+        else:
+            jobs = [panel.job(x, y) for panel in PANELS for x in panel.xs for y in panel.ys]
+        flights = fly_all(part, list(dict.fromkeys(jobs)), options.processes, options.fresh)
+        lost += sum(f.kind == "uncontrolled" for f in flights)
+        if part == "map":
+            draw_map(flights, options.picture)
+            text = json.dumps(Counter(f.kind for f in flights)) + "\n"
+        else:
+            text = {"yaw": yaw_table, "corners": corner_table, "vary": vary_table}[part](flights)
+        said.append(f"## {part}\n\n{text}")
+        sys.stdout.write(said[-1] + "\n")
+        sys.stdout.flush()
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text("\n".join(said), encoding="utf-8")
+    return 1 if lost else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
