@@ -10,10 +10,15 @@ forces on the wall.
 What the paper does not tell is a parameter here (`config/vehicle/simulation.py`, `ContactBody`): the share of
 the friction's lever that turns the vehicle, and the lever of the vertical force. The friction acts, and its
 sliding velocity is taken, at the same reduced lever, so it only ever takes energy out.
+
+Free arms fold: each turns in the horizontal plane about a bearing in the vehicle's middle, by so much that
+its guard gives way by a share of its penetration (`folds`). The law knows of that already, it is why k is
+smaller; what it adds is that the arm's motor moves.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -153,4 +158,31 @@ def touch(
     )
 
 
+def folds(body: ContactBody, share: float, depths: Sequence[float]) -> tuple[float, float, float, float]:
+    """Angles by which the arms have swung, radians, positive clockwise seen from above.
+
+    Args:
+        body: where the guards are.
+        share: of a guard's penetration by which its arm gives way.
+        depths: penetration of each guard in the order of `guards_of`, metres; 0 where it does not touch.
+
+    Returns:
+        Of the arms in the order of `arm_of`'s numbers.
+    """
+    angles = [0.0, 0.0, 0.0, 0.0]
+    along = max(body.guard_along_m, _LEAST_ARM_M)
+    for i, (guard, depth) in enumerate(zip(guards_of(body), depths, strict=True)):
+        if depth > 0.0:
+            # Two guards a side: pushed in, the first one's arm swings clockwise, the second one's against it.
+            turn = math.atan2(share * depth, along)
+            angles[arm_of(guard.at[0], guard.at[1])] += turn if i % 2 == 0 else -turn
+    return (angles[0], angles[1], angles[2], angles[3])
+
+
+def arm_of(x: float, y: float) -> int:
+    """Number of the arm on whose quarter a point lies, FRD: front right 0, front left 1, then behind."""
+    return (0 if x >= 0.0 else 2) + (0 if y >= 0.0 else 1)
+
+
+_LEAST_ARM_M = 0.05  # guards nearer to the middle than this would swing an arm without end
 _NEAR_M = 0.08  # below 5 m/s no contact begins further away

@@ -14,7 +14,7 @@ import msgspec
 
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Airframe, BodyModel, Coefficients, VehicleConfig
-from dart_flight.contact.body import Plane, Touch, guards_of, touch
+from dart_flight.contact.body import Plane, Touch, arm_of, folds, guards_of, touch
 from dart_flight.contact.law import Onset, coefficients_in_force, contact_force
 from dart_flight.geometry import (
     GRAVITY_M_S2,
@@ -43,6 +43,7 @@ _NEAR_WALL_M = 0.08  # below 5 m/s no contact begins further away
 _BEHIND_M = -0.6  # a vehicle this far behind a plane is on the wall's other side
 _YAW_TORQUE_PER_THRUST_M = 0.016  # drag torque of a 6-inch propeller per newton of thrust, example value
 _REBOUND_S = 0.01  # a guard that comes back within this time belongs to the same contact
+_HALF_ENGAGED = 0.5  # how free arms are with half-engaged rods
 _GROUND_SPEED_M_S = 0.05  # regularisation of the ground's friction
 
 # Motors in PX4's order for a quadrotor in X, FRD: sign of x, sign of y, direction of the yaw torque.
@@ -104,10 +105,11 @@ class _OpenContact:
         position: Vec3,
         incidence: float,
         tilt: float,
+        fold_share: float,
     ) -> None:
         self.plane, self.mode, self.coefficients, self.start_s = plane, mode, coefficients, t_s
         self.normal_in, self.tangential_in, self.position = vx, vy, position
-        self.incidence, self.tilt = incidence, tilt
+        self.incidence, self.tilt, self.fold_share = incidence, tilt, fold_share
         self.peak_normal = self.peak_friction = self.peak_torque = 0.0
         self.last_s = t_s  # of the newest force
         self.velocity_out: Vec3 = (0.0, 0.0, 0.0)
@@ -171,6 +173,8 @@ class Plant:
         steps_per_lag = 2.0 * math.pi * vehicle.imu.antialias_hz * STEP_S
         self._antialias_decay = math.exp(-steps_per_lag)
         self._antialias_mean = (1.0 - self._antialias_decay) / steps_per_lag
+        self._arm_of_motor = [arm_of(motor.x_m, motor.y_m) for motor in self.motors]
+        self._folded: tuple[float, float, float, float] | None = None
         self._motor_decay = math.exp(-STEP_S / max(vehicle.thrust.motor_lag_s, 1e-4))
 
     # -- one step --
@@ -212,7 +216,9 @@ class Plant:
         planes = self._planes_near()
         if self._guards and planes and not self._near_ground:
             contact = self._collide(pushed, torque, planes)
+            self._folded = self._fold()
         else:
+            self._folded = None
             contact = self._translate(pushed, planes)
             self._turn(torque)
         self.time_s += STEP_S
@@ -230,8 +236,13 @@ class Plant:
             self.motor[i] = commands[i] + (self.motor[i] - commands[i]) * decay
             force = thrust.force_n(self.motor[i])
             total += force
-            roll -= motor.y_m * force
-            pitch += motor.x_m * force
+            x, y = motor.x_m, motor.y_m
+            if self._folded is not None:
+                turn = self._folded[self._arm_of_motor[i]]
+                c, s = math.cos(turn), math.sin(turn)
+                x, y = c * x - s * y, s * x + c * y
+            roll -= y * force
+            pitch += x * force
             yaw += motor.yaw_m * force
         return total, (roll, pitch, yaw)
 
@@ -308,6 +319,33 @@ class Plant:
             (v[1] - before[1]) / STEP_S - free[1],
             (v[2] - before[2]) / STEP_S - free[2],
         )
+
+    def _fold(self) -> tuple[float, float, float, float] | None:
+        """How far each arm has swung (`contact.body.folds`), None where all are straight."""
+        touched = [current for current in self._open.values() if current.fold_share > 0.0]
+        if not touched:
+            return None
+        angles = [0.0, 0.0, 0.0, 0.0]
+        levers = [rotate(self.q, guard.at) for guard in self._guards]
+        for current in touched:
+            n, o = current.plane.surface.normal, current.plane.surface.point
+            depth = sum(n[i] * (o[i] - self.position[i]) for i in range(3))
+            depths = [max(0.0, depth - n[0] * r[0] - n[1] * r[1] - n[2] * r[2]) for r in levers]
+            swung = folds(self.body, current.fold_share, depths)
+            angles = [a + b for a, b in zip(angles, swung, strict=True)]
+        return (angles[0], angles[1], angles[2], angles[3])
+
+    def _gives_way(self, incidence: float) -> float:
+        """Share of a guard's penetration that its arm takes up, at an angle of incidence in radians."""
+        if abs(incidence) >= math.radians(self.vehicle.airframe.incidence_rigid_deg):
+            return 0.0
+        return self.body.fold_share * self._freedom()
+
+    def _freedom(self) -> float:
+        """1 with free arms, 0 with locked ones; half-engaged rods are neither."""
+        if self.mode is Mode.FLEXIBLE:
+            return 1.0
+        return _HALF_ENGAGED if self.body.half_engaged else 0.0
 
     def _touching(
         self,
@@ -486,7 +524,18 @@ class Plant:
         position = self.frame.point_from_ned(self.position)
         yaw = self.frame.yaw_from_ned(yaw_ned_of(self.q))
         incidence = wrap_angle(yaw - plane.wall.parallel_yaw(yaw))
-        current = _OpenContact(plane, self.mode, c, t_s, vx, vy, position, incidence, tilt_of(self.q))
+        current = _OpenContact(
+            plane,
+            self.mode,
+            c,
+            t_s,
+            vx,
+            vy,
+            position,
+            incidence,
+            tilt_of(self.q),
+            self._gives_way(incidence),
+        )
         self._open[plane.wall.name] = current
         return current
 
@@ -530,7 +579,8 @@ class Plant:
         q the arms' displacement against the body and s their share of the mass, the body is at -s q from
         the centre of mass; a contact drives q'' = -w^2 q - 2 zeta w q' - a, and the IMU feels -s q''.
         """
-        if self.mode is Mode.RIGID:
+        freedom = self._freedom()
+        if freedom == 0.0:
             self._arm = ((0.0, 0.0), (0.0, 0.0))
             return (0.0, 0.0)
         vibration = self.vehicle.simulation.arm_vibration
@@ -540,7 +590,8 @@ class Plant:
         ay = -w * w * qy - 2.0 * z * w * vy - contact[1]
         vx, vy = vx + STEP_S * ax, vy + STEP_S * ay
         self._arm = ((qx + STEP_S * vx, qy + STEP_S * vy), (vx, vy))
-        return (-vibration.mass_fraction * ax, -vibration.mass_fraction * ay)
+        share = freedom * vibration.mass_fraction
+        return (-share * ax, -share * ay)
 
     # -- truth --
 

@@ -65,7 +65,48 @@ def test_the_symmetric_hit_is_the_points(mode: Mode, speed: float) -> None:
     assert guards.normal_out_m_s == pytest.approx(centre.normal_out_m_s, rel=0.03)
     durations = [hit.end_us - hit.t_us for hit in hits]
     assert durations[0] == pytest.approx(durations[1], rel=0.03)
-    assert guards.rate_out_frd == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+    # Free arms swing back and take their motors with them: less lift in front, and the nose goes down.
+    nose_up = guards.rate_out_frd[1]
+    assert nose_up == pytest.approx(0.0, abs=1e-6) if mode is Mode.RIGID else -2.5 < nose_up < -0.1
+    assert guards.rate_out_frd[::2] == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
+def motors_while(plant: Plant, forces: list[float]) -> Vec3:
+    """Torque of the motors with these forces, now."""
+    plant.motor = [VEHICLE.thrust.command_for(force) for force in forces]
+    (a, b, c, d) = plant.motor
+    return plant._motors((a, b, c, d))[1]
+
+
+def test_folded_arms_carry_their_motors_back_and_apart() -> None:
+    """Deepest in a straight hit: a front motor is share x penetration further back, and further out."""
+    plant = before_the_wall(body_vehicle(vertical_lever_m=0.0), Mode.FLEXIBLE, -1.0, 0.0, 0.0)
+    straight = motors_while(plant, [3.0, 0.0, 0.0, 0.0])
+    while plant.velocity[0] > 0.0:
+        plant.advance((HOVER,) * 4)
+    depth = plant.position[0] - 1.0
+    folded = motors_while(plant, [3.0, 0.0, 0.0, 0.0])  # the front right one alone
+    assert depth > 0.015
+    assert (straight[1] - folded[1]) / 3.0 == pytest.approx(0.7 * depth, rel=0.15)
+    assert (straight[0] - folded[0]) / 3.0 == pytest.approx(0.7 * depth, rel=0.15)
+    behind = [motors_while(plant, [0.0, 3.0, 0.0, 0.0])[i] for i in (0, 1)]
+    assert behind == pytest.approx([0.39, -0.39], abs=1e-6)
+    first_contact(plant)
+    for _ in range(20):
+        plant.advance((HOVER,) * 4)
+    assert motors_while(plant, [3.0, 0.0, 0.0, 0.0]) == pytest.approx(straight)
+
+
+@pytest.mark.parametrize(("mode", "half", "share"), [(Mode.RIGID, False, 0.0), (Mode.RIGID, True, 0.35)])
+def test_locked_arms_do_not_fold_and_half_engaged_ones_do_by_half(
+    mode: Mode, half: bool, share: float
+) -> None:
+    plant = before_the_wall(body_vehicle(vertical_lever_m=0.0, half_engaged=half), mode, -1.0, 0.0, 0.0)
+    straight = motors_while(plant, [3.0, 0.0, 0.0, 0.0])
+    while plant.velocity[0] > 0.0:
+        plant.advance((HOVER,) * 4)
+    moved = (straight[1] - motors_while(plant, [3.0, 0.0, 0.0, 0.0])[1]) / 3.0
+    assert moved == pytest.approx(share * (plant.position[0] - 1.0), rel=0.15, abs=1e-9)
 
 
 def test_a_leading_guard_turns_the_vehicle_away_from_its_side() -> None:

@@ -4,11 +4,11 @@
     python -m tools.campaigns.body yaw vary        # only these parts; also: corners, map
     python -m tools.campaigns.body yaw --runs 5 --case default --mission dual_collision --fresh
 
-Fast world, guards. What the paper does not tell of the body are the ranges of `RANGES`; a `Case` is one point
-in them. `yaw` flies both missions over seeds with every wall turned by the same angle; `corners` finds the worst
-corner of the ranges; `map` goes over the ranges and beyond them, to where it stops being flyable; `vary` draws
-everything (`--vary all`). A flight is kept under build/body/ as soon as it has landed: an interrupted campaign
-goes on where it was; `--fresh` forgets what was flown (after a change of the software).
+Fast world, guards. What the paper does not tell of the body are the ranges of `RANGES`; a `Case` is a point
+in them. `yaw` flies both missions over seeds with every wall turned by the same angle; `corners` finds the
+worst corner of the ranges; `map` goes over the ranges and beyond, to where it stops being flyable; `vary`
+draws everything (`--vary all`). A flight is kept under build/body/ as soon as it has landed: an interrupted
+campaign goes on where it was; `--fresh` forgets what was flown (after a change of the software).
 
 No decision of the software may be tuned on the seeds from `FIRST_SEED` on.
 """
@@ -61,6 +61,7 @@ class Case(msgspec.Struct, frozen=True):
         name: for tables.
         friction_lever_share, vertical_lever_m, guard_height_m, guard_along_m: as in `simulation.contact`.
         inertia: factor of the configured one.
+        fold_share: as in `simulation.contact`; None: as configured.
     """
 
     name: str
@@ -69,6 +70,7 @@ class Case(msgspec.Struct, frozen=True):
     guard_height_m: float
     guard_along_m: float
     inertia: float
+    fold_share: float | None = None
 
     def settings(self) -> tuple[str, ...]:
         """As `--set` takes them."""
@@ -77,6 +79,8 @@ class Case(msgspec.Struct, frozen=True):
             f"simulation.contact.{key}={getattr(self, key):g}"
             for key in ("friction_lever_share", "vertical_lever_m", "guard_height_m", "guard_along_m")
         ]
+        if self.fold_share is not None:
+            contact.append(f"simulation.contact.fold_share={self.fold_share:g}")
         inertia = ", ".join(f"{self.inertia * moment:g}" for moment in moments)
         return ("simulation.contact.body=guards", *contact, f"airframe.inertia_kg_m2=[{inertia}]")
 
@@ -369,7 +373,7 @@ class Panel(msgspec.Struct, frozen=True):
     def job(self, x: float, y: float) -> Job:
         """One cell of it."""
         given = {self.x: x, self.y: y}
-        changes = {name: value for name, value in given.items() if name in RANGES}
+        changes = {name: value for name, value in given.items() if name in Case.__struct_fields__}
         case = msgspec.structs.replace(default_case(), name="map", **changes)
         return Job(
             self.mission,
@@ -403,9 +407,9 @@ PANELS = (
     Panel(
         "Dual collision, walls 5 degrees askew",
         "dual_collision",
-        "guard_along_m",
+        "fold_share",
         "inertia",
-        (0.05, 0.10, 0.13, 0.16, 0.20),
+        (0.0, 0.25, 0.5, 0.7, 1.0),
         (0.4, 0.7, 1.0, 1.4, 2.0),
         5.0,
     ),
@@ -414,7 +418,7 @@ _LABELS = {
     "friction_lever_share": "share of the guards' lever at which friction acts",
     "vertical_lever_m": "lever of the vertical force, m",
     "guard_height_m": "guards above the centre of mass, m",
-    "guard_along_m": "guards to either side of the middle, m",
+    "fold_share": "share of a guard's penetration that its arm takes up",
     "inertia": "inertia, times the configured one",
     "yaw_deg": "walls turned against the mission, degrees",
     "normal_m_s": "approach, m/s",
@@ -451,7 +455,8 @@ def yaw_table(flights: Sequence[Flown]) -> str:
     """Markdown: a row a case, mission and yaw; figures are median, worst."""
     lines = [
         "| body | mission | wall yaw | completed | broken off | uncontrolled | tilt after first hit, deg | "
-        "rate after it, deg/s | motors at a limit, ms | second hit, m/s | its force, N | tilt after it, deg |",
+        "rate after it, deg/s | motors at a limit, ms | second hit, m/s | its force, N | "
+        "tilt after it, deg |",
         "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     groups: dict[tuple[str, str, float], list[Flown]] = {}
@@ -532,12 +537,18 @@ def vary_table(flights: Sequence[Flown]) -> str:
     second = [hit for f in flights if (hit := f.second()) is not None]
     for said, hits in (("First hit", first), ("Second hit", second)):
         lines.append(
-            f"{said} (median, worst of {len(hits)}): {_middle_and_worst((h.normal_m_s for h in hits), 2)} m/s, "
+            f"{said} (median, worst of {len(hits)}): "
+            f"{_middle_and_worst((h.normal_m_s for h in hits), 2)} m/s, "
             f"{_middle_and_worst(h.peak_n for h in hits)} N, tilt after it "
             f"{_middle_and_worst(h.tilt_deg for h in hits)} degrees, rate "
             f"{_middle_and_worst(h.rate_deg_s for h in hits)} deg/s."
         )
     return "\n".join(lines) + "\n"
+
+
+def _plausible(name: str, value: float) -> bool:
+    low, high = RANGES.get(name, (-math.inf, math.inf))
+    return low <= value <= high
 
 
 def draw_map(flights: Sequence[Flown], path: Path) -> None:
@@ -569,7 +580,7 @@ def draw_map(flights: Sequence[Flown], path: Path) -> None:
                         color="white",
                     )
         ends = [
-            [k for k, v in enumerate(values) if name not in RANGES or RANGES[name][0] <= v <= RANGES[name][1]]
+            [k for k, v in enumerate(values) if _plausible(name, v)]
             for name, values in ((panel.x, panel.xs), (panel.y, panel.ys))
         ]
         (left, right), (low, high) = ((at[0] - 0.5, at[-1] + 0.5) for at in ends)

@@ -32,6 +32,8 @@ class ContactBody(Section, frozen=True):
         friction_lever_share: share of the guards' lever at which friction acts; 0: through the centre of
             mass, 1: at the guards.
         vertical_lever_m: how far outside of the centre of mass the vertical force acts.
+        fold_share: share of a guard's penetration by which its free arm swings back, its motor with it; 0:
+            motors stay where they are.
         scatter: standard deviation of the coefficients from hit to hit, relative.
         half_engaged: the rods stop half-way: the arms are neither locked nor free.
     """
@@ -42,6 +44,7 @@ class ContactBody(Section, frozen=True):
     guard_height_m: Annotated[float, Meta(ge=-0.5, le=0.5)] = 0.0
     friction_lever_share: Fraction = 0.3
     vertical_lever_m: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.01
+    fold_share: Fraction = 0.7
     scatter: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     half_engaged: bool = False
 
