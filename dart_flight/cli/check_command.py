@@ -11,7 +11,7 @@ from dart_flight.check.findings import CheckReport, decide
 from dart_flight.check.mission import check_mission
 from dart_flight.check.parameters import judge_claim
 from dart_flight.check.vehicle import check_vehicle
-from dart_flight.cli.options import add_driver_option, add_position_option, link_of
+from dart_flight.cli.options import add_driver_option, add_position_option, add_set_option, link_of
 from dart_flight.cli.terminal import emit_json, messages
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import load_mission
@@ -28,11 +28,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     add_position_option(parser)
     add_driver_option(parser)
+    add_set_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
-    mission = load_mission(arguments.mission, arguments.config)
+    mission = load_mission(arguments.mission, arguments.config, arguments.set)
     if arguments.driver is not None:
         mission = with_driver(mission, arguments.driver)
     findings = check_mission(mission)

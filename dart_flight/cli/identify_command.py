@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from dart_flight.cli.options import add_set_option
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
@@ -72,6 +73,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("-o", "--output", metavar="FILE", help="write a materials entry (YAML)")
     parser.add_argument("--plot", metavar="FILE", help="recordings and fit (PNG, PDF, SVG)")
+    add_set_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -87,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
         drop = True
     if not paths:
         raise InputError("no trials given", key=("TRIAL",))
-    vehicle, source = find_vehicle(arguments.config)
+    vehicle, source = find_vehicle(arguments.config, arguments.set)
     job = identification.Job(
         paths=paths,
         mode=arguments.mode,

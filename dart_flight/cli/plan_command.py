@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.progress import Progress
 
-from dart_flight.cli.options import link_of, whole_number
+from dart_flight.cli.options import add_set_option, link_of, whole_number
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.scenario import Objective, load_scenario
@@ -44,12 +44,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="URL",
         help="read PX4's parameters from the vehicle instead of the configuration",
     )
+    add_set_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     console = messages()
-    scenario = load_scenario(arguments.scenario, arguments.config)
+    scenario = load_scenario(arguments.scenario, arguments.config, settings=arguments.set)
     if arguments.connection is not None:
         from dart_flight.vehicle.link import LinkLease
         from dart_flight.worlds.prepare import with_vehicle_parameters
@@ -70,6 +71,12 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output is not None:
         write_mission(scenario, plan, arguments.output)
         console.print(f"plan {plan.rank} written to {arguments.output}", soft_wrap=True)
+        if arguments.set:
+            console.print(
+                "[yellow]the mission names the configuration without what was set: fly it with the same "
+                "--set[/]",
+                soft_wrap=True,
+            )
     if arguments.plot is not None:
         from dart_flight.planning.plots import plot_search
 

@@ -7,6 +7,7 @@ import re
 import sys
 from typing import Any
 
+from dart_flight.cli.options import add_set_option
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
@@ -44,6 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plot", metavar="FILE", help="position, velocity and force over time (PNG, PDF, SVG)"
     )
+    add_set_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -55,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
         return _from_ratios(arguments)
     if arguments.surface is None:
         raise InputError("--surface is required, or --restitution", key=("surface",))
-    vehicle, source = find_vehicle(arguments.config)
+    vehicle, source = find_vehicle(arguments.config, arguments.set)
 
     def say() -> None:
         say_vehicle(source, messages(), asked=arguments.config is not None)
@@ -99,6 +101,7 @@ def _from_ratios(arguments: argparse.Namespace) -> int:
     given = [
         name for name in ("surface", "mode", "batch", "onset", "plot") if getattr(arguments, name) is not None
     ]
+    given += ["set"] if arguments.set else []
     if given:
         raise InputError(f"--restitution stands without --{given[0]}", key=("restitution",))
     ratios = prediction.Ratios(arguments.restitution, arguments.tangential_ratio)

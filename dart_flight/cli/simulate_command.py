@@ -6,7 +6,7 @@ import argparse
 
 from rich.console import Console
 
-from dart_flight.cli.options import whole_number
+from dart_flight.cli.options import add_set_option, whole_number
 from dart_flight.cli.terminal import messages
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import Mission, load_mission
@@ -32,6 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="UDP port it sends to, as PX4 does to a companion (default 14540; a ground station: 14550)",
     )
     parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="of the noise (default 1)")
+    add_set_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -42,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     path = arguments.mission or packaged("missions", "dual_collision.yaml")
     # Without a mission of its own the vehicle is this folder's, not that of the packaged mission.
     config = arguments.config or (None if arguments.mission else default_config_path())
-    mission = load_mission(path, config)
+    mission = load_mission(path, config, arguments.set)
     console = messages()
     say_vehicle(mission.flown_vehicle(), console, asked=arguments.config is not None)
     feed = Feed(arguments.port)

@@ -21,7 +21,8 @@ def say_vehicle(source: VehicleSource | None, console: Console, *, asked: bool =
     which = source.source or "as its log says"
     if source.packaged:
         which = f"the packaged configuration ({which})"
-    console.print(f"vehicle: {escape(which)}, {source.mass_kg:g} kg", soft_wrap=True)
+    changed = f", with {escape(', '.join(source.set))}" if source.set else ""
+    console.print(f"vehicle: {escape(which)}, {source.mass_kg:g} kg{changed}", soft_wrap=True)
     others = [] if asked else passed_over(source)
     if others:
         more = f" (and {len(others) - 1} more)" if len(others) > 1 else ""

@@ -70,6 +70,8 @@ def dotted(key: Key) -> str:
 class Document:
     """A parsed YAML file: `tree` of dicts, lists and scalars, and the line of every key.
 
+    `set_by` says of keys that did not come from the file which option gave them (`config.settings`).
+
     Raises:
         InputError: the text is not YAML, not a mapping, too large or too deep, has duplicate keys, aliases,
             tags, or numbers that are not finite.
@@ -78,6 +80,7 @@ class Document:
     def __init__(self, text: str, source: str) -> None:
         self.source = source
         self.lines: dict[Key, int] = {}
+        self.set_by: dict[Key, str] = {}
         if len(text) > _MAX_BYTES:
             raise InputError(f"larger than {_MAX_BYTES} bytes", source=source)
         try:
@@ -110,7 +113,14 @@ class Document:
         return cls(text, str(path))
 
     def error(self, key: Key, message: str) -> InputError:
-        """An error at a key of this document, with the line of the nearest key that is written in it."""
+        """An error at a key of this document, with the line of the nearest key that is written in it.
+
+        Where `--set` gave the key, the setting stands in the place of file and line.
+        """
+        for given, setting in self.set_by.items():
+            # Below what was set, at it, or about a section that only the setting has made.
+            if key[: len(given)] == given or (key not in self.lines and given[: len(key)] == key):
+                return InputError(message, source=setting)
         for length in range(len(key), -1, -1):
             line = self.lines.get(key[:length])
             if line is not None:

@@ -18,18 +18,20 @@ _LOCAL = Path("configs/dart.yaml")
 _MOST_LOOKED_AT = 100
 
 
-class VehicleSource(msgspec.Struct, frozen=True):
+class VehicleSource(msgspec.Struct, frozen=True, omit_defaults=True):
     """The vehicle that numbers are for, in the words of `--json`; unknown is None (old flight logs).
 
     Attributes:
         source: the configuration's path, from the working directory where it lies below that.
         packaged: whether it is the one that comes with the program, and not this folder's own.
         mass_kg: the figure that most others hang on.
+        set: keys that `--set` changed for this call, `KEY=VALUE`; left out where there are none.
     """
 
     source: str | None
     packaged: bool | None
     mass_kg: float
+    set: tuple[str, ...] = ()
 
 
 class FoundVehicle(NamedTuple):
@@ -55,8 +57,9 @@ def find_vehicle(path: str | Path | None = None, settings: Sequence[str] = ()) -
     except InputError:
         refuse_other_kind(taken, FileKind.CONFIGURATION)
         raise
+    mass_kg = config.airframe.mass_kg
     return FoundVehicle(
-        config, VehicleSource(shown_path(taken), _is_packaged(taken), config.airframe.mass_kg)
+        config, VehicleSource(shown_path(taken), _is_packaged(taken), mass_kg, tuple(settings))
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
@@ -167,7 +168,10 @@ class Scenario(msgspec.Struct, frozen=True):
 
 
 def load_scenario(
-    path: str | Path, config: str | Path | None = None, vehicle: VehicleConfig | None = None
+    path: str | Path,
+    config: str | Path | None = None,
+    vehicle: VehicleConfig | None = None,
+    settings: Sequence[str] = (),
 ) -> Scenario:
     """Load, validate and resolve a scenario file.
 
@@ -176,6 +180,7 @@ def load_scenario(
         config: vehicle configuration that overrides the one the scenario names.
         vehicle: a configuration already loaded from it, for example with the parameters read from the
             vehicle itself.
+        settings: `KEY=VALUE`, keys of the vehicle configuration that differ from the file.
 
     Raises:
         InputError: in the scenario or in the configuration.
@@ -187,7 +192,7 @@ def load_scenario(
     path_taken = None if config is None else Path(config)
     if vehicle is not None:
         return resolve_scenario(spec, vehicle, path_taken, document)
-    found = find_vehicle(config)
+    found = find_vehicle(config, settings)
     scenario = resolve_scenario(spec, found.config, path_taken, document)
     return msgspec.structs.replace(scenario, vehicle_source=found.source)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Sequence
 from typing import Any
@@ -21,7 +22,8 @@ def apply_settings(settings: Sequence[str], *documents: Document) -> list[Docume
         The documents that were changed.
 
     Raises:
-        InputError: a key is unknown, or a setting is not `KEY=VALUE`.
+        InputError: a key is unknown, or a setting is not `KEY=VALUE`. What a key's type refuses is found by
+            `Document.convert`, and named by the setting.
     """
     changed: list[Document] = []
     for setting in settings:
@@ -31,6 +33,7 @@ def apply_settings(settings: Sequence[str], *documents: Document) -> list[Docume
             known = sorted({name for d in documents for name in _settable(d)})
             raise InputError(f"--set {setting}: {unknown_name(str(key[0]), known, 'key')}")
         _set(document, key, value, setting)
+        document.set_by[key] = f"--set {setting}"
         changed.append(document)
     return changed
 
@@ -66,7 +69,13 @@ def _set(document: Document, key: Key, value: Any, setting: str) -> None:
 
 
 def _child(node: Any, part: str | int, setting: str) -> Any:
-    if isinstance(node, dict) and str(part) in node:
+    if isinstance(node, dict) and node.get(str(part)) is not None:
+        return node[str(part)]
+    if isinstance(node, dict) and (
+        str(part) in node or not difflib.get_close_matches(str(part), list(map(str, node)))
+    ):
+        # A section that the file leaves out, or has as null: whether there is such a one, its type knows.
+        node[str(part)] = {}
         return node[str(part)]
     if isinstance(node, list) and isinstance(part, int) and part < len(node):
         return node[part]

@@ -1,0 +1,136 @@
+"""`--set KEY=VALUE`: commands that compute with a vehicle take it, say it, and refuse what cannot be."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.config.vehicle import packaged
+from dart_flight.sim import standalone
+
+MISSION = str(packaged("missions", "single_wall.yaml"))
+SCENARIO = str(packaged("missions", "scenarios", "one_wall.yaml"))
+PREDICT = ["predict", "--surface", "acrylic", "--mode", "rigid", "--velocity", "-1", "0"]
+COMMANDS = {
+    "predict": PREDICT,
+    "plan": ["plan", SCENARIO, "--top", "1"],
+    "check": ["check", MISSION],
+    "dry-run": ["dry-run", MISSION, "--fast"],
+    "simulate": ["simulate", MISSION],
+}
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
+    return tmp_path
+
+
+def answer(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[Any, str]:
+    assert main([*words, "--json"]) == 0
+    streams = capsys.readouterr()
+    return json.loads(streams.out), streams.err
+
+
+@pytest.mark.parametrize("name", ["predict", "plan", "check"])
+def test_what_was_set_is_said_with_the_vehicle(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    printed, said = answer(capsys, *COMMANDS[name], "--set", "airframe.mass_kg=1.5")
+    assert printed["vehicle"]["set"] == ["airframe.mass_kg=1.5"]
+    assert printed["vehicle"]["mass_kg"] == 1.5
+    assert "1.5 kg, with airframe.mass_kg=1.5" in said
+    plain, said = answer(capsys, *COMMANDS[name])
+    assert "set" not in plain["vehicle"]
+    assert ", with" not in said
+    assert plain != printed
+
+
+def test_identify_takes_the_mass_that_was_set(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """k is mass times what the recording tells."""
+    trial = folder / "trial.csv"
+    lines = ["time_s,normal_m"]
+    x, v, h = 0.02, -1.0, 1e-4
+    for step in range(1000):
+        if step % 20 == 0:
+            lines.append(f"{step * h:.4f},{x:.9f}")
+        force = max(0.0, -(4000.0 * x + 15.0 * v))
+        v += h * force / 1.3
+        x += h * v
+    trial.write_text("\n".join(lines) + "\n")
+    command = ["identify", str(trial), "--mode", "rigid"]
+    light, _ = answer(capsys, *command)
+    heavy, said = answer(capsys, *command, "--set", "airframe.mass_kg=1.95")
+    k = [found["coefficients"]["rigid"]["k"]["value"] for found in (light, heavy)]
+    assert k[1] == pytest.approx(1.5 * k[0], rel=0.02)
+    assert heavy["vehicle"]["set"] == ["airframe.mass_kg=1.95"]
+    assert "with airframe.mass_kg=1.95" in said
+
+
+def test_simulate_flies_the_vehicle_that_was_set(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flown: list[Any] = []
+    run: Callable[..., None] = lambda mission, *rest: flown.append(mission)  # noqa: E731
+    monkeypatch.setattr(standalone, "run_vehicle", run)
+    monkeypatch.setattr(standalone.Feed, "__init__", lambda self, port: setattr(self, "own_port", port))
+    monkeypatch.setattr(standalone.Feed, "release", lambda self: None)
+    assert main([*COMMANDS["simulate"], "--set", "airframe.mass_kg=1.5"]) == 0
+    assert flown[0].vehicle.airframe.mass_kg == 1.5
+    assert "with airframe.mass_kg=1.5" in capsys.readouterr().err
+
+
+WRONG = {
+    "airframe.mas_kg=2": "unknown key, did you mean mass_kg?",
+    "airfame.mass_kg=2": "unknown key 'airfame', did you mean airframe?",
+    "simulation.contct.body=guards": "did you mean contact?",
+    "airframe.mass_kg=heavy": "expected a number, got text",
+    "airframe.mass_kg=-2": "not -2",
+    "airframe.inertia_kg_m2=[1, 2]": "expected a list of length 3",
+    "materials.stone.rigid.k=2": "missing key",
+    "simulation.contact.body=ball": "only: point, guards",
+    "airframe.mass_kg": "expected KEY=VALUE",
+}
+
+
+@pytest.mark.parametrize("setting", WRONG)
+def test_what_cannot_be_is_one_line_with_the_setting(
+    setting: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*PREDICT, "--set", setting]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"--set {setting.partition('=')[0]}")
+    assert WRONG[setting] in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", [name for name in COMMANDS if name != "predict"])
+def test_every_command_refuses_it_alike(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*COMMANDS[name], "--set", "airframe.mas_kg=2"]) == 2
+    assert capsys.readouterr().err == "--set airframe.mas_kg=2: unknown key, did you mean mass_kg?\n"
+
+
+def test_a_section_that_the_file_leaves_out_can_be_set(capsys: pytest.CaptureFixture[str]) -> None:
+    text = packaged("configs", "dart.yaml").read_text()
+    begin, end = text.index("  contact:    "), text.index("  spreads:    ")
+    Path("old.yaml").write_text(text[:begin] + text[end:])
+    settings = ["--set", "simulation.contact.body=guards", "--set", "simulation.imu_ringing.tone_m_s2=3"]
+    printed, _ = answer(capsys, *PREDICT, "--config", "old.yaml", *settings)
+    assert printed["vehicle"]["set"] == settings[1::2]
+
+
+@pytest.mark.parametrize("name", ["dry-run", "simulate", "predict", "plan", "check", "identify"])
+def test_help_names_it(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main([name, "--help"])
+    assert "--set KEY=VALUE" in capsys.readouterr().out
+
+
+def test_ratios_have_no_vehicle_to_set(capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["predict", "--restitution", "0.5", "--velocity", "-1", "0", "--set", "airframe.mass_kg=2"]
+    assert main(command) == 2
+    assert "--restitution stands without --set" in capsys.readouterr().err
