@@ -298,9 +298,9 @@ class Plant:
         h = STEP_S / CONTACT_STEPS
         before = self.velocity
         self.on_ground = False
+        a, b, felt = self._touching(self.position, self.velocity, self.q, self.rate, free, torque, planes)
         for i in range(CONTACT_STEPS):
             p, v, q, w = self.position, self.velocity, self.q, self.rate
-            a, b, _ = self._touching(p, v, q, w, free, torque, planes)
             mid_p = (p[0] + 0.5 * h * v[0], p[1] + 0.5 * h * v[1], p[2] + 0.5 * h * v[2])
             mid_v = (v[0] + 0.5 * h * a[0], v[1] + 0.5 * h * a[1], v[2] + 0.5 * h * a[2])
             mid_w = (w[0] + 0.5 * h * b[0], w[1] + 0.5 * h * b[1], w[2] + 0.5 * h * b[2])
@@ -310,7 +310,8 @@ class Plant:
             self.velocity = (v[0] + h * a[0], v[1] + h * a[1], v[2] + h * a[2])
             self.rate = (w[0] + h * b[0], w[1] + h * b[1], w[2] + h * b[2])
             self.q = quaternion_normalise(advance_attitude(q, mid_w, h))
-            _, _, felt = self._touching(self.position, self.velocity, self.q, self.rate, free, torque, planes)
+            # Felt at the end of this step, and at the beginning of the next.
+            a, b, felt = self._touching(self.position, self.velocity, self.q, self.rate, free, torque, planes)
             for (plane, c), one in zip(planes, felt, strict=True):
                 self._note_contact(plane, c, one, self.time_s + i * h, v)
         v = self.velocity

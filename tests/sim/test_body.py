@@ -57,7 +57,8 @@ def test_the_symmetric_hit_is_the_points(mode: Mode, speed: float) -> None:
     """With the vertical force through the centre nothing turns, and the normal law is the published one."""
     vehicle = body_vehicle(vertical_lever_m=0.0)
     point = msgspec.structs.replace(
-        vehicle, simulation=msgspec.structs.replace(vehicle.simulation, contact=ContactBody())
+        vehicle,
+        simulation=msgspec.structs.replace(vehicle.simulation, contact=ContactBody(body=BodyModel.POINT)),
     )
     hits = [first_contact(before_the_wall(v, mode, speed, 0.0, 0.0)) for v in (vehicle, point)]
     guards, centre = hits

@@ -26,6 +26,7 @@ from dart_flight.worlds.campaigns import fly_fast_many
 ROOT = Path(__file__).parents[2]
 SCENARIOS = 10
 FLIGHTS = 20
+POINT = ["simulation.contact.body=point"]  # as the planner has it
 OBJECTIVES = (Objective.NEAREST, Objective.ROBUST)
 _SEED = 20_26
 
@@ -89,7 +90,10 @@ def fly_all(folder: Path, objectives: tuple[Objective, ...] = OBJECTIVES) -> tup
                 mission_path = folder / f"mission_{index}_{objective.value}.yaml"
                 write_mission(scenario, plan, mission_path)
                 verdicts = fly_fast_many(
-                    load_mission(mission_path), range(1, FLIGHTS + 1), None, lambda verdict: None
+                    load_mission(mission_path, settings=POINT),
+                    range(1, FLIGHTS + 1),
+                    None,
+                    lambda verdict: None,
                 )
                 flown.append(Flown(scenario.name, len(scenario.walls), plan, verdicts))
                 print(_row(flown[-1]), file=sys.stderr, flush=True)

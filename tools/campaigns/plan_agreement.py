@@ -23,6 +23,7 @@ from dart_flight.worlds.fast import fly_fast
 
 ROOT = Path(__file__).parents[2]
 FLIGHTS = 10
+POINT = ["simulation.contact.body=point"]  # as planner and flight model have it
 PAPER = ((Mode.FLEXIBLE, Mode.RIGID), (-0.6, 0.5))
 
 
@@ -35,7 +36,7 @@ class Flight(msgspec.Struct):
 
 def fly(mission_path: Path, seed: int) -> Flight:
     """One fast flight; truth contacts that are not the planned ones (landing gear has none) stay out."""
-    mission = load_mission(mission_path)
+    mission = load_mission(mission_path, settings=POINT)
     contacts: list[TruthContact] = []
 
     def observe(record: object) -> None:

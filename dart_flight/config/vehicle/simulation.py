@@ -38,7 +38,7 @@ class ContactBody(Section, frozen=True):
         half_engaged: the rods stop half-way: the arms are neither locked nor free.
     """
 
-    body: BodyModel = BodyModel.POINT
+    body: BodyModel = BodyModel.GUARDS
     guard_out_m: Annotated[float, Meta(gt=0.0, le=2.0)] = 0.20
     guard_along_m: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.13
     guard_height_m: Annotated[float, Meta(ge=-0.5, le=0.5)] = 0.0
