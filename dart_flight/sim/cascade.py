@@ -2,7 +2,8 @@
 
 Written from PX4's documentation of the controller diagrams: P on position gives velocity, PID on velocity
 gives acceleration, acceleration gives a thrust vector and with the yaw an attitude, P on the attitude error
-gives body rates, PID on rates gives torques, which the mixer turns into four motor commands.
+(tilt before heading) gives body rates, PID on rates gives torques, which the mixer turns into four motor
+commands.
 """
 
 from __future__ import annotations
@@ -20,10 +21,13 @@ from dart_flight.geometry import (
     quaternion_conjugate,
     quaternion_multiply,
     quaternion_normalise,
+    rotate,
+    wrap_angle,
 )
 from dart_flight.sim.plant import MOTORS
 
 _MAX_RATE = (math.radians(220.0), math.radians(220.0), math.radians(200.0))  # MC_*RATE_MAX defaults
+_YAW_WEIGHT = 0.4  # MC_YAW_WEIGHT default
 _DERIVATIVE_CUTOFF_HZ = 5.0  # MPC_VELD_LP default
 _HORIZONTAL_MARGIN = 0.3  # MPC_THR_XY_MARG default: thrust kept for horizontal control when saturated
 
@@ -161,9 +165,9 @@ class Cascade:
     def update_attitude(self, q: Quaternion, rate: Vec3, dt_s: float) -> tuple[float, float, float, float]:
         """Motor commands 0..1 for the attitude and thrust set-points."""
         g = self.parameters
-        error = quaternion_multiply(quaternion_conjugate(q), self.attitude_setpoint)
+        error = _attitude_error(q, self.attitude_setpoint)
         sign = 2.0 if error[0] >= 0.0 else -2.0
-        kp = (g["MC_ROLL_P"], g["MC_PITCH_P"], g["MC_YAW_P"])
+        kp = (g["MC_ROLL_P"], g["MC_PITCH_P"], g["MC_YAW_P"] / _YAW_WEIGHT)
         pid = (
             (g["MC_ROLLRATE_P"], g["MC_ROLLRATE_I"], g["MC_ROLLRATE_D"]),
             (g["MC_PITCHRATE_P"], g["MC_PITCHRATE_I"], g["MC_PITCHRATE_D"]),
@@ -190,6 +194,27 @@ class Cascade:
         shift = min(0.0, 1.0 - max(relative)) + max(0.0, -min(relative))
         commands = [self.thrust.command_for(max(0.0, r + shift) * self.thrust.full_n) for r in relative]
         return (commands[0], commands[1], commands[2], commands[3])
+
+
+def _attitude_error(q: Quaternion, wanted: Quaternion) -> Quaternion:
+    """Rotation from an attitude to the wanted one, body axes, tilt before heading.
+
+    Thrust is brought to where it should point by the shortest way; of the turn about it that is then left,
+    only a share is asked for (MC_YAW_WEIGHT). The whole rotation would mix the two: half a turn off in heading,
+    it tilts the vehicle across the direction in which it must be righted.
+    """
+    up, up_wanted = rotate(q, (0.0, 0.0, 1.0)), rotate(wanted, (0.0, 0.0, 1.0))
+    cosine = up[0] * up_wanted[0] + up[1] * up_wanted[1] + up[2] * up_wanted[2]
+    if cosine < -0.9999:  # upside down: every way is as short
+        return quaternion_multiply(quaternion_conjugate(q), wanted)
+    w = math.sqrt(0.5 * (1.0 + cosine))
+    x, y, z = _cross(up, up_wanted)
+    shortest = (w, 0.5 * x / w, 0.5 * y / w, 0.5 * z / w)
+    level = quaternion_multiply(quaternion_normalise(shortest), q)
+    rest = quaternion_multiply(quaternion_conjugate(level), wanted)
+    turn = 0.5 * _YAW_WEIGHT * wrap_angle(2.0 * math.atan2(rest[3], rest[0]))
+    aimed = quaternion_multiply(level, (math.cos(turn), 0.0, 0.0, math.sin(turn)))
+    return quaternion_multiply(quaternion_conjugate(q), aimed)
 
 
 def _cross(a: Vec3, b: Vec3) -> Vec3:

@@ -1,0 +1,33 @@
+"""The simulated autopilot's controllers, where a hit leaves the vehicle far from where it should point."""
+
+import math
+
+import pytest
+
+from dart_flight.geometry import MissionFrame, quaternion_from_euler, tilt_of, yaw_ned_of
+from dart_flight.sim.autopilot import default_parameters
+from dart_flight.sim.cascade import Cascade, TrajectorySetPoint
+from dart_flight.sim.plant import Plant
+from tests.sim.test_plant import HOVER, VEHICLE
+
+
+@pytest.mark.parametrize("yaw_deg", [5.0, 90.0, -150.0, 178.0])
+def test_tilt_is_righted_first_however_far_the_heading_is_off(yaw_deg: float) -> None:
+    """As PX4 does: a vehicle that a hit has spun round must not topple while it turns back."""
+    parameters = {name: float(value) for name, value in default_parameters(VEHICLE).items()}
+    cascade = Cascade(parameters, VEHICLE.hover_thrust_fraction(), VEHICLE.thrust)
+    plant = Plant(VEHICLE, (), MissionFrame())
+    plant.position, plant.ground_down = (0.0, 0.0, -5.0), 100.0
+    plant.q = quaternion_from_euler(0.2, 0.1, math.radians(yaw_deg))
+    plant.rate = (2.0, -1.0, 0.0)
+    plant.motor = [HOVER] * 4
+    hold = TrajectorySetPoint((0.0, 0.0, -5.0), yaw=0.0)
+    tilts = []
+    for tick in range(500):
+        if tick % 2 == 0:
+            cascade.update_position(hold, plant.position, plant.velocity, yaw_ned_of(plant.q), 0.008)
+        plant.advance(cascade.update_attitude(plant.q, plant.rate, 0.004), 4)
+        tilts.append(math.degrees(tilt_of(plant.q)))
+    assert max(tilts) < 20.0
+    assert max(tilts[250:]) < 3.0
+    assert abs(math.degrees(yaw_ned_of(plant.q))) < max(1.0, 0.5 * abs(yaw_deg))
