@@ -200,8 +200,8 @@ def _attitude_error(q: Quaternion, wanted: Quaternion) -> Quaternion:
     """Rotation from an attitude to the wanted one, body axes, tilt before heading.
 
     Thrust is brought to where it should point by the shortest way; of the turn about it that is then left,
-    only a share is asked for (MC_YAW_WEIGHT). The whole rotation would mix the two: half a turn off in heading,
-    it tilts the vehicle across the direction in which it must be righted.
+    only a share is asked for (MC_YAW_WEIGHT). The whole rotation would mix the two: half a turn off in
+    heading, it tilts the vehicle across the direction in which it must be righted.
     """
     up, up_wanted = rotate(q, (0.0, 0.0, 1.0)), rotate(wanted, (0.0, 0.0, 1.0))
     cosine = up[0] * up_wanted[0] + up[1] * up_wanted[1] + up[2] * up_wanted[2]
