@@ -131,6 +131,7 @@ class Job(msgspec.Struct, frozen=True):
         yaw_deg: every wall turned by so much, counter-clockwise seen from above.
         normal_m_s: of the first approach; None: as the mission has it.
         vary: as `--vary` takes it.
+        settings: beyond the case's, as `--set` takes them.
     """
 
     mission: str
@@ -139,6 +140,7 @@ class Job(msgspec.Struct, frozen=True):
     yaw_deg: float = 0.0
     normal_m_s: float | None = None
     vary: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
 
 
 class HitFigures(msgspec.Struct):
@@ -252,7 +254,7 @@ def _mission(job: Job) -> Mission:
     if job.normal_m_s is not None:
         document.tree["collisions"][0]["approach"]["normal_m_s"] = job.normal_m_s
         document.tree["limits"] = {"speed_m_s": 4.0, "peak_force_n": 200.0}
-    mission = parse_mission(document, None, job.case.settings())
+    mission = parse_mission(document, None, (*job.case.settings(), *job.settings))
     try:
         FlightCore(mission)
     except NoApproachError as error:

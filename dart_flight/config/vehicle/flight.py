@@ -82,6 +82,8 @@ class Flying(Section, frozen=True):
         arrive_speed_m_s: slow is below this speed.
         arrive_s: both have to hold for this long.
         ready_timeout_s: longest wait for telemetry, offboard mode, arming, the end of climb or transit.
+        yield_to_contacts: in a contact ask for what the vehicle does anyway, and take out what PX4's D term
+            makes of the wall's push; false: keep still until the peak, as older configurations did.
     """
 
     climb_speed_m_s: Speed
@@ -93,3 +95,4 @@ class Flying(Section, frozen=True):
     arrive_speed_m_s: Speed
     arrive_s: SecondsOrZero
     ready_timeout_s: Seconds
+    yield_to_contacts: bool = False

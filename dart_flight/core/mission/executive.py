@@ -19,10 +19,11 @@ from dart_flight.core.mission.position_loop import least_distance_m
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.core.mission.references import References
+from dart_flight.core.mission.yielding import LONGEST_S, Yielding
 from dart_flight.core.sense.detector import Expected
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import distance2, norm, yaw_ned_of
+from dart_flight.geometry import Vec3, distance2, norm, yaw_ned_of
 from dart_flight.samples import (
     DetectionFloor,
     GoalPassed,
@@ -50,7 +51,7 @@ _REST_TIMEOUT_US = 4_000_000
 _REST_AFTER_US = 500_000
 _DISARM_AFTER_US = 8_000_000
 _DOWN_US = 200_000  # one report of landed and disarmed may be another vehicle's on the same link
-# The wall stops the vehicle in a contact, PX4 lands it.
+# The wall stops the vehicle in a contact (but for `yielding`), PX4 lands it.
 _SILENT = frozenset({Phase.READYING, Phase.CONTACT, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
 
 
@@ -73,6 +74,7 @@ class Executive:
         }
         self._references = References(mission)
         self._lock = LockOrders(mission.vehicle.lock.relaxation_s)
+        self._yielding = Yielding(mission.vehicle) if mission.vehicle.flying.yield_to_contacts else None
         self._entered_us: int | None = None
         self._asked_us: int | None = None  # last time a vehicle command was sent
         self._least_miss_m = math.inf
@@ -107,6 +109,8 @@ class Executive:
             if not state.now_us:
                 return
             self._entered_us = state.now_us
+        if self._yielding is not None:
+            self._yielding.take(sensed)
         for event in sensed.impacts:
             if isinstance(event, ImpactOnset):
                 self._on_onset(event, state, p)
@@ -332,7 +336,9 @@ class Executive:
         self._references.hold(point)
         assert state.frame is not None
         p.outputs.append(
-            self._references.recovery_setpoint(state.frame, event.detected_us, event.received_us)
+            self._references.recovery_setpoint(
+                state.frame, event.detected_us, event.received_us, self._feed_forward()
+            )
         )
         force = math.hypot(event.normal_force_n, event.tangential_force_n)
         if force > self.mission.limits.peak_force_n:
@@ -442,11 +448,22 @@ class Executive:
     def _send_reference(self, sample: OdometrySample, state: FlightState, p: Proposal) -> None:
         """One set-point for every odometry sample, as the phase wants it."""
         frame = p.frame or state.frame
-        if frame is None or self.phase in _SILENT:
+        if frame is None:
+            return
+        if self.phase is Phase.CONTACT and self._yielding is not None:
+            if not self._takes_longer_than(LONGEST_S, state):
+                p.outputs.append(self._references.yielding_setpoint(frame, sample, self._feed_forward()))
+            return
+        if self.phase in _SILENT:
             return
         self._references.slew_yaw(self._wanted_yaw(state), state.now_us)
         since_us = self._entered_us if self.phase in self._underway else None
-        p.outputs.append(self._references.setpoint(frame, sample.t_us, sample.received_us, since_us))
+        forward = self._feed_forward() if self.phase is Phase.RECOVERY else None
+        p.outputs.append(self._references.setpoint(frame, sample.t_us, sample.received_us, since_us, forward))
+
+    def _feed_forward(self) -> Vec3 | None:
+        """Against what PX4 makes of a contact; None where it is not asked for or there was none."""
+        return None if self._yielding is None else self._yielding.feed_forward
 
 
 def _lock_name(mission: Mission) -> str:

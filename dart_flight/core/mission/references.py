@@ -9,7 +9,7 @@ from dart_flight.core.mission.approach import Approach, ReferencePoint, Transit
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import MissionFrame, Vec2, Vec3, norm, wrap_angle
-from dart_flight.samples import SetPoint
+from dart_flight.samples import OdometrySample, SetPoint
 
 _ARRIVED_YAW_RAD = 0.05
 
@@ -102,22 +102,47 @@ class References:
 
     # -- set-points --
 
-    def setpoint(self, frame: MissionFrame, t_us: int, received_us: int, since_us: int | None) -> SetPoint:
+    def setpoint(
+        self,
+        frame: MissionFrame,
+        t_us: int,
+        received_us: int,
+        since_us: int | None,
+        feed_forward: Vec3 | None = None,
+    ) -> SetPoint:
         """The set-point for a sample.
 
         Args:
             frame: of the mission.
             t_us, received_us: of the sample.
             since_us: when the way began; None: go to the target as a step.
+            feed_forward: acceleration to a step, mission frame, m/s2 (`yielding`).
         """
         if self._way is None or since_us is None:
-            return self._make(frame, t_us, received_us, self.target)
+            return self._make(frame, t_us, received_us, self.target, feed_forward=feed_forward)
         reference = self._way.at((t_us - since_us) * 1e-6)
         return self._make(frame, t_us, received_us, reference.position, reference)
 
-    def recovery_setpoint(self, frame: MissionFrame, t_us: int, received_us: int) -> SetPoint:
+    def recovery_setpoint(
+        self, frame: MissionFrame, t_us: int, received_us: int, feed_forward: Vec3 | None = None
+    ) -> SetPoint:
         """The target as the set-point of an impact, whose latency is measured."""
-        return self._make(frame, t_us, received_us, self.target, recovery=True)
+        return self._make(frame, t_us, received_us, self.target, recovery=True, feed_forward=feed_forward)
+
+    def yielding_setpoint(
+        self, frame: MissionFrame, sample: OdometrySample, feed_forward: Vec3 | None
+    ) -> SetPoint:
+        """What the vehicle does anyway, at the mission's altitude: nothing pushes on into a wall."""
+        x, y, _ = frame.point_from_ned(sample.position_ned)
+        vx, vy, _ = frame.vector_from_ned(sample.velocity_ned)
+        return SetPoint(
+            t_us=sample.t_us,
+            trigger_received_us=sample.received_us,
+            position_ned=frame.point_to_ned((x, y, self._mission.altitude_m)),
+            yaw_ned_rad=frame.yaw_to_ned(self.yaw),
+            velocity_ned=frame.vector_to_ned((vx, vy, 0.0)),
+            acceleration_ned=frame.vector_to_ned(feed_forward or (0.0, 0.0, 0.0)),
+        )
 
     def _make(
         self,
@@ -127,8 +152,11 @@ class References:
         position: Vec3,
         reference: ReferencePoint | None = None,
         recovery: bool = False,
+        feed_forward: Vec3 | None = None,
     ) -> SetPoint:
         velocity = acceleration = None
+        if feed_forward is not None:  # PX4 takes an acceleration only with a velocity
+            velocity, acceleration = (0.0, 0.0, 0.0), frame.vector_to_ned(feed_forward)
         if reference is not None:
             velocity = frame.vector_to_ned(reference.velocity)
             acceleration = frame.vector_to_ned(self._feed_forward(reference))
