@@ -15,6 +15,10 @@ controller, which sees u, adds its push d to it:
     a' = (kv (kp (r - q) + w - u) + i + b w - kd (u' + a) - a) / tau,   i' = ki (kp (r - q) + w - u)
     d' = -(mu/m) lx d + a,                                              velocity u + d
 
+That is a vehicle which keeps still in a contact. One that yields to contacts (`flying.yield_to_contacts`,
+`core/mission/yielding.py`) has no reference before t_e, so a' = (i - kd a - a) / tau there, and at no time a
+D term on the wall's push: kd (x'' + (k x + f x')/m) in the place of kd x'', kd a in that of kd (u' + a).
+
 lx along the wall, and so the peak of the friction force, is that of the contact law alone at the speed of the
 onset. Until t_e the reference is the old one (r, moving at w), from then on the recovery set-point
 (`core/mission/recovery.py`), which is a sum of the peaks. So the normal part is a constant matrix per
@@ -276,8 +280,9 @@ def build_stages(
         stage.peak_s = float(events.peak[i] / omega[i])
         stage.engaged_s = min(float(engaged[i]), stage.duration_s)
         one = Oscillation(*(np.asarray(v[i]) for v in course))
-        _prepare_normal(stage, loop, drags[i][0])
-        _prepare_tangential(stage, loop, drags[i][1], one)
+        yields = vehicle.flying.yield_to_contacts
+        _prepare_normal(stage, loop, drags[i][0], yields)
+        _prepare_tangential(stage, loop, drags[i][1], one, yields)
     return stages
 
 
@@ -293,7 +298,7 @@ def _time_of_drop(course: Oscillation, peak: Array, end: Array, fraction: float)
     return falling_root(excess, peak, finite, 0.5 * (peak + finite))
 
 
-def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float) -> None:
+def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float, yields: bool) -> None:
     """The matrix from (v, a, i, r, w) at the onset to the rows of `NormalOut` after the first."""
     c, m = stage.coefficients, stage.mass_kg
     kp, kv, ki, kd, tau = loop
@@ -303,11 +308,21 @@ def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float) -> Non
     system[1, :3] = (-c.k / m, -c.f / m - drag, 1.0)
     system[3, :6] = (-ki * kp, -ki, 0.0, 0.0, ki * kp, ki)
     system[2, :6] = (-kv * kp, -kv, -1.0, 1.0, kv * kp, kv + drag)
-    system[2, :3] -= kd * system[1, :3]
+    system[2, :3] -= kd * (np.array([0.0, -drag, 1.0]) if yields else system[1, :3])
     system[2] /= tau
     system[4, 5] = 1.0
+    before = system.copy()
+    if yields:
+        before[2] = np.array([0.0, kd * drag, -1.0 - kd, 1.0, 0.0, 0.0]) / tau
+        before[3] = 0.0
     to_peak, to_engaged, rest = expm(
-        np.stack([system * t for t in (stage.peak_s, stage.engaged_s, stage.duration_s - stage.engaged_s)])
+        np.stack(
+            [
+                before * stage.peak_s,
+                before * stage.engaged_s,
+                system * (stage.duration_s - stage.engaged_s),
+            ]
+        )
     )
     start = np.zeros((6, 5))
     start[0, 0] = -stage.lead_s
@@ -355,8 +370,11 @@ class _Phases:
         return np.concatenate((row, np.zeros(_NODES)))
 
 
-def _prepare_tangential(stage: ContactStage, loop: PositionLoop, drag: float, course: Oscillation) -> None:
+def _prepare_tangential(
+    stage: ContactStage, loop: PositionLoop, drag: float, course: Oscillation, yields: bool
+) -> None:
     kp, kv, ki, kd, tau = loop
+    of_contact = 0.0 if yields else kd  # what the D term makes of u'
     phases = _Phases(stage.engaged_s, stage.duration_s - stage.engaged_s)
     times, weights = phases.times, phases.weights
     count = times.size
@@ -364,22 +382,25 @@ def _prepare_tangential(stage: ContactStage, loop: PositionLoop, drag: float, co
     whole = phases.integral(0.0)
     fading = phases.integral(decay) / tau
     place = whole[:count]
+    first = (np.arange(count) < _NODES).astype(float)  # the nodes before the recovery set-point
+    early = 0.0 * first if yields else first  # ... where there is a reference
+    acts = (early + 1.0 - first)[:, None]
     # Per unit of u at the nodes: way, integral, acceleration (the D term's u' integrated by parts).
-    to_integral = -ki * whole @ (kp * place + np.eye(count))
-    drive = -kv * kp * place - (kv - kd * decay) * np.eye(count) + to_integral[:count]
+    to_integral = -ki * whole @ (acts * (kp * place + np.eye(count)))
+    drive = -kv * acts * (kp * place + np.eye(count)) + of_contact * decay * np.eye(count)
+    drive += to_integral[:count]
     acceleration = fading @ drive
     faded = np.exp(-decay * np.append(times, stage.duration_s))
     stage._by_speed = np.stack(
         [phases.to_time(stage.peak_s), whole[count], to_integral[count], acceleration[count]]
     )
-    stage._by_speed_end = np.array([0.0, 0.0, 0.0, -kd / tau])
-    stage._by_speed_one = np.array([0.0, 0.0, 0.0, kd / tau * faded[count]])
-    stage._push_speed = weights[:, None] * (acceleration[:count] - kd / tau * np.eye(count))
-    stage._push_one = weights * kd / tau * faded[:count]
+    stage._by_speed_end = np.array([0.0, 0.0, 0.0, -of_contact / tau])
+    stage._by_speed_one = np.array([0.0, 0.0, 0.0, of_contact / tau * faded[count]])
+    stage._push_speed = weights[:, None] * (acceleration[:count] - of_contact / tau * np.eye(count))
+    stage._push_one = weights * of_contact / tau * faded[:count]
     # Per unit of a, i, w, r and s: exact, because the drive is a polynomial in each phase.
-    early = (np.arange(count) < _NODES).astype(float)
     zero, one = np.zeros(count), np.ones(count)
-    places = np.stack([zero, zero, times * early, early, 1.0 - early], axis=1)
+    places = np.stack([zero, zero, times * early, early, 1.0 - first], axis=1)
     speeds = np.stack([zero, zero, early, zero, zero], axis=1)
     integral = ki * whole @ (kp * places + speeds)
     integral[:, 1] += 1.0
