@@ -79,8 +79,12 @@ def _contact_ode(
     drag: tuple[float, float],
     normal: list[float],
     slide: list[float],
+    yields: bool,
 ) -> tuple[list[float], list[float], float, float]:
     """A contact; `normal` is (v, a, i, r, w), `slide` (v, a, i, r, w) at the onset.
+
+    A vehicle that yields asks for its own motion until the set-point, and feeds forward what the D term makes
+    of the contact's push.
 
     Returns:
         (x, v, a, i) and (q, v, a, i) at the release, and both set-points.
@@ -90,21 +94,30 @@ def _contact_ode(
     vn, an, jn, rn, wn = normal
     vt, at, jt, rt, wt = slide
 
-    def control(r: float, w: float, b: float, z: list[float], acceleration: float) -> tuple[float, float]:
+    def control(
+        r: float | None, w: float, b: float, z: list[float], acceleration: float, push: float
+    ) -> tuple[float, float]:
         p, v, a, i = z
-        error = kp * (r - p) + w - v
-        return (kv * error + i + b * w - kd * acceleration - a) / tau, ki * error
+        error = 0.0 if r is None else kp * (r - p) + w - v
+        fed = kd * push if yields else b * w
+        return (kv * error + i + fed - kd * acceleration - a) / tau, ki * error
+
+    def _reference(late: float | None, r: float, w: float, t: float) -> tuple[float | None, float]:
+        if late is not None:
+            return late, 0.0
+        return (None, 0.0) if yields else (r + w * t, w)
 
     def rates(late: tuple[float, float] | None) -> Any:
         def function(t: float, z: Array) -> list[float]:
             x, v, a, i, q, u, d, ta, ti, lx, lv = z
-            r, w = (rn + wn * t, wn) if late is None else (late[0], 0.0)
-            acceleration = -(c.k * x + c.f * v) / m + a - drag[0] * v
-            da, di = control(r, w, drag[0], [x, v, a, i], acceleration)
+            r, w = _reference(None if late is None else late[0], rn, wn, t)
+            push = -(c.k * x + c.f * v) / m
+            acceleration = push + a - drag[0] * v
+            da, di = control(r, w, drag[0], [x, v, a, i], acceleration, push)
             force = -(c.k * lx + c.f * lv)
-            s, ws = (rt + wt * t, wt) if late is None else (late[1], 0.0)
+            s, ws = _reference(None if late is None else late[1], rt, wt, t)
             rub = -c.mu / m * force
-            dta, dti = control(s, ws, drag[1], [q, u, ta, ti], rub * u + ta)
+            dta, dti = control(s, ws, drag[1], [q, u, ta, ti], rub * u + ta, rub * u)
             return [v, acceleration, da, di, u, rub * u, rub * d + ta, dta, dti, lv, force / m]
 
         return function
@@ -145,7 +158,9 @@ def solve_candidate(
     normal = [vn, bn * vn, 0.0, -stage.lead_s * vn, vn]
     slide = [vt, bt * vt, 0.0, 0.0, vt]
     for k in range(len(walls)):
-        out_n, out_t, set_n, set_t = _contact_ode(stage, loop, (bn, bt), normal, slide)
+        out_n, out_t, set_n, set_t = _contact_ode(
+            stage, loop, (bn, bt), normal, slide, scenario.vehicle.flying.yield_to_contacts
+        )
         x0 = -stage.lead_s * normal[0]
         goal = onset + (set_n - x0) * n + set_t * t
         start = onset + (out_n[0] - x0) * n + out_t[0] * t

@@ -138,8 +138,13 @@ def _contact(
         slope_n = force / m + an - bn * v
         slope_t = -rub / m
         en, et = kp * (rn - x) + wn - v, kp * (rt - q) + wt - u
-        an = an + h * (kv * en + jn + bn * wn - kd * slope_n - an) / tau
-        at = at + h * (kv * et + jt + bt * wt - kd * (slope_t + at) - at) / tau
+        fed_n, fed_t = bn * wn, bt * wt
+        if scenario.vehicle.flying.yield_to_contacts:  # the D term's share of the contact is fed forward
+            fed_n, fed_t = kd * force / m, kd * slope_t
+            if step < engaged:
+                en, et = np.zeros_like(x), np.zeros_like(x)
+        an = an + h * (kv * en + jn + fed_n - kd * slope_n - an) / tau
+        at = at + h * (kv * et + jt + fed_t - kd * (slope_t + at) - at) / tau
         jn, jt = jn + h * ki * en, jt + h * ki * et
         push = push + h * (at - c.mu / m * law_force * push)
         v, u = v + h * slope_n, u + h * slope_t
