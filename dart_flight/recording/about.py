@@ -118,6 +118,7 @@ def _complete(vehicle: dict[str, Any]) -> None:
     known = msgspec.to_builtins(load_vehicle(packaged("configs", "dart.yaml")))
     # Where a key changes what is decided, a log without it was flown without it.
     known["detection"]["noise_sigma"] = 0.0
+    known["flying"]["yield_to_contacts"] = False
 
     def fill(section: dict[str, Any], like: dict[str, Any]) -> None:
         for key, value in like.items():

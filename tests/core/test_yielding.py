@@ -1,0 +1,136 @@
+"""Not to fight a contact: what is asked for in it, and that PX4's D term makes nothing of it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import load_vehicle
+from dart_flight.core.mission.yielding import Yielding
+from dart_flight.core.sense.senses import Sensed
+from dart_flight.geometry import norm, tilt_of
+from dart_flight.samples import (
+    AttitudeSample,
+    ForceEstimate,
+    ImpactOnset,
+    ImpactPeak,
+    Phase,
+    PhaseChange,
+    Record,
+    SetPoint,
+)
+from dart_flight.worlds.fast import FastFlight
+
+ROOT = Path(__file__).parents[2]
+VEHICLE = load_vehicle(ROOT / "configs" / "dart.yaml")
+TICK_US = 4000
+CUTOFF_HZ = 5.0
+
+
+def sensed(n: int, force: tuple[float, float], in_contact: bool) -> Sensed:
+    return Sensed(ForceEstimate(n * TICK_US, (force[0], force[1], 0.0), False), (), in_contact)
+
+
+@given(
+    st.floats(5.0, 80.0),
+    st.floats(-math.pi, math.pi),
+    st.integers(4, 40),
+)
+def test_the_d_term_makes_nothing_of_a_half_sine(peak_n: float, direction: float, samples: int) -> None:
+    """PX4's filtered derivative of the velocity that the contact leaves, times its gain, is fed forward."""
+    yielding, derivative = Yielding(VEHICLE), 0.0
+    gain, mass = VEHICLE.px4.mpc_xy_vel_d_acc, VEHICLE.airframe.mass_kg
+    share = 1.0 - math.exp(-2.0 * math.pi * CUTOFF_HZ * TICK_US * 1e-6)
+    yielding.take(sensed(0, (0.0, 0.0), False))
+    for n in range(1, samples + 60):
+        in_contact = n <= samples
+        force = peak_n * math.sin(math.pi * n / (samples + 1)) if in_contact else 0.0
+        yielding.take(sensed(n, (force * math.cos(direction), force * math.sin(direction)), in_contact))
+        derivative += share * (force / mass - derivative)
+        fed = yielding.feed_forward or (0.0, 0.0, 0.0)
+        wanted = min(5.0, gain * derivative)
+        assert norm(fed) == pytest.approx(wanted, abs=0.01)
+        if norm(fed) > 0.1:
+            assert math.atan2(fed[1], fed[0]) == pytest.approx(direction, abs=1e-6)
+    assert norm(yielding.feed_forward or (0.0, 0.0, 0.0)) < 0.1 * max(wanted, 1.0)
+
+
+def test_nothing_is_fed_forward_without_a_contact() -> None:
+    yielding = Yielding(VEHICLE)
+    for n in range(50):
+        yielding.take(sensed(n, (30.0, 0.0), False))
+    assert yielding.feed_forward is None
+
+
+def test_a_gap_in_the_samples_stays_bounded() -> None:
+    yielding = Yielding(VEHICLE)
+    yielding.take(sensed(0, (0.0, 0.0), True))
+    yielding.take(sensed(10_000, (4000.0, 0.0), True))
+    assert norm(yielding.feed_forward or (0.0, 0.0, 0.0)) == pytest.approx(5.0)
+
+
+def flown(mission: Mission, yields: bool) -> list[Record]:
+    vehicle = mission.vehicle
+    flying = msgspec.structs.replace(vehicle.flying, yield_to_contacts=yields)
+    vehicle = msgspec.structs.replace(vehicle, flying=flying)
+    records: list[Record] = []
+    FastFlight(
+        msgspec.structs.replace(mission, vehicle=vehicle), 3, observe=lambda r, n: records.append(r)
+    ).run()
+    return records
+
+
+@pytest.fixture(scope="module")
+def flights() -> dict[bool, list[Record]]:
+    mission = load_mission(ROOT / "missions" / "single_wall.yaml")
+    return {yields: flown(mission, yields) for yields in (True, False)}
+
+
+def in_contact(records: list[Record]) -> list[Record]:
+    phase, kept = Phase.READYING, []
+    for record in records:
+        if isinstance(record, PhaseChange):
+            phase = record.after
+        elif phase is Phase.CONTACT:
+            kept.append(record)
+    return kept
+
+
+def test_in_a_contact_the_vehicles_own_motion_is_asked_for(flights: dict[bool, list[Record]]) -> None:
+    assert not [r for r in in_contact(flights[False]) if isinstance(r, SetPoint) and not r.recovery]
+    asked = [r for r in in_contact(flights[True]) if isinstance(r, SetPoint) and not r.recovery]
+    assert asked
+    for setpoint in asked:
+        assert setpoint.velocity_ned is not None
+        assert setpoint.velocity_ned[2] == pytest.approx(0.0)
+
+
+def test_the_recovery_setpoint_is_the_papers_either_way(flights: dict[bool, list[Record]]) -> None:
+    """Same seed, same flight up to the onset; the peak differs by what the loop has pushed until then."""
+    first = [
+        next(r for r in flights[yields] if isinstance(r, SetPoint) and r.recovery) for yields in (True, False)
+    ]
+    peaks = [next(r for r in flights[yields] if isinstance(r, ImpactPeak)) for yields in (True, False)]
+    for a, b in zip(first[0].position_ned, first[1].position_ned, strict=True):
+        assert a == pytest.approx(b, abs=0.05)
+    assert peaks[0].normal_force_n == pytest.approx(peaks[1].normal_force_n, rel=0.05)
+    assert first[0].acceleration_ned is not None
+    assert first[1].acceleration_ned is None
+
+
+def test_a_vehicle_that_yields_tilts_less_after_the_hit(flights: dict[bool, list[Record]]) -> None:
+    def tilt_after(records: list[Record]) -> float:
+        onset = next(r.t_us for r in records if isinstance(r, ImpactOnset))
+        return max(
+            tilt_of(r.q_frd_to_ned)
+            for r in records
+            if isinstance(r, AttitudeSample) and onset < r.t_us < onset + 300_000
+        )
+
+    assert tilt_after(flights[True]) < 0.75 * tilt_after(flights[False])
