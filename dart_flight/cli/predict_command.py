@@ -80,6 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
     what = prediction.condition(vehicle, where[0], arguments.mode, where[1], where[2])
     if arguments.drop is None:
         numbers = prediction.predict_wall(what, *arguments.velocity)
+        numbers["turning_deg_s"] = _turning(vehicle, what, arguments.velocity)
     else:
         numbers = prediction.predict_drop(what, arguments.drop)
     if arguments.plot:
@@ -90,6 +91,17 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         _print(numbers, what, arguments)
     return 0
+
+
+def _turning(vehicle: Any, what: Any, velocity: list[float]) -> float:
+    """How fast the body turns after the hit, degrees per second (`contact.body_hit`)."""
+    from math import radians
+
+    from dart_flight.contact.body_hit import body_hit
+
+    askew = radians(what.incidence_deg)
+    normal, along = velocity
+    return body_hit(vehicle, what.surface, what.mode, normal, along, askew, what.onset).turning_deg_s
 
 
 def _from_ratios(arguments: argparse.Namespace) -> int:

@@ -8,10 +8,7 @@ afterwards.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from typing import NamedTuple
-
-import msgspec
 
 from dart_flight.config.vehicle import Coefficients, ContactBody, VehicleConfig
 from dart_flight.contact.body import Guard, Plane, Touch, guards_of, touch
@@ -74,7 +71,7 @@ def body_hit(
     normal_m_s: float,
     tangential_m_s: float,
     incidence_rad: float = 0.0,
-    height_m: float | None = None,
+    onset: Onset | None = None,
 ) -> BodyHit:
     """Integrate one hit of the configured body.
 
@@ -85,56 +82,31 @@ def body_hit(
         normal_m_s: into the wall, negative.
         tangential_m_s: along the wall.
         incidence_rad: of the vehicle's side against the wall; positive: the right guard is first.
-        height_m: of the guards above the centre of mass; None: as configured.
+        onset: rule; None: as configured.
 
     Raises:
         KeyError: the material is not in the vehicle's table.
     """
-    body: ContactBody = vehicle.simulation.contact
-    if height_m is not None:
-        body = msgspec.structs.replace(body, guard_height_m=height_m)
-    guards = guards_of(body)
+    body = vehicle.simulation.contact
     c = coefficients_in_force(vehicle, material, mode, incidence_rad)
-    law = _Law(vehicle, body, guards, c)
+    law = _Law(vehicle, body, guards_of(body), c, onset or Onset(vehicle.onset))
     m = _Motion(
         (0.0, 0.0, 0.0),
         (-normal_m_s, -tangential_m_s, 0.0),
         quaternion_from_euler(0.0, 0.0, -incidence_rad),
         (0.0, 0.0, 0.0),
     )
-    # At first touch: the foremost guard on the plane.
-    m = m._replace(p=(-max(law.reach(m)), 0.0, 0.0))
+    # The onset may come before the foremost guard is on the plane: by f/k times its speed, by the rule `lcp`.
+    lead_m = -normal_m_s * c.f / c.k
+    m = m._replace(p=(-max(law.reach(m)) - lead_m - _APART_M, 0.0, 0.0))
     peak = torque = t_s = 0.0
     while t_s < _LONGEST_S:
         m, felt = law.step(m)
         peak, torque = max(peak, felt.normal_n), max(torque, norm(felt.torque))
         t_s += _STEP_S
-        if felt.normal_n == 0.0 and max(law.reach(m)) + m.p[0] < -_APART_M:
+        if peak > 0.0 and felt.normal_n == 0.0 and max(law.reach(m)) + m.p[0] < -_APART_M:
             break
     return BodyHit(m.w, -m.v[0], -m.v[1], peak, torque)
-
-
-def fastest_turning_deg_s(
-    vehicle: VehicleConfig,
-    material: str,
-    mode: Mode,
-    normal_m_s: float,
-    tangential_m_s: float,
-    incidences_rad: Iterable[float],
-    heights_m: Iterable[float] = (),
-) -> float:
-    """How fast the vehicle may turn after a hit that is off in incidence or in height.
-
-    Args:
-        vehicle, material, mode, normal_m_s, tangential_m_s: as for `body_hit`.
-        incidences_rad: each is tried with the configured height.
-        heights_m: each is tried head on.
-    """
-    hits = [
-        *(body_hit(vehicle, material, mode, normal_m_s, tangential_m_s, i) for i in incidences_rad),
-        *(body_hit(vehicle, material, mode, normal_m_s, tangential_m_s, 0.0, h) for h in heights_m),
-    ]
-    return max(hit.turning_deg_s for hit in hits)
 
 
 class _Law(NamedTuple):
@@ -142,6 +114,7 @@ class _Law(NamedTuple):
     body: ContactBody
     guards: tuple[Guard, ...]
     coefficients: Coefficients
+    onset: Onset
 
     def reach(self, m: _Motion) -> list[float]:
         """How far each guard is in front of the centre of mass, metres towards the wall."""
@@ -159,7 +132,7 @@ class _Law(NamedTuple):
         felt = touch(
             levers,
             self.coefficients,
-            Onset(self.vehicle.onset),
+            self.onset,
             _WALL,
             m.p,
             m.v,
