@@ -182,7 +182,9 @@ class ImpactDetector:
         size = max(abs(fx), abs(fy)) if self._per_axis else math.sqrt(fx * fx + fy * fy)
         threshold = config.force_threshold_n
         over = size >= threshold
-        if size < config.release_fraction * threshold:
+        release = config.release_fraction * threshold
+        # A tone that turns about in the plane never is below the release level in any sample.
+        if size < release or (self._drowned(release) and self._size_of(2) < release):
             self._armed = True
         sample = _Sample(
             estimate.t_us, dt_us, fx, fy, estimate.force_mission[2], estimate.push_mission, estimate.clipped
@@ -447,7 +449,7 @@ class ImpactDetector:
 
     def _end(self, t_us: int, fx: float, fy: float) -> ContactEnd | None:
         release = self._config.release_fraction * self._threshold
-        if self._by_mean is not None:
+        if self._by_mean is not None or self._drowned(release):
             fx, fy = self._windows[2].mean
         assert self._onset is not None
         lasts = t_us - self._onset.first_us < _LONGEST_CONTACT_S * 1e6 or self._config.noise_sigma <= 0.0
@@ -461,6 +463,11 @@ class ImpactDetector:
         self._stage = _Stage.REFRACTORY
         self._ended_us = t_us
         return ContactEnd(t_us=self._quiet_since_us, first_us=self._onset.first_us)
+
+
+    def _drowned(self, release: float) -> bool:
+        """Whether a sample's noise alone is often over the release level: then the short mean is asked."""
+        return self._config.noise_sigma > 0.0 and _DROP_SIGMA * self._noise > release
 
 
 def confirmed_force(
