@@ -183,8 +183,9 @@ class ImpactDetector:
         threshold = config.force_threshold_n
         over = size >= threshold
         release = config.release_fraction * threshold
+        drowned = self._drowned(release)
         # A tone that turns about in the plane never is below the release level in any sample.
-        if size < release or (self._drowned(release) and self._size_of(2) < release):
+        if size < release or (drowned and self._size_of(2) < release):
             self._armed = True
         sample = _Sample(
             estimate.t_us, dt_us, fx, fy, estimate.force_mission[2], estimate.push_mission, estimate.clipped
@@ -197,7 +198,9 @@ class ImpactDetector:
         if config.noise_sigma > 0.0 and self._stage is _Stage.WATCHING:
             for window in self._windows:
                 window.learn(dt_us * 1e-6)
-        if not over or not self._armed:
+        # Leaving out the samples that noise lifts over the threshold would drive the baseline away from them.
+        pushed = self._size_of(2) >= threshold if drowned else over
+        if not pushed or not self._armed:
             f = estimate.force_mission
             self.slow_force.follow(f[0], f[1], dt_us * 1e-6)
         return []
