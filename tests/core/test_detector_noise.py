@@ -128,6 +128,33 @@ def test_events_come_in_order_and_once(seed: int) -> None:
         assert peak.normal_force_n == pytest.approx(40.0, rel=0.4)
 
 
+def turning(seconds: float, top_n: float, hz: float) -> Forces:
+    """A tone whose axes differ by a quarter of a turn: of the same size in every sample."""
+    angles = [math.tau * hz * 0.004 * i for i in range(round(seconds / 0.004))]
+    return [(top_n * math.cos(a), top_n * math.sin(a)) for a in angles]
+
+
+@pytest.mark.parametrize("hz", [50.0, 83.3, 123.0])
+def test_a_tone_that_turns_about_does_not_blind_it_after_the_first_impact(hz: float) -> None:
+    forces = turning(14.0, 5.4, hz)
+    ats = (8.0, 9.0, 10.0, 11.0)
+    for at in ats:
+        forces = with_pulse(forces, at, 40.0, 0.06)
+    _, events = run(forces, noise_n=3.9)
+    assert [round(e.t_us * 1e-6 - 1.0, 1) for e in onsets(events)] == list(ats)
+    ends = [e.t_us * 1e-6 - 1.0 for e in events if isinstance(e, ContactEnd)]
+    assert all(0.0 <= end - at - 0.06 < 0.05 for at, end in zip(ats, ends, strict=True))
+
+
+@pytest.mark.parametrize("top_n", [4.0, 5.4, 7.0])
+def test_noise_does_not_drive_the_baseline_away(top_n: float) -> None:
+    # Many samples are over the threshold, on one side more than on the other as soon as the baseline is off.
+    rng = random.Random(3)
+    forces = [(x + rng.gauss(0.0, 1.5), y + rng.gauss(0.0, 1.5)) for x, y in turning(20.0, top_n, 61.0)]
+    detector, _ = run(forces, noise_n=3.9)
+    assert math.hypot(*detector.slow_force.value) < 0.5
+
+
 def test_a_quiet_vehicle_is_not_slower_for_it() -> None:
     forces = with_pulse(noisy(20.0, 0.26), 10.0, 15.4, 0.15)
     with_it, without = run(forces, noise_n=0.26)[1], run(forces, lifted(0.0), noise_n=0.26)[1]

@@ -47,6 +47,7 @@ _BEFORE = 8  # samples remembered from before the crossing
 _FAR_SIGMA = 4.6  # threshold over the noise of one sample: from here on two samples in a row will do
 _OFTEN_SIGMA = 1.0  # more for one sample and for two: noise has many more chances there than in a long mean
 _MARGIN_SIGMA = 1.0  # a pulse is promised to be found this many deviations over the threshold
+_NOISY_BASELINE = 0.4  # of its usual rate: where a mean still shakes, the baseline would shake with it
 _LONGEST_CONTACT_S = 0.5  # in noise the end of a contact may drown
 _INTO_WALL = 0.1  # of the force: this much may point into the expected wall at the onset
 
@@ -136,6 +137,11 @@ class ImpactDetector:
         return self._stage in (_Stage.RISING, _Stage.FALLING)
 
     @property
+    def crossed_n(self) -> float:
+        """The threshold that the newest onset crossed, newton."""
+        return self._threshold
+
+    @property
     def stage(self) -> str:
         """For people: watching, rising, falling or refractory."""
         return self._stage.name.lower()
@@ -198,11 +204,15 @@ class ImpactDetector:
         if config.noise_sigma > 0.0 and self._stage is _Stage.WATCHING:
             for window in self._windows:
                 window.learn(dt_us * 1e-6)
-        # Leaving out the samples that noise lifts over the threshold would drive the baseline away from them.
-        pushed = self._size_of(2) >= threshold if drowned else over
-        if not pushed or not self._armed:
-            f = estimate.force_mission
-            self.slow_force.follow(f[0], f[1], dt_us * 1e-6)
+        if drowned:
+            # Samples that noise lifts over the threshold, left out, would drive the baseline away from them.
+            over = self._size_of(2) >= threshold
+            (fx, fy), base = self._windows[2].mean, self.slow_force.value
+            fx, fy, seconds = fx + base[0], fy + base[1], _NOISY_BASELINE * dt_us * 1e-6
+        else:
+            fx, fy, seconds = *estimate.force_mission[:2], dt_us * 1e-6
+        if not over or not self._armed:
+            self.slow_force.follow(fx, fy, seconds)
         return []
 
     def _is_contact(self, fx: float, fy: float, size: float, over: bool) -> bool:
@@ -466,7 +476,6 @@ class ImpactDetector:
         self._stage = _Stage.REFRACTORY
         self._ended_us = t_us
         return ContactEnd(t_us=self._quiet_since_us, first_us=self._onset.first_us)
-
 
     def _drowned(self, release: float) -> bool:
         """Whether a sample's noise alone is often over the release level: then the short mean is asked."""
