@@ -102,5 +102,10 @@ def _print(flight: FeltFlight) -> None:
         out.print(table)
     else:
         out.print("no impact")
+    if flight.weak:
+        out.print(
+            f"{flight.weak} more over the threshold for a moment, with a fitted peak under it: no impact",
+            soft_wrap=True,
+        )
     for what in flight.unknown:
         out.print(f"unknown: {what}", soft_wrap=True)

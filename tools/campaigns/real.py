@@ -28,14 +28,16 @@ from dart_flight.core.sense.detector import Expected, ImpactDetector
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import MissionFrame
 from dart_flight.identify.feel import TOPICS, FeltFlight, feel_log
+from dart_flight.identify.feel.impacts import Crossing
 from dart_flight.recording.ulog import ULogFile, open_ulog
-from dart_flight.samples import ForceEstimate, ImpactOnset
+from dart_flight.samples import ForceEstimate, ImpactOnset, ImpactPeak
 
 _EVERY_S = 1.6  # a pulse, in flight
 _AFTER_S = 3.0  # from the beginning of a flight
 _BEFORE_END_S = 4.0  # the ground may be touched from here on
 _DURATIONS_S = (0.03, 0.18)
 _LOW_M = 0.5  # above where the log begins
+_EVENT_S = 3.0  # hits closer to one another are one event
 _LATE_S = 0.06  # an onset this long after a pulse still is its own
 # Before: fixed thresholds, newton for the configured vehicle's mass. After: deviations of the learnt noise.
 FIXED_N = (5.5, 11.0, 22.0)
@@ -55,9 +57,16 @@ class Pulse(msgspec.Struct):
 
 
 class Detected(msgspec.Struct):
-    """A detector's run over one flight."""
+    """A detector's run over one flight.
+
+    Attributes:
+        onsets: of impacts that belong to no pulse, seconds.
+        weak: crossings of the threshold that belong to no pulse and whose fitted peak stayed below it.
+        pulses: with what became of them.
+    """
 
     onsets: list[float]
+    weak: int
     pulses: list[Pulse]
 
 
@@ -81,7 +90,7 @@ def detect(
     state = FlightState()
     state.anchor(MissionFrame())
     ahead = [msgspec.structs.replace(p) for p in pulses]
-    onsets: list[float] = []
+    felt: list[tuple[float, Crossing, Pulse | None]] = []
     done: list[Pulse] = []
     now: Pulse | None = None
     for estimate, flying in estimates:
@@ -101,13 +110,19 @@ def detect(
                 done.append(now)
                 now = None
         for event in detector.update(estimate, estimate.t_us, state, Expected(flying)):
-            if not isinstance(event, ImpactOnset):
-                continue
-            if now is None:
-                onsets.append(t)
-            elif now.found_s is None:
-                now.found_s = t - now.start_s
-    return Detected(onsets, done)
+            if isinstance(event, ImpactOnset):
+                felt.append((t, Crossing(event, detector.crossed_n), now))
+            elif isinstance(event, ImpactPeak):
+                felt[-1][1].peak = event
+    others = [(t, crossing) for t, crossing, pulse in felt if pulse is None]
+    for t, crossing, pulse in felt:
+        if pulse is not None and pulse.found_s is None and crossing.is_impact:
+            pulse.found_s = t - pulse.start_s
+    return Detected(
+        [t for t, crossing in others if crossing.is_impact],
+        sum(not crossing.is_impact for _, crossing in others),
+        done,
+    )
 
 
 def pulses_for(flying: list[tuple[float, float]], busy: list[float], rng: random.Random) -> list[Pulse]:
@@ -166,6 +181,7 @@ def judge(path: Path, vehicle: VehicleConfig, rng: random.Random) -> dict[str, A
         at_16 = detect(made, estimates, detection, pulses, fixed_n=15.4)
         runs[name] = {
             "onsets": [t - begin_s for t in clean.onsets],
+            "weak": clean.weak,
             "found_of_15.4_n": [sum(p.found_s is not None for p in at_16.pulses), len(at_16.pulses)],
         }
         if detection == d:
@@ -224,6 +240,12 @@ def is_low(impact: dict[str, Any]) -> bool:
     return impact["height_m"] is not None and impact["height_m"] < _LOW_M
 
 
+def events_of(times: Sequence[float]) -> int:
+    """How many there are if what follows within a few seconds is taken for the same event."""
+    times = sorted(times)
+    return sum(i == 0 or t - times[i - 1] > _EVENT_S for i, t in enumerate(times))
+
+
 def summary(rows: list[dict[str, Any]]) -> str:
     """The figures over all logs, as text."""
     flown = [r for r in rows if r.get("flight_s", 0.0) > 0.0]
@@ -250,13 +272,17 @@ def summary(rows: list[dict[str, Any]]) -> str:
     for name in next((r["runs"] for r in flown if "runs" in r), {}):
         # What happens close to the ground or is a touch-down is none of the false ones.
         downs = [[i["t_s"] for i in r["impacts"] if i["kind"] != "impact" or is_low(i)] for r in flown]
-        false = sum(
-            sum(all(abs(t - d) > 1.0 for d in down) for t in r["runs"][name]["onsets"])
+        false = [
+            [t for t in r["runs"][name]["onsets"] if all(abs(t - d) > 1.0 for d in down)]
             for r, down in zip(flown, downs, strict=True)
-        )
+        ]
+        hits, events = sum(map(len, false)), sum(map(events_of, false))
         found = [sum(r["runs"][name]["found_of_15.4_n"][k] for r in flown) for k in (0, 1)]
-        hourly = false / max(hours, 1e-9)
-        lines.append(f"{name}: {false} in flight ({hourly:.1f}/h), 15.4 N found {found[0]} of {found[1]}")
+        weak = sum(r["runs"][name]["weak"] for r in flown)
+        lines.append(
+            f"{name}: {hits} in flight, {events} events ({events / max(hours, 1e-9):.1f}/h), {weak} weak "
+            f"crossings, 15.4 N found {found[0]} of {found[1]}"
+        )
     return "\n".join(lines) + "\n"
 
 
