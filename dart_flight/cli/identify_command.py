@@ -23,6 +23,8 @@ def _height_or_trial(text: str) -> float | str:
 # As `dart_flight.identify.fit.LAWS`, which needs numpy: --help does without.
 LAWS = ("paper", "preload", "hertz", "two-stage", "baseline", "best")
 
+_FIT = {True: "[green]fit: good[/]", False: "[red]fit: poor[/]", None: "fit: nothing to judge it by"}
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
@@ -111,9 +113,10 @@ def run(arguments: argparse.Namespace) -> int:
     say_vehicle(source, messages(), asked=arguments.config is not None)
     for note in found.notes:
         messages().print(note, markup=False, soft_wrap=True)
-    from dart_flight.identify.goodness import expected_residuals, judge_fit
+    from dart_flight.identify.judgement import judge_fit
 
-    judged = judge_fit(found.residuals, expected_residuals(trials))
+    mass = vehicle.airframe.mass_kg if job.mass_kg is None else job.mass_kg
+    judged = judge_fit(found, trials, mass, job.onset)
     for line in judged.says:
         messages().print(f"[red]{line}[/]", soft_wrap=True)
     # First what was found, whatever becomes of the files.
@@ -121,13 +124,12 @@ def run(arguments: argparse.Namespace) -> int:
         emit_json({**identification.as_json(found), "fit": judged._asdict(), "vehicle": source})
     else:
         _print(found)
-        tables().print("[green]fit: good[/]" if judged.good else "[red]fit: poor[/]")
+        tables().print(_FIT[judged.good])
     if arguments.output:
-        _write(arguments, found, vehicle, poor=not judged.good)
+        _write(arguments, found, vehicle, poor=judged.good is False)
     if arguments.plot:
         from dart_flight.identify import plots
 
-        mass = vehicle.airframe.mass_kg if job.mass_kg is None else job.mass_kg
         plots.plot_fit(arguments.plot, trials, found, mass, job.onset)
     return 0
 

@@ -10,7 +10,7 @@ whole. What the data cannot tell comes back as None.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -20,8 +20,7 @@ from dart_flight.identify.estimates import Estimate, Identification, SetAside, T
 from dart_flight.identify.held_out import HeldOut, compare
 from dart_flight.identify.hits import Hit, hit_of
 from dart_flight.identify.intervals import covariance
-from dart_flight.identify.judgement import SampleResult, SampleTrial, conclude
-from dart_flight.identify.law_fit import HitTable, predict
+from dart_flight.identify.judgement import SampleResult, SampleTrial, conclude, errors_of_hits
 from dart_flight.identify.laws import ContactLaw, candidate_laws
 from dart_flight.identify.sample_fit import PLANE_SD_M
 from dart_flight.identify.solver import solve, without_derived
@@ -64,40 +63,30 @@ def identify(
         raise InputError("no trials")
     usable, notes = without_derived(trials)
     hits = [hit_of(trial, mass_kg) for trial in usable]
-    for hit in hits:
-        notes += hit.notes
+    notes += [note for hit in hits for note in hit.notes]
     sampled, result = _fit_samples(usable, hits, mass_kg, onset, plane_sd_m, notes)
-    modes = list(dict.fromkeys(trial.mode for trial in usable))
     laws = candidate_laws(onset)
-    members = {mode: [hit for hit in hits if hit.mode == mode] for mode in modes}
-    held_out = {
-        mode: compare(list(laws.values()), members[mode], mass_kg)
-        for mode in modes
-        if compare_laws or law == BEST
-    }
-    notes += [found.sentence for found in held_out.values() if found.hits]
+    members = {hit.mode: [other for other in hits if other.mode == hit.mode] for hit in hits}
+    held_out = {}
+    if compare_laws or law == BEST:
+        held_out = {mode: compare(list(laws.values()), own, mass_kg) for mode, own in members.items()}
+        notes += [found.sentence for found in held_out.values() if found.hits]
     coefficients, parameters = {}, {}
-    for mode in modes:
-        coefficients[mode] = _coefficients(mode, result, members[mode], laws[PAPER], mass_kg, notes)
+    for mode, own in members.items():
+        coefficients[mode] = _coefficients(mode, result, own, laws[PAPER], mass_kg, notes)
         chosen = _chosen(law, held_out.get(mode))
-        parameters[mode] = {n: coefficients[mode][n] for n in ("k", "f")} if chosen == PAPER else {}
-        if chosen not in (PAPER, BASELINE):
-            parameters[mode], more = law_parameters(laws[chosen], members[mode], mass_kg)
-            notes += [f"{mode}: {note}" for note in more]
+        parameters[mode] = _parameters(mode, chosen, coefficients[mode], laws, own, mass_kg, notes)
         if law == BEST:
             notes.append(f"{mode}: chosen by held-out hits: {chosen}")
     return Identification(
         coefficients=coefficients,
         plane_m=result.plane_m if result else None,
         residuals=result.residuals if result else {},
-        trials=[
-            _trial_fit(hit, result.trials[sampled.index(i)] if result and i in sampled else None)
-            for i, hit in enumerate(hits)
-        ],
+        trials=_trial_fits(hits, sampled, result),
         vertical_side=result.vertical_side if result else None,
         notes=notes,
-        restitution={mode: restitution(members[mode]) for mode in modes},
-        tangential_ratio={mode: tangential_ratio(members[mode]) for mode in modes},
+        restitution={mode: restitution(own) for mode, own in members.items()},
+        tangential_ratio={mode: tangential_ratio(own) for mode, own in members.items()},
         law=law,
         law_parameters=parameters,
         held_out=held_out,
@@ -108,6 +97,25 @@ def _chosen(law: str, held_out: HeldOut | None) -> str:
     if law != BEST:
         return law
     return held_out.best if held_out and held_out.best and held_out.earned else BASELINE
+
+
+def _parameters(
+    mode: str,
+    law: str,
+    coefficients: Mapping[str, Estimate | None],
+    laws: Mapping[str, ContactLaw],
+    hits: Sequence[Hit],
+    mass_kg: float,
+    notes: list[str],
+) -> dict[str, Estimate | None]:
+    """Those of the chosen law; a baseline has none."""
+    if law == PAPER:
+        return {name: coefficients[name] for name in ("k", "f")}
+    if law == BASELINE:
+        return {}
+    found, more = law_parameters(laws[law], hits, mass_kg)
+    notes += [f"{mode}: {note}" for note in more]
+    return found
 
 
 def _fit_samples(
@@ -192,15 +200,14 @@ def _predicts(
     found: dict[str, Estimate | None], paper: ContactLaw, hits: Sequence[Hit], mass_kg: float
 ) -> bool:
     """Whether coefficients give peak and speed out of their own hits to a tenth, in the median."""
-    k, f = found["k"], found["f"]
-    if k is None or f is None:
-        return False
-    table = HitTable.of(hits)
-    said = predict(paper, np.array([[k.value, f.value]]), table, mass_kg)
-    peak = np.abs(said.peak_force_n[0] / table.peak - 1.0)
-    out = np.abs(said.normal_out_m_s[0] - table.speed_out) / table.speed_in
-    known = [float(np.median(v[np.isfinite(v)])) for v in (peak, out) if np.isfinite(v).any()]
+    known = [e for e in errors_of_hits(found, paper, hits, mass_kg) if e is not None]
     return bool(known) and max(known) < _PREDICTS
+
+
+def _trial_fits(hits: Sequence[Hit], sampled: Sequence[int], result: SampleResult | None) -> list[TrialFit]:
+    """One per trial; `sampled` are the places of those whose samples were fitted."""
+    of = dict(zip(sampled, result.trials, strict=True)) if result else {}
+    return [_trial_fit(hit, of.get(i)) for i, hit in enumerate(hits)]
 
 
 def _trial_fit(hit: Hit, sampled: SampleTrial | None) -> TrialFit:

@@ -29,6 +29,7 @@ _BRIDGED_S = 0.015  # a pause within one contact: first a corner lands, then the
 _FELT = 8.0  # deviations of a force that is contact
 _SHORTEST_FLIGHT_S = 0.04
 _WEIGHTLESS_M_S2 = 5.0
+_FALLS_S = 0.06  # a pulse is out of free fall where this long before it nothing was felt
 
 
 @dataclass(frozen=True)
@@ -323,48 +324,16 @@ def _of_accelerometer(trial: Trial, mass_kg: float) -> Hit:
     if time.size < 50:
         raise InputError(f"{time.size} samples are too few for an impact", source=trial.name)
     noise = noise_of(Series(time, value))
-    largest = float(value.max())
-    if largest < max(20.0 * noise, 3.0 * GRAVITY_M_S2):
-        raise InputError("no impact found: no pulse above 3 g", source=trial.name)
-    begun = int(np.flatnonzero(value > max(0.1 * largest, 15.0 * noise))[0])
-    calm = (time > time[begun] - 0.12) & (time < time[begun] - 0.01)
-    if calm.sum() < 8:
-        raise InputError("the recording begins too late: no free fall before the impact", source=trial.name)
-    level = float(np.median(value[calm]))  # the sensor's offset: in free fall it should feel nothing
-    noise = max(noise, 1.4826 * float(np.median(np.abs(value[calm] - level))))
+    begun = _first_pulse(time, value, noise, trial.name)
+    level, noise = _weightless_level(time, value, begun, noise, trial.name)
+    felt, largest = value - level, float(value.max())
     notes = []
     if abs(level) > _WEIGHTLESS_M_S2:
         notes.append(f"{trial.name}: {level:.1f} m/s² before the impact is not free fall")
-    felt = value - level
-    loud = np.abs(felt) > max(_FELT * noise, 0.05 * largest)
-    begin_at = begun
-    while begin_at > 0 and abs(felt[begin_at - 1]) > 4.0 * noise:
-        begin_at -= 1
-    # The contact lasts until the pulse pauses for longer than between a corner and the rest.
-    end_at = begun
-    for i in np.flatnonzero(loud):
-        if i <= begun:
-            continue
-        if time[i] - time[end_at] > _BRIDGED_S:
-            break
-        end_at = int(i)
+    begin_at, end_at = _extent_of_pulse(time, felt, begun, noise, max(_FELT * noise, 0.05 * largest))
     inside = slice(max(begin_at - 1, 0), end_at + 2)
     pulse = _pulse(trial.name, time[inside], mass_kg * felt[inside], mass_kg * noise, _BRIDGED_S)
-    fall_s = _fall(time, felt, begin_at, noise)
-    known = trial.height_m
-    if known is not None:
-        speed, sd = math.sqrt(2.0 * GRAVITY_M_S2 * known), 0.01 * math.sqrt(GRAVITY_M_S2 * known)
-        if fall_s is not None and abs(GRAVITY_M_S2 * fall_s / speed - 1.0) > 0.2:
-            notes.append(
-                f"{trial.name}: falls for {fall_s:.3f} s; a drop from {known:g} m takes "
-                f"{speed / GRAVITY_M_S2:.3f} s"
-            )
-    elif fall_s is not None:
-        speed, sd = GRAVITY_M_S2 * fall_s, 0.01 * GRAVITY_M_S2
-    else:
-        raise InputError(
-            "how fast it falls is not known: give --drop HEIGHT, or record the release", source=trial.name
-        )
+    speed, sd = _speed_of_fall(trial, _fall(time, felt, begin_at, noise), notes)
     out = _bounce(time, felt, end_at, max(_FELT * noise, 0.03 * largest))
     if out is not None and out > speed:
         notes.append(f"{trial.name}: the time to the next contact is longer than any rebound takes")
@@ -390,6 +359,65 @@ def _of_accelerometer(trial: Trial, mass_kg: float) -> Hit:
         rings=pulse.rings,
         notes=(*notes, *pulse.notes),
     )
+
+
+def _first_pulse(time: Array, value: Array, noise: float, name: str) -> int:
+    """The first sample of a pulse out of free fall; of any strong pulse where nothing falls freely before.
+
+    A vehicle that is held feels 1 g, which a soft drop hardly exceeds: what comes before tells them apart.
+    """
+    largest = float(value.max())
+    strong = np.flatnonzero(value > max(0.1 * largest, 15.0 * noise))
+    for i in strong:
+        before = value[(time > time[i] - _FALLS_S) & (time < time[i] - 0.005)]
+        if before.size >= _LEAST and abs(float(np.median(before))) < 0.5 * _WEIGHTLESS_M_S2:
+            return int(i)
+    if not strong.size or largest < max(20.0 * noise, 3.0 * GRAVITY_M_S2):
+        raise InputError("no impact found: no pulse out of free fall, and none above 3 g", source=name)
+    return int(strong[0])
+
+
+def _weightless_level(time: Array, value: Array, begun: int, noise: float, name: str) -> tuple[float, float]:
+    """What the sensor reads in free fall, where it should feel nothing, and its noise there."""
+    calm = (time > time[begun] - 0.12) & (time < time[begun] - 0.01)
+    if calm.sum() < 8:
+        raise InputError("the recording begins too late: no free fall before the impact", source=name)
+    level = float(np.median(value[calm]))
+    return level, max(noise, 1.4826 * float(np.median(np.abs(value[calm] - level))))
+
+
+def _extent_of_pulse(time: Array, felt: Array, begun: int, noise: float, loud: float) -> tuple[int, int]:
+    """First and last sample of the contact, which lasts until the pulse pauses for longer than between a
+    corner and the rest."""
+    begin_at = end_at = begun
+    while begin_at > 0 and abs(felt[begin_at - 1]) > 4.0 * noise:
+        begin_at -= 1
+    for i in np.flatnonzero(np.abs(felt) > loud):
+        if i <= begun:
+            continue
+        if time[i] - time[end_at] > _BRIDGED_S:
+            break
+        end_at = int(i)
+    return begin_at, end_at
+
+
+def _speed_of_fall(trial: Trial, fall_s: float | None, notes: list[str]) -> tuple[float, float]:
+    """Speed at the ground and its deviation, by the height where that is known, else by how long it fell."""
+    height = trial.height_m
+    if height is None and fall_s is None:
+        raise InputError(
+            "how fast it falls is not known: give --drop HEIGHT, or record the release", source=trial.name
+        )
+    if height is None:
+        assert fall_s is not None
+        return GRAVITY_M_S2 * fall_s, 0.01 * GRAVITY_M_S2
+    speed = math.sqrt(2.0 * GRAVITY_M_S2 * height)
+    if fall_s is not None and abs(GRAVITY_M_S2 * fall_s / speed - 1.0) > 0.2:
+        notes.append(
+            f"{trial.name}: falls for {fall_s:.3f} s; a drop from {height:g} m takes "
+            f"{speed / GRAVITY_M_S2:.3f} s"
+        )
+    return speed, 0.01 * math.sqrt(GRAVITY_M_S2 * height)
 
 
 def _smooth(value: Array, n: int) -> Array:

@@ -1,23 +1,42 @@
-"""From a fit to what can be said: which coefficients the data tell, how well, and which fits are bad."""
+"""From a fit to what can be said: which coefficients the data tell, how well, and whether to believe it.
+
+A fit is poor where the law with its coefficients does not give back what was recorded, by more than the
+recordings' own noise or scatter. Of a fit of samples that is asked twice. In the contact of one trial: is it
+poor there, the mode's coefficients are taken from its hits as a whole, unless it gives their peaks and speeds
+all the same. And at the end, over all trials, by `judge_fit`. Where only hits as a whole are known, as of an
+accelerometer alone, their peaks and speeds out are what has to be given back.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from dart_flight.contact.coefficients import Array
-from dart_flight.identify.estimates import Estimate, SetAside
+from dart_flight.contact.law import Onset
+from dart_flight.identify.estimates import Estimate, Identification, SetAside
+from dart_flight.identify.hits import Hit, hit_of
 from dart_flight.identify.intervals import Deviation, deviations
+from dart_flight.identify.law_fit import HitTable, predict
+from dart_flight.identify.laws import ContactLaw, candidate_laws
 from dart_flight.identify.sample_fit import HIGHEST_F, HIGHEST_K, LOWEST_F, LOWEST_K, PUSHES, SampleFit
-from dart_flight.identify.trials import noise_of
+from dart_flight.identify.trials import Trial, find_impact, noise_of
 
 # Rates of change this small in the model make a coefficient unknown rather than zero.
 _WIDEST_LOG = math.log(10.0)
-# Residuals in contact over the noise of the same channel in free flight: beyond it the law does not fit.
+# In contact, over the noise of the same channel in free flight: beyond it the law is poor for this trial.
 BAD_FIT = 4.0
 _LEAST_JUDGED = 4  # samples in contact
+# Over a whole recording residuals of good fits are the noise; what a filter in the recording and the law
+# itself leave out is up to a few hundredths of the contact's own size (simulated vehicle's logs: below 0.01).
+_NOISES = 3.0
+_SHARE = 0.06
+_CONTACT_S = 0.1  # to either side of the turn: the contact is in there
+# Of whole hits, in the median: twice what repeats of real drops scatter (docs/real_data.md).
+_PEAK_SHARE, _SPEED_SHARE = 0.25, 0.1
 
 
 class SampleTrial(NamedTuple):
@@ -191,3 +210,98 @@ def _trials(fit: SampleFit, theta: Array) -> list[SampleTrial]:
             )
         )
     return fits
+
+
+# --- whether to believe it ----------------------------------------------------------------------------------
+
+
+class FitJudgement(NamedTuple):
+    """A fit, judged.
+
+    Attributes:
+        good: nothing is further off than expected; None where there is nothing to judge by.
+        expected: quantity -> the most that a good fit is off, in its own unit.
+        says: a sentence per quantity that is not good; what to look at.
+    """
+
+    good: bool | None
+    expected: dict[str, float]
+    says: list[str]
+
+
+def judge_fit(found: Identification, trials: Sequence[Trial], mass_kg: float, onset: Onset) -> FitJudgement:
+    """Judge coefficients by the recordings they are from.
+
+    Args:
+        found: what `identify` made of the trials.
+        trials: as it had them, likewise `mass_kg` and `onset`.
+    """
+    off, expected = dict(found.residuals), expected_residuals(trials)
+    whole = {trial.name for trial in found.trials if trial.used == "whole"}
+    paper = candidate_laws(onset)["paper"]
+    for mode, coefficients in found.coefficients.items():
+        own = [t for t in trials if t.mode == mode and t.name in whole]
+        if not own or not found.is_known(mode):
+            continue
+        peak, out = errors_of_hits(coefficients, paper, [hit_of(t, mass_kg) for t in own], mass_kg)
+        for name, error, most in (("peak", peak, _PEAK_SHARE), ("speed out", out, _SPEED_SHARE)):
+            if error is not None:
+                off[f"{mode} {name}"], expected[f"{mode} {name}"] = error, most
+    return judge(off, expected)
+
+
+def judge(off: Mapping[str, float], expected: Mapping[str, float]) -> FitJudgement:
+    """Compare what is off with what a good fit is off by; a quantity without an expectation is not judged."""
+    judged = {name: value for name, value in off.items() if name in expected}
+    says = [
+        f"poor fit: the residual of {name} is {value:.3g}, {value / expected[name]:.1f} times the "
+        f"{expected[name]:.3g} of a good one; wall hits or drops (--drop), one wall, the right mode, units?"
+        for name, value in judged.items()
+        if not value <= expected[name]
+    ]
+    return FitJudgement(not says if judged else None, dict(expected), says)
+
+
+def errors_of_hits(
+    coefficients: Mapping[str, Estimate | None], paper: ContactLaw, hits: Sequence[Hit], mass_kg: float
+) -> tuple[float | None, float | None]:
+    """By how much coefficients miss their own hits, in the median: share of the peak, and of the speed in.
+
+    None where no hit tells it, or k or f is not known.
+    """
+    k, f = coefficients["k"], coefficients["f"]
+    if k is None or f is None:
+        return None, None
+    table = HitTable.of(hits)
+    said = predict(paper, np.array([[k.value, f.value]]), table, mass_kg)
+    peak = np.abs(said.peak_force_n[0] / table.peak - 1.0)
+    out = np.abs(said.normal_out_m_s[0] - table.speed_out) / table.speed_in
+    peak, out = (values[np.isfinite(values)] for values in (peak, out))
+    return (float(np.median(peak)) if peak.size else None, float(np.median(out)) if out.size else None)
+
+
+def expected_residuals(trials: Sequence[Trial]) -> dict[str, float]:
+    """The largest residuals that a good fit of these trials has, by quantity.
+
+    Three times the noise of the recordings, or a small share of what the contact does to the quantity
+    (penetration, peak force, change along the wall), whichever is more.
+    """
+    noise: dict[str, list[float]] = {}
+    size: dict[str, list[float]] = {}
+    for trial in trials:
+        if "normal_m" not in trial.series:
+            continue  # an accelerometer alone: a whole hit
+        impact = find_impact(trial)
+        for name, series in trial.series.items():
+            near = np.abs(series.time_s - impact.turn_s) <= _CONTACT_S
+            if not near.any():
+                continue
+            values = series.value[near]
+            change = abs(impact.deepest_m) if name == "normal_m" else float(np.ptp(values))
+            noise.setdefault(name, []).append(noise_of(series))
+            size.setdefault(name, []).append(change)
+    return {name: max(_NOISES * _rms(noise[name]), _SHARE * _rms(size[name])) for name in noise}
+
+
+def _rms(values: Sequence[float]) -> float:
+    return math.sqrt(sum(v * v for v in values) / len(values))

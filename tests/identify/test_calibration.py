@@ -14,7 +14,7 @@ from dart_flight.config import InputError, load_vehicle
 from dart_flight.identify.thrust_curve import calibrate_thrust, quiet_points, read_track
 from tests.shared_flights import SharedFlights
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 VEHICLE = load_vehicle(ROOT / "configs" / "dart.yaml")
 
 

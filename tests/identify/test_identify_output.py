@@ -11,7 +11,7 @@ import pytest
 from dart_flight.cli import main
 from dart_flight.config import load_vehicle
 from dart_flight.config.vehicle import packaged
-from dart_flight.identify.goodness import judge_fit
+from dart_flight.identify.judgement import judge
 from dart_flight.samples import Mode
 from tools.synthetic_trials import drop_trial, wall_trial, write_csv
 
@@ -123,9 +123,9 @@ def test_drops_taken_for_wall_hits_are_noticed(drops: list[str], capsys: pytest.
 
 
 def test_the_judgement_by_itself() -> None:
-    assert judge_fit({"normal_m": 1e-3}, {"normal_m": 1e-3}).good
-    poor = judge_fit({"normal_m": 35e-3, "tangential_m": 1e-3}, {"normal_m": 1e-3, "tangential_m": 1e-3})
+    assert judge({"normal_m": 1e-3}, {"normal_m": 1e-3}).good
+    poor = judge({"normal_m": 35e-3, "tangential_m": 1e-3}, {"normal_m": 1e-3, "tangential_m": 1e-3})
     assert not poor.good
     assert len(poor.says) == 1
     assert "35.0 times" in poor.says[0]
-    assert judge_fit({"normal_force_n": 9.0}, {}).good, "nothing to compare with"
+    assert judge({"normal_force_n": 9.0}, {}).good is None, "nothing to compare with"
