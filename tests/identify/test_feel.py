@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 from dart_flight.cli import main
+from dart_flight.identify.feel.impacts import Crossing
 from dart_flight.identify.trials import TrialReading, read_trials
+from dart_flight.samples import ImpactOnset, ImpactPeak
 from tests.doubles.ulog_file import Topics, write_ulog
 
 pytest.importorskip("pyulog")
@@ -120,3 +122,32 @@ def test_trials_and_page_are_written(tmp_path: Path, capsys: pytest.CaptureFixtu
     top = force.time_s[int(np.argmax(np.convolve(force.value, np.ones(9) / 9, mode="same")))]
     assert top == pytest.approx(LONG_S / 2.0, abs=0.05)
     assert "a.ulg" in page.read_text()
+
+
+def test_a_thrust_fit_that_fails_on_what_it_has_not_seen_is_refused_by_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Commands that have nothing to do with the thrust felt.
+    made = dict(topics())
+    fields, rows = made["actuator_motors", 0]
+    made["actuator_motors", 0] = (
+        fields,
+        [(t, [0.5 + 0.25 * math.sin(0.17 * (t - 1e6) * 1e-6)] * 4) for t, _ in rows],
+    )
+    flight = felt(write_ulog(tmp_path / "a.ulg", made), capsys)
+    assert flight["thrust"] is None
+    (says,) = (what for what in flight["unknown"] if what.startswith("thrust:"))
+    assert "half seconds" in says
+    assert "over 10 %: no fit" in says
+
+
+@pytest.mark.parametrize(
+    ("peak_n", "along_n", "is_impact"), [(0.3, 0.0, False), (0.3, 6.0, True), (4.0, 0.0, True)]
+)
+def test_a_crossing_that_its_peak_does_not_bear_out_is_no_impact(
+    peak_n: float, along_n: float, is_impact: bool
+) -> None:
+    onset = ImpactOnset(1, 1, 1, (6.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert Crossing(onset, 5.5).is_impact, "the log ends before the peak is known"
+    peak = ImpactPeak(1, 1, 1, (1.0, 0.0), peak_n, along_n, (0.0, 0.0, 0.0), False, fitted=True)
+    assert Crossing(onset, 5.5, peak).is_impact is is_impact
