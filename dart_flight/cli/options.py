@@ -45,7 +45,7 @@ def add_set_option(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="a key of the configuration, such as simulation.contact.body=guards; repeatable",
+        help="a key of the configuration, such as simulation.contact.body=point; repeatable",
     )
 
 

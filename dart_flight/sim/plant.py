@@ -1,8 +1,10 @@
 """The simulated vehicle as a body: six degrees of freedom, motors, drag, walls, ground, arms.
 
-State in NED and FRD, as the autopilot sees it; walls are given in the mission frame, converted once. Contact
-acts through the centre of mass by the law of `dart_flight.contact.law`, integrated in steps of 0.1 ms, the
-rest in steps of 1 ms. `tests/sim/test_plant.py` holds it to the reference solutions.
+State in NED and FRD, as the autopilot sees it; walls are given in the mission frame, converted once.
+Contact acts at guards (`dart_flight.contact.body`), or through the centre of mass as in the paper's
+equations (`simulation.contact.body: point`), by the law of `dart_flight.contact.law`, integrated in steps
+of 0.1 ms, the rest in steps of 1 ms. `tests/sim/test_plant.py` holds the point to the reference
+solutions, `tests/sim/test_body.py` the guards to an independent rigid body.
 """
 
 from __future__ import annotations

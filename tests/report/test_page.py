@@ -15,6 +15,7 @@ import pytest
 
 from dart_flight.cli import main
 from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import packaged
 from dart_flight.identify.estimates import mean_half_width
 from dart_flight.recording.reader import Log, LogEntry
 from dart_flight.report import figures
@@ -22,6 +23,7 @@ from dart_flight.report.flight import Compared, Flight
 from dart_flight.report.page import flight_page
 from dart_flight.samples import GuardEvent, Override, TruthContact
 from dart_flight.worlds.fast import fly_fast
+from dart_flight.worlds.prepare import load_flyable
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
 SECTIONS = [
@@ -123,8 +125,16 @@ def test_the_table_says_what_the_verdict_says(flight: Flight, page: str) -> None
         assert number(contact[3]) == pytest.approx(v.contact_time_ms, rel=6e-3)
 
 
-def test_truth_and_prediction_of_a_contact(flight: Flight) -> None:
-    """The columns come from different sources that must meet: plant, contact law, flight model, estimate."""
+def test_truth_and_prediction_of_a_contact(tmp_path: Path) -> None:
+    """The columns come from different sources that must meet: plant, contact law, flight model, estimate.
+
+    Law and flight model are a point's, and so is the vehicle here.
+    """
+    configuration = packaged("configs", "dart.yaml")
+    mission = load_flyable(
+        packaged("missions", "dual_collision.yaml"), configuration, ["simulation.contact.body=point"]
+    )
+    flight = Flight.read(Path(str(fly_fast(mission, 1, tmp_path).log)))
     truths = flight.course.all(TruthContact)
     for impact, truth in zip(flight.impacts, truths, strict=True):
         rows = {c.name: c for c in impact.compared}
