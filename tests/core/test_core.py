@@ -151,7 +151,8 @@ def test_a_failsafe_of_px4_is_aborted_and_a_pilot_is_released(hand_fed: HandFedC
     assert end.outcome == "aborted"
     other = HandFedCore()
     other.to_flight()
-    end = of(MissionEnd, other.set_status(flight_mode=FlightMode.HOLD))[0]
+    other.set_status(flight_mode=FlightMode.HOLD)
+    end = of(MissionEnd, other.run(0.11))[0]  # until it cannot be another vehicle's mode
     assert end.outcome == "released"
 
 
@@ -163,7 +164,8 @@ def test_after_the_guard_has_fired_the_mission_is_not_heard(hand_fed: HandFedCor
     assert next(o.action for o in of(VehicleCommand, out)) is VehicleAction.LAND
     hand_fed.set_status(flight_mode=FlightMode.LAND, landed=LandedState.ON_GROUND)
     hand_fed.run(0.1)
-    end = of(MissionEnd, hand_fed.set_status(armed=False))[0]
+    assert not of(MissionEnd, hand_fed.set_status(armed=False))  # one report may be another vehicle's
+    end = of(MissionEnd, hand_fed.run(0.21))[0]
     assert (end.outcome, end.reason) == ("aborted", "operator: land asked for")
 
 

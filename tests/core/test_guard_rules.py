@@ -443,7 +443,7 @@ def test_motors_are_stopped_only_long_after_a_landing_must_have_ended() -> None:
     assert not killed(c.run(43.0))
     assert killed(c.run(3.0))
     c.set_status(armed=False)
-    c.run(0.1)
+    c.run(0.25)
     assert c.core.end is not None
     assert c.core.end.outcome == "aborted"
 
@@ -588,6 +588,60 @@ def test_the_slow_state_of_the_other_vehicle_ends_nothing() -> None:
     c.set_status(armed=False, flight_mode=FlightMode.HOLD, landed=LandedState.ON_GROUND)
     in_turn(c, 238_000_000, 3.0, 2.0)
     assert [e.rule for e in fired(c)] == ["second_vehicle"]
+    assert c.core.end is None
+
+
+@pytest.mark.parametrize("ahead_us", [238_000_000, 0])
+def test_a_mode_that_comes_before_the_other_vehicles_samples_is_no_pilots(ahead_us: int) -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.outputs.clear()
+    c.set_status(armed=False, flight_mode=FlightMode.HOLD, landed=LandedState.ON_GROUND)
+    c.run(0.02)
+    assert not [o for o in c.outputs if isinstance(o, GuardEvent | SetPoint | VehicleCommand)]
+    in_turn(c, ahead_us, 3.0, 0.1)
+    assert fired(c)[-1].rule == "second_vehicle"
+    assert not {"pilot", "px4_failsafe", "disarmed"} & {e.rule for e in fired(c)}
+    in_turn(c, ahead_us, 3.0, 2.0)
+    assert any(isinstance(o, VehicleCommand) and o.action is VehicleAction.LAND for o in c.outputs)
+    assert c.core.end is None
+
+
+def test_a_switch_to_hold_silences_the_mission_at_once_and_ends_it_a_tenth_of_a_second_later() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.outputs.clear()
+    c.set_status(flight_mode=FlightMode.HOLD)
+    c.run(0.09)
+    assert not fired(c)
+    c.run(0.02)
+    assert [e.rule for e in fired(c)] == ["pilot"]
+    assert c.core.end is not None
+    assert not [o for o in c.outputs if isinstance(o, SetPoint | VehicleCommand)]
+
+
+def test_a_mode_that_goes_back_to_offboard_at_once_costs_only_that_moment() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.set_status(flight_mode=FlightMode.HOLD)
+    c.run(0.05)
+    c.set_status(flight_mode=FlightMode.OFFBOARD)
+    assert any(isinstance(o, SetPoint) for o in c.run(0.2))
+    assert not fired(c)
+
+
+def test_one_report_of_landed_and_disarmed_does_not_end_a_landing_of_the_guard() -> None:
+    """It may be that of a vehicle which stands on the same link, before its first sample."""
+    c = HandFedCore()
+    c.to_flight()
+    c.set_status(battery_v=12.9)
+    c.run(1.2)
+    c.set_status(flight_mode=FlightMode.LAND)
+    c.run(1.0)
+    c.set_status(armed=False, landed=LandedState.ON_GROUND)
+    c.run(0.1)
+    assert c.core.end is None
+    in_turn(c, 0, 3.0, 1.0)
     assert c.core.end is None
 
 

@@ -3,16 +3,17 @@
 `make campaign` flies all of it and thousands of random ones (`docs/fault_matrix.md`); here a sample.
 """
 
+import re
 from pathlib import Path
 
 import pytest
 
 from dart_flight.cli import main
 from dart_flight.config import InputError
-from dart_flight.samples import GuardEvent, Record, StatusSample
+from dart_flight.samples import GuardEvent, Outcome, Override, Record, StatusSample
 from dart_flight.sim.faults.impairment import Impairment, LossyLink
 from dart_flight.sim.faults.kinds import KINDS, Fault, parse_fault
-from dart_flight.worlds.fast import fly_fast
+from dart_flight.worlds.fast import FastFlight, fly_fast
 from dart_flight.worlds.prepare import load_flyable
 from tools.campaigns.faults import PHASES, came_of, cell, expected, random_flight
 
@@ -46,12 +47,38 @@ def test_imu_drop_out_is_decided_within_a_tenth_of_a_second() -> None:
         assert flown.decision_ms <= 100.0
 
 
-@pytest.mark.parametrize("ahead_s", [238.0, -238.0])
-@pytest.mark.parametrize("phase", [*PHASES, "landing"])
+@pytest.mark.parametrize("ahead_s", [238.0, -238.0, 0.0])
+@pytest.mark.parametrize("phase", [*PHASES, "transit", "landing"])
 def test_a_second_vehicle_on_the_link_is_named_at_once_in_every_phase(phase: str, ahead_s: float) -> None:
-    verdict = fly_fast(load_flyable(SINGLE), 1, None, fault=Fault("second-vehicle", ahead_s, phase))
-    assert verdict.outcome == "aborted"
-    assert (verdict.reason or "").startswith("second_vehicle: two clocks in turn, 238.0 s apart")
+    events: list[GuardEvent] = []
+
+    def observe(record: Record, number: int) -> None:
+        if isinstance(record, GuardEvent):
+            events.append(record)
+
+    flight = FastFlight(
+        load_flyable(SINGLE), 1, observe=observe, fault=Fault("second-vehicle", ahead_s, phase)
+    )
+    assert flight.faulted is not None
+    while flight.core.override is not Override.LAND:
+        flight.tick()
+        began_us = flight.faulted.began_us
+        assert began_us is None or flight.host_us - began_us < 100_000
+    assert events[-1].rule == "second_vehicle"
+    assert re.match(
+        "two clocks in turn, 238.0 s|odometry with two positions in turn, [45]", events[-1].detail
+    )
+
+
+@pytest.mark.parametrize("ahead_s", [238.0, 0.0])
+def test_beside_a_second_vehicle_it_lands_and_waits_until_it_is_down_itself(ahead_s: float) -> None:
+    """The other one stands there disarmed all the while."""
+    flight = FastFlight(load_flyable(SINGLE), 1, fault=Fault("second-vehicle", ahead_s, "landing"))
+    flight.run()
+    assert not flight.autopilot.armed
+    assert flight.core.end is not None
+    assert flight.core.end.outcome is Outcome.ABORTED
+    assert (flight.core.end.reason or "").startswith("second_vehicle: ")
 
 
 @pytest.mark.parametrize("ahead_s", [238.0, -238.0, 3.0, 0.0])

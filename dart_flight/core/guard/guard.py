@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dart_flight.config.mission import Mission
 from dart_flight.core.guard.rules import RULES, RULES_BY_NAME, Rule, Scope, in_scope
 from dart_flight.core.guard.watch import Watch
+from dart_flight.core.mission.phases import DOWN_US
 from dart_flight.core.mission.position_loop import STOP_TIME_S
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.senses import Sensed
@@ -67,6 +68,7 @@ class Guard:
         self.end: MissionEnd | None = None
         self._since_us = 0
         self._asked_us: int | None = None
+        self._down_us: int | None = None  # since when landed and disarmed
         self._hold: Vec3 | None = None
         self._yaw_ned = 0.0
 
@@ -93,13 +95,16 @@ class Guard:
         if phase is not Phase.DONE and self.end is None:
             self._judge(state, phase, events)
         if self.action is Override.NONE:
-            self._remember(proposal.outputs)
-            return proposal.outputs + events
+            outputs = proposal.outputs
+            if self._watch.doubtful:  # the vehicle may be a pilot's already
+                outputs = [o for o in outputs if not isinstance(o, SetPoint | VehicleCommand)]
+            self._remember(outputs)
+            return outputs + events
         kept: list[Output] = [
             o for o in proposal.outputs if not isinstance(o, SetPoint | VehicleCommand | LockCommand)
         ]
         kept += events
-        if self.end is None:
+        if self.end is None and (self.action is Override.RELEASE or not self._watch.doubtful):
             self._fly(item, state, kept)
         return kept
 
@@ -171,10 +176,7 @@ class Guard:
             self.end = MissionEnd(state.now_us, outcome, self.reason, None)
             return
         killed = self.action is Override.KILL
-        down = not state.status.armed and (state.on_ground or killed or not self._watch.was_offboard)
-        if self._watch.unsure and state.now_us - self._since_us < _UNSURE_US:
-            down = False  # it may be the other one that stands there
-        if down or state.now_us - self._since_us > self._landing_us:
+        if self._is_down(state, killed) or state.now_us - self._since_us > self._landing_us:
             self.end = MissionEnd(state.now_us, Outcome.ABORTED, self.reason, None)
             return
         if killed:
@@ -198,6 +200,19 @@ class Guard:
         elapsed = state.now_us - self._since_us
         if elapsed > _HOLD_US or (slow and elapsed > _HOLD_US // 2):
             self._land(state, out)
+
+    def _is_down(self, state: FlightState, killed: bool) -> bool:
+        """Whether the vehicle has landed and disarmed, and not another one that stands on the same link."""
+        if state.status.armed or not (state.on_ground or killed or not self._watch.was_offboard):
+            self._down_us = None
+            return False
+        if not self._watch.was_offboard:
+            return True
+        if self._down_us is None:
+            self._down_us = state.now_us
+        if self._watch.unsure and state.now_us - self._since_us < _UNSURE_US:
+            return False
+        return state.now_us - self._down_us >= DOWN_US
 
     def _clear_of_walls(self, state: FlightState) -> Vec3:
         """The present place, moved away from walls to the retreat distance, at the mission's altitude."""

@@ -38,6 +38,7 @@ from dart_flight.streams import BY_NAME
 _FAILSAFE_WORDS = ("failsafe",)
 _FAILSAFE_MEMORY_US = 3_000_000
 _UNSURE_US = 250_000  # in which a second vehicle shows for certain
+_DOUBT_US = 100_000  # host time; another vehicle's samples come within this of its mode
 _GAP_US = 500_000  # of silence, in which PX4 may have said anything
 _RATE_WINDOW_US = 1_000_000
 _LEAP_US = 1_000_000
@@ -86,6 +87,7 @@ class Watch:
         self._places = TwoPlaces(self.config.position_jump_m)
         self._other_system: int | None = None
         self.second_vehicle: str | None = None  # how a second vehicle on the link shows; it does not go away
+        self._left_since_us: int | None = None  # host time since when the mode says that offboard was left
         self._failsafe_us: int | None = None
         self._gap_us: int | None = None
         self._host_us = 0  # of the newest stamped sample
@@ -148,11 +150,28 @@ class Watch:
     @property
     def foreign_mode(self) -> FlightMode | None:
         """The flight mode, once PX4 has left offboard without being asked to."""
+        mode = self._mode_left_to
+        # The modes of two vehicles come in turn; sticks are a pilot's, and from then on nothing is sent.
+        if mode is not None and mode is not FlightMode.MANUAL and (self.unsure or self.doubtful):
+            return None
+        return mode
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether PX4 seems to have left offboard a moment ago, by itself or by a pilot's switch.
+
+        It may be the mode of another vehicle, whose first sample is still to come: until then nothing is
+        decided, and nothing is sent. What PX4 has announced, or a gap explains, is in no doubt.
+        """
+        if self._left_since_us is None or self.failsafe_said or self.was_cut_off:
+            return False
+        young = self.state.host_us - self._left_since_us < _DOUBT_US
+        return young and self._mode_left_to is not None
+
+    @property
+    def _mode_left_to(self) -> FlightMode | None:
         mode = self.state.status.flight_mode
         if not self.was_offboard or mode in (FlightMode.OFFBOARD, FlightMode.UNKNOWN):
-            return None
-        # The modes of two vehicles come in turn; sticks are a pilot's, and from then on nothing is sent.
-        if self.unsure and mode is not FlightMode.MANUAL:
             return None
         if self.land_asked and (mode is FlightMode.LAND or self.state.on_ground):
             return None
@@ -306,6 +325,9 @@ class Watch:
     def _see_status(self, item: StatusSample) -> None:
         if item.flight_mode is FlightMode.OFFBOARD:
             self.was_offboard = True
+            self._left_since_us = None
+        elif self._left_since_us is None and item.flight_mode is not FlightMode.UNKNOWN:
+            self._left_since_us = item.received_us
         self.was_armed = self.was_armed or item.armed
         if not (item.armed and item.flight_mode is FlightMode.LAND):
             self._landing_since_us = None

@@ -13,7 +13,7 @@ from typing import ClassVar
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import Approach, plan_approach
 from dart_flight.core.mission.lock_orders import LockOrders
-from dart_flight.core.mission.phases import TRANSITIONS, WATCHING, Cue
+from dart_flight.core.mission.phases import DOWN_US, TRANSITIONS, WATCHING, Cue
 from dart_flight.core.mission.planned import expected_hit
 from dart_flight.core.mission.position_loop import least_distance_m
 from dart_flight.core.mission.proposal import Proposal
@@ -50,7 +50,6 @@ _STREAMING_US = 200_000  # PX4 accepts offboard only with set-points already str
 _REST_TIMEOUT_US = 4_000_000
 _REST_AFTER_US = 500_000
 _DISARM_AFTER_US = 8_000_000
-_DOWN_US = 200_000  # one report of landed and disarmed may be another vehicle's on the same link
 # The wall stops the vehicle in a contact (but for `yielding`), PX4 lands it.
 _SILENT = frozenset({Phase.READYING, Phase.CONTACT, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
 
@@ -429,7 +428,7 @@ class Executive:
             self._down_us = None
         elif self._down_us is None:
             self._down_us = state.now_us
-        if self._down_us is not None and state.now_us - self._down_us >= _DOWN_US:
+        if self._down_us is not None and state.now_us - self._down_us >= DOWN_US:
             self._go(Cue.LANDED, state, p)
             p.end = MissionEnd(state.now_us, Outcome.COMPLETED, None, self._final_error_m)
         elif state.on_ground and self._elapsed_us(state) > _DISARM_AFTER_US:

@@ -52,6 +52,7 @@ TRANSITIONS: dict[tuple[Phase, Cue], Phase] = {
     (Phase.OVERRULED, Cue.LANDED): Phase.DONE,
 }
 
+DOWN_US = 200_000  # one report of landed and disarmed may be another vehicle's on the same link
 ON_GROUND = frozenset({Phase.READYING, Phase.OFFBOARD, Phase.ARMING})
 ALTITUDE_EXEMPT = ON_GROUND | {Phase.CLIMB, Phase.LANDING, Phase.DONE}
 WATCHING = frozenset(

@@ -65,9 +65,9 @@ class FlightState:
     def take_odometry(self, sample: OdometrySample) -> bool:
         """A position and velocity; False where its stamp does not advance."""
         previous = self.odometry
-        if previous is not None and (
-            sample.t_us <= previous.t_us or self._leaps("odometry", sample, previous)
-        ):
+        if previous is not None and sample.t_us <= previous.t_us:
+            return False
+        if self._leaps("odometry", sample, previous):
             return False
         self.odometry = sample
         self._saw(sample.t_us, sample.received_us)
@@ -91,9 +91,9 @@ class FlightState:
     def take_attitude(self, sample: AttitudeSample) -> bool:
         """An attitude; False where its stamp does not advance."""
         previous = self.attitude
-        if previous is not None and (
-            sample.t_us <= previous.t_us or self._leaps("attitude", sample, previous)
-        ):
+        if previous is not None and sample.t_us <= previous.t_us:
+            return False
+        if self._leaps("attitude", sample, previous):
             return False
         self.attitude = sample
         self._saw(sample.t_us, sample.received_us)
@@ -105,7 +105,9 @@ class FlightState:
     def take_imu(self, sample: ImuSample) -> bool:
         """An IMU sample; False where its stamp does not advance."""
         previous = self.imu
-        if previous is not None and (sample.t_us <= previous.t_us or self._leaps("imu", sample, previous)):
+        if previous is not None and sample.t_us <= previous.t_us:
+            return False
+        if self._leaps("imu", sample, previous):
             return False
         self.imu = sample
         self._saw(sample.t_us, sample.received_us)
@@ -113,8 +115,7 @@ class FlightState:
 
     def take_actuator(self, sample: ActuatorSample) -> None:
         """Motor commands."""
-        previous = self.actuator
-        if previous is not None and self._leaps("actuator", sample, previous):
+        if self._leaps("actuator", sample, self.actuator):
             return
         self.actuator = sample
         self.host_us = max(self.host_us, sample.received_us)
@@ -168,14 +169,21 @@ class FlightState:
         self,
         stream: str,
         sample: ImuSample | AttitudeSample | OdometrySample | ActuatorSample,
-        previous: ImuSample | AttitudeSample | OdometrySample | ActuatorSample,
+        previous: ImuSample | AttitudeSample | OdometrySample | ActuatorSample | None,
     ) -> bool:
         """Whether a stamp lies further ahead than time can have gone by: another vehicle's, on the same link.
 
-        A clock that has really jumped is believed after a few samples in a row.
+        A clock that has really jumped is believed after a few samples in a row. The first sample of a stream
+        is compared with the newest of the others.
         """
-        elapsed_us = sample.received_us - previous.received_us
-        if sample.t_us - previous.t_us <= _LEAP_US + _FASTEST * max(0, elapsed_us):
+        if previous is not None:
+            before_us, received_us = previous.t_us, previous.received_us
+        elif self._stamp_us:
+            before_us, received_us = self._stamp_us, self._stamped_us
+        else:
+            return False
+        elapsed_us = sample.received_us - received_us
+        if sample.t_us - before_us <= _LEAP_US + _FASTEST * max(0, elapsed_us):
             self._leapt.pop(stream, None)
             return False
         self._leapt[stream] = self._leapt.get(stream, 0) + 1

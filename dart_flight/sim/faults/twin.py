@@ -25,6 +25,10 @@ def second_vehicle(mission: Mission, seed: int, ahead_s: float, now_us: int) -> 
     twin = SimulatedVehicle(msgspec.structs.replace(mission, walls=()), seed + _OTHER_SEED, LockDriver.PX4)
     plant, autopilot = twin.autopilot.plant, twin.autopilot
     plant.position = add(plant.position, _APART_NED)
-    autopilot.estimator.shift(_APART_NED)
+    # It has been on for a while: its estimator knows where it stands.
+    autopilot.estimator.correct(0.0, plant.position, plant.q)
+    twin.advance()
+    while not autopilot.estimator.ok:
+        autopilot.estimator.correct(autopilot.now_s, plant.position, plant.q)
     plant.time_offset_us += now_us - autopilot.time_us + round(ahead_s * 1e6)
     return twin
