@@ -14,6 +14,7 @@ from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.core.sense.detector import ImpactDetector
 from dart_flight.geometry import Vec3
+from dart_flight.planning.constraints import SETPOINT_OUTSIDE_M, setpoint_outside_m
 from dart_flight.planning.envelope import (
     clipping_warning,
     full_scale_n,
@@ -23,9 +24,7 @@ from dart_flight.planning.planned import PlannedFlight, planned_flight
 
 _CLEARANCE_M = 0.15  # of start and goal from a wall's plane
 _WEAK = 1.3  # an impact below this many thresholds may be missed
-_FAR_OUTSIDE_M = 2.0  # the paper's own plan has a set-point 0.5 m outside
 _SAME_M = 1e-6
-_SAME_M_S = 0.02  # predictions are written rounded
 
 
 def check_mission(mission: Mission) -> list[Finding]:
@@ -200,44 +199,26 @@ def _check_recovery(mission: Mission, collision: Collision, planned: PlannedFlig
     )
     says = f"set-point after wall {collision.wall.name} about ({target[0]:.2f}, {target[1]:.2f})"
     following = next((c for c in mission.collisions if c.index == collision.index + 1), None)
-    as_planned = planned is not None and _is_as_planned(mission, planned)
     if following is not None and following.approach_m_s is None:
         beyond = following.wall.signed_distance(target)
         if beyond > 0.0:
             short = f"{says}: {beyond:.2f} m short of wall {following.wall.name}, which it should lead to"
             return [Finding(item, False, short)]
-        return [
-            _outside(
-                mission, item, target, f"{says}, leads to wall {following.wall.name}", "that wall", as_planned
-            )
-        ]
+        leads = f"{says}, leads to wall {following.wall.name}"
+        return [_outside(mission, item, target, leads, "that wall")]
     for wall in mission.walls:
         crossed = wall.signed_distance(place) > 0.0 >= wall.signed_distance(target)
         if wall is not collision.wall and crossed and wall.spans(target):
             return [Finding(item, False, f"{says}: behind wall {wall.name}, which is not to be hit next")]
-    return [_outside(mission, item, target, says, "the goal", as_planned)]
+    return [_outside(mission, item, target, says, "the goal")]
 
 
-def _is_as_planned(mission: Mission, planned: PlannedFlight) -> bool:
-    """Whether `plan` wrote the mission, and its predictions still follow from it.
-
-    The planner has judged path, speed and acceleration that its set-points lead to, how far out they may lie.
-    """
-    return all(
-        c.predicted is not None
-        and c.index in planned.hits
-        and math.isclose(c.predicted.normal_m_s, planned.hits[c.index].normal_m_s, abs_tol=_SAME_M_S)
-        and math.isclose(c.predicted.tangential_m_s, planned.hits[c.index].tangential_m_s, abs_tol=_SAME_M_S)
-        for c in mission.collisions
-    )
-
-
-def _outside(mission: Mission, item: str, target: Vec3, says: str, first: str, planned: bool) -> Finding:
+def _outside(mission: Mission, item: str, target: Vec3, says: str, first: str) -> Finding:
     """A set-point outside of the bounds only pulls where something comes before it; far out it is a slip."""
-    outside = mission.bounds.excess2(target)
-    if outside > _FAR_OUTSIDE_M and not planned:
-        far = f"{says}, {outside:.2f} m outside bounds_m, more than {_FAR_OUTSIDE_M:g} m: is alpha meant so?"
-        return Finding(item, False, far)
+    outside = setpoint_outside_m(SCALARS, mission.bounds, target[0], target[1])
+    if outside > SETPOINT_OUTSIDE_M:
+        far = f"{says}, {outside:.2f} m outside bounds_m, more than {SETPOINT_OUTSIDE_M:g} m"
+        return Finding(item, False, far + ": is alpha meant so?")
     if outside > 0.0:
         return Finding(
             item, True, f"{says}, {outside:.2f} m outside bounds_m: {first} must come before", remark=True

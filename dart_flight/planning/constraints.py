@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.core.mission.arithmetic import Arithmetic
+from dart_flight.config.mission import Bounds
+from dart_flight.core.mission.arithmetic import Arithmetic, Number
 from dart_flight.core.mission.executive import STOP_MARGIN_M
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S, STOP_TIME_S, least_distance_m, stop_share
 from dart_flight.geometry import GRAVITY_M_S2, Vec2, Wall
@@ -25,6 +26,8 @@ ARRAYS = Arithmetic(np.hypot, np.sqrt, np.maximum, np.minimum, np.where)
 Codes = NDArray[np.int8]
 
 LEAST_REBOUND_M_S = 0.05
+# The paper's own plan has a set-point 0.5 m outside of the bounds; far out it pulls where nothing was meant.
+SETPOINT_OUTSIDE_M = 2.0
 # A wall counts as touched when it would be reached within this time: forces begin before the plane (`lcp`).
 _TOUCH_S = 0.01
 _THICK_M = 0.5  # further behind a plane is the other side of the wall
@@ -41,6 +44,7 @@ class Refusal(StrEnum):
     NOT_DETECTED = "not_detected"
     PEAK_FORCE = "peak_force"
     NO_REBOUND = "no_rebound"
+    SETPOINT = "setpoint"
     ACCELERATION = "acceleration"
     SPEED = "speed"
     BOUNDS = "bounds"
@@ -61,6 +65,7 @@ ADVICE = {
     Refusal.NOT_DETECTED: "lower detection.force_threshold_n or search faster approaches",
     Refusal.PEAK_FORCE: "raise limits.peak_force_n, search slower approaches or the flexible mode",
     Refusal.NO_REBOUND: "search faster approaches or the rigid mode",
+    Refusal.SETPOINT: "lower the wall's alpha, widen bounds_m or search slower approaches",
     Refusal.ACCELERATION: "lower the wall's alpha or raise MPC_TILTMAX_AIR",
     Refusal.SPEED: "raise limits.speed_m_s or lower the wall's alpha",
     Refusal.BOUNDS: "widen bounds_m or lower the wall's alpha",
@@ -106,12 +111,18 @@ class Constraints:
         return codes
 
     def command(self, leg: Leg, loop: tuple[float, float, float, float, float]) -> Codes:
-        """Whether the first command of a recovery is within PX4's tilt limit, where the model is linear."""
+        """Codes for a recovery's set-point and its first command.
+
+        The set-point may lie outside of the bounds, but not far; the command must be within PX4's tilt limit,
+        where the model is linear.
+        """
         kp, kv, _, kd, _ = loop
         ax = kv * (-kp * leg.x[0] - leg.x[1]) + leg.x[3] - kd * leg.x[2]
         ay = kv * (-kp * leg.y[0] - leg.y[1]) + leg.y[3] - kd * leg.y[2]
         codes = np.zeros(leg.size, dtype=np.int8)
         self.mark(codes, ax * ax + ay * ay > self.most_acceleration**2, Refusal.ACCELERATION)
+        outside_m = setpoint_outside_m(ARRAYS, self.bounds, leg.goal_x, leg.goal_y)
+        self.mark(codes, outside_m > SETPOINT_OUTSIDE_M, Refusal.SETPOINT)
         return codes
 
     def path(self, window: Window, until: NDArray[np.intp], target: Wall | None, begins: bool) -> Codes:
@@ -191,6 +202,12 @@ class Constraints:
         in_time: NDArray[np.bool_] = distance - reach >= STOP_MARGIN_M
         in_time |= (closing <= 0.0) & (distance > 0.0)
         return in_time
+
+
+def setpoint_outside_m(m: Arithmetic, bounds: Bounds, x: Number, y: Number) -> Number:
+    """How far a set-point lies outside of the bounds horizontally, metres; 0 inside."""
+    beside = m.maximum(bounds.x[0] - x, x - bounds.x[1])
+    return m.maximum(m.maximum(beside, m.maximum(bounds.y[0] - y, y - bounds.y[1])), 0.0)
 
 
 def _outside(limits: tuple[float, float], x: NDArray[Any], v: NDArray[Any]) -> NDArray[np.bool_]:

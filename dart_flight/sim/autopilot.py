@@ -284,7 +284,9 @@ def default_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
     parameters["MAV_SYS_ID"] = 1
     # What `check` asks a vehicle in motion capture for, but what this one does: hold when offboard is lost,
     # land after a while, and no sticks.
-    parameters |= {p.name: p.value for p in vehicle_parameters(PositionSource.MOCAP).values()}
+    # It has the GPS's parameters as well: one that does not answer is asked for again and again.
+    for source in (PositionSource.RTK, PositionSource.MOCAP):
+        parameters |= {p.name: p.value for p in vehicle_parameters(source).values()}
     parameters |= {
         "COM_OBL_RC_ACT": 5,
         "COM_FAIL_ACT_T": _FAILSAFE_HOLD_S,

@@ -112,13 +112,16 @@ class MavlinkEndpoint:
         autopilot: stepped by the caller, one tick before every `exchange`.
         ports: remote UDP ports on this host, one link each.
         local_port: of the first link; 0: any.
+        system: its MAVLink system id; what is meant for another one is not taken.
     """
 
-    def __init__(self, autopilot: Autopilot, ports: tuple[int, ...], local_port: int = 0) -> None:
-        self.autopilot = autopilot
+    def __init__(
+        self, autopilot: Autopilot, ports: tuple[int, ...], local_port: int = 0, system: int = 1
+    ) -> None:
+        self.autopilot, self._system = autopilot, system
         self.links = [Link(port, local_port=0 if i else local_port) for i, port in enumerate(ports)]
         self.stopped: set[int] = set()  # messages that a fault keeps back
-        self._pack = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+        self._pack = mavlink.MAVLink(None, srcSystem=system, srcComponent=1)
         self._tick = 0
         self._texts: list[tuple[str, str]] = []
         self._clips = [0, 0, 0]
@@ -235,6 +238,8 @@ class MavlinkEndpoint:
                     self._take(link, message)
 
     def _take(self, link: Link, message: Any) -> None:
+        if getattr(message, "target_system", 0) not in (0, self._system):
+            return
         kind = message.get_type()
         if kind == "COMMAND_LONG":
             self._command(link, message)

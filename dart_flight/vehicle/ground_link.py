@@ -17,7 +17,7 @@ from mavsdk.plugins.action import Action
 from mavsdk.plugins.events import Events
 from mavsdk.plugins.info import Info
 from mavsdk.plugins.mavlink_direct import MavlinkDirect
-from mavsdk.plugins.param import Param
+from mavsdk.plugins.param import Param, ParamResult
 from mavsdk.plugins.telemetry import Telemetry
 
 from dart_flight.core.guard.sources import TwoClocks
@@ -95,8 +95,10 @@ class GroundLink:
             for read in (self._param.get_param_int, self._param.get_param_float):
                 try:
                     values[name] = float(read(name))
-                except Exception:  # not there, or of the other kind
-                    continue
+                except Exception as error:
+                    if getattr(error, "result", None) in (ParamResult.WRONG_TYPE, ParamResult.TYPE_MISMATCH):
+                        continue
+                    break  # not there: MAVSDK has asked for it for seconds
                 break
         return values
 

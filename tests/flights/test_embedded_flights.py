@@ -173,6 +173,37 @@ def test_control_c_leaves_the_wall_and_lands(tmp_path: Path) -> None:
 
 
 @pytest.mark.mavlink
+def test_control_c_in_many_flights_sums_up_what_is_there(tmp_path: Path) -> None:
+    """In the second of three: it lands, the third is not begun."""
+    flights = tmp_path / "flights"
+    words = ["dry-run", SINGLE, *patiently(tmp_path), "--log-dir", str(flights), "--runs", "3", "--json"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dart_flight", *words],
+        cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        # Whatever runs the tests may ignore Ctrl-C, and its children would inherit that.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
+    )  # fmt: skip
+    until = time.monotonic() + 120.0
+    while len(list(flights.glob("*/autopilot.log"))) < 2 and time.monotonic() < until:
+        time.sleep(0.1)
+    time.sleep(5.0)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    out, err = process.communicate(timeout=90.0)
+    assert process.returncode == 130, err
+    printed = json.loads(out)
+    first, second = printed["runs"]
+    assert first["outcome"] == "completed", first["reason"]
+    assert second["outcome"] == "aborted"
+    assert second["reason"].startswith("operator"), second["reason"]
+    assert printed["interrupted"] is True
+    assert printed["summary"]["runs"] == 2
+    assert printed["summary"]["completed"] == 1
+    assert "interrupted: 2 of 3 flights were flown" in err
+    assert f"logs: 2 flights in {flights}" in err
+    assert len(list(flights.glob("*/flight.mcap"))) == 2
+
+
+@pytest.mark.mavlink
 def test_a_silent_port_is_said_in_one_line(tmp_path: Path) -> None:
     config = (ROOT / "configs/dart.yaml").read_text().replace("timeout_s: 30.0", "timeout_s: 1.0")
     path = tmp_path / "dart.yaml"

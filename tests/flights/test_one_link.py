@@ -47,6 +47,22 @@ class Commands:
         self._started.append(process)
         return process
 
+    def second_vehicle(self, port: int, system: int, ahead_s: float) -> None:
+        """Another vehicle begins to send to the port."""
+        words = ["tests.doubles.second_sender", str(port), str(system), str(ahead_s)]
+        self._started.append(
+            subprocess.Popen([sys.executable, "-m", *words], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+        )
+
+    def fly(self, port: int) -> subprocess.Popen[str]:
+        """`simulate` on the port, and `fly` with it."""
+        self.start("simulate", SINGLE, "--port", str(port))
+        wait_until_it_sends(port)
+        return self.start(
+            "fly", SINGLE, "--config", str(self.config), "--connection", f"udpin://127.0.0.1:{port}",
+            "--driver", "px4", "--yes", "--json", "--log-dir", str(self.folder / "flights"),
+        )  # fmt: skip
+
     def run(self, *words: str) -> tuple[int, str]:
         """Run one to its end; returns status and what it says on standard error."""
         _, error = self.start(*words).communicate(timeout=60.0)
@@ -154,6 +170,62 @@ def test_no_second_program_gets_at_a_flight_and_monitor_watches_it_by_its_log(co
     assert seen["frame"] == "mission"
     assert len(seen["peaks"]) == 1
     assert seen["peaks"][0][1] == pytest.approx(verdict["collisions"][0]["measured"]["peak_force_n"], rel=0.1)
+
+
+def wait_for_phase(fly: subprocess.Popen[str], phase: str) -> None:
+    assert fly.stderr is not None
+    said = ""
+    for line in fly.stderr:
+        said += line
+        if phase in line:
+            return
+    pytest.fail(said)
+
+
+@pytest.mark.mavlink
+@pytest.mark.parametrize(("system", "ahead_s"), [(1, 238.0), (1, 0.0), (7, 0.0)])
+def test_fly_beside_a_second_vehicle_on_the_port_does_not_take_off(
+    system: int, ahead_s: float, commands: Commands
+) -> None:
+    port = free_udp_port()
+    fly = commands.fly(port)
+    commands.second_vehicle(port, system, ahead_s)
+    out, error = fly.communicate(timeout=90.0)
+    assert fly.returncode in (1, 2), error
+    if out:  # `check` had found nothing yet: the guard has
+        verdict = json.loads(out)
+        assert verdict["reason"].startswith("second_vehicle_ground: "), verdict["reason"]
+    else:
+        assert "second_vehicle" in error
+    said = out + error
+    assert (f"system {system} sends on the same link" if system != 1 else " in turn") in said
+    assert "climb" not in error
+
+
+@pytest.mark.mavlink
+@pytest.mark.parametrize("ahead_s", [238.0, 0.0])
+def test_a_second_vehicle_that_begins_to_send_in_the_approach_makes_it_land(
+    ahead_s: float, commands: Commands
+) -> None:
+    port = free_udp_port()
+    fly = commands.fly(port)
+    wait_for_phase(fly, "approach")
+    commands.second_vehicle(port, 1, ahead_s)
+    out, error = fly.communicate(timeout=90.0)
+    verdict = json.loads(out)
+    assert verdict["outcome"] == "aborted", error
+    assert verdict["reason"].startswith("second_vehicle: "), verdict["reason"]
+
+
+@pytest.mark.mavlink
+def test_a_second_vehicle_with_a_system_id_of_its_own_does_no_harm_in_the_air(commands: Commands) -> None:
+    port = free_udp_port()
+    fly = commands.fly(port)
+    wait_for_phase(fly, "approach")
+    commands.second_vehicle(port, 7, 238.0)
+    out, _ = fly.communicate(timeout=90.0)
+    verdict = json.loads(out)
+    assert verdict["outcome"] == "completed", verdict["reason"]
 
 
 @pytest.mark.mavlink

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.check.parameters import names_to_read
 from dart_flight.config import load_mission
 from dart_flight.geometry import distance2
 from dart_flight.samples import FlightMode, LandedState
@@ -41,6 +42,11 @@ def airborne(autopilot: Autopilot) -> TrajectorySetPoint:
     assert autopilot.arm()
     run(autopilot, 6.0, target)
     return target
+
+
+def test_it_has_every_parameter_that_check_reads(autopilot: Autopilot) -> None:
+    """MAVSDK asks for one that is not there again and again, for three seconds."""
+    assert not set(names_to_read()) - set(autopilot.parameters)
 
 
 def test_arming_waits_for_the_estimator(autopilot: Autopilot) -> None:

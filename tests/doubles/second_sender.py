@@ -1,0 +1,34 @@
+"""A second vehicle that stands disarmed and sends to a UDP port, whoever sends there already.
+
+python -m tests.doubles.second_sender PORT SYSTEM AHEAD_S
+
+Its clock is AHEAD_S ahead of that of a `simulate` started at the same moment. It sends until it is stopped.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from dart_flight.sim.faults.twin import second_vehicle
+from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
+from dart_flight.sim.process import run_in_real_time
+from dart_flight.worlds.prepare import load_flyable
+
+MISSION = Path(__file__).parents[2] / "missions" / "single_wall.yaml"
+
+
+def main() -> None:
+    port, system, ahead_s = int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
+    vehicle = second_vehicle(load_flyable(MISSION), 1, ahead_s, 7_000_000)
+    endpoint = MavlinkEndpoint(vehicle.autopilot, (port,), system=system)
+
+    def step() -> None:
+        vehicle.advance()
+        endpoint.exchange()
+
+    run_in_real_time(step, lambda: False)
+
+
+if __name__ == "__main__":
+    main()
