@@ -7,6 +7,7 @@ prints; it holds no logic. `InputError` becomes one line and exit status 2 here,
 from __future__ import annotations
 
 import argparse
+import contextlib
 import difflib
 import importlib
 import logging
@@ -41,6 +42,7 @@ COMMANDS = {
     "completion": "what completes commands in bash, zsh or tcsh",
 }
 
+_WATCHING_NICE = 10
 EXIT_OK, EXIT_INCOMPLETE, EXIT_INPUT = 0, 1, 2
 
 
@@ -125,6 +127,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of `dart-flight`. Returns the exit status: 0 success, 1 not completed, 2 wrong input."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     command = next((a for a in arguments if a in COMMANDS), None)
+    if command == "monitor" and not any(a.startswith("--connection") for a in arguments):
+        # What a flight needs goes first, from the first import on.
+        with contextlib.suppress(OSError):
+            os.nice(_WATCHING_NICE)
     try:
         parsed = build_parser([command] if command else []).parse_args(arguments)
         logging.basicConfig(

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import contextlib
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -26,7 +24,6 @@ from dart_flight.vehicle.link import Holder, LinkLease, LinkTakenError, held_lin
 from dart_flight.worlds.monitor import Screen, Watcher, follow, watch
 
 _PERIOD_S = 0.2
-_NICE = 10
 _BAR_N, _BAR_WIDTH = 40.0, 24
 
 
@@ -122,9 +119,6 @@ def _follow(
     log: Path, flying: Callable[[], bool], show: Callable[[Screen], None], seconds: float | None
 ) -> Mission:
     """Raises InputError: the log cannot be read."""
-    # What the flight needs goes first.
-    with contextlib.suppress(OSError):
-        os.nice(_NICE)
     try:
         follower = LogFollower(log)
         first = follower.read()

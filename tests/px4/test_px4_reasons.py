@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -19,22 +20,19 @@ pytestmark = pytest.mark.px4
 
 MISSION = Path(__file__).parents[2] / "missions" / "single_wall.yaml"
 # v1.14 and v1.15 in simulation do not serve the words of their events.
-WITHOUT_WORDS = "preflight checks failed"
+WITHOUT_WORDS = ("preflight checks failed", "gives no reason")
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "kind", "rule", "begins", "words"),
-    [
-        ("COM_ARM_ODID", 2, 6, "arming_refused", "PX4 refused to arm; PX4 says: ", "Open Drone ID"),
-        ("EKF2_EV_CTRL", 8, 6, "arming_refused", "PX4 refused to arm; PX4 says: ", "No valid position"),
-    ],
+    ("changes", "words"),
+    [({"COM_ARM_ODID": 2}, "Open Drone ID"), ({"EKF2_EV_CTRL": 8, "EKF2_HGT_REF": 0}, "osition")],
     ids=["a preflight check", "no position"],
 )
 def test_a_refusal_says_why_in_terminal_log_and_verdict(
-    name: str, value: int, kind: int, rule: str, begins: str, words: str, px4_dir: Path, tmp_path: Path
+    changes: dict[str, int], words: str, px4_dir: Path, tmp_path: Path
 ) -> None:
     own = tmp_path / "own.params"
-    own.write_text(f"# of this test\n1\t1\t{name}\t{value}\t{kind}\n")
+    own.write_text("# of this test\n" + "".join(f"1\t1\t{name}\t{v}\t6\n" for name, v in changes.items()))
     done = subprocess.run(
         [
             sys.executable, "-m", "dart_flight", "dry-run", str(MISSION), "--px4", str(px4_dir), "--json",
@@ -43,10 +41,12 @@ def test_a_refusal_says_why_in_terminal_log_and_verdict(
         capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
     assert done.returncode == 1, done.stderr
+    if "has no parameter" in done.stderr:
+        pytest.skip(done.stderr.splitlines()[-1])
     verdict = json.loads(done.stdout)
     reason = verdict["reason"]
-    assert reason.startswith(f"{rule}: {begins}"), reason
-    assert words in reason or WITHOUT_WORDS in reason, reason
+    assert reason.startswith("arming_refused: PX4 refused to arm; PX4 "), reason
+    assert any(word in reason for word in (words, *WITHOUT_WORDS)), reason
     said = " ".join(done.stderr.split())
     assert reason.partition(": ")[2] in said, done.stderr
     (log,) = (tmp_path / "flights").glob("*/flight.mcap")
@@ -54,7 +54,7 @@ def test_a_refusal_says_why_in_terminal_log_and_verdict(
     assert [r.detail for r in records if isinstance(r, GuardEvent)] == [reason.partition(": ")[2]]
     given = [r.text for r in records if isinstance(r, StatusText)]
     given += [word for r in records if isinstance(r, HealthReport) for word in (*r.blocking, *r.others)]
-    quoted = reason.partition("PX4 says: ")[2].replace("; also ", ", ").split(", ")
+    quoted = re.split("PX4 says: |, but finds: ", reason)[-1].replace("; also ", ", ").split(", ")
     assert all(any(word in text for text in given) for word in quoted), (quoted, given)
 
 
@@ -67,6 +67,8 @@ def test_check_on_a_connection_says_why_px4_would_not_arm(px4_dir: Path, tmp_pat
             capture_output=True, text=True, timeout=120, check=False,
         )  # fmt: skip
     found = {f["item"]: f for f in json.loads(done.stdout)["findings"]}
+    if "px4_checks" not in found:
+        pytest.skip(f"{found['version']['says']} sends no report of its checks")
     says = found["px4_checks"]["says"]
     assert says.startswith("PX4 would not arm as it is: "), says
-    assert "Open Drone ID" in says or WITHOUT_WORDS in says
+    assert any(word in says for word in ("Open Drone ID", *WITHOUT_WORDS)), says

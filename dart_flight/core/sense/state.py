@@ -244,10 +244,11 @@ class FlightState:
         also = [word for word in others if word not in found][:_MOST_REASONS]
         if found:
             return "; PX4 says: " + ", ".join(found) + ("; also " + ", ".join(also) if also else "")
-        if also:
-            return "; PX4 says: " + ", ".join(also)
         answer = self._refused.get(command or "")
-        return f"; PX4 answers: {answer}" if answer else ""
+        answered = f"; PX4 answers: {answer}" if answer else ""
+        if also:  # all that a PX4 without reports tells; it need not be the reason
+            return f"{answered}; PX4 gives no reason, but finds: " + ", ".join(also)
+        return answered
 
     @property
     def in_offboard(self) -> bool:
