@@ -27,7 +27,8 @@ pytestmark = pytest.mark.px4
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 SWEEP = Path(__file__).parents[2] / "tools" / "campaigns" / "px4_sweep_mission.yaml"
-FAST = 3.0  # times real time: what lockstep sustains here with room to spare
+# Times real time: what lockstep sustains on two idle cores with room to spare; a busy machine wants 1.
+FAST = float(os.environ.get("DART_PX4_SPEED", "3"))
 
 
 def accept(verdict: Verdict) -> None:
@@ -67,7 +68,7 @@ def test_lock_servo_on_px4s_own_output(px4_dir: Path, tmp_path: Path) -> None:
     from dart_flight.worlds.prepare import with_driver
 
     mission = with_driver(load_flyable(MISSIONS / "dual_collision.yaml"), LockDriver.PX4)
-    accept(fly_px4(mission, px4_dir, 1, tmp_path, speed=2.0))
+    accept(fly_px4(mission, px4_dir, 1, tmp_path, speed=min(2.0, FAST)))
 
 
 def test_a_hit_beyond_full_scale_is_marked_as_clipped(px4_dir: Path, tmp_path: Path) -> None:
