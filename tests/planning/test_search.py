@@ -139,7 +139,7 @@ def test_a_wall_in_the_way_is_an_obstacle(tmp_path: Path) -> None:
     path.write_text(text)
     result = search(load_scenario(path), top=1)
     assert result.refused[Refusal.OBSTACLE] > 50
-    assert result.feasible < 1519
+    assert result.feasible < 1554
 
 
 def test_a_wall_on_the_last_straight_to_the_goal_is_an_obstacle() -> None:
