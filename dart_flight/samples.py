@@ -394,6 +394,22 @@ class ForceEstimate(Record, frozen=True, gc=False):
     push_mission: Vec2 = (0.0, 0.0)  # horizontal force of thrust and drag, N: what leans on a wall
 
 
+class TorqueEstimate(Record, frozen=True, gc=False):
+    """External torque about the centre of mass at an IMU sample, body FRD (docs/torque.md).
+
+    What turns the vehicle beside its motors: inertia times the change of the gyro's rate over the tick, the
+    gyroscopic term, less the torque of the motors. A sample stands for the mean over the tick that ends at
+    `t_us`.
+    """
+
+    topic: ClassVar[str] = "/estimate/torque"
+    t_us: int
+    torque_frd: Vec3
+    torque_filtered_frd: Vec3 = (0.0, 0.0, 0.0)  # first-order low-pass of the torque
+    noise_frd_nm: Vec3 = (0.0, 0.0, 0.0)  # white part of each component's error, standard deviation
+    motors_known: bool = True  # else the motors' torque is not in it: it counts as external
+
+
 class ImpactOnset(Record, frozen=True, gc=False):
     """The horizontal force crossed the threshold."""
 
@@ -430,6 +446,29 @@ class ContactEnd(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/event/contact_end"
     t_us: int
     first_us: int
+
+
+class ContactSide(StrEnum):
+    """Which of the two points of a side met the wall first, as seen when flying into it."""
+
+    LEFT = "left"
+    RIGHT = "right"
+    BOTH = "both"
+
+
+class ImpactBody(Record, frozen=True, gc=False):
+    """How an impact met the vehicle's body: once after its peak, once more at its end (docs/torque.md)."""
+
+    topic: ClassVar[str] = "/event/impact_body"
+    t_us: int  # newest sample that it rests on
+    first_us: int  # of the impact's onset
+    final: bool  # at the end of the contact
+    side: ContactSide
+    lead_m: float  # how much nearer to the wall the right point was than the left one at the first touch
+    incidence_rad: float  # leading edge against the wall at the first touch, signed: positive turned left
+    incidence_sigma_rad: float
+    torque_peak_frd: Vec3  # largest external torque so far
+    peak_torque_nm: float  # its magnitude
 
 
 class DetectionFloor(Record, frozen=True, gc=False):
@@ -490,10 +529,12 @@ Output = (
     | LockPermission
     | Silence
     | ForceEstimate
+    | TorqueEstimate
     | ImpactOnset
     | ImpactPeak
     | ContactEnd
     | DetectionFloor
+    | ImpactBody
     | PhaseChange
     | GuardEvent
     | GoalPassed

@@ -16,10 +16,11 @@ import msgspec
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.recording.schema import INPUTS, OUTPUTS
 from dart_flight.recording.writer import LogPart
-from dart_flight.samples import ContactEnd, ForceEstimate
+from dart_flight.samples import ContactEnd, ForceEstimate, TorqueEstimate
 from dart_flight.worlds.replay import WITHOUT
 
 _AFTER_US = 2_000_000
+_LEFT_OUT = (ForceEstimate, TorqueEstimate)  # one for every IMU sample
 
 
 def keep(source: Path, target: Path) -> int:
@@ -33,10 +34,10 @@ def keep(source: Path, target: Path) -> int:
     t_us = 0
     for entry in log.entries:
         t_us = getattr(entry.record, "t_us", 0) or t_us
-        kept = isinstance(entry.record, (*INPUTS, *OUTPUTS)) and not isinstance(entry.record, ForceEstimate)
+        kept = isinstance(entry.record, (*INPUTS, *OUTPUTS)) and not isinstance(entry.record, _LEFT_OUT)
         if kept and entry.number <= last:
             part.write(entry.record, t_us, entry.number)
-    part.finish({"lost": "0", WITHOUT: ForceEstimate.__name__})
+    part.finish({"lost": "0", WITHOUT: " ".join(kind.__name__ for kind in _LEFT_OUT)})
     part.close()
     return target.stat().st_size
 

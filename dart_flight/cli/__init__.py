@@ -34,7 +34,7 @@ COMMANDS = {
     "export": "a flight log as CSV files",
     "predict": "predict a collision or a drop",
     "monitor": "live view of force, detection, streams, lock and phase, without flying",
-    "calibrate": "thrust curve from hover segments of flights",
+    "calibrate": "thrust curve or inertia from flights",
     "feel": "what PX4 logs of any multirotor felt: force, impacts, what is unknown",
     "identify": "contact coefficients from recorded trials",
     "tables": "the paper's collision tables beside the model's",

@@ -1,10 +1,11 @@
-"""`dart-flight calibrate thrust LOG...`: the thrust curve from hover."""
+"""`dart-flight calibrate thrust|inertia LOG...`: the thrust curve from hover, the inertia from turning."""
 
 from __future__ import annotations
 
 import argparse
 import os
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import msgspec
 from rich.table import Table
@@ -14,9 +15,11 @@ from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config import InputError, default_config_path, find_vehicle
 from dart_flight.config.document import Key
 from dart_flight.config.edit import write_values
-from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle import VehicleConfig, packaged
+from dart_flight.identify.inertia import WINDOW_S, InertiaCalibration, calibrate_inertia
 from dart_flight.identify.thrust_curve import (
     ThrustCalibration,
+    Track,
     calibrate_thrust,
     read_track,
     said_of,
@@ -26,11 +29,11 @@ from dart_flight.recording.found import from_each, logs_in
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument("what", choices=("thrust",))
+    parser.add_argument("what", choices=("thrust", "inertia"))
     parser.add_argument(
         "logs", nargs="+", metavar="LOG", help=".mcap, PX4 ULog (.ulg), or a folder of flights"
     )
-    parser.add_argument("--write", action="store_true", help="write the curve into the configuration")
+    parser.add_argument("--write", action="store_true", help="write the result into the configuration")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -41,28 +44,77 @@ def run(arguments: argparse.Namespace) -> int:
         _refuse_unwritable(arguments, path)
     left_out: list[str] = []
     tracks = from_each(logs_in(arguments.logs), read_track, left_out.append)
-    result = calibrate_thrust(tracks, vehicle)
+    calibrate = _thrust if arguments.what == "thrust" else _inertia
+    result, table, said, values = calibrate(tracks, vehicle)
     for line in left_out:
         messages().print(line, markup=False, soft_wrap=True)
     say_vehicle(source, messages(), asked=arguments.config is not None)
     if arguments.json:
-        emit_json({**msgspec.structs.asdict(result), "vehicle": source})
+        emit_json({**result, "vehicle": source})
     else:
-        tables().print(_table(result))
-        for note in result.notes:
-            messages().print(note, soft_wrap=True)
-        messages().print(f"windows rejected: {said_of(result.rejected) or 'none'}", soft_wrap=True)
+        tables().print(table)
+        for line in said:
+            messages().print(line, markup=False, soft_wrap=True)
     if arguments.write:
-        values: dict[Key, float] = {("thrust", "full_n"): round(result.full_n, 4)}
-        if result.model_factor_error is not None:
-            values["thrust", "model_factor"] = round(result.model_factor, 4)
-        if result.reference_v is not None:
-            values["estimation", "battery", "reference_v"] = round(result.reference_v, 3)
-        if result.battery_exponent_error is not None:
-            values["estimation", "battery", "exponent"] = round(result.battery_exponent, 3)
         write_values(path, values)
         messages().print(f"written: {path}", soft_wrap=True)
     return 0
+
+
+class _Calibrated(NamedTuple):
+    """As JSON, as a table, what else there is to say, and what goes into the configuration."""
+
+    result: dict[str, Any]
+    table: Table
+    said: list[str]
+    values: dict[Key, float]
+
+
+def _thrust(tracks: list[Track], vehicle: VehicleConfig) -> _Calibrated:
+    result = calibrate_thrust(tracks, vehicle)
+    values: dict[Key, float] = {("thrust", "full_n"): round(result.full_n, 4)}
+    if result.model_factor_error is not None:
+        values["thrust", "model_factor"] = round(result.model_factor, 4)
+    if result.reference_v is not None:
+        values["estimation", "battery", "reference_v"] = round(result.reference_v, 3)
+    if result.battery_exponent_error is not None:
+        values["estimation", "battery", "exponent"] = round(result.battery_exponent, 3)
+    said = [*result.notes, f"windows rejected: {said_of(result.rejected) or 'none'}"]
+    return _Calibrated(msgspec.structs.asdict(result), _table(result), said, values)
+
+
+def _inertia(tracks: list[Track], vehicle: VehicleConfig) -> _Calibrated:
+    result = calibrate_inertia(tracks, vehicle)
+    values: dict[Key, float] = {
+        ("airframe", "inertia_kg_m2", i): round(axis.value, 6)
+        for i, axis in enumerate(result.axes)
+        if axis.value is not None
+    }
+    refused = [f"{axis.axis} kept: {axis.refused}" for axis in result.axes if axis.refused]
+    return _Calibrated(
+        {**msgspec.structs.asdict(result), "inertia_kg_m2": result.inertia_kg_m2},
+        _inertia_table(result),
+        [*result.notes, *refused],
+        values,
+    )
+
+
+def _inertia_table(r: InertiaCalibration) -> Table:
+    title = f"inertia from {r.windows} windows of {1000.0 * WINDOW_S:.0f} ms"
+    table = Table(title=title, title_justify="left")
+    for column in ("about", "kg m2", "95 % interval", "torque, N m", "explained"):
+        table.add_column(column, justify="left" if column == "about" else "right")
+    for axis in r.axes:
+        known = axis.value is not None and axis.low is not None and axis.high is not None
+        table.add_row(
+            axis.axis,
+            f"{axis.value:.5f}" if known else "not told",
+            f"{axis.low:.5f} to {axis.high:.5f}" if known else "-",
+            f"{axis.torque_nm:.3f}",
+            f"{100.0 * axis.explained:.0f} %",
+        )
+    table.add_row("motor lag, s", f"{r.motor_lag_s:.4f}", "", "", "")
+    return table
 
 
 def _refuse_unwritable(arguments: argparse.Namespace, path: Path) -> None:

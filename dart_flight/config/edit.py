@@ -15,6 +15,8 @@ from dart_flight.config.document import Document, InputError, Key
 def edit_values(text: str, values: Mapping[Key, float], source: str = "") -> str:
     """A YAML text with the scalars at some keys replaced by numbers; keeps comments in their column.
 
+    A number in a key is a place in a list, from 0.
+
     Raises:
         InputError: not YAML, or a key is missing or has no plain value.
     """
@@ -64,6 +66,9 @@ def _number(value: float) -> str:
 def _scalar(root: yaml.Node | None, key: Key, source: str) -> yaml.ScalarNode:
     node = root
     for part in key:
+        if isinstance(node, yaml.SequenceNode) and isinstance(part, int):
+            node = node.value[part] if 0 <= part < len(node.value) else None
+            continue
         children = node.value if isinstance(node, yaml.MappingNode) else []
         node = next((value for name, value in children if name.value == part), None)
     if not isinstance(node, yaml.ScalarNode) or not node.value:

@@ -78,6 +78,7 @@ class FlightCore:
         known: list[Output] = []
         if sensed.estimate is not None:
             known = [sensed.estimate, *sensed.impacts]
+            known += [o for o in (sensed.torque, sensed.body) if o is not None]
         try:
             known += self._dispose(item, sensed, proposal)
             return known

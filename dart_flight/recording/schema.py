@@ -26,6 +26,7 @@ FRAMES = {
     "_frd_to_ned": "rotation body FRD to world NED, (w, x, y, z)",
     "_ned": "local NED: north, east, down",
     "_frd": "body FRD: forward, right, down",
+    "_frd_nm": "body FRD: forward, right, down",
     "_mission": "mission frame: x along its heading, y left, z up",
     "_ned_rad": "heading, clockwise from north",
 }
@@ -36,6 +37,7 @@ UNITS = {
     "_n": "N",
     "_v": "V",
     "_rad": "rad",
+    "_nm": "N m",
 }
 # First words that say the unit where the name says none.
 QUANTITIES = {
@@ -46,6 +48,8 @@ QUANTITIES = {
     "rate_": "rad/s",
     "force_": "N",
     "contact_force_": "N",
+    "torque_": "N m",
+    "contact_torque_": "N m",
     "q_": "unit quaternion",
     "motors": "0 (stopped) to 1",
     "normal": "unit vector, mission frame",

@@ -36,6 +36,7 @@ from dart_flight.samples import (
     Record,
     SetPoint,
     Tick,
+    TorqueEstimate,
     TruthSample,
 )
 
@@ -60,6 +61,7 @@ _STREAMS = frozenset(
         Tick,
         SetPoint,
         ForceEstimate,
+        TorqueEstimate,
         TruthSample,
     }
 )

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 import msgspec
 
-from dart_flight.config.vehicle import Thrust
+from dart_flight.config.vehicle import MOTORS, Thrust
 from dart_flight.geometry import (
     GRAVITY_M_S2,
     Quaternion,
@@ -24,7 +24,6 @@ from dart_flight.geometry import (
     rotate,
     wrap_angle,
 )
-from dart_flight.sim.plant import MOTORS
 
 _MAX_RATE = (math.radians(220.0), math.radians(220.0), math.radians(200.0))  # MC_*RATE_MAX defaults
 _YAW_WEIGHT = 0.4  # MC_YAW_WEIGHT default

@@ -15,7 +15,7 @@ import random
 import msgspec
 
 from dart_flight.config.mission import Mission
-from dart_flight.config.vehicle import Airframe, BodyModel, Coefficients, VehicleConfig
+from dart_flight.config.vehicle import BodyModel, Coefficients, Motor, VehicleConfig
 from dart_flight.contact.body import Plane, Touch, arm_of, folds, guards_of, touch
 from dart_flight.contact.law import Onset, coefficients_in_force, contact_force
 from dart_flight.geometry import (
@@ -43,36 +43,10 @@ STEP_S = 0.001
 CONTACT_STEPS = 10  # of 0.1 ms in one step of 1 ms
 _NEAR_WALL_M = 0.08  # below 5 m/s no contact begins further away
 _BEHIND_M = -0.6  # a vehicle this far behind a plane is on the wall's other side
-_YAW_TORQUE_PER_THRUST_M = 0.016  # drag torque of a 6-inch propeller per newton of thrust, example value
 _REBOUND_S = 0.01  # a guard that comes back within this time belongs to the same contact
 _HALF_ENGAGED = 0.5  # how free arms are with half-engaged rods
 _GROUND_STEPS = 2  # a millisecond, where only the landing gear touches: nothing is measured there
 _GROUND_SPEED_M_S = 0.05  # regularisation of the ground's friction
-
-# Motors in PX4's order for a quadrotor in X, FRD: sign of x, sign of y, direction of the yaw torque.
-MOTORS: tuple[tuple[int, int, int], ...] = ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1))
-
-
-class Motor(msgspec.Struct, frozen=True):
-    """One motor of an airframe.
-
-    Attributes:
-        x_m, y_m: position, FRD, metres from the centre of mass.
-        yaw_m: yaw torque in N m per newton of thrust; positive for a propeller that turns counter-clockwise
-            seen from above (PX4's CA_ROTORn_KM).
-    """
-
-    x_m: float
-    y_m: float
-    yaw_m: float
-
-
-def motors_of(airframe: Airframe) -> tuple[Motor, ...]:
-    """The configured airframe's motors in PX4's order for a quadrotor in X."""
-    return tuple(
-        Motor(sx * airframe.arm_x_m, sy * airframe.arm_y_m, spin * _YAW_TORQUE_PER_THRUST_M)
-        for sx, sy, spin in MOTORS
-    )
 
 
 class _WallPlane(msgspec.Struct):
@@ -143,7 +117,7 @@ class Plant:
         scatter_seed: int = 0,
     ) -> None:
         self.vehicle, self.frame = vehicle, frame
-        self.motors = motors if motors is not None else motors_of(vehicle.airframe)
+        self.motors = motors if motors is not None else vehicle.airframe.motors
         self.onset = Onset(vehicle.onset)
         self.planes = [_plane(wall, frame, vehicle.simulation.contact.guard_out_m) for wall in walls]
         self.mass = vehicle.airframe.mass_kg

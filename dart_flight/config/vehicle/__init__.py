@@ -4,7 +4,7 @@ The types here are the schema (`docs/schemas/`) and say what every key means; th
 are in the file.
 """
 
-from dart_flight.config.vehicle.airframe import Airframe, Coefficients, Imu, Material, Thrust
+from dart_flight.config.vehicle.airframe import MOTORS, Airframe, Coefficients, Imu, Material, Motor, Thrust
 from dart_flight.config.vehicle.autopilot import Px4Parameters
 from dart_flight.config.vehicle.configuration import (
     VehicleConfig,
@@ -25,6 +25,7 @@ from dart_flight.config.vehicle.lock import Cam, LimitSwitch, LockConfig, LockDr
 from dart_flight.config.vehicle.simulation import BodyModel, ContactBody, ImuRinging, Simulation, Spreads
 
 __all__ = [
+    "MOTORS",
     "Airframe",
     "ArmVibration",
     "BodyModel",
@@ -41,6 +42,7 @@ __all__ = [
     "LockDriver",
     "LockStartup",
     "Material",
+    "Motor",
     "Observer",
     "Px4Parameters",
     "Servo",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
+import msgspec
 from msgspec import Meta
 
 from dart_flight.config.section import Fraction, Section
@@ -12,6 +13,24 @@ from dart_flight.samples import Mode
 
 Drag = Annotated[float, Meta(ge=0.0, le=10.0)]
 Inertia = Annotated[float, Meta(gt=0.0, le=10.0)]
+Lever = Annotated[float, Meta(ge=-1.0, le=1.0)]
+
+# Motors in PX4's order for a quadrotor in X, FRD: sign of x, sign of y, direction of the yaw torque.
+MOTORS: tuple[tuple[int, int, int], ...] = ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1))
+
+
+class Motor(msgspec.Struct, frozen=True):
+    """One motor of an airframe.
+
+    Attributes:
+        x_m, y_m: position, FRD, metres from the centre of mass.
+        yaw_m: yaw torque in N m per newton of thrust; positive for a propeller that turns counter-clockwise
+            seen from above (PX4's CA_ROTORn_KM).
+    """
+
+    x_m: float
+    y_m: float
+    yaw_m: float
 
 
 class Airframe(Section, frozen=True):
@@ -22,9 +41,11 @@ class Airframe(Section, frozen=True):
         contact_distance_m: from the centre of mass to the wall's plane at the first contact.
         incidence_rigid_deg: from this angle of incidence on the arms cannot fold: rigid values in both modes.
         drag_per_s: [b_x, b_y, b_z] along the mission's axes: acceleration by air drag = -b * air speed.
-        inertia_kg_m2: about [forward, right, down]; only for the simulation.
-        arm_x_m: motor to centre of mass, forward; only for the simulation.
-        arm_y_m: motor to centre of mass, sideways; only for the simulation.
+        inertia_kg_m2: about [forward, right, down]; `calibrate inertia` fits it.
+        arm_x_m: motor to centre of mass, forward.
+        arm_y_m: motor to centre of mass, sideways.
+        yaw_torque_per_thrust_m: drag torque of a propeller over its thrust, N m per N.
+        guard_along_m: from the middle of a side to either of the two points that touch a wall first.
     """
 
     mass_kg: Annotated[float, Meta(ge=0.05, le=50.0)]
@@ -34,6 +55,16 @@ class Airframe(Section, frozen=True):
     inertia_kg_m2: tuple[Inertia, Inertia, Inertia]
     arm_x_m: Annotated[float, Meta(ge=0.01, le=2.0)]
     arm_y_m: Annotated[float, Meta(ge=0.01, le=2.0)]
+    yaw_torque_per_thrust_m: Annotated[float, Meta(gt=0.0, le=0.5)] = 0.016
+    guard_along_m: Annotated[float, Meta(gt=0.0, le=2.0)] = 0.13
+
+    @property
+    def motors(self) -> tuple[Motor, ...]:
+        """The four motors in PX4's order for a quadrotor in X."""
+        return tuple(
+            Motor(sx * self.arm_x_m, sy * self.arm_y_m, spin * self.yaw_torque_per_thrust_m)
+            for sx, sy, spin in MOTORS
+        )
 
 
 class Thrust(Section, frozen=True):
@@ -72,12 +103,14 @@ class Imu(Section, frozen=True):
         rate_hz: of the samples that PX4 sends.
         tick_s: time over which one sample is averaged.
         antialias_hz: -3 dB frequency of the accelerometer's own low-pass, first order.
+        position_m: [forward, right, down] of the centre of mass; what turning adds there is taken off.
     """
 
     full_scale_m_s2: Annotated[float, Meta(ge=10.0, le=5000.0)]
     rate_hz: Annotated[float, Meta(ge=10.0, le=10000.0)]
     tick_s: Annotated[float, Meta(gt=0.0, le=0.1)]
     antialias_hz: Annotated[float, Meta(ge=1.0, le=20000.0)]
+    position_m: tuple[Lever, Lever, Lever] = (0.0, 0.0, 0.0)
 
     @property
     def filter_lag_s(self) -> float:

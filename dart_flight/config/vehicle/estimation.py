@@ -143,6 +143,8 @@ class Detection(Section, frozen=True):
             0: noise does not lift it.
         short_window_s: mean over which a rigid contact is looked for in noise.
         long_window_s: mean over which a flexible contact is looked for in noise.
+        pulse_misfit: the peak comes from the fitted pulse while the mean square of its residuals, over their
+            expected errors, is at most this; else from the top alone. 0: always from the fit.
     """
 
     force_threshold_n: Annotated[float, Meta(gt=0.0, le=1000.0)]
@@ -157,3 +159,4 @@ class Detection(Section, frozen=True):
     noise_sigma: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.0
     short_window_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.032
     long_window_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.1
+    pulse_misfit: Annotated[float, Meta(ge=0.0, le=1000.0)] = 0.0

@@ -375,7 +375,10 @@ class ImpactDetector:
         pulse = self._fit(readings, state)
         inside = [s for s in self._samples if s.t_us >= reference_us]
         clipped = any(s.clipped for s in inside)
-        if pulse is None:
+        # Off its middle a body meets a wall with one point first: that pulse is not the model's.
+        most = self._config.pulse_misfit
+        fits = pulse is not None and (most <= 0.0 or clipped or pulse.misfit <= most)
+        if pulse is None or not fits:
             normal_n, peak_us = _top_of([(s.t_us, s.fx * nx + s.fy * ny) for s in inside])
         else:
             normal_n, peak_us = pulse.peak_n, reference_us + round(pulse.peak_s * 1e6)
@@ -389,8 +392,8 @@ class ImpactDetector:
             tangential_force_n=tangential,
             position_mission=state.position_at(min(peak_us, now_us)),
             clipped=clipped,
-            normal_sigma_n=self._noise if pulse is None else pulse.sigma_n,
-            fitted=pulse is not None,
+            normal_sigma_n=self._noise if pulse is None or not fits else pulse.sigma_n,
+            fitted=fits,
             vertical_mean_n=sum(s.fz for s in inside) / len(inside),
         )
 

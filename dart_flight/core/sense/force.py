@@ -2,7 +2,8 @@
 
     force = m R f - R T + m diag(b) v
 
-with f the specific force of the IMU (gravity is not in it), T the thrust vector, R body to mission, b the air
+with f the specific force at the centre of mass (gravity is not in it; what an IMU beside it feels
+of turning is taken off, `core/sense/turning.py`), T the thrust vector, R body to mission, b the air
 drag along the mission's axes. Streams are aligned by the autopilot's stamps: a reading is the mean over the
 tick that ends at its stamp, later by the anti-alias filter's delay; attitude is carried to the middle of that
 time with the gyro, thrust is averaged over the tick. With `estimation.observer: momentum` the force comes
@@ -20,6 +21,7 @@ from dart_flight.core.sense.bias import HoverBias
 from dart_flight.core.sense.momentum import MomentumObserver
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.thrust import ThrustModel
+from dart_flight.core.sense.turning import Turning
 from dart_flight.geometry import GRAVITY_M_S2, MissionFrame, Quaternion, Vec3, advance_attitude
 from dart_flight.samples import AttitudeSample, ForceEstimate, ImuSample, LockPhase, Mode
 
@@ -34,6 +36,8 @@ class ForceEstimator:
     Attributes:
         thrust: give it the samples it can use.
         hover: what has been learnt while hovering.
+        turning: rate and angular acceleration of the newest sample.
+        attitude: that the newest estimate was made with, body FRD to NED; None where there was none.
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:
@@ -46,6 +50,10 @@ class ForceEstimator:
         self._tick_s = vehicle.imu.tick_s
         self.thrust = ThrustModel(vehicle)
         self.hover = HoverBias(e, self._mass)
+        self.turning = Turning()
+        self.attitude: Quaternion | None = None
+        at = vehicle.imu.position_m
+        self._imu_at = at if any(at) else None
         self._thrust_variance = e.thrust_error_n**2
         self._attitude_variance = e.attitude_error_rad**2
         self._filter_s = e.filter_s
@@ -76,7 +84,8 @@ class ForceEstimator:
         self._last_us = t_us
         hover = self.hover
         curve_n = self.thrust.mean_over_tick(t_us)
-        q = self._attitude_at(t_us - self._centre_us, imu.rate_frd)
+        self.turning.take(imu)
+        q = self.attitude = self._attitude_at(t_us - self._centre_us, imu.rate_frd)
         frame = state.frame
         if q is None or frame is None:
             return None
@@ -84,16 +93,18 @@ class ForceEstimator:
             self._frame = frame
             self._heading = (math.cos(frame.heading_rad), math.sin(frame.heading_rad))
         f, v = imu.specific_force_frd, state.velocity
+        if self._imu_at is not None:
+            f = self.turning.at_centre(f, self._imu_at)
         if not in_contact and not state.on_ground:
             speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
             hover.learn(f, imu.rate_frd, speed, curve_n, dt_s)
-        return self._force(imu, state, q, curve_n * hover.scale, dt_s)
+        return self._force(imu, f, state, q, curve_n * hover.scale, dt_s)
 
     def _force(
-        self, imu: ImuSample, state: FlightState, q: Quaternion, thrust_n: float, dt_s: float
+        self, imu: ImuSample, f: Vec3, state: FlightState, q: Quaternion, thrust_n: float, dt_s: float
     ) -> ForceEstimate:
         m, hover = self._mass, self.hover
-        fx, fy, fz = imu.specific_force_frd
+        fx, fy, fz = f
         w, x, y, z = q
         c, s = self._heading
         # Rows of R, body FRD to NED, written out; then NED to mission.
@@ -115,7 +126,8 @@ class ForceEstimator:
             if self._arms is not None:
                 force = self._still(self._arms, force, state, dt_s)
             clip, noise = self._clip, m * hover.noise_m_s2
-            clipped = abs(fx) >= clip or abs(fy) >= clip or abs(fz) >= clip
+            rx, ry, rz = imu.specific_force_frd
+            clipped = abs(rx) >= clip or abs(ry) >= clip or abs(rz) >= clip
         keep = math.exp(-dt_s / self._filter_s) if self._filter_s > 0.0 else 0.0
         old = self._filtered
         self._filtered = (

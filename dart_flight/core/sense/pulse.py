@@ -55,7 +55,10 @@ class Prior(msgspec.Struct, gc=False, frozen=True):
 
 
 class NormalPulse(msgspec.Struct, gc=False):
-    """A fitted normal pulse: onset, slope there, frequency, damping, push; peak, its moment and error."""
+    """A fitted normal pulse: onset, slope there, frequency, damping, push; peak, its moment and error.
+
+    `misfit` is the mean square of the residuals, each over what noise and model are off by.
+    """
 
     start_s: float
     slope: float
@@ -65,6 +68,7 @@ class NormalPulse(msgspec.Struct, gc=False):
     peak_n: float
     peak_s: float
     sigma_n: float
+    misfit: float = 0.0
 
 
 def _terms(s: float, omega: float, sigma: float) -> tuple[float, float, float, float]:
@@ -267,6 +271,7 @@ class _Fit:
             peak_n=top,
             peak_s=self.start + at,
             sigma_n=math.sqrt(max(0.0, variance)),
+            misfit=self._cost / max(1, freedom - 3),
         )
 
     def _misfit(self) -> tuple[int, float]:

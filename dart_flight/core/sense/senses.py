@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from dart_flight.config.mission import Mission
+from dart_flight.core.sense.body import BodySense, Felt
 from dart_flight.core.sense.detector import Expected, ImpactDetector
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.state import FlightState
+from dart_flight.core.sense.torque import TorqueEstimator
 from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
@@ -20,6 +22,7 @@ from dart_flight.samples import (
     EstimatorSample,
     ForceEstimate,
     HealthReport,
+    ImpactBody,
     ImpactOnset,
     ImpactPeak,
     ImuSample,
@@ -29,6 +32,7 @@ from dart_flight.samples import (
     StatusSample,
     StatusText,
     Tick,
+    TorqueEstimate,
 )
 
 
@@ -39,11 +43,15 @@ class Sensed(NamedTuple):
         estimate: the external force, where the input gives one.
         impacts: what the detector makes of it, none at most times; what it can feel, as an approach begins.
         in_contact: between onset and end of a contact.
+        torque: the external torque, where the input gives one.
+        body: how an impact met the body, after its peak and at its end.
     """
 
     estimate: ForceEstimate | None = None
     impacts: tuple[ImpactOnset | ImpactPeak | ContactEnd | DetectionFloor, ...] = ()
     in_contact: bool = False
+    torque: TorqueEstimate | None = None
+    body: ImpactBody | None = None
 
 
 _NOTHING, _TOUCHING = Sensed(), Sensed(in_contact=True)
@@ -55,13 +63,17 @@ class Senses:
     Attributes:
         state: the newest of every stream.
         estimator: external force from every IMU sample.
-        detector: impacts in it; it watches only while told to.
+        torque: external torque from every IMU sample.
+        detector: impacts in the force; it watches only while told to.
+        body: how they meet the body.
     """
 
     def __init__(self, mission: Mission) -> None:
         self.state = FlightState()
         self.estimator = ForceEstimator(mission.vehicle)
+        self.torque = TorqueEstimator(mission.vehicle)
         self.detector = ImpactDetector(mission.vehicle)
+        self.body = BodySense(mission.vehicle)
 
     def take(self, item: Input, expected: Expected) -> Sensed:
         """Take one input, knowing what contact the mission expects; returns what that teaches."""
@@ -101,8 +113,22 @@ class Senses:
         return _TOUCHING if self.detector.in_contact else _NOTHING
 
     def _feel(self, item: ImuSample, expected: Expected) -> Sensed:
-        estimate = self.estimator.estimate(item, self.state, self.detector.in_contact)
+        state, estimator, detector = self.state, self.estimator, self.detector
+        touching = detector.in_contact
+        estimate = estimator.estimate(item, state, touching)
+        torque = self.torque.estimate(
+            item.t_us,
+            estimator.turning,
+            estimator.thrust.each_n,
+            estimator.hover.scale,
+            not touching and not state.on_ground,
+        )
         if estimate is None:
-            return Sensed(in_contact=self.detector.in_contact)
-        impacts = self.detector.update(estimate, item.received_us, self.state, expected)
-        return Sensed(estimate, tuple(impacts), self.detector.in_contact)
+            return Sensed(in_contact=touching)
+        slow = detector.slow_force.value
+        impacts = detector.update(estimate, item.received_us, state, expected)
+        body = None
+        if torque is not None and estimator.attitude is not None:
+            felt = Felt(estimate, torque, estimator.attitude, estimator.turning.rate)
+            body = self.body.take(felt, state, slow, impacts, expected)
+        return Sensed(estimate, tuple(impacts), detector.in_contact, torque, body)

@@ -16,6 +16,8 @@ from dart_flight.config.vehicle import ThrustSource, VehicleConfig
 from dart_flight.geometry import GRAVITY_M_S2
 from dart_flight.samples import ActuatorSample, AttitudeTargetSample, EscSample
 
+Four = tuple[float, float, float, float]
+
 _ESC_PERIOD_US = 20_000  # `auto` takes no slower telemetry: switching to and fro would look like forces
 _PENDING = 16  # commands ahead of the IMU: a few ticks at most
 
@@ -28,13 +30,13 @@ class LaggedCommands:
 
     def __init__(self, lag_s: float) -> None:
         self._lag_us = lag_s * 1e6
-        self._pending: deque[tuple[int, tuple[float, float, float, float]]] = deque(maxlen=_PENDING)
-        self._target: tuple[float, float, float, float] | None = None
+        self._pending: deque[tuple[int, Four]] = deque(maxlen=_PENDING)
+        self._target: Four | None = None
         self._now_us = 0
         self.newest_us = -(1 << 60)
-        self.value: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+        self.value: Four = (0.0, 0.0, 0.0, 0.0)
 
-    def take(self, t_us: int, values: tuple[float, float, float, float]) -> None:
+    def take(self, t_us: int, values: Four) -> None:
         """A command stamped `t_us`."""
         if t_us <= self.newest_us:
             return
@@ -77,6 +79,7 @@ class ThrustModel:
 
     Attributes:
         source: what the last answer came from; None: nothing known yet, hover assumed.
+        each_n: thrust of each motor at the last answer's stamp; None where its source has only the sum.
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:
@@ -91,6 +94,7 @@ class ThrustModel:
         self._voltage_factor = 1.0
         self._last_n: float | None = None
         self.source: ThrustSource | None = None
+        self.each_n: Four | None = None
 
     def take_actuator(self, sample: ActuatorSample) -> None:
         """Commands to the motors."""
@@ -133,6 +137,12 @@ class ThrustModel:
             if wanted is ThrustSource.ESC or (auto and often):
                 self.source = ThrustSource.ESC
                 r = esc.rpm
+                self.each_n = (
+                    per_rpm2 * r[0] * r[0],
+                    per_rpm2 * r[1] * r[1],
+                    per_rpm2 * r[2] * r[2],
+                    per_rpm2 * r[3] * r[3],
+                )
                 return per_rpm2 * (r[0] * r[0] + r[1] * r[1] + r[2] * r[2] + r[3] * r[3])
         known = motors.newest_us > 0
         fresh = motors.newest_us >= oldest or collective.newest_us < motors.newest_us
@@ -140,9 +150,17 @@ class ThrustModel:
             self.source = ThrustSource.ACTUATOR
             motors.advance(t_us)
             a, b, c, d = motors.value
-            f = self._curve.model_factor
+            f, full = self._curve.model_factor, self._curve.full_n * self._voltage_factor
+            g = 1.0 - f
+            self.each_n = (
+                full * a * (f * a + g),
+                full * b * (f * b + g),
+                full * c * (f * c + g),
+                full * d * (f * d + g),
+            )
             relative = f * (a * a + b * b + c * c + d * d) + (1.0 - f) * (a + b + c + d)
             return self._curve.full_n * relative * self._voltage_factor
+        self.each_n = None
         if collective.newest_us > 0 and (auto or wanted is ThrustSource.ATTITUDE_TARGET):
             self.source = ThrustSource.ATTITUDE_TARGET
             collective.advance(t_us)

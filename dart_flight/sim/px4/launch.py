@@ -34,10 +34,9 @@ from dart_flight.config.parameters import (
     load_parameters,
     vehicle_files,
 )
-from dart_flight.config.vehicle import LockDriver, Px4Parameters, VehicleConfig, packaged
+from dart_flight.config.vehicle import LockDriver, Motor, Px4Parameters, VehicleConfig, packaged
 from dart_flight.errors import FlightError
 from dart_flight.lock.drivers.px4 import ACTUATOR_SET_1, PREARM_ALWAYS
-from dart_flight.sim.plant import Motor, motors_of
 from dart_flight.sim.px4.bridge import SERVO_CHANNEL
 from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of, holder_of, udp_port_is_free
 
@@ -183,7 +182,7 @@ def parse_parameters(listing: str) -> dict[str, float]:
 def airframe_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
     """What the configuration says of the vehicle, in PX4's parameters: motors, thrust curve, gains, servo."""
     parameters: dict[str, Value] = {}
-    for i, motor in enumerate(motors_of(vehicle.airframe)):
+    for i, motor in enumerate(vehicle.airframe.motors):
         parameters[f"CA_ROTOR{i}_PX"] = motor.x_m
         parameters[f"CA_ROTOR{i}_PY"] = motor.y_m
         parameters[f"CA_ROTOR{i}_KM"] = motor.yaw_m
@@ -202,7 +201,7 @@ def airframe_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
 def motors_from(parameters: Mapping[str, Value], vehicle: VehicleConfig) -> tuple[Motor, ...]:
     """The motors of the airframe that PX4 is told to fly: its parameters, else the configuration's."""
     motors = []
-    for i, own in enumerate(motors_of(vehicle.airframe)):
+    for i, own in enumerate(vehicle.airframe.motors):
         motors.append(
             Motor(
                 float(parameters.get(f"CA_ROTOR{i}_PX", own.x_m)),
