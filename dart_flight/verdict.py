@@ -17,12 +17,15 @@ from dart_flight.contact.contact_map import collide
 from dart_flight.contact.law import Onset
 from dart_flight.core.mission.anchor import Anchor
 from dart_flight.core.mission.phases import ON_GROUND
+from dart_flight.core.sense.body import side_of
 from dart_flight.geometry import Vec3, tilt_of
 from dart_flight.samples import (
     AttitudeSample,
     ContactEnd,
+    ContactSide,
     GoalPassed,
     GuardEvent,
+    ImpactBody,
     ImpactOnset,
     ImpactPeak,
     LockPhase,
@@ -44,11 +47,22 @@ _TRUTH_MATCH_US = 60_000  # an impact and its truth lie this near in time
 
 
 class Velocities(msgspec.Struct):
-    """Velocity before the contact in the collision frame, and the peak of the normal force."""
+    """Velocity before the contact in the collision frame, peaks, and how the body met the wall.
+
+    Attributes:
+        normal_m_s, tangential_m_s: the last before the contact.
+        peak_force_n: of the normal force.
+        contact_side: which point of the side came first, seen when flying into the wall: left, right, both.
+        incidence_deg: leading edge against the wall at the first touch, positive turned left.
+        peak_torque_nm: largest external torque about the centre of mass.
+    """
 
     normal_m_s: float | None = None
     tangential_m_s: float | None = None
     peak_force_n: float | None = None
+    contact_side: ContactSide | None = None
+    incidence_deg: float | None = None
+    peak_torque_nm: float | None = None
 
 
 class LockTimes(msgspec.Struct):
@@ -170,6 +184,8 @@ class VerdictBuilder:
             self._onset = record
         elif isinstance(record, ImpactPeak):
             self._take_peak(record)
+        elif isinstance(record, ImpactBody):
+            self._take_body(record)
         elif isinstance(record, ContactEnd):
             self._take_contact_end(record)
         elif isinstance(record, SetPointSent):
@@ -223,6 +239,13 @@ class VerdictBuilder:
         if self._collisions and self._onset and self._collisions[-1].t_us == self._onset.t_us:
             self._collisions[-1].measured.peak_force_n = record.normal_force_n
             self._collisions[-1].clipped = record.clipped
+
+    def _take_body(self, record: ImpactBody) -> None:
+        if self._collisions and self._onset and self._collisions[-1].t_us == self._onset.t_us:
+            measured = self._collisions[-1].measured
+            measured.contact_side = record.side
+            measured.incidence_deg = math.degrees(record.incidence_rad)
+            measured.peak_torque_nm = record.peak_torque_nm
 
     def _take_contact_end(self, record: ContactEnd) -> None:
         if self._collisions and self._collisions[-1].lock.contact_end_us is None:
@@ -315,7 +338,14 @@ class VerdictBuilder:
         if not near:
             return
         truth = min(near, key=lambda t: abs(t.t_us - collision.t_us))
-        collision.truth = Velocities(truth.normal_in_m_s, truth.tangential_in_m_s, truth.peak_normal_force_n)
+        collision.truth = Velocities(
+            truth.normal_in_m_s,
+            truth.tangential_in_m_s,
+            truth.peak_normal_force_n,
+            side_of(truth.lead_m),
+            math.degrees(truth.incidence_rad),
+            truth.peak_torque_nm,
+        )
         collision.detection_latency_ms = (collision.t_us - truth.t_us) * 1e-3
 
 

@@ -177,8 +177,13 @@ def _windows(track: Track, vehicle: VehicleConfig, lag_s: float) -> _Windows:
             continue
         rows.append((a, b))
     ends = np.array(rows, dtype=int).reshape(-1, 2)
-    a, b = ends[:, 0], ends[:, 1]
-    return _Windows(smooth[b] - smooth[a], impulse[b] - impulse[a], products[b] - products[a], t[b] - t[a])
+    first, last = ends[:, 0], ends[:, 1]
+    return _Windows(
+        smooth[last] - smooth[first],
+        impulse[last] - impulse[first],
+        products[last] - products[first],
+        t[last] - t[first],
+    )
 
 
 def _motor_torque(track: Track, vehicle: VehicleConfig, lag_s: float) -> Array:

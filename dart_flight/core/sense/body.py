@@ -29,7 +29,16 @@ import msgspec
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.core.sense.detector import Expected
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import Quaternion, Vec2, Vec3, norm, rotate, wrap_angle, yaw_ned_of
+from dart_flight.geometry import (
+    Quaternion,
+    Vec2,
+    Vec3,
+    norm,
+    quaternion_conjugate,
+    rotate,
+    wrap_angle,
+    yaw_ned_of,
+)
 from dart_flight.samples import (
     ContactEnd,
     ContactSide,
@@ -43,6 +52,7 @@ from dart_flight.samples import (
     TorqueEstimate,
 )
 
+LEAST_LEAD_M = 0.002  # a smaller lead is none: both points at once
 _BEFORE = 3  # samples of the contact from before the first one that was over the noise
 _MOST = 160  # samples of a contact
 _MOST_BINS = 18
@@ -51,6 +61,7 @@ _GRID_REACH = 5  # steps to either side of what the attitude says
 _GUESSES = (0.6, 1.0, 1.6, 2.5)  # of the angle that a line gives
 _REFINE = 4
 _FINE = 4  # points of the fitted torque in a tick
+_QUADRATIC = (-3.0 / 35.0, 12.0 / 35.0, 17.0 / 35.0, 12.0 / 35.0, -3.0 / 35.0)
 _NEAR_TOP = 0.6  # share of the torque's top from which on a sample says how large it is
 _SURE_SIGMA = 4.0  # a fitted torque below this many times the noise says nothing of the peak's shape
 _COMMON = 1.5  # more than the samples say: what the model is off by is much the same in all of them
@@ -68,7 +79,6 @@ class Known(NamedTuple):
         friction: of mu, relative.
         torque_share: error of the model, of the largest torque that the normal force can have.
         force_share: ... of the friction, of the largest normal force.
-        least_lead_m: a smaller lead is none: both points at once.
     """
 
     wall_rad: float = math.radians(4.0)
@@ -78,7 +88,6 @@ class Known(NamedTuple):
     friction: float = 0.5
     torque_share: float = 0.05
     force_share: float = 0.05
-    least_lead_m: float = 0.002
 
 
 class _Row(msgspec.Struct, gc=False):
@@ -176,21 +185,25 @@ class BodySense:
         fit = _Fit(rows, seen, c, noise, self._along, self._out, self._known, onset.planned)
         incidence, sigma = fit.run()
         lead = 2.0 * self._along * math.sin(incidence)
-        side = ContactSide.RIGHT if lead > 0.0 else ContactSide.LEFT
-        if abs(lead) < self._known.least_lead_m:
-            side = ContactSide.BOTH
-        top = _torque_peak([s.torque.torque_frd for s in samples], fit.torques(incidence), noise[0])
+        top = _torque_peak(samples, fit.torques(incidence), noise[0])
         return ImpactBody(
             t_us=inside[-1].force.t_us,
             first_us=onset.first_us,
             final=final,
-            side=side,
+            side=side_of(lead),
             lead_m=lead,
             incidence_rad=incidence,
             incidence_sigma_rad=sigma,
             torque_peak_frd=top,
             peak_torque_nm=norm(top),
         )
+
+
+def side_of(lead_m: float) -> ContactSide:
+    """Which point came first, by how much nearer to the wall the right one was."""
+    if abs(lead_m) < LEAST_LEAD_M:
+        return ContactSide.BOTH
+    return ContactSide.RIGHT if lead_m > 0.0 else ContactSide.LEFT
 
 
 def _rows(samples: list[Felt], normal: Vec2, slow: Vec2, velocity: Vec3, mass_kg: float) -> list[_Row]:
@@ -244,22 +257,46 @@ def _mean(rows: list[_Row]) -> _Row:
     )
 
 
-def _torque_peak(torques: list[Vec3], model: list[float], noise_nm: float) -> Vec3:
-    """Largest torque, from the samples and the fitted torque about the vertical at every quarter of a tick.
+def _torque_peak(samples: list[Felt], model: list[float], noise_nm: float) -> Vec3:
+    """Largest torque, FRD, from samples and fitted torque about the vertical, `_FINE` times in a tick.
 
     The largest of noisy samples is biased, and a tick's mean cuts the top off where the second point meets
-    the wall. So the model gives the shape, and the samples near its top say how large it is.
+    the wall. So the model gives the shape about the vertical, the samples near its top say how large it is,
+    and what they have beside it is smoothed.
     """
-    means = [sum(model[_FINE * i : _FINE * (i + 1)]) / _FINE for i in range(len(torques))]
+    torques = [s.torque.torque_frd for s in samples]
+    down = [rotate(quaternion_conjugate(s.q), (0.0, 0.0, 1.0)) for s in samples]
+    means = [sum(model[_FINE * i : _FINE * (i + 1)]) / _FINE for i in range(len(samples))]
     top = max(means, key=abs)
-    size = max((abs(m) for m in model), default=0.0)
-    near = [(t, m) for t, m in zip(torques, means, strict=True) if m * top >= _NEAR_TOP * top * top > 0.0]
-    square = sum(m * m for _, m in near)
-    if size > _SURE_SIGMA * noise_nm and square > 0.0:
-        share = math.copysign(size, top) / square
-        found = tuple(share * sum(t[i] * m for t, m in near) for i in range(3))
-        return (found[0], found[1], found[2])
-    return max(torques, key=norm)
+    square = gain = 0.0
+    for t, d, m in zip(torques, down, means, strict=True):
+        if m * top >= _NEAR_TOP * top * top:
+            square += m * m
+            gain += m * (t[0] * d[0] + t[1] * d[1] + t[2] * d[2])
+    share = gain / square if square > 0.0 and abs(top) > _SURE_SIGMA * noise_nm else 0.0
+    beside = _smoothed(
+        [
+            (t[0] - share * m * d[0], t[1] - share * m * d[1], t[2] - share * m * d[2])
+            for t, d, m in zip(torques, down, means, strict=True)
+        ]
+    )
+    best, size = (0.0, 0.0, 0.0), -1.0
+    for k, fitted in enumerate(model):
+        d, b, m = down[k // _FINE], beside[k // _FINE], share * fitted
+        found = (b[0] + m * d[0], b[1] + m * d[1], b[2] + m * d[2])
+        if (length := norm(found)) > size:
+            best, size = found, length
+    return best
+
+
+def _smoothed(values: list[Vec3]) -> list[Vec3]:
+    """Quadratic through five neighbours, where there are as many."""
+    out = list(values)
+    for i in range(2, len(values) - 2):
+        part = values[i - 2 : i + 3]
+        x, y, z = (sum(w * v[a] for w, v in zip(_QUADRATIC, part, strict=True)) for a in range(3))
+        out[i] = (x, y, z)
+    return out
 
 
 class _Fit:

@@ -4,9 +4,9 @@
 
 with w the gyro's rate, alpha its change over the tick, J the inertia, all in body FRD: a sample means what
 one of the force means, the mean over the tick that ends at its stamp. The motors' torque follows from each
-one's thrust, place and propeller drag, averaged over the same tick. Noise is learnt outside of contacts, as
-the accelerometer's is. A torque that is there all the time (a centre of mass beside the motors' middle, a motor
-weaker than the others) is followed outside of contacts and taken off.
+one's thrust, place and propeller drag, averaged over the same tick. Noise is learnt outside of contacts,
+as the accelerometer's is. A torque that is there all the time (a centre of mass beside the motors' middle, a
+motor weaker than the others) is followed outside of contacts and taken off.
 """
 
 from __future__ import annotations
