@@ -5,14 +5,18 @@ Over a short window the rates change by what the motors' torque adds up to:
     change of w = (1/J) integral of (motors - w x J w) dt + drift
 
 The motors' torque follows from their commands through the thrust curve, their lag, places and the propellers'
-drag, so this is a line through many windows: the slope is 1/J. The gyro's noise is on the side of what is
-explained, where it does no harm; the rates at a window's ends are means over some samples, because a
-controller answers the noise of a single one. The motors' lag is tried over a range and the best is kept.
-About an axis where the torques are too small or the rates do not follow them, nothing is said of the inertia.
+drag, so this is a line through many windows: the slope is 1/J. Both sides have errors: the rates that of the
+gyro and whatever turns the vehicle beside its motors, the torques what the motors did between the commands
+that were recorded. A line that puts all errors on one side gives the most that J can be, on the other the
+least; the value lies between, the interval holds both. The rates at a window's ends are means over some
+samples, because a controller answers the noise of a single one. The motors' lag is tried over a range and
+the best is kept. About an axis where the torques are too small, or the two lines too far apart, nothing is
+said.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import msgspec
@@ -30,13 +34,14 @@ WINDOW_S = 0.1
 _END_SAMPLES = 3  # on either side of a window's end, averaged
 _LEAST_HZ = 50.0  # of gyro and motors: slower ones miss what the controller does
 _MOST_GAP_S = 0.05
-_MOST_SIDEWAYS_M_S2 = 4.0  # across the thrust axis, mean of a window: more is a contact
+_MOST_SIDEWAYS_M_S2 = 5.0  # across the thrust axis, mean over a window's end: more is a contact
 _LEAST_WINDOWS = 40
-_MOST_ERROR = 0.1  # standard error of the slope, relative: less certain is not told
-_LEAST_EXPLAINED = 0.3  # share of the variance of the rates' changes that the motors explain
+_MOST_ERROR = 0.1  # standard error of a slope, relative: less certain is not told
+_MOST_RATIO = 1.3  # of the most to the least that the inertia can be
 _GROUND_MARGIN_S = 1.0
 _LAGS = (0.4, 0.55, 0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.1)  # of the configured one
 _SIGMA_95 = 1.96
+_MEDIAN_OF_SQUARE = 0.4549  # of a standard normal number
 _ROUNDS = 3  # the gyroscopic term needs the inertia that is sought
 
 
@@ -87,12 +92,20 @@ class InertiaCalibration(msgspec.Struct):
 
 
 class _Windows(msgspec.Struct):
-    """Change of rate, motors' impulse and mean product of rates, (n, 3) each; duration of each window."""
+    """Windows one beside the other.
+
+    Attributes:
+        change, impulse, products: of the rates, of the motors' torque, and the integral of (wy wz, wz wx,
+            wx wy); (n, 3) each.
+        duration: (n,).
+        noise: variance of a change by the gyro's white noise, (3,).
+    """
 
     change: Array
     impulse: Array
     products: Array  # integral of (wy wz, wz wx, wx wy)
     duration: Array
+    noise: Array
 
 
 def calibrate_inertia(tracks: Iterable[Track], vehicle: VehicleConfig) -> InertiaCalibration:
@@ -112,9 +125,7 @@ def calibrate_inertia(tracks: Iterable[Track], vehicle: VehicleConfig) -> Inerti
     for factor in _LAGS:
         lag_s = factor * vehicle.thrust.motor_lag_s
         parts = [_windows(track, vehicle, lag_s) for track in tracks]
-        joined = _Windows(
-            *(np.concatenate([getattr(p, n) for p in parts]) for n in _Windows.__struct_fields__)
-        )
+        joined = _joined(parts)
         if len(joined.duration) < _LEAST_WINDOWS:
             raise InputError(
                 f"{len(joined.duration)} windows of {WINDOW_S:g} s in flight without a contact, at least "
@@ -133,6 +144,16 @@ def calibrate_inertia(tracks: Iterable[Track], vehicle: VehicleConfig) -> Inerti
         )
     notes = [note for track in tracks for note in track.notes]
     return InertiaCalibration(count, axes, lag_s, drift, notes)
+
+
+def _joined(parts: list[_Windows]) -> _Windows:
+    return _Windows(
+        np.concatenate([p.change for p in parts]),
+        np.concatenate([p.impulse for p in parts]),
+        np.concatenate([p.products for p in parts]),
+        np.concatenate([p.duration for p in parts]),
+        np.mean([p.noise for p in parts], axis=0),
+    )
 
 
 def _refuse_slow(track: Track) -> None:
@@ -161,7 +182,8 @@ def _windows(track: Track, vehicle: VehicleConfig, lag_s: float) -> _Windows:
         np.stack([np.convolve(x[:, i], kernel, mode="same") for i in range(3)], axis=1)
         for x in (impulse, products)
     )
-    sideways = np.hypot(track.specific_force[:, 0], track.specific_force[:, 1])
+    across = [np.convolve(track.specific_force[:, i], kernel, mode="same") for i in range(2)]
+    sideways = np.hypot(*across)
     stride = max(1, round(WINDOW_S / float(np.median(step))))
     rows: list[tuple[int, int]] = []
     for a in range(_END_SAMPLES, len(t) - stride - _END_SAMPLES, stride):
@@ -170,12 +192,15 @@ def _windows(track: Track, vehicle: VehicleConfig, lag_s: float) -> _Windows:
         if any(x - _GROUND_MARGIN_S < to_s and y + _GROUND_MARGIN_S > from_s for x, y in track.ground):
             continue
         inside = slice(a - _END_SAMPLES, b + _END_SAMPLES)
-        if step[inside].max() > _MOST_GAP_S or sideways[inside].mean() > _MOST_SIDEWAYS_M_S2:
+        if step[inside].max() > _MOST_GAP_S or sideways[inside].max() > _MOST_SIDEWAYS_M_S2:
             continue
         motors = track.motors[slice(*np.searchsorted(track.motor_s, (from_s, to_s)))]
         if len(motors) < WINDOW_S * _LEAST_HZ * 0.8 or motors.max() >= 0.999 or motors.min() <= 0.001:
             continue
         rows.append((a, b))
+    # What the gyro's noise makes of a change: by its second differences, in which motion hardly shows.
+    bend = w[2:] - 2.0 * w[1:-1] + w[:-2]
+    noise = np.median(bend**2, axis=0) / _MEDIAN_OF_SQUARE / 6.0 * 2.0 / size
     ends = np.array(rows, dtype=int).reshape(-1, 2)
     first, last = ends[:, 0], ends[:, 1]
     return _Windows(
@@ -183,6 +208,7 @@ def _windows(track: Track, vehicle: VehicleConfig, lag_s: float) -> _Windows:
         impulse[last] - impulse[first],
         products[last] - products[first],
         t[last] - t[first],
+        noise,
     )
 
 
@@ -232,38 +258,42 @@ def _fit(
 
 
 def _line(name: str, windows: _Windows, impulse: Array, i: int) -> tuple[AxisInertia, float, float]:
-    y = windows.change[:, i]
-    design = np.stack([impulse, windows.duration], axis=1)
-    solution, _, rank, _ = np.linalg.lstsq(design, y, rcond=None)
-    rest = y - design @ solution
-    variance = float(np.var(y))
-    explained = 1.0 - float(np.var(rest)) / variance if variance > 0.0 else 0.0
+    duration = float(windows.duration.mean())
+    y = windows.change[:, i] - windows.change[:, i].mean()
+    x = impulse - impulse.mean()
+    n, xx, xy, yy = len(x), float(x @ x), float(x @ y), float(y @ y)
+    explained = xy * xy / (xx * yy) if xx > 0.0 and yy > 0.0 else 0.0
     axis = AxisInertia(
         axis=name,
         value=None,
         low=None,
         high=None,
-        torque_nm=float(np.std(impulse / windows.duration)),
-        rate_change_rad_s=float(np.std(y)),
+        torque_nm=math.sqrt(xx / n) / duration,
+        rate_change_rad_s=math.sqrt(yy / n),
         explained=explained,
     )
-    slope = float(solution[0])
-    if rank < 2 or slope <= 0.0:
-        axis.refused = f"no excitation: torques of {axis.torque_nm:.3f} N m and no turning that follows them"
-        return axis, float(solution[1]), 1.0
-    covariance = np.linalg.inv(design.T @ design) * float(rest @ rest) / max(1, len(y) - 2)
-    error = float(np.sqrt(covariance[0, 0]))
-    if error > _MOST_ERROR * slope:
+    drift = float(windows.change[:, i].mean()) / duration
+    if xy <= 0.0:
+        axis.refused = f"no excitation: torques of {axis.torque_nm:.4f} N m and no turning that follows them"
+        return axis, drift, 1.0
+    drift -= xy / xx * float(impulse.mean()) / duration
+    # All that the motors do not explain is on the side of the rates: the most that the inertia can be. All
+    # but the gyro's noise is on the side of the torques: the least.
+    noise = min(n * float(windows.noise[i]), yy - xy * xy / xx)
+    most, least = xx / xy, xy / (yy - noise)
+    error = math.sqrt((1.0 - explained) / max(1, n - 2) / explained)
+    value = math.sqrt(most * least)
+    if error > _MOST_ERROR:
         axis.refused = (
-            f"too little excitation: torques of {axis.torque_nm:.3f} N m tell the inertia to "
-            f"{100.0 * error / slope:.0f} %, {100.0 * _MOST_ERROR:.0f} are needed"
+            f"too little excitation: torques of {axis.torque_nm:.4f} N m tell the inertia to "
+            f"{100.0 * error:.0f} %, {100.0 * _MOST_ERROR:.0f} are needed"
         )
-    elif explained < _LEAST_EXPLAINED:
+    elif most > _MOST_RATIO * least:
         axis.refused = (
-            f"the motors explain {100.0 * explained:.0f} % of how the rates change, "
-            f"{100.0 * _LEAST_EXPLAINED:.0f} are needed: order or places of the motors, wind"
+            f"the motors explain {100.0 * explained:.0f} % of how the rates change, which leaves anything "
+            f"from {least:.4f} to {most:.4f} kg m2: wind, too few commands, order or places of the motors"
         )
     else:
-        axis.value = 1.0 / slope
-        axis.low, axis.high = 1.0 / (slope + _SIGMA_95 * error), 1.0 / (slope - _SIGMA_95 * error)
-    return axis, float(solution[1]), 1.0 - explained
+        axis.value = value
+        axis.low, axis.high = least / (1.0 + _SIGMA_95 * error), most * (1.0 + _SIGMA_95 * error)
+    return axis, drift, 1.0 - explained
