@@ -12,6 +12,7 @@ import pytest
 from dart_flight.check.findings import Finding, decide
 from dart_flight.check.mission import check_mission
 from dart_flight.check.parameters import (
+    IMU_POSITION,
     PARAMETERS,
     judge_claim,
     judge_parameters,
@@ -173,6 +174,20 @@ def test_another_difference_is_a_remark_with_the_files_reason(name: str, value: 
     says = next(f.says for f in findings if f.item == name)
     assert words in says
     assert vehicle_parameters(PositionSource.MOCAP)[name].reason in says
+
+
+def test_the_imus_place_is_compared_with_the_configuration() -> None:
+    """PX4's own and `imu.position_m` mean the same three metres; a difference is a remark, and names both."""
+    names = dict.fromkeys(IMU_POSITION, 0.0)
+    assert set(IMU_POSITION) <= set(names_to_read())
+    as_configured = judge_parameters(mission(), {**GOOD, **names}, PositionSource.MOCAP)
+    assert not [f for f in as_configured if f.item in IMU_POSITION]
+    assert not no_goes(as_configured)
+    moved = judge_parameters(mission(), {**GOOD, **names, "EKF2_IMU_POS_Y": 0.03}, PositionSource.MOCAP)
+    (found,) = [f for f in moved if f.item in IMU_POSITION]
+    assert (found.item, found.remark) == ("EKF2_IMU_POS_Y", True)
+    assert "0.03 m on the vehicle, 0 m in imu.position_m" in found.says
+    assert not no_goes(moved)
 
 
 def test_what_cannot_be_read_is_no_go_where_it_can_hurt_and_a_remark_elsewhere() -> None:

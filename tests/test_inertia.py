@@ -56,7 +56,7 @@ def turning(
     n = len(gyro)
     return Track(
         source="made",
-        imu_s=tick * (1 + np.arange(n)),
+        imu_s=tick * np.arange(1, n + 1, dtype=float),
         specific_force=np.tile((0.0, 0.0, -9.81), (n, 1)),
         rate=np.array(gyro),
         motor_s=np.array(stamps),

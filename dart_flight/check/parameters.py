@@ -142,11 +142,14 @@ PARAMETERS: tuple[Explained, ...] = (
 )
 # The prediction of where a recovery leads rests on these.
 _GAINS = ("MPC_XY_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_D_ACC", "MPC_TILTMAX_AIR", "MPC_Z_P")
+# Forward, right, down of the centre of mass, as imu.position_m.
+IMU_POSITION = ("EKF2_IMU_POS_X", "EKF2_IMU_POS_Y", "EKF2_IMU_POS_Z")
+_POSITION_TOLERANCE_M = 0.005
 
 
 def names_to_read() -> list[str]:
     """Every parameter that the judgements here look at."""
-    names = [p.name for p in PARAMETERS] + list(_GAINS)
+    names = [p.name for p in PARAMETERS] + list(_GAINS) + list(IMU_POSITION)
     for source in PositionSource:
         names += vehicle_parameters(source)
     return list(dict.fromkeys(names))
@@ -184,6 +187,7 @@ def judge_parameters(
             says += f"; recommended {difference.wanted:g}, not {difference.actual:g}: {difference.reason}"
         findings.append(Finding(parameter.name, go, says, remark=go and difference is not None))
     findings += _judge_gains(mission, values)
+    findings += _judge_imu_position(mission, values)
     findings += [Finding(d.name, True, d.line(), remark=True) for d in different.values()]
     return findings
 
@@ -196,6 +200,20 @@ def _judge_gains(mission: Mission, values: Mapping[str, float]) -> list[Finding]
         if actual is not None and abs(actual - configured) > _GAIN_TOLERANCE * abs(configured):
             says = f"{actual:g} on the vehicle, {configured:g} in the configuration: recoveries go elsewhere"
             findings.append(Finding(name, False, says))
+    return findings
+
+
+def _judge_imu_position(mission: Mission, values: Mapping[str, float]) -> list[Finding]:
+    """Where PX4 believes its IMU against the configuration: both take what turning adds there off."""
+    findings = []
+    for name, configured in zip(IMU_POSITION, mission.vehicle.imu.position_m, strict=True):
+        actual = values.get(name)
+        if actual is not None and abs(actual - configured) > _POSITION_TOLERANCE_M:
+            says = (
+                f"{actual:g} m on the vehicle, {configured:g} m in imu.position_m: PX4's velocity or the "
+                "force takes turning for motion; measure from the centre of mass and set both"
+            )
+            findings.append(Finding(name, True, says, remark=True))
     return findings
 
 

@@ -132,6 +132,13 @@ def test_flight_parameters_indoors_outdoors_and_the_users_own(tmp_path: Path) ->
     assert flight_parameters(vehicle, PositionSource.MOCAP, [own])["EKF2_EV_DELAY"].value == 30.0
 
 
+def test_px4_is_told_where_its_imu_is() -> None:
+    vehicle = load_vehicle()
+    at = msgspec.structs.replace(vehicle.imu, position_m=(0.02, -0.01, 0.005))
+    told = airframe_parameters(msgspec.structs.replace(vehicle, imu=at))
+    assert [told[f"EKF2_IMU_POS_{axis}"] for axis in "XYZ"] == [0.02, -0.01, 0.005]
+
+
 def test_motors_of_the_plant_are_those_px4_is_told(tmp_path: Path) -> None:
     vehicle = load_vehicle()
     told = airframe_parameters(vehicle)

@@ -71,7 +71,7 @@ SETS = {
     "nothing": Set("nothing drawn", {}, 1001, 40),
     "off": Set("walls 4° off", {"wall_yaw_deg": 4.0}, 2001, 100),
     "all": Set("walls 4° off, contact, mass, wind, thrust and guards' height drawn", _ALL, 3001, 50),
-    "imu": Set("IMU drawn", {"imu": 0.02}, 4001, 40),
+    "imu": Set("IMU drawn", {"imu": 0.02}, 5001, 40),
 }
 
 
@@ -342,7 +342,7 @@ def _degrees(values: Sequence[float]) -> str:
 
 def page(rows: Sequence[Row]) -> str:
     """docs/torque_results.md."""
-    worst = sorted(rows, key=lambda r: -abs(r.torque - r.true_torque) / max(0.15, 0.1 * r.true_torque))[:3]
+    worst = sorted(rows, key=lambda r: abs(r.torque - r.true_torque) / max(0.15, 0.1 * r.true_torque))[-3:]
     wrong = [r for r in clear(rows) if not side_is(r, r.side)]
     listed = [
         f"- seed {r.seed} ({r.mode.value}, {r.approach[0]:.2f}, {r.approach[1]:.2f} m/s): the "
@@ -353,7 +353,7 @@ def page(rows: Sequence[Row]) -> str:
         [
             "# Torque, side and incidence: results",
             "",
-            "Written by `python -m tools.campaigns.torque`; what is estimated and how: [torque.md](torque.md).",
+            "By `python -m tools.campaigns.torque`; what is estimated, and how: [torque.md](torque.md).",
             "Single wall in the fast world, guards, mode and approach (0.4 to 1.5 m/s, up to 0.6 m/s along",
             "the wall) drawn for every seed. Force and friction are judged as force over mass; the core",
             "believes the configuration, whatever is drawn.",

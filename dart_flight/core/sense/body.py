@@ -368,14 +368,11 @@ class _Fit:
         self._cost(incidence)
         off = self._seen - incidence
         co, so = math.cos(off), math.sin(off)
+        # The force's noise must not become the torque's.
+        forces = _smoothed([(r.normal, r.along, 0.0) for r in self._rows])
         points = [
-            (
-                max(0.0, r.normal * co - r.along * so),
-                r.along * co + r.normal * so,
-                incidence + r.turned,
-                r.turning,
-            )
-            for r in self._rows
+            (max(0.0, n * co - t * so), t * co + n * so, incidence + r.turned, r.turning)
+            for r, (n, t, _) in zip(self._rows, forces, strict=True)
         ]
         out = []
         last = len(points) - 1

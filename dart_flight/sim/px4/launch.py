@@ -186,6 +186,8 @@ def airframe_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
         parameters[f"CA_ROTOR{i}_PX"] = motor.x_m
         parameters[f"CA_ROTOR{i}_PY"] = motor.y_m
         parameters[f"CA_ROTOR{i}_KM"] = motor.yaw_m
+    for axis, place in zip("XYZ", vehicle.imu.position_m, strict=True):
+        parameters[f"EKF2_IMU_POS_{axis}"] = place
     parameters["THR_MDL_FAC"] = vehicle.thrust.model_factor
     parameters["MPC_THR_HOVER"] = vehicle.hover_thrust_fraction()
     for field in msgspec.structs.fields(Px4Parameters):
