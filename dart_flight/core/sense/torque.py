@@ -22,9 +22,9 @@ from dart_flight.samples import TorqueEstimate
 _NOISE_TIME_S = 0.5
 _OUTLIER = 9.0  # a squared difference counts at most this many times the present one
 _THIRD = 1.0 / 3.0  # a change of the rate's white noise, of variance 2: successive ones differ by 6
-_LEAST_VARIANCE = 1e-8  # N2 m2: never let certainty become absolute
+_LEAST_STEP = 1e-10  # N2 m2, added with every sample: never let certainty become absolute
 _SLOW_S = 1.0  # time constant of the torque that is always there ...
-_MOST_SLOW_NM = 0.3  # ... and its limit, per axis
+_MOST_SLOW_NM = 0.3  # ... which is not followed further than this
 _MOST_STEP_S = 0.05  # after a gap in the stream one sample counts for this long at most
 
 
@@ -33,7 +33,11 @@ class TorqueEstimator:
 
     def __init__(self, vehicle: VehicleConfig) -> None:
         self._inertia = vehicle.airframe.inertia_kg_m2
-        self._motors = vehicle.airframe.motors
+        # What each newton of each motor turns: with its sign, because it is taken off.
+        motors = vehicle.airframe.motors
+        self._roll = tuple(m.y_m for m in motors)
+        self._pitch = tuple(-m.x_m for m in motors)
+        self._yaw = tuple(-m.yaw_m for m in motors)
         self._filter_s = vehicle.estimation.filter_s
         self._before: Four | None = None
         self._slow: Vec3 = (0.0, 0.0, 0.0)
@@ -41,6 +45,7 @@ class TorqueEstimator:
         self._variance: Vec3 = (1e-3, 1e-3, 1e-3)
         self._noise: Vec3 = (0.0316, 0.0316, 0.0316)
         self._filtered: Vec3 = (0.0, 0.0, 0.0)
+        self._dt_s = self._keep = 0.0
 
     def estimate(
         self, t_us: int, turning: Turning, each_n: Four | None, scale: float, learns: bool
@@ -63,42 +68,45 @@ class TorqueEstimator:
         y = jy * ay + (jx - jz) * wz * wx
         z = jz * az + (jy - jx) * wx * wy
         if each_n is not None:
-            old = each_n if before is None else before
-            for motor, now_n, then_n in zip(self._motors, each_n, old, strict=True):
-                force = 0.5 * scale * (now_n + then_n)
-                x += motor.y_m * force
-                y -= motor.x_m * force
-                z -= motor.yaw_m * force
+            old = before or each_n
+            half = 0.5 * scale
+            a, b = half * (each_n[0] + old[0]), half * (each_n[1] + old[1])
+            c, d = half * (each_n[2] + old[2]), half * (each_n[3] + old[3])
+            roll, pitch, yaw = self._roll, self._pitch, self._yaw
+            x += roll[0] * a + roll[1] * b + roll[2] * c + roll[3] * d
+            y += pitch[0] * a + pitch[1] * b + pitch[2] * c + pitch[3] * d
+            z += yaw[0] * a + yaw[1] * b + yaw[2] * c + yaw[3] * d
         raw = (x, y, z)
         if learns:
-            self._learn(raw, min(turning.dt_s, _MOST_STEP_S))
+            self._learn(raw, turning.dt_s)
         self._last = raw
-        slow = self._slow
-        torque = (x - slow[0], y - slow[1], z - slow[2])
-        keep = math.exp(-turning.dt_s / self._filter_s) if self._filter_s > 0.0 else 0.0
-        f = self._filtered
-        self._filtered = (
-            torque[0] + (f[0] - torque[0]) * keep,
-            torque[1] + (f[1] - torque[1]) * keep,
-            torque[2] + (f[2] - torque[2]) * keep,
-        )
-        return TorqueEstimate(t_us, torque, self._filtered, self._noise, each_n is not None)
+        u, v, w = self._slow
+        x, y, z = x - u, y - v, z - w
+        if turning.dt_s != self._dt_s:
+            self._dt_s = turning.dt_s
+            self._keep = math.exp(-turning.dt_s / self._filter_s) if self._filter_s > 0.0 else 0.0
+        keep = self._keep
+        u, v, w = self._filtered
+        self._filtered = (x + (u - x) * keep, y + (v - y) * keep, z + (w - z) * keep)
+        return TorqueEstimate(t_us, (x, y, z), self._filtered, self._noise, each_n is not None)
 
-    def _learn(self, raw: Vec3, step_s: float) -> None:
-        share, slow, most = step_s / _SLOW_S, self._slow, _MOST_SLOW_NM
-        self._slow = (
-            max(-most, min(most, slow[0] + share * (raw[0] - slow[0]))),
-            max(-most, min(most, slow[1] + share * (raw[1] - slow[1]))),
-            max(-most, min(most, slow[2] + share * (raw[2] - slow[2]))),
-        )
+    def _learn(self, raw: Vec3, dt_s: float) -> None:
+        step_s = dt_s if dt_s < _MOST_STEP_S else _MOST_STEP_S
+        share, most = step_s / _SLOW_S, _MOST_SLOW_NM
+        x, y, z = raw
+        u, v, w = self._slow
+        u, v, w = u + share * (x - u), v + share * (y - v), w + share * (z - w)
+        if -most <= u <= most and -most <= v <= most and -most <= w <= most:
+            self._slow = (u, v, w)
         last = self._last
         if last is None:
             return
-        share, v = step_s / _NOISE_TIME_S, self._variance
-        dx, dy, dz = raw[0] - last[0], raw[1] - last[1], raw[2] - last[2]
-        self._variance = v = (
-            v[0] + share * (min(_THIRD * dx * dx, _OUTLIER * v[0]) - v[0]) + _LEAST_VARIANCE * share,
-            v[1] + share * (min(_THIRD * dy * dy, _OUTLIER * v[1]) - v[1]) + _LEAST_VARIANCE * share,
-            v[2] + share * (min(_THIRD * dz * dz, _OUTLIER * v[2]) - v[2]) + _LEAST_VARIANCE * share,
-        )
-        self._noise = (math.sqrt(v[0]), math.sqrt(v[1]), math.sqrt(v[2]))
+        share = step_s / _NOISE_TIME_S
+        u, v, w = self._variance
+        x, y, z = (x - last[0]) ** 2, (y - last[1]) ** 2, (z - last[2]) ** 2
+        x, y, z = _THIRD * x, _THIRD * y, _THIRD * z
+        u += share * ((x if x < _OUTLIER * u else _OUTLIER * u) - u) + _LEAST_STEP
+        v += share * ((y if y < _OUTLIER * v else _OUTLIER * v) - v) + _LEAST_STEP
+        w += share * ((z if z < _OUTLIER * w else _OUTLIER * w) - w) + _LEAST_STEP
+        self._variance = (u, v, w)
+        self._noise = (math.sqrt(u), math.sqrt(v), math.sqrt(w))
