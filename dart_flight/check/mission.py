@@ -14,7 +14,7 @@ from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.core.sense.detector import ImpactDetector
 from dart_flight.geometry import Vec3
-from dart_flight.planning.constraints import SETPOINT_OUTSIDE_M, setpoint_outside_m
+from dart_flight.planning.constraints import SETPOINT_OUTSIDE_M, leads_behind, setpoint_outside_m
 from dart_flight.planning.envelope import (
     clipping_warning,
     full_scale_n,
@@ -207,8 +207,7 @@ def _check_recovery(mission: Mission, collision: Collision, planned: PlannedFlig
         leads = f"{says}, leads to wall {following.wall.name}"
         return [_outside(mission, item, target, leads, "that wall")]
     for wall in mission.walls:
-        crossed = wall.signed_distance(place) > 0.0 >= wall.signed_distance(target)
-        if wall is not collision.wall and crossed and wall.spans(target):
+        if wall is not collision.wall and leads_behind(wall, (place[0], place[1]), (target[0], target[1])):
             return [Finding(item, False, f"{says}: behind wall {wall.name}, which is not to be hit next")]
     return [_outside(mission, item, target, says, "the goal")]
 

@@ -174,6 +174,15 @@ class Constraints:
         leaves |= _outside(self.bounds.y, w.y, share * w.vy)
         return leaves
 
+    def last_setpoint(self, leg: Leg, hit: Wall) -> Codes:
+        """Whether the set-point after the last hit leads behind a wall that is not to be hit."""
+        codes = np.zeros(leg.size, dtype=np.int8)
+        place, target = (leg.x[0] + leg.goal_x, leg.y[0] + leg.goal_y), (leg.goal_x, leg.goal_y)
+        for wall in self.walls:
+            if wall is not hit:
+                self.mark(codes, leads_behind(wall, place, target), Refusal.SETPOINT)
+        return codes
+
     def to_goal(self, x: Array, y: Array, goal: Vec2) -> Codes:
         """Whether a wall stands between the closest approaches and the goal, which is flown to straight."""
         codes = np.zeros(x.shape, dtype=np.int8)
@@ -208,6 +217,12 @@ def setpoint_outside_m(m: Arithmetic, bounds: Bounds, x: Number, y: Number) -> N
     """How far a set-point lies outside of the bounds horizontally, metres; 0 inside."""
     beside = m.maximum(bounds.x[0] - x, x - bounds.x[1])
     return m.maximum(m.maximum(beside, m.maximum(bounds.y[0] - y, y - bounds.y[1])), 0.0)
+
+
+def leads_behind(wall: Wall, place: tuple[Number, Number], target: tuple[Number, Number]) -> Number:
+    """Whether a set-point lies behind a wall in front of which the vehicle is; numbers, or arrays of them."""
+    crosses = (wall.signed_distance(place) > 0.0) & (wall.signed_distance(target) <= 0.0)
+    return crosses & (abs(wall.along(target)) <= 0.5 * wall.length_m)
 
 
 def _outside(limits: tuple[float, float], x: NDArray[Any], v: NDArray[Any]) -> NDArray[np.bool_]:

@@ -451,7 +451,9 @@ class Rollout:
         d, miss, state = closest(near.x, near.y, self._goal, low, high)
         passes = np.ones(d.size, dtype=bool)
         if self.constraints is not None:
-            passes = self._refuse(self.constraints.to_goal(*state[:2], self._goal), len(self.walls))
+            codes = self.constraints.last_setpoint(arrived.leg, self.walls[-1])
+            on_the_way = self.constraints.to_goal(*state[:2], self._goal)
+            passes = self._refuse(np.where(codes > 0, codes, on_the_way), len(self.walls))
         every = (miss, arrived.t_s + near.times + d, arrived.force_n, *state)
         arrivals = []
         for number, modes in enumerate(itertools.product(self.task.modes, repeat=len(self.walls))):

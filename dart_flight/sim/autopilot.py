@@ -293,6 +293,8 @@ def default_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
         "COM_RCL_EXCEPT": 4,
         "COM_LKDOWN_TKO": 3.0,
     }
+    # Where the IMU is, in [forward, right, down].
+    parameters |= {f"EKF2_IMU_POS_{axis}": p for axis, p in zip("XYZ", vehicle.imu.position_m, strict=True)}
     # The lock's servo hangs on the output that the configuration names, set up as it asks.
     for required in required_parameters(vehicle.lock):
         parameters[required.name] = required.value

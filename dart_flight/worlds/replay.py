@@ -294,7 +294,9 @@ def changed_mission(log: Log, settings: Sequence[str]) -> Mission:
         changed = parse_written(mission, vehicle)
     except InputError as error:
         place = ".".join(str(part) for part in error.key)
-        raise InputError(f"--set: {place}: {error.message}" if place else f"--set: {error.message}") from None
+        said = error.source if error.source.startswith("--set") else "--set"
+        where = f"{said}: {place}" if place else said
+        raise InputError(f"{where}: {error.message}") from None
     same = {"source": flown.source, "vehicle_source": flown.vehicle_source}
     if msgspec.structs.replace(as_written, **same) == flown:
         return msgspec.structs.replace(changed, **same)

@@ -296,7 +296,7 @@ def test_without_words_the_answer_is_told(hand_fed: HandFedCore) -> None:
 def test_what_is_wrong_for_other_modes_is_told_where_nothing_else_is(hand_fed: HandFedCore) -> None:
     hand_fed.set_lock(Mode.RIGID)
     hand_fed.give(HealthReport(hand_fed.t_us, hand_fed.t_us, True, (), ("No offboard signal",)))
-    assert reason(hand_fed.run(25.0)).endswith("; PX4 says: No offboard signal")
+    assert reason(hand_fed.run(25.0)).endswith("; PX4 gives no reason, but finds: No offboard signal")
 
 
 def test_a_lock_that_is_not_ready_is_not_px4s_affair(hand_fed: HandFedCore) -> None:

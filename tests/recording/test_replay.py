@@ -95,7 +95,7 @@ def test_a_gain_changes_the_recovery_only(flight: Log) -> None:
         ("detector.force_threshold_n=8", "unknown key 'detector'"),
         ("collisions[3].mode=rigid", "unknown key 3, known: 0 to 0"),
         ("collisions[0].mode=stiff", "only: rigid, flexible"),
-        ("materials.steel.rigid.k=1", "unknown key 'steel'"),
+        ("materials.steel.rigid.k=1", "materials.steel.rigid.k=1: missing key f"),
         ("start.altitude_m=9", "bounds_m z"),
         ("airframe.mass_kg=[", "not valid YAML"),
         ("airframe.mass_kg.kg=1", "nothing below"),

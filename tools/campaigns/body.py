@@ -1,6 +1,6 @@
 """Hits of a body: the shipped missions against walls that stand askew, over what the body may be like.
 
-    python -m tools.campaigns.body                 # everything, docs/img/body.png, build/body.md
+    python -m tools.campaigns.body                 # everything, build/body.png, build/body.md
     python -m tools.campaigns.body yaw vary        # only these parts; also: corners, map
     python -m tools.campaigns.body yaw --runs 5 --case default --mission dual_collision --fresh
 
@@ -45,7 +45,7 @@ from tools.campaigns.faults import Watch, judge
 
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "build" / "body"
-PICTURE = ROOT / "docs" / "img" / "body.png"
+PICTURE = ROOT / "build" / "body.png"
 MISSIONS = ("single_wall", "dual_collision")
 PARTS = ("corners", "yaw", "map", "vary")
 FIRST_SEED = 7001
