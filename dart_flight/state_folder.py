@@ -10,7 +10,6 @@ import fcntl
 import os
 import time
 from pathlib import Path
-from typing import Self
 
 from dart_flight.config.document import InputError
 
@@ -116,12 +115,6 @@ class HeldFile:
             os.close(self._descriptor)
             self._descriptor = None
             _held.discard(self)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.release()
 
     def _open(self) -> int:
         usable(self._path.parent)

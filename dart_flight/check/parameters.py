@@ -141,7 +141,7 @@ PARAMETERS: tuple[Explained, ...] = (
     Explained("COM_DISARM_LAND", _disarm_land),
 )
 # The prediction of where a recovery leads rests on these.
-_GAINS = ("MPC_XY_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_D_ACC", "MPC_TILTMAX_AIR", "MPC_Z_P")
+_GAINS = ("MPC_XY_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_D_ACC", "MPC_VELD_LP", "MPC_TILTMAX_AIR", "MPC_Z_P")
 # Forward, right, down of the centre of mass, as imu.position_m.
 IMU_POSITION = ("EKF2_IMU_POS_X", "EKF2_IMU_POS_Y", "EKF2_IMU_POS_Z")
 _POSITION_TOLERANCE_M = 0.005

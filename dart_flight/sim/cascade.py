@@ -27,7 +27,6 @@ from dart_flight.geometry import (
 
 _MAX_RATE = (math.radians(220.0), math.radians(220.0), math.radians(200.0))  # MC_*RATE_MAX defaults
 _YAW_WEIGHT = 0.4  # MC_YAW_WEIGHT default
-_DERIVATIVE_CUTOFF_HZ = 5.0  # MPC_VELD_LP default
 _HORIZONTAL_MARGIN = 0.3  # MPC_THR_XY_MARG default: thrust kept for horizontal control when saturated
 
 
@@ -103,7 +102,7 @@ class Cascade:
 
     def _differentiate(self, velocity: Vec3, dt_s: float) -> None:
         if self._velocity_last is not None and dt_s > 0.0:
-            alpha = dt_s / (dt_s + 1.0 / (2.0 * math.pi * _DERIVATIVE_CUTOFF_HZ))
+            alpha = dt_s / (dt_s + 1.0 / (2.0 * math.pi * self.parameters["MPC_VELD_LP"]))
             for i in range(3):
                 slope = (velocity[i] - self._velocity_last[i]) / dt_s
                 self._velocity_slope[i] += alpha * (slope - self._velocity_slope[i])

@@ -1,15 +1,16 @@
 """Ways to recover from a hit that turns the vehicle, side by side: what a companion may command.
 
     python -m tools.campaigns.recovery                  # every candidate; build/recovery.md
-    python -m tools.campaigns.recovery paper level-0.15
+    python -m tools.campaigns.recovery paper level-0.15 --groups wide_room
 
 Every candidate flies the same jobs (`tools.campaigns.body`): the shipped missions at the default body, at
-mid-range and at the worst corner of its ranges, walls true and askew, and the single wall faster than any
-mission of the paper. The candidates stand here and not in the core, but for the one that is flown.
+mid-range and at the worst corner of its ranges, walls true and askew, and a wall with room for hits faster
+than any of the paper. The candidates stand here and not in the core, but for the one that is flown.
 """
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import statistics
 import sys
@@ -28,7 +29,7 @@ from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import distance2
 from dart_flight.samples import ImpactPeak, Input, OdometrySample, Phase, SetPoint
-from tools.campaigns.body import MIDDLE, ROOT, WORST, Flown, Job, default_case, fly
+from tools.campaigns.body import MIDDLE, ROOT, WIDE_ROOM, WORST, Flown, Job, default_case, fly
 
 _SEEDS = (6001,)  # not those of `tools.campaigns.body`: a candidate may be chosen on these
 
@@ -193,10 +194,10 @@ def jobs() -> dict[str, list[Job]]:
         groups[f"{mission}, {case.name}"] = [
             Job(mission, seed, case, yaw) for yaw, seed in itertools.product((0.0, 5.0, -10.0), _SEEDS)
         ]
-    groups["single_wall, 1.5 and 2 m/s"] = [
-        Job("single_wall", _SEEDS[0], default_case(), yaw, -speed)
-        for speed, yaw in itertools.product((1.5, 2.0), (0.0, 10.0, -10.0, 20.0))
-    ]
+    for speed in (1.5, 2.0, 3.0):
+        groups[f"{WIDE_ROOM}, {speed:g} m/s"] = [
+            Job(WIDE_ROOM, _SEEDS[0], default_case(), yaw, -speed) for yaw in (0.0, 10.0, -10.0, 20.0, -20.0)
+        ]
     return groups
 
 
@@ -237,8 +238,11 @@ HEAD = (
 
 def main() -> int:
     """Fly the candidates named on the command line, all of them by default; write build/recovery.md."""
-    wanted = sys.argv[1:] or list(CANDIDATES)
-    groups = jobs()
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("candidates", nargs="*", default=list(CANDIDATES), choices=list(CANDIDATES))
+    parser.add_argument("--groups", default="", help="only groups of jobs whose name contains this")
+    options = parser.parse_args()
+    wanted, groups = options.candidates, {k: v for k, v in jobs().items() if options.groups in k}
     console = Console(stderr=True)
     lines = [HEAD]
     with ProcessPoolExecutor(2) as pool:

@@ -63,6 +63,7 @@ class Px4Parameters(Section, frozen=True, rename="upper"):
         mis_takeoff_alt: height of PX4's own take-off, m.
         com_of_loss_t: silence of the set-points after which PX4's failsafe acts, s.
         com_disarm_land: time on the ground after which PX4 disarms, s; not positive: never.
+        mpc_veld_lp: low-pass of the derivative that the velocity loop's D terms take, Hz.
     """
 
     mpc_xy_p: Gain
@@ -94,3 +95,4 @@ class Px4Parameters(Section, frozen=True, rename="upper"):
     mis_takeoff_alt: Annotated[float, Meta(gt=0.0, le=100.0)]
     com_of_loss_t: Annotated[float, Meta(gt=0.0, le=60.0)]
     com_disarm_land: Annotated[float, Meta(ge=-1.0, le=600.0)]
+    mpc_veld_lp: Annotated[float, Meta(gt=0.0, le=100.0)] = 5.0  # configurations before it have PX4's default

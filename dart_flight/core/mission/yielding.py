@@ -16,7 +16,6 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.geometry import Vec3
 
-_CUTOFF_HZ = 5.0  # MPC_VELD_LP's default: of the derivative that the D term takes
 _FADED_M_S2 = 0.02
 _LARGEST_M_S2 = 5.0  # fed forward; also bounds what a hanging set-point could do
 # From the onset on; PX4 keeps the last set-point of a program that hangs, and this one leads away.
@@ -28,7 +27,7 @@ class Yielding:
 
     def __init__(self, vehicle: VehicleConfig) -> None:
         self._per_newton = 1.0 / vehicle.airframe.mass_kg
-        self._gain = vehicle.px4.mpc_xy_vel_d_acc
+        self._gain, self._cutoff_hz = vehicle.px4.mpc_xy_vel_d_acc, vehicle.px4.mpc_veld_lp
         self._filtered = (0.0, 0.0)
         self._last_us: int | None = None
 
@@ -41,7 +40,7 @@ class Yielding:
         x, y = self._filtered
         if last is None or not (sensed.in_contact or x or y):
             return
-        share = 1.0 - math.exp(-2.0 * math.pi * _CUTOFF_HZ * (estimate.t_us - last) * 1e-6)
+        share = 1.0 - math.exp(-2.0 * math.pi * self._cutoff_hz * (estimate.t_us - last) * 1e-6)
         fx, fy, _ = estimate.force_mission if sensed.in_contact else (0.0, 0.0, 0.0)
         x += share * (fx * self._per_newton - x)
         y += share * (fy * self._per_newton - y)
