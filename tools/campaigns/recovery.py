@@ -239,10 +239,13 @@ HEAD = (
 def main() -> int:
     """Fly the candidates named on the command line, all of them by default; write build/recovery.md."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("candidates", nargs="*", default=list(CANDIDATES), choices=list(CANDIDATES))
+    parser.add_argument("candidates", nargs="*", default=list(CANDIDATES), help=", ".join(CANDIDATES))
     parser.add_argument("--groups", default="", help="only groups of jobs whose name contains this")
     options = parser.parse_args()
     wanted, groups = options.candidates, {k: v for k, v in jobs().items() if options.groups in k}
+    unknown = set(wanted) - set(CANDIDATES)
+    if unknown:
+        parser.error(f"no candidate {', '.join(sorted(unknown))}; there are {', '.join(CANDIDATES)}")
     console = Console(stderr=True)
     lines = [HEAD]
     with ProcessPoolExecutor(2) as pool:
