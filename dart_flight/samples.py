@@ -71,6 +71,13 @@ class Outcome(StrEnum):
     RELEASED = "released"  # a person took over
 
 
+class AfterImpact(StrEnum):
+    """What follows an impact."""
+
+    SETPOINT = "setpoint"  # the paper's recovery set-point
+    REPLAN = "replan"  # the same, until a way planned from what was felt begins
+
+
 class Request(StrEnum):
     """What an operator, or the shell itself, asks of a flight under way."""
 
@@ -289,6 +296,28 @@ class ClockOffset(Record, frozen=True, gc=False):
     offset_us: int
 
 
+class PlanAnswer(Record, frozen=True, gc=False):
+    """What the planner makes of a `PlanRequest`: a way from a coming moment on, and what it leads to.
+
+    The way is x and y as polynomials of fifth order in the seconds since `begin_us`, constant term first,
+    then straight on at the velocity of its end.
+    """
+
+    topic: ClassVar[str] = "/in/plan"
+    received_us: int
+    number: int  # of the request
+    begin_us: int  # autopilot's time at which the way begins
+    duration_s: float = 0.0  # of the polynomials, s
+    x_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...
+    y_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...
+    collision: int | None = None  # 1-based index of the collision that it leads to; none: to the goal
+    impact_s: float | None = None  # from its beginning to the wall's plane, s
+    normal_m_s: float | None = None  # velocity there, collision frame
+    tangential_m_s: float | None = None  # velocity there, collision frame
+    peak_force_n: float | None = None  # of the normal force, by the coefficients felt so far
+    problem: str = ""  # why there is no way
+
+
 class Tick(Record, frozen=True, gc=False):
     """Host time goes by, at least every 20 ms, so that silence can be judged."""
 
@@ -312,6 +341,7 @@ Input = (
     | CommandResult
     | OperatorRequest
     | ClockOffset
+    | PlanAnswer
     | Tick
 )
 
@@ -365,6 +395,21 @@ class LockPermission(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/out/lock_permission"
     t_us: int
     permitted: bool
+
+
+class PlanRequest(Record, frozen=True, gc=False):
+    """Plan the rest of the mission anew, after a contact; the answer is a `PlanAnswer` of the same number."""
+
+    topic: ClassVar[str] = "/out/plan_request"
+    t_us: int  # of the state below
+    number: int  # counts up
+    begin_us: int  # when the way is to begin; an answer that comes later is not taken
+    collision: int | None  # 1-based index of the next one; none: the goal is next
+    position_mission: Vec3
+    velocity_mission: Vec3
+    acceleration_mission: Vec3  # of thrust and drag
+    setpoint_mission: Vec3  # m; in force until then
+    lock_ready_us: int | None  # when the lock can be settled in the mode that comes next; none: never
 
 
 class Silence(Record, frozen=True, gc=False):
@@ -512,6 +557,16 @@ class GoalPassed(Record, frozen=True, gc=False):
     miss_m: float
 
 
+class PlanTaken(Record, frozen=True, gc=False):
+    """What became of a `PlanAnswer`: flown, or not, and why not."""
+
+    topic: ClassVar[str] = "/event/plan"
+    t_us: int
+    number: int  # of the request
+    taken: bool
+    reason: str = ""  # why it is not flown
+
+
 class MissionEnd(Record, frozen=True, gc=False):
     """The flight is over for the core."""
 
@@ -527,6 +582,7 @@ Output = (
     | VehicleCommand
     | LockCommand
     | LockPermission
+    | PlanRequest
     | Silence
     | ForceEstimate
     | TorqueEstimate
@@ -538,6 +594,7 @@ Output = (
     | PhaseChange
     | GuardEvent
     | GoalPassed
+    | PlanTaken
     | MissionEnd
 )
 

@@ -9,12 +9,13 @@ from dart_flight.check.findings import Finding
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import NoApproachError, plan_approach
 from dart_flight.core.mission.arithmetic import SCALARS
+from dart_flight.core.mission.commitment import SETPOINT_OUTSIDE_M, setpoint_outside_m
 from dart_flight.core.mission.planned import expected_hit, impact_velocity
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.core.sense.detector import ImpactDetector
 from dart_flight.geometry import Vec3
-from dart_flight.planning.constraints import SETPOINT_OUTSIDE_M, leads_behind, setpoint_outside_m
+from dart_flight.planning.constraints import leads_behind
 from dart_flight.planning.envelope import (
     clipping_warning,
     full_scale_n,

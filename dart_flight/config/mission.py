@@ -21,7 +21,7 @@ from dart_flight.config.provenance import FoundVehicle, VehicleSource, find_vehi
 from dart_flight.config.section import Section
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.geometry import MissionFrame, Vec2, Vec3, Wall
-from dart_flight.samples import Mode
+from dart_flight.samples import AfterImpact, Mode
 
 Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
 Velocity = Annotated[float, Meta(ge=-20.0, le=20.0)]
@@ -217,6 +217,8 @@ class MissionFile(Section, frozen=True):
         vehicle: vehicle configuration, relative to this file; without it, the default one.
         transit_mode: state of the arms in take-off, transit and landing.
         predicted: written by plan.
+        after_impact: setpoint: the paper's recovery set-point leads on; replan: a way that is planned in
+            flight, from what was felt, takes over from it.
     """
 
     version: Literal[1]
@@ -231,6 +233,7 @@ class MissionFile(Section, frozen=True):
     transit_mode: Mode = Mode.RIGID
     limits: Limits = Limits()
     predicted: MissPrediction | None = None
+    after_impact: AfterImpact = AfterImpact.SETPOINT
 
 
 class Bounds(msgspec.Struct, frozen=True):
@@ -290,6 +293,7 @@ class Mission(msgspec.Struct, frozen=True):
     predicted: MissPrediction | None
     standoff_m: float | None = None  # a rehearsal: every contact replaced by stopping so far before the wall
     vehicle_source: VehicleSource | None = None  # where the configuration came from; old logs do not say
+    after_impact: AfterImpact = AfterImpact.SETPOINT
 
     def flown_vehicle(self) -> VehicleSource:
         """Which vehicle it is, for everything that is said of the mission."""
@@ -369,6 +373,7 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
         transit_mode=spec.transit_mode,
         limits=spec.limits,
         predicted=spec.predicted,
+        after_impact=spec.after_impact,
     )
 
 

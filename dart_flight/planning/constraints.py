@@ -13,9 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.config.mission import Bounds
 from dart_flight.core.mission.arithmetic import Arithmetic, Number
-from dart_flight.core.mission.executive import STOP_MARGIN_M
+from dart_flight.core.mission.commitment import (
+    SETPOINT_OUTSIDE_M,
+    SETTLED_BEFORE_S,
+    STOP_MARGIN_M,
+    bearable_in_either_mode,
+    setpoint_outside_m,
+)
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S, STOP_TIME_S, least_distance_m, stop_share
 from dart_flight.geometry import GRAVITY_M_S2, Vec2, Wall
 from dart_flight.planning.flight_model import Leg, Window
@@ -26,8 +31,6 @@ ARRAYS = Arithmetic(np.hypot, np.sqrt, np.maximum, np.minimum, np.where)
 Codes = NDArray[np.int8]
 
 LEAST_REBOUND_M_S = 0.05
-# The paper's own plan has a set-point 0.5 m outside of the bounds; far out it pulls where nothing was meant.
-SETPOINT_OUTSIDE_M = 2.0
 # A wall counts as touched when it would be reached within this time: forces begin before the plane (`lcp`).
 _TOUCH_S = 0.01
 _THICK_M = 0.5  # further behind a plane is the other side of the wall
@@ -88,7 +91,8 @@ class Constraints:
         self._ignored = ignored
         self.bounds, self.limits = task.bounds, task.limits
         self.walls = tuple(task.walls.values())
-        vehicle = task.vehicle
+        vehicle = self._vehicle = task.vehicle
+        self._alphas = task.alphas
         self.threshold_n = vehicle.detection.force_threshold_n
         self.refractory_s = vehicle.detection.refractory_s
         self.most_acceleration = GRAVITY_M_S2 * math.tan(math.radians(vehicle.px4.mpc_tiltmax_air))
@@ -212,11 +216,32 @@ class Constraints:
         in_time |= (closing <= 0.0) & (distance > 0.0)
         return in_time
 
+    def lock_too_late(self, ready: Leg, impact: Leg, after_s: Array, wall: Wall) -> NDArray[np.bool_]:
+        """Whether the executive would break off because the lock is still on its way.
 
-def setpoint_outside_m(m: Arithmetic, bounds: Bounds, x: Number, y: Number) -> Number:
-    """How far a set-point lies outside of the bounds horizontally, metres; 0 inside."""
-    beside = m.maximum(bounds.x[0] - x, x - bounds.x[1])
-    return m.maximum(m.maximum(beside, m.maximum(bounds.y[0] - y, y - bounds.y[1])), 0.0)
+        Args:
+            ready: states when the lock settles.
+            impact: states at the impact.
+            after_s: of the impact, since the release.
+            wall: that is hit.
+        """
+        late = after_s < self.lock_s
+        rows = np.flatnonzero(~late & ~self.lock_in_time(ready, wall))
+        if rows.size:
+            at = impact.take(rows)
+            (nx, ny), (tx, ty) = wall.normal, wall.tangent
+            bearable = bearable_in_either_mode(
+                ARRAYS,
+                self._vehicle,
+                self.limits,
+                self.bounds,
+                wall,
+                self._alphas[wall.name],
+                (at.x[0] + at.goal_x, at.y[0] + at.goal_y),
+                (nx * at.x[1] + ny * at.y[1], tx * at.x[1] + ty * at.y[1]),
+            )
+            late[rows] = ~(bearable & (after_s[rows] >= self.lock_s + SETTLED_BEFORE_S))
+        return late
 
 
 def leads_behind(wall: Wall, place: tuple[Number, Number], target: tuple[Number, Number]) -> Number:

@@ -348,7 +348,7 @@ class Rollout:
             d = first_crossing(series, stage.lead_s, -GRID_S - 2.0 * stage.lead_s, 1e-3)
             leg, after = near.leg_at(d), near.times + d
             here = reached._replace(modes=reached.modes * len(self.task.modes) + i)
-            codes = self._reached_codes(reached, wall, i, after)
+            codes = self._reached_codes(reached, wall, i, leg, after)
             if codes is not None:
                 stays = np.flatnonzero(self._refuse(codes, number))
                 here, leg, after = here.take(stays), leg.take(stays), after[stays]
@@ -356,16 +356,17 @@ class Rollout:
                 fronts.append(self._collide(stage, wall, number, here, leg, after))
         return [front for front in fronts if front is not None]
 
-    def _reached_codes(self, front: _Front, wall: Wall, mode: int, after: Array) -> NDArray[np.int8] | None:
+    def _reached_codes(
+        self, front: _Front, wall: Wall, mode: int, impact: Leg, after: Array
+    ) -> NDArray[np.int8] | None:
         """Whether the lock and the detector are ready when the wall is met."""
         if self.constraints is None:
             return None
         codes = np.zeros(after.size, dtype=np.int8)
         switched = front.modes % len(self.task.modes) != mode
         if switched.any():
-            lock_s = self.constraints.lock_s
-            then = self.flight.at(front.leg, lock_s)
-            late = (after < lock_s) | ~self.constraints.lock_in_time(then, wall)
+            ready = self.flight.at(front.leg, self.constraints.lock_s)
+            late = self.constraints.lock_too_late(ready, impact, after, wall)
             self.constraints.mark(codes, switched & late, Refusal.SERVO_TRAVEL)
         self.constraints.mark(codes, after < self.constraints.refractory_s, Refusal.TOO_SOON)
         return codes

@@ -17,8 +17,10 @@ from dart_flight.lock.drivers import Driver
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
 from dart_flight.lock.drivers.px4 import Px4Driver
 from dart_flight.lock.session import LockSession
+from dart_flight.planning.replanning import Replanner
 from dart_flight.samples import (
     ActuatorSample,
+    AfterImpact,
     AttitudeSample,
     ClockOffset,
     CommandResult,
@@ -31,6 +33,8 @@ from dart_flight.samples import (
     LockState,
     OdometrySample,
     Output,
+    PlanAnswer,
+    PlanRequest,
     Record,
     SetPoint,
     Silence,
@@ -138,6 +142,11 @@ class FastFlight:
         self._last_setpoint: SetPoint | None = None
         self._repeated_us = 0
         self._lock_states: list[LockState] = []
+        replans = mission.after_impact is AfterImpact.REPLAN
+        self._replanner = Replanner(mission) if replans else None
+        # Of the simulated computer: the answer comes after this time, however long it took here.
+        self._plan_us = round(true.vehicle.simulation.replan_latency_s * 1e6)
+        self._answers: list[tuple[int, PlanAnswer]] = []
         self.mock: MockDriver | None = None
         lock = mission.vehicle.lock
         hardware: Driver
@@ -193,6 +202,8 @@ class FastFlight:
             self.take(Tick(self.host_us))
         while self._lock_states:
             self.take(self._lock_states.pop(0))
+        while self._answers and self._answers[0][0] <= self.host_us:
+            self.take(self._answers.pop(0)[1])
         self._telemetry()
         if self.faulted is not None:
             for item in self.faulted.arrived():
@@ -252,6 +263,9 @@ class FastFlight:
             self.lock.command(output.mode)
         elif isinstance(output, LockPermission):
             self.lock.permit(output.permitted)
+        elif isinstance(output, PlanRequest) and self._replanner is not None:
+            due_us = self.host_us + self._plan_us
+            self._answers.append((due_us, self._replanner.answer(output, due_us)))
         elif isinstance(output, Silence):
             self._last_setpoint = None
 

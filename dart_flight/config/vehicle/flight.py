@@ -84,6 +84,8 @@ class Flying(Section, frozen=True):
         ready_timeout_s: longest wait for telemetry, offboard mode, arming, the end of climb or transit.
         yield_to_contacts: in a contact ask for what the vehicle does anyway, and take out what PX4's D term
             makes of the wall's push; false: keep still until the peak, as older configurations did.
+        replan_within_s: from the end of a contact to the beginning of a way that is planned in flight; the
+            planner has so long to answer.
     """
 
     climb_speed_m_s: Speed
@@ -96,3 +98,4 @@ class Flying(Section, frozen=True):
     arrive_s: SecondsOrZero
     ready_timeout_s: Seconds
     yield_to_contacts: bool = False
+    replan_within_s: Annotated[float, Meta(gt=0.0, le=2.0)] = 0.1

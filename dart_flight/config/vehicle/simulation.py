@@ -123,6 +123,7 @@ class Simulation(Section, frozen=True):
         spreads: how far a real flight may be from what is believed.
         imu_ringing: what motors and frame shake into the accelerometer; null: nothing.
         imu_position_m: [forward, right, down] of the centre of mass, where the IMU really is.
+        replan_latency_s: from a request to plan anew to its answer, where time is simulated.
     """
 
     imu_noise_m_s2: Annotated[float, Meta(ge=0.0, le=50.0)]
@@ -145,3 +146,4 @@ class Simulation(Section, frozen=True):
     spreads: Spreads = Spreads()
     imu_ringing: ImuRinging | None = None
     imu_position_m: tuple[Lever, Lever, Lever] = (0.0, 0.0, 0.0)
+    replan_latency_s: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.04

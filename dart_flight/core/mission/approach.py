@@ -257,3 +257,43 @@ class Transit(msgspec.Struct, frozen=True):
             (d[0] * speed, d[1] * speed, d[2] * speed),
             (d[0] * acceleration, d[1] * acceleration, d[2] * acceleration),
         )
+
+
+class Way(msgspec.Struct, frozen=True):
+    """A way planned in flight: a polynomial of fifth order per axis, then straight on or at rest.
+
+    Attributes:
+        x, y: coefficients in the seconds since its beginning, constant term first; mission frame, metres.
+        duration_s: of the polynomials; afterwards the velocity of their end is kept.
+        altitude_m: constant height.
+    """
+
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+    duration_s: float
+    altitude_m: float
+
+    def at(self, t_s: float) -> ReferencePoint:
+        """The reference `t_s` seconds after the beginning."""
+        inside = max(0.0, min(t_s, self.duration_s))
+        (px, vx, ax, jx), (py, vy, ay, jy) = _derivatives(self.x, inside), _derivatives(self.y, inside)
+        beyond = max(0.0, t_s - self.duration_s)
+        if beyond > 0.0:
+            ax = ay = jx = jy = 0.0
+        return ReferencePoint(
+            (px + vx * beyond, py + vy * beyond, self.altitude_m),
+            (vx, vy, 0.0),
+            (ax, ay, 0.0),
+            (jx, jy, 0.0),
+        )
+
+
+def _derivatives(coefficients: tuple[float, ...], t: float) -> tuple[float, float, float, float]:
+    """A polynomial and its first three derivatives, by Horner's scheme."""
+    value = slope = half = sixth = 0.0
+    for c in reversed(coefficients):
+        sixth = sixth * t + half
+        half = half * t + slope
+        slope = slope * t + value
+        value = value * t + c
+    return value, slope, 2.0 * half, 6.0 * sixth

@@ -12,19 +12,23 @@ from typing import ClassVar
 
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import Approach, plan_approach
+from dart_flight.core.mission.arithmetic import SCALARS
+from dart_flight.core.mission.commitment import SETTLED_BEFORE_S, STOP_MARGIN_M, bearable_in_either_mode
 from dart_flight.core.mission.lock_orders import LockOrders
 from dart_flight.core.mission.phases import DOWN_US, TRANSITIONS, WATCHING, Cue
 from dart_flight.core.mission.planned import expected_hit
-from dart_flight.core.mission.position_loop import least_distance_m
+from dart_flight.core.mission.position_loop import PlaneMet, least_distance_m, meets_plane
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.core.mission.references import References
+from dart_flight.core.mission.replanning import Replanning
 from dart_flight.core.mission.yielding import LONGEST_S, Yielding
 from dart_flight.core.sense.detector import Expected
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import Vec3, distance2, norm, yaw_ned_of
 from dart_flight.samples import (
+    AfterImpact,
     DetectionFloor,
     GoalPassed,
     ImpactOnset,
@@ -37,12 +41,11 @@ from dart_flight.samples import (
     Output,
     Phase,
     PhaseChange,
+    PlanAnswer,
     VehicleAction,
     VehicleCommand,
 )
 
-# Of the prediction "holding still stops short of the wall"; small, because breaking off brakes harder.
-STOP_MARGIN_M = 0.02
 PASSED_RISE_M = 0.03  # the distance to the goal has risen by more than its noise
 PASSED_AFTER_S = 0.25  # the first moments after a contact do not yet show where it leads
 _RETRY_US = 1_000_000  # telemetry of mode and arming lags by up to a second
@@ -72,7 +75,8 @@ class Executive:
             c.index: plan_approach(mission, c) for c in mission.collisions if c.approach_m_s is not None
         }
         self._references = References(mission)
-        self._lock = LockOrders(mission.vehicle.lock.relaxation_s)
+        self._lock = LockOrders(mission.vehicle.lock)
+        self._replanning = Replanning(mission) if mission.after_impact is AfterImpact.REPLAN else None
         self._yielding = Yielding(mission.vehicle) if mission.vehicle.flying.yield_to_contacts else None
         self._entered_us: int | None = None
         self._asked_us: int | None = None  # last time a vehicle command was sent
@@ -110,6 +114,8 @@ class Executive:
             self._entered_us = state.now_us
         if self._yielding is not None:
             self._yielding.take(sensed)
+        if isinstance(item, PlanAnswer):
+            self._on_answer(item, state, p)
         for event in sensed.impacts:
             if isinstance(event, ImpactOnset):
                 self._on_onset(event, state, p)
@@ -290,6 +296,8 @@ class Executive:
 
     def _on_onset(self, event: ImpactOnset, state: FlightState, p: Proposal) -> None:
         self._lock.contact_begins(event.t_us)
+        if self._replanning is not None:
+            self._replanning.contact_begins()
         collision = self._collision
         if collision is None or not self._is_due(collision) or not event.planned:
             force = math.hypot(event.force_mission[0], event.force_mission[1])
@@ -352,6 +360,7 @@ class Executive:
         following = self._collision
         if self._lock.contact_end_us is not None:
             self._lock_to(following.mode if following else self.mission.transit_mode, state, p)
+            self._plan_again(following, state, sensed, p)
         timed_out = self._takes_longer_than(self.mission.limits.collision_timeout_s, state)
         if following is None:
             self._watch_goal(state, p, timed_out)
@@ -365,7 +374,7 @@ class Executive:
         else:
             self._check_wall_met(following, state, sensed, p)
             self._check_lock_in_time(following, state, sensed, p)
-            if timed_out:
+            if timed_out or self._way_is_late(state):
                 p.find("wall_not_met", f"wall {following.wall.name} not reached by the recovery")
 
     def _check_lock_in_time(
@@ -380,20 +389,98 @@ class Executive:
             return
         pushing = -(state.acceleration[0] * n[0] + state.acceleration[1] * n[1])
         distance = following.wall.signed_distance(state.position)
-        if least_distance_m(distance, closing, pushing, distance, self.mission.vehicle.px4) < STOP_MARGIN_M:
+        px4 = self.mission.vehicle.px4
+        if least_distance_m(distance, closing, pushing, distance, px4) >= STOP_MARGIN_M:
+            return
+        aim = following.wall.signed_distance(self._references.target)
+        met = self._way_meets(closing, state) or meets_plane(distance, closing, pushing, aim, px4)
+        if met is None or not self._may_commit(following, met, state):
             detail = (
                 f"lock {state.lock.phase.value}, not {following.mode.value}, {distance:.2f} m before wall "
                 f"{following.wall.name} at {closing:.2f} m/s"
             )
             p.find("lock_late", detail)
 
+    def _may_commit(self, following: Collision, met: PlaneMet, state: FlightState) -> bool:
+        """Whether to fly on past the last moment for stopping (`commitment`)."""
+        ready_us = self._lock.ready_us(following.mode, state)
+        if ready_us is None or ready_us > state.now_us + (met.after_s - SETTLED_BEFORE_S) * 1e6:
+            return False
+        vx, vy, _ = state.velocity
+        (tx, ty), wall, s = following.wall.tangent, following.wall, met.after_s
+        return bool(
+            bearable_in_either_mode(
+                SCALARS,
+                self.mission.vehicle,
+                self.mission.limits,
+                self.mission.bounds,
+                wall,
+                (following.alpha_normal_m_per_n, following.alpha_tangential_m_per_n),
+                wall.foot((state.position[0] + vx * s, state.position[1] + vy * s)),
+                (min(met.normal_m_s, -1e-3), vx * tx + vy * ty),
+            )
+        )
+
+    # -- ways planned in flight --
+
+    def _plan_again(
+        self, following: Collision | None, state: FlightState, sensed: Sensed, p: Proposal
+    ) -> None:
+        """Ask for a way once the contact is over, and follow it once it begins."""
+        planning = self._replanning
+        if planning is None or (following is not None and following.approach_m_s is not None):
+            return
+        if not planning.asked and sensed.estimate is not None and not sensed.in_contact:
+            ready_us = state.now_us if following is None else self._lock.ready_us(following.mode, state)
+            push = sensed.estimate.push_mission
+            p.outputs.append(planning.ask(following, state, push, self._references.target, ready_us))
+        taken = planning.begin(state)
+        if taken is not None:
+            p.outputs.append(taken)
+            if planning.way is not None and taken.taken:
+                self._references.follow(planning.way)
+                self._least_miss_m = math.inf
+
+    def _on_answer(self, answer: PlanAnswer, state: FlightState, p: Proposal) -> None:
+        if self._replanning is not None:
+            refused = self._replanning.take(answer, state.now_us)
+            if refused is not None:
+                p.outputs.append(refused)
+
+    def _way_meets(self, closing_m_s: float, state: FlightState) -> PlaneMet | None:
+        """When the way that is flown meets the next wall; None where a set-point is."""
+        if self._replanning is None or self._replanning.impact_us is None:
+            return None
+        after_s = max(0.0, (self._replanning.impact_us - state.now_us) * 1e-6)
+        return PlaneMet(after_s, -closing_m_s)
+
+    def _way_is_late(self, state: FlightState) -> bool:
+        """Whether the wall should have been met on the way that is flown."""
+        if self._replanning is None or self._replanning.impact_us is None:
+            return False
+        return state.now_us - self._replanning.impact_us > self.mission.vehicle.guard.wall_late_s * 1e6
+
+    @property
+    def _way_us(self) -> int | None:
+        """Since when a way leads on; None: the target is a step."""
+        if self.phase in self._underway:
+            return self._entered_us
+        if self.phase is Phase.RECOVERY and self._replanning is not None and self._replanning.way is not None:
+            return self._replanning.begin_us
+        return None
+
     def _watch_goal(self, state: FlightState, p: Proposal, timed_out: bool) -> None:
         if self._lock.contact_end_us is None and not timed_out:
             return
         miss = distance2(state.position, self.mission.goal.position_m)
         self._least_miss_m = min(self._least_miss_m, miss)
-        rising = miss > self._least_miss_m + PASSED_RISE_M and self._takes_longer_than(PASSED_AFTER_S, state)
-        if rising or timed_out:
+        planning = self._replanning
+        if planning is not None and planning.way is not None:
+            passed = planning.is_over(state.now_us)  # it may lead away from the goal at first
+        else:
+            rising = miss > self._least_miss_m + PASSED_RISE_M
+            passed = rising and self._takes_longer_than(PASSED_AFTER_S, state)
+        if passed or timed_out:
             p.outputs.append(GoalPassed(state.now_us, self._least_miss_m))
             self._head_for_goal(state, miss)
             self._captured_us = None
@@ -456,9 +543,10 @@ class Executive:
         if self.phase in _SILENT:
             return
         self._references.slew_yaw(self._wanted_yaw(state), state.now_us)
-        since_us = self._entered_us if self.phase in self._underway else None
         forward = self._feed_forward() if self.phase is Phase.RECOVERY else None
-        p.outputs.append(self._references.setpoint(frame, sample.t_us, sample.received_us, since_us, forward))
+        p.outputs.append(
+            self._references.setpoint(frame, sample.t_us, sample.received_us, self._way_us, forward)
+        )
 
     def _feed_forward(self) -> Vec3 | None:
         """Against what PX4 makes of a contact; None where it is not asked for or there was none."""

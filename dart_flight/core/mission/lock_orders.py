@@ -6,6 +6,7 @@ sprung back (paper, Sec. III; `lock.relaxation_s`).
 
 from __future__ import annotations
 
+from dart_flight.config.vehicle import LockConfig
 from dart_flight.core.sense.state import FlightState
 from dart_flight.samples import LockCommand, LockPermission, LockPhase, Mode, Output
 
@@ -19,8 +20,9 @@ class LockOrders:
         contact_end_us: end of the last contact; None while there is one, or before the first.
     """
 
-    def __init__(self, relaxation_s: float) -> None:
-        self._relaxation_us = relaxation_s * 1e6
+    def __init__(self, lock: LockConfig) -> None:
+        self._relaxation_us = lock.relaxation_s * 1e6
+        self._switch_us = lock.switch_time_s * 1e6
         self._impact_us: int | None = None
         self.contact_end_us: int | None = None
         self._permitted: bool | None = None
@@ -43,6 +45,17 @@ class LockOrders:
             return []
         self._permitted = permitted
         return [LockPermission(now_us, permitted)]
+
+    def ready_us(self, mode: Mode, state: FlightState) -> int | None:
+        """When the lock will be settled in a mode if nothing fails, autopilot time; None: it is at fault."""
+        if state.lock_is_in(mode):
+            return state.now_us
+        if state.lock.phase is LockPhase.FAULT:
+            return None
+        if state.lock.phase is LockPhase.TRAVELLING and state.lock.mode is mode:
+            return round((state.lock.commanded_us or state.now_us) + self._switch_us)
+        end_us = self.contact_end_us if self.contact_end_us is not None else state.now_us
+        return round(max(state.now_us, end_us + self._relaxation_us) + self._switch_us)
 
     def phase_begins(self) -> None:
         """An order may be given anew in a new phase, without waiting for the last one's retry."""

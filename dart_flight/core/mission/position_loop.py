@@ -11,7 +11,7 @@ move much. The planner (`flight_model`) has both.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from dart_flight.config.vehicle import Px4Parameters
@@ -23,6 +23,7 @@ ATTITUDE_LAG_S = 0.15
 
 
 STOP_TIME_S = 0.5  # the loop stops from a speed within about half a second of way
+_STEP_S = 0.01
 _BEHIND_M = 0.3  # further behind a plane is the other side of the wall
 
 
@@ -67,6 +68,43 @@ class PositionLoop(NamedTuple):
         )
 
 
+class PlaneMet(NamedTuple):
+    """When a plane is met, from now on, and how fast.
+
+    Attributes:
+        after_s: seconds from now.
+        normal_m_s: velocity along the outward normal, < 0.
+    """
+
+    after_s: float
+    normal_m_s: float
+
+
+def meets_plane(
+    distance_m: float,
+    closing_speed_m_s: float,
+    closing_acceleration_m_s2: float,
+    target_distance_m: float,
+    px4: Px4Parameters,
+    horizon_s: float = 2.0,
+) -> PlaneMet | None:
+    """When the vehicle meets a plane on the way to a set-point; None: not within the horizon.
+
+    Args: as `least_distance_m`.
+    """
+    h = _STEP_S
+    before = distance_m
+    for n, (x, v) in enumerate(
+        _course(distance_m, closing_speed_m_s, closing_acceleration_m_s2, target_distance_m, px4, horizon_s),
+        start=1,
+    ):
+        if x <= 0.0:
+            share = before / (before - x) if before > x else 1.0
+            return PlaneMet((n - 1 + share) * h, v)
+        before = x
+    return None
+
+
 def least_distance_m(
     distance_m: float,
     closing_speed_m_s: float,
@@ -88,16 +126,31 @@ def least_distance_m(
     Returns:
         The smallest signed distance in metres within the horizon; the present one where it only grows.
     """
-    kp, kv, kd = px4.mpc_xy_p, px4.mpc_xy_vel_p_acc, px4.mpc_xy_vel_d_acc
-    x, v, a = distance_m, -closing_speed_m_s, -closing_acceleration_m_s2
-    nearest, h = x, 0.01
-    for _ in range(round(horizon_s / h)):
-        command = kv * (kp * (target_distance_m - x) - v) - kd * a
-        a += h * (command - a) / ATTITUDE_LAG_S
-        v += h * a
-        x += h * v
+    nearest = distance_m
+    for x, v in _course(
+        distance_m, closing_speed_m_s, closing_acceleration_m_s2, target_distance_m, px4, horizon_s
+    ):
         if x < nearest:
             nearest = x
         elif v > 0.0:
             break
     return nearest
+
+
+def _course(
+    distance_m: float,
+    closing_speed_m_s: float,
+    closing_acceleration_m_s2: float,
+    target_distance_m: float,
+    px4: Px4Parameters,
+    horizon_s: float,
+) -> Iterator[tuple[float, float]]:
+    """Distance from a plane and velocity along its normal after every step."""
+    kp, kv, kd = px4.mpc_xy_p, px4.mpc_xy_vel_p_acc, px4.mpc_xy_vel_d_acc
+    x, v, a, h = distance_m, -closing_speed_m_s, -closing_acceleration_m_s2, _STEP_S
+    for _ in range(round(horizon_s / h)):
+        command = kv * (kp * (target_distance_m - x) - v) - kd * a
+        a += h * (command - a) / ATTITUDE_LAG_S
+        v += h * a
+        x += h * v
+        yield x, v

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from dart_flight.config.mission import Mission
-from dart_flight.core.mission.approach import Approach, ReferencePoint, Transit
+from dart_flight.core.mission.approach import Approach, ReferencePoint, Transit, Way
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import MissionFrame, Vec2, Vec3, norm, wrap_angle
@@ -17,8 +17,8 @@ _ARRIVED_YAW_RAD = 0.05
 class References:
     """The target and the way to it.
 
-    Without a way the target is held as a step; a way is a transit (rest to rest) or an approach (into the
-    wall), as a function of the time since `begin`.
+    Without a way the target is held as a step; a way is a transit (rest to rest), an approach (into the wall)
+    or one that was planned in flight, as a function of the time since `begin`.
 
     Attributes:
         target: where the vehicle is sent, mission frame, metres.
@@ -29,7 +29,7 @@ class References:
         self._mission, self._flying = mission, mission.vehicle.flying
         self.target: Vec3 = (0.0, 0.0, 0.0)
         self.yaw = 0.0
-        self._way: Transit | Approach | None = None
+        self._way: Transit | Approach | Way | None = None
         self._yaw_us = 0
         self._arrived_us: int | None = None
 
@@ -55,6 +55,10 @@ class References:
     def approach(self, approach: Approach) -> None:
         """Along an approach, whose beginning is the target, into the wall."""
         self._way = approach
+
+    def follow(self, way: Way) -> None:
+        """A way that was planned in flight; its end becomes the target."""
+        self.target, self._way = way.at(way.duration_s).position, way
 
     def _transit_to(self, target: Vec3, speed_m_s: float) -> None:
         self._way = Transit.between(self.target, target, speed_m_s, self._flying.acceleration_m_s2)

@@ -1,0 +1,79 @@
+"""The lock's last moment: when a wall is flown at although the lock is still on its way.
+
+An approach goes on where holding still would yet stop short of the wall. Beyond that it is committed to only
+where the lock settles `SETTLED_BEFORE_S` before the impact and where the hit is bearable in *either* mode: a
+servo that does not say where it is may be stuck, and then the hit comes in the wrong one. Executive, planner
+and `check` use this rule.
+"""
+
+from __future__ import annotations
+
+import math
+
+from dart_flight.config.mission import Bounds, Limits
+from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.contact.coefficients import CoefficientArrays
+from dart_flight.contact.contact_map import contact_map
+from dart_flight.contact.law import Onset
+from dart_flight.core.mission.arithmetic import Arithmetic, Number
+from dart_flight.geometry import GRAVITY_M_S2, Wall
+from dart_flight.samples import Mode
+
+# Of the prediction "holding still stops short of the wall"; small, because breaking off brakes harder.
+STOP_MARGIN_M = 0.02
+# Of the predicted impact: what the prediction of its time is off by, and one poll of the lock.
+SETTLED_BEFORE_S = 0.05
+# The paper's own plan has a set-point 0.5 m outside of the bounds; far out it pulls where nothing was meant.
+SETPOINT_OUTSIDE_M = 2.0
+
+
+def setpoint_outside_m(m: Arithmetic, bounds: Bounds, x: Number, y: Number) -> Number:
+    """How far a set-point lies outside of the bounds horizontally, metres; 0 inside."""
+    beside = m.maximum(bounds.x[0] - x, x - bounds.x[1])
+    return m.maximum(m.maximum(beside, m.maximum(bounds.y[0] - y, y - bounds.y[1])), 0.0)
+
+
+def bearable_in_either_mode(
+    m: Arithmetic,
+    vehicle: VehicleConfig,
+    limits: Limits,
+    bounds: Bounds,
+    wall: Wall,
+    alphas_m_per_n: tuple[float, float],
+    place: tuple[Number, Number],
+    velocity_m_s: tuple[Number, Number],
+) -> Number:
+    """Whether a hit stays within force, tilt and bounds whatever state the arms are in.
+
+    Args:
+        m: for numbers or for arrays.
+        vehicle: materials, mass, gains.
+        limits: of the force.
+        bounds: that the recovery set-point may leave by `SETPOINT_OUTSIDE_M`.
+        wall: that is hit.
+        alphas_m_per_n: gains (A_n, A_t) of the recovery set-point.
+        place: of the vehicle's centre at the impact, mission frame.
+        velocity_m_s: (normal, tangential) there, collision frame.
+    """
+    (nx, ny), (tx, ty) = wall.normal, wall.tangent
+    normal, tangential = velocity_m_s
+    px4, bearable = vehicle.px4, True
+    most_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(px4.mpc_tiltmax_air))
+    for mode in Mode:
+        c = CoefficientArrays.of(vehicle.materials[wall.material].of(mode))
+        hit = contact_map(c, vehicle.airframe.mass_kg, normal, tangential, Onset(vehicle.onset))
+        friction = m.where(tangential < 0.0, -1.0, 1.0) * hit.peak_friction_force_n
+        away = alphas_m_per_n[0] * hit.peak_normal_force_n
+        onward = alphas_m_per_n[1] * friction
+        force = m.hypot(hit.peak_normal_force_n, hit.peak_friction_force_n)
+        push_n = px4.mpc_xy_p * away - hit.normal_out_m_s
+        push_t = px4.mpc_xy_p * onward - hit.tangential_out_m_s
+        command = px4.mpc_xy_vel_p_acc * m.hypot(push_n, push_t)
+        x, y = place[0] + nx * away + tx * onward, place[1] + ny * away + ty * onward
+        bearable = (
+            bearable
+            & (force <= limits.peak_force_n)
+            & (command <= most_m_s2)
+            & (setpoint_outside_m(m, bounds, x, y) <= SETPOINT_OUTSIDE_M)
+        )
+    return bearable
