@@ -27,6 +27,7 @@ from dart_flight.lock.session import LockSession
 from dart_flight.lock.state_machine import status_text
 from dart_flight.samples import (
     ActuatorSample,
+    AfterImpact,
     AttitudeSample,
     CommandResult,
     Input,
@@ -39,6 +40,7 @@ from dart_flight.samples import (
     OperatorRequest,
     Output,
     PhaseChange,
+    PlanRequest,
     Record,
     Request,
     SetPoint,
@@ -50,6 +52,7 @@ from dart_flight.samples import (
 from dart_flight.vehicle.clock import Clock, host_us
 from dart_flight.vehicle.session import VehicleSession, connect
 from dart_flight.worlds.deadman import CORE, FEED_PERIOD_S, LOOP, Deadman, SystemdNotice
+from dart_flight.worlds.planner import PlannerProcess
 from dart_flight.worlds.runner import CoreRunner, Observe
 
 _TICK_S = 0.02
@@ -234,6 +237,7 @@ class FlightApp:
             CoreRunner(FlightCore(mission), self, self._see, host_us), lambda: self._feed(CORE)
         )
         self._lock: LockThread | None = None
+        self._planner: PlannerProcess | None = None
 
     async def run(self) -> None:
         """Fly; returns when the flight has ended.
@@ -248,6 +252,8 @@ class FlightApp:
         ) as session:
             self._session = session
             self._lock = self._make_lock(session)
+            if self._mission.after_impact is AfterImpact.REPLAN:
+                self._planner = PlannerProcess(self._mission, self._core.put)
             sys.setswitchinterval(_SWITCH_INTERVAL_S)
             # What is loaded by now stays: the collector need not walk it in flight.
             gc.collect()
@@ -268,6 +274,8 @@ class FlightApp:
                     self._deadman.let_go()
                 self._core.stop()
                 self._lock.stop()
+                if self._planner is not None:
+                    self._planner.stop()
                 self._ended.set()
                 terminal.join(timeout=1.0)
                 for task in list(self._tasks):
@@ -378,6 +386,9 @@ class FlightApp:
             self.loop.call_soon_threadsafe(self._start_action, output.action)
         elif isinstance(output, LockCommand | LockPermission):
             self._lock.put(output)
+        elif isinstance(output, PlanRequest):
+            if self._planner is not None:
+                self._planner.ask(output)
         elif isinstance(output, PhaseChange):
             # For `monitor`; not on this thread, whose set-points must not wait for it.
             self.loop.call_soon_threadsafe(self._session.tell_ground, f"phase {output.after}")

@@ -38,6 +38,8 @@ from dart_flight.samples import (
     MissionEnd,
     Output,
     PhaseChange,
+    PlanRequest,
+    PlanTaken,
     Record,
     SetPoint,
     Silence,
@@ -55,6 +57,8 @@ DECISIONS = (
     PhaseChange,
     GuardEvent,
     GoalPassed,
+    PlanRequest,
+    PlanTaken,
     MissionEnd,
 )
 TOLERANCE = 1e-9
