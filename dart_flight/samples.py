@@ -555,6 +555,7 @@ class GoalPassed(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/event/goal"
     t_us: int
     miss_m: float
+    timed_out: bool = False  # it was not passed: limits.collision_timeout_s was over
 
 
 class PlanTaken(Record, frozen=True, gc=False):

@@ -18,7 +18,8 @@ from dart_flight.contact.law import Onset
 from dart_flight.core.mission.anchor import Anchor
 from dart_flight.core.mission.phases import ON_GROUND
 from dart_flight.core.sense.body import side_of
-from dart_flight.geometry import Vec3, tilt_of
+from dart_flight.deviations import Deviation, FlownImpact, deviations, planned_impacts
+from dart_flight.geometry import Vec2, Vec3, tilt_of
 from dart_flight.samples import (
     AttitudeSample,
     ContactEnd,
@@ -141,6 +142,8 @@ class Verdict(msgspec.Struct):
     px4: Px4Figures | None = None
     drawn: dict[str, float | str] = msgspec.field(default_factory=dict)  # of the simulated world (`--vary`)
     vehicle: VehicleSource | None = None
+    plan_followed: bool | None = None  # None: nothing was planned, as in a rehearsal
+    deviations: list[Deviation] = msgspec.field(default_factory=list)
 
 
 class VerdictBuilder:
@@ -150,6 +153,7 @@ class VerdictBuilder:
         self._mission = mission
         self._relaxation_us = round(mission.vehicle.lock.relaxation_s * 1e6)
         self._collisions: list[CollisionVerdict] = []
+        self._places: dict[int, Vec2] = {}  # of the impacts, by index of the collision
         self._truths: list[TruthContact] = []
         self._guard: list[GuardVerdict] = []
         self._onset: ImpactOnset | None = None
@@ -218,6 +222,7 @@ class VerdictBuilder:
 
     def _open(self, collision: Collision, onset: ImpactOnset) -> None:
         measured = collision.wall.to_collision(onset.velocity_mission)
+        self._places[collision.index] = onset.position_mission[:2]
         self._collisions.append(
             CollisionVerdict(
                 index=collision.index,
@@ -225,7 +230,7 @@ class VerdictBuilder:
                 mode=collision.mode.value,
                 t_us=onset.t_us,
                 clipped=False,
-                planned=planned_of(self._mission, collision),
+                planned=Velocities(),  # at the end: it may take the planner's model
                 measured=Velocities(measured[0], measured[1], None),
                 truth=None,
                 lock=LockTimes(),
@@ -287,8 +292,12 @@ class VerdictBuilder:
         self, world: World | None, seed: int | None, log: str | None = None, px4_log: str | None = None
     ) -> Verdict:
         """The verdict of what has been taken so far; without an end the flight counts as aborted."""
+        planned = planned_impacts(self._mission)
         for collision in self._collisions:
             self._match_truth(collision)
+            of_plan = planned[collision.index]
+            collision.planned = Velocities(of_plan.normal_m_s, of_plan.tangential_m_s, of_plan.peak_force_n)
+        differ = deviations(self._mission, planned, self._flown(), self._miss_m)
         end = self._end
         time_s = None
         if self._airborne_us is not None and self._landed_us is not None:
@@ -309,7 +318,22 @@ class VerdictBuilder:
             px4_log=px4_log,
             ekf_error_m=self._ekf_error_m(),
             vehicle=self._mission.flown_vehicle(),
+            plan_followed=all(one.within for one in differ) if differ else None,
+            deviations=differ,
         )
+
+    def _flown(self) -> list[FlownImpact]:
+        return [
+            FlownImpact(
+                c.index,
+                c.measured.normal_m_s,
+                c.measured.tangential_m_s,
+                c.measured.peak_force_n,
+                self._places.get(c.index),
+                c.mode_by_contact_time,
+            )
+            for c in self._collisions
+        ]
 
     def _ekf_error_m(self) -> float | None:
         """Largest distance between estimate and truth at the same stamp, truth interpolated."""
@@ -347,18 +371,3 @@ class VerdictBuilder:
             truth.peak_torque_nm,
         )
         collision.detection_latency_ms = (collision.t_us - truth.t_us) * 1e-3
-
-
-def planned_of(mission: Mission, collision: Collision) -> Velocities:
-    """What the plan says of a collision: the planner's prediction, else the approach and the contact law."""
-    if collision.predicted is not None:
-        p = collision.predicted
-        return Velocities(p.normal_m_s, p.tangential_m_s, p.peak_force_n)
-    if collision.approach_m_s is None:
-        return Velocities()
-    normal, tangential = collision.approach_m_s
-    coefficients = mission.vehicle.materials[collision.wall.material].of(collision.mode)
-    hit = collide(
-        coefficients, mission.vehicle.airframe.mass_kg, normal, tangential, Onset(mission.vehicle.onset)
-    )
-    return Velocities(normal, tangential, hit.peak_normal_force_n)

@@ -19,9 +19,10 @@ FLOORS = {
     "figure_panels": 3,
     "contact": 3,
     "core": 4,
-    "verdict": 5,
     "planning": 5,
+    "deviations": 6,
     "lock": 6,
+    "verdict": 7,
     "vehicle": 7,
     "sim": 8,  # may use the lock's pure modules
     "recording": 9,

@@ -7,6 +7,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from dart_flight.deviations import Deviation, worst
 from dart_flight.recording.flight_time import FlightTime
 from dart_flight.samples import (
     ContactEnd,
@@ -18,12 +19,14 @@ from dart_flight.samples import (
     LockState,
     MissionEnd,
     PhaseChange,
+    PlanTaken,
     Record,
     StatusText,
 )
 from dart_flight.verdict import CollisionVerdict, Velocities, Verdict
 from dart_flight.worlds.campaigns import Summary
 
+_MOST_DEVIATIONS = 3
 _QUIET = frozenset({"notice", "info", "debug"})
 
 
@@ -60,7 +63,10 @@ class FlightLines:
         if isinstance(record, GuardEvent):
             return f"[red]guard: {record.rule} -> {record.action}[/]  {record.detail}"
         if isinstance(record, GoalPassed):
-            return f"goal passed at {record.miss_m:.2f} m"
+            words = "time is up, nearest to the goal" if record.timed_out else "goal passed at"
+            return f"{words} {record.miss_m:.2f} m"
+        if isinstance(record, PlanTaken):
+            return "flying a new plan" if record.taken else f"new plan not flown: {record.reason}"
         if isinstance(record, MissionEnd):
             colour = "green" if record.outcome == "completed" else "red"
             return f"[{colour}]{record.outcome}[/]" + (f": {record.reason}" if record.reason else "")
@@ -116,7 +122,29 @@ def verdict_table(verdict: Verdict) -> RenderableType:
     ]
     if figures:
         parts.append(Text(", ".join(figures)))
+    if verdict.plan_followed is not None:
+        parts.append(_plan_line(verdict))
     return Group(*parts)
+
+
+def _plan_line(verdict: Verdict) -> Text:
+    """Whether the plan was followed, and where it was left most."""
+    if verdict.plan_followed:
+        return Text("plan followed")
+    outside = worst(verdict.deviations)
+    shown = "; ".join(map(_deviation, outside[:_MOST_DEVIATIONS]))
+    more = len(outside) - _MOST_DEVIATIONS
+    return Text(f"plan not followed: {shown}" + (f"; {more} more" if more > 0 else ""), style="yellow")
+
+
+def _deviation(one: Deviation) -> str:
+    name, _, unit = one.what.partition(", ")
+    within = f" ± {one.tolerance:.2f}" if one.tolerance is not None else ""
+    return f"{name} {_figure(one.flown)} instead of {_figure(one.planned)}{within} {unit}".rstrip()
+
+
+def _figure(value: float | str | None) -> str:
+    return "none" if value is None else value if isinstance(value, str) else f"{value:.2f}"
 
 
 def _add_collision(table: Table, c: CollisionVerdict) -> None:
@@ -153,6 +181,8 @@ def summary_table(summary: Summary) -> Table:
     table = Table(title=f"{summary.completed} of {summary.runs} completed", title_justify="left")
     for column in ("", "median", "least", "most"):
         table.add_column(column, justify="left" if not column else "right")
+    if summary.plan_followed is not None:
+        table.add_row("plan followed", str(summary.plan_followed))
     for name, spread in (
         ("goal miss m", summary.goal_miss_m),
         ("final error m", summary.final_error_m),

@@ -206,6 +206,20 @@ class Limits(Section, frozen=True):
     collision_timeout_s: Annotated[float, Meta(gt=0.0, le=120.0)] = 8.0
 
 
+class Tolerance(Section, frozen=True):
+    """By how much a flight may differ from the plan and still have followed it (`plan_followed`).
+
+    Attributes:
+        impact_m_s: of each component of the velocity at an impact.
+        peak_force_share: of the planned peak force.
+        place_m: from the planned place of an impact.
+    """
+
+    impact_m_s: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.15
+    peak_force_share: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.25
+    place_m: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.25
+
+
 class MissionFile(Section, frozen=True):
     """A mission as written in YAML.
 
@@ -219,6 +233,7 @@ class MissionFile(Section, frozen=True):
         predicted: written by plan.
         after_impact: setpoint: the paper's recovery set-point leads on; replan: a way that is planned in
             flight, from what was felt, takes over from it.
+        tolerance: by how much a flight may differ from the plan; for the goal that is its capture radius.
     """
 
     version: Literal[1]
@@ -234,6 +249,7 @@ class MissionFile(Section, frozen=True):
     limits: Limits = Limits()
     predicted: MissPrediction | None = None
     after_impact: AfterImpact = AfterImpact.SETPOINT
+    tolerance: Tolerance = Tolerance()
 
 
 class Bounds(msgspec.Struct, frozen=True):
@@ -294,6 +310,7 @@ class Mission(msgspec.Struct, frozen=True):
     standoff_m: float | None = None  # a rehearsal: every contact replaced by stopping so far before the wall
     vehicle_source: VehicleSource | None = None  # where the configuration came from; old logs do not say
     after_impact: AfterImpact = AfterImpact.SETPOINT
+    tolerance: Tolerance = Tolerance()
 
     def flown_vehicle(self) -> VehicleSource:
         """Which vehicle it is, for everything that is said of the mission."""
@@ -374,6 +391,7 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
         limits=spec.limits,
         predicted=spec.predicted,
         after_impact=spec.after_impact,
+        tolerance=spec.tolerance,
     )
 
 

@@ -40,6 +40,7 @@ class Summary(msgspec.Struct):
     final_error_m: Spread | None
     max_tilt_deg: Spread | None
     peak_force_error_percent: Spread | None
+    plan_followed: int | None = None  # flights; None: none had a plan
 
 
 class RunsInterruptedError(Exception):
@@ -169,7 +170,13 @@ def summarise(verdicts: list[Verdict]) -> Summary:
         final_error_m=_spread(v.final_error_m for v in verdicts),
         max_tilt_deg=_spread(v.max_tilt_deg for v in verdicts),
         peak_force_error_percent=_spread(_force_errors(verdicts)),
+        plan_followed=_count(v.plan_followed for v in verdicts),
     )
+
+
+def _count(followed: Iterable[bool | None]) -> int | None:
+    known = [one for one in followed if one is not None]
+    return sum(known) if known else None
 
 
 def _force_errors(verdicts: list[Verdict]) -> Iterator[float]:

@@ -481,10 +481,10 @@ class Executive:
             rising = miss > self._least_miss_m + PASSED_RISE_M
             passed = rising and self._takes_longer_than(PASSED_AFTER_S, state)
         if passed or timed_out:
-            p.outputs.append(GoalPassed(state.now_us, self._least_miss_m))
+            p.outputs.append(GoalPassed(state.now_us, self._least_miss_m, not passed))
             self._head_for_goal(state, miss)
             self._captured_us = None
-            self._go(Cue.PASSED, state, p)
+            self._go(Cue.PASSED if passed else Cue.TIMED_OUT, state, p)
 
     def _head_for_goal(self, state: FlightState, distance_m: float) -> None:
         """Hold the goal; where a step to it would be flown faster than a transit, make it a transit."""

@@ -23,6 +23,7 @@ class Cue(StrEnum):
     STOOD_OFF = "stopped before the wall"  # a rehearsal
     RESTED = "rested, next approach"
     PASSED = "goal passed"
+    TIMED_OUT = "goal not passed in time"
     HELD = "goal held"
     LANDED = "landed and disarmed"
     OVERRULE = "guard"
@@ -42,6 +43,7 @@ TRANSITIONS: dict[tuple[Phase, Cue], Phase] = {
     (Phase.RECOVERY, Cue.ONSET): Phase.CONTACT,
     (Phase.RECOVERY, Cue.RESTED): Phase.TRANSIT,
     (Phase.RECOVERY, Cue.PASSED): Phase.GOAL,
+    (Phase.RECOVERY, Cue.TIMED_OUT): Phase.GOAL,
     (Phase.GOAL, Cue.HELD): Phase.LANDING,
     (Phase.LANDING, Cue.LANDED): Phase.DONE,
     # The ways out: on the ground the mission is given up, in the air the guard takes over.

@@ -1,0 +1,160 @@
+"""What became of the plan: every planned figure beside the flown one, with the tolerance of the mission.
+
+`completed` says that a mission went through its phases to its end, this whether it flew what was planned.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import msgspec
+
+from dart_flight.config.mission import Collision, Mission
+from dart_flight.core.mission.planned import expected_hit, impact_velocity
+from dart_flight.geometry import Vec2, distance2
+from dart_flight.planning.planned import planned_flight
+from dart_flight.samples import Mode
+
+
+class PlannedImpact(NamedTuple):
+    """What a mission says, or leads to, at one of its walls; None where nothing says it."""
+
+    normal_m_s: float | None = None
+    tangential_m_s: float | None = None
+    peak_force_n: float | None = None
+    place: Vec2 | None = None
+
+
+class FlownImpact(NamedTuple):
+    """What was measured of a planned collision.
+
+    Attributes:
+        collision: its index.
+        normal_m_s, tangential_m_s: velocity at the onset, collision frame.
+        peak_force_n: of the normal force.
+        place: of the vehicle's centre at the onset, mission frame.
+        mode_felt: state of the arms by the contact itself; None: undecided.
+    """
+
+    collision: int
+    normal_m_s: float | None
+    tangential_m_s: float | None
+    peak_force_n: float | None
+    place: Vec2 | None
+    mode_felt: str | None
+
+
+class Deviation(msgspec.Struct, frozen=True):
+    """One planned figure.
+
+    Attributes:
+        what: in words, with its unit.
+        planned, flown: None where it was not flown.
+        tolerance: by which they may differ; None where they must be the same.
+    """
+
+    what: str
+    planned: float | str
+    flown: float | str | None
+    tolerance: float | None
+
+    @property
+    def within(self) -> bool:
+        """Whether it was flown, and near enough."""
+        if isinstance(self.planned, float) and isinstance(self.flown, float):
+            return abs(self.flown - self.planned) <= (self.tolerance or 0.0)
+        return self.flown == self.planned
+
+
+def planned_impacts(mission: Mission) -> dict[int, PlannedImpact]:
+    """By index of the collision: the planner's prediction in the mission, else the approach and the contact
+    law, else where the flight model leads."""
+    said = {c.index: _as_written(mission, c) for c in mission.collisions}
+    if all(one.normal_m_s is not None for one in said.values()):
+        return said
+    flown = planned_flight(mission).hits
+    for index, hit in flown.items():
+        if said[index].normal_m_s is None:
+            said[index] = PlannedImpact(hit.normal_m_s, hit.tangential_m_s, hit.normal_n, hit.position)
+    return said
+
+
+def _as_written(mission: Mission, collision: Collision) -> PlannedImpact:
+    if collision.predicted is not None:
+        p = collision.predicted
+        return PlannedImpact(p.normal_m_s, p.tangential_m_s, p.peak_force_n, p.position_m)
+    velocity, hit = impact_velocity(collision), expected_hit(mission, collision)
+    if velocity is None or hit is None:
+        return PlannedImpact()
+    return PlannedImpact(*velocity, hit.peak_normal_force_n, collision.impact_point)
+
+
+def deviations(
+    mission: Mission,
+    planned: dict[int, PlannedImpact],
+    flown: Sequence[FlownImpact],
+    goal_miss_m: float | None,
+) -> list[Deviation]:
+    """Everything that was planned, in the order of the mission; nothing of a rehearsal.
+
+    Args:
+        mission: with its tolerances.
+        planned: by index (`planned_impacts`).
+        flown: the collisions that were met.
+        goal_miss_m: None where the goal was not passed.
+    """
+    if mission.standoff_m is not None:
+        return []
+    met = {one.collision: one for one in flown}
+    found = [
+        deviation
+        for collision in mission.collisions
+        for deviation in _of_collision(mission, collision, planned[collision.index], met.get(collision.index))
+    ]
+    return [*found, Deviation("goal miss, m", 0.0, goal_miss_m, mission.goal.capture_radius_m)]
+
+
+def _of_collision(
+    mission: Mission, collision: Collision, planned: PlannedImpact, flown: FlownImpact | None
+) -> Iterator[Deviation]:
+    name, tolerance = f"collision {collision.index}", mission.tolerance
+    one = flown or FlownImpact(collision.index, None, None, None, None, None)
+    if planned.normal_m_s is not None:
+        yield Deviation(
+            f"{name} normal velocity, m/s", planned.normal_m_s, one.normal_m_s, tolerance.impact_m_s
+        )
+    if planned.tangential_m_s is not None:
+        yield Deviation(
+            f"{name} velocity along the wall, m/s",
+            planned.tangential_m_s,
+            one.tangential_m_s,
+            tolerance.impact_m_s,
+        )
+    if planned.peak_force_n is not None:
+        allowed = tolerance.peak_force_share * planned.peak_force_n
+        yield Deviation(f"{name} peak force, N", planned.peak_force_n, one.peak_force_n, allowed)
+    if planned.place is not None:
+        beside = None if one.place is None else distance2(one.place, planned.place)
+        yield Deviation(f"{name} beside its place, m", 0.0, beside, tolerance.place_m)
+    mode = collision.mode.value
+    if flown is None:
+        yield Deviation(f"{name} mode", mode, None, None)
+    elif flown.mode_felt is not None:  # undecided is no deviation
+        yield Deviation(f"{name} mode", mode, Mode(flown.mode_felt).value, None)
+
+
+def worst(found: Sequence[Deviation]) -> list[Deviation]:
+    """Those that are not within their tolerance, what was not flown at all first."""
+    outside = [one for one in found if not one.within]
+    return sorted(outside, key=lambda one: -_times_over(one))
+
+
+def _times_over(one: Deviation) -> float:
+    if isinstance(one.planned, float) and isinstance(one.flown, float) and one.tolerance:
+        return abs(one.flown - one.planned) / one.tolerance
+    return math.inf
+
+
+__all__ = ["Deviation", "FlownImpact", "PlannedImpact", "deviations", "planned_impacts", "worst"]
