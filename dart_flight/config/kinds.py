@@ -21,11 +21,12 @@ class FileKind(Enum):
     TRIAL = "a CSV file: identify takes trials, `predict --batch` wall hits"
 
 
+EXTENDS = "extends"  # of a configuration that holds only what differs from another
 # Top-level keys that only one kind of file has.
 _MARKS = {
     FileKind.MISSION: ("collisions",),
     FileKind.SCENARIO: ("search", "sequence"),
-    FileKind.CONFIGURATION: ("airframe", "thrust"),
+    FileKind.CONFIGURATION: ("airframe", "thrust", EXTENDS),
 }
 _MAGIC = {b"\x89MCAP0\r\n": FileKind.FLIGHT_LOG, b"ULog\x01\x12\x35": FileKind.ULOG}
 

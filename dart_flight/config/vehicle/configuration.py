@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from dart_flight.config.document import Document
+from dart_flight.config.kinds import EXTENDS
 from dart_flight.config.section import Section
 from dart_flight.config.settings import apply_settings
 from dart_flight.config.vehicle.airframe import Airframe, Imu, Material, Thrust
@@ -76,10 +77,12 @@ def load_vehicle(path: str | Path | None = None, settings: Sequence[str] = ()) -
         path: of the file; the default configuration without.
         settings: `KEY=VALUE` with a dotted key, set before the validation (`config.settings`).
 
+    A file with `extends: FILE` holds only what differs from that one, which lies relative to it.
+
     Raises:
         InputError: as `Document`; or the thrust cannot carry the mass.
     """
-    document = Document.load(path or default_config_path())
+    document = _with_base(Path(path or default_config_path()))
     apply_settings(settings, document)
     config = document.convert(VehicleConfig)
     if config.hover_thrust_fraction() > 0.8:
@@ -89,3 +92,35 @@ def load_vehicle(path: str | Path | None = None, settings: Sequence[str] = ()) -
             f"{config.hover_thrust_fraction():.0%} of full thrust, at most 80 % is flown",
         )
     return config
+
+
+def _with_base(path: Path, seen: tuple[Path, ...] = ()) -> Document:
+    """A configuration's document, what it extends put below it."""
+    document = Document.load(path)
+    if EXTENDS not in document.tree:
+        return document
+    base = document.tree.pop(EXTENDS)
+    if not isinstance(base, str):
+        raise document.error((EXTENDS,), "expected the name of a configuration file")
+    seen = (*seen, path.resolve())
+    below = path.parent / base
+    if below.resolve() in seen:
+        raise document.error((EXTENDS,), "a configuration cannot extend itself")
+    merged = _with_base(below, seen)
+    for key, value in _leaves(document.tree):
+        node = merged.tree
+        for part in key[:-1]:
+            if not isinstance(node.get(part), dict):
+                node[part] = {}
+            node = node[part]
+        node[key[-1]] = value
+        merged.set_by[key] = document.error(key, "").one_line()
+    return merged
+
+
+def _leaves(tree: dict[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, (*above, key))
+        else:
+            yield (*above, key), value
