@@ -87,22 +87,24 @@ class Replanner:
 
     def answer(self, request: PlanRequest, received_us: int) -> PlanAnswer:
         """The way from a request's state on; its `problem` says where there is none."""
-        refused = PlanAnswer(received_us, request.number, request.begin_us, collision=request.collision)
+        found = PlanAnswer(received_us, request.number, request.begin_us, collision=request.collision)
         if request.collision is None:
-            found = self._best(request, self._to_goal(), None)
-            return found or _because(refused, "no way to the goal within the limits")
+            return self._best(found, request, self._to_goal(), None) or _because(
+                found, "no way to the goal within the limits"
+            )
         collision = self._mission.collisions[request.collision - 1]
         if request.lock_ready_us is None:
-            return _because(refused, "the lock is at fault")
+            return _because(found, "the lock is at fault")
         velocity = self._wanted(collision)
         if velocity is None:
-            return _because(refused, f"no velocity is planned for wall {collision.wall.name}")
+            return _because(found, f"no velocity is planned for wall {collision.wall.name}")
         for share, straight_s in itertools.product(_SPEED_SHARES, _STRAIGHT_S):
             wanted = (share * velocity[0], share * velocity[1])
-            found = self._best(request, self._to_wall(request, collision, wanted, straight_s), collision)
-            if found is not None:
-                return self._with_hit(found, collision, wanted, straight_s)
-        return _because(refused, f"no way to wall {collision.wall.name} within the limits")
+            ends = self._to_wall(request, collision, wanted, straight_s)
+            best = self._best(found, request, ends, collision)
+            if best is not None:
+                return self._with_hit(best, collision, wanted, straight_s)
+        return _because(found, f"no way to wall {collision.wall.name} within the limits")
 
     # -- where ways may end --
 
@@ -165,7 +167,10 @@ class Replanner:
             axes.append(np.array([state[0] + to, state[1], state[2] - drag * state[1]]))
         return axes[0], axes[1]
 
-    def _best(self, request: PlanRequest, ends: _Ends, collision: Collision | None) -> PlanAnswer | None:
+    def _best(
+        self, answer: PlanAnswer, request: PlanRequest, ends: _Ends, collision: Collision | None
+    ) -> PlanAnswer | None:
+        """The answer with the best way to one of the ends; None where none may be flown."""
         start = self._start(request)
         x = _quintic(start[0], ends.x, ends.vx, ends.duration_s)
         y = _quintic(start[1], ends.y, ends.vy, ends.duration_s)
@@ -176,14 +181,11 @@ class Replanner:
             return None
         total = ends.duration_s[rows] + ends.cost_s[rows] + _GENTLE_S * push[rows] ** 2
         best = int(rows[np.argmin(total)])
-        return PlanAnswer(
-            request.t_us,
-            request.number,
-            request.begin_us,
-            float(ends.duration_s[best]),
-            tuple(map(float, x[:, best])),
-            tuple(map(float, y[:, best])),
-            request.collision,
+        return msgspec.structs.replace(
+            answer,
+            duration_s=float(ends.duration_s[best]),
+            x_mission=tuple(map(float, x[:, best])),
+            y_mission=tuple(map(float, y[:, best])),
         )
 
     def _flyable(self, x: Array, y: Array, duration_s: Array) -> tuple[Rows, Array]:

@@ -1,0 +1,138 @@
+"""Planning again as the core sees it: what is asked, which answers are flown, what happens without one."""
+
+import math
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.core.mission.approach import Way
+from dart_flight.core.mission.replanning import Replanning
+from dart_flight.core.sense.state import FlightState
+from dart_flight.samples import PlanAnswer, PlanRequest, PlanTaken
+
+MISSION = load_mission(packaged("missions", "dual_collision_replan.yaml"))
+NOW_US = 10_000_000
+coefficient = st.floats(-2.0, 2.0)
+
+
+def state_at(now_us: int, position: tuple[float, float, float] = (1.0, -1.0, 1.0)) -> FlightState:
+    state = FlightState()
+    state.now_us, state.position, state.velocity = now_us, position, (0.4, 0.5, 0.0)
+    return state
+
+
+def asked() -> tuple[Replanning, PlanRequest]:
+    planning = Replanning(MISSION)
+    following = MISSION.collisions[1]
+    return planning, planning.ask(following, state_at(NOW_US), (0.0, 0.0), (2.0, -0.8, 1.0), NOW_US + 350_000)
+
+
+def answer_to(request: PlanRequest) -> PlanAnswer:
+    """Straight on from where the vehicle will be."""
+    ahead_s = (request.begin_us - request.t_us) * 1e-6
+    x, y, _ = (
+        p + v * ahead_s for p, v in zip(request.position_mission, request.velocity_mission, strict=True)
+    )
+    vx, vy, _ = request.velocity_mission
+    return PlanAnswer(
+        0, request.number, request.begin_us, 1.0, (x, vx, 0.0, 0.0, 0.0, 0.0), (y, vy, 0.0, 0.0, 0.0, 0.0),
+        request.collision, 1.3, -1.2, 0.2, 75.0,
+    )  # fmt: skip
+
+
+def moved_to(request: PlanRequest) -> FlightState:
+    ahead_s = (request.begin_us - request.t_us) * 1e-6
+    x, y, z = (
+        p + v * ahead_s for p, v in zip(request.position_mission, request.velocity_mission, strict=True)
+    )
+    return state_at(request.begin_us, (x, y, z))
+
+
+def test_an_answer_in_time_is_flown_from_its_moment_on() -> None:
+    planning, request = asked()
+    assert planning.take(answer_to(request), NOW_US + 40_000) is None
+    assert planning.begin(state_at(NOW_US + 90_000)) is None
+    taken = planning.begin(moved_to(request))
+    assert taken == PlanTaken(request.begin_us, request.number, True)
+    assert planning.way is not None
+    assert planning.impact_us == request.begin_us + 1_300_000
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"number": 7}, "no longer true"),
+        ({"problem": "no way to wall acrylic"}, "no way to wall acrylic"),
+        ({"begin_us": 1}, "no answer to what was asked"),
+        ({"collision": None}, "no answer to what was asked"),
+        ({"impact_s": None}, "no answer to what was asked"),
+        ({"duration_s": 0.0}, "no answer to what was asked"),
+        ({"x_mission": (1.0, 2.0)}, "no answer to what was asked"),
+        ({"y_mission": (math.nan,) * 6}, "no answer to what was asked"),
+        ({"x_mission": (math.inf,) * 6}, "no answer to what was asked"),
+    ],
+)
+def test_an_answer_that_cannot_be_flown_is_refused_with_its_reason(
+    change: dict[str, object], says: str
+) -> None:
+    planning, request = asked()
+    taken = planning.take(msgspec.structs.replace(answer_to(request), **change), NOW_US + 40_000)
+    assert taken is not None
+    assert not taken.taken
+    assert says in taken.reason
+    assert planning.begin(moved_to(request)) is None
+    assert planning.way is None
+
+
+def test_an_answer_that_comes_late_is_not_flown() -> None:
+    planning, request = asked()
+    taken = planning.take(answer_to(request), request.begin_us + 20_000)
+    assert taken is not None
+    assert "20 ms too late" in taken.reason
+
+
+def test_a_way_that_begins_elsewhere_is_not_flown() -> None:
+    planning, request = asked()
+    planning.take(answer_to(request), NOW_US + 40_000)
+    taken = planning.begin(state_at(request.begin_us, (1.3, -0.9, 1.0)))
+    assert taken is not None
+    assert not taken.taken
+    assert "m/s beside its beginning" in taken.reason
+
+
+def test_a_contact_ends_what_was_planned_before_it() -> None:
+    planning, request = asked()
+    planning.contact_begins()
+    taken = planning.take(answer_to(request), NOW_US + 40_000)
+    assert taken is not None
+    assert not taken.taken
+
+
+@given(st.tuples(*[coefficient] * 6), st.tuples(*[coefficient] * 6), st.floats(0.2, 3.0), st.floats(0.0, 4.0))
+def test_a_way_is_what_its_derivatives_say(
+    x: tuple[float, ...], y: tuple[float, ...], duration_s: float, t_s: float
+) -> None:
+    way, h = Way(x, y, duration_s, 1.0), 1e-5
+    if abs(t_s - duration_s) < 2 * h or t_s < h:
+        return
+    at, before, after = way.at(t_s), way.at(t_s - h), way.at(t_s + h)
+    for axis in (0, 1):
+        slope = (after.position[axis] - before.position[axis]) / (2 * h)
+        curve = (after.velocity[axis] - before.velocity[axis]) / (2 * h)
+        assert at.velocity[axis] == pytest.approx(slope, rel=1e-4, abs=1e-3)
+        assert at.acceleration[axis] == pytest.approx(curve, rel=1e-4, abs=1e-3)
+
+
+@given(st.tuples(*[coefficient] * 6), st.floats(0.2, 3.0), st.floats(0.01, 2.0))
+def test_a_way_goes_straight_on_behind_its_end(
+    x: tuple[float, ...], duration_s: float, more_s: float
+) -> None:
+    way = Way(x, x, duration_s, 1.0)
+    end, beyond = way.at(duration_s), way.at(duration_s + more_s)
+    assert beyond.velocity == end.velocity
+    assert beyond.position[0] == pytest.approx(end.position[0] + more_s * end.velocity[0])
+    assert beyond.acceleration == (0.0, 0.0, 0.0)

@@ -1,0 +1,52 @@
+"""Flights that plan again after every hit, and what becomes of them where the planner fails."""
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import LockDriver, packaged
+from dart_flight.recording.reader import read_log
+from dart_flight.samples import AfterImpact, Outcome, PlanTaken, Record, SetPoint
+from dart_flight.worlds.fast import FastFlight, fly_fast
+from dart_flight.worlds.replay import replay
+
+SOURCE = packaged("missions", "dual_collision_replan.yaml")
+
+
+def flown(settings: list[str], after: AfterImpact = AfterImpact.REPLAN) -> list[Record]:
+    mission = msgspec.structs.replace(load_mission(SOURCE, settings=settings), after_impact=after)
+    records: list[Record] = []
+    flight = FastFlight(mission, 5, LockDriver.MOCK, observe=lambda record, number: records.append(record))
+    flight.run()
+    assert flight.core.end is not None
+    assert flight.core.end.outcome is Outcome.COMPLETED
+    return records
+
+
+def test_a_replanned_flight_follows_the_plan_and_replays_bit_for_bit(tmp_path: Path) -> None:
+    verdict = fly_fast(load_mission(SOURCE), 5, tmp_path)
+    assert verdict.outcome is Outcome.COMPLETED
+    assert verdict.plan_followed
+    assert verdict.goal_miss_m is not None
+    assert verdict.goal_miss_m < 0.05
+    second = verdict.collisions[1]
+    assert second.truth is not None
+    assert second.truth.normal_m_s == pytest.approx(second.planned.normal_m_s, abs=0.1)
+    log = read_log(next(tmp_path.glob("*/flight.mcap")))
+    taken = [entry.record for entry in log.entries if isinstance(entry.record, PlanTaken)]
+    assert [one.taken for one in taken] == [True, True]
+    assert replay(log).equal
+
+
+@pytest.mark.parametrize("latency_s", [0.11, 3.0])
+def test_a_late_planner_leaves_the_paper_s_set_points_in_force(latency_s: float) -> None:
+    late = flown([f"simulation.replan_latency_s={latency_s}"])
+    paper = flown([], AfterImpact.SETPOINT)
+    assert not any(one.taken for one in late if isinstance(one, PlanTaken))
+
+    def setpoints(records: list[Record]) -> list[SetPoint]:
+        return [record for record in records if isinstance(record, SetPoint)]
+
+    assert setpoints(late) == setpoints(paper)

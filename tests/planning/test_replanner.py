@@ -1,0 +1,102 @@
+"""The planner in flight: ways that begin where the vehicle will be and end as the mission has planned."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.core.mission.approach import Way
+from dart_flight.geometry import GRAVITY_M_S2
+from dart_flight.planning.planned import planned_flight
+from dart_flight.planning.replanning import Replanner
+from dart_flight.samples import PlanAnswer, PlanRequest
+
+MISSION = load_mission(packaged("missions", "dual_collision_replan.yaml"))
+REPLANNER = Replanner(MISSION)
+ACRYLIC = MISSION.collisions[1].wall
+TO_WALL = PlanRequest(
+    0, 1, 100_000, 2, (1.0, -1.05, 1.0), (0.3, 0.45, 0.0), (0.0, 0.0, 0.0), (2.6, -0.75, 1.0), 450_000
+)
+TO_GOAL = msgspec.structs.replace(
+    TO_WALL, collision=None, position_mission=(1.55, -0.7, 1.0), velocity_mission=(-0.8, 0.2, 0.0),
+    setpoint_mission=(0.5, -0.7, 1.0),
+)  # fmt: skip
+
+
+def way_of(answer: PlanAnswer) -> Way:
+    return Way(answer.x_mission, answer.y_mission, answer.duration_s, MISSION.altitude_m)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(0.4, 1.3), st.floats(-1.08, -0.8), st.floats(-0.2, 0.6), st.floats(0.1, 0.6))
+def test_a_way_to_the_wall_meets_it_as_planned_once_the_lock_is_ready(
+    x: float, y: float, vx: float, vy: float
+) -> None:
+    request = msgspec.structs.replace(TO_WALL, position_mission=(x, y, 1.0), velocity_mission=(vx, vy, 0.0))
+    answer = REPLANNER.answer(request, 0)
+    assert answer == REPLANNER.answer(request, 0)
+    if answer.problem:
+        return
+    assert answer.impact_s is not None
+    way, planned = way_of(answer), planned_flight(MISSION).hits[2]
+    met = way.at(answer.impact_s)
+    assert ACRYLIC.signed_distance(met.position) == pytest.approx(0.0, abs=1e-6)
+    assert ACRYLIC.spans(met.position)
+    normal, tangential, _ = ACRYLIC.to_collision(met.velocity)
+    assert (normal, tangential) == pytest.approx((answer.normal_m_s, answer.tangential_m_s))
+    assert normal >= planned.normal_m_s - 1e-9
+    assert request.lock_ready_us is not None
+    assert answer.impact_s * 1e6 >= request.lock_ready_us - request.begin_us
+    # It begins near where the vehicle will be: 0.1 s ahead under the set-point in force.
+    begin = way.at(0.0).position
+    assert math.dist(begin[:2], (x + 0.1 * vx, y + 0.1 * vy)) < 0.05
+    _assert_flyable(way)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(0.2, 1.55), st.floats(-1.0, 0.5), st.floats(-1.0, 0.3), st.floats(-0.4, 0.4))
+def test_a_way_to_the_goal_ends_there_at_rest(x: float, y: float, vx: float, vy: float) -> None:
+    request = msgspec.structs.replace(TO_GOAL, position_mission=(x, y, 1.0), velocity_mission=(vx, vy, 0.0))
+    answer = REPLANNER.answer(request, 0)
+    assert answer.problem == ""
+    way = way_of(answer)
+    end = way.at(answer.duration_s + 1.0)
+    assert end.position[:2] == pytest.approx(MISSION.goal.position_m, abs=1e-6)
+    assert math.hypot(*end.velocity[:2]) < 1e-6
+    assert answer.impact_s is None
+    _assert_flyable(way)
+
+
+def _assert_flyable(way: Way) -> None:
+    limit = GRAVITY_M_S2 * math.tan(math.radians(MISSION.vehicle.px4.mpc_tiltmax_air))
+    for t in np.linspace(0.0, way.duration_s, 50):
+        at = way.at(float(t))
+        assert math.hypot(*at.acceleration[:2]) < 0.7 * limit
+        assert math.hypot(*at.velocity[:2]) <= MISSION.limits.speed_m_s + 1e-6
+        assert MISSION.bounds.excess2(at.position) < 1e-3
+
+
+def test_without_a_lock_or_a_way_it_says_why() -> None:
+    no_lock = REPLANNER.answer(msgspec.structs.replace(TO_WALL, lock_ready_us=None), 0)
+    assert no_lock.problem == "the lock is at fault"
+    behind = REPLANNER.answer(msgspec.structs.replace(TO_WALL, position_mission=(3.0, 0.0, 1.0)), 0)
+    assert "no way to wall acrylic" in behind.problem
+
+
+def test_a_lock_that_needs_long_lengthens_the_way() -> None:
+    quick = REPLANNER.answer(TO_WALL, 0)
+    slow = REPLANNER.answer(msgspec.structs.replace(TO_WALL, lock_ready_us=2_000_000), 0)
+    assert quick.impact_s is not None
+    assert slow.impact_s is not None
+    assert slow.impact_s >= 1.9 > quick.impact_s
+
+
+def test_a_hit_over_the_mission_s_force_is_refused() -> None:
+    weak = msgspec.structs.replace(MISSION, limits=msgspec.structs.replace(MISSION.limits, peak_force_n=50.0))
+    answer = Replanner(weak).answer(TO_WALL, 0)
+    assert "peak_force" in answer.problem
