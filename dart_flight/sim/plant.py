@@ -46,6 +46,8 @@ _NEAR_WALL_M = 0.08  # below 5 m/s no contact begins further away
 _BEHIND_M = -0.6  # a vehicle this far behind a plane is on the wall's other side
 _REBOUND_S = 0.01  # a guard that comes back within this time belongs to the same contact
 _HALF_ENGAGED = 0.5  # how free arms are with half-engaged rods
+_GROUND_M = 0.01  # above it the landing gear touches nothing
+_NO_FORCE = (0.0, 0.0, 0.0)
 _AT_REST = (0.0, 0.0, 0.0, 0.0)  # arms: displacement north, east in m; its speed in m/s
 _GAIN_M_S = 0.5  # more than this no thrust adds to the speed within a tick
 _GROUND_STEPS = 2  # a millisecond, where only the landing gear touches: nothing is measured there
@@ -151,6 +153,7 @@ class Plant:
         self._arm_spring, self._arm_damper = -omega * omega, 2.0 * vibration.damping_ratio * omega
         self._arm_share = vibration.mass_fraction
         self._full_scale = vehicle.imu.full_scale_m_s2
+        self._thrust = vehicle.thrust
         self._inertia, self._drag_per_s = vehicle.airframe.inertia_kg_m2, vehicle.airframe.drag_per_s
         self._sensed: Vec3 = (0.0, 0.0, -GRAVITY_M_S2)
         lever = vehicle.simulation.imu_position_m
@@ -201,28 +204,34 @@ class Plant:
         m = self.mass
         pushed = (ux * thrust_n / m + dx, uy * thrust_n / m + dy, uz * thrust_n / m + dz)
         planes = self._planes_near() if near else []
-        if self._guards and planes and not self._near_ground:
+        if not planes and not self._near_ground:
+            self._folded = None
+            self._fly(pushed)
+            self._turn(torque)
+            contact = _NO_FORCE
+        elif self._guards and planes and not self._near_ground:
             contact = self._collide(pushed, torque, planes if self._may_touch(planes) else [])
             self._folded = self._fold()
         else:
             self._folded = None
-            contact = self._translate(pushed, planes) if planes or self._near_ground else self._fly(pushed)
+            contact = self._translate(pushed, planes)
             self._turn(torque)
         self.time_s += STEP_S
         sx, sy = self._shake(contact)
         return (pushed[0] + contact[0] + sx, pushed[1] + contact[1] + sy, pushed[2] + contact[2])
 
     def _motors(self, commands: tuple[float, float, float, float]) -> tuple[float, Vec3]:
-        decay = self._motor_decay
-        self.motor = motor = [c + (m - c) * decay for c, m in zip(commands, self.motor, strict=True)]
-        total = roll = pitch = yaw = 0.0
+        (a, b, c, d), (ma, mb, mc, md), k = commands, self.motor, self._motor_decay
+        self.motor = [a + (ma - a) * k, b + (mb - b) * k, c + (mc - c) * k, d + (md - d) * k]
+        # Four motors written out: a loop over them costs more than what is in it.
+        a, b, c, d = self._thrust.forces_n(self.motor)
         levers = self._straight if self._folded is None else self._folded_levers(self._folded)
-        for force, (x, y, yaw_m) in zip(self.vehicle.thrust.forces_n(motor), levers, strict=True):
-            total += force
-            roll -= y * force
-            pitch += x * force
-            yaw += yaw_m * force
-        return total, (roll, pitch, yaw)
+        (ax, ay, az), (bx, by, bz), (cx, cy, cz), (dx, dy, dz) = levers
+        return a + b + c + d, (
+            -(ay * a) - by * b - cy * c - dy * d,
+            ax * a + bx * b + cx * c + dx * d,
+            az * a + bz * b + cz * c + dz * d,
+        )
 
     def _folded_levers(self, folded: tuple[float, float, float, float]) -> list[Vec3]:
         """Where the motors are, and their yaw torque per thrust, with each arm turned by so much."""
@@ -243,10 +252,11 @@ class Plant:
         p, q, r = self.rate
         if self.on_ground:
             torque = self._legs(torque)
+        roll, pitch, yaw = torque
         self.rate = (
-            p + STEP_S * (torque[0] - (iz - iy) * q * r) / ix,
-            q + STEP_S * (torque[1] - (ix - iz) * r * p) / iy,
-            r + STEP_S * (torque[2] - (iy - ix) * p * q) / iz,
+            p + STEP_S * (roll - (iz - iy) * q * r) / ix,
+            q + STEP_S * (pitch - (ix - iz) * r * p) / iy,
+            r + STEP_S * (yaw - (iy - ix) * p * q) / iz,
         )
         self.q = quaternion_normalise(advance_attitude(self.q, self.rate, STEP_S))
 
@@ -264,7 +274,7 @@ class Plant:
 
     @property
     def _near_ground(self) -> bool:
-        return self.position[2] > self.ground_down - 0.01
+        return self.position[2] > self.ground_down - _GROUND_M
 
     def _wall_in_reach(self, seconds: float) -> bool:
         """Whether a wall is near or may come near within this time; asked once for several steps."""
@@ -373,7 +383,7 @@ class Plant:
     ) -> tuple[Vec3, Vec3, list[Touch]]:
         """Acceleration (NED), angular acceleration (FRD), and what the guards feel of each wall."""
         sign, lever = self.vehicle.vertical_force_sign, self.body.vertical_lever_m
-        force = turned = (0.0, 0.0, 0.0)
+        force = turned = _NO_FORCE
         felt = []
         for plane, c in planes:
             one = touch(self._guards, q, c, self.onset, plane.surface, p, v, w, sign, lever)
@@ -413,10 +423,10 @@ class Plant:
             (v[2] - before[2]) / STEP_S - free[2],
         )
 
-    def _fly(self, pushed: Vec3) -> Vec3:
-        """Move the centre of mass where nothing touches; returns no acceleration by contact."""
+    def _fly(self, pushed: Vec3) -> None:
+        """Move the centre of mass where nothing touches."""
         self.on_ground = False
-        self.contact_force_ned = self.contact_torque_frd = (0.0, 0.0, 0.0)
+        self.contact_force_ned = self.contact_torque_frd = _NO_FORCE
         if self._open:
             self._let_go()
         (x, y, z), (vx, vy, vz), (ax, ay, az) = self.position, self.velocity, pushed
@@ -424,7 +434,6 @@ class Plant:
         h, g = STEP_S, 0.5 * STEP_S
         self.position = (x + h * (vx + g * ax), y + h * (vy + g * ay), z + h * (vz + g * az))
         self.velocity = (vx + h * ax, vy + h * ay, vz + h * az)
-        return (0.0, 0.0, 0.0)
 
     def _coefficients_near(self, plane: _WallPlane) -> Coefficients | None:
         position = self.frame.point_from_ned(self.position)

@@ -97,12 +97,16 @@ class Thrust(Section, frozen=True):
 
     def command_for(self, force_n: float) -> float:
         """The command from 0 to 1 that gives a steady thrust; saturates."""
-        relative = max(0.0, min(1.0, force_n / self.full_n))
-        a = self.model_factor
+        return self.commands_for((force_n,))[0]
+
+    def commands_for(self, forces_n: Iterable[float]) -> list[float]:
+        """The command of each motor for a steady thrust in newton."""
+        full, a = self.full_n, self.model_factor
+        relative = [max(0.0, min(1.0, force / full)) for force in forces_n]
         if a < 1e-6:
             return relative
         b = 1.0 - a
-        return float((-b + (b * b + 4.0 * a * relative) ** 0.5) / (2.0 * a))
+        return [float((-b + (b * b + 4.0 * a * share) ** 0.5) / (2.0 * a)) for share in relative]
 
 
 class Imu(Section, frozen=True):
