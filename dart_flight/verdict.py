@@ -7,6 +7,7 @@ The one source for every world, for `--json`, for the terminal and for the repor
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
@@ -166,6 +167,23 @@ class VerdictBuilder:
         self._anchor = Anchor(mission)
         self._estimated: list[tuple[int, Vec3]] = []
         self._true: list[tuple[int, Vec3]] = []
+        # By kind: most records matter to nothing here, and are passed over by one look-up.
+        self._takers: dict[type, Callable[[Any], None]] = {
+            AttitudeSample: self._take_attitude,
+            OdometrySample: self._take_odometry,
+            TruthSample: self._take_truth,
+            PhaseChange: self._take_phase,
+            ImpactOnset: self._take_onset,
+            ImpactPeak: self._take_peak,
+            ImpactBody: self._take_body,
+            ContactEnd: self._take_contact_end,
+            SetPointSent: self._take_sent,
+            LockState: self._take_lock,
+            GuardEvent: self._take_guard,
+            GoalPassed: self._take_passed,
+            TruthContact: self._truths.append,
+            MissionEnd: self._take_end,
+        }
 
     @property
     def end(self) -> MissionEnd | None:
@@ -174,39 +192,35 @@ class VerdictBuilder:
 
     def take(self, record: Any) -> None:
         """Take the next record; kinds that do not matter here are passed over."""
-        self._anchor.take(record)
-        if isinstance(record, AttitudeSample):
-            if self._airborne_us is not None and self._landed_us is None:
-                self._tilt_rad = max(self._tilt_rad or 0.0, tilt_of(record.q_frd_to_ned))
-        elif isinstance(record, OdometrySample):
-            self._take_odometry(record)
-        elif isinstance(record, TruthSample):
-            self._true.append((record.t_us, record.position_mission))
-        elif isinstance(record, PhaseChange):
-            self._take_phase(record)
-        elif isinstance(record, ImpactOnset):
-            self._onset = record
-        elif isinstance(record, ImpactPeak):
-            self._take_peak(record)
-        elif isinstance(record, ImpactBody):
-            self._take_body(record)
-        elif isinstance(record, ContactEnd):
-            self._take_contact_end(record)
-        elif isinstance(record, SetPointSent):
-            if self._collisions and self._collisions[-1].setpoint_latency_ms is None:
-                self._collisions[-1].setpoint_latency_ms = record.latency_us * 1e-3
-        elif isinstance(record, LockState):
-            self._take_lock(record)
-        elif isinstance(record, GuardEvent):
-            self._guard.append(GuardVerdict(record.t_us, record.rule, record.action, record.detail))
-        elif isinstance(record, GoalPassed):
-            self._miss_m = record.miss_m
-        elif isinstance(record, TruthContact):
-            self._truths.append(record)
-        elif isinstance(record, MissionEnd):
-            self._end = record
-            if self._airborne_us is not None:
-                self._landed_us = record.t_us
+        take = self._takers.get(type(record))
+        if take is not None:
+            self._anchor.take(record)
+            take(record)
+
+    def _take_attitude(self, record: AttitudeSample) -> None:
+        if self._airborne_us is not None and self._landed_us is None:
+            self._tilt_rad = max(self._tilt_rad or 0.0, tilt_of(record.q_frd_to_ned))
+
+    def _take_truth(self, record: TruthSample) -> None:
+        self._true.append((record.t_us, record.position_mission))
+
+    def _take_onset(self, record: ImpactOnset) -> None:
+        self._onset = record
+
+    def _take_sent(self, record: SetPointSent) -> None:
+        if self._collisions and self._collisions[-1].setpoint_latency_ms is None:
+            self._collisions[-1].setpoint_latency_ms = record.latency_us * 1e-3
+
+    def _take_guard(self, record: GuardEvent) -> None:
+        self._guard.append(GuardVerdict(record.t_us, record.rule, record.action, record.detail))
+
+    def _take_passed(self, record: GoalPassed) -> None:
+        self._miss_m = record.miss_m
+
+    def _take_end(self, record: MissionEnd) -> None:
+        self._end = record
+        if self._airborne_us is not None:
+            self._landed_us = record.t_us
 
     def _take_odometry(self, record: OdometrySample) -> None:
         frame = self._anchor.frame

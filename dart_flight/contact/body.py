@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 from dart_flight.config.vehicle import Coefficients, ContactBody
 from dart_flight.contact.law import Onset, normal_force
-from dart_flight.geometry import Vec3
+from dart_flight.geometry import Quaternion, Vec3, rotate_back
 
 
 class Guard(NamedTuple):
@@ -55,7 +55,7 @@ class Touch(NamedTuple):
 
     Attributes:
         force: sum, world frame, newton.
-        torque: about the centre of mass, world frame, N m.
+        torque: about the centre of mass, body FRD, N m.
         normal_n: sum of the normal forces.
         friction_n: sum of the friction forces along the tangent, signed.
         right_n, left_n: normal force on the guards at the tangent's positive and negative side.
@@ -69,7 +69,7 @@ class Touch(NamedTuple):
     left_n: float
 
 
-_NOTHING = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+UNTOUCHED = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
 
 
 def guards_of(body: ContactBody) -> tuple[Guard, ...]:
@@ -85,47 +85,56 @@ def guards_of(body: ContactBody) -> tuple[Guard, ...]:
 
 
 def touch(
-    guards: Sequence[tuple[Vec3, Vec3]],
+    guards: Sequence[Guard],
+    q: Quaternion,
     c: Coefficients,
     onset: Onset,
     plane: Plane,
     position: Vec3,
     velocity: Vec3,
-    rate: Vec3,
+    rate_frd: Vec3,
     vertical_sign: int,
     vertical_lever_m: float,
 ) -> Touch:
     """Force and torque of one wall on the guards.
 
+    Worked out in the body's axes: the wall's three directions are turned into them, and not two levers of
+    every guard into the world's.
+
     Args:
-        guards: levers of each guard and of its friction, rotated into the world frame, metres.
+        guards: of the body.
+        q: attitude, body FRD to world.
         c: coefficients of the whole side (the point law's).
         onset: onset rule.
         plane: the surface.
         position, velocity: of the centre of mass, world frame.
-        rate: angular velocity, world frame, rad/s.
+        rate_frd: angular velocity, rad/s.
         vertical_sign: as in `law.contact_force`.
         vertical_lever_m: how far outside of the centre of mass the vertical force acts.
     """
-    n, t, d = plane.normal, plane.tangent, plane.down
+    world = plane.normal
+    nx, ny, nz = rotate_back(q, world)
+    depth = _height(plane, position)
+    speed = world[0] * velocity[0] + world[1] * velocity[1] + world[2] * velocity[2]
+    wx, wy, wz = rate_frd
     half = Coefficients(0.5 * c.k, 0.5 * c.f, c.mu, c.nu)
-    px, py, pz = position[0] - plane.point[0], position[1] - plane.point[1], position[2] - plane.point[2]
-    depth, speed = (
-        n[0] * px + n[1] * py + n[2] * pz,
-        n[0] * velocity[0] + n[1] * velocity[1] + n[2] * velocity[2],
-    )
-    sliding = t[0] * velocity[0] + t[1] * velocity[1] + t[2] * velocity[2]
-    wx, wy, wz = rate
-    total = friction = right = left = 0.0
-    tx = ty = tz = 0.0
-    for (rx, ry, rz), (fx, fy, fz) in guards:
-        x = depth + n[0] * rx + n[1] * ry + n[2] * rz
+    pressed = []
+    for (rx, ry, rz), friction_at in guards:
+        x = depth + nx * rx + ny * ry + nz * rz
         if x > _NEAR_M:
             continue
-        turning = n[0] * (wy * rz - wz * ry) + n[1] * (wz * rx - wx * rz) + n[2] * (wx * ry - wy * rx)
+        turning = nx * (wy * rz - wz * ry) + ny * (wz * rx - wx * rz) + nz * (wx * ry - wy * rx)
         force = normal_force(half, onset, x, speed + turning)
-        if force == 0.0:
-            continue
+        if force > 0.0:
+            pressed.append((force, (rx, ry, rz), friction_at))
+    if not pressed:
+        return UNTOUCHED
+    t, d = rotate_back(q, plane.tangent), rotate_back(q, plane.down)
+    world = plane.tangent
+    sliding = world[0] * velocity[0] + world[1] * velocity[1] + world[2] * velocity[2]
+    total = friction = right = left = 0.0
+    tx = ty = tz = 0.0
+    for force, (rx, ry, rz), (fx, fy, fz) in pressed:
         slip = sliding + t[0] * (wy * fz - wz * fy) + t[1] * (wz * fx - wx * fz) + t[2] * (wx * fy - wy * fx)
         rub = -c.mu * force * slip
         total += force
@@ -134,28 +143,47 @@ def touch(
             right += force
         else:
             left += force
-        tx += force * (ry * n[2] - rz * n[1]) + rub * (fy * t[2] - fz * t[1])
-        ty += force * (rz * n[0] - rx * n[2]) + rub * (fz * t[0] - fx * t[2])
-        tz += force * (rx * n[1] - ry * n[0]) + rub * (fx * t[1] - fy * t[0])
-    if total == 0.0:
-        return _NOTHING
+        tx += force * (ry * nz - rz * ny) + rub * (fy * t[2] - fz * t[1])
+        ty += force * (rz * nx - rx * nz) + rub * (fz * t[0] - fx * t[2])
+        tz += force * (rx * ny - ry * nx) + rub * (fx * t[1] - fy * t[0])
     lift = vertical_sign * c.nu * total / (1.0 + total)
     lever = -vertical_lever_m * lift
-    tx += lever * (n[1] * d[2] - n[2] * d[1])
-    ty += lever * (n[2] * d[0] - n[0] * d[2])
-    tz += lever * (n[0] * d[1] - n[1] * d[0])
+    n, t_world, d_world = plane.normal, plane.tangent, plane.down
     return Touch(
         (
-            total * n[0] + friction * t[0] + lift * d[0],
-            total * n[1] + friction * t[1] + lift * d[1],
-            total * n[2] + friction * t[2] + lift * d[2],
+            total * n[0] + friction * t_world[0] + lift * d_world[0],
+            total * n[1] + friction * t_world[1] + lift * d_world[1],
+            total * n[2] + friction * t_world[2] + lift * d_world[2],
         ),
-        (tx, ty, tz),
+        (
+            tx + lever * (ny * d[2] - nz * d[1]),
+            ty + lever * (nz * d[0] - nx * d[2]),
+            tz + lever * (nx * d[1] - ny * d[0]),
+        ),
         total,
         friction,
         right,
         left,
     )
+
+
+def clearance_m(guards: Sequence[Guard], q: Quaternion, plane: Plane, position: Vec3) -> float:
+    """Distance in metres of the nearest guard from a wall's surface, negative behind it.
+
+    Args:
+        guards: of the body.
+        q: attitude, body FRD to world.
+        plane: the surface.
+        position: of the centre of mass, world frame.
+    """
+    x, y, z = rotate_back(q, plane.normal)
+    return _height(plane, position) + min(x * g.at[0] + y * g.at[1] + z * g.at[2] for g in guards)
+
+
+def _height(plane: Plane, position: Vec3) -> float:
+    """Distance of the centre of mass from a surface, along its normal."""
+    n, o = plane.normal, plane.point
+    return n[0] * (position[0] - o[0]) + n[1] * (position[1] - o[1]) + n[2] * (position[2] - o[2])
 
 
 def folds(body: ContactBody, share: float, depths: Sequence[float]) -> tuple[float, float, float, float]:

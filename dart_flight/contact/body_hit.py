@@ -18,11 +18,12 @@ from dart_flight.geometry import (
     Quaternion,
     Vec3,
     advance_attitude,
+    body_up,
     norm,
-    quaternion_conjugate,
     quaternion_from_euler,
     quaternion_normalise,
     rotate,
+    scale,
 )
 from dart_flight.samples import Mode
 
@@ -128,24 +129,24 @@ class _Law(NamedTuple):
         return _moved(m, a, b, _STEP_S, mid.v, mid.w), felt
 
     def _accelerations(self, m: _Motion) -> tuple[Vec3, Vec3, Touch]:
-        levers = [(rotate(m.q, guard.at), rotate(m.q, guard.friction_at)) for guard in self.guards]
         felt = touch(
-            levers,
+            self.guards,
+            m.q,
             self.coefficients,
             self.onset,
             _WALL,
             m.p,
             m.v,
-            rotate(m.q, m.w),
+            m.w,
             self.vehicle.vertical_force_sign,
             self.body.vertical_lever_m,
         )
         mass = self.vehicle.airframe.mass_kg
-        up = rotate(m.q, (0.0, 0.0, -GRAVITY_M_S2))
+        up = scale(body_up(m.q), GRAVITY_M_S2)
         f = felt.force
         a = (f[0] / mass + up[0], f[1] / mass + up[1], f[2] / mass + up[2] + GRAVITY_M_S2)
         ix, iy, iz = self.vehicle.airframe.inertia_kg_m2
-        t = rotate(quaternion_conjugate(m.q), felt.torque)
+        t = felt.torque
         p, q, r = m.w
         b = (
             (t[0] - (iz - iy) * q * r) / ix,

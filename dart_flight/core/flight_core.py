@@ -65,20 +65,23 @@ class FlightCore:
         """Take one input; returns commands to carry out and records to log, in order."""
         if self.end is not None:
             return []
-        sensed, proposal = _NOTHING, Proposal()
+        sensed, proposal, state = _NOTHING, Proposal(), self._senses.state
         try:
             sensed = self._senses.take(item, self._expected)
             if self._guard.action is Override.NONE:
-                self._executive.propose(item, self.state, sensed, proposal)
+                self._executive.propose(item, state, sensed, proposal)
                 self._expected = proposal.expected
         except Exception:
             proposal.findings.append(_fault())
         if proposal.frame is not None:
-            self.state.anchor(proposal.frame)
+            state.anchor(proposal.frame)
         known: list[Output] = []
         if sensed.estimate is not None:
             known = [sensed.estimate, *sensed.impacts]
-            known += [o for o in (sensed.torque, sensed.body) if o is not None]
+            if sensed.torque is not None:
+                known.append(sensed.torque)
+            if sensed.body is not None:
+                known.append(sensed.body)
         try:
             known += self._dispose(item, sensed, proposal)
             return known
@@ -91,10 +94,10 @@ class FlightCore:
         if self._fault is not None:
             proposal.findings.append(self._fault)
             self._fault = None
-        guard, executive = self._guard, self._executive
-        kept = guard.review(item, self.state, sensed, self.phase, proposal)
+        guard, executive, state = self._guard, self._executive, self._senses.state
+        kept = guard.review(item, state, sensed, executive.phase, proposal)
         if guard.action is not Override.NONE:
-            kept += executive.overruled(self.state.now_us, guard.reason or "")
+            kept += executive.overruled(state.now_us, guard.reason or "")
             # A wall met while the guard holds or backs off is an impact, the ground at the end is none.
             if guard.landing:
                 self._expected = Expected()

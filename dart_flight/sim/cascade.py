@@ -18,10 +18,10 @@ from dart_flight.geometry import (
     GRAVITY_M_S2,
     Quaternion,
     Vec3,
+    body_up,
     quaternion_conjugate,
     quaternion_multiply,
     quaternion_normalise,
-    rotate,
     wrap_angle,
 )
 
@@ -165,33 +165,29 @@ class Cascade:
         g = self.parameters
         error = _attitude_error(q, self.attitude_setpoint)
         sign = 2.0 if error[0] >= 0.0 else -2.0
-        kp = (g["MC_ROLL_P"], g["MC_PITCH_P"], g["MC_YAW_P"] / _YAW_WEIGHT)
-        pid = (
-            (g["MC_ROLLRATE_P"], g["MC_ROLLRATE_I"], g["MC_ROLLRATE_D"]),
-            (g["MC_PITCHRATE_P"], g["MC_PITCHRATE_I"], g["MC_PITCHRATE_D"]),
-            (g["MC_YAWRATE_P"], g["MC_YAWRATE_I"], 0.0),
+        axes = (
+            (g["MC_ROLL_P"], g["MC_ROLLRATE_P"], g["MC_ROLLRATE_I"], g["MC_ROLLRATE_D"]),
+            (g["MC_PITCH_P"], g["MC_PITCHRATE_P"], g["MC_PITCHRATE_I"], g["MC_PITCHRATE_D"]),
+            (g["MC_YAW_P"] / _YAW_WEIGHT, g["MC_YAWRATE_P"], g["MC_YAWRATE_I"], 0.0),
         )
         torque = [0.0, 0.0, 0.0]
-        for i in range(3):
-            wanted = max(-_MAX_RATE[i], min(_MAX_RATE[i], kp[i] * sign * error[i + 1]))
-            p, ki, d = pid[i]
-            rate_error = wanted - rate[i]
-            slope = (rate[i] - self._rate_last[i]) / dt_s
-            torque[i] = p * rate_error + self._rate_integral[i] - d * slope
-            self._rate_integral[i] = max(-0.3, min(0.3, self._rate_integral[i] + ki * rate_error * dt_s))
+        integral, last = self._rate_integral, self._rate_last
+        for i, (kp, p, ki, d) in enumerate(axes):
+            most, now, summed = _MAX_RATE[i], rate[i], integral[i]
+            rate_error = max(-most, min(most, kp * sign * error[i + 1])) - now
+            torque[i] = p * rate_error + summed - d * ((now - last[i]) / dt_s)
+            integral[i] = max(-0.3, min(0.3, summed + ki * rate_error * dt_s))
         self._rate_last = rate
         return self._mix(torque)
 
     def _mix(self, torque: list[float]) -> tuple[float, float, float, float]:
         yaw = max(-0.15, min(0.15, torque[2]))
-        relative = [
-            self.thrust_setpoint + 0.7071 * (-sy * torque[0] + sx * torque[1]) + spin * yaw
-            for sx, sy, spin in MOTORS
-        ]
+        (roll, pitch, _), up, full_n = torque, self.thrust_setpoint, self.thrust.full_n
+        relative = [up + 0.7071 * (-sy * roll + sx * pitch) + spin * yaw for sx, sy, spin in MOTORS]
         # Keep the torques when a motor saturates: shift all four.
         shift = min(0.0, 1.0 - max(relative)) + max(0.0, -min(relative))
-        commands = [self.thrust.command_for(max(0.0, r + shift) * self.thrust.full_n) for r in relative]
-        return (commands[0], commands[1], commands[2], commands[3])
+        a, b, c, d = self.thrust.commands_for([max(0.0, r + shift) * full_n for r in relative])
+        return (a, b, c, d)
 
 
 def _attitude_error(q: Quaternion, wanted: Quaternion) -> Quaternion:
@@ -201,7 +197,7 @@ def _attitude_error(q: Quaternion, wanted: Quaternion) -> Quaternion:
     only a share is asked for (MC_YAW_WEIGHT). The whole rotation would mix the two: half a turn off in
     heading, it tilts the vehicle across the direction in which it must be righted.
     """
-    up, up_wanted = rotate(q, (0.0, 0.0, 1.0)), rotate(wanted, (0.0, 0.0, 1.0))
+    up, up_wanted = body_up(q), body_up(wanted)
     cosine = up[0] * up_wanted[0] + up[1] * up_wanted[1] + up[2] * up_wanted[2]
     if cosine < -0.9999:  # upside down: every way is as short
         return quaternion_multiply(quaternion_conjugate(q), wanted)

@@ -50,12 +50,12 @@ class Estimator:
             return
         self.rate = rate_frd
         self.q = quaternion_normalise(advance_attitude(self.q, rate_frd, dt_s))
-        f = rotate(self.q, specific_force_frd)
-        acceleration = (f[0], f[1], f[2] + GRAVITY_M_S2)
-        self.position = add(
-            self.position, add(scale(self.velocity, dt_s), scale(acceleration, 0.5 * dt_s * dt_s))
-        )
-        self.velocity = add(self.velocity, scale(acceleration, dt_s))
+        ax, ay, az = rotate(self.q, specific_force_frd)
+        az += GRAVITY_M_S2
+        (x, y, z), (vx, vy, vz) = self.position, self.velocity
+        h, g = dt_s, 0.5 * dt_s * dt_s
+        self.position = (x + (vx * h + ax * g), y + (vy * h + ay * g), z + (vz * h + az * g))
+        self.velocity = (vx + ax * h, vy + ay * h, vz + az * h)
         self._history.append((t_s, self.position, self.q))
         while self._history[0][0] < t_s - _HISTORY_S:
             self._history.popleft()
@@ -72,7 +72,12 @@ class Estimator:
         if self._updates == 1 or not self._history:
             self.position, self.q = position_ned, q
             return
-        then = min(self._history, key=lambda entry: abs(entry[0] - t_s))
+        # Poses come in the order in which they were measured: what lies before this one is done with, and the
+        # few entries that are left are cheap to move.
+        history = self._history
+        while len(history) > 1 and abs(history[1][0] - t_s) < abs(history[0][0] - t_s):
+            history.popleft()
+        then = history[0]
         innovation = subtract(position_ned, then[1])
         self.position = add(self.position, scale(innovation, _POSITION_GAIN))
         self.velocity = add(self.velocity, scale(innovation, _VELOCITY_GAIN))
@@ -82,5 +87,5 @@ class Estimator:
         self.q = quaternion_normalise(quaternion_multiply(self.q, quaternion_from_rotation_vector(twist)))
         shift = scale(innovation, _POSITION_GAIN)
         # Old predictions move with the correction, so that one error is not corrected twice.
-        self._history = deque((t, add(p, shift), q_then) for t, p, q_then in self._history)
+        self._history = deque((t, add(p, shift), q_then) for t, p, q_then in history)
         self.ok = self._updates > 50

@@ -16,7 +16,7 @@ import msgspec
 
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import BodyModel, Coefficients, Motor, VehicleConfig
-from dart_flight.contact.body import Plane, Touch, arm_of, folds, guards_of, touch
+from dart_flight.contact.body import UNTOUCHED, Plane, Touch, arm_of, clearance_m, folds, guards_of, touch
 from dart_flight.contact.law import Onset, coefficients_in_force, contact_force
 from dart_flight.geometry import (
     GRAVITY_M_S2,
@@ -27,11 +27,12 @@ from dart_flight.geometry import (
     Wall,
     add,
     advance_attitude,
+    body_up,
     norm,
-    quaternion_conjugate,
     quaternion_from_euler,
     quaternion_normalise,
     rotate,
+    rotate_back,
     scale,
     tilt_of,
     wrap_angle,
@@ -45,6 +46,10 @@ _NEAR_WALL_M = 0.08  # below 5 m/s no contact begins further away
 _BEHIND_M = -0.6  # a vehicle this far behind a plane is on the wall's other side
 _REBOUND_S = 0.01  # a guard that comes back within this time belongs to the same contact
 _HALF_ENGAGED = 0.5  # how free arms are with half-engaged rods
+_GROUND_M = 0.01  # above it the landing gear touches nothing
+_NO_FORCE = (0.0, 0.0, 0.0)
+_AT_REST = (0.0, 0.0, 0.0, 0.0)  # arms: displacement north, east in m; its speed in m/s
+_GAIN_M_S = 0.5  # more than this no thrust adds to the speed within a tick
 _GROUND_STEPS = 2  # a millisecond, where only the landing gear touches: nothing is measured there
 _GROUND_SPEED_M_S = 0.05  # regularisation of the ground's friction
 
@@ -136,13 +141,20 @@ class Plant:
         self._rng = random.Random(scatter_seed)
         self._scattered: dict[str, tuple[float, float, float]] = {}
         self._guards = guards_of(self.body) if self.body.body is BodyModel.GUARDS else ()
+        self._reach_m = max((norm(guard.at) for guard in self._guards), default=0.0)
         self.on_ground = True
         self.finished: list[TruthContact] = []
         self.time_offset_us = 0
         self._open: dict[str, _OpenContact] = {}
         vibration = vehicle.simulation.arm_vibration
-        self._arm: tuple[Vec2, Vec2] = ((0.0, 0.0), (0.0, 0.0))
-        self._arm_omega = 2.0 * math.pi * vibration.frequency_hz
+        self._arm = _AT_REST
+        # Constants of every step are looked up once: an attribute of an attribute costs as much as a product.
+        omega = 2.0 * math.pi * vibration.frequency_hz
+        self._arm_spring, self._arm_damper = -omega * omega, 2.0 * vibration.damping_ratio * omega
+        self._arm_share = vibration.mass_fraction
+        self._full_scale = vehicle.imu.full_scale_m_s2
+        self._thrust = vehicle.thrust
+        self._inertia, self._drag_per_s = vehicle.airframe.inertia_kg_m2, vehicle.airframe.drag_per_s
         self._sensed: Vec3 = (0.0, 0.0, -GRAVITY_M_S2)
         lever = vehicle.simulation.imu_position_m
         self._imu_lever: Vec3 | None = lever if any(lever) else None
@@ -150,6 +162,7 @@ class Plant:
         steps_per_lag = 2.0 * math.pi * vehicle.imu.antialias_hz * STEP_S
         self._antialias_decay = math.exp(-steps_per_lag)
         self._antialias_mean = (1.0 - self._antialias_decay) / steps_per_lag
+        self._straight = [(motor.x_m, motor.y_m, motor.yaw_m) for motor in self.motors]
         self._arm_of_motor = [arm_of(motor.x_m, motor.y_m) for motor in self.motors]
         self._folded: tuple[float, float, float, float] | None = None
         self._motor_decay = math.exp(-STEP_S / max(vehicle.thrust.motor_lag_s, 1e-4))
@@ -165,86 +178,91 @@ class Plant:
             at the sensor's full scale.
         """
         fx = fy = fz = 0.0
-        most = self.vehicle.imu.full_scale_m_s2
+        most = self._full_scale
         keep, mean = self._antialias_decay, self._antialias_mean
+        near = self._wall_in_reach(steps * STEP_S)
+        ox, oy, oz = self._sensed
         for _ in range(steps):
             rate = self.rate
-            force = self._advance_one(motor_commands)
-            new, old = rotate(quaternion_conjugate(self.q), force), self._sensed
+            force = self._advance_one(motor_commands, near)
+            nx, ny, nz = rotate_back(self.q, force)
             if self._imu_lever is not None:
-                new = add(new, _acceleration_at(self._imu_lever, rate, self.rate))
-            d = (old[0] - new[0], old[1] - new[1], old[2] - new[2])
-            self._sensed = (new[0] + keep * d[0], new[1] + keep * d[1], new[2] + keep * d[2])
-            f = (new[0] + mean * d[0], new[1] + mean * d[1], new[2] + mean * d[2])
-            fx += max(-most, min(most, f[0]))
-            fy += max(-most, min(most, f[1]))
-            fz += max(-most, min(most, f[2]))
+                nx, ny, nz = add((nx, ny, nz), _acceleration_at(self._imu_lever, rate, self.rate))
+            dx, dy, dz = ox - nx, oy - ny, oz - nz
+            ox, oy, oz = nx + keep * dx, ny + keep * dy, nz + keep * dz
+            x, y, z = nx + mean * dx, ny + mean * dy, nz + mean * dz
+            fx += x if -most < x < most else math.copysign(most, x)
+            fy += y if -most < y < most else math.copysign(most, y)
+            fz += z if -most < z < most else math.copysign(most, z)
+        self._sensed = (ox, oy, oz)
         return (fx / steps, fy / steps, fz / steps)
 
-    def _advance_one(self, commands: tuple[float, float, float, float]) -> Vec3:
+    def _advance_one(self, commands: tuple[float, float, float, float], near: bool) -> Vec3:
         thrust_n, torque = self._motors(commands)
-        up_ned = rotate(self.q, (0.0, 0.0, -1.0))
-        drag = self._drag()
-        pushed = (
-            up_ned[0] * thrust_n / self.mass + drag[0],
-            up_ned[1] * thrust_n / self.mass + drag[1],
-            up_ned[2] * thrust_n / self.mass + drag[2],
-        )
-        planes = self._planes_near()
-        if self._guards and planes and not self._near_ground:
-            contact = self._collide(pushed, torque, planes)
+        ux, uy, uz = body_up(self.q)
+        dx, dy, dz = self._drag()
+        m = self.mass
+        pushed = (ux * thrust_n / m + dx, uy * thrust_n / m + dy, uz * thrust_n / m + dz)
+        planes = self._planes_near() if near else []
+        if not planes and not self._near_ground:
+            self._folded = None
+            self._fly(pushed)
+            self._turn(torque)
+            contact = _NO_FORCE
+        elif self._guards and planes and not self._near_ground:
+            contact = self._collide(pushed, torque, planes if self._may_touch(planes) else [])
             self._folded = self._fold()
         else:
             self._folded = None
             contact = self._translate(pushed, planes)
             self._turn(torque)
         self.time_s += STEP_S
-        shaken = self._shake(contact)
-        return (
-            pushed[0] + contact[0] + shaken[0],
-            pushed[1] + contact[1] + shaken[1],
-            pushed[2] + contact[2],
-        )
+        sx, sy = self._shake(contact)
+        return (pushed[0] + contact[0] + sx, pushed[1] + contact[1] + sy, pushed[2] + contact[2])
 
     def _motors(self, commands: tuple[float, float, float, float]) -> tuple[float, Vec3]:
-        decay, thrust = self._motor_decay, self.vehicle.thrust
-        total = roll = pitch = yaw = 0.0
-        for i, motor in enumerate(self.motors):
-            self.motor[i] = commands[i] + (self.motor[i] - commands[i]) * decay
-            force = thrust.force_n(self.motor[i])
-            total += force
-            x, y = motor.x_m, motor.y_m
-            if self._folded is not None:
-                turn = self._folded[self._arm_of_motor[i]]
-                c, s = math.cos(turn), math.sin(turn)
-                x, y = c * x - s * y, s * x + c * y
-            roll -= y * force
-            pitch += x * force
-            yaw += motor.yaw_m * force
-        return total, (roll, pitch, yaw)
+        (a, b, c, d), (ma, mb, mc, md), k = commands, self.motor, self._motor_decay
+        self.motor = [a + (ma - a) * k, b + (mb - b) * k, c + (mc - c) * k, d + (md - d) * k]
+        # Four motors written out: a loop over them costs more than what is in it.
+        a, b, c, d = self._thrust.forces_n(self.motor)
+        levers = self._straight if self._folded is None else self._folded_levers(self._folded)
+        (ax, ay, az), (bx, by, bz), (cx, cy, cz), (dx, dy, dz) = levers
+        return a + b + c + d, (
+            -(ay * a) - by * b - cy * c - dy * d,
+            ax * a + bx * b + cx * c + dx * d,
+            az * a + bz * b + cz * c + dz * d,
+        )
+
+    def _folded_levers(self, folded: tuple[float, float, float, float]) -> list[Vec3]:
+        """Where the motors are, and their yaw torque per thrust, with each arm turned by so much."""
+        levers = []
+        for (x, y, yaw_m), arm in zip(self._straight, self._arm_of_motor, strict=True):
+            c, s = math.cos(folded[arm]), math.sin(folded[arm])
+            levers.append((c * x - s * y, s * x + c * y, yaw_m))
+        return levers
 
     def _drag(self) -> Vec3:
-        b = self.vehicle.airframe.drag_per_s
-        v = self.velocity
-        w = self.wind_ned
-        air = self.frame.vector_from_ned((v[0] - w[0], v[1] - w[1], v[2] - w[2]))
-        return self.frame.vector_to_ned((-b[0] * air[0], -b[1] * air[1], -b[2] * air[2]))
+        bx, by, bz = self._drag_per_s
+        v, w, frame = self.velocity, self.wind_ned, self.frame
+        x, y, z = frame.vector_from_ned((v[0] - w[0], v[1] - w[1], v[2] - w[2]))
+        return frame.vector_to_ned((-bx * x, -by * y, -bz * z))
 
     def _turn(self, torque: Vec3) -> None:
-        ix, iy, iz = self.vehicle.airframe.inertia_kg_m2
+        ix, iy, iz = self._inertia
         p, q, r = self.rate
         if self.on_ground:
             torque = self._legs(torque)
+        roll, pitch, yaw = torque
         self.rate = (
-            p + STEP_S * (torque[0] - (iz - iy) * q * r) / ix,
-            q + STEP_S * (torque[1] - (ix - iz) * r * p) / iy,
-            r + STEP_S * (torque[2] - (iy - ix) * p * q) / iz,
+            p + STEP_S * (roll - (iz - iy) * q * r) / ix,
+            q + STEP_S * (pitch - (ix - iz) * r * p) / iy,
+            r + STEP_S * (yaw - (iy - ix) * p * q) / iz,
         )
         self.q = quaternion_normalise(advance_attitude(self.q, self.rate, STEP_S))
 
     def _legs(self, torque: Vec3) -> Vec3:
         """Landing gear: while the vehicle rests on it, it is levelled and does not turn."""
-        down = rotate(quaternion_conjugate(self.q), (0.0, 0.0, 1.0))
+        down = rotate_back(self.q, (0.0, 0.0, 1.0))
         k, c = 3.0, 0.3  # N m/rad and N m s/rad: stiff and well damped against 0.0125 kg m2
         return (
             torque[0] - k * down[1] - c * self.rate[0],
@@ -256,7 +274,17 @@ class Plant:
 
     @property
     def _near_ground(self) -> bool:
-        return self.position[2] > self.ground_down - 0.01
+        return self.position[2] > self.ground_down - _GROUND_M
+
+    def _wall_in_reach(self, seconds: float) -> bool:
+        """Whether a wall is near or may come near within this time; asked once for several steps."""
+        (px, py, _), (vx, vy, _) = self.position, self.velocity
+        slack = seconds * (abs(vx) + abs(vy) + _GAIN_M_S)
+        for plane in self.planes:
+            n, o = plane.normal, plane.point
+            if _BEHIND_M - slack < n[0] * (px - o[0]) + n[1] * (py - o[1]) < _NEAR_WALL_M + slack:
+                return True
+        return False
 
     def _planes_near(self) -> list[tuple[_WallPlane, Coefficients]]:
         return [
@@ -264,6 +292,24 @@ class Plant:
             for plane in self.planes
             if (coefficients := self._coefficients_near(plane)) is not None
         ]
+
+    def _may_touch(self, planes: list[tuple[_WallPlane, Coefficients]]) -> bool:
+        """Whether guards can be pressed within the next step: the law's onset is at k x + f vx = 0.
+
+        They cannot for most of the time near a wall; to find that out once is cheaper than in every small
+        step.
+        """
+        if self._open:
+            return True
+        v = self.velocity
+        turning = norm(self.rate) * self._reach_m
+        for plane, c in planes:
+            n = plane.normal
+            x = clearance_m(self._guards, self.q, plane.surface, self.position)
+            closing = max(0.0, -(n[0] * v[0] + n[1] * v[1])) + turning + _GAIN_M_S
+            if x < (STEP_S + c.f / c.k) * closing:
+                return True
+        return False
 
     def _collide(self, pushed: Vec3, torque: Vec3, planes: list[tuple[_WallPlane, Coefficients]]) -> Vec3:
         """Move and turn the body near walls, in the air; returns the mean acceleration by contact, NED.
@@ -273,25 +319,25 @@ class Plant:
         """
         free = (pushed[0], pushed[1], pushed[2] + GRAVITY_M_S2)
         h = STEP_S / CONTACT_STEPS
+        g = 0.5 * h
         before = self.velocity
         self.on_ground = False
-        a, b, felt = self._touching(self.position, self.velocity, self.q, self.rate, free, torque, planes)
+        p, v, q, w = self.position, self.velocity, self.q, self.rate
+        a, b, felt = self._touching(p, v, q, w, free, torque, planes)
         for i in range(CONTACT_STEPS):
-            p, v, q, w = self.position, self.velocity, self.q, self.rate
-            mid_p = (p[0] + 0.5 * h * v[0], p[1] + 0.5 * h * v[1], p[2] + 0.5 * h * v[2])
-            mid_v = (v[0] + 0.5 * h * a[0], v[1] + 0.5 * h * a[1], v[2] + 0.5 * h * a[2])
-            mid_w = (w[0] + 0.5 * h * b[0], w[1] + 0.5 * h * b[1], w[2] + 0.5 * h * b[2])
-            mid_q = advance_attitude(q, w, 0.5 * h)
-            a, b, _ = self._touching(mid_p, mid_v, mid_q, mid_w, free, torque, planes)
-            self.position = (p[0] + h * mid_v[0], p[1] + h * mid_v[1], p[2] + h * mid_v[2])
-            self.velocity = (v[0] + h * a[0], v[1] + h * a[1], v[2] + h * a[2])
-            self.rate = (w[0] + h * b[0], w[1] + h * b[1], w[2] + h * b[2])
-            self.q = quaternion_normalise(advance_attitude(q, mid_w, h))
+            mid_p = (p[0] + g * v[0], p[1] + g * v[1], p[2] + g * v[2])
+            mid_v = (v[0] + g * a[0], v[1] + g * a[1], v[2] + g * a[2])
+            mid_w = (w[0] + g * b[0], w[1] + g * b[1], w[2] + g * b[2])
+            a, b, _ = self._touching(mid_p, mid_v, advance_attitude(q, w, g), mid_w, free, torque, planes)
+            v_before = v
+            self.position = p = (p[0] + h * mid_v[0], p[1] + h * mid_v[1], p[2] + h * mid_v[2])
+            self.velocity = v = (v[0] + h * a[0], v[1] + h * a[1], v[2] + h * a[2])
+            self.rate = w = (w[0] + h * b[0], w[1] + h * b[1], w[2] + h * b[2])
+            self.q = q = quaternion_normalise(advance_attitude(q, mid_w, h))
             # Felt at the end of this step, and at the beginning of the next.
-            a, b, felt = self._touching(self.position, self.velocity, self.q, self.rate, free, torque, planes)
+            a, b, felt = self._touching(p, v, q, w, free, torque, planes)
             for (plane, c), one in zip(planes, felt, strict=True):
-                self._note_contact(plane, c, one, self.time_s + i * h, v)
-        v = self.velocity
+                self._note_contact(plane, c, one, self.time_s + i * h, v_before)
         return (
             (v[0] - before[0]) / STEP_S - free[0],
             (v[1] - before[1]) / STEP_S - free[1],
@@ -336,34 +382,17 @@ class Plant:
         planes: list[tuple[_WallPlane, Coefficients]],
     ) -> tuple[Vec3, Vec3, list[Touch]]:
         """Acceleration (NED), angular acceleration (FRD), and what the guards feel of each wall."""
-        levers = [(rotate(q, guard.at), rotate(q, guard.friction_at)) for guard in self._guards]
-        rate = rotate(q, w)
-        felt = [
-            touch(
-                levers,
-                c,
-                self.onset,
-                plane.surface,
-                p,
-                v,
-                rate,
-                self.vehicle.vertical_force_sign,
-                self.body.vertical_lever_m,
-            )
-            for plane, c in planes
-        ]
-        fx, fy, fz = (sum(one.force[i] for one in felt) for i in range(3))
-        turned = rotate(
-            quaternion_conjugate(q),
-            (
-                sum(one.torque[0] for one in felt),
-                sum(one.torque[1] for one in felt),
-                sum(one.torque[2] for one in felt),
-            ),
-        )
-        self.contact_force_ned, self.contact_torque_frd = (fx, fy, fz), turned
-        m, (ix, iy, iz) = self.mass, self.vehicle.airframe.inertia_kg_m2
-        acceleration = (free[0] + fx / m, free[1] + fy / m, free[2] + fz / m)
+        sign, lever = self.vehicle.vertical_force_sign, self.body.vertical_lever_m
+        force = turned = _NO_FORCE
+        felt = []
+        for plane, c in planes:
+            one = touch(self._guards, q, c, self.onset, plane.surface, p, v, w, sign, lever)
+            felt.append(one)
+            if one is not UNTOUCHED:
+                force, turned = add(force, one.force), add(turned, one.torque)
+        self.contact_force_ned, self.contact_torque_frd = force, turned
+        m, (ix, iy, iz) = self.mass, self._inertia
+        acceleration = (free[0] + force[0] / m, free[1] + force[1] / m, free[2] + force[2] / m)
         angular = (
             (torque[0] + turned[0] - (iz - iy) * w[1] * w[2]) / ix,
             (torque[1] + turned[1] - (ix - iz) * w[2] * w[0]) / iy,
@@ -374,18 +403,6 @@ class Plant:
     def _translate(self, pushed: Vec3, planes: list[tuple[_WallPlane, Coefficients]]) -> Vec3:
         """Move the centre of mass; returns the mean acceleration by contact (walls and ground), NED."""
         free = (pushed[0], pushed[1], pushed[2] + GRAVITY_M_S2)
-        if not planes and not self._near_ground:
-            self.on_ground = False
-            self.contact_force_ned = self.contact_torque_frd = (0.0, 0.0, 0.0)
-            self._let_go()
-            p, v, h = self.position, self.velocity, STEP_S
-            self.position = (
-                p[0] + h * (v[0] + 0.5 * h * free[0]),
-                p[1] + h * (v[1] + 0.5 * h * free[1]),
-                p[2] + h * (v[2] + 0.5 * h * free[2]),
-            )
-            self.velocity = (v[0] + h * free[0], v[1] + h * free[1], v[2] + h * free[2])
-            return (0.0, 0.0, 0.0)
         steps = CONTACT_STEPS if planes else _GROUND_STEPS
         h = STEP_S / steps
         before = self.velocity
@@ -405,6 +422,18 @@ class Plant:
             (v[1] - before[1]) / STEP_S - free[1],
             (v[2] - before[2]) / STEP_S - free[2],
         )
+
+    def _fly(self, pushed: Vec3) -> None:
+        """Move the centre of mass where nothing touches."""
+        self.on_ground = False
+        self.contact_force_ned = self.contact_torque_frd = _NO_FORCE
+        if self._open:
+            self._let_go()
+        (x, y, z), (vx, vy, vz), (ax, ay, az) = self.position, self.velocity, pushed
+        az += GRAVITY_M_S2
+        h, g = STEP_S, 0.5 * STEP_S
+        self.position = (x + h * (vx + g * ax), y + h * (vy + g * ay), z + h * (vz + g * az))
+        self.velocity = (vx + h * ax, vy + h * ay, vz + h * az)
 
     def _coefficients_near(self, plane: _WallPlane) -> Coefficients | None:
         position = self.frame.point_from_ned(self.position)
@@ -560,16 +589,15 @@ class Plant:
         """
         freedom = self._freedom()
         if freedom == 0.0:
-            self._arm = ((0.0, 0.0), (0.0, 0.0))
+            self._arm = _AT_REST
             return (0.0, 0.0)
-        vibration = self.vehicle.simulation.arm_vibration
-        w, z = self._arm_omega, vibration.damping_ratio
-        (qx, qy), (vx, vy) = self._arm
-        ax = -w * w * qx - 2.0 * z * w * vx - contact[0]
-        ay = -w * w * qy - 2.0 * z * w * vy - contact[1]
+        spring, damper = self._arm_spring, self._arm_damper
+        qx, qy, vx, vy = self._arm
+        ax = spring * qx - damper * vx - contact[0]
+        ay = spring * qy - damper * vy - contact[1]
         vx, vy = vx + STEP_S * ax, vy + STEP_S * ay
-        self._arm = ((qx + STEP_S * vx, qy + STEP_S * vy), (vx, vy))
-        share = freedom * vibration.mass_fraction
+        self._arm = (qx + STEP_S * vx, qy + STEP_S * vy, vx, vy)
+        share = freedom * self._arm_share
         return (-share * ax, -share * ay)
 
     # -- truth --

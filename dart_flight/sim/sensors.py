@@ -27,7 +27,8 @@ from dart_flight.sim.plant import Plant
 
 def gauss3(rng: random.Random, sigma: float) -> Vec3:
     """Three independent normal numbers of the same standard deviation."""
-    return (rng.gauss(0.0, sigma), rng.gauss(0.0, sigma), rng.gauss(0.0, sigma))
+    gauss = rng.gauss
+    return (gauss(0.0, sigma), gauss(0.0, sigma), gauss(0.0, sigma))
 
 
 class ImuSensor:

@@ -202,13 +202,12 @@ def test_friction_never_puts_energy_in(
     """At the friction's own lever the power of friction is never positive, whatever the share that turns."""
     contact = ContactBody(body=BodyModel.GUARDS, friction_lever_share=share)
     q = quaternion_from_euler(0.0, 0.0, yaw)
-    levers = [(rotate(q, g.at), rotate(q, g.friction_at)) for g in guards_of(contact)]
     plane = Plane((0.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
     where = (-0.2 - depth, 0.0, 0.0)
 
     def power(friction: float) -> float:
         c = Coefficients(4200.0, 15.0, friction, 0.0)
-        one = touch(levers, c, Onset.LCP, plane, where, velocity, rate, -1, 0.0)
+        one = touch(guards_of(contact), q, c, Onset.LCP, plane, where, velocity, rate, -1, 0.0)
         linear = sum(f * v for f, v in zip(one.force, velocity, strict=True))
         return linear + sum(t * w for t, w in zip(one.torque, rate, strict=True))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Annotated
 
 import msgspec
@@ -82,17 +83,30 @@ class Thrust(Section, frozen=True):
 
     def force_n(self, command: float) -> float:
         """Steady thrust in newton of one motor at a command from 0 to 1."""
-        u = max(0.0, min(1.0, command))
-        return self.full_n * (self.model_factor * u * u + (1.0 - self.model_factor) * u)
+        return self.forces_n((command,))[0]
+
+    def forces_n(self, commands: Iterable[float]) -> list[float]:
+        """Steady thrust in newton of each motor: the plant asks for all four at once, every millisecond."""
+        full, square = self.full_n, self.model_factor
+        linear = 1.0 - square
+        forces = []
+        for command in commands:
+            u = 0.0 if command < 0.0 else 1.0 if command > 1.0 else command
+            forces.append(full * (square * u * u + linear * u))
+        return forces
 
     def command_for(self, force_n: float) -> float:
         """The command from 0 to 1 that gives a steady thrust; saturates."""
-        relative = max(0.0, min(1.0, force_n / self.full_n))
-        a = self.model_factor
+        return self.commands_for((force_n,))[0]
+
+    def commands_for(self, forces_n: Iterable[float]) -> list[float]:
+        """The command of each motor for a steady thrust in newton."""
+        full, a = self.full_n, self.model_factor
+        relative = [max(0.0, min(1.0, force / full)) for force in forces_n]
         if a < 1e-6:
             return relative
         b = 1.0 - a
-        return float((-b + (b * b + 4.0 * a * relative) ** 0.5) / (2.0 * a))
+        return [float((-b + (b * b + 4.0 * a * share) ** 0.5) / (2.0 * a)) for share in relative]
 
 
 class Imu(Section, frozen=True):

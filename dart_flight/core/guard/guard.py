@@ -118,9 +118,11 @@ class Guard:
         judged = self._judged if watch.request is None else self._judged_asked
         for action, cause, name in judged[phase]:
             # A rule whose action is in force already has nothing to add.
-            if action > rank and (detail := cause(watch)) is not None:
-                self._fire(name, detail, state, events)
-                rank = self.action.rank
+            if action > rank:
+                detail = cause(watch)
+                if detail is not None:
+                    self._fire(name, detail, state, events)
+                    rank = self.action.rank
             elif action == rank and name in self._explaining:
                 self._explain(name, cause(watch), state, events)
 

@@ -78,12 +78,10 @@ def _by_px4(v: Watch) -> bool:
 
 
 def _disarmed(v: Watch) -> str | None:
-    status = v.state.status
-    if v.unsure:  # it may be the other vehicle's state
+    if v.state.status.armed or not v.was_armed or v.state.on_ground or v.land_asked:
         return None
-    if v.was_armed and not status.armed and not v.state.on_ground and not v.land_asked:
-        return "PX4 has disarmed in the air"
-    return None
+    # It may be the other vehicle's state.
+    return None if v.unsure else "PX4 has disarmed in the air"
 
 
 def _silent(v: Watch, stream: str, limit_s: float) -> str | None:

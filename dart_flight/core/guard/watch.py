@@ -92,6 +92,8 @@ class Watch:
         self._gap_us: int | None = None
         self._host_us = 0  # of the newest stamped sample
         self._counts: dict[str, tuple[int, int]] = {}  # stream -> (first stamp, samples since)
+        self.surely_down_s = self._surely_down_s()
+        self._full_scale = _CLIP_SHARE * mission.vehicle.imu.full_scale_m_s2
         self._imu: ImuSample | None = None
         self._odometry: OdometrySample | None = None
         self._reset_counter: int | None = None
@@ -100,7 +102,7 @@ class Watch:
     def observe(self, item: Input, state: FlightState, sensed: Sensed, phase: Phase) -> None:
         """Take the step's input, which has gone into `state`, and what it has taught."""
         self.state, self.phase, self.force = state, phase, sensed.estimate
-        self.request = item if isinstance(item, OperatorRequest) else None
+        self.request = None
         for event in sensed.impacts:
             if isinstance(event, ImpactOnset):
                 # For a while the contact explains what estimator and altitude do.
@@ -113,10 +115,14 @@ class Watch:
             self._see_imu(item)
         elif isinstance(item, OdometrySample):
             self._see_odometry(item)
+        elif name is not None:
+            pass  # as most: nothing else is remembered of it
         elif isinstance(item, EstimatorSample):
             self._see_estimator(item)
         elif isinstance(item, StatusSample):
             self._see_status(item)
+        elif isinstance(item, OperatorRequest):
+            self.request = item
         elif isinstance(item, OtherVehicle):
             self._other_system = item.system
         elif isinstance(item, StatusText) and any(w in item.text.lower() for w in _FAILSAFE_WORDS):
@@ -221,8 +227,7 @@ class Watch:
         autopilot_us, host_us = self._landing_since_us
         return min(self.state.now_us - autopilot_us, self.state.host_us - host_us) * 1e-6
 
-    @property
-    def surely_down_s(self) -> float | None:
+    def _surely_down_s(self) -> float | None:
         """After this long in land mode a vehicle is down, whatever its estimator says; None: never so."""
         if self.config.kill_after_s is None:
             return None
@@ -251,25 +256,27 @@ class Watch:
 
     def _see_stamp(self, name: str, item: Input) -> None:
         assert isinstance(item, ImuSample | AttitudeSample | OdometrySample | ActuatorSample)
-        if self._host_us and item.received_us - self._host_us > _GAP_US:
-            self._gap_us = self.state.now_us
-        self._host_us = max(self._host_us, item.received_us)
+        t_us, received_us = item.t_us, item.received_us
+        if received_us > self._host_us:
+            if self._host_us and received_us - self._host_us > _GAP_US:
+                self._gap_us = self.state.now_us
+            self._host_us = received_us
         self.since_imu = 0 if name == "imu" else self.since_imu + 1
         if self.second_vehicle is None:
             self._look_for_second(name, item)
         newest = getattr(self.state, name)
-        lag_us = newest.t_us - item.t_us if newest is not None else 0
+        lag_us = newest.t_us - t_us if newest is not None else 0
         if lag_us > self.config.stamp_tolerance_s * 1e6:
             self.stale[name] = self.stale.get(name, 0) + 1
             return
         if -lag_us > _LEAP_US:  # not taken yet: another vehicle's, or a clock that has jumped
             return
         self.stale[name] = 0
-        first_us, count = self._counts.get(name, (item.t_us, 0))
-        span_us = item.t_us - first_us
+        first_us, count = self._counts.get(name) or (t_us, 0)
+        span_us = t_us - first_us
         if span_us >= _RATE_WINDOW_US:
             self.rates_hz[name] = count * 1e6 / span_us
-            first_us, count = item.t_us, 0
+            first_us, count = t_us, 0
         self._counts[name] = (first_us, count + 1)
 
     def _look_for_second(
@@ -295,8 +302,8 @@ class Watch:
         before, self._imu = self._imu, item
         same = before is not None and before.specific_force_frd == item.specific_force_frd
         self.stuck_since_us = (self.stuck_since_us or item.t_us) if same else None
-        full = _CLIP_SHARE * self.mission.vehicle.imu.full_scale_m_s2
-        clipped = any(abs(f) >= full for f in item.specific_force_frd)
+        (x, y, z), full = item.specific_force_frd, self._full_scale
+        clipped = abs(x) >= full or abs(y) >= full or abs(z) >= full
         self.clipped_since_us = (self.clipped_since_us or item.t_us) if clipped else None
 
     def _see_odometry(self, item: OdometrySample) -> None:
@@ -339,8 +346,7 @@ class Watch:
         self.battery_low_since_us = (self.battery_low_since_us or self.state.now_us) if low else None
 
     def _see_flags(self) -> None:
-        bad = self._estimator_bad or not self.state.status.local_position_ok
-        if not bad or self.shaken:
+        if (self.state.status.local_position_ok and not self._estimator_bad) or self.shaken:
             self.flags_bad_since_us = None
         elif self.flags_bad_since_us is None and self.state.now_us:  # 0: nothing with a stamp has come yet
             self.flags_bad_since_us = self.state.now_us

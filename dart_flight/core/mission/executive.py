@@ -55,6 +55,7 @@ _REST_AFTER_US = 500_000
 _DISARM_AFTER_US = 8_000_000
 # The wall stops the vehicle in a contact (but for `yielding`), PX4 lands it.
 _SILENT = frozenset({Phase.READYING, Phase.CONTACT, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
+_ANY_WALL, _NO_WALL = Expected(watching=True), Expected()
 
 
 class Executive:
@@ -174,7 +175,7 @@ class Executive:
     def _expect(self) -> Expected:
         collision = self._collision
         if collision is None or not self._is_expected(collision):
-            return Expected(self.phase in WATCHING)
+            return _ANY_WALL if self.phase in WATCHING else _NO_WALL
         return Expected(self.phase in WATCHING, collision.wall.normal, collision.wall.material)
 
     def _is_expected(self, collision: Collision) -> bool:

@@ -63,8 +63,8 @@ class HoverBias:
         self.scale = max(1.0 - most, min(1.0 + most, self.scale + share * (seen - self.scale)))
         if speed_m_s < c.speed_m_s and abs(rate[0]) + abs(rate[1]) + abs(rate[2]) < c.rate_rad_s:
             most = c.bias_limit_m_s2
-            self.bias_x = max(-most, min(most, self.bias_x + share * (f[0] - self.bias_x)))
-            self.bias_y = max(-most, min(most, self.bias_y + share * (f[1] - self.bias_y)))
+            self.bias_x = _bounded(self.bias_x + share * (f[0] - self.bias_x), most)
+            self.bias_y = _bounded(self.bias_y + share * (f[1] - self.bias_y), most)
 
     def _learn_noise(self, f: Vec3, step_s: float) -> None:
         # Half the mean square of successive differences: blind to everything slower than two samples.
@@ -77,6 +77,10 @@ class HoverBias:
         # A sensor without any noise does not exist: never let certainty become absolute.
         self._variance = max(self._variance, 1e-4)
         self.noise_m_s2 = math.sqrt(self._variance)
+
+
+def _bounded(value: float, most: float) -> float:
+    return value if -most <= value <= most else math.copysign(most, value)
 
 
 class SlowForce:
@@ -95,8 +99,8 @@ class SlowForce:
         """A sample outside of contacts, `dt_s` after the one before."""
         share = min(dt_s, _MOST_STEP_S) / self._time_s
         x, y = self._now
-        x += share * max(-_BASELINE_STEP_N, min(_BASELINE_STEP_N, fx - x))
-        y += share * max(-_BASELINE_STEP_N, min(_BASELINE_STEP_N, fy - y))
+        x += share * _bounded(fx - x, _BASELINE_STEP_N)
+        y += share * _bounded(fy - y, _BASELINE_STEP_N)
         size = math.sqrt(x * x + y * y)
         if size > self._limit:
             x, y = x * self._limit / size, y * self._limit / size

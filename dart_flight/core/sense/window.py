@@ -13,6 +13,7 @@ from collections import deque
 from dart_flight.geometry import Vec2
 
 _QUICK_S, _SLOW_S = 0.5, 5.0  # a manoeuvre counts at once, and its noise is not forgotten at once
+_LEAST_N2 = 1e-4
 _OUTLIER = 9.0  # a square counts at most this many times the present variance
 _ASSUMED = 5  # samples that the noise to begin with counts for
 _DELAY = 10  # samples: what a contact's foot teaches is thrown away at its onset
@@ -71,23 +72,30 @@ class WindowMean:
 
     def learn(self, dt_s: float) -> None:
         """A mean outside of contacts teaches the noise: how far it is from the one a window before it."""
-        past, pending = self._past, self._pending
+        past, pending, mean = self._past, self._pending, self.mean
         if len(past) == past.maxlen:
-            dx, dy = self.mean[0] - past[0][0], self.mean[1] - past[0][1]
+            (x, y), (before_x, before_y) = mean, past[0]
+            dx, dy = x - before_x, y - before_y
             pending.append(0.25 * (dx * dx + dy * dy))
-        past.append(self.mean)
+        past.append(mean)
         if len(pending) <= _DELAY:
             return
         square = pending.popleft()
-        step, self._seen = min(dt_s, _MOST_STEP_S), self._seen + 1
+        step, self._seen = dt_s if dt_s < _MOST_STEP_S else _MOST_STEP_S, self._seen + 1
         # At first a plain mean, so that what was assumed is forgotten once something is known.
         first = 1.0 / (_ASSUMED + self._seen)
-        quick, slow = max(step / _QUICK_S, first), max(step / _SLOW_S, first)
-        self._quick += quick * (min(square, _OUTLIER * self._quick) - self._quick)
-        self._slow += slow * (min(square, _OUTLIER * self._slow) - self._slow)
+        quick, slow = step / _QUICK_S, step / _SLOW_S
+        # Comparisons, where `min` and `max` would do: four windows learn from every sample, and a call costs
+        # more than all of the arithmetic.
+        q, s = self._quick, self._slow
+        most = _OUTLIER * q
+        q += (quick if quick > first else first) * ((square if square < most else most) - q)
+        most = _OUTLIER * s
+        s += (slow if slow > first else first) * ((square if square < most else most) - s)
         # A force without any noise does not exist: never let certainty become absolute.
-        self._quick, self._slow = max(self._quick, 1e-4), max(self._slow, 1e-4)
-        self.noise_n = math.sqrt(max(self._quick, self._slow))
+        self._quick = q = q if q > _LEAST_N2 else _LEAST_N2
+        self._slow = s = s if s > _LEAST_N2 else _LEAST_N2
+        self.noise_n = math.sqrt(q if q > s else s)
 
     def forget(self) -> None:
         """A contact has begun, or the stream broke off: what it has taught so far is thrown away."""
