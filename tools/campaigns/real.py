@@ -29,7 +29,7 @@ from dart_flight.core.sense.detector import Expected, ImpactDetector
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import MissionFrame
 from dart_flight.identify.feel import TOPICS, FeltFlight, feel_log
-from dart_flight.identify.feel.impacts import REMEMBERED, Crossing, Estimated
+from dart_flight.identify.feel.impacts import REMEMBERED, Crossing, Estimated, short_samples
 from dart_flight.recording.ulog import ULogFile, open_ulog
 from dart_flight.samples import ImpactOnset, ImpactPeak
 
@@ -118,7 +118,7 @@ def detect(
             if isinstance(event, ImpactOnset):
                 felt.append((t, Crossing(event, detector.crossed_n), now))
             elif isinstance(event, ImpactPeak):
-                felt[-1][1].ends(event, newest)
+                felt[-1][1].ends(event, newest, short_samples(vehicle))
     others = [(t, crossing) for t, crossing, pulse in felt if pulse is None]
     for t, crossing, pulse in felt:
         if pulse is not None and pulse.found_s is None and crossing.is_impact:

@@ -108,25 +108,32 @@ class Crossing(msgspec.Struct):
         onset: the moment.
         threshold_n: that was crossed.
         peak: None where the log ends before it is known.
-        beyond_thrust: share of the impulse up to the peak that no thrust of the motors explains.
+        beyond_thrust: whether no thrust of the motors explains it: half of the impulse up to the peak, or
+            what alone is over the threshold in a mean over the detector's short window.
     """
 
     onset: ImpactOnset
     threshold_n: float
     peak: ImpactPeak | None = None
-    beyond_thrust: float = 1.0
+    beyond_thrust: bool = True
 
-    def ends(self, peak: ImpactPeak, estimates: Iterable[Estimated]) -> None:
-        """Its peak is known; `estimates` are the newest, in order."""
+    def ends(self, peak: ImpactPeak, newest: Iterable[Estimated], short: int) -> None:
+        """Its peak is known.
+
+        Args:
+            peak: the peak.
+            newest: the newest estimates, in order.
+            short: samples of the detector's short window.
+        """
         self.peak = peak
-        nx, ny = peak.normal
-        whole = beyond = 0.0
-        for e in estimates:
-            if e.force.t_us >= self.onset.first_us:
-                bx, by = e.beyond_thrust()
-                whole += e.force.force_mission[0] * nx + e.force.force_mission[1] * ny
-                beyond += bx * nx + by * ny
-        self.beyond_thrust = beyond / whole if whole > 0.0 else 1.0
+        since = [e for e in newest if e.force.t_us >= self.onset.first_us]
+        whole = np.array([e.force.force_mission[:2] for e in since])
+        beyond = np.array([e.beyond_thrust() for e in since])
+        share = _BEYOND_THRUST * float(np.sum(whole @ peak.normal))
+        n = min(short, len(since))
+        means = np.cumsum(np.concatenate((np.zeros((1, 2)), beyond)), axis=0)
+        largest = float(np.max(np.hypot(*(means[n:] - means[:-n]).T))) / n
+        self.beyond_thrust = float(np.sum(beyond @ peak.normal)) >= share or largest >= self.threshold_n
 
     @property
     def is_impact(self) -> bool:
@@ -137,7 +144,12 @@ class Crossing(msgspec.Struct):
         if self.peak is None:
             return True
         size = math.hypot(self.peak.normal_force_n, self.peak.tangential_force_n)
-        return size >= _BORNE_OUT * self.threshold_n and self.beyond_thrust >= _BEYOND_THRUST
+        return size >= _BORNE_OUT * self.threshold_n and self.beyond_thrust
+
+
+def short_samples(vehicle: VehicleConfig) -> int:
+    """Samples in the detector's short window."""
+    return max(1, round(vehicle.detection.short_window_s / vehicle.imu.tick_s))
 
 
 class FeltFlight(msgspec.Struct):
@@ -200,6 +212,7 @@ class Pass:
         self._place = 0
         self._full_n = 4.0 * vehicle.thrust.full_n
         self._newest: deque[Estimated] = deque(maxlen=REMEMBERED)
+        self._short = short_samples(vehicle)
         self.rows: list[tuple[float, float, float, float, float]] = []  # time, north, east, down, threshold
         self._noise: list[tuple[float, float, float, float, float]] = []
         self.crossings: list[Crossing] = []
@@ -236,7 +249,7 @@ class Pass:
             if isinstance(event, ImpactOnset):
                 self.crossings.append(Crossing(event, detector.crossed_n))
             elif isinstance(event, ImpactPeak):
-                self.crossings[-1].ends(event, self._newest)
+                self.crossings[-1].ends(event, self._newest, self._short)
         if flying:
             self._keep(estimate)
 
