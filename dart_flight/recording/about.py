@@ -119,6 +119,7 @@ def _complete(vehicle: dict[str, Any]) -> None:
     # Where a key changes what is decided, a log without it was flown without it.
     known["detection"]["noise_sigma"] = 0.0
     known["flying"]["yield_to_contacts"] = False
+    known["flying"]["arrive_mean_s"] = 0.0
 
     def fill(section: dict[str, Any], like: dict[str, Any]) -> None:
         for key, value in like.items():

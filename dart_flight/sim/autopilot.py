@@ -170,7 +170,7 @@ class Autopilot:
     def step(self) -> None:
         """Advance by one tick of 4 ms."""
         specific_force = self.plant.advance(self.motors, _STEPS_PER_TICK)
-        measured, rate = self.imu_sensor.measure(specific_force, self.plant.rate)
+        measured, rate = self.imu_sensor.measure(specific_force, self.plant.rate, any(self.motors))
         reported = (self.imu.specific_force_frd, self.imu.rate_frd) if self.imu_stuck else (measured, rate)
         self.imu = ImuReading(self.time_us, *reported)
         self.estimator.predict(self.now_s, measured, rate, TICK_S)

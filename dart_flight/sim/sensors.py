@@ -43,10 +43,15 @@ class ImuSensor:
         ringing = s.imu_ringing
         self._ringing = None if ringing is None else _Ringing(ringing, vehicle.imu.tick_s, rng)
 
-    def measure(self, specific_force_frd: Vec3, rate_frd: Vec3) -> tuple[Vec3, Vec3]:
-        """(specific force m/s2, body rate rad/s), FRD, as reported for one tick."""
+    def measure(
+        self, specific_force_frd: Vec3, rate_frd: Vec3, motors_turn: bool = True
+    ) -> tuple[Vec3, Vec3]:
+        """(specific force m/s2, body rate rad/s), FRD, as reported for one tick.
+
+        Motors that stand still shake nothing; PX4 aligns its estimator then, and would not in ringing.
+        """
         noisy = add(add(specific_force_frd, self.bias), gauss3(self._rng, self._sigma))
-        if self._ringing is not None:
+        if self._ringing is not None and motors_turn:
             noisy = add(noisy, self._ringing.next())
         f, s = specific_force_frd, self.full_scale_m_s2
         read = (_saturate(f[0], noisy[0], s), _saturate(f[1], noisy[1], s), _saturate(f[2], noisy[2], s))

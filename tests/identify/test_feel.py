@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from dart_flight.cli import main
-from dart_flight.identify.feel.impacts import Crossing
+from dart_flight.identify.feel.impacts import Crossing, Estimated
 from dart_flight.identify.trials import TrialReading, read_trials
-from dart_flight.samples import ImpactOnset, ImpactPeak
+from dart_flight.samples import ForceEstimate, ImpactOnset, ImpactPeak
 from tests.doubles.ulog_file import Topics, write_ulog
 
 pytest.importorskip("pyulog")
@@ -151,3 +151,56 @@ def test_a_crossing_that_its_peak_does_not_bear_out_is_no_impact(
     assert Crossing(onset, 5.5).is_impact, "the log ends before the peak is known"
     peak = ImpactPeak(1, 1, 1, (1.0, 0.0), peak_n, along_n, (0.0, 0.0, 0.0), False, fitted=True)
     assert Crossing(onset, 5.5, peak).is_impact is is_impact
+
+
+def at_tilt(tilt_deg: float, thrust_n: float, along_n: float) -> Estimated:
+    """Leaning north; the motors are taken to give one thrust and give another."""
+    up = (math.sin(math.radians(tilt_deg)), 0.0, math.cos(math.radians(tilt_deg)))
+    error = along_n - thrust_n
+    force = ForceEstimate(1, (error * up[0], error * up[1], error * up[2]), False)
+    return Estimated(force, True, up, thrust_n, along_n, full_n=26.0)
+
+
+@pytest.mark.parametrize(
+    ("tilt_deg", "along_n", "push_n", "is_impact"),
+    [
+        (50.0, 2.0, 0.0, False),  # the motors give less than is thought
+        (50.0, 24.0, 0.0, False),  # or more
+        (0.0, 12.0, -10.0, True),
+        (40.0, 12.0, -10.0, True),  # against the wall
+        (40.0, 12.0, 10.0, True),
+        (40.0, 60.0, 0.0, True),  # no motor gives that
+        (40.0, -20.0, 0.0, True),
+    ],
+)
+def test_what_an_error_of_the_thrust_explains_is_no_impact(
+    tilt_deg: float, along_n: float, push_n: float, is_impact: bool
+) -> None:
+    felt = at_tilt(tilt_deg, 12.0, along_n).pushed((push_n, 0.0))
+    x, y, z = felt.force.force_mission
+    onset = ImpactOnset(1, 1, 1, (x, y, z), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    crossing = Crossing(onset, 5.5)
+    peak = ImpactPeak(1, 1, 1, (math.copysign(1.0, x), 0.0), abs(x), 0.0, (0.0, 0.0, 0.0), False, fitted=True)
+    crossing.ends(peak, [felt], 8)
+    assert crossing.is_impact is is_impact
+
+
+def test_motors_that_fail_in_a_tilted_vehicle_are_no_impact(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = dict(topics())
+    begin, end = 1e6 + 20.0e6, 1e6 + 20.3e6
+    fields, rows = made["sensor_combined", 0]
+    made["sensor_combined", 0] = (
+        fields,
+        [(t, [*v[:5], 0.2 * v[5]] if begin <= t <= end else v) for t, v in rows],
+    )
+    half = math.radians(0.5 * 50.0)
+    fields, rows = made["vehicle_attitude", 0]
+    made["vehicle_attitude", 0] = (
+        fields,
+        [(t, [math.cos(half), 0.0, math.sin(half), 0.0] if begin <= t <= end else v) for t, v in rows],
+    )
+    flight = felt(write_ulog(tmp_path / "a.ulg", made), capsys)
+    assert [round(i["t_s"]) for i in flight["impacts"]] == [round(HIT_S)]
+    assert flight["weak"] >= 1

@@ -10,7 +10,7 @@ import statistics
 import pytest
 
 from dart_flight.config.mission import load_mission
-from dart_flight.config.vehicle import load_vehicle, packaged
+from dart_flight.config.vehicle import ImuRinging, load_vehicle, packaged
 from dart_flight.geometry import quaternion_from_euler
 from dart_flight.sim.plant import Plant, make_plant
 from dart_flight.sim.sensors import (
@@ -95,6 +95,23 @@ def test_noise_does_not_lift_a_saturated_reading_off_full_scale() -> None:
         f, _ = imu.measure((-scale, scale, 0.0), (0.0, 0.0, 0.0))
         assert f[:2] == (-scale, scale)
         assert abs(f[2]) < 2.0
+
+
+def test_motors_that_stand_still_shake_nothing() -> None:
+    import msgspec
+
+    vehicle = load_vehicle()
+    ringing = ImuRinging(white_m_s2=3.0, tone_m_s2=3.0)
+    rings = msgspec.structs.replace(vehicle.simulation, imu_ringing=ringing)
+    imu = ImuSensor(msgspec.structs.replace(vehicle, simulation=rings), random.Random(1))
+    spread = {
+        turn: statistics.pstdev(
+            imu.measure((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), turn)[0][0] for _ in range(2000)
+        )
+        for turn in (False, True)
+    }
+    assert spread[False] == pytest.approx(vehicle.simulation.imu_noise_m_s2, rel=0.1)
+    assert spread[True] == pytest.approx(math.hypot(3.0, 3.0), rel=0.1)
 
 
 def test_gusts_have_the_configured_size_and_time(plant: Plant) -> None:

@@ -15,6 +15,7 @@ import json
 import math
 import random
 import sys
+from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -28,9 +29,9 @@ from dart_flight.core.sense.detector import Expected, ImpactDetector
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import MissionFrame
 from dart_flight.identify.feel import TOPICS, FeltFlight, feel_log
-from dart_flight.identify.feel.impacts import Crossing
+from dart_flight.identify.feel.impacts import REMEMBERED, Crossing, Estimated, short_samples
 from dart_flight.recording.ulog import ULogFile, open_ulog
-from dart_flight.samples import ForceEstimate, ImpactOnset, ImpactPeak
+from dart_flight.samples import ImpactOnset, ImpactPeak
 
 _EVERY_S = 1.6  # a pulse, in flight
 _AFTER_S = 3.0  # from the beginning of a flight
@@ -61,7 +62,7 @@ class Detected(msgspec.Struct):
 
     Attributes:
         onsets: of impacts that belong to no pulse, seconds.
-        weak: crossings of the threshold that belong to no pulse and whose fitted peak stayed below it.
+        weak: crossings of the threshold that belong to no pulse and are no impacts (`Crossing.is_impact`).
         pulses: with what became of them.
     """
 
@@ -72,7 +73,7 @@ class Detected(msgspec.Struct):
 
 def detect(
     vehicle: VehicleConfig,
-    estimates: Sequence[tuple[ForceEstimate, bool]],
+    estimates: Sequence[Estimated],
     detection: Detection,
     pulses: Sequence[Pulse] = (),
     fixed_n: float | None = None,
@@ -81,7 +82,7 @@ def detect(
 
     Args:
         vehicle: as the estimates were made with.
-        estimates: with whether the vehicle was in the air.
+        estimates: of one log, in order.
         detection: the operating point.
         pulses: to add, in order; their height is set when they begin.
         fixed_n: peak of every pulse; otherwise a multiple of the floor stated then.
@@ -93,7 +94,9 @@ def detect(
     felt: list[tuple[float, Crossing, Pulse | None]] = []
     done: list[Pulse] = []
     now: Pulse | None = None
-    for estimate, flying in estimates:
+    newest: deque[Estimated] = deque(maxlen=REMEMBERED)
+    for estimated in estimates:
+        estimate = estimated.force
         t = estimate.t_us * 1e-6
         if now is None and ahead and t >= ahead[0].start_s:
             now = ahead.pop(0)
@@ -103,17 +106,19 @@ def detect(
             into = t - now.start_s
             if into <= now.duration_s:
                 push = now.peak_n * math.sin(math.pi * max(0.0, into) / now.duration_s)
-                x, y, z = estimate.force_mission
-                force = (x + push * math.cos(now.heading_rad), y + push * math.sin(now.heading_rad), z)
-                estimate = msgspec.structs.replace(estimate, force_mission=force)
+                estimated = estimated.pushed(
+                    (push * math.cos(now.heading_rad), push * math.sin(now.heading_rad))
+                )
+                estimate = estimated.force
             elif into > now.duration_s + _LATE_S:
                 done.append(now)
                 now = None
-        for event in detector.update(estimate, estimate.t_us, state, Expected(flying)):
+        newest.append(estimated)
+        for event in detector.update(estimate, estimate.t_us, state, Expected(estimated.flying)):
             if isinstance(event, ImpactOnset):
                 felt.append((t, Crossing(event, detector.crossed_n), now))
             elif isinstance(event, ImpactPeak):
-                felt[-1][1].peak = event
+                felt[-1][1].ends(event, newest, short_samples(vehicle))
     others = [(t, crossing) for t, crossing, pulse in felt if pulse is None]
     for t, crossing, pulse in felt:
         if pulse is not None and pulse.found_s is None and crossing.is_impact:
@@ -193,9 +198,9 @@ def judge(path: Path, vehicle: VehicleConfig, rng: random.Random) -> dict[str, A
 
 def feel_log_keeping(
     log: ULogFile, vehicle: VehicleConfig
-) -> tuple[FeltFlight, list[tuple[ForceEstimate, bool]], list[tuple[float, float]], VehicleConfig]:
+) -> tuple[FeltFlight, list[Estimated], list[tuple[float, float]], VehicleConfig]:
     """`feel_log`, with the estimates it made on the way, the flights, and the vehicle it made them with."""
-    kept: list[tuple[ForceEstimate, bool]] = []
+    kept: list[Estimated] = []
     made: list[tuple[VehicleConfig, list[tuple[float, float]]]] = []
 
     def listen(of: VehicleConfig, flying: list[tuple[float, float]]) -> Any:

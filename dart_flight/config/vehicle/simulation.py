@@ -80,7 +80,7 @@ class Spreads(Section, frozen=True):
 
 
 class ImuRinging(Section, frozen=True):
-    """What motors and frame shake into the accelerometer, per axis of the reported sample, root mean square.
+    """What turning motors and the frame shake into the accelerometer, per axis of the reported sample, RMS.
 
     Attributes:
         white_m_s2: without any colour, beside imu_noise_m_s2.
@@ -121,7 +121,7 @@ class Simulation(Section, frozen=True):
         gust_time_s: correlation time of the gusts.
         contact: the vehicle as a body that touches walls.
         spreads: how far a real flight may be from what is believed.
-        imu_ringing: what motors and frame shake into the accelerometer; null: nothing.
+        imu_ringing: what motors and frame shake into the accelerometer while the motors turn; null: nothing.
         imu_position_m: [forward, right, down] of the centre of mass, where the IMU really is.
         replan_latency_s: from a request to plan anew to its answer, where time is simulated.
     """

@@ -26,7 +26,7 @@ from dart_flight.core.mission.yielding import LONGEST_S, Yielding
 from dart_flight.core.sense.detector import Expected
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import Vec3, distance2, norm, yaw_ned_of
+from dart_flight.geometry import Vec3, distance2, yaw_ned_of
 from dart_flight.samples import (
     AfterImpact,
     DetectionFloor,
@@ -367,8 +367,8 @@ class Executive:
             self._watch_goal(state, p, timed_out)
         elif following.approach_m_s is not None:
             elapsed_us = self._elapsed_us(state)
-            slow = norm(state.velocity) < self.mission.vehicle.flying.arrive_speed_m_s
-            if (slow and elapsed_us > _REST_AFTER_US) or elapsed_us > _REST_TIMEOUT_US:
+            slow = elapsed_us > _REST_AFTER_US and self._references.is_slow(state)
+            if slow or elapsed_us > _REST_TIMEOUT_US:
                 self._references.hold(state.position)
                 self._go(Cue.RESTED, state, p)
                 self._begin_transit()

@@ -84,11 +84,11 @@ class References:
         self._arrived_us = None
 
     def has_arrived(self, state: FlightState, wanted_yaw: float) -> bool:
-        """At the target, slow, and heading as wanted, for the configured time."""
+        """At the target, slow (`is_slow`), and heading as wanted, for the configured time."""
         flying = self._flying
         near = (
             math.dist(state.position, self.target) < flying.arrive_m
-            and norm(state.velocity) < flying.arrive_speed_m_s
+            and self.is_slow(state)
             and abs(wrap_angle(state.yaw - wanted_yaw)) < _ARRIVED_YAW_RAD
         )
         if not near:
@@ -97,6 +97,10 @@ class References:
         if self._arrived_us is None:
             self._arrived_us = state.now_us
         return state.now_us - self._arrived_us >= flying.arrive_s * 1e6
+
+    def is_slow(self, state: FlightState) -> bool:
+        """Whether the mean velocity over `flying.arrive_mean_s` is below `flying.arrive_speed_m_s`."""
+        return norm(state.mean_velocity(self._flying.arrive_mean_s)) < self._flying.arrive_speed_m_s
 
     def slew_yaw(self, wanted: float, now_us: int) -> None:
         """Turn the heading asked for towards the wanted one, at the configured rate at most."""

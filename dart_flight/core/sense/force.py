@@ -38,6 +38,7 @@ class ForceEstimator:
         hover: what has been learnt while hovering.
         turning: rate and angular acceleration of the newest sample.
         attitude: that the newest estimate was made with, body FRD to NED; None where there was none.
+        thrust_n: that the newest estimate took off.
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:
@@ -52,6 +53,7 @@ class ForceEstimator:
         self.hover = HoverBias(e, self._mass)
         self.turning = Turning()
         self.attitude: Quaternion | None = None
+        self.thrust_n = 0.0
         at = vehicle.imu.position_m
         self._imu_at = at if any(at) else None
         self._thrust_variance = e.thrust_error_n**2
@@ -98,7 +100,8 @@ class ForceEstimator:
         if not in_contact and not state.on_ground:
             speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
             hover.learn(f, imu.rate_frd, speed, curve_n, dt_s)
-        return self._force(imu, f, state, q, curve_n * hover.scale, dt_s)
+        self.thrust_n = curve_n * hover.scale
+        return self._force(imu, f, state, q, self.thrust_n, dt_s)
 
     def _force(
         self, imu: ImuSample, f: Vec3, state: FlightState, q: Quaternion, thrust_n: float, dt_s: float

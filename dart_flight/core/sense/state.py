@@ -30,6 +30,7 @@ _MOST_REASONS = 6
 _LEAP_US = 1_000_000
 _FASTEST = 20  # simulated seconds per second
 _LEAPS_BELIEVED = 25
+_VELOCITIES_KEPT_US = 1_000_000
 
 
 class FlightState:
@@ -55,7 +56,7 @@ class FlightState:
         self.acceleration: Vec3 = (0.0, 0.0, 0.0)  # of the odometry's velocity, lightly filtered
         self.yaw = 0.0
         self.tilt_rad = 0.0
-        self._velocities: deque[tuple[int, Vec3]] = deque(maxlen=32)
+        self._velocities: deque[tuple[int, Vec3]] = deque()
         self._stamp_us = self._stamped_us = 0  # of the newest sample taken, and its receipt
         self._leapt: dict[str, int] = {}  # samples in a row that are too far ahead
         self.health: HealthReport | None = None
@@ -86,6 +87,8 @@ class FlightState:
             )
         self.position, self.velocity = position, velocity
         self._velocities.append((sample.t_us, velocity))
+        while self._velocities[0][0] < sample.t_us - _VELOCITIES_KEPT_US:
+            self._velocities.popleft()
         return True
 
     def take_attitude(self, sample: AttitudeSample) -> bool:
@@ -220,6 +223,24 @@ class FlightState:
             if stamp < t_us:
                 return velocity
         return self.velocity
+
+    def mean_velocity(self, over_s: float) -> Vec3:
+        """Mean of the odometry's velocities of the last seconds, mission frame, m/s.
+
+        PX4's estimate of the velocity shakes with the accelerometer; what is to be "slow" is asked of this.
+
+        Args:
+            over_s: up to 1 s; 0 for the newest alone.
+        """
+        if not self._velocities:
+            return self.velocity
+        first_us = self._velocities[-1][0] - over_s * 1e6
+        total, n = (0.0, 0.0, 0.0), 0
+        for stamp, velocity in reversed(self._velocities):
+            if n and stamp <= first_us:
+                break
+            total, n = add(total, velocity), n + 1
+        return scale(total, 1.0 / n)
 
     def age_us(self, sample: ImuSample | AttitudeSample | OdometrySample | ActuatorSample | None) -> int:
         """Host time since a stream's newest sample was received; huge where there was none."""

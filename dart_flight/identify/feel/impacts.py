@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -13,7 +15,7 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.detector import Expected, ImpactDetector
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import MissionFrame
+from dart_flight.geometry import MissionFrame, Vec2, Vec3, rotate
 from dart_flight.identify.feel.samples import Sample
 from dart_flight.identify.feel.thrust import SpecificThrust
 from dart_flight.identify.thrust_curve import Track
@@ -29,8 +31,8 @@ from dart_flight.samples import (
 )
 
 Array = NDArray[np.float64]
-Listener = Callable[[tuple[ForceEstimate, bool]], object]
-
+_BEYOND_THRUST = 0.5  # of the impulse: what pushes against a vehicle tilted by up to 45 degrees has as much
+REMEMBERED = 256  # samples: as long as the detector waits for a peak
 _BORNE_OUT = 0.3  # of the threshold: a short pulse just over it is fitted too low, to about a third at worst
 _TOUCHDOWN_S = 3.0  # an impact this long before PX4 says landed is the ground
 
@@ -59,6 +61,46 @@ class Felt(msgspec.Struct):
     height_m: float | None
 
 
+class Estimated(NamedTuple):
+    """An estimate with what it took for the thrust.
+
+    Attributes:
+        force: the estimate.
+        flying: whether the vehicle was in the air.
+        up: direction of the thrust, mission frame.
+        thrust_n: that was taken off.
+        along_n: what the accelerometer felt along it.
+        full_n: the most that the motors give.
+    """
+
+    force: ForceEstimate
+    flying: bool
+    up: Vec3
+    thrust_n: float
+    along_n: float
+    full_n: float
+
+    def pushed(self, push: Vec2) -> Estimated:
+        """As it would be with one more horizontal force, newton, mission frame."""
+        x, y, z = self.force.force_mission
+        force = msgspec.structs.replace(self.force, force_mission=(x + push[0], y + push[1], z))
+        along = self.along_n + push[0] * self.up[0] + push[1] * self.up[1]
+        return self._replace(force=force, along_n=along)
+
+    def beyond_thrust(self) -> Vec2:
+        """The part of the horizontal force that is there whatever the motors gave, newton, mission frame.
+
+        A log's thrust is fitted or assumed, from commands at 10 Hz. Along its axis the accelerometer may feel
+        anything from nothing to full thrust without any contact.
+        """
+        could_n = max(0.0, min(self.full_n, self.along_n)) - self.thrust_n
+        x, y, _ = self.force.force_mission
+        return (x - could_n * self.up[0], y - could_n * self.up[1])
+
+
+Listener = Callable[[Estimated], object]
+
+
 class Crossing(msgspec.Struct):
     """The force was over its threshold, and what came of it.
 
@@ -66,25 +108,55 @@ class Crossing(msgspec.Struct):
         onset: the moment.
         threshold_n: that was crossed.
         peak: None where the log ends before it is known.
+        beyond_thrust: whether no thrust of the motors explains it: half of the impulse up to the peak, or
+            what alone is over the threshold in a mean over the detector's short window.
     """
 
     onset: ImpactOnset
     threshold_n: float
     peak: ImpactPeak | None = None
+    beyond_thrust: bool = True
+
+    def ends(self, peak: ImpactPeak, newest: Iterable[Estimated], short: int) -> None:
+        """Its peak is known.
+
+        Args:
+            peak: the peak.
+            newest: the newest estimates, in order.
+            short: samples of the detector's short window.
+        """
+        self.peak = peak
+        since = [e for e in newest if e.force.t_us >= self.onset.first_us]
+        whole = np.array([e.force.force_mission[:2] for e in since])
+        beyond = np.array([e.beyond_thrust() for e in since])
+        share = _BEYOND_THRUST * float(np.sum(whole @ peak.normal))
+        n = min(short, len(since))
+        means = np.cumsum(np.concatenate((np.zeros((1, 2)), beyond)), axis=0)
+        largest = float(np.max(np.hypot(*(means[n:] - means[:-n]).T))) / n
+        self.beyond_thrust = float(np.sum(beyond @ peak.normal)) >= share or largest >= self.threshold_n
 
     @property
     def is_impact(self) -> bool:
-        """Whether the fitted peak bears out what crossed the threshold; else it was noise."""
+        """Whether the fitted peak bears out what crossed the threshold, and the thrust does not explain it.
+
+        Else it was noise, or a manoeuvre.
+        """
         if self.peak is None:
             return True
         size = math.hypot(self.peak.normal_force_n, self.peak.tangential_force_n)
-        return size >= _BORNE_OUT * self.threshold_n
+        return size >= _BORNE_OUT * self.threshold_n and self.beyond_thrust
+
+
+def short_samples(vehicle: VehicleConfig) -> int:
+    """Samples in the detector's short window."""
+    return max(1, round(vehicle.detection.short_window_s / vehicle.imu.tick_s))
 
 
 class FeltFlight(msgspec.Struct):
     """What one log felt; newtons are None without a mass.
 
-    `weak` counts crossings of the threshold whose fitted peak stayed below it: they are no impacts.
+    `weak` counts crossings of the threshold whose fitted peak stayed below it, or that an error of the thrust
+    explains: they are no impacts.
     """
 
     log: str
@@ -138,6 +210,9 @@ class Pass:
         self.state = FlightState()
         self.state.anchor(MissionFrame())
         self._place = 0
+        self._full_n = 4.0 * vehicle.thrust.full_n
+        self._newest: deque[Estimated] = deque(maxlen=REMEMBERED)
+        self._short = short_samples(vehicle)
         self.rows: list[tuple[float, float, float, float, float]] = []  # time, north, east, down, threshold
         self._noise: list[tuple[float, float, float, float, float]] = []
         self.crossings: list[Crossing] = []
@@ -166,15 +241,25 @@ class Pass:
         estimate = self.estimator.estimate(sample, self.state, detector.in_contact or not flying)
         if estimate is None:
             return
+        felt = self._with_thrust(estimate, sample, flying)
+        self._newest.append(felt)
         if self._listener is not None:
-            self._listener((estimate, flying))
+            self._listener(felt)
         for event in detector.update(estimate, sample.t_us, self.state, Expected(flying)):
             if isinstance(event, ImpactOnset):
                 self.crossings.append(Crossing(event, detector.crossed_n))
             elif isinstance(event, ImpactPeak):
-                self.crossings[-1].peak = event
+                self.crossings[-1].ends(event, self._newest, self._short)
         if flying:
             self._keep(estimate)
+
+    def _with_thrust(self, estimate: ForceEstimate, sample: ImuSample, flying: bool) -> Estimated:
+        attitude, frame = self.estimator.attitude, self.state.frame
+        assert attitude is not None
+        assert frame is not None
+        up = frame.vector_from_ned(rotate(attitude, (0.0, 0.0, -1.0)))
+        along_n = -self._mass * sample.specific_force_frd[2]
+        return Estimated(estimate, flying, up, self.estimator.thrust_n, along_n, self._full_n)
 
     def _keep(self, estimate: ForceEstimate) -> None:
         fx, fy, fz = estimate.force_mission

@@ -219,10 +219,10 @@ class Px4Vehicle:
             fix = self._gps.measure(self.plant)
             if fix is not None:
                 others.append(gps_message(self.time_us, fix, self._gps))
-        self._link.exchange(self._sensor_message(specific_force), *others)
+        self._link.exchange(self._sensor_message(specific_force, any(m[:4])), *others)
 
-    def _sensor_message(self, specific_force_frd: Vec3) -> Any:
-        f, w = self._imu.measure(specific_force_frd, self.plant.rate)
+    def _sensor_message(self, specific_force_frd: Vec3, motors_turn: bool) -> Any:
+        f, w = self._imu.measure(specific_force_frd, self.plant.rate, motors_turn)
         self.clipped += any(abs(axis) >= self.vehicle.imu.full_scale_m_s2 for axis in f)
         ax, ay, az = (accelerometer_output(axis, self.vehicle.imu.full_scale_m_s2) for axis in f)
         gx, gy, gz = (max(-GYRO_LIMIT_RAD_S, min(GYRO_LIMIT_RAD_S, axis)) for axis in w)

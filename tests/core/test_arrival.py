@@ -1,0 +1,74 @@
+"""Arrival judged by a velocity that shakes as PX4's estimate does with the accelerometer."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import msgspec
+import pytest
+
+from dart_flight.config import load_mission
+from dart_flight.config.mission import Mission
+from dart_flight.core.mission.references import References
+from dart_flight.core.sense.state import FlightState
+from dart_flight.geometry import MissionFrame
+from dart_flight.samples import AttitudeSample, OdometrySample
+from tests.core.conftest import ROOT
+
+SHAKE_M_S, SHAKE_TIME_S, STEP_US = 0.07, 0.1, 8000
+
+
+def hovering(mission: Mission, seconds: float, drift_m_s: float = 0.0) -> float | None:
+    """When the vehicle counts as arrived, seconds; its velocity estimate shakes by 0.07 m/s an axis."""
+    references, state, rng = References(mission), FlightState(), random.Random(7)
+    state.anchor(MissionFrame())
+    references.hold((0.0, 0.0))
+    x, shake = -0.5 * drift_m_s * seconds, [0.0, 0.0, 0.0]
+    keep = math.exp(-STEP_US * 1e-6 / SHAKE_TIME_S)
+    for i in range(1, round(seconds * 1e6 / STEP_US)):
+        t = i * STEP_US
+        shake = [keep * s + rng.gauss(0.0, SHAKE_M_S * math.sqrt(1.0 - keep * keep)) for s in shake]
+        x += drift_m_s * STEP_US * 1e-6
+        position = (x, 0.0, -mission.altitude_m)
+        velocity = (drift_m_s + shake[0], shake[1], shake[2])
+        state.take_attitude(AttitudeSample(t, t, (1.0, 0.0, 0.0, 0.0)))
+        state.take_odometry(OdometrySample(t, t, position, velocity))
+        if references.has_arrived(state, 0.0):
+            return t * 1e-6
+    return None
+
+
+def shipped() -> Mission:
+    return load_mission(ROOT / "missions/dual_collision.yaml")
+
+
+def with_mean(mission: Mission, mean_s: float) -> Mission:
+    replace, vehicle = msgspec.structs.replace, mission.vehicle
+    flying = replace(vehicle.flying, arrive_mean_s=mean_s)
+    return replace(mission, vehicle=replace(vehicle, flying=flying))
+
+
+def test_a_hovering_vehicle_arrives_though_its_velocity_estimate_shakes() -> None:
+    mission = shipped()
+    assert mission.vehicle.flying.arrive_mean_s > 0.0
+    arrived = hovering(mission, 4.0)
+    assert arrived is not None
+    assert hovering(with_mean(mission, 0.0), 4.0) is None
+
+
+@pytest.mark.parametrize("drift_m_s", [0.15, 0.3])
+def test_a_vehicle_that_passes_does_not_arrive(drift_m_s: float) -> None:
+    # As long near the target as its speed allows: 0.24 m of way.
+    assert hovering(shipped(), 1.6) is not None
+    assert hovering(shipped(), 1.6, drift_m_s) is None
+
+
+def test_the_mean_is_over_what_the_time_holds() -> None:
+    state = FlightState()
+    assert state.mean_velocity(0.3) == (0.0, 0.0, 0.0)
+    state.anchor(MissionFrame())
+    for i in range(1, 101):
+        state.take_odometry(OdometrySample(i * 10_000, i * 10_000, (0.0, 0.0, 0.0), (float(i), 0.0, 0.0)))
+    assert state.mean_velocity(0.0)[0] == pytest.approx(100.0)
+    assert state.mean_velocity(0.1)[0] == pytest.approx(95.5)  # the newest ten
