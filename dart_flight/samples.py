@@ -516,6 +516,33 @@ class ImpactBody(Record, frozen=True, gc=False):
     peak_torque_nm: float  # its magnitude
 
 
+class WallFelt(Record, frozen=True, gc=False):
+    """What a planned contact says of its wall and of the arms, at its end (docs/felt.md).
+
+    Coefficients are posterior means of the wall in the mode felt; in the reported one where undecided.
+    """
+
+    topic: ClassVar[str] = "/estimate/wall"
+    t_us: int  # newest sample that it rests on
+    first_us: int  # of the impact's onset
+    wall: str  # its name
+    mode_reported: Mode | None  # what the lock said at the onset; none: it was not settled
+    mode_felt: Mode | None  # none: undecided
+    log_odds: float  # of rigid against flexible, natural logarithm, prior odds 1
+    k_n_per_m: float  # stiffness
+    f_ns_per_m: float  # damping
+    mu_s_per_m: float  # friction
+    nu_n: float  # bound of the vertical force
+    k_sd: float  # relative standard deviation
+    f_sd: float  # relative standard deviation
+    mu_sd: float  # relative standard deviation
+    nu_sd: float  # relative standard deviation
+    incidence_rad: float  # leading edge against the wall at the first touch, signed: positive turned left
+    incidence_sigma_rad: float
+    plane_offset_m: float  # where the wall's plane stands along its normal, less where the mission has it
+    plane_offset_sigma_m: float
+
+
 class DetectionFloor(Record, frozen=True, gc=False):
     """What can be felt at the start of an approach, by the noise learnt so far, newton (docs/force.md)."""
 
@@ -592,6 +619,7 @@ Output = (
     | ContactEnd
     | DetectionFloor
     | ImpactBody
+    | WallFelt
     | PhaseChange
     | GuardEvent
     | GoalPassed

@@ -82,6 +82,8 @@ class FlightCore:
                 known.append(sensed.torque)
             if sensed.body is not None:
                 known.append(sensed.body)
+            if sensed.wall is not None:
+                known.append(sensed.wall)
         try:
             known += self._dispose(item, sensed, proposal)
             return known

@@ -38,6 +38,9 @@ UNITS = {
     "_v": "V",
     "_rad": "rad",
     "_nm": "N m",
+    "_n_per_m": "N/m",
+    "_ns_per_m": "N s/m",
+    "_s_per_m": "s/m",
 }
 # First words that say the unit where the name says none.
 QUANTITIES = {

@@ -64,7 +64,7 @@ DECISIONS = (
 TOLERANCE = 1e-9
 WITHOUT = "without"  # key of a log's closing description: kinds of output that were left out of it
 # Kinds of output that came after the first logs, which do not say what kinds they know.
-_SINCE_FIRST_LOGS = {"DetectionFloor", "TorqueEstimate", "ImpactBody"}
+_SINCE_FIRST_LOGS = {"DetectionFloor", "TorqueEstimate", "ImpactBody", "WallFelt"}
 _IN_FLIGHT = 3  # inputs at the end of a cut log whose outputs may be missing
 
 

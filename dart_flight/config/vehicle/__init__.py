@@ -19,6 +19,7 @@ from dart_flight.config.vehicle.estimation import (
     Observer,
     ThresholdTest,
     ThrustSource,
+    WallPrior,
 )
 from dart_flight.config.vehicle.flight import Flying
 from dart_flight.config.vehicle.lock import Cam, LimitSwitch, LockConfig, LockDriver, LockStartup, Servo
@@ -52,6 +53,7 @@ __all__ = [
     "Thrust",
     "ThrustSource",
     "VehicleConfig",
+    "WallPrior",
     "default_config_path",
     "load_vehicle",
     "packaged",

@@ -70,6 +70,21 @@ class ArmVibration(Section, frozen=True):
     mass_fraction: Fraction
 
 
+class WallPrior(Section, frozen=True):
+    """What is believed of a wall before it is met, and when a mode counts as felt (docs/felt.md).
+
+    Attributes:
+        spread: standard deviation of k, f, mu and nu of a wall from the table's, relative.
+        scatter: likewise, of one hit from the next at the same wall.
+        sure_log_odds: the arms are felt rigid or flexible from these odds on, natural logarithm; below that
+            it is undecided.
+    """
+
+    spread: Annotated[float, Meta(gt=0.0, le=2.0)] = 0.3
+    scatter: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.05
+    sure_log_odds: Annotated[float, Meta(ge=0.0, le=100.0)] = 6.9
+
+
 class Estimation(Section, frozen=True):
     """The estimate of the external force (docs/force.md).
 
@@ -89,6 +104,7 @@ class Estimation(Section, frozen=True):
             outside of contacts and taken off before the threshold.
         baseline_limit_n: largest force that the baseline takes off.
         arm_vibration: what the IMU feels of the unlocked arms; null: not taken out.
+        walls: what is believed of a wall before it is met.
     """
 
     observer: Observer
@@ -105,6 +121,7 @@ class Estimation(Section, frozen=True):
     baseline_limit_n: Annotated[float, Meta(ge=0.0, le=1000.0)]
     arm_vibration: ArmVibration | None
     hover: HoverLearning
+    walls: WallPrior = WallPrior()
 
     def __post_init__(self) -> None:
         if self.thrust_source is ThrustSource.ESC and self.esc_thrust_n_per_rpm2 is None:

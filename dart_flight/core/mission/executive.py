@@ -176,7 +176,8 @@ class Executive:
         collision = self._collision
         if collision is None or not self._is_expected(collision):
             return _ANY_WALL if self.phase in WATCHING else _NO_WALL
-        return Expected(self.phase in WATCHING, collision.wall.normal, collision.wall.material)
+        wall = collision.wall
+        return Expected(self.phase in WATCHING, wall.normal, wall.material, wall)
 
     def _is_expected(self, collision: Collision) -> bool:
         """Whether the plan has the vehicle meet this wall in this phase."""

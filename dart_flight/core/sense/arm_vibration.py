@@ -36,6 +36,16 @@ class ArmFilter:
         """The arms are held: nothing swings."""
         self._x = self._vx = self._y = self._vy = 0.0
 
+    def add(self, ax: float, ay: float) -> tuple[float, float]:
+        """What the IMU makes of the contact's acceleration over one tick: the inverse of `remove`."""
+        swing = self._share / self._tick_s
+        out = (
+            ax / self._gain - swing * (self._f21 * self._x + (self._f22 - 1.0) * self._vx),
+            ay / self._gain - swing * (self._f21 * self._y + (self._f22 - 1.0) * self._vy),
+        )
+        self._swing(ax, ay)
+        return out
+
     def remove(self, ax: float, ay: float, dt_s: float) -> tuple[float, float]:
         """Acceleration of the centre of mass by the contact from what the IMU makes of it, m/s2."""
         ticks = max(1, round(dt_s / self._tick_s))
@@ -46,12 +56,16 @@ class ArmFilter:
             swing = self._share / self._tick_s
             bx = self._gain * (ax + swing * (self._f21 * self._x + (self._f22 - 1.0) * self._vx))
             by = self._gain * (ay + swing * (self._f21 * self._y + (self._f22 - 1.0) * self._vy))
-            self._x, self._vx = (
-                self._f11 * self._x + self._f12 * self._vx + self._g1 * bx,
-                self._f21 * self._x + self._f22 * self._vx + self._g2 * bx,
-            )
-            self._y, self._vy = (
-                self._f11 * self._y + self._f12 * self._vy + self._g1 * by,
-                self._f21 * self._y + self._f22 * self._vy + self._g2 * by,
-            )
+            self._swing(bx, by)
         return bx, by
+
+    def _swing(self, bx: float, by: float) -> None:
+        """The arms over one tick of acceleration."""
+        self._x, self._vx = (
+            self._f11 * self._x + self._f12 * self._vx + self._g1 * bx,
+            self._f21 * self._x + self._f22 * self._vx + self._g2 * bx,
+        )
+        self._y, self._vy = (
+            self._f11 * self._y + self._f12 * self._vy + self._g1 * by,
+            self._f21 * self._y + self._f22 * self._vy + self._g2 * by,
+        )

@@ -25,7 +25,7 @@ from dart_flight.core.sense.bias import SlowForce
 from dart_flight.core.sense.pulse import NormalPulse, Prior, TickReading, fit_friction, fit_normal
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
-from dart_flight.geometry import Vec2
+from dart_flight.geometry import Vec2, Wall
 from dart_flight.samples import (
     ContactEnd,
     DetectionFloor,
@@ -59,11 +59,13 @@ class Expected(NamedTuple):
         watching: on the ground, in the climb and on landing no contact is an impact.
         normal: outward normal of the wall that the plan hits next, mission frame; None: no wall is expected.
         material: of that wall, a key of the materials table; the pulse's first guess.
+        wall: that wall, name and plane; what is felt of it is told by its name.
     """
 
     watching: bool = False
     normal: Vec2 | None = None
     material: str | None = None
+    wall: Wall | None = None
 
 
 class _Sample(msgspec.Struct, gc=False):

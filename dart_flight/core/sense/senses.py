@@ -7,6 +7,7 @@ from typing import NamedTuple
 from dart_flight.config.mission import Mission
 from dart_flight.core.sense.body import BodySense, Felt
 from dart_flight.core.sense.detector import Expected, ImpactDetector
+from dart_flight.core.sense.felt import WallSense
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.torque import TorqueEstimator
@@ -33,6 +34,7 @@ from dart_flight.samples import (
     StatusText,
     Tick,
     TorqueEstimate,
+    WallFelt,
 )
 
 
@@ -45,6 +47,7 @@ class Sensed(NamedTuple):
         in_contact: between onset and end of a contact.
         torque: the external torque, where the input gives one.
         body: how an impact met the body, after its peak and at its end.
+        wall: what a planned contact says of its wall and of the arms, at its end.
     """
 
     estimate: ForceEstimate | None = None
@@ -52,6 +55,7 @@ class Sensed(NamedTuple):
     in_contact: bool = False
     torque: TorqueEstimate | None = None
     body: ImpactBody | None = None
+    wall: WallFelt | None = None
 
 
 _NOTHING, _TOUCHING = Sensed(), Sensed(in_contact=True)
@@ -66,6 +70,7 @@ class Senses:
         torque: external torque from every IMU sample.
         detector: impacts in the force; it watches only while told to.
         body: how they meet the body.
+        walls: what they say of the walls and of the arms.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -74,6 +79,7 @@ class Senses:
         self.torque = TorqueEstimator(mission.vehicle)
         self.detector = ImpactDetector(mission.vehicle)
         self.body = BodySense(mission.vehicle)
+        self.walls = WallSense(mission.vehicle)
 
     def take(self, item: Input, expected: Expected) -> Sensed:
         """Take one input, knowing what contact the mission expects; returns what that teaches."""
@@ -127,8 +133,9 @@ class Senses:
             return Sensed(in_contact=touching)
         slow = detector.slow_force.value
         impacts = detector.update(estimate, item.received_us, state, expected)
-        body = None
+        body = wall = None
         if torque is not None and estimator.attitude is not None:
             felt = Felt(estimate, torque, estimator.attitude, estimator.turning.rate)
             body = self.body.take(felt, state, slow, impacts, expected)
-        return Sensed(estimate, tuple(impacts), detector.in_contact, torque, body)
+            wall = self.walls.take(felt, state, slow, impacts, expected)
+        return Sensed(estimate, tuple(impacts), detector.in_contact, torque, body, wall)
