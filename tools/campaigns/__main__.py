@@ -19,6 +19,7 @@ MODULES = {
     "agreement": "tools.campaigns.plan_agreement",
     "force": "tools.campaigns.force",
     "body": "tools.campaigns.body",
+    "felt": "tools.campaigns.felt",
     "faults": "tools.campaigns.faults",
     "fuzz": "tools.campaigns.fuzz",
     "mutants": "tools.campaigns.mutants",

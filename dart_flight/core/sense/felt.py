@@ -25,6 +25,7 @@ Scalar floats and `math` only, once per contact.
 from __future__ import annotations
 
 import math
+import operator
 from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -51,9 +52,14 @@ from dart_flight.samples import (
 _MOST = 160  # samples of a contact
 _BEFORE = 4  # samples of the contact from before the first one that was over the noise
 _FEWEST = 4  # readings in contact
-_STEPS = 12
-_SETTLED = 1e-3
+_STEPS = 8  # one a sample, so that 60 ms after the contact's end all is said
+_SETTLED = 1e-2
 _SUBSTEPS = 2  # of a tick
+_MOST_TICKS = 28
+_DIFFERENCE = 1e-5
+_MOST_DAMPING = 1e4
+_GUESS_SHARE = 0.15  # of the largest force: readings that a first guess is made of
+_MOST_ANGLE_RAD = 0.6
 _QUARTER = 0.5 * math.pi
 _LEAST_FACTOR = 0.1  # no coefficient is believed to be below this share of what was believed
 _SLOWEST_M_S = 0.02
@@ -66,7 +72,7 @@ _LEVER_SHARE = 0.3
 _MODEL_ERROR, _FRICTION_ERROR = 0.015, 0.03
 _VERTICAL_N = 1.0  # deviation of the vertical force's mean over a contact
 _K, _F, _X, _V, _D, _MU, _W = range(7)
-_NORMAL, _ALL = 5, 7  # parameters of the normal motion come first
+_ALL = 7
 
 
 class Belief(NamedTuple):
@@ -91,6 +97,7 @@ class Tick(msgspec.Struct, gc=False):
         push_normal, push_along: force of thrust and drag, N.
         bound: at full scale: the true force is larger.
         turned: angle since the first tick at its middle, rad, positive to the left; `turning`: its rate.
+        count: of samples in it.
     """
 
     h: float
@@ -102,6 +109,7 @@ class Tick(msgspec.Struct, gc=False):
     bound: bool
     turned: float
     turning: float
+    count: int = 1
 
 
 class Contact(NamedTuple):
@@ -109,13 +117,15 @@ class Contact(NamedTuple):
 
     Attributes:
         ticks: its readings from a few before the first touch to a little after the last.
-        touched_s: first touch after the first tick's beginning, about.
+        begin_us: where the first tick begins, by the IMU's stamps less the filter's lag.
+        touched_s: first touch after that, about.
         velocity: along the planned wall's axes at the first tick's beginning, as PX4 has it, m/s.
         incidence_rad: leading edge against the planned wall then.
         noise_n: of a reading.
     """
 
     ticks: list[Tick]
+    begin_us: int
     touched_s: float
     velocity: Vec2
     incidence_rad: float
@@ -169,6 +179,7 @@ class WallSense:
         self._onset: ImpactOnset | None = None
         self._wall: Wall | None = None
         self._reported: Mode | None = None
+        self._job: _Job | None = None
 
     def take(
         self,
@@ -183,47 +194,56 @@ class WallSense:
         for event in events:
             if isinstance(event, ImpactOnset):
                 self._wall = expected.wall if event.planned else None
-                self._onset, self._slow = event, slow
+                self._onset, self._slow, self._job = event, slow, None
                 lock = state.lock
                 self._reported = lock.mode if lock.phase is LockPhase.SETTLED else None
             elif isinstance(event, ContactEnd) and self._onset is not None and self._wall is not None:
-                onset, self._onset = self._onset, None
-                return self._judge(onset, self._wall, state)
-        return None
+                self._job = self._begin(self._onset, self._wall, state)
+                self._onset = None
+        # A little at every sample, so that none of them waits for the whole.
+        if self._job is None or self._job.goes_on():
+            return None
+        job, self._job = self._job, None
+        return self._judge(job)
 
-    def _judge(self, onset: ImpactOnset, wall: Wall, state: FlightState) -> WallFelt:
-        assert wall is not None
+    def _begin(self, onset: ImpactOnset, wall: Wall, state: FlightState) -> _Job:
         before = {mode: self._belief(wall, mode) for mode in Mode}
-        fits: dict[Mode, Hypothesis] = {}
         contacts = self._contacts(onset, wall, state)
-        if contacts is not None:
-            for mode in Mode:
-                fit = fit_mode(contacts[mode], before[mode], self._prior.scatter, self._body)
-                if fit is not None:
-                    fits[mode] = fit
+        fits = (
+            {}
+            if contacts is None
+            else {
+                mode: Fitting(contacts[mode], before[mode], self._prior.scatter, self._body) for mode in Mode
+            }
+        )
+        return _Job(self._samples[-1].force.t_us, onset, wall, self._reported, before, fits)
+
+    def _judge(self, job: _Job) -> WallFelt:
+        fits = {mode: found for mode, fit in job.fits.items() if (found := fit.result()) is not None}
+        onset, wall, reported = job.onset, job.wall, job.reported
         odds, felt = 0.0, None
         if len(fits) == len(Mode):
             odds = fits[Mode.RIGID].evidence - fits[Mode.FLEXIBLE].evidence
             if abs(odds) >= self._prior.sure_log_odds:
                 felt = Mode.RIGID if odds > 0.0 else Mode.FLEXIBLE
         likely = Mode.RIGID if odds > 0.0 else Mode.FLEXIBLE
-        told = felt or self._reported or likely
-        belief, fitted = before[told], fits.get(told)
+        told = felt or reported or likely
+        belief, fitted = job.before[told], fits.get(told)
         angle, angle_sd, offset, offset_sd = 0.0, _WALL_RAD, 0.0, _PLACE_M
-        if fitted is not None and contacts is not None:
+        if fitted is not None:
             if told is likely:
+                # Else the readings speak against the mode that the lock says, though not loudly enough.
                 belief = self._beliefs[wall.name, told] = fitted.belief
             angle, angle_sd = fitted.incidence_rad, fitted.incidence_sd
-            contact = contacts[told]
-            at = onset.position_mission
-            back_s = contact.touched_s + (onset.t_us - onset.first_us) * 1e-6
-            offset = wall.signed_distance(at) - contact.velocity[0] * back_s - fitted.place_m
-            offset_sd = math.hypot(fitted.place_sd, _POSITION_M)
+            contact = job.fits[told].contact
+            back_s = (onset.t_us - contact.begin_us) * 1e-6
+            there = wall.signed_distance(onset.position_mission) - contact.velocity[0] * back_s
+            offset, offset_sd = there - fitted.place_m, math.hypot(fitted.place_sd, _POSITION_M)
         return WallFelt(
-            self._samples[-1].force.t_us,
+            job.t_us,
             onset.first_us,
             wall.name,
-            self._reported,
+            reported,
             felt,
             odds,
             *belief,
@@ -252,13 +272,14 @@ class WallSense:
         yaw = frame.yaw_from_ned(yaw_ned_of(samples[0].q))
         seen = wrap_angle(yaw - math.atan2(-wall.normal[1], -wall.normal[0]))
         seen -= _QUARTER * round(seen / _QUARTER)
-        begin_us = samples[0].force.t_us - round(tick_s * 1e6)
+        begin_us = samples[0].force.t_us - round((tick_s + self._vehicle.imu.filter_lag_s) * 1e6)
         touched_s = (onset.first_us - begin_us) * 1e-6 - 0.75 * tick_s
         taken_out = self._reported is not Mode.RIGID
         noise_n = max(1e-2, inside[0].force.noise_n)
         return {
             mode: Contact(
                 self._ticks(samples, wall, taken_out, mode is Mode.FLEXIBLE),
+                begin_us,
                 touched_s,
                 (velocity[0], velocity[1]),
                 seen,
@@ -303,23 +324,66 @@ class WallSense:
         return ticks
 
 
-def fit_mode(contact: Contact, before: Belief, scatter: float, body: Body) -> Hypothesis | None:
-    """Fit the contact law to a contact's readings.
+class Fitting:
+    """The contact law fitted to a contact's readings, step by step.
 
     Args:
         contact: the readings.
         before: what is believed of the wall in this mode.
         scatter: of one hit's coefficients, relative.
         body: of the vehicle.
-
-    Returns:
-        The fit; None where the readings are of no such contact.
     """
-    try:
-        return _Fit(contact, before, scatter, body).run()
-    except (ArithmeticError, ValueError):
-        # Readings that no contact can have: nothing is felt.
-        return None
+
+    def __init__(self, contact: Contact, before: Belief, scatter: float, body: Body) -> None:
+        self.contact = contact
+        self._fit: _Fit | None = None
+        self._begin = (contact, before, scatter, body)
+        self._settled = False
+
+    def goes_on(self) -> bool:
+        """Take one step; False once there is none left to take."""
+        if self._settled:
+            return False
+        try:
+            if self._fit is None:
+                self._fit = _Fit(*self._begin)
+            self._settled = not self._fit.step()
+        except (ArithmeticError, ValueError):
+            # Readings that no contact can have: nothing is felt.
+            self._fit, self._settled = None, True
+        return not self._settled
+
+    def result(self) -> Hypothesis | None:
+        """The fit as it stands; None where the readings are of no such contact."""
+        try:
+            return None if self._fit is None else self._fit.result()
+        except (ArithmeticError, ValueError):
+            return None
+
+
+class _Job(NamedTuple):
+    """A contact that is being judged.
+
+    Attributes:
+        t_us: newest sample that it rests on.
+        onset: of the contact.
+        wall: that was expected.
+        reported: mode by the lock.
+        before: what was believed.
+        fits: none where the readings are too few.
+    """
+
+    t_us: int
+    onset: ImpactOnset
+    wall: Wall
+    reported: Mode | None
+    before: dict[Mode, Belief]
+    fits: dict[Mode, Fitting]
+
+    def goes_on(self) -> bool:
+        """A step of each fit; False once all have settled."""
+        under_way = [fit.goes_on() for fit in self.fits.values()]
+        return any(under_way)
 
 
 class _Fit:
@@ -327,211 +391,164 @@ class _Fit:
 
     def __init__(self, contact: Contact, before: Belief, scatter: float, body: Body) -> None:
         self._c, self._before, self._scatter, self._body = contact, before, scatter, body
-        top = max(t.normal for t in contact.ticks)
-        rub = max(abs(t.along) for t in contact.ticks)
+        self._ticks = _merged(contact.ticks)
+        top = max(t.normal for t in self._ticks)
+        rub = max(abs(t.along) for t in self._ticks)
+        if top <= 3.0 * contact.noise_n:
+            raise ValueError("no force")
+        model2 = (_MODEL_ERROR * top) ** 2
+        along2 = (_FRICTION_ERROR * rub) ** 2 + 0.04 * model2
         noise2 = contact.noise_n**2
-        self._weight = 1.0 / (noise2 + (_MODEL_ERROR * top) ** 2)
-        self._weight_along = 1.0 / (noise2 + (_FRICTION_ERROR * rub) ** 2 + (0.2 * _MODEL_ERROR * top) ** 2)
+        self._scales = [
+            (1.0 / math.sqrt(noise2 / t.count + model2), 1.0 / math.sqrt(noise2 / t.count + along2))
+            for t in self._ticks
+        ]
         self._top = top
         vn, vt = contact.velocity
-        self._speed_sd = _VELOCITY_M_S + _VELOCITY_SHARE * math.hypot(vn, vt)
+        speed_sd = _VELOCITY_M_S + _VELOCITY_SHARE * math.hypot(vn, vt)
         sds = [math.hypot(sd, scatter) for sd in (before.k_sd, before.f_sd, before.mu_sd)]
         # Widths of the priors, in the order of the parameters.
-        self._sd = [sds[0], sds[1], _PLACE_M, self._speed_sd, _WALL_RAD, sds[2], self._speed_sd]
-        self._gradient = [0.0] * _ALL
-        self._curvature = [[0.0] * _ALL for _ in range(_ALL)]
+        self._sd = [sds[0], sds[1], _PLACE_M, speed_sd, _WALL_RAD, sds[2], speed_sd]
+        self.theta = self._guess()
         self._forces: list[float] = []
+        self._residuals = self._residuals_at(self.theta)
+        self._cost = sum(r * r for r in self._residuals)
+        self._damping = 1e-3
+        self._curvature: list[list[float]] = []
+        self.steps = 0
 
-    def run(self) -> Hypothesis | None:
-        theta = self._guess()
-        if self._top <= 3.0 * self._c.noise_n:
-            return None
-        cost = self._linearise(theta)
-        damping = 1e-3
-        for _ in range(_STEPS):
-            gradient, curvature = self._gradient, self._curvature
-            while True:
-                step = _solve(curvature, gradient, damping)
-                tried = self._moved(theta, step)
-                self._gradient = [0.0] * _ALL
-                self._curvature = [[0.0] * _ALL for _ in range(_ALL)]
-                new = self._linearise(tried)
-                if new <= cost or damping > 1e4:
-                    break
-                damping *= 10.0
-            if new > cost:
-                self._gradient, self._curvature = gradient, curvature
-                break
-            settled = cost - new < _SETTLED * (1.0 + 0.01 * cost)
-            theta, cost, damping = tried, new, 0.1 * damping
-            if settled:
-                break
-        return self._result(theta, cost)
+    def step(self) -> bool:
+        """One step; False where it was the last."""
+        theta, residuals = self.theta, self._residuals
+        columns = self._columns()
+        curvature = [
+            [sum(map(operator.mul, columns[p], columns[q])) for q in range(p + 1)] for p in range(_ALL)
+        ]
+        self._curvature = curvature
+        gradient = [-sum(map(operator.mul, column, residuals)) for column in columns]
+        self.steps += 1
+        while self._damping < _MOST_DAMPING:
+            tried = _moved(theta, _solve(curvature, gradient, self._damping))
+            new = self._residuals_at(tried)
+            cost = sum(r * r for r in new)
+            if cost <= self._cost:
+                gain, self._cost = self._cost - cost, cost
+                self.theta, self._residuals = tried, new
+                self._damping *= 0.1
+                return gain > _SETTLED * (1.0 + 0.01 * cost) and self.steps < _STEPS
+            self._damping *= 10.0
+        return False
 
-    @staticmethod
-    def _moved(theta: list[float], step: list[float]) -> list[float]:
-        moved = [a + b for a, b in zip(theta, step, strict=True)]
-        for p in (_K, _F, _MU):
-            # A factor at most halves or doubles in a step.
-            moved[p] = min(2.0 * theta[p], max(0.5 * theta[p], _LEAST_FACTOR, moved[p]))
-        moved[_D] = max(-0.6, min(0.6, moved[_D]))
-        return moved
+    def _columns(self) -> list[list[float]]:
+        """Derivatives of the residuals by each parameter."""
+        columns = []
+        for p in range(_ALL):
+            moved = list(self.theta)
+            moved[p] += _DIFFERENCE
+            shifted = self._residuals_at(moved)
+            columns.append([(b - a) / _DIFFERENCE for a, b in zip(self._residuals, shifted, strict=True)])
+        return columns
 
     def _guess(self) -> list[float]:
-        """Coefficients by linear least squares over the motion that the readings themselves give."""
-        c, m, b = self._c, self._body.mass, self._before
-        vn, vt = c.velocity
+        """Stiffness by linear least squares over the motion that the readings themselves give."""
+        m, b = self._body.mass, self._before
+        vn, vt = self._c.velocity
         x, v = 0.0, vn
-        f0 = b.f
         # normal + f v = -k x - k x0, with the believed f
-        sxx = sx = s = sy = sxy = 0.0
-        for t in c.ticks:
+        n = sxx = sx = sy = sxy = 0.0
+        for t in self._ticks:
             acceleration = (t.normal + t.push_normal) / m
             middle, speed = x + 0.5 * t.h * v, v + 0.5 * t.h * acceleration
             x += t.h * speed
             v += t.h * acceleration
-            if t.normal > 0.15 * self._top:
-                y = t.normal + f0 * speed
-                sxx += middle * middle
+            if t.normal > _GUESS_SHARE * self._top:
+                y = t.normal + b.f * speed
+                n += 1.0
                 sx += middle
-                s += 1.0
+                sxx += middle * middle
                 sy += y
                 sxy += middle * y
-        det = s * sxx - sx * sx
-        k = -(s * sxy - sx * sy) / det if det > 0.0 else b.k
-        k = min(10.0 * b.k, max(0.12 * b.k, k))
-        place = -vn * (c.touched_s + f0 / k)
+        det = n * sxx - sx * sx
+        k = (sx * sy - n * sxy) / det if det > 0.0 else b.k
+        k = min(10.0 * b.k, max(1.2 * _LEAST_FACTOR * b.k, k))
+        place = -vn * (self._c.touched_s + b.f / k)
         return [k / b.k, 1.0, place, vn, 0.0, 1.0, vt]
 
-    def _linearise(self, theta: list[float]) -> float:
-        """Cost at `theta`; leaves gradient (down) and curvature."""
-        c, before, m = self._c, self._before, self._body.mass
+    def _residuals_at(self, theta: list[float]) -> list[float]:
+        """Readings less model, normal and along, then the parameters less what was believed; over errors."""
+        m, before = self._body.mass, self._before
         a, out, touch = self._body.along, self._body.out, self._body.onset is Onset.TOUCH
-        k0, f0, mu0 = before.k, before.f, before.mu
-        k, f, mu = k0 * theta[_K], f0 * theta[_F], mu0 * theta[_MU]
-        x, v, w = theta[_X], theta[_V], theta[_W]
-        dx = [0.0, 0.0, 1.0, 0.0, 0.0]
-        dv = [0.0, 0.0, 0.0, 1.0, 0.0]
-        dw = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
-        angle = theta[_D]
+        k, f, x, v, angle, mu, w = theta
+        half_k, half_f, kappa = 0.5 * before.k * k, 0.5 * before.f * f, before.mu * mu / m
         co, so = math.cos(angle), math.sin(angle)
-        first = c.incidence_rad - angle
-        gradient, curvature = self._gradient, self._curvature
-        weight, weight_along = self._weight, self._weight_along
-        lever = _LEVER_SHARE * out
-        cost = 0.0
-        self._forces = forces = []
-        for t in c.ticks:
+        first, lever = self._c.incidence_rad - angle, _LEVER_SHARE * out
+        forces: list[float] = []
+        residuals: list[float] = []
+        for t, (scale, scale_along) in zip(self._ticks, self._scales, strict=True):
             h = t.h / _SUBSTEPS
-            push = t.push_normal * co - t.push_along * so
-            slide_push = t.push_along * co + t.push_normal * so
+            hm, hh = h / m, 0.5 * h
+            push = (t.push_normal * co - t.push_along * so) * hm
+            drive = (t.push_along * co + t.push_normal * so) * hm
             i = first + t.turned
             si, ci, turning = math.sin(i), math.cos(i), t.turning
-            xi_even, eta_even = out * (1.0 - ci), out * si * turning
-            xi_odd, eta_odd = a * si, a * ci * turning
-            v_begin, dv_begin = v, dv
-            for _ in range(_SUBSTEPS):
-                mid = x + 0.5 * h * v
-                count, xi, eta, dxi, deta = 0, 0.0, 0.0, 0.0, 0.0
-                for g in (1.0, -1.0):
-                    xg, vg = xi_even - g * xi_odd, eta_even - g * eta_odd
-                    if k * (mid + xg) + f * (v + vg) < 0.0 and not (touch and mid + xg >= 0.0):
-                        count += 1
-                        xi += xg
-                        eta += vg
-                        dxi += g * a * ci - out * si
-                        deta -= (g * a * si + out * ci) * turning
-                dmid = [p + 0.5 * h * q for p, q in zip(dx, dv, strict=True)]
-                if count:
-                    ke, fe = 0.5 * k * count, 0.5 * f * count
-                    beta = 0.5 * fe * h / m
-                    pull = -(ke * mid + 0.5 * (k * xi + f * eta))
-                    scale = 1.0 / (1.0 + beta)
-                    new = (v * (1.0 - beta) + h / m * (pull + push)) * scale
-                    r, q = h / m * scale, (1.0 - beta) * scale
-                    dnew = [q * dv[p] - r * ke * dmid[p] for p in range(_NORMAL)]
-                    dnew[_K] -= r * 0.5 * k0 * (count * mid + xi)
-                    dnew[_F] -= r * 0.5 * f0 * (eta + 0.5 * count * (v + new))
-                    dnew[_D] -= r * 0.5 * (k * dxi + f * deta)
-                else:
-                    new, dnew = v + h / m * push, dv
-                x = mid + 0.5 * h * new
-                dx = [p + 0.5 * h * q for p, q in zip(dmid, dnew, strict=True)]
-                v, dv = new, dnew
-            force = m * (v - v_begin) / t.h - push
-            share = m / t.h
-            dforce = [share * (p - q) for p, q in zip(dv, dv_begin, strict=True)]
-            forces.append(force)
-            # Friction: the speed along the wall decays with the normal impulse.
-            normal = max(0.0, force)
-            left = math.exp(-mu * normal * t.h / m)
-            root = math.sqrt(left)
+            # Depth and speed of either guard beside the centre's.
+            even, odd = out * (1.0 - ci), a * si
+            even_v, odd_v = out * si * turning, a * ci * turning
+            right, left = even - odd, even + odd
+            right_v, left_v = even_v - odd_v, even_v + odd_v
             slip = lever * turning * ci
-            drive = slide_push * t.h / m
-            w_new = w * left + drive * root - slip * (1.0 - left)
-            gain = -(w + 0.5 * drive / root + slip) * left * t.h / m  # d w_new / d (mu F)
-            dw_new = [left * p for p in dw]
-            if normal > 0.0:
-                for p in range(_NORMAL):
-                    dw_new[p] += gain * mu * dforce[p]
-                dw_new[_MU] += gain * mu0 * normal
-            along = m * (w_new - w) / t.h - slide_push
-            dalong = [share * (p - q) for p, q in zip(dw_new, dw, strict=True)]
-            w, dw = w_new, dw_new
+            v_begin, w_begin = v, w
+            for _ in range(_SUBSTEPS):
+                mid = x + hh * v
+                count, known = 0, 0.0
+                # Drift, kick, drift; the damping of the kick is implicit.
+                for guard, guard_v in ((right, right_v), (left, left_v)):
+                    pull = half_k * (mid + guard) + half_f * guard_v
+                    if pull + half_f * v < 0.0 and not (touch and mid + guard >= 0.0):
+                        count += 1
+                        known -= pull
+                if count:
+                    beta = 0.5 * half_f * count * hm
+                    new = (v * (1.0 - beta) + hm * known + push) / (1.0 + beta)
+                    # Friction: the speed along the wall decays with the normal impulse.
+                    decay = math.exp(-kappa * max(0.0, m * (new - v - push)))
+                    w = w * decay + drive * math.sqrt(decay) - slip * (1.0 - decay)
+                    v = new
+                else:
+                    v += push
+                    w += drive
+                x = mid + hh * v
+            share = m / t.h
+            force = share * (v - v_begin - _SUBSTEPS * push)
+            along = share * (w - w_begin - _SUBSTEPS * drive)
+            forces.append(force)
             # The readings along the wall as it stands.
-            read, read_along = t.normal * co - t.along * so, t.along * co + t.normal * so
-            dforce[_D] += read_along
-            dalong[_D] -= read
-            residual, residual_along = read - force, read_along - along
-            if not (t.bound and residual <= 0.0):
-                cost += weight * residual * residual
-                for p in range(_NORMAL):
-                    row, wp = curvature[p], weight * dforce[p]
-                    gradient[p] += wp * residual
-                    for q in range(p + 1):
-                        row[q] += wp * dforce[q]
-            cost += weight_along * residual_along * residual_along
-            for p in range(_ALL):
-                row, wp = curvature[p], weight_along * dalong[p]
-                gradient[p] += wp * residual_along
-                for q in range(p + 1):
-                    row[q] += wp * dalong[q]
-        return cost + self._add_priors(theta, co, so)
-
-    def _add_priors(self, theta: list[float], co: float, so: float) -> float:
+            off = t.normal * co - t.along * so - force
+            residuals.append(0.0 if t.bound and off <= 0.0 else scale * off)
+            residuals.append(scale_along * (t.along * co + t.normal * so - along))
+        self._forces = forces
         vn, vt = self._c.velocity
-        place = -vn * self._c.touched_s
-        means = [1.0, 1.0, place, vn * co - vt * so, 0.0, 1.0, vt * co + vn * so]
         # The measured velocity turns with the wall.
-        turned = {_V: vn * so + vt * co, _W: vt * so - vn * co}
-        cost = 0.0
-        for p in range(_ALL):
-            precision = 1.0 / self._sd[p] ** 2
-            off = means[p] - theta[p]
-            cost += precision * off * off
-            self._gradient[p] += precision * off
-            self._curvature[p][p] += precision
-            if p in turned:
-                slope = turned[p]
-                low, high = (p, _D) if p < _D else (_D, p)
-                self._gradient[_D] += precision * slope * off
-                self._curvature[_D][_D] += precision * slope * slope
-                self._curvature[high][low] += precision * slope
-        return cost
+        place = -vn * self._c.touched_s
+        means = (1.0, 1.0, place, vn * co - vt * so, 0.0, 1.0, vt * co + vn * so)
+        for value, mean, sd in zip(theta, means, self._sd, strict=True):
+            residuals.append((value - mean) / sd)
+        return residuals
 
-    def _result(self, theta: list[float], cost: float) -> Hypothesis:
+    def result(self) -> Hypothesis:
+        """The fit as it stands."""
+        self._residuals_at(self.theta)
         spread = _inverse_diagonal(self._curvature)
-        b = self._before
-        log_det = sum(2.0 * math.log(p) for p in _cholesky_diagonal(self._curvature))
-        evidence = -0.5 * (cost + log_det) - sum(math.log(sd) for sd in self._sd)
+        b, theta = self._before, self.theta
+        log_det = sum(2.0 * math.log(row[i]) for i, row in enumerate(_cholesky(self._curvature)))
+        evidence = -0.5 * (self._cost + log_det) - sum(math.log(sd) for sd in self._sd)
         k, k_sd = self._wall(theta[_K], spread[_K], b.k_sd)
         f, f_sd = self._wall(theta[_F], spread[_F], b.f_sd)
         mu, mu_sd = self._wall(theta[_MU], spread[_MU], b.mu_sd)
-        nu, nu_sd, seen = self._vertical(b)
-        after = Belief(b.k * k, b.f * f, b.mu * mu, b.nu * nu, k_sd, f_sd, mu_sd, nu_sd)
+        nu, nu_sd, seen = self._vertical()
         return Hypothesis(
             evidence + seen,
-            after,
+            Belief(b.k * k, b.f * f, b.mu * mu, b.nu * nu, k_sd, f_sd, mu_sd, nu_sd),
             self._c.incidence_rad - theta[_D],
             math.sqrt(spread[_D]),
             theta[_X],
@@ -551,10 +568,10 @@ class _Fit:
         after = wall2 - gain * gain * max(0.0, hit2 - variance)
         return mean, math.sqrt(after) / mean
 
-    def _vertical(self, b: Belief) -> tuple[float, float, float]:
+    def _vertical(self) -> tuple[float, float, float]:
         """Factor, deviation and evidence by the vertical force, nu F/(1 + F) on the mean over the contact."""
-        total = share = time_s = 0.0
-        for t, force in zip(self._c.ticks, self._forces, strict=True):
+        b, total, share, time_s = self._before, 0.0, 0.0, 0.0
+        for t, force in zip(self._ticks, self._forces, strict=True):
             if force > 0.0:
                 share += t.h * force / (1.0 + force)
                 total += t.h * t.up
@@ -569,6 +586,42 @@ class _Fit:
         factor = 1.0 + prior2 * slope / variance * off
         nu, nu_sd = self._wall(factor, prior2 - prior2 * prior2 * slope * slope / variance, b.nu_sd)
         return nu, nu_sd, -0.5 * (off * off / variance + math.log(variance))
+
+
+def _moved(theta: list[float], step: list[float]) -> list[float]:
+    """The parameters a step further, within what can be."""
+    moved = [a + b for a, b in zip(theta, step, strict=True)]
+    for p in (_K, _F, _MU):
+        # A factor at most halves or doubles in a step.
+        moved[p] = min(2.0 * theta[p], max(0.5 * theta[p], _LEAST_FACTOR, moved[p]))
+    moved[_D] = max(-_MOST_ANGLE_RAD, min(_MOST_ANGLE_RAD, moved[_D]))
+    return moved
+
+
+def _merged(ticks: list[Tick]) -> list[Tick]:
+    """Neighbours as one where there are many; what is at full scale stays alone."""
+    size = -(-len(ticks) // _MOST_TICKS)
+    out: list[Tick] = []
+    for t in ticks:
+        last = out[-1] if out else None
+        if last is None or t.bound or last.bound or last.count >= size:
+            out.append(t)
+            continue
+        h = last.h + t.h
+        p, q = last.h / h, t.h / h
+        out[-1] = Tick(
+            h,
+            p * last.normal + q * t.normal,
+            p * last.along + q * t.along,
+            p * last.up + q * t.up,
+            p * last.push_normal + q * t.push_normal,
+            p * last.push_along + q * t.push_along,
+            False,
+            p * last.turned + q * t.turned,
+            p * last.turning + q * t.turning,
+            last.count + 1,
+        )
+    return out
 
 
 def _cholesky(h: list[list[float]], damping: float = 0.0) -> list[list[float]]:
@@ -595,10 +648,6 @@ def _cholesky(h: list[list[float]], damping: float = 0.0) -> list[list[float]]:
             else:
                 row[j] = s / other[j]
     return low
-
-
-def _cholesky_diagonal(h: list[list[float]]) -> list[float]:
-    return [row[i] for i, row in enumerate(_cholesky(h))]
 
 
 def _solve(h: list[list[float]], g: list[float], damping: float) -> list[float]:
