@@ -5,8 +5,8 @@
     python -m tools.campaigns.felt wood --first-seed 1    # the seeds that the software was tuned on
 
 Flies the single wall in the fast world up to what was felt of it. Approach velocity, mode and whether the
-lock tells the truth are drawn anew for every seed; so are the wall's coefficients (30 %) and each hit's (5 %).
-A flight is kept under build/felt/ as soon as it is over: an interrupted campaign goes on where it was;
+lock tells the truth are drawn anew for every seed; so are the wall's coefficients (30 %) and each hit's
+(5 %). A flight is kept under build/felt/ as soon as it is over: an interrupted campaign goes on where it was;
 `--fresh` forgets what was flown (after a change of the software).
 
 No decision of the software may be tuned on the seeds from `FIRST_SEED` on.
@@ -149,16 +149,17 @@ def fly(job: Job) -> Flown:
     felt: list[tuple[int, WallFelt]] = []
     contacts: list[TruthContact] = []
     commanded = plan.mission.collisions[0].mode
+    sticks_rigid = plan.lies and commanded is Mode.FLEXIBLE
 
     def observe(record: Record, number: int) -> None:
         if isinstance(record, WallFelt):
             felt.append((flight.autopilot.time_us, record))
         elif isinstance(record, TruthContact):
             contacts.append(record)
-        elif isinstance(record, PhaseChange) and record.after is Phase.PREPARE:
+        elif isinstance(record, PhaseChange) and record.after is Phase.PREPARE and sticks_rigid:
             # The rods are in: from now on they stay there, whatever the servo is told.
-            if plan.lies and commanded is Mode.FLEXIBLE and flight.mock is not None:
-                flight.mock.inject(_STUCK)
+            assert flight.mock is not None
+            flight.mock.inject(_STUCK)
 
     faults = _STUCK if plan.lies and commanded is Mode.RIGID else None
     try:

@@ -450,17 +450,18 @@ class _Fit:
         return columns
 
     def _guess(self) -> list[float]:
-        """Stiffness by linear least squares over the motion that the readings themselves give."""
+        """Stiffness and friction by linear least squares over the motion that the readings give."""
         m, b = self._body.mass, self._before
         vn, vt = self._c.velocity
-        x, v = 0.0, vn
-        # normal + f v = -k x - k x0, with the believed f
-        n = sxx = sx = sy = sxy = 0.0
+        x, v, w = 0.0, vn, vt
+        # normal + f v = -k x - k x0, with the believed f; along = -mu normal w
+        n = sxx = sx = sy = sxy = mxx = mxy = 0.0
         for t in self._ticks:
             acceleration = (t.normal + t.push_normal) / m
             middle, speed = x + 0.5 * t.h * v, v + 0.5 * t.h * acceleration
             x += t.h * speed
             v += t.h * acceleration
+            slide = t.h * (t.along + t.push_along) / m
             if t.normal > _GUESS_SHARE * self._top:
                 y = t.normal + b.f * speed
                 n += 1.0
@@ -468,11 +469,17 @@ class _Fit:
                 sxx += middle * middle
                 sy += y
                 sxy += middle * y
+                unit = -t.normal * (w + 0.5 * slide)
+                mxx += unit * unit
+                mxy += unit * t.along
+            w += slide
         det = n * sxx - sx * sx
-        k = (sx * sy - n * sxy) / det if det > 0.0 else b.k
-        k = min(10.0 * b.k, max(1.2 * _LEAST_FACTOR * b.k, k))
-        place = -vn * (self._c.touched_s + b.f / k)
-        return [k / b.k, 1.0, place, vn, 0.0, 1.0, vt]
+        k = (sx * sy - n * sxy) / det / b.k if det > 0.0 else 1.0
+        # Where nothing slides friction does not show.
+        rub2 = (self._sd[_W] * self._top) ** 2
+        mu = (mxy + b.mu * rub2) / (mxx + rub2) / b.mu if b.mu > 0.0 else 1.0
+        k, mu = (min(10.0, max(1.2 * _LEAST_FACTOR, value)) for value in (k, mu))
+        return [k, 1.0, -vn * (self._c.touched_s + b.f / (k * b.k)), vn, 0.0, mu, vt]
 
     def _residuals_at(self, theta: list[float]) -> list[float]:
         """Readings less model, normal and along, then the parameters less what was believed; over errors."""
@@ -562,7 +569,7 @@ class _Fit:
         G = sd2/s2, the wall's variance is sd2 - G2 (s2 - variance).
         """
         wall2 = before_sd * before_sd
-        hit2 = wall2 + self._scatter**2
+        hit2 = wall2 + (self._scatter * factor) ** 2
         gain = wall2 / hit2
         mean = max(_LEAST_FACTOR, 1.0 + gain * (factor - 1.0))
         after = wall2 - gain * gain * max(0.0, hit2 - variance)

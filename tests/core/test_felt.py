@@ -1,0 +1,261 @@
+"""What a contact says of its wall: synthetic pulses with known truth, the posterior's properties, flights."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Sequence
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dart_flight.config.vehicle import ArmVibration, BodyModel, Coefficients
+from dart_flight.contact.law import Onset, contact_force
+from dart_flight.core.sense.arm_vibration import ArmFilter
+from dart_flight.core.sense.felt import Belief, Body, Contact, Fitting, Hypothesis, Tick
+from dart_flight.samples import Mode
+from tests.sim.test_plant import VEHICLE
+from tools.campaigns.felt import FIRST_SEED, Job, covered, fly, is_wrong, judged_of, plan_of
+
+MASS = VEHICLE.airframe.mass_kg
+BODY = Body(MASS, 0.13, 0.2, Onset.LCP, -1)
+SCATTER, SPREAD = 0.05, 0.3
+TICK_S, STEPS = 0.004, 80
+NOISE_N = 0.26
+
+
+def scaled(c: Coefficients, k: float = 1.0, f: float = 1.0, mu: float = 1.0) -> Coefficients:
+    return Coefficients(c.k * k, c.f * f, c.mu * mu, c.nu)
+
+
+def belief_of(material: str, mode: Mode, sd: float = SPREAD) -> Belief:
+    c = VEHICLE.materials[material].of(mode)
+    return Belief(c.k, c.f, c.mu, c.nu, sd, sd, sd, sd)
+
+
+def pulse(
+    c: Coefficients,
+    normal: float,
+    along: float = 0.0,
+    seed: int = 0,
+    push: float = 0.0,
+    onset: Onset = Onset.LCP,
+    full_scale_n: float = math.inf,
+) -> Contact:
+    """The contact law in steps of 0.05 ms, as an IMU's ticks."""
+    rng = random.Random(seed)
+    x, v, w = -normal * 0.0137 + c.f / c.k * -normal, normal, along
+    ticks: list[Tick] = []
+    free = 0
+    h = TICK_S / STEPS
+    while free < 4 or len(ticks) < 6:
+        sums = [0.0, 0.0, 0.0]
+        for _ in range(STEPS):
+            mid = (x + 0.5 * h * v, v, w)
+            n, t, d = contact_force(c, onset, mid[0], (mid[1], mid[2], 0.0))
+            v += h * (n + push) / MASS
+            w += h * t / MASS
+            x = mid[0] + 0.5 * h * v
+            sums = [s + f / STEPS for s, f in zip(sums, (n, t, -d), strict=True)]
+        touched = sums[0] > 0.0
+        free = 0 if touched or not ticks or ticks[-1].normal == 0.0 else free + 1
+        bound = sums[0] >= full_scale_n
+        read = min(sums[0] + rng.gauss(0.0, NOISE_N), full_scale_n)
+        rub, up = (value + rng.gauss(0.0, NOISE_N) for value in sums[1:])
+        ticks.append(Tick(TICK_S, read, rub, up, push, 0.0, bound, 0.0, 0.0))
+        if len(ticks) > 80:
+            break
+    return Contact(ticks, 0, 0.0137, (normal, along), 0.0, NOISE_N)
+
+
+def fitted(contact: Contact, before: Belief, scatter: float = SCATTER) -> Hypothesis:
+    fit = Fitting(contact, before, scatter, BODY)
+    while fit.goes_on():
+        pass
+    found = fit.result()
+    assert found is not None
+    return found
+
+
+def odds_of(contact: Contact, material: str) -> float:
+    rigid, flexible = (fitted(contact, belief_of(material, mode)).evidence for mode in Mode)
+    return rigid - flexible
+
+
+# --- coefficients and mode --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize(("material", "along"), [("wood", 0.4), ("acrylic", -0.3), ("acrylic", 0.5)])
+@pytest.mark.parametrize(("k", "f", "mu"), [(1.0, 1.0, 1.0), (1.35, 0.7, 1.3), (0.75, 1.3, 0.7)])
+def test_the_true_mode_and_its_coefficients_are_found(
+    mode: Mode, material: str, along: float, k: float, f: float, mu: float
+) -> None:
+    true = scaled(VEHICLE.materials[material].of(mode), k, f, mu)
+    contact = pulse(true, -0.9, along, seed=3, push=0.5)
+    after = fitted(contact, belief_of(material, mode)).belief
+    assert after.k == pytest.approx(true.k, rel=0.05)
+    assert abs(true.f / after.f - 1.0) < 3.0 * after.f_sd
+    assert abs(true.mu / after.mu - 1.0) < 3.0 * after.mu_sd
+    assert after.k_sd < 0.4 * SPREAD
+    assert odds_of(contact, material) * (1.0 if mode is Mode.RIGID else -1.0) > 6.9
+
+
+def test_a_wall_between_both_modes_is_undecided() -> None:
+    """Head-on, where friction says nothing, a soft rigid wall is as likely as a hard flexible one."""
+    between = Coefficients(2070.0, 11.0, 1.0, 7.0)
+    assert abs(odds_of(pulse(between, -0.8), "acrylic")) < VEHICLE.estimation.walls.sure_log_odds
+    # The same stiffness with friction along the wall is told.
+    sliding = Coefficients(2070.0, 11.0, 5.0, 7.0)
+    assert odds_of(pulse(sliding, -0.8, 0.4), "acrylic") < -VEHICLE.estimation.walls.sure_log_odds
+
+
+@pytest.mark.parametrize("onset", list(Onset))
+def test_both_onsets_are_fitted(onset: Onset) -> None:
+    true = scaled(VEHICLE.materials["acrylic"].flexible, 1.2)
+    fit = Fitting(
+        pulse(true, -1.0, 0.3, onset=onset),
+        belief_of("acrylic", Mode.FLEXIBLE),
+        SCATTER,
+        BODY._replace(onset=onset),
+    )
+    while fit.goes_on():
+        pass
+    found = fit.result()
+    assert found is not None
+    assert found.belief.k == pytest.approx(true.k, rel=0.05)
+
+
+def test_readings_at_full_scale_are_only_bounds() -> None:
+    true = scaled(VEHICLE.materials["wood"].rigid, 1.2)
+    whole = pulse(true, -1.0, 0.3)
+    top = max(t.normal for t in whole.ticks)
+    cut = pulse(true, -1.0, 0.3, full_scale_n=0.7 * top)
+    assert sum(t.bound for t in cut.ticks) >= 4
+    assert fitted(cut, belief_of("wood", Mode.RIGID)).belief.k == pytest.approx(true.k, rel=0.08)
+    taken = [Tick(t.h, t.normal, t.along, t.up, 0.0, 0.0, False, 0.0, 0.0) for t in cut.ticks]
+    believed = fitted(cut._replace(ticks=taken), belief_of("wood", Mode.RIGID)).belief.k
+    assert abs(believed / true.k - 1.0) > 0.08
+
+
+def test_a_place_off_the_plan_is_found() -> None:
+    true = VEHICLE.materials["acrylic"].rigid
+    contact = pulse(true, -1.0)
+    found = fitted(contact, belief_of("acrylic", Mode.RIGID))
+    begins_m = 0.0137 + true.f / true.k
+    assert found.place_m == pytest.approx(begins_m, abs=0.003)
+    assert abs(found.place_m - begins_m) < 4.0 * found.place_sd
+
+
+# --- posterior --------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    mode=st.sampled_from(list(Mode)),
+    k=st.floats(0.5, 1.7),
+    mu=st.floats(0.5, 1.7),
+    normal=st.floats(-1.4, -0.4),
+    along=st.floats(-0.6, 0.6),
+    seed=st.integers(0, 1000),
+)
+def test_the_posterior_lies_between_prior_and_data(
+    mode: Mode, k: float, mu: float, normal: float, along: float, seed: int
+) -> None:
+    contact = pulse(scaled(VEHICLE.materials["acrylic"].of(mode), k, 1.0, mu), normal, along, seed)
+    before = belief_of("acrylic", mode)
+    # Nothing but k is let loose: what the data alone say of it.
+    loose = fitted(contact, before._replace(k_sd=20.0)).belief.k
+    sure = fitted(contact, before._replace(k_sd=0.02)).belief.k
+    after = fitted(contact, before).belief
+    low, high = min(loose, before.k), max(loose, before.k)
+    assert 0.99 * low <= after.k <= 1.01 * high
+    assert 0.99 * low <= sure <= 1.01 * high
+    # The surer the belief, the nearer to it.
+    assert abs(sure - before.k) <= abs(after.k - before.k) + 0.01 * before.k
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    mode=st.sampled_from(list(Mode)),
+    k=st.floats(0.3, 2.0),
+    normal=st.floats(-1.5, -0.3),
+    along=st.floats(-1.0, 1.0),
+    sd=st.floats(0.02, 0.6),
+    scatter=st.floats(0.01, 0.2),
+    seed=st.integers(0, 1000),
+)
+def test_readings_never_make_less_sure(
+    mode: Mode, k: float, normal: float, along: float, sd: float, scatter: float, seed: int
+) -> None:
+    """Absolute deviations: a coefficient that turns out smaller may be less sure relative to itself."""
+    contact = pulse(scaled(VEHICLE.materials["acrylic"].of(mode), k), normal, along, seed)
+    before = belief_of("acrylic", mode, sd)
+    after = fitted(contact, before, scatter).belief
+    for name in ("k", "f", "mu", "nu"):
+        was = getattr(before, name) * getattr(before, f"{name}_sd")
+        now = getattr(after, name) * getattr(after, f"{name}_sd")
+        assert now <= was * (1.0 + 1e-9)
+
+
+def test_hits_of_one_wall_add_up_to_the_scatter_and_no_further() -> None:
+    true = VEHICLE.materials["wood"].flexible
+    before = belief_of("wood", Mode.FLEXIBLE)
+    sds = [before.k_sd]
+    for hit in range(8):
+        factor = 1.2 * (1.0 + SCATTER * random.Random(hit).gauss(0.0, 1.0))
+        before = fitted(pulse(scaled(true, factor), -0.8, 0.3, seed=hit), before).belief
+        sds.append(before.k_sd)
+    assert sds == sorted(sds, reverse=True)
+    assert before.k == pytest.approx(1.2 * true.k, rel=0.05)
+    # One hit cannot tell the wall from its own scatter.
+    assert sds[1] > 0.9 * SCATTER
+    assert 0.8 * SCATTER / math.sqrt(8) < sds[-1] < 1.6 * SCATTER / math.sqrt(8)
+
+
+# --- anything that comes ----------------------------------------------------------------------------------
+
+_any = st.floats(allow_nan=True, allow_infinity=True)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    ticks=st.lists(st.tuples(st.floats(0.0, 0.1), _any, _any, _any, st.booleans()), min_size=1, max_size=30),
+    velocity=st.tuples(_any, _any),
+)
+def test_no_readings_break_it(
+    ticks: Sequence[tuple[float, float, float, float, bool]], velocity: tuple[float, float]
+) -> None:
+    read = [Tick(h, n, t, n, p, p, bound, 0.0, 0.0) for h, n, t, p, bound in ticks]
+    fit = Fitting(Contact(read, 0, 0.01, velocity, 0.0, 0.3), belief_of("wood", Mode.RIGID), SCATTER, BODY)
+    count = 0
+    while fit.goes_on():
+        count += 1
+    assert count < 15  # one a sample: 60 ms
+    fit.result()
+
+
+def test_arms_put_back_are_the_inverse_of_arms_taken_out() -> None:
+    arms = ArmVibration(18.0, 0.12, 0.08)
+    there, back, rng = ArmFilter(arms, TICK_S), ArmFilter(arms, TICK_S), random.Random(1)
+    for _ in range(60):
+        x, y = rng.gauss(0.0, 10.0), rng.gauss(0.0, 10.0)
+        assert back.remove(*there.add(x, y), TICK_S) == pytest.approx((x, y), abs=1e-9)
+
+
+# --- flights ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["wood", "sliding"])
+@pytest.mark.parametrize("body", list(BodyModel))
+def test_a_lock_that_lies_is_found_out(kind: str, body: BodyModel) -> None:
+    seed = next(s for s in range(1, FIRST_SEED) if plan_of(Job(kind, body, s)).lies)
+    (j,) = judged_of([fly(Job(kind, body, seed))])
+    assert j.felt.mode_reported is j.true_mode.other
+    assert j.felt.mode_felt is j.true_mode
+    assert not is_wrong(j)
+    assert j.flown.after_ms <= 60.0
+    assert covered(j, "k")
+    assert j.felt.wall == "acrylic"  # the wall's name in the mission
+    assert abs(j.felt.plane_offset_m) < 0.01
