@@ -82,7 +82,7 @@ class WallPrior(Section, frozen=True):
 
     spread: Annotated[float, Meta(gt=0.0, le=2.0)] = 0.3
     scatter: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.05
-    sure_log_odds: Annotated[float, Meta(ge=0.0, le=100.0)] = 6.9
+    sure_log_odds: Annotated[float, Meta(ge=0.0, le=100.0)] = 5.3
 
 
 class Estimation(Section, frozen=True):

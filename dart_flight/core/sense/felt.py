@@ -231,9 +231,10 @@ class WallSense:
         belief, fitted = job.before[told], fits.get(told)
         angle, angle_sd, offset, offset_sd = 0.0, _WALL_RAD, 0.0, _PLACE_M
         if fitted is not None:
+            belief = fitted.belief
+            # Else the readings speak against the mode that the lock says, though not loudly enough.
             if told is likely:
-                # Else the readings speak against the mode that the lock says, though not loudly enough.
-                belief = self._beliefs[wall.name, told] = fitted.belief
+                self._beliefs[wall.name, told] = belief
             angle, angle_sd = fitted.incidence_rad, fitted.incidence_sd
             contact = job.fits[told].contact
             back_s = (onset.t_us - contact.begin_us) * 1e-6
