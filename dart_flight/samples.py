@@ -86,6 +86,13 @@ class Request(StrEnum):
     WORLD_DIED = "world_died"  # by the shell: the simulated vehicle is gone
 
 
+class ModeMismatch(StrEnum):
+    """What follows where a contact was felt in the other mode than the lock reports."""
+
+    GO_ON = "go_on"  # noted in log and verdict
+    LAND = "land"
+
+
 class Phase(StrEnum):
     """Where the mission stands; `core/mission/phases.py` says what follows what."""
 

@@ -42,6 +42,7 @@ from dart_flight.samples import (
     SetPointSent,
     TruthContact,
     TruthSample,
+    WallFelt,
     World,
 )
 
@@ -92,6 +93,8 @@ class CollisionVerdict(msgspec.Struct):
     setpoint_latency_ms: float | None
     contact_time_ms: float | None = None
     mode_by_contact_time: str | None = None  # what the duration says, whatever the lock reported
+    mode_felt: Mode | None = None  # what the whole contact says (docs/felt.md); None: undecided, or not told
+    mode_log_odds: float | None = None  # of rigid against flexible; None: not told
 
 
 class GuardVerdict(msgspec.Struct):
@@ -177,6 +180,7 @@ class VerdictBuilder:
             ImpactPeak: self._take_peak,
             ImpactBody: self._take_body,
             ContactEnd: self._take_contact_end,
+            WallFelt: self._take_felt,
             SetPointSent: self._take_sent,
             LockState: self._take_lock,
             GuardEvent: self._take_guard,
@@ -276,6 +280,11 @@ class VerdictBuilder:
                 self._mission.collisions[last.index - 1], last.contact_time_ms
             )
 
+    def _take_felt(self, record: WallFelt) -> None:
+        if self._collisions and self._onset and self._onset.first_us == record.first_us:
+            self._collisions[-1].mode_felt = record.mode_felt
+            self._collisions[-1].mode_log_odds = record.log_odds
+
     def _mode_by_time(self, collision: Collision, contact_ms: float) -> str:
         """The mode whose contact with this material lasts nearest to what was measured.
 
@@ -344,7 +353,7 @@ class VerdictBuilder:
                 c.measured.tangential_m_s,
                 c.measured.peak_force_n,
                 self._places.get(c.index),
-                c.mode_by_contact_time,
+                _felt_mode(c),
             )
             for c in self._collisions
         ]
@@ -385,3 +394,8 @@ class VerdictBuilder:
             truth.peak_torque_nm,
         )
         collision.detection_latency_ms = (collision.t_us - truth.t_us) * 1e-3
+
+
+def _felt_mode(c: CollisionVerdict) -> str | None:
+    """The mode by the contact itself; logs from before it was felt have its duration only."""
+    return c.mode_by_contact_time if c.mode_log_odds is None else c.mode_felt

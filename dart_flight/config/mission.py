@@ -21,7 +21,7 @@ from dart_flight.config.provenance import FoundVehicle, VehicleSource, find_vehi
 from dart_flight.config.section import Section
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.geometry import MissionFrame, Vec2, Vec3, Wall
-from dart_flight.samples import AfterImpact, Mode
+from dart_flight.samples import AfterImpact, Mode, ModeMismatch
 
 Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
 Velocity = Annotated[float, Meta(ge=-20.0, le=20.0)]
@@ -234,6 +234,8 @@ class MissionFile(Section, frozen=True):
         after_impact: setpoint: the paper's recovery set-point leads on; replan: a way that is planned in
             flight, from what was felt, takes over from it.
         tolerance: by how much a flight may differ from the plan; for the goal that is its capture radius.
+        mode_mismatch: where a contact was felt in the other mode than the lock reports; go_on: it is noted
+            in log and verdict; land: the guard lands.
     """
 
     version: Literal[1]
@@ -250,6 +252,7 @@ class MissionFile(Section, frozen=True):
     predicted: MissPrediction | None = None
     after_impact: AfterImpact = AfterImpact.SETPOINT
     tolerance: Tolerance = Tolerance()
+    mode_mismatch: ModeMismatch = ModeMismatch.GO_ON
 
 
 class Bounds(msgspec.Struct, frozen=True):
@@ -311,6 +314,7 @@ class Mission(msgspec.Struct, frozen=True):
     vehicle_source: VehicleSource | None = None  # where the configuration came from; old logs do not say
     after_impact: AfterImpact = AfterImpact.SETPOINT
     tolerance: Tolerance = Tolerance()
+    mode_mismatch: ModeMismatch = ModeMismatch.GO_ON
 
     def flown_vehicle(self) -> VehicleSource:
         """Which vehicle it is, for everything that is said of the mission."""
@@ -392,6 +396,7 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
         predicted=spec.predicted,
         after_impact=spec.after_impact,
         tolerance=spec.tolerance,
+        mode_mismatch=spec.mode_mismatch,
     )
 
 

@@ -37,7 +37,16 @@ from dart_flight.config.vehicle import LockDriver, load_vehicle
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.mission.approach import NoApproachError
 from dart_flight.geometry import norm, tilt_of
-from dart_flight.samples import ActuatorSample, ImuSample, Outcome, Record, TruthContact, TruthSample, World
+from dart_flight.samples import (
+    ActuatorSample,
+    ImuSample,
+    Outcome,
+    Override,
+    Record,
+    TruthContact,
+    TruthSample,
+    World,
+)
 from dart_flight.sim.draws import DrawnWorld, draw_world, parse_vary, turn_walls
 from dart_flight.verdict import VerdictBuilder
 from dart_flight.worlds.fast import FastFlight
@@ -293,7 +302,8 @@ def fly(job: Job) -> Flown:
         problems.append(f"exception {type(error).__name__}: {error}")
     verdict = builder.build(World.FAST, job.seed)
     # A flight may be broken off more than once on its way down: the first reason is the cause.
-    rule = verdict.guard[0].rule if verdict.guard and verdict.outcome != Outcome.COMPLETED else ""
+    acted = [event.rule for event in verdict.guard if event.action is not Override.NONE]
+    rule = acted[0] if acted and verdict.outcome != Outcome.COMPLETED else ""
     problems += judge(flight, watch, None, verdict.outcome, rule)
     return Flown(
         job=job,

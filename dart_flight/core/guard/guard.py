@@ -91,7 +91,10 @@ class Guard:
         self._watch.observe(item, state, sensed, phase)
         events: list[Output] = []
         for finding in proposal.findings:
-            self._fire(finding.rule, finding.detail, state, events)
+            if finding.noted:
+                events.append(GuardEvent(state.now_us, finding.rule, Override.NONE, finding.detail))
+            else:
+                self._fire(finding.rule, finding.detail, state, events)
         if phase is not Phase.DONE and self.end is None:
             self._judge(state, phase, events)
         if self.action is Override.NONE:

@@ -307,6 +307,8 @@ RULES: tuple[Rule, ...] = (
     Rule("no_peak", "a contact whose force does not fall again", "detection.peak_wait_s", _BREAK_OFF),
     Rule("lock_not_settled", "the lock is not in the planned mode in the approach or at the impact", "",
          _BREAK_OFF),
+    Rule("mode_felt", "a contact was felt in the other mode than the lock reports; `go_on` only notes it",
+         "mode_mismatch, estimation.walls.sure_log_odds", _LAND),
     Rule("lock_late", "the lock is not in the planned mode when holding still just stops short of the wall",
          "", _BREAK_OFF),
     Rule("lock_not_ready", "the lock did not reach the planned mode before the approach", "lock.timeout_s",

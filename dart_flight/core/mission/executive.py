@@ -36,6 +36,7 @@ from dart_flight.samples import (
     Input,
     MissionEnd,
     Mode,
+    ModeMismatch,
     OdometrySample,
     Outcome,
     Output,
@@ -44,6 +45,7 @@ from dart_flight.samples import (
     PlanAnswer,
     VehicleAction,
     VehicleCommand,
+    WallFelt,
 )
 
 PASSED_RISE_M = 0.03  # the distance to the goal has risen by more than its noise
@@ -126,6 +128,8 @@ class Executive:
                 self._on_floor(event, p)
             else:
                 self._lock.contact_ends(event.t_us)
+        if sensed.wall is not None:
+            self._on_felt(sensed.wall, p)
         p.outputs += self._lock.permission(state.now_us, sensed.in_contact)
         step = self._steps.get(self.phase)
         if step is not None:
@@ -313,6 +317,15 @@ class Executive:
             p.find("lock_not_settled", detail)
         else:
             self._go(Cue.ONSET, state, p)
+
+    def _on_felt(self, felt: WallFelt, p: Proposal) -> None:
+        if felt.mode_felt is None or felt.mode_reported in (None, felt.mode_felt):
+            return
+        detail = (
+            f"{felt.mode_felt.value} arms felt at wall {felt.wall}, the lock reports "
+            f"{felt.mode_reported.value} (log odds {abs(felt.log_odds):.1f})"
+        )
+        p.find("mode_felt", detail, noted=self.mission.mode_mismatch is ModeMismatch.GO_ON)
 
     def _on_floor(self, event: DetectionFloor, p: Proposal) -> None:
         """Whether the planned hit can be told from the vibration at all; a wall not felt is flown into."""

@@ -17,10 +17,12 @@ class Finding(NamedTuple):
     Attributes:
         rule: of `core.guard.rules`.
         detail: what was found, in words.
+        noted: it goes into the log, and the mission goes on.
     """
 
     rule: str
     detail: str
+    noted: bool = False
 
 
 class Proposal(msgspec.Struct):
@@ -40,6 +42,6 @@ class Proposal(msgspec.Struct):
     frame: MissionFrame | None = None
     end: MissionEnd | None = None
 
-    def find(self, rule: str, detail: str) -> None:
+    def find(self, rule: str, detail: str, noted: bool = False) -> None:
         """Add a finding."""
-        self.findings.append(Finding(rule, detail))
+        self.findings.append(Finding(rule, detail, noted))
