@@ -63,7 +63,7 @@ def pulse(
         bound = sums[0] >= full_scale_n
         read = min(sums[0] + rng.gauss(0.0, NOISE_N), full_scale_n)
         rub, up = (value + rng.gauss(0.0, NOISE_N) for value in sums[1:])
-        ticks.append(Tick(TICK_S, read, rub, up, push, 0.0, bound, 0.0, 0.0))
+        ticks.append(Tick(TICK_S, read, rub, up, push, 0.0, bound, 0.0, 0.0, 0.0))
         if len(ticks) > 80:
             break
     return Contact(ticks, 0, 0.0137, (normal, along), 0.0, NOISE_N)
@@ -134,7 +134,7 @@ def test_readings_at_full_scale_are_only_bounds() -> None:
     cut = pulse(true, -1.0, 0.3, full_scale_n=0.7 * top)
     assert sum(t.bound for t in cut.ticks) >= 4
     assert fitted(cut, belief_of("wood", Mode.RIGID)).belief.k == pytest.approx(true.k, rel=0.08)
-    taken = [Tick(t.h, t.normal, t.along, t.up, 0.0, 0.0, False, 0.0, 0.0) for t in cut.ticks]
+    taken = [Tick(t.h, t.normal, t.along, t.up, 0.0, 0.0, False, 0.0, 0.0, 0.0) for t in cut.ticks]
     believed = fitted(cut._replace(ticks=taken), belief_of("wood", Mode.RIGID)).belief.k
     assert abs(believed / true.k - 1.0) > 0.08
 
@@ -227,7 +227,7 @@ _any = st.floats(allow_nan=True, allow_infinity=True)
 def test_no_readings_break_it(
     ticks: Sequence[tuple[float, float, float, float, bool]], velocity: tuple[float, float]
 ) -> None:
-    read = [Tick(h, n, t, n, p, p, bound, 0.0, 0.0) for h, n, t, p, bound in ticks]
+    read = [Tick(h, n, t, n, p, p, bound, 0.0, 0.0, 0.0) for h, n, t, p, bound in ticks]
     fit = Fitting(Contact(read, 0, 0.01, velocity, 0.0, 0.3), belief_of("wood", Mode.RIGID), SCATTER, BODY)
     count = 0
     while fit.goes_on():

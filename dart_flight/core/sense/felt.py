@@ -27,7 +27,7 @@ from __future__ import annotations
 import math
 import operator
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import msgspec
@@ -55,11 +55,13 @@ _FEWEST = 4  # readings in contact
 _STEPS = 8  # one a sample, so that 60 ms after the contact's end all is said
 _SETTLED = 1e-2
 _SUBSTEPS = 2  # of a tick
-_MOST_TICKS = 28
+_MOST_TICKS = 36
 _DIFFERENCE = 1e-5
 _MOST_DAMPING = 1e4
 _GUESS_SHARE = 0.15  # of the largest force: readings that a first guess is made of
 _MOST_ANGLE_RAD = 0.6
+_INCIDENCES_RAD = tuple(math.radians(d) for d in (4.0, 7.0, 10.0))  # at which a fit may begin
+_MOST_MISFIT = 2.0  # mean square of the residuals over their errors: beyond it this is no such contact
 _QUARTER = 0.5 * math.pi
 _LEAST_FACTOR = 0.1  # no coefficient is believed to be below this share of what was believed
 _SLOWEST_M_S = 0.02
@@ -97,6 +99,7 @@ class Tick(msgspec.Struct, gc=False):
         push_normal, push_along: force of thrust and drag, N.
         bound: at full scale: the true force is larger.
         turned: angle since the first tick at its middle, rad, positive to the left; `turning`: its rate.
+        torque: about the vertical, N m, positive where it turns the vehicle to the right.
         count: of samples in it.
     """
 
@@ -109,6 +112,7 @@ class Tick(msgspec.Struct, gc=False):
     bound: bool
     turned: float
     turning: float
+    torque: float
     count: int = 1
 
 
@@ -147,12 +151,14 @@ class Hypothesis(NamedTuple):
 
     Attributes:
         evidence: natural logarithm, up to what both modes share.
+        misfit: mean square of the residuals over their errors.
         belief: of the wall in this mode, after the contact.
         incidence_rad, incidence_sd: at the first tick.
         place_m, place_sd: signed distance of the centre to the wall's plane at the first tick's beginning.
     """
 
     evidence: float
+    misfit: float
     belief: Belief
     incidence_rad: float
     incidence_sd: float
@@ -223,8 +229,9 @@ class WallSense:
         onset, wall, reported = job.onset, job.wall, job.reported
         odds, felt = 0.0, None
         if len(fits) == len(Mode):
-            odds = fits[Mode.RIGID].evidence - fits[Mode.FLEXIBLE].evidence
-            if abs(odds) >= self._prior.sure_log_odds:
+            best = min(fit.misfit for fit in fits.values())
+            odds = (fits[Mode.RIGID].evidence - fits[Mode.FLEXIBLE].evidence) / max(1.0, best)
+            if abs(odds) >= self._prior.sure_log_odds and best <= _MOST_MISFIT:
                 felt = Mode.RIGID if odds > 0.0 else Mode.FLEXIBLE
         likely = Mode.RIGID if odds > 0.0 else Mode.FLEXIBLE
         told = felt or reported or likely
@@ -297,7 +304,7 @@ class WallSense:
         nx, ny = wall.normal
         turned, last_us = 0.0, samples[0].force.t_us - round(tick_s * 1e6)
         ticks = []
-        for force, _, q, rate in samples:
+        for force, torque, q, rate in samples:
             h = (force.t_us - last_us) * 1e-6
             last_us = force.t_us
             fx, fy = force.force_mission[0] - self._slow[0], force.force_mission[1] - self._slow[1]
@@ -320,6 +327,7 @@ class WallSense:
                     force.clipped,
                     turned - 0.5 * h * turning,
                     turning,
+                    rotate(q, torque.torque_frd)[2],
                 )
             )
         return ticks
@@ -410,13 +418,39 @@ class _Fit:
         sds = [math.hypot(sd, scatter) for sd in (before.k_sd, before.f_sd, before.mu_sd)]
         # Widths of the priors, in the order of the parameters.
         self._sd = [sds[0], sds[1], _PLACE_M, speed_sd, _WALL_RAD, sds[2], speed_sd]
-        self.theta = self._guess()
         self._forces: list[float] = []
-        self._residuals = self._residuals_at(self.theta)
-        self._cost = sum(r * r for r in self._residuals)
+        self._cost = math.inf
+        self._residuals: list[float] = []
+        self.theta: list[float] = []
+        self._begin()
         self._damping = 1e-3
         self._curvature: list[list[float]] = []
         self.steps = 0
+
+    def _begin(self) -> None:
+        """The best of some guesses."""
+        for tried in self._guesses():
+            residuals = self._residuals_at(tried)
+            cost = sum(r * r for r in residuals)
+            if cost < self._cost:
+                self.theta, self._residuals, self._cost = tried, residuals, cost
+        if not self.theta:
+            raise ValueError("not a number")
+
+    def _guesses(self) -> Iterator[list[float]]:
+        """Both guards bear alike; as the torque has it, which turns the wall, and again from there; as
+        believed, the guard ahead that meets the wall first and turns the vehicle to its own side."""
+        angle = 0.0
+        for by_torque in (False, True, True):
+            guess = self._guess(by_torque, angle)
+            angle = guess[_D]
+            yield guess
+        side = -math.copysign(1.0, self._ticks[-1].turned)
+        for lead in _INCIDENCES_RAD:
+            angle = self._c.incidence_rad - side * lead
+            vn, vt = _turned(*self._c.velocity, math.cos(angle), math.sin(angle))
+            place = -vn * self._c.touched_s + self._body.along * math.sin(lead)
+            yield [1.0, 1.0, place, vn, angle, 1.0, vt]
 
     def step(self) -> bool:
         """One step; False where it was the last."""
@@ -450,37 +484,62 @@ class _Fit:
             columns.append([(b - a) / _DIFFERENCE for a, b in zip(self._residuals, shifted, strict=True)])
         return columns
 
-    def _guess(self) -> list[float]:
-        """Stiffness and friction by linear least squares over the motion that the readings give."""
-        m, b = self._body.mass, self._before
-        vn, vt = self._c.velocity
+    def _guess(self, by_torque: bool, turned: float) -> list[float]:
+        """Stiffness, place, angle, friction by linear least squares over the motion that the readings give.
+
+        The wall is taken to be turned by `turned`. A guard that bears F_g then has, with the believed f,
+        2 F_g + f v_g = -k (x - g a i) - k x0.
+        """
+        m, b, a, out = self._body.mass, self._before, self._body.along, self._body.out
+        co, so = math.cos(turned), math.sin(turned)
+        vn, vt = _turned(*self._c.velocity, co, so)
         x, v, w = 0.0, vn, vt
-        # normal + f v = -k x - k x0, with the believed f; along = -mu normal w
-        n = sxx = sx = sy = sxy = mxx = mxy = 0.0
+        # For either guard: number, sums of place, place squared, reading, their product.
+        sums = {1.0: [0.0] * 5, -1.0: [0.0] * 5}
+        mxx = mxy = 0.0
+        least = _GUESS_SHARE * self._top
         for t in self._ticks:
-            acceleration = (t.normal + t.push_normal) / m
+            normal, along = _turned(t.normal, t.along, co, so)
+            push, drive = _turned(t.push_normal, t.push_along, co, so)
+            acceleration = (normal + push) / m
             middle, speed = x + 0.5 * t.h * v, v + 0.5 * t.h * acceleration
             x += t.h * speed
             v += t.h * acceleration
-            slide = t.h * (t.along + t.push_along) / m
-            if t.normal > _GUESS_SHARE * self._top:
-                y = t.normal + b.f * speed
-                n += 1.0
-                sx += middle
-                sxx += middle * middle
-                sy += y
-                sxy += middle * y
-                unit = -t.normal * (w + 0.5 * slide)
+            slide = t.h * (along + drive) / m
+            uneven = (t.torque + _LEVER_SHARE * out * along) / a if by_torque else 0.0
+            uneven = max(-normal, min(normal, uneven))
+            for g, s in sums.items():
+                bears = normal + g * uneven
+                if bears > least:
+                    at = middle - g * a * t.turned
+                    y = bears + b.f * (speed - g * a * t.turning)
+                    for i, value in enumerate((1.0, at, at * at, y, at * y)):
+                        s[i] += value
+            if normal > least:
+                unit = -normal * (w + 0.5 * slide)
                 mxx += unit * unit
-                mxy += unit * t.along
+                mxy += unit * along
             w += slide
-        det = n * sxx - sx * sx
-        k = (sx * sy - n * sxy) / det / b.k if det > 0.0 else 1.0
+        det = mixed = 0.0
+        for n, sx, sxx, sy, sxy in sums.values():
+            if n > 1.0:
+                det += sxx - sx * sx / n
+                mixed += sx * sy / n - sxy
+        k = min(10.0, max(1.2 * _LEAST_FACTOR, mixed / det / b.k)) if det > 0.0 else 1.0
+        # Where a guard is at the first tick, from the means: y = -k (at + place).
+        places = {g: -sy / n / (k * b.k) - sx / n for g, (n, sx, _, sy, _) in sums.items() if n > 1.0}
+        place, angle = -vn * (self._c.touched_s + b.f / (k * b.k)), turned
+        if by_torque and places:
+            right, left = places.get(1.0), places.get(-1.0)
+            if right is not None and left is not None:
+                place = 0.5 * (right + left)
+                angle = self._c.incidence_rad - 0.5 * (left - right) / a
+        angle = max(-_MOST_ANGLE_RAD, min(_MOST_ANGLE_RAD, angle))
         # Where nothing slides friction does not show.
         rub2 = (self._sd[_W] * self._top) ** 2
         mu = (mxy + b.mu * rub2) / (mxx + rub2) / b.mu if b.mu > 0.0 else 1.0
-        k, mu = (min(10.0, max(1.2 * _LEAST_FACTOR, value)) for value in (k, mu))
-        return [k, 1.0, -vn * (self._c.touched_s + b.f / (k * b.k)), vn, 0.0, mu, vt]
+        mu = min(10.0, max(1.2 * _LEAST_FACTOR, mu))
+        return [k, 1.0, place, vn, angle, mu, vt]
 
     def _residuals_at(self, theta: list[float]) -> list[float]:
         """Readings less model, normal and along, then the parameters less what was believed; over errors."""
@@ -546,7 +605,13 @@ class _Fit:
     def result(self) -> Hypothesis:
         """The fit as it stands."""
         self._residuals_at(self.theta)
-        spread = _inverse_diagonal(self._curvature)
+        misfit = self._cost / (2 * len(self._ticks))
+        # Where the model is off by more than it should be, the readings say less.
+        worse = max(1.0, misfit)
+        spread = [
+            min(worse * s, sd * sd)
+            for s, sd in zip(_inverse_diagonal(self._curvature), self._sd, strict=True)
+        ]
         b, theta = self._before, self.theta
         log_det = sum(2.0 * math.log(row[i]) for i, row in enumerate(_cholesky(self._curvature)))
         evidence = -0.5 * (self._cost + log_det) - sum(math.log(sd) for sd in self._sd)
@@ -556,6 +621,7 @@ class _Fit:
         nu, nu_sd, seen = self._vertical()
         return Hypothesis(
             evidence + seen,
+            misfit,
             Belief(b.k * k, b.f * f, b.mu * mu, b.nu * nu, k_sd, f_sd, mu_sd, nu_sd),
             self._c.incidence_rad - theta[_D],
             math.sqrt(spread[_D]),
@@ -596,6 +662,11 @@ class _Fit:
         return nu, nu_sd, -0.5 * (off * off / variance + math.log(variance))
 
 
+def _turned(normal: float, along: float, co: float, so: float) -> Vec2:
+    """Components along normal and tangent of a wall that is turned counter-clockwise."""
+    return normal * co - along * so, along * co + normal * so
+
+
 def _moved(theta: list[float], step: list[float]) -> list[float]:
     """The parameters a step further, within what can be."""
     moved = [a + b for a, b in zip(theta, step, strict=True)]
@@ -627,6 +698,7 @@ def _merged(ticks: list[Tick]) -> list[Tick]:
             False,
             p * last.turned + q * t.turned,
             p * last.turning + q * t.turning,
+            p * last.torque + q * t.torque,
             last.count + 1,
         )
     return out
