@@ -6,8 +6,11 @@ answer is there to the next wall at the planned velocity, or to rest at the goal
 along the wall those that may be flown are kept, and of these the one whose impact is nearest to the mission's
 prediction, then the quickest and gentlest.
 
-It needs the mission alone and no state between requests but what was felt, so that an answer follows from the
-log. It runs outside of the core's step: in a process of its own (`worlds.planner`), or in simulated time.
+What contacts have taught of a wall (`WallFelt`) stands in the place of the configuration's coefficients, and
+where its plane was seen in that of the mission's. Beside that there is no state between requests: an answer
+follows from the log. A collision with an approach of its own, flown from rest, keeps its approach, slower
+where the hit would be too hard by what was felt.
+ It runs outside of the core's step: in a process of its own (`worlds.planner`), or in simulated time.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.config.mission import Collision, Mission
+from dart_flight.config.vehicle import Coefficients
 from dart_flight.core.mission.commitment import SETTLED_BEFORE_S
 from dart_flight.core.mission.planned import impact_velocity
 from dart_flight.core.mission.position_loop import PositionLoop
@@ -31,7 +35,7 @@ from dart_flight.planning.contact_stage import build_stages, expm
 from dart_flight.planning.flight_model import Array, Rows, Window, loop_matrix
 from dart_flight.planning.planned import planned_flight
 from dart_flight.planning.task import MissionTask
-from dart_flight.samples import Mode, PlanAnswer, PlanRequest
+from dart_flight.samples import Mode, PlanAnswer, PlanRequest, WallFelt
 
 _DURATIONS_S = np.arange(0.3, 4.01, 0.05)
 _ALONG_M = np.arange(-0.8, 0.81, 0.05)  # places along the wall, about the planned one
@@ -81,9 +85,20 @@ class Replanner:
         )
         self._constraints = Constraints(self._task)
         loop = PositionLoop.of(mission.vehicle.px4)
+        self._felt: dict[tuple[str, Mode], Coefficients] = {}
+        self._offsets_m: dict[str, float] = {}  # of the walls' planes, as seen at impacts
         self._matrices = [loop_matrix(loop, b) for b in mission.vehicle.airframe.drag_per_s[:2]]
         tilt = math.radians(mission.vehicle.px4.mpc_tiltmax_air)
         self._most_m_s2 = _TILT_SHARE * GRAVITY_M_S2 * math.tan(tilt)
+
+    def feel(self, felt: WallFelt) -> None:
+        """Take what a contact has taught; what it cannot tell of which mode is left alone."""
+        self._offsets_m[felt.wall] = felt.plane_offset_m
+        mode = felt.mode_felt or felt.mode_reported
+        if mode is not None:
+            self._felt[felt.wall, mode] = Coefficients(
+                felt.k_n_per_m, felt.f_ns_per_m, felt.mu_s_per_m, felt.nu_n
+            )
 
     def answer(self, request: PlanRequest, received_us: int) -> PlanAnswer:
         """The way from a request's state on; its `problem` says where there is none."""
@@ -98,6 +113,8 @@ class Replanner:
         velocity = self._wanted(collision)
         if velocity is None:
             return _because(found, f"no velocity is planned for wall {collision.wall.name}")
+        if collision.approach_m_s is not None:
+            return self._from_rest(found, collision, velocity)
         for share, straight_s in itertools.product(_SPEED_SHARES, _STRAIGHT_S):
             wanted = (share * velocity[0], share * velocity[1])
             ends = self._to_wall(request, collision, wanted, straight_s)
@@ -105,6 +122,15 @@ class Replanner:
             if best is not None:
                 return self._with_hit(best, collision, wanted, straight_s)
         return _because(found, f"no way to wall {collision.wall.name} within the limits")
+
+    def _from_rest(self, answer: PlanAnswer, collision: Collision, velocity: Vec2) -> PlanAnswer:
+        """The approach of a collision that has one, as fast as the hit may be."""
+        hit = answer
+        for share in _SPEED_SHARES:
+            hit = self._with_hit(answer, collision, (share * velocity[0], share * velocity[1]), 0.0)
+            if not hit.problem:
+                return msgspec.structs.replace(hit, impact_s=None)
+        return hit
 
     # -- where ways may end --
 
@@ -126,7 +152,7 @@ class Replanner:
         self, request: PlanRequest, collision: Collision, velocity: Vec2, straight_s: float
     ) -> _Ends:
         """Ends from which it is `straight_s` to the wall, at a velocity in its collision frame."""
-        wall = collision.wall
+        wall = self._seen(collision.wall)
         vx, vy, _ = wall.from_collision((*velocity, 0.0))
         place = wall.foot(self._place(collision))
         along, duration = (v.ravel() for v in np.meshgrid(_ALONG_M, _DURATIONS_S))
@@ -141,6 +167,12 @@ class Replanner:
         rest_s = np.hypot(x - goal[0], y - goal[1]) / self._mission.vehicle.flying.transit_speed_m_s
         one = np.ones(int(fine.sum()))
         return _Ends(x[fine], y[fine], vx * one, vy * one, duration[fine], rest_s[fine])
+
+    def _seen(self, wall: Wall) -> Wall:
+        """A wall where it was met, as far as it was."""
+        offset = self._offsets_m.get(wall.name, 0.0)
+        (x, y), (nx, ny) = wall.point, wall.normal
+        return msgspec.structs.replace(wall, point=(x + offset * nx, y + offset * ny))
 
     def _to_goal(self) -> _Ends:
         goal, one = self._mission.goal.position_m, np.ones_like(_DURATIONS_S)
@@ -212,7 +244,9 @@ class Replanner:
         wall, vehicle = collision.wall, self._mission.vehicle
         vn, vt, zero = np.array([velocity[0]]), np.array([velocity[1]]), np.zeros(1)
         drag_n, drag_t = _along_wall(wall, vehicle.airframe.drag_per_s)
-        coefficients = vehicle.materials[wall.material].of(collision.mode)
+        coefficients = self._felt.get((wall.name, collision.mode))
+        if coefficients is None:
+            coefficients = vehicle.materials[wall.material].of(collision.mode)
         (stage,) = build_stages(
             vehicle, [coefficients], [self._task.alphas[wall.name]], [(drag_n, drag_t)], [0.0]
         )

@@ -48,6 +48,7 @@ from dart_flight.samples import (
     Tick,
     VehicleAction,
     VehicleCommand,
+    WallFelt,
 )
 from dart_flight.vehicle.clock import Clock, host_us
 from dart_flight.vehicle.session import VehicleSession, connect
@@ -389,6 +390,9 @@ class FlightApp:
         elif isinstance(output, PlanRequest):
             if self._planner is not None:
                 self._planner.ask(output)
+        elif isinstance(output, WallFelt):
+            if self._planner is not None:
+                self._planner.feel(output)
         elif isinstance(output, PhaseChange):
             # For `monitor`; not on this thread, whose set-points must not wait for it.
             self.loop.call_soon_threadsafe(self._session.tell_ground, f"phase {output.after}")

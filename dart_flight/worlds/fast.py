@@ -43,6 +43,7 @@ from dart_flight.samples import (
     Tick,
     VehicleAction,
     VehicleCommand,
+    WallFelt,
     World,
 )
 from dart_flight.sim.cascade import TrajectorySetPoint
@@ -266,6 +267,8 @@ class FastFlight:
         elif isinstance(output, PlanRequest) and self._replanner is not None:
             due_us = self.host_us + self._plan_us
             self._answers.append((due_us, self._replanner.answer(output, due_us)))
+        elif isinstance(output, WallFelt) and self._replanner is not None:
+            self._replanner.feel(output)
         elif isinstance(output, Silence):
             self._last_setpoint = None
 

@@ -1,7 +1,7 @@
 """The planner of a flight in real time: a process of its own, so that its computing costs the core nothing.
 
-Requests go in and answers come out as lines of JSON. A planner that dies or hangs is a planner that does not
-answer: the flight goes on by the paper's set-point.
+Requests, and what was felt before them, go in and answers come out as lines of JSON. A planner that dies or
+hangs is a planner that does not answer: the flight goes on by the paper's set-point.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ from typing import BinaryIO
 import msgspec
 
 from dart_flight.config.mission import Mission
-from dart_flight.samples import PlanAnswer, PlanRequest
+from dart_flight.samples import PlanAnswer, PlanRequest, WallFelt
 from dart_flight.vehicle.clock import host_us
 
 _NICE = 5  # below the flight: set-points go first
 _END_S = 1.0
+_FELT, _ASKED = b"w", b"p"  # what a line holds
 
 
 class PlannerProcess:
@@ -49,9 +50,13 @@ class PlannerProcess:
         os.set_blocking(self.process.stdin.fileno(), False)
         threading.Thread(target=self._read, name="planner", daemon=True).start()
 
+    def feel(self, felt: WallFelt) -> None:
+        """Pass on what a contact has taught; never blocks."""
+        self._write(_FELT + msgspec.json.encode(felt))
+
     def ask(self, request: PlanRequest) -> None:
         """Send a request; never blocks. Where there is no planner any more the answer says so at once."""
-        if self.process.poll() is None and self._write(msgspec.json.encode(request)):
+        if self.process.poll() is None and self._write(_ASKED + msgspec.json.encode(request)):
             return
         self._deliver(PlanAnswer(host_us(), request.number, request.begin_us, problem="the planner has died"))
 
@@ -88,10 +93,13 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
     from dart_flight.planning.replanning import Replanner  # noqa: PLC0415  (NumPy: not in the app's process)
 
     replanner = Replanner(msgspec.json.decode(requests.readline(), type=Mission))
-    decode = msgspec.json.Decoder(PlanRequest).decode
     for line in requests:
-        answers.write(msgspec.json.encode(replanner.answer(decode(line), 0)) + b"\n")
-        answers.flush()
+        if line.startswith(_FELT):
+            replanner.feel(msgspec.json.decode(line[1:], type=WallFelt))
+        else:
+            request = msgspec.json.decode(line[1:], type=PlanRequest)
+            answers.write(msgspec.json.encode(replanner.answer(request, 0)) + b"\n")
+            answers.flush()
 
 
 if __name__ == "__main__":

@@ -10,8 +10,10 @@ import math
 from collections.abc import Callable
 from typing import ClassVar
 
+import msgspec
+
 from dart_flight.config.mission import Collision, Mission
-from dart_flight.core.mission.approach import Approach, plan_approach
+from dart_flight.core.mission.approach import Approach, NoApproachError, plan_approach
 from dart_flight.core.mission.arithmetic import SCALARS
 from dart_flight.core.mission.commitment import SETTLED_BEFORE_S, STOP_MARGIN_M, bearable_in_either_mode
 from dart_flight.core.mission.lock_orders import LockOrders
@@ -443,18 +445,35 @@ class Executive:
     ) -> None:
         """Ask for a way once the contact is over, and follow it once it begins."""
         planning = self._replanning
-        if planning is None or (following is not None and following.approach_m_s is not None):
+        if planning is None:
             return
         if not planning.asked and sensed.estimate is not None and not sensed.in_contact:
             ready_us = state.now_us if following is None else self._lock.ready_us(following.mode, state)
             push = sensed.estimate.push_mission
             p.outputs.append(planning.ask(following, state, push, self._references.target, ready_us))
+        if following is not None and following.approach_m_s is not None:
+            self._approach_anew(following, planning, state, p)
+            return
         taken = planning.begin(state)
         if taken is not None:
             p.outputs.append(taken)
             if planning.way is not None and taken.taken:
                 self._references.follow(planning.way)
                 self._least_miss_m = math.inf
+
+    def _approach_anew(
+        self, following: Collision, planning: Replanning, state: FlightState, p: Proposal
+    ) -> None:
+        """Meet a wall from rest at the velocity that the planner wants, where there is room for that."""
+        velocity, taken = planning.approach_m_s(state.now_us)
+        if velocity is None or taken is None:
+            return
+        try:
+            changed = msgspec.structs.replace(following, approach_m_s=velocity)
+            self._approaches[following.index] = plan_approach(self.mission, changed)
+        except NoApproachError as error:
+            taken = msgspec.structs.replace(taken, taken=False, reason=str(error))
+        p.outputs.append(taken)
 
     def _on_answer(self, answer: PlanAnswer, state: FlightState, p: Proposal) -> None:
         if self._replanning is not None:

@@ -13,7 +13,7 @@ import math
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import Way
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import Vec3
+from dart_flight.geometry import Vec2, Vec3
 from dart_flight.samples import PlanAnswer, PlanRequest, PlanTaken
 
 # Where the vehicle may be beside the beginning of a way: what the loop takes out within a few tenths.
@@ -36,6 +36,7 @@ class Replanning:
         self._number = 0
         self._asked: PlanRequest | None = None
         self._answer: PlanAnswer | None = None
+        self._from_rest = False  # what was asked for has an approach of its own
         self.way: Way | None = None
         self.begin_us = 0
         self.impact_us: int | None = None
@@ -67,6 +68,7 @@ class Replanning:
             lock_ready_us: when the lock can be settled in the mode that comes next; None: never.
         """
         self._number += 1
+        self._from_rest = following is not None and following.approach_m_s is not None
         m = self._mass_kg
         self._asked = PlanRequest(
             state.now_us,
@@ -91,7 +93,7 @@ class Replanning:
         if now_us > asked.begin_us:
             late_ms = (now_us - asked.begin_us) * 1e-3
             return PlanTaken(now_us, answer.number, False, f"{late_ms:.0f} ms too late")
-        if not _makes_sense(answer, asked):
+        if not _makes_sense(answer, asked, self._from_rest):
             return PlanTaken(now_us, answer.number, False, "it is no answer to what was asked")
         self._answer = answer
         return None
@@ -99,7 +101,7 @@ class Replanning:
     def begin(self, state: FlightState) -> PlanTaken | None:
         """Take the answer that waits, once its time has come; a record of what became of it."""
         answer = self._answer
-        if answer is None or state.now_us < answer.begin_us:
+        if answer is None or self._from_rest or state.now_us < answer.begin_us:
             return None
         self._answer = None
         way = Way(answer.x_mission, answer.y_mission, answer.duration_s, self._altitude_m)
@@ -114,17 +116,30 @@ class Replanning:
             self.impact_us = answer.begin_us + round(answer.impact_s * 1e6)
         return PlanTaken(state.now_us, answer.number, True)
 
+    def approach_m_s(self, now_us: int) -> tuple[Vec2 | None, PlanTaken | None]:
+        """The velocity that the answer wants a collision with an approach of its own to be met with, once."""
+        answer = self._answer
+        if answer is None or not self._from_rest:
+            return None, None
+        self._answer = None
+        assert answer.normal_m_s is not None
+        assert answer.tangential_m_s is not None
+        return (answer.normal_m_s, answer.tangential_m_s), PlanTaken(now_us, answer.number, True)
+
     def is_over(self, now_us: int) -> bool:
         """Whether a way is flown to its end."""
         return self.way is not None and now_us - self.begin_us >= self.way.duration_s * 1e6
 
 
-def _makes_sense(answer: PlanAnswer, asked: PlanRequest) -> bool:
+def _makes_sense(answer: PlanAnswer, asked: PlanRequest, from_rest: bool) -> bool:
     """Whether the numbers can be flown at all: a planner that is broken must not break the flight."""
+    if answer.begin_us != asked.begin_us or answer.collision != asked.collision:
+        return False
+    if from_rest:
+        velocity = (answer.normal_m_s, answer.tangential_m_s)
+        return all(v is not None and math.isfinite(v) for v in velocity) and (answer.normal_m_s or 0.0) < 0.0
     return (
-        answer.begin_us == asked.begin_us
-        and answer.collision == asked.collision
-        and len(answer.x_mission) == len(answer.y_mission) == 6
+        len(answer.x_mission) == len(answer.y_mission) == 6
         and all(map(math.isfinite, (*answer.x_mission, *answer.y_mission)))
         and 0.0 < answer.duration_s < 60.0
         and (answer.impact_s is None) == (asked.collision is None)
