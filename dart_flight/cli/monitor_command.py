@@ -153,6 +153,16 @@ def _force(view: Screen) -> Table:
     table.add_row("detection", "", view.detection)
     for age, normal, tangential in view.peaks[:3]:
         table.add_row(f"impact {age:.1f} s ago", f"{normal:.1f}", f"along the wall {tangential:+.1f}")
+    for one in view.walls:
+        figures = ", ".join(
+            f"{name} {after:.4g} ± {100.0 * sd:.0f} % ({before:.4g})"
+            for name, before, after, sd in zip(
+                ("k", "f", "mu"), one.prior, one.posterior, one.posterior_sd, strict=True
+            )
+        )
+        table.add_row(f"wall {one.wall}", one.mode_felt or "?", figures)
+    if view.plan is not None:
+        table.add_row("new plan", "", view.plan)
     bias = ", ".join(f"{b:+.2f}" for b in view.bias_m_s2)
     table.add_row(
         f"thrust from {view.thrust_source or 'nothing yet'}",

@@ -3,8 +3,8 @@
 The same contact stages and constraints as `plan` (`contact_stage`, `constraints`); what is chosen is not a
 set-point but a way: a polynomial of fifth order per axis from the state that the vehicle will have when the
 answer is there to the next wall at the planned velocity, or to rest at the goal. Of all durations and places
-along the wall those that may be flown are kept, and of these the one whose impact is nearest to the mission's
-prediction, then the quickest and gentlest.
+along the wall those that may be flown are kept, and of these the quickest, gentlest and nearest to the planned
+place.
 
 What contacts have taught of a wall (`WallFelt`) stands in the place of the configuration's coefficients, and
 where its plane was seen in that of the mission's. Beside that there is no state between requests: an answer
@@ -49,6 +49,7 @@ _PUSH_SAMPLES = 12  # for acceleration and jerk, which come first
 _TILT_SHARE = 0.6
 _JERK_M_S3 = 25.0  # about 150 degrees of tilt a second: the attitude loop follows
 _GENTLE_S = 0.5  # that a way may last longer where it needs all of the tilt instead of none
+_BESIDE_S = 1.0  # ... where another meets the wall as far from the planned place as the mission tolerates
 
 
 class _Ends(NamedTuple):
@@ -165,6 +166,7 @@ class Replanner:
         fine = on_wall & (impact_s >= ready_s + SETTLED_BEFORE_S)
         goal = self._mission.goal.position_m
         rest_s = np.hypot(x - goal[0], y - goal[1]) / self._mission.vehicle.flying.transit_speed_m_s
+        rest_s += _BESIDE_S * (along / self._mission.tolerance.place_m) ** 2
         one = np.ones(int(fine.sum()))
         return _Ends(x[fine], y[fine], vx * one, vy * one, duration[fine], rest_s[fine])
 

@@ -29,6 +29,7 @@ from dart_flight.samples import (
 TRUE = {"color": "#000000", "linestyle": "-", "linewidth": 1.8}
 ESTIMATED = {"color": "#1f6fd0", "linestyle": (0, (5, 1.5)), "linewidth": 1.6}
 PREDICTED = {"color": "#e8871e", "linestyle": (0, (1, 1.2)), "linewidth": 2.2}
+REPLANNED = {"color": "#8a3fb5", "linestyle": (0, (4, 1.2, 1, 1.2)), "linewidth": 1.8}
 _GREY, _LIGHT = "#666666", "#d9d9d9"
 _STYLE = {
     "svg.fonttype": "none",
@@ -105,6 +106,8 @@ def flight_map(flights: Sequence[Flight]) -> str:
             thin = {} if alone else {"linewidth": 0.8, "alpha": 0.6}
             axis.plot(place[:, 0], place[:, 1], label=label if i == 0 else None, **{**style, **thin})
         if alone:
+            for way in flight.ways():
+                axis.plot(way[:, 0], way[:, 1], label="planned in flight", **REPLANNED)
             for x, y, _ in flight.recovery_points():
                 axis.plot(x, y, "x", color=_GREY, markersize=7, label="recovery set-point")
     planned = flights[0].planned

@@ -12,6 +12,7 @@ import numpy as np
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.contact.law import Onset
 from dart_flight.contact.path import Contact, Trajectory, trajectory
+from dart_flight.core.mission.approach import Way
 from dart_flight.geometry import Vec3
 from dart_flight.planning.planned import PlannedFlight, planned_flight
 from dart_flight.recording.about import flown_mission
@@ -22,6 +23,9 @@ from dart_flight.samples import (
     ImpactOnset,
     ImpactPeak,
     ImuSample,
+    PlanAnswer,
+    PlanRequest,
+    PlanTaken,
     SetPoint,
     SetPointSent,
     StatusSample,
@@ -37,6 +41,7 @@ _LEAST_M_S = 0.05
 _LEAST_FRICTION_N = 5.0
 _FRICTION = "peak friction force"
 PX4_LOG = "px4.ulg"
+_WAY_POINTS = 60
 
 
 class Compared(msgspec.Struct):
@@ -78,7 +83,7 @@ class Impact:
         index, wall, mode, material: which.
         verdict: planned, measured and true.
         at_s: detection, seconds of the flight's `FlightArrays`.
-        planned: the verdict's; what the mission does not say of a later collision is the flight model's.
+        planned: the verdict's.
         prediction: the contact law at the measured velocity, in time since its onset.
         onset_s: when the predicted contact begins: so that its peak is where the measured one is; where none
             was measured, so that its force reaches the threshold at `at_s`.
@@ -96,11 +101,7 @@ class Impact:
         self.collision: Collision = mission.collisions[verdict.index - 1]
         at_s = self.at_s = course.time_of(verdict.t_us)
         self.material = self.collision.wall.material
-        modelled = flight.planned.hits.get(verdict.index)
-        unplanned = verdict.planned.normal_m_s is None
         self.planned = verdict.planned
-        if unplanned and modelled is not None:
-            self.planned = Velocities(modelled.normal_m_s, modelled.tangential_m_s, modelled.normal_n)
         self._peak = _peak_after(course, verdict.t_us)
         self._truth = _truth_near(course, verdict)
         self.prediction: Trajectory | None = None
@@ -281,6 +282,30 @@ class Flight:
         except (ValueError, OverflowError):
             return None
         return moment.strftime("%Y-%m-%d %H:%M:%S UTC")
+
+    def replanned(self) -> list[tuple[PlanRequest, PlanAnswer | None, PlanTaken | None]]:
+        """What was asked of the planner in flight, what it answered, and what became of that."""
+        answers = {a.number: a for a in self.course.all(PlanAnswer)}
+        taken = {t.number: t for t in self.course.all(PlanTaken)}
+        return [
+            (request, answers.get(request.number), taken.get(request.number))
+            for request in self.course.all(PlanRequest)
+        ]
+
+    def answered_ms(self, request: PlanRequest, answer: PlanAnswer) -> float | None:
+        """How long an answer took, from the receipt of the sample that led to the request."""
+        before = [s.received_us for s in self.course.all(ImuSample) if s.t_us <= request.t_us]
+        return (answer.received_us - before[-1]) * 1e-3 if before else None
+
+    def ways(self) -> list[Array]:
+        """The ways planned in flight that were flown: (n, 2), mission frame, metres."""
+        found = []
+        for _, answer, taken in self.replanned():
+            if answer is not None and taken is not None and taken.taken and answer.x_mission:
+                way = Way(answer.x_mission, answer.y_mission, answer.duration_s, self.mission.altitude_m)
+                times = np.linspace(0.0, answer.impact_s or answer.duration_s, _WAY_POINTS)
+                found.append(np.array([way.at(float(t)).position[:2] for t in times]))
+        return found
 
     def recovery_points(self) -> list[Vec3]:
         """The recovery set-points, mission frame."""

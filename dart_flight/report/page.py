@@ -17,7 +17,7 @@ from dart_flight.identify.estimates import mean_half_width
 from dart_flight.report import figures
 from dart_flight.report.flight import Flight, percentile
 from dart_flight.report.proposal import Proposal, propose
-from dart_flight.samples import DetectionFloor, World
+from dart_flight.samples import DetectionFloor, PlanAnswer, PlanRequest, PlanTaken, WallFelt, World
 from dart_flight.verdict import Verdict
 
 Cell = str | float | int | None
@@ -30,6 +30,7 @@ def flight_page(flight: Flight, *, identify: bool = False) -> str:
     parts = [
         _verdict(flight),
         section("Predicted against measured", _impact_table(flight)),
+        section("The plan", _plan_tables(flight)),
         section(
             "Path and motion",
             shown(
@@ -192,6 +193,60 @@ def _impact_table(flight: Flight) -> str:
         "value, against the true one where there is one, else the predicted or planned.</p>"
     )
     return table(heads, rows) + note
+
+
+def _plan_tables(flight: Flight) -> str:
+    """Planned against flown, what contacts taught of the walls, and what was planned in flight."""
+    v = flight.verdict
+    if v.plan_followed is None:
+        return "<p>Nothing was planned.</p>"
+    rows: list[Row] = [
+        [d.what, d.planned, d.flown, d.tolerance, "yes" if d.within else "no"] for d in v.deviations
+    ]
+    text = "<p>The plan was followed.</p>" if v.plan_followed else "<p>The plan was not followed.</p>"
+    text += table(["", "planned", "flown", "may differ by", "within"], rows)
+    felt = flight.course.all(WallFelt)
+    if felt:
+        text += "<h3>Walls as they were felt</h3>" + table(_FELT_HEADS, [_felt_row(flight, f) for f in felt])
+    replanned = flight.replanned()
+    if replanned:
+        rows = [_replanned_row(flight, *one) for one in replanned]
+        text += "<h3>Planned in flight</h3>" + table(
+            ["at, s", "to", "answer after, ms", "impact, m/s", "along, m/s", "peak, N", "flown"], rows
+        )
+    return text
+
+
+_FELT_HEADS = ["wall", "mode reported", "felt", "k, N/m", "before", "f, N s/m", "before", "mu, s/m", "before"]
+
+
+def _felt_row(flight: Flight, felt: WallFelt) -> Row:
+    mode = felt.mode_felt or felt.mode_reported
+    wall = next(w for w in flight.mission.walls if w.name == felt.wall)
+    vehicle = flight.mission.vehicle
+    if mode is None:
+        return [felt.wall, None, None, None, None, None, None, None, None]
+    prior, spread = vehicle.materials[wall.material].of(mode), vehicle.estimation.walls.spread
+    cells: list[Cell] = [felt.wall, felt.mode_reported, felt.mode_felt or "undecided"]
+    for before, after, sd in (
+        (prior.k, felt.k_n_per_m, felt.k_sd),
+        (prior.f, felt.f_ns_per_m, felt.f_sd),
+        (prior.mu, felt.mu_s_per_m, felt.mu_sd),
+    ):
+        cells += [f"{after:.4g} ± {100.0 * sd:.0f} %", f"{before:.4g} ± {100.0 * spread:.0f} %"]
+    return cells
+
+
+def _replanned_row(
+    flight: Flight, request: PlanRequest, answer: PlanAnswer | None, taken: PlanTaken | None
+) -> Row:
+    to = "the goal" if request.collision is None else f"collision {request.collision}"
+    at = flight.course.time_of(request.t_us)
+    if answer is None:
+        return [at, to, None, None, None, None, "no answer came"]
+    after = flight.answered_ms(request, answer)
+    flown = "?" if taken is None else "yes" if taken.taken else f"no: {taken.reason}"
+    return [at, to, after, answer.normal_m_s, answer.tangential_m_s, answer.peak_force_n, flown]
 
 
 def _lock_table(flight: Flight) -> str:

@@ -35,8 +35,10 @@ from dart_flight.samples import (
     LockState,
     OdometrySample,
     PhaseChange,
+    PlanTaken,
     Record,
     StatusText,
+    WallFelt,
 )
 from dart_flight.streams import STREAMS
 from dart_flight.vehicle.clock import host_us
@@ -62,6 +64,17 @@ class StreamView(msgspec.Struct):
     age_ms: float | None
 
 
+class WallView(msgspec.Struct):
+    """What a contact has taught of a wall: k, f, mu as believed before (prior) and since (posterior), with
+    the relative standard deviation of the latter; the mode felt is null where undecided."""
+
+    wall: str
+    mode_felt: str | None
+    prior: Vec3
+    posterior: Vec3
+    posterior_sd: Vec3
+
+
 class Screen(msgspec.Struct):
     """What a screen shows; forces in newton, along the axes of the frame named."""
 
@@ -85,6 +98,8 @@ class Screen(msgspec.Struct):
     phase: str | None
     lock: str | None
     cpu_percent: float
+    walls: list[WallView] = msgspec.field(default_factory=list)  # only of a flight of ours
+    plan: str | None = None  # what became of the newest plan made in flight
 
 
 class Watcher:
@@ -107,6 +122,9 @@ class Watcher:
         self._counts: dict[str, deque[int]] = {s.name: deque() for s in STREAMS}
         self._phase: str | None = None
         self._lock: str | None = None
+        self._materials = {w.name: mission.vehicle.materials[w.material] for w in mission.walls}
+        self._walls: dict[str, WallView] = {}
+        self._plan: str | None = None
         self._began_us = host_us()
         self._cpu = (time.monotonic(), time.process_time())
 
@@ -114,8 +132,25 @@ class Watcher:
         """A record of a flight's log: inputs as from telemetry, and the phase; any thread."""
         if isinstance(record, PhaseChange):
             self._phase = record.after.value
+        elif isinstance(record, WallFelt):
+            self._take_wall(record)
+        elif isinstance(record, PlanTaken):
+            self._plan = "flown" if record.taken else f"not flown: {record.reason}"
         elif isinstance(record, _INPUTS):
             self.take(record)
+
+    def _take_wall(self, felt: WallFelt) -> None:
+        mode = felt.mode_felt or felt.mode_reported
+        if mode is None or felt.wall not in self._materials:
+            return
+        prior = self._materials[felt.wall].of(mode)
+        self._walls[felt.wall] = WallView(
+            felt.wall,
+            None if felt.mode_felt is None else felt.mode_felt.value,
+            (prior.k, prior.f, prior.mu),
+            (felt.k_n_per_m, felt.f_ns_per_m, felt.mu_s_per_m),
+            (felt.k_sd, felt.f_sd, felt.mu_sd),
+        )
 
     def take(self, item: Input) -> None:
         """A record of the telemetry; any thread, short."""
@@ -184,6 +219,8 @@ class Watcher:
             phase=self._phase,
             lock=self._lock,
             cpu_percent=self._cpu_percent(),
+            walls=list(self._walls.values()),
+            plan=self._plan,
         )
 
     def _stream(self, name: str, expected_hz: float, now: int) -> StreamView:

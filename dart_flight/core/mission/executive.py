@@ -57,6 +57,7 @@ _STREAMING_US = 200_000  # PX4 accepts offboard only with set-points already str
 _REST_TIMEOUT_US = 4_000_000
 _REST_AFTER_US = 500_000
 _DISARM_AFTER_US = 8_000_000
+_FELT_WITHIN_US = 60_000  # of a contact's end (`sense.felt`)
 # The wall stops the vehicle in a contact (but for `yielding`), PX4 lands it.
 _SILENT = frozenset({Phase.READYING, Phase.CONTACT, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
 _ANY_WALL, _NO_WALL = Expected(watching=True), Expected()
@@ -447,7 +448,14 @@ class Executive:
         planning = self._replanning
         if planning is None:
             return
-        if not planning.asked and sensed.estimate is not None and not sensed.in_contact:
+        if sensed.wall is not None:
+            planning.felt = True
+        # What was felt of a wall is worth waiting for where that wall comes again.
+        again = following is not None and following.wall == self.mission.collisions[self._index - 1].wall
+        waits = (
+            again and not planning.felt and state.now_us - (self._lock.contact_end_us or 0) < _FELT_WITHIN_US
+        )
+        if not planning.asked and not waits and sensed.estimate is not None and not sensed.in_contact:
             ready_us = state.now_us if following is None else self._lock.ready_us(following.mode, state)
             push = sensed.estimate.push_mission
             p.outputs.append(planning.ask(following, state, push, self._references.target, ready_us))

@@ -27,6 +27,7 @@ class Replanning:
         way: that is flown; None: a set-point is.
         begin_us: of the way.
         impact_us: when it meets the next wall; None: it leads to the goal.
+        felt: whether the last contact has said what its wall is like.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -40,10 +41,12 @@ class Replanning:
         self.way: Way | None = None
         self.begin_us = 0
         self.impact_us: int | None = None
+        self.felt = False
 
     def contact_begins(self) -> None:
         """What was asked or planned is over."""
         self._asked = self._answer = self.way = self.impact_us = None
+        self.felt = False
 
     @property
     def asked(self) -> bool:
