@@ -3,14 +3,15 @@
 The same contact stages and constraints as `plan` (`contact_stage`, `constraints`); what is chosen is not a
 set-point but a way: a polynomial of fifth order per axis from the state that the vehicle will have when the
 answer is there to the next wall at the planned velocity, or to rest at the goal. Of all durations and places
-along the wall those that may be flown are kept, and of these the quickest, gentlest and nearest to the planned
-place.
+along the wall those that may be flown are kept, and of these the quickest, gentlest and nearest to the
+planned place.
 
 What contacts have taught of a wall (`WallFelt`) stands in the place of the configuration's coefficients, and
 where its plane was seen in that of the mission's. Beside that there is no state between requests: an answer
 follows from the log. A collision with an approach of its own, flown from rest, keeps its approach, slower
 where the hit would be too hard by what was felt.
- It runs outside of the core's step: in a process of its own (`worlds.planner`), or in simulated time.
+
+It runs outside of the core's step: in a process of its own (`worlds.planner`), or in simulated time.
 """
 
 from __future__ import annotations
