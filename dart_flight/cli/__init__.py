@@ -126,8 +126,8 @@ def _module(command: str) -> Any:
 def _stand_back() -> None:
     """What a flight needs goes first, from the first import on: run only where a processor is idle.
 
-    A higher nice value alone still has a share, and a time slice of milliseconds once it runs; a process of the idle
-    class (sched(7)) gives way at once.
+    A higher nice value alone still has a share, and once it runs a time slice of milliseconds; a process of
+    the idle class (sched(7)) gives way at once.
     """
     with contextlib.suppress(OSError):
         os.nice(_WATCHING_NICE)

@@ -1,7 +1,7 @@
 """Whether PX4 has a local position: what it says of its estimator, beside what MAVSDK makes of it.
 
-MAVSDK calls the local position good once one LOCAL_POSITION_NED has come, and PX4 sends that with whatever it has:
-without motion capture and GPS, too, where its estimator only assumes that it stands still.
+MAVSDK calls the local position good once one LOCAL_POSITION_NED has come, and PX4 sends that with whatever
+it has: without motion capture and GPS, too, where its estimator only assumes that it stands still.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ _PLACED = 8 | 16  # horizontal position, relative or absolute
 
 
 def is_healthy(fields_json: str) -> bool | None:
-    """Whether ESTIMATOR_STATUS has attitude, horizontal velocity and a horizontal position; None: it is none."""
+    """Whether ESTIMATOR_STATUS has attitude, horizontal velocity and position; None: no such message."""
     found = _FLAGS.search(fields_json)
     if found is None:
         return None
