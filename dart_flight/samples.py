@@ -206,7 +206,7 @@ class StatusSample(Record, frozen=True, gc=False):
     armed: bool = False
     flight_mode: FlightMode = FlightMode.UNKNOWN
     landed: LandedState = LandedState.UNKNOWN
-    local_position_ok: bool = False
+    local_position_ok: bool = False  # a position has come, and ESTIMATOR_STATUS, where sent, has one
     battery_v: float | None = None
     battery_remaining: float | None = None  # 0 to 1
 

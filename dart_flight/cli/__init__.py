@@ -42,7 +42,7 @@ COMMANDS = {
     "completion": "what completes commands in bash, zsh or tcsh",
 }
 
-_WATCHING_NICE = 10
+_WATCHING_NICE = 19
 EXIT_OK, EXIT_INCOMPLETE, EXIT_INPUT = 0, 1, 2
 
 
@@ -123,14 +123,25 @@ def _module(command: str) -> Any:
     return importlib.import_module(f"dart_flight.cli.{command.replace('-', '_')}_command")
 
 
+def _stand_back() -> None:
+    """What a flight needs goes first, from the first import on: run only where a processor is idle.
+
+    A higher nice value alone still has a share, and once it runs a time slice of milliseconds; a process of
+    the idle class (sched(7)) gives way at once.
+    """
+    with contextlib.suppress(OSError):
+        os.nice(_WATCHING_NICE)
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of `dart-flight`. Returns the exit status: 0 success, 1 not completed, 2 wrong input."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     command = next((a for a in arguments if a in COMMANDS), None)
     if command == "monitor" and not any(a.startswith("--connection") for a in arguments):
-        # What a flight needs goes first, from the first import on.
-        with contextlib.suppress(OSError):
-            os.nice(_WATCHING_NICE)
+        _stand_back()
     try:
         parsed = build_parser([command] if command else []).parse_args(arguments)
         logging.basicConfig(

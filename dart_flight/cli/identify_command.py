@@ -31,7 +31,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "trials", nargs="*", metavar="TRIAL", help="CSV, PX4 ULog or flight log; all share one wall"
     )
-    parser.add_argument("--mode", choices=("rigid", "flexible"), help="state of the arms in the trials")
+    parser.add_argument(
+        "--mode",
+        choices=("rigid", "flexible"),
+        help="state of the arms in the trials; of a flight log, its collisions in it",
+    )
     parser.add_argument(
         "--surface", help="name of the material, for -o; of a flight log, its collisions with it"
     )
@@ -59,7 +63,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         nargs=3,
         type=float,
         metavar=("NORTH", "EAST", "HEADING"),
-        help="for flight logs: a point of the plane of first touch in local NED (m), and the heading of its "
+        help="for PX4 logs: a point of the plane of first touch in local NED (m), and the heading of its "
         "outward normal (degrees)",
     )
     parser.add_argument(

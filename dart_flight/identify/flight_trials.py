@@ -10,7 +10,7 @@ import numpy as np
 from dart_flight.config.document import InputError
 from dart_flight.geometry import Wall
 from dart_flight.identify.trials import READERS as FILE_READERS
-from dart_flight.identify.trials import Readers, Series, Trial, TrialReading
+from dart_flight.identify.trials import UNLABELLED, Readers, Series, Trial, TrialReading
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.arrays import FlightArrays
 from dart_flight.recording.reader import Log, NothingInItError, read_log
@@ -22,8 +22,8 @@ _BEFORE_S, _AFTER_S = 0.5, 0.4
 ALLOWANCE = {"k": 0.03, "f": 0.15, "mu": 0.08, "nu": 0.6}
 
 
-def trials_of(log: Log, material: str | None = None) -> dict[str, list[Trial]]:
-    """Every planned collision of a flight, by the material of its wall.
+def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> dict[str, list[Trial]]:
+    """Every planned collision of a flight with this material in this mode, by the material of its wall.
 
     Series: position from PX4's estimate, force from the flight core's, both in the wall's collision frame and
     on the autopilot's clock; the plane is the mission's.
@@ -41,7 +41,7 @@ def trials_of(log: Log, material: str | None = None) -> dict[str, list[Trial]]:
         elif isinstance(record, PhaseChange) and record.after is Phase.CONTACT and onset is not None:
             collision = mission.collisions[(record.collision or 1) - 1]
             wall = collision.wall
-            if material is None or wall.material == material:
+            if material in (None, wall.material) and mode in (UNLABELLED, collision.mode.value):
                 name = f"{log.source}: {wall.name}"
                 trial = Trial(
                     name, _series(course, wall, onset.t_us), collision.mode.value, allowance=ALLOWANCE
@@ -69,17 +69,24 @@ def _series(course: FlightArrays, wall: Wall, onset_us: int) -> dict[str, Series
 
 
 def reader_for(material: str | None) -> Callable[[Path, TrialReading], list[Trial]]:
-    """A reader of flight logs for `contact.trials.read_trials`.
+    """A reader of flight logs for `identify.trials.read_trials`; it refuses drops, which no mission has.
 
     Args:
         material: take the collisions with this material; None: there must be only one.
     """
 
     def read(path: Path, how: TrialReading) -> list[Trial]:
-        by_material = trials_of(read_log(path), material)
+        if how.drop:
+            raise InputError(
+                "a flight log has wall collisions and no drops: leave --drop away",
+                source=str(path),
+                key=("drop",),
+            )
+        by_material = trials_of(read_log(path), material, how.mode)
         if not by_material:
             what = f"no collision with {material}" if material else "no collision"
-            raise NothingInItError(f"{what} in this flight", source=str(path))
+            how_armed = "" if how.mode == UNLABELLED else f" in {how.mode} mode"
+            raise NothingInItError(f"{what}{how_armed} in this flight", source=str(path))
         if len(by_material) > 1:
             names = ", ".join(by_material)
             raise InputError(f"collisions with {names}: say which with --surface", source=str(path))

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
+from pathlib import Path
 from typing import Any
 
 from dart_flight.config.document import InputError
@@ -49,8 +50,8 @@ def carry_out(
         readers: file suffix -> reader, `trials.READERS` by default.
 
     Raises:
-        InputError: an option or a trial cannot be used; of several logs those without a collision are left
-            out with a note.
+        InputError: an option or a trial cannot be used, or an option is for a kind of file that is not among
+            them; of several logs those without a collision are left out with a note.
     """
     if not 0.0 <= job.contact_distance_m <= 1.0:
         raise InputError(f"{job.contact_distance_m:g} m, expected 0 to 1", key=("contact-distance",))
@@ -71,6 +72,7 @@ def carry_out(
     )
     left_out: list[str] = []
     paths = logs_in(job.paths)
+    _refuse_idle_options(job, paths)
     trials = list(
         chain.from_iterable(from_each(paths, lambda path: read_trials(path, how, readers), left_out.append))
     )
@@ -85,6 +87,18 @@ def carry_out(
                     f"arrives at {expected:.2f} m/s"
                 )
     return trials, found
+
+
+def _refuse_idle_options(job: Job, paths: Sequence[Path]) -> None:
+    """Raises InputError: an option tells how to read a kind of file that is not among them."""
+    csv, ulogs = (".csv",), (".ulg", ".ulog")
+    idle = {"columns": (job.columns, csv), "wall": (job.wall, ulogs), "bump": (job.bump, ulogs)}
+    given = {path.suffix.lower() for path in paths}
+    for option, (value, suffixes) in idle.items():
+        if value and given.isdisjoint(suffixes):
+            raise InputError(
+                f"is for {' and '.join(suffixes)} files, and none of the trials is one", key=(option,)
+            )
 
 
 def _columns(text: str | None) -> dict[str, str]:

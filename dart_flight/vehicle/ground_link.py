@@ -24,6 +24,7 @@ from dart_flight.core.guard.sources import TwoClocks
 from dart_flight.streams import BY_NAME
 from dart_flight.vehicle import reasons, sdk_log
 from dart_flight.vehicle.clock import host_us
+from dart_flight.vehicle.local_position import LocalPosition, is_healthy
 from dart_flight.vehicle.session import VehicleError
 
 
@@ -107,7 +108,7 @@ class GroundLink:
 
         Where PX4 has no position or would not arm, up to 5 s more until it has said why.
         """
-        t, seen = self._telemetry, Observation()
+        t, seen, place = self._telemetry, Observation(), LocalPosition()
         counts: dict[str, int] = {}
 
         def count(name: str) -> Callable[[Any, Any], None]:
@@ -127,7 +128,10 @@ class GroundLink:
             seen.gps_fix = str(info.fix_type.name).lower()
 
         def health(h: Any, _: Any) -> None:
-            seen.local_position_ok = bool(h.is_local_position_ok)
+            place.sent = bool(h.is_local_position_ok)
+
+        def estimator_status(message: Any, _: Any) -> None:
+            place.healthy = is_healthy(message.fields_json)
 
         for set_rate, name in (
             (t.set_rate_imu, "imu"),
@@ -154,6 +158,7 @@ class GroundLink:
         t.subscribe_battery(battery)
         t.subscribe_health(health)
         t.subscribe_gps_info(gps)
+        self._direct.subscribe_message("ESTIMATOR_STATUS", estimator_status)
         reported = self._listen_for_reasons(seen)
         began = time.monotonic()
         before = dict(counts)
@@ -163,7 +168,8 @@ class GroundLink:
         for system in self._mavsdk.get_systems():
             if system.has_autopilot() and system.get_system_id() != self._system_id:
                 seen.other_vehicle = f"system {system.get_system_id()} sends on the same link"
-        amiss = not seen.local_position_ok or seen.blocking
+        seen.local_position_ok = place.ok
+        amiss = not place.ok or seen.blocking
         while amiss and not reported.is_set() and time.monotonic() - began < seconds + _REPORT_S:
             reported.wait(0.1)
         with contextlib.suppress(Exception):

@@ -54,7 +54,7 @@ def of_sys_status(fields_json: str) -> Report | None:
         return None
     bad = int(enabled[1]) & ~int(healthy[1])
     words = tuple(f"{name} not healthy" for bit, name in _SENSORS.items() if bad & 1 << bit)
-    refused = bool(bad & _PREARM)
+    refused = not int(healthy[1]) & _PREARM  # PX4 v1.14 reports it among what is well, and never as in use
     # The sensors need not be what the checks fail on.
     return not refused, ("preflight checks failed",) if refused else (), words
 

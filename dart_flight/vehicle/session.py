@@ -52,6 +52,7 @@ from dart_flight.samples import (
 from dart_flight.streams import ATTITUDE_TARGET, ESC, MESSAGE_ID, STREAMS, Stream
 from dart_flight.vehicle import reasons, sdk_log
 from dart_flight.vehicle.clock import Clock, ClockEstimate, host_us
+from dart_flight.vehicle.local_position import LocalPosition, is_healthy
 
 _MODES = {
     SdkFlightMode.READY: FlightMode.READY,
@@ -72,11 +73,8 @@ _LANDED = {
 }
 _ACTION_TIMEOUT_S = 5.0
 _RESET_COUNTER = re.compile(r'"reset_counter":\s*(\d+)')
-_FLAGS = re.compile(r'"flags":\s*(\d+)')
 _RESULT = re.compile(r'"result":\s*(\d+)')
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
-_NEEDED = 1 | 2  # ESTIMATOR_STATUS_FLAGS: attitude, horizontal velocity
-_PLACED = 8 | 16  # horizontal position, relative or absolute
 
 
 class _ActuatorOutputs(msgspec.Struct):
@@ -134,6 +132,7 @@ class VehicleSession:
         self._reset_counter: int | None = None
         self.clock: Clock = clock if clock is not None else ClockEstimate()
         self._status = StatusSample(t_us=0, received_us=0)
+        self._place = LocalPosition()
         self._silent = False
         self._events = Events(self._raw)
         self._other: int | None = None  # system id of another autopilot on the link
@@ -160,7 +159,7 @@ class VehicleSession:
         t.subscribe_landed_state(
             lambda landed, _: self._on_status(landed=_LANDED.get(landed, LandedState.UNKNOWN))
         )
-        t.subscribe_health(lambda h, _: self._on_status(local_position_ok=bool(h.is_local_position_ok)))
+        t.subscribe_health(self._on_health)
         t.subscribe_battery(self._on_battery)
         t.subscribe_status_text(self._on_status_text)
         if guarded:
@@ -265,10 +264,16 @@ class VehicleSession:
             self._deliver_estimator(reset_counter=self._reset_counter)
 
     def _on_estimator_status(self, message: Any, _: Any) -> None:
-        found = _FLAGS.search(message.fields_json)
-        if found is not None:
-            flags = int(found[1])
-            self._deliver_estimator(healthy=flags & _NEEDED == _NEEDED and bool(flags & _PLACED))
+        healthy = is_healthy(message.fields_json)
+        if healthy is not None:
+            self._place.healthy = healthy
+            self._deliver_estimator(healthy=healthy)
+            if self._status.local_position_ok is not self._place.ok:
+                self._on_status(local_position_ok=self._place.ok)
+
+    def _on_health(self, health: Any, _: Any) -> None:
+        self._place.sent = bool(health.is_local_position_ok)
+        self._on_status(local_position_ok=self._place.ok)
 
     def _deliver_estimator(self, **what: Any) -> None:
         received = host_us()

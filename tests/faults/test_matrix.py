@@ -16,7 +16,7 @@ from dart_flight.sim.faults.impairment import Impairment, LossyLink
 from dart_flight.sim.faults.kinds import KINDS, Fault, parse_fault
 from dart_flight.worlds.fast import FastFlight, fly_fast
 from dart_flight.worlds.prepare import load_flyable
-from tools.campaigns.faults import PHASES, came_of, cell, expected, random_flight
+from tools.campaigns.faults import PHASES, came_of, cell, expected, random_flight, with_row
 
 ROOT = Path(__file__).parents[2]
 SINGLE = ROOT / "missions/single_wall.yaml"
@@ -33,6 +33,18 @@ def test_a_cell_is_what_the_table_says(fault: str, phase: str) -> None:
     flown = cell(fault, phase)
     assert not flown.problems
     assert came_of(flown) in expected()[fault, phase]
+
+
+def test_one_row_is_put_into_the_page_and_the_rest_left() -> None:
+    page = (ROOT / "docs/fault_matrix.md").read_text()
+    lines = page.splitlines()
+    (own,) = [line for line in lines if line.startswith("| second-vehicle ") and line.count("|") == 7]
+    assert with_row(page, own) == page
+    assert with_row(page.replace(own + "\n", ""), own) == page, "in its place, and counted"
+    changed = own.replace("second_vehicle", "bounds<br>**uncontrolled: it did not end**", 1)
+    after = with_row(page, changed).splitlines()
+    differ = [(a, b) for a, b in zip(lines, after, strict=True) if a != b]
+    assert differ == [(own, changed), ("135 cells, 0 uncontrolled.", "135 cells, 1 uncontrolled.")]
 
 
 @pytest.mark.parametrize("number", range(6))

@@ -155,6 +155,7 @@ def test_no_second_program_gets_at_a_flight_and_monitor_watches_it_by_its_log(co
     else:
         pytest.fail(said)
     monitor = commands.start("monitor", "--json")  # in the approach, without a URL
+    wait_until_idle_class(monitor.pid)
     for words in (["monitor", "--connection", url, "--seconds", "1"], ["check", SINGLE, "--connection", url]):
         status, error = commands.run(*words)
         assert status == 2
@@ -164,7 +165,8 @@ def test_no_second_program_gets_at_a_flight_and_monitor_watches_it_by_its_log(co
     out, _ = fly.communicate(timeout=90.0)
     verdict = json.loads(out)
     assert verdict["outcome"] == "completed", verdict["reason"]
-    view, error = monitor.communicate(timeout=30.0)  # ends with the flight
+    # Ends with the flight; of the idle class it comes last on a busy machine.
+    view, error = monitor.communicate(timeout=300.0)
     assert f"watching fly, process {fly.pid}" in error
     seen: dict[str, Any] = json.loads(view)
     assert seen["phase"] == "done"
@@ -172,6 +174,14 @@ def test_no_second_program_gets_at_a_flight_and_monitor_watches_it_by_its_log(co
     assert len(seen["peaks"]) == 1
     # It does not know of the wall: a body that met it askew is read up to 16 % low.
     assert seen["peaks"][0][1] == pytest.approx(verdict["collisions"][0]["measured"]["peak_force_n"], rel=0.2)
+
+
+def wait_until_idle_class(pid: int) -> None:
+    """Soon after its start, before it has loaded its libraries, the program yields to every other."""
+    end = time.monotonic() + 20.0
+    while os.sched_getscheduler(pid) != os.SCHED_IDLE:
+        assert time.monotonic() < end, "it competes with the flight"
+        time.sleep(0.01)
 
 
 def wait_for_phase(fly: subprocess.Popen[str], phase: str) -> None:

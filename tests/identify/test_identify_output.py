@@ -13,6 +13,7 @@ from dart_flight.config import load_vehicle
 from dart_flight.config.vehicle import packaged
 from dart_flight.identify.judgement import judge
 from dart_flight.samples import Mode
+from tests.shared_flights import SharedFlights
 from tools.synthetic_trials import drop_trial, wall_trial, write_csv
 
 pytest.importorskip("scipy")
@@ -129,3 +130,48 @@ def test_the_judgement_by_itself() -> None:
     assert len(poor.says) == 1
     assert "35.0 times" in poor.says[0]
     assert judge({"normal_force_n": 9.0}, {}).good is None, "nothing to compare with"
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """The one line that the call is refused with."""
+    assert main(["identify", *words]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    return error
+
+
+def test_a_flight_log_has_no_drops(
+    flown: SharedFlights, drops: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, out = str(flown("single_wall", 1).log), tmp_path / "entry.yaml"
+    for words in (
+        [log, "--drop"],
+        [log, "--drop", "0.2", "--surface", "acrylic", "-o", str(out)],
+        [str(Path(log).parent), "--drop"],
+        [*drops, log, "--drop"],
+    ):
+        said = refused(capsys, *words)
+        assert said == f"{log}: drop: a flight log has wall collisions and no drops: leave --drop away\n"
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    "option", [["--wall", "3", "2", "225"], ["--bump"], ["--columns", "time_s=t"]], ids=lambda words: words[0]
+)
+def test_an_option_for_files_of_another_kind_is_refused(
+    flown: SharedFlights, option: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = refused(capsys, str(flown("single_wall", 1).log), *option)
+    assert said.startswith(f"{option[0].removeprefix('--')}: is for .")
+
+
+def test_mode_chooses_among_the_collisions_of_a_flight(
+    flown: SharedFlights, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The dual collision meets wood with flexible arms, then acrylic with rigid ones."""
+    log = str(flown("dual_collision", 1).log)
+    for mode in ("flexible", "rigid"):
+        assert main(["identify", log, "--mode", mode, "--json"]) == 0
+        assert list(json.loads(capsys.readouterr().out)["coefficients"]) == [mode]
+    said = refused(capsys, log, "--mode", "flexible", "--surface", "acrylic")
+    assert "no collision with acrylic in flexible mode in this flight" in said

@@ -43,6 +43,15 @@ def test_sensors_in_use_that_are_not_well_are_named() -> None:
     assert of_sys_status("{}") is None
 
 
+def test_a_check_that_fails_in_v1_14_is_not_among_what_is_in_use() -> None:
+    """SYS_STATUS of v1.14.2 in simulation, indoors, in Hold: without a global position it would not arm."""
+    assert of_sys_status(sys_status(35749897, 572555327)) == (
+        False,
+        ("preflight checks failed",),
+        ("remote control not healthy",),
+    )
+
+
 def test_levels_of_events_are_those_of_texts() -> None:
     assert severity(LogLevel.CRITICAL) == "critical"
     assert severity(LogLevel.WARNING) == "warning"

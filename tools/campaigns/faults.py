@@ -1,6 +1,7 @@
 """Every fault in every phase, and thousands of random ones, in the fast world: is any flight uncontrolled?
 
     python -m tools.campaigns.faults --runs 2000
+    python -m tools.campaigns.faults --only second-vehicle  # one row of the matrix anew
 
 A flight counts as controlled only when all of this holds:
 
@@ -20,6 +21,7 @@ import argparse
 import csv
 import math
 import random
+import re
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -36,7 +38,7 @@ from dart_flight.geometry import distance2, tilt_of
 from dart_flight.recording import read_log
 from dart_flight.recording.writer import FlightLog
 from dart_flight.samples import FlightMode, GuardEvent, Record, TruthSample, World
-from dart_flight.sim.faults.kinds import KINDS, Fault, excursion_allowed_m
+from dart_flight.sim.faults.kinds import KINDS, Fault, FaultKind, excursion_allowed_m
 from dart_flight.verdict import VerdictBuilder
 from dart_flight.worlds.fast import FastFlight
 from dart_flight.worlds.prepare import load_flyable
@@ -45,6 +47,7 @@ from dart_flight.worlds.sabotage import fill_disk_of
 EXPECTED = Path(__file__).resolve().parents[2] / "tests" / "faults" / "expected.csv"
 PHASES = ("take-off", "approach", "contact", "recovery", "goal")
 MISSIONS = ("dual_collision", "single_wall")
+_NAMES = tuple(kind.name for kind in KINDS)
 _LANDING_M_S = 1.5
 _TILT_DEG = 80.0
 _DOWN_M = 0.2  # lying on its side the vehicle's centre is this high
@@ -296,12 +299,46 @@ def _cell_text(flown: Flown) -> str:
         parts.append(f"{flown.decision_ms:.0f} ms")
     parts.append(f"{flown.excursion_m:.2f} m")
     if flown.problems:
-        parts.append("**uncontrolled: " + "; ".join(flown.problems) + "**")
+        parts.append(_UNCONTROLLED + "; ".join(flown.problems) + "**")
     return "<br>".join(parts)
 
 
 def _most(values: Iterable[float]) -> float:
     return max(values, default=0.0)
+
+
+_RANDOM = "## Random faults"
+_UNCONTROLLED = "**uncontrolled: "
+
+
+def _row(kind: FaultKind, cells: list[Flown]) -> str:
+    """A fault's row of the matrix."""
+    by_phase = {f.fault.phase: f for f in cells}
+    value = f" {kind.value:g} {kind.unit}" if kind.unit else ""
+    return f"| {kind.name}{value} | " + " | ".join(_cell_text(by_phase[phase]) for phase in PHASES) + " |"
+
+
+def _fault_of(line: str) -> str | None:
+    """The fault whose row of the matrix a line of the page is; None: it is none."""
+    words = line.removeprefix("| ").split()
+    return words[0] if line.startswith("| ") and words[0] in _NAMES else None
+
+
+def _count(matrix: list[str]) -> str:
+    rows = [line for line in matrix if _fault_of(line)]
+    wrong = sum(line.count(_UNCONTROLLED) for line in rows)
+    return f"{len(rows) * len(PHASES)} cells, {wrong} uncontrolled."
+
+
+def with_row(page: str, row: str) -> str:
+    """The page with a row of the matrix put in or replaced, and its count; the rest as it is."""
+    matrix, heading, rest = page.partition(_RANDOM)
+    lines = [line for line in matrix.splitlines() if not re.match(r"\d+ cells, ", line)]
+    rows = {name: line for line in lines if (name := _fault_of(line)) is not None}
+    rows[_fault_of(row) or ""] = row
+    head = lines[: next(i for i, line in enumerate(lines) if line.startswith("|---")) + 1]
+    lines = [*head, *(rows[name] for name in _NAMES if name in rows)]
+    return "\n".join([*lines, "", _count(lines), "", heading + rest])
 
 
 def report(cells: list[Flown], flights: list[Flown]) -> str:
@@ -313,25 +350,21 @@ def report(cells: list[Flown], flights: list[Flown]) -> str:
         "collision, seed 1: each fault of `sim/faults/kinds.py` at its default value, from the phase's",
         "beginning on. A cell says what came of it, the time from the fault to the first decision (of the",
         "guard, or of PX4's own failsafe where the app is gone), and how far truth got out of the bounds.",
+        "`--only FAULT` flies one row anew.",
         "`tests/faults/expected.csv` says what each cell may be, and `tests/faults/test_matrix.py` holds it",
         "to that. What counts as uncontrolled is in `tools/campaigns/faults.py`.",
         "",
         "| fault | " + " | ".join(PHASES) + " |",
         "|---" * (len(PHASES) + 1) + "|",
     ]
-    by_key = {(f.fault.name, f.fault.phase): f for f in cells}
-    for kind in KINDS:
-        value = f" {kind.value:g} {kind.unit}" if kind.unit else ""
-        row = " | ".join(_cell_text(by_key[kind.name, phase]) for phase in PHASES)
-        lines.append(f"| {kind.name}{value} | {row} |")
-    wrong = sum(bool(f.problems) for f in cells)
-    lines += ["", f"{len(cells)} cells, {wrong} uncontrolled.", "", "## Random faults", ""]
+    lines += [_row(kind, [f for f in cells if f.fault.name == kind.name]) for kind in KINDS]
+    lines += ["", _count(lines), "", _RANDOM, ""]
     bad = [f for f in flights if f.problems]
     begun = sum(f.began for f in flights)
     decided = sorted(f.decision_ms for f in flights if f.decision_ms is not None)
     lines += [
-        f"{len(flights)} flights with a random fault, value, phase and moment (both missions); in {begun} of",
-        f"them the fault's moment came. Uncontrolled: {len(bad)}. Logs that did not open: "
+        f"{len(flights)} flights with a random fault of this table, value, phase and moment (both missions);",
+        f"in {begun} of them the fault's moment came. Uncontrolled: {len(bad)}. Logs that did not open: "
         f"{sum('log' in p for f in flights for p in f.problems)}. Largest excursion",
         f"beyond the bounds {_most(f.excursion_m for f in flights):.2f} m, hardest landing "
         f"{_most(f.landing_m_s for f in flights):.2f} m/s, largest tilt "
@@ -376,13 +409,32 @@ def run(report_dir: Path, runs: int = 2000) -> None:
         raise RuntimeError(f"{len(bad)} flights uncontrolled, first: {bad[0]}")
 
 
+def run_only(report_dir: Path, name: str) -> None:
+    """Fly one fault in every phase and put its row into `fault_matrix.md`.
+
+    Raises:
+        RuntimeError: a flight was uncontrolled.
+    """
+    kind = next(k for k in KINDS if k.name == name)
+    cells = [cell(name, phase) for phase in PHASES]
+    page = report_dir / "fault_matrix.md"
+    page.write_text(with_row(page.read_text(), _row(kind, cells)))
+    bad = [f for f in cells if f.problems]
+    if bad:
+        raise RuntimeError(f"{len(bad)} flights uncontrolled, first: {bad[0]}")
+
+
 def main() -> int:
     """Run it from the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--runs", type=int, default=2000)
     parser.add_argument("--report-dir", type=Path, default=Path("docs"))
+    parser.add_argument("--only", choices=_NAMES, metavar="FAULT", help="fly this row of the matrix anew")
     arguments = parser.parse_args()
-    run(arguments.report_dir, arguments.runs)
+    if arguments.only:
+        run_only(arguments.report_dir, arguments.only)
+    else:
+        run(arguments.report_dir, arguments.runs)
     return 0
 
 
@@ -390,4 +442,15 @@ if __name__ == "__main__":
     sys.exit(main())
 
 
-__all__ = ["EXPECTED", "PHASES", "came_of", "cell", "expected", "fly", "fly_all", "random_flight", "run"]
+__all__ = [
+    "EXPECTED",
+    "PHASES",
+    "came_of",
+    "cell",
+    "expected",
+    "fly",
+    "fly_all",
+    "random_flight",
+    "run",
+    "with_row",
+]

@@ -1,19 +1,22 @@
-"""Flights with a real PX4: acceptance, speed sweep, three worlds, velocity at the wall, versions of PX4.
+"""Flights with a real PX4: acceptance, speed sweep, three worlds, velocity at the wall, versions, body.
 
-Acceptance flies ten seeds; the versions are both missions on every version of PX4 at hand.
+Acceptance flies ten seeds; the versions are both missions on every version of PX4 at hand; body is what the
+guards do in a hit, with walls as planned and askew.
 
     DART_PX4_DIR=... python -m tools.campaigns.px4 [--part NAME] [--speed X] [--report DIR]
     python -m tools.campaigns.px4 --part versions --px4 NAME=DIR [--px4 NAME=DIR ...]
+    python -m tools.campaigns.px4 --part body --px4 NAME=DIR [--px4 NAME=DIR ...]
 
 Every flight's figures go to `px4_flights.jsonl` in the report folder as they come; a part that is flown again
 replaces its lines. The tables (`px4_tables.md`) are written from that file alone, so parts can be flown one
-by one. docs/px4_tables.md is such a report; docs/px4.md explains it. The table of versions goes into
-docs/px4.md itself; a version that is flown again replaces its lines.
+by one. docs/px4_tables.md is such a report; docs/px4.md explains it. The tables of versions and of the body
+with guards go into docs/px4.md itself; a version that is flown again replaces its lines there, others stay.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import re
 import sys
 import tempfile
@@ -28,8 +31,9 @@ from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import parse_mission
 from dart_flight.config.parameters import PositionSource
 from dart_flight.config.vehicle import packaged
+from dart_flight.geometry import norm, tilt_of
 from dart_flight.recording import read_log
-from dart_flight.samples import OdometrySample, TruthSample
+from dart_flight.samples import ImuSample, OdometrySample, TruthSample
 from dart_flight.sim.px4.launch import find_install
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.embedded import fly_embedded
@@ -49,8 +53,12 @@ FLIGHTS, TABLES = "px4_flights.jsonl", "px4_tables.md"
 VERSIONS = "version "  # begins the names of the parts that compare versions; then NAME
 VERSION_SEEDS = range(1, 3)
 VERSION_FLIGHTS = (("dual", "mocap"), ("single", "mocap"), ("single", "rtk"))
+BODY = "body "  # begins the names of the parts that fly the body with guards; then NAME
+BODY_SEEDS = range(1, 6)
+WALL_YAW_DEG = 5.0  # standard deviation
+BODY_FLIGHTS = (("single", 0.0), ("dual", 0.0), ("single", WALL_YAW_DEG))  # mission, spread of the wall's yaw
+_AFTER_US = 600_000  # what a hit does to tilt and rate shows within this time
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "px4.md"
-_MARKED = re.compile(r"(<!-- flown: versions -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 class Hit(msgspec.Struct):
@@ -67,6 +75,9 @@ class Hit(msgspec.Struct):
     detection_ms: float | None
     setpoint_ms: float | None
     clipped: bool
+    incidence_deg: float | None = None  # true
+    tilt_deg: float | None = None  # largest in the 0.6 s from it on, as is the rate
+    rate_deg_s: float | None = None
 
 
 class Flight(msgspec.Struct):
@@ -91,6 +102,7 @@ class Flight(msgspec.Struct):
     hits: list[Hit]
     guard: list[str]
     told: str | None = None  # PX4's version as it tells it
+    drawn: dict[str, float | str] = {}
 
 
 def figures(part: str, sensor: str, mission: str, verdict: Verdict, pace: float = 1.0) -> Flight:
@@ -240,35 +252,69 @@ def parts() -> dict[str, Callable[[str, float], Iterator[Flight]]]:
 
 def fly_part(name: str, report_dir: Path, pace: float) -> None:
     """Fly one part; its lines replace what the results had of it."""
-    path = report_dir / FLIGHTS
-    kept = [flight for flight in load(report_dir) if flight.part != name]
-    path.write_bytes(b"".join(msgspec.json.encode(flight) + b"\n" for flight in kept))
-    for flight in parts()[name](name, pace):
-        with path.open("ab") as results:
-            results.write(msgspec.json.encode(flight) + b"\n")
-        print(
-            f"{name} seed {flight.seed} {flight.mission}: {flight.outcome} {flight.reason or ''}", flush=True
-        )
+    _keep(name, parts()[name](name, pace), report_dir)
 
 
 def fly_version(name: str, directory: str, report_dir: Path, pace: float) -> None:
     """Both missions on one version of PX4; its lines replace what the results had of it."""
-    part = VERSIONS + name
+
+    def flights(part: str) -> Iterator[Flight]:
+        for mission, sensor in VERSION_FLIGHTS:
+            loaded = load_flyable(packaged("missions", MISSIONS[mission]))
+            for seed in VERSION_SEEDS:
+                with tempfile.TemporaryDirectory() as folder:
+                    source = PositionSource(sensor)
+                    verdict = fly_px4(loaded, directory, seed, Path(folder), position_from=source, speed=pace)
+                    yield figures(part, sensor, mission, verdict, pace)
+
+    _keep(VERSIONS + name, flights(VERSIONS + name), report_dir)
+
+
+def fly_body(name: str, directory: str, report_dir: Path, pace: float) -> None:
+    """The body with guards on one version of PX4; its lines replace what the results had of it."""
+
+    def flights(part: str) -> Iterator[Flight]:
+        for mission, yaw_deg in BODY_FLIGHTS:
+            loaded = load_flyable(packaged("missions", MISSIONS[mission]))
+            spreads = {"wall_yaw_deg": yaw_deg} if yaw_deg else None
+            for seed in BODY_SEEDS:
+                with tempfile.TemporaryDirectory() as folder:
+                    verdict = fly_px4(loaded, directory, seed, Path(folder), speed=pace, spreads=spreads)
+                    flight = figures(part, "mocap", mission, verdict, pace)
+                    flight.drawn = verdict.drawn
+                    _add_what_follows(flight, verdict)
+                    yield flight
+
+    _keep(BODY + name, flights(BODY + name), report_dir)
+
+
+def _add_what_follows(flight: Flight, verdict: Verdict) -> None:
+    """Tilt and rate of the vehicle after every hit, from the flight's log: truth, and its gyro's norm."""
+    if verdict.log is None:
+        return
+    records = [entry.record for entry in read_log(verdict.log).entries]
+    tilts = [(r.t_us, tilt_of(r.q_frd_to_ned)) for r in records if isinstance(r, TruthSample)]
+    rates = [(r.t_us, norm(r.rate_frd)) for r in records if isinstance(r, ImuSample)]
+    begins = [c.t_us for c in verdict.collisions] + [sys.maxsize]
+    for hit, collision, following in zip(flight.hits, verdict.collisions, begins[1:], strict=True):
+        begin, end = collision.t_us, min(following, collision.t_us + _AFTER_US)
+        hit.incidence_deg = collision.truth.incidence_deg if collision.truth else None
+        hit.tilt_deg, hit.rate_deg_s = (
+            math.degrees(max((value for t_us, value in series if begin <= t_us < end), default=math.nan))
+            for series in (tilts, rates)
+        )
+
+
+def _keep(part: str, flights: Iterator[Flight], report_dir: Path) -> None:
+    """Write flights into the results as they come; they replace what was there of the part."""
     path = report_dir / FLIGHTS
     kept = [flight for flight in load(report_dir) if flight.part != part]
     path.write_bytes(b"".join(msgspec.json.encode(flight) + b"\n" for flight in kept))
-    for mission, sensor in VERSION_FLIGHTS:
-        loaded = load_flyable(packaged("missions", MISSIONS[mission]))
-        for seed in VERSION_SEEDS:
-            with tempfile.TemporaryDirectory() as folder:
-                source = PositionSource(sensor)
-                verdict = fly_px4(loaded, directory, seed, Path(folder), position_from=source, speed=pace)
-                flight = figures(part, sensor, mission, verdict, pace)
-            with path.open("ab") as results:
-                results.write(msgspec.json.encode(flight) + b"\n")
-            print(
-                f"{part} {mission} {sensor} seed {seed}: {flight.outcome} {flight.reason or ''}", flush=True
-            )
+    for flight in flights:
+        with path.open("ab") as results:
+            results.write(msgspec.json.encode(flight) + b"\n")
+        what = f"{part} {flight.mission} {flight.sensor} seed {flight.seed}"
+        print(f"{what}: {flight.outcome} {flight.reason or ''}", flush=True)
 
 
 def load(report_dir: Path) -> list[Flight]:
@@ -454,6 +500,50 @@ def versions_table(flights: list[Flight]) -> str:
     return "\n".join(_table(head, rows))
 
 
+def body_table(flights: list[Flight]) -> str:
+    """What hits of the body with guards did, one row for each flight."""
+    head = ["PX4", "mission", "seed", "walls turned by °", "completed", "incidence °", "normal m/s", "peak N"]
+    head += ["tilt after °", "rate after °/s", "final error m"]
+    rows = []
+    for f in flights:
+        if not f.part.startswith(BODY):
+            continue
+        turned = " / ".join(f"{float(angle):+.1f}" for angle in f.drawn.values()) or "0"
+        rows.append(
+            [
+                f.part.removeprefix(BODY),
+                f.mission,
+                str(f.seed),
+                turned,
+                "yes" if f.outcome == "completed" else f"no: {f.reason}",
+                _hits(f, lambda h: _text(h.incidence_deg, 1)),
+                _hits(f, lambda h: _text(h.normal_true_m_s, 2)),
+                _hits(f, lambda h: _text(h.force_true_n, 0)),
+                _hits(f, lambda h: _text(h.tilt_deg, 1)),
+                _hits(f, lambda h: _text(h.rate_deg_s, 0)),
+                _text(f.final_m, 3),
+            ]
+        )
+    return "\n".join(_table(head, rows))
+
+
+def with_table(page: str, name: str, table: str) -> str:
+    """The page with a table between its marks; rows of versions that the new one lacks stay."""
+    marked = re.compile(rf"(<!-- flown: {name} -->\n)(.*?)(<!-- end -->)", re.DOTALL)
+
+    def version(row: str) -> str:
+        return row.removeprefix("| ").partition(" |")[0]
+
+    def put(match: re.Match[str]) -> str:
+        head, rows = table.splitlines()[:2], [row for row in table.splitlines()[2:] if row]
+        flown = {version(row) for row in rows}
+        rows += [row for row in match[2].splitlines()[2:] if version(row) not in flown]
+        rows.sort(key=lambda row: (not version(row).startswith("v"), version(row)))
+        return match[1] + "\n".join([*head, *rows]) + "\n" + match[3]
+
+    return marked.sub(put, page)
+
+
 def report(flights: list[Flight]) -> str:
     """The tables, in Markdown."""
     lines = ["# Flights with a real PX4: the tables", ""]
@@ -496,11 +586,15 @@ def run(report_dir: Path, pace: float) -> None:
     (report_dir / TABLES).write_text(report(load(report_dir)), encoding="utf-8")
 
 
+# Parts that fly named versions of PX4, and whose table goes into docs/px4.md.
+BY_VERSION = {"versions": (fly_version, versions_table), "body": (fly_body, body_table)}
+
+
 def main() -> int:
     """Command line; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument(
-        "--part", choices=[*parts(), "versions", "report"], help="one part, or only the tables"
+        "--part", choices=[*parts(), *BY_VERSION, "report"], help="one part, or only the tables"
     )
     parser.add_argument("--px4", action="append", default=[], metavar="NAME=DIR", help="a version to fly")
     parser.add_argument("--speed", type=float, default=SPEED, help="times real time; less on a busy machine")
@@ -511,12 +605,13 @@ def main() -> int:
             run(arguments.report, arguments.speed)
             return 0
         arguments.report.mkdir(parents=True, exist_ok=True)
-        if arguments.part == "versions":
+        if arguments.part in BY_VERSION:
+            fly, tabulate = BY_VERSION[arguments.part]
             for name, _, directory in (one.partition("=") for one in arguments.px4):
                 find_install(directory)
-                fly_version(name, directory, arguments.report, arguments.speed)
-            table = versions_table(load(arguments.report))
-            PAGE.write_text(_MARKED.sub(lambda m: m[1] + table + m[2], PAGE.read_text("utf-8")), "utf-8")
+                fly(name, directory, arguments.report, arguments.speed)
+            table = tabulate(load(arguments.report))
+            PAGE.write_text(with_table(PAGE.read_text("utf-8"), arguments.part, table), "utf-8")
             return 0
         if arguments.part != "report":
             find_install(None)

@@ -1,0 +1,38 @@
+"""A ground station on PX4's own link for one, where the simulated vehicle waits: arms it, and ends.
+
+python -m tests.doubles.ground_station INSTANCE
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import common as mavlink
+
+PORT = 18570  # of instance 0: PX4's link for a ground station
+_WAIT_S = 30.0
+
+
+def arm(instance: int) -> bool:
+    """Ask PX4 to arm in its present mode until it does; False: it has not within half a minute."""
+    link = mavutil.mavlink_connection(
+        f"udpout:127.0.0.1:{PORT + instance}", source_system=255, dialect="common"
+    )
+    end = time.monotonic() + _WAIT_S
+    while time.monotonic() < end:
+        try:
+            link.mav.heartbeat_send(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0)
+            link.mav.command_long_send(1, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1.0, *([0.0] * 6))
+            answer = link.recv_match(type="COMMAND_ACK", blocking=True, timeout=0.2)
+        except ConnectionError:  # PX4 does not listen yet
+            answer = None
+        if answer is not None and answer.result == mavlink.MAV_RESULT_ACCEPTED:
+            return True
+        time.sleep(0.05)
+    return False
+
+
+if __name__ == "__main__":
+    sys.exit(0 if arm(int(sys.argv[1])) else 1)
