@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import math
 
-from dart_flight.config.mission import Bounds, Limits
+from dart_flight.config.mission import Bounds, Collision, Limits, Mission
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import contact_map
 from dart_flight.contact.law import Onset
-from dart_flight.core.mission.arithmetic import Arithmetic, Number
+from dart_flight.core.mission.arithmetic import SCALARS, Arithmetic, Number
+from dart_flight.core.mission.position_loop import PlaneMet
+from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import GRAVITY_M_S2, Wall
 from dart_flight.samples import Mode
 
@@ -31,6 +33,37 @@ def setpoint_outside_m(m: Arithmetic, bounds: Bounds, x: Number, y: Number) -> N
     """How far a set-point lies outside of the bounds horizontally, metres; 0 inside."""
     beside = m.maximum(bounds.x[0] - x, x - bounds.x[1])
     return m.maximum(m.maximum(beside, m.maximum(bounds.y[0] - y, y - bounds.y[1])), 0.0)
+
+
+def may_commit(
+    mission: Mission, following: Collision, met: PlaneMet, ready_s: float, state: FlightState
+) -> bool:
+    """Whether to fly on past the last moment for stopping.
+
+    Args:
+        mission: limits, bounds, vehicle.
+        following: the collision that is flown at.
+        met: when the wall will be met, and how fast.
+        ready_s: from now until the lock is settled; infinite where it is at fault.
+        state: of the vehicle.
+    """
+    if ready_s > met.after_s - SETTLED_BEFORE_S:
+        return False
+    vx, vy, _ = state.velocity
+    wall, (tx, ty) = following.wall, following.wall.tangent
+    place = wall.foot((state.position[0] + vx * met.after_s, state.position[1] + vy * met.after_s))
+    return bool(
+        bearable_in_either_mode(
+            SCALARS,
+            mission.vehicle,
+            mission.limits,
+            mission.bounds,
+            wall,
+            (following.alpha_normal_m_per_n, following.alpha_tangential_m_per_n),
+            place,
+            (min(met.normal_m_s, -1e-3), vx * tx + vy * ty),
+        )
+    )
 
 
 def bearable_in_either_mode(

@@ -14,8 +14,7 @@ import msgspec
 
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import Approach, NoApproachError, plan_approach
-from dart_flight.core.mission.arithmetic import SCALARS
-from dart_flight.core.mission.commitment import SETTLED_BEFORE_S, STOP_MARGIN_M, bearable_in_either_mode
+from dart_flight.core.mission.commitment import STOP_MARGIN_M, may_commit
 from dart_flight.core.mission.lock_orders import LockOrders
 from dart_flight.core.mission.phases import DOWN_US, TRANSITIONS, WATCHING, Cue
 from dart_flight.core.mission.planned import expected_hit
@@ -412,32 +411,14 @@ class Executive:
             return
         aim = following.wall.signed_distance(self._references.target)
         met = self._way_meets(closing, state) or meets_plane(distance, closing, pushing, aim, px4)
-        if met is None or not self._may_commit(following, met, state):
+        ready_us = self._lock.ready_us(following.mode, state)
+        ready_s = math.inf if ready_us is None else (ready_us - state.now_us) * 1e-6
+        if met is None or not may_commit(self.mission, following, met, ready_s, state):
             detail = (
                 f"lock {state.lock.phase.value}, not {following.mode.value}, {distance:.2f} m before wall "
                 f"{following.wall.name} at {closing:.2f} m/s"
             )
             p.find("lock_late", detail)
-
-    def _may_commit(self, following: Collision, met: PlaneMet, state: FlightState) -> bool:
-        """Whether to fly on past the last moment for stopping (`commitment`)."""
-        ready_us = self._lock.ready_us(following.mode, state)
-        if ready_us is None or ready_us > state.now_us + (met.after_s - SETTLED_BEFORE_S) * 1e6:
-            return False
-        vx, vy, _ = state.velocity
-        (tx, ty), wall, s = following.wall.tangent, following.wall, met.after_s
-        return bool(
-            bearable_in_either_mode(
-                SCALARS,
-                self.mission.vehicle,
-                self.mission.limits,
-                self.mission.bounds,
-                wall,
-                (following.alpha_normal_m_per_n, following.alpha_tangential_m_per_n),
-                wall.foot((state.position[0] + vx * s, state.position[1] + vy * s)),
-                (min(met.normal_m_s, -1e-3), vx * tx + vy * ty),
-            )
-        )
 
     # -- ways planned in flight --
 

@@ -1,0 +1,97 @@
+"""The lock's last moment: one rule for the core and for the planner."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.core.mission.arithmetic import SCALARS
+from dart_flight.core.mission.commitment import SETTLED_BEFORE_S, bearable_in_either_mode, may_commit
+from dart_flight.core.mission.position_loop import PlaneMet, least_distance_m, meets_plane
+from dart_flight.core.sense.state import FlightState
+from dart_flight.planning.constraints import ARRAYS
+from dart_flight.planning.planned import planned_flight
+from dart_flight.worlds.fast import fly_fast
+
+# The point of the paper: with guards the first hit leaves a slower vehicle, and the lock is early enough.
+STIFF = load_mission(
+    packaged("missions", "dual_collision_stiff.yaml"), settings=["simulation.contact.body=point"]
+)
+ACRYLIC = STIFF.collisions[1]
+
+
+def limited(**limits: float) -> Mission:
+    return msgspec.structs.replace(STIFF, limits=msgspec.structs.replace(STIFF.limits, **limits))
+
+
+def before_the_wall() -> FlightState:
+    state = FlightState()
+    state.position, state.velocity = (1.2, -0.85, 1.0), (1.5, 0.2, 0.0)
+    return state
+
+
+@pytest.mark.parametrize(
+    ("mission", "ready_s", "commits"),
+    [
+        (STIFF, 0.2, True),
+        (STIFF, 0.3 - SETTLED_BEFORE_S + 0.001, False),
+        (STIFF, math.inf, False),  # the lock is at fault
+        (limited(peak_force_n=90.0), 0.2, False),  # in time, but too hard in the rigid mode
+    ],
+)
+def test_a_wall_is_committed_to_where_the_lock_is_in_time_and_either_mode_bearable(
+    mission: Mission, ready_s: float, commits: bool
+) -> None:
+    assert may_commit(mission, ACRYLIC, PlaneMet(0.3, -1.6), ready_s, before_the_wall()) is commits
+
+
+def test_a_mode_that_is_not_planned_counts_as_well() -> None:
+    """A flexible hit that a rigid one would make too hard is not committed to: the servo may be stuck."""
+    flexible = msgspec.structs.replace(ACRYLIC, mode=ACRYLIC.mode.other)
+    mission = limited(peak_force_n=90.0)  # flexible 55 N, rigid 102 N
+    assert not may_commit(mission, flexible, PlaneMet(0.3, -1.6), 0.1, before_the_wall())
+
+
+def test_numbers_and_arrays_are_judged_alike() -> None:
+    rng = np.random.default_rng(3)
+    place = rng.uniform((1.6, -1.5), (1.7, 1.5), (200, 2))
+    velocity = rng.uniform((-4.0, -1.5), (-0.1, 1.5), (200, 2))
+    args = (STIFF.vehicle, STIFF.limits, STIFF.bounds, ACRYLIC.wall, (0.025, 0.025))
+    together = bearable_in_either_mode(
+        ARRAYS, *args, (place[:, 0], place[:, 1]), (velocity[:, 0], velocity[:, 1])
+    )
+    single = [
+        bool(bearable_in_either_mode(SCALARS, *args, tuple(map(float, p)), tuple(map(float, v))))
+        for p, v in zip(place, velocity, strict=True)
+    ]
+    assert together.tolist() == single
+    assert 20 < sum(single) < 180
+
+
+def test_the_plane_is_met_where_the_course_crosses_it() -> None:
+    px4 = STIFF.vehicle.px4
+    met = meets_plane(0.5, 1.0, 0.0, -0.5, px4)
+    assert met is not None
+    assert met.normal_m_s < 0.0
+    assert least_distance_m(0.5, 1.0, 0.0, -0.5, px4, horizon_s=met.after_s + 0.02) <= 0.0
+    assert least_distance_m(0.5, 1.0, 0.0, -0.5, px4, horizon_s=met.after_s - 0.02) > 0.0
+    assert meets_plane(0.5, 0.0, 0.0, 0.5, px4) is None
+
+
+def test_the_paper_s_second_impact_is_planned_and_flown() -> None:
+    """-1.6 m/s with the stiffer gains; by the last moment for holding still the lock is not settled yet."""
+    hit = planned_flight(STIFF).hits[2]
+    assert (hit.normal_m_s, hit.tangential_m_s) == pytest.approx((-1.6, 0.25), abs=0.03)
+    verdict = fly_fast(STIFF, 21, None)
+    assert verdict.outcome == "completed"
+    assert verdict.collisions[1].truth is not None
+    assert verdict.collisions[1].truth.normal_m_s == pytest.approx(-1.6, abs=0.1)
+
+
+def test_where_either_mode_is_too_hard_the_approach_is_broken_off() -> None:
+    verdict = fly_fast(limited(peak_force_n=90.0), 21, None)
+    assert verdict.outcome == "aborted"
+    assert verdict.guard[0].rule == "lock_late"
