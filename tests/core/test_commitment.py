@@ -64,7 +64,7 @@ def test_numbers_and_arrays_are_judged_alike() -> None:
         ARRAYS, *args, (place[:, 0], place[:, 1]), (velocity[:, 0], velocity[:, 1])
     )
     single = [
-        bool(bearable_in_either_mode(SCALARS, *args, tuple(map(float, p)), tuple(map(float, v))))
+        bool(bearable_in_either_mode(SCALARS, *args, (float(p[0]), float(p[1])), (float(v[0]), float(v[1]))))
         for p, v in zip(place, velocity, strict=True)
     ]
     assert together.tolist() == single

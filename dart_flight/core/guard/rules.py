@@ -309,8 +309,8 @@ RULES: tuple[Rule, ...] = (
          _BREAK_OFF),
     Rule("mode_felt", "a contact was felt in the other mode than the lock reports; `go_on` only notes it",
          "mode_mismatch, estimation.walls.sure_log_odds", _LAND),
-    Rule("lock_late", "the lock is not in the planned mode when holding still just stops short of the wall",
-         "", _BREAK_OFF),
+    Rule("lock_late", "the lock is not in the planned mode when holding still just stops short of the wall, "
+         "and will not be in time for a hit that either mode bears", "", _BREAK_OFF),
     Rule("lock_not_ready", "the lock did not reach the planned mode before the approach", "lock.timeout_s",
          _LAND),
     Rule("climb_timeout", "the altitude was not reached in time", "flying.ready_timeout_s", _LAND),
