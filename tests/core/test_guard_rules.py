@@ -23,6 +23,7 @@ from dart_flight.samples import (
     LockPhase,
     MissionEnd,
     Mode,
+    ModeMismatch,
     OdometrySample,
     OperatorRequest,
     OtherVehicle,
@@ -364,6 +365,20 @@ def hit_in_noise(c: HandFedCore) -> None:
     c.run(0.02)
 
 
+def rigid_pulse(c: HandFedCore) -> None:
+    """The lock says flexible; a pulse as of locked arms at 0.6 m/s, without the friction of free ones."""
+    c.at_the_wood()
+    c.pulse((0.0, -41.0), 0.056)
+    c.run(0.08)
+
+
+@cause
+def mode_felt(c: HandFedCore) -> None:
+    executive = c.core._executive
+    executive.mission = msgspec.structs.replace(executive.mission, mode_mismatch=ModeMismatch.LAND)
+    rigid_pulse(c)
+
+
 CAUSES |= {
     "operator": asked(Request.LAND),
     "operator_release": asked(Request.RELEASE),
@@ -415,6 +430,16 @@ def test_a_rule_fires_on_its_cause_and_says_so(rule: Rule) -> None:
     elif rule.action is not Override.GIVE_UP:
         assert c.core.override is rule.action
         assert c.core.phase in (Phase.OVERRULED, Phase.DONE)
+
+
+def test_a_lock_that_lies_is_only_noted_where_the_mission_goes_on() -> None:
+    c = HandFedCore()
+    rigid_pulse(c)
+    (event,) = fired(c)
+    assert (event.rule, event.action) == ("mode_felt", Override.NONE)
+    assert "rigid arms felt at wall wood, the lock reports flexible" in event.detail
+    assert c.core.override is Override.NONE
+    assert c.core.phase is Phase.RECOVERY
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda r: r.name)

@@ -91,10 +91,7 @@ class Guard:
         self._watch.observe(item, state, sensed, phase)
         events: list[Output] = []
         for finding in proposal.findings:
-            if finding.noted:
-                events.append(GuardEvent(state.now_us, finding.rule, Override.NONE, finding.detail))
-            else:
-                self._fire(finding.rule, finding.detail, state, events)
+            self._fire(finding.rule, finding.detail, state, events, finding.noted)
         if phase is not Phase.DONE and self.end is None:
             self._judge(state, phase, events)
         if self.action is Override.NONE:
@@ -136,8 +133,12 @@ class Guard:
             events.append(GuardEvent(state.now_us, rule.name, rule.action, detail))
             self._rule, self.reason = rule, f"{rule.name}: {detail}"
 
-    def _fire(self, name: str, detail: str, state: FlightState, events: list[Output]) -> None:
+    def _fire(
+        self, name: str, detail: str, state: FlightState, events: list[Output], noted: bool = False
+    ) -> None:
         """Overrule the mission from now on, by the rule of this name; a weaker action changes nothing.
+
+        What is only `noted` goes into the log.
 
         Raises:
             KeyError: there is no such rule, and never was.
@@ -147,6 +148,9 @@ class Guard:
             if name not in RULES_BY_NAME:
                 raise KeyError(name)
             return  # taken out of this guard's table
+        if noted:
+            events.append(GuardEvent(state.now_us, rule.name, Override.NONE, detail))
+            return
         if rule.action.rank <= self.action.rank or self.end is not None:
             return
         events.append(GuardEvent(state.now_us, rule.name, rule.action, detail))
