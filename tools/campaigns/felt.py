@@ -3,6 +3,7 @@
     python -m tools.campaigns.felt                        # every set, point and guards, build/felt.md
     python -m tools.campaigns.felt wood headon --runs 1000 --body guards --processes 2
     python -m tools.campaigns.felt wood --first-seed 1    # the seeds that the software was tuned on
+    python -m tools.campaigns.felt --theory               # what a perfect judge could tell head-on
 
 Flies the single wall in the fast world up to what was felt of it. Approach velocity, mode and whether the
 lock tells the truth are drawn anew for every seed; so are the wall's coefficients (30 %) and each hit's
@@ -26,11 +27,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
+import numpy as np
 from rich.console import Console
 
 from dart_flight.config.kinds import FileKind, load_document
 from dart_flight.config.mission import Mission, parse_mission
-from dart_flight.config.vehicle import BodyModel, Coefficients, LockDriver
+from dart_flight.config.vehicle import BodyModel, Coefficients, LockDriver, load_vehicle
 from dart_flight.core.mission.approach import NoApproachError
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
@@ -332,6 +334,36 @@ def wrong_list(groups: dict[str, list[Judged]]) -> str:
     return "\n".join(lines) or "None was felt wrong."
 
 
+def theory(material: str = "acrylic", draws: int = 1_000_000) -> str:
+    """Markdown: the best that can be told head-on, where friction says nothing.
+
+    A judge that knows the spreads of the drawn coefficients and reads k to 1 %, f to 1.5 N s/m and, where it
+    looks at it, nu to 1 N decides by the ratio of the likelihoods.
+    """
+    vehicle = load_vehicle(ROOT / "configs" / "dart.yaml")
+    table, rng = vehicle.materials[material], np.random.default_rng(1)
+    spread = math.hypot(_CONTACT["contact"], _CONTACT["contact_scatter"])
+    rigid = rng.random(draws) < 0.5
+    odds = np.zeros(draws)
+    lines = ["| read | sure from odds of | wrong | undecided |", "|---|---|---|---|"]
+    readings = (("k", "k", 0.01, 0.0), ("k, f", "f", 0.0, 1.5), ("k, f, nu", "nu", 0.0, 1.0))
+    for said, name, share, error in readings:
+        means = {mode: float(getattr(table.of(mode), name)) for mode in Mode}
+        drawn = np.where(rigid, means[Mode.RIGID], means[Mode.FLEXIBLE])
+        drawn = drawn * np.maximum(0.1, 1.0 + _CONTACT["contact"] * rng.standard_normal(draws))
+        drawn = drawn * (1.0 + _CONTACT["contact_scatter"] * rng.standard_normal(draws))
+        width = np.hypot(error, share * drawn)
+        read = drawn + width * rng.standard_normal(draws)
+        for mode, sign in ((Mode.RIGID, 1.0), (Mode.FLEXIBLE, -1.0)):
+            sd = np.hypot(spread * means[mode], width)
+            odds -= sign * (0.5 * ((read - means[mode]) / sd) ** 2 + np.log(sd))
+        for level in (100.0, 200.0, 1000.0):
+            decided = np.abs(odds) >= math.log(level)
+            wrong = float(np.mean(decided & ((odds > 0.0) != rigid)))
+            lines.append(f"| {said} | {level:.0f} | {100 * wrong:.2f} % | {100 * np.mean(~decided):.0f} % |")
+    return "\n".join(lines) + "\n"
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Fly what is asked for and write the tables; 1 where a flight had no contact."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -341,8 +373,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--body", action="append", type=BodyModel, choices=list(BodyModel))
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--fresh", action="store_true", help="forget what was flown")
+    parser.add_argument("--theory", action="store_true", help="only what a perfect judge could tell")
     parser.add_argument("--out", type=Path, default=PAGE)
     options = parser.parse_args(arguments)
+    if options.theory:
+        print(theory())
+        return 0
     unknown = [kind for kind in options.kind if kind not in SETS]
     if unknown:
         parser.error(f"unknown kind {unknown[0]}, known: {', '.join(SETS)}")
