@@ -62,14 +62,20 @@ class Set(NamedTuple):
         tangential_m_s: smallest and largest speed along the wall, either way.
         spreads: what is drawn beside mode and approach (`sim.draws`).
         half_engaged: the rods of a lock that says rigid are half-way.
+        settings: of the simulated vehicle alone, as `--set` takes them.
     """
 
     material: str
     tangential_m_s: tuple[float, float]
     spreads: dict[str, float]
     half_engaged: bool = False
+    settings: tuple[str, ...] = ()
 
 
+_OTHER_ARMS = tuple(
+    f"simulation.arm_vibration.{key}"
+    for key in ("frequency_hz=23", "damping_ratio=0.2", "mass_fraction=0.12")
+)
 _OTHERS = {"wall_yaw_deg": 4.0, "wall_offset_m": 0.03, "mass": 0.03, "wind_m_s": 0.5, "battery": 0.05}
 SETS = {
     "wood": Set("wood", (0.2, 0.6), _CONTACT),
@@ -78,6 +84,7 @@ SETS = {
     "wood-all": Set("wood", (0.2, 0.6), _CONTACT | _OTHERS),
     "sliding-all": Set("acrylic", (0.2, 0.6), _CONTACT | _OTHERS),
     "wood-shaken": Set("wood", (0.2, 0.6), _CONTACT | _OTHERS | {"imu": 0.02}),
+    "headon-arms": Set("acrylic", (0.0, 0.0), _CONTACT, settings=_OTHER_ARMS),
     "half": Set("acrylic", (0.2, 0.6), _CONTACT, half_engaged=True),
 }
 
@@ -141,7 +148,7 @@ def plan_of(job: Job) -> Plan:
     approach = {"normal_m_s": normal, "tangential_m_s": tangential}
     tree["collisions"][0] |= {"mode": mode.value, "approach": approach}
     tree["limits"] = {"speed_m_s": 4.0, "peak_force_n": 300.0}
-    settings = [f"simulation.contact.body={job.body.value}"]
+    settings = [f"simulation.contact.body={job.body.value}", *chosen.settings]
     if chosen.half_engaged:
         settings.append("simulation.contact.half_engaged=true")
     return Plan(parse_mission(document, None, settings), lies)
