@@ -8,7 +8,7 @@ from dart_flight.config import Mission
 from dart_flight.config.vehicle import LimitSwitch
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
-from dart_flight.samples import World
+from dart_flight.samples import Override, World
 from dart_flight.worlds.fast import fly_fast
 from dart_flight.worlds.prepare import load_flyable
 from tests.shared_flights import SharedFlights
@@ -66,15 +66,16 @@ def test_a_switch_that_falls_silent_in_flight_breaks_it_off() -> None:
     assert [c.wall for c in verdict.collisions] == ["wood"]
 
 
-def test_a_stuck_servo_without_a_switch_is_revealed_by_the_contact_time(flown: SharedFlights) -> None:
+def test_a_stuck_servo_without_a_switch_is_revealed_by_the_contact(flown: SharedFlights) -> None:
     """The controller reports what it commands: `settled (no feedback)`. The wall tells the truth."""
     verdict = fly_fast(dual(), 1, None, lock_faults=MockFaults(servo=ServoFaults(stuck=True)))
-    assert [(c.mode, c.mode_by_contact_time) for c in verdict.collisions] == [
-        ("flexible", "flexible"),
-        ("rigid", "flexible"),
+    assert [(c.mode, c.mode_by_contact_time, c.mode_felt) for c in verdict.collisions] == [
+        ("flexible", "flexible", "flexible"),
+        ("rigid", "flexible", "flexible"),
     ]
+    assert [(e.rule, e.action) for e in verdict.guard] == [("mode_felt", Override.NONE)]
     healthy = flown("dual_collision", 1).verdict
-    assert [(c.mode, c.mode_by_contact_time) for c in healthy.collisions] == [
-        ("flexible", "flexible"),
-        ("rigid", "rigid"),
+    assert [(c.mode, c.mode_by_contact_time, c.mode_felt) for c in healthy.collisions] == [
+        ("flexible", "flexible", "flexible"),
+        ("rigid", "rigid", "rigid"),
     ]
