@@ -8,6 +8,7 @@ its text log, and the process ends once it has landed, 30 s later at the latest.
 from __future__ import annotations
 
 import gc
+import os
 import signal
 import sys
 import time
@@ -153,4 +154,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    # Not sys.exit: the interpreter aborts where a thread still waits in stdin for the app's next line.
+    os._exit(main())

@@ -206,6 +206,7 @@ def test_killing_px4_in_flight_says_so(flight: Flight) -> None:
     assert flight.wait_all_gone() < 30.0
     ends = [r for r in _events(flight.folder) if isinstance(r, MissionEnd)]
     assert "PX4 was killed" in (ends[-1].reason or "")
+    assert "Fatal" not in flight.text(), "the plant's process ends in good order, too"
 
 
 def test_killing_the_plant_in_flight_says_so_and_takes_px4_along(flight: Flight) -> None:

@@ -87,7 +87,8 @@ def fly(folder: Path, *, watched: bool) -> Timing:
         begun = any("approach" in line for line in flight.stderr)
         monitor = None
         if begun and watched:
-            monitor = subprocess.Popen([*program, "monitor", "--json"], env=environment, stdout=pipe)
+            watch = [*program, "monitor", "--json"]
+            monitor = subprocess.Popen(watch, env=environment, stdout=pipe, stderr=pipe)
         out, error = flight.communicate(timeout=_FLIGHT_S)
         if monitor is not None:
             monitor.communicate(timeout=_FLIGHT_S)
