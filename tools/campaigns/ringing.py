@@ -210,7 +210,7 @@ def _middle(values: list[float]) -> float:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Fly all of it; one line of JSON for each kind of ringing."""
+    """Fly all of it; one line of JSON for each kind of ringing, the file after every flight."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=10)
     parser.add_argument("--first-seed", type=int, default=1)
@@ -219,19 +219,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--mission", action="append", choices=MISSIONS)
     parser.add_argument("--sigma", type=float)
     options = parser.parse_args(arguments)
-    rows, kept = [], {}
-    seeds = range(options.first_seed, options.first_seed + options.runs)
-    for said in options.only or RINGINGS:
-        flights = kept[said] = [
-            fly(mission, RINGINGS[said], options.sigma, seed)
-            for mission in options.mission or MISSIONS
-            for seed in seeds
-        ]
-        rows.append(summary(said, flights))
-        sys.stdout.write(json.dumps(rows[-1]) + "\n")
-        sys.stdout.flush()
+    kept: dict[str, list[dict[str, Any]]] = {said: [] for said in options.only or RINGINGS}
     options.json.parent.mkdir(parents=True, exist_ok=True)
-    options.json.write_text(json.dumps({"summary": rows, "flights": kept}, indent=1))
+    for said, flights in kept.items():
+        for mission in options.mission or MISSIONS:
+            for seed in range(options.first_seed, options.first_seed + options.runs):
+                flights.append(fly(mission, RINGINGS[said], options.sigma, seed))
+                # What is known so far: a long run may be cut short.
+                rows = [summary(name, flown) for name, flown in kept.items() if flown]
+                options.json.write_text(json.dumps({"summary": rows, "flights": kept}, indent=1))
+        sys.stdout.write(json.dumps(summary(said, flights)) + "\n")
+        sys.stdout.flush()
     return 0
 
 
