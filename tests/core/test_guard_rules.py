@@ -572,16 +572,21 @@ def test_thresholds_named_in_the_table_exist() -> None:
         "flying": vehicle.flying,
         "lock": vehicle.lock,
         "detection": vehicle.detection,
+        "estimation": vehicle.estimation,
         "limits": mission.limits,
         "bounds_m": mission.bounds,
         "goal": mission.goal,
+        "mode_mismatch": mission,
     }
     for rule in RULES:
         for key in filter(None, rule.threshold.split(", ")):
             if key.startswith("streams:"):
                 continue
-            section, name = key.split(".")
-            assert name in {f.name for f in msgspec.structs.fields(places[section])}, key
+            section, *names = key.split(".")
+            node = places[section]
+            for name in names:
+                assert name in {f.name for f in msgspec.structs.fields(node)}, key
+                node = getattr(node, name)
 
 
 @pytest.mark.parametrize("ahead_s", [238.0, -238.0, 2.0, -0.7])
