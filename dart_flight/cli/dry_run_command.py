@@ -11,7 +11,7 @@ from typing import Any
 from rich.progress import Progress
 
 from dart_flight.cli.flight_output import FlightLines, summary_table, verdict_table
-from dart_flight.cli.options import add_flight_options, add_set_option, add_vary_option, whole_number
+from dart_flight.cli.options import add_flight_options, add_set_option, add_vary_option, number, whole_number
 from dart_flight.cli.px4_options import add_px4_options, position_source_of, position_warnings
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
@@ -36,6 +36,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_flight_options(parser)
     add_px4_options(parser)
+    parser.add_argument(
+        "--speed",
+        type=number(0.1, 10.0),
+        metavar="X",
+        help="times real time, as far as the machine sustains it; not with --fast, which has no pace",
+    )
     parser.add_argument("--fast", action="store_true", help="in process, in simulated time, without MAVLink")
     parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="of the noise (default 1)")
     parser.add_argument(
@@ -58,11 +64,13 @@ def _flight(arguments: argparse.Namespace, mission: Mission) -> Callable[..., Ve
     spreads = _spreads(arguments, mission)
     if fault is not None and (arguments.runs is not None or arguments.px4 is not None):
         raise InputError("--fault is for one flight in the fast or the embedded world")
+    if arguments.fast and arguments.speed is not None:
+        raise InputError("--speed is for flights with a pace, --fast goes as fast as it can")
     if arguments.px4 is None and arguments.fast:
         return partial(fly_fast, fault=fault, spreads=spreads)
     need_mavlink()
     if arguments.px4 is None:
-        return partial(fly_embedded, deadman=True, fault=fault, spreads=spreads)
+        return partial(fly_embedded, deadman=True, fault=fault, spreads=spreads, speed=arguments.speed or 1.0)
 
     from dart_flight.sim.px4.launch import find_install
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dart_flight.cli.options import number
 from dart_flight.config.document import InputError
 from dart_flight.config.parameters import PositionSource
 from dart_flight.planning.positioning import PLAIN_GPS
@@ -26,9 +25,6 @@ def add_px4_options(parser: argparse.ArgumentParser) -> None:
     place.add_argument("--outdoor", action="store_true", help="GPS, no motion capture")
     group.add_argument("--gps", choices=("rtk", "plain"), help="the receiver outdoors (default: rtk)")
     group.add_argument(
-        "--speed", type=number(0.1, 10.0), metavar="X", help="times real time, as far as lockstep sustains it"
-    )
-    group.add_argument(
         "--params",
         type=Path,
         action="append",
@@ -47,7 +43,6 @@ def position_source_of(arguments: argparse.Namespace) -> PositionSource:
         "--indoor": arguments.indoor,
         "--outdoor": arguments.outdoor,
         "--gps": arguments.gps,
-        "--speed": arguments.speed,
         "--params": arguments.params,
     }
     if arguments.px4 is None:

@@ -27,14 +27,12 @@ class Px4Spec(msgspec.Struct):
         folder: of the flight; PX4 works in a folder below it.
         parameters: PX4 parameters to set before it starts to fly, by name.
         position_from: motion capture (indoors, no GPS) or a GPS receiver.
-        speed: simulated seconds per second.
     """
 
     directory: str
     folder: str
     parameters: dict[str, Parameter]
     position_from: PositionSource = PositionSource.MOCAP
-    speed: float = 1.0
 
 
 class WorldSpec(msgspec.Struct):
@@ -48,6 +46,7 @@ class WorldSpec(msgspec.Struct):
     log: str | None = None
     px4: Px4Spec | None = None
     spreads: dict[str, float] = msgspec.field(default_factory=dict)  # what differs from the mission (`draws`)
+    speed: float = 1.0  # simulated seconds per second
 
 
 class Horn(msgspec.Struct, tag="horn"):

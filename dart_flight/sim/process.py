@@ -1,4 +1,4 @@
-"""The simulated vehicle in a process of its own: plant, embedded autopilot, MAVLink, real time.
+"""The simulated vehicle in a process of its own: plant, embedded autopilot, MAVLink, at a pace.
 
 Started by `dry-run` with its end of a pipe: commands come on standard input, truth goes to standard output,
 one JSON object a line. When the app dies (end of input) the vehicle flies on to its failsafe, which goes to
@@ -66,6 +66,7 @@ class VehicleProcess:
         self._to_link = self._autopilot.say
         self._autopilot.say = self._say
         self._writer, self._reader = LineWriter(truth), LineReader(commands)
+        self._period_s = TICK_S / spec.speed
         self._ticks = 0
         self._orphan_since_s: float | None = None
         self._over = False
@@ -75,11 +76,11 @@ class VehicleProcess:
         self._twin: tuple[SimulatedVehicle, MavlinkEndpoint] | None = None
 
     def run(self) -> None:
-        """Fly in real time until the app is gone and the vehicle is down."""
+        """Fly at the wanted pace until the app is gone and the vehicle is down."""
         self._writer.put(Ready(self._autopilot.time_us))
         # What has been loaded by now stays: the collector need not walk it in flight.
         gc.freeze()
-        run_in_real_time(self._step, lambda: self._over)
+        run_in_real_time(self._step, lambda: self._over, self._period_s)
         self._say("info", "simulated vehicle stops")
         self._endpoint.close()
 

@@ -1,4 +1,4 @@
-"""The embedded world: our small autopilot on the plant, through MAVSDK over UDP, in real time."""
+"""The embedded world: our small autopilot on the plant, through MAVSDK over UDP, in real time or faster."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import msgspec
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.samples import World
+from dart_flight.vehicle.clock import LockstepClock
 from dart_flight.vehicle.link import free_link
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.app import FlightApp
@@ -32,11 +33,13 @@ def fly_embedded(
     deadman: bool = False,
     fault: Fault | None = None,
     spreads: Mapping[str, float] | None = None,
+    speed: float = 1.0,
 ) -> Verdict:
-    """Fly through MAVSDK over UDP against the embedded autopilot, in real time.
+    """Fly through MAVSDK over UDP against the embedded autopilot.
 
     `deadman` starts the process that kills this one when it hangs; `fault` is what goes wrong;
-    `spreads` says what is drawn anew by the seed (`sim.draws`).
+    `spreads` says what is drawn anew by the seed (`sim.draws`); `speed` is simulated seconds per second: what
+    the core times by stamps goes by at that pace, silence alone is judged by the host's time.
 
     Raises:
         InputError: the log cannot be written.
@@ -71,14 +74,14 @@ def fly_embedded(
         mission.vehicle.lock.driver,
         world_log(record.folder),
         spreads=dict(spreads or {}),
+        speed=speed,
     )
 
     def make_app(world: WorldProcess) -> FlightApp:
         note = record.folder / DEADMAN_NOTE if deadman else None
         url = f"udpin://127.0.0.1:{port}"
-        app = FlightApp(
-            mission, url, record, world, progress, deadman_note=note, lock_faults=drawn.lock_faults
-        )
+        clock = None if speed == 1.0 else LockstepClock(speed)
+        app = FlightApp(mission, url, record, world, progress, clock, note, drawn.lock_faults)
         if fault is not None:
             record.onlookers.append(Sabotage(fault, app, world, record.path))
         return app

@@ -81,8 +81,9 @@ def fly_px4(
         [],
         mission.vehicle.lock.driver,
         world_log(folder),
-        Px4Spec(str(install.program.parents[1]), str(folder.resolve()), parameters, position_from, speed),
+        Px4Spec(str(install.program.parents[1]), str(folder.resolve()), parameters, position_from),
         spreads=dict(spreads or {}),
+        speed=speed,
     )
 
     leases: list[LinkLease] = []

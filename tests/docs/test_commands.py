@@ -124,28 +124,82 @@ def _run(words: list[str], folder: Path, root: Path) -> None:
     subprocess.run(words, cwd=folder, env=_environment(root), check=True, capture_output=True, timeout=120)
 
 
-RUNNABLE = [p for p in PAGES if any(why_not_run(c) is None and not is_real_time(c) for c in commands(p))]
+# Run on every page that has them they would teach nothing more: the same command on the same flight.
+ONCE = re.compile(r"^dart-flight (check|predict|replay|report|identify|calibrate|export|dry-run .*--fast)\b")
+# The laboratory's own flight, wherever a page keeps it.
+ITS_FLIGHT = re.compile(
+    r"^dart-flight dry-run missions/single_wall\.yaml --fast( --runs 1)? --log-dir (\S+)$"
+)
+
+
+def as_run(command: Command) -> str:
+    """With one seed: what is tested is the command."""
+    return re.sub(r"--runs \d+", "--runs 1", command.text)
+
+
+def _essence(text: str) -> str:
+    """A command without the names of what it writes, and of the folder whose flights it reads."""
+    return re.sub(r"[\w.]+(?=/\*/flight\.mcap)", "", re.sub(r" (-o|--log-dir) \S+", "", text))
+
+
+def _repeated() -> set[tuple[str, str]]:
+    """(page, command) of what another page has run already; the quickstart runs all that it has."""
+    runs: dict[str, str] = {}
+    repeated = set()
+    for page in sorted(PAGES, key=lambda page: page.name != "quickstart.md"):
+        for command in commands(page):
+            text = as_run(command)
+            runs_here = why_not_run(command) is None and ONCE.match(text)
+            if runs_here and runs.setdefault(_essence(text), page.name) != page.name:
+                repeated.add((page.name, text))
+    return repeated
+
+
+REPEATED = _repeated()
+
+
+def script_of(page: Path, laboratory: Path) -> list[str]:
+    """The page's commands as lines for a shell, each with a check of its status."""
+    lines = ["set -o pipefail"]
+    for command in commands(page):
+        if why_not_run(command) is not None or is_real_time(command):
+            continue
+        text = as_run(command)
+        if (page.name, text) in REPEATED:
+            flight = ITS_FLIGHT.match(text)
+            if flight is None:
+                assert "--log-dir" not in text, "later commands want its flight"
+                continue
+            text = f"cp -r {laboratory}/flights {flight[2]}"
+        check = f"[ $s = {command.status} ] || {{ echo '{command.place}: ended with' $s >&2; exit 99; }}"
+        lines += [f"{text}\ns=$?", check]
+    return lines
+
+
+def _has_something_to_run(page: Path) -> bool:
+    run = [c for c in commands(page) if why_not_run(c) is None and not is_real_time(c)]
+    return any((page.name, as_run(command)) not in REPEATED for command in run)
+
+
+RUNNABLE = [page for page in PAGES if _has_something_to_run(page)]
+
+
+def test_what_is_run_once_is_run_somewhere() -> None:
+    run = {_essence(as_run(c)) for p in RUNNABLE for c in commands(p) if (p.name, as_run(c)) not in REPEATED}
+    assert {_essence(text) for _, text in REPEATED} <= run
 
 
 @pytest.mark.parametrize("page", RUNNABLE, ids=lambda page: page.name)
 def test_what_is_quick_runs_as_it_stands(page: Path, laboratory: Path, tmp_path: Path) -> None:
-    """All commands of a page in one shell, in order, in a folder made by `init`."""
+    """A page's commands in one shell, in order, in a folder made by `init`; each somewhere, if not here."""
     folder = tmp_path / "lab"
     shutil.copytree(laboratory, folder)
     if page.name == "quickstart.md":
         folder = tmp_path  # makes its own
-    script = ["set -o pipefail"]
-    for command in commands(page):
-        if why_not_run(command) is None and not is_real_time(command):
-            promise = (
-                f"[ $s = {command.status} ] || {{ echo '{command.place}: ended with' $s >&2; exit 99; }}"
-            )
-            # One seed: what is tested is the command.
-            script += [re.sub(r"--runs \d+", "--runs 1", command.text) + "\ns=$?", promise]
     if page.name == "quickstart.md":
         shutil.rmtree(tmp_path / "lab")
     done = subprocess.run(
-        ["bash", "-c", "\n".join(script)],
+        ["bash", "-c", "\n".join(script_of(page, laboratory))],
         cwd=folder,
         env=_environment(laboratory.parent),
         stdin=subprocess.DEVNULL,

@@ -156,8 +156,8 @@ class Watched:
                 str(folder),
                 flight_parameters(vehicle, PositionSource.MOCAP),
                 PositionSource.MOCAP,
-                speed,
             ),
+            speed=speed,
         )
         self.world = Px4World(spec, self.truths.append)
 
@@ -321,7 +321,7 @@ def test_two_worlds_at_once_have_instances_of_their_own(tmp_path: Path, launched
     [
         (["--px4", "/nowhere"], "no PX4 SITL there"),
         (["--outdoor"], "--outdoor needs --px4"),
-        (["--speed", "2"], "--speed needs --px4"),
+        (["--fast", "--speed", "2"], "--speed is for flights with a pace"),
         (["--px4", "/nowhere", "--gps", "rtk"], "--gps needs --outdoor"),
         (["--px4", "/nowhere", "--fast"], "exclude each other"),
     ],

@@ -39,7 +39,7 @@ def waiting_px4(
         [],
         LockDriver.MOCK,
         None,
-        Px4Spec(str(px4_dir), str(folder), parameters, source, 1.0),
+        Px4Spec(str(px4_dir), str(folder), parameters, source),
     )
     world = Px4World(spec, lambda record: None)
     try:

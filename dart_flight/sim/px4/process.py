@@ -161,7 +161,7 @@ class Px4Process:
         writer.put(Ready(self._vehicle.time_us, ONBOARD_PORT + px4.instance, text, px4.pid))
         gc.freeze()
         begun, ticks = time.monotonic(), self._ticks
-        run_in_real_time(self._step, lambda: self._over, TICK_S / self._px4_spec.speed)
+        run_in_real_time(self._step, lambda: self._over, TICK_S / self._spec.speed)
         factor = (self._ticks - ticks) * TICK_S / (time.monotonic() - begun)
         self._say(f"flown at {factor:.2f} times real time, {self._vehicle.clipped} clipped ticks")
 
