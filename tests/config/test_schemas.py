@@ -9,16 +9,21 @@ from pathlib import Path
 from typing import Any
 
 import jsonschema
+import msgspec
 import pytest
 
 from dart_flight.config import load_vehicle
 from dart_flight.config.document import Document, InputError
+from dart_flight.config.kinds import EXTENDS
 from dart_flight.config.mission import load_mission
 from dart_flight.config.scenario import load_scenario
 from tools.docs import configuration_comments
 from tools.docs.schemas import FOLDER, ROOT, meaning, schemas, text_of
 
-SHIPPED = sorted([*(ROOT / "configs").glob("*.yaml"), *(ROOT / "missions").rglob("*.yaml")])
+EVERY = sorted([*(ROOT / "configs").glob("*.yaml"), *(ROOT / "missions").rglob("*.yaml")])
+# One that extends another lacks what the schema wants of a whole one.
+EXTENDING = [path for path in EVERY if EXTENDS in Document.load(path).tree]
+SHIPPED = [path for path in EVERY if path not in EXTENDING]
 LOADERS: dict[str, Callable[[Path], object]] = {
     "mission.json": load_mission,
     "scenario.json": load_scenario,
@@ -52,6 +57,37 @@ def test_what_is_shipped_fits_the_schema_it_names(path: Path) -> None:
     assert schema.parent == FOLDER
     validator(schema.name).validate(Document.load(path).tree)
     LOADERS[schema.name](path)
+
+
+@pytest.mark.parametrize("path", EXTENDING, ids=lambda path: str(path.relative_to(ROOT)))
+def test_a_configuration_differs_from_the_one_that_it_extends_in_its_own_keys_alone(path: Path) -> None:
+    tree = Document.load(path).tree
+    base = msgspec.to_builtins(load_vehicle(path.parent / tree.pop(EXTENDS)))
+    extended = msgspec.to_builtins(load_vehicle(path))
+    for section, keys in tree.items():
+        assert extended[section] != base[section]
+        base[section] |= keys
+    assert extended == base
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("extends: {base}\npx4: {MPC_XY_P: fast}\n", "own.yaml:2: px4.MPC_XY_P: expected a number, got text"),
+        ("extends: {base}\npx5: {MPC_XY_P: 1.0}\n", "own.yaml:2: px5.MPC_XY_P: unknown key, did you mean px4?"),
+        ("extends: own.yaml\n", "own.yaml:1: extends: a configuration cannot extend itself"),
+        ("extends: missing.yaml\n", "missing.yaml: cannot read"),
+        ("extends: [1]\n", "own.yaml:1: extends: expected the name of a configuration file"),
+    ],
+)
+def test_a_mistake_in_an_extending_configuration_is_named_where_it_stands(
+    text: str, says: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_text(text.replace("{base}", str(ROOT / "configs" / "dart.yaml")))
+    with pytest.raises(InputError) as caught:
+        load_vehicle(path)
+    assert says in caught.value.one_line()
 
 
 WRONG: list[tuple[str, str, str, str]] = [
