@@ -222,9 +222,9 @@ _FELT_HEADS = ["wall", "mode reported", "felt", "k, N/m", "before", "f, N s/m", 
 
 def _felt_row(flight: Flight, felt: WallFelt) -> Row:
     mode = felt.mode_felt or felt.mode_reported
-    wall = next(w for w in flight.mission.walls if w.name == felt.wall)
+    wall = next((w for w in flight.mission.walls if w.name == felt.wall), None)
     vehicle = flight.mission.vehicle
-    if mode is None:
+    if mode is None or wall is None:
         return [felt.wall, None, None, None, None, None, None, None, None]
     prior, spread = vehicle.materials[wall.material].of(mode), vehicle.estimation.walls.spread
     cells: list[Cell] = [felt.wall, felt.mode_reported, felt.mode_felt or "undecided"]

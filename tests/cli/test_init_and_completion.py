@@ -14,6 +14,7 @@ import pytest
 from dart_flight.cli import COMMANDS, main
 from dart_flight.config import load_vehicle
 from dart_flight.config.document import Document
+from dart_flight.config.kinds import EXTENDS
 from dart_flight.config.mission import load_mission
 from dart_flight.config.parameters import load_parameters
 from dart_flight.config.scenario import load_scenario
@@ -50,6 +51,8 @@ def test_the_copies_load_with_the_copied_configuration(started: Path) -> None:
 
 def test_the_editor_finds_the_schemas(started: Path) -> None:
     for path in started.rglob("*.yaml"):
+        if EXTENDS in Document.load(path).tree:
+            continue  # it holds less than the schema wants of a whole configuration
         first = path.read_text().splitlines()[0]
         schema = path.parent / first.partition("$schema=")[2]
         assert json.loads(schema.read_text())["title"].startswith("DART"), path

@@ -28,6 +28,7 @@ from dart_flight.worlds.prepare import load_flyable
 VOID = {"meta", "img", "br", "link", "hr", "input"}
 SECTIONS = [
     "Predicted against measured",
+    "The plan",
     "Path and motion",
     "Force of each impact",
     "Lock and timing",
