@@ -74,7 +74,10 @@ def test_a_configuration_differs_from_the_one_that_it_extends_in_its_own_keys_al
     ("text", "says"),
     [
         ("extends: {base}\npx4: {MPC_XY_P: fast}\n", "own.yaml:2: px4.MPC_XY_P: expected a number, got text"),
-        ("extends: {base}\npx5: {MPC_XY_P: 1.0}\n", "own.yaml:2: px5.MPC_XY_P: unknown key, did you mean px4?"),
+        (
+            "extends: {base}\npx5: {MPC_XY_P: 1.0}\n",
+            "own.yaml:2: px5.MPC_XY_P: unknown key, did you mean px4?",
+        ),
         ("extends: own.yaml\n", "own.yaml:1: extends: a configuration cannot extend itself"),
         ("extends: missing.yaml\n", "missing.yaml: cannot read"),
         ("extends: [1]\n", "own.yaml:1: extends: expected the name of a configuration file"),
