@@ -27,8 +27,15 @@ def with_travel(seconds: float) -> Mission:
     return dual(servo=msgspec.structs.replace(mission.vehicle.lock.servo, travel_s=seconds))
 
 
-def test_a_servo_known_to_be_slow_breaks_the_second_approach_off() -> None:
+def test_a_servo_known_to_be_slow_is_committed_to_where_it_will_be_in_time() -> None:
+    """Holding still would no longer stop short of the wall when it settles, and it settles before the hit."""
     verdict = fly_fast(with_travel(0.6), 1, None)
+    assert verdict.outcome == "completed"
+    assert [(c.wall, c.mode_felt) for c in verdict.collisions] == [("wood", "flexible"), ("acrylic", "rigid")]
+
+
+def test_a_servo_known_to_be_too_slow_breaks_the_second_approach_off() -> None:
+    verdict = fly_fast(with_travel(1.0), 1, None)
     assert verdict.outcome == "aborted"
     assert verdict.reason is not None
     assert verdict.reason.startswith("lock_late: lock travelling, not rigid")

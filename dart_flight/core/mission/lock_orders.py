@@ -11,6 +11,7 @@ from dart_flight.core.sense.state import FlightState
 from dart_flight.samples import LockCommand, LockPermission, LockPhase, Mode, Output
 
 RETRY_US = 1_000_000
+_OVERDUE_US = 50_000  # two polls of the lock
 
 
 class LockOrders:
@@ -47,13 +48,17 @@ class LockOrders:
         return [LockPermission(now_us, permitted)]
 
     def ready_us(self, mode: Mode, state: FlightState) -> int | None:
-        """When the lock will be settled in a mode if nothing fails, autopilot time; None: it is at fault."""
+        """When the lock will be settled in a mode if nothing fails, autopilot time.
+
+        None: it is at fault, or should have been settled by now.
+        """
         if state.lock_is_in(mode):
             return state.now_us
         if state.lock.phase is LockPhase.FAULT:
             return None
         if state.lock.phase is LockPhase.TRAVELLING and state.lock.mode is mode:
-            return round((state.lock.commanded_us or state.now_us) + self._switch_us)
+            ready_us = round((state.lock.commanded_us or state.now_us) + self._switch_us)
+            return ready_us if state.now_us - ready_us <= _OVERDUE_US else None
         end_us = self.contact_end_us if self.contact_end_us is not None else state.now_us
         return round(max(state.now_us, end_us + self._relaxation_us) + self._switch_us)
 
