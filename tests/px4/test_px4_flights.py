@@ -18,7 +18,7 @@ import pytest
 
 from dart_flight.config.parameters import PositionSource
 from dart_flight.recording import read_log
-from dart_flight.samples import ForceEstimate, GuardEvent, ImpactPeak, MissionEnd
+from dart_flight.samples import ForceEstimate, GuardEvent, ImpactPeak, MissionEnd, PlanTaken
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.prepare import load_flyable
 from dart_flight.worlds.px4 import fly_px4
@@ -56,6 +56,27 @@ def test_dual_collision_indoors_in_real_time(px4_dir: Path, tmp_path: Path) -> N
     assert verdict.px4.ekf_resets == 0
     assert verdict.px4_log is not None
     assert Path(verdict.px4_log).stat().st_size > 100_000
+
+
+def test_a_flight_planned_again_after_every_hit(px4_dir: Path, tmp_path: Path) -> None:
+    # In real time: the planner has 0.1 s of PX4's time to answer.
+    verdict = fly_px4(load_flyable(MISSIONS / "dual_collision_replan.yaml"), px4_dir, 1, tmp_path)
+    accept(verdict)
+    assert verdict.log is not None
+    taken = [e.record for e in read_log(verdict.log).entries if isinstance(e.record, PlanTaken)]
+    assert [(one.taken, one.reason) for one in taken] == [(True, ""), (True, "")]
+    assert verdict.goal_miss_m is not None
+    assert verdict.goal_miss_m < 0.1
+    assert verdict.collisions[1].measured.normal_m_s == pytest.approx(
+        verdict.collisions[1].planned.normal_m_s, abs=0.15
+    )
+
+
+def test_the_paper_s_second_impact_with_stiffer_gains(px4_dir: Path, tmp_path: Path) -> None:
+    verdict = fly_px4(load_flyable(MISSIONS / "dual_collision_stiff.yaml"), px4_dir, 1, tmp_path, speed=FAST)
+    accept(verdict)
+    assert verdict.collisions[1].measured.normal_m_s is not None
+    assert verdict.collisions[1].measured.normal_m_s < -1.3
 
 
 def test_single_wall_outdoors_with_rtk(px4_dir: Path, tmp_path: Path) -> None:
