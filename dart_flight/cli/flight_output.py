@@ -18,6 +18,7 @@ from dart_flight.samples import (
     LockPhase,
     LockState,
     MissionEnd,
+    Outcome,
     PhaseChange,
     PlanTaken,
     Record,
@@ -122,7 +123,8 @@ def verdict_table(verdict: Verdict) -> RenderableType:
     ]
     if figures:
         parts.append(Text(", ".join(figures)))
-    if verdict.plan_followed is not None:
+    # Of a flight that was broken off the reason says what is to be known.
+    if verdict.plan_followed is not None and verdict.outcome is Outcome.COMPLETED:
         parts.append(_plan_line(verdict))
     return Group(*parts)
 

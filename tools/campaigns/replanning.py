@@ -36,6 +36,7 @@ from dart_flight.samples import (
     AfterImpact,
     GoalPassed,
     Outcome,
+    Override,
     PlanTaken,
     Record,
     TruthContact,
@@ -148,7 +149,8 @@ def fly(way: str, seed: int, vary: Sequence[str], settings: Sequence[str], path:
         flight.run()
         flight.run_out()
     verdict = builder.build(World.FAST, seed)
-    rule = verdict.guard[0].rule if verdict.guard and verdict.outcome != Outcome.COMPLETED else ""
+    fired = [one.rule for one in verdict.guard if one.action is not Override.NONE]
+    rule = fired[0] if fired and verdict.outcome != Outcome.COMPLETED else ""
     second = next((c for c in contacts if c.wall == mission.collisions[-1].wall.name), None)
     end_us = None if second is None else second.end_us
     miss, capture = _goal_figures(mission, end_us, way_to_goal)
