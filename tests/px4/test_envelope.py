@@ -64,15 +64,15 @@ def test_clipping_is_announced(tmp_path: Path, speed: float, material: str, mode
 
 
 def test_a_hit_after_which_px4_is_lost_is_announced(tmp_path: Path) -> None:
-    (warning,) = impact_warnings(load_flyable(sweep(tmp_path, 4.0, "rigid", "wood")))
-    assert "loses its position" in warning
-    (warning,) = impact_warnings(load_flyable(sweep(tmp_path, 4.0, "rigid", "acrylic")))
-    assert "lower bound" in warning
+    clipping, _ = impact_warnings(load_flyable(sweep(tmp_path, 4.0, "rigid", "wood")))
+    assert "loses its position" in clipping
+    clipping, _ = impact_warnings(load_flyable(sweep(tmp_path, 4.0, "rigid", "acrylic")))
+    assert "lower bound" in clipping
 
 
 def test_faster_than_anything_flown_is_announced(tmp_path: Path) -> None:
-    assert impact_warnings(load_flyable(sweep(tmp_path, 4.0, "flexible"))) == []
-    assert "faster than anything flown" in impact_warnings(load_flyable(sweep(tmp_path, 4.4, "flexible")))[0]
+    assert impact_warnings(load_flyable(sweep(tmp_path, 3.0, "flexible"))) == []
+    assert "faster than anything flown" in impact_warnings(load_flyable(sweep(tmp_path, 3.4, "flexible")))[0]
 
 
 def judged(folder: Path, speed: float, mode: str, material: str = "acrylic") -> dict[str, Finding]:
@@ -80,8 +80,8 @@ def judged(folder: Path, speed: float, mode: str, material: str = "acrylic") -> 
 
 
 def test_check_refuses_what_px4_has_not_survived(tmp_path: Path) -> None:
-    assert "speed_1" not in judged(tmp_path, 4.0, "flexible")
-    assert not judged(tmp_path, 4.4, "flexible")["speed_1"].go
+    assert "speed_1" not in judged(tmp_path, 3.0, "flexible")
+    assert not judged(tmp_path, 3.4, "flexible")["speed_1"].go
     lost = judged(tmp_path, 4.0, "rigid", "wood")["force_1"]
     assert not lost.go
     assert "PX4 loses its position" in lost.says
