@@ -434,7 +434,8 @@ def main() -> int:
     if arguments.only:
         run_only(arguments.report_dir, arguments.only)
     else:
-        run(arguments.report_dir, arguments.runs)
+        arguments.report_dir.mkdir(parents=True, exist_ok=True)  # before hours of flights, not after them
+    run(arguments.report_dir, arguments.runs)
     return 0
 
 
