@@ -9,9 +9,12 @@ import pytest
 
 from dart_flight.config import parse_mission
 from dart_flight.config.document import Document
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import packaged
 from dart_flight.recording import read_log
 from dart_flight.samples import GoalPassed, Record, SetPoint, TruthSample
-from dart_flight.worlds.fast import fly_fast
+from dart_flight.sim.faults.kinds import Fault
+from dart_flight.worlds.fast import FastFlight, fly_fast
 from dart_flight.worlds.prepare import load_flyable
 from tests.shared_flights import SharedFlights
 
@@ -79,3 +82,13 @@ def test_a_goal_far_from_the_recovery_is_flown_to_at_transit_speed(goal: str) ->
     after = [r for r in records if isinstance(r, TruthSample) and r.t_us > began]
     speeds = [math.hypot(r.velocity_mission[0], r.velocity_mission[1]) for r in after]
     assert max(speeds) < 1.3 * mission.vehicle.flying.transit_speed_m_s
+
+
+def test_a_clock_that_jumps_back_before_everything_is_ready_ends_the_wait() -> None:
+    """The autopilot's time stands still for the core then; the host's goes on."""
+    mission = load_mission(packaged("missions", "single_wall.yaml"))
+    flight = FastFlight(mission, 16, fault=Fault("clock-back", 972.6, None, 0.0))
+    flight.run()
+    assert flight.core.end is not None
+    assert (flight.core.end.reason or "").startswith("not_ready")
+    assert not flight.autopilot.armed

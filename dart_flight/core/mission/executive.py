@@ -52,6 +52,7 @@ from dart_flight.samples import (
 PASSED_RISE_M = 0.03  # the distance to the goal has risen by more than its noise
 PASSED_AFTER_S = 0.25  # the first moments after a contact do not yet show where it leads
 _RETRY_US = 1_000_000  # telemetry of mode and arming lags by up to a second
+_SLOWEST = 3.0  # host's time over vehicle's
 _STREAMING_US = 200_000  # PX4 accepts offboard only with set-points already streaming
 _REST_TIMEOUT_US = 4_000_000
 _REST_AFTER_US = 500_000
@@ -84,6 +85,7 @@ class Executive:
         self._replanning = Replanning(mission) if mission.after_impact is AfterImpact.REPLAN else None
         self._yielding = Yielding(mission.vehicle) if mission.vehicle.flying.yield_to_contacts else None
         self._entered_us: int | None = None
+        self._entered_host_us: int | None = None
         self._asked_us: int | None = None  # last time a vehicle command was sent
         self._least_miss_m = math.inf
         self._captured_us: int | None = None
@@ -117,6 +119,8 @@ class Executive:
             if not state.now_us:
                 return
             self._entered_us = state.now_us
+        if self._entered_host_us is None:
+            self._entered_host_us = state.host_us
         if self._yielding is not None:
             self._yielding.take(sensed)
         if isinstance(item, PlanAnswer):
@@ -160,7 +164,7 @@ class Executive:
     def _change(self, cue: Cue, now_us: int, reason: str) -> PhaseChange:
         before = self.phase
         self.phase = TRANSITIONS[before, cue]
-        self._entered_us, self._asked_us = now_us, None
+        self._entered_us, self._entered_host_us, self._asked_us = now_us, None, None
         self._lock.phase_begins()
         self._references.phase_begins()
         collision = self._collision
@@ -175,8 +179,14 @@ class Executive:
         return self._elapsed_us(state) > limit_s * 1e6
 
     def _is_late(self, state: FlightState) -> bool:
-        """Whether the phase lasts longer than anything should that is not a collision."""
-        return self._takes_longer_than(self.mission.vehicle.flying.ready_timeout_s, state)
+        """Whether the phase lasts longer than anything should that is not a collision.
+
+        Also where the autopilot's clock has jumped back and stands still for it: by the host's clock, with
+        room for a simulation that is slower than time.
+        """
+        limit_s = self.mission.vehicle.flying.ready_timeout_s
+        host_us = state.host_us - (self._entered_host_us or state.host_us)
+        return self._takes_longer_than(limit_s, state) or host_us > _SLOWEST * limit_s * 1e6
 
     def _expect(self) -> Expected:
         collision = self._collision
