@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import msgspec
@@ -35,7 +34,7 @@ from dart_flight.planning.constraints import REFUSALS, Constraints
 from dart_flight.planning.contact_stage import build_stages, expm
 from dart_flight.planning.flight_model import Array, Rows, Window, loop_matrix
 from dart_flight.planning.planned import planned_flight
-from dart_flight.planning.task import MissionTask
+from dart_flight.planning.task import MissionTask, drag_along
 from dart_flight.samples import Mode, PlanAnswer, PlanRequest, WallFelt
 
 _DURATIONS_S = np.arange(0.3, 4.01, 0.05)
@@ -103,8 +102,17 @@ class Replanner:
             )
 
     def answer(self, request: PlanRequest, received_us: int) -> PlanAnswer:
-        """The way from a request's state on; its `problem` says where there is none."""
+        """The way from a request's state on; its `problem` says where there is none.
+
+        A fault of the planner is a problem like any other: it must not be the flight's.
+        """
         found = PlanAnswer(received_us, request.number, request.begin_us, collision=request.collision)
+        try:
+            return self._plan(found, request)
+        except Exception as error:
+            return _because(found, f"the planner failed: {type(error).__name__}: {error}")
+
+    def _plan(self, found: PlanAnswer, request: PlanRequest) -> PlanAnswer:
         if request.collision is None:
             return self._best(found, request, self._to_goal(), None) or _because(
                 found, "no way to the goal within the limits"
@@ -246,7 +254,7 @@ class Replanner:
         """The answer with the hit that it leads to; no answer where that may not be."""
         wall, vehicle = collision.wall, self._mission.vehicle
         vn, vt, zero = np.array([velocity[0]]), np.array([velocity[1]]), np.zeros(1)
-        drag_n, drag_t = _along_wall(wall, vehicle.airframe.drag_per_s)
+        drag_n, drag_t = drag_along(wall, vehicle.airframe.drag_per_s)
         coefficients = self._felt.get((wall.name, collision.mode))
         if coefficients is None:
             coefficients = vehicle.materials[wall.material].of(collision.mode)
@@ -266,13 +274,6 @@ class Replanner:
             tangential_m_s=velocity[1],
             peak_force_n=peak_n,
         )
-
-
-def _along_wall(wall: Wall, drag_per_s: Sequence[float]) -> tuple[float, float]:
-    """Air drag along a wall's normal and tangent, 1/s."""
-    n2 = wall.normal[0] ** 2
-    bx, by = drag_per_s[:2]
-    return n2 * bx + (1.0 - n2) * by, n2 * by + (1.0 - n2) * bx
 
 
 def _because(answer: PlanAnswer, problem: str) -> PlanAnswer:

@@ -37,7 +37,7 @@ from dart_flight.planning.flight_model import (
     closest,
     first_crossing,
 )
-from dart_flight.planning.task import Task
+from dart_flight.planning.task import Task, drag_along
 from dart_flight.samples import Mode
 
 _HORIZON_S = 6.0  # what has not come by then does not come: the loop has settled
@@ -156,7 +156,6 @@ def stages_for(task: Task, draws: Sequence[Draw | None]) -> list[Stages]:
     """Contact stages of every wall with gains in every mode, for every draw (None: the nominal values)."""
     keys = [(name, mode) for name in task.alphas for mode in task.modes]
     table, alphas, drags, delays = [], [], [], []
-    bx, by, _ = task.vehicle.airframe.drag_per_s
     for draw in draws:
         for name, mode in keys:
             wall = task.walls[name]
@@ -166,8 +165,7 @@ def stages_for(task: Task, draws: Sequence[Draw | None]) -> list[Stages]:
                 c = Coefficients(c.k * k, c.f * f, c.mu * mu, c.nu)
             table.append(c)
             alphas.append(task.alphas[name])
-            n2 = wall.normal[0] ** 2
-            drags.append((n2 * bx + (1.0 - n2) * by, n2 * by + (1.0 - n2) * bx))
+            drags.append(drag_along(wall, task.vehicle.airframe.drag_per_s))
             delays.append(draw.delay_s if draw is not None else 0.0)
     stages = build_stages(task.vehicle, table, alphas, drags, delays)
     n = len(keys)
@@ -251,9 +249,7 @@ class Rollout:
     ) -> _Front | None:
         wall = self.walls[0]
         stage = stages[wall.name, self.task.modes[mode]]
-        bx, by, _ = self.task.vehicle.airframe.drag_per_s
-        n2 = wall.normal[0] ** 2
-        bn, bt = n2 * bx + (1.0 - n2) * by, n2 * by + (1.0 - n2) * bx
+        bn, bt = drag_along(wall, self.task.vehicle.airframe.drag_per_s)
         vn = normal if draw is None else np.minimum(normal + draw.normal_m_s, -1e-3)
         vt = tangential if draw is None else tangential + draw.tangential_m_s
         zero = np.zeros_like(vn)

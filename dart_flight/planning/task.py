@@ -89,3 +89,10 @@ def task_of(mission: Mission, group: Sequence[Collision]) -> MissionTask:
 
 
 _SAME_M = 1e-6
+
+
+def drag_along(wall: Wall, drag_per_s: Sequence[float]) -> tuple[float, float]:
+    """Air drag along a wall's normal and tangent, 1/s, of that along the mission's axes."""
+    n2 = wall.normal[0] ** 2
+    bx, by = drag_per_s[:2]
+    return n2 * bx + (1.0 - n2) * by, n2 * by + (1.0 - n2) * bx

@@ -18,6 +18,7 @@ from typing import BinaryIO
 import msgspec
 
 from dart_flight.config.mission import Mission
+from dart_flight.planning.replanning import Replanner
 from dart_flight.samples import PlanAnswer, PlanRequest, WallFelt
 from dart_flight.vehicle.clock import host_us
 
@@ -90,8 +91,6 @@ class PlannerProcess:
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:
     """Answer requests until there are no more; the first line is the mission."""
-    from dart_flight.planning.replanning import Replanner  # noqa: PLC0415  (NumPy: not in the app's process)
-
     replanner = Replanner(msgspec.json.decode(requests.readline(), type=Mission))
     for line in requests:
         if line.startswith(_FELT):

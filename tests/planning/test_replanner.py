@@ -100,3 +100,13 @@ def test_a_hit_over_the_mission_s_force_is_refused() -> None:
     weak = msgspec.structs.replace(MISSION, limits=msgspec.structs.replace(MISSION.limits, peak_force_n=50.0))
     answer = Replanner(weak).answer(TO_WALL, 0)
     assert "peak_force" in answer.problem
+
+
+def test_a_fault_of_the_planner_is_a_problem_and_no_exception(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError("by hand")
+
+    monkeypatch.setattr(REPLANNER, "_best", fail)
+    answer = REPLANNER.answer(TO_GOAL, 0)
+    assert answer.problem == "the planner failed: ZeroDivisionError: by hand"
+    assert answer.number == TO_GOAL.number

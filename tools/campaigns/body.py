@@ -23,12 +23,10 @@ import statistics
 import sys
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import msgspec
-from rich.console import Console
 
 from dart_flight.config.document import InputError
 from dart_flight.config.kinds import FileKind, load_document
@@ -51,6 +49,7 @@ from dart_flight.sim.draws import DrawnWorld, draw_world, parse_vary, turn_walls
 from dart_flight.verdict import VerdictBuilder
 from dart_flight.worlds.fast import FastFlight
 from tools.campaigns.faults import Watch, judge
+from tools.campaigns.kept import fly_missing
 
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "build" / "body"
@@ -319,22 +318,7 @@ def fly(job: Job) -> Flown:
 
 def fly_all(part: str, jobs: Sequence[Job], processes: int, fresh: bool = False) -> list[Flown]:
     """Fly what build/body/ does not have yet; results in the order of the jobs."""
-    path = KEPT / f"{part}.jsonl"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if fresh:
-        path.unlink(missing_ok=True)
-    decode = msgspec.json.Decoder(Flown).decode
-    lines = path.read_bytes().splitlines() if path.exists() else []
-    have = {flown.job: flown for flown in map(decode, lines)}
-    missing = [job for job in jobs if job not in have]
-    console = Console(stderr=True)
-    with ProcessPoolExecutor(processes) as pool, open(path, "ab", buffering=0) as file:
-        for count, flown in enumerate(pool.map(fly, missing), 1):
-            have[flown.job] = flown
-            file.write(msgspec.json.encode(flown) + b"\n")
-            if count % 20 == 0:
-                console.print(f"{part}: {count} of {len(missing)}")
-    return [have[job] for job in jobs]
+    return fly_missing(KEPT / f"{part}.jsonl", jobs, fly, Flown, processes, fresh)
 
 
 # --- what is flown -----------------------------------------------------------------------------------------

@@ -22,13 +22,11 @@ import random
 import statistics
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from rich.console import Console
 
 from dart_flight.config.kinds import FileKind, load_document
 from dart_flight.config.mission import Mission, parse_mission
@@ -41,6 +39,7 @@ from dart_flight.sim.draws import draw_world
 from dart_flight.verdict import VerdictBuilder
 from dart_flight.worlds.fast import FastFlight
 from tools.campaigns.body import wilson
+from tools.campaigns.kept import fly_missing
 
 ROOT = Path(__file__).resolve().parents[2]
 KEPT, PAGE = ROOT / "build" / "felt", ROOT / "build" / "felt.md"
@@ -208,22 +207,7 @@ def fly(job: Job) -> Flown:
 
 def fly_all(name: str, jobs: Sequence[Job], processes: int, fresh: bool = False) -> list[Flown]:
     """Fly what build/felt/ does not have yet; results in the order of the jobs."""
-    path = KEPT / f"{name}.jsonl"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if fresh:
-        path.unlink(missing_ok=True)
-    decode = msgspec.json.Decoder(Flown).decode
-    lines = path.read_bytes().splitlines() if path.exists() else []
-    have = {flown.job: flown for flown in map(decode, lines)}
-    missing = [job for job in jobs if job not in have]
-    console = Console(stderr=True)
-    with ProcessPoolExecutor(processes) as pool, open(path, "ab", buffering=0) as file:
-        for count, flown in enumerate(pool.map(fly, missing), 1):
-            have[flown.job] = flown
-            file.write(msgspec.json.encode(flown) + b"\n")
-            if count % 50 == 0:
-                console.print(f"{name}: {count} of {len(missing)}")
-    return [have[job] for job in jobs]
+    return fly_missing(KEPT / f"{name}.jsonl", jobs, fly, Flown, processes, fresh)
 
 
 # --- what came of it -------------------------------------------------------------------------------------
