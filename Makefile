@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 MISSION ?= missions/dual_collision.yaml
 
-.PHONY: dry-run test bench campaign wheels docs format clean
+.PHONY: dry-run test bench campaign compiled wheels docs format clean
 .DEFAULT_GOAL := test
 
 $(STAMP): pyproject.toml constraints.txt
@@ -35,11 +35,18 @@ bench: $(STAMP)
 campaign: $(STAMP)
 	$(BIN)/python -m tools.campaigns.__main__
 
+compiled: $(STAMP)  # needs the network and a C compiler; docs/speed.md
+	rm -rf build/compiled build/compiled-wheel
+	DART_FLIGHT_COMPILE=1 $(BIN)/python -m pip wheel --quiet --no-deps -w build/compiled-wheel .
+	$(BIN)/python -m zipfile -e build/compiled-wheel/*.whl build/compiled
+
 wheels: $(STAMP)  # needs the network
 	$(BIN)/python -m tools.check_wheels
 
-docs: $(STAMP)  # the parts of docs/ that the software writes itself
+docs: $(STAMP)  # the parts of docs/ that the software writes and draws itself
 	$(BIN)/python -m tools.docs.generated
+	$(BIN)/python -m tools.docs.concept_figures
+	$(BIN)/python -m tools.docs.animation
 
 format: $(STAMP)
 	$(BIN)/ruff format .

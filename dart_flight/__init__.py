@@ -1,12 +1,73 @@
 """DART flight: fly a dual-stiffness quadrotor into walls on purpose and profit from it.
 
-`docs/architecture.md` shows the rooms and the way of one IMU sample through them.
+What a script needs is here by name (`dart_flight.simulate`, ... : docs/python.md); it is imported when it is
+first asked for. `docs/architecture.md` shows the rooms and the way of one IMU sample through them.
 """
 
 import os
+from typing import TYPE_CHECKING, Any
 
 # Before NumPy is first imported: the threads of its linear algebra only wait for each other on matrices of
 # the sizes here, and what they burn meanwhile is missing to a flight on the same machine.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from dart_flight.api import (
+        Flight,
+        Identification,
+        InputError,
+        Log,
+        Mission,
+        PlanResult,
+        Trial,
+        VehicleConfig,
+        Verdict,
+        identify,
+        load_mission,
+        load_scenario,
+        load_vehicle,
+        packaged,
+        plan,
+        predict,
+        predict_drop,
+        read_log,
+        simulate,
+    )
+
+__all__ = [
+    "Flight",
+    "Identification",
+    "InputError",
+    "Log",
+    "Mission",
+    "PlanResult",
+    "Trial",
+    "VehicleConfig",
+    "Verdict",
+    "identify",
+    "load_mission",
+    "load_scenario",
+    "load_vehicle",
+    "packaged",
+    "plan",
+    "predict",
+    "predict_drop",
+    "read_log",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from dart_flight import api  # noqa: PLC0415  only now: `dart-flight --help` and the Pi do without
+
+    value = getattr(api, name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

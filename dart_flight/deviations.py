@@ -113,6 +113,8 @@ def deviations(
         for collision in mission.collisions
         for deviation in _of_collision(mission, collision, planned[collision.index], met.get(collision.index))
     ]
+    if not mission.recovers_to_goal:  # the goal is flown to from rest: nothing is missed
+        return found
     return [*found, Deviation("goal miss, m", 0.0, goal_miss_m, mission.goal.capture_radius_m)]
 
 
@@ -151,10 +153,35 @@ def worst(found: Sequence[Deviation]) -> list[Deviation]:
     return sorted(outside, key=lambda one: -_times_over(one))
 
 
+def departures(found: Sequence[Deviation], most: int = 3) -> str:
+    """In words where the plan was left, the worst first and at most so many; "" where it was not."""
+    outside = worst(found)
+    more = len(outside) - most
+    return "; ".join(map(_in_words, outside[:most])) + (f"; {more} more" if more > 0 else "")
+
+
+def _in_words(one: Deviation) -> str:
+    name, _, unit = one.what.partition(", ")
+    within = f" ± {one.tolerance:.2f}" if one.tolerance is not None else ""
+    return f"{name} {_figure(one.flown)} instead of {_figure(one.planned)}{within} {unit}".rstrip()
+
+
+def _figure(value: float | str | None) -> str:
+    return "none" if value is None else value if isinstance(value, str) else f"{value:.2f}"
+
+
 def _times_over(one: Deviation) -> float:
     if isinstance(one.planned, float) and isinstance(one.flown, float) and one.tolerance:
         return abs(one.flown - one.planned) / one.tolerance
     return math.inf
 
 
-__all__ = ["Deviation", "FlownImpact", "PlannedImpact", "deviations", "planned_impacts", "worst"]
+__all__ = [
+    "Deviation",
+    "FlownImpact",
+    "PlannedImpact",
+    "departures",
+    "deviations",
+    "planned_impacts",
+    "worst",
+]

@@ -82,6 +82,7 @@ class Request(StrEnum):
     """What an operator, or the shell itself, asks of a flight under way."""
 
     LAND = "land"  # leave the wall, land
+    CONTINUE = "continue"  # the pause is over
     RELEASE = "release"
     WORLD_DIED = "world_died"  # by the shell: the simulated vehicle is gone
 
@@ -100,6 +101,8 @@ class Phase(StrEnum):
     OFFBOARD = "offboard"  # asking PX4 for offboard mode
     ARMING = "arming"
     CLIMB = "climb"
+    WAYPOINT = "waypoint"  # to a way-point, and holding there
+    PAUSE = "pause"  # holding until the operator's word
     TRANSIT = "transit"  # to the run-up point, turning parallel to the wall
     PREPARE = "prepare"  # lock to the collision's mode
     APPROACH = "approach"
@@ -170,12 +173,12 @@ class OdometrySample(Record, frozen=True, gc=False):
 
 
 class ActuatorSample(Record, frozen=True, gc=False):
-    """ACTUATOR_OUTPUT_STATUS: what PX4 sends to the four motors, 0 (stopped) to 1."""
+    """ACTUATOR_OUTPUT_STATUS: what PX4 sends to the motors, 0 (stopped) to 1."""
 
     topic: ClassVar[str] = "/in/actuator"
     t_us: int
     received_us: int
-    motors: tuple[float, float, float, float]
+    motors: tuple[float, ...]  # in PX4's order
     stamp_is_estimated: bool = True  # the stream has no stamp: mapped host time
 
 
@@ -189,12 +192,12 @@ class AttitudeTargetSample(Record, frozen=True, gc=False):
 
 
 class EscSample(Record, frozen=True, gc=False):
-    """ESC_STATUS: measured speed of the four motors, revolutions per minute."""
+    """ESC_STATUS: measured speed of the motors, revolutions per minute."""
 
     topic: ClassVar[str] = "/in/esc"
     t_us: int
     received_us: int
-    rpm: tuple[float, float, float, float]  # revolutions per minute
+    rpm: tuple[float, ...]  # revolutions per minute, in PX4's order
 
 
 class StatusSample(Record, frozen=True, gc=False):
@@ -559,7 +562,7 @@ class DetectionFloor(Record, frozen=True, gc=False):
     noise_short_n: float  # deviation of a component of the short mean
     noise_long_n: float  # ... of the long mean
     rigid_n: float  # peak from which on a rigid contact with this wall is found for certain
-    flexible_n: float  # ... a flexible contact
+    flexible_n: float | None = None  # ... a flexible contact; none: the vehicle has no lock
 
 
 class PhaseChange(Record, frozen=True, gc=False):

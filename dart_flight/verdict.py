@@ -88,7 +88,7 @@ class CollisionVerdict(msgspec.Struct):
     planned: Velocities
     measured: Velocities
     truth: Velocities | None
-    lock: LockTimes
+    lock: LockTimes | None  # None: the vehicle has no lock
     detection_latency_ms: float | None
     setpoint_latency_ms: float | None
     contact_time_ms: float | None = None
@@ -155,7 +155,8 @@ class VerdictBuilder:
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
-        self._relaxation_us = round(mission.vehicle.lock.relaxation_s * 1e6)
+        lock = mission.vehicle.lock
+        self._relaxation_us = None if lock is None else round(lock.relaxation_s * 1e6)
         self._collisions: list[CollisionVerdict] = []
         self._places: dict[int, Vec2] = {}  # of the impacts, by index of the collision
         self._truths: list[TruthContact] = []
@@ -251,7 +252,7 @@ class VerdictBuilder:
                 planned=Velocities(),  # at the end: it may take the planner's model
                 measured=Velocities(measured[0], measured[1], None),
                 truth=None,
-                lock=LockTimes(),
+                lock=None if self._relaxation_us is None else LockTimes(),
                 detection_latency_ms=(onset.t_us - onset.first_us) * 1e-3,
                 setpoint_latency_ms=None,
             )
@@ -271,16 +272,20 @@ class VerdictBuilder:
             measured.peak_torque_nm = record.peak_torque_nm
 
     def _take_contact_end(self, record: ContactEnd) -> None:
-        if self._collisions and self._collisions[-1].lock.contact_end_us is None:
-            last = self._collisions[-1]
+        if not self._collisions or self._collisions[-1].contact_time_ms is not None:
+            return
+        last = self._collisions[-1]
+        last.contact_time_ms = (record.t_us - record.first_us) * 1e-3
+        if last.lock is not None and self._relaxation_us is not None:
             last.lock.contact_end_us = record.t_us
             last.lock.relaxed_us = record.t_us + self._relaxation_us
-            last.contact_time_ms = (record.t_us - record.first_us) * 1e-3
             last.mode_by_contact_time = self._mode_by_time(
                 self._mission.collisions[last.index - 1], last.contact_time_ms
             )
 
     def _take_felt(self, record: WallFelt) -> None:
+        if self._relaxation_us is None:
+            return  # one mode: nothing to tell apart
         if self._collisions and self._onset and self._onset.first_us == record.first_us:
             self._collisions[-1].mode_felt = record.mode_felt
             self._collisions[-1].mode_log_odds = record.log_odds
@@ -304,7 +309,7 @@ class VerdictBuilder:
         if not self._collisions:
             return
         times = self._collisions[-1].lock
-        if times.contact_end_us is None or (record.commanded_us or 0) < times.contact_end_us:
+        if times is None or times.contact_end_us is None or (record.commanded_us or 0) < times.contact_end_us:
             return
         if times.commanded_us is None:
             times.commanded_us = record.commanded_us

@@ -273,6 +273,7 @@ def test_a_lock_that_would_not_move_is_a_no_go() -> None:
     assert no_goes(judge_lock(plain, {})) == ["lock_driver"]  # mock: nothing real moves
     by_px4 = with_driver(plain, LockDriver.PX4)
     assert no_goes(judge_lock(by_px4, {})) == ["lock_driver"]
+    assert by_px4.vehicle.lock is not None
     values = {required.name: float(required.value) for required in required_parameters(by_px4.vehicle.lock)}
     assert not no_goes(judge_lock(by_px4, values))
 

@@ -10,8 +10,10 @@ PACKAGE = Path(__file__).parents[1] / "dart_flight"
 
 # Rooms from the ground up; a room may import those of its own and of lower floors.
 FLOORS = {
+    "rotations": -1,
     "errors": 0,
     "geometry": 0,
+    "priority": 0,
     "samples": 1,
     "streams": 1,
     "config": 2,
@@ -26,13 +28,16 @@ FLOORS = {
     "vehicle": 7,
     "sim": 8,  # may use the lock's pure modules
     "recording": 9,
-    "identify": 10,
+    "identification": 10,
+    "scene": 10,
     "worlds": 11,
-    "check": 12,
-    "report": 12,
-    "cli": 13,
-    "__main__": 14,
-    "__init__": 14,
+    "campaign": 12,
+    "check": 13,
+    "report": 13,
+    "api": 14,
+    "cli": 14,
+    "__main__": 15,
+    "__init__": 15,
 }
 # Inside the core likewise: what is known, what is proposed, what is allowed.
 CORE_FLOORS = {"sense": 0, "mission": 1, "guard": 2, "flight_core": 3}
@@ -43,6 +48,7 @@ DOORS = {
     "pymavlink": ("sim/",),
     "asyncio": ("vehicle/", "worlds/", "cli/"),
     "mcap": ("recording/",),
+    "foxglove": ("scene/",),
 }
 
 

@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PYTHONS = {"3.11": "bookworm", "3.13": "trixie"}
 # Oldest C library of the two: bookworm has glibc 2.36, trixie 2.41.
 PLATFORMS = [f"manylinux_2_{minor}_aarch64" for minor in range(36, 16, -1)] + ["manylinux2014_aarch64"]
-EXTRAS = ("sim", "identify", "report")
+EXTRAS = ("sim", "identify", "report", "live")
 
 
 def pins() -> dict[str, str]:

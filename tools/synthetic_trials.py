@@ -20,7 +20,7 @@ from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.contact.path import Contact, trajectory
 from dart_flight.geometry import GRAVITY_M_S2
-from dart_flight.identify.trials import Series, Trial
+from dart_flight.identification.trials import Series, Trial
 from dart_flight.samples import Mode
 
 MASS_KG = 1.3

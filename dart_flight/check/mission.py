@@ -6,19 +6,31 @@ import math
 from collections.abc import Iterator
 
 from dart_flight.check.findings import Finding
+from dart_flight.check.walls import check_walls
 from dart_flight.config.mission import Collision, Mission
-from dart_flight.core.mission.approach import NoApproachError, plan_approach
+from dart_flight.core.mission.approach import (
+    Leg,
+    NoApproachError,
+    check_legs,
+    is_blocked,
+    legs_of,
+    plan_approach,
+    transit_of,
+)
 from dart_flight.core.mission.arithmetic import SCALARS
 from dart_flight.core.mission.commitment import SETPOINT_OUTSIDE_M, setpoint_outside_m
 from dart_flight.core.mission.planned import expected_hit, impact_velocity
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.mission.recovery import recovery_point
+from dart_flight.core.mission.survey import SURE_SD, slack_m
 from dart_flight.core.sense.detector import ImpactDetector
 from dart_flight.geometry import Vec3
 from dart_flight.planning.constraints import leads_behind
 from dart_flight.planning.envelope import (
     clipping_warning,
     full_scale_n,
+    height_warning,
+    incidence_warning,
     speed_warning,
 )
 from dart_flight.planning.planned import PlannedFlight, planned_flight
@@ -26,28 +38,33 @@ from dart_flight.planning.planned import PlannedFlight, planned_flight
 _CLEARANCE_M = 0.15  # of start and goal from a wall's plane
 _WEAK = 1.3  # an impact below this many thresholds may be missed
 _SAME_M = 1e-6
+_LEG_POINTS = 50
+_PEAK_SPEED = 1.875  # over the mean, of a transit
 
 
 def check_mission(mission: Mission) -> list[Finding]:
     """What can be judged without a vehicle."""
     findings = _check_places(mission)
-    planned = _planned(mission)
+    findings += _check_waypoints(mission)
+    planned = modelled(mission)
     for collision in mission.collisions:
         findings += _check_approach(mission, collision)
         findings += _check_force(mission, collision)
         findings += _check_noise(mission, collision)
-        findings += _check_speed(mission, collision)
+        findings += _check_envelope(mission, collision)
         findings += _check_recovery(mission, collision, planned)
         findings += _check_servo(mission, collision)
     if planned is not None:
         findings += _check_path(mission, planned)
+    findings += check_walls(mission, planned)
     findings += _check_coefficients(mission)
     return findings
 
 
-def _planned(mission: Mission) -> PlannedFlight | None:
+def modelled(mission: Mission) -> PlannedFlight | None:
     """The flight by the planner's model; None where an approach cannot even be flown, which is a finding."""
     try:
+        check_legs(mission)
         for collision in mission.collisions:
             if collision.approach_m_s is not None:
                 plan_approach(mission, collision)
@@ -58,15 +75,19 @@ def _planned(mission: Mission) -> PlannedFlight | None:
 
 def _check_places(mission: Mission) -> list[Finding]:
     findings = []
-    for name, point in (("start", mission.start), ("goal", mission.goal.position_m)):
+    places = [("start", mission.start), ("goal", mission.goal.position_m)]
+    places += [(w.name, w.position[:2]) for w in mission.waypoints if w.position is not None]
+    for name, point in places:
         near = [
             (wall.signed_distance(point), wall.name)
             for wall in mission.walls
-            if wall.spans(point) and abs(wall.signed_distance(point)) < _CLEARANCE_M
+            if wall.spans(point) and abs(wall.signed_distance(point)) < _CLEARANCE_M + slack_m(wall, point)
         ]
         for distance, wall_name in near:
             says = f"{name} is {distance:.2f} m from wall {wall_name}, less than {_CLEARANCE_M:g} m"
-            findings.append(Finding(f"{name}_clearance", False, says))
+            if distance >= _CLEARANCE_M:
+                says += f" if that stands {SURE_SD:g} of its standard deviations nearer"
+            findings.append(Finding(f"{name.replace(' ', '_')}_clearance", False, says))
     for wall in mission.walls:
         if mission.bounds.excess2(wall.point) > 0.0:
             says = f"the middle of wall {wall.name} lies outside of bounds_m: it could not be flown to"
@@ -75,6 +96,34 @@ def _check_places(mission: Mission) -> list[Finding]:
         findings.append(
             Finding("places", True, "start, goal and walls lie within the bounds, clear of each other")
         )
+    return findings
+
+
+def _check_waypoints(mission: Mission) -> list[Finding]:
+    """Whether no wall stands between way-points, and the legs can be flown as asked."""
+    legs = legs_of(mission)
+    if not legs:
+        return []
+    try:
+        check_legs(mission)
+    except NoApproachError as error:
+        return [Finding("waypoints", False, str(error))]
+    if mission.vehicle.flying.transit_speed_m_s > mission.limits.speed_m_s:
+        says = f"flying.transit_speed_m_s is over limits.speed_m_s {mission.limits.speed_m_s:g}"
+        return [Finding("waypoints", False, says)]
+    known = [(leg, transit_of(mission, leg, leg.begin)) for leg in legs if leg.begin is not None]
+    way_m = sum(math.dist(t.begin, t.end) for _, t in known)
+    held_s = sum(w.hold_s for w in mission.waypoints if w.position is not None) + mission.goal.hold_s
+    flown_s = sum(t.duration_s for _, t in known) + held_s
+    pauses = sum(w.position is None for w in mission.waypoints)
+    says = f"{way_m:.1f} m from rest to rest in {flown_s:.0f} s with what is held"
+    says += f", {pauses} pause{'s' if pauses > 1 else ''} beside that" if pauses else ""
+    findings = [Finding("waypoints", True, says)]
+    for leg, transit in known:
+        peak = _PEAK_SPEED * math.dist(transit.begin, transit.end) / transit.duration_s
+        if leg.speed_m_s > peak + 0.01 > 0.02:
+            slower = f"{leg.name}: the way is too short for {leg.speed_m_s:g} m/s, {peak:.2f} are reached"
+            findings.append(Finding("waypoint_speed", True, slower, remark=True))
     return findings
 
 
@@ -135,10 +184,18 @@ def _check_noise(mission: Mission, collision: Collision) -> list[Finding]:
     return [Finding(f"noise_{collision.index}", True, says, remark=True)]
 
 
-def _check_speed(mission: Mission, collision: Collision) -> list[Finding]:
-    """Whether an impact so fast has been survived with a real PX4."""
-    warning = speed_warning(collision)
-    return [] if warning is None else [Finding(f"speed_{collision.index}", False, warning)]
+def _check_envelope(mission: Mission, collision: Collision) -> list[Finding]:
+    """Whether an impact so fast, so askew and so far from the centre has been recovered from."""
+    warnings = {
+        "speed": speed_warning(collision),
+        "incidence": incidence_warning(mission, collision),
+        "guard_height": height_warning(mission, collision),
+    }
+    return [
+        Finding(f"{item}_{collision.index}", False, says)
+        for item, says in warnings.items()
+        if says is not None
+    ]
 
 
 def _check_path(mission: Mission, planned: PlannedFlight) -> list[Finding]:
@@ -170,9 +227,15 @@ def _states(mission: Mission, planned: PlannedFlight) -> Iterator[tuple[float, f
                 before_s = share * mission.vehicle.flying.steady_run_s
                 x, y = collision.impact_point
                 yield x - before_s * vx, y - before_s * vy, vx, vy
-    for leg in planned.legs:
-        for x, y, vx, vy in leg.tolist():
+    for path in planned.legs:
+        for x, y, vx, vy in path.tolist():
             yield x, y, vx, vy
+    for leg in legs_of(mission):
+        if leg.begin is not None:
+            transit = transit_of(mission, leg, leg.begin)
+            for i in range(_LEG_POINTS + 1):
+                at = transit.at(transit.duration_s * i / _LEG_POINTS)
+                yield at.position[0], at.position[1], at.velocity[0], at.velocity[1]
 
 
 def _check_recovery(mission: Mission, collision: Collision, planned: PlannedFlight | None) -> list[Finding]:
@@ -196,10 +259,11 @@ def _check_recovery(mission: Mission, collision: Collision, planned: PlannedFlig
         along,
         collision.alpha_normal_m_per_n,
         collision.alpha_tangential_m_per_n,
-        mission.altitude_m,
+        mission.altitude_at(collision.index - 1),
     )
     says = f"set-point after wall {collision.wall.name} about ({target[0]:.2f}, {target[1]:.2f})"
     following = next((c for c in mission.collisions if c.index == collision.index + 1), None)
+    leg = next((one for one in legs_of(mission) if _begins_behind(mission, one, collision)), None)
     if following is not None and following.approach_m_s is None:
         beyond = following.wall.signed_distance(target)
         if beyond > 0.0:
@@ -210,7 +274,18 @@ def _check_recovery(mission: Mission, collision: Collision, planned: PlannedFlig
     for wall in mission.walls:
         if wall is not collision.wall and leads_behind(wall, (place[0], place[1]), (target[0], target[1])):
             return [Finding(item, False, f"{says}: behind wall {wall.name}, which is not to be hit next")]
-    return [_outside(mission, item, target, says, "the goal")]
+        if leg is not None and is_blocked(SCALARS, wall, target[:2], leg.end[:2]):
+            says = f"{says}: from there wall {wall.name} is in the way to {leg.name}"
+            return [Finding(item, False, says)]
+    return [_outside(mission, item, target, says, "the goal" if leg is None else leg.name)]
+
+
+def _begins_behind(mission: Mission, leg: Leg, collision: Collision) -> bool:
+    """Whether a leg begins where the recovery from a collision has led to."""
+    if leg.begin is not None:
+        return False
+    ends = [w.after for w in mission.waypoints if w.name == leg.name]
+    return (ends[0] if ends else len(mission.collisions)) == collision.index
 
 
 def _outside(mission: Mission, item: str, target: Vec3, says: str, first: str) -> Finding:
@@ -232,6 +307,8 @@ def _check_servo(mission: Mission, collision: Collision) -> list[Finding]:
     if following is None or following.approach_m_s is not None or following.mode is collision.mode:
         return []
     lock, item = mission.vehicle.lock, f"servo_{following.index}"
+    if lock is None:
+        return []
     needed = lock.relaxation_s + lock.switch_time_s
     here, there = collision.predicted, following.predicted
     hit = expected_hit(mission, collision)

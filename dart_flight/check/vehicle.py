@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from dart_flight.check.airframe import judge_airframe
 from dart_flight.check.findings import Finding
 from dart_flight.check.parameters import (
     judge_parameters,
@@ -14,6 +15,7 @@ from dart_flight.check.parameters import (
 )
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameters import PositionSource
+from dart_flight.config.rotors import COUNT, rotor_names
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.drivers.px4 import parameter_problems, required_parameters
 from dart_flight.streams import BY_NAME
@@ -33,17 +35,20 @@ def check_vehicle(mission: Mission, url: str, position_from: PositionSource | No
     Raises:
         VehicleError: nothing answers at the URL.
     """
-    names = names_to_read()
-    if mission.vehicle.lock.driver is LockDriver.PX4:
-        names += [required.name for required in required_parameters(mission.vehicle.lock)]
+    names = [*names_to_read(), COUNT]
+    lock = mission.vehicle.lock
+    if lock is not None and lock.driver is LockDriver.PX4:
+        names += [required.name for required in required_parameters(lock)]
     with GroundLink(url, mission.vehicle.connection.timeout_s) as link:
         observed = link.observe(_MEASURE_S)
         values = link.read_parameters(names)
         values |= link.read_parameters(dict.fromkeys(other_names(values)))
+        values |= link.read_parameters(rotor_names(values.get(COUNT, 0.0)))
     found = position_source(values, observed.gps_fix)
     return [
         *judge_position(mission, found, observed.gps_fix, position_from),
         *judge_parameters(mission, values, position_from or found),
+        *judge_airframe(mission, values),
         *judge_observation(mission, observed),
         *judge_lock(mission, values),
     ]
@@ -85,8 +90,10 @@ def judge_observation(mission: Mission, observed: Observation) -> list[Finding]:
 
 
 def judge_lock(mission: Mission, values: Mapping[str, float]) -> list[Finding]:
-    """Whether the lock's servo would move."""
+    """Whether the lock's servo would move; nothing where there is none."""
     lock = mission.vehicle.lock
+    if lock is None:
+        return []
     if lock.driver is LockDriver.MOCK:
         says = "lock.driver is mock: nothing real moves; choose maestro, pwm or px4 (--driver)"
         return [Finding("lock_driver", False, says)]

@@ -7,7 +7,6 @@ prints; it holds no logic. `InputError` becomes one line and exit status 2 here,
 from __future__ import annotations
 
 import argparse
-import contextlib
 import difflib
 import importlib
 import logging
@@ -20,29 +19,30 @@ from typing import Any
 from dart_flight import __version__
 from dart_flight.config.document import InputError
 from dart_flight.errors import FlightError
+from dart_flight.priority import stand_back
 
 # command -> what it does, in the order of `dart-flight --help`
 COMMANDS = {
     "fly": "fly a mission on the vehicle",
     "dry-run": "fly a mission in simulation",
+    "campaign": "fly missions by the thousand in simulation, into a table that survives",
     "simulate": "a simulated vehicle alone, for `fly` in another terminal or a ground station",
     "check": "go or no-go: a mission, and the vehicle where one answers",
     "lock": "move or report the locking mechanism",
     "plan": "choose walls, velocities and modes for a scenario, and write the mission",
     "replay": "a recorded flight again through the same decisions",
     "report": "recorded flights as a page with plots",
-    "export": "a flight log as CSV files",
+    "export": "flight logs as CSV files, or to play in 3D in Foxglove, Lichtblick and Rerun",
     "predict": "predict a collision or a drop",
     "monitor": "live view of force, detection, streams, lock and phase, without flying",
     "calibrate": "thrust curve or inertia from flights",
     "feel": "what PX4 logs of any multirotor felt: force, impacts, what is unknown",
     "identify": "contact coefficients from recorded trials",
-    "tables": "the paper's collision tables beside the model's",
+    "tables": "the paper's tables and figures beside the model's",
     "init": "copy the packaged configuration, missions and scenarios to start from",
     "completion": "what completes commands in bash, zsh or tcsh",
 }
 
-_WATCHING_NICE = 19
 EXIT_OK, EXIT_INCOMPLETE, EXIT_INPUT = 0, 1, 2
 
 
@@ -123,25 +123,12 @@ def _module(command: str) -> Any:
     return importlib.import_module(f"dart_flight.cli.{command.replace('-', '_')}_command")
 
 
-def _stand_back() -> None:
-    """What a flight needs goes first, from the first import on: run only where a processor is idle.
-
-    A higher nice value alone still has a share, and once it runs a time slice of milliseconds; a process of
-    the idle class (sched(7)) gives way at once.
-    """
-    with contextlib.suppress(OSError):
-        os.nice(_WATCHING_NICE)
-    if sys.platform == "linux":
-        with contextlib.suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of `dart-flight`. Returns the exit status: 0 success, 1 not completed, 2 wrong input."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     command = next((a for a in arguments if a in COMMANDS), None)
     if command == "monitor" and not any(a.startswith("--connection") for a in arguments):
-        _stand_back()
+        stand_back()
     try:
         parsed = build_parser([command] if command else []).parse_args(arguments)
         logging.basicConfig(

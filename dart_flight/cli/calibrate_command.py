@@ -1,4 +1,7 @@
-"""`dart-flight calibrate thrust|inertia LOG...`: the thrust curve from hover, the inertia from turning."""
+"""`dart-flight calibrate thrust|inertia LOG...`: the thrust curve from hover, the inertia from turning.
+
+`calibrate airframe` prints where PX4 has its motors, as the configuration wants them.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +13,17 @@ from typing import Any, NamedTuple
 import msgspec
 from rich.table import Table
 
+from dart_flight.cli.options import link_of
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config import InputError, default_config_path, find_vehicle
 from dart_flight.config.document import Key
 from dart_flight.config.edit import write_values
+from dart_flight.config.rotors import COUNT, motors_block, motors_of, rotor_differences, rotor_names
 from dart_flight.config.vehicle import VehicleConfig, packaged
-from dart_flight.identify.inertia import WINDOW_S, InertiaCalibration, calibrate_inertia
-from dart_flight.identify.thrust_curve import (
+from dart_flight.identification.airframe import read_airframe
+from dart_flight.identification.inertia import WINDOW_S, InertiaCalibration, calibrate_inertia
+from dart_flight.identification.thrust_curve import (
     ThrustCalibration,
     Track,
     calibrate_thrust,
@@ -25,23 +31,36 @@ from dart_flight.identify.thrust_curve import (
     said_of,
 )
 from dart_flight.recording.found import from_each, logs_in
+from dart_flight.vehicle.ground_link import GroundLink
+from dart_flight.vehicle.link import LinkLease
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument("what", choices=("thrust", "inertia"))
+    parser.add_argument("what", choices=("thrust", "inertia", "airframe"))
     parser.add_argument(
-        "logs", nargs="+", metavar="LOG", help=".mcap, PX4 ULog (.ulg), or a folder of flights"
+        "logs",
+        nargs="*",
+        metavar="LOG",
+        help=".mcap, PX4 ULog (.ulg), or a folder of flights; airframe: a ULog, QGroundControl's .params or "
+        "what `param show -a` prints",
     )
+    parser.add_argument("--connection", metavar="URL", help="airframe: of the vehicle that answers here")
     parser.add_argument("--write", action="store_true", help="write the result into the configuration")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry the command out. Returns the exit status."""
+    if arguments.what == "airframe":
+        return _airframe(arguments)
+    if arguments.connection is not None or not arguments.logs:
+        raise InputError(f"calibrate {arguments.what} needs logs, and takes nothing from a connection")
     path = Path(arguments.config) if arguments.config else default_config_path()
     vehicle, source = find_vehicle(path)
     if arguments.write:
         _refuse_unwritable(arguments, path)
+        if arguments.what == "thrust" and vehicle.thrust.table is not None:
+            raise InputError("has thrust.table: full_n and model_factor would replace it", source=str(path))
     left_out: list[str] = []
     tracks = from_each(logs_in(arguments.logs), read_track, left_out.append)
     calibrate = _thrust if arguments.what == "thrust" else _inertia
@@ -58,6 +77,33 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.write:
         write_values(path, values)
         messages().print(f"written: {path}", soft_wrap=True)
+    return 0
+
+
+def _airframe(arguments: argparse.Namespace) -> int:
+    """Print where PX4 has its motors, and how the configuration's differ."""
+    if arguments.write:
+        raise InputError(
+            "calibrate airframe prints a block to be pasted below `airframe:`, it writes nothing"
+        )
+    if (arguments.connection is None) != (len(arguments.logs) == 1):
+        raise InputError("calibrate airframe needs one file, or --connection URL")
+    vehicle, source = find_vehicle(arguments.config)
+    if arguments.connection is not None:
+        url = link_of(arguments, vehicle.connection)
+        with LinkLease(url, "calibrate"), GroundLink(url, vehicle.connection.timeout_s) as link:
+            values = link.read_parameters([COUNT])
+            motors = motors_of(values | link.read_parameters(rotor_names(values.get(COUNT, 0.0))), url)
+    else:
+        motors = read_airframe(Path(arguments.logs[0]))
+    say_vehicle(source, messages(), asked=arguments.config is not None)
+    other, sizes = rotor_differences(vehicle.airframe.motors, motors)
+    if arguments.json:
+        emit_json({"motors": motors, "other_than_configured": other, "other_sizes": sizes})
+        return 0
+    tables().print(motors_block(motors), markup=False, highlight=False, soft_wrap=True)
+    for line in [*other, *sizes]:
+        messages().print(line, markup=False, soft_wrap=True)
     return 0
 
 

@@ -11,6 +11,7 @@ from dart_flight.check.findings import CheckReport, decide
 from dart_flight.check.mission import check_mission
 from dart_flight.check.parameters import judge_claim
 from dart_flight.check.vehicle import check_vehicle
+from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import add_driver_option, add_position_option, add_set_option, link_of
 from dart_flight.cli.terminal import emit_json, messages
 from dart_flight.cli.vehicle_line import say_vehicle
@@ -29,6 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_position_option(parser)
     add_driver_option(parser)
     add_set_option(parser)
+    add_plot_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -36,6 +38,8 @@ def run(arguments: argparse.Namespace) -> int:
     mission = load_mission(arguments.mission, arguments.config, arguments.set)
     if arguments.driver is not None:
         mission = with_driver(mission, arguments.driver)
+    if arguments.plot is not None:
+        write_picture(mission, arguments.plot, messages())
     findings = check_mission(mission)
     if arguments.connection is not None:
         url = link_of(arguments, mission.vehicle.connection)

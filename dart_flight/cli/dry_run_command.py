@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -10,7 +11,8 @@ from typing import Any
 
 from rich.progress import Progress
 
-from dart_flight.cli.flight_output import FlightLines, summary_table, verdict_table
+from dart_flight.cli.flight_output import FlightLines, live_line_for, show_end, summary_table
+from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import add_flight_options, add_set_option, add_vary_option, number, whole_number
 from dart_flight.cli.px4_options import add_px4_options, position_source_of, position_warnings
 from dart_flight.cli.terminal import emit_json, messages, tables
@@ -21,7 +23,7 @@ from dart_flight.config.provenance import shown_path
 from dart_flight.planning.envelope import impact_warnings
 from dart_flight.sim.draws import parse_vary
 from dart_flight.sim.extras import need_mavlink
-from dart_flight.sim.faults.kinds import parse_fault
+from dart_flight.sim.faults.kinds import Fault, parse_fault
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.campaigns import RunsInterruptedError, fly_fast_many, fly_one_by_one, summarise
 from dart_flight.worlds.embedded import fly_embedded
@@ -53,6 +55,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="NAME[=VALUE][@PHASE]",
         help="something goes wrong, from this phase on; docs/faults.md has the table",
     )
+    add_live_options(parser)
     add_set_option(parser)
     add_vary_option(parser)
 
@@ -60,12 +63,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def _flight(arguments: argparse.Namespace, mission: Mission) -> Callable[..., Verdict]:
     """The function that flies one mission in the wanted world: (mission, seed, log folder[, progress])."""
     position_from = position_source_of(arguments)
-    fault = parse_fault(arguments.fault) if arguments.fault is not None else None
+    fault = _fault(arguments, mission)
     spreads = _spreads(arguments, mission)
     if fault is not None and (arguments.runs is not None or arguments.px4 is not None):
         raise InputError("--fault is for one flight in the fast or the embedded world")
     if arguments.fast and arguments.speed is not None:
         raise InputError("--speed is for flights with a pace, --fast goes as fast as it can")
+    if arguments.live and (arguments.fast or arguments.runs is not None):
+        raise InputError(
+            "--live is for one flight with a pace; `export --foxglove` shows any flight afterwards"
+        )
     if arguments.px4 is None and arguments.fast:
         return partial(fly_fast, fault=fault, spreads=spreads)
     need_mavlink()
@@ -76,7 +83,7 @@ def _flight(arguments: argparse.Namespace, mission: Mission) -> Callable[..., Ve
 
     find_install(arguments.px4)
 
-    def fly(mission: Mission, seed: int, log_dir: Path, *progress: Any) -> Verdict:
+    def fly(mission: Mission, seed: int, log_dir: Path, *progress: Any, **viewer: Any) -> Verdict:
         return fly_px4(
             mission,
             arguments.px4,
@@ -87,13 +94,20 @@ def _flight(arguments: argparse.Namespace, mission: Mission) -> Callable[..., Ve
             speed=arguments.speed or 1.0,
             parameter_files=tuple(arguments.params or ()),
             spreads=spreads,
+            **viewer,
         )
 
     return fly
 
 
+def _fault(arguments: argparse.Namespace, mission: Mission) -> Fault | None:
+    if arguments.fault is None:
+        return None
+    return parse_fault(arguments.fault, mission.vehicle.has_lock)
+
+
 def _spreads(arguments: argparse.Namespace, mission: Mission) -> dict[str, float]:
-    return parse_vary(arguments.vary, mission.vehicle.simulation.spreads)
+    return parse_vary(arguments.vary, mission.vehicle)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -109,13 +123,12 @@ def run(arguments: argparse.Namespace) -> int:
     for line in [*impact_warnings(mission), *position_warnings(position_source_of(arguments))]:
         console.print(f"[yellow]{line}[/]", soft_wrap=True)
     if arguments.runs is None:
-        lines = FlightLines(console, arguments.verbose > 0)
-        verdict = fly(mission, arguments.seed, arguments.log_dir, lines)
-        if arguments.json:
-            emit_json(verdict)
-        else:
-            tables().print(verdict_table(verdict))
-            console.print(f"log: {verdict.log}", soft_wrap=True)
+        live_line = None if arguments.fast else live_line_for(mission, console)
+        lines = FlightLines(console, arguments.verbose > 0, live_line)
+        with live_view(arguments, mission, console) as live, contextlib.closing(lines):
+            seen = {} if live is None else {"viewer": live}
+            verdict = fly(mission, arguments.seed, arguments.log_dir, lines, **seen)
+        show_end(verdict, console, arguments.json)
         return 0 if verdict.outcome == "completed" else 1
     seeds = range(arguments.seed, arguments.seed + arguments.runs)
     interrupted = False

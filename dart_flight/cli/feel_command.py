@@ -12,7 +12,7 @@ from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.config.document import InputError
 
 if TYPE_CHECKING:
-    from dart_flight.identify.feel import FeltFlight
+    from dart_flight.identification.feel import FeltFlight
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Feel, print, write. Returns the exit status."""
     from dart_flight.config.vehicle import load_vehicle
-    from dart_flight.identify.feel import feel, write_trials
+    from dart_flight.identification.feel import feel, write_trials
 
     if arguments.mass is not None and not arguments.mass > 0.0:
         raise InputError("must be over 0", key=("mass",))

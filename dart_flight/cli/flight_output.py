@@ -2,97 +2,96 @@
 
 from __future__ import annotations
 
+import shlex
+
 from rich.console import Console, Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from dart_flight.deviations import Deviation, worst
+from dart_flight.cli.live_line import LiveLine
+from dart_flight.cli.terminal import emit_json, tables
+from dart_flight.config.mission import Mission
+from dart_flight.deviations import departures
+from dart_flight.recording.events import Event, Events, Level
 from dart_flight.recording.flight_time import FlightTime
-from dart_flight.samples import (
-    ContactEnd,
-    GoalPassed,
-    GuardEvent,
-    HealthReport,
-    ImpactPeak,
-    LockPhase,
-    LockState,
-    MissionEnd,
-    Outcome,
-    PhaseChange,
-    PlanTaken,
-    Record,
-    StatusText,
-)
+from dart_flight.samples import GuardEvent, MissionEnd, Outcome, PhaseChange, Record
 from dart_flight.verdict import CollisionVerdict, Velocities, Verdict
 from dart_flight.worlds.campaigns import Summary
 
-_MOST_DEVIATIONS = 3
-_QUIET = frozenset({"notice", "info", "debug"})
-
 
 class FlightLines:
-    """Prints the decisions of a flight as they come, with the time since its zero (`flight_time`)."""
+    """Prints the decisions of a flight as they come, with the time since its zero (`flight_time`).
 
-    def __init__(self, console: Console, verbose: bool = False) -> None:
-        self._console, self._verbose = console, verbose
+    Args:
+        console: for messages.
+        verbose: also what matters little.
+        live_line: goes on below them.
+    """
+
+    def __init__(self, console: Console, verbose: bool = False, live_line: LiveLine | None = None) -> None:
+        self._console, self._verbose, self._live_line = console, verbose, live_line
         self._time = FlightTime()
-        self._problems: tuple[str, ...] = ()
+        self._events = Events(every_problem=verbose)
 
     def __call__(self, record: Record) -> None:
         """Print a record if it is a decision."""
         self._time.take(record)
-        line = self._line(record)
-        if line is None:
+        if self._live_line is not None:
+            self._live_line(record)
+        event = self._events.take(record)
+        if event is None or (event.level is Level.DEBUG and not self._verbose):
             return
+        self.close()
         time_s = self._time.seconds(getattr(record, "t_us", 0))
         shown = " " * 9 if time_s is None else f"{time_s:7.2f} s"
-        self._console.print(f"[dim]{shown}[/]  {line}", soft_wrap=True)
+        self._console.print(f"[dim]{shown}[/]  {_markup(record, event)}", soft_wrap=True)
 
-    def _line(self, record: Record) -> str | None:
-        if isinstance(record, PhaseChange):
-            which = f" (collision {record.collision})" if record.collision else ""
-            return f"[bold]{record.after}[/]{which}  [dim]{record.reason}[/]"
-        if isinstance(record, ImpactPeak):
-            clipped = ", clipped" if record.clipped else ""
-            return (
-                f"impact: {record.normal_force_n:.1f} N normal, "
-                f"{record.tangential_force_n:.1f} N along the wall{clipped}"
-            )
-        if isinstance(record, ContactEnd):
-            return f"contact over after {(record.t_us - record.first_us) * 1e-3:.0f} ms"
-        if isinstance(record, GuardEvent):
-            return f"[red]guard: {record.rule} -> {record.action}[/]  {record.detail}"
-        if isinstance(record, GoalPassed):
-            words = "time is up, nearest to the goal" if record.timed_out else "goal passed at"
-            return f"{words} {record.miss_m:.2f} m"
-        if isinstance(record, PlanTaken):
-            return "flying a new plan" if record.taken else f"new plan not flown: {record.reason}"
-        if isinstance(record, MissionEnd):
-            colour = "green" if record.outcome == "completed" else "red"
-            return f"[{colour}]{record.outcome}[/]" + (f": {record.reason}" if record.reason else "")
-        if isinstance(record, LockState):
-            return self._lock_line(record)
-        if isinstance(record, StatusText) and (self._verbose or record.severity not in _QUIET):
-            return f"[dim]PX4 {record.severity}: {escape(record.text)}[/]"
-        if isinstance(record, HealthReport):
-            return self._health_line(record)
-        return None
+    def close(self) -> None:
+        """Take the live line away: the flight is over, or something else is to be printed."""
+        if self._live_line is not None:
+            self._live_line.clear()
 
-    def _health_line(self, record: HealthReport) -> str | None:
-        """What PX4's checks hold against arming; nothing where that has not changed."""
-        problems = record.blocking or (record.others if self._verbose else ())
-        changed, self._problems = problems != self._problems, problems
-        if not changed or not problems:
-            return None
-        return f"[dim]PX4's checks: {escape(', '.join(problems))}[/]"
 
-    def _lock_line(self, record: LockState) -> str | None:
-        if record.phase is LockPhase.TRAVELLING and not self._verbose:
-            return None
-        feedback = "" if record.feedback or record.phase is not LockPhase.SETTLED else " (no feedback)"
-        mode = f" {record.mode.value}" if record.mode else ""
-        return f"lock {record.phase.value}{mode}{feedback}" + (f": {record.reason}" if record.reason else "")
+def live_line_for(mission: Mission, console: Console) -> LiveLine | None:
+    """The live line of a flight in real time, where messages go to a terminal."""
+    return LiveLine(mission, console.file) if console.is_terminal else None
+
+
+def show_end(verdict: Verdict, console: Console, as_json: bool) -> None:
+    """What a flight came to, where its log is, and what can be done with that."""
+    if as_json:
+        emit_json(verdict)
+        return
+    tables().print(verdict_table(verdict))
+    for line in [f"log: {verdict.log}", *(f"  {step}" for step in next_steps(verdict))]:
+        console.print(line, markup=False, soft_wrap=True)
+
+
+def next_steps(verdict: Verdict) -> list[str]:
+    """What can be done with a flight's log, as commands."""
+    if verdict.log is None:
+        return []
+    log = shlex.quote(verdict.log)
+    steps = [
+        f"dart-flight report {log}",
+        f"dart-flight export --foxglove {log}",
+        f"dart-flight replay {log}",
+    ]
+    return [*steps, f"dart-flight identify {log}"] if verdict.collisions else steps
+
+
+def _markup(record: Record, event: Event) -> str:
+    """An event for the terminal."""
+    head, detail = escape(event.head), escape(event.detail)
+    if isinstance(record, PhaseChange):
+        return f"[bold]{head}[/]  [dim]{detail}[/]"
+    if isinstance(record, GuardEvent):
+        return f"[red]{head}[/]  {detail}"
+    if isinstance(record, MissionEnd):
+        colour = "green" if event.level is Level.INFO else "red"
+        return f"[{colour}]{head}[/]" + (f": {detail}" if detail else "")
+    return f"[dim]{head}[/]" if event.source == "px4" else head
 
 
 def verdict_table(verdict: Verdict) -> RenderableType:
@@ -108,7 +107,7 @@ def verdict_table(verdict: Verdict) -> RenderableType:
         for collision in verdict.collisions:
             _add_collision(table, collision)
         parts.append(table)
-    else:
+    elif verdict.outcome is not Outcome.COMPLETED:
         parts.append(Text("no planned collision was flown"))
     figures = [
         f"{name} {value:.2f}\N{NO-BREAK SPACE}{unit}"
@@ -133,20 +132,7 @@ def _plan_line(verdict: Verdict) -> Text:
     """Whether the plan was followed, and where it was left most."""
     if verdict.plan_followed:
         return Text("plan followed")
-    outside = worst(verdict.deviations)
-    shown = "; ".join(map(_deviation, outside[:_MOST_DEVIATIONS]))
-    more = len(outside) - _MOST_DEVIATIONS
-    return Text(f"plan not followed: {shown}" + (f"; {more} more" if more > 0 else ""), style="yellow")
-
-
-def _deviation(one: Deviation) -> str:
-    name, _, unit = one.what.partition(", ")
-    within = f" ± {one.tolerance:.2f}" if one.tolerance is not None else ""
-    return f"{name} {_figure(one.flown)} instead of {_figure(one.planned)}{within} {unit}".rstrip()
-
-
-def _figure(value: float | str | None) -> str:
-    return "none" if value is None else value if isinstance(value, str) else f"{value:.2f}"
+    return Text(f"plan not followed: {departures(verdict.deviations)}", style="yellow")
 
 
 def _add_collision(table: Table, c: CollisionVerdict) -> None:

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import shlex
 import sys
+import tempfile
+from pathlib import Path
+
+from rich.console import Console
 
 from dart_flight.check.findings import decide
 from dart_flight.check.mission import check_mission
 from dart_flight.check.vehicle import check_vehicle
 from dart_flight.cli.check_command import show
-from dart_flight.cli.flight_output import FlightLines, verdict_table
+from dart_flight.cli.flight_output import FlightLines, live_line_for, show_end
+from dart_flight.cli.live_options import add_live_options, live_view
+from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import add_flight_options, add_position_option, link_of
-from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.terminal import messages
 from dart_flight.cli.vehicle_line import say_vehicle
-from dart_flight.config.mission import Mission
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission, Waypoint
 from dart_flight.vehicle.link import LinkLease
 from dart_flight.worlds.drone import fly_vehicle
 from dart_flight.worlds.prepare import load_flyable, with_driver, with_standoff
@@ -31,6 +40,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--overrule", action="append", default=[], metavar="ITEM", help="fly although `check` says no-go here"
     )
     add_position_option(parser)
+    add_live_options(parser)
+    add_plot_option(parser)
     parser.add_argument("--yes", action="store_true", help="do not ask before flying")
 
 
@@ -48,6 +59,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkLease) -> int:
     console = messages()
+    if arguments.plot is not None:
+        write_picture(mission, arguments.plot, console)
+    else:
+        see = f"to see it first: dart-flight check {shlex.quote(arguments.mission)} --plot mission.png"
+        console.print(see, markup=False, soft_wrap=True)
     say_vehicle(mission.flown_vehicle(), console, asked=arguments.config is not None)
     console.print(_intention(mission, url), soft_wrap=True)
     findings = check_mission(mission) + check_vehicle(mission, url, arguments.position_from)
@@ -55,38 +71,56 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     show(report, console)
     if not report.go:
         return 1
-    if not arguments.yes and not _confirmed():
+    if not arguments.yes and not confirmed(mission, console):
         console.print("not flown")
         return 1
-    lines = FlightLines(console, arguments.verbose > 0)
-    verdict = fly_vehicle(mission, url, arguments.log_dir, lines, lease)
-    if arguments.json:
-        emit_json(verdict)
-    else:
-        tables().print(verdict_table(verdict))
-        console.print(f"log: {verdict.log}", soft_wrap=True)
+    lines = FlightLines(console, arguments.verbose > 0, live_line_for(mission, console))
+    with live_view(arguments, mission, console) as live, contextlib.closing(lines):
+        verdict = fly_vehicle(mission, url, arguments.log_dir, lines, lease, live)
+    show_end(verdict, console, arguments.json)
     return 0 if verdict.outcome == "completed" else 1
 
 
 def _intention(mission: Mission, url: str) -> str:
     """What is about to happen, in words."""
-    lines = [f"[bold]{mission.name}[/] on {url}, lock by {mission.vehicle.lock.driver.value}"]
+    lock = mission.vehicle.lock
+    by = "" if lock is None else f", lock by {lock.driver.value}"
+    lines = [f"[bold]{mission.name}[/] on {url}{by}"]
     lines.append(f"  take off to {mission.altitude_m:g} m, to ({mission.start[0]:g}, {mission.start[1]:g})")
+    stops = [(w.after, _stop(w)) for w in mission.waypoints]
+    lines += [says for after, says in stops if after == 0]
     for c in mission.collisions:
         if c.approach_m_s is not None:
             normal, tangential = c.approach_m_s
             how = f"at {normal:g} m/s normal, {tangential:g} m/s along"
         else:
             how = "by the recovery from the one before"
-        lines.append(f"  hit {c.wall.name} ({c.wall.material}) {c.mode.value}, {how}")
+        mode = "" if lock is None else f" {c.mode.value}"
+        lines.append(f"  hit {c.wall.name} ({c.wall.material}){mode}, {how}")
+        lines += [says for after, says in stops if after == c.index]
     goal = mission.goal.position_m
     lines.append(f"  hold ({goal[0]:g}, {goal[1]:g}) for {mission.goal.hold_s:g} s, land")
     return "\n".join(lines)
 
 
-def _confirmed() -> bool:
-    if not sys.stdin.isatty():
-        return False
-    sys.stderr.write("Fly? [y/N] ")
-    sys.stderr.flush()
-    return sys.stdin.readline().strip().lower() in ("y", "yes")
+def _stop(w: Waypoint) -> str:
+    if w.position is None:
+        return f"  pause until Enter or SIGUSR1, at most {w.hold_s:g} s, then land"
+    x, y, z = w.position
+    held = f", hold for {w.hold_s:g} s" if w.hold_s else ""
+    return f"  fly to ({x:g}, {y:g}) at {z:g} m at up to {w.speed_m_s:g} m/s{held}"
+
+
+def confirmed(mission: Mission, console: Console) -> bool:
+    """Ask on the terminal; `p` writes a picture of the mission, and the question is asked again."""
+    while sys.stdin.isatty():
+        sys.stderr.write("Fly? [y/N, p: picture] ")
+        sys.stderr.flush()
+        answer = sys.stdin.readline().strip().lower()
+        if answer not in ("p", "picture"):
+            return answer in ("y", "yes")
+        try:
+            write_picture(mission, Path(tempfile.mkdtemp(prefix="dart-flight-")) / "mission.png", console)
+        except InputError as error:
+            console.print(str(error), markup=False, soft_wrap=True)  # a missing extra does not end the flight
+    return False

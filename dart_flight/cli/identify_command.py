@@ -10,6 +10,7 @@ from dart_flight.cli.options import add_set_option
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
+from dart_flight.samples import Mode
 
 
 def _height_or_trial(text: str) -> float | str:
@@ -20,7 +21,7 @@ def _height_or_trial(text: str) -> float | str:
         return text
 
 
-# As `dart_flight.identify.fit.LAWS`, which needs numpy: --help does without.
+# As `dart_flight.identification.fit.LAWS`, which needs numpy: --help does without.
 LAWS = ("paper", "preload", "hertz", "two-stage", "baseline", "best")
 
 _FIT = {True: "[green]fit: good[/]", False: "[red]fit: poor[/]", None: "fit: nothing to judge it by"}
@@ -86,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Read, fit, print, write."""
     from dart_flight.config.provenance import find_vehicle
     from dart_flight.contact.law import Onset
-    from dart_flight.identify import job as identification
+    from dart_flight.identification import job as identification
 
     paths = list(arguments.trials)
     drop = arguments.drop
@@ -96,9 +97,13 @@ def run(arguments: argparse.Namespace) -> int:
     if not paths:
         raise InputError("no trials given", key=("TRIAL",))
     vehicle, source = find_vehicle(arguments.config, arguments.set)
+    problem = None if arguments.mode is None else vehicle.mode_problem(Mode(arguments.mode))
+    if problem is not None:
+        raise InputError(problem, key=("mode",))
     job = identification.Job(
         paths=paths,
-        mode=arguments.mode,
+        # A vehicle without a lock has one mode: nothing has to be said.
+        mode=arguments.mode or (None if vehicle.has_lock else vehicle.modes[0].value),
         drop=drop is not None,
         height_m=drop if isinstance(drop, float) else None,
         onset=Onset(arguments.onset or vehicle.onset),
@@ -111,13 +116,13 @@ def run(arguments: argparse.Namespace) -> int:
     )
     if arguments.output and not arguments.surface:
         raise InputError("-o needs --surface, the name of the entry", key=("output",))
-    from dart_flight.identify.flight_trials import readers
+    from dart_flight.identification.flight_trials import readers
 
     trials, found = identification.carry_out(job, vehicle, readers(arguments.surface))
     say_vehicle(source, messages(), asked=arguments.config is not None)
     for note in found.notes:
         messages().print(note, markup=False, soft_wrap=True)
-    from dart_flight.identify.judgement import judge_fit
+    from dart_flight.identification.judgement import judge_fit
 
     mass = vehicle.airframe.mass_kg if job.mass_kg is None else job.mass_kg
     judged = judge_fit(found, trials, mass, job.onset)
@@ -132,14 +137,14 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output:
         _write(arguments, found, vehicle, poor=judged.good is False)
     if arguments.plot:
-        from dart_flight.identify import plots
+        from dart_flight.identification import plots
 
         plots.plot_fit(arguments.plot, trials, found, mass, job.onset)
     return 0
 
 
 def _write(arguments: argparse.Namespace, found: Any, vehicle: Any, *, poor: bool) -> None:
-    from dart_flight.identify.materials_entry import materials_entry
+    from dart_flight.identification.materials_entry import materials_entry
 
     entry = materials_entry(found, arguments.surface, vehicle, poor=poor)
     try:
@@ -178,8 +183,8 @@ def _print(found: Any) -> None:
     from rich.table import Table
 
     from dart_flight.contact.law import Onset
-    from dart_flight.identify.job import UNITS
-    from dart_flight.identify.laws import candidate_laws
+    from dart_flight.identification.job import UNITS
+    from dart_flight.identification.laws import candidate_laws
 
     units = {law.name: {p.name: p.unit for p in law.parameters} for law in candidate_laws(Onset.LCP).values()}
     for mode, coefficients in found.coefficients.items():

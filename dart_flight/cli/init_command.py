@@ -1,4 +1,4 @@
-"""`dart-flight init DIR`: the packaged configuration, missions and scenarios as files to start from."""
+"""`dart-flight init DIR`: the configuration of a vehicle and its missions as files to start from."""
 
 from __future__ import annotations
 
@@ -6,24 +6,31 @@ import argparse
 from pathlib import Path
 
 from dart_flight.cli.terminal import emit_json, messages
-from dart_flight.config.starter import write_starter
+from dart_flight.config.starter import DART, VEHICLES, first_mission, write_starter
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("directory", type=Path, metavar="DIR", help="where the files go; made if need be")
+    parser.add_argument(
+        "--vehicle",
+        default=DART,
+        metavar="NAME",
+        help="whose configuration and missions: " + ", ".join(VEHICLES) + f" (default: {DART})",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
-    written = write_starter(arguments.directory)
+    written = write_starter(arguments.directory, arguments.vehicle)
     if arguments.json:
-        emit_json({"directory": str(arguments.directory), "files": [str(path) for path in written]})
+        files = [str(path) for path in written]
+        emit_json({"directory": str(arguments.directory), "vehicle_name": arguments.vehicle, "files": files})
     else:
         console = messages()
         console.print(f"{len(written)} files in {arguments.directory}; try:", markup=False, soft_wrap=True)
         console.print(f"  cd {arguments.directory}", markup=False, soft_wrap=True)
-        console.print(
-            "  dart-flight dry-run missions/dual_collision.yaml --fast", markup=False, soft_wrap=True
-        )
+        mission = first_mission(arguments.vehicle)
+        for command in (f"check {mission}", f"dry-run {mission} --fast"):
+            console.print(f"  dart-flight {command}", markup=False, soft_wrap=True)
     return 0

@@ -50,6 +50,8 @@ def run(arguments: argparse.Namespace) -> int:
     path = Path(arguments.config) if arguments.config else default_config_path()
     vehicle, source = find_vehicle(path)
     arguments.vehicle = source
+    if vehicle.lock is None:
+        raise InputError("this vehicle has no lock", source=str(path))
     config = _with_driver(vehicle.lock, arguments.driver, path)
     if arguments.action == "calibrate":
         _refuse_packaged(arguments, path)

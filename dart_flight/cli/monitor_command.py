@@ -12,6 +12,7 @@ from rich.console import Group
 from rich.live import Live
 from rich.table import Table
 
+from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import link_of, number
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
@@ -20,6 +21,7 @@ from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import default_config_path, packaged
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.follow import LogFollower
+from dart_flight.samples import Record
 from dart_flight.vehicle.link import Holder, LinkLease, LinkTakenError, held_links, holder_of, place_of
 from dart_flight.worlds.monitor import Screen, Watcher, follow, watch
 
@@ -36,6 +38,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--mission", metavar="FILE", help="show forces along this mission's axes")
     parser.add_argument("--log", type=Path, metavar="FILE", help="follow this flight's log")
+    add_live_options(parser)
     parser.add_argument("--seconds", type=number(0.0, 1e6), metavar="S", help="end by itself after this long")
 
 
@@ -70,10 +73,9 @@ def _watch(arguments: argparse.Namespace, show: Callable[[Screen], None]) -> Mis
     if arguments.connection is None:
         flight = _flight(arguments.log, connection.url)
         if flight is not None:
-            return _follow(*flight, show, arguments.seconds)
+            return _follow(*flight, show, arguments)
     url = link_of(arguments, connection)
     say_vehicle(mission.flown_vehicle(), messages(), asked=arguments.config is not None)
-    watcher = Watcher(mission, placed)
     lease = LinkLease(url, "monitor")
     try:
         lease.acquire()
@@ -81,10 +83,11 @@ def _watch(arguments: argparse.Namespace, show: Callable[[Screen], None]) -> Mis
         raise InputError(
             f"{error.message}; without --connection `monitor` watches a flight by its log", source=url
         ) from None
+    seconds, timeout_s = arguments.seconds, connection.timeout_s
     try:
-        asyncio.run(
-            watch(watcher, url, connection.timeout_s, show, _PERIOD_S, arguments.seconds, lease.close_device)
-        )
+        with live_view(arguments, mission, messages(), furnished=placed, placed=True) as live:
+            watcher = Watcher(mission, placed, live or _nobody)
+            asyncio.run(watch(watcher, url, timeout_s, show, _PERIOD_S, seconds, lease.close_device))
     finally:
         lease.release()
     return mission
@@ -115,8 +118,12 @@ def _still_held(flight: Holder) -> Callable[[], bool]:
     return lambda: holder_of(flight.url) == flight
 
 
+def _nobody(record: Record) -> None:
+    """There is no live view."""
+
+
 def _follow(
-    log: Path, flying: Callable[[], bool], show: Callable[[Screen], None], seconds: float | None
+    log: Path, flying: Callable[[], bool], show: Callable[[Screen], None], arguments: argparse.Namespace
 ) -> Mission:
     """Raises InputError: the log cannot be read."""
     try:
@@ -124,10 +131,15 @@ def _follow(
         first = follower.read()
         mission = flown_mission(follower.about, str(log))
         watcher = Watcher(mission, placed=True)
-        for entry in first:
-            watcher.take_record(entry.record)
-        follow(watcher, follower, show, _PERIOD_S, seconds, flying)
+        with live_view(arguments, mission, messages()) as live:
+            viewer = live.feed if live is not None else _nobody
+            for entry in first:
+                watcher.take_record(entry.record)
+                viewer(entry.record)
+            follow(watcher, follower, show, _PERIOD_S, arguments.seconds, flying, viewer)
         return mission
+    except InputError:
+        raise
     except (OSError, ValueError) as error:
         raise InputError(f"cannot follow: {error}", source=str(log)) from None
 

@@ -7,11 +7,12 @@ from pathlib import Path
 
 from rich.progress import Progress
 
+from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import add_set_option, link_of, whole_number
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.scenario import Objective, load_scenario
-from dart_flight.planning.mission_writer import write_mission
+from dart_flight.planning.mission_writer import planned_mission, write_mission
 from dart_flight.planning.search import search
 from dart_flight.planning.summary import plan_summary, plan_table, refusal_table, with_objective
 
@@ -36,8 +37,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=whole_number(0, 2**31 - 1), default=1, help="of the draws of robust (1)"
     )
+    add_plot_option(parser)
     parser.add_argument(
-        "--plot", type=Path, metavar="FILE", help="picture of the candidates: png, svg or pdf"
+        "--plot-search", type=Path, metavar="FILE", help="picture of all candidates: png, svg or pdf"
     )
     parser.add_argument(
         "--connection",
@@ -78,10 +80,12 @@ def run(arguments: argparse.Namespace) -> int:
                 soft_wrap=True,
             )
     if arguments.plot is not None:
+        write_picture(planned_mission(scenario, plan), arguments.plot, console)
+    if arguments.plot_search is not None:
         from dart_flight.planning.plots import plot_search
 
-        plot_search(result, plan, arguments.plot)
-        console.print(f"picture: {arguments.plot}", soft_wrap=True)
+        plot_search(result, plan, arguments.plot_search)
+        console.print(f"picture: {arguments.plot_search}", markup=False, soft_wrap=True)
     if arguments.json:
         emit_json(plan_summary(result))
     else:

@@ -18,7 +18,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     # argparse takes -0.5 for a number but -5e-1 for an option; scripts print both.
     parser._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
     parser.add_argument("--surface", help="a material of the configuration")
-    parser.add_argument("--mode", choices=("rigid", "flexible"), help="state of the arms")
+    parser.add_argument(
+        "--mode", choices=("rigid", "flexible"), help="state of the arms; without a lock it may be left out"
+    )
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument(
         "--velocity",
@@ -75,9 +77,10 @@ def run(arguments: argparse.Namespace) -> int:
             say()
             sys.stdout.write(text)
         return 0
-    if arguments.mode is None:
+    if arguments.mode is None and vehicle.has_lock:
         raise InputError("--mode is required: rigid or flexible")
-    what = prediction.condition(vehicle, where[0], arguments.mode, where[1], where[2])
+    mode = arguments.mode or vehicle.modes[0].value
+    what = prediction.condition(vehicle, where[0], mode, where[1], where[2])
     if arguments.drop is None:
         numbers = prediction.predict_wall(what, *arguments.velocity)
         numbers["turning_deg_s"] = _turning(vehicle, what, arguments.velocity)

@@ -5,10 +5,16 @@ from __future__ import annotations
 import argparse
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
 
 from dart_flight.cli.terminal import emit_json, messages
 from dart_flight.config.document import InputError
 from dart_flight.recording.found import from_each, logs_in
+
+if TYPE_CHECKING:
+    from dart_flight.report.flight import Flight
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -26,6 +32,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="HTML file (default: report.html beside the logs)",
     )
+    parser.add_argument(
+        "--pdf",
+        type=Path,
+        metavar="FILE",
+        help="also the figures alone, a paper's column wide, one on each page",
+    )
+    parser.add_argument("--svg", type=Path, metavar="DIR", help="likewise, one SVG file for each figure")
     parser.add_argument(
         "--identify",
         action="store_true",
@@ -52,9 +65,21 @@ def run(arguments: argparse.Namespace) -> int:
     except OSError as error:
         raise InputError(f"cannot write: {error.strerror}", source=str(output)) from None
     console.print(f"wrote {output}", markup=False, soft_wrap=True)
+    _write_figures(arguments, flights, console)
     if arguments.json:
         emit_json({"page": str(output), "verdicts": [flight.verdict for flight in flights]})
     return 0
+
+
+def _write_figures(arguments: argparse.Namespace, flights: list[Flight], console: Console) -> None:
+    from dart_flight.report.figures.paper_set import write_pdf, write_svgs
+
+    if arguments.pdf is not None:
+        write_pdf(flights, arguments.pdf)
+        console.print(f"wrote {arguments.pdf}", markup=False, soft_wrap=True)
+    if arguments.svg is not None:
+        written = write_svgs(flights, arguments.svg)
+        console.print(f"wrote {len(written)} figures to {arguments.svg}", markup=False, soft_wrap=True)
 
 
 def _beside(logs: list[Path]) -> Path:

@@ -6,6 +6,7 @@ import argparse
 
 from rich.console import Console
 
+from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import add_set_option, whole_number
 from dart_flight.cli.terminal import messages
 from dart_flight.cli.vehicle_line import say_vehicle
@@ -32,6 +33,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="UDP port it sends to, as PX4 does to a companion (default 14540; a ground station: 14550)",
     )
     parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="of the noise (default 1)")
+    add_live_options(parser)
     add_set_option(parser)
 
 
@@ -76,14 +78,20 @@ def _run(
 ) -> None:
     from dart_flight.sim.standalone import run_vehicle
 
+    lock = mission.vehicle.lock
+    servo = "" if lock is None else f"; its lock servo listens to PX4's actuator {lock.px4.actuator_index}"
+    driver = "" if lock is None else "--driver px4 "
     console.print(
         f"simulated vehicle for [bold]{mission.name}[/], sends to UDP {' and '.join(map(str, ports))}"
-        f"; its lock servo listens to PX4's actuator "
-        f"{mission.vehicle.lock.px4.actuator_index}. In another terminal:",
+        f"{servo}. In another terminal:",
         soft_wrap=True,
     )
     console.print(
-        f"  dart-flight fly {path} --driver px4 --connection udpin://127.0.0.1:{arguments.port}",
+        f"  dart-flight fly {path} {driver}--connection udpin://127.0.0.1:{arguments.port}",
         soft_wrap=True,
     )
-    run_vehicle(mission, arguments.seed, ports, lambda line: console.print(line, soft_wrap=True), own_port)
+    with live_view(arguments, mission, console, from_truth=True) as live:
+        viewer = live if live is not None else lambda record: None
+        run_vehicle(
+            mission, arguments.seed, ports, lambda line: console.print(line, soft_wrap=True), own_port, viewer
+        )

@@ -1,4 +1,4 @@
-"""`dart-flight tables`: the paper's collision tables beside the model's."""
+"""`dart-flight tables`: the paper's tables and figures beside the model's."""
 
 from __future__ import annotations
 
@@ -8,11 +8,19 @@ from pathlib import Path
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
+from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.contact.law import Onset
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("-o", "--output", metavar="FILE", help="write the page (docs/paper_tables.md)")
+    parser.add_argument(
+        "--figures",
+        type=Path,
+        metavar="DIR",
+        help="write the page, and every figure of the paper that there is data for, into this folder",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -21,18 +29,16 @@ def run(arguments: argparse.Namespace) -> int:
     from dart_flight.report import paper
 
     vehicle, source = find_vehicle(arguments.config)
-    for surface in (paper.DROP_SURFACE, paper.FLIGHT_SURFACE):
+    if not vehicle.has_lock:
+        raise InputError("the paper's tables need a vehicle with a lock", key=("lock",))
+    for surface in paper.SURFACES:
         if surface not in vehicle.materials:
             raise InputError(f"the tables need the material {surface}", key=("materials",))
     say_vehicle(source, messages(), asked=arguments.config is not None)
     if arguments.output:
-        try:
-            Path(arguments.output).write_text(paper.page(vehicle), encoding="utf-8")
-        except OSError as error:
-            raise InputError(
-                f"cannot write: {error.strerror or error}", source=str(arguments.output)
-            ) from None
-        messages().print(f"wrote {arguments.output}")
+        _write(Path(arguments.output), paper.page(vehicle))
+    if arguments.figures is not None:
+        _write_all(arguments.figures, vehicle)
     if arguments.json:
         emit_json(
             {
@@ -44,11 +50,37 @@ def run(arguments: argparse.Namespace) -> int:
                     "published": paper.STIFFNESS_RATIO,
                     "model": paper.stiffness_ratios(vehicle),
                 },
+                "refits": [
+                    row._asdict() for onset in Onset for row in paper.refits(vehicle.airframe.mass_kg, onset)
+                ],
+                "dual_collision": [row._asdict() for row in paper.dual_rows(vehicle)],
                 "vehicle": source,
             }
         )
-    elif not arguments.output:
+    elif not arguments.output and arguments.figures is None:
         from rich.markdown import Markdown
 
         tables().print(Markdown(paper.page(vehicle)))
     return 0
+
+
+def _write(path: Path, text: str) -> None:
+    """Raises InputError: the file cannot be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"cannot write: {error.strerror or error}", source=str(path)) from None
+    messages().print(f"wrote {path}", markup=False, soft_wrap=True)
+
+
+def _write_all(folder: Path, vehicle: VehicleConfig) -> None:
+    """The page with its figures below it."""
+    from dart_flight.report import paper, paper_figures
+
+    page = [paper.page(vehicle), "## Figures\n"]
+    folder.mkdir(parents=True, exist_ok=True)
+    for figure in paper_figures.write(folder, vehicle):
+        messages().print(f"wrote {folder / figure.file}", markup=False, soft_wrap=True)
+        page.append(f"**{figure.title}.** {figure.says}\n\n![{figure.title}]({figure.file})\n")
+    _write(folder / "paper_tables.md", "\n".join(page))

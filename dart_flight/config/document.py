@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from enum import Enum
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
@@ -23,6 +23,7 @@ from dart_flight.config.units import unit_of
 T = TypeVar("T")
 Key = tuple[str | int, ...]
 
+IN_PYTHON = "<dict>"  # the source of what did not come from a file
 _MAX_BYTES = 1_000_000
 _MAX_DEPTH = 32
 # YAML 1.1 reads 1e-3 as a string; people who write it mean the number (as YAML 1.2 does).
@@ -41,10 +42,11 @@ _SPECIAL: dict[str, Any] = {
 }
 
 
-class InputError(Exception):
+class InputError(ValueError):
     """Wrong input, in one line: `file:line: key: what is wrong, what is allowed`.
 
-    The command line prints it and exits with status 2; nothing has moved by then.
+    The command line prints it and exits with status 2; nothing has moved by then. What was given in Python
+    has `<dict>` in the place of file and line.
     """
 
     def __init__(self, message: str, *, source: str = "", line: int | None = None, key: Key = ()) -> None:
@@ -111,6 +113,19 @@ class Document:
         except (UnicodeDecodeError, ValueError):
             raise InputError("not UTF-8 text", source=str(path)) from None
         return cls(text, str(path))
+
+    @classmethod
+    def of(cls, tree: Mapping[str, Any], source: str = IN_PYTHON) -> Document:
+        """A document built in Python: as if these keys and values had been read from a file.
+
+        Raises:
+            InputError: a value is none that a file can hold (numbers, also NumPy's, finite; text, truth
+                values, None, lists and mappings of them), or nested too deep.
+        """
+        document = cls.__new__(cls)
+        document.source, document.lines, document.set_by = source, {}, {}
+        document.tree = plain(tree, (), source)
+        return document
 
     def error(self, key: Key, message: str) -> InputError:
         """An error at a key of this document, with the line of the nearest key that is written in it.
@@ -214,6 +229,44 @@ class Document:
 
     def _at(self, event: yaml.Event, message: str, key: Key = ()) -> InputError:
         return InputError(message, source=self.source, line=self._line(event), key=key)
+
+
+# --- values from Python ------------------------------------------------------------------------------
+
+
+def plain(value: Any, key: Key = (), source: str = IN_PYTHON) -> Any:
+    """A value of Python as a file holds it: dicts, lists, text, numbers, truth values, None.
+
+    Raises:
+        InputError: it is none of these, or a number is not finite.
+    """
+    if isinstance(value, msgspec.Struct):
+        value = msgspec.to_builtins(value)
+    elif hasattr(value, "tolist"):  # of NumPy
+        value = value.tolist()
+    if len(key) > _MAX_DEPTH:
+        raise InputError(f"nested deeper than {_MAX_DEPTH} levels", source=source, key=key)
+    if isinstance(value, Mapping):
+        return {
+            _name(name, key, source): plain(part, (*key, str(name)), source) for name, part in value.items()
+        }
+    if isinstance(value, list | tuple):
+        return [plain(part, (*key, i), source) for i, part in enumerate(value)]
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InputError(f"numbers must be finite, not {value}", source=source, key=key)
+    if value is None or isinstance(value, str | bool | int | float):
+        return value
+    raise InputError(f"{type(value).__name__} is not a value that a file can hold", source=source, key=key)
+
+
+def _name(name: Any, key: Key, source: str) -> str:
+    if not isinstance(name, str):
+        raise InputError(f"keys must be plain names, not {name!r}", source=source, key=key)
+    return str(name)
 
 
 # --- the smallest part that does not convert ---------------------------------------------------------

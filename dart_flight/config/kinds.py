@@ -24,7 +24,7 @@ class FileKind(Enum):
 EXTENDS = "extends"  # of a configuration that holds only what differs from another
 # Top-level keys that only one kind of file has.
 _MARKS = {
-    FileKind.MISSION: ("collisions",),
+    FileKind.MISSION: ("collisions", "waypoints"),
     FileKind.SCENARIO: ("search", "sequence"),
     FileKind.CONFIGURATION: ("airframe", "thrust", EXTENDS),
 }
@@ -52,12 +52,16 @@ def kind_of_file(path: str | Path) -> FileKind | None:
         return None
 
 
-def load_document(path: str | Path, wanted: FileKind) -> Document:
-    """Read a YAML file that is to be of a kind.
+def load_document(path: str | Path | Mapping[str, Any], wanted: FileKind) -> Document:
+    """Read a YAML file that is to be of a kind, or take a mapping of what one would hold.
 
     Raises:
         InputError: as `Document.load`, or the file is of another kind, which is named.
     """
+    if isinstance(path, Mapping):
+        document = Document.of(path)
+        refuse_other_keys(document, wanted)
+        return document
     try:
         document = Document.load(path)
     except InputError:

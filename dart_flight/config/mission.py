@@ -7,18 +7,19 @@ unit normals, gains in the wall's own axes, the point of impact. `docs/missions.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
 import msgspec
 from msgspec import Meta
 
-from dart_flight.config.document import Document, InputError, Key, unknown_name
+from dart_flight.config.document import IN_PYTHON, Document, InputError, Key, unknown_name
 from dart_flight.config.kinds import FileKind, load_document, refuse_other_keys
 from dart_flight.config.provenance import FoundVehicle, VehicleSource, find_vehicle
 from dart_flight.config.section import Section
+from dart_flight.config.settings import apply_changes
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.geometry import MissionFrame, Vec2, Vec3, Wall
 from dart_flight.samples import AfterImpact, Mode, ModeMismatch
@@ -32,6 +33,8 @@ Point2 = tuple[Coordinate, Coordinate]
 Range = tuple[Coordinate, Coordinate]
 
 _AXIS_TOLERANCE = 1e-6
+_PAUSE_S = 60.0
+_UNIT_TOLERANCE = 1e-15
 
 
 class FrameOrigin(StrEnum):
@@ -62,7 +65,7 @@ class StartSpec(Section, frozen=True):
 
     Attributes:
         position_m: [x, y], mission frame; take-off is below it in simulation.
-        altitude_m: above the take-off point; kept for the whole mission.
+        altitude_m: above the take-off point; kept until a way-point has another one.
     """
 
     position_m: Point2
@@ -113,6 +116,9 @@ class WallSpec(Section, frozen=True):
         material: a key of materials in the vehicle configuration.
         given_at: centre: point_m is where the vehicle's centre is at first touch, as in the paper; surface:
             it is on the wall itself, and airframe.contact_distance_m is added.
+        position_sd_m: how well the place along the normal is known, standard deviation; null: to a few
+            centimetres, as `guard` tolerates.
+        yaw_sd_deg: how well the direction is known, standard deviation, about the middle; null: likewise.
     """
 
     point_m: Point2
@@ -120,6 +126,8 @@ class WallSpec(Section, frozen=True):
     length_m: Annotated[float, Meta(gt=0.0, le=1000.0)]
     material: str
     given_at: GivenAt = GivenAt.CENTRE
+    position_sd_m: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+    yaw_sd_deg: Annotated[float, Meta(ge=0.0, le=30.0)] | None = None
 
 
 class ApproachSpec(Section, frozen=True):
@@ -168,7 +176,7 @@ class CollisionSpec(Section, frozen=True):
 
     Attributes:
         wall: a key of walls.
-        mode: state of the arms at the impact.
+        mode: state of the arms at the impact; to be left out only of a vehicle without a lock: it is rigid.
         approach: velocity to meet the wall with; required for the first collision. Without it the recovery of
             the collision before leads to this wall.
         impact_point_m: [x, y] on the wall's plane; without it, where the ray from start along the approach
@@ -181,12 +189,42 @@ class CollisionSpec(Section, frozen=True):
     """
 
     wall: str
-    mode: Mode
+    mode: Mode | None = None
     approach: ApproachSpec | None = None
     impact_point_m: Point2 | None = None
     alpha_m_per_n: tuple[Alpha, Alpha] | None = None
     alpha_wall_m_per_n: tuple[Alpha, Alpha] | None = None
     predicted: CollisionPrediction | None = None
+
+
+class PauseFor(StrEnum):
+    """Whose word ends a pause."""
+
+    OPERATOR = "operator"
+
+
+class WaypointSpec(Section, frozen=True):
+    """A way-point, flown to from rest to rest, or a pause where the vehicle is; exactly one of the two.
+
+    Attributes:
+        position_m: [x, y] of a way-point, mission frame.
+        altitude_m: of a way-point, above the take-off point, and of what comes after it; without it the
+            altitude stays as it is.
+        speed_m_s: largest speed on the way there; by default flying.transit_speed_m_s. The vertical part of
+            the way is flown at flying.climb_speed_m_s at most.
+        hold_s: how long a way-point is held.
+        pause: operator: hold until the operator says to go on (Enter, or SIGUSR1).
+        timeout_s: of a pause; without a word the vehicle lands.
+        after: how many collisions are flown before it; it never falls from one to the next.
+    """
+
+    position_m: Point2 | None = None
+    altitude_m: Annotated[float, Meta(gt=0.0, le=100.0)] | None = None
+    speed_m_s: Annotated[float, Meta(ge=0.05, le=20.0)] | None = None
+    hold_s: Annotated[float, Meta(ge=0.0, le=600.0)] | None = None
+    pause: PauseFor | None = None
+    timeout_s: Annotated[float, Meta(ge=1.0, le=600.0)] | None = None
+    after: Annotated[int, Meta(ge=0, le=1000)] = 0
 
 
 class Limits(Section, frozen=True):
@@ -227,7 +265,9 @@ class MissionFile(Section, frozen=True):
         version: of the format.
         name: letters, digits and ' _.-', at most 64; names the flight's folder.
         walls: by name.
-        collisions: in the order of the hits, at least one.
+        collisions: in the order of the hits; none: a flight without one.
+        waypoints: way-points and pauses before, between and after the collisions, in the order in which they
+            are flown.
         vehicle: vehicle configuration, relative to this file; without it, the default one.
         transit_mode: state of the arms in take-off, transit and landing.
         predicted: written by plan.
@@ -243,8 +283,9 @@ class MissionFile(Section, frozen=True):
     start: StartSpec
     goal: GoalSpec
     bounds_m: BoundsSpec
-    walls: dict[str, WallSpec]
-    collisions: list[CollisionSpec]
+    walls: dict[str, WallSpec] = msgspec.field(default_factory=dict)
+    collisions: list[CollisionSpec] = msgspec.field(default_factory=list)
+    waypoints: list[WaypointSpec] = msgspec.field(default_factory=list)
     vehicle: str | None = None
     frame: FrameSpec = FrameSpec()
     transit_mode: Mode = Mode.RIGID
@@ -294,8 +335,31 @@ class Collision(msgspec.Struct, frozen=True):
         return self.wall.from_collision((self.approach_m_s[0], self.approach_m_s[1], 0.0))
 
 
+class Waypoint(msgspec.Struct, frozen=True):
+    """A way-point or a pause, resolved.
+
+    Attributes:
+        index: 1 for the first in the list.
+        after: how many collisions are flown before it.
+        position: mission frame, metres; None: a pause, where the vehicle is.
+        speed_m_s: largest on the way there.
+        hold_s: how long it is held; of a pause the longest time, after which the vehicle lands.
+    """
+
+    index: int
+    after: int
+    position: Vec3 | None
+    speed_m_s: float
+    hold_s: float
+
+    @property
+    def name(self) -> str:
+        """In words."""
+        return f"{'pause' if self.position is None else 'way-point'} {self.index}"
+
+
 class Mission(msgspec.Struct, frozen=True):
-    """A checked mission and the vehicle that flies it."""
+    """A checked mission and the vehicle that flies it; `altitude_m` is that of its start."""
 
     name: str
     source: str
@@ -315,6 +379,28 @@ class Mission(msgspec.Struct, frozen=True):
     after_impact: AfterImpact = AfterImpact.SETPOINT
     tolerance: Tolerance = Tolerance()
     mode_mismatch: ModeMismatch = ModeMismatch.GO_ON
+    waypoints: tuple[Waypoint, ...] = ()
+
+    def altitude_at(self, flown: int) -> float:
+        """Altitude once so many collisions are flown and the way-points behind them, metres."""
+        reached = [w.position[2] for w in self.waypoints if w.after <= flown and w.position is not None]
+        return reached[-1] if reached else self.altitude_m
+
+    def place_before(self, flown: int) -> Vec2 | None:
+        """Where the vehicle is at rest once so many collisions are flown and the way-points behind them.
+
+        None where that is where a recovery leads.
+        """
+        reached = [w.position for w in self.waypoints if w.after == flown and w.position is not None]
+        if reached:
+            return reached[-1][:2]
+        return self.start if flown == 0 else None
+
+    @property
+    def recovers_to_goal(self) -> bool:
+        """Whether the last recovery leads to the goal; else it is flown to from rest."""
+        count = len(self.collisions)
+        return count > 0 and not any(w.after == count for w in self.waypoints)
 
     def flown_vehicle(self) -> VehicleSource:
         """Which vehicle it is, for everything that is said of the mission."""
@@ -322,6 +408,65 @@ class Mission(msgspec.Struct, frozen=True):
         if self.vehicle_source is None:
             return VehicleSource(None, None, mass_kg)
         return msgspec.structs.replace(self.vehicle_source, mass_kg=mass_kg)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As a mission file says it, resolved: `parse_mission` makes the same mission of it for its vehicle.
+
+        Walls are given at the vehicle's centre and gains in the wall's axes; a point of impact is left out
+        where it follows from start and approach.
+        """
+        tree: dict[str, Any] = {
+            "version": 1,
+            "name": self.name,
+            "frame": self.frame,
+            "start": StartSpec(self.start, self.altitude_m),
+            "goal": self.goal,
+            "bounds_m": self.bounds,
+            "walls": {wall.name: _wall_spec(wall) for wall in self.walls},
+            "transit_mode": self.transit_mode,
+            "collisions": [_as_spec(collision, self.start) for collision in self.collisions],
+            "waypoints": list(_waypoint_specs(self)),
+            "limits": self.limits,
+            "predicted": self.predicted,
+            "after_impact": self.after_impact,
+            "tolerance": self.tolerance,
+            "mode_mismatch": self.mode_mismatch,
+        }
+        found: dict[str, Any] = msgspec.to_builtins(tree)
+        return found
+
+    def replace(self, changes: Mapping[str, Any]) -> Mission:
+        """Another mission, with some keys changed and everything validated again.
+
+        Args:
+            changes: dotted key of the mission file to value, such as
+                `{"collisions[0].approach.normal_m_s": -1.2}`. `vehicle.KEY` is a key of the vehicle's
+                configuration, `vehicle` a whole one.
+
+        Raises:
+            InputError: a key is unknown, a value is of the wrong kind or out of range, or the parts
+                contradict each other.
+        """
+        own = {key: value for key, value in changes.items() if key.partition(".")[0] != "vehicle"}
+        vehicle, source = changes.get("vehicle", self.vehicle), self.vehicle_source
+        if not isinstance(vehicle, VehicleConfig):
+            raise InputError(
+                f"expected a vehicle configuration, not {type(vehicle).__name__}", key=("vehicle",)
+            )
+        if vehicle is not self.vehicle:
+            source = None
+        of_vehicle = {key.partition(".")[2]: v for key, v in changes.items() if key.startswith("vehicle.")}
+        if of_vehicle:
+            vehicle = vehicle.replace(of_vehicle)
+            if source is not None:
+                said = tuple(f"{key}={value}" for key, value in of_vehicle.items())
+                source = msgspec.structs.replace(
+                    source, mass_kg=vehicle.airframe.mass_kg, set=(*source.set, *said)
+                )
+        document = Document.of(self.to_dict(), IN_PYTHON)
+        apply_changes(own, document)
+        changed = parse_mission(document, vehicle)
+        return msgspec.structs.replace(changed, standoff_m=self.standoff_m, vehicle_source=source)
 
     def frame_at(self, takeoff_ned: Vec3) -> MissionFrame:
         """The mission frame once the take-off point is known (local NED, metres)."""
@@ -336,12 +481,65 @@ class Mission(msgspec.Struct, frozen=True):
         return MissionFrame(north, east, takeoff_ned[2], math.radians(self.frame.heading_deg))
 
 
-def load_mission(path: str | Path, config: str | Path | None = None, settings: Sequence[str] = ()) -> Mission:
+def _wall_spec(wall: Wall) -> WallSpec:
+    """A resolved wall as a file says it."""
+    # Rounded, so that the angle that was written comes back.
+    yaw_sd_deg = None if wall.yaw_sd_rad is None else round(math.degrees(wall.yaw_sd_rad), 12)
+    return WallSpec(
+        point_m=wall.point,
+        normal=wall.normal,
+        length_m=wall.length_m,
+        material=wall.material,
+        position_sd_m=wall.position_sd_m,
+        yaw_sd_deg=yaw_sd_deg,
+    )
+
+
+def _waypoint_specs(mission: Mission) -> Iterator[WaypointSpec]:
+    """Resolved way-points and pauses as a file says them, without what follows from others or the vehicle."""
+    altitude_m, usual_m_s = mission.altitude_m, mission.vehicle.flying.transit_speed_m_s
+    for one in mission.waypoints:
+        if one.position is None:
+            yield WaypointSpec(pause=PauseFor.OPERATOR, timeout_s=one.hold_s, after=one.after)
+            continue
+        x, y, z = one.position
+        yield WaypointSpec(
+            position_m=(x, y),
+            altitude_m=None if z == altitude_m else z,
+            speed_m_s=None if one.speed_m_s == usual_m_s else one.speed_m_s,
+            hold_s=one.hold_s,
+            after=one.after,
+        )
+        altitude_m = z
+
+
+def _as_spec(collision: Collision, start: Vec2) -> CollisionSpec:
+    """A resolved collision as a file says it."""
+    approach, impact = None, collision.impact_point
+    if collision.approach_m_s is not None:
+        approach = ApproachSpec(*collision.approach_m_s)
+        if impact == _ray_meets_wall(start, collision.wall, collision.approach_m_s):
+            impact = None
+    return CollisionSpec(
+        wall=collision.wall.name,
+        mode=collision.mode,
+        approach=approach,
+        impact_point_m=impact,
+        alpha_wall_m_per_n=(collision.alpha_normal_m_per_n, collision.alpha_tangential_m_per_n),
+        predicted=collision.predicted,
+    )
+
+
+def load_mission(
+    path: str | Path | Mapping[str, Any],
+    config: str | Path | VehicleConfig | None = None,
+    settings: Sequence[str] = (),
+) -> Mission:
     """Load, validate and resolve a mission file.
 
     Args:
-        path: the mission.
-        config: vehicle configuration that overrides the one the mission names.
+        path: the mission, or a mapping of what a file would hold.
+        config: vehicle configuration that overrides the one the mission names: a file, or already loaded.
         settings: `KEY=VALUE`, keys of the vehicle configuration that differ from the file.
 
     Raises:
@@ -375,10 +573,9 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
         InputError: the parts of the mission contradict each other.
     """
     walls = resolve_space(spec, vehicle, document)
-    if not spec.collisions:
-        raise document.error(("collisions",), "a mission needs at least one collision")
+    refuse_mode(spec.transit_mode, vehicle, ("transit_mode",), document)
     collisions = tuple(
-        _resolve_collision(i, one, spec, walls, document) for i, one in enumerate(spec.collisions)
+        _resolve_collision(i, one, spec, vehicle, walls, document) for i, one in enumerate(spec.collisions)
     )
     return Mission(
         name=spec.name,
@@ -397,6 +594,7 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
         after_impact=spec.after_impact,
         tolerance=spec.tolerance,
         mode_mismatch=spec.mode_mismatch,
+        waypoints=_resolve_waypoints(spec, vehicle, walls, document),
     )
 
 
@@ -421,11 +619,15 @@ def resolve_space(spec: SpaceSpec, vehicle: VehicleConfig, document: Document) -
     """
     _check_space(spec, document)
     walls = resolve_walls(spec.walls, vehicle, document)
-    for name, wall in walls.items():
-        for key, point in (("start", spec.start.position_m), ("goal", spec.goal.position_m)):
-            if wall.spans(point) and -0.5 < wall.signed_distance(point) <= 0.0:
-                raise document.error((key, "position_m"), f"lies in or behind wall {name}")
+    for key, point in (("start", spec.start.position_m), ("goal", spec.goal.position_m)):
+        _check_not_in_wall(point, walls, (key, "position_m"), document)
     return walls
+
+
+def _check_not_in_wall(point: Vec2, walls: dict[str, Wall], key: Key, document: Document) -> None:
+    for name, wall in walls.items():
+        if wall.spans(point) and -0.5 < wall.signed_distance(point) <= 0.0:
+            raise document.error(key, f"lies in or behind wall {name}")
 
 
 def resolve_walls(specs: dict[str, WallSpec], vehicle: VehicleConfig, document: Document) -> dict[str, Wall]:
@@ -440,12 +642,15 @@ def resolve_walls(specs: dict[str, WallSpec], vehicle: VehicleConfig, document: 
         length = math.hypot(*spec.normal)
         if not length > 1e-9:
             raise document.error((*key, "normal"), "the normal has no length")
-        normal = (spec.normal[0] / length, spec.normal[1] / length)
+        normal = spec.normal
+        if abs(length - 1.0) > _UNIT_TOLERANCE:  # else it stays what it is, to the bit
+            normal = (spec.normal[0] / length, spec.normal[1] / length)
         if spec.material not in vehicle.materials:
             raise document.error((*key, "material"), unknown_name(spec.material, list(vehicle.materials)))
         offset = vehicle.airframe.contact_distance_m if spec.given_at is GivenAt.SURFACE else 0.0
         point = (spec.point_m[0] + offset * normal[0], spec.point_m[1] + offset * normal[1])
-        walls[name] = Wall(name, point, normal, spec.length_m, spec.material)
+        yaw_sd_rad = None if spec.yaw_sd_deg is None else math.radians(spec.yaw_sd_deg)
+        walls[name] = Wall(name, point, normal, spec.length_m, spec.material, spec.position_sd_m, yaw_sd_rad)
     return walls
 
 
@@ -455,26 +660,107 @@ def _check_space(spec: SpaceSpec, document: Document) -> None:
         if not low < high:
             raise document.error(("bounds_m", axis), f"[low, high] needs low < high, not [{low:g}, {high:g}]")
     bounds = Bounds(spec.bounds_m.x, spec.bounds_m.y, spec.bounds_m.z)
-    for key, point in (("start", spec.start.position_m), ("goal", spec.goal.position_m)):
-        if bounds.excess2(point) > 0.0:
-            raise document.error(
-                (key, "position_m"),
-                f"({point[0]:g}, {point[1]:g}) is outside bounds_m x [{bounds.x[0]:g}, {bounds.x[1]:g}], "
-                f"y [{bounds.y[0]:g}, {bounds.y[1]:g}]",
-            )
-    if not bounds.z[0] <= spec.start.altitude_m <= bounds.z[1]:
+    _check_within(bounds, spec.start.position_m, spec.start.altitude_m, ("start",), document)
+    _check_within(bounds, spec.goal.position_m, None, ("goal",), document)
+
+
+def _check_within(
+    bounds: Bounds, point: Vec2, altitude_m: float | None, key: Key, document: Document
+) -> None:
+    """Raises InputError: a place, or an altitude given there, lies outside of the bounds."""
+    if bounds.excess2(point) > 0.0:
         raise document.error(
-            ("start", "altitude_m"), f"must be within bounds_m z [{bounds.z[0]:g}, {bounds.z[1]:g}]"
+            (*key, "position_m"),
+            f"({point[0]:g}, {point[1]:g}) is outside bounds_m x [{bounds.x[0]:g}, {bounds.x[1]:g}], "
+            f"y [{bounds.y[0]:g}, {bounds.y[1]:g}]",
+        )
+    if altitude_m is not None and not bounds.z[0] <= altitude_m <= bounds.z[1]:
+        raise document.error(
+            (*key, "altitude_m"), f"must be within bounds_m z [{bounds.z[0]:g}, {bounds.z[1]:g}]"
         )
 
 
+def _resolve_waypoints(
+    spec: MissionFile, vehicle: VehicleConfig, walls: dict[str, Wall], document: Document
+) -> tuple[Waypoint, ...]:
+    bounds = Bounds(spec.bounds_m.x, spec.bounds_m.y, spec.bounds_m.z)
+    altitude_m, flown = spec.start.altitude_m, 0
+    found = []
+    for i, one in enumerate(spec.waypoints):
+        key: Key = ("waypoints", i)
+        _check_place_in_order(one, flown, spec, key, document)
+        flown = one.after
+        if one.pause is None:
+            assert one.position_m is not None
+            altitude_m = altitude_m if one.altitude_m is None else one.altitude_m
+            _check_within(bounds, one.position_m, one.altitude_m, key, document)
+            _check_not_in_wall(one.position_m, walls, (*key, "position_m"), document)
+            speed = one.speed_m_s or vehicle.flying.transit_speed_m_s
+            if speed > spec.limits.speed_m_s:
+                raise document.error(
+                    (*key, "speed_m_s"), f"{speed:g} m/s is over limits.speed_m_s {spec.limits.speed_m_s:g}"
+                )
+            place = (*one.position_m, altitude_m)
+            found.append(Waypoint(i + 1, flown, place, speed, one.hold_s or 0.0))
+        else:
+            found.append(Waypoint(i + 1, flown, None, 0.0, one.timeout_s or _PAUSE_S))
+    return tuple(found)
+
+
+def _check_place_in_order(
+    one: WaypointSpec, flown: int, spec: MissionFile, key: Key, document: Document
+) -> None:
+    """Raises InputError: keys of a way-point and of a pause are mixed, or `after` is not to be had."""
+    if (one.position_m is None) == (one.pause is None):
+        raise document.error(key, "give exactly one of position_m (a way-point) and pause")
+    others = ("timeout_s",) if one.pause is None else ("altitude_m", "speed_m_s", "hold_s")
+    for name in others:
+        if getattr(one, name) is not None:
+            what = "a way-point" if one.pause is None else "a pause"
+            raise document.error((*key, name), f"{what} has no such key")
+    count = len(spec.collisions)
+    if not flown <= one.after <= count:
+        says = f"{one.after}, expected {flown} to {count}: the list is in the order of the flight"
+        raise document.error((*key, "after"), says)
+    if 0 < one.after < count and spec.collisions[one.after].approach is None:
+        says = f"needs an approach: the recovery before it leads to waypoints[{key[1]}]"
+        raise document.error(("collisions", one.after), says)
+
+
+def refuse_mode(mode: Mode, vehicle: VehicleConfig, key: Key, document: Document) -> None:
+    """Make sure that the vehicle has a mode.
+
+    Raises:
+        InputError: it does not.
+    """
+    problem = vehicle.mode_problem(mode)
+    if problem is not None:
+        raise document.error(key, problem)
+
+
+def _mode_of(spec: CollisionSpec, vehicle: VehicleConfig, key: Key, document: Document) -> Mode:
+    """The mode of a collision: as given, or the only one."""
+    if spec.mode is None:
+        if vehicle.has_lock:
+            raise document.error(key, "missing key mode: " + " or ".join(vehicle.modes))
+        return vehicle.modes[0]
+    refuse_mode(spec.mode, vehicle, (*key, "mode"), document)
+    return spec.mode
+
+
 def _resolve_collision(
-    i: int, spec: CollisionSpec, mission: MissionFile, walls: dict[str, Wall], document: Document
+    i: int,
+    spec: CollisionSpec,
+    mission: MissionFile,
+    vehicle: VehicleConfig,
+    walls: dict[str, Wall],
+    document: Document,
 ) -> Collision:
     key: Key = ("collisions", i)
     if spec.wall not in walls:
         raise document.error((*key, "wall"), unknown_name(spec.wall, list(walls)))
     wall = walls[spec.wall]
+    mode = _mode_of(spec, vehicle, key, document)
     alpha_n, alpha_t = resolve_alphas(spec.alpha_m_per_n, spec.alpha_wall_m_per_n, wall, key, document)
     approach = None
     impact = None
@@ -503,7 +789,7 @@ def _resolve_collision(
     return Collision(
         index=i + 1,
         wall=wall,
-        mode=spec.mode,
+        mode=mode,
         approach_m_s=approach,
         impact_point=impact,
         alpha_normal_m_per_n=alpha_n,

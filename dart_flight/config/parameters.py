@@ -8,6 +8,7 @@ without it), `#? renamed NAME after v1.17` (a PX4 without it has it under that n
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from collections.abc import Mapping
@@ -24,6 +25,7 @@ Value = int | float
 _TYPES = {"6": int, "9": float}
 _NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}\Z")
 _INT32 = 1 << 31
+_LISTED = re.compile(r"^\s*[x ] [ *+] (?P<name>[A-Z][A-Z0-9_]*) \[.*\] : (?P<value>\S+)\s*$")
 _VERSIONS = re.compile(
     r"#\?\s*(absent|renamed\s+(?P<name>[A-Z][A-Z0-9_]{0,15}))\s+(?P<where>(?:before|after) v\d+\.\d+)$"
 )
@@ -133,6 +135,17 @@ def load_parameters(path: str | Path) -> dict[str, Parameter]:
             reason.clear()
             versions = ("", None)
     return parameters
+
+
+def parse_listing(listing: str) -> dict[str, float]:
+    """Name and value of every parameter out of what PX4's `param show` prints."""
+    found = {}
+    for line in listing.splitlines():
+        match = _LISTED.match(line)
+        if match is not None:
+            with contextlib.suppress(ValueError):
+                found[match["name"]] = float(match["value"])
+    return found
 
 
 def _parse(line: str, reason: str, versions: tuple[str, str | None]) -> Parameter:

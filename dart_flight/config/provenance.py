@@ -45,7 +45,7 @@ def find_vehicle(path: str | Path | None = None, settings: Sequence[str] = ()) -
     """Load a vehicle configuration (`load_vehicle`), and say which one it is.
 
     Args:
-        path: the file; by default $DART_FLIGHT_CONFIG, else ./configs/dart.yaml, else the packaged one.
+        path: the file; by default that of `default_config_path`.
         settings: `KEY=VALUE` that differ from the file.
 
     Raises:

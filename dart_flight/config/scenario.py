@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -27,6 +27,7 @@ from dart_flight.config.mission import (
     Limits,
     StartSpec,
     WallSpec,
+    refuse_mode,
     resolve_alphas,
     resolve_space,
 )
@@ -70,12 +71,12 @@ class SearchSpec(Section, frozen=True):
     Attributes:
         normal_m_s: grid along the wall's normal; negative is towards the wall.
         tangential_m_s: grid along the wall.
-        modes: for every collision of the sequence.
+        modes: for every collision of the sequence; by default all that the vehicle has.
     """
 
     normal_m_s: GridSpec
     tangential_m_s: GridSpec
-    modes: tuple[Mode, ...] = (Mode.RIGID, Mode.FLEXIBLE)
+    modes: tuple[Mode, ...] | None = None
 
 
 class Uncertainty(Section, frozen=True):
@@ -168,7 +169,7 @@ class Scenario(msgspec.Struct, frozen=True):
 
 
 def load_scenario(
-    path: str | Path,
+    path: str | Path | Mapping[str, Any],
     config: str | Path | None = None,
     vehicle: VehicleConfig | None = None,
     settings: Sequence[str] = (),
@@ -176,7 +177,7 @@ def load_scenario(
     """Load, validate and resolve a scenario file.
 
     Args:
-        path: the scenario.
+        path: the scenario, or a mapping of what a file would hold.
         config: vehicle configuration that overrides the one the scenario names.
         vehicle: a configuration already loaded from it, for example with the parameters read from the
             vehicle itself.
@@ -213,9 +214,11 @@ def resolve_scenario(
             ("search", "normal_m_s", "max"), f"an approach needs a negative velocity, not {normal[-1]:g}"
         )
     tangential = _grid(spec.search.tangential_m_s, ("search", "tangential_m_s"), document)
-    modes = tuple(dict.fromkeys(spec.search.modes))
+    modes = vehicle.modes if spec.search.modes is None else tuple(dict.fromkeys(spec.search.modes))
     if not modes:
         raise document.error(("search", "modes"), "the search is empty: name at least one mode")
+    for mode, key in [(spec.transit_mode, ("transit_mode",)), *((m, ("search", "modes")) for m in modes)]:
+        refuse_mode(mode, vehicle, key, document)
     count = sum(len(normal) * len(tangential) * len(modes) ** len(s) for s in sequences)
     if count > _MOST_CANDIDATES:
         raise document.error(("search",), f"{count} candidates, at most {_MOST_CANDIDATES}; widen the steps")

@@ -1,13 +1,13 @@
-"""`--set KEY=VALUE`: keys of a vehicle configuration or of a mission changed before they are validated."""
+"""Keys of a vehicle configuration or of a mission changed before they are validated: `--set`, `replace`."""
 
 from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from dart_flight.config.document import Document, InputError, Key, unknown_name
+from dart_flight.config.document import Document, InputError, Key, plain, unknown_name
 
 
 def apply_settings(settings: Sequence[str], *documents: Document) -> list[Document]:
@@ -32,10 +32,26 @@ def apply_settings(settings: Sequence[str], *documents: Document) -> list[Docume
         if document is None:
             known = sorted({name for d in documents for name in _settable(d)})
             raise InputError(f"--set {setting}: {unknown_name(str(key[0]), known, 'key')}")
-        _set(document, key, value, setting)
-        document.set_by[key] = f"--set {setting}"
+        _set(document, key, value, f"--set {setting}")
         changed.append(document)
     return changed
+
+
+def apply_changes(changes: Mapping[str, Any], document: Document) -> None:
+    """Change a document in place, from Python.
+
+    Args:
+        changes: dotted key, as in `--set`, to its value.
+        document: whose keys these are. A section that it leaves out is made.
+
+    Raises:
+        InputError: a key is unknown, or a value is none that a file can hold.
+    """
+    for name, value in changes.items():
+        key, said = _key(name), f"{name}={value!s:.60}"
+        if not key:
+            raise InputError(f"{name!r} is not a key")
+        _set(document, key, plain(value, key), said)
 
 
 def _settable(document: Document) -> set[str]:
@@ -44,31 +60,39 @@ def _settable(document: Document) -> set[str]:
 
 def _parse_setting(setting: str) -> tuple[Key, Any]:
     name, equals, text = setting.partition("=")
-    parts = re.findall(r"[^.\[\]]+", name.strip())
-    if not equals or not parts or not text.strip():
+    key = _key(name)
+    if not equals or not key or not text.strip():
         raise InputError(f"--set {setting}: expected KEY=VALUE, such as detection.force_threshold_n=8")
     try:
         value = Document(f"value: {text}", "--set").tree["value"]
     except InputError as error:
         raise InputError(f"--set {setting}: {error.message}") from None
-    return tuple(int(part) if part.isdigit() else part for part in parts), value
+    return key, value
 
 
-def _set(document: Document, key: Key, value: Any, setting: str) -> None:
+def _key(name: str) -> Key:
+    """`collisions[0].mode` in its parts."""
+    parts = re.findall(r"[^.\[\]]+", name.strip())
+    return tuple(int(part) if part.isdigit() else part for part in parts)
+
+
+def _set(document: Document, key: Key, value: Any, said: str) -> None:
+    """Put a value into a document; `said` is how errors name it."""
+    document.set_by[key] = said
     node: Any = document.tree
     for part in key[:-1]:
-        node = _child(node, part, setting)
+        node = _child(node, part, said)
     last = key[-1]
     if isinstance(node, list):
-        _child(node, last, setting)
+        _child(node, last, said)
         node[int(last)] = value
     elif isinstance(node, dict):
         node[str(last)] = value
     else:
-        raise InputError(f"--set {setting}: there is nothing below {key[-2]}")
+        raise InputError(f"{said}: there is nothing below {key[-2]}")
 
 
-def _child(node: Any, part: str | int, setting: str) -> Any:
+def _child(node: Any, part: str | int, said: str) -> Any:
     if isinstance(node, dict) and node.get(str(part)) is not None:
         return node[str(part)]
     if isinstance(node, dict) and (
@@ -80,5 +104,5 @@ def _child(node: Any, part: str | int, setting: str) -> Any:
     if isinstance(node, list) and isinstance(part, int) and part < len(node):
         return node[part]
     if isinstance(node, list):
-        raise InputError(f"--set {setting}: unknown key {part}, known: 0 to {len(node) - 1}")
-    raise InputError(f"--set {setting}: {unknown_name(str(part), list(node or ()), 'key')}")
+        raise InputError(f"{said}: unknown key {part}, known: 0 to {len(node) - 1}")
+    raise InputError(f"{said}: {unknown_name(str(part), list(node or ()), 'key')}")

@@ -52,17 +52,40 @@ def condition(
     """Look up and check what the user named.
 
     Raises:
-        InputError: the surface is not in the configuration, or the incidence is not from 0 to 45°.
+        InputError: the surface is not in the configuration, mode or onset is none or not of this vehicle, or
+            the incidence is not from 0 to 45°.
     """
+    if mode not in list(Mode):
+        raise InputError(f"{mode!r} is not allowed, only: {', '.join(Mode)}", key=("mode",))
     if surface not in vehicle.materials:
         raise InputError(unknown_name(surface, list(vehicle.materials), "surface"), key=("surface",))
     if not 0.0 <= incidence_deg <= 45.0:
         raise InputError(f"{incidence_deg:g} is not an angle from 0 to 45", key=("incidence-deg",))
+    problem = vehicle.mode_problem(Mode(mode))
+    if problem is not None:
+        raise InputError(problem, key=("mode",))
     c = coefficients_in_force(vehicle, surface, Mode(mode), math.radians(incidence_deg))
-    rule = Onset(onset or vehicle.onset)
     return Condition(
-        surface, Mode(mode), rule, incidence_deg, c, vehicle.airframe.mass_kg, vehicle.vertical_force_sign
+        surface,
+        Mode(mode),
+        onset_rule(vehicle, onset),
+        incidence_deg,
+        c,
+        vehicle.airframe.mass_kg,
+        vehicle.vertical_force_sign,
     )
+
+
+def onset_rule(vehicle: VehicleConfig, onset: str | None) -> Onset:
+    """The rule that was named, else the vehicle's.
+
+    Raises:
+        InputError: there is no such rule.
+    """
+    rule = onset or vehicle.onset
+    if rule not in list(Onset):
+        raise InputError(f"{rule!r} is not allowed, only: {', '.join(Onset)}", key=("onset",))
+    return Onset(rule)
 
 
 def hit_problem(normal_m_s: float, tangential_m_s: float) -> tuple[str, str] | None:
@@ -184,8 +207,8 @@ def predict_batch_rows(
     Raises:
         InputError: the file cannot be read, a column is missing or a value is not one (with its line).
     """
-    table = [condition(vehicle, surface, mode.value, onset, incidence_deg) for mode in Mode]
-    modes = [mode.value for mode in Mode]
+    table = [condition(vehicle, surface, mode.value, onset, incidence_deg) for mode in vehicle.modes]
+    modes = [mode.value for mode in vehicle.modes]
     which, normal, tangential = _read_batch(path, modes)
     result = contact_map(
         CoefficientArrays.of([row.coefficients for row in table]),

@@ -55,7 +55,7 @@ def approach_grid(
     vx, vy = nx * normal + tx * tangential, ny * normal + ty * tangential
     until = wall.signed_distance(task.start) / -normal
     impact: tuple[Number, Number] = (sx + vx * until, sy + vy * until)
-    begin, _, speed, ramp = run_up(ARRAYS, task.start, impact, (vx, vy), flying)
+    begin, _, speed, ramp = run_up(ARRAYS, task.start, impact, (vx, vy), flying, wall)
     length = np.hypot(begin[0] - impact[0], begin[1] - impact[1])
     way = np.hypot(begin[0] - sx, begin[1] - sy)
     transit = transit_time_s(ARRAYS, way, flying.transit_speed_m_s, flying.acceleration_m_s2)

@@ -53,6 +53,7 @@ class Refusal(StrEnum):
     BOUNDS = "bounds"
     OBSTACLE = "obstacle"
     WALL_NOT_REACHED = "wall_not_reached"
+    INCIDENCE = "incidence"
     TOO_SOON = "too_soon"
     SERVO_TRAVEL = "servo_travel"
 
@@ -74,6 +75,7 @@ ADVICE = {
     Refusal.BOUNDS: "widen bounds_m or lower the wall's alpha",
     Refusal.OBSTACLE: "move or shorten the wall in the way, or put it into sequence",
     Refusal.WALL_NOT_REACHED: "raise the alpha of the wall before it, move the wall nearer, or lengthen it",
+    Refusal.INCIDENCE: "turn the wall: a recovery meets it in the heading of the first approach",
     Refusal.TOO_SOON: "move the walls apart or lower detection.refractory_s",
     Refusal.SERVO_TRAVEL: "allow the same mode at both walls, a faster servo, or more way between the walls",
 }
@@ -96,7 +98,8 @@ class Constraints:
         self.threshold_n = vehicle.detection.force_threshold_n
         self.refractory_s = vehicle.detection.refractory_s
         self.most_acceleration = GRAVITY_M_S2 * math.tan(math.radians(vehicle.px4.mpc_tiltmax_air))
-        self.lock_s = vehicle.lock.relaxation_s + vehicle.lock.switch_time_s + _LOCK_POLL_S
+        lock = vehicle.lock
+        self.lock_s = lock.relaxation_s + lock.switch_time_s + _LOCK_POLL_S if lock else 0.0
         self._reach = _reach_tables(task)
 
     def mark(

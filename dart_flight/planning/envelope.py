@@ -1,7 +1,7 @@
-"""What impacts a mission may plan: its own force limit, and what flights with a real PX4 have shown.
+"""What impacts a mission may plan: its own force limit, and what flights have shown.
 
 The sweep of docs/px4.md (acrylic and wood, both modes, 0.5 to 4 m/s) and its hits with guards set the figures
-here.
+of speed and force here, `tools.campaigns.envelope` those of incidence and height (docs/body.md).
 """
 
 from __future__ import annotations
@@ -9,11 +9,18 @@ from __future__ import annotations
 import math
 
 from dart_flight.config.mission import Collision, Mission
+from dart_flight.config.vehicle import BodyModel, VehicleConfig
 from dart_flight.core.mission.planned import expected_hit, impact_velocity
+from dart_flight.samples import Mode
 
 # Normal speed. A body with guards completes at 3 m/s and tilts over 60 degrees at 3.5 (docs/px4.md, rigid); a
 # point survived 4 m/s, but no vehicle is one.
 FLOWN_UP_TO_M_S = 3.0
+# Up to here every hit was recovered from, on either side and in both modes, up to 2 m/s, and rigid at 3 m/s.
+INCIDENCE_FLOWN_DEG = 30.0
+# Normal speed up to which hits were recovered from with the guards so far below and above the centre of mass,
+# m. Below is worse: the vehicle tips over towards the wall while the set-point leans it the same way.
+HEIGHTS_FLOWN_M = ((0.5, 0.05, 0.05), (1.0, 0.03, 0.05), (2.0, 0.0, 0.05), (3.0, 0.0, 0.03))
 CLIP_SHARE = 0.95  # of full scale: what is left for tilt, noise and friction
 # Of full scale. At 254 N (1.25) the estimate was off by 0.16 to 0.26 m, at 296 N (1.45) by 1.3 m.
 LOST_SHARE = 1.3
@@ -70,12 +77,71 @@ def speed_warning(collision: Collision) -> str | None:
     )
 
 
+def incidence_deg(mission: Mission, collision: Collision) -> float:
+    """The angle at which a collision is planned to meet its wall, degrees, 0 to 45.
+
+    An approach turns the vehicle parallel to its wall; a recovery leaves it as it is.
+    """
+    yaw = 0.0
+    for one in mission.collisions[: collision.index]:
+        if one.approach_m_s is not None:
+            yaw = one.wall.parallel_yaw(yaw)
+    return math.degrees(collision.wall.incidence(yaw))
+
+
+def most_incidence_deg(vehicle: VehicleConfig, mode: Mode) -> float:
+    """Up to which incidence a hit is what the mode promises, and was recovered from; degrees."""
+    arms = vehicle.airframe.incidence_rigid_deg if mode is Mode.FLEXIBLE else INCIDENCE_FLOWN_DEG
+    return min(arms, INCIDENCE_FLOWN_DEG)
+
+
+def incidence_warning(mission: Mission, collision: Collision) -> str | None:
+    """What to know of a hit that is planned further askew than its mode bears; None where it is not."""
+    planned, most = incidence_deg(mission, collision), most_incidence_deg(mission.vehicle, collision.mode)
+    if planned <= most:
+        return None
+    return (
+        f"{_name(collision)} is met {planned:.0f} degrees askew, {collision.mode.value} arms bear {most:g}: "
+        "give it an approach of its own, which turns the vehicle parallel"
+    )
+
+
+def heights_flown_m(normal_m_s: float) -> tuple[float, float]:
+    """How far guards may be below and above the centre of mass for a hit of this normal speed (> 0), m."""
+    below, above = HEIGHTS_FLOWN_M[-1][1:]
+    for speed, *heights in reversed(HEIGHTS_FLOWN_M):
+        if normal_m_s <= speed:
+            below, above = heights
+    return below, above
+
+
+def height_warning(mission: Mission, collision: Collision) -> str | None:
+    """What to know of a hit with guards too far from the centre of mass's height; None where they are not."""
+    velocity = impact_velocity(collision)
+    if velocity is None or mission.vehicle.simulation.contact.body is BodyModel.POINT:
+        return None
+    below, above = heights_flown_m(-velocity[0])
+    height = mission.vehicle.simulation.contact.guard_height_m
+    if -below <= height <= above:
+        return None
+    where = "below" if height < 0.0 else "above"
+    return (
+        f"{_name(collision)} at {-velocity[0]:.2g} m/s with guards {abs(height):g} m {where} the centre of "
+        f"mass may turn the vehicle over: {below:g} m below to {above:g} m above it was flown (docs/body.md)"
+    )
+
+
 def impact_warnings(mission: Mission) -> list[str]:
     """What a person should know of a mission's impacts before it flies, a line each."""
     found = (
         warning
         for collision in mission.collisions
-        for warning in (clipping_warning(mission, collision), speed_warning(collision))
+        for warning in (
+            clipping_warning(mission, collision),
+            speed_warning(collision),
+            incidence_warning(mission, collision),
+            height_warning(mission, collision),
+        )
     )
     return [warning for warning in found if warning is not None]
 

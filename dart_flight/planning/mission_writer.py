@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from dart_flight.config.document import Document, InputError
-from dart_flight.config.mission import parse_mission
+from dart_flight.config.mission import Mission, WallSpec, parse_mission
 from dart_flight.config.scenario import Scenario
 from dart_flight.planning.search import Plan
 
@@ -46,7 +46,7 @@ def mission_text(scenario: Scenario, plan: Plan, target: Path) -> str:
         ("bounds_m", spec.bounds_m),
     ):
         lines += _block(name, msgspec.to_builtins(section), 0)
-    lines += _block("walls", {n: msgspec.to_builtins(w) for n, w in spec.walls.items()}, 0)
+    lines += _block("walls", {n: _given(w) for n, w in spec.walls.items()}, 0)
     lines.append(f"transit_mode: {spec.transit_mode.value}")
     lines.append("collisions:")
     for i, collision in enumerate(plan.collisions):
@@ -78,6 +78,19 @@ def _collision(scenario: Scenario, plan: Plan, i: int, wall: str) -> list[str]:
     return ["  - " + lines[0].lstrip(), *lines[1:]]
 
 
+def planned_mission(scenario: Scenario, plan: Plan, text: str | None = None) -> Mission:
+    """The mission of a plan, as its file will be read.
+
+    Args:
+        scenario: what was planned.
+        plan: the chosen candidate.
+        text: of the file, where there is one.
+    """
+    source = Path(scenario.source)
+    document = Document(text or mission_text(scenario, plan, source), str(source))
+    return parse_mission(document, scenario.vehicle)
+
+
 def write_mission(scenario: Scenario, plan: Plan, target: Path) -> str:
     """Write the mission file and read it back as `dry-run` will; returns the text.
 
@@ -85,12 +98,17 @@ def write_mission(scenario: Scenario, plan: Plan, target: Path) -> str:
         InputError: it cannot be written.
     """
     text = mission_text(scenario, plan, target)
-    parse_mission(Document(text, str(target)), scenario.vehicle)
+    planned_mission(scenario, plan, text)
     try:
         target.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"cannot write: {error.strerror}", source=str(target)) from None
     return text
+
+
+def _given(wall: WallSpec) -> dict[str, Any]:
+    """A wall's keys without those that say nothing."""
+    return {key: value for key, value in msgspec.to_builtins(wall).items() if value is not None}
 
 
 def _block(key: str, value: Any, indent: int) -> list[str]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.geometry import Vec2
 from dart_flight.planning.flight_model import FreeFlight
-from dart_flight.planning.rollout import Arrivals, Hits, Rollout, new_flight, stages_for
+from dart_flight.planning.rollout import LEAST_FACTOR, Arrivals, Draw, Hits, Rollout, new_flight, stages_for
 from dart_flight.planning.task import task_of
 
 _POINTS = 60  # of a leg
@@ -30,6 +30,7 @@ class PlannedHit(NamedTuple):
         position: of the vehicle's centre at the onset, mission frame.
         normal_m_s, tangential_m_s: velocity then, collision frame.
         normal_n, tangential_n: peaks of the force, friction as a force along the wall's tangent.
+        set_point: recovery set-point that follows, mission frame.
     """
 
     position: Vec2
@@ -37,21 +38,25 @@ class PlannedHit(NamedTuple):
     tangential_m_s: float
     normal_n: float
     tangential_n: float
+    set_point: Vec2
 
 
 class PlannedFlight(msgspec.Struct):
     """What the flight model says of a mission.
 
     Attributes:
-        approaches: straight lines, mission frame, metres: start, run-up point, impact.
+        approaches: straight lines, mission frame, metres: where the vehicle is at rest before (where that is
+            known and elsewhere), run-up point, impact.
         legs: (n, 4), x, y, vx, vy from an onset over the release to the next onset, the last to the closest
             approach to the goal. At the onset itself the velocity is given as 0.
         hits: collision index -> the hit; none for a wall that the model does not reach.
+        goal_miss_m: closest approach to the goal after the last contact; None where it does not come to that.
     """
 
     approaches: list[list[Vec2]]
     legs: list[NDArray[np.float64]]
     hits: dict[int, PlannedHit]
+    goal_miss_m: float | None = None
 
 
 def planned_flight(mission: Mission) -> PlannedFlight:
@@ -59,27 +64,73 @@ def planned_flight(mission: Mission) -> PlannedFlight:
 
     Where the model does not reach the next wall, the path ends; a rehearsal has approaches only.
     """
-    planned = PlannedFlight([], [], {})
-    position = mission.start
+    return _flights(mission, [None])[0]
+
+
+def drawn_flights(mission: Mission, count: int = 40, seed: int = 1) -> list[PlannedFlight]:
+    """The same with other walls: k, f and mu of every wall and mode drawn about the table's.
+
+    Their relative standard deviation is `estimation.walls.spread`: what is believed of a wall before it is
+    met.
+
+    Args:
+        mission: whose approaches, modes and gains are flown.
+        count: how many draws.
+        seed: of the draws.
+    """
+    rng, spread = np.random.default_rng(seed), mission.vehicle.estimation.walls.spread
+    draws: list[Draw | None] = []
+    for _ in range(count):
+        of_wall = {
+            (wall.name, mode): _factors(spread * rng.standard_normal(3))
+            for wall in mission.walls
+            for mode in mission.vehicle.modes
+        }
+        modes, hits = mission.vehicle.modes, mission.collisions
+        factors = {(str(c.index), mode): of_wall[c.wall.name, mode] for c in hits for mode in modes}
+        draws.append(Draw(factors, 0.0, 0.0, 0.0))
+    return _flights(mission, draws)
+
+
+def _factors(relative: NDArray[np.float64]) -> tuple[float, float, float]:
+    k, f, mu = np.maximum(1.0 + relative, LEAST_FACTOR)
+    return float(k), float(f), float(mu)
+
+
+def _flights(mission: Mission, draws: Sequence[Draw | None]) -> list[PlannedFlight]:
+    found = [PlannedFlight([], [], {}) for _ in draws]
     for group in _groups(mission.collisions):
-        arrivals, flight, begin = _fly(mission, group)
+        flight, begin, all_arrivals = _fly(mission, group, draws)
         impact = group[0].impact_point
         assert impact is not None
-        line = [position, begin, impact] if begin != position else [position, impact]
-        planned.approaches.append(line)
-        position = mission.start
-        if arrivals is None or mission.standoff_m is not None:
-            continue
-        last = group[-1] is mission.collisions[-1]
-        for i, (collision, hit) in enumerate(zip(group, arrivals.hits, strict=True)):
-            planned.hits[collision.index] = PlannedHit(
-                (float(hit.x[0]), float(hit.y[0])),
-                *(float(v[0]) for v in (hit.normal_m_s, hit.tangential_m_s, hit.normal_n, hit.tangential_n)),
-            )
-            following = arrivals.hits[i + 1].t_s if i + 1 < len(group) else arrivals.t_s if last else None
-            if following is not None:
-                planned.legs.append(_path(flight, hit, float(following[0])))
-    return planned
+        before = mission.place_before(group[0].index - 1)
+        line = [begin, impact] if before in (None, begin) else [before, begin, impact]
+        last = group[-1] is mission.collisions[-1] and mission.recovers_to_goal
+        for planned, arrivals in zip(found, all_arrivals, strict=True):
+            planned.approaches.append(line)
+            if arrivals is not None and mission.standoff_m is None:
+                _follow(planned, group, flight, arrivals, last)
+    return found
+
+
+def _follow(
+    planned: PlannedFlight, group: Sequence[Collision], flight: FreeFlight, arrivals: Arrivals, last: bool
+) -> None:
+    """Add what follows from one approach; `last`: the goal comes after it."""
+    for i, (collision, hit) in enumerate(zip(group, arrivals.hits, strict=True)):
+        planned.hits[collision.index] = PlannedHit(
+            position=(float(hit.x[0]), float(hit.y[0])),
+            normal_m_s=float(hit.normal_m_s[0]),
+            tangential_m_s=float(hit.tangential_m_s[0]),
+            normal_n=float(hit.normal_n[0]),
+            tangential_n=float(hit.tangential_n[0]),
+            set_point=(float(hit.leg.goal_x[0]), float(hit.leg.goal_y[0])),
+        )
+        following = arrivals.hits[i + 1].t_s if i + 1 < len(group) else arrivals.t_s if last else None
+        if following is not None:
+            planned.legs.append(_path(flight, hit, float(following[0])))
+    if last:
+        planned.goal_miss_m = float(arrivals.miss_m[0])
 
 
 def _groups(collisions: Sequence[Collision]) -> list[list[Collision]]:
@@ -88,8 +139,10 @@ def _groups(collisions: Sequence[Collision]) -> list[list[Collision]]:
     return [list(collisions[a:b]) for a, b in pairwise([*begins, len(collisions)])]
 
 
-def _fly(mission: Mission, group: Sequence[Collision]) -> tuple[Arrivals | None, FreeFlight, Vec2]:
-    """One approach and what follows from it; None where it does not get through; and its run-up point."""
+def _fly(
+    mission: Mission, group: Sequence[Collision], draws: Sequence[Draw | None]
+) -> tuple[FreeFlight, Vec2, list[Arrivals | None]]:
+    """One approach: its run-up point, and what follows in each draw; None where it does not get through."""
     task = task_of(mission, group)
     flight = new_flight(task)
     rollout = Rollout(task, tuple(task.walls), flight, None, keep_hits=True)
@@ -97,9 +150,12 @@ def _fly(mission: Mission, group: Sequence[Collision]) -> tuple[Arrivals | None,
     normal, tangential = (np.array([v]) for v in group[0].approach_m_s)
     grid = rollout.approach(normal, tangential)
     begin = (float(np.ravel(grid.begin_x)[0]), float(np.ravel(grid.begin_y)[0]))
-    found = rollout.fly(stages_for(task, [None])[0], normal, tangential, grid)
     modes = tuple(c.mode for c in group)
-    return next((a for a in found if a.modes == modes and a.rows.size), None), flight, begin
+    found = []
+    for stages, draw in zip(stages_for(task, draws), draws, strict=True):
+        arrivals = rollout.fly(stages, normal, tangential, grid, draw)
+        found.append(next((a for a in arrivals if a.modes == modes and a.rows.size), None))
+    return flight, begin, found
 
 
 def _path(flight: FreeFlight, hit: Hits, until_s: float) -> NDArray[np.float64]:

@@ -29,6 +29,7 @@ from dart_flight.config.vehicle import Coefficients
 from dart_flight.core.mission.commitment import SETTLED_BEFORE_S
 from dart_flight.core.mission.planned import impact_velocity
 from dart_flight.core.mission.position_loop import PositionLoop
+from dart_flight.core.mission.survey import Survey, slack_m
 from dart_flight.geometry import GRAVITY_M_S2, Vec2, Wall
 from dart_flight.planning.constraints import REFUSALS, Constraints
 from dart_flight.planning.contact_stage import build_stages, expm
@@ -81,20 +82,20 @@ class Replanner:
             mission.bounds,
             walls,
             mission.limits,
-            tuple(Mode),
+            mission.vehicle.modes,
             {c.wall.name: (c.alpha_normal_m_per_n, c.alpha_tangential_m_per_n) for c in mission.collisions},
         )
         self._constraints = Constraints(self._task)
         loop = PositionLoop.of(mission.vehicle.px4)
         self._felt: dict[tuple[str, Mode], Coefficients] = {}
-        self._offsets_m: dict[str, float] = {}  # of the walls' planes, as seen at impacts
+        self._survey = Survey()
         self._matrices = [loop_matrix(loop, b) for b in mission.vehicle.airframe.drag_per_s[:2]]
         tilt = math.radians(mission.vehicle.px4.mpc_tiltmax_air)
         self._most_m_s2 = _TILT_SHARE * GRAVITY_M_S2 * math.tan(tilt)
 
     def feel(self, felt: WallFelt) -> None:
         """Take what a contact has taught; what it cannot tell of which mode is left alone."""
-        self._offsets_m[felt.wall] = felt.plane_offset_m
+        self._survey.feel(felt)
         mode = felt.mode_felt or felt.mode_reported
         if mode is not None:
             self._felt[felt.wall, mode] = Coefficients(
@@ -125,8 +126,11 @@ class Replanner:
             return _because(found, f"no velocity is planned for wall {collision.wall.name}")
         if collision.approach_m_s is not None:
             return self._from_rest(found, collision, velocity)
-        for share, straight_s in itertools.product(_SPEED_SHARES, _STRAIGHT_S):
+        wall = self._survey.seen(collision.wall)
+        slack = float(slack_m(wall, self._place(collision)))
+        for share, (straight_s, slacks) in itertools.product(_SPEED_SHARES, _straights(slack)):
             wanted = (share * velocity[0], share * velocity[1])
+            straight_s -= slacks * slack / wanted[0]
             ends = self._to_wall(request, collision, wanted, straight_s)
             best = self._best(found, request, ends, collision)
             if best is not None:
@@ -162,7 +166,7 @@ class Replanner:
         self, request: PlanRequest, collision: Collision, velocity: Vec2, straight_s: float
     ) -> _Ends:
         """Ends from which it is `straight_s` to the wall, at a velocity in its collision frame."""
-        wall = self._seen(collision.wall)
+        wall = self._survey.seen(collision.wall)
         vx, vy, _ = wall.from_collision((*velocity, 0.0))
         place = wall.foot(self._place(collision))
         along, duration = (v.ravel() for v in np.meshgrid(_ALONG_M, _DURATIONS_S))
@@ -178,12 +182,6 @@ class Replanner:
         rest_s += _BESIDE_S * (along / self._mission.tolerance.place_m) ** 2
         one = np.ones(int(fine.sum()))
         return _Ends(x[fine], y[fine], vx * one, vy * one, duration[fine], rest_s[fine])
-
-    def _seen(self, wall: Wall) -> Wall:
-        """A wall where it was met, as far as it was."""
-        offset = self._offsets_m.get(wall.name, 0.0)
-        (x, y), (nx, ny) = wall.point, wall.normal
-        return msgspec.structs.replace(wall, point=(x + offset * nx, y + offset * ny))
 
     def _to_goal(self) -> _Ends:
         goal, one = self._mission.goal.position_m, np.ones_like(_DURATIONS_S)
@@ -274,6 +272,13 @@ class Replanner:
             tangential_m_s=velocity[1],
             peak_force_n=peak_n,
         )
+
+
+def _straights(slack: float) -> list[tuple[float, float]]:
+    """Times straight before a plane, and how many times the slack of its place comes to them; best first."""
+    if slack <= 0.0:
+        return [(s, 0.0) for s in _STRAIGHT_S]
+    return [(s, 1.0) for s in _STRAIGHT_S] + [(_STRAIGHT_S[-1], 0.0)]
 
 
 def _because(answer: PlanAnswer, problem: str) -> PlanAnswer:

@@ -27,6 +27,7 @@ from dart_flight.planning.contact_stage import (
     TangentialShape,
     build_stages,
 )
+from dart_flight.planning.envelope import most_incidence_deg
 from dart_flight.planning.flight_model import (
     GRID_S,
     WINDOW,
@@ -41,6 +42,7 @@ from dart_flight.planning.task import Task, drag_along
 from dart_flight.samples import Mode
 
 _HORIZON_S = 6.0  # what has not come by then does not come: the loop has settled
+LEAST_FACTOR = 0.1  # a drawn coefficient is never below this share of its nominal value
 Outcome = TypeVar("Outcome", NormalOut, TangentialOut)
 Stages = dict[tuple[str, Mode], ContactStage]
 
@@ -144,12 +146,13 @@ def _joined_legs(legs: list[Leg]) -> Leg:
 
 
 class Draw(NamedTuple):
-    """One draw of what is uncertain: factors per (wall, mode), and shifts."""
+    """One draw of what is uncertain: factors per (wall, mode), shifts, and where walls really stand."""
 
     factors: dict[tuple[str, Mode], tuple[float, float, float]]  # of k, f, mu
     normal_m_s: float
     tangential_m_s: float
     delay_s: float
+    walls: dict[str, Wall] = {}  # noqa: RUF012  (never changed): of those that are not where the plan has them
 
 
 def stages_for(task: Task, draws: Sequence[Draw | None]) -> list[Stages]:
@@ -158,7 +161,7 @@ def stages_for(task: Task, draws: Sequence[Draw | None]) -> list[Stages]:
     table, alphas, drags, delays = [], [], [], []
     for draw in draws:
         for name, mode in keys:
-            wall = task.walls[name]
+            wall = task.walls[name] if draw is None else draw.walls.get(name, task.walls[name])
             c = task.vehicle.materials[wall.material].of(mode)
             if draw is not None:
                 k, f, mu = draw.factors[name, mode]
@@ -181,6 +184,7 @@ class Rollout:
         flight: the loop's tables, shared between courses.
         constraints: None lets every candidate fly on to its end, wherever that leads (for comparisons).
         keep_hits: whether arrivals carry their collisions.
+        approached: the first wall as the approach takes it, where the task's walls stand elsewhere.
     """
 
     def __init__(
@@ -190,10 +194,11 @@ class Rollout:
         flight: FreeFlight,
         constraints: Constraints | None,
         keep_hits: bool = False,
+        approached: Wall | None = None,
     ) -> None:
         self.task, self.flight, self.constraints = task, flight, constraints
         self.walls = [task.walls[name] for name in sequence]
-        self.keep_hits = keep_hits
+        self.keep_hits, self._approached = keep_hits, approached
         self.refused = np.zeros(len(REFUSALS) + 1, dtype=np.int64)
         self._goal: Vec2 = task.goal.position_m
 
@@ -249,9 +254,14 @@ class Rollout:
     ) -> _Front | None:
         wall = self.walls[0]
         stage = stages[wall.name, self.task.modes[mode]]
+        shift_n, shift_t = (0.0, 0.0) if draw is None else (draw.normal_m_s, draw.tangential_m_s)
+        if self._approached is not None:
+            grid, normal, tangential, shift_n, shift_t = _really_met(
+                wall, self._approached, grid, normal, tangential, (shift_n, shift_t)
+            )
         bn, bt = drag_along(wall, self.task.vehicle.airframe.drag_per_s)
-        vn = normal if draw is None else np.minimum(normal + draw.normal_m_s, -1e-3)
-        vt = tangential if draw is None else tangential + draw.tangential_m_s
+        vn = normal if draw is None else np.minimum(normal + shift_n, -1e-3)
+        vt = tangential if draw is None else tangential + shift_t
         zero = np.zeros_like(vn)
         out = stage.normal(vn, bn * vn, zero, -stage.lead_s * vn, normal)
         # Few different normal speeds among many candidates: what depends on them alone is computed once.
@@ -344,7 +354,7 @@ class Rollout:
             d = first_crossing(series, stage.lead_s, -GRID_S - 2.0 * stage.lead_s, 1e-3)
             leg, after = near.leg_at(d), near.times + d
             here = reached._replace(modes=reached.modes * len(self.task.modes) + i)
-            codes = self._reached_codes(reached, wall, i, leg, after)
+            codes = self._reached_codes(reached, wall, i, leg, after, mode)
             if codes is not None:
                 stays = np.flatnonzero(self._refuse(codes, number))
                 here, leg, after = here.take(stays), leg.take(stays), after[stays]
@@ -353,13 +363,17 @@ class Rollout:
         return [front for front in fronts if front is not None]
 
     def _reached_codes(
-        self, front: _Front, wall: Wall, mode: int, impact: Leg, after: Array
+        self, front: _Front, wall: Wall, number_of_mode: int, impact: Leg, after: Array, mode: Mode
     ) -> NDArray[np.int8] | None:
-        """Whether the lock and the detector are ready when the wall is met."""
+        """Whether vehicle, lock and detector are ready when the wall is met."""
         if self.constraints is None:
             return None
         codes = np.zeros(after.size, dtype=np.int8)
-        switched = front.modes % len(self.task.modes) != mode
+        # A recovery keeps the heading that the approach to the first wall has given.
+        askew_deg = math.degrees(wall.incidence(self.walls[0].parallel_yaw(0.0)))
+        if askew_deg > most_incidence_deg(self.task.vehicle, mode):
+            self.constraints.mark(codes, np.ones(after.size, dtype=bool), Refusal.INCIDENCE)
+        switched = front.modes % len(self.task.modes) != number_of_mode
         if switched.any():
             ready = self.flight.at(front.leg, self.constraints.lock_s)
             late = self.constraints.lock_too_late(ready, impact, after, wall)
@@ -505,6 +519,42 @@ class Rollout:
 
 
 _NONE = np.zeros(0, dtype=np.intp)
+
+
+def _really_met(
+    wall: Wall,
+    planned: Wall,
+    grid: ApproachGrid,
+    normal: Array,
+    tangential: Array,
+    shift: tuple[float, float],
+) -> tuple[ApproachGrid, Array, Array, float, float]:
+    """Approaches to a wall that stands elsewhere than planned: where, when and how it is met.
+
+    Velocities and their shifts come from the planned wall's frame into the true one's. Recovery set-points
+    are then those of the true frame: the force is a vector, and only gains that differ per axis tell the two.
+    """
+    (nx, ny), (tx, ty) = wall.normal, wall.tangent
+    (ox, oy), (sx, sy) = planned.normal, planned.tangent
+    across = (nx * ox + ny * oy, nx * sx + ny * sy)
+    along = (tx * ox + ty * oy, tx * sx + ty * sy)
+    vx, vy = ox * normal + sx * tangential, oy * normal + sy * tangential
+    into = np.minimum(across[0] * normal + across[1] * tangential, -1e-3)
+    before = nx * (grid.impact_x - wall.point[0]) + ny * (grid.impact_y - wall.point[1])
+    later_s = before / -into
+    x, y = grid.impact_x + vx * later_s, grid.impact_y + vy * later_s
+    codes = grid.codes.copy()
+    beyond = np.abs(tx * (x - wall.point[0]) + ty * (y - wall.point[1])) > 0.5 * wall.length_m
+    codes[(codes == 0) & beyond] = CODE[Refusal.BEYOND_WALL]
+    met = grid._replace(codes=codes, impact_x=x, impact_y=y, impact_s=grid.impact_s + later_s)
+    n, t = shift
+    return (
+        met,
+        into,
+        along[0] * normal + along[1] * tangential,
+        across[0] * n + across[1] * t,
+        along[0] * n + along[1] * t,
+    )
 
 
 def _along(direction: Vec2, x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:

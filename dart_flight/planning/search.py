@@ -18,16 +18,15 @@ from numpy.typing import NDArray
 from dart_flight.config.document import InputError
 from dart_flight.config.scenario import Objective, Scenario
 from dart_flight.core.mission.approach import Transit
-from dart_flight.geometry import Vec2, distance2
+from dart_flight.geometry import Vec2, Wall, distance2
 from dart_flight.planning.approach_grid import ApproachGrid, straight_is_blocked
 from dart_flight.planning.constraints import ADVICE, REFUSALS, Constraints, Refusal
 from dart_flight.planning.flight_model import Array, FreeFlight, Rows
-from dart_flight.planning.rollout import Arrivals, Draw, Rollout, new_flight, stages_for
+from dart_flight.planning.rollout import LEAST_FACTOR, Arrivals, Draw, Rollout, new_flight, stages_for
 from dart_flight.samples import Mode
 
 Progress = Callable[[int, int], None]  # trajectories done, of how many
 
-_LEAST_FACTOR = 0.1  # a drawn coefficient is never below this share of its nominal value
 _LEAST_LOSS_M = 1.0
 
 
@@ -274,13 +273,21 @@ class Planner:
             grid = rollout.approach(vn, vt)
             misses = {c.modes: np.full((len(draws), rows.size), math.nan) for c in group}
             for i, (draw, of_draw) in enumerate(zip(draws, stages, strict=True)):
-                for a in rollout.fly(of_draw, vn, vt, grid, draw):
+                really = self._where_walls_are(rollout, sequence, draw)
+                for a in really.fly(of_draw, vn, vt, grid, draw):
                     if a.modes in misses:
                         misses[a.modes][i, a.rows] = a.miss_m
                 self.flown += sum(c.rows.size for c in group)
                 self._progress(self.flown, total)
             out.extend(self._judged(c, misses[c.modes][:, np.searchsorted(rows, c.rows)]) for c in group)
         return out
+
+    def _where_walls_are(self, planned: Rollout, sequence: tuple[str, ...], draw: Draw) -> Rollout:
+        """The rollout among the walls of a draw; the planned one where they stand as planned."""
+        if not draw.walls:
+            return planned
+        there = msgspec.structs.replace(self.scenario, walls=self.scenario.walls | draw.walls)
+        return Rollout(there, sequence, self.flight, Constraints(there), approached=planned.walls[0])
 
     def _judged(self, c: Candidates, misses: Array) -> Candidates:
         loss = max(_LEAST_LOSS_M, distance2(self.scenario.start, self.scenario.goal.position_m))
@@ -373,20 +380,26 @@ def draws_of(scenario: Scenario, seed: int) -> list[Draw]:
         factors = {}
         for name in scenario.alphas:
             for mode in scenario.modes:
-                k, f, mu = np.maximum(
-                    1.0 + np.array([u.k, u.f, u.mu]) * rng.standard_normal(3), _LEAST_FACTOR
-                )
+                k, f, mu = np.maximum(1.0 + np.array([u.k, u.f, u.mu]) * rng.standard_normal(3), LEAST_FACTOR)
                 factors[name, mode] = (float(k), float(f), float(mu))
         shift = rng.standard_normal(3)
+        walls = {name: _drawn_wall(wall, rng) for name, wall in scenario.walls.items() if wall.is_uncertain}
         draws.append(
             Draw(
                 factors,
                 u.approach_m_s * float(shift[0]),
                 u.approach_m_s * float(shift[1]),
                 u.detection_delay_s * float(shift[2]),
+                walls,
             )
         )
     return draws
+
+
+def _drawn_wall(wall: Wall, rng: np.random.Generator) -> Wall:
+    away, angle = rng.standard_normal(2)
+    moved = wall.moved(float(away) * (wall.position_sd_m or 0.0))
+    return moved.turned(float(angle) * (wall.yaw_sd_rad or 0.0))
 
 
 def _at(values: Array | None, i: int) -> float | None:

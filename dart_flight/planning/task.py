@@ -83,7 +83,7 @@ def task_of(mission: Mission, group: Sequence[Collision]) -> MissionTask:
         mission.bounds,
         {str(c.index): msgspec.structs.replace(c.wall, name=str(c.index)) for c in group},
         mission.limits,
-        tuple(Mode),
+        mission.vehicle.modes,
         {str(c.index): (c.alpha_normal_m_per_n, c.alpha_tangential_m_per_n) for c in group},
     )
 

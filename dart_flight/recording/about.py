@@ -49,8 +49,11 @@ def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[st
         "started_utc": datetime.now(UTC).isoformat(timespec="microseconds"),
         "started_monotonic_us": str(time.monotonic_ns() // 1000),
     }
-    with contextlib.suppress(OSError, UnicodeDecodeError):
+    try:
         about["mission_text"] = Path(mission.source).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):  # built or changed in Python
+        tree = msgspec.json.encode(mission.to_dict())
+        about["mission_text"] = msgspec.json.format(tree, indent=2).decode()
     return about
 
 

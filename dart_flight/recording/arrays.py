@@ -56,6 +56,9 @@ class FlightArrays:
 
     def __init__(self, log: Log, mission: Mission) -> None:
         self.records: list[Record] = [entry.record for entry in log.entries]
+        self._by_kind: dict[type[Record], list[Record]] = {}
+        for record in self.records:
+            self._by_kind.setdefault(type(record), []).append(record)
         self.start_us = zero_of(self.records)
         self.frame = _frame(self.records, mission)
         self.estimated = self._estimated()
@@ -73,7 +76,7 @@ class FlightArrays:
 
     def all(self, kind: type[R]) -> list[R]:
         """Every record of a kind, in the order written."""
-        return [r for r in self.records if isinstance(r, kind)]
+        return list(self._by_kind.get(kind, ()))  # type: ignore[arg-type]
 
     def time_of(self, t_us: int) -> float:
         """Seconds since the start."""

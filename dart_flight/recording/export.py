@@ -11,10 +11,8 @@ import msgspec
 from dart_flight.config.document import InputError
 from dart_flight.recording.flight_time import zero_of
 from dart_flight.recording.reader import Log
-from dart_flight.recording.schema import schema
+from dart_flight.recording.schema import axes_of, schema
 from dart_flight.samples import Record
-
-_AXES = {2: "xy", 3: "xyz", 4: "wxyz", 6: ("xx", "yy", "zz", "xy", "xz", "yz")}
 
 
 def export_csv(log: Log, folder: Path) -> list[Path]:
@@ -70,7 +68,7 @@ def _spread(record: Record) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for name, value in msgspec.structs.asdict(record).items():
         if isinstance(value, tuple):
-            axes = "1234" if name in ("motors", "rpm") else _AXES[len(value)]
+            axes = axes_of(name, len(value))
             values |= {f"{name}_{axis}": part for axis, part in zip(axes, value, strict=True)}
         else:
             values[name] = value

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 import msgspec
 from mcap.records import Channel, Chunk, Message, Metadata
@@ -17,6 +18,10 @@ from dart_flight.recording.schema import RECORD_TYPES
 from dart_flight.recording.writer import ABOUT, END, FORMAT_VERSION, part_path
 from dart_flight.samples import Record, World
 
+if TYPE_CHECKING:
+    from dart_flight.recording.topics import Topic, Topics
+
+IN_MEMORY = "<memory>"  # the source of a log without a file
 # The writer's chunks are of a megabyte: a damaged length must not make the reader ask for gigabytes.
 _MOST_BYTES = 64 * 1024 * 1024
 _MAGIC = b"\x89MCAP0\r\n"
@@ -30,18 +35,18 @@ class NothingInItError(InputError):
     """
 
 
-class LogEntry(msgspec.Struct, frozen=True):
+class LogEntry(msgspec.Struct, frozen=True, gc=False):
     """One record of a log and the number of the input it is or follows from."""
 
     number: int
     record: Record
 
 
-class Log(msgspec.Struct):
-    """A log read whole.
+class Log(msgspec.Struct, dict=True):
+    """A log read whole. `log["/estimate/force"]` has the records of a channel as arrays (`recording.topics`).
 
     Attributes:
-        source: the file.
+        source: the file; `IN_MEMORY` where there is none.
         about: what describes the flight (`recording.about`).
         end: what was known only at the end; `lost` is the number of records that could not be written.
         entries: records in the order written.
@@ -65,6 +70,32 @@ class Log(msgspec.Struct):
         """Where it was flown; None where the log was cut before it says."""
         name = self.about.get("world", "")
         return World(name) if name in set(World) else None
+
+    @cached_property
+    def arrays(self) -> Topics:
+        """The records as arrays, by channel; made once."""
+        from dart_flight.recording.topics import Topics  # noqa: PLC0415  NumPy, which logging does without
+
+        return Topics(entry.record for entry in self.entries)
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """The channels that have records, by name."""
+        return self.arrays.names
+
+    def __getitem__(self, topic: str) -> Topic:
+        """The records of a channel as arrays; of length 0 where it has none.
+
+        Raises:
+            KeyError: there is no such channel; the nearest name is told.
+        """
+        return self.arrays[topic]
+
+    def __contains__(self, topic: object) -> bool:
+        return topic in self.topics
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.topics)
 
 
 def read_log(path: str | Path) -> Log:
@@ -143,4 +174,4 @@ def _check_version(about: dict[str, str], source: str) -> None:
         )
 
 
-__all__ = ["Log", "LogEntry", "NothingInItError", "read_log"]
+__all__ = ["IN_MEMORY", "Log", "LogEntry", "NothingInItError", "read_log"]

@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.config.document import InputError
+from dart_flight.config.rotors import COUNT, MAV_TYPES
 
 Array = NDArray[np.float64]
 
 _LEAST_CELL_V = 3.0  # a flying pack has at least one cell; 0.05 V is a sensor that is not connected
 _LONGEST_COUNT = 8
-_MAV_TYPE_MOTORS = {2: 4, 13: 6, 14: 8}  # MAV_TYPE: quadrotor, hexarotor, octorotor
+_MOTORS_OF_TYPE = {kind: motors for motors, kind in MAV_TYPES.items()}
 _PWM = (1000.0, 2000.0)
 _DSHOT = (0.0, 1999.0)
 _UAVCAN = (0.0, 8191.0)
@@ -155,9 +156,7 @@ def motor_commands(log: ULogFile) -> MotorCommands:
 
 def _count(log: ULogFile) -> int:
     """How many motors the vehicle has, by its parameters; four where they do not say."""
-    count = log.parameters.get("CA_ROTOR_COUNT", 0.0) or _MAV_TYPE_MOTORS.get(
-        int(log.parameters.get("MAV_TYPE", 0.0)), 4
-    )
+    count = log.parameters.get(COUNT, 0.0) or _MOTORS_OF_TYPE.get(int(log.parameters.get("MAV_TYPE", 0.0)), 4)
     return int(min(count, _LONGEST_COUNT))
 
 

@@ -6,16 +6,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dart_flight.identify.feel import FeltFlight, SpecificThrust
-from dart_flight.report import figures
-from dart_flight.report.page import page, section, shown, table
+from dart_flight.identification.feel import FeltFlight, SpecificThrust
+from dart_flight.report.figures.forces import felt_force
+from dart_flight.report.markup import page, section, shown, table
 
 
 def felt_page(flights: Sequence[FeltFlight]) -> str:
     """The page of some logs: force over the flight, impacts, what is unknown."""
     parts = [section(flight.log, _flight(flight)) for flight in flights]
     impacts = sum(i.kind == "impact" for flight in flights for i in flight.impacts)
-    return page(f"{len(flights)} flights felt, {impacts} impacts", parts)
+    return page(f"{_counted(len(flights), 'flight')} felt, {_counted(impacts, 'impact')}", parts)
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}" + ("" if count == 1 else "s")
 
 
 def _flight(flight: FeltFlight) -> str:
@@ -23,9 +27,7 @@ def _flight(flight: FeltFlight) -> str:
     series = flight.series
     if series is not None and len(series.time_s):
         force = np.hypot(series.force_m_s2[:, 0], series.force_m_s2[:, 1])
-        figure = figures.felt_force(
-            series.time_s, force, series.threshold_m_s2, [i.t_s for i in flight.impacts]
-        )
+        figure = felt_force(series.time_s, force, series.threshold_m_s2, [i.t_s for i in flight.impacts])
         body += shown((figure, "Horizontal force over mass, and the threshold in force. Vertical: impacts."))
     rows = [
         (i.t_s, i.acceleration_m_s2, i.force_n, i.direction_deg, i.speed_m_s, i.kind) for i in flight.impacts

@@ -12,14 +12,14 @@ import numpy as np
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.contact.law import Onset
 from dart_flight.contact.path import Contact, Trajectory, trajectory
-from dart_flight.core.mission.approach import Way
-from dart_flight.geometry import Vec3
+from dart_flight.core.mission.approach import Way, legs_of
 from dart_flight.planning.planned import PlannedFlight, planned_flight
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.arrays import Array, FlightArrays
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.samples import (
     ClockOffset,
+    ContactEnd,
     ImpactOnset,
     ImpactPeak,
     ImuSample,
@@ -84,6 +84,7 @@ class Impact:
         verdict: planned, measured and true.
         at_s: detection, seconds of the flight's `FlightArrays`.
         planned: the verdict's.
+        peak: the measured peaks; None where there were none.
         prediction: the contact law at the measured velocity, in time since its onset.
         onset_s: when the predicted contact begins: so that its peak is where the measured one is; where none
             was measured, so that its force reaches the threshold at `at_s`.
@@ -102,14 +103,14 @@ class Impact:
         at_s = self.at_s = course.time_of(verdict.t_us)
         self.material = self.collision.wall.material
         self.planned = verdict.planned
-        self._peak = _peak_after(course, verdict.t_us)
+        self.peak = _peak_after(course, verdict.t_us)
         self._truth = _truth_near(course, verdict)
         self.prediction: Trajectory | None = None
         self.predicted_n: float | None = None
         self.onset_s = at_s
         self._predict(mission)
-        if self._peak is not None and self._contact is not None:
-            self.onset_s = course.time_of(self._peak.t_us) - self._contact.peak_s
+        if self.peak is not None and self._contact is not None:
+            self.onset_s = course.time_of(self.peak.t_us) - self._contact.peak_s
         self.compared = self._compare(course)
 
     def _predict(self, mission: Mission) -> None:
@@ -132,7 +133,7 @@ class Impact:
 
     def _compare(self, course: FlightArrays) -> list[Compared]:
         """The rows of the report's table."""
-        v, plan, truth, peak = self.verdict, self.planned, self._truth, self._peak
+        v, plan, truth, peak = self.verdict, self.planned, self._truth, self.peak
         true = v.truth if v.truth is not None else Velocities()
         out = self._measured_out(course)
         predicted = self._predicted_out()
@@ -177,7 +178,8 @@ class Impact:
 
     def _measured_out(self, course: FlightArrays) -> tuple[float | None, float | None]:
         """Normal and tangential velocity by PX4's estimate when the force was gone, m/s."""
-        end_us, motion = self.verdict.lock.contact_end_us, course.estimated
+        ends = (e.t_us for e in course.all(ContactEnd) if e.t_us >= self.verdict.t_us)
+        end_us, motion = next(ends, None), course.estimated
         if end_us is None or not motion.time_s.size:
             return None, None
         at = course.time_of(end_us)
@@ -307,12 +309,14 @@ class Flight:
                 found.append(np.array([way.at(float(t)).position[:2] for t in times]))
         return found
 
-    def recovery_points(self) -> list[Vec3]:
-        """The recovery set-points, mission frame."""
-        frame = self.course.frame
-        if frame is None:
-            return []
-        return [frame.point_from_ned(s.position_ned) for s in self.course.all(SetPoint) if s.recovery]
+    def planned_lines(self) -> list[Array]:
+        """The planned path from above: (n, 2), mission frame, metres."""
+        planned = self.planned
+        approaches = [np.array(line) for line in planned.approaches]
+        from_rest = [
+            np.array([leg.begin[:2], leg.end[:2]]) for leg in legs_of(self.mission) if leg.begin is not None
+        ]
+        return [*approaches, *(leg[:, :2] for leg in planned.legs), *from_rest]
 
 
 def _peak_after(course: FlightArrays, onset_us: int) -> ImpactPeak | None:

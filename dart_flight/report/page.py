@@ -1,71 +1,103 @@
-"""The report as one self-contained HTML file: no script, no link to anything outside."""
+"""The report as one self-contained HTML file: nothing is loaded from anywhere.
+
+A page of one flight has a script, which plays the flight from numbers in the page; without scripts it lacks
+the animation and nothing else.
+"""
 
 from __future__ import annotations
 
-import base64
 import html
-import math
 from collections.abc import Iterable, Sequence
-from importlib import resources
-from itertools import zip_longest
 from statistics import fmean, stdev
 
 import msgspec
 
 from dart_flight.config.document import InputError
-from dart_flight.identify.estimates import mean_half_width
-from dart_flight.report import figures
-from dart_flight.report.flight import Flight, percentile
+from dart_flight.deviations import departures
+from dart_flight.identification.estimates import mean_half_width
+from dart_flight.report.figures import forces, lock, motion
+from dart_flight.report.figures.flight_map import flight_map
+from dart_flight.report.flight import Flight, Impact, percentile
+from dart_flight.report.markup import Cell, Row, details, page, section, shown, signed, table
+from dart_flight.report.player import player, script
 from dart_flight.report.proposal import Proposal, propose
-from dart_flight.samples import DetectionFloor, PlanAnswer, PlanRequest, PlanTaken, WallFelt, World
+from dart_flight.samples import DetectionFloor, Outcome, PlanAnswer, PlanRequest, PlanTaken, WallFelt, World
 from dart_flight.verdict import Verdict
 
-Cell = str | float | int | None
-Row = Sequence[Cell] | str  # text alone: a heading over the rows that follow
+_MAIN_ROWS = ("normal velocity", "peak normal force", "contact time")
 
 
 def flight_page(flight: Flight, *, identify: bool = False) -> str:
-    """The page of one flight."""
+    """The page of one flight: what became of it and where, then how, then everything."""
     v = flight.verdict
+    animation = player(flight)
     parts = [
         _verdict(flight),
-        section("Predicted against measured", _impact_table(flight)),
-        section("The plan", _plan_tables(flight)),
-        section(
-            "Path and motion",
-            shown(
-                (
-                    figures.flight_map([flight]),
-                    "From above, mission frame. Hatched: walls. Planned: until the closest to the goal.",
-                ),
-                (figures.motion(flight), "Velocities and height. Vertical lines: impacts detected."),
-            ),
-        ),
+        shown((flight_map([flight]), _map_words(flight)), wide=True),
+        animation,
     ]
+    if flight.mission.collisions:
+        parts += [
+            section("Predicted against measured", _impact_table(flight)),
+            section("The plan", _plan_tables(flight)),
+        ]
     if flight.impacts:
-        forces = (
+        pictures = (
             (
-                figures.impact_forces(flight, impact),
-                f"{impact.title}. Predicted: contact law at the measured velocity.",
+                forces.impact_forces(flight, impact),
+                f"{impact.title}. Predicted: contact law at the measured velocity. Vertical: up.",
             )
             for impact in flight.impacts
         )
-        parts.append(section("Force of each impact", shown(*forces)))
+        parts.append(section("Force of each impact", shown(*pictures)))
     parts += [
         section(
-            "Lock and timing",
+            "Motion",
             shown(
-                (figures.timeline(flight), "Phases, contact, permission to lock, state of the lock."),
-                (figures.timing(flight), "Regularity of set-points and delay of IMU samples."),
-            )
+                (motion.motion(flight), "Velocities and height. Vertical lines: impacts detected."),
+                (motion.attitude(flight), "Attitude in the mission frame."),
+                (
+                    motion.tracking_error(flight),
+                    "Distance from the set-point in force. After a hit it is far away on purpose.",
+                ),
+                (
+                    motion.thrust_and_battery(flight),
+                    "Thrust by the calibrated curve, commands to the motors, battery.",
+                ),
+            ),
+        ),
+        section(
+            "Lock and timing" if flight.mission.vehicle.has_lock else "Phases and timing",
+            shown((lock.timeline(flight), _timeline_words(flight)))
             + _lock_table(flight)
-            + _timing_table(flight),
+            + details("Timing", _timing_table(flight)),
         ),
         section("Guard and decisions", _guard_table(flight) + _noise_table(flight) + _phase_table(flight)),
-        section("Contact coefficients", _proposals(propose([flight], identify))),
-        _parameters(flight),
     ]
-    return page(f"{v.mission}, {_world(v)}: {v.outcome}", parts)
+    if flight.mission.collisions:
+        parts.append(section("Contact coefficients", _proposals(propose([flight], identify))))
+    parts.append(_parameters(flight))
+    return page(f"{v.mission}, {_world(v)}: {v.outcome}", parts, script() if animation else "")
+
+
+def _map_words(flight: Flight) -> str:
+    words = ["From above, mission frame."]
+    if flight.mission.walls:
+        words.append(
+            "Hatched: walls, from their surface back; dashed: where the vehicle's centre is at first touch."
+        )
+    if flight.mission.collisions:
+        arms = ", arms heavy where the lock was rigid, thin where flexible"
+        to_scale = f"the vehicle to scale{arms if flight.mission.vehicle.has_lock else ''}"
+        words.append(f"At each hit, with its number and peak force: {to_scale}.")
+    if flight.mission.recovers_to_goal:
+        words.append("Planned: until the closest to the goal.")
+    return " ".join(words)
+
+
+def _timeline_words(flight: Flight) -> str:
+    lock = ", permission to lock, state of the lock" if flight.mission.vehicle.has_lock else ""
+    return f"Phases, contact{lock}."
 
 
 def comparison_page(flights: Sequence[Flight], *, identify: bool = False) -> str:
@@ -81,23 +113,23 @@ def comparison_page(flights: Sequence[Flight], *, identify: bool = False) -> str
     title = f"{flights[0].verdict.mission}, {worlds}: {done} of {len(flights)} completed"
     indices = sorted({i.verdict.index for f in flights for i in f.impacts})
     force_figures = [
-        (figures.impact_forces_over_trials(flights, index), f"Collision {index}, every trial.")
+        (forces.impact_forces_over_trials(flights, index), f"Collision {index}, every trial.")
         for index in indices
     ]
     parts = [
         section("Flights", _flights_table(flights)),
-        section("Over all trials", _statistics(flights, indices)),
         section(
             "Paths and forces",
             shown(
                 (
-                    figures.flight_map(flights),
+                    flight_map(flights),
                     "All paths from above, mission frame. Planned: to the closest approach to the goal.",
                 ),
-                (figures.errors_over_trials(flights), "Errors of the peak force."),
+                (forces.errors_over_trials(flights), "Errors of the peak force."),
                 *force_figures,
             ),
         ),
+        section("Over all trials", _statistics(flights, indices)),
         section("Contact coefficients", _proposals(propose(flights, identify))),
         _parameters(flights[0], flights[1:]),
     ]
@@ -165,7 +197,60 @@ def _verdict(flight: Flight) -> str:
     )
     listed = "".join(f"<dt>{k}</dt><dd>{html.escape(t)}</dd>" for k, t in facts)
     reason = f"<p class=reason>{html.escape(v.reason)}</p>" if v.reason else ""
-    return f"<section>{reason}<div class=tiles>{tiles}</div><dl>{listed}</dl></section>"
+    cut = "" if flight.log.complete else "<p class=note>The log was cut: not all of the flight is here.</p>"
+    return (
+        f"<section><p class=sentence>{html.escape(sentence(flight))}</p>{reason}{cut}{_hits_table(flight)}"
+        f"<div class=tiles>{tiles}</div>{details('Where this is from', f'<dl>{listed}</dl>')}</section>"
+    )
+
+
+def sentence(flight: Flight) -> str:
+    """What became of a flight, in plain words."""
+    v, planned, met = flight.verdict, len(flight.mission.collisions), len(flight.impacts)
+    if flight.mission.standoff_m is not None:
+        hits = "a rehearsal, which stops before each wall"
+    elif planned == 0 or planned == 0:
+        hits = "no hit was planned"
+    elif planned == 1:
+        hits = "its one planned hit was flown" if met else "its one planned hit was not flown"
+    else:
+        hits = f"{met if met < planned else 'all'} of {planned} planned hits were flown"
+    begin = {
+        Outcome.COMPLETED: "The flight was completed",
+        Outcome.ABORTED: "The flight was broken off",
+        Outcome.RELEASED: "The vehicle was handed over in flight",
+    }[v.outcome]
+    words = f"{begin}; {hits}"
+    if v.goal_miss_m is not None:
+        words += f", and the goal was passed at {v.goal_miss_m:.2f} m"
+    if v.plan_followed is None:
+        return f"{words}."
+    plan = "The plan was followed" if v.plan_followed else "The plan was not followed"
+    where = departures(v.deviations, most=1) if v.outcome is Outcome.COMPLETED else ""
+    return f"{words}. {plan}" + (f": {where}." if where else ".")
+
+
+def _hits_table(flight: Flight) -> str:
+    rows: list[Row] = [_hit_row(flight, impact) for impact in flight.impacts]
+    if not flight.mission.collisions:
+        return ""
+    if not rows:
+        return "<p>No planned wall was hit.</p>" if flight.mission.collisions else ""
+    return table(
+        ["hit", "at, s", "wall", "mode", "normal, m/s", "along, m/s", "peak, N", "error %"],
+        rows,
+    )
+
+
+def _hit_row(flight: Flight, impact: Impact) -> Row:
+    v = impact.verdict
+    peak = next(c for c in impact.compared if c.name == "peak normal force")
+    felt = f", felt {v.mode_felt}" if v.mode_felt not in (None, v.mode) else ""
+    clipped = ", clipped" if v.clipped else ""
+    return [
+        v.index, impact.at_s, v.wall, f"{v.mode}{felt}{clipped}", v.measured.normal_m_s,
+        v.measured.tangential_m_s, v.measured.peak_force_n, signed(peak.error_percent),
+    ]  # fmt: skip
 
 
 def _where_px4_log(flight: Flight) -> str:
@@ -176,14 +261,7 @@ def _where_px4_log(flight: Flight) -> str:
 
 
 def _impact_table(flight: Flight) -> str:
-    rows: list[Row] = []
-    for impact in flight.impacts:
-        rows.append(impact.title + (", clipped: lower bounds" if impact.verdict.clipped else ""))
-        rows += [
-            [f"{c.name}, {c.unit}", c.planned, c.predicted, c.measured, c.true, _signed(c.error_percent)]
-            for c in impact.compared
-        ]
-    if not rows:
+    if not flight.impacts:
         return "<p>No planned wall was hit.</p>"
     heads = ["", "planned", "predicted", "measured", "true", "error %"]
     note = (
@@ -192,7 +270,20 @@ def _impact_table(flight: Flight) -> str:
         "estimate, those out when the force was gone. True: the simulated vehicle. Error: of the measured "
         "value, against the true one where there is one, else the predicted or planned.</p>"
     )
-    return table(heads, rows) + note
+    main = table(heads, list(_compared_rows(flight, _MAIN_ROWS)))
+    return main + details("All rows", table(heads, list(_compared_rows(flight)))) + note
+
+
+def _compared_rows(flight: Flight, names: Sequence[str] = ()) -> Iterable[Row]:
+    """The rows of every collision, or those of some names."""
+    for impact in flight.impacts:
+        yield impact.title + (", clipped: lower bounds" if impact.verdict.clipped else "")
+        for c in impact.compared:
+            if not names or c.name in names:
+                yield [
+                    f"{c.name}, {c.unit}", c.planned, c.predicted, c.measured, c.true,
+                    signed(c.error_percent),
+                ]  # fmt: skip
 
 
 def _plan_tables(flight: Flight) -> str:
@@ -204,7 +295,9 @@ def _plan_tables(flight: Flight) -> str:
         [d.what, d.planned, d.flown, d.tolerance, "yes" if d.within else "no"] for d in v.deviations
     ]
     text = "<p>The plan was followed.</p>" if v.plan_followed else "<p>The plan was not followed.</p>"
-    text += table(["", "planned", "flown", "may differ by", "within"], rows)
+    heads = ["", "planned", "flown", "may differ by", "within"]
+    outside = [row for row, d in zip(rows, v.deviations, strict=True) if not d.within]
+    text += (table(heads, outside) if outside else "") + details("Every planned figure", table(heads, rows))
     felt = flight.course.all(WallFelt)
     if felt:
         text += "<h3>Walls as they were felt</h3>" + table(_FELT_HEADS, [_felt_row(flight, f) for f in felt])
@@ -253,8 +346,8 @@ def _lock_table(flight: Flight) -> str:
     rows: list[Row] = []
     for impact in flight.impacts:
         times = impact.verdict.lock
-        end = times.contact_end_us
-        if end is None:
+        end = None if times is None else times.contact_end_us
+        if times is None or end is None:
             continue
 
         def after(t_us: int | None, end: int = end) -> float | None:
@@ -333,7 +426,7 @@ def _phase_table(flight: Flight) -> str:
     rows: list[Row] = [
         [flight.course.time_of(c.t_us), c.before, c.after, c.reason] for c in flight.course.all(PhaseChange)
     ]
-    return _details("Phases", table(["s", "from", "to", "because"], rows))
+    return details("Phases", table(["s", "from", "to", "because"], rows))
 
 
 def _proposals(proposals: list[Proposal]) -> str:
@@ -380,10 +473,10 @@ def _parameters(flight: Flight, others: Sequence[Flight] = ()) -> str:
     return section(
         "Parameters used",
         note
-        + _details(
+        + details(
             "Mission as written", f"<pre>{html.escape(about.get('mission_text', 'not in the log'))}</pre>"
         )
-        + _details("Vehicle configuration as flown", f"<pre>{html.escape(vehicle)}</pre>"),
+        + details("Vehicle configuration as flown", f"<pre>{html.escape(vehicle)}</pre>"),
     )
 
 
@@ -440,84 +533,6 @@ def _spread(name: str, values: Iterable[float | None]) -> list[Cell]:
     sd = stdev(known) if len(known) > 1 else None
     half = mean_half_width(known)
     return [name, len(known), fmean(known), half, sd, min(known), max(known)]
-
-
-# --- HTML ----------------------------------------------------------------------------------------------
-
-
-def section(title: str, body: str) -> str:
-    """A part of a page, with its heading."""
-    return f"<section><h2>{html.escape(title)}</h2>{body}</section>"
-
-
-def _details(title: str, body: str) -> str:
-    return f"<details><summary>{html.escape(title)}</summary>{body}</details>"
-
-
-def shown(*figures_and_captions: tuple[str, str]) -> str:
-    """Figures (SVG text), each with its caption."""
-    parts = []
-    for svg, caption in figures_and_captions:
-        data = base64.b64encode(svg.encode()).decode()
-        text = html.escape(caption)
-        parts.append(
-            f'<figure><img alt="{text}" src="data:image/svg+xml;base64,{data}">'
-            f"<figcaption>{text}</figcaption></figure>"
-        )
-    return f"<div class=figures>{''.join(parts)}</div>"
-
-
-def table(heads: Sequence[str], rows: Sequence[Row]) -> str:
-    """A table; columns of numbers are set to the right."""
-    firsts = next((row for row in rows if not isinstance(row, str)), [])
-    head = "".join(
-        f"<th{' class=n' if _is_number(cell) else ''}>{html.escape(h)}</th>"
-        for h, cell in zip_longest(heads, firsts)
-    )
-    body = "".join(
-        f"<tr class=group><th colspan={len(heads)}>{html.escape(row)}</th></tr>"
-        if isinstance(row, str)
-        else f"<tr>{''.join(map(_cell, row))}</tr>"
-        for row in rows
-    )
-    return f"<div class=scroll><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
-
-
-def _is_number(value: Cell) -> bool:
-    return not isinstance(value, str) or isinstance(value, _Number)
-
-
-class _Number(str):
-    """A number that is already written."""
-
-
-def _signed(value: float | None) -> Cell:
-    """A number with its sign and one decimal."""
-    return None if value is None else _Number(f"{value:+.1f}")
-
-
-def _cell(value: Cell) -> str:
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
-        return "<td class=n>–</td>"
-    if isinstance(value, _Number):
-        return f"<td class=n>{value}</td>"
-    if isinstance(value, str):
-        return f"<td>{html.escape(value)}</td>"
-    if isinstance(value, int):
-        return f"<td class=n>{value}</td>"
-    digits = 0 if abs(value) >= 1000 else 1 if abs(value) >= 10 else 2 if abs(value) >= 1 else 3
-    return f"<td class=n>{value:.{digits}f}</td>"
-
-
-def page(title: str, parts: Sequence[str]) -> str:
-    """The whole file."""
-    style = resources.files("dart_flight.report").joinpath("page.css").read_text(encoding="utf-8")
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{html.escape(title)}</title><style>{style}</style></head><body>"
-        f"<header><h1>{html.escape(title)}</h1></header><main>{''.join(parts)}</main></body></html>\n"
-    )
 
 
 def _world(verdict: Verdict) -> str:

@@ -13,13 +13,12 @@ import msgspec
 
 from dart_flight.config.document import InputError
 from dart_flight.contact.law import Onset
-from dart_flight.identify.estimates import Estimate, Identification, mean_half_width
-from dart_flight.identify.fit import identify
-from dart_flight.identify.flight_trials import trials_of
-from dart_flight.identify.materials_entry import materials_entry
-from dart_flight.identify.trials import Trial
+from dart_flight.identification.estimates import Estimate, Identification, mean_half_width
+from dart_flight.identification.fit import identify
+from dart_flight.identification.flight_trials import trials_of
+from dart_flight.identification.materials_entry import materials_entry
+from dart_flight.identification.trials import Trial
 from dart_flight.report.flight import Flight
-from dart_flight.samples import Mode
 
 # Peak forces that agree to this teach nothing: a fifth of k would be twice as much. One flight alone has no
 # spread; its measured velocity, on which the prediction stands, is off by up to 4 %.
@@ -91,7 +90,7 @@ def _of_material(
         entry = materials_entry(found, material, vehicle).text if changes else ""
     except InputError as error:
         return Proposal(material, disagreement, [], "", f"could not be identified: {error.message}")
-    note = " ".join(found.notes)
+    note = "; ".join(found.notes)
     return Proposal(material, disagreement, suggestions, entry, note)
 
 
@@ -112,7 +111,7 @@ def _trials(material: str, flights: Sequence[Flight]) -> list[Trial]:
 def _suggest(found: Identification, material: str, flight: Flight) -> list[Suggestion]:
     table = flight.mission.vehicle.materials[material]
     suggestions = []
-    for mode in Mode:
+    for mode in flight.mission.vehicle.modes:
         for name, estimate in found.coefficients.get(mode.value, {}).items():
             configured = float(getattr(table.of(mode), name))
             suggestions.append(

@@ -9,11 +9,13 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable
+from typing import NamedTuple
 
 import msgspec
 
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameters import PositionSource, Value, vehicle_parameters
+from dart_flight.config.rotors import rotor_parameters
 from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
 from dart_flight.geometry import GRAVITY_M_S2, Vec3, distance2, yaw_ned_of
 from dart_flight.lock.drivers.px4 import PREARM_ALWAYS, actuator_pulse_us, required_parameters
@@ -32,7 +34,7 @@ _IDLE = 0.05
 _OFFBOARD_PROOF_S = 0.5  # set-points must be this fresh for the mode to be accepted
 
 
-class ImuReading(msgspec.Struct):
+class ImuReading(NamedTuple):
     """One tick of the IMU as the autopilot reports it."""
 
     t_us: int
@@ -57,12 +59,14 @@ class Autopilot:
         self.pose_sensor = PoseSensor(self.vehicle, rng)
         self.estimator = Estimator()
         self.parameters = default_parameters(self.vehicle)
-        self.cascade = Cascade(self.parameters, self.vehicle.hover_thrust_fraction(), self.vehicle.thrust)
+        v = self.vehicle
+        self.cascade = Cascade(self.parameters, v.hover_thrust_fraction(), v.thrust, v.airframe.motors)
+        self._stopped, self._idle = ((u,) * len(v.airframe.motors) for u in (0.0, _IDLE))
         self.say = say or (lambda severity, text: None)
         self.armed = False
         self.mode = FlightMode.HOLD
         self.landed = LandedState.ON_GROUND
-        self.motors: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+        self.motors: tuple[float, ...] = self._stopped
         self.actuator_set: list[float] = [math.nan] * 6
         self.imu = ImuReading(0, (0.0, 0.0, -GRAVITY_M_S2), (0.0, 0.0, 0.0))
         self.failsafe: str | None = None
@@ -157,13 +161,16 @@ class Autopilot:
         if 1 <= index <= 6:
             self.actuator_set[index - 1] = value
 
-    def actuator_pulse_us(self, index: int) -> float | None:
-        """Pulse of a peripheral's output, or None while PX4 keeps it at its disarmed value."""
-        value = self.actuator_set[index - 1]
+    def lock_pulse_us(self) -> float | None:
+        """Pulse of the lock's output; None without a lock, or while PX4 keeps it at its disarmed value."""
+        lock = self.vehicle.lock
+        if lock is None:
+            return None
+        value = self.actuator_set[lock.px4.actuator_index - 1]
         moves = self.armed or round(self.parameters["COM_PREARM_MODE"]) == PREARM_ALWAYS
         if math.isnan(value) or not moves:
             return None
-        return actuator_pulse_us(self.vehicle.lock, value)
+        return actuator_pulse_us(lock, value)
 
     # -- one tick --
 
@@ -180,13 +187,13 @@ class Autopilot:
         self._tick += 1
         self._detect_landing()
         if not self.armed:
-            self.motors = (0.0, 0.0, 0.0, 0.0)
+            self.motors = self._stopped
             return
         self._check_offboard()
         setpoint = self._setpoint()
         if self._resting(setpoint):
             self.cascade.reset()
-            self.motors = (_IDLE, _IDLE, _IDLE, _IDLE)
+            self.motors = self._idle
             return
         e = self.estimator
         if self._tick % _POSITION_EVERY == 0:
@@ -279,7 +286,8 @@ def default_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
         for field in msgspec.structs.fields(Px4Parameters)
     }
     parameters["MPC_THR_HOVER"] = vehicle.hover_thrust_fraction()
-    parameters["THR_MDL_FAC"] = vehicle.thrust.model_factor
+    parameters["THR_MDL_FAC"] = vehicle.thrust.square_share
+    parameters |= rotor_parameters(vehicle.airframe.motors)
     parameters["SYS_AUTOSTART"] = 4001
     parameters["MAV_SYS_ID"] = 1
     # What `check` asks a vehicle in motion capture for, but what this one does: hold when offboard is lost,
@@ -296,11 +304,12 @@ def default_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
     # Where the IMU is, in [forward, right, down].
     parameters |= {f"EKF2_IMU_POS_{axis}": p for axis, p in zip("XYZ", vehicle.imu.position_m, strict=True)}
     # The lock's servo hangs on the output that the configuration names, set up as it asks.
-    for required in required_parameters(vehicle.lock):
-        parameters[required.name] = required.value
+    if vehicle.lock is not None:
+        for required in required_parameters(vehicle.lock):
+            parameters[required.name] = required.value
     return parameters
 
 
 def make_autopilot(mission: Mission, seed: int, say: Callable[[str, str], None] | None = None) -> Autopilot:
-    """The simulated vehicle standing on the ground below a mission's start, arms free."""
+    """The simulated vehicle standing on the ground below a mission's start."""
     return Autopilot(make_plant(mission, seed=seed), seed, say)

@@ -2,18 +2,16 @@
 
 Written from PX4's documentation of the controller diagrams: P on position gives velocity, PID on velocity
 gives acceleration, acceleration gives a thrust vector and with the yaw an attitude, P on the attitude error
-(tilt before heading) gives body rates, PID on rates gives torques, which the mixer turns into four motor
+(tilt before heading) gives body rates, PID on rates gives torques, which the allocation turns into motor
 commands.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
-import msgspec
-
-from dart_flight.config.vehicle import MOTORS, Thrust
+from dart_flight.config.vehicle import Motor, Thrust
 from dart_flight.geometry import (
     GRAVITY_M_S2,
     Quaternion,
@@ -24,19 +22,26 @@ from dart_flight.geometry import (
     quaternion_normalise,
     wrap_angle,
 )
+from dart_flight.sim.allocation import Allocation
 
+_FREE = (math.nan, math.nan, math.nan)
 _MAX_RATE = (math.radians(220.0), math.radians(220.0), math.radians(200.0))  # MC_*RATE_MAX defaults
+_MOST_YAW = 0.15  # of the normalised torque
 _YAW_WEIGHT = 0.4  # MC_YAW_WEIGHT default
 _HORIZONTAL_MARGIN = 0.3  # MPC_THR_XY_MARG default: thrust kept for horizontal control when saturated
 
 
-class TrajectorySetPoint(msgspec.Struct):
+class TrajectorySetPoint:
     """What the position controller follows, NED; NaN components are not controlled."""
 
-    position: Vec3 = (math.nan, math.nan, math.nan)
-    velocity: Vec3 = (math.nan, math.nan, math.nan)
-    acceleration: Vec3 = (math.nan, math.nan, math.nan)
-    yaw: float = math.nan
+    def __init__(
+        self,
+        position: Vec3 = _FREE,
+        velocity: Vec3 = _FREE,
+        acceleration: Vec3 = _FREE,
+        yaw: float = math.nan,
+    ) -> None:
+        self.position, self.velocity, self.acceleration, self.yaw = position, velocity, acceleration, yaw
 
 
 class Cascade:
@@ -45,11 +50,15 @@ class Cascade:
     Args:
         parameters: PX4 parameters by name; read at every step, so that a PARAM_SET takes effect.
         hover_thrust: MPC_THR_HOVER, as PX4's hover thrust estimator would find it.
-        thrust: the motors' curve (THR_MDL_FAC), which the mixer inverts.
+        thrust: the motors' curve (THR_MDL_FAC), which is inverted.
+        motors: the airframe's (CA_ROTOR*).
     """
 
-    def __init__(self, parameters: Mapping[str, float], hover_thrust: float, thrust: Thrust) -> None:
+    def __init__(
+        self, parameters: Mapping[str, float], hover_thrust: float, thrust: Thrust, motors: Sequence[Motor]
+    ) -> None:
         self.parameters, self.hover, self.thrust = parameters, hover_thrust, thrust
+        self._allocation, self._full_n = Allocation(motors), thrust.most_n
         self._velocity_integral: list[float] = [0.0, 0.0, 0.0]
         self._velocity_last: Vec3 | None = None
         self._velocity_slope: list[float] = [0.0, 0.0, 0.0]
@@ -158,9 +167,9 @@ class Cascade:
         self.attitude_setpoint = _quaternion_from_axes(x, y, z)
         self.thrust_setpoint = size
 
-    # -- attitude, rate, mixer --
+    # -- attitude, rate, allocation --
 
-    def update_attitude(self, q: Quaternion, rate: Vec3, dt_s: float) -> tuple[float, float, float, float]:
+    def update_attitude(self, q: Quaternion, rate: Vec3, dt_s: float) -> tuple[float, ...]:
         """Motor commands 0..1 for the attitude and thrust set-points."""
         g = self.parameters
         error = _attitude_error(q, self.attitude_setpoint)
@@ -178,16 +187,10 @@ class Cascade:
             torque[i] = p * rate_error + summed - d * ((now - last[i]) / dt_s)
             integral[i] = max(-0.3, min(0.3, summed + ki * rate_error * dt_s))
         self._rate_last = rate
-        return self._mix(torque)
-
-    def _mix(self, torque: list[float]) -> tuple[float, float, float, float]:
-        yaw = max(-0.15, min(0.15, torque[2]))
-        (roll, pitch, _), up, full_n = torque, self.thrust_setpoint, self.thrust.full_n
-        relative = [up + 0.7071 * (-sy * roll + sx * pitch) + spin * yaw for sx, sy, spin in MOTORS]
-        # Keep the torques when a motor saturates: shift all four.
-        shift = min(0.0, 1.0 - max(relative)) + max(0.0, -min(relative))
-        a, b, c, d = self.thrust.commands_for([max(0.0, r + shift) * full_n for r in relative])
-        return (a, b, c, d)
+        yaw = max(-_MOST_YAW, min(_MOST_YAW, torque[2]))
+        shares = self._allocation.shares(torque[0], torque[1], yaw, self.thrust_setpoint)
+        full_n = self._full_n
+        return tuple(self.thrust.commands_for([max(0.0, share) * full_n for share in shares]))
 
 
 def _attitude_error(q: Quaternion, wanted: Quaternion) -> Quaternion:

@@ -27,6 +27,7 @@ _RINGING_M_S2 = (2.0, 3.0)  # of one sample in hover, per axis, in recordings (d
 _RINGING_WHITE_M_S2 = 0.8  # of that without colour: what a mean over 32 ms of those recordings leaves
 _LEAST_FACTOR = 0.1  # no quantity shrinks below this share of its nominal value
 NAMES = tuple(field.encode_name for field in msgspec.structs.fields(Spreads))
+_OF_LOCK = ("lock_true_mode", "servo")
 
 
 class DrawnWorld(NamedTuple):
@@ -43,20 +44,24 @@ class DrawnWorld(NamedTuple):
     drawn: Drawn
 
 
-def parse_vary(settings: Iterable[str], spreads: Spreads) -> dict[str, float]:
-    """Spreads by name from `NAME[=SD]`; `all` stands for every name at its default.
+def parse_vary(settings: Iterable[str], vehicle: VehicleConfig) -> dict[str, float]:
+    """Spreads by name from `NAME[=SD]`; `all` stands for every name that the vehicle has, at its default.
 
     Raises:
-        InputError: unknown name, or not a number of at least 0.
+        InputError: unknown name, of a part that the vehicle does not have, or not a number of at least 0.
     """
+    spreads = vehicle.simulation.spreads
+    names = [n for n in NAMES if vehicle.has_lock or n not in _OF_LOCK]
     wanted: dict[str, float] = {}
     for setting in settings:
         name, given, text = setting.partition("=")
         if name == "all" and not given:
-            wanted = {**{n: float(getattr(spreads, n)) for n in NAMES}, **wanted}
+            wanted = {**{n: float(getattr(spreads, n)) for n in names}, **wanted}
             continue
+        if name in _OF_LOCK and name not in names:
+            raise InputError(f"--vary {setting}: this vehicle has no lock")
         if name not in NAMES:
-            raise InputError(f"--vary {setting}: {unknown_name(name, [*NAMES, 'all'])}")
+            raise InputError(f"--vary {setting}: {unknown_name(name, [*names, 'all'])}")
         try:
             sd = float(text) if given else float(getattr(spreads, name))
         except ValueError:
@@ -112,7 +117,7 @@ def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
     for wall in mission.walls:
         old, name = materials[wall.material], f"{wall.material} of {wall.name}"
         per_mode = {}
-        for mode in Mode:
+        for mode in mission.vehicle.modes:
             factors = [_factor(rng, sd) for _ in range(4)]
             c = old.of(mode)
             per_mode[mode] = Coefficients(
@@ -120,7 +125,7 @@ def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
             )
             for symbol, factor in zip(("k", "f", "mu", "nu"), factors, strict=True):
                 drawn[f"contact.{wall.name}.{mode.value}.{symbol}"] = factor
-        materials[name] = Material(per_mode[Mode.RIGID], per_mode[Mode.FLEXIBLE], old.source)
+        materials[name] = Material(per_mode[Mode.RIGID], per_mode.get(Mode.FLEXIBLE), old.source)
         renamed[wall.name] = msgspec.structs.replace(wall, material=name)
     world = _with_walls(world, renamed)
     vehicle = msgspec.structs.replace(mission.vehicle, materials=materials)
@@ -137,36 +142,35 @@ def _with_walls(world: DrawnWorld, walls: Mapping[str, Wall]) -> DrawnWorld:
 
 
 def _wall_offset(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Every wall moved along its normal."""
+    """Every wall moved along its normal; its own standard deviation comes before the general one."""
     walls, drawn = {}, Drawn()
     for wall in world.mission.walls:
-        away = sd * rng.gauss(0.0, 1.0)
-        point = (wall.point[0] + away * wall.normal[0], wall.point[1] + away * wall.normal[1])
-        walls[wall.name] = msgspec.structs.replace(wall, point=point)
+        own = wall.position_sd_m
+        away = (sd if own is None else own) * rng.gauss(0.0, 1.0)
+        walls[wall.name] = wall.moved(away)
         drawn[f"wall_offset_m.{wall.name}"] = away
     return _with_walls(world, walls)._replace(drawn=world.drawn | drawn)
 
 
 def _wall_yaw(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Every wall turned about its middle, counter-clockwise seen from above."""
+    """Every wall turned about its middle, counter-clockwise seen from above; as `_wall_offset`."""
     walls, drawn = {}, Drawn()
     for wall in world.mission.walls:
-        angle_deg = sd * rng.gauss(0.0, 1.0)
-        walls[wall.name] = turned(wall, angle_deg)
+        own = wall.yaw_sd_rad
+        angle_deg = (sd if own is None else math.degrees(own)) * rng.gauss(0.0, 1.0)
+        walls[wall.name] = wall.turned(math.radians(angle_deg))
         drawn[f"wall_yaw_deg.{wall.name}"] = angle_deg
     return _with_walls(world, walls)._replace(drawn=world.drawn | drawn)
 
 
-def turned(wall: Wall, angle_deg: float) -> Wall:
-    """A wall turned about its middle, counter-clockwise seen from above."""
-    c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
-    nx, ny = wall.normal
-    return msgspec.structs.replace(wall, normal=(c * nx - s * ny, s * nx + c * ny))
-
-
-def turn_walls(world: DrawnWorld, angles_deg: Mapping[str, float]) -> DrawnWorld:
-    """The world with walls turned by so much, by name (`turned`)."""
-    walls = {w.name: turned(w, angles_deg.get(w.name, 0.0)) for w in world.mission.walls}
+def place_walls(
+    world: DrawnWorld, away_m: Mapping[str, float], angles_deg: Mapping[str, float]
+) -> DrawnWorld:
+    """The world with walls moved out and turned by so much, by name (`Wall.moved`, `Wall.turned`)."""
+    walls = {
+        w.name: w.moved(away_m.get(w.name, 0.0)).turned(math.radians(angles_deg.get(w.name, 0.0)))
+        for w in world.mission.walls
+    }
     return _with_walls(world, walls)
 
 
@@ -226,8 +230,8 @@ def _battery(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
     """Thrust of all motors, as by a battery fuller or emptier than believed."""
     factor = _factor(rng, sd)
     vehicle = world.mission.vehicle
-    thrust = msgspec.structs.replace(vehicle.thrust, full_n=vehicle.thrust.full_n * factor)
-    return _with_vehicle(world, msgspec.structs.replace(vehicle, thrust=thrust), battery=factor)
+    vehicle = msgspec.structs.replace(vehicle, thrust=vehicle.thrust.scaled(factor))
+    return _with_vehicle(world, vehicle, battery=factor)
 
 
 def _imu(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
@@ -239,6 +243,12 @@ def _imu(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
     drawn: Drawn = {f"imu_position_m.{axis}": p for axis, p in zip("xyz", position, strict=True)}
     drawn["imu_ringing_m_s2"] = shaking
     return _with_simulation(world, drawn, imu_position_m=position, imu_ringing=ringing)
+
+
+def _replan_latency(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
+    """Longer, never shorter than the configured time."""
+    latency_s = world.mission.vehicle.simulation.replan_latency_s + sd * abs(rng.gauss(0.0, 1.0))
+    return _with_simulation(world, {"replan_latency_s": latency_s}, replan_latency_s=latency_s)
 
 
 _DRAWS: dict[str, Callable[[DrawnWorld, random.Random, float], DrawnWorld]] = {
@@ -253,4 +263,5 @@ _DRAWS: dict[str, Callable[[DrawnWorld, random.Random, float], DrawnWorld]] = {
     "servo": _servo,
     "battery": _battery,
     "imu": _imu,
+    "replan_latency_s": _replan_latency,
 }

@@ -13,8 +13,11 @@ _CRC_EXTRA = 10
 _FIELDS = struct.Struct("<Q4i4f4fB")
 
 
-class EscStatus(mavlink.MAVLink_message):  # type: ignore[misc]
-    """Speeds of the first four motors, in the autopilot's order.
+_MOTORS = 4  # in one message
+
+
+class EscStatuses:
+    """Speeds of all motors in the autopilot's order, four a message as PX4 sends them.
 
     Args:
         time_us: autopilot's time, microseconds.
@@ -22,8 +25,28 @@ class EscStatus(mavlink.MAVLink_message):  # type: ignore[misc]
     """
 
     def __init__(self, time_us: int, rpm: list[int]) -> None:
+        self._time_us, self._rpm = time_us, rpm
+
+    def pack(self, mav: Any) -> bytes:
+        """The messages on the wire."""
+        first, *others = range(0, len(self._rpm), _MOTORS)
+        data = self._part(first).pack(mav)
+        for index in others:
+            mav.seq = (mav.seq + 1) % 256
+            data += self._part(index).pack(mav)
+        return data
+
+    def _part(self, index: int) -> _EscStatus:
+        rpm = self._rpm[index : index + _MOTORS]
+        return _EscStatus(self._time_us, index, rpm + [0] * (_MOTORS - len(rpm)))
+
+
+class _EscStatus(mavlink.MAVLink_message):  # type: ignore[misc]
+    """Speeds of four motors, the first of which has the number `index`."""
+
+    def __init__(self, time_us: int, index: int, rpm: list[int]) -> None:
         super().__init__(MESSAGE_ID, "ESC_STATUS")
-        self._payload = _FIELDS.pack(time_us, *rpm, *(0.0,) * 8, 0)
+        self._payload = _FIELDS.pack(time_us, *rpm, *(0.0,) * 8, index)
 
     def pack(self, mav: Any, force_mavlink1: bool = False) -> bytes:
         """The message on the wire."""

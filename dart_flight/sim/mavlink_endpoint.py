@@ -17,6 +17,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from dart_flight.config.rotors import MAV_TYPES
 from dart_flight.geometry import distance2
 from dart_flight.samples import MOTOR_FULL_US, MOTOR_STOP_US, FlightMode, LandedState
 from dart_flight.sim import esc_status
@@ -125,6 +126,7 @@ class MavlinkEndpoint:
         self._tick = 0
         self._texts: list[tuple[str, str]] = []
         self._clips = [0, 0, 0]
+        self._type = MAV_TYPES.get(len(autopilot.motors), MAV_TYPES[4])
         self._builders: dict[int, Callable[[], Any]] = {
             mavlink.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
             mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
@@ -420,7 +422,7 @@ class MavlinkEndpoint:
         if a.failsafe:
             status = mavlink.MAV_STATE_CRITICAL
         custom = main << 16 | sub << 24
-        return mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_QUADROTOR, _PX4, base, custom, status, 3)
+        return mavlink.MAVLink_heartbeat_message(self._type, _PX4, base, custom, status, 3)
 
     def _sys_status(self) -> Any:
         a = self.autopilot
@@ -559,8 +561,8 @@ class MavlinkEndpoint:
         """Motor and servo outputs as PWM, microseconds."""
         a = self.autopilot
         span = MOTOR_FULL_US - MOTOR_STOP_US
-        outputs = [MOTOR_STOP_US + span * u for u in a.motors] if a.armed else [_DISARMED_US] * 4
-        servo = a.actuator_pulse_us(a.vehicle.lock.px4.actuator_index)
+        outputs = [MOTOR_STOP_US + span * u for u in a.motors] if a.armed else [_DISARMED_US] * len(a.motors)
+        servo = a.lock_pulse_us()
         return [*outputs, servo if servo is not None else 0.0]
 
     def _actuator_output_status(self) -> Any:
@@ -585,7 +587,7 @@ class MavlinkEndpoint:
         a = self.autopilot
         per_rpm2 = a.vehicle.estimation.esc_thrust_n_per_rpm2 or _ESC_THRUST_N_PER_RPM2
         rpm = [round(math.sqrt(a.vehicle.thrust.force_n(u) / per_rpm2)) for u in a.plant.motor]
-        return esc_status.EscStatus(a.time_us, rpm)
+        return esc_status.EscStatuses(a.time_us, rpm)
 
     def _autopilot_version(self) -> Any:
         capabilities = (

@@ -42,7 +42,7 @@ class WorldSpec(msgspec.Struct):
     vehicle: str  # configuration as JSON: what the app has, whatever file it came from
     seed: int
     ports: list[int]
-    driver: LockDriver
+    driver: LockDriver | None  # none: there is no lock
     log: str | None = None
     px4: Px4Spec | None = None
     spreads: dict[str, float] = msgspec.field(default_factory=dict)  # what differs from the mission (`draws`)

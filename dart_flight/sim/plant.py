@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Sequence
 
 import msgspec
 
@@ -54,15 +55,14 @@ _GROUND_STEPS = 2  # a millisecond, where only the landing gear touches: nothing
 _GROUND_SPEED_M_S = 0.05  # regularisation of the ground's friction
 
 
-class _WallPlane(msgspec.Struct):
-    """A wall in NED with the axes of its collision frame."""
+class _WallPlane:
+    """A wall in NED with the axes of its collision frame; `surface` is the wall itself, for the guards."""
 
-    wall: Wall
-    point: Vec3
-    normal: Vec3
-    tangent: Vec3
-    down: Vec3
-    surface: Plane  # of the wall itself, for the guards
+    def __init__(
+        self, wall: Wall, point: Vec3, normal: Vec3, tangent: Vec3, down: Vec3, surface: Plane
+    ) -> None:
+        self.wall, self.point, self.normal, self.tangent, self.down = wall, point, normal, tangent, down
+        self.surface = surface
 
     def move(self, away_m: float) -> None:
         """Stand elsewhere: so far out along the normal."""
@@ -107,7 +107,7 @@ class Plant:
         frame: the mission frame in local NED.
         start_ned: where it stands, metres.
         yaw_ned_rad: heading it stands at.
-        motors: the airframe's four motors in the autopilot's order; the configuration's by default.
+        motors: the airframe's motors in the autopilot's order; the configuration's by default.
         scatter_seed: of the coefficients' scatter from hit to hit.
     """
 
@@ -131,13 +131,14 @@ class Plant:
         self.velocity: Vec3 = (0.0, 0.0, 0.0)
         self.q: Quaternion = quaternion_from_euler(0.0, 0.0, yaw_ned_rad)
         self.rate: Vec3 = (0.0, 0.0, 0.0)
-        self.motor: list[float] = [0.0] * 4
+        self.motor: list[float] = [0.0] * len(self.motors)
         self.ground_down = start_ned[2]
-        self.mode = Mode.FLEXIBLE
+        self.mode = vehicle.modes[-1]  # arms that can be locked are free at first
         self.wind_ned: Vec3 = (0.0, 0.0, 0.0)
         self.contact_force_ned: Vec3 = (0.0, 0.0, 0.0)  # of walls, at the end of the last step
         self.contact_torque_frd: Vec3 = (0.0, 0.0, 0.0)  # likewise, about the centre of mass
         self.body = vehicle.simulation.contact
+        self._half_engaged = self.body.half_engaged and vehicle.has_lock
         self._rng = random.Random(scatter_seed)
         self._scattered: dict[str, tuple[float, float, float]] = {}
         self._guards = guards_of(self.body) if self.body.body is BodyModel.GUARDS else ()
@@ -149,9 +150,11 @@ class Plant:
         vibration = vehicle.simulation.arm_vibration
         self._arm = _AT_REST
         # Constants of every step are looked up once: an attribute of an attribute costs as much as a product.
-        omega = 2.0 * math.pi * vibration.frequency_hz
-        self._arm_spring, self._arm_damper = -omega * omega, 2.0 * vibration.damping_ratio * omega
-        self._arm_share = vibration.mass_fraction
+        self._arm_spring = self._arm_damper = self._arm_share = 0.0
+        if vibration is not None:
+            omega = 2.0 * math.pi * vibration.frequency_hz
+            self._arm_spring, self._arm_damper = -omega * omega, 2.0 * vibration.damping_ratio * omega
+            self._arm_share = vibration.mass_fraction
         self._full_scale = vehicle.imu.full_scale_m_s2
         self._thrust = vehicle.thrust
         self._inertia, self._drag_per_s = vehicle.airframe.inertia_kg_m2, vehicle.airframe.drag_per_s
@@ -162,14 +165,14 @@ class Plant:
         steps_per_lag = 2.0 * math.pi * vehicle.imu.antialias_hz * STEP_S
         self._antialias_decay = math.exp(-steps_per_lag)
         self._antialias_mean = (1.0 - self._antialias_decay) / steps_per_lag
-        self._straight = [(motor.x_m, motor.y_m, motor.yaw_m) for motor in self.motors]
+        self._straight = [(motor.x_m, motor.y_m, motor.yaw_torque_per_thrust_m) for motor in self.motors]
         self._arm_of_motor = [arm_of(motor.x_m, motor.y_m) for motor in self.motors]
         self._folded: tuple[float, float, float, float] | None = None
         self._motor_decay = math.exp(-STEP_S / max(vehicle.thrust.motor_lag_s, 1e-4))
 
     # -- one step --
 
-    def advance(self, motor_commands: tuple[float, float, float, float], steps: int = 1) -> Vec3:
+    def advance(self, motor_commands: Sequence[float], steps: int = 1) -> Vec3:
         """Advance by `steps` milliseconds.
 
         Returns:
@@ -197,19 +200,20 @@ class Plant:
         self._sensed = (ox, oy, oz)
         return (fx / steps, fy / steps, fz / steps)
 
-    def _advance_one(self, commands: tuple[float, float, float, float], near: bool) -> Vec3:
+    def _advance_one(self, commands: Sequence[float], near: bool) -> Vec3:
         thrust_n, torque = self._motors(commands)
         ux, uy, uz = body_up(self.q)
         dx, dy, dz = self._drag()
         m = self.mass
         pushed = (ux * thrust_n / m + dx, uy * thrust_n / m + dy, uz * thrust_n / m + dz)
         planes = self._planes_near() if near else []
-        if not planes and not self._near_ground:
+        near_ground = self.position[2] > self.ground_down - _GROUND_M
+        if not planes and not near_ground:
             self._folded = None
             self._fly(pushed)
             self._turn(torque)
             contact = _NO_FORCE
-        elif self._guards and planes and not self._near_ground:
+        elif self._guards and planes and not near_ground:
             contact = self._collide(pushed, torque, planes if self._may_touch(planes) else [])
             self._folded = self._fold()
         else:
@@ -220,18 +224,17 @@ class Plant:
         sx, sy = self._shake(contact)
         return (pushed[0] + contact[0] + sx, pushed[1] + contact[1] + sy, pushed[2] + contact[2])
 
-    def _motors(self, commands: tuple[float, float, float, float]) -> tuple[float, Vec3]:
-        (a, b, c, d), (ma, mb, mc, md), k = commands, self.motor, self._motor_decay
-        self.motor = [a + (ma - a) * k, b + (mb - b) * k, c + (mc - c) * k, d + (md - d) * k]
-        # Four motors written out: a loop over them costs more than what is in it.
-        a, b, c, d = self._thrust.forces_n(self.motor)
+    def _motors(self, commands: Sequence[float]) -> tuple[float, Vec3]:
+        k = self._motor_decay
+        self.motor = motor = [to + (now - to) * k for to, now in zip(commands, self.motor, strict=True)]
         levers = self._straight if self._folded is None else self._folded_levers(self._folded)
-        (ax, ay, az), (bx, by, bz), (cx, cy, cz), (dx, dy, dz) = levers
-        return a + b + c + d, (
-            -(ay * a) - by * b - cy * c - dy * d,
-            ax * a + bx * b + cx * c + dx * d,
-            az * a + bz * b + cz * c + dz * d,
-        )
+        thrust = roll = pitch = yaw = 0.0
+        for force, (x, y, drag) in zip(self._thrust.forces_n(motor), levers, strict=True):
+            thrust += force
+            roll -= y * force
+            pitch += x * force
+            yaw += drag * force
+        return thrust, (roll, pitch, yaw)
 
     def _folded_levers(self, folded: tuple[float, float, float, float]) -> list[Vec3]:
         """Where the motors are, and their yaw torque per thrust, with each arm turned by so much."""
@@ -271,10 +274,6 @@ class Plant:
         )
 
     # -- translation and contact --
-
-    @property
-    def _near_ground(self) -> bool:
-        return self.position[2] > self.ground_down - _GROUND_M
 
     def _wall_in_reach(self, seconds: float) -> bool:
         """Whether a wall is near or may come near within this time; asked once for several steps."""
@@ -369,7 +368,7 @@ class Plant:
         """1 with free arms, 0 with locked ones; half-engaged rods are neither."""
         if self.mode is Mode.FLEXIBLE:
             return 1.0
-        return _HALF_ENGAGED if self.body.half_engaged else 0.0
+        return _HALF_ENGAGED if self._half_engaged else 0.0
 
     def _touching(
         self,
@@ -447,7 +446,7 @@ class Plant:
             return open_contact.coefficients
         incidence = plane.wall.incidence(self.frame.yaw_from_ned(yaw_ned_of(self.q)))
         c = coefficients_in_force(self.vehicle, plane.wall.material, self.mode, incidence)
-        if self.body.half_engaged and self.mode is Mode.RIGID:
+        if self._half_engaged and self.mode is Mode.RIGID:
             flexible = coefficients_in_force(self.vehicle, plane.wall.material, Mode.FLEXIBLE, incidence)
             c = _between(c, flexible)
         if self.body.scatter:
@@ -587,7 +586,7 @@ class Plant:
         q the arms' displacement against the body and s their share of the mass, the body is at -s q from
         the centre of mass; a contact drives q'' = -w^2 q - 2 zeta w q' - a, and the IMU feels -s q''.
         """
-        freedom = self._freedom()
+        freedom = self._freedom() if self._arm_share else 0.0
         if freedom == 0.0:
             self._arm = _AT_REST
             return (0.0, 0.0)
@@ -630,11 +629,11 @@ class Plant:
 
 
 def make_plant(mission: Mission, motors: tuple[Motor, ...] | None = None, seed: int = 0) -> Plant:
-    """The vehicle standing on the ground below a mission's start, arms free."""
+    """The vehicle standing on the ground below a mission's start; arms that can be locked are free."""
     flat = mission.frame_at((0.0, 0.0, 0.0))
     x, y = mission.start
     start_ned = flat.point_to_ned((x, y, 0.0))
-    plant = Plant(
+    return Plant(
         mission.vehicle,
         mission.walls,
         mission.frame_at(start_ned),
@@ -642,8 +641,6 @@ def make_plant(mission: Mission, motors: tuple[Motor, ...] | None = None, seed: 
         motors=motors,
         scatter_seed=seed,
     )
-    plant.set_mode(Mode.FLEXIBLE)
-    return plant
 
 
 def _acceleration_at(lever: Vec3, before: Vec3, after: Vec3) -> Vec3:

@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 import random
 from collections import deque
-
-import msgspec
+from typing import NamedTuple
 
 from dart_flight.config.vehicle import ImuRinging, VehicleConfig
 from dart_flight.geometry import (
@@ -169,7 +168,7 @@ class Magnetometer:
         return add(body, gauss3(self._rng, self.SIGMA_GAUSS))
 
 
-class GpsQuality(msgspec.Struct, frozen=True):
+class GpsQuality(NamedTuple):
     """How good a receiver is; errors wander (first-order Gauss-Markov) and have white noise on top.
 
     Attributes:
@@ -195,7 +194,7 @@ GPS_QUALITIES = {
 }
 
 
-class GpsFix(msgspec.Struct, frozen=True):
+class GpsFix(NamedTuple):
     """Position and velocity in the plant's NED, metres and m/s, reported after the receiver's delay."""
 
     position_ned: Vec3

@@ -14,6 +14,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockDriver
+from dart_flight.samples import Record
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 from dart_flight.sim.process import run_in_real_time
 from dart_flight.sim.vehicle import SimulatedVehicle
@@ -102,11 +103,17 @@ def _listen(port: int) -> str | None:
 
 
 def run_vehicle(
-    mission: Mission, seed: int, ports: tuple[int, ...], say: Callable[[str], None], own_port: int = 0
+    mission: Mission,
+    seed: int,
+    ports: tuple[int, ...],
+    say: Callable[[str], None],
+    own_port: int = 0,
+    viewer: Callable[[Record], None] = lambda record: None,
 ) -> None:
     """Simulate in real time until SIGINT or SIGTERM; `say` takes lines for the terminal.
 
-    `own_port` is the UDP port that it sends to the first of the ports from; 0: any.
+    `own_port` is the UDP port that it sends to the first of the ports from; 0: any. `viewer` sees what the
+    vehicle really does.
     """
     vehicle = SimulatedVehicle(mission, seed, LockDriver.PX4)
     endpoint = MavlinkEndpoint(vehicle.autopilot, ports, own_port)
@@ -121,8 +128,10 @@ def run_vehicle(
         vehicle.advance()
         endpoint.exchange()
         plant = vehicle.autopilot.plant
+        viewer(plant.truth())
         while plant.finished:
             hit = plant.finished.pop(0)
+            viewer(hit)
             say(
                 f"{vehicle.autopilot.now_s:8.2f} s  hit {hit.wall} {hit.mode.value} at "
                 f"{hit.normal_in_m_s:.2f} m/s normal, {hit.tangential_in_m_s:.2f} m/s along: "

@@ -27,6 +27,7 @@ class Wind:
 
     def blow(self, plant: Plant) -> None:
         """The wind of the next tick."""
-        for i in range(2):
-            self._gust[i] = self._decay * self._gust[i] + self._kick * self._rng.gauss(0.0, self._sigma)
+        if self._sigma > 0.0:
+            for i in range(2):
+                self._gust[i] = self._decay * self._gust[i] + self._kick * self._rng.gauss(0.0, self._sigma)
         plant.wind_ned = (self._steady[0] + self._gust[0], self._steady[1] + self._gust[1], 0.0)

@@ -129,6 +129,9 @@ class VehicleSession:
         self._utility = ServerUtility(self._raw)
         self._direct = MavlinkDirect(self._raw)
         self._extra: list[Stream] = []  # beside the table, as the configuration asks
+        self._motors = 0
+        self._rpm: list[float] = []  # of one stamp; a message has four motors
+        self._rpm_us = -1
         self._reset_counter: int | None = None
         self.clock: Clock = clock if clock is not None else ClockEstimate()
         self._status = StatusSample(t_us=0, received_us=0)
@@ -141,13 +144,15 @@ class VehicleSession:
 
     # -- telemetry --
 
-    def subscribe(self, estimation: Estimation, guarded: bool = True) -> None:
+    def subscribe(self, estimation: Estimation, motors: int, guarded: bool = True) -> None:
         """Subscribe to the streams of the table and to the slow state.
 
         Args:
             estimation: which sources of thrust it uses.
+            motors: how many the vehicle has.
             guarded: also to what only the guard asks for.
         """
+        self._motors = motors
         t = self._telemetry
         t.subscribe_imu(self._on_imu)
         t.subscribe_attitude_quaternion(self._on_attitude)
@@ -282,18 +287,24 @@ class VehicleSession:
     def _on_actuator(self, message: Any, _: Any) -> None:
         received = host_us()
         status = _decode_actuator(message.fields_json)
-        if len(status.actuator) < 4:
+        outputs = status.actuator[: self._motors]
+        if len(outputs) < self._motors:
             return
         span = MOTOR_FULL_US - MOTOR_STOP_US
-        m = [max(0.0, min(1.0, ((pwm or 0.0) - MOTOR_STOP_US) / span)) for pwm in status.actuator[:4]]
-        self._deliver(ActuatorSample(status.time_usec, received, (m[0], m[1], m[2], m[3])))
+        m = [max(0.0, min(1.0, ((pwm or 0.0) - MOTOR_STOP_US) / span)) for pwm in outputs]
+        self._deliver(ActuatorSample(status.time_usec, received, tuple(m)))
 
     def _on_esc(self, message: Any, _: Any) -> None:
         received = host_us()
         status = _decode_esc(message.fields_json)
-        if status.index == 0 and len(status.rpm) >= 4:  # four ESCs a message
-            r = [float(rpm) for rpm in status.rpm[:4]]
-            self._deliver(EscSample(status.time_usec, received, (r[0], r[1], r[2], r[3])))
+        if status.index == 0:
+            self._rpm, self._rpm_us = [], status.time_usec
+        if status.time_usec != self._rpm_us or status.index != len(self._rpm):
+            return  # a part of it was lost
+        self._rpm += [float(rpm) for rpm in status.rpm]
+        if len(self._rpm) >= self._motors:
+            self._deliver(EscSample(status.time_usec, received, tuple(self._rpm[: self._motors])))
+            self._rpm_us = -1
 
     def _on_attitude_target(self, message: Any, _: Any) -> None:
         received = host_us()

@@ -1,8 +1,9 @@
 """The shell around the core for worlds with a clock: streams -> queue -> core -> vehicle, lock, log.
 
 Threads: MAVSDK's own builds records and queues them; the core thread takes them, steps the core and sends
-set-points at once; the lock thread steps the lock's state machine and may block on its driver; the log thread
-encodes and writes; asyncio owns connecting, arming and mode changes, signals and the terminal.
+set-points at once; the lock thread, where there is a lock, steps its state machine and may block on its
+driver; the log thread encodes and writes; asyncio owns connecting, arming and mode changes, signals and the
+terminal.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
+import os
 import queue
 import signal
 import sys
@@ -20,6 +22,7 @@ from pathlib import Path
 from typing import Protocol
 
 from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import LockConfig
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.lock.drivers import Driver, make_driver
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
@@ -61,6 +64,7 @@ _SHOW_PERIOD_S = 0.05
 _LOCK_PERIOD_S = 0.01
 _BACKLOG = 64  # inputs; beyond it only the newest of the state streams is stepped
 _SWITCH_INTERVAL_S = 0.001  # a thread that computes gives way to MAVSDK's callbacks after a millisecond
+_KEY_PAUSE_S = 0.5
 _END_GRACE_S = 0.3  # for the last truth and the log
 
 Progress = Callable[[Record], None]
@@ -252,7 +256,8 @@ class FlightApp:
             self._url, timeout_s, self._core.put, clock=self._clock, opened=self._opened
         ) as session:
             self._session = session
-            self._lock = self._make_lock(session)
+            if self._mission.vehicle.lock is not None:
+                self._lock = self._make_lock(session, self._mission.vehicle.lock)
             if self._mission.after_impact is AfterImpact.REPLAN:
                 self._planner = PlannerProcess(self._mission, self._core.put)
             sys.setswitchinterval(_SWITCH_INTERVAL_S)
@@ -262,8 +267,10 @@ class FlightApp:
             terminal = threading.Thread(target=self._show, name="terminal", daemon=True)
             terminal.start()
             self._core.thread.start()
-            self._lock.thread.start()
-            session.subscribe(self._mission.vehicle.estimation)
+            if self._lock is not None:
+                self._lock.thread.start()
+            vehicle = self._mission.vehicle
+            session.subscribe(vehicle.estimation, len(vehicle.airframe.motors))
             self._listen_for_signals()
             keeper = asyncio.create_task(self._keep_alive())
             try:
@@ -274,7 +281,8 @@ class FlightApp:
                 if self._deadman is not None:
                     self._deadman.let_go()
                 self._core.stop()
-                self._lock.stop()
+                if self._lock is not None:
+                    self._lock.stop()
                 if self._planner is not None:
                     self._planner.stop()
                 self._ended.set()
@@ -287,6 +295,10 @@ class FlightApp:
         self._stops += 1
         request = Request.LAND if self._stops == 1 else Request.RELEASE
         self._core.put(OperatorRequest(host_us(), request))
+
+    def go_on(self) -> None:
+        """The operator's word that ends a pause; at any other time it means nothing."""
+        self._core.put(OperatorRequest(host_us(), Request.CONTINUE))
 
     # -- deadman and terminal --
 
@@ -336,14 +348,38 @@ class FlightApp:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):  # not the main thread
                 self.loop.add_signal_handler(number, self.stop)
+        with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):
+            self.loop.add_signal_handler(signal.SIGUSR1, self.go_on)
+        self._listen_for_key()
+
+    def _listen_for_key(self) -> None:
+        if self.loop is not None and sys.stdin is not None and sys.stdin.isatty():
+            self.loop.add_reader(sys.stdin.fileno(), self._take_key)
+
+    def _take_key(self) -> None:
+        """Something was typed; Enter is the operator's word."""
+        assert self.loop is not None
+        terminal = sys.stdin.fileno()
+        if _in_background(terminal):
+            # A program that reads its terminal from there is stopped, and that must not happen in flight.
+            self.loop.remove_reader(terminal)
+            self.loop.call_later(_KEY_PAUSE_S, self._listen_for_key)
+            return
+        try:
+            typed = os.read(terminal, 1024)
+        except OSError:
+            typed = b""
+        if not typed:  # the terminal has gone
+            self.loop.remove_reader(terminal)
+        elif b"\n" in typed:
+            self.go_on()
 
     # -- lock --
 
-    def _make_lock(self, session: VehicleSession) -> LockThread:
+    def _make_lock(self, session: VehicleSession, config: LockConfig) -> LockThread:
         def clock_us() -> int:
             return session.clock.to_autopilot(host_us())
 
-        config = self._mission.vehicle.lock
         driver: Driver = make_driver(config, clock_us=clock_us, set_actuator=session.set_actuator)
         self.mock = driver if isinstance(driver, MockDriver) else None
         if self.mock is not None and self._lock_faults is not None:
@@ -382,11 +418,11 @@ class FlightApp:
         """Every other command, without waiting for it."""
         assert self._session is not None
         assert self.loop is not None
-        assert self._lock is not None
         if isinstance(output, VehicleCommand):
             self.loop.call_soon_threadsafe(self._start_action, output.action)
         elif isinstance(output, LockCommand | LockPermission):
-            self._lock.put(output)
+            if self._lock is not None:
+                self._lock.put(output)
         elif isinstance(output, PlanRequest):
             if self._planner is not None:
                 self._planner.ask(output)
@@ -417,3 +453,11 @@ class FlightApp:
     def _see(self, record: Record, number: int) -> None:
         self._observe(record, number)
         self._shown.append(record)
+
+
+def _in_background(terminal: int) -> bool:
+    """Whether the terminal is at present another job's."""
+    try:
+        return os.tcgetpgrp(terminal) != os.getpgrp()
+    except OSError:  # not the terminal of this session: no rule of jobs applies
+        return False

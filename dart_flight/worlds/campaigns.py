@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
-import os
 import signal
 import threading
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from dart_flight.config.mission import Mission
+from dart_flight.errors import FlightError
 from dart_flight.samples import OperatorRequest, Outcome, Record, Request
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.fast import fly_fast
 from dart_flight.worlds.flight_record import Onlooker
+from dart_flight.worlds.workers import Failure, Interrupt, usable_cores, work
 
 
 class Spread(msgspec.Struct):
@@ -68,59 +67,40 @@ def _interruptible() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _left_alone() -> None:
-    """In a process of the pool: the parent decides what an interrupt means."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_DFL)
-
-
-def _fast_run(arguments: tuple[Mission, int, str | None, dict[str, float]]) -> Verdict:
-    mission, seed, log_dir, spreads = arguments
-    return fly_fast(mission, seed, Path(log_dir) if log_dir else None, spreads=spreads)
+def _fast_run(mission: Mission, log_dir: Path | None, spreads: dict[str, float], seed: int) -> Verdict:
+    return fly_fast(mission, seed, log_dir, spreads=spreads)
 
 
 def fly_fast_many(
     mission: Mission,
-    seeds: Iterable[int],
+    seeds: Sequence[int],
     log_dir: Path | None,
     done: Callable[[Verdict], None],
     spreads: Mapping[str, float] | None = None,
 ) -> list[Verdict]:
-    """Many fast flights, spread over the processor's cores, in the order of the seeds.
+    """Many fast flights, spread over the processor's cores (`worlds.workers`), in the order of the seeds.
 
     Raises:
         RunsInterruptedError: by Ctrl-C. The flights under way are flown to their end, no other is begun; a
             second Ctrl-C ends those under way, too.
+        InputError: as `fly_fast`.
+        FlightError: a flight's process died, and again when the flight was tried once more.
     """
-    drawn = dict(spreads or {})
-    waiting = deque((mission, seed, str(log_dir) if log_dir else None, drawn) for seed in seeds)
-    flights: list[Future[Verdict]] = []
-    workers = os.cpu_count() or 1
-    with _interruptible(), ProcessPoolExecutor(workers, initializer=_left_alone) as pool:
-        under_way: set[Future[Verdict]] = set()
-        try:
-            while waiting or under_way:
-                # Never more than there are processes: what the pool has queued could not be called off.
-                while waiting and len(under_way) < workers:
-                    flights.append(pool.submit(_fast_run, waiting.popleft()))
-                    under_way.add(flights[-1])
-                landed, under_way = wait(under_way, return_when=FIRST_COMPLETED)
-                for flight in landed:
-                    done(flight.result())
-        except KeyboardInterrupt:
-            _let_land(under_way)
-            complete = [f.result() for f in flights if f.done() and f.exception() is None]
-            raise RunsInterruptedError(complete) from None
-    return [flight.result() for flight in flights]
-
-
-def _let_land(flights: Iterable[Future[Verdict]]) -> None:
-    try:
-        wait(flights)
-    except KeyboardInterrupt:
-        for process in multiprocessing.active_children():
-            process.terminate()
+    verdicts: dict[int, Verdict] = {}
+    fly = partial(_fast_run, mission, log_dir, dict(spreads or {}))
+    with (
+        Interrupt() as interrupt,
+        contextlib.closing(work(fly, seeds, usable_cores(), interrupt)) as landings,
+    ):
+        for seed, result in landings:
+            if isinstance(result, Failure):
+                raise result.error or FlightError(f"seed {seed}: {result.what}")
+            verdicts[seed] = result
+            done(result)
+    in_order = [verdicts[seed] for seed in seeds if seed in verdicts]
+    if len(in_order) < len(seeds):
+        raise RunsInterruptedError(in_order)
+    return in_order
 
 
 def fly_one_by_one(

@@ -20,10 +20,12 @@ def fly_vehicle(
     log_dir: Path,
     progress: Onlooker = lambda record: None,
     lease: LinkLease | None = None,
+    viewer: Onlooker | None = None,
 ) -> Verdict:
     """Fly on whatever answers at a connection URL.
 
     `lease` is the link's, held by the caller; it is told where the log is. None: one is taken for the flight.
+    `viewer` sees every record, on the thread that took it.
 
     Raises:
         InputError: the log cannot be written.
@@ -32,8 +34,9 @@ def fly_vehicle(
     """
     if lease is None:
         with LinkLease(url, "fly") as own:
-            return fly_vehicle(mission, url, log_dir, progress, own)
+            return fly_vehicle(mission, url, log_dir, progress, own, viewer)
     record = FlightRecord(mission, World.DRONE, None, log_dir)
+    record.viewers += [viewer] if viewer is not None else []
     try:
         note = record.folder / DEADMAN_NOTE
         lease.note_log(record.path)

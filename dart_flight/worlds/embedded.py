@@ -34,12 +34,14 @@ def fly_embedded(
     fault: Fault | None = None,
     spreads: Mapping[str, float] | None = None,
     speed: float = 1.0,
+    viewer: Onlooker | None = None,
 ) -> Verdict:
     """Fly through MAVSDK over UDP against the embedded autopilot.
 
-    `deadman` starts the process that kills this one when it hangs; `fault` is what goes wrong;
-    `spreads` says what is drawn anew by the seed (`sim.draws`); `speed` is simulated seconds per second: what
-    the core times by stamps goes by at that pace, silence alone is judged by the host's time.
+    `deadman` starts the process that kills this one when it hangs; `fault` is what goes wrong; `spreads`
+    says what is drawn anew by the seed (`sim.draws`); `speed` is simulated seconds per second: what the core
+    times by stamps goes by at that pace, silence alone is judged by the host's time; `viewer` sees every
+    record, on the thread that took it.
 
     Raises:
         InputError: the log cannot be written.
@@ -61,6 +63,7 @@ def fly_embedded(
     need_mavlink()
     drawn = draw_world(mission, seed, spreads or {})
     record = FlightRecord(mission, World.EMBEDDED, seed, log_dir, drawn.drawn)
+    record.viewers += [viewer] if viewer is not None else []
     try:
         port, lease = free_link("dry-run", record.path)
     except InputError:
@@ -71,7 +74,7 @@ def fly_embedded(
         msgspec.json.encode(mission.vehicle).decode(),
         seed,
         [port],
-        mission.vehicle.lock.driver,
+        mission.vehicle.lock_driver,
         world_log(record.folder),
         spreads=dict(spreads or {}),
         speed=speed,

@@ -8,10 +8,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
-from dart_flight.config.vehicle import LockDriver
+from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.lock.drivers import Driver
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
@@ -32,10 +33,14 @@ from dart_flight.samples import (
     LockPermission,
     LockState,
     OdometrySample,
+    OperatorRequest,
     Output,
+    Phase,
+    PhaseChange,
     PlanAnswer,
     PlanRequest,
     Record,
+    Request,
     SetPoint,
     Silence,
     StatusSample,
@@ -63,7 +68,7 @@ _STATUS_EVERY = 50  # 5 Hz, and at once when something changes
 _HOST_EVERY = 5  # ticks of 4 ms: lock polled and host time reported at 50 Hz
 _REPEAT_US = 50_000  # MAVSDK repeats the last set-point at 20 Hz
 _NAN3 = (math.nan, math.nan, math.nan)
-_MODES = {
+FLIGHT_MODES = {
     VehicleAction.OFFBOARD: FlightMode.OFFBOARD,
     VehicleAction.HOLD: FlightMode.HOLD,
     VehicleAction.LAND: FlightMode.LAND,
@@ -110,7 +115,8 @@ class FastFlight:
     Args:
         mission: what to fly.
         seed: of every sensor's noise.
-        driver: `mock` or `px4`; the real servo controllers have no place in simulated time.
+        driver: `mock` or `px4`; the real servo controllers have no place in simulated time. A vehicle
+            without a lock has none.
         faults: of the mock servo.
         observe: sees every input with its number, every output and note with the number of its input.
         fault: what goes wrong, and when.
@@ -148,20 +154,28 @@ class FastFlight:
         # Of the simulated computer: the answer comes after this time, however long it took here.
         self._plan_us = round(true.vehicle.simulation.replan_latency_s * 1e6)
         self._answers: list[tuple[int, PlanAnswer]] = []
+        operator_s = true.vehicle.simulation.operator_s
+        self._operator_us = None if operator_s is None else round(operator_s * 1e6)
+        self._word_us: int | None = None
         self.mock: MockDriver | None = None
-        lock = mission.vehicle.lock
+        self.lock: LockSession | None = None
+        if mission.vehicle.lock is not None:
+            self.lock = self._make_lock(mission.vehicle.lock, driver, faults)
+        self.faulted = None if fault is None else FaultedFlight(self, fault, seed)
+
+    def _make_lock(self, lock: LockConfig, driver: LockDriver, faults: MockFaults | None) -> LockSession:
         hardware: Driver
         if driver is LockDriver.PX4:
             hardware = Px4Driver(lock, self.autopilot.set_actuator)
         else:
             hardware = self.mock = MockDriver(lock, lambda: self.autopilot.time_us, faults=faults)
-        self.lock = LockSession(lock, hardware, lambda: self.autopilot.time_us, self._lock_states.append)
-        self.faulted = None if fault is None else FaultedFlight(self, fault, seed)
+        return LockSession(lock, hardware, lambda: self.autopilot.time_us, self._lock_states.append)
 
     def run(self, limit_s: float = 180.0) -> None:
         """Fly until the core says that it is over, or for `limit_s` seconds of simulated time."""
         self.take(ClockOffset(self.host_us, 0))
-        self.lock.start()
+        if self.lock is not None:
+            self.lock.start()
         while self.core.end is None and self.autopilot.now_s < limit_s and not self._orphaned:
             self.tick()
 
@@ -199,12 +213,16 @@ class FastFlight:
             self._repeat()  # MAVSDK's own thread goes on
             return
         if self._ticks % _HOST_EVERY == 0:
-            self.lock.poll()
+            if self.lock is not None:
+                self.lock.poll()
             self.take(Tick(self.host_us))
         while self._lock_states:
             self.take(self._lock_states.pop(0))
         while self._answers and self._answers[0][0] <= self.host_us:
             self.take(self._answers.pop(0)[1])
+        if self._word_us is not None and self._word_us <= self.host_us:
+            self._word_us = None
+            self.take(OperatorRequest(self.host_us, Request.CONTINUE))
         self._telemetry()
         if self.faulted is not None:
             for item in self.faulted.arrived():
@@ -248,6 +266,10 @@ class FastFlight:
     def _see(self, record: Record, number: int) -> None:
         if self._observe is not None:
             self._observe(record, number)
+        if isinstance(record, PhaseChange):
+            # Of the simulated operator, who ends every pause.
+            waits = record.after is Phase.PAUSE and self._operator_us is not None
+            self._word_us = self.host_us + (self._operator_us or 0) if waits else None
         if self.faulted is not None:
             self.faulted.sees(record)
 
@@ -260,10 +282,8 @@ class FastFlight:
         """Every other command of the core."""
         if isinstance(output, VehicleCommand):
             self._transmit(output.action)
-        elif isinstance(output, LockCommand):
-            self.lock.command(output.mode)
-        elif isinstance(output, LockPermission):
-            self.lock.permit(output.permitted)
+        elif isinstance(output, LockCommand | LockPermission):
+            self._order(output)
         elif isinstance(output, PlanRequest) and self._replanner is not None:
             due_us = self.host_us + self._plan_us
             self._answers.append((due_us, self._replanner.answer(output, due_us)))
@@ -271,6 +291,14 @@ class FastFlight:
             self._replanner.feel(output)
         elif isinstance(output, Silence):
             self._last_setpoint = None
+
+    def _order(self, order: LockCommand | LockPermission) -> None:
+        if self.lock is None:
+            return
+        if isinstance(order, LockCommand):
+            self.lock.command(order.mode)
+        else:
+            self.lock.permit(order.permitted)
 
     def forget_setpoint(self) -> None:
         """MAVSDK has gone with the process: nothing repeats the last set-point."""
@@ -309,10 +337,17 @@ class FastFlight:
         elif action in (VehicleAction.DISARM, VehicleAction.KILL):
             ok = a.disarm(force=action is VehicleAction.KILL)
         else:
-            ok = a.set_mode(_MODES[action])
+            ok = a.set_mode(FLIGHT_MODES[action])
             if action is not VehicleAction.OFFBOARD:
                 self._last_setpoint = None
         self.take(CommandResult(a.time_us, action.value, ok, "" if ok else "denied"))
+
+
+class FlownFast(NamedTuple):
+    """A fast flight with everything that was recorded of it."""
+
+    verdict: Verdict
+    record: FlightRecord
 
 
 def fly_fast(
@@ -332,13 +367,44 @@ def fly_fast(
     Raises:
         InputError: the log cannot be written, or the lock driver has no place in simulated time.
     """
-    driver = mission.vehicle.lock.driver
+    return fly_recorded(
+        mission, seed, log_dir, progress, lock_faults, fault, spreads, in_memory=False
+    ).verdict
+
+
+def simulated_driver(mission: Mission) -> LockDriver:
+    """The mission's lock driver; without a lock it does not matter.
+
+    Raises:
+        InputError: it has no place in simulated time.
+    """
+    driver = mission.vehicle.lock_driver or LockDriver.MOCK
     if driver not in (LockDriver.MOCK, LockDriver.PX4):
         raise InputError(f"the lock driver {driver.value} cannot be simulated, only mock and px4")
+    return driver
+
+
+def fly_recorded(
+    mission: Mission,
+    seed: int,
+    log_dir: Path | None,
+    progress: Onlooker = lambda record: None,
+    lock_faults: MockFaults | None = None,
+    fault: Fault | None = None,
+    spreads: Mapping[str, float] | None = None,
+    *,
+    in_memory: bool = True,
+) -> FlownFast:
+    """As `fly_fast`, with the log: where none goes to disk it is kept in memory.
+
+    Raises:
+        InputError: as `fly_fast`.
+    """
+    driver = simulated_driver(mission)
     world = draw_world(mission, seed, spreads or {})
     faults = lock_faults or world.lock_faults
-    record = FlightRecord(mission, World.FAST, seed, log_dir, world.drawn)
+    record = FlightRecord(mission, World.FAST, seed, log_dir, world.drawn, in_memory=in_memory)
     record.onlookers.append(progress)
     FastFlight(mission, seed, driver, faults=faults, observe=record, fault=fault, world=world).run()
     record.close()
-    return record.build()
+    return FlownFast(record.build(), record)

@@ -12,6 +12,8 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import shown_path
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.found import LOG_NAME
+from dart_flight.recording.memory import MemoryLog
+from dart_flight.recording.reader import Log, read_log
 from dart_flight.recording.writer import FlightLog, new_flight_folder
 from dart_flight.samples import Record, World
 from dart_flight.verdict import Verdict, VerdictBuilder
@@ -26,11 +28,13 @@ class FlightRecord:
         mission: what is flown.
         world: in which world.
         seed: of a simulated flight.
-        log_dir: where the flight's folder goes; None: no log (campaigns).
+        log_dir: where the flight's folder goes; None: no log on disk (campaigns).
         drawn: what the simulated world was drawn as, name -> value.
+        in_memory: keep the log in memory where none goes to disk.
 
     Attributes:
         onlookers: called with every record, on the thread that took it.
+        viewers: likewise, and with the truth of a simulated vehicle on its own thread; must not block.
 
     Raises:
         InputError: the log cannot be written.
@@ -43,19 +47,28 @@ class FlightRecord:
         seed: int | None,
         log_dir: Path | None,
         drawn: Mapping[str, float | str] | None = None,
+        *,
+        in_memory: bool = False,
     ) -> None:
         self._world, self._seed, self._drawn = world, seed, dict(drawn or {})
         self.verdict = VerdictBuilder(mission)
         self.onlookers: list[Onlooker] = [self.verdict.take]
-        self._log: FlightLog | None = None
-        if log_dir is not None:
-            self._log = _open_log(mission, world, seed, log_dir, self._drawn)
+        self.viewers: list[Onlooker] = []
+        self._log: FlightLog | MemoryLog | None = None
+        if log_dir is not None or in_memory:
+            about = _describe(mission, world, seed, self._drawn)
+            self._log = MemoryLog(about) if log_dir is None else _open_log(mission.name, log_dir, about)
 
     @property
     def path(self) -> Path:
         """The log's file."""
-        assert self._log is not None
+        assert isinstance(self._log, FlightLog)
         return self._log.path
+
+    @property
+    def log(self) -> Log:
+        """The log: that in memory, or read from its file."""
+        return self._log.log if isinstance(self._log, MemoryLog) else read_log(self.path)
 
     @property
     def folder(self) -> Path:
@@ -68,12 +81,16 @@ class FlightRecord:
             self._log.put(record, number)
         for onlooker in self.onlookers:
             onlooker(record)
+        for viewer in self.viewers:
+            viewer(record)
 
     def truth(self, record: Record) -> None:
         """Take a record of the simulated vehicle that comes beside the core's inputs."""
         if self._log is not None:
             self._log.put(record, 0)
         self.verdict.take(record)
+        for viewer in self.viewers:
+            viewer(record)
 
     def close(self) -> None:
         """End the log."""
@@ -82,21 +99,24 @@ class FlightRecord:
 
     def build(self, px4_log: Path | None = None) -> Verdict:
         """The verdict so far; `px4_log` is PX4's own log, where there is one."""
-        log = shown_path(self.path) if self._log is not None else None
+        log = shown_path(self.path) if isinstance(self._log, FlightLog) else None
         kept = shown_path(px4_log) if px4_log is not None and px4_log.exists() else None
         built = self.verdict.build(self._world, self._seed, log, kept)
         built.drawn = self._drawn
         return built
 
 
-def _open_log(
-    mission: Mission, world: World, seed: int | None, log_dir: Path, drawn: Mapping[str, float | str]
-) -> FlightLog:
+def _describe(
+    mission: Mission, world: World, seed: int | None, drawn: Mapping[str, float | str]
+) -> dict[str, str]:
+    about = describe_flight(mission, world, seed)
+    if drawn:
+        about["drawn"] = msgspec.json.encode(drawn).decode()
+    return about
+
+
+def _open_log(name: str, log_dir: Path, about: dict[str, str]) -> FlightLog:
     try:
-        path = new_flight_folder(log_dir, mission.name) / LOG_NAME
-        about = describe_flight(mission, world, seed)
-        if drawn:
-            about["drawn"] = msgspec.json.encode(drawn).decode()
-        return FlightLog(path, about)
+        return FlightLog(new_flight_folder(log_dir, name) / LOG_NAME, about)
     except OSError as error:
         raise InputError(f"cannot write the flight log: {error.strerror}", source=str(log_dir)) from None

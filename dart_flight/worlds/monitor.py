@@ -96,7 +96,7 @@ class Screen(msgspec.Struct):
     landed: str
     battery_v: float | None
     phase: str | None
-    lock: str | None
+    lock: str | None  # none: the vehicle has no lock
     cpu_percent: float
     walls: list[WallView] = msgspec.field(default_factory=list)  # only of a flight of ours
     plan: str | None = None  # what became of the newest plan made in flight
@@ -108,20 +108,24 @@ class Watcher:
     Args:
         mission: where the frame and the vehicle's configuration come from.
         placed: the mission's frame lies where the mission says; otherwise forces are shown in NED.
+        viewer: sees every record that comes, and what the senses make of it; must not block.
     """
 
-    def __init__(self, mission: Mission, placed: bool) -> None:
+    def __init__(
+        self, mission: Mission, placed: bool, viewer: Callable[[Record], None] = lambda record: None
+    ) -> None:
         self._mutex = threading.Lock()
+        self._viewer = viewer
         self._senses = Senses(mission)
         self._placed = placed
         # North, west, up: the mission frame with heading 0 is what is shown where no mission is given.
         self._senses.state.anchor(mission.frame_at((0.0, 0.0, 0.0)) if placed else MissionFrame())
-        self.estimation = mission.vehicle.estimation
+        self.estimation, self.motors = mission.vehicle.estimation, len(mission.vehicle.airframe.motors)
         self._estimate: ForceEstimate | None = None
         self._peaks: deque[ImpactPeak] = deque(maxlen=5)
         self._counts: dict[str, deque[int]] = {s.name: deque() for s in STREAMS}
         self._phase: str | None = None
-        self._lock: str | None = None
+        self._lock: str | None = None if mission.vehicle.has_lock else "none"
         self._materials = {w.name: mission.vehicle.materials[w.material] for w in mission.walls}
         self._walls: dict[str, WallView] = {}
         self._plan: str | None = None
@@ -154,23 +158,29 @@ class Watcher:
 
     def take(self, item: Input) -> None:
         """A record of the telemetry; any thread, short."""
+        self._viewer(item)
         with self._mutex:
-            self._take(item)
+            learnt = self._take(item)
+        for record in learnt:
+            self._viewer(record)
 
-    def _take(self, item: Input) -> None:
+    def _take(self, item: Input) -> list[Record]:
+        """What the senses make of it: an estimate, and the impacts found in it."""
         name = _STREAM_OF.get(type(item))
         if name is not None:
             # The host's clock is the machine's: for a log that a flight here is writing, too.
             self._counts[name].append(getattr(item, "received_us", 0))
         if isinstance(item, StatusText):
             self._read_text(item.text)
-            return
+            return []
         if isinstance(item, LockState):
             self._lock = status_text(item).removeprefix("lock ")
         sensed = self._senses.take(item, Expected(self._in_air))
-        if sensed.estimate is not None:
-            self._estimate = sensed.estimate
-            self._peaks.extend(event for event in sensed.impacts if isinstance(event, ImpactPeak))
+        if sensed.estimate is None:
+            return []
+        self._estimate = sensed.estimate
+        self._peaks.extend(event for event in sensed.impacts if isinstance(event, ImpactPeak))
+        return [sensed.estimate, *sensed.impacts]
 
     @property
     def _in_air(self) -> bool:
@@ -263,7 +273,7 @@ async def watch(
     """
     wait_s = timeout_s if seconds is None else min(timeout_s, seconds)
     async with connect(url, wait_s, watcher.take, ground=True, opened=opened) as session:
-        session.subscribe(watcher.estimation, guarded=False)
+        session.subscribe(watcher.estimation, watcher.motors, guarded=False)
         rates = asyncio.create_task(_raise_rates(watcher, session))
         end = None if seconds is None else time.monotonic() + seconds
         try:
@@ -283,8 +293,9 @@ def follow(
     period_s: float,
     seconds: float | None,
     flying: Callable[[], bool],
+    viewer: Callable[[Record], None] = lambda record: None,
 ) -> None:
-    """Run the watcher on the log of a flight under way, show a view every period.
+    """Run the watcher on the log of a flight under way, show a view every period; `viewer` sees every record.
 
     Neither link nor flight take part. Ends when time is up, the log is finished, or the flight's process is
     gone.
@@ -300,6 +311,7 @@ def follow(
         entries = log.read()
         for entry in entries:
             watcher.take_record(entry.record)
+            viewer(entry.record)
         now = time.monotonic()
         if now - shown_s >= period_s:
             shown_s = now

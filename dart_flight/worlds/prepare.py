@@ -23,18 +23,33 @@ def load_flyable(path: str | Path, config: str | Path | None = None, settings: S
         InputError: the file is wrong, an approach cannot be flown, or an impact is over the force limit.
     """
     mission = load_mission(path, config, settings)
-    try:
-        FlightCore(mission)
-    except NoApproachError as error:
-        raise InputError(str(error), source=str(path)) from None
-    problem = impact_problem(mission)
-    if problem is not None:
-        raise InputError(problem, source=str(path))
+    refuse_unflyable(mission)
     return mission
 
 
+def refuse_unflyable(mission: Mission) -> None:
+    """Make sure that a mission's approaches have room and that its impacts keep to its limit.
+
+    Raises:
+        InputError: they do not.
+    """
+    try:
+        FlightCore(mission)
+    except NoApproachError as error:
+        raise InputError(str(error), source=mission.source) from None
+    problem = impact_problem(mission)
+    if problem is not None:
+        raise InputError(problem, source=mission.source)
+
+
 def with_driver(mission: Mission, driver: LockDriver) -> Mission:
-    """The mission with another lock driver."""
+    """The mission with another lock driver.
+
+    Raises:
+        InputError: the vehicle has no lock.
+    """
+    if mission.vehicle.lock is None:
+        raise InputError("this vehicle has no lock", key=("--driver",))
     lock = msgspec.structs.replace(mission.vehicle.lock, driver=driver)
     vehicle = msgspec.structs.replace(mission.vehicle, lock=lock)
     return msgspec.structs.replace(mission, vehicle=vehicle)

@@ -37,6 +37,7 @@ def fly_px4(
     speed: float = 1.0,
     parameter_files: tuple[Path, ...] = (),
     spreads: Mapping[str, float] | None = None,
+    viewer: Onlooker | None = None,
 ) -> Verdict:
     """Fly through MAVSDK over UDP against a real PX4 SITL on our plant, in lockstep.
 
@@ -50,6 +51,7 @@ def fly_px4(
         speed: simulated seconds per second.
         parameter_files: PX4 parameters on top of `configs/px4/`.
         spreads: what is drawn anew by the seed (`sim.draws`).
+        viewer: sees every record, on the thread that took it.
 
     Raises:
         InputError: there is no PX4, a parameter file is wrong, or the mission's frame cannot be had with GPS.
@@ -73,13 +75,14 @@ def fly_px4(
     parameters = flight_parameters(mission.vehicle, position_from, list(parameter_files))
     drawn = draw_world(mission, seed, spreads or {})
     record = FlightRecord(mission, World.PX4, seed, log_dir, drawn.drawn)
+    record.viewers += [viewer] if viewer is not None else []
     folder = record.folder
     spec = WorldSpec(
         mission.source,
         msgspec.json.encode(mission.vehicle).decode(),
         seed,
         [],
-        mission.vehicle.lock.driver,
+        mission.vehicle.lock_driver,
         world_log(folder),
         Px4Spec(str(install.program.parents[1]), str(folder.resolve()), parameters, position_from),
         spreads=dict(spreads or {}),

@@ -10,9 +10,11 @@ from collections.abc import Callable
 from typing import Protocol
 
 from dart_flight.core.flight_core import FlightCore
-from dart_flight.samples import Input, Output, Record, SetPoint, SetPointSent
+from dart_flight.samples import ForceEstimate, Input, Output, Record, SetPoint, SetPointSent, TorqueEstimate
 
 Observe = Callable[[Record, int], None]
+# Set-points have left already; the estimates come with every IMU sample and are no commands.
+_NOT_CARRIED = (SetPoint, ForceEstimate, TorqueEstimate)
 
 
 class Hands(Protocol):
@@ -22,7 +24,7 @@ class Hands(Protocol):
         """A set-point, at once."""
 
     def carry_out(self, output: Output) -> None:
-        """Every other output; records that are no commands are passed over."""
+        """Every other output but the estimates; records that are no commands are passed over."""
 
 
 class CoreRunner:
@@ -45,11 +47,14 @@ class CoreRunner:
         number = self._number
         self._number += 1
         outputs = self.core.step(item)
+        if not outputs:  # as of most inputs
+            self._observe(item, number)
+            return
         sent = [self._send(output) for output in outputs if isinstance(output, SetPoint)]
         self._observe(item, number)
         for output in outputs:
             self._observe(output, number)
-            if not isinstance(output, SetPoint):
+            if not isinstance(output, _NOT_CARRIED):
                 self._hands.carry_out(output)
         for note in sent:
             if note is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.check.mission import check_mission
 from dart_flight.cli import COMMANDS, main
 from dart_flight.config import load_vehicle
 from dart_flight.config.document import Document
@@ -18,6 +20,9 @@ from dart_flight.config.kinds import EXTENDS
 from dart_flight.config.mission import load_mission
 from dart_flight.config.parameters import load_parameters
 from dart_flight.config.scenario import load_scenario
+from dart_flight.config.starter import DART, VEHICLES
+from dart_flight.config.vehicle import default_config_path
+from dart_flight.worlds.fast import fly_fast
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -29,12 +34,53 @@ def started(tmp_path: Path) -> Path:
     return folder
 
 
-def test_everything_that_is_shipped_is_copied_unchanged(started: Path) -> None:
+def test_everything_that_is_shipped_is_copied_unchanged_for_one_vehicle_or_another(tmp_path: Path) -> None:
+    for name in VEHICLES:
+        assert main(["init", str(tmp_path / name), "--vehicle", name]) == 0
     for wanted in ("configs/**/*.yaml", "configs/**/*.params", "missions/**/*.yaml", "docs/schemas/*.json"):
         files = sorted(ROOT.glob(wanted))
         assert files
         for path in files:
-            assert (started / path.relative_to(ROOT)).read_bytes() == path.read_bytes()
+            copies = [tmp_path / name / path.relative_to(ROOT) for name in VEHICLES]
+            there = [copy for copy in copies if copy.exists()]
+            assert there, path
+            assert len(there) == (1 if path.suffix == ".yaml" else len(VEHICLES))
+            assert {copy.read_bytes() for copy in there} == {path.read_bytes()}
+
+
+@pytest.mark.parametrize("name", [name for name in VEHICLES if name != DART])
+def test_another_vehicle_starts_with_two_commands_that_work(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "lab"
+    assert main(["init", str(folder), "--vehicle", name]) == 0
+    said = capsys.readouterr().err.splitlines()
+    commands = [line.split()[1:] for line in said if line.startswith("  dart-flight ")]
+    assert [words[0] for words in commands] == ["check", "dry-run"]
+    monkeypatch.chdir(folder)
+    monkeypatch.delenv("DART_FLIGHT_CONFIG", raising=False)
+    for words in commands:
+        assert main(words) == 0
+    # The only configuration there is the one that commands without a mission take.
+    assert default_config_path() == Path(f"configs/{name}.yaml")
+    vehicle = load_vehicle()
+    assert not vehicle.has_lock
+    assert {path.stem for path in (folder / "missions").rglob("*.yaml")} == {"single_wall", "square"}
+    for path in (folder / "missions").rglob("*.yaml"):
+        mission = load_mission(path)
+        assert mission.vehicle == vehicle
+        assert all(finding.go for finding in check_mission(mission))
+    square = fly_fast(load_mission(f"missions/{name}/square.yaml"), 1, None)
+    assert square.outcome == "completed"
+    text = (folder / "configs" / f"{name}.yaml").read_text().lower()
+    assert not re.search(r"\b(cam|rods?|servo|arms? .*(lock|free))\b", text)
+
+
+def test_a_vehicle_that_is_not_there_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["init", str(tmp_path / "lab"), "--vehicle", "blimp"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "--vehicle: unknown vehicle 'blimp', known: dart, rigid_cage, ring_guard_250g" in line
+    assert not (tmp_path / "lab").exists()
 
 
 def test_the_copies_load_with_the_copied_configuration(started: Path) -> None:

@@ -78,11 +78,22 @@ def test_the_packaged_one_where_there_is_no_other(folder: Path, capsys: pytest.C
     assert "not taken" not in streams.err
 
 
+def test_the_only_configuration_of_the_folder_is_taken_and_named(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own(folder, "configs/lab.yaml")
+    assert main(PREDICT) == 0
+    assert "vehicle: configs/lab.yaml" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("name", ["mine.yaml", "configs/lab.yaml"])
 def test_a_configuration_that_is_passed_over_is_named(
     name: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     own(folder, name)
+    own(folder, "configs/outdoors.yaml")  # which of two is meant is not to be guessed
+    if name == "mine.yaml":
+        (folder / "configs" / "outdoors.yaml").unlink()
     assert main(PREDICT) == 0
     assert f"not taken: {name}" in capsys.readouterr().err
     assert main([*PREDICT, "--config", str(packaged("configs", "dart.yaml"))]) == 0

@@ -53,7 +53,7 @@ def test_the_near_miss_is_suggested(words: list[str], near: str, capsys: pytest.
 
 
 def test_without_a_near_one_the_commands_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "known: fly, dry-run, simulate" in refused(capsys, "zzz")
+    assert "known: fly, dry-run, campaign, simulate" in refused(capsys, "zzz")
 
 
 @pytest.mark.parametrize(

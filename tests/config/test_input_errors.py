@@ -253,4 +253,5 @@ def test_any_value_in_any_place(data: st.DataObject) -> None:
 
 def test_the_missions_in_the_repository_load() -> None:
     for path in sorted((ROOT / "missions").glob("*.yaml")):
-        assert load_mission(path).collisions
+        mission = load_mission(path)
+        assert mission.collisions or path.stem in ("hover", "square", "transit")

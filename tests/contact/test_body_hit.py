@@ -46,7 +46,7 @@ def test_the_simulated_vehicle_turns_as_predicted(
     plant.velocity = plant.frame.vector_to_ned(WALL.from_collision((normal, along, 0.0)))
     plant.q = quaternion_from_euler(0.0, 0.0, -math.radians(askew_deg))
     hover = flown.hover_thrust_fraction()
-    hover = flown.thrust.command_for(hover * flown.thrust.full_n)
+    hover = flown.thrust.command_for(hover * flown.thrust.most_n)
     plant.motor = [hover] * 4
     plant.set_mode(mode)
     while not plant.finished and plant.time_s < 2.0:

@@ -152,7 +152,7 @@ def test_extremes_are_those_of_the_trajectory(
 
 def test_friction_peak_is_stationary_to_rounding() -> None:
     # Fine sampling about the peak: the maximum of a parabola through three samples is exact to 1e-12.
-    c = VEHICLE.materials["acrylic"].flexible
+    c = VEHICLE.materials["acrylic"].of(Mode.FLEXIBLE)
     for normal in (-0.2, -0.7, -1.5):
         contact = Contact(c, MASS, normal, Onset.LCP)
         t = np.linspace(0.0, contact.end_s, 200_001)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,9 @@ import pytest
 
 from dart_flight.cli import main
 from dart_flight.config import load_vehicle
-from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle import Coefficients, packaged
+from dart_flight.contact.contact_map import drop
+from dart_flight.contact.law import Onset
 from dart_flight.report import paper
 
 DATA = Path(__file__).parents[1] / "data"
@@ -226,3 +229,29 @@ def test_tables_of_another_vehicle() -> None:
     )
     assert paper.page(heavy) != paper.page(vehicle)
     assert paper.stiffness_ratios(heavy)["concrete"] == pytest.approx(3.36)
+
+
+def test_one_height_can_be_met_but_not_both() -> None:
+    vehicle = load_vehicle(packaged("configs", "dart.yaml"))
+    for onset in Onset:
+        for refit in paper.refits(vehicle.airframe.mass_kg, onset):
+            rows = [row for row in paper.DROPS if row.mode is refit.mode]
+            coefficients = Coefficients(k=refit.k_n_per_m, f=refit.f_ns_per_m, mu=0.0, nu=0.0)
+            # As the closed form says, one drop at a time.
+            for row, errors in zip(rows, refit.errors, strict=True):
+                got = drop(coefficients, vehicle.airframe.mass_kg, row.height_m, onset)
+                assert errors[0] == pytest.approx(got.contact_time_s / row.contact_time_s - 1.0, abs=1e-9)
+                rebound = got.max_rebound_speed_m_s / row.max_rebound_speed_m_s - 1.0
+                assert errors[1] == pytest.approx(rebound, abs=1e-9)
+            fitted = [e for row, e in zip(rows, refit.errors, strict=True) if row.height_m in refit.fitted]
+            worst = max(abs(x) for pair in fitted for x in pair)
+            assert (worst < 1e-3) == (len(refit.fitted) == 1)
+
+
+def test_the_figures_are_all_written_and_shown_on_the_page(tmp_path: Path) -> None:
+    assert main(["tables", "--figures", str(tmp_path)]) == 0
+    page = (tmp_path / "paper_tables.md").read_text()
+    figures = {path.name for path in tmp_path.glob("*.svg")}
+    assert len(figures) == 10
+    assert figures == set(re.findall(r"\]\((\S+\.svg)\)", page))
+    assert "## Drop tests" in page

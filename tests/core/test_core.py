@@ -105,7 +105,9 @@ def test_the_lock_never_moves_in_contact_or_before_the_arms_relaxed(hand_fed: Ha
     command = of(LockCommand, out)[0]
     assert permission.permitted
     assert command.mode is Mode.RIGID
-    relaxation_us = hand_fed.core.mission.vehicle.lock.relaxation_s * 1e6
+    lock = hand_fed.core.mission.vehicle.lock
+    assert lock is not None
+    relaxation_us = lock.relaxation_s * 1e6
     assert command.t_us - end_us >= relaxation_us - 8000  # the contact ends a sample or two before the pulse
 
 

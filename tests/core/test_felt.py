@@ -113,7 +113,7 @@ def test_a_wall_between_both_modes_is_undecided() -> None:
 
 @pytest.mark.parametrize("onset", list(Onset))
 def test_both_onsets_are_fitted(onset: Onset) -> None:
-    true = scaled(VEHICLE.materials["acrylic"].flexible, 1.2)
+    true = scaled(VEHICLE.materials["acrylic"].of(Mode.FLEXIBLE), 1.2)
     fit = Fitting(
         pulse(true, -1.0, 0.3, onset=onset),
         belief_of("acrylic", Mode.FLEXIBLE),
@@ -200,7 +200,7 @@ def test_readings_never_make_less_sure(
 
 
 def test_hits_of_one_wall_add_up_to_the_scatter_and_no_further() -> None:
-    true = VEHICLE.materials["wood"].flexible
+    true = VEHICLE.materials["wood"].of(Mode.FLEXIBLE)
     before = belief_of("wood", Mode.FLEXIBLE)
     sds = [before.k_sd]
     for hit in range(8):

@@ -134,9 +134,8 @@ def test_a_clipped_pulse_is_reconstructed(share: float) -> None:
     top = max(n for n, _ in pulse)
     readings = readings_of(pulse, 0.002, 0.2, share * top, 0.00073)
     for i in range(1, len(readings) - 1):  # as the detector does: what touches a clipped tick is a bound, too
-        readings[i].bound = readings[i].bound or any(
-            r.normal >= 0.99 * share * top for r in readings[i - 1 : i + 2]
-        )
+        bound = any(r.normal >= 0.99 * share * top for r in readings[i - 1 : i + 2])
+        readings[i] = readings[i]._replace(bound=readings[i].bound or bound)
     prior = Prior(math.sqrt(c.k / MASS), 0.5 * c.f / MASS, 0.2)
     fit = fit_normal(readings, 0.0, prior, 0.26, -0.003, 0.00073)
     assert fit is not None

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
+from dart_flight.config.mission import Waypoint
 from dart_flight.core import flight_core
 from dart_flight.core.guard.guard import Guard
 from dart_flight.core.guard.rules import RULES, Rule
@@ -318,6 +319,16 @@ def goal_not_reached(c: HandFedCore) -> None:
 
 
 @cause
+def pause_timeout(c: HandFedCore) -> None:
+    c.to_flight()
+    executive = c.core._executive
+    pause = Waypoint(1, 0, None, 0.0, 5.0)
+    executive.mission = msgspec.structs.replace(executive.mission, waypoints=(pause,))
+    executive.phase = Phase.PAUSE
+    c.run(6.0)
+
+
+@cause
 def not_ready(c: HandFedCore) -> None:
     c.run(20.5)  # the lock says nothing
 
@@ -567,6 +578,7 @@ def test_names_that_others_report_are_in_the_table() -> None:
 def test_thresholds_named_in_the_table_exist() -> None:
     c = HandFedCore()
     mission, vehicle = c.core.mission, c.core.mission.vehicle
+    assert vehicle.lock is not None
     places = {
         "guard": vehicle.guard,
         "flying": vehicle.flying,

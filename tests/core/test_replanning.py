@@ -10,9 +10,12 @@ from hypothesis import strategies as st
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import Way
+from dart_flight.core.mission.lock_orders import LockOrders
+from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.replanning import Replanning
+from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
-from dart_flight.samples import PlanAnswer, PlanRequest, PlanTaken
+from dart_flight.samples import ForceEstimate, PlanAnswer, PlanRequest, PlanTaken
 
 MISSION = load_mission(packaged("missions", "dual_collision_replan.yaml"))
 NOW_US = 10_000_000
@@ -26,9 +29,32 @@ def state_at(now_us: int, position: tuple[float, float, float] = (1.0, -1.0, 1.0
 
 
 def asked() -> tuple[Replanning, PlanRequest]:
-    planning = Replanning(MISSION)
-    following = MISSION.collisions[1]
-    return planning, planning.ask(following, state_at(NOW_US), (0.0, 0.0), (2.0, -0.8, 1.0), NOW_US + 350_000)
+    planning, p = Replanning(MISSION), Proposal()
+    hit, following = MISSION.collisions
+    over = Sensed(estimate=ForceEstimate(NOW_US, (0.0, 0.0, 0.0), False))
+    lock = LockOrders(MISSION.vehicle.lock)
+    planning.ask_once(hit, following, state_at(NOW_US), over, (2.0, -0.8, 1.0), lock, p)
+    (request,) = p.outputs
+    assert isinstance(request, PlanRequest)
+    planning.ask_once(hit, following, state_at(NOW_US + 4_000), over, (2.0, -0.8, 1.0), lock, p)
+    assert len(p.outputs) == 1  # once after each contact
+    return planning, request
+
+
+def refusal_of(planning: Replanning, answer: PlanAnswer, now_us: int) -> str | None:
+    """Why an answer is not to be flown; None where it is."""
+    p = Proposal()
+    planning.take(answer, now_us, p)
+    return said(p)
+
+
+def said(p: Proposal) -> str | None:
+    if not p.outputs:
+        return None
+    (taken,) = p.outputs
+    assert isinstance(taken, PlanTaken)
+    assert not taken.taken
+    return taken.reason
 
 
 def answer_to(request: PlanRequest) -> PlanAnswer:
@@ -54,12 +80,20 @@ def moved_to(request: PlanRequest) -> FlightState:
 
 def test_an_answer_in_time_is_flown_from_its_moment_on() -> None:
     planning, request = asked()
-    assert planning.take(answer_to(request), NOW_US + 40_000) is None
-    assert planning.begin(state_at(NOW_US + 90_000)) is None
-    taken = planning.begin(moved_to(request))
-    assert taken == PlanTaken(request.begin_us, request.number, True)
-    assert planning.way is not None
-    assert planning.impact_us == request.begin_us + 1_300_000
+    p = Proposal()
+    planning.take(answer_to(request), NOW_US + 40_000, p)
+    assert planning.way_that_begins(state_at(NOW_US + 90_000), p) is None
+    assert planning.way_us is None
+    assert p.outputs == []
+    assert planning.way_that_begins(moved_to(request), p) is not None
+    assert p.outputs == [PlanTaken(request.begin_us, request.number, True)]
+    assert planning.way_us == request.begin_us
+    met = planning.meets_plane(1.2, state_at(request.begin_us + 300_000))
+    assert met is not None
+    assert met.after_s == pytest.approx(1.0)
+    late_us = request.begin_us + 1_300_000 + round(MISSION.vehicle.guard.wall_late_s * 1e6)
+    assert not planning.is_late(MISSION.walls[1], state_at(late_us))
+    assert planning.is_late(MISSION.walls[1], state_at(late_us + 1))
 
 
 @pytest.mark.parametrize(
@@ -80,36 +114,29 @@ def test_an_answer_that_cannot_be_flown_is_refused_with_its_reason(
     change: dict[str, object], says: str
 ) -> None:
     planning, request = asked()
-    taken = planning.take(msgspec.structs.replace(answer_to(request), **change), NOW_US + 40_000)
-    assert taken is not None
-    assert not taken.taken
-    assert says in taken.reason
-    assert planning.begin(moved_to(request)) is None
-    assert planning.way is None
+    answer = msgspec.structs.replace(answer_to(request), **change)
+    assert says in (refusal_of(planning, answer, NOW_US + 40_000) or "")
+    assert planning.way_that_begins(moved_to(request), Proposal()) is None
+    assert planning.way_us is None
 
 
 def test_an_answer_that_comes_late_is_not_flown() -> None:
     planning, request = asked()
-    taken = planning.take(answer_to(request), request.begin_us + 20_000)
-    assert taken is not None
-    assert "20 ms too late" in taken.reason
+    assert refusal_of(planning, answer_to(request), request.begin_us + 20_000) == "20 ms too late"
 
 
 def test_a_way_that_begins_elsewhere_is_not_flown() -> None:
     planning, request = asked()
-    planning.take(answer_to(request), NOW_US + 40_000)
-    taken = planning.begin(state_at(request.begin_us, (1.3, -0.9, 1.0)))
-    assert taken is not None
-    assert not taken.taken
-    assert "m/s beside its beginning" in taken.reason
+    p = Proposal()
+    planning.take(answer_to(request), NOW_US + 40_000, p)
+    assert planning.way_that_begins(state_at(request.begin_us, (1.3, -0.9, 1.0)), p) is None
+    assert "m/s beside its beginning" in (said(p) or "")
 
 
 def test_a_contact_ends_what_was_planned_before_it() -> None:
     planning, request = asked()
     planning.contact_begins()
-    taken = planning.take(answer_to(request), NOW_US + 40_000)
-    assert taken is not None
-    assert not taken.taken
+    assert refusal_of(planning, answer_to(request), NOW_US + 40_000) is not None
 
 
 @given(st.tuples(*[coefficient] * 6), st.tuples(*[coefficient] * 6), st.floats(0.2, 3.0), st.floats(0.0, 4.0))

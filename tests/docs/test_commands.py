@@ -21,8 +21,10 @@ NOT_RUN: list[tuple[str, str]] = [
     (r"^(sudo|journalctl) ", "needs root and systemd"),
     (r"^make ", "sets up a virtual environment of its own"),
     (r"--px4", "needs a PX4 build"),
+    (r"--scheduler tcp://host|^dask ", "needs a Dask scheduler"),
     (
-        r"--connection serial:|^dart-flight monitor|^dart-flight fly missions/\S+( --standoff \S+)?$",
+        r"--connection serial:|^dart-flight (calibrate airframe --connection|monitor)|"
+        r"^dart-flight fly missions/\S+( --standoff \S+)?$",
         "needs the vehicle",
     ),
     (r"--driver (maestro|pwm)", "needs the servo"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import configparser
 import json
+import os
 import re
 import shlex
 import subprocess
@@ -14,16 +15,19 @@ from typing import Any
 
 import msgspec
 import pytest
+from PIL import Image
 
 from dart_flight.cli import COMMANDS, build_parser, main
 from dart_flight.config.document import Document
 from dart_flight.config.kinds import EXTENDS
-from dart_flight.config.mission import parse_mission
+from dart_flight.config.mission import WallSpec, parse_mission
 from dart_flight.config.scenario import load_scenario
 from dart_flight.config.vehicle import Material, VehicleConfig, load_vehicle
+from dart_flight.report.flight import Flight
 from dart_flight.samples import Phase
 from tests.docs.snippets import PAGES, ROOT, Block, blocks
-from tools.docs import concept_figures, generated, wiring_drawing
+from tests.shared_flights import SharedFlights
+from tools.docs import animation, concept_figures, generated, wiring_drawing
 
 ALL = [block for page in PAGES for block in blocks(page)]
 LANGUAGES = {"", "sh", "yaml", "json", "ini", "mermaid", "python"}
@@ -74,6 +78,21 @@ def test_the_figures_of_the_concepts_can_be_drawn(tmp_path: Path) -> None:
     assert drawn <= {path.name for path in (ROOT / "docs" / "img").iterdir()}
 
 
+def test_the_moving_picture_of_the_readme(tmp_path: Path, flown: SharedFlights) -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert f"({animation.FILE.relative_to(ROOT).as_posix()})" in readme
+    assert animation.FILE.stat().st_size < 1_500_000
+    flight = Flight.read(flown("dual_collision", 1).log)
+    times = animation.moments(flight)
+    at_s = [impact.at_s for impact in flight.impacts]
+    assert all(sum(0.0 <= t - hit < 0.15 for t in times) > 12 for hit in at_s)
+    animation.write(tmp_path / "small.gif", flight, [times[0], at_s[0] + 0.02, at_s[1] + 0.02])
+    with Image.open(tmp_path / "small.gif") as small, Image.open(animation.FILE) as shipped:
+        assert getattr(small, "n_frames", 1) == 3
+        assert small.size == shipped.size
+        assert getattr(shipped, "n_frames", 1) >= len(times)
+
+
 def test_the_wiring_is_drawn_from_its_table(tmp_path: Path) -> None:
     wiring_drawing.draw(tmp_path / "wiring.svg")
     for text in ((tmp_path / "wiring.svg").read_text(), wiring_drawing.FILE.read_text()):
@@ -107,6 +126,8 @@ def test_yaml_is_what_the_loader_takes(block: Block, tmp_path: Path) -> None:
         whole = Document.load(ROOT / "configs" / "dart.yaml")
         whole.tree = _merged(whole.tree, tree)
         whole.convert(VehicleConfig)
+    elif set(tree) == {"walls"}:
+        msgspec.convert(tree["walls"], dict[str, WallSpec])
     else:
         msgspec.convert(tree, dict[str, Material])
 
@@ -119,12 +140,15 @@ def test_ini_has_sections_and_keys(block: Block) -> None:
 
 
 @pytest.mark.parametrize("block", of("python"), ids=lambda b: b.place)
-def test_python_runs(block: Block, tmp_path: Path) -> None:
-    subprocess.run([sys.executable, "-c", block.text], cwd=ROOT, check=True, timeout=60)
+def test_python_runs(block: Block, recorded: Path) -> None:
+    environment = os.environ | {"MPLBACKEND": "Agg", "PYTHONPATH": str(ROOT)}
+    before = set(recorded.rglob("*"))
+    subprocess.run([sys.executable, "-c", block.text], cwd=recorded, env=environment, check=True, timeout=120)
+    assert set(recorded.rglob("*")) == before, "it leaves nothing"
 
 
 # Objects whose keys are data.
-OPEN = {"refused", "reasons", "residuals", "coefficients"}
+OPEN = {"refused", "reasons", "residuals", "coefficients", "figures"}
 _PRODUCED_BY = re.compile(r"<!-- json: (.*) -->")
 
 

@@ -17,7 +17,7 @@ import pytest
 
 from dart_flight.recording import read_log
 from dart_flight.report.flight import Flight
-from dart_flight.samples import ImuSample, MissionEnd, PhaseChange, TruthContact
+from dart_flight.samples import ActuatorSample, EscSample, ImuSample, MissionEnd, PhaseChange, TruthContact
 from dart_flight.worlds.vehicle_process import free_udp_port
 from tests.shared_flights import LiveFlights, patient
 
@@ -92,6 +92,23 @@ def test_dual_collision_through_mavsdk(commanded: LiveFlights) -> None:
     assert verdict.final_error_m <= 0.2
     assert verdict.max_tilt_deg is not None
     assert verdict.max_tilt_deg < 45.0
+
+
+@pytest.mark.mavlink
+def test_a_hexarotor_through_mavsdk(commanded: LiveFlights) -> None:
+    """Six motors on the wire: commands in one message, measured speeds in two."""
+    fly = f"dart-flight dry-run {SINGLE} --config configs/hexarotor.yaml"
+    done = commanded(
+        f"{fly} --set estimation.thrust_source=esc --set estimation.esc_thrust_n_per_rpm2=1.1e-8"
+    )
+    flight = Flight.read(done.log)
+    assert flight.verdict.outcome == "completed", flight.verdict.reason
+    (hit,) = flight.verdict.collisions
+    assert hit.truth is not None
+    assert hit.measured.peak_force_n == pytest.approx(hit.truth.peak_force_n, rel=0.15)
+    records = [entry.record for entry in read_log(done.log).entries]
+    assert {len(r.motors) for r in records if isinstance(r, ActuatorSample)} == {6}
+    assert {len(r.rpm) for r in records if isinstance(r, EscSample)} == {6}
 
 
 @pytest.mark.mavlink

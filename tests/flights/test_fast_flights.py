@@ -33,6 +33,7 @@ def test_dual_collision_completes_as_the_paper_flew_it(flown: SharedFlights) -> 
         assert collision.truth is not None
         assert collision.measured.peak_force_n == pytest.approx(collision.truth.peak_force_n, rel=0.15)
     switch = verdict.collisions[0].lock
+    assert switch is not None
     assert switch.contact_end_us is not None
     assert switch.relaxed_us is not None
     assert switch.commanded_us is not None

@@ -18,13 +18,15 @@ ROOT = Path(__file__).parents[2]
 
 def dual(**lock_changes: object) -> Mission:
     mission = load_flyable(ROOT / "missions/dual_collision.yaml")
+    assert mission.vehicle.lock is not None
     lock = msgspec.structs.replace(mission.vehicle.lock, **lock_changes)
     return msgspec.structs.replace(mission, vehicle=msgspec.structs.replace(mission.vehicle, lock=lock))
 
 
 def with_travel(seconds: float) -> Mission:
-    mission = dual()
-    return dual(servo=msgspec.structs.replace(mission.vehicle.lock.servo, travel_s=seconds))
+    lock = dual().vehicle.lock
+    assert lock is not None
+    return dual(servo=msgspec.structs.replace(lock.servo, travel_s=seconds))
 
 
 def test_a_servo_known_to_be_slow_is_committed_to_where_it_will_be_in_time() -> None:
@@ -61,6 +63,7 @@ def test_a_switch_that_falls_silent_in_flight_breaks_it_off() -> None:
     mission = dual(limit_switch=LimitSwitch(chip="gpiochip0", rigid_line=17))
     builder = VerdictBuilder(mission)
     flight = FastFlight(mission, 1, observe=lambda record, _: builder.take(record))
+    assert flight.lock is not None
     flight.lock.start()
     while flight.core.phase != "approach":
         flight.tick()

@@ -11,7 +11,7 @@ import pytest
 
 from dart_flight.cli import main
 from dart_flight.config import InputError, load_vehicle
-from dart_flight.identify.thrust_curve import calibrate_thrust, quiet_points, read_track
+from dart_flight.identification.thrust_curve import calibrate_thrust, quiet_points, read_track
 from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[2]

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from dart_flight.cli import main
-from dart_flight.identify.feel.impacts import Crossing, Estimated
-from dart_flight.identify.trials import TrialReading, read_trials
+from dart_flight.identification.feel.impacts import Crossing, Estimated
+from dart_flight.identification.trials import TrialReading, read_trials
 from dart_flight.samples import ForceEstimate, ImpactOnset, ImpactPeak
 from tests.doubles.ulog_file import Topics, write_ulog
 

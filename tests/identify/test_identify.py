@@ -15,8 +15,8 @@ from dart_flight.config import Coefficients, InputError, load_vehicle
 from dart_flight.config.vehicle import packaged
 from dart_flight.contact.law import Onset
 from dart_flight.contact.path import Contact
-from dart_flight.identify.fit import Estimate, Identification, identify
-from dart_flight.identify.trials import Series, Trial, find_impact
+from dart_flight.identification.fit import Estimate, Identification, identify
+from dart_flight.identification.trials import Series, Trial, find_impact
 from dart_flight.samples import Mode
 from tools.synthetic_trials import MASS_KG, drop_trial, wall_trial, write_csv
 
@@ -90,7 +90,7 @@ def test_drops_at_a_plane_that_is_off(mode: Mode) -> None:
 
 
 def test_friction_and_vertical_force() -> None:
-    c = ACRYLIC.flexible
+    c = ACRYLIC.of(Mode.FLEXIBLE)
     found = identify(hits(c, full=True), MASS_KG, Onset.LCP)
     for name, true in (("mu", c.mu), ("nu", c.nu)):
         estimate = get(found, Mode.FLEXIBLE, name)
@@ -111,7 +111,7 @@ def test_one_speed_reports_the_wide_interval_it_deserves() -> None:
 
 
 def test_force_narrows_the_interval() -> None:
-    c = ACRYLIC.flexible
+    c = ACRYLIC.of(Mode.FLEXIBLE)
     random = np.random.default_rng(3)
     trials = [wall_trial(c, -1.0, random, mode="flexible", force_noise_n=1.0) for _ in range(2)]
     without = [Trial(t.name, {"normal_m": t.normal}, t.mode) for t in trials]
@@ -123,7 +123,7 @@ def test_force_narrows_the_interval() -> None:
 
 
 def test_both_modes_share_one_plane() -> None:
-    trials = hits(ACRYLIC.rigid, Mode.RIGID, speeds=(1.0,)) + hits(ACRYLIC.flexible, seed=5)
+    trials = hits(ACRYLIC.rigid, Mode.RIGID, speeds=(1.0,)) + hits(ACRYLIC.of(Mode.FLEXIBLE), seed=5)
     found = identify(trials, MASS_KG, Onset.LCP)
     assert set(found.coefficients) == {"rigid", "flexible"}
     # Alone, one rigid hit cannot tell the plane; with the flexible ones beside it, it need not.
@@ -158,18 +158,18 @@ def test_a_controller_that_pushes_before_and_after(mode: Mode) -> None:
 
 
 def test_outliers_do_not_matter() -> None:
-    trials = hits(ACRYLIC.flexible)
+    trials = hits(ACRYLIC.of(Mode.FLEXIBLE))
     for trial in trials:
         trial.normal.value[::37] += 0.05
     found = identify(trials, MASS_KG, Onset.LCP)
     estimate = get(found, Mode.FLEXIBLE, "k")
-    assert abs(estimate.value - ACRYLIC.flexible.k) < estimate.high - estimate.low
+    assert abs(estimate.value - ACRYLIC.of(Mode.FLEXIBLE).k) < estimate.high - estimate.low
 
 
 def test_filtered_recordings_get_wider_intervals() -> None:
     # Noise of 1 mm that forgets over a few samples tells less than white noise of 1 mm, and must say so.
     trials = [
-        wall_trial(ACRYLIC.flexible, -v, np.random.default_rng(1), noise_m=0.0, mode="flexible")
+        wall_trial(ACRYLIC.of(Mode.FLEXIBLE), -v, np.random.default_rng(1), noise_m=0.0, mode="flexible")
         for v in (0.5, 1.0, 1.5)
     ]
     random = np.random.default_rng(2)
@@ -179,13 +179,13 @@ def test_filtered_recordings_get_wider_intervals() -> None:
             noise = 0.8 * noise + random.normal(0.0, 0.0006)
             trial.normal.value[i] += noise
     estimate = get(identify(trials, MASS_KG, Onset.LCP), Mode.FLEXIBLE, "k")
-    white = get(identify(hits(ACRYLIC.flexible), MASS_KG, Onset.LCP), Mode.FLEXIBLE, "k")
+    white = get(identify(hits(ACRYLIC.of(Mode.FLEXIBLE)), MASS_KG, Onset.LCP), Mode.FLEXIBLE, "k")
     assert relative_width(estimate) > 1.5 * relative_width(white)
-    assert abs(estimate.value - ACRYLIC.flexible.k) < estimate.high - estimate.low
+    assert abs(estimate.value - ACRYLIC.of(Mode.FLEXIBLE).k) < estimate.high - estimate.low
 
 
 def test_derived_velocities_count_once() -> None:
-    trials = hits(ACRYLIC.flexible)
+    trials = hits(ACRYLIC.of(Mode.FLEXIBLE))
     derived = [
         Trial(
             t.name,
@@ -202,8 +202,10 @@ def test_derived_velocities_count_once() -> None:
 def test_measured_velocities_count() -> None:
     random = np.random.default_rng(8)
     trials = []
-    for t in hits(ACRYLIC.flexible):
-        clean = wall_trial(ACRYLIC.flexible, -1.0, random, noise_m=0.0, plane_m=0.012, mode="flexible")
+    for t in hits(ACRYLIC.of(Mode.FLEXIBLE)):
+        clean = wall_trial(
+            ACRYLIC.of(Mode.FLEXIBLE), -1.0, random, noise_m=0.0, plane_m=0.012, mode="flexible"
+        )
         speed = np.gradient(clean.normal.value, clean.normal.time_s)
         noisy = Series(clean.normal.time_s, speed + random.normal(0.0, 0.005, speed.size))
         position = Series(
@@ -264,7 +266,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    for i, trial in enumerate(hits(ACRYLIC.flexible, full=True), 1):
+    for i, trial in enumerate(hits(ACRYLIC.of(Mode.FLEXIBLE), full=True), 1):
         write_csv(trial, tmp_path / f"hit_{i}.csv")
     return tmp_path
 
@@ -289,7 +291,7 @@ def test_command_writes_an_entry_that_the_configuration_accepts(
     config = folder / "dart.yaml"
     config.write_text(shipped[:begin] + entry.read_text() + shipped[end:])
     vehicle = load_vehicle(config)
-    assert vehicle.materials["acrylic"].flexible.k == pytest.approx(k["value"], rel=1e-5)
+    assert vehicle.materials["acrylic"].of(Mode.FLEXIBLE).k == pytest.approx(k["value"], rel=1e-5)
     assert vehicle.materials["acrylic"].rigid == ACRYLIC.rigid
     hit = ["predict", "--config", str(config), "--surface", "acrylic", "--mode", "flexible"]
     assert main([*hit, "--velocity", "-1", "0.5"]) == 0
@@ -304,7 +306,7 @@ def test_command_prints_tables(capsys: pytest.CaptureFixture[str], folder: Path)
 
 def test_heights_of_the_centre_of_mass(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     random = np.random.default_rng(6)
-    trial = drop_trial(CONCRETE.flexible, 0.05, random, plane_m=0.205)
+    trial = drop_trial(CONCRETE.of(Mode.FLEXIBLE), 0.05, random, plane_m=0.205)
     path = tmp_path / "drop.csv"
     write_csv(trial, path)
     assert "--contact-distance" in refused(capsys, str(path), "--drop", "0.05")
@@ -317,7 +319,7 @@ def test_heights_of_the_centre_of_mass(capsys: pytest.CaptureFixture[str], tmp_p
 
 
 def test_other_headers_and_separators(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    trial = hits(ACRYLIC.flexible, speeds=(1.0,))[0]
+    trial = hits(ACRYLIC.of(Mode.FLEXIBLE), speeds=(1.0,))[0]
     path = tmp_path / "other.csv"
     lines = ["# exported", "t;x", *(f"{t:.6f};{x:.6f}" for t, x in zip(*trial.normal, strict=True))]
     path.write_text("\ufeff" + "\n".join(lines))
@@ -412,7 +414,7 @@ def test_a_px4_log(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     normal = np.array([np.cos(heading), np.sin(heading)])
     wall = np.array([3.0, 2.0])
     trial = wall_trial(
-        ACRYLIC.flexible, -1.0, np.random.default_rng(9), rate_hz=250.0, force_noise_n=0.3,
+        ACRYLIC.of(Mode.FLEXIBLE), -1.0, np.random.default_rng(9), rate_hz=250.0, force_noise_n=0.3,
         plane_m=0.01, tangential_m_s=0.4,
     )  # fmt: skip
     along = np.array([-normal[1], normal[0]])

@@ -11,7 +11,7 @@ import pytest
 from dart_flight.cli import main
 from dart_flight.config import load_vehicle
 from dart_flight.config.vehicle import packaged
-from dart_flight.identify.judgement import judge
+from dart_flight.identification.judgement import judge
 from dart_flight.samples import Mode
 from tests.shared_flights import SharedFlights
 from tools.synthetic_trials import drop_trial, wall_trial, write_csv
@@ -39,7 +39,7 @@ def hits(tmp_path: Path) -> list[str]:
     paths = []
     for speed in (0.6, 1.2):
         path = tmp_path / f"hit_{speed:g}.csv"
-        c = VEHICLE.materials["acrylic"].flexible
+        c = VEHICLE.materials["acrylic"].of(Mode.FLEXIBLE)
         write_csv(
             wall_trial(c, -speed, random, mode="flexible", tangential_m_s=0.5, with_vertical=True), path
         )

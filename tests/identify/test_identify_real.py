@@ -21,13 +21,14 @@ from dart_flight.contact.contact_map import collide as exact
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.contact.path import Contact
-from dart_flight.identify.fit import identify
-from dart_flight.identify.held_out import compare
-from dart_flight.identify.hits import Hit, hit_of
-from dart_flight.identify.laws import candidate_laws, collide
-from dart_flight.identify.trials import Series, Trial
-from dart_flight.identify.whole_hits import law_parameters
-from dart_flight.identify.windows import MOST_SET_ASIDE, weigh
+from dart_flight.identification.fit import identify
+from dart_flight.identification.held_out import compare
+from dart_flight.identification.hits import Hit, hit_of
+from dart_flight.identification.laws import candidate_laws, collide
+from dart_flight.identification.trials import Series, Trial
+from dart_flight.identification.whole_hits import law_parameters
+from dart_flight.identification.windows import MOST_SET_ASIDE, weigh
+from dart_flight.samples import Mode
 from tools.synthetic_trials import MASS_KG, wall_trial
 
 pytest.importorskip("scipy")
@@ -162,7 +163,8 @@ def test_a_wrong_law_is_named_and_the_peak_is_kept() -> None:
 def test_clocks_that_differ() -> None:
     random = np.random.default_rng(4)
     trials = [
-        wall_trial(ACRYLIC.flexible, -v, random, mode="flexible", force_noise_n=0.5) for v in (0.6, 1.2)
+        wall_trial(ACRYLIC.of(Mode.FLEXIBLE), -v, random, mode="flexible", force_noise_n=0.5)
+        for v in (0.6, 1.2)
     ]
     for trial in trials:
         trial.series["normal_force_n"] = Series(
@@ -286,7 +288,7 @@ def test_no_law_creates_energy(name: str, per_speed: float, e: float, speed: flo
 @pytest.mark.parametrize("onset", list(Onset))
 def test_the_stepped_paper_law_is_the_closed_form(onset: Onset) -> None:
     law = candidate_laws(onset)["paper"]
-    for c in (ACRYLIC.rigid, ACRYLIC.flexible):
+    for c in (ACRYLIC.rigid, ACRYLIC.of(Mode.FLEXIBLE)):
         said = collide(law, np.array([[c.k], [c.f]]), MASS_KG, np.array([1.0]), np.zeros(1))
         true = exact(c, MASS_KG, -1.0, 0.0, onset)
         assert said.normal_out_m_s[0] == pytest.approx(true.normal_out_m_s, rel=2e-3)

@@ -17,9 +17,10 @@ from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.contact.path import Contact, trajectory
 from dart_flight.geometry import GRAVITY_M_S2
-from dart_flight.identify.fit import identify
-from dart_flight.identify.judgement import judge_fit
-from dart_flight.identify.trials import TrialReading, read_trials
+from dart_flight.identification.fit import identify
+from dart_flight.identification.judgement import judge_fit
+from dart_flight.identification.trials import TrialReading, read_trials
+from dart_flight.samples import Mode
 from tests.doubles.ulog_file import write_ulog
 
 pytest.importorskip("pyulog")
@@ -28,7 +29,7 @@ pytest.importorskip("scipy")
 VEHICLE = load_vehicle(packaged("configs", "dart.yaml"))
 MASS_KG = VEHICLE.airframe.mass_kg
 WALL = VEHICLE.materials["acrylic"].rigid
-GROUND = VEHICLE.materials["concrete"].flexible
+GROUND = VEHICLE.materials["concrete"].of(Mode.FLEXIBLE)
 BEGIN_S = 2.0  # stamp of the first touch
 
 

@@ -16,7 +16,9 @@ BOTH_SWITCHES = LimitSwitch(chip="/dev/gpiochip0", rigid_line=23, flexible_line=
 
 @pytest.fixture(scope="session")
 def lock_config() -> LockConfig:
-    return load_vehicle(packaged("configs", "dart.yaml")).lock
+    lock = load_vehicle(packaged("configs", "dart.yaml")).lock
+    assert lock is not None
+    return lock
 
 
 @pytest.fixture(scope="session")

@@ -101,7 +101,9 @@ def test_only_the_values_change(tmp_path: Path) -> None:
     for a, b in changed:
         assert a.index("#") == b.index("#")
         assert a[a.index("#") :] == b[b.index("#") :]
-    servo = load_vehicle(path).lock.servo
+    lock = load_vehicle(path).lock
+    assert lock is not None
+    servo = lock.servo
     assert (servo.rigid_pulse_us, servo.flexible_pulse_us) == (1932.25, 987.0)
     assert path.stat().st_mode & 0o777 == 0o640
     assert [entry.name for entry in tmp_path.iterdir()] == ["dart.yaml"]

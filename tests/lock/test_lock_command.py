@@ -16,7 +16,7 @@ import pytest
 
 from dart_flight.cli import main
 from dart_flight.config import load_vehicle
-from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle import Servo, packaged
 from dart_flight.lock.ground import clock_us
 from dart_flight.lock.persistence import load_last
 from dart_flight.lock.servo import mode_of
@@ -60,10 +60,16 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
     return World(tmp_path)
 
 
+def servo_of(world: World) -> Servo:
+    lock = load_vehicle(world.config).lock
+    assert lock is not None
+    return lock.servo
+
+
 @pytest.fixture
 def maestro(world: World) -> Iterator[EmulatedMaestro]:
     world.set("driver: mock", "driver: maestro")
-    servo = load_vehicle(world.config).lock.servo
+    servo = servo_of(world)
     with EmulatedMaestro(servo, world.folder / "maestro", clock_us, horn_us=1300.0) as controller:
         yield controller
 
@@ -76,7 +82,7 @@ def report(world: World, capsys: pytest.CaptureFixture[str], *arguments: str) ->
 def test_moves_and_returns_when_settled(
     world: World, maestro: EmulatedMaestro, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    servo = load_vehicle(world.config).lock.servo
+    servo = servo_of(world)
     status, told = report(world, capsys, "rigid")
     assert status == 0
     assert told["ok"] is True
@@ -235,7 +241,7 @@ def test_calibrate_writes_the_two_ends(world: World, maestro: EmulatedMaestro) -
         "flexible_pulse_us: 1400.0",
     ]
     assert maestro.output_us() == 1400.0
-    assert load_vehicle(world.config).lock.servo.us_per_deg == pytest.approx(200.0 / 90.0)
+    assert servo_of(world).us_per_deg == pytest.approx(200.0 / 90.0)
 
 
 @pytest.mark.parametrize(

@@ -57,7 +57,9 @@ def test_terminal_states_against_an_ode_solver(name: str) -> None:
     tangential = np.array(scenario.tangential_m_s)[None, :]
     rng = np.random.default_rng(3)
     compared = 0
-    for sequence in scenario.sequences[-2:]:
+    # A recovery into the board, which stands at 45 degrees to the others, is refused.
+    square = [s for s in scenario.sequences if "board" not in s]
+    for sequence in square[-2:]:
         rollout = Rollout(scenario, sequence, flight, Constraints(scenario))
         grid = rollout.approach(normal, tangential)
         for a in rollout.fly(stages, normal, tangential, grid):

@@ -23,12 +23,12 @@ from dart_flight.sim.px4.bridge import (
     ACCELEROMETER_LIMIT_M_S2,
     HOME_LAT_DEG,
     HOME_LON_DEG,
-    SERVO_CHANNEL,
     HilLink,
     Px4LostError,
     Px4Vehicle,
     accelerometer_output,
     geodetic,
+    servo_channel,
 )
 from dart_flight.worlds.prepare import with_driver
 from tests.doubles.fake_px4 import FakePx4
@@ -145,8 +145,9 @@ def test_the_servo_follows_its_channel_only_while_armed(
     mission = with_driver(mission, LockDriver.PX4)
     vehicle = Px4Vehicle(mission, 1, link)
     lock = mission.vehicle.lock
+    assert lock is not None
     controls = [0.0] * 16
-    controls[SERVO_CHANNEL] = actuator_value(lock, lock.servo.rigid_pulse_us)
+    controls[servo_channel(mission.vehicle)] = actuator_value(lock, lock.servo.rigid_pulse_us)
     fake.controls = tuple(controls)
     thread = served(fake, 200)
     for _ in range(100):

@@ -154,4 +154,4 @@ def test_motors_of_the_plant_are_those_px4_is_told(tmp_path: Path) -> None:
         "1\t1\tCA_ROTOR0_PX\t0.1515\t9\n1\t1\tCA_ROTOR0_PY\t0.245\t9\n1\t1\tCA_ROTOR0_KM\t0.05\t9\n"
     )
     first = motors_from(values_of(flight_parameters(vehicle, PositionSource.MOCAP, [own])), vehicle)[0]
-    assert (first.x_m, first.y_m, first.yaw_m) == (0.1515, 0.245, 0.05)
+    assert (first.x_m, first.y_m, first.yaw_torque_per_thrust_m) == (0.1515, 0.245, 0.05)

@@ -17,6 +17,9 @@ from typing import Any
 import pytest
 
 from dart_flight.config.parameters import PositionSource
+from dart_flight.config.rotors import rotor_differences
+from dart_flight.config.vehicle import packaged
+from dart_flight.identification.airframe import read_airframe
 from dart_flight.recording import read_log
 from dart_flight.samples import ForceEstimate, GuardEvent, ImpactPeak, MissionEnd, PlanTaken
 from dart_flight.verdict import Verdict
@@ -90,6 +93,22 @@ def test_lock_servo_on_px4s_own_output(px4_dir: Path, tmp_path: Path) -> None:
 
     mission = with_driver(load_flyable(MISSIONS / "dual_collision.yaml"), LockDriver.PX4)
     accept(fly_px4(mission, px4_dir, 1, tmp_path, speed=min(2.0, FAST)))
+
+
+def test_a_hexarotor_with_the_lock_s_servo_after_its_motors(px4_dir: Path, tmp_path: Path) -> None:
+    from dart_flight.config.vehicle import LockDriver
+    from dart_flight.worlds.prepare import with_driver
+
+    mission = load_flyable(MISSIONS / "single_wall.yaml", packaged("configs", "hexarotor.yaml"))
+    verdict = fly_px4(with_driver(mission, LockDriver.PX4), px4_dir, 1, tmp_path, speed=min(2.0, FAST))
+    accept(verdict)
+    (hit,) = verdict.collisions
+    assert hit.truth is not None
+    assert hit.truth.normal_m_s == pytest.approx(-1.0, abs=0.1)
+    assert hit.measured.peak_force_n == pytest.approx(hit.truth.peak_force_n, rel=0.1)
+    assert verdict.px4_log is not None
+    motors = read_airframe(Path(verdict.px4_log))
+    assert rotor_differences(mission.vehicle.airframe.motors, motors) == ([], [])
 
 
 def test_a_hit_beyond_full_scale_is_marked_as_clipped(px4_dir: Path, tmp_path: Path) -> None:

@@ -27,10 +27,13 @@ from dart_flight.config.mission import Mission
 from dart_flight.recording import FlightLog, Log, read_log
 from dart_flight.recording.about import flown_mission, parse_written, written_mission
 from dart_flight.recording.encoding import decode, encode
+from dart_flight.recording.export import export_csv
+from dart_flight.recording.reader import LogEntry
 from dart_flight.recording.schema import CLOCKS, RECORD_TYPES, schema
 from dart_flight.recording.writer import ABOUT, FORMAT_VERSION, part_path
 from dart_flight.samples import (
     GuardEvent,
+    HealthReport,
     ImuSample,
     LockPhase,
     LockState,
@@ -340,7 +343,9 @@ def test_a_killed_process_loses_at_most_200_ms(tmp_path: Path) -> None:
         """
     )
     process = subprocess.Popen([sys.executable, "-c", script])
-    time.sleep(1.5)
+    while not (path.exists() and path.stat().st_size > 20_000):
+        time.sleep(0.05)
+        assert process.poll() is None
     killed_us = time.monotonic_ns() // 1000
     process.send_signal(signal.SIGKILL)
     process.wait()
@@ -373,3 +378,15 @@ def test_export_keeps_every_number(flight: Log, flight_path: Path, tmp_path: Pat
     with open(tmp_path / "csv" / "truth_state.csv", newline="") as file:
         assert {row["mode"] for row in csv.DictReader(file)} == {Mode.RIGID.value, Mode.FLEXIBLE.value}
     assert json.loads((tmp_path / "csv" / "about.json").read_text())["world"] == "fast"
+
+
+def test_lists_of_any_length_are_exported(tmp_path: Path) -> None:
+    reports = [
+        HealthReport(4000 * i, 4000 * i, not i, ("no position", "no battery")[:i], ()) for i in range(3)
+    ]
+    log = Log("", {}, {}, [LogEntry(i, report) for i, report in enumerate(reports)], complete=True)
+    export_csv(log, tmp_path)
+    with open(tmp_path / "in_health.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["blocking_1"] for row in rows] == ["", "no position", "no position"]
+    assert [row["blocking_2"] for row in rows] == ["", "", "no battery"]

@@ -14,6 +14,7 @@ from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 from dart_flight.report.flight import Flight
 from dart_flight.report.page import comparison_page, flight_page
 from dart_flight.report.proposal import Proposal, propose
+from dart_flight.samples import Mode
 from dart_flight.worlds.prepare import load_flyable
 from tests.shared_flights import SharedFlights
 from tools.bench.other_wall import fly_against, with_walls
@@ -71,7 +72,7 @@ def test_a_stiffer_wall_is_proposed_and_the_entry_loads(
     changed = {s.name for s in proposal.suggestions if s.change}
     assert changed == {"k"}
     vehicle = with_entry(proposal.entry, tmp_path / "dart.yaml")
-    flexible = vehicle.materials["acrylic"].flexible
+    flexible = vehicle.materials["acrylic"].of(Mode.FLEXIBLE)
     assert flexible.k == pytest.approx(1.2 * 1250.0, rel=0.03)
     # The mode that was not flown stays.
     assert vehicle.materials["acrylic"].rigid == single.vehicle.materials["acrylic"].rigid

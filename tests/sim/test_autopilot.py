@@ -114,8 +114,10 @@ def test_the_estimate_stays_near_the_truth(autopilot: Autopilot) -> None:
 
 
 def test_the_lock_output_follows_the_parameters(autopilot: Autopilot) -> None:
-    assert autopilot.actuator_pulse_us(1) is None
+    assert autopilot.lock_pulse_us() is None
     autopilot.set_actuator(1, 1.0)
-    assert autopilot.actuator_pulse_us(1) == pytest.approx(autopilot.vehicle.lock.px4.max_pulse_us)
+    lock = autopilot.vehicle.lock
+    assert lock is not None
+    assert autopilot.lock_pulse_us() == pytest.approx(lock.px4.max_pulse_us)
     autopilot.parameters["COM_PREARM_MODE"] = 0
-    assert autopilot.actuator_pulse_us(1) is None  # disarmed, it does not move
+    assert autopilot.lock_pulse_us() is None  # disarmed, it does not move

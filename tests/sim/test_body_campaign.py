@@ -2,6 +2,7 @@
 
 import pytest
 
+from dart_flight.campaign.statistics import wilson
 from tools.campaigns.body import (
     MIDDLE,
     PANELS,
@@ -14,7 +15,6 @@ from tools.campaigns.body import (
     default_case,
     fly,
     vary_table,
-    wilson,
     yaw_table,
 )
 

@@ -15,7 +15,7 @@ from tests.sim.test_plant import HOVER, VEHICLE
 def test_tilt_is_righted_first_however_far_the_heading_is_off(yaw_deg: float) -> None:
     """As PX4 does: a vehicle that a hit has spun round must not topple while it turns back."""
     parameters = {name: float(value) for name, value in default_parameters(VEHICLE).items()}
-    cascade = Cascade(parameters, VEHICLE.hover_thrust_fraction(), VEHICLE.thrust)
+    cascade = Cascade(parameters, VEHICLE.hover_thrust_fraction(), VEHICLE.thrust, VEHICLE.airframe.motors)
     plant = Plant(VEHICLE, (), MissionFrame())
     plant.position, plant.ground_down = (0.0, 0.0, -5.0), 100.0
     plant.q = quaternion_from_euler(0.2, 0.1, math.radians(yaw_deg))

@@ -16,40 +16,40 @@ from dart_flight.worlds.replay import replay
 
 ROOT = Path(__file__).parents[2]
 MISSION = load_flyable(ROOT / "missions/single_wall.yaml", None, ["simulation.contact.body=guards"])
-SPREADS = MISSION.vehicle.simulation.spreads
+VEHICLE = MISSION.vehicle
 
 
 def test_all_is_every_name_at_its_default_and_a_value_given_wins() -> None:
-    wanted = parse_vary(["mass=0.2", "all"], SPREADS)
+    wanted = parse_vary(["mass=0.2", "all"], VEHICLE)
     assert set(wanted) == set(NAMES)
     assert wanted["mass"] == 0.2
-    assert wanted["contact"] == SPREADS.contact
+    assert wanted["contact"] == VEHICLE.simulation.spreads.contact
 
 
 @pytest.mark.parametrize("setting", ["mas", "mass=heavy", "mass=-1", "mass=nan", "all=2"])
 def test_a_wrong_setting_is_named(setting: str) -> None:
     with pytest.raises(InputError, match="--vary " + setting.split("=", maxsplit=1)[0]):
-        parse_vary([setting], SPREADS)
+        parse_vary([setting], VEHICLE)
 
 
 def test_the_same_seed_draws_the_same_world_and_one_name_more_leaves_the_others() -> None:
-    few = draw_world(MISSION, 3, parse_vary(["mass", "wall_yaw_deg"], SPREADS))
-    many = draw_world(MISSION, 3, parse_vary(["all"], SPREADS))
-    assert few == draw_world(MISSION, 3, parse_vary(["wall_yaw_deg", "mass"], SPREADS))
+    few = draw_world(MISSION, 3, parse_vary(["mass", "wall_yaw_deg"], VEHICLE))
+    many = draw_world(MISSION, 3, parse_vary(["all"], VEHICLE))
+    assert few == draw_world(MISSION, 3, parse_vary(["wall_yaw_deg", "mass"], VEHICLE))
     assert few.drawn.items() <= many.drawn.items()
-    assert draw_world(MISSION, 4, parse_vary(["mass"], SPREADS)).drawn != {"mass": few.drawn["mass"]}
+    assert draw_world(MISSION, 4, parse_vary(["mass"], VEHICLE)).drawn != {"mass": few.drawn["mass"]}
 
 
 def test_the_mission_itself_is_left_as_it_is() -> None:
     before = msgspec.json.encode(MISSION)
-    world = draw_world(MISSION, 1, parse_vary(["all"], SPREADS))
+    world = draw_world(MISSION, 1, parse_vary(["all"], VEHICLE))
     assert msgspec.json.encode(MISSION) == before
     assert world.mission.walls != MISSION.walls
     assert world.mission.vehicle.airframe.mass_kg != MISSION.vehicle.airframe.mass_kg
 
 
 def test_a_varied_flight_tells_what_was_drawn_and_replays(tmp_path: Path) -> None:
-    verdict = fly_fast(MISSION, 2, tmp_path, spreads=parse_vary(["all"], SPREADS))
+    verdict = fly_fast(MISSION, 2, tmp_path, spreads=parse_vary(["all"], VEHICLE))
     assert verdict.outcome == "completed"
     log = read_log(str(verdict.log))
     assert json.loads(log.about["drawn"]) == pytest.approx(verdict.drawn)

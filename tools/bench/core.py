@@ -1,98 +1,264 @@
-"""Benchmark of the flight core: one step per input of a flight; and of whole simulated flights.
+"""Benchmark of whole simulated flights and their parts: the core's step, plant and autopilot.
 
-python -m tools.bench.core
+    python -m tools.bench.core
+
+Measured in processes of their own: with the source tree, and with the compiled package where `make compiled`
+has built it (docs/speed.md).
 """
 
 from __future__ import annotations
 
-import statistics
+import os
+import subprocess
+import sys
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, get_args
 
-from dart_flight.config.mission import load_mission
+import msgspec
+
+from dart_flight.config.mission import Mission, load_mission
 from dart_flight.core.flight_core import FlightCore
-from dart_flight.samples import ImuSample, Input, World
-from dart_flight.worlds.fast import FastFlight
+from dart_flight.samples import (
+    ClockOffset,
+    ImuSample,
+    Input,
+    Mode,
+    SetPoint,
+    TruthSample,
+    VehicleAction,
+    VehicleCommand,
+    World,
+)
+from dart_flight.sim.cascade import TrajectorySetPoint
+from dart_flight.sim.vehicle import SimulatedVehicle
+from dart_flight.worlds.fast import FLIGHT_MODES, FastFlight, simulated_driver
 from dart_flight.worlds.flight_record import FlightRecord
 
-_MISSIONS = Path(__file__).parents[2] / "missions"
-_DUAL = _MISSIONS / "dual_collision.yaml"
-_REPEATS = 3
-_FLIGHTS = 10  # of each mission, seeds from 1 on
+ROOT = Path(__file__).parents[2]
+COMPILED = ROOT / "build" / "compiled"
+MISSIONS = ("dual_collision", "dual_collision_replan", "single_wall")  # set-point, replanned, one wall
+_REPEATS = 5
+_CHUNK = 50  # inputs, or ticks
+_NAN3 = (float("nan"),) * 3
+_KINDS = get_args(Input)
 
 
-def recorded_inputs() -> list[Input]:
-    """Every input of a simulated dual collision."""
-    inputs: list[Input] = []
-    flight = FastFlight(load_mission(_DUAL), 1)
-    step = flight.core.step
+class Figures(msgspec.Struct):
+    """What one process has measured; processor time, seconds.
 
-    def keep(item: Input) -> Any:
-        inputs.append(item)
-        return step(item)
+    Attributes:
+        compiled: whether the core was.
+        flight_s: of a flight with its verdict, without a log, by mission.
+        flown_s: simulated, by mission.
+        step_s: of the core, one input.
+        imu_step_s: likewise, one IMU sample.
+        vehicle_s: of plant and autopilot, one dual collision.
+    """
 
-    flight.core.step = keep  # type: ignore[method-assign]
+    compiled: bool
+    flight_s: dict[str, float]
+    flown_s: dict[str, float]
+    step_s: float
+    imu_step_s: float
+    vehicle_s: float
+
+
+class _Recorded(NamedTuple):
+    """A flight as core and vehicle saw it; `orders` by tick, after which they arrived."""
+
+    inputs: list[Input]
+    orders: dict[int, list[SetPoint | VehicleCommand | Mode]]
+    ticks: int
+
+
+def measure() -> Figures:
+    """In this process, with whichever package it imports."""
+    missions = {name: load_mission(ROOT / "missions" / f"{name}.yaml") for name in MISSIONS}
+    dual = missions[MISSIONS[0]]
+    recorded = _record(dual)
+    flown = {name: _flown_s(mission) for name, mission in missions.items()}
+    return Figures(
+        not str(sys.modules[FlightCore.__module__].__file__).endswith(".py"),
+        {name: _least(partial(_fly, mission)) for name, mission in missions.items()},
+        flown,
+        _least(partial(_step, dual, recorded.inputs)) / len(recorded.inputs),
+        _imu_step_s(dual, recorded.inputs),
+        _least(partial(_drive, dual, recorded)),
+    )
+
+
+def _least(times_of: Callable[[], list[float]]) -> float:
+    """The same work several times, in pieces: the sum of each piece's shortest time.
+
+    What else runs on the machine lengthens a piece now and then, and hardly ever the same one every time.
+    """
+    runs = [times_of() for _ in range(_REPEATS)]
+    return float(sum(min(pieces) for pieces in zip(*runs, strict=True)))
+
+
+def _fly(mission: Mission) -> list[float]:
+    clock, times = time.process_time, []
+    begin = clock()
+    record = FlightRecord(mission, World.FAST, 1, None)
+    flight = FastFlight(mission, 1, observe=record)
+    flight.take(ClockOffset(flight.host_us, 0))
+    if flight.lock is not None:
+        flight.lock.start()
+    core, tick = flight.core, flight.tick
+    while core.end is None:
+        for _ in range(_CHUNK):
+            if core.end is None:
+                tick()
+        times.append(clock() - begin)
+        begin = clock()
+    record.build()
+    return [*times, clock() - begin]
+
+
+def _flown_s(mission: Mission) -> float:
+    flight = FastFlight(mission, 1)
     flight.run()
-    return inputs
+    return flight.autopilot.now_s
 
 
-def fast_flights(mission_file: Path) -> tuple[float, float]:
-    """Medians over flights without a log: processor seconds of a flight, and its simulated seconds."""
-    mission = load_mission(mission_file)
-    took, flown = [], []
-    for seed in range(1, _FLIGHTS + 1):
-        record = FlightRecord(mission, World.FAST, seed, None)
-        begin = time.process_time()
-        flight = FastFlight(mission, seed, observe=record)
-        flight.run()
-        record.build()
-        took.append(time.process_time() - begin)
-        flown.append(flight.autopilot.now_s)
-    return statistics.median(took), statistics.median(flown)
+def _record(mission: Mission) -> _Recorded:
+    inputs: list[Input] = []
+    orders: dict[int, list[SetPoint | VehicleCommand | Mode]] = {}
+
+    def see(record: Any, number: int) -> None:
+        tick = round(flight.autopilot.now_s / 0.004)
+        if isinstance(record, _KINDS):
+            inputs.append(record)
+        elif isinstance(record, SetPoint | VehicleCommand):
+            orders.setdefault(tick, []).append(record)
+        elif isinstance(record, TruthSample):
+            orders.setdefault(tick, []).append(record.mode)
+
+    flight = FastFlight(mission, 1, observe=see)
+    flight.run()
+    return _Recorded(inputs, orders, round(flight.autopilot.now_s / 0.004))
+
+
+def _step(mission: Mission, inputs: list[Input]) -> list[float]:
+    clock, times, step = time.process_time, [], FlightCore(mission).step
+    for first in range(0, len(inputs), _CHUNK):
+        part = inputs[first : first + _CHUNK]
+        begin = clock()
+        for item in part:
+            step(item)
+        times.append(clock() - begin)
+    return times
+
+
+def _imu_step_s(mission: Mission, inputs: list[Input]) -> float:
+    """Of IMU samples alone, which carry the estimate, the detector and the pulse fit."""
+
+    def times_of() -> list[float]:
+        clock, times, step = time.process_time, [], FlightCore(mission).step
+        for item in inputs:
+            if isinstance(item, ImuSample):
+                begin = clock()
+                step(item)
+                times.append(clock() - begin)
+            else:
+                step(item)
+        return times
+
+    return _least(times_of) / sum(isinstance(item, ImuSample) for item in inputs)
+
+
+def _drive(mission: Mission, recorded: _Recorded) -> list[float]:
+    """The recorded orders, given to a vehicle without a core."""
+    clock, times = time.process_time, []
+    vehicle = SimulatedVehicle(mission, 1, simulated_driver(mission))
+    autopilot, advance = vehicle.autopilot, vehicle.advance
+    for first in range(1, recorded.ticks + 1, _CHUNK):
+        begin = clock()
+        for tick in range(first, min(first + _CHUNK, recorded.ticks + 1)):
+            advance()
+            for order in recorded.orders.get(tick, ()):
+                if isinstance(order, Mode):
+                    autopilot.plant.set_mode(order)
+                elif isinstance(order, SetPoint):
+                    autopilot.set_trajectory(
+                        TrajectorySetPoint(
+                            order.position_ned,
+                            order.velocity_ned or _NAN3,
+                            order.acceleration_ned or _NAN3,
+                            order.yaw_ned_rad,
+                        )
+                    )
+                elif order.action is VehicleAction.ARM:
+                    autopilot.arm()
+                elif order.action in FLIGHT_MODES:
+                    autopilot.set_mode(FLIGHT_MODES[order.action])
+        times.append(clock() - begin)
+    return times
+
+
+def measured(package: Path) -> Figures:
+    """What a process measures that imports the package from this folder."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join((str(package), str(ROOT)))}
+    command = [sys.executable, "-P", "-c", "from tools.bench.core import tell; tell()"]
+    done = subprocess.run(command, env=environment, cwd=ROOT, stdout=subprocess.PIPE, check=True)
+    return msgspec.json.decode(done.stdout, type=Figures)
+
+
+def tell() -> None:
+    """Measure in this process, and print it as JSON."""
+    print(msgspec.json.encode(measure()).decode())
 
 
 def rows() -> list[dict[str, Any]]:
     """Rows for the benchmark table.
 
-    `core step`: mean processor time of one step over a whole flight's inputs, microseconds; `core step imu`
-    over its IMU samples alone, which carry the estimate, the detector and the pulse fit. `fast flight` of a
-    mission: processor time of one flight with its verdict, without a log, seconds; the baseline is its
-    simulated time, so that the ratio says how many times real time that is.
+    `core step`: processor time of one step, mean over a whole flight's inputs, microseconds; `core step
+    imu`: over its IMU samples alone. `plant and autopilot`: processor time of one dual collision, seconds.
+    `fast flight` of a mission: of one flight with its verdict, without a log, seconds; the baseline is its
+    simulated time, so that the ratio says how many times real time that is. Of the compiled package likewise,
+    the baseline of its parts being the interpreted ones.
     """
-    inputs = recorded_inputs()
-    every, imu = float("inf"), float("inf")
-    for _ in range(_REPEATS):
-        core = FlightCore(load_mission(_DUAL))
-        imu_s, imu_count = 0.0, 0
-        begin = time.process_time()
-        for item in inputs:
-            if isinstance(item, ImuSample):
-                start = time.process_time()
-                core.step(item)
-                imu_s += time.process_time() - start
-                imu_count += 1
-            else:
-                core.step(item)
-        every = min(every, (time.process_time() - begin) / len(inputs))
-        imu = min(imu, imu_s / imu_count)
-    flights = [_flight_row(name) for name in ("dual_collision", "single_wall")]
-    return [_row("core step", every * 1e6), _row("core step imu", imu * 1e6), *flights]
+    pure = measured(ROOT)
+    found = _rows_of(pure, None)
+    if COMPILED.exists():
+        found += _rows_of(measured(COMPILED), pure)
+    return found
 
 
-def _flight_row(mission: str) -> dict[str, Any]:
-    took_s, flown_s = fast_flights(_MISSIONS / f"{mission}.yaml")
-    return {
-        "name": f"fast flight {mission}",
-        "value": took_s,
-        "unit": "s",
-        "baseline": flown_s,
-        "ratio": flown_s / took_s,
-    }
-
-
-def _row(name: str, value_us: float) -> dict[str, Any]:
-    return {"name": name, "value": value_us, "unit": "us", "baseline": None, "ratio": None}
+def _rows_of(figures: Figures, pure: Figures | None) -> list[dict[str, Any]]:
+    if figures.compiled is (pure is None):
+        raise RuntimeError("pure Python was to be measured beside compiled code, but both were the same")
+    suffix = "" if pure is None else ", compiled"
+    parts = [
+        ("core step", figures.step_s, 1e6, "us", pure and pure.step_s),
+        ("core step imu", figures.imu_step_s, 1e6, "us", pure and pure.imu_step_s),
+        ("plant and autopilot", figures.vehicle_s, 1.0, "s", pure and pure.vehicle_s),
+    ]
+    found = [
+        {
+            "name": name + suffix,
+            "value": value * per,
+            "unit": unit,
+            "baseline": before * per if before else None,
+            "ratio": before / value if before else None,
+        }
+        for name, value, per, unit, before in parts
+    ]
+    for name, took_s in figures.flight_s.items():
+        flown_s = figures.flown_s[name]
+        found.append(
+            {
+                "name": f"fast flight {name}{suffix}",
+                "value": took_s,
+                "unit": "s",
+                "baseline": flown_s,
+                "ratio": flown_s / took_s,
+            }
+        )
+    return found
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ MODULES = {
     "force": "tools.campaigns.force",
     "body": "tools.campaigns.body",
     "felt": "tools.campaigns.felt",
+    "walls": "tools.campaigns.walls",
     "faults": "tools.campaigns.faults",
     "fuzz": "tools.campaigns.fuzz",
     "mutants": "tools.campaigns.mutants",

@@ -28,6 +28,7 @@ from typing import Any
 
 import msgspec
 
+from dart_flight.campaign.statistics import wilson
 from dart_flight.config.document import InputError
 from dart_flight.config.kinds import FileKind, load_document
 from dart_flight.config.mission import Mission, parse_mission
@@ -45,7 +46,7 @@ from dart_flight.samples import (
     TruthSample,
     World,
 )
-from dart_flight.sim.draws import DrawnWorld, draw_world, parse_vary, turn_walls
+from dart_flight.sim.draws import DrawnWorld, draw_world, parse_vary, place_walls
 from dart_flight.verdict import VerdictBuilder
 from dart_flight.worlds.fast import FastFlight
 from tools.campaigns.faults import Watch, judge
@@ -138,7 +139,8 @@ class Job(msgspec.Struct, frozen=True):
         seed: of sensors, scatter and draws.
         case: the body.
         yaw_deg: every wall turned by so much, counter-clockwise seen from above.
-        normal_m_s: of the first approach; None: as the mission has it.
+        normal_m_s, tangential_m_s: of the first approach; None: as the mission has it.
+        mode: of the first collision; None: as the mission has it.
         vary: as `--vary` takes it.
         settings: beyond the case's, as `--set` takes them.
     """
@@ -148,6 +150,8 @@ class Job(msgspec.Struct, frozen=True):
     case: Case
     yaw_deg: float = 0.0
     normal_m_s: float | None = None
+    mode: str | None = None
+    tangential_m_s: float | None = None
     vary: tuple[str, ...] = ()
     settings: tuple[str, ...] = ()
 
@@ -264,6 +268,10 @@ def _mission(job: Job) -> Mission:
     if job.normal_m_s is not None:
         document.tree["collisions"][0]["approach"]["normal_m_s"] = job.normal_m_s
         document.tree["limits"] = {"speed_m_s": 4.0, "peak_force_n": 250.0}
+    if job.tangential_m_s is not None:
+        document.tree["collisions"][0]["approach"]["tangential_m_s"] = job.tangential_m_s
+    if job.mode is not None:
+        document.tree["collisions"][0]["mode"] = job.mode
     mission = parse_mission(document, None, (*job.case.settings(), *job.settings))
     try:
         FlightCore(mission)
@@ -279,11 +287,11 @@ def fly(job: Job) -> Flown:
     except InputError as error:
         return Flown(job, "refused", str(error), [], 0.0, None, [], {})
     if job.vary:
-        spreads = parse_vary(job.vary, mission.vehicle.simulation.spreads)
+        spreads = parse_vary(job.vary, mission.vehicle)
         world = draw_world(mission, job.seed, spreads)
     else:
         world = DrawnWorld(mission, None, {})
-    world = turn_walls(world, {wall.name: job.yaw_deg for wall in mission.walls})
+    world = place_walls(world, {}, {wall.name: job.yaw_deg for wall in mission.walls})
     watch, hits, builder = Watch(mission), _HitWatch(), VerdictBuilder(mission)
 
     def observe(record: Record, number: int) -> None:
@@ -420,14 +428,6 @@ _LABELS = {
 
 
 # --- what came of it ---------------------------------------------------------------------------------------
-
-
-def wilson(successes: int, flights: int) -> tuple[float, float]:
-    """95 % interval of a success rate (Wilson's score interval)."""
-    z, p = 1.959964, successes / flights
-    middle = (p + z * z / (2 * flights)) / (1 + z * z / flights)
-    half = z * math.sqrt(p * (1 - p) / flights + z * z / (4 * flights**2)) / (1 + z * z / flights)
-    return max(0.0, middle - half), min(1.0, middle + half)
 
 
 def _counts(flights: Sequence[Flown]) -> str:

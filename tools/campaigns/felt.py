@@ -28,6 +28,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from dart_flight.campaign.statistics import wilson
 from dart_flight.config.kinds import FileKind, load_document
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.vehicle import BodyModel, Coefficients, LockDriver, load_vehicle
@@ -38,7 +39,6 @@ from dart_flight.samples import Mode, Phase, PhaseChange, Record, TruthContact, 
 from dart_flight.sim.draws import draw_world
 from dart_flight.verdict import VerdictBuilder
 from dart_flight.worlds.fast import FastFlight
-from tools.campaigns.body import wilson
 from tools.campaigns.kept import fly_missing
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -16,8 +16,8 @@ import msgspec
 
 from dart_flight.config.vehicle import packaged
 from dart_flight.contact.law import Onset
-from dart_flight.identify.fit import identify
-from dart_flight.identify.flight_trials import ALLOWANCE, trials_of
+from dart_flight.identification.fit import identify
+from dart_flight.identification.flight_trials import ALLOWANCE, trials_of
 from dart_flight.recording.reader import read_log
 from dart_flight.report.flight import Flight
 from dart_flight.report.proposal import AGREES, propose

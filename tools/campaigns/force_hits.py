@@ -125,7 +125,9 @@ def fly_hit(vehicle: VehicleConfig, hit: Hit) -> Flown:
     plant.velocity = FRAME.vector_to_ned((v0[0] * nx + v0[1] * ny, v0[0] * ny - v0[1] * nx, 0.0))
     plant.q = _attitude(wall, tilt, towards)
     plant.set_mode(hit.mode)
-    command = vehicle.thrust.command_for(vehicle.airframe.mass_kg * GRAVITY_M_S2 / math.cos(tilt) / 4.0)
+    command = vehicle.thrust.command_for(
+        vehicle.airframe.mass_kg * GRAVITY_M_S2 / math.cos(tilt) / len(vehicle.airframe.motors)
+    )
     plant.motor = [command] * 4
     return _record(plant, wall, hit, command, vehicle.detection.force_threshold_n)
 

@@ -53,7 +53,7 @@ class Quiet(msgspec.Struct):
 
 def _plant_vehicle(vehicle: VehicleConfig, sigma: float, rng: random.Random) -> VehicleConfig:
     """What really flies: up to 8 % other thrust, 30 % other drag, the given IMU noise."""
-    thrust = msgspec.structs.replace(vehicle.thrust, full_n=vehicle.thrust.full_n * rng.uniform(0.92, 1.08))
+    thrust = vehicle.thrust.scaled(rng.uniform(0.92, 1.08))
     b = vehicle.airframe.drag_per_s
     drag = (b[0] * rng.uniform(0.7, 1.3), b[1] * rng.uniform(0.7, 1.3), b[2])
     airframe = msgspec.structs.replace(vehicle.airframe, drag_per_s=drag)

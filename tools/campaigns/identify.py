@@ -17,8 +17,8 @@ from dart_flight.config import Coefficients, InputError, load_vehicle
 from dart_flight.config.vehicle import packaged
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
-from dart_flight.identify.fit import deviation_bound, identify
-from dart_flight.identify.trials import Trial
+from dart_flight.identification.fit import deviation_bound, identify
+from dart_flight.identification.trials import Trial
 from dart_flight.samples import Mode
 from tools.synthetic_trials import MASS_KG, drop_trial, wall_trial
 

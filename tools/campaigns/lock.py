@@ -231,6 +231,7 @@ def campaign(controller: str, toggles: int, seed: int) -> Tally:
     tally = Tally(controller)
     chance = random.Random(f"{controller} {seed}")
     packaged_lock = load_vehicle(packaged("configs", "dart.yaml")).lock
+    assert packaged_lock is not None
     while tally.toggles < toggles:
         config = msgspec.structs.replace(
             packaged_lock,

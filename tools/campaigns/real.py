@@ -2,8 +2,8 @@
 
     python -m tools.campaigns.real LOG_OR_FOLDER... [--json FILE]
 
-ULogs go through `dart_flight.identify.feel`. What comes out: thrust fitted or refused by name, impacts in
-flight, and, with half-sines of 30 to 180 ms added to the estimated force, how many of them are found, by
+ULogs go through `dart_flight.identification.feel`. What comes out: thrust fitted or refused by name, impacts
+in flight, and, with half-sines of 30 to 180 ms added to the estimated force, how many of them are found, by
 their height over the floor that the software states. Detection is done again for a series of thresholds,
 without and with the learnt noise, on the same estimates.
 """
@@ -28,8 +28,8 @@ from dart_flight.config.vehicle import Detection, VehicleConfig, load_vehicle
 from dart_flight.core.sense.detector import Expected, ImpactDetector
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import MissionFrame
-from dart_flight.identify.feel import TOPICS, FeltFlight, feel_log
-from dart_flight.identify.feel.impacts import REMEMBERED, Crossing, Estimated, short_samples
+from dart_flight.identification.feel import TOPICS, FeltFlight, feel_log
+from dart_flight.identification.feel.impacts import REMEMBERED, Crossing, Estimated, short_samples
 from dart_flight.recording.ulog import ULogFile, open_ulog
 from dart_flight.samples import ImpactOnset, ImpactPeak
 

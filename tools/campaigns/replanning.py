@@ -23,6 +23,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
+from dart_flight.campaign.statistics import wilson
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.core import flight_core
@@ -35,6 +36,8 @@ from dart_flight.planning.planned import planned_flight
 from dart_flight.samples import (
     AfterImpact,
     GoalPassed,
+    LockPhase,
+    LockState,
     Outcome,
     Override,
     PlanTaken,
@@ -46,7 +49,7 @@ from dart_flight.samples import (
 from dart_flight.sim.draws import draw_world, parse_vary
 from dart_flight.verdict import VerdictBuilder
 from dart_flight.worlds.fast import FastFlight
-from tools.campaigns.body import ROOT, wilson
+from tools.campaigns.body import ROOT
 from tools.campaigns.faults import Watch, judge
 
 _RISE_M = 0.03  # by which the distance to the goal has risen after a closest approach
@@ -73,6 +76,19 @@ WAYS = {
 }
 
 
+class AfterFirst(msgspec.Struct):
+    """Truth at the end of the first contact: what there was to plan from.
+
+    Attributes:
+        position_mission, velocity_mission: horizontal, m and m/s.
+        settled_s: from then on until the lock was settled for the next collision; None: it never was.
+    """
+
+    position_mission: tuple[float, float]
+    velocity_mission: tuple[float, float]
+    settled_s: float | None
+
+
 class Flown(msgspec.Struct):
     """One flight.
 
@@ -85,6 +101,7 @@ class Flown(msgspec.Struct):
         miss_m: distance to the goal at the first closest approach after the last contact.
         capture_s: from the last contact's end until the goal is held.
         taken: plans that were flown, and why others were not.
+        after_first: the vehicle when it had left the first wall; None: it never met one.
     """
 
     way: str
@@ -96,6 +113,7 @@ class Flown(msgspec.Struct):
     miss_m: float | None
     capture_s: float | None
     taken: list[str]
+    after_first: AfterFirst | None = None
 
 
 def _goal_figures(
@@ -126,18 +144,24 @@ def fly(way: str, seed: int, vary: Sequence[str], settings: Sequence[str], path:
     mission = load_mission(path, settings=settings)
     after = AfterImpact.REPLAN if way == "replan" else AfterImpact.SETPOINT
     mission = msgspec.structs.replace(mission, after_impact=after)
-    world = draw_world(mission, seed, parse_vary(vary, mission.vehicle.simulation.spreads))
+    world = draw_world(mission, seed, parse_vary(vary, mission.vehicle))
     watch, builder = Watch(mission), VerdictBuilder(mission)
     contacts: list[TruthContact] = []
     way_to_goal: list[tuple[int, float]] = []
     taken: list[str] = []
+    truths: list[TruthSample] = []
+    settled: list[LockState] = []
+    following = mission.collisions[1].mode
 
     def observe(record: Record, number: int) -> None:
         builder.take(record)
         watch.take(record)
         if isinstance(record, TruthContact):
             contacts.append(record)
+        elif isinstance(record, LockState) and record.phase is LockPhase.SETTLED and record.mode is following:
+            settled.append(record)
         elif isinstance(record, TruthSample):
+            truths.append(record)
             way_to_goal.append((record.t_us, distance2(record.position_mission, mission.goal.position_m)))
         elif isinstance(record, PlanTaken):
             taken.append("" if record.taken else record.reason)
@@ -164,7 +188,23 @@ def fly(way: str, seed: int, vary: Sequence[str], settings: Sequence[str], path:
         miss,
         capture,
         taken,
+        _after_first(contacts, truths, settled),
     )
+
+
+def _after_first(
+    contacts: Sequence[TruthContact], truths: Sequence[TruthSample], settled: Sequence[LockState]
+) -> AfterFirst | None:
+    if not contacts:
+        return None
+    end_us = contacts[0].end_us
+    truth = next((t for t in truths if t.t_us >= end_us), None)
+    if truth is None:
+        return None
+    ready_us = next((lock.t_us for lock in settled if lock.t_us > end_us), None)
+    settled_s = None if ready_us is None else (ready_us - end_us) * 1e-6
+    (x, y, _), (vx, vy, _) = truth.position_mission, truth.velocity_mission
+    return AfterFirst((x, y), (vx, vy), settled_s)
 
 
 def summary(name: str, flights: list[Flown], planned: tuple[float, float]) -> str:

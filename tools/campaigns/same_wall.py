@@ -20,13 +20,14 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
+from dart_flight.campaign.statistics import wilson
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import Coefficients, LockDriver, Material
 from dart_flight.core.mission.planned import expected_hit
 from dart_flight.samples import ImpactOnset, ImpactPeak, Mode, PlanAnswer, Record, TruthContact
 from dart_flight.sim.draws import draw_world
 from dart_flight.worlds.fast import FastFlight
-from tools.campaigns.body import ROOT, wilson
+from tools.campaigns.body import ROOT
 
 MISSION = ROOT / "tools" / "campaigns" / "one_wall_twice.yaml"
 FACTOR, SCATTER = 1.5, 0.05

@@ -17,6 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import Airframe, Cam
 from dart_flight.contact.law import Onset
 from dart_flight.contact.path import trajectory
 from dart_flight.contact.prediction import condition, wall_contact
@@ -24,6 +25,7 @@ from dart_flight.geometry import MissionFrame, Vec2, Wall
 from dart_flight.lock.cam import limits_deg, rod_mm
 from dart_flight.recording.arrays import FlightArrays
 from dart_flight.recording.reader import read_log
+from dart_flight.report.figures.scene import draw_vehicle
 from dart_flight.samples import ImpactPeak, Mode, SetPoint
 from dart_flight.worlds.fast import fly_fast
 
@@ -143,10 +145,88 @@ def frames(folder: Path) -> None:
     figure.savefig(folder / "concept_frames.png", dpi=150)
 
 
+def vehicle_to_scale(folder: Path) -> None:
+    """The vehicle from above with its sizes, its arms in both modes, and the cam with its rods, to scale."""
+    vehicle = _mission("single_wall.yaml").vehicle
+    figure, (left, right) = _figure(8.2, 3.9, columns=2)
+    _draw_sizes(left, vehicle.airframe)
+    _draw_cam(right, vehicle.lock.cam if vehicle.lock is not None else None)
+    figure.savefig(folder / "concept_vehicle.png", dpi=150)
+
+
+def _draw_sizes(axis: Any, airframe: Airframe) -> None:
+    out, along = airframe.contact_distance_m, airframe.guard_along_m
+    up = 0.5 * math.pi  # forward is up on paper
+    draw_vehicle(axis, airframe, (0.0, 0.0), up, Mode.RIGID)
+    draw_vehicle(axis, airframe, (0.62, 0.0), up, Mode.FLEXIBLE)
+    for x, name in ((-0.14, "rigid"), (0.62, "flexible")):
+        axis.text(x, -out - 0.04, name, ha="center", va="top")
+    for number, motor in enumerate(airframe.motors, start=1):
+        axis.text(
+            motor.y_m, motor.x_m + math.copysign(0.035, motor.x_m), str(number), ha="center", va="center"
+        )
+    _arrow(axis, (0.0, 0.0), (0.0, 0.12), "", MIDDLE)
+    _arrow(axis, (0.0, 0.0), (0.12, 0.0), "", MIDDLE)
+    axis.text(0.012, 0.1, "x", color=MIDDLE)
+    axis.text(0.085, -0.035, "y", color=MIDDLE)
+    axis.plot([-0.33, 0.9], [out, out], color=DARK, linewidth=1.6)
+    axis.text(0.31, out + 0.02, "a wall's surface", ha="center", va="bottom")
+    axis.plot([-0.33, 0.9], [0.0, 0.0], color=LIGHT, linestyle=DASHED, linewidth=0.8)
+    axis.text(0.31, 0.008, "plane of\nthe centre", ha="center", va="bottom", color="#666666")
+    _size(axis, (-0.28, 0.0), (-0.28, out), f"{out:g} m")
+    _size(axis, (0.0, -0.29), (along, -0.29), f"guard {along:g} m")
+    motor = airframe.motors[0]
+    _size(axis, (0.0, -0.38), (abs(motor.y_m), -0.38), f"motor {abs(motor.y_m):g} m")
+    axis.set(xlim=(-0.36, 0.92), ylim=(-0.42, 0.3))
+    _plain(axis)
+
+
+def _size(axis: Any, begin: Vec2, end: Vec2, text: str) -> None:
+    """A dimension between two points."""
+    axis.annotate("", end, begin, arrowprops={"arrowstyle": "<->", "color": "#555555", "linewidth": 0.9,
+                                              "shrinkA": 0, "shrinkB": 0})  # fmt: skip
+    upright = abs(end[0] - begin[0]) < abs(end[1] - begin[1])
+    place = (0.5 * (begin[0] + end[0]), 0.5 * (begin[1] + end[1]))
+    shift = (-0.02, 0.0) if upright else (0.0, 0.012)
+    axis.text(
+        place[0] + shift[0], place[1] + shift[1], text, color="#555555", ha="right" if upright else "center",
+        va="center" if upright else "bottom", rotation=90 if upright else 0,
+    )  # fmt: skip
+
+
+def _draw_cam(axis: Any, cam: Cam | None) -> None:
+    """The law l = R_cam - r cos theta at both ends: how far each of the four rods reaches from the axis."""
+    if cam is None:
+        raise ValueError("the shipped vehicle has a lock")
+    low, high = limits_deg(cam)
+    for x, angle, name in ((-42.0, low, "flexible"), (42.0, high, "rigid")):
+        reach = rod_mm(cam, angle)
+        turn = np.linspace(0.0, 2.0 * math.pi, 73)
+        axis.plot(x + cam.r_mm * np.cos(turn), cam.r_mm * np.sin(turn), color=DARK, linewidth=1.0)
+        for k in range(4):
+            direction = math.radians(45.0 + 90.0 * k)
+            d = np.array([math.cos(direction), math.sin(direction)])
+            tip = reach * d
+            rod = np.stack([0.45 * tip, tip]) + np.array([x, 0.0])
+            axis.plot(*rod.T, color=DARK, linewidth=5.0, solid_capstyle="butt")
+            # The slot in the arm, which the rod enters.
+            slot = np.array([rod_mm(cam, high) - 0.5 * (rod_mm(cam, high) - rod_mm(cam, low)), 30.0])
+            side = np.array([-d[1], d[0]])
+            for s in (-2.6, 2.6):
+                axis.plot(*(slot[:, None] * d + s * side + [x, 0.0]).T, color=LIGHT, linewidth=1.4)
+        axis.text(x, -33.0, f"{name}\nθ = {angle:.0f}°, l = {reach:.0f} mm", ha="center", va="top")
+    axis.text(0.0, 36.0, f"cam: l = {cam.r_cam_mm:g} mm − {cam.r_mm:g} mm · cos θ", ha="center", va="bottom")
+    axis.plot([-10.0, 10.0], [-54.0, -54.0], color="#555555", linewidth=1.6)
+    axis.text(0.0, -52.5, "20 mm", ha="center", va="bottom", color="#555555")
+    axis.set(xlim=(-80.0, 80.0), ylim=(-58.0, 46.0))
+    _plain(axis)
+
+
 def modes(folder: Path) -> None:
     """What the cam does with the rods, and what the mode does with the same hit."""
     vehicle = _mission("single_wall.yaml").vehicle
     figure, (left, right) = _figure(8.2, 3.2, columns=2)
+    assert vehicle.lock is not None
     cam = vehicle.lock.cam
     low, high = limits_deg(cam)
     angle = np.linspace(low, high, 91)
@@ -241,7 +321,7 @@ def _mission(name: str) -> Mission:
     return load_mission(ROOT / "missions" / name, ROOT / "configs" / "dart.yaml")
 
 
-FIGURES: tuple[Callable[[Path], None], ...] = (frames, modes, contact, recovery)
+FIGURES: tuple[Callable[[Path], None], ...] = (frames, vehicle_to_scale, modes, contact, recovery)
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from dart_flight.config.document import Key
 from dart_flight.config.mission import MissionFile
 from dart_flight.config.scenario import ScenarioFile
 from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.config.vehicle.lock import NO_LOCK
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "schemas"
@@ -31,7 +32,7 @@ def schemas() -> dict[str, Schema]:
     return {
         "mission.json": _schema(MissionFile, "DART mission"),
         "scenario.json": _schema(ScenarioFile, "DART scenario"),
-        "configuration.json": _schema(VehicleConfig, "DART vehicle configuration"),
+        "configuration.json": _with_no_lock(_schema(VehicleConfig, "DART vehicle configuration")),
     }
 
 
@@ -78,6 +79,17 @@ def _schema(type_: type[msgspec.Struct], title: str) -> Schema:
         for name, text in attributes.items():
             definition["properties"][keys[name]]["description"] = text
     return {"$schema": "http://json-schema.org/draft-07/schema#", "title": title, **schema}
+
+
+def _with_no_lock(schema: Schema) -> Schema:
+    """The loader takes a lock with this driver for none at all, whatever else is in it."""
+    no_lock = {
+        "type": "object",
+        "properties": {"driver": {"const": NO_LOCK, "description": "the vehicle has no lock"}},
+        "required": ["driver"],
+    }
+    schema["$defs"]["VehicleConfig"]["properties"]["lock"]["anyOf"].append(no_lock)
+    return schema
 
 
 def _draft_7(node: Any) -> Any:

@@ -4,7 +4,15 @@ The types here are the schema (`docs/schemas/`) and say what every key means; th
 are in the file.
 """
 
-from dart_flight.config.vehicle.airframe import MOTORS, Airframe, Coefficients, Imu, Material, Motor, Thrust
+from dart_flight.config.vehicle.airframe import (
+    Airframe,
+    Coefficients,
+    Imu,
+    Material,
+    Motor,
+    Thrust,
+    effectiveness,
+)
 from dart_flight.config.vehicle.autopilot import Px4Parameters
 from dart_flight.config.vehicle.configuration import (
     VehicleConfig,
@@ -26,7 +34,6 @@ from dart_flight.config.vehicle.lock import Cam, LimitSwitch, LockConfig, LockDr
 from dart_flight.config.vehicle.simulation import BodyModel, ContactBody, ImuRinging, Simulation, Spreads
 
 __all__ = [
-    "MOTORS",
     "Airframe",
     "ArmVibration",
     "BodyModel",
@@ -55,6 +62,7 @@ __all__ = [
     "VehicleConfig",
     "WallPrior",
     "default_config_path",
+    "effectiveness",
     "load_vehicle",
     "packaged",
 ]

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from bisect import bisect_left
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from operator import itemgetter
 from typing import Annotated
 
 import msgspec
@@ -16,78 +19,167 @@ Drag = Annotated[float, Meta(ge=0.0, le=10.0)]
 Inertia = Annotated[float, Meta(gt=0.0, le=10.0)]
 Lever = Annotated[float, Meta(ge=-1.0, le=1.0)]
 
-# Motors in PX4's order for a quadrotor in X, FRD: sign of x, sign of y, direction of the yaw torque.
-MOTORS: tuple[tuple[int, int, int], ...] = ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1))
+# A quadrotor in X in PX4's order, FRD: sign of x, sign of y, direction of the yaw torque.
+_QUADROTOR_X = ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1))
 
 
-class Motor(msgspec.Struct, frozen=True):
+class Motor(Section, frozen=True):
     """One motor of an airframe.
 
     Attributes:
-        x_m, y_m: position, FRD, metres from the centre of mass.
-        yaw_m: yaw torque in N m per newton of thrust; positive for a propeller that turns counter-clockwise
-            seen from above (PX4's CA_ROTORn_KM).
+        x_m: forward of the centre of mass (PX4's CA_ROTORn_PX).
+        y_m: to the right of the centre of mass (PX4's CA_ROTORn_PY).
+        yaw_torque_per_thrust_m: drag torque of the propeller over its thrust, N m per N; positive for
+            counter-clockwise seen from above (PX4's CA_ROTORn_KM).
     """
 
-    x_m: float
-    y_m: float
-    yaw_m: float
+    x_m: Annotated[float, Meta(ge=-3.0, le=3.0)]
+    y_m: Annotated[float, Meta(ge=-3.0, le=3.0)]
+    yaw_torque_per_thrust_m: Annotated[float, Meta(ge=-0.5, le=0.5)]
 
 
-class Airframe(Section, frozen=True):
+class Airframe(Section, frozen=True, kw_only=True):
     """The vehicle as a body.
 
     Attributes:
         mass_kg: of the vehicle as it flies, battery included.
         contact_distance_m: from the centre of mass to the wall's plane at the first contact.
-        incidence_rigid_deg: from this angle of incidence on the arms cannot fold: rigid values in both modes.
+        incidence_rigid_deg: from this angle of incidence on the arms cannot fold: rigid values in both modes;
+            without a lock it means nothing.
         drag_per_s: [b_x, b_y, b_z] along the mission's axes: acceleration by air drag = -b * air speed.
         inertia_kg_m2: about [forward, right, down]; `calibrate inertia` fits it.
         arm_x_m: motor to centre of mass, forward.
         arm_y_m: motor to centre of mass, sideways.
         yaw_torque_per_thrust_m: drag torque of a propeller over its thrust, N m per N.
         guard_along_m: from the middle of a side to either of the two points that touch a wall first.
+        listed: 4 to 8 in PX4's order, of an airframe that is no quadrotor in X (arm_x_m and arm_y_m are null
+            then); `calibrate airframe` prints them.
     """
 
     mass_kg: Annotated[float, Meta(ge=0.05, le=50.0)]
     contact_distance_m: Annotated[float, Meta(ge=0.0, le=2.0)]
-    incidence_rigid_deg: Annotated[float, Meta(ge=0.0, le=45.0)]
+    incidence_rigid_deg: Annotated[float, Meta(ge=0.0, le=45.0)] = 15.0
     drag_per_s: tuple[Drag, Drag, Drag]
     inertia_kg_m2: tuple[Inertia, Inertia, Inertia]
-    arm_x_m: Annotated[float, Meta(ge=0.01, le=2.0)]
-    arm_y_m: Annotated[float, Meta(ge=0.01, le=2.0)]
+    arm_x_m: Annotated[float, Meta(ge=0.01, le=2.0)] | None = None
+    arm_y_m: Annotated[float, Meta(ge=0.01, le=2.0)] | None = None
     yaw_torque_per_thrust_m: Annotated[float, Meta(gt=0.0, le=0.5)] = 0.016
     guard_along_m: Annotated[float, Meta(gt=0.0, le=2.0)] = 0.13
+    listed: Annotated[tuple[Motor, ...], Meta(min_length=4, max_length=8)] | None = msgspec.field(
+        default=None, name="motors"
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse an airframe that is not said once."""
+        arms = [name for name in ("arm_x_m", "arm_y_m") if getattr(self, name) is not None]
+        if self.listed is not None and arms:
+            raise ValueError(
+                f"{' and '.join(arms)} and motors both say where the motors are: leave one out (or null)"
+            )
+        if self.listed is None and len(arms) < 2:
+            missing = "arm_y_m" if arms == ["arm_x_m"] else "arm_x_m"
+            raise ValueError(f"missing key {missing} (of a quadrotor in X), or motors (of any other)")
 
     @property
     def motors(self) -> tuple[Motor, ...]:
-        """The four motors in PX4's order for a quadrotor in X."""
+        """The motors in PX4's order."""
+        if self.listed is not None:
+            return self.listed
+        arm_x_m, arm_y_m = self.arm_x_m or 0.0, self.arm_y_m or 0.0  # __post_init__ has seen to it
         return tuple(
-            Motor(sx * self.arm_x_m, sy * self.arm_y_m, spin * self.yaw_torque_per_thrust_m)
-            for sx, sy, spin in MOTORS
+            Motor(sx * arm_x_m, sy * arm_y_m, spin * self.yaw_torque_per_thrust_m)
+            for sx, sy, spin in _QUADROTOR_X
         )
 
 
+def effectiveness(motors: Sequence[Motor]) -> list[list[float]]:
+    """Roll, pitch and yaw torque (FRD) and lift of one newton of each motor: four rows."""
+    return [
+        [-motor.y_m for motor in motors],
+        [motor.x_m for motor in motors],
+        [motor.yaw_torque_per_thrust_m for motor in motors],
+        [1.0 for _ in motors],
+    ]
+
+
+Command = Annotated[float, Meta(ge=0.0, le=1.0)]
+Newton = Annotated[float, Meta(ge=0.0, le=500.0)]
+
+
 class Thrust(Section, frozen=True):
-    """Thrust of one motor: full_n * (factor u² + (1 - factor) u), u from 0 to 1, with first-order lag.
+    """Thrust of one motor: full_n * (factor u² + (1 - factor) u), u from 0 to 1, or a table; first-order lag.
 
     Attributes:
+        motor_lag_s: time constant of motor and propeller.
         full_n: at full command, at the voltage estimation.battery.reference_v.
         model_factor: share of the square term, PX4's THR_MDL_FAC.
-        motor_lag_s: time constant of motor and propeller.
+        table: [[command, newton], ...] as measured, both rising, up to the command 1, straight lines between
+            (full_n and model_factor are null then).
     """
 
-    full_n: Annotated[float, Meta(ge=0.1, le=500.0)]
-    model_factor: Fraction
     motor_lag_s: Annotated[float, Meta(ge=0.0, le=1.0)]
+    full_n: Annotated[float, Meta(ge=0.1, le=500.0)] | None = None
+    model_factor: Fraction | None = None
+    table: Annotated[tuple[tuple[Command, Newton], ...], Meta(min_length=2, max_length=200)] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a curve that is not said once, and a table that is not one."""
+        given = [name for name in ("full_n", "model_factor") if getattr(self, name) is not None]
+        if self.table is None:
+            if len(given) < 2:
+                missing = "model_factor" if given == ["full_n"] else "full_n"
+                raise ValueError(f"missing key {missing}, or a table of measured thrust")
+            return
+        if given:
+            raise ValueError(
+                f"{' and '.join(given)} and table both say what the thrust is: leave one out (or null)"
+            )
+        points = self._points()
+        for (u, n), (v, m) in pairwise(points):
+            if v <= u or m <= n:
+                raise ValueError(
+                    f"table: from [{u:g}, {n:g}] to [{v:g}, {m:g}] command and thrust must both rise"
+                )
+        if points[-1][0] != 1.0:
+            raise ValueError(f"table: ends at the command {points[-1][0]:g}, the thrust at 1 is needed")
+
+    def _points(self) -> tuple[tuple[float, float], ...]:
+        """The table with its beginning: a motor without a command gives nothing."""
+        table = self.table or ()
+        return table if table and table[0] == (0.0, 0.0) else ((0.0, 0.0), *table)
+
+    @property
+    def most_n(self) -> float:
+        """Thrust at full command."""
+        return self.table[-1][1] if self.table is not None else self.full_n or 0.0
+
+    @property
+    def square_share(self) -> float:
+        """PX4's THR_MDL_FAC: the model factor, or that which is nearest to the table (least squares)."""
+        if self.model_factor is not None:
+            return self.model_factor
+        # n / most - u = factor (u^2 - u)
+        bent = [(u * u - u, n / self.most_n - u) for u, n in self._points()]
+        square = sum(x * x for x, _ in bent)
+        return max(0.0, min(1.0, sum(x * y for x, y in bent) / square)) if square > 0.0 else 0.0
+
+    def scaled(self, factor: float) -> Thrust:
+        """The curve of motors that give so many times the thrust."""
+        if self.table is not None:
+            table = tuple((u, n * factor) for u, n in self.table)
+            return Thrust(self.motor_lag_s, table=table)
+        return Thrust(self.motor_lag_s, self.most_n * factor, self.model_factor)
 
     def force_n(self, command: float) -> float:
         """Steady thrust in newton of one motor at a command from 0 to 1."""
         return self.forces_n((command,))[0]
 
     def forces_n(self, commands: Iterable[float]) -> list[float]:
-        """Steady thrust in newton of each motor: the plant asks for all four at once, every millisecond."""
+        """Steady thrust in newton of each motor: the plant asks for all at once, every millisecond."""
         full, square = self.full_n, self.model_factor
+        if full is None or square is None:
+            points = self._points()
+            return [_between(points, max(0.0, min(1.0, command)), 0) for command in commands]
         linear = 1.0 - square
         forces = []
         for command in commands:
@@ -102,11 +194,22 @@ class Thrust(Section, frozen=True):
     def commands_for(self, forces_n: Iterable[float]) -> list[float]:
         """The command of each motor for a steady thrust in newton."""
         full, a = self.full_n, self.model_factor
+        if full is None or a is None:
+            points, most = self._points(), self.most_n
+            return [_between(points, max(0.0, min(most, force)), 1) for force in forces_n]
         relative = [max(0.0, min(1.0, force / full)) for force in forces_n]
         if a < 1e-6:
             return relative
         b = 1.0 - a
         return [float((-b + (b * b + 4.0 * a * share) ** 0.5) / (2.0 * a)) for share in relative]
+
+
+def _between(points: tuple[tuple[float, float], ...], x: float, given: int) -> float:
+    """The other coordinate of the point of a rising line of points where the `given` one is `x`."""
+    i = max(1, bisect_left(points, x, key=itemgetter(given)))
+    before, after = points[i - 1], points[i]
+    share = (x - before[given]) / (after[given] - before[given])
+    return before[1 - given] + share * (after[1 - given] - before[1 - given])
 
 
 class Imu(Section, frozen=True):
@@ -157,15 +260,18 @@ class Material(Section, frozen=True):
     """Contact coefficients of one material.
 
     Attributes:
-        rigid: with the arms locked.
-        flexible: with the arms free.
+        rigid: with the arms locked; of a vehicle without a lock: as it is.
+        flexible: with the arms free; only a vehicle with a lock needs them.
         source: where the numbers come from, and whether they are measured or assumed.
     """
 
     rigid: Coefficients
-    flexible: Coefficients
+    flexible: Coefficients | None = None
     source: str = ""
 
     def of(self, mode: Mode) -> Coefficients:
-        """The coefficients of a mode."""
-        return self.rigid if mode is Mode.RIGID else self.flexible
+        """The coefficients of a mode that the vehicle has; the loader has seen to it that they are there."""
+        if mode is Mode.RIGID:
+            return self.rigid
+        assert self.flexible is not None
+        return self.flexible

@@ -3,30 +3,34 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
+import msgspec
+
 from dart_flight.config.document import Document
 from dart_flight.config.kinds import EXTENDS
 from dart_flight.config.section import Section
-from dart_flight.config.settings import apply_settings
-from dart_flight.config.vehicle.airframe import Airframe, Imu, Material, Thrust
+from dart_flight.config.settings import apply_changes, apply_settings
+from dart_flight.config.vehicle.airframe import Airframe, Imu, Material, Thrust, effectiveness
 from dart_flight.config.vehicle.autopilot import ConnectionConfig, Px4Parameters
 from dart_flight.config.vehicle.estimation import Detection, Estimation
 from dart_flight.config.vehicle.flight import Flying, GuardThresholds
-from dart_flight.config.vehicle.lock import LockConfig
+from dart_flight.config.vehicle.lock import NO_LOCK, LockConfig, LockDriver
 from dart_flight.config.vehicle.simulation import Simulation
 from dart_flight.geometry import GRAVITY_M_S2
+from dart_flight.samples import Mode
 
 
-class VehicleConfig(Section, frozen=True):
+class VehicleConfig(Section, frozen=True, kw_only=True):
     """The whole of `configs/dart.yaml`.
 
     Attributes:
         version: of the format.
-        materials: by name, the contact coefficients in both modes: k N/m, f N s/m, mu s/m, nu N.
+        materials: by name, the contact coefficients in every mode that the vehicle has: k N/m, f N s/m,
+            mu s/m, nu N.
         onset: lcp: the contact begins by the complementarity condition, as in the paper; touch: not before
             the wall's plane is reached.
         vertical_force_sign: of the vertical contact force along Z of the collision frame; -1: up at a wall.
@@ -43,14 +47,55 @@ class VehicleConfig(Section, frozen=True):
     detection: Detection
     guard: GuardThresholds
     flying: Flying
-    lock: LockConfig
+    lock: LockConfig | None = None
     connection: ConnectionConfig
     px4: Px4Parameters
     simulation: Simulation
 
+    @property
+    def has_lock(self) -> bool:
+        """Whether the vehicle can change its stiffness."""
+        return self.lock is not None
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """The modes that the vehicle has; one of its own is called rigid."""
+        return tuple(Mode) if self.has_lock else (Mode.RIGID,)
+
+    @property
+    def lock_driver(self) -> LockDriver | None:
+        """What moves the lock; None: there is none."""
+        return None if self.lock is None else self.lock.driver
+
+    def mode_problem(self, mode: Mode) -> str | None:
+        """Why the vehicle cannot be in a mode, in words; None where it can."""
+        return (
+            None
+            if mode in self.modes
+            else f"this vehicle has no lock: it is always rigid, never {mode.value}"
+        )
+
     def hover_thrust_fraction(self) -> float:
         """Thrust at hover as a fraction of full thrust (what PX4 calls MPC_THR_HOVER)."""
-        return self.airframe.mass_kg * GRAVITY_M_S2 / (4.0 * self.thrust.full_n)
+        return self.airframe.mass_kg * GRAVITY_M_S2 / (len(self.airframe.motors) * self.thrust.most_n)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As a configuration file says it: `load_vehicle` makes the same configuration of it."""
+        tree: dict[str, Any] = msgspec.to_builtins(self)
+        return tree
+
+    def replace(self, changes: Mapping[str, Any]) -> VehicleConfig:
+        """Another configuration, with some keys changed and everything validated again.
+
+        Args:
+            changes: dotted key to value, such as `{"materials.acrylic.rigid.k": 5000.0}`.
+
+        Raises:
+            InputError: a key is unknown, or a value is of the wrong kind or out of range.
+        """
+        document = Document.of(self.to_dict())
+        apply_changes(changes, document)
+        return vehicle_of(document)
 
 
 def packaged(*parts: str) -> Path:
@@ -62,51 +107,96 @@ def packaged(*parts: str) -> Path:
 
 
 def default_config_path() -> Path:
-    """$DART_FLIGHT_CONFIG, else ./configs/dart.yaml, else the packaged default."""
+    """$DART_FLIGHT_CONFIG, else ./configs/dart.yaml or the only one there is, else the packaged default."""
     named = os.environ.get("DART_FLIGHT_CONFIG")
     if named:
         return Path(named)
     local = Path("configs/dart.yaml")
-    return local if local.exists() else packaged("configs", "dart.yaml")
+    if local.exists():
+        return local
+    others = sorted(local.parent.glob("*.yaml"))  # as `init --vehicle` leaves them
+    return others[0] if len(others) == 1 else packaged("configs", "dart.yaml")
 
 
-def load_vehicle(path: str | Path | None = None, settings: Sequence[str] = ()) -> VehicleConfig:
+def load_vehicle(
+    path: str | Path | Mapping[str, Any] | None = None, settings: Sequence[str] = ()
+) -> VehicleConfig:
     """Load and validate a vehicle configuration.
 
     Args:
-        path: of the file; the default configuration without.
+        path: of the file; the default configuration without. Or a mapping of what a file would hold.
         settings: `KEY=VALUE` with a dotted key, set before the validation (`config.settings`).
 
     A file with `extends: FILE` holds only what differs from that one, which lies relative to it.
 
     Raises:
-        InputError: as `Document`; or the thrust cannot carry the mass.
+        InputError: as `Document` and `vehicle_of`.
     """
-    document = _with_base(Path(path or default_config_path()))
+    if isinstance(path, Mapping):
+        document = _with_base(Document.of(path))
+    else:
+        document = _with_base(Document.load(path or default_config_path()))
     apply_settings(settings, document)
+    return vehicle_of(document)
+
+
+def vehicle_of(document: Document) -> VehicleConfig:
+    """The configuration that a document holds.
+
+    Raises:
+        InputError: a key is unknown or missing, a value is of the wrong kind or out of range; a material
+            lacks a mode that the vehicle has; or the motors cannot carry the mass or turn the vehicle about
+            every axis.
+    """
+    lock = document.tree.get("lock")
+    if isinstance(lock, dict) and lock.get("driver") == NO_LOCK:
+        document.tree["lock"] = None
     config = document.convert(VehicleConfig)
-    if config.hover_thrust_fraction() > 0.8:
-        raise document.error(
-            ("thrust", "full_n"),
-            f"four motors of {config.thrust.full_n:g} N hover {config.airframe.mass_kg:g} kg at "
-            f"{config.hover_thrust_fraction():.0%} of full thrust, at most 80 % is flown",
-        )
+    for name, material in config.materials.items():
+        if config.has_lock and material.flexible is None:
+            says = "missing key flexible: the vehicle has a lock (lock.driver: none: it has none)"
+            raise document.error(("materials", name), says)
+    _refuse_unflyable(config, document)
     return config
 
 
-def _with_base(path: Path, seen: tuple[Path, ...] = ()) -> Document:
+def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
+    count, most_n, hover = len(config.airframe.motors), config.thrust.most_n, config.hover_thrust_fraction()
+    if hover > 0.8:
+        raise document.error(
+            ("thrust", "table" if config.thrust.table is not None else "full_n"),
+            f"{count} motors of {most_n:g} N hover {config.airframe.mass_kg:g} kg at {hover:.0%} of full "
+            "thrust, at most 80 % is flown",
+        )
+    if config.airframe.listed is None:
+        return
+    import numpy as np  # noqa: PLC0415  (slow to import, and seldom needed here)
+
+    turning = np.array(effectiveness(config.airframe.motors))
+    if np.linalg.matrix_rank(turning, tol=1e-4) < len(turning):
+        says = "these cannot be told apart in roll, pitch, yaw and lift: places or directions are wrong"
+        raise document.error(("airframe", "motors"), says)
+    lift = np.linalg.pinv(turning)[:, 3]
+    if lift.min() <= 0.0:
+        says = (
+            f"level hover leaves nothing to motor {lift.argmin() + 1}: the centre of mass is not between them"
+        )
+        raise document.error(("airframe", "motors"), says)
+
+
+def _with_base(document: Document, seen: tuple[Path, ...] = ()) -> Document:
     """A configuration's document, what it extends put below it."""
-    document = Document.load(path)
     if EXTENDS not in document.tree:
         return document
     base = document.tree.pop(EXTENDS)
     if not isinstance(base, str):
         raise document.error((EXTENDS,), "expected the name of a configuration file")
+    path = Path(document.source)  # of what is built in Python: in the working folder
     seen = (*seen, path.resolve())
     below = path.parent / base
     if below.resolve() in seen:
         raise document.error((EXTENDS,), "a configuration cannot extend itself")
-    merged = _with_base(below, seen)
+    merged = _with_base(Document.load(below), seen)
     for key, value in _leaves(document.tree):
         node = merged.tree
         for part in key[:-1]:

@@ -85,7 +85,7 @@ class WallPrior(Section, frozen=True):
     sure_log_odds: Annotated[float, Meta(ge=0.0, le=100.0)] = 5.3
 
 
-class Estimation(Section, frozen=True):
+class Estimation(Section, frozen=True, kw_only=True):
     """The estimate of the external force (docs/force.md).
 
     Attributes:
@@ -119,7 +119,7 @@ class Estimation(Section, frozen=True):
     filter_s: Annotated[float, Meta(ge=0.0, le=10.0)]
     baseline_s: Seconds
     baseline_limit_n: Annotated[float, Meta(ge=0.0, le=1000.0)]
-    arm_vibration: ArmVibration | None
+    arm_vibration: ArmVibration | None = None
     hover: HoverLearning
     walls: WallPrior = WallPrior()
 

@@ -207,11 +207,14 @@ class LockStartup(StrEnum):
     ADOPT = "adopt"
 
 
+NO_LOCK = "none"  # as the driver: the vehicle has no lock, and the section's other keys mean nothing
+
+
 class LockConfig(Section, frozen=True):
-    """The locking mechanism (docs/lock.md).
+    """The locking mechanism (docs/lock.md); without the section, or with driver none, there is none.
 
     Attributes:
-        driver: what moves the servo; mock: a modelled servo.
+        driver: what moves the servo; mock: a modelled servo; none: there is no lock, other keys are ignored.
         startup: home: move to home_mode; adopt: go by what is found.
         home_mode: end to which `home` moves.
         relaxation_s: time after a contact before the lock may move: the arms spring back first.

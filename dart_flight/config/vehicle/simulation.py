@@ -64,6 +64,7 @@ class Spreads(Section, frozen=True):
         servo: travel time, relative.
         battery: thrust, relative.
         imu: IMU off the centre of mass, metres, per axis; ringing of 2 to 3 m/s2 comes with it.
+        replan_latency_s: what an answer to a request to plan anew takes longer than replan_latency_s.
     """
 
     contact: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.2
@@ -77,6 +78,7 @@ class Spreads(Section, frozen=True):
     servo: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.2
     battery: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.05
     imu: Annotated[float, Meta(ge=0.0, le=0.5)] = 0.02
+    replan_latency_s: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.02
 
 
 class ImuRinging(Section, frozen=True):
@@ -99,7 +101,7 @@ class ImuRinging(Section, frozen=True):
             raise ValueError(f"tone_hz_low {self.tone_hz_low:g} must not exceed tone_hz_high")
 
 
-class Simulation(Section, frozen=True):
+class Simulation(Section, frozen=True, kw_only=True):
     """What only the simulated vehicle needs.
 
     Attributes:
@@ -111,7 +113,7 @@ class Simulation(Section, frozen=True):
         pose_noise_m: standard deviation of the motion capture's position, per axis.
         pose_delay_s: of the motion capture.
         attitude_noise_rad: standard deviation of the motion capture's attitude, per axis.
-        arm_vibration: of the unlocked arms, as the simulated IMU feels it.
+        arm_vibration: of the unlocked arms, as the simulated IMU feels it; null: none.
         ground_stiffness_n_m: of the ground under a resting vehicle.
         ground_damping_n_s_m: of the ground under a resting vehicle.
         ground_friction: friction coefficient of the ground.
@@ -124,17 +126,18 @@ class Simulation(Section, frozen=True):
         imu_ringing: what motors and frame shake into the accelerometer while the motors turn; null: nothing.
         imu_position_m: [forward, right, down] of the centre of mass, where the IMU really is.
         replan_latency_s: from a request to plan anew to its answer, where time is simulated.
+        operator_s: from the beginning of a pause to the operator's word, where time is simulated; null: there
+            is none, the pause runs out.
     """
 
     imu_noise_m_s2: Annotated[float, Meta(ge=0.0, le=50.0)]
     imu_bias_m_s2: Annotated[float, Meta(ge=0.0, le=20.0)]
-    imu_delay_s: Annotated[float, Meta(ge=0.0, le=1.0)]
     gyro_noise_rad_s: Annotated[float, Meta(ge=0.0, le=10.0)]
     pose_rate_hz: Annotated[float, Meta(ge=1.0, le=1000.0)]
     pose_noise_m: Annotated[float, Meta(ge=0.0, le=10.0)]
     pose_delay_s: Annotated[float, Meta(ge=0.0, le=1.0)]
     attitude_noise_rad: Annotated[float, Meta(ge=0.0, le=1.0)]
-    arm_vibration: ArmVibration
+    arm_vibration: ArmVibration | None = None
     ground_stiffness_n_m: Annotated[float, Meta(ge=1.0, le=1000000.0)]
     ground_damping_n_s_m: Annotated[float, Meta(ge=0.0, le=100000.0)]
     ground_friction: Annotated[float, Meta(ge=0.0, le=10.0)]
@@ -147,3 +150,5 @@ class Simulation(Section, frozen=True):
     imu_ringing: ImuRinging | None = None
     imu_position_m: tuple[Lever, Lever, Lever] = (0.0, 0.0, 0.0)
     replan_latency_s: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.04
+    operator_s: Annotated[float, Meta(ge=0.0, le=600.0)] | None = 2.0
+    imu_delay_s: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0

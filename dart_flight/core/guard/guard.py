@@ -8,7 +8,8 @@ of the mission.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
 
 from dart_flight.config.mission import Mission
 from dart_flight.core.guard.rules import RULES, RULES_BY_NAME, Rule, Scope, in_scope
@@ -16,6 +17,7 @@ from dart_flight.core.guard.watch import Watch
 from dart_flight.core.mission.phases import DOWN_US
 from dart_flight.core.mission.position_loop import STOP_TIME_S
 from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.mission.survey import slack_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import Vec3, norm
@@ -36,11 +38,29 @@ from dart_flight.samples import (
     VehicleCommand,
 )
 
+Causes = list[tuple[int, Callable[[Watch], str | None], str]]  # rank of the action, cause, name of the rule
+
 _HOLD_US = 3_000_000
 _RETRY_US = 1_000_000
 _DISARM_AFTER_US = 15_000_000  # PX4 disarms by itself after landing; the command is for when it does not
 _UNSURE_US = 15_000_000
 _LANDING_US = 60_000_000  # from 2 m at 0.7 m/s a landing takes 5 s
+
+
+class _Judged(NamedTuple):
+    """What is judged in a phase.
+
+    Attributes:
+        asked: where there is a request.
+        all: at the first step of the phase.
+        after: an input of a kind that some rules wait for.
+        always: after any other.
+    """
+
+    asked: Causes
+    all: Causes
+    after: dict[type, Causes]
+    always: Causes
 
 
 class Guard:
@@ -56,8 +76,8 @@ class Guard:
         self._config = mission.vehicle.guard
         self._rules = {rule.name: rule for rule in rules}
         # What is judged in which phase, sorted out once: this runs at every step of the flight.
-        self._judged = {phase: _sorted_out(rules, phase, asked=False) for phase in Phase}
-        self._judged_asked = {phase: _sorted_out(rules, phase, asked=True) for phase in Phase}
+        self._judged = {phase: _sorted_out(rules, phase) for phase in Phase}
+        self._judged_phase: Phase | None = None  # at the step before
         self._explaining = {rule.name for rule in rules if rule.explains}
         self._watch = Watch(mission)
         # A landing is waited for until the motors would have been stopped.
@@ -71,6 +91,7 @@ class Guard:
         self._down_us: int | None = None  # since when landed and disarmed
         self._hold: Vec3 | None = None
         self._yaw_ned = 0.0
+        self._altitude_m = mission.altitude_m
 
     # -- the last stage of every step --
 
@@ -93,8 +114,10 @@ class Guard:
         for finding in proposal.findings:
             self._fire(finding.rule, finding.detail, state, events, finding.noted)
         if phase is not Phase.DONE and self.end is None:
-            self._judge(state, phase, events)
+            self._judge(item, state, phase, events)
         if self.action is Override.NONE:
+            if proposal.altitude_m is not None:
+                self._altitude_m = proposal.altitude_m
             outputs = proposal.outputs
             if self._watch.doubtful:  # the vehicle may be a pilot's already
                 outputs = [o for o in outputs if not isinstance(o, SetPoint | VehicleCommand)]
@@ -113,10 +136,17 @@ class Guard:
         """Whether a landing has been asked for, by the mission or by the guard."""
         return self._watch.land_asked
 
-    def _judge(self, state: FlightState, phase: Phase, events: list[Output]) -> None:
+    def _judge(self, item: Input, state: FlightState, phase: Phase, events: list[Output]) -> None:
         watch, rank = self._watch, self.action.rank
-        judged = self._judged if watch.request is None else self._judged_asked
-        for action, cause, name in judged[phase]:
+        judged = self._judged[phase]
+        if watch.request is not None:
+            due = judged.asked
+        elif phase is not self._judged_phase:  # some of the rules have not been in their scope before
+            due = judged.all
+        else:
+            due = judged.after.get(type(item), judged.always)
+        self._judged_phase = phase
+        for action, cause, name in due:
             # A rule whose action is in force already has nothing to add.
             if action > rank:
                 detail = cause(watch)
@@ -229,18 +259,14 @@ class Guard:
         if self.action is Override.BREAK_OFF:
             for wall in self._mission.walls:
                 distance = wall.signed_distance((x, y))
+                away_m = self._config.retreat_m + slack_m(wall, (x, y))
                 nx, ny = wall.normal
                 closing = max(0.0, -(state.velocity[0] * nx + state.velocity[1] * ny))
                 # Keep the retreat distance, and brake harder than by holding still where it is approached.
-                push = max(self._config.retreat_m - distance, STOP_TIME_S * closing)
-                if (
-                    wall.spans((x, y))
-                    and -self._config.retreat_m < distance
-                    and push > 0.0
-                    and distance < 1.0
-                ):
+                push = max(away_m - distance, STOP_TIME_S * closing)
+                if wall.spans((x, y)) and -away_m < distance and push > 0.0 and distance < 1.0:
                     x, y = x + push * nx, y + push * ny
-        return (x, y, max(z, min(self._mission.altitude_m, self._mission.bounds.z[1])))
+        return (x, y, max(z, min(self._altitude_m, self._mission.bounds.z[1])))
 
     def _land(self, state: FlightState, out: list[Output]) -> None:
         self._watch.land_asked = True
@@ -256,12 +282,17 @@ class Guard:
             out.append(VehicleCommand(state.now_us, action))
 
 
-def _sorted_out(
-    rules: tuple[Rule, ...], phase: Phase, *, asked: bool
-) -> list[tuple[int, Callable[[Watch], str | None], str]]:
-    """What is judged in a phase: rank of the action, cause, name; with the rules on requests or without."""
-    return [
-        (rule.action.rank, rule.cause, rule.name)
-        for rule in rules
-        if rule.cause is not None and in_scope(rule, phase) and (asked or rule.scope is not Scope.ASKED)
-    ]
+def _sorted_out(rules: tuple[Rule, ...], phase: Phase) -> _Judged:
+    asked = [rule for rule in rules if rule.cause is not None and in_scope(rule, phase)]
+    unasked = [rule for rule in asked if rule.scope is not Scope.ASKED]
+    kinds = {rule.after for rule in unasked if rule.after is not None}
+    return _Judged(
+        _causes(asked),
+        _causes(unasked),
+        {kind: _causes(r for r in unasked if r.after in (None, kind)) for kind in kinds},
+        _causes(rule for rule in unasked if rule.after is None),
+    )
+
+
+def _causes(rules: Iterable[Rule]) -> Causes:
+    return [(rule.action.rank, rule.cause, rule.name) for rule in rules if rule.cause is not None]

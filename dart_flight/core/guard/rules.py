@@ -1,8 +1,8 @@
 """The one table of the guard's rules: name, what it says, threshold, action, scope, cause.
 
 `guard` iterates over it; `docs/guard.md` is generated from it (`make docs`). A rule with a `cause` is judged
-at every step of its `scope`; one without comes as a finding in the mission's proposal. Nothing outside of
-this table can overrule the mission.
+at every step of its `scope`, or after one kind of input only; one without comes as a finding in the mission's
+proposal. Nothing outside of this table can overrule the mission.
 """
 
 from __future__ import annotations
@@ -10,13 +10,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from enum import StrEnum
+from typing import NamedTuple
 
-import msgspec
-
-from dart_flight.core.guard.watch import Watch, low_rate
+from dart_flight.core.guard.watch import Stamped, Watch, low_rate
 from dart_flight.core.mission.phases import ALTITUDE_EXEMPT, ON_GROUND
 from dart_flight.geometry import horizontal, norm
-from dart_flight.samples import FlightMode, Override, Phase, Request
+from dart_flight.samples import (
+    AttitudeSample,
+    FlightMode,
+    ImuSample,
+    OdometrySample,
+    Override,
+    Phase,
+    Request,
+)
 
 _SPEED_TOLERANCE = 1.1
 _STALE_SAMPLES = 5  # in a row; one late datagram is no clock that runs backwards
@@ -34,7 +41,7 @@ class Scope(StrEnum):
     ASKED = "on a request"  # of the operator or the shell
 
 
-class Rule(msgspec.Struct, frozen=True):
+class Rule(NamedTuple):
     """One rule.
 
     Attributes:
@@ -45,6 +52,7 @@ class Rule(msgspec.Struct, frozen=True):
         scope: when it is judged.
         cause: says what is wrong now, or None; a rule without one comes as a finding of the mission.
         by_person: a person took over: the flight counts as released, not as aborted.
+        after: the one kind of input that can bring the cause about; None: any, as time goes by.
         explains: rules that may have fired for the same cause before it could be told: where their action is
             in force and no weaker, the reason becomes this rule's.
     """
@@ -56,6 +64,7 @@ class Rule(msgspec.Struct, frozen=True):
     scope: Scope = Scope.ALWAYS
     cause: Callable[[Watch], str | None] | None = None
     by_person: bool = False
+    after: type | None = None
     explains: frozenset[str] = frozenset()
 
 
@@ -84,25 +93,25 @@ def _disarmed(v: Watch) -> str | None:
     return None if v.unsure else "PX4 has disarmed in the air"
 
 
-def _silent(v: Watch, stream: str, limit_s: float) -> str | None:
-    age = v.age_s(stream)
+def _silent(v: Watch, newest: Stamped | None, limit_s: float) -> str | None:
+    age = v.age_s(newest)
     return f"for {min(age, 999.0) * 1e3:.0f} ms" if age > limit_s else None
 
 
 def _attitude_silent(v: Watch) -> str | None:
-    return _silent(v, "attitude", v.config.stream_timeout_s)
+    return _silent(v, v.state.attitude, v.config.stream_timeout_s)
 
 
 def _odometry_silent(v: Watch) -> str | None:
-    return _silent(v, "odometry", v.config.stream_timeout_s)
+    return _silent(v, v.state.odometry, v.config.stream_timeout_s)
 
 
 def _actuator_silent(v: Watch) -> str | None:
-    return _silent(v, "actuator", v.config.actuator_timeout_s)
+    return _silent(v, v.state.actuator, v.config.actuator_timeout_s)
 
 
 def _imu_silent(v: Watch) -> str | None:
-    age = v.age_s("imu")
+    age = v.age_s(v.state.imu)
     # While the other streams go on it is the IMU; when all pause, as on a busy host, that is given longer.
     alone = age > v.config.imu_timeout_s and v.since_imu >= _OTHERS_SINCE
     if alone or age > v.config.stream_timeout_s:
@@ -116,9 +125,11 @@ def _status_silent(v: Watch) -> str | None:
 
 
 def _link_lost(v: Watch) -> str | None:
-    if v.age_s("imu") <= v.config.link_lost_s:  # as nearly always
+    if v.age_s(v.state.imu) <= v.config.link_lost_s:  # as nearly always
         return None
-    age = min(v.status_age_s, *(v.age_s(name) for name in ("imu", "attitude", "odometry")))
+    age = min(
+        v.status_age_s, *(v.age_s(newest) for newest in (v.state.imu, v.state.attitude, v.state.odometry))
+    )
     return f"nothing from the vehicle for {age:.1f} s" if age > v.config.link_lost_s else None
 
 
@@ -271,7 +282,7 @@ RULES: tuple[Rule, ...] = (
          _LAND, _AIR, _imu_clipped),
     Rule("estimator_jump", "position or velocity has jumped, other than shortly after an impact",
          "guard.position_jump_m, guard.velocity_jump_m_s, guard.impact_window_s",
-         _HOLD, _FLYING, _estimator_jump),
+         _HOLD, _FLYING, _estimator_jump, after=OdometrySample),
     Rule("estimator_reset",
          "PX4's estimator counts a reset and position or velocity step, other than shortly after an impact",
          "guard.reset_position_m, guard.reset_velocity_m_s, guard.impact_window_s",
@@ -282,14 +293,16 @@ RULES: tuple[Rule, ...] = (
          _LAND, _AIR, _battery),
     Rule("still_armed", "in PX4's land mode and still armed long after a landing must have ended",
          "guard.kill_after_s, bounds_m.z", _KILL, _AIR, _still_armed),
-    Rule("tilt", "tilted further than PX4 can be trusted to right", "guard.tilt_deg", _LAND, _AIR, _tilt),
+    Rule("tilt", "tilted further than PX4 can be trusted to right", "guard.tilt_deg", _LAND, _AIR, _tilt,
+         after=AttitudeSample),
     Rule("altitude", "outside of the flight space vertically; more is allowed after an impact",
          "bounds_m.z, guard.altitude_tolerance_m, guard.impact_window_s", _LAND, _FLYING, _altitude),
     Rule("bounds", "outside of the flight space horizontally, or would stop there", "bounds_m.x, bounds_m.y",
-         _HOLD, _FLYING, _bounds),
-    Rule("speed", "faster than the mission allows", "limits.speed_m_s", _HOLD, _FLYING, _speed),
+         _HOLD, _FLYING, _bounds, after=OdometrySample),
+    Rule("speed", "faster than the mission allows", "limits.speed_m_s", _HOLD, _FLYING, _speed,
+         after=OdometrySample),
     Rule("force_over_limit", "the contact force goes well over the limit while it lasts",
-         "limits.peak_force_n, guard.force_margin", _BREAK_OFF, _FLYING, _force),
+         "limits.peak_force_n, guard.force_margin", _BREAK_OFF, _FLYING, _force, after=ImuSample),
     Rule("operator_ground", "the operator stops the flight before take-off", "",
          _LAND, _ASKED, _operator_stops),
     Rule("operator", "the operator asks to land (Ctrl-C)", "", _BREAK_OFF, _ASKED, _operator_lands),
@@ -314,7 +327,9 @@ RULES: tuple[Rule, ...] = (
     Rule("lock_not_ready", "the lock did not reach the planned mode before the approach", "lock.timeout_s",
          _LAND),
     Rule("climb_timeout", "the altitude was not reached in time", "flying.ready_timeout_s", _LAND),
-    Rule("transit_timeout", "the run-up point was not reached in time", "flying.ready_timeout_s", _HOLD),
+    Rule("transit_timeout", "the run-up point or a way-point was not reached in time",
+         "flying.ready_timeout_s", _HOLD),
+    Rule("pause_timeout", "the operator did not end a pause in time", "", _LAND),
     Rule("goal_not_reached", "the goal could not be held in time", "goal.hold_s, limits.collision_timeout_s",
          _LAND),
     Rule("not_ready", "telemetry or lock are not ready on the ground", "flying.ready_timeout_s", _GIVE_UP),

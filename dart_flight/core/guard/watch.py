@@ -47,12 +47,9 @@ _JUMP_REACH_US = 100_000  # odometry further apart says nothing about a jump
 _RESET_REACH_US = 100_000  # a step this near to a reset came with it
 _SURELY_DOWN = 3.0  # times the way down from the top of the flight space
 _STEPS = 16  # odometry of more than twice that reach
-_STAMPED: dict[type, str] = {
-    ImuSample: "imu",
-    AttitudeSample: "attitude",
-    OdometrySample: "odometry",
-    ActuatorSample: "actuator",
-}
+_NEVER_S = float(1 << 60) * 1e-6
+Stamped = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
+_STAMPED = ("imu", "attitude", "odometry", "actuator")
 
 
 class Watch:
@@ -70,7 +67,7 @@ class Watch:
         self.was_armed = False
         self.impact_us: int | None = None
         self.rates_hz: dict[str, float] = {}
-        self.stale: dict[str, int] = {}  # samples in a row whose stamp lies far in the past
+        self.stale: dict[str, int] = {}  # samples in a row whose stamp lies far in the past, where there are
         self.since_imu = 0  # samples of other streams since the newest of the IMU
         self.stuck_since_us: int | None = None
         self.clipped_since_us: int | None = None
@@ -82,8 +79,8 @@ class Watch:
         self.jump: str = ""
         self._reset_us: int | None = None  # the estimator's last reset, outside of the window after an impact
         self._steps: deque[tuple[int, float, float]] = deque(maxlen=_STEPS)  # stamp, position m, velocity m/s
-        tolerance_us = self.config.stamp_tolerance_s * 1e6
-        self._clocks = {name: TwoClocks(tolerance_us) for name in _STAMPED.values()}
+        self._tolerance_us = self.config.stamp_tolerance_s * 1e6
+        self._clocks = {name: TwoClocks(self._tolerance_us) for name in _STAMPED}
         self._places = TwoPlaces(self.config.position_jump_m)
         self._other_system: int | None = None
         self.second_vehicle: str | None = None  # how a second vehicle on the link shows; it does not go away
@@ -108,15 +105,16 @@ class Watch:
                 # For a while the contact explains what estimator and altitude do.
                 self.impact_us = event.t_us
         self.jump = ""
-        name = _STAMPED.get(type(item))
-        if name is not None:
-            self._see_stamp(name, item)
         if isinstance(item, ImuSample):
+            self._see_stamp("imu", item)
             self._see_imu(item)
+        elif isinstance(item, AttitudeSample):
+            self._see_stamp("attitude", item)
         elif isinstance(item, OdometrySample):
+            self._see_stamp("odometry", item)
             self._see_odometry(item)
-        elif name is not None:
-            pass  # as most: nothing else is remembered of it
+        elif isinstance(item, ActuatorSample):
+            self._see_stamp("actuator", item)
         elif isinstance(item, EstimatorSample):
             self._see_estimator(item)
         elif isinstance(item, StatusSample):
@@ -194,9 +192,9 @@ class Watch:
             for odd_us in (*odd, self._places.odd_us)
         )
 
-    def age_s(self, name: str) -> float:
+    def age_s(self, newest: Stamped | None) -> float:
         """Host time since a stream's newest sample was received, seconds; huge where there was none."""
-        return self.state.age_us(getattr(self.state, name)) * 1e-6
+        return (self.state.host_us - newest.received_us) * 1e-6 if newest is not None else _NEVER_S
 
     @property
     def status_age_s(self) -> float:
@@ -254,8 +252,7 @@ class Watch:
     def _since_impact_us(self) -> float:
         return math.inf if self.impact_us is None else self.state.now_us - self.impact_us
 
-    def _see_stamp(self, name: str, item: Input) -> None:
-        assert isinstance(item, ImuSample | AttitudeSample | OdometrySample | ActuatorSample)
+    def _see_stamp(self, name: str, item: Stamped) -> None:
         t_us, received_us = item.t_us, item.received_us
         if received_us > self._host_us:
             if self._host_us and received_us - self._host_us > _GAP_US:
@@ -266,12 +263,13 @@ class Watch:
             self._look_for_second(name, item)
         newest = getattr(self.state, name)
         lag_us = newest.t_us - t_us if newest is not None else 0
-        if lag_us > self.config.stamp_tolerance_s * 1e6:
+        if lag_us > self._tolerance_us:
             self.stale[name] = self.stale.get(name, 0) + 1
             return
         if -lag_us > _LEAP_US:  # not taken yet: another vehicle's, or a clock that has jumped
             return
-        self.stale[name] = 0
+        if self.stale:
+            self.stale.pop(name, None)
         first_us, count = self._counts.get(name) or (t_us, 0)
         span_us = t_us - first_us
         if span_us >= _RATE_WINDOW_US:
@@ -279,9 +277,7 @@ class Watch:
             first_us, count = t_us, 0
         self._counts[name] = (first_us, count + 1)
 
-    def _look_for_second(
-        self, name: str, item: ImuSample | AttitudeSample | OdometrySample | ActuatorSample
-    ) -> None:
+    def _look_for_second(self, name: str, item: Stamped) -> None:
         clocks = self._clocks[name]
         clocks.take(item.t_us, item.received_us)
         if clocks.odd_us is not None:

@@ -15,6 +15,7 @@ import msgspec
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.arithmetic import SCALARS, Arithmetic, Number
+from dart_flight.core.mission.survey import slack_m
 from dart_flight.geometry import Vec2, Vec3, Wall, distance2
 
 # Speed follows 3 s^2 - 2 s^3: the peak acceleration is 1.5 times the mean, the way half of speed times time.
@@ -99,11 +100,13 @@ def run_up(
     impact: tuple[Number, Number],
     velocity: tuple[Number, Number],
     flying: Flying,
+    wall: Wall,
 ) -> RunUp:
     """The run-up of an approach.
 
     It starts at the mission's start where that lies on the ray and is far enough from the wall, otherwise as
-    far back along the ray as the acceleration and the steady run need.
+    far back along the ray as the acceleration and the steady run need, which begins before the place where
+    the wall may stand nearest.
 
     Args:
         m: for numbers or for arrays.
@@ -111,12 +114,15 @@ def run_up(
         impact: where the vehicle's centre meets the plane.
         velocity: at the impact, mission frame, m/s.
         flying: acceleration and steady run.
+        wall: that is flown at.
     """
     vx, vy = velocity
     speed = m.hypot(vx, vy)
     direction = (vx / speed, vy / speed)
     ramp_s = PEAK_OVER_MEAN * speed / flying.acceleration_m_s2
-    needed = 0.5 * speed * ramp_s + speed * flying.steady_run_s
+    closing = -(vx * wall.normal[0] + vy * wall.normal[1])
+    nearer_m = slack_m(wall, impact) * speed / closing
+    needed = 0.5 * speed * ramp_s + speed * flying.steady_run_s + nearer_m
     from_start = m.hypot(start[0] - impact[0], start[1] - impact[1])
     ray_end = (start[0] + direction[0] * from_start, start[1] + direction[1] * from_start)
     on_ray = m.hypot(ray_end[0] - impact[0], ray_end[1] - impact[1]) < _ON_RAY_M
@@ -163,10 +169,11 @@ def legs_to_impact(
     """The straight ways before an impact, as (a, b, clearance at b), against any wall.
 
     Args:
-        start: of the mission; the way from there to the run-up point counts for the first collision.
+        start: where the vehicle is at rest before; the way from there to the run-up point counts where that
+            is known.
         begin, impact: of the run-up.
         wall: that is to be hit: the run-up ends on its plane.
-        first: whether this is the mission's first collision.
+        first: whether it is known, as before a mission's first collision.
     """
 
     def against(other: Wall) -> list[tuple[tuple[Number, Number], tuple[Number, Number], float]]:
@@ -185,8 +192,10 @@ def plan_approach(mission: Mission, collision: Collision) -> Approach:
     assert collision.impact_point is not None
     vx, vy, _ = collision.approach_velocity()
     impact = collision.impact_point
-    begin, direction, speed, ramp_s = run_up(SCALARS, mission.start, impact, (vx, vy), mission.vehicle.flying)
-    approach = Approach(begin, impact, direction, speed, ramp_s, mission.altitude_m)
+    flying = mission.vehicle.flying
+    begin, direction, speed, ramp_s = run_up(SCALARS, mission.start, impact, (vx, vy), flying, collision.wall)
+    altitude_m = mission.altitude_at(collision.index - 1)
+    approach = Approach(begin, impact, direction, speed, ramp_s, altitude_m)
     _check_room(mission, collision, approach)
     return approach
 
@@ -205,15 +214,71 @@ def _check_room(mission: Mission, collision: Collision, approach: Approach) -> N
         raise NoApproachError(
             f"the impact at ({impact[0]:.2f}, {impact[1]:.2f}) is {excess:.2f} m outside bounds_m"
         )
-    legs = legs_to_impact(mission.start, begin, impact, collision.wall, collision.index == 1)
+    before = mission.place_before(collision.index - 1)
+    legs = legs_to_impact(before or mission.start, begin, impact, collision.wall, before is not None)
     for wall in mission.walls:
         if any(is_blocked(SCALARS, wall, *leg) for leg in legs(wall)):
             raise NoApproachError(f"wall {wall.name} is in the way of the run-up")
 
 
+class Leg(NamedTuple):
+    """A straight way from rest to rest that the mission file says.
+
+    Attributes:
+        name: of its end, in words.
+        begin: mission frame, metres; None: where a recovery has led to.
+        end: likewise.
+        speed_m_s: largest on it.
+    """
+
+    name: str
+    begin: Vec3 | None
+    end: Vec3
+    speed_m_s: float
+
+
+def legs_of(mission: Mission) -> list[Leg]:
+    """The ways to the way-points, and to the goal where no recovery leads there."""
+    found: list[Leg] = []
+    here: Vec3 | None = (*mission.start, mission.altitude_m)
+    flown = 0
+    for waypoint in mission.waypoints:
+        if waypoint.after != flown:
+            here, flown = None, waypoint.after
+        if waypoint.position is not None:
+            found.append(Leg(waypoint.name, here, waypoint.position, waypoint.speed_m_s))
+            here = waypoint.position
+    if not mission.recovers_to_goal:
+        goal = (*mission.goal.position_m, mission.altitude_at(len(mission.collisions)))
+        begin = here if flown == len(mission.collisions) else None
+        found.append(Leg("the goal", begin, goal, mission.vehicle.flying.transit_speed_m_s))
+    return found
+
+
+def transit_of(mission: Mission, leg: Leg, begin: Vec3) -> Transit:
+    """How a leg is flown from a place."""
+    flying = mission.vehicle.flying
+    return Transit.between(begin, leg.end, leg.speed_m_s, flying.acceleration_m_s2, flying.climb_speed_m_s)
+
+
+def check_legs(mission: Mission) -> None:
+    """Make sure that no wall stands in a way whose both ends are known.
+
+    Raises:
+        NoApproachError: one does.
+    """
+    for leg in legs_of(mission):
+        for wall in mission.walls:
+            if leg.begin is not None and is_blocked(SCALARS, wall, leg.begin[:2], leg.end[:2]):
+                raise NoApproachError(f"wall {wall.name} is in the way to {leg.name}")
+
+
 def stop_before(mission: Mission, collision: Collision, begin: Vec2, impact: Vec2) -> Vec2:
-    """Where a rehearsal stops: on the line from `begin` to `impact`, `standoff_m` before the wall's plane."""
-    standoff = mission.standoff_m or 0.0
+    """Where a rehearsal stops: on the line from `begin` to `impact`, `standoff_m` before the wall's plane.
+
+    Before the nearest one that its standard deviations leave open.
+    """
+    standoff = (mission.standoff_m or 0.0) + float(slack_m(collision.wall, impact))
     here, there = collision.wall.signed_distance(begin), collision.wall.signed_distance(impact)
     if here - there < 1e-6 or here <= standoff:
         return begin
@@ -237,10 +302,20 @@ class Transit(msgspec.Struct, frozen=True):
     duration_s: float
 
     @classmethod
-    def between(cls, begin: Vec3, end: Vec3, speed_m_s: float, acceleration_m_s2: float) -> Transit:
-        """The quickest smooth transit within the limits."""
+    def between(
+        cls,
+        begin: Vec3,
+        end: Vec3,
+        speed_m_s: float,
+        acceleration_m_s2: float,
+        climb_speed_m_s: float = math.inf,
+    ) -> Transit:
+        """The quickest smooth transit within the limits, of which one is on its vertical part."""
         way = math.dist(begin, end)
         duration = transit_time_s(SCALARS, way, speed_m_s, acceleration_m_s2)
+        climb = abs(end[2] - begin[2])
+        if climb > 0.0:
+            duration = max(duration, transit_time_s(SCALARS, climb, climb_speed_m_s, acceleration_m_s2))
         return cls(begin, end, max(duration, _LEAST_TRANSIT_S))
 
     def at(self, t_s: float) -> ReferencePoint:

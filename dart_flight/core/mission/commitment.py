@@ -19,7 +19,6 @@ from dart_flight.core.mission.arithmetic import SCALARS, Arithmetic, Number
 from dart_flight.core.mission.position_loop import PlaneMet
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import GRAVITY_M_S2, Wall
-from dart_flight.samples import Mode
 
 # Of the prediction "holding still stops short of the wall"; small, because breaking off brakes harder.
 STOP_MARGIN_M = 0.02
@@ -92,7 +91,7 @@ def bearable_in_either_mode(
     normal, tangential = velocity_m_s
     px4, bearable = vehicle.px4, True
     most_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(px4.mpc_tiltmax_air))
-    for mode in Mode:
+    for mode in vehicle.modes:
         c = CoefficientArrays.of(vehicle.materials[wall.material].of(mode))
         hit = contact_map(c, vehicle.airframe.mass_kg, normal, tangential, Onset(vehicle.onset))
         friction = m.where(tangential < 0.0, -1.0, 1.0) * hit.peak_friction_force_n

@@ -10,26 +10,24 @@ import math
 from collections.abc import Callable
 from typing import ClassVar
 
-import msgspec
-
-from dart_flight.config.mission import Collision, Mission
-from dart_flight.core.mission.approach import Approach, NoApproachError, plan_approach
+from dart_flight.config.mission import Collision, Mission, Waypoint
+from dart_flight.core.mission.approach import Approach, check_legs, plan_approach
 from dart_flight.core.mission.commitment import STOP_MARGIN_M, may_commit
 from dart_flight.core.mission.lock_orders import LockOrders
-from dart_flight.core.mission.phases import DOWN_US, TRANSITIONS, WATCHING, Cue
+from dart_flight.core.mission.phases import BETWEEN, DOWN_US, TRANSITIONS, WATCHING, Cue
 from dart_flight.core.mission.planned import expected_hit
-from dart_flight.core.mission.position_loop import PlaneMet, least_distance_m, meets_plane
+from dart_flight.core.mission.position_loop import least_distance_m, meets_plane
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.core.mission.references import References
 from dart_flight.core.mission.replanning import Replanning
+from dart_flight.core.mission.survey import Survey, early_m, late_s, overrun_m
 from dart_flight.core.mission.yielding import LONGEST_S, Yielding
 from dart_flight.core.sense.detector import Expected
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import Vec3, distance2, yaw_ned_of
 from dart_flight.samples import (
-    AfterImpact,
     DetectionFloor,
     GoalPassed,
     ImpactOnset,
@@ -39,11 +37,13 @@ from dart_flight.samples import (
     Mode,
     ModeMismatch,
     OdometrySample,
+    OperatorRequest,
     Outcome,
     Output,
     Phase,
     PhaseChange,
     PlanAnswer,
+    Request,
     VehicleAction,
     VehicleCommand,
     WallFelt,
@@ -57,7 +57,6 @@ _STREAMING_US = 200_000  # PX4 accepts offboard only with set-points already str
 _REST_TIMEOUT_US = 4_000_000
 _REST_AFTER_US = 500_000
 _DISARM_AFTER_US = 8_000_000
-_FELT_WITHIN_US = 60_000  # of a contact's end (`sense.felt`)
 # The wall stops the vehicle in a contact (but for `yielding`), PX4 lands it.
 _SILENT = frozenset({Phase.READYING, Phase.CONTACT, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
 _ANY_WALL, _NO_WALL = Expected(watching=True), Expected()
@@ -71,23 +70,28 @@ class Executive:
     """
 
     # Phases in which a reference leads to the target, from the phase's beginning on.
-    _underway: ClassVar = frozenset({Phase.CLIMB, Phase.TRANSIT, Phase.APPROACH, Phase.GOAL})
+    _underway: ClassVar = frozenset({Phase.CLIMB, Phase.WAYPOINT, Phase.TRANSIT, Phase.APPROACH, Phase.GOAL})
 
     def __init__(self, mission: Mission) -> None:
         self.mission = mission
         self.phase = Phase.READYING
         self._index = 0  # of the collision that comes next or is under way
+        self._stops = 0  # way-points and pauses that are over
         self._approaches: dict[int, Approach] = {
             c.index: plan_approach(mission, c) for c in mission.collisions if c.approach_m_s is not None
         }
+        check_legs(mission)
+        self._survey = Survey()
         self._references = References(mission)
         self._lock = LockOrders(mission.vehicle.lock)
-        self._replanning = Replanning(mission) if mission.after_impact is AfterImpact.REPLAN else None
+        self._replanning = Replanning(mission)
         self._yielding = Yielding(mission.vehicle) if mission.vehicle.flying.yield_to_contacts else None
         self._entered_us: int | None = None
         self._entered_host_us: int | None = None
         self._asked_us: int | None = None  # last time a vehicle command was sent
+        self._expected = _NO_WALL
         self._least_miss_m = math.inf
+        self._reached_us: int | None = None  # the way-point under way
         self._captured_us: int | None = None
         self._final_error_m: float | None = None
         self._down_us: int | None = None  # since when landed and disarmed
@@ -96,6 +100,8 @@ class Executive:
             Phase.OFFBOARD: self._offboard,
             Phase.ARMING: self._arming,
             Phase.CLIMB: self._climb,
+            Phase.WAYPOINT: self._fly_to_waypoint,
+            Phase.PAUSE: self._pause,
             Phase.TRANSIT: self._transit,
             Phase.PREPARE: self._prepare,
             Phase.APPROACH: self._approach,
@@ -111,6 +117,14 @@ class Executive:
         collisions = self.mission.collisions
         return collisions[self._index] if self._index < len(collisions) else None
 
+    @property
+    def _waypoint(self) -> Waypoint | None:
+        """The way-point or pause that comes next or is under way, before the next collision."""
+        waypoints = self.mission.waypoints
+        if self._stops < len(waypoints) and waypoints[self._stops].after == self._index:
+            return waypoints[self._stops]
+        return None
+
     # -- stepping --
 
     def propose(self, item: Input, state: FlightState, sensed: Sensed, p: Proposal) -> None:
@@ -121,10 +135,12 @@ class Executive:
             self._entered_us = state.now_us
         if self._entered_host_us is None:
             self._entered_host_us = state.host_us
-        if self._yielding is not None:
+        if sensed.estimate is not None and self._yielding is not None:
             self._yielding.take(sensed)
         if isinstance(item, PlanAnswer):
-            self._on_answer(item, state, p)
+            self._replanning.take(item, state.now_us, p)
+        elif isinstance(item, OperatorRequest) and item.request is Request.CONTINUE:
+            self._on_word(state, p)
         for event in sensed.impacts:
             if isinstance(event, ImpactOnset):
                 self._on_onset(event, state, p)
@@ -141,6 +157,7 @@ class Executive:
         if step is not None:
             step(state, sensed, p)
         p.expected = self._expect()
+        p.altitude_m = self._references.altitude_m
         if isinstance(item, OdometrySample):
             self._send_reference(item, state, p)
 
@@ -158,8 +175,8 @@ class Executive:
             return [end]
         return [self._change(Cue.GIVEN_UP, end.t_us, (end.reason or "").partition(": ")[2]), end]
 
-    def _go(self, cue: Cue, state: FlightState, p: Proposal) -> None:
-        p.outputs.append(self._change(cue, state.now_us, cue.value))
+    def _go(self, cue: Cue, state: FlightState, p: Proposal, reason: str = "") -> None:
+        p.outputs.append(self._change(cue, state.now_us, reason or cue.value))
 
     def _change(self, cue: Cue, now_us: int, reason: str) -> PhaseChange:
         before = self.phase
@@ -168,7 +185,7 @@ class Executive:
         self._lock.phase_begins()
         self._references.phase_begins()
         collision = self._collision
-        index = collision.index if collision and self.phase in WATCHING else None
+        index = collision.index if collision and self.phase in WATCHING - BETWEEN else None
         return PhaseChange(now_us, before, self.phase, reason, index)
 
     def _elapsed_us(self, state: FlightState) -> int:
@@ -178,13 +195,13 @@ class Executive:
     def _takes_longer_than(self, limit_s: float, state: FlightState) -> bool:
         return self._elapsed_us(state) > limit_s * 1e6
 
-    def _is_late(self, state: FlightState) -> bool:
-        """Whether the phase lasts longer than anything should that is not a collision.
+    def _is_late(self, state: FlightState, way_s: float = 0.0) -> bool:
+        """Whether the phase lasts longer than anything should that is not a collision, and its way.
 
         Also where the autopilot's clock has jumped back and stands still for it: by the host's clock, with
         room for a simulation that is slower than time.
         """
-        limit_s = self.mission.vehicle.flying.ready_timeout_s
+        limit_s = self.mission.vehicle.flying.ready_timeout_s + way_s
         host_us = state.host_us - (self._entered_host_us or state.host_us)
         return self._takes_longer_than(limit_s, state) or host_us > _SLOWEST * limit_s * 1e6
 
@@ -193,7 +210,9 @@ class Executive:
         if collision is None or not self._is_expected(collision):
             return _ANY_WALL if self.phase in WATCHING else _NO_WALL
         wall = collision.wall
-        return Expected(self.phase in WATCHING, wall.normal, wall.material, wall)
+        if self._expected.wall is not wall or self._expected.watching is not (self.phase in WATCHING):
+            self._expected = Expected(self.phase in WATCHING, wall.normal, wall.material, wall)
+        return self._expected
 
     def _is_expected(self, collision: Collision) -> bool:
         """Whether the plan has the vehicle meet this wall in this phase."""
@@ -263,10 +282,53 @@ class Executive:
 
     def _climb(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if self._has_arrived(state):
-            self._go(Cue.ARRIVED, state, p)
-            self._begin_transit()
+            self._go_on(Cue.ARRIVED, state, p)
         elif self._is_late(state):
             p.find("climb_timeout", "altitude not reached")
+
+    def _go_on(self, cue: Cue, state: FlightState, p: Proposal) -> None:
+        """From rest at the target to what comes next; `cue` is that for a collision."""
+        waypoint = self._waypoint
+        if waypoint is not None and waypoint.position is None:
+            waits = f"waits for the operator (Enter, SIGUSR1), lands after {waypoint.hold_s:g} s"
+            self._go(Cue.NEXT_PAUSE, state, p, waits)
+        elif waypoint is not None and waypoint.position is not None:
+            self._go(Cue.NEXT_WAYPOINT, state, p, waypoint.name)
+            self._reached_us = None
+            self._references.fly_to_waypoint(waypoint.position, waypoint.speed_m_s)
+        elif self._collision is not None:
+            self._go(cue, state, p)
+            self._begin_transit()
+        else:
+            self._go(Cue.NEXT_GOAL, state, p)
+            self._captured_us = None
+            self._references.fly_to(self.mission.goal.position_m)
+
+    def _fly_to_waypoint(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
+        waypoint = self._waypoint
+        assert waypoint is not None
+        self._lock_to(self.mission.transit_mode, state, p)
+        if self._reached_us is None and self._has_arrived(state):
+            self._reached_us = state.now_us
+        if self._reached_us is None:
+            if self._is_late(state, self._references.duration_s):
+                p.find("transit_timeout", f"{waypoint.name} not reached")
+        elif state.now_us - self._reached_us >= waypoint.hold_s * 1e6:
+            self._stops += 1
+            self._go_on(Cue.NEXT_COLLISION, state, p)
+
+    def _pause(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
+        waypoint = self._waypoint
+        assert waypoint is not None
+        self._lock_to(self.mission.transit_mode, state, p)
+        if self._takes_longer_than(waypoint.hold_s, state):
+            p.find("pause_timeout", f"no word to go on within {waypoint.hold_s:g} s")
+
+    def _on_word(self, state: FlightState, p: Proposal) -> None:
+        """The operator says to go on; where nothing waits for that, it means nothing."""
+        if self.phase is Phase.PAUSE:
+            self._stops += 1
+            self._go_on(Cue.NEXT_COLLISION, state, p)
 
     def _begin_transit(self) -> None:
         collision = self._collision
@@ -275,9 +337,19 @@ class Executive:
 
     def _transit(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if self._has_arrived(state):
-            self._go(Cue.ARRIVED, state, p)
-        elif self._is_late(state):
+            self._set_off(state, p)
+        elif self._is_late(state, self._references.duration_s):
             p.find("transit_timeout", "run-up point not reached")
+
+    def _set_off(self, state: FlightState, p: Proposal) -> None:
+        """At the run-up point: the lock first, where there is one."""
+        collision = self._collision
+        assert collision is not None
+        if self.mission.vehicle.has_lock:
+            self._go(Cue.ARRIVED, state, p)
+        else:
+            self._go(Cue.NO_LOCK, state, p)
+            self._begin_approach(collision)
 
     def _has_arrived(self, state: FlightState) -> bool:
         return self._references.has_arrived(state, self._wanted_yaw(state))
@@ -285,10 +357,11 @@ class Executive:
     def _prepare(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         collision = self._collision
         assert collision is not None
+        lock = self.mission.vehicle.lock
         if self._lock_to(collision.mode, state, p):
             self._go(Cue.MODE_SETTLED, state, p)
             self._begin_approach(collision)
-        elif self._takes_longer_than(self.mission.vehicle.lock.timeout_s + 2.0, state):
+        elif lock is not None and self._takes_longer_than(lock.timeout_s + 2.0, state):
             p.find("lock_not_ready", f"lock not {collision.mode.value} before collision {collision.index}")
 
     def _begin_approach(self, collision: Collision) -> None:
@@ -300,29 +373,33 @@ class Executive:
         if not state.lock_is_in(collision.mode):
             p.find("lock_not_settled", f"lock left {collision.mode.value} during the approach")
         self._check_wall_met(collision, state, sensed, p)
-        late_s = self._elapsed_us(state) * 1e-6 - self._approaches[collision.index].impact_s
-        if late_s > self.mission.vehicle.guard.wall_late_s:
-            detail = f"wall {collision.wall.name} not met {late_s:.1f} s after the planned impact"
+        approach, guard = self._approaches[collision.index], self.mission.vehicle.guard
+        since_s = self._elapsed_us(state) * 1e-6 - approach.impact_s
+        assert collision.approach_m_s is not None
+        wall = self._survey.seen(collision.wall)
+        if since_s > late_s(guard, wall, approach.impact, -collision.approach_m_s[0]):
+            detail = f"wall {collision.wall.name} not met {since_s:.1f} s after the planned impact"
             p.find("wall_not_met", detail)
 
     def _check_wall_met(self, collision: Collision, state: FlightState, sensed: Sensed, p: Proposal) -> None:
-        overrun = -collision.wall.signed_distance(state.position)
-        if overrun > self.mission.vehicle.guard.wall_overrun_m and not sensed.in_contact:
+        wall, (x, y, _) = self._survey.seen(collision.wall), state.position
+        overrun, guard = -wall.signed_distance((x, y)), self.mission.vehicle.guard
+        if overrun > overrun_m(guard, wall, (x, y)) and not sensed.in_contact:
             p.find("wall_not_met", f"{overrun:.2f} m behind wall {collision.wall.name} without a contact")
 
     # -- impact --
 
     def _on_onset(self, event: ImpactOnset, state: FlightState, p: Proposal) -> None:
         self._lock.contact_begins(event.t_us)
-        if self._replanning is not None:
-            self._replanning.contact_begins()
+        self._replanning.contact_begins()
         collision = self._collision
         if collision is None or not self._is_due(collision) or not event.planned:
             force = math.hypot(event.force_mission[0], event.force_mission[1])
             p.find("unplanned_hit", f"hit with {force:.0f} N in {self.phase.value}, no wall planned")
             return
-        distance = collision.wall.signed_distance(event.position_mission)
-        if distance > self.mission.vehicle.guard.wall_early_m:
+        wall, (x, y, _) = self._survey.seen(collision.wall), event.position_mission
+        distance = wall.signed_distance((x, y))
+        if distance > early_m(self.mission.vehicle.guard, wall, (x, y)):
             p.find("wall_met_early", f"{distance:.2f} m before wall {collision.wall.name}")
         elif not state.lock_is_in(collision.mode):
             detail = f"contact with wall {collision.wall.name} while the lock is not {collision.mode.value}"
@@ -331,6 +408,7 @@ class Executive:
             self._go(Cue.ONSET, state, p)
 
     def _on_felt(self, felt: WallFelt, p: Proposal) -> None:
+        self._survey.feel(felt)
         if felt.mode_felt is None or felt.mode_reported in (None, felt.mode_felt):
             return
         detail = (
@@ -346,7 +424,7 @@ class Executive:
             return
         hit = expected_hit(self.mission, collision)
         floor = event.rigid_n if collision.mode is Mode.RIGID else event.flexible_n
-        if hit is not None and hit.peak_normal_force_n < floor:
+        if hit is not None and floor is not None and hit.peak_normal_force_n < floor:
             what = f"{collision.mode.value}, {hit.peak_normal_force_n:.0f} N at wall {collision.wall.name}"
             p.find("hit_in_noise", f"{what}: cannot be told from vibration here, {floor:.0f} N can")
 
@@ -365,7 +443,7 @@ class Executive:
             event.tangential_force_n,
             collision.alpha_normal_m_per_n,
             collision.alpha_tangential_m_per_n,
-            self.mission.altitude_m,
+            self._references.altitude_m,
         )
         self._references.hold(point)
         assert state.frame is not None
@@ -384,25 +462,29 @@ class Executive:
     # -- recovery and goal --
 
     def _recovery(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
-        following = self._collision
+        following, stops = self._collision, self._waypoint is not None
         if self._lock.contact_end_us is not None:
-            self._lock_to(following.mode if following else self.mission.transit_mode, state, p)
-            self._plan_again(following, state, sensed, p)
+            self._lock_to(self._mode_after(following, stops), state, p)
+            if not stops:
+                self._plan_again(following, state, sensed, p)
         timed_out = self._takes_longer_than(self.mission.limits.collision_timeout_s, state)
-        if following is None:
-            self._watch_goal(state, p, timed_out)
-        elif following.approach_m_s is not None:
+        if stops or (following is not None and following.approach_m_s is not None):
             elapsed_us = self._elapsed_us(state)
             slow = elapsed_us > _REST_AFTER_US and self._references.is_slow(state)
             if slow or elapsed_us > _REST_TIMEOUT_US:
                 self._references.hold(state.position)
-                self._go(Cue.RESTED, state, p)
-                self._begin_transit()
+                self._go_on(Cue.RESTED, state, p)
+        elif following is None:
+            self._watch_goal(state, p, timed_out)
         else:
             self._check_wall_met(following, state, sensed, p)
             self._check_lock_in_time(following, state, sensed, p)
-            if timed_out or self._way_is_late(state):
+            if timed_out or self._replanning.is_late(self._survey.seen(following.wall), state):
                 p.find("wall_not_met", f"wall {following.wall.name} not reached by the recovery")
+
+    def _mode_after(self, following: Collision | None, stops: bool) -> Mode:
+        """Where the lock goes after a contact: way-points and the goal are flown in the transit mode."""
+        return self.mission.transit_mode if following is None or stops else following.mode
 
     def _check_lock_in_time(
         self, following: Collision, state: FlightState, sensed: Sensed, p: Proposal
@@ -420,7 +502,9 @@ class Executive:
         if least_distance_m(distance, closing, pushing, distance, px4) >= STOP_MARGIN_M:
             return
         aim = following.wall.signed_distance(self._references.target)
-        met = self._way_meets(closing, state) or meets_plane(distance, closing, pushing, aim, px4)
+        met = self._replanning.meets_plane(closing, state) or meets_plane(
+            distance, closing, pushing, aim, px4
+        )
         ready_us = self._lock.ready_us(following.mode, state)
         ready_s = math.inf if ready_us is None else (ready_us - state.now_us) * 1e-6
         if met is None or not may_commit(self.mission, following, met, ready_s, state):
@@ -430,86 +514,36 @@ class Executive:
             )
             p.find("lock_late", detail)
 
-    # -- ways planned in flight --
-
     def _plan_again(
         self, following: Collision | None, state: FlightState, sensed: Sensed, p: Proposal
     ) -> None:
         """Ask for a way once the contact is over, and follow it once it begins."""
-        planning = self._replanning
-        if planning is None:
-            return
-        if sensed.wall is not None:
-            planning.felt = True
-        # What was felt of a wall is worth waiting for where that wall comes again.
-        again = following is not None and following.wall == self.mission.collisions[self._index - 1].wall
-        waits = (
-            again and not planning.felt and state.now_us - (self._lock.contact_end_us or 0) < _FELT_WITHIN_US
-        )
-        if not planning.asked and not waits and sensed.estimate is not None and not sensed.in_contact:
-            ready_us = state.now_us if following is None else self._lock.ready_us(following.mode, state)
-            push = sensed.estimate.push_mission
-            p.outputs.append(planning.ask(following, state, push, self._references.target, ready_us))
+        planning, hit = self._replanning, self.mission.collisions[self._index - 1]
+        planning.ask_once(hit, following, state, sensed, self._references.target, self._lock, p)
         if following is not None and following.approach_m_s is not None:
-            self._approach_anew(following, planning, state, p)
-            return
-        taken = planning.begin(state)
-        if taken is not None:
-            p.outputs.append(taken)
-            if planning.way is not None and taken.taken:
-                self._references.follow(planning.way)
+            approach = planning.approach(following, state.now_us, p)
+            if approach is not None:
+                self._approaches[following.index] = approach
+        else:
+            way = planning.way_that_begins(state, p)
+            if way is not None:
+                self._references.follow(way)
                 self._least_miss_m = math.inf
-
-    def _approach_anew(
-        self, following: Collision, planning: Replanning, state: FlightState, p: Proposal
-    ) -> None:
-        """Meet a wall from rest at the velocity that the planner wants, where there is room for that."""
-        velocity, taken = planning.approach_m_s(state.now_us)
-        if velocity is None or taken is None:
-            return
-        try:
-            changed = msgspec.structs.replace(following, approach_m_s=velocity)
-            self._approaches[following.index] = plan_approach(self.mission, changed)
-        except NoApproachError as error:
-            taken = msgspec.structs.replace(taken, taken=False, reason=str(error))
-        p.outputs.append(taken)
-
-    def _on_answer(self, answer: PlanAnswer, state: FlightState, p: Proposal) -> None:
-        if self._replanning is not None:
-            refused = self._replanning.take(answer, state.now_us)
-            if refused is not None:
-                p.outputs.append(refused)
-
-    def _way_meets(self, closing_m_s: float, state: FlightState) -> PlaneMet | None:
-        """When the way that is flown meets the next wall; None where a set-point is."""
-        if self._replanning is None or self._replanning.impact_us is None:
-            return None
-        after_s = max(0.0, (self._replanning.impact_us - state.now_us) * 1e-6)
-        return PlaneMet(after_s, -closing_m_s)
-
-    def _way_is_late(self, state: FlightState) -> bool:
-        """Whether the wall should have been met on the way that is flown."""
-        if self._replanning is None or self._replanning.impact_us is None:
-            return False
-        return state.now_us - self._replanning.impact_us > self.mission.vehicle.guard.wall_late_s * 1e6
 
     @property
     def _way_us(self) -> int | None:
         """Since when a way leads on; None: the target is a step."""
         if self.phase in self._underway:
             return self._entered_us
-        if self.phase is Phase.RECOVERY and self._replanning is not None and self._replanning.way is not None:
-            return self._replanning.begin_us
-        return None
+        return self._replanning.way_us if self.phase is Phase.RECOVERY else None
 
     def _watch_goal(self, state: FlightState, p: Proposal, timed_out: bool) -> None:
         if self._lock.contact_end_us is None and not timed_out:
             return
         miss = distance2(state.position, self.mission.goal.position_m)
         self._least_miss_m = min(self._least_miss_m, miss)
-        planning = self._replanning
-        if planning is not None and planning.way is not None:
-            passed = planning.is_over(state.now_us)  # it may lead away from the goal at first
+        if self._replanning.way_us is not None:
+            passed = self._replanning.is_over(state.now_us)  # it may lead away from the goal at first
         else:
             rising = miss > self._least_miss_m + PASSED_RISE_M
             passed = rising and self._takes_longer_than(PASSED_AFTER_S, state)

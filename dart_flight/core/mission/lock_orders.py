@@ -15,15 +15,16 @@ _OVERDUE_US = 50_000  # two polls of the lock
 
 
 class LockOrders:
-    """Permission and commands of one flight.
+    """Permission and commands of one flight; without a lock there are none.
 
     Attributes:
         contact_end_us: end of the last contact; None while there is one, or before the first.
     """
 
-    def __init__(self, lock: LockConfig) -> None:
-        self._relaxation_us = lock.relaxation_s * 1e6
-        self._switch_us = lock.switch_time_s * 1e6
+    def __init__(self, lock: LockConfig | None) -> None:
+        self._lock = lock
+        self._relaxation_us = lock.relaxation_s * 1e6 if lock else 0.0
+        self._switch_us = lock.switch_time_s * 1e6 if lock else 0.0
         self._impact_us: int | None = None
         self.contact_end_us: int | None = None
         self._permitted: bool | None = None
@@ -42,7 +43,7 @@ class LockOrders:
         """A record where it has changed whether the lock may move."""
         relaxed = self.contact_end_us is not None and now_us - self.contact_end_us >= self._relaxation_us
         permitted = not in_contact and (self._impact_us is None or relaxed)
-        if permitted == self._permitted:
+        if permitted == self._permitted or self._lock is None:
             return []
         self._permitted = permitted
         return [LockPermission(now_us, permitted)]

@@ -17,7 +17,12 @@ class Cue(StrEnum):
     READY = "ready"
     CONFIRMED = "confirmed by telemetry"
     ARRIVED = "arrived"
+    NEXT_WAYPOINT = "a way-point is next"
+    NEXT_PAUSE = "a pause is next"
+    NEXT_COLLISION = "a collision is next"
+    NEXT_GOAL = "the goal is next"
     MODE_SETTLED = "lock settled"
+    NO_LOCK = "arrived, no lock to move"
     ONSET = "force over threshold"
     PEAK = "peak of normal force"
     STOOD_OFF = "stopped before the wall"  # a rehearsal
@@ -30,6 +35,8 @@ class Cue(StrEnum):
     GIVEN_UP = "not ready in time"
 
 
+_AT_REST = (Phase.CLIMB, Phase.WAYPOINT, Phase.PAUSE, Phase.RECOVERY)
+
 TRANSITIONS: dict[tuple[Phase, Cue], Phase] = {
     (Phase.READYING, Cue.READY): Phase.OFFBOARD,
     (Phase.OFFBOARD, Cue.CONFIRMED): Phase.ARMING,
@@ -37,6 +44,7 @@ TRANSITIONS: dict[tuple[Phase, Cue], Phase] = {
     (Phase.CLIMB, Cue.ARRIVED): Phase.TRANSIT,
     (Phase.TRANSIT, Cue.ARRIVED): Phase.PREPARE,
     (Phase.PREPARE, Cue.MODE_SETTLED): Phase.APPROACH,
+    (Phase.TRANSIT, Cue.NO_LOCK): Phase.APPROACH,
     (Phase.APPROACH, Cue.ONSET): Phase.CONTACT,
     (Phase.APPROACH, Cue.STOOD_OFF): Phase.RECOVERY,
     (Phase.CONTACT, Cue.PEAK): Phase.RECOVERY,
@@ -46,6 +54,12 @@ TRANSITIONS: dict[tuple[Phase, Cue], Phase] = {
     (Phase.RECOVERY, Cue.TIMED_OUT): Phase.GOAL,
     (Phase.GOAL, Cue.HELD): Phase.LANDING,
     (Phase.LANDING, Cue.LANDED): Phase.DONE,
+    # From rest to rest, where the mission has way-points, pauses or no collision.
+    **{(phase, Cue.NEXT_WAYPOINT): Phase.WAYPOINT for phase in _AT_REST},
+    **{(phase, Cue.NEXT_PAUSE): Phase.PAUSE for phase in _AT_REST},
+    **{(phase, Cue.NEXT_GOAL): Phase.GOAL for phase in _AT_REST},
+    (Phase.WAYPOINT, Cue.NEXT_COLLISION): Phase.TRANSIT,
+    (Phase.PAUSE, Cue.NEXT_COLLISION): Phase.TRANSIT,
     # The ways out: on the ground the mission is given up, in the air the guard takes over.
     (Phase.READYING, Cue.GIVEN_UP): Phase.DONE,
     (Phase.OFFBOARD, Cue.GIVEN_UP): Phase.DONE,
@@ -57,7 +71,8 @@ TRANSITIONS: dict[tuple[Phase, Cue], Phase] = {
 DOWN_US = 200_000  # one report of landed and disarmed may be another vehicle's on the same link
 ON_GROUND = frozenset({Phase.READYING, Phase.OFFBOARD, Phase.ARMING})
 ALTITUDE_EXEMPT = ON_GROUND | {Phase.CLIMB, Phase.LANDING, Phase.DONE}
-WATCHING = frozenset(
+BETWEEN = frozenset({Phase.WAYPOINT, Phase.PAUSE})  # of no collision in particular
+WATCHING = BETWEEN | frozenset(
     {
         Phase.TRANSIT,
         Phase.PREPARE,

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from dart_flight.config.vehicle import Px4Parameters
 from dart_flight.core.mission.arithmetic import Arithmetic, Number
+from dart_flight.core.mission.survey import slack_m
 from dart_flight.geometry import Wall
 
 # Attitude loop (MC_ROLL_P 6.5) and motors; held to the plant in tests/planning/test_against_plant.py.
@@ -24,7 +25,7 @@ ATTITUDE_LAG_S = 0.15
 
 STOP_TIME_S = 0.5  # the loop stops from a speed within about half a second of way
 _STEP_S = 0.01
-_BEHIND_M = 0.3  # further behind a plane is the other side of the wall
+_BEHIND_M = 0.3  # further behind where a plane may stand is the other side of the wall
 
 
 def stop_share(
@@ -45,7 +46,8 @@ def stop_share(
         here = wall.signed_distance(position)
         there = wall.signed_distance((x + STOP_TIME_S * vx, y + STOP_TIME_S * vy))
         within = abs(wall.along(position)) <= 0.5 * wall.length_m
-        stops = (here > there) & (there < 0.0) & (here > -_BEHIND_M) & within
+        behind_m = _BEHIND_M + slack_m(wall, position) if wall.is_uncertain else _BEHIND_M
+        stops = (here > there) & (there < 0.0) & (here > -behind_m) & within
         way = m.where(stops, here - there, 1.0)
         share = m.minimum(share, m.where(stops, m.maximum(here / way, 0.0), 1.0))
     return share

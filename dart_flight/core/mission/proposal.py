@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import msgspec
-
 from dart_flight.core.sense.detector import Expected
 from dart_flight.geometry import MissionFrame
 from dart_flight.samples import MissionEnd, Output
+
+_NO_WALL = Expected()
 
 
 class Finding(NamedTuple):
@@ -25,7 +25,7 @@ class Finding(NamedTuple):
     noted: bool = False
 
 
-class Proposal(msgspec.Struct):
+class Proposal:
     """One step's proposal; the guard disposes of it.
 
     Attributes:
@@ -33,14 +33,17 @@ class Proposal(msgspec.Struct):
         findings: for the guard's rules.
         expected: what contact comes next, for the detector at the next step.
         frame: where the mission frame lies, at the step that finds out.
+        altitude_m: at which the mission flies now; None: as before.
         end: the flight is over as planned.
     """
 
-    outputs: list[Output] = msgspec.field(default_factory=list)
-    findings: list[Finding] = msgspec.field(default_factory=list)
-    expected: Expected = Expected()
-    frame: MissionFrame | None = None
-    end: MissionEnd | None = None
+    def __init__(self) -> None:
+        self.outputs: list[Output] = []
+        self.findings: list[Finding] = []
+        self.expected = _NO_WALL
+        self.frame: MissionFrame | None = None
+        self.altitude_m: float | None = None
+        self.end: MissionEnd | None = None
 
     def find(self, rule: str, detail: str, noted: bool = False) -> None:
         """Add a finding."""

@@ -23,12 +23,14 @@ class References:
     Attributes:
         target: where the vehicle is sent, mission frame, metres.
         yaw: heading asked for, mission frame, radians.
+        altitude_m: at which the vehicle is sent anywhere.
     """
 
     def __init__(self, mission: Mission) -> None:
         self._mission, self._flying = mission, mission.vehicle.flying
         self.target: Vec3 = (0.0, 0.0, 0.0)
         self.yaw = 0.0
+        self.altitude_m = mission.altitude_m
         self._way: Transit | Approach | Way | None = None
         self._yaw_us = 0
         self._arrived_us: int | None = None
@@ -41,7 +43,7 @@ class References:
         self.yaw, self._yaw_us = yaw, now_us
 
     def hold(self, point: Vec2 | Vec3) -> None:
-        """Hold a point at the mission's altitude, from now on."""
+        """Hold a point at the present altitude, from now on."""
         self.target, self._way = self._at_altitude(point), None
 
     def climb(self) -> None:
@@ -52,6 +54,11 @@ class References:
         """From rest at the target to rest at a point; by default at transit speed."""
         self._transit_to(self._at_altitude(point), speed_m_s or self._flying.transit_speed_m_s)
 
+    def fly_to_waypoint(self, place: Vec3, speed_m_s: float) -> None:
+        """From rest at the target to rest at a way-point, whose altitude is kept from now on."""
+        self.altitude_m = place[2]
+        self._transit_to(place, speed_m_s)
+
     def approach(self, approach: Approach) -> None:
         """Along an approach, whose beginning is the target, into the wall."""
         self._way = approach
@@ -61,11 +68,14 @@ class References:
         self.target, self._way = way.at(way.duration_s).position, way
 
     def _transit_to(self, target: Vec3, speed_m_s: float) -> None:
-        self._way = Transit.between(self.target, target, speed_m_s, self._flying.acceleration_m_s2)
+        flying = self._flying
+        self._way = Transit.between(
+            self.target, target, speed_m_s, flying.acceleration_m_s2, flying.climb_speed_m_s
+        )
         self.target = target
 
     def _at_altitude(self, point: Vec2 | Vec3) -> Vec3:
-        return (point[0], point[1], self._mission.altitude_m)
+        return (point[0], point[1], self.altitude_m)
 
     # -- on the way --
 
@@ -140,13 +150,13 @@ class References:
     def yielding_setpoint(
         self, frame: MissionFrame, sample: OdometrySample, feed_forward: Vec3 | None
     ) -> SetPoint:
-        """What the vehicle does anyway, at the mission's altitude: nothing pushes on into a wall."""
+        """What the vehicle does anyway, at the present altitude: nothing pushes on into a wall."""
         x, y, _ = frame.point_from_ned(sample.position_ned)
         vx, vy, _ = frame.vector_from_ned(sample.velocity_ned)
         return SetPoint(
             t_us=sample.t_us,
             trigger_received_us=sample.received_us,
-            position_ned=frame.point_to_ned((x, y, self._mission.altitude_m)),
+            position_ned=frame.point_to_ned((x, y, self.altitude_m)),
             yaw_ned_rad=frame.yaw_to_ned(self.yaw),
             velocity_ned=frame.vector_to_ned((vx, vy, 0.0)),
             acceleration_ned=frame.vector_to_ned(feed_forward or (0.0, 0.0, 0.0)),

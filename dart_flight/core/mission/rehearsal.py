@@ -43,9 +43,11 @@ class Rehearsal(Executive):
 
     def _recovery(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         """What the recovery would do, from rest to rest: on to the next wall, or to the goal."""
-        following = self._collision
-        locked = self._lock_to(following.mode if following else self.mission.transit_mode, state, p)
-        if following is None:
+        following, stops = self._collision, self._waypoint is not None
+        locked = self._lock_to(self._mode_after(following, stops), state, p)
+        if stops:
+            self._go_on(Cue.RESTED, state, p)
+        elif following is None:
             self._references.fly_to(self.mission.goal.position_m)
             self._captured_us = None
             self._go(Cue.PASSED, state, p)

@@ -24,8 +24,6 @@ from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple
 
-import msgspec
-
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.core.sense.detector import Expected
 from dart_flight.core.sense.state import FlightState
@@ -47,7 +45,6 @@ from dart_flight.samples import (
     ImpactBody,
     ImpactOnset,
     ImpactPeak,
-    LockPhase,
     Mode,
     TorqueEstimate,
 )
@@ -90,10 +87,10 @@ class Known(NamedTuple):
     force_share: float = 0.05
 
 
-class _Row(msgspec.Struct, gc=False):
+class _Row(NamedTuple):
     """A sample, or the mean of some, along the normal and the tangent believed in."""
 
-    count: int
+    samples: int
     normal: float  # force, N
     along: float
     torque: float  # about the vertical, positive turns to the right
@@ -119,7 +116,9 @@ class BodySense:
         self._vehicle, self._known = vehicle, known or Known()
         self._mass = vehicle.airframe.mass_kg
         self._along, self._out = vehicle.airframe.guard_along_m, vehicle.airframe.contact_distance_m
-        self._typical = {mode: _middle(m.of(mode) for m in vehicle.materials.values()) for mode in Mode}
+        self._typical = {
+            mode: _middle(m.of(mode) for m in vehicle.materials.values()) for mode in vehicle.modes
+        }
         self._samples: deque[Felt] = deque(maxlen=_MOST)
         self._slow: Vec2 = (0.0, 0.0)
         self._onset: ImpactOnset | None = None
@@ -161,8 +160,7 @@ class BodySense:
         return told
 
     def _coefficients_of(self, expected: Expected, state: FlightState) -> Coefficients:
-        lock = state.lock
-        mode = Mode.RIGID if lock.mode is Mode.RIGID and lock.phase is LockPhase.SETTLED else Mode.FLEXIBLE
+        mode = Mode.RIGID if state.lock_is_in(Mode.RIGID) else Mode.FLEXIBLE
         if expected.material is None:
             return self._typical[mode]
         return self._vehicle.materials[expected.material].of(mode)
@@ -322,8 +320,8 @@ class _Fit:
         torque_error, force_error = known.torque_share * along * top, known.force_share * top
         self._weights = [
             (
-                1.0 / (noise[0] ** 2 / r.count + torque_error**2),
-                1.0 / (noise[1] ** 2 / r.count + force_error**2),
+                1.0 / (noise[0] ** 2 / r.samples + torque_error**2),
+                1.0 / (noise[1] ** 2 / r.samples + force_error**2),
             )
             for r in self._bins
         ]

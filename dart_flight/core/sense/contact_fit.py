@@ -26,13 +26,11 @@ import operator
 from collections.abc import Iterator
 from typing import NamedTuple
 
-import msgspec
-
 from dart_flight.contact.law import Onset
 from dart_flight.geometry import Vec2
 
-PLACE_M = 0.1  # how far off the plan a wall may stand: loosely held, the force tells
-WALL_RAD = math.radians(4.0)  # how well a wall's direction is known, with that of the attitude
+PLACE_M = 0.1  # at least: how far off the plan a wall may stand: loosely held, the force tells
+WALL_RAD = math.radians(4.0)  # at least: how well a wall's direction is known, with that of the attitude
 _VELOCITY_M_S, _VELOCITY_SHARE = 0.04, 0.02  # deviation of PX4's velocity, at rest and of the speed
 _VERTICAL_N = 1.0  # deviation of the vertical force's mean over a contact
 _LEVER_SHARE = 0.3  # at which friction is expected to act, as in `body.Known`
@@ -65,7 +63,7 @@ class Belief(NamedTuple):
     nu_sd: float
 
 
-class Tick(msgspec.Struct, gc=False):
+class Tick(NamedTuple):
     """What one IMU sample says of a contact.
 
     Attributes:
@@ -75,7 +73,7 @@ class Tick(msgspec.Struct, gc=False):
         bound: at full scale: the true force is larger.
         turned: angle since the first tick at its middle, rad, positive to the left; `turning`: its rate.
         torque: about the vertical, N m, positive where it turns the vehicle to the right.
-        count: of samples in it.
+        samples: how many are in it.
     """
 
     h: float
@@ -88,7 +86,7 @@ class Tick(msgspec.Struct, gc=False):
     turned: float
     turning: float
     torque: float
-    count: int = 1
+    samples: int = 1
 
 
 class Contact(NamedTuple):
@@ -101,6 +99,7 @@ class Contact(NamedTuple):
         velocity: along the planned wall's axes at the first tick's beginning, as PX4 has it, m/s.
         incidence_rad: leading edge against the planned wall then.
         noise_n: of a reading.
+        place_sd, angle_sd: how well the wall's place (m) and direction (rad) are known beforehand.
     """
 
     ticks: list[Tick]
@@ -109,6 +108,8 @@ class Contact(NamedTuple):
     velocity: Vec2
     incidence_rad: float
     noise_n: float
+    place_sd: float = PLACE_M
+    angle_sd: float = WALL_RAD
 
 
 class Body(NamedTuple):
@@ -192,7 +193,7 @@ class _Fit:
         along2 = (_FRICTION_ERROR * rub) ** 2 + 0.04 * model2
         noise2 = contact.noise_n**2
         self._scales = [
-            (1.0 / math.sqrt(noise2 / t.count + model2), 1.0 / math.sqrt(noise2 / t.count + along2))
+            (1.0 / math.sqrt(noise2 / t.samples + model2), 1.0 / math.sqrt(noise2 / t.samples + along2))
             for t in self._ticks
         ]
         self._top = top
@@ -200,7 +201,7 @@ class _Fit:
         speed_sd = _VELOCITY_M_S + _VELOCITY_SHARE * math.hypot(vn, vt)
         sds = [math.hypot(sd, scatter) for sd in (before.k_sd, before.f_sd, before.mu_sd)]
         # Widths of the priors, in the order of the parameters.
-        self._sd = [sds[0], sds[1], PLACE_M, speed_sd, WALL_RAD, sds[2], speed_sd]
+        self._sd = [sds[0], sds[1], contact.place_sd, speed_sd, contact.angle_sd, sds[2], speed_sd]
         self._forces: list[float] = []
         self._cost = math.inf
         self._residuals: list[float] = []
@@ -466,7 +467,7 @@ def _merged(ticks: list[Tick]) -> list[Tick]:
     out: list[Tick] = []
     for t in ticks:
         last = out[-1] if out else None
-        if last is None or t.bound or last.bound or last.count >= size:
+        if last is None or t.bound or last.bound or last.samples >= size:
             out.append(t)
             continue
         h = last.h + t.h
@@ -482,7 +483,7 @@ def _merged(ticks: list[Tick]) -> list[Tick]:
             p * last.turned + q * t.turned,
             p * last.turning + q * t.turning,
             p * last.torque + q * t.torque,
-            last.count + 1,
+            last.samples + 1,
         )
     return out
 

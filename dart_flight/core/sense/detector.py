@@ -18,8 +18,6 @@ from collections import deque
 from enum import Enum, auto
 from typing import NamedTuple
 
-import msgspec
-
 from dart_flight.config.vehicle import Coefficients, Detection, ThresholdTest, VehicleConfig
 from dart_flight.core.sense.bias import SlowForce
 from dart_flight.core.sense.pulse import NormalPulse, Prior, TickReading, fit_friction, fit_normal
@@ -32,7 +30,6 @@ from dart_flight.samples import (
     ForceEstimate,
     ImpactOnset,
     ImpactPeak,
-    LockPhase,
     Mode,
 )
 
@@ -68,7 +65,7 @@ class Expected(NamedTuple):
     wall: Wall | None = None
 
 
-class _Sample(msgspec.Struct, gc=False):
+class _Sample(NamedTuple):
     """A sample of the contact; forces less the baseline, mission frame."""
 
     t_us: int
@@ -106,10 +103,11 @@ class ImpactDetector:
         self._priors = {
             (name, mode): _prior(material.of(mode), self._mass)
             for name, material in vehicle.materials.items()
-            for mode in Mode
+            for mode in vehicle.modes
         }
         self._typical = {
-            mode: _mean_prior([p for (_, m), p in self._priors.items() if m is mode]) for mode in Mode
+            mode: _mean_prior([p for (_, m), p in self._priors.items() if m is mode])
+            for mode in vehicle.modes
         }
         self.slow_force = SlowForce(vehicle.estimation)
         self._stage = _Stage.WATCHING
@@ -117,7 +115,6 @@ class ImpactDetector:
         lengths = (0.0, 2.0 * tick_s, self._config.short_window_s, self._config.long_window_s)
         self._windows = [WindowMean(s, noise_n, round(s / tick_s)) for s in lengths]
         self._lengths = lengths
-        self._sizes = [0.0, 0.0, 0.0, 0.0]
         self._by_mean: WindowMean | None = None  # the window that saw the contact under way, else samples
         self._threshold = self._config.force_threshold_n  # that saw it
         most = max(_BEFORE, round(self._config.long_window_s / tick_s) + _BEFORE)
@@ -163,7 +160,8 @@ class ImpactDetector:
         told = self._tell_floor(t_us, expected)
         self._expected = expected
         if self._config.noise_sigma > 0.0:
-            self._sizes = [window.add(t_us, fx, fy) for window in self._windows]
+            for window in self._windows:
+                window.add(t_us, fx, fy)
         if stage is _Stage.WATCHING or stage is _Stage.REFRACTORY:
             self._noise = estimate.noise_n
             return told + self._watch(estimate, fx, fy, dt_us, received_us, state)
@@ -272,23 +270,21 @@ class ImpactDetector:
         if self._config.noise_sigma <= 0.0 or expected.normal is None or self._expected.normal is not None:
             return []
         thresholds = self.thresholds_n()
-        rigid, flexible = (self._prior_of(expected, m).half_period_s for m in (Mode.RIGID, Mode.FLEXIBLE))
+        floors = {m: self.floor_n(self._prior_of(expected, m).half_period_s) for m in self._vehicle.modes}
         return [
             DetectionFloor(
                 t_us=t_us,
                 threshold_n=min(thresholds),
                 noise_short_n=self._windows[2].noise_n,
                 noise_long_n=self._windows[3].noise_n,
-                rigid_n=self.floor_n(rigid),
-                flexible_n=self.floor_n(flexible),
+                rigid_n=floors[Mode.RIGID],
+                flexible_n=floors.get(Mode.FLEXIBLE),
             )
         ]
 
     def _size_of(self, index: int) -> float:
-        if not self._per_axis:
-            return self._sizes[index]
         x, y = self._windows[index].mean
-        return max(abs(x), abs(y))
+        return max(abs(x), abs(y)) if self._per_axis else math.sqrt(x * x + y * y)
 
     def _mean_is_over(self, fx: float, fy: float, threshold: float) -> bool:
         """Whether the mean of as many samples as the noise asks for is over the threshold."""
@@ -429,8 +425,7 @@ class ImpactDetector:
         return (sum(s.push[0] for s in self._samples) / n, sum(s.push[1] for s in self._samples) / n)
 
     def _prior(self, state: FlightState) -> Prior:
-        rigid = state.lock.mode is Mode.RIGID and state.lock.phase is LockPhase.SETTLED
-        mode = Mode.RIGID if rigid else Mode.FLEXIBLE
+        mode = Mode.RIGID if state.lock_is_in(Mode.RIGID) else Mode.FLEXIBLE
         assert self._onset is not None
         return self._prior_of(self._expected if self._onset.planned else Expected(), mode)
 

@@ -3,7 +3,8 @@
 Both modes are the same contact law with other coefficients, so both are fitted to the readings of the whole
 contact (`contact_fit.py`), each from what is believed of the wall in that mode: the configuration's values
 with their spread, later what the contacts before have left. What a mode says of the readings against the
-other is their odds; where they are not sure, or no mode fits, it is undecided.
+other is their odds; where they are not sure, or no mode fits, it is undecided. A vehicle without a lock has
+one mode: that is fitted, and there is nothing to tell apart.
 
 Unlocked arms swing, and the IMU feels that. The force estimate has it taken out where the lock says
 unlocked; a mode that the lock does not say gets its own readings. docs/felt.md.
@@ -90,13 +91,14 @@ class WallSense:
         return self._judge(job)
 
     def _begin(self, onset: ImpactOnset, wall: Wall, state: FlightState) -> _Job:
-        before = {mode: self._belief(wall, mode) for mode in Mode}
+        modes = self._vehicle.modes
+        before = {mode: self._belief(wall, mode) for mode in modes}
         contacts = self._contacts(onset, wall, state)
         fits = (
             {}
             if contacts is None
             else {
-                mode: Fitting(contacts[mode], before[mode], self._prior.scatter, self._body) for mode in Mode
+                mode: Fitting(contacts[mode], before[mode], self._prior.scatter, self._body) for mode in modes
             }
         )
         return _Job(self._samples[-1].force.t_us, onset, wall, self._reported, before, fits)
@@ -105,15 +107,16 @@ class WallSense:
         fits = {mode: found for mode, fit in job.fits.items() if (found := fit.result()) is not None}
         onset, wall, reported = job.onset, job.wall, job.reported
         odds, felt = 0.0, None
-        if len(fits) == len(Mode):
+        if len(fits) == len(Mode):  # else there is nothing to tell apart
             best = min(fit.misfit for fit in fits.values())
             odds = (fits[Mode.RIGID].evidence - fits[Mode.FLEXIBLE].evidence) / max(1.0, best)
             if abs(odds) >= self._prior.sure_log_odds and best <= _MOST_MISFIT:
                 felt = Mode.RIGID if odds > 0.0 else Mode.FLEXIBLE
-        likely = Mode.RIGID if odds > 0.0 else Mode.FLEXIBLE
+        likely = Mode.RIGID if odds > 0.0 else self._vehicle.modes[-1]
         told = felt or reported or likely
         belief, fitted = job.before[told], fits.get(told)
-        angle, angle_sd, offset, offset_sd = 0.0, WALL_RAD, 0.0, PLACE_M
+        angle, offset = 0.0, 0.0
+        offset_sd, angle_sd = _known(wall, onset)
         if fitted is not None:
             belief = fitted.belief
             # Else the readings speak against the mode that the lock says, though not loudly enough.
@@ -169,8 +172,9 @@ class WallSense:
                 (velocity[0], velocity[1]),
                 seen,
                 noise_n,
+                *_known(wall, onset),
             )
-            for mode in Mode
+            for mode in self._vehicle.modes
         }
 
     def _ticks(self, samples: list[Felt], wall: Wall, taken_out: bool, swings: bool) -> list[Tick]:
@@ -208,6 +212,12 @@ class WallSense:
                 )
             )
         return ticks
+
+
+def _known(wall: Wall, onset: ImpactOnset) -> tuple[float, float]:
+    """How well place (m) and direction (rad) of a wall are known before a contact."""
+    place_sd = float(wall.plane_sd_m(onset.position_mission))
+    return max(PLACE_M, place_sd), max(WALL_RAD, wall.yaw_sd_rad or 0.0)
 
 
 class _Job(NamedTuple):

@@ -23,7 +23,7 @@ from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.thrust import ThrustModel
 from dart_flight.core.sense.turning import Turning
 from dart_flight.geometry import GRAVITY_M_S2, MissionFrame, Quaternion, Vec3, advance_attitude
-from dart_flight.samples import AttitudeSample, ForceEstimate, ImuSample, LockPhase, Mode
+from dart_flight.samples import AttitudeSample, ForceEstimate, ImuSample, Mode
 
 _ATTITUDE_REACH_US = 60_000  # older attitudes are not carried on by the gyro
 _CLIP_SHARE = 0.99  # a reading this near full scale is a lower bound
@@ -143,8 +143,7 @@ class ForceEstimator:
 
     def _still(self, arms: ArmFilter, force: Vec3, state: FlightState, dt_s: float) -> Vec3:
         """The force with the swinging of unlocked arms taken out."""
-        lock = state.lock
-        if lock.mode is Mode.RIGID and lock.phase is LockPhase.SETTLED:
+        if state.lock_is_in(Mode.RIGID):
             arms.reset()
             return force
         m = self._mass

@@ -17,8 +17,7 @@ Scalar floats and `math` only: some tens of samples, once per impact.
 from __future__ import annotations
 
 import math
-
-import msgspec
+from typing import NamedTuple
 
 _MOST_BINS = 13
 _STEPS = 8
@@ -31,7 +30,7 @@ _LEAST_OMEGA, _MOST_OMEGA = 8.0, 400.0
 _MOST_MISFIT = 0.12  # of the peak, root mean square: beyond it this is not the model's pulse
 
 
-class TickReading(msgspec.Struct, gc=False):
+class TickReading(NamedTuple):
     """Mean force over a tick: from `a` to `b` seconds, in newton; `bound`: the true one is at least that."""
 
     a: float
@@ -41,7 +40,7 @@ class TickReading(msgspec.Struct, gc=False):
     bound: bool
 
 
-class Prior(msgspec.Struct, gc=False, frozen=True):
+class Prior(NamedTuple):
     """What is expected of the contact: sqrt(k/m) and f/(2m) in 1/s, mu/m in 1/(N s)."""
 
     omega: float
@@ -54,7 +53,7 @@ class Prior(msgspec.Struct, gc=False, frozen=True):
         return math.pi / math.sqrt(max(self.omega**2 - self.sigma**2, 0.01 * self.omega**2))
 
 
-class NormalPulse(msgspec.Struct, gc=False):
+class NormalPulse(NamedTuple):
     """A fitted normal pulse: onset, slope there, frequency, damping, push; peak, its moment and error.
 
     `misfit` is the mean square of the residuals, each over what noise and model are off by.

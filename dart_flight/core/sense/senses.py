@@ -74,7 +74,7 @@ class Senses:
     """
 
     def __init__(self, mission: Mission) -> None:
-        self.state = FlightState()
+        self.state = FlightState(mission.vehicle.has_lock)
         self.estimator = ForceEstimator(mission.vehicle)
         self.torque = TorqueEstimator(mission.vehicle)
         self.detector = ImpactDetector(mission.vehicle)

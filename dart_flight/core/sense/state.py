@@ -38,9 +38,12 @@ class FlightState:
 
     `now_us` is the autopilot's time as far as it is known: the newest stamp, carried on by host ticks through
     the clock offset while the streams are silent. `host_us` is the host's time of the newest receipt or tick.
+
+    Args:
+        has_lock: whether the vehicle can change its stiffness; without a lock `lock` says settled and rigid.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, has_lock: bool = True) -> None:
         self.frame: MissionFrame | None = None
         self.now_us = 0
         self.host_us = 0
@@ -51,6 +54,8 @@ class FlightState:
         self.actuator: ActuatorSample | None = None
         self.status = StatusSample(t_us=0, received_us=0)
         self.lock = LockState(t_us=0, phase=LockPhase.UNKNOWN, mode=None)
+        if not has_lock:  # what cannot move is where it is, from the start and for ever
+            self.lock = LockState(t_us=0, phase=LockPhase.SETTLED, mode=Mode.RIGID)
         self.position: Vec3 = (0.0, 0.0, 0.0)
         self.velocity: Vec3 = (0.0, 0.0, 0.0)
         self.acceleration: Vec3 = (0.0, 0.0, 0.0)  # of the odometry's velocity, lightly filtered

@@ -16,27 +16,27 @@ from dart_flight.config.vehicle import ThrustSource, VehicleConfig
 from dart_flight.geometry import GRAVITY_M_S2
 from dart_flight.samples import ActuatorSample, AttitudeTargetSample, EscSample
 
-Four = tuple[float, float, float, float]
+Each = tuple[float, ...]  # of every motor
 
 _ESC_PERIOD_US = 20_000  # `auto` takes no slower telemetry: switching to and fro would look like forces
 _PENDING = 16  # commands ahead of the IMU: a few ticks at most
 
 
 class LaggedCommands:
-    """Four values that follow stamped commands with a first-order lag.
+    """Values that follow stamped commands with a first-order lag.
 
     A command holds from its own stamp on, whenever it arrives; stamps that do not advance are dropped.
     """
 
     def __init__(self, lag_s: float) -> None:
         self._lag_us = lag_s * 1e6
-        self._pending: deque[tuple[int, Four]] = deque(maxlen=_PENDING)
-        self._target: Four | None = None
+        self._pending: deque[tuple[int, Each]] = deque(maxlen=_PENDING)
+        self._target: Each | None = None
         self._now_us = 0
         self.newest_us = -(1 << 60)
-        self.value: Four = (0.0, 0.0, 0.0, 0.0)
+        self.value: Each = ()
 
-    def take(self, t_us: int, values: Four) -> None:
+    def take(self, t_us: int, values: Each) -> None:
         """A command stamped `t_us`."""
         if t_us <= self.newest_us:
             return
@@ -66,12 +66,7 @@ class LaggedCommands:
         if a == b:
             return
         left = math.exp(-step / self._lag_us) if self._lag_us > 0.0 else 0.0
-        self.value = (
-            a[0] + (b[0] - a[0]) * left,
-            a[1] + (b[1] - a[1]) * left,
-            a[2] + (b[2] - a[2]) * left,
-            a[3] + (b[3] - a[3]) * left,
-        )
+        self.value = tuple([to + (now - to) * left for to, now in zip(a, b, strict=True)])
 
 
 class ThrustModel:
@@ -84,7 +79,8 @@ class ThrustModel:
 
     def __init__(self, vehicle: VehicleConfig) -> None:
         self._config = vehicle.estimation
-        self._curve = vehicle.thrust
+        self._curve, self._full_n = vehicle.thrust, vehicle.thrust.most_n
+        self._square, self._most_n = vehicle.thrust.model_factor, len(vehicle.airframe.motors) * self._full_n
         self._hover_n = vehicle.airframe.mass_kg * GRAVITY_M_S2
         self._timeout_us = round(self._config.thrust_timeout_s * 1e6)
         self._motors = LaggedCommands(vehicle.thrust.motor_lag_s)
@@ -94,7 +90,7 @@ class ThrustModel:
         self._voltage_factor = 1.0
         self._last_n: float | None = None
         self.source: ThrustSource | None = None
-        self.each_n: Four | None = None
+        self.each_n: Each | None = None
 
     def take_actuator(self, sample: ActuatorSample) -> None:
         """Commands to the motors."""
@@ -103,7 +99,7 @@ class ThrustModel:
     def take_attitude_target(self, sample: AttitudeTargetSample) -> None:
         """The controller's collective thrust."""
         thrust = max(0.0, sample.thrust)
-        self._collective.take(sample.t_us, (thrust, thrust, thrust, thrust))
+        self._collective.take(sample.t_us, (thrust,))
 
     def take_esc(self, sample: EscSample) -> None:
         """Measured motor speeds."""
@@ -136,34 +132,35 @@ class ThrustModel:
             often = self._esc_period_us <= _ESC_PERIOD_US and esc.t_us >= t_us - _ESC_PERIOD_US
             if wanted is ThrustSource.ESC or (auto and often):
                 self.source = ThrustSource.ESC
-                r = esc.rpm
-                self.each_n = (
-                    per_rpm2 * r[0] * r[0],
-                    per_rpm2 * r[1] * r[1],
-                    per_rpm2 * r[2] * r[2],
-                    per_rpm2 * r[3] * r[3],
-                )
-                return per_rpm2 * (r[0] * r[0] + r[1] * r[1] + r[2] * r[2] + r[3] * r[3])
+                self.each_n = tuple([per_rpm2 * rpm * rpm for rpm in esc.rpm])
+                squares = 0.0
+                for rpm in esc.rpm:
+                    squares += rpm * rpm
+                return per_rpm2 * squares
         known = motors.newest_us > 0
         fresh = motors.newest_us >= oldest or collective.newest_us < motors.newest_us
         if known and (wanted is ThrustSource.ACTUATOR or (auto and fresh)):
             self.source = ThrustSource.ACTUATOR
             motors.advance(t_us)
-            a, b, c, d = motors.value
-            f, full = self._curve.model_factor, self._curve.full_n * self._voltage_factor
-            g = 1.0 - f
-            self.each_n = (
-                full * a * (f * a + g),
-                full * b * (f * b + g),
-                full * c * (f * c + g),
-                full * d * (f * d + g),
-            )
-            relative = f * (a * a + b * b + c * c + d * d) + (1.0 - f) * (a + b + c + d)
-            return self._curve.full_n * relative * self._voltage_factor
+            return self._by_curve(motors.value)
         self.each_n = None
         if collective.newest_us > 0 and (auto or wanted is ThrustSource.ATTITUDE_TARGET):
             self.source = ThrustSource.ATTITUDE_TARGET
             collective.advance(t_us)
-            return 4.0 * self._curve.full_n * collective.value[0] * self._voltage_factor
+            return self._most_n * collective.value[0] * self._voltage_factor
         self.source = None
         return self._hover_n
+
+    def _by_curve(self, commands: Each) -> float:
+        """Sum of the motors' thrust by the configured curve; `each_n` with it."""
+        f, volts = self._square, self._voltage_factor
+        if f is None:
+            self.each_n = each = tuple([force * volts for force in self._curve.forces_n(commands)])
+            return sum(each)
+        full, g = self._full_n * volts, 1.0 - f
+        self.each_n = tuple([full * u * (f * u + g) for u in commands])
+        squares = linear = 0.0
+        for u in commands:
+            squares += u * u
+            linear += u
+        return self._full_n * (f * squares + g * linear) * volts

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.sense.thrust import Four
+from dart_flight.core.sense.thrust import Each
 from dart_flight.core.sense.turning import Turning
 from dart_flight.geometry import Vec3
 from dart_flight.samples import TorqueEstimate
@@ -34,12 +34,9 @@ class TorqueEstimator:
     def __init__(self, vehicle: VehicleConfig) -> None:
         self._inertia = vehicle.airframe.inertia_kg_m2
         # What each newton of each motor turns: with its sign, because it is taken off.
-        motors = vehicle.airframe.motors
-        self._roll = tuple(m.y_m for m in motors)
-        self._pitch = tuple(-m.x_m for m in motors)
-        self._yaw = tuple(-m.yaw_m for m in motors)
+        self._levers = tuple((m.y_m, -m.x_m, -m.yaw_torque_per_thrust_m) for m in vehicle.airframe.motors)
         self._filter_s = vehicle.estimation.filter_s
-        self._before: Four | None = None
+        self._before: Each | None = None
         self._slow: Vec3 = (0.0, 0.0, 0.0)
         self._last: Vec3 | None = None
         self._variance: Vec3 = (1e-3, 1e-3, 1e-3)
@@ -48,7 +45,7 @@ class TorqueEstimator:
         self._dt_s = self._keep = 0.0
 
     def estimate(
-        self, t_us: int, turning: Turning, each_n: Four | None, scale: float, learns: bool
+        self, t_us: int, turning: Turning, each_n: Each | None, scale: float, learns: bool
     ) -> TorqueEstimate | None:
         """Torque in N m, FRD, at an IMU sample; None without a sample shortly before it.
 
@@ -70,12 +67,13 @@ class TorqueEstimator:
         if each_n is not None:
             old = before or each_n
             half = 0.5 * scale
-            a, b = half * (each_n[0] + old[0]), half * (each_n[1] + old[1])
-            c, d = half * (each_n[2] + old[2]), half * (each_n[3] + old[3])
-            roll, pitch, yaw = self._roll, self._pitch, self._yaw
-            x += roll[0] * a + roll[1] * b + roll[2] * c + roll[3] * d
-            y += pitch[0] * a + pitch[1] * b + pitch[2] * c + pitch[3] * d
-            z += yaw[0] * a + yaw[1] * b + yaw[2] * c + yaw[3] * d
+            u = v = w = 0.0
+            for (roll, pitch, yaw), now_n, old_n in zip(self._levers, each_n, old, strict=True):
+                mean_n = half * (now_n + old_n)
+                u += roll * mean_n
+                v += pitch * mean_n
+                w += yaw * mean_n
+            x, y, z = x + u, y + v, z + w
         raw = (x, y, z)
         if learns:
             self._learn(raw, turning.dt_s)

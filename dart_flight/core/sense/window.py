@@ -49,8 +49,8 @@ class WindowMean:
         self.full = False
         self.noise_n = math.sqrt(self._slow)
 
-    def add(self, t_us: int, fx: float, fy: float) -> float:
-        """Take a sample; returns the size of the mean."""
+    def add(self, t_us: int, fx: float, fy: float) -> None:
+        """Take a sample."""
         kept = self._kept
         kept.append((t_us, fx, fy))
         self._x += fx
@@ -67,8 +67,7 @@ class WindowMean:
             self._since_sum = 0
             self._x, self._y = sum(s[1] for s in kept), sum(s[2] for s in kept)
         n = len(kept)
-        x, y = self.mean = (self._x / n, self._y / n)
-        return math.sqrt(x * x + y * y)
+        self.mean = (self._x / n, self._y / n)
 
     def learn(self, dt_s: float) -> None:
         """A mean outside of contacts teaches the noise: how far it is from the one a window before it."""

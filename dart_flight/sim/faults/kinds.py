@@ -102,6 +102,8 @@ BY_NAME = {kind.name: kind for kind in KINDS}
 # What people say -> the core's phase.
 PHASES: dict[str, Phase] = {
     "take-off": Phase.CLIMB,
+    "waypoint": Phase.WAYPOINT,
+    "pause": Phase.PAUSE,
     "transit": Phase.TRANSIT,
     "approach": Phase.APPROACH,
     "contact": Phase.CONTACT,
@@ -132,17 +134,19 @@ class Fault(msgspec.Struct, frozen=True):
         return BY_NAME[self.name]
 
 
-def parse_fault(text: str) -> Fault:
+def parse_fault(text: str, has_lock: bool = True) -> Fault:
     """`NAME[=VALUE][@PHASE]` as a fault.
 
     Raises:
-        InputError: no such fault or phase, or the value is out of range.
+        InputError: no such fault or phase, the value is out of range, or it is of a lock that is not there.
     """
     body, at, phase = text.partition("@")
     name, equals, number = body.partition("=")
     if name not in BY_NAME:
         raise InputError(unknown_name(name, list(BY_NAME), "fault"), key=("--fault",))
     kind = BY_NAME[name]
+    if kind.place is Place.LOCK and not has_lock:
+        raise InputError(f"{name}: this vehicle has no lock", key=("--fault",))
     if at and phase not in PHASES:
         raise InputError(unknown_name(phase, list(PHASES), "phase"), key=("--fault",))
     value = kind.value
@@ -265,10 +269,13 @@ class VehicleFault:
             plane.move(d)
 
     def _begin_other_material(self) -> None:
-        materials = self._autopilot.vehicle.materials
+        vehicle = self._autopilot.vehicle
+        materials, softest = vehicle.materials, vehicle.modes[-1]
         for plane in self._autopilot.plant.planes:
             others = [name for name in materials if name != plane.wall.material]
-            stiffest = max(others, key=lambda name: materials[name].flexible.k, default=plane.wall.material)
+            stiffest = max(
+                others, key=lambda name: materials[name].of(softest).k, default=plane.wall.material
+            )
             plane.wall = msgspec.structs.replace(plane.wall, material=stiffest)
 
     def _begin_gust(self) -> None:

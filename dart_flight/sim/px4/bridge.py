@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameters import PositionSource
-from dart_flight.config.vehicle import LockDriver, Motor
+from dart_flight.config.vehicle import LockDriver, Motor, VehicleConfig
 from dart_flight.errors import FlightError
 from dart_flight.geometry import Quaternion, Vec3
 from dart_flight.lock.drivers.px4 import actuator_pulse_us
@@ -37,8 +37,6 @@ from dart_flight.sim.sensors import (
 )
 from dart_flight.sim.vehicle import LockServo
 from dart_flight.sim.wind import Wind
-
-SERVO_CHANNEL = 4  # of HIL_ACTUATOR_CONTROLS, after the motors: PWM_MAIN 5 in PX4's simulated outputs
 
 _PX4_G_M_S2 = 9.80665  # PX4's CONSTANTS_ONE_G, not the gravity that we fly with
 
@@ -176,8 +174,10 @@ class Px4Vehicle:
         self._barometer = Barometer(rng, HOME_ALTITUDE_M)
         self._magnetometer = Magnetometer(rng, HOME_FIELD_GAUSS)
         self._wind = Wind(self.vehicle.simulation, seed, TICK_US * 1e-6)
-        self._servo = LockServo(self.plant, self.vehicle.lock.servo)
-        self._by_px4 = self.vehicle.lock.driver is LockDriver.PX4
+        lock = self.vehicle.lock
+        self._servo = None if lock is None else LockServo(self.plant, lock.servo)
+        self._lock_by_px4 = lock if lock is not None and lock.driver is LockDriver.PX4 else None
+        self._motors, self._servo_channel = len(self.plant.motors), servo_channel(self.vehicle)
         self._ticks = 0
         self.clipped = 0  # ticks with a saturated accelerometer axis
 
@@ -193,7 +193,8 @@ class Px4Vehicle:
 
     def set_horn(self, pulse_us: float) -> None:
         """Where the mock servo's horn is, as a pulse width."""
-        self._servo.set_horn(pulse_us)
+        if self._servo is not None:
+            self._servo.set_horn(pulse_us)
 
     def step(self) -> None:
         """One tick of 4 ms: the plant under PX4's last outputs, then what it measures, to PX4.
@@ -203,12 +204,12 @@ class Px4Vehicle:
         """
         controls = self._link.controls
         m = controls.values
-        if self._by_px4:
+        if self._lock_by_px4 is not None and self._servo is not None:
             # PX4 zeroes all simulated outputs while disarmed, the servo's too: that is no command.
-            pulse = actuator_pulse_us(self.vehicle.lock, m[SERVO_CHANNEL]) if controls.armed else None
+            pulse = actuator_pulse_us(self._lock_by_px4, m[self._servo_channel]) if controls.armed else None
             self._servo.follow(self.time_us, pulse)
         self._wind.blow(self.plant)
-        specific_force = self.plant.advance((m[0], m[1], m[2], m[3]), _STEPS_PER_TICK)
+        specific_force = self.plant.advance(m[: self._motors], _STEPS_PER_TICK)
         self._ticks += 1
         others = []
         if self._pose is not None:
@@ -219,7 +220,7 @@ class Px4Vehicle:
             fix = self._gps.measure(self.plant)
             if fix is not None:
                 others.append(gps_message(self.time_us, fix, self._gps))
-        self._link.exchange(self._sensor_message(specific_force, any(m[:4])), *others)
+        self._link.exchange(self._sensor_message(specific_force, any(m[: self._motors])), *others)
 
     def _sensor_message(self, specific_force_frd: Vec3, motors_turn: bool) -> Any:
         f, w = self._imu.measure(specific_force_frd, self.plant.rate, motors_turn)
@@ -235,6 +236,11 @@ class Px4Vehicle:
         return mavlink.MAVLink_hil_sensor_message(
             self.time_us, ax, ay, az, gx, gy, gz, *field, pressure, 0.0, altitude, 25.0, fields, 0
         )
+
+
+def servo_channel(vehicle: VehicleConfig) -> int:
+    """Channel of HIL_ACTUATOR_CONTROLS from 0, after the motors: PWM_MAIN 5 of a quadrotor."""
+    return len(vehicle.airframe.motors)
 
 
 def accelerometer_output(specific_force_m_s2: float, full_scale_m_s2: float) -> float:

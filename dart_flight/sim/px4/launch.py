@@ -32,12 +32,14 @@ from dart_flight.config.parameters import (
     PositionSource,
     Value,
     load_parameters,
+    parse_listing,
     vehicle_files,
 )
+from dart_flight.config.rotors import COUNT, MAV_TYPES, motors_of, rotor_parameters
 from dart_flight.config.vehicle import LockDriver, Motor, Px4Parameters, VehicleConfig, packaged
 from dart_flight.errors import FlightError
 from dart_flight.lock.drivers.px4 import ACTUATOR_SET_1, PREARM_ALWAYS
-from dart_flight.sim.px4.bridge import SERVO_CHANNEL
+from dart_flight.sim.px4.bridge import servo_channel
 from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of, holder_of, udp_port_is_free
 
 MODEL = "none_iris"  # PX4's airframe for an external simulator: a quadrotor in X
@@ -53,7 +55,7 @@ _WAITING = "Waiting for simulator to accept connection"
 _BOOTED = "Startup script returned successfully"
 _CLIENT, _VERSION = "px4-param", "px4-ver"
 _ANSWER_S = 5.0
-_LISTED = re.compile(r"^[x ] [ *+] (?P<name>[A-Z][A-Z0-9_]*) \[.*\] : (?P<value>\S+)\s*$")
+MOTOR_1 = 101  # output function "Motor 1"
 _DIGITS = 5.1e-5  # `px4-param show` writes four decimals
 _SET_PDEATHSIG = 1
 
@@ -168,50 +170,42 @@ def not_taken(wanted: Mapping[str, Value], actual: Mapping[str, float]) -> str |
     return None
 
 
-def parse_parameters(listing: str) -> dict[str, float]:
-    """Name and value of every parameter out of `px4-param show -a`."""
-    found = {}
-    for line in listing.splitlines():
-        match = _LISTED.match(line)
-        if match is not None:
-            with contextlib.suppress(ValueError):
-                found[match["name"]] = float(match["value"])
-    return found
-
-
 def airframe_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
     """What the configuration says of the vehicle, in PX4's parameters: motors, thrust curve, gains, servo."""
     parameters: dict[str, Value] = {}
-    for i, motor in enumerate(vehicle.airframe.motors):
-        parameters[f"CA_ROTOR{i}_PX"] = motor.x_m
-        parameters[f"CA_ROTOR{i}_PY"] = motor.y_m
-        parameters[f"CA_ROTOR{i}_KM"] = motor.yaw_m
+    motors = vehicle.airframe.motors
+    parameters |= rotor_parameters(motors)
+    if len(motors) in MAV_TYPES:
+        parameters["MAV_TYPE"] = MAV_TYPES[len(motors)]
+    for i in range(len(motors)):
+        parameters[f"PWM_MAIN_FUNC{i + 1}"] = MOTOR_1 + i
     for axis, place in zip("XYZ", vehicle.imu.position_m, strict=True):
         parameters[f"EKF2_IMU_POS_{axis}"] = place
-    parameters["THR_MDL_FAC"] = vehicle.thrust.model_factor
+    parameters["THR_MDL_FAC"] = vehicle.thrust.square_share
     parameters["MPC_THR_HOVER"] = vehicle.hover_thrust_fraction()
     for field in msgspec.structs.fields(Px4Parameters):
         parameters[field.encode_name] = float(getattr(vehicle.px4, field.name))
-    if vehicle.lock.driver is LockDriver.PX4:
+    if vehicle.lock is not None and vehicle.lock.driver is LockDriver.PX4:
         # In SITL every output is a simulated MAIN one, whatever pin the vehicle's servo is on.
         function = ACTUATOR_SET_1 + vehicle.lock.px4.actuator_index - 1
-        parameters[f"PWM_MAIN_FUNC{SERVO_CHANNEL + 1}"] = function
+        parameters[f"PWM_MAIN_FUNC{servo_channel(vehicle) + 1}"] = function
         parameters["COM_PREARM_MODE"] = PREARM_ALWAYS
     return parameters
 
 
 def motors_from(parameters: Mapping[str, Value], vehicle: VehicleConfig) -> tuple[Motor, ...]:
-    """The motors of the airframe that PX4 is told to fly: its parameters, else the configuration's."""
-    motors = []
-    for i, own in enumerate(vehicle.airframe.motors):
-        motors.append(
-            Motor(
-                float(parameters.get(f"CA_ROTOR{i}_PX", own.x_m)),
-                float(parameters.get(f"CA_ROTOR{i}_PY", own.y_m)),
-                float(parameters.get(f"CA_ROTOR{i}_KM", own.yaw_m)),
-            )
+    """The motors of the airframe that PX4 is told to fly: its parameters, else the configuration's.
+
+    Raises:
+        InputError: PX4 is told another number of motors than the configuration has.
+    """
+    motors = motors_of({**rotor_parameters(vehicle.airframe.motors), **parameters}, "--params")
+    if len(motors) != len(vehicle.airframe.motors):
+        raise InputError(
+            f"{COUNT} is {len(motors)}, the configuration has {len(vehicle.airframe.motors)} motors",
+            source="--params",
         )
-    return tuple(motors)
+    return motors
 
 
 def environment() -> dict[str, str]:
@@ -381,13 +375,13 @@ class Px4:
         Raises:
             Px4Error: PX4 does not answer, does not know a parameter, or one has not taken; names it.
         """
-        known = parse_parameters(self._answer(_CLIENT, "show", "-a"))
+        known = parse_listing(self._answer(_CLIENT, "show", "-a"))
         if not known:
             raise Px4Error(f"PX4 does not tell its parameters{self._last_words()}")
         chosen = fitting(parameters, known)
         for name, value in chosen.items():
             self._answer(_CLIENT, "set", name, str(value) if isinstance(value, int) else f"{value:.9g}")
-        self.check_parameters(chosen, parse_parameters(self._answer(_CLIENT, "show", "-a")))
+        self.check_parameters(chosen, parse_listing(self._answer(_CLIENT, "show", "-a")))
         return chosen
 
     @staticmethod

@@ -17,7 +17,7 @@ import msgspec
 
 from dart_flight.config.document import Document
 from dart_flight.config.mission import parse_mission
-from dart_flight.config.parameters import PositionSource, Value
+from dart_flight.config.parameters import PositionSource, Value, parse_listing
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.errors import FlightError
 from dart_flight.samples import TruthSample
@@ -35,7 +35,6 @@ from dart_flight.sim.px4.launch import (
     find_install,
     judge_version,
     motors_from,
-    parse_parameters,
     values_of,
 )
 
@@ -184,7 +183,7 @@ class Px4Process:
                     raise Px4Error("PX4 does not tell its parameters after booting")
         finally:
             answer = asked.close()
-        px4.check_parameters(self._set, parse_parameters(answer))
+        px4.check_parameters(self._set, parse_listing(answer))
 
     def _free_run(self, seconds: float) -> None:
         """Step as fast as PX4 answers; the app sees nothing of it."""

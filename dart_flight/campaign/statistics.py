@@ -1,0 +1,77 @@
+"""Shares with their intervals, bins of equal counts, and whether a quantity tells two groups apart."""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import msgspec
+
+_Z95 = 1.959964
+
+
+class Share(msgspec.Struct, frozen=True):
+    """Successes among flights, with the 95 % interval of the rate (Wilson's score interval).
+
+    Attributes:
+        count, of: successes, flights.
+        share, low, high: of 1; None where there is no flight.
+    """
+
+    count: int
+    of: int
+    share: float | None
+    low: float | None
+    high: float | None
+
+
+def share(successes: int, flights: int) -> Share:
+    """A success rate with its interval."""
+    if not flights:
+        return Share(0, 0, None, None, None)
+    return Share(successes, flights, successes / flights, *wilson(successes, flights))
+
+
+def wilson(successes: int, flights: int) -> tuple[float, float]:
+    """95 % interval of a success rate (Wilson's score interval)."""
+    z, p = _Z95, successes / flights
+    middle = (p + z * z / (2 * flights)) / (1 + z * z / flights)
+    half = z * math.sqrt(p * (1 - p) / flights + z * z / (4 * flights**2)) / (1 + z * z / flights)
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def bin_edges(values: Sequence[float], most: int = 8, least_in_one: int = 25) -> list[float]:
+    """Edges of bins with about equal counts, by quantiles; one bin where there are few values."""
+    ordered = sorted(values)
+    count = max(1, min(most, len(ordered) // least_in_one))
+    edges = [ordered[round(i * (len(ordered) - 1) / count)] for i in range(count + 1)]
+    distinct = sorted(set(edges))
+    return distinct if len(distinct) > 1 else [ordered[0], ordered[-1]]
+
+
+def bin_of(value: float, edges: Sequence[float]) -> int:
+    """Which bin a value is in; the last one holds its upper edge."""
+    return min(max(bisect.bisect_right(edges, value) - 1, 0), len(edges) - 2)
+
+
+class Separation(NamedTuple):
+    """How well a quantity tells one group from another (Mann and Whitney's U).
+
+    Attributes:
+        chance: that a value of the first group is above one of the second, ties half; 0.5: it tells nothing.
+        z: of that, in standard deviations under no difference.
+    """
+
+    chance: float
+    z: float
+
+
+def separation(first: Sequence[float], second: Sequence[float]) -> Separation:
+    """Compare two groups of values, neither of them empty."""
+    below = sorted(second)
+    wins = sum(0.5 * (bisect.bisect_left(below, v) + bisect.bisect_right(below, v)) for v in first)
+    n, m = len(first), len(second)
+    chance = wins / (n * m)
+    return Separation(chance, (chance - 0.5) / math.sqrt((n + m + 1) / (12.0 * n * m)))

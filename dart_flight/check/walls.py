@@ -1,0 +1,96 @@
+"""Walls that are not surveyed to the millimetre: whether a mission bears what they leave open."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from dart_flight.check.findings import Finding
+from dart_flight.config.mission import Collision, Mission
+from dart_flight.core.mission.approach import NoApproachError, is_blocked, legs_to_impact, plan_approach
+from dart_flight.core.mission.arithmetic import SCALARS
+from dart_flight.core.mission.survey import SURE_SD, slack_m
+from dart_flight.geometry import Vec2
+from dart_flight.planning.envelope import incidence_deg, most_incidence_deg
+from dart_flight.planning.planned import PlannedFlight
+
+_INCIDENCE_SD = 2.0
+
+
+def check_walls(mission: Mission, planned: PlannedFlight | None) -> list[Finding]:
+    """What the walls' own standard deviations lead to; nothing for walls that have none.
+
+    Args:
+        mission: whose walls they are.
+        planned: its flight by the planner's model, for the places of hits that a recovery leads to.
+    """
+    return [finding for c in mission.collisions for finding in _check_collision(mission, c, planned)]
+
+
+def _check_collision(
+    mission: Mission, collision: Collision, planned: PlannedFlight | None
+) -> Iterator[Finding]:
+    wall, item = collision.wall, f"survey_{collision.index}"
+    problems = [*_amiss(mission, collision, _place(collision, planned)), *_in_the_way(mission, collision)]
+    if problems:
+        yield Finding(item, False, f"by {SURE_SD:g} standard deviations {', '.join(problems)}")
+    elif wall.is_uncertain:
+        slack = float(slack_m(wall, _place(collision, planned)))
+        says = f"wall {wall.name} is met within {slack:.2f} m ({SURE_SD:g} sd) of where the mission has it"
+        yield Finding(item, True, says)
+    planned_deg, most_deg = (
+        incidence_deg(mission, collision),
+        most_incidence_deg(mission.vehicle, collision.mode),
+    )
+    off_deg = planned_deg + _INCIDENCE_SD * math.degrees(wall.yaw_sd_rad or 0.0)
+    if (
+        planned_deg <= most_deg < off_deg
+    ):  # what is planned beyond it is a finding without the wall's own deviation
+        yield Finding(
+            f"incidence_{collision.index}",
+            False,
+            f"wall {wall.name} may be {off_deg:.0f} degrees off parallel ({_INCIDENCE_SD:g} sd), more than "
+            f"the {most_deg:g} that {collision.mode.value} arms bear: measure its direction",
+        )
+
+
+def _amiss(mission: Mission, collision: Collision, place: Vec2) -> Iterator[str]:
+    """Where the wall that is to be hit may stand and must not."""
+    wall = collision.wall
+    if not wall.is_uncertain:
+        return
+    slack, (x, y), (nx, ny) = float(slack_m(wall, place)), place, wall.normal
+    nearest, furthest = (x + slack * nx, y + slack * ny), (x - slack * nx, y - slack * ny)
+    excess = mission.bounds.excess2(furthest)
+    if excess > 0.0:
+        yield f"wall {wall.name} may stand {excess:.2f} m outside bounds_m"
+    for other in mission.walls:
+        if other.name != wall.name and is_blocked(SCALARS, other, nearest, furthest, 0.0):
+            yield f"wall {wall.name} may stand beyond wall {other.name}"
+
+
+def _in_the_way(mission: Mission, collision: Collision) -> Iterator[str]:
+    """Which other walls may stand in the way of the run-up."""
+    if collision.approach_m_s is None:
+        return
+    try:
+        approach = plan_approach(mission, collision)
+    except NoApproachError:
+        return  # a finding of its own
+    first = collision.index == 1
+    legs = legs_to_impact(mission.start, approach.begin, approach.impact, collision.wall, first)
+    for wall in mission.walls:
+        if wall.is_uncertain and wall.name != collision.wall.name:
+            nearest = wall.moved(float(slack_m(wall, approach.impact)))
+            if any(is_blocked(SCALARS, nearest, *leg) for leg in legs(nearest)):
+                yield f"wall {wall.name} may stand in the way of the run-up to wall {collision.wall.name}"
+
+
+def _place(collision: Collision, planned: PlannedFlight | None) -> Vec2:
+    """Where a wall is to be met: as the mission says, else by the planner's model, else its middle."""
+    if collision.impact_point is not None:
+        return collision.impact_point
+    if collision.predicted is not None:
+        return collision.predicted.position_m
+    hit = planned.hits.get(collision.index) if planned is not None else None
+    return hit.position if hit is not None else collision.wall.point

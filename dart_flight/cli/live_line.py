@@ -1,0 +1,99 @@
+"""One line at the bottom of the terminal: where the flight is while nothing else is to be told."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import time
+from collections.abc import Callable
+from typing import IO, Any
+
+from dart_flight.config.mission import Mission
+from dart_flight.core.mission.anchor import Anchor
+from dart_flight.geometry import norm
+from dart_flight.lock.state_machine import describe
+from dart_flight.samples import (
+    ForceEstimate,
+    LockState,
+    OdometrySample,
+    PhaseChange,
+    Record,
+    StatusSample,
+)
+
+_PERIOD_S = 0.2
+_CLEAR = "\r\x1b[K"
+
+
+class LiveLine:
+    """Phase, place, speed, force, lock and battery, five times a second.
+
+    Written by hand: a refresh of rich's Live takes half a millisecond of the interpreter that the core needs.
+
+    Args:
+        mission: what is flown.
+        terminal: to write to.
+        now_s: the host's clock, seconds.
+    """
+
+    def __init__(
+        self, mission: Mission, terminal: IO[str], now_s: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._terminal, self._now_s = terminal, now_s
+        self._anchor = Anchor(mission)
+        self._shown = False
+        self._due_s = -math.inf
+        self._phase, self._lock, self._battery, self._force_n = "", "", "", 0.0
+        self._takers: dict[type[Record], Callable[[Any], None]] = {
+            PhaseChange: self._take_phase,
+            LockState: self._take_lock,
+            StatusSample: self._take_status,
+            ForceEstimate: self._take_force,
+            OdometrySample: self._take_odometry,
+        }
+
+    def __call__(self, record: Record) -> None:
+        """Take a record of the flight."""
+        self._anchor.take(record)
+        taker = self._takers.get(type(record))
+        if taker is not None:
+            taker(record)
+
+    def clear(self) -> None:
+        """Make room for another line."""
+        if self._shown:
+            self._shown = False
+            self._terminal.write(_CLEAR)
+            self._terminal.flush()
+
+    def _take_phase(self, change: PhaseChange) -> None:
+        self._phase = change.after.value
+
+    def _take_lock(self, state: LockState) -> None:
+        self._lock = f"lock {describe(state)}".removesuffix(" (no feedback)")
+
+    def _take_status(self, status: StatusSample) -> None:
+        self._battery = "" if status.battery_v is None else f"{status.battery_v:.1f} V"
+
+    def _take_force(self, estimate: ForceEstimate) -> None:
+        self._force_n = max(self._force_n, norm(estimate.force_mission))
+
+    def _take_odometry(self, sample: OdometrySample) -> None:
+        now, frame = self._now_s(), self._anchor.frame
+        if now < self._due_s or frame is None:
+            return
+        self._due_s = now + _PERIOD_S
+        x, y, z = frame.point_from_ned(sample.position_ned)
+        parts = (
+            self._phase,
+            f"({x:.2f}, {y:.2f}, {z:.2f}) m",
+            f"{norm(sample.velocity_ned):.2f} m/s",
+            f"force {self._force_n:.1f} N",
+            self._lock,
+            self._battery,
+        )
+        self._force_n = 0.0
+        width = shutil.get_terminal_size().columns - 1
+        self._shown = True
+        self._terminal.write(_CLEAR + "  ".join(part for part in parts if part)[:width])
+        self._terminal.flush()

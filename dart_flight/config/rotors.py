@@ -1,0 +1,83 @@
+"""The motors of an airframe in PX4's parameters (CA_ROTOR*), both ways and compared."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from dart_flight.config.document import InputError
+from dart_flight.config.vehicle import Motor
+
+COUNT = "CA_ROTOR_COUNT"
+MAV_TYPES = {4: 2, 6: 13, 8: 14}  # motors: quadrotor, hexarotor, octorotor
+_AXES = ("PX", "PY", "KM")
+_MOST = 12  # of PX4
+_PLACE_TOLERANCE_M = 0.03
+_KM_TOLERANCE = 0.5  # share: PX4 ships one value for every propeller
+
+
+def rotor_parameters(motors: Sequence[Motor]) -> dict[str, int | float]:
+    """PX4's parameters of these motors."""
+    parameters: dict[str, int | float] = {COUNT: len(motors)}
+    for i, motor in enumerate(motors):
+        values = (motor.x_m, motor.y_m, motor.yaw_torque_per_thrust_m)
+        parameters |= {f"CA_ROTOR{i}_{axis}": value for axis, value in zip(_AXES, values, strict=True)}
+    return parameters
+
+
+def rotor_names(count: float) -> list[str]:
+    """Names of the parameters of so many motors, as CA_ROTOR_COUNT has it."""
+    return [f"CA_ROTOR{i}_{axis}" for i in range(min(_MOST, round(count))) for axis in _AXES]
+
+
+def motors_of(parameters: Mapping[str, float], source: str) -> tuple[Motor, ...]:
+    """The motors that PX4 has, from its parameters.
+
+    Raises:
+        InputError: they do not say how many motors there are, or where one is.
+    """
+    if not parameters.get(COUNT):
+        raise InputError(f"has no {COUNT}: PX4 older than 1.13, or not a multicopter", source=source)
+    names = rotor_names(parameters[COUNT])
+    missing = [name for name in names if name not in parameters]
+    if missing:
+        raise InputError(f"has no {', '.join(missing)}", source=source)
+    values = [float(parameters[name]) for name in names]
+    return tuple(Motor(*values[i : i + 3]) for i in range(0, len(values), 3))
+
+
+def motors_block(motors: Sequence[Motor]) -> str:
+    """`airframe.motors` as YAML, ready to be pasted below `airframe:`."""
+    lines = ["  motors:"]
+    for m in motors:
+        x, y, yaw = m.x_m, m.y_m, m.yaw_torque_per_thrust_m
+        lines.append(f"    - {{x_m: {x:.4g}, y_m: {y:.4g}, yaw_torque_per_thrust_m: {yaw:.4g}}}")
+    return "\n".join(lines)
+
+
+def rotor_differences(motors: Sequence[Motor], actual: Sequence[Motor]) -> tuple[list[str], list[str]]:
+    """Where PX4's airframe is not the configuration's.
+
+    Args:
+        motors: of the configuration.
+        actual: PX4's.
+
+    Returns:
+        In words: another vehicle (another number of motors, one on another side or turning the other way
+        round), and the same one with other sizes.
+    """
+    if len(motors) != len(actual):
+        return [f"PX4 has {len(actual)} motors, the configuration {len(motors)}"], []
+    other: list[str] = []
+    sizes: list[str] = []
+    for number, (own, px4) in enumerate(zip(motors, actual, strict=True), start=1):
+        for name, a, b in (("x_m", own.x_m, px4.x_m), ("y_m", own.y_m, px4.y_m)):
+            if abs(a - b) <= _PLACE_TOLERANCE_M:
+                continue
+            opposite = a * b < 0.0 and min(abs(a), abs(b)) > _PLACE_TOLERANCE_M
+            (other if opposite else sizes).append(f"motor {number}: {name} {a:g}, PX4 {b:g}")
+        a, b = own.yaw_torque_per_thrust_m, px4.yaw_torque_per_thrust_m
+        if a * b < 0.0:
+            other.append(f"motor {number} turns the other way round (yaw torque {a:g} m, PX4 {b:g})")
+        elif abs(a - b) > _KM_TOLERANCE * max(abs(a), abs(b)):
+            sizes.append(f"motor {number}: yaw_torque_per_thrust_m {a:g}, PX4 {b:g}")
+    return other, sizes

@@ -1,0 +1,352 @@
+"""Estimator and detector over one log, and what they felt."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.core.sense.detector import Expected, ImpactDetector
+from dart_flight.core.sense.force import ForceEstimator
+from dart_flight.core.sense.state import FlightState
+from dart_flight.geometry import MissionFrame, Vec2, Vec3, rotate
+from dart_flight.identification.feel.samples import Sample
+from dart_flight.identification.feel.thrust import SpecificThrust
+from dart_flight.identification.thrust_curve import Track
+from dart_flight.recording.ulog import ULogFile
+from dart_flight.samples import (
+    ActuatorSample,
+    AttitudeSample,
+    ForceEstimate,
+    ImpactOnset,
+    ImpactPeak,
+    ImuSample,
+    OdometrySample,
+)
+
+Array = NDArray[np.float64]
+_BEYOND_THRUST = 0.5  # of the impulse: what pushes against a vehicle tilted by up to 45 degrees has as much
+REMEMBERED = 256  # samples: as long as the detector waits for a peak
+_BORNE_OUT = 0.3  # of the threshold: a short pulse just over it is fitted too low, to about a third at worst
+_TOUCHDOWN_S = 3.0  # an impact this long before PX4 says landed is the ground
+
+
+class Felt(msgspec.Struct):
+    """One impact.
+
+    Attributes:
+        t_s: since the log's beginning, first contact.
+        acceleration_m_s2: peak of the normal force over mass.
+        force_n: peak of the normal force; None without a mass.
+        direction_deg: where the force points, clockwise from north.
+        clipped: the accelerometer was at full scale: a lower bound.
+        kind: `impact`, or `touch-down` where PX4 says landed shortly after.
+        speed_m_s: horizontal, before it.
+        height_m: above where the log begins, by PX4's estimate; None where it has none.
+    """
+
+    t_s: float
+    acceleration_m_s2: float
+    force_n: float | None
+    direction_deg: float
+    clipped: bool
+    kind: str
+    speed_m_s: float
+    height_m: float | None
+
+
+class Estimated(NamedTuple):
+    """An estimate with what it took for the thrust.
+
+    Attributes:
+        force: the estimate.
+        flying: whether the vehicle was in the air.
+        up: direction of the thrust, mission frame.
+        thrust_n: that was taken off.
+        along_n: what the accelerometer felt along it.
+        full_n: the most that the motors give.
+    """
+
+    force: ForceEstimate
+    flying: bool
+    up: Vec3
+    thrust_n: float
+    along_n: float
+    full_n: float
+
+    def pushed(self, push: Vec2) -> Estimated:
+        """As it would be with one more horizontal force, newton, mission frame."""
+        x, y, z = self.force.force_mission
+        force = msgspec.structs.replace(self.force, force_mission=(x + push[0], y + push[1], z))
+        along = self.along_n + push[0] * self.up[0] + push[1] * self.up[1]
+        return self._replace(force=force, along_n=along)
+
+    def beyond_thrust(self) -> Vec2:
+        """The part of the horizontal force that is there whatever the motors gave, newton, mission frame.
+
+        A log's thrust is fitted or assumed, from commands at 10 Hz. Along its axis the accelerometer may feel
+        anything from nothing to full thrust without any contact.
+        """
+        could_n = max(0.0, min(self.full_n, self.along_n)) - self.thrust_n
+        x, y, _ = self.force.force_mission
+        return (x - could_n * self.up[0], y - could_n * self.up[1])
+
+
+Listener = Callable[[Estimated], object]
+
+
+class Crossing(msgspec.Struct):
+    """The force was over its threshold, and what came of it.
+
+    Attributes:
+        onset: the moment.
+        threshold_n: that was crossed.
+        peak: None where the log ends before it is known.
+        beyond_thrust: whether no thrust of the motors explains it: half of the impulse up to the peak, or
+            what alone is over the threshold in a mean over the detector's short window.
+    """
+
+    onset: ImpactOnset
+    threshold_n: float
+    peak: ImpactPeak | None = None
+    beyond_thrust: bool = True
+
+    def ends(self, peak: ImpactPeak, newest: Iterable[Estimated], short: int) -> None:
+        """Its peak is known.
+
+        Args:
+            peak: the peak.
+            newest: the newest estimates, in order.
+            short: samples of the detector's short window.
+        """
+        self.peak = peak
+        since = [e for e in newest if e.force.t_us >= self.onset.first_us]
+        whole = np.array([e.force.force_mission[:2] for e in since])
+        beyond = np.array([e.beyond_thrust() for e in since])
+        share = _BEYOND_THRUST * float(np.sum(whole @ peak.normal))
+        n = min(short, len(since))
+        means = np.cumsum(np.concatenate((np.zeros((1, 2)), beyond)), axis=0)
+        largest = float(np.max(np.hypot(*(means[n:] - means[:-n]).T))) / n
+        self.beyond_thrust = float(np.sum(beyond @ peak.normal)) >= share or largest >= self.threshold_n
+
+    @property
+    def is_impact(self) -> bool:
+        """Whether the fitted peak bears out what crossed the threshold, and the thrust does not explain it.
+
+        Else it was noise, or a manoeuvre.
+        """
+        if self.peak is None:
+            return True
+        size = math.hypot(self.peak.normal_force_n, self.peak.tangential_force_n)
+        return size >= _BORNE_OUT * self.threshold_n and self.beyond_thrust
+
+
+def short_samples(vehicle: VehicleConfig) -> int:
+    """Samples in the detector's short window."""
+    return max(1, round(vehicle.detection.short_window_s / vehicle.imu.tick_s))
+
+
+class FeltFlight(msgspec.Struct):
+    """What one log felt; newtons are None without a mass.
+
+    `weak` counts crossings of the threshold whose fitted peak stayed below it, or that an error of the thrust
+    explains: they are no impacts.
+    """
+
+    log: str
+    px4_version: str | None
+    begin_s: float  # of the log, on the autopilot's clock
+    duration_s: float
+    flight_s: float
+    noise_n: float | None
+    noise_m_s2: float  # of one sample and axis, median over the flight
+    noise_short_m_s2: float  # of the means over the detector's two windows
+    noise_long_m_s2: float
+    threshold_n: float | None
+    threshold_m_s2: float  # lowest in force, median over the flight
+    floor_rigid_m_s2: float  # peaks from which on contacts are found for certain
+    floor_flexible_m_s2: float
+    drag_per_s: float
+    thrust: SpecificThrust | None
+    impacts: list[Felt]
+    weak: int
+    unknown: list[str]
+    series: FeltSeries | None = None  # not in JSON
+
+
+class FeltSeries(msgspec.Struct):
+    """Force over mass in flight, north, east and down, and the threshold; for the report and for trials."""
+
+    time_s: Array
+    force_m_s2: Array  # (n, 3)
+    threshold_m_s2: Array
+    position_s: Array
+    position_ned: Array  # (m, 3)
+
+
+class Pass:
+    """Estimator and detector over one log.
+
+    Args:
+        vehicle: as `vehicle_for` has it.
+        flying: stretches in which an impact is one, seconds.
+        listener: takes every estimate, with whether it was in the air.
+    """
+
+    def __init__(
+        self,
+        vehicle: VehicleConfig,
+        flying: list[tuple[float, float]],
+        listener: Listener | None = None,
+    ) -> None:
+        self._mass, self._flying, self._listener = vehicle.airframe.mass_kg, flying, listener
+        self.estimator, self.detector = ForceEstimator(vehicle), ImpactDetector(vehicle)
+        self.state = FlightState()
+        self.state.anchor(MissionFrame())
+        self._place = 0
+        self._full_n = len(vehicle.airframe.motors) * vehicle.thrust.most_n
+        self._newest: deque[Estimated] = deque(maxlen=REMEMBERED)
+        self._short = short_samples(vehicle)
+        self.rows: list[tuple[float, float, float, float, float]] = []  # time, north, east, down, threshold
+        self._noise: list[tuple[float, float, float, float, float]] = []
+        self.crossings: list[Crossing] = []
+
+    def in_the_air(self, t_s: float) -> bool:
+        """Whether this is within one of the flights; moments do not go back."""
+        while self._place < len(self._flying) and self._flying[self._place][1] < t_s:
+            self._place += 1
+        return self._place < len(self._flying) and self._flying[self._place][0] <= t_s
+
+    def take(self, sample: Sample) -> None:
+        """The next sample of the log."""
+        if isinstance(sample, AttitudeSample):
+            if self.state.take_attitude(sample):
+                self.estimator.take_attitude(sample)
+        elif isinstance(sample, OdometrySample):
+            self.state.take_odometry(sample)
+        elif isinstance(sample, ActuatorSample):
+            self.estimator.thrust.take_actuator(sample)
+        elif self.state.take_imu(sample):
+            self._feel(sample)
+
+    def _feel(self, sample: ImuSample) -> None:
+        detector, flying = self.detector, self.in_the_air(sample.t_us * 1e-6)
+        # What is learnt on the ground says nothing of the flight.
+        estimate = self.estimator.estimate(sample, self.state, detector.in_contact or not flying)
+        if estimate is None:
+            return
+        felt = self._with_thrust(estimate, sample, flying)
+        self._newest.append(felt)
+        if self._listener is not None:
+            self._listener(felt)
+        for event in detector.update(estimate, sample.t_us, self.state, Expected(flying)):
+            if isinstance(event, ImpactOnset):
+                self.crossings.append(Crossing(event, detector.crossed_n))
+            elif isinstance(event, ImpactPeak):
+                self.crossings[-1].ends(event, self._newest, self._short)
+        if flying:
+            self._keep(estimate)
+
+    def _with_thrust(self, estimate: ForceEstimate, sample: ImuSample, flying: bool) -> Estimated:
+        attitude, frame = self.estimator.attitude, self.state.frame
+        assert attitude is not None
+        assert frame is not None
+        up = frame.vector_from_ned(rotate(attitude, (0.0, 0.0, -1.0)))
+        along_n = -self._mass * sample.specific_force_frd[2]
+        return Estimated(estimate, flying, up, self.estimator.thrust_n, along_n, self._full_n)
+
+    def _keep(self, estimate: ForceEstimate) -> None:
+        fx, fy, fz = estimate.force_mission
+        m, thresholds = self._mass, self.detector.thresholds_n()
+        # The mission frame here is north, west, up.
+        self.rows.append((estimate.t_us * 1e-6, fx / m, -fy / m, -fz / m, min(thresholds) / m))
+        if len(self.rows) % 50 == 0:
+            short, long = self.detector.noise_n
+            self._noise.append(
+                (
+                    self.estimator.hover.noise_m_s2,
+                    short / m,
+                    long / m,
+                    self.detector.floor_n(0.05) / m,
+                    self.detector.floor_n(0.15) / m,
+                )
+            )
+
+    def felt(
+        self,
+        log: ULogFile,
+        track: Track,
+        curve: SpecificThrust | None,
+        drag: float,
+        mass_kg: float | None,
+        unknown: list[str],
+    ) -> FeltFlight:
+        """The result."""
+        begin = float(track.imu_s[0])
+        table = np.array(self.rows).reshape(-1, 5)
+        noise = (
+            np.median(np.array(self._noise).reshape(-1, 5), axis=0) if self._noise else np.full(5, math.nan)
+        )
+        threshold = float(np.median(table[:, 4])) if len(table) else math.nan
+        position = log.first("vehicle_local_position")
+        where = np.empty((0, 3)), np.empty(0)
+        if position is not None:
+            where = (
+                np.stack([np.asarray(position[n], dtype=float) for n in ("x", "y", "z")], axis=1),
+                np.asarray(position["timestamp"], dtype=float) * 1e-6 - begin,
+            )
+        return FeltFlight(
+            log=log.source,
+            px4_version=".".join(str(v) for v in log.version) if log.version else None,
+            begin_s=begin,
+            duration_s=float(track.imu_s[-1]) - begin,
+            flight_s=sum(b - a for a, b in self._flying),
+            noise_n=None if mass_kg is None else mass_kg * float(noise[0]),
+            noise_m_s2=float(noise[0]),
+            noise_short_m_s2=float(noise[1]),
+            noise_long_m_s2=float(noise[2]),
+            threshold_n=None if mass_kg is None else mass_kg * threshold,
+            threshold_m_s2=threshold,
+            floor_rigid_m_s2=float(noise[3]),
+            floor_flexible_m_s2=float(noise[4]),
+            drag_per_s=drag,
+            thrust=curve,
+            impacts=[
+                self._impact(c, begin, track.ground, where, mass_kg) for c in self.crossings if c.is_impact
+            ],
+            weak=sum(not c.is_impact for c in self.crossings),
+            unknown=unknown,
+            series=FeltSeries(table[:, 0] - begin, table[:, 1:4], table[:, 4], where[1], where[0]),
+        )
+
+    def _impact(
+        self,
+        crossing: Crossing,
+        begin: float,
+        ground: list[tuple[float, float]],
+        where: tuple[Array, Array],
+        mass_kg: float | None,
+    ) -> Felt:
+        onset, peak = crossing.onset, crossing.peak
+        fx, fy = onset.force_mission[:2] if peak is None else peak.normal
+        size = math.hypot(fx, fy) if peak is None else peak.normal_force_n
+        t = onset.first_us * 1e-6
+        down_m = where[0][:, 2]
+        height = float(down_m[0] - np.interp(t - begin, where[1], down_m)) if len(down_m) else math.nan
+        down = any(a - _TOUCHDOWN_S <= t <= b for a, b in ground)
+        return Felt(
+            t_s=t - begin,
+            acceleration_m_s2=size / self._mass,
+            force_n=None if mass_kg is None else size / self._mass * mass_kg,
+            direction_deg=math.degrees(math.atan2(-fy, fx)) % 360.0,
+            clipped=peak is not None and peak.clipped,
+            kind="touch-down" if down else "impact",
+            speed_m_s=math.hypot(onset.velocity_mission[0], onset.velocity_mission[1]),
+            height_m=height if math.isfinite(height) else None,
+        )

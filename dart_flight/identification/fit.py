@@ -1,0 +1,287 @@
+"""`identify`: contact coefficients, restitution and the law that predicts, from recorded trials.
+
+Every trial is first read as a whole (`hits`): speeds in and out, peak, duration, without a law. Where its
+positions show the contact in enough samples, the paper's law is fitted to them jointly (`sample_fit`,
+`solver`), which tells most where the law is right. Where it is not (the residual in contact is several times
+the noise), or where there are only speeds or an accelerometer, the coefficients come from the hits as a
+whole. What the data cannot tell comes back as None.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dart_flight.config.document import InputError
+from dart_flight.contact.law import Onset
+from dart_flight.identification.estimates import Estimate, Identification, SetAside, TrialFit
+from dart_flight.identification.held_out import HeldOut, compare
+from dart_flight.identification.hits import Hit, hit_of
+from dart_flight.identification.intervals import covariance
+from dart_flight.identification.judgement import SampleResult, SampleTrial, conclude, errors_of_hits
+from dart_flight.identification.laws import ContactLaw, candidate_laws
+from dart_flight.identification.sample_fit import PLANE_SD_M
+from dart_flight.identification.solver import solve, without_derived
+from dart_flight.identification.trials import Trial
+from dart_flight.identification.whole_hits import friction, law_parameters, restitution, tangential_ratio
+
+PAPER = "paper"
+BASELINE = "baseline"  # no law: restitution and force per speed
+BEST = "best"  # what predicts held-out hits best
+LAWS = (PAPER, "preload", "hertz", "two-stage", BASELINE, BEST)
+_LEAST_IN_CONTACT = 4
+_SLOW_SAMPLING_S = 0.006
+_PREDICTS = 0.1  # error of peak and speed out up to which a fit of samples stands although it is off
+_COEFFICIENTS = ("k", "f", "mu", "nu")
+
+
+def identify(
+    trials: Sequence[Trial],
+    mass_kg: float,
+    onset: Onset,
+    *,
+    plane_sd_m: float = PLANE_SD_M,
+    law: str = PAPER,
+    compare_laws: bool = True,
+) -> Identification:
+    """Coefficients per mode from trials at one plane (paper, Sec. IV-B and V-A).
+
+    Args:
+        trials: recordings; all share the plane, those of one mode its coefficients.
+        mass_kg: vehicle mass.
+        onset: onset rule of the model that is fitted; k and f depend on it a little.
+        plane_sd_m: how well the plane's position is known beforehand, standard deviation.
+        law: whose parameters to give beside the paper's coefficients, of `LAWS`.
+        compare_laws: whether to try every law on held-out hits.
+
+    Raises:
+        InputError: SciPy is missing, or a trial cannot be used (its name and why).
+    """
+    if not trials:
+        raise InputError("no trials")
+    usable, notes = without_derived(trials)
+    hits = [hit_of(trial, mass_kg) for trial in usable]
+    notes += [note for hit in hits for note in hit.notes]
+    sampled, result = _fit_samples(usable, hits, mass_kg, onset, plane_sd_m, notes)
+    laws = candidate_laws(onset)
+    members = {hit.mode: [other for other in hits if other.mode == hit.mode] for hit in hits}
+    held_out = {}
+    if compare_laws or law == BEST:
+        held_out = {mode: compare(list(laws.values()), own, mass_kg) for mode, own in members.items()}
+        notes += [found.sentence for found in held_out.values() if found.hits]
+    coefficients, parameters = {}, {}
+    for mode, own in members.items():
+        coefficients[mode] = _coefficients(mode, result, own, laws[PAPER], mass_kg, notes)
+        chosen = _chosen(law, held_out.get(mode))
+        parameters[mode] = _parameters(mode, chosen, coefficients[mode], laws, own, mass_kg, notes)
+        if law == BEST:
+            notes.append(f"{mode}: chosen by held-out hits: {chosen}")
+    return Identification(
+        coefficients=coefficients,
+        plane_m=result.plane_m if result else None,
+        residuals=result.residuals if result else {},
+        trials=_trial_fits(hits, sampled, result),
+        vertical_side=result.vertical_side if result else None,
+        notes=notes,
+        restitution={mode: restitution(own) for mode, own in members.items()},
+        tangential_ratio={mode: tangential_ratio(own) for mode, own in members.items()},
+        law=law,
+        law_parameters=parameters,
+        held_out=held_out,
+    )
+
+
+def _chosen(law: str, held_out: HeldOut | None) -> str:
+    if law != BEST:
+        return law
+    return held_out.best if held_out and held_out.best and held_out.earned else BASELINE
+
+
+def _parameters(
+    mode: str,
+    law: str,
+    coefficients: Mapping[str, Estimate | None],
+    laws: Mapping[str, ContactLaw],
+    hits: Sequence[Hit],
+    mass_kg: float,
+    notes: list[str],
+) -> dict[str, Estimate | None]:
+    """Those of the chosen law; a baseline has none."""
+    if law == PAPER:
+        return {name: coefficients[name] for name in ("k", "f")}
+    if law == BASELINE:
+        return {}
+    found, more = law_parameters(laws[law], hits, mass_kg)
+    notes += [f"{mode}: {note}" for note in more]
+    return found
+
+
+def _fit_samples(
+    trials: Sequence[Trial],
+    hits: Sequence[Hit],
+    mass_kg: float,
+    onset: Onset,
+    plane_sd_m: float,
+    notes: list[str],
+) -> tuple[list[int], SampleResult | None]:
+    """The joint fit of those trials whose positions show the contact, and which they are."""
+    positions = [
+        i for i, trial in enumerate(trials) if "normal_m" in trial.series and trial.position_measured
+    ]
+    # Where sampling is slow the hit's own extent (widened to whole samples on both sides) decides at once;
+    # where it is fast that extent begins late, when the path has bent by more than noise, the fit decides.
+    few = {
+        i: max(trials[i].samples_between(hits[i].begin_s, hits[i].end_s) - 2, 0)
+        for i in positions
+        if float(np.median(np.diff(trials[i].normal.time_s))) > _SLOW_SAMPLING_S
+    }
+    few = {i: n for i, n in few.items() if n < _LEAST_IN_CONTACT}
+    chosen = [i for i in positions if i not in few]
+    result = None
+    while chosen:
+        felt = [(hits[i].begin_s, hits[i].end_s) for i in chosen]
+        fit, theta, more = solve(
+            [trials[i] for i in chosen], felt, mass_kg, onset, plane_sd_m, least=_LEAST_IN_CONTACT
+        )
+        counts = {i: fit.in_contact(theta, j) for j, i in enumerate(chosen)}
+        less = {i: n for i, n in counts.items() if n < _LEAST_IN_CONTACT}
+        if not less:
+            result = conclude(fit, theta)
+            notes += more + result.notes
+            break
+        few |= less
+        chosen = [i for i in chosen if i not in less]
+    for i, n in few.items():
+        notes.append(
+            f"{trials[i].name}: {n} sample{'' if n == 1 else 's'} in contact, at least "
+            f"{_LEAST_IN_CONTACT} are needed for stiffness: only its speeds are used"
+        )
+    return chosen, result
+
+
+def _coefficients(
+    mode: str,
+    result: SampleResult | None,
+    hits: Sequence[Hit],
+    paper: ContactLaw,
+    mass_kg: float,
+    notes: list[str],
+) -> dict[str, Estimate | None]:
+    """From samples where the law fits them, from whole hits elsewhere."""
+    found = dict(result.coefficients[mode]) if result and mode in result.coefficients else None
+    bad = result is not None and mode in result.bad
+    if bad and found is not None and _predicts(found, paper, hits, mass_kg):
+        bad = False  # off at the samples by more than noise, but right in what is asked of it
+    if found is None or bad:
+        whole, more = law_parameters(paper, hits, mass_kg)
+        notes += [f"{mode}: {note}" for note in more]
+        if found is None:
+            found = dict.fromkeys(_COEFFICIENTS)
+        if any(e is not None for e in whole.values()):
+            found |= whole
+            notes.append(f"{mode}: k and f are from speeds, peaks and durations of whole hits")
+        elif not bad:
+            notes.append(f"{mode}: neither forces nor enough samples in contact: k and f are not known")
+        mu = friction(hits)
+        if mu is not None:
+            found["mu"] = mu
+    for name, what in (
+        ("mu", "no mu, because the trials show no motion along the wall that friction changes"),
+        ("nu", "no nu, because the trials show no vertical motion that the contact changes"),
+    ):
+        if found[name] is None:
+            notes.append(f"{mode}: {what}")
+    return found
+
+
+def _predicts(
+    found: dict[str, Estimate | None], paper: ContactLaw, hits: Sequence[Hit], mass_kg: float
+) -> bool:
+    """Whether coefficients give peak and speed out of their own hits to a tenth, in the median."""
+    known = [e for e in errors_of_hits(found, paper, hits, mass_kg) if e is not None]
+    return bool(known) and max(known) < _PREDICTS
+
+
+def _trial_fits(hits: Sequence[Hit], sampled: Sequence[int], result: SampleResult | None) -> list[TrialFit]:
+    """One per trial; `sampled` are the places of those whose samples were fitted."""
+    of = dict(zip(sampled, result.trials, strict=True)) if result else {}
+    return [_trial_fit(hit, of.get(i)) for i, hit in enumerate(hits)]
+
+
+def _trial_fit(hit: Hit, sampled: SampleTrial | None) -> TrialFit:
+    if sampled is None:
+        sampled = SampleTrial(
+            onset_s=hit.begin_s,
+            normal_m_s=-hit.normal_in_m_s,
+            tangential_m_s=hit.tangential_in_m_s,
+            samples_in_contact=hit.samples_in_contact,
+            push_m_s2=(0.0, 0.0),
+            force_delay_s=None,
+            misfit=None,
+            worst_channel="",
+            set_aside=SetAside(0, 0, hit.samples_in_contact),
+        )
+        used = "whole"
+    else:
+        used = "samples"
+    return TrialFit(
+        name=hit.name,
+        mode=hit.mode,
+        onset_s=sampled.onset_s,
+        normal_m_s=sampled.normal_m_s,
+        tangential_m_s=sampled.tangential_m_s,
+        samples_in_contact=sampled.samples_in_contact,
+        push_m_s2=sampled.push_m_s2,
+        used=used,
+        normal_out_m_s=hit.normal_out_m_s,
+        tangential_out_m_s=hit.tangential_out_m_s,
+        peak_force_n=hit.peak_force_n,
+        force_delay_s=sampled.force_delay_s,
+        misfit=sampled.misfit,
+        set_aside=sampled.set_aside,
+    )
+
+
+def deviation_bound(
+    trials: Sequence[Trial],
+    mass_kg: float,
+    onset: Onset,
+    noise: dict[str, float],
+    *,
+    plane_sd_m: float = PLANE_SD_M,
+) -> dict[str, dict[str, float]]:
+    """Cramér-Rao bound: the smallest standard deviation any unbiased estimate of k, f, mu, nu can have.
+
+    Onset times, approach velocities and the plane (with its prior) are unknown, as they are in `identify`;
+    free flight is taken to be straight.
+
+    Args:
+        trials: (nearly) noise-free recordings, at the sample times of those in question.
+        mass_kg, onset, plane_sd_m: as `identify`.
+        noise: standard deviation of the noise by channel.
+
+    Returns:
+        mode -> coefficient -> bound, in the coefficient's unit.
+    """
+    felt = [(hit.begin_s, hit.end_s) for hit in (hit_of(trial, mass_kg) for trial in trials)]
+    fit, theta, _ = solve(trials, felt, mass_kg, onset, plane_sd_m, may_curve=False)
+    fit.sd.update(noise)
+    for window in fit.windows:
+        for counts in window.counts.values():
+            counts[:] = 1.0
+    deviation = np.sqrt(np.diag(covariance(fit, theta)))
+    bounds = {}
+    for mode in fit.parameters.modes:
+        at = fit.parameters.of_mode(mode)
+        bounds[mode] = {
+            "k": float(deviation[at["k"]] * math.exp(theta[at["k"]])),
+            "f": float(deviation[at["f"]] * math.exp(theta[at["f"]])),
+            "mu": float(deviation[at["mu"]]),
+            "nu": float(deviation[at["nu"]]),
+        }
+    return bounds
+
+
+__all__ = ["BASELINE", "BEST", "LAWS", "PAPER", "Estimate", "Identification", "deviation_bound", "identify"]

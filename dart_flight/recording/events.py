@@ -1,0 +1,129 @@
+"""What happened in a flight, in words: one line per decision, the same on the terminal and in a viewer."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import NamedTuple
+
+from dart_flight.samples import (
+    ContactEnd,
+    GoalPassed,
+    GuardEvent,
+    HealthReport,
+    ImpactPeak,
+    LockPhase,
+    LockState,
+    MissionEnd,
+    Outcome,
+    Override,
+    PhaseChange,
+    PlanTaken,
+    Record,
+    StatusText,
+)
+
+
+class Level(IntEnum):
+    """How much an event matters, in the order of foxglove.Log's levels."""
+
+    DEBUG = 1
+    INFO = 2
+    WARNING = 3
+    ERROR = 4
+    FATAL = 5
+
+
+class Event(NamedTuple):
+    """One event.
+
+    Attributes:
+        level: how much it matters.
+        source: which part says it: mission, contact, guard, lock or px4.
+        head: what happened.
+        detail: why, or how much; may be empty.
+    """
+
+    level: Level
+    source: str
+    head: str
+    detail: str = ""
+
+    @property
+    def text(self) -> str:
+        """Both in one line."""
+        return f"{self.head}  {self.detail}" if self.detail else self.head
+
+
+_SEVERITIES = {
+    "emergency": Level.FATAL,
+    "alert": Level.FATAL,
+    "critical": Level.ERROR,
+    "error": Level.ERROR,
+    "warning": Level.WARNING,
+}
+
+
+class Events:
+    """Takes the records of a flight in order.
+
+    Args:
+        every_problem: also what PX4's checks hold against modes other than the present one.
+    """
+
+    def __init__(self, every_problem: bool = False) -> None:
+        self._every_problem = every_problem
+        self._problems: tuple[str, ...] = ()
+
+    def take(self, record: Record) -> Event | None:
+        """The event that a record is, or None."""
+        if isinstance(record, PhaseChange):
+            which = f" (collision {record.collision})" if record.collision else ""
+            return Event(Level.INFO, "mission", f"{record.after}{which}", record.reason)
+        if isinstance(record, ImpactPeak):
+            clipped = ", clipped" if record.clipped else ""
+            head = (
+                f"impact: {record.normal_force_n:.1f} N normal, "
+                f"{record.tangential_force_n:.1f} N along the wall{clipped}"
+            )
+            return Event(Level.INFO, "contact", head)
+        if isinstance(record, ContactEnd):
+            head = f"contact over after {(record.t_us - record.first_us) * 1e-3:.0f} ms"
+            return Event(Level.INFO, "contact", head)
+        if isinstance(record, GuardEvent):
+            level = Level.WARNING if record.action is Override.NONE else Level.ERROR
+            return Event(level, "guard", f"guard: {record.rule} -> {record.action}", record.detail)
+        if isinstance(record, GoalPassed):
+            words = "time is up, nearest to the goal" if record.timed_out else "goal passed at"
+            return Event(Level.INFO, "mission", f"{words} {record.miss_m:.2f} m")
+        if isinstance(record, PlanTaken):
+            head = "flying a new plan" if record.taken else f"new plan not flown: {record.reason}"
+            return Event(Level.INFO, "mission", head)
+        if isinstance(record, MissionEnd):
+            level = Level.INFO if record.outcome is Outcome.COMPLETED else Level.ERROR
+            return Event(level, "mission", record.outcome, record.reason or "")
+        if isinstance(record, LockState):
+            return _lock(record)
+        if isinstance(record, StatusText):
+            level = _SEVERITIES.get(record.severity, Level.DEBUG)
+            return Event(level, "px4", f"PX4 {record.severity}: {record.text}")
+        if isinstance(record, HealthReport):
+            return self._health(record)
+        return None
+
+    def _health(self, record: HealthReport) -> Event | None:
+        """What PX4's checks hold against arming; nothing where that has not changed."""
+        problems = record.blocking or (record.others if self._every_problem else ())
+        changed, self._problems = problems != self._problems, problems
+        if not changed or not problems:
+            return None
+        return Event(Level.WARNING, "px4", f"PX4's checks: {', '.join(problems)}")
+
+
+def _lock(record: LockState) -> Event:
+    settled = record.phase is LockPhase.SETTLED
+    feedback = " (no feedback)" if settled and not record.feedback else ""
+    mode = f" {record.mode.value}" if record.mode else ""
+    why = f": {record.reason}" if record.reason else ""
+    levels = {LockPhase.FAULT: Level.ERROR, LockPhase.TRAVELLING: Level.DEBUG}
+    level = levels.get(record.phase, Level.INFO)
+    return Event(level, "lock", f"lock {record.phase.value}{mode}{feedback}{why}")

@@ -1,0 +1,45 @@
+"""A flight log in memory: the records that a file would have, and the same reader's object around them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dart_flight.recording.reader import IN_MEMORY, Log, LogEntry
+from dart_flight.recording.writer import LogPart
+from dart_flight.samples import Record
+
+
+class MemoryLog:
+    """Takes the records of one flight, as `FlightLog` does.
+
+    Args:
+        about: what describes the flight (`recording.about.describe_flight`).
+
+    Attributes:
+        log: what has been taken so far.
+    """
+
+    def __init__(self, about: dict[str, str]) -> None:
+        self.log = Log(IN_MEMORY, about, {}, [], complete=True)
+
+    def put(self, record: Record, number: int) -> None:
+        """Take a record; `number` is that of the input it is or follows from."""
+        self.log.entries.append(LogEntry(number, record))
+
+    def close(self) -> None:
+        """Nothing is left to be done."""
+
+
+def write_log(log: Log, path: Path) -> None:
+    """Write a log as one file, which must not exist; `read_log` gives the same records back.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    part = LogPart(path, log.about, 1)
+    time_us = 0
+    for entry in log.entries:
+        time_us = getattr(entry.record, "t_us", 0) or time_us
+        part.write(entry.record, time_us, entry.number)
+    part.finish({**log.end, "lost": "0"})
+    part.close()

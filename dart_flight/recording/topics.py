@@ -1,0 +1,177 @@
+"""The records of a log as arrays, one `Topic` per channel, with the fields' own names."""
+
+from __future__ import annotations
+
+import difflib
+import types
+from collections.abc import Iterable, Iterator
+from enum import Enum
+from typing import TYPE_CHECKING, Any, NamedTuple, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.recording.flight_time import zero_of
+from dart_flight.recording.schema import RECORD_TYPES, axes_of
+from dart_flight.samples import Record
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_BY_TOPIC = {kind.topic: kind for kind in RECORD_TYPES}
+
+
+class Topic:
+    """The records of one channel: every field of the record by its name, as an array over the records.
+
+    A number has shape (n,), a vector (n, k), also a list of one length such as the motors; what may be
+    missing is NaN there (so that integers and truth values that may be missing are floats). Text and names
+    are arrays of text, of objects where they may be None or are lists of any length. Units and frames are
+    those of the names (docs/log.md).
+
+    Attributes:
+        kind: the type of the records.
+        records: themselves.
+        t_s: (n,), seconds since the flight's zero (`recording.flight_time`), by the autopilot's clock; of
+            records without a stamp that of the last one before.
+    """
+
+    def __init__(self, kind: type[Record], records: list[Record], t_s: NDArray[np.float64]) -> None:
+        self.kind, self.records, self.t_s = kind, records, t_s
+        self._made: dict[str, NDArray[Any]] = {}
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Names of the fields."""
+        return self.kind.__struct_fields__
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        if name not in self.fields:
+            raise KeyError(f"{self.kind.topic} has no field {name}{_near(name, self.fields)}")
+        if name not in self._made:
+            values = [getattr(record, name) for record in self.records]
+            self._made[name] = _array(values, get_type_hints(self.kind)[name])
+        return self._made[name]
+
+    def __getattr__(self, name: str) -> NDArray[Any]:
+        try:
+            return self[name]
+        except KeyError as error:
+            raise AttributeError(error.args[0]) from None
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self.fields]
+
+    def __repr__(self) -> str:
+        return f"<{self.kind.topic}: {len(self)} records of {', '.join(self.fields)}>"
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A data frame over `t_s`, vectors spread into columns as in the CSV export (`force_mission_x`).
+
+        Raises:
+            ImportError: pandas is not installed.
+        """
+        try:
+            import pandas  # noqa: PLC0415
+        except ImportError:
+            raise ImportError("data frames need pandas: pip install 'dart-flight[pandas]'") from None
+        columns: dict[str, NDArray[Any]] = {}
+        for name in self.fields:
+            values = self[name]
+            if values.ndim == 1:
+                columns[name] = values
+                continue
+            for i, axis in enumerate(axes_of(name, values.shape[1])):
+                columns[f"{name}_{axis}"] = values[:, i]
+        return pandas.DataFrame(columns, index=pandas.Index(self.t_s, name="t_s"))
+
+
+class Topics:
+    """The channels of a log.
+
+    Args:
+        records: of the log, in the order written.
+
+    Attributes:
+        names: of the channels that have records.
+    """
+
+    def __init__(self, records: Iterable[Record]) -> None:
+        found: dict[type[Record], list[Record]] = {}
+        stamps: dict[type[Record], list[int]] = {}
+        everything = list(records)
+        t_us = zero_us = zero_of(everything)
+        for record in everything:
+            t_us = getattr(record, "t_us", 0) or t_us
+            kind = type(record)
+            if kind not in found:
+                found[kind], stamps[kind] = [], []
+            found[kind].append(record)
+            stamps[kind].append(t_us)
+        self._topics = {
+            kind.topic: Topic(kind, rows, np.array([(t - zero_us) * 1e-6 for t in stamps[kind]], dtype=float))
+            for kind, rows in found.items()
+        }
+        self.names = tuple(sorted(self._topics))
+
+    def __getitem__(self, name: str) -> Topic:
+        if name not in _BY_TOPIC:
+            raise KeyError(f"no channel {name}{_near(name, _BY_TOPIC)}")
+        if name not in self._topics:
+            return Topic(_BY_TOPIC[name], [], np.empty(0))
+        return self._topics[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+
+def _near(name: str, known: Iterable[str]) -> str:
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f", did you mean {near[0]}?" if near else f", known: {', '.join(known)}"
+
+
+class _Kind(NamedTuple):
+    """What a field holds: its type, of a vector that of its parts and their number; may it be missing?"""
+
+    type: Any
+    length: int | None
+    optional: bool
+
+
+def _kind(hint: Any) -> _Kind:
+    optional = False
+    if get_origin(hint) in (Union, types.UnionType):
+        optional = True
+        (hint,) = (part for part in get_args(hint) if part is not types.NoneType)
+    if get_origin(hint) is tuple:
+        parts = get_args(hint)
+        return _Kind(parts[0], None, True) if Ellipsis in parts else _Kind(parts[0], len(parts), optional)
+    return _Kind(hint, 0, optional)
+
+
+def _array(values: list[Any], hint: Any) -> NDArray[Any]:
+    kind = _kind(hint)
+    if kind.length is None:
+        lengths = {len(value) for value in values}
+        if kind.type is float and len(lengths) < 2:
+            return np.array(values, dtype=float).reshape(len(values), max(lengths, default=0))
+        return _objects(values)
+    if kind.length:
+        missing = (np.nan,) * kind.length
+        rows = [missing if value is None else value for value in values]
+        return np.array(rows, dtype=float).reshape(-1, kind.length)
+    if kind.type in (int, float, bool):
+        if kind.optional or kind.type is float:
+            return np.array([np.nan if value is None else value for value in values], dtype=float)
+        return np.array(values, dtype=kind.type)
+    words = [value.value if isinstance(value, Enum) else value for value in values]
+    return _objects(words) if kind.optional else np.array(words, dtype=np.str_)
+
+
+def _objects(values: list[Any]) -> NDArray[Any]:
+    array = np.empty(len(values), dtype=object)
+    array[:] = values
+    return array

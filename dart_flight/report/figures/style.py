@@ -1,0 +1,172 @@
+"""How every figure looks, and how it becomes a file.
+
+Lines differ in darkness and dash as well as in colour, so that what is printed in grey can be read. Letters
+stay letters: text in SVG, embedded TrueType (type 42) in PDF.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import io
+import re
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple, ParamSpec
+
+from dart_flight.config.document import InputError
+
+TRUE = {"color": "#000000", "linestyle": "-", "linewidth": 1.8}
+ESTIMATED = {"color": "#1f6fd0", "linestyle": (0, (5, 1.5)), "linewidth": 1.6}
+PREDICTED = {"color": "#e8871e", "linestyle": (0, (1, 1.2)), "linewidth": 2.2}
+REPLANNED = {"color": "#8a3fb5", "linestyle": (0, (4, 1.2, 1, 1.2)), "linewidth": 1.8}
+FORCE, GUARD, SET_POINT = "#c2261d", "#b00020", "#1b7a3d"
+GREY, LIGHT = "#666666", "#d9d9d9"
+_STYLE = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "dart-flight",
+    "pdf.fonttype": 42,
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans", "Arial", "Helvetica", "sans-serif"],
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e6e6e6",
+    "legend.frameon": False,
+    "hatch.linewidth": 0.6,
+}
+P = ParamSpec("P")
+_DIGITS = re.compile(r"(\.\d)\d+")
+_COORDINATES = re.compile(r'( d="[^"]*"|<use [^>]*>)')
+_METADATA = re.compile(r"<metadata>.*?</metadata>", re.DOTALL)
+_BREAKS = re.compile(r"\s*\n\s*")
+
+
+class Look(NamedTuple):
+    """Size of a figure and of its letters.
+
+    Attributes:
+        width_in: of the whole figure, inches.
+        font_pt: of labels and ticks; the rest follows.
+    """
+
+    width_in: float
+    font_pt: float
+
+    @property
+    def small_pt(self) -> float:
+        """Letters of legends and of labels inside a plot."""
+        return self.font_pt - 1.0
+
+
+# 4.6 inches are a phone's width, so that letters stay legible there; 3.5 inches a column of a paper.
+PAGE, COLUMN = Look(4.6, 9.0), Look(3.5, 8.0)
+
+
+def new_figure(look: Look, height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Any, Any]:
+    """A figure and its axes, of `height` times what a page's figure would have of its own width.
+
+    Args:
+        look: width and letters.
+        height: inches at the width of `PAGE`.
+        rows, columns, options: of `Figure.subplots`.
+    """
+    from matplotlib.figure import Figure  # noqa: PLC0415  (an extra, and slow)
+
+    figure = Figure(figsize=(look.width_in, height * look.width_in / PAGE.width_in), layout="constrained")
+    return figure, figure.subplots(rows, columns, **options)
+
+
+def in_style(draw: Callable[P, Any]) -> Callable[P, Any]:
+    """A drawing function whose letters and lines are those of its keyword `look` (`PAGE` where not given).
+
+    It raises an `InputError` where matplotlib is not installed.
+    """
+
+    @functools.wraps(draw)
+    def drawn(*args: P.args, **options: P.kwargs) -> Any:
+        look = options.get("look", PAGE)
+        assert isinstance(look, Look)
+        with _styled(look):
+            return draw(*args, **options)
+
+    return drawn
+
+
+@contextlib.contextmanager
+def _styled(look: Look) -> Iterator[None]:
+    try:
+        import matplotlib as mpl  # noqa: PLC0415
+    except ImportError as error:
+        raise InputError(f"a picture needs {error.name}: pip install 'dart-flight[report]'") from None
+    sizes = {
+        "font.size": look.font_pt,
+        "axes.labelsize": look.font_pt,
+        "xtick.labelsize": look.font_pt,
+        "ytick.labelsize": look.font_pt,
+        "legend.fontsize": look.font_pt - 0.5,
+    }
+    with mpl.rc_context({**_STYLE, **sizes}):
+        yield
+
+
+def as_svg(figure: Any) -> str:
+    """The figure as SVG text for a page: no background, coordinates to a tenth of a point, no idle white."""
+    text = io.StringIO()
+    with _styled(PAGE):
+        figure.savefig(text, format="svg", metadata={"Date": None}, transparent=True)
+    svg = text.getvalue()
+    svg = _METADATA.sub("", svg[svg.index("<svg") :])
+    return _BREAKS.sub("", _COORDINATES.sub(lambda part: _short(part[0]), svg))
+
+
+def _short(coordinates: str) -> str:
+    return _BREAKS.sub("", _DIGITS.sub(r"\1", coordinates)).replace(".0 ", " ").replace("L ", " ")
+
+
+def save_figure(figure: Any, path: Path) -> None:
+    """Write a figure in the format of its ending: png, svg or pdf.
+
+    Raises:
+        InputError: another ending, or the file cannot be written.
+    """
+    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise InputError("a picture is a file .png, .svg or .pdf", source=str(path))
+    try:
+        with _styled(PAGE):
+            figure.savefig(path, dpi=200)
+    except OSError as error:
+        raise InputError(f"cannot write: {error.strerror or error}", source=str(path)) from None
+
+
+def save_pages(figures: Iterable[Any], path: Path) -> None:
+    """Write figures into one PDF, each on a page of its own size.
+
+    Raises:
+        InputError: matplotlib is not installed, or the file cannot be written.
+    """
+    with _styled(PAGE):
+        from matplotlib.backends.backend_pdf import PdfPages  # noqa: PLC0415
+
+        try:
+            with PdfPages(path, metadata={"CreationDate": None}) as pages:
+                for figure in figures:
+                    pages.savefig(figure)
+        except OSError as error:
+            raise InputError(f"cannot write: {error.strerror or error}", source=str(path)) from None
+
+
+def legend_above(axis: Any, columns: int | None = None) -> None:
+    """In one row over the plot, where it covers no line."""
+    labels = axis.get_legend_handles_labels()[1]
+    if labels:
+        axis.legend(
+            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns or len(labels), borderaxespad=0.2,
+            columnspacing=1.2, handlelength=1.8,
+        )  # fmt: skip
+
+
+def texts_of(svg: str) -> list[str]:
+    """The words in a figure; for tests."""
+    return [t.strip() for t in re.findall(r"<text[^>]*>([^<]+)</text>", svg)]

@@ -1,0 +1,191 @@
+"""Vectors and rotations: plain arithmetic that core and plant do some thousand times a second.
+
+Vectors are plain tuples of floats and quaternions are (w, x, y, z): the flight core does scalar
+arithmetic, which is deterministic and, for three numbers, faster than small arrays. Everybody imports these
+from `geometry`; they stand in a module of their own because it is compiled (docs/speed.md).
+"""
+
+from __future__ import annotations
+
+import math
+
+Vec2 = tuple[float, float]
+Vec3 = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
+GRAVITY_M_S2 = 9.81
+_SMALL_RAD = 1e-9  # below it the sine is the angle
+
+
+# --- vectors ---------------------------------------------------------------------------------------
+
+
+def add(a: Vec3, b: Vec3) -> Vec3:
+    """Sum of two vectors of the same frame."""
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+def subtract(a: Vec3, b: Vec3) -> Vec3:
+    """Difference a - b of two vectors of the same frame."""
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+def scale(a: Vec3, factor: float) -> Vec3:
+    """Vector times a number."""
+    return (a[0] * factor, a[1] * factor, a[2] * factor)
+
+
+def dot2(a: Vec2, b: Vec2) -> float:
+    """Scalar product in the horizontal plane."""
+    return a[0] * b[0] + a[1] * b[1]
+
+
+def norm(a: Vec3) -> float:
+    """Euclidean length."""
+    return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+
+
+def horizontal(a: Vec3) -> float:
+    """Length of the horizontal part of a mission-frame or NED vector."""
+    return math.hypot(a[0], a[1])
+
+
+def distance2(a: Vec2 | Vec3, b: Vec2 | Vec3) -> float:
+    """Horizontal distance between two points of the same frame."""
+    return math.hypot(a[0] - b[0], a[1] - b[1])
+
+
+# --- rotations -------------------------------------------------------------------------------------
+
+
+def quaternion_multiply(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Hamilton product a b: rotate by b first, then by a."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+def quaternion_conjugate(q: Quaternion) -> Quaternion:
+    """Inverse rotation of a unit quaternion."""
+    return (q[0], -q[1], -q[2], -q[3])
+
+
+def quaternion_normalise(q: Quaternion) -> Quaternion:
+    """Unit quaternion of the same direction.
+
+    Raises:
+        ValueError: the quaternion is zero or not finite.
+    """
+    w, x, y, z = q
+    length = math.sqrt(w * w + x * x + y * y + z * z)
+    if not 0.0 < length < math.inf:
+        raise ValueError(f"not a rotation: {q}")
+    return (w / length, x / length, y / length, z / length)
+
+
+def rotate(q: Quaternion, v: Vec3) -> Vec3:
+    """Rotate `v` by the unit quaternion `q` (for q = body to world: body vector in, world vector out)."""
+    w, x, y, z = q
+    vx, vy, vz = v
+    tx = 2.0 * (y * vz - z * vy)
+    ty = 2.0 * (z * vx - x * vz)
+    tz = 2.0 * (x * vy - y * vx)
+    return (
+        vx + w * tx + (y * tz - z * ty),
+        vy + w * ty + (z * tx - x * tz),
+        vz + w * tz + (x * ty - y * tx),
+    )
+
+
+def rotate_back(q: Quaternion, v: Vec3) -> Vec3:
+    """The inverse of `rotate`: for q = body to world, world vector in, body vector out."""
+    w, x, y, z = q
+    vx, vy, vz = v
+    tx = 2.0 * (z * vy - y * vz)
+    ty = 2.0 * (x * vz - z * vx)
+    tz = 2.0 * (y * vx - x * vy)
+    return (
+        vx + w * tx + (z * ty - y * tz),
+        vy + w * ty + (x * tz - z * tx),
+        vz + w * tz + (y * tx - x * ty),
+    )
+
+
+def body_up(q_frd_to_ned: Quaternion) -> Vec3:
+    """The body's upward axis in NED, `rotate(q, (0, 0, -1))` without the zeros: where the thrust points."""
+    w, x, y, z = q_frd_to_ned
+    x2, y2 = 2.0 * x, 2.0 * y
+    return (-w * y2 - z * x2, w * x2 - z * y2, (x * x2 + y * y2) - 1.0)
+
+
+def quaternion_from_rotation_vector(v: Vec3) -> Quaternion:
+    """Unit quaternion of a rotation by |v| radians about v."""
+    angle = norm(v)
+    if angle < _SMALL_RAD:
+        return quaternion_normalise((1.0, 0.5 * v[0], 0.5 * v[1], 0.5 * v[2]))
+    s = math.sin(0.5 * angle) / angle
+    return (math.cos(0.5 * angle), v[0] * s, v[1] * s, v[2] * s)
+
+
+def advance_attitude(q_frd_to_ned: Quaternion, rate_frd_rad_s: Vec3, dt_s: float) -> Quaternion:
+    """Attitude after `dt_s` seconds (either sign) at a constant body rate.
+
+    The Hamilton product with `quaternion_from_rotation_vector(rate * dt)`, written out: it runs for every
+    sample of the core and every millisecond of the plant, where calls and tuples cost more than the numbers.
+    """
+    rx, ry, rz = rate_frd_rad_s
+    rx, ry, rz = rx * dt_s, ry * dt_s, rz * dt_s
+    angle = math.sqrt(rx * rx + ry * ry + rz * rz)
+    if angle < _SMALL_RAD:
+        turn = quaternion_from_rotation_vector((rx, ry, rz))
+        return quaternion_multiply(q_frd_to_ned, turn)
+    half = 0.5 * angle
+    s, bw = math.sin(half) / angle, math.cos(half)
+    bx, by, bz = rx * s, ry * s, rz * s
+    aw, ax, ay, az = q_frd_to_ned
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+def quaternion_from_euler(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:
+    """FRD to NED quaternion of aerospace Euler angles (yaw, then pitch, then roll)."""
+    cr, sr = math.cos(0.5 * roll_rad), math.sin(0.5 * roll_rad)
+    cp, sp = math.cos(0.5 * pitch_rad), math.sin(0.5 * pitch_rad)
+    cy, sy = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+def yaw_ned_of(q_frd_to_ned: Quaternion) -> float:
+    """Heading in radians, clockwise from north, of an FRD to NED quaternion."""
+    w, x, y, z = q_frd_to_ned
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def tilt_of(q_frd_to_ned: Quaternion) -> float:
+    """Angle in radians between the body's and the world's vertical."""
+    _, x, y, _ = q_frd_to_ned
+    return math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (x * x + y * y))))
+
+
+def wrap_angle(angle_rad: float) -> float:
+    """The same angle in [-pi, pi)."""
+    wrapped = math.fmod(angle_rad + math.pi, 2.0 * math.pi)
+    if wrapped < 0.0:
+        wrapped += 2.0 * math.pi
+    # Adding 2 pi to a tiny negative number can round up to 2 pi itself.
+    return -math.pi if wrapped >= 2.0 * math.pi else wrapped - math.pi

@@ -1,0 +1,75 @@
+"""The line at the bottom of the terminal, and what is said after a flight."""
+
+from __future__ import annotations
+
+import io
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from dart_flight.cli import main
+from dart_flight.cli.flight_output import FlightLines, live_line_for
+from dart_flight.cli.live_line import LiveLine
+from dart_flight.config.vehicle import packaged
+from dart_flight.recording.about import flown_mission
+from dart_flight.recording.reader import Log, read_log
+from dart_flight.samples import OdometrySample
+from tests.shared_flights import SharedFlights
+
+
+@pytest.fixture(scope="module")
+def log(flown: SharedFlights) -> Log:
+    return read_log(flown("single_wall", 1).log)
+
+
+def test_it_shows_phase_place_speed_force_lock_and_battery(log: Log) -> None:
+    terminal = io.StringIO()
+    now_s = 0.0
+    line = LiveLine(flown_mission(log.about, log.source), terminal, lambda: now_s)
+    for entry in log.entries:
+        if isinstance(entry.record, OdometrySample):
+            now_s = entry.record.t_us * 1e-6
+        line(entry.record)
+    shown = terminal.getvalue().split("\r\x1b[K")[1:]
+    pattern = r"\w+  \(-?[\d.]+, -?[\d.]+, -?[\d.]+\) m  [\d.]+ m/s  force [\d.]+ N  lock .*  [\d.]+ V"
+    assert all(re.match(pattern, one) or len(one) == 79 for one in shown)
+    assert 50 < len(shown) <= 5.0 * now_s
+    assert {one.split()[0] for one in shown} >= {"climb", "approach", "goal", "landing"}
+    # The peak of a contact of a tenth of a second is not missed between two refreshes.
+    assert max(float(re.findall(r"force ([\d.]+)", one)[0]) for one in shown) > 25.0
+
+
+def test_other_lines_take_its_place_and_it_goes_at_the_end(log: Log) -> None:
+    terminal = io.StringIO()
+    console = Console(file=terminal, force_terminal=True, width=100)
+    mission = flown_mission(log.about, log.source)
+    lines = FlightLines(console, live_line=live_line_for(mission, console))
+    for entry in log.entries:
+        lines(entry.record)
+    lines.close()
+    text = terminal.getvalue()
+    assert text.endswith("\r\x1b[K") or text.endswith("\n")
+    for printed in text.split("\n")[:-1]:
+        assert " m/s  force" not in printed.split("\r\x1b[K")[-1]
+
+
+def test_a_pipe_gets_none_of_it(log: Log) -> None:
+    console = Console(file=io.StringIO())
+    assert live_line_for(flown_mission(log.about, log.source), console) is None
+
+
+def test_after_a_flight_the_next_commands_are_named_and_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    mission = str(packaged("missions", "single_wall.yaml"))
+    main(["dry-run", mission, "--fast", "--log-dir", "my flights"])
+    steps = re.findall(r"^  dart-flight (.*)$", capsys.readouterr().err, re.MULTILINE)
+    assert [step.split()[0] for step in steps] == ["report", "export", "replay", "identify"]
+    for step in steps[1:3]:
+        assert main(shlex.split(step)) == 0
+    main(["dry-run", mission, "--fast", "--json"])
+    assert "dart-flight report" not in capsys.readouterr().err

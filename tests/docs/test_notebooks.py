@@ -1,0 +1,46 @@
+"""The notebooks run, and print what is stored in them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.docs.snippets import ROOT
+from tools.docs import notebook
+
+NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
+def test_it_runs_and_prints_what_is_stored(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By `tools.docs.notebook`, which needs no Jupyter."""
+    pytest.importorskip("matplotlib")
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    monkeypatch.chdir(tmp_path)
+    printed = notebook.run(path)
+    assert printed == notebook.printed_in(path), "run it again in Jupyter and save it"
+    assert any(printed)
+    assert not list(tmp_path.iterdir()), "it leaves nothing"
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
+def test_jupyter_runs_it(path: Path, tmp_path: Path) -> None:
+    pytest.importorskip("ipykernel", reason="needs Jupyter: pip install nbclient ipykernel")
+    client = pytest.importorskip("nbclient", reason="needs Jupyter: pip install nbclient ipykernel")
+    nbformat = pytest.importorskip("nbformat")
+    book = nbformat.read(path, as_version=4)
+    resources = {"metadata": {"path": str(tmp_path)}}
+    client.NotebookClient(book, timeout=300, kernel_name="python3", resources=resources).execute()
+    pictures = [o for cell in book.cells for o in cell.get("outputs", ()) if "image/png" in o.get("data", {})]
+    assert pictures
+
+
+def test_a_cell_that_fails_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "broken.ipynb"
+    path.write_text('{"cells": [{"cell_type": "code", "source": ["1 / 0"], "outputs": []}]}')
+    with pytest.raises(ZeroDivisionError) as caught:
+        notebook.run(path)
+    assert "code cell 1" in caught.value.__notes__[0]

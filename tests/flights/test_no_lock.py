@@ -1,0 +1,218 @@
+"""A vehicle without a lock: one stiffness, called rigid, and no word of a lock anywhere."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from dart_flight.check.mission import check_mission
+from dart_flight.check.vehicle import judge_lock
+from dart_flight.cli import main
+from dart_flight.config import InputError, load_vehicle
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.scenario import load_scenario
+from dart_flight.config.vehicle import LockDriver, VehicleConfig, packaged
+from dart_flight.core.mission.phases import TRANSITIONS, Cue
+from dart_flight.planning.search import search
+from dart_flight.recording.reader import read_log
+from dart_flight.report.flight import Flight
+from dart_flight.report.page import flight_page
+from dart_flight.samples import LockCommand, LockPermission, LockState, Mode, PhaseChange, WallFelt
+from dart_flight.sim.draws import draw_world, parse_vary
+from dart_flight.worlds.fast import fly_fast
+from dart_flight.worlds.prepare import load_flyable, with_driver
+from dart_flight.worlds.replay import replay
+
+DART = packaged("configs", "dart.yaml")
+SINGLE = packaged("missions", "single_wall.yaml").read_text("utf-8")
+DUAL = packaged("missions", "dual_collision_replan.yaml").read_text("utf-8")
+ONE_WALL = packaged("missions", "scenarios", "one_wall.yaml").read_text("utf-8")
+NO_LOCK = f"extends: {DART}\nlock: {{driver: none}}\n"
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
+    (tmp_path / "cage.yaml").write_text(NO_LOCK)
+    return tmp_path
+
+
+def written(text: str, name: str = "mission.yaml") -> Path:
+    """A mission or scenario for the vehicle without a lock, which says nothing of modes."""
+    for mode in ("flexible", "rigid"):
+        text = text.replace(f"mode: {mode}, ", "").replace(f"transit_mode: {mode}\n", "")
+    text = text.replace("../../configs/dart.yaml", "cage.yaml").replace("../configs/dart.yaml", "cage.yaml")
+    assert "mode:" not in text
+    Path(name).write_text(text)
+    return Path(name)
+
+
+@pytest.fixture
+def mission(folder: Path) -> Mission:
+    return load_flyable(written(SINGLE))
+
+
+def test_a_driver_called_none_and_no_section_are_the_same_vehicle(folder: Path) -> None:
+    whole = load_vehicle(DART)
+    none = load_vehicle("cage.yaml")
+    assert none == msgspec.structs.replace(whole, lock=None)
+    # Without the section, and without the mode that it does not have.
+    text = DART.read_text("utf-8")
+    kept, skipping = [], False
+    for line in text.splitlines():
+        skipping = line.startswith("lock:") or (skipping and (line.startswith(" ") or not line))
+        if not skipping and not line.startswith("    flexible:"):
+            kept.append(line)
+    Path("bare.yaml").write_text("\n".join(kept))
+    bare = load_vehicle("bare.yaml")
+    assert bare.modes == none.modes == (Mode.RIGID,)
+    assert whole.modes == (Mode.RIGID, Mode.FLEXIBLE)
+    assert not bare.has_lock
+    assert bare.materials["wood"].flexible is None
+    # In a log it is written as it is read.
+    assert msgspec.json.decode(msgspec.json.encode(bare), type=VehicleConfig) == bare
+
+
+def test_a_material_lacks_a_mode_only_where_the_vehicle_has_it(folder: Path) -> None:
+    text = DART.read_text("utf-8")
+    line = next(one for one in text.splitlines() if one.startswith("    flexible:"))
+    Path("lacks.yaml").write_text(text.replace(line + "\n", "", 1))
+    with pytest.raises(InputError) as error:
+        load_vehicle("lacks.yaml")
+    assert str(error.value).startswith("lacks.yaml:")
+    assert "materials.concrete: missing key flexible: the vehicle has a lock" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "where"),
+    [
+        ("approach: {normal", "mode: flexible, approach: {normal", ":12: collisions[0].mode: "),
+        ("limits:", "transit_mode: flexible\nlimits:", ":13: transit_mode: "),
+    ],
+)
+def test_flexible_is_refused_in_one_line(folder: Path, old: str, new: str, where: str) -> None:
+    path = written(SINGLE)
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(InputError) as error:
+        load_mission(path)
+    assert str(error.value) == f"{path}{where}this vehicle has no lock: it is always rigid, never flexible"
+
+
+def test_with_a_lock_the_mode_has_to_be_given(folder: Path) -> None:
+    path = written(SINGLE)
+    with pytest.raises(InputError, match=r":12: collisions\[0\]: missing key mode: rigid or flexible"):
+        load_mission(path, DART)
+
+
+def test_it_hits_a_wall_and_says_nothing_of_a_lock(mission: Mission) -> None:
+    verdict = fly_fast(mission, 3, Path("flights"))
+    assert verdict.outcome == "completed"
+    assert not verdict.guard
+    (hit,) = verdict.collisions
+    assert hit.mode == "rigid"
+    assert (hit.lock, hit.mode_felt, hit.mode_log_odds, hit.mode_by_contact_time) == (None, None, None, None)
+    assert verdict.plan_followed
+    assert hit.truth is not None
+    assert hit.truth.peak_force_n == pytest.approx(66.3, rel=0.1)  # rigid: flexible arms would give 40 N
+    log = read_log(str(verdict.log))
+    records = [entry.record for entry in log.entries]
+    assert not [r for r in records if isinstance(r, LockCommand | LockPermission | LockState)]
+    felt = [r for r in records if isinstance(r, WallFelt)]
+    assert [(f.mode_felt, f.mode_reported, f.log_odds) for f in felt] == [(None, Mode.RIGID, 0.0)]
+    assert felt[0].k_n_per_m == pytest.approx(mission.vehicle.materials["acrylic"].rigid.k, rel=0.2)
+    phases = [r.after.value for r in records if isinstance(r, PhaseChange)]
+    assert "prepare" not in phases
+    assert phases.index("approach") == phases.index("transit") + 1
+    again = replay(log)
+    assert again.exact
+    assert again.equal
+    page = flight_page(Flight.read(str(verdict.log)))
+    assert "may lock" not in page
+    assert "commanded" not in page
+    assert "Lock and timing" not in page
+    assert "where the lock was" not in page
+
+
+def test_a_rehearsal_and_planning_again_go_without_a_lock(mission: Mission) -> None:
+    rehearsed = fly_fast(msgspec.structs.replace(mission, standoff_m=0.5), 1, None)
+    assert (rehearsed.outcome, rehearsed.collisions) == ("completed", [])
+    approach = "approach: {normal_m_s: -0.8, tangential_m_s: 0.3}, impact_point_m: [1.65, 0.2], alpha"
+    dual = load_flyable(written(DUAL.replace("rigid, alpha", f"rigid, {approach}")))
+    verdict = fly_fast(dual, 1, Path("flights"))
+    assert verdict.outcome == "completed"
+    assert [(c.wall, c.mode, c.lock) for c in verdict.collisions] == [
+        ("wood", "rigid", None),
+        ("acrylic", "rigid", None),
+    ]
+    assert replay(read_log(str(verdict.log))).equal
+
+
+def test_check_has_no_finding_about_a_lock(mission: Mission) -> None:
+    assert judge_lock(mission, {}) == []
+    items = [finding.item for finding in check_mission(mission)]
+    assert items
+    assert not [item for item in items if "lock" in item or "servo" in item]
+
+
+def test_no_way_leads_to_the_lock_but_through_a_lock(mission: Mission) -> None:
+    assert [after for (_, cue), after in TRANSITIONS.items() if cue is Cue.NO_LOCK] == ["approach"]
+    with pytest.raises(InputError, match="no lock"):
+        with_driver(mission, LockDriver.MOCK)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["lock", "status", "--config", "cage.yaml"], "this vehicle has no lock"),
+        (["dry-run", "mission.yaml", "--fast", "--driver", "mock"], "this vehicle has no lock"),
+        (["dry-run", "mission.yaml", "--fast", "--vary", "servo"], "this vehicle has no lock"),
+        (["dry-run", "mission.yaml", "--fast", "--vary", "lock_true_mode=1"], "this vehicle has no lock"),
+        (["dry-run", "mission.yaml", "--fast", "--fault", "servo-stuck"], "this vehicle has no lock"),
+        (["tables", "--config", "cage.yaml"], "need a vehicle with a lock"),
+        (
+            ["predict", "--config", "cage.yaml", "--surface", "wood", "--mode", "flexible", "--drop", "0.1"],
+            "always rigid, never flexible",
+        ),
+        (
+            ["identify", "x.csv", "--mode", "flexible", "--config", "cage.yaml"],
+            "always rigid, never flexible",
+        ),
+    ],
+)
+def test_what_is_of_a_lock_is_refused_in_one_line(
+    mission: Mission, words: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()[-1:]
+    assert says in line
+
+
+def test_all_that_varies_leaves_the_lock_out(mission: Mission) -> None:
+    spreads = parse_vary(["all"], mission.vehicle)
+    assert not {"servo", "lock_true_mode"} & set(spreads)
+    assert {"contact", "mass"} < set(spreads)
+    drawn = draw_world(mission, 1, spreads)
+    assert not [name for name in drawn.drawn if "flexible" in name]
+    assert fly_fast(mission, 1, None, spreads=spreads).outcome == "completed"
+
+
+def test_predict_needs_no_mode(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    hit = ["predict", "--surface", "acrylic", "--velocity", "-1", "0.5", "--json"]
+    assert main([*hit, "--config", "cage.yaml"]) == 0
+    without = json.loads(capsys.readouterr().out)
+    assert main([*hit, "--config", str(DART), "--mode", "rigid"]) == 0
+    assert without["peak_normal_force_n"] == json.loads(capsys.readouterr().out)["peak_normal_force_n"]
+
+
+def test_the_planner_tries_the_modes_that_there_are(folder: Path) -> None:
+    path = written(ONE_WALL.replace("  modes: [rigid, flexible]\n", ""), "scenario.yaml")
+    scenario = load_scenario(path)
+    assert scenario.modes == (Mode.RIGID,)
+    assert load_scenario(path, DART).modes == (Mode.RIGID, Mode.FLEXIBLE)
+    found = search(scenario, top=3)
+    assert found.plans
+    assert {c.mode for plan in found.plans for c in plan.collisions} == {Mode.RIGID}

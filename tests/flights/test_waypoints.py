@@ -1,0 +1,339 @@
+"""Missions without a collision, way-points before, between and after hits, and pauses."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from dart_flight.check.findings import Finding
+from dart_flight.check.mission import check_mission
+from dart_flight.config import InputError
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.core.mission.approach import NoApproachError, legs_of, transit_of
+from dart_flight.recording.reader import Log, read_log
+from dart_flight.report.flight import Flight
+from dart_flight.report.page import flight_page
+from dart_flight.samples import (
+    ImpactPeak,
+    Input,
+    OdometrySample,
+    OperatorRequest,
+    Outcome,
+    PhaseChange,
+    PlanRequest,
+    Record,
+    Request,
+    SetPoint,
+)
+from dart_flight.sim.faults.kinds import parse_fault
+from dart_flight.verdict import VerdictBuilder
+from dart_flight.worlds.fast import FastFlight, fly_fast
+from dart_flight.worlds.prepare import load_flyable
+from dart_flight.worlds.replay import replay
+
+DART = packaged("configs", "dart.yaml")
+BARE = f"""\
+version: 1
+name: bare
+vehicle: {DART}
+start: {{position_m: [0.0, 0.0], altitude_m: 1.0}}
+goal: {{position_m: [0.5, 0.0], hold_s: 0.5}}
+bounds_m: {{x: [-2.0, 2.2], y: [-1.6, 2.5], z: [0.3, 2.0]}}
+"""
+WALL = "walls:\n  acrylic: {point_m: [1.65, 0.5], normal: [-1.0, 0.0], length_m: 3.0, material: acrylic}\n"
+HIT = "{wall: acrylic, mode: rigid, approach: {normal_m_s: -0.8, tangential_m_s: 0.3}, \
+impact_point_m: [1.65, 0.5], alpha_m_per_n: [0.02, 0.02]}"
+
+
+def mission(*lines: str) -> Mission:
+    Path("mission.yaml").write_text(BARE + "\n".join(lines) + "\n")
+    return load_flyable("mission.yaml")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def flown(one: Mission, **options: object) -> Log:
+    """The log of a flight whose replay is the same to the bit."""
+    verdict = fly_fast(one, 1, Path("flights"), **options)  # type: ignore[arg-type]
+    log = read_log(str(verdict.log))
+    again = replay(log)
+    assert again.exact
+    assert again.equal
+    return log
+
+
+def all_of(log: Log, kind: type[Record]) -> list[Record]:
+    return [entry.record for entry in log.entries if isinstance(entry.record, kind)]
+
+
+def phases(log: Log) -> list[str]:
+    return [c.after.value for c in all_of(log, PhaseChange) if isinstance(c, PhaseChange)]
+
+
+AIR = ["offboard", "arming", "climb"]
+DOWN = ["goal", "landing", "done"]
+
+
+@pytest.mark.parametrize("lines", [(), ("collisions: []", "walls: {}", "waypoints: []")])
+def test_a_flight_without_a_collision_takes_off_flies_to_the_goal_and_lands(lines: tuple[str, ...]) -> None:
+    one = mission(*lines)
+    verdict = fly_fast(one, 1, None)
+    assert verdict.outcome is Outcome.COMPLETED
+    assert (verdict.collisions, verdict.guard, verdict.deviations) == ([], [], [])
+    assert (verdict.goal_miss_m, verdict.plan_followed) == (None, None)
+    assert verdict.final_error_m is not None
+    assert verdict.final_error_m < 0.1
+
+
+def test_way_points_are_flown_in_order_held_and_change_the_altitude() -> None:
+    one = mission(
+        "waypoints:",
+        "  - {position_m: [0.6, -0.6], altitude_m: 1.5, hold_s: 1.0}",
+        "  - {pause: operator}",
+        "  - {position_m: [-0.6, -0.6], speed_m_s: 1.0}",
+    )
+    assert [one.altitude_at(0), one.place_before(0)] == [1.5, (-0.6, -0.6)]
+    log = flown(one)
+    assert phases(log) == [*AIR, "waypoint", "pause", "waypoint", *DOWN]
+    # The fast world's operator ends the pause, and that is an input like any other.
+    (word,) = all_of(log, OperatorRequest)
+    assert isinstance(word, OperatorRequest)
+    assert word.request is Request.CONTINUE
+    changes = [c.t_us for c in all_of(log, PhaseChange) if isinstance(c, PhaseChange)]
+    first, second, third = changes[3:6]
+    places = [s for s in all_of(log, OdometrySample) if isinstance(s, OdometrySample)]
+
+    def at(t_us: int) -> tuple[float, float, float]:
+        north, east, down = min(places, key=lambda s: abs(s.t_us - t_us)).position_ned
+        return north, -east, -down
+
+    for end_us in (second, third):
+        assert at(end_us) == pytest.approx((0.6, -0.6, 1.5), abs=0.12)
+    assert third - second == pytest.approx(2e6, abs=0.1e6)  # simulation.operator_s
+    transit = transit_of(one, legs_of(one)[0], (0.0, 0.0, 1.0))
+    assert second - first >= (transit.duration_s + 1.0) * 1e6  # flown, then held
+    # At the altitude asked for last until the landing.
+    setpoints = [s for s in all_of(log, SetPoint) if isinstance(s, SetPoint) and s.t_us > third]
+    assert [-s.position_ned[2] for s in setpoints] == pytest.approx([1.5] * len(setpoints), abs=0.01)
+    page = flight_page(Flight.read(log.source))
+    assert "way-point" in page
+    assert "The flight was completed; no hit was planned." in page
+    assert "planned wall" not in page
+
+
+def test_way_points_between_hits_are_flown_from_rest_and_later_hits_at_their_altitude() -> None:
+    one = mission(
+        WALL + "collisions:", f"  - {HIT}", f"  - {HIT}", "after_impact: replan", "waypoints:",
+        "  - {position_m: [0.2, 0.5], altitude_m: 1.3, after: 1}",
+        "  - {position_m: [0.0, -0.5], altitude_m: 0.8, after: 2}",
+    )  # fmt: skip
+    assert [one.altitude_at(n) for n in (0, 1, 2)] == [1.0, 1.3, 0.8]
+    assert [one.place_before(n) for n in (0, 1, 2)] == [(0.0, 0.0), (0.2, 0.5), (0.0, -0.5)]
+    log = flown(one)
+    hit = ["transit", "prepare", "approach", "contact", "recovery", "waypoint"]
+    assert phases(log) == [*AIR, *hit, *hit, *DOWN]
+    heights = [p.position_mission[2] for p in all_of(log, ImpactPeak) if isinstance(p, ImpactPeak)]
+    assert heights == pytest.approx([1.0, 1.3], abs=0.08)
+    assert not all_of(log, PlanRequest)  # nothing is to be planned towards a way-point
+    # The paper's set-points after the two hits, at the altitude of each.
+    recoveries = [s for s in all_of(log, SetPoint) if isinstance(s, SetPoint) and s.recovery]
+    assert [-s.position_ned[2] for s in recoveries] == pytest.approx([1.0, 1.3], abs=0.01)
+    builder = VerdictBuilder(one)
+    for entry in log.entries:
+        builder.take(entry.record)
+    verdict = builder.build(None, None)
+    assert verdict.outcome is Outcome.COMPLETED
+    assert (verdict.goal_miss_m, verdict.plan_followed) == (None, True)
+    assert "goal miss, m" not in [d.what for d in verdict.deviations]
+
+
+def test_a_rehearsal_flies_the_way_points_too() -> None:
+    one = mission(
+        WALL + "collisions:", f"  - {HIT}", "waypoints:", "  - {position_m: [0.3, 0.3]}",
+        "  - {position_m: [0.2, 0.5], after: 1}",
+    )  # fmt: skip
+    log = flown(msgspec.structs.replace(one, standoff_m=0.5))
+    hit = ["transit", "prepare", "approach", "recovery", "waypoint"]
+    assert phases(log) == [*AIR, "waypoint", *hit, *DOWN]
+
+
+class Operated:
+    """A flight whose operator says a word in a phase, once."""
+
+    def __init__(self, one: Mission, phase: str, request: Request) -> None:
+        self.builder, self._phase, self._request = VerdictBuilder(one), phase, request
+        self.changes: list[PhaseChange] = []
+        self.flight = FastFlight(one, 1, observe=self._see)
+
+    def _see(self, record: Record, _: int) -> None:
+        self.builder.take(record)
+        if isinstance(record, PhaseChange):
+            self.changes.append(record)
+
+    def fly(self) -> None:
+        assert self.flight.lock is not None
+        self.flight.lock.start()
+        said = False
+        while self.flight.core.end is None and self.flight.autopilot.now_s < 60.0:
+            self.flight.tick()
+            if not said and self.flight.core.phase == self._phase:
+                said = True
+                word: Input = OperatorRequest(self.flight.host_us, self._request)
+                self.flight.take(word)
+
+
+def silent_operator(one: Mission) -> Mission:
+    simulation = msgspec.structs.replace(one.vehicle.simulation, operator_s=None)
+    return msgspec.structs.replace(one, vehicle=msgspec.structs.replace(one.vehicle, simulation=simulation))
+
+
+PAUSE = "waypoints: [{pause: operator, timeout_s: 3.0}]"
+
+
+def test_a_pause_without_a_word_lands() -> None:
+    verdict = fly_fast(silent_operator(mission(PAUSE)), 1, None)
+    assert verdict.outcome is Outcome.ABORTED
+    assert verdict.reason == "pause_timeout: no word to go on within 3 s"
+    assert [(g.rule, g.action) for g in verdict.guard] == [("pause_timeout", "land")]
+    assert verdict.flight_time_s is not None
+
+
+def test_a_word_in_a_pause_goes_on_and_at_another_time_means_nothing() -> None:
+    in_pause = Operated(silent_operator(mission(PAUSE)), "pause", Request.CONTINUE)
+    in_pause.fly()
+    assert in_pause.builder.build(None, None).outcome is Outcome.COMPLETED
+    too_soon = Operated(silent_operator(mission(PAUSE)), "climb", Request.CONTINUE)
+    too_soon.fly()
+    assert "pause" in [c.after.value for c in too_soon.changes]
+    assert (too_soon.builder.build(None, None).reason or "").startswith("pause_timeout")
+
+
+def test_to_stop_in_a_pause_lands_at_once() -> None:
+    stopped = Operated(silent_operator(mission(PAUSE)), "pause", Request.LAND)
+    stopped.fly()
+    verdict = stopped.builder.build(None, None)
+    assert (verdict.reason or "").startswith("operator:")
+
+
+@pytest.mark.parametrize(
+    ("fault", "rule"), [("low-battery@pause", "battery"), ("imu-dropout@waypoint", "imu_silent")]
+)
+def test_the_guard_watches_way_points_and_pauses(fault: str, rule: str) -> None:
+    one = mission("waypoints:", "  - {position_m: [1.0, 0.0]}", "  - {pause: operator}")
+    verdict = fly_fast(one, 1, None, fault=parse_fault(fault))
+    assert verdict.guard[0].rule == rule
+
+
+WRONG = [
+    ("waypoints: [{position_m: [9, 0]}]", "waypoints[0].position_m: (9, 0) is outside bounds_m"),
+    (
+        "waypoints: [{position_m: [0, 0], altitude_m: 5}]",
+        "waypoints[0].altitude_m: must be within bounds_m z",
+    ),
+    ("waypoints: [{position_m: [0, 0], speed_m_s: 3.5}]", "waypoints[0].speed_m_s: 3.5 m/s is over limits"),
+    ("waypoints: [{hold_s: 1}]", "waypoints[0]: give exactly one of position_m (a way-point) and pause"),
+    ("waypoints: [{position_m: [0, 0], pause: operator}]", "waypoints[0]: give exactly one of"),
+    ("waypoints: [{pause: operator, hold_s: 1}]", "waypoints[0].hold_s: a pause has no such key"),
+    (
+        "waypoints: [{position_m: [0, 0], timeout_s: 9}]",
+        "waypoints[0].timeout_s: a way-point has no such key",
+    ),
+    ("waypoints: [{pause: pilot}]", "waypoints[0].pause: 'pilot' is not allowed, only: operator"),
+    ("waypoints: [{pause: operator, after: 1}]", "waypoints[0].after: 1, expected 0 to 0"),
+    ("waypoints: [{pause: operator, timeout_s: 0}]", "waypoints[0].timeout_s: "),
+    (WALL + "waypoints: [{position_m: [1.8, 0]}]", "waypoints[0].position_m: lies in or behind wall acrylic"),
+    (
+        f"{WALL}collisions: [{HIT}]\nwaypoints: [{{pause: operator, after: 1}}, {{pause: operator}}]",
+        "waypoints[1].after: 0, expected 1 to 1",
+    ),
+    (
+        f"{WALL}collisions: [{HIT}, {{wall: acrylic, mode: rigid, alpha_m_per_n: [0.02, 0.02]}}]\n"
+        "waypoints: [{position_m: [0, 0], after: 1}]",
+        "collisions[1]: needs an approach: the recovery before it leads to waypoints[0]",
+    ),
+]
+
+
+@pytest.mark.parametrize(("lines", "says"), WRONG, ids=[says for _, says in WRONG])
+def test_what_cannot_be_flown_is_refused_with_its_line(lines: str, says: str) -> None:
+    with pytest.raises(InputError) as error:
+        mission(lines)
+    assert re.match(r"mission\.yaml:\d+: ", str(error.value))
+    assert says in str(error.value)
+
+
+BOARD = "  board: {{point_m: {}, normal: [0.0, -1.0], length_m: {}, material: wood}}\n"
+
+
+def findings(one: Mission) -> dict[str, Finding]:
+    return {finding.item: finding for finding in check_mission(one)}
+
+
+def test_a_wall_between_way_points_is_found_before_the_flight() -> None:
+    walls = WALL + BOARD.format([1.0, 0.6], 0.8)
+    with pytest.raises(InputError, match="wall board is in the way to way-point 2"):
+        mission(f"{walls}waypoints: [{{position_m: [1.0, 0.0]}}, {{position_m: [1.0, 1.2]}}]")
+    one = load_mission("mission.yaml")
+    with pytest.raises(NoApproachError):
+        FlightCore(one)
+    found = findings(one)["waypoints"]
+    assert (found.go, found.says) == (False, "wall board is in the way to way-point 2")
+    # Round it, and home the same way.
+    left = "{position_m: [0.0, 1.2]}"
+    around = mission(f"{walls}waypoints: [{left}, {{position_m: [1.0, 1.2]}}, {left}]")
+    assert findings(around)["waypoints"].go
+
+
+def test_check_judges_legs_behind_a_recovery_and_speeds_that_are_not_reached() -> None:
+    one = mission(
+        f"{WALL}{BOARD.format([1.2, 1.6], 1.0)}collisions: [{HIT}]",
+        "waypoints:",
+        "  - {position_m: [1.2, 2.2], after: 1}",
+        "  - {position_m: [0.0, 2.2], speed_m_s: 2.5, after: 1}",
+    )
+    found = findings(one)
+    assert not found["recovery_1"].go
+    assert "wall board is in the way to way-point 1" in found["recovery_1"].says
+    assert found["waypoint_speed"].remark
+
+
+def test_check_says_where_a_fast_leg_would_stop_outside() -> None:
+    """The bounds are judged by where the vehicle would stop, as the guard does in flight."""
+    one = mission(
+        "waypoints:",
+        "  - {position_m: [-2.0, 0.0], speed_m_s: 2.0}",
+        "  - {position_m: [2.2, 0.0], speed_m_s: 2.5}",
+    )
+    verdict = fly_fast(one, 1, None)
+    assert findings(one)["path"].go == (verdict.outcome is Outcome.COMPLETED)
+
+
+@pytest.mark.parametrize("name", ["hover", "square", "transit"])
+def test_the_packaged_missions_pass_check(name: str) -> None:
+    one = load_flyable(packaged("missions", f"{name}.yaml"), DART)
+    assert all(finding.go for finding in check_mission(one))
+
+
+def test_transit_is_flown_to_its_end() -> None:
+    one = load_flyable(packaged("missions", "transit.yaml"), DART)
+    fastest = 0.0
+
+    def see(record: Record, _: int) -> None:
+        nonlocal fastest
+        if isinstance(record, SetPoint) and record.velocity_ned is not None:
+            fastest = max(fastest, abs(record.velocity_ned[0]))
+
+    flight = FastFlight(one, 1, observe=see)
+    flight.run()
+    assert flight.core.end is not None
+    assert flight.core.end.outcome is Outcome.COMPLETED
+    assert fastest == pytest.approx(1.5, rel=0.02)  # and never over it

@@ -1,0 +1,75 @@
+"""What of body and incidence `check`, planner and warnings know, from docs/body.md's flights."""
+
+import math
+
+import msgspec
+import pytest
+
+from dart_flight.check.mission import check_mission
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.scenario import load_scenario
+from dart_flight.config.vehicle import packaged
+from dart_flight.planning.constraints import Refusal
+from dart_flight.planning.envelope import heights_flown_m, impact_warnings, incidence_deg
+from dart_flight.planning.search import search
+from dart_flight.samples import Mode
+
+DUAL = load_mission(packaged("missions", "dual_collision.yaml"))
+
+
+def with_second_wall_turned(angle_deg: float, mode: Mode) -> Mission:
+    first, second = DUAL.collisions
+    wall = second.wall.turned(math.radians(angle_deg))
+    collision = msgspec.structs.replace(second, wall=wall, mode=mode)
+    return msgspec.structs.replace(DUAL, walls=(first.wall, wall), collisions=(first, collision))
+
+
+@pytest.mark.parametrize(("angle_deg", "askew_deg"), [(0.0, 0.0), (20.0, 20.0), (-20.0, 20.0), (60.0, 30.0)])
+def test_a_recovery_meets_its_wall_in_the_heading_of_the_approach_before(
+    angle_deg: float, askew_deg: float
+) -> None:
+    mission = with_second_wall_turned(angle_deg, Mode.RIGID)
+    assert [incidence_deg(mission, c) for c in mission.collisions] == pytest.approx([0.0, askew_deg])
+
+
+@pytest.mark.parametrize(
+    ("angle_deg", "mode", "warns"),
+    [
+        (10.0, Mode.FLEXIBLE, False),
+        (20.0, Mode.FLEXIBLE, True),
+        (20.0, Mode.RIGID, False),
+        (40.0, Mode.RIGID, True),
+    ],
+)
+def test_check_says_no_to_a_hit_further_askew_than_its_mode_bears(
+    angle_deg: float, mode: Mode, warns: bool
+) -> None:
+    mission = with_second_wall_turned(angle_deg, mode)
+    found = [f for f in check_mission(mission) if f.item == "incidence_2"]
+    assert [f.go for f in found] == ([False] if warns else [])
+    assert any("askew" in line for line in impact_warnings(mission)) is warns
+
+
+@pytest.mark.parametrize(("height_m", "warns"), [(0.0, False), (-0.03, False), (-0.04, True), (0.06, True)])
+def test_guards_beside_the_centre_are_warned_of_by_the_speed_of_the_hit(height_m: float, warns: bool) -> None:
+    settings = [f"simulation.contact.guard_height_m={height_m}"]
+    mission = load_mission(packaged("missions", "single_wall.yaml"), settings=settings)  # meets it at 1 m/s
+    assert any("turn the vehicle over" in line for line in impact_warnings(mission)) is warns
+    point = load_mission(
+        packaged("missions", "single_wall.yaml"), settings=[*settings, "simulation.contact.body=point"]
+    )
+    assert not any("turn the vehicle over" in line for line in impact_warnings(point))
+
+
+def test_faster_hits_bear_less_below_the_centre() -> None:
+    rooms = [heights_flown_m(speed) for speed in (0.3, 0.8, 1.5, 2.5, 9.0)]
+    assert [below for below, _ in rooms] == sorted((below for below, _ in rooms), reverse=True)
+    assert all(math.isfinite(above) and above > 0.0 for _, above in rooms)
+
+
+def test_the_planner_does_not_plan_a_recovery_into_a_wall_too_far_askew() -> None:
+    scenario = load_scenario(packaged("missions", "scenarios", "dual_collision.yaml"))
+    walls = scenario.walls | {"acrylic": scenario.walls["acrylic"].turned(math.radians(25.0))}
+    found = search(msgspec.structs.replace(scenario, walls=walls))
+    assert found.refused[Refusal.INCIDENCE] > 0
+    assert all(plan.collisions[1].mode is Mode.RIGID for plan in found.plans)

@@ -1,0 +1,99 @@
+"""Flights with the compiled package and with the source tree: whether every record is the same, bit for bit.
+
+    make compiled && python -m tools.campaigns.compiled [--seeds N]
+
+All shipped missions with the seeds 1 to N (default 5), and as many drawn worlds of the dual collision. Each
+package flies them in a process of its own; every record with its number and the verdict count. Prints a line
+per flight, exit status 1 where one differs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.samples import Record, World
+from dart_flight.sim.draws import draw_world, parse_vary
+from dart_flight.worlds.fast import FastFlight, simulated_driver
+from dart_flight.worlds.flight_record import FlightRecord
+from dart_flight.worlds.prepare import load_flyable
+
+ROOT = Path(__file__).parents[2]
+COMPILED = ROOT / "build" / "compiled"
+MISSIONS = ("dual_collision", "dual_collision_replan", "dual_collision_stiff", "single_wall")
+
+
+class Flown(msgspec.Struct, frozen=True):
+    """What one package has flown: by name of the flight a digest of its records and of its verdict."""
+
+    compiled: bool
+    digests: dict[str, str]
+
+
+def digest(mission_name: str, seed: int, vary: tuple[str, ...] = ()) -> str:
+    """Of every record of a fast flight, in order, and of its verdict."""
+    mission = load_flyable(ROOT / "missions" / f"{mission_name}.yaml", None, [])
+    world = draw_world(mission, seed, parse_vary(vary, mission.vehicle))
+    kept = FlightRecord(mission, World.FAST, seed, None, world.drawn)
+    found = hashlib.sha256()
+
+    def see(record: Record, number: int) -> None:
+        found.update(f"{number} {type(record).__name__} ".encode() + msgspec.json.encode(record))
+        kept(record, number)
+
+    driver = simulated_driver(mission)
+    FastFlight(mission, seed, driver, faults=world.lock_faults, observe=see, world=world).run()
+    found.update(msgspec.json.encode(kept.build()))
+    return found.hexdigest()
+
+
+def fly(seeds: int) -> Flown:
+    """In this process, with whichever package it imports."""
+    digests = {f"{name} {seed}": digest(name, seed) for name in MISSIONS for seed in range(1, seeds + 1)}
+    for seed in range(1, seeds + 1):
+        digests[f"{MISSIONS[0]} {seed}, drawn"] = digest(MISSIONS[0], seed, ("all",))
+    return Flown(not str(sys.modules[FlightCore.__module__].__file__).endswith(".py"), digests)
+
+
+def flown_with(package: Path, seeds: int) -> Flown:
+    """What a process has flown that imports the package from this folder."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join((str(package), str(ROOT)))}
+    program = f"from tools.campaigns.compiled import tell; tell({seeds})"
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", program], env=environment, cwd=ROOT, stdout=subprocess.PIPE, check=True
+    )
+    return msgspec.json.decode(done.stdout, type=Flown)
+
+
+def tell(seeds: int) -> None:
+    """Fly in this process, and print what came of it as JSON."""
+    print(msgspec.json.encode(fly(seeds)).decode())
+
+
+def main() -> int:
+    """Fly with both and compare."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=5)
+    seeds = parser.parse_args().seeds
+    if not COMPILED.exists():
+        sys.stderr.write("there is no compiled package: run `make compiled` first\n")
+        return 2
+    pure, compiled = flown_with(ROOT, seeds), flown_with(COMPILED, seeds)
+    if pure.compiled or not compiled.compiled:
+        sys.stderr.write("the wrong package was imported\n")
+        return 2
+    differing = [name for name in pure.digests if pure.digests[name] != compiled.digests[name]]
+    for name in pure.digests:
+        print(f"{name:32s} {'DIFFERS' if name in differing else 'the same'}")
+    return 1 if differing else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
