@@ -167,6 +167,12 @@ class Wall(msgspec.Struct, frozen=True):
         """Y of the collision frame: to the right when looking along the normal, z up."""
         return (self.normal[1], -self.normal[0])
 
+    @property
+    def ends(self) -> tuple[Vec2, Vec2]:
+        """The left and the right end, looking along the normal."""
+        (x, y), (tx, ty), half = self.point, self.tangent, 0.5 * self.length_m
+        return (x - half * tx, y - half * ty), (x + half * tx, y + half * ty)
+
     def signed_distance(self, position: Vec2 | Vec3) -> float:
         """Signed distance in metres of the vehicle's centre to the plane; negative is compression."""
         return (position[0] - self.point[0]) * self.normal[0] + (position[1] - self.point[1]) * self.normal[1]

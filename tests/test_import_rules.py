@@ -13,7 +13,7 @@ FLOORS = {
     "rotations": -1,
     "errors": 0,
     "geometry": 0,
-    "priority": 0,
+    "processes": 0,
     "samples": 1,
     "streams": 1,
     "config": 2,

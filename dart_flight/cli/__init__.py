@@ -19,7 +19,7 @@ from typing import Any
 from dart_flight import __version__
 from dart_flight.config.document import InputError
 from dart_flight.errors import FlightError
-from dart_flight.priority import stand_back
+from dart_flight.processes import stand_back
 
 # command -> what it does, in the order of `dart-flight --help`
 COMMANDS = {

@@ -108,10 +108,8 @@ def incidence_warning(mission: Mission, collision: Collision) -> str | None:
 
 def heights_flown_m(normal_m_s: float) -> tuple[float, float]:
     """How far guards may be below and above the centre of mass for a hit of this normal speed (> 0), m."""
-    below, above = HEIGHTS_FLOWN_M[-1][1:]
-    for speed, *heights in reversed(HEIGHTS_FLOWN_M):
-        if normal_m_s <= speed:
-            below, above = heights
+    fits = (heights for speed, *heights in HEIGHTS_FLOWN_M if normal_m_s <= speed)
+    below, above = next(fits, HEIGHTS_FLOWN_M[-1][1:])
     return below, above
 
 

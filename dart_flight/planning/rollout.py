@@ -354,7 +354,7 @@ class Rollout:
             d = first_crossing(series, stage.lead_s, -GRID_S - 2.0 * stage.lead_s, 1e-3)
             leg, after = near.leg_at(d), near.times + d
             here = reached._replace(modes=reached.modes * len(self.task.modes) + i)
-            codes = self._reached_codes(reached, wall, i, leg, after, mode)
+            codes = self._reached_codes(reached, wall, i, leg, after)
             if codes is not None:
                 stays = np.flatnonzero(self._refuse(codes, number))
                 here, leg, after = here.take(stays), leg.take(stays), after[stays]
@@ -363,17 +363,17 @@ class Rollout:
         return [front for front in fronts if front is not None]
 
     def _reached_codes(
-        self, front: _Front, wall: Wall, number_of_mode: int, impact: Leg, after: Array, mode: Mode
+        self, front: _Front, wall: Wall, mode: int, impact: Leg, after: Array
     ) -> NDArray[np.int8] | None:
-        """Whether vehicle, lock and detector are ready when the wall is met."""
+        """Whether vehicle, lock and detector are ready at the wall; `mode` is a place in the task's modes."""
         if self.constraints is None:
             return None
         codes = np.zeros(after.size, dtype=np.int8)
         # A recovery keeps the heading that the approach to the first wall has given.
         askew_deg = math.degrees(wall.incidence(self.walls[0].parallel_yaw(0.0)))
-        if askew_deg > most_incidence_deg(self.task.vehicle, mode):
+        if askew_deg > most_incidence_deg(self.task.vehicle, self.task.modes[mode]):
             self.constraints.mark(codes, np.ones(after.size, dtype=bool), Refusal.INCIDENCE)
-        switched = front.modes % len(self.task.modes) != number_of_mode
+        switched = front.modes % len(self.task.modes) != mode
         if switched.any():
             ready = self.flight.at(front.leg, self.constraints.lock_s)
             late = self.constraints.lock_too_late(ready, impact, after, wall)

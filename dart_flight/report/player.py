@@ -26,7 +26,7 @@ from dart_flight.report.hits import (
     shown_span,
     stretches,
 )
-from dart_flight.report.shape import arms_m, outline_m, surface_point
+from dart_flight.report.shape import arms_m
 from dart_flight.report.tracks import Angles, angles, in_force, set_points
 from dart_flight.samples import Mode, PhaseChange
 
@@ -79,7 +79,7 @@ def player_data(flight: Flight) -> dict[str, Any] | None:
     return {
         "truth": bool(course.true.time_s.size),
         "vehicle": {
-            "outline": _mm(outline_m(mission.vehicle.airframe)),
+            "outline": _mm(mission.vehicle.airframe.outline_m),
             "arms": [_mm(arm) for arm in arms_m(mission.vehicle.airframe)],
         },
         "room": _room(mission),
@@ -197,7 +197,7 @@ def _room(mission: Mission) -> dict[str, Any]:
             {
                 "name": wall.name,
                 "material": wall.material,
-                "surface": _mm([surface_point(wall, mission.vehicle.airframe)])[0],
+                "surface": _mm([mission.vehicle.airframe.surface_of(wall).point])[0],
                 "plane": _mm([wall.point])[0],
                 "normal": [round(v, 5) for v in wall.normal],
                 "length": round(1e3 * wall.length_m),

@@ -147,18 +147,8 @@ def height_over(mission: Mission) -> float:
     return mission.bounds.z[1] + _OVER_BOUNDS_M
 
 
-def wall_ends(mission: Mission, wall: Wall) -> tuple[Vec2, Vec2]:
-    """Ends of the wall's surface: behind the plane of the vehicle's centre by its contact distance."""
-    (px, py), (nx, ny), (tx, ty) = wall.point, wall.normal, wall.tangent
-    back, half = mission.vehicle.airframe.contact_distance_m, 0.5 * wall.length_m
-    x, y = px - back * nx, py - back * ny
-    return (x - half * tx, y - half * ty), (x + half * tx, y + half * ty)
-
-
 def _wall(mission: Mission, wall: Wall, t_us: int) -> SceneEntity:
-    (ax, ay), (bx, by) = wall_ends(mission, wall)
-    nx, ny = wall.normal
-    px, py = 0.5 * (ax + bx), 0.5 * (ay + by)
+    (px, py), (nx, ny) = mission.vehicle.airframe.surface_of(wall).point, wall.normal
     back = 0.5 * _WALL_THICKNESS_M
     height = height_over(mission)
     yaw = math.atan2(ny, nx)
@@ -212,13 +202,6 @@ def planned(flight: PlannedFlight, altitude_m: float, t_us: int) -> SceneEntity:
 # --- the vehicle -------------------------------------------------------------------------------------------
 
 
-def guard_corners(airframe: Airframe) -> list[Vec2]:
-    """The two guard points of every side, one after another around the vehicle."""
-    reach, along = airframe.contact_distance_m, airframe.guard_along_m
-    half = [(reach, along), (along, reach), (-along, reach), (-reach, along)]
-    return half + [(-x, -y) for x, y in half]
-
-
 def vehicle(airframe: Airframe, arms: str, t_us: int) -> SceneEntity:
     """Body, propellers and guards in the vehicle's frame; arms in the colour of what is known of the lock."""
     # The airframe's axes are forward, right, down.
@@ -243,7 +226,7 @@ def vehicle(airframe: Airframe, arms: str, t_us: int) -> SceneEntity:
             CubePrimitive(pose=pose((0.065, 0.0, 0.0)), size=Vector3(x=0.03, y=0.03, z=0.03), color=GREEN),
         ],
         cylinders=[*propellers, *(_arm(x, y, ARMS[arms]) for x, y in motors)],
-        lines=[line([(x, y, 0.0) for x, y in guard_corners(airframe)], ARMS[arms], 3.0, closed=True)],
+        lines=[line([(x, y, 0.0) for x, y in airframe.outline_m], ARMS[arms], 3.0, closed=True)],
     )
 
 

@@ -22,6 +22,7 @@ import msgspec
 
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
+from dart_flight.processes import end_of_input
 from dart_flight.recording.encoding import encode
 from dart_flight.samples import Record
 from dart_flight.scene.thinning import WANTED, Thinning
@@ -107,7 +108,7 @@ class LiveView:
             line = self.process.stdout.readline()
         opened = msgspec.json.decode(line, type=Opened) if line else Opened(problem="it did not start")
         if opened.port is None:
-            self._end()
+            end_of_input(self.process, _END_S)
             where = f"{show.host}:{show.port}"
             if "in use" in opened.problem:
                 raise InputError(f"port {show.port} is in use, choose another with --live-port", source=where)
@@ -132,19 +133,9 @@ class LiveView:
         """The flight is over; says how much was left out."""
         self._closing.set()
         self._thread.join(_END_S)
-        self._end()
+        end_of_input(self.process, _END_S)
         if self.dropped:
             self._say(f"live view: {self.dropped} records were left out, it did not keep up")
-
-    def _end(self) -> None:
-        assert self.process.stdin is not None
-        with contextlib.suppress(OSError):
-            self.process.stdin.close()
-        try:
-            self.process.wait(_END_S)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
 
     def _run(self) -> None:
         while not self._closing.wait(_TURN_S):

@@ -12,7 +12,7 @@ from foxglove.messages import PackedElementField, PackedElementFieldNumericType,
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Airframe
 from dart_flight.geometry import Vec3
-from dart_flight.scene.drawing import guard_corners, height_over, pose, timestamp, wall_ends
+from dart_flight.scene.drawing import height_over, pose, timestamp
 
 Segment = tuple[Vec3, Vec3]
 _ROOM_STEP_M, _VEHICLE_STEP_M = 0.03, 0.01
@@ -62,7 +62,7 @@ def room(mission: Mission) -> list[tuple[Iterable[Vec3], Rgb]]:
     parts: list[tuple[Iterable[Vec3], Rgb]] = [(_points(edges, _ROOM_STEP_M), GREY)]
     height = height_over(mission)
     for wall in mission.walls:
-        (ax, ay), (bx, by) = wall_ends(mission, wall)
+        (ax, ay), (bx, by) = mission.vehicle.airframe.surface_of(wall).ends
         columns, rows = max(1, round(wall.length_m / _GRID_M)), max(1, round(height / _GRID_M))
         lines: list[Segment] = []
         for i in range(columns + 1):
@@ -78,7 +78,7 @@ def room(mission: Mission) -> list[tuple[Iterable[Vec3], Rgb]]:
 
 def vehicle(airframe: Airframe, arms: str) -> list[tuple[Iterable[Vec3], Rgb]]:
     """Guards and arms in the vehicle's frame; a green nose."""
-    guards = [(x, y, 0.0) for x, y in guard_corners(airframe)]
+    guards = [(x, y, 0.0) for x, y in airframe.outline_m]
     motors = [(m.x_m, -m.y_m, 0.0) for m in airframe.motors]
     edges = [*pairwise([*guards, guards[0]]), *(((0.0, 0.0, 0.0), motor) for motor in motors)]
     nose = [((0.0, 0.0, 0.0), (airframe.contact_distance_m, 0.0, 0.0))]

@@ -19,7 +19,7 @@ from foxglove.websocket import Capability, ChannelView, Client, ServerListener
 
 from dart_flight.config.mission import Mission
 from dart_flight.geometry import MissionFrame
-from dart_flight.priority import stand_back
+from dart_flight.processes import stand_back
 from dart_flight.recording.encoding import decode
 from dart_flight.recording.reader import DECODERS
 from dart_flight.scene.channels import Channels

@@ -19,6 +19,7 @@ import msgspec
 
 from dart_flight.config.mission import Mission
 from dart_flight.planning.replanning import Replanner
+from dart_flight.processes import end_of_input
 from dart_flight.samples import PlanAnswer, PlanRequest, WallFelt
 from dart_flight.vehicle.clock import host_us
 
@@ -63,14 +64,7 @@ class PlannerProcess:
 
     def stop(self) -> None:
         """End it."""
-        assert self.process.stdin is not None
-        with contextlib.suppress(OSError):
-            self.process.stdin.close()
-        try:
-            self.process.wait(_END_S)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
+        end_of_input(self.process, _END_S)
 
     def _write(self, line: bytes) -> bool:
         assert self.process.stdin is not None

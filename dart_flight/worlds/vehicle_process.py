@@ -18,6 +18,7 @@ from pathlib import Path
 import msgspec
 
 from dart_flight.errors import FlightError
+from dart_flight.processes import end_of_input
 from dart_flight.samples import Record, TruthContact, TruthSample
 from dart_flight.sim.faults.kinds import Fault
 from dart_flight.sim.pipe import Died, FaultLine, Horn, Ready, Truth, WorldOutput, WorldSpec
@@ -115,14 +116,7 @@ class WorldProcess:
 
     def close(self, timeout_s: float = 30.0) -> None:
         """Let go of the vehicle: it flies on to its failsafe if it is in the air, then the process ends."""
-        with contextlib.suppress(OSError):
-            assert self._process.stdin is not None
-            self._process.stdin.close()
-        try:
-            self._process.wait(timeout_s)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        end_of_input(self._process, timeout_s)
 
     def _send_line(self, line: bytes) -> None:
         assert self._process.stdin is not None

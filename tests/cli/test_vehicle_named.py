@@ -86,16 +86,21 @@ def test_the_only_configuration_of_the_folder_is_taken_and_named(
     assert "vehicle: configs/lab.yaml" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["mine.yaml", "configs/lab.yaml"])
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["mine.yaml"],
+        ["configs/lab.yaml", "configs/outdoors.yaml"],
+    ],  # which of two is meant is not to be guessed
+    ids=["elsewhere", "two"],
+)
 def test_a_configuration_that_is_passed_over_is_named(
-    name: str, folder: Path, capsys: pytest.CaptureFixture[str]
+    names: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    own(folder, name)
-    own(folder, "configs/outdoors.yaml")  # which of two is meant is not to be guessed
-    if name == "mine.yaml":
-        (folder / "configs" / "outdoors.yaml").unlink()
+    for name in names:
+        own(folder, name)
     assert main(PREDICT) == 0
-    assert f"not taken: {name}" in capsys.readouterr().err
+    assert f"not taken: {names[0]}" in capsys.readouterr().err
     assert main([*PREDICT, "--config", str(packaged("configs", "dart.yaml"))]) == 0
     assert "not taken" not in capsys.readouterr().err, "asked for by name"
 

@@ -36,7 +36,7 @@ from websockets.typing import Subprotocol
 
 from dart_flight.cli import main as dart_flight
 from dart_flight.config.vehicle import packaged
-from dart_flight.priority import stand_back
+from dart_flight.processes import stand_back
 from dart_flight.samples import SetPoint
 from dart_flight.vehicle.clock import host_us
 from dart_flight.worlds.app import FlightApp

@@ -13,6 +13,7 @@ import msgspec
 from msgspec import Meta
 
 from dart_flight.config.section import Fraction, Section
+from dart_flight.geometry import Vec2, Wall
 from dart_flight.samples import Mode
 
 Drag = Annotated[float, Meta(ge=0.0, le=10.0)]
@@ -90,6 +91,21 @@ class Airframe(Section, frozen=True, kw_only=True):
             Motor(sx * arm_x_m, sy * arm_y_m, spin * self.yaw_torque_per_thrust_m)
             for sx, sy, spin in _QUADROTOR_X
         )
+
+    @property
+    def outline_m(self) -> list[Vec2]:
+        """Corners of the guards seen from above, (forward, left), m, around from the front's left one.
+
+        Each side has two points that touch a wall first, `guard_along_m` from its middle and
+        `contact_distance_m` from the centre of mass.
+        """
+        out, along = self.contact_distance_m, self.guard_along_m
+        half: list[Vec2] = [(out, along), (along, out), (-along, out), (-out, along)]
+        return half + [(-x, -y) for x, y in half]
+
+    def surface_of(self, wall: Wall) -> Wall:
+        """A wall's own surface: the plane of the vehicle's centre at contact, less the way to its side."""
+        return wall.moved(-self.contact_distance_m)
 
 
 def effectiveness(motors: Sequence[Motor]) -> list[list[float]]:

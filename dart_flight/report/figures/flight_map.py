@@ -37,7 +37,6 @@ from dart_flight.report.figures.style import (
 )
 from dart_flight.report.flight import Flight
 from dart_flight.report.hits import Hit, airborne, guard_acts, hits_of
-from dart_flight.report.shape import outline_m
 
 _LONGEST_ARROW_M = 0.45  # of the largest force
 _FEW_LABELS = 14
@@ -167,7 +166,7 @@ def _write_labels(axis: Any, flight: Flight, names: list[Array], look: Look) -> 
         nx, ny = impact.collision.wall.normal
         at = (hit.position[0], hit.position[1])
         labels.append(Label(f"{impact.verdict.index}{size}", at, (-nx, -ny), FORCE))
-        outline = placed(outline_m(airframe), at, hit.yaw_rad)
+        outline = placed(airframe.outline_m, at, hit.yaw_rad)
         lines += [along(np.array(at) + share * (outline - at)) for share in (1.0, 0.7, 0.4)]
         if hit.set_point is not None:
             lines.append(along(np.array([at, hit.set_point[:2]])))

@@ -34,7 +34,6 @@ from dart_flight.report.figures.style import (
     in_style,
     new_figure,
 )
-from dart_flight.report.shape import outline_m, surface_point
 
 SHEET = Look(7.2, 9.0)
 _ABOVE_M, _BELOW_M = 0.35, 0.05  # what the side view shows above the flight's height and below the ground
@@ -187,7 +186,7 @@ def _write_labels(
         nx, ny = collision.wall.normal
         text = f"{collision.index} {collision.mode.value}\n{speed:.2f} m/s, {size:.0f} N"
         labels.append(Label(text, hit.position, (-nx, -ny), FORCE))
-        outline = placed(outline_m(mission.vehicle.airframe), hit.position, collision.wall.parallel_yaw(0.0))
+        outline = placed(mission.vehicle.airframe.outline_m, hit.position, collision.wall.parallel_yaw(0.0))
         lines += [along(np.array(hit.position) + s * (outline - hit.position)) for s in (1.0, 0.7, 0.4)]
         lines.append(along(np.array([hit.position, hit.set_point])))
     lines += [along(np.array(line)) for line in planned.approaches]
@@ -199,10 +198,9 @@ def _draw_side(axis: Any, mission: Mission, planned: PlannedFlight | None, top: 
     """The same seen along y, with the height that the flight keeps; a wall seen from its side is hatched."""
     out = mission.vehicle.airframe.contact_distance_m
     for wall in mission.walls:
-        middle, (tx, _), (nx, _) = surface_point(wall, mission.vehicle.airframe), wall.tangent, wall.normal
-        ends = [
-            middle[0] + a * 0.5 * wall.length_m * tx - b * THICKNESS_M * nx for a in (-1, 1) for b in (0, 1)
-        ]
+        (tx, _), (nx, _) = wall.tangent, wall.normal
+        surface = mission.vehicle.airframe.surface_of(wall).ends
+        ends = [x - back * nx for x, _ in surface for back in (0.0, THICKNESS_M)]
         seen_from_side = abs(nx) > abs(tx)
         style = {"hatch": "////", "facecolor": "#dcdcdc"} if seen_from_side else {"facecolor": "#f1f1f1"}
         axis.fill_between(

@@ -12,7 +12,7 @@ from dart_flight.config.vehicle import Airframe
 from dart_flight.geometry import Vec2, Wall
 from dart_flight.recording.arrays import Array
 from dart_flight.report.figures.style import GREY
-from dart_flight.report.shape import arms_m, outline_m, surface_point
+from dart_flight.report.shape import arms_m
 from dart_flight.samples import Mode
 
 _WIDE_IN = 6.0  # from this width on a legend has three columns
@@ -39,12 +39,8 @@ def draw_room(axis: Any, mission: Mission) -> None:
 
 def draw_wall(axis: Any, wall: Wall, airframe: Airframe) -> None:
     """The wall from its surface back, and thin the plane that the centre meets."""
-    half = 0.5 * wall.length_m
-    tangent, normal = np.array(wall.tangent), np.array(wall.normal)
-    along = half * tangent
-    plane = np.array([wall.point - along, wall.point + along])
-    surface = np.array(surface_point(wall, airframe)) + np.array([-along, along])
-    back = surface - THICKNESS_M * normal
+    plane, surface = np.array(wall.ends), np.array(airframe.surface_of(wall).ends)
+    back = surface - THICKNESS_M * np.array(wall.normal)
     axis.fill(
         *np.vstack([surface, back[::-1]]).T, facecolor="#dcdcdc", edgecolor="#777777", hatch="////",
         linewidth=0.0, zorder=1.5,
@@ -64,7 +60,7 @@ def name_walls(axis: Any, mission: Mission, font_pt: float) -> list[Array]:
     covered = []
     for wall in mission.walls:
         tangent, normal = np.array(wall.tangent), np.array(wall.normal)
-        back = np.array(surface_point(wall, mission.vehicle.airframe)) - THICKNESS_M * normal
+        back = np.array(mission.vehicle.airframe.surface_of(wall).point) - THICKNESS_M * normal
         along = np.linspace(-0.5 * wall.length_m, 0.5 * wall.length_m, 201)
         place = back + along[:, None] * tangent - 0.75 * font_pt / unit * normal
         seen = (place[:, 0] > x0) & (place[:, 0] < x1) & (place[:, 1] > y0) & (place[:, 1] < y1)
@@ -96,9 +92,8 @@ def view_of(mission: Mission, points: Array, margin_m: float = 0.45) -> Array:
     (x0, x1), (y0, y1) = mission.bounds.x, mission.bounds.y
     room = [np.array([[x0, y0], [x1, y1]])]
     for wall in mission.walls:
-        middle = np.array(surface_point(wall, mission.vehicle.airframe))
-        along = 0.5 * wall.length_m * np.array(wall.tangent)
-        room.append(np.stack([middle - along, middle + along]) - (THICKNESS_M + 0.15) * np.array(wall.normal))
+        surface = np.array(mission.vehicle.airframe.surface_of(wall).ends)
+        room.append(surface - (THICKNESS_M + 0.15) * np.array(wall.normal))
     corners = np.vstack(room)
     inside = points[np.isfinite(points).all(axis=1)]
     low = np.maximum(inside.min(axis=0) - margin_m, corners.min(axis=0) - 0.05)
@@ -136,7 +131,7 @@ def draw_vehicle(
         mode: rigid: arms drawn through and heavy; flexible: thin and dashed; None: not known, dotted.
         colour: of the lines.
     """
-    outline = placed(outline_m(airframe), at, yaw_rad)
+    outline = placed(airframe.outline_m, at, yaw_rad)
     axis.fill(*outline.T, facecolor="white", edgecolor=colour, linewidth=0.9, alpha=0.55, zorder=3.0)
     axis.plot(*np.vstack([outline, outline[:1]]).T, color=colour, linewidth=0.9, zorder=3.1)
     style: dict[str, Any] = {

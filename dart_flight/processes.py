@@ -1,9 +1,10 @@
-"""How a process that only watches gives way to a flight on the same machine."""
+"""Processes beside a flight: how they give way to it, and how they are ended."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import subprocess
 import sys
 
 _WATCHING_NICE = 19
@@ -20,3 +21,15 @@ def stand_back() -> None:
     if sys.platform == "linux":
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+
+
+def end_of_input(process: subprocess.Popen[bytes], patience_s: float) -> None:
+    """End a process that lives by its standard input: close that, wait, kill it if it stays; never raises."""
+    assert process.stdin is not None
+    with contextlib.suppress(OSError):
+        process.stdin.close()
+    try:
+        process.wait(patience_s)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
