@@ -157,6 +157,13 @@ def advance_attitude(q_frd_to_ned: Quaternion, rate_frd_rad_s: Vec3, dt_s: float
     )
 
 
+def gyroscopic_torque(inertia_kg_m2: Vec3, rate_rad_s: Vec3) -> Vec3:
+    """w x J w about the principal axes, N m: Euler's equation is J alpha = torque - w x J w."""
+    jx, jy, jz = inertia_kg_m2
+    x, y, z = rate_rad_s
+    return ((jz - jy) * y * z, (jx - jz) * z * x, (jy - jx) * x * y)
+
+
 def quaternion_from_euler(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:
     """FRD to NED quaternion of aerospace Euler angles (yaw, then pitch, then roll)."""
     cr, sr = math.cos(0.5 * roll_rad), math.sin(0.5 * roll_rad)

@@ -19,11 +19,13 @@ from dart_flight.geometry import (
     Vec3,
     advance_attitude,
     body_up,
+    gyroscopic_torque,
     norm,
     quaternion_from_euler,
     quaternion_normalise,
     rotate,
     scale,
+    subtract,
 )
 from dart_flight.samples import Mode
 
@@ -146,14 +148,8 @@ class _Law(NamedTuple):
         f = felt.force
         a = (f[0] / mass + up[0], f[1] / mass + up[1], f[2] / mass + up[2] + GRAVITY_M_S2)
         ix, iy, iz = self.vehicle.airframe.inertia_kg_m2
-        t = felt.torque
-        p, q, r = m.w
-        b = (
-            (t[0] - (iz - iy) * q * r) / ix,
-            (t[1] - (ix - iz) * r * p) / iy,
-            (t[2] - (iy - ix) * p * q) / iz,
-        )
-        return a, b, felt
+        roll, pitch, yaw = subtract(felt.torque, gyroscopic_torque((ix, iy, iz), m.w))
+        return a, (roll / ix, pitch / iy, yaw / iz), felt
 
 
 def _moved(m: _Motion, a: Vec3, b: Vec3, h: float, v: Vec3, w: Vec3) -> _Motion:

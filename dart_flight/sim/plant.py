@@ -29,12 +29,14 @@ from dart_flight.geometry import (
     add,
     advance_attitude,
     body_up,
+    gyroscopic_torque,
     norm,
     quaternion_from_euler,
     quaternion_normalise,
     rotate,
     rotate_back,
     scale,
+    subtract,
     tilt_of,
     wrap_angle,
     yaw_ned_of,
@@ -255,12 +257,8 @@ class Plant:
         p, q, r = self.rate
         if self.on_ground:
             torque = self._legs(torque)
-        roll, pitch, yaw = torque
-        self.rate = (
-            p + STEP_S * (roll - (iz - iy) * q * r) / ix,
-            q + STEP_S * (pitch - (ix - iz) * r * p) / iy,
-            r + STEP_S * (yaw - (iy - ix) * p * q) / iz,
-        )
+        roll, pitch, yaw = subtract(torque, gyroscopic_torque(self._inertia, self.rate))
+        self.rate = (p + STEP_S * roll / ix, q + STEP_S * pitch / iy, r + STEP_S * yaw / iz)
         self.q = quaternion_normalise(advance_attitude(self.q, self.rate, STEP_S))
 
     def _legs(self, torque: Vec3) -> Vec3:
@@ -392,12 +390,8 @@ class Plant:
         self.contact_force_ned, self.contact_torque_frd = force, turned
         m, (ix, iy, iz) = self.mass, self._inertia
         acceleration = (free[0] + force[0] / m, free[1] + force[1] / m, free[2] + force[2] / m)
-        angular = (
-            (torque[0] + turned[0] - (iz - iy) * w[1] * w[2]) / ix,
-            (torque[1] + turned[1] - (ix - iz) * w[2] * w[0]) / iy,
-            (torque[2] + turned[2] - (iy - ix) * w[0] * w[1]) / iz,
-        )
-        return acceleration, angular, felt
+        roll, pitch, yaw = subtract(add(torque, turned), gyroscopic_torque(self._inertia, w))
+        return acceleration, (roll / ix, pitch / iy, yaw / iz), felt
 
     def _translate(self, pushed: Vec3, planes: list[tuple[_WallPlane, Coefficients]]) -> Vec3:
         """Move the centre of mass; returns the mean acceleration by contact (walls and ground), NED."""

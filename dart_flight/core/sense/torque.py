@@ -16,7 +16,7 @@ import math
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.thrust import Each
 from dart_flight.core.sense.turning import Turning
-from dart_flight.geometry import Vec3
+from dart_flight.geometry import Vec3, gyroscopic_torque
 from dart_flight.samples import TorqueEstimate
 
 _NOISE_TIME_S = 0.5
@@ -60,10 +60,9 @@ class TorqueEstimator:
         if not turning.known:
             self._last = None
             return None
-        (jx, jy, jz), (wx, wy, wz), (ax, ay, az) = self._inertia, turning.rate, turning.acceleration
-        x = jx * ax + (jz - jy) * wy * wz
-        y = jy * ay + (jx - jz) * wz * wx
-        z = jz * az + (jy - jx) * wx * wy
+        (jx, jy, jz), (ax, ay, az) = self._inertia, turning.acceleration
+        x, y, z = gyroscopic_torque(self._inertia, turning.rate)
+        x, y, z = jx * ax + x, jy * ay + y, jz * az + z
         if each_n is not None:
             old = before or each_n
             half = 0.5 * scale
