@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.sense.body import BodySense, Felt, side_of
+from dart_flight.core.sense.body import BodySense, ContactSamples, Felt, side_of
 from dart_flight.core.sense.detector import Expected, ImpactDetector
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.state import FlightState
@@ -128,7 +128,8 @@ def sense(plant: Plant, vehicle: VehicleConfig, commands: tuple[float, float, fl
     state.status = StatusSample(0, 0, landed=LandedState.IN_AIR)
     state.lock = LockState(0, LockPhase.SETTLED, plant.mode)
     force, torque = ForceEstimator(vehicle), TorqueEstimator(vehicle)
-    detector, body = ImpactDetector(vehicle), BodySense(vehicle)
+    samples = ContactSamples()
+    detector, body = ImpactDetector(vehicle), BodySense(vehicle, samples)
     expected = Expected(True, WALL.normal, WALL.material)
     out = Met([], [], [], [], None)
     touched = False
@@ -156,8 +157,8 @@ def sense(plant: Plant, vehicle: VehicleConfig, commands: tuple[float, float, fl
         out.true.append((sums[0], sums[1], sums[2]))
         events = detector.update(estimate, t, state, expected)
         out.peaks.extend(e for e in events if isinstance(e, ImpactPeak))
-        felt = Felt(estimate, found, force.attitude, force.turning.rate)
-        told = body.take(felt, state, (0.0, 0.0), events, expected)
+        samples.add(Felt(estimate, found, force.attitude, force.turning.rate))
+        told = body.take(state, (0.0, 0.0), events, expected)
         if told is not None:
             out.bodies.append(told)
     return out._replace(contact=plant.finished[0] if plant.finished else None)

@@ -109,17 +109,49 @@ class Felt(NamedTuple):
     rate: Vec3
 
 
-class BodySense:
-    """Follows force and torque through a contact and says how it met the body."""
+class ContactSamples:
+    """The newest samples, as many as a contact has: one memory for all that look at contacts."""
 
-    def __init__(self, vehicle: VehicleConfig, known: Known | None = None) -> None:
+    def __init__(self) -> None:
+        self._samples: deque[Felt] = deque(maxlen=_MOST)
+
+    def add(self, sample: Felt) -> None:
+        """The next IMU sample."""
+        self._samples.append(sample)
+
+    @property
+    def newest(self) -> Felt:
+        """The last one added.
+
+        Raises:
+            IndexError: there is none.
+        """
+        return self._samples[-1]
+
+    def since(self, first_us: int, before: int) -> tuple[list[Felt], list[Felt]]:
+        """The samples from a stamp on, and at most so many just before it: (before, since)."""
+        since = [s for s in self._samples if s.force.t_us >= first_us]
+        earlier = [s for s in self._samples if s.force.t_us < first_us]
+        return earlier[-before:], since
+
+
+class BodySense:
+    """Follows force and torque through a contact and says how it met the body.
+
+    Args:
+        vehicle: its body and what materials it meets.
+        samples: of force and torque; whoever owns them adds each before `take`.
+        known: how well things are known beforehand.
+    """
+
+    def __init__(self, vehicle: VehicleConfig, samples: ContactSamples, known: Known | None = None) -> None:
         self._vehicle, self._known = vehicle, known or Known()
         self._mass = vehicle.airframe.mass_kg
         self._along, self._out = vehicle.airframe.guard_along_m, vehicle.airframe.contact_distance_m
         self._typical = {
             mode: _middle(m.of(mode) for m in vehicle.materials.values()) for mode in vehicle.modes
         }
-        self._samples: deque[Felt] = deque(maxlen=_MOST)
+        self._samples = samples
         self._slow: Vec2 = (0.0, 0.0)
         self._onset: ImpactOnset | None = None
         self._peak: ImpactPeak | None = None
@@ -128,22 +160,19 @@ class BodySense:
 
     def take(
         self,
-        sample: Felt,
         state: FlightState,
         slow: Vec2,
         events: Iterable[ImpactOnset | ImpactPeak | ContactEnd | DetectionFloor],
         expected: Expected,
     ) -> ImpactBody | None:
-        """The next IMU sample, and what the detector made of its force.
+        """What the detector made of the newest sample's force.
 
         Args:
-            sample: what it has given.
             state: lock and frame.
             slow: horizontal force that is there all the time, mission frame, newton.
             events: of the detector.
             expected: what the mission expects; counts at the onset.
         """
-        self._samples.append(sample)
         told = None
         if self._due:
             # One sample after the peak: the recovery's set-point does not wait for it.
@@ -169,8 +198,7 @@ class BodySense:
         onset, peak, frame, c = self._onset, self._peak, state.frame, self._coefficients
         if onset is None or peak is None or frame is None or c is None:
             return None
-        inside = [s for s in self._samples if s.force.t_us >= onset.first_us]
-        before = [s for s in self._samples if s.force.t_us < onset.first_us][-_BEFORE:]
+        before, inside = self._samples.since(onset.first_us, _BEFORE)
         if len(inside) < 2:
             return None
         samples = [*before, *inside]

@@ -13,14 +13,13 @@ unlocked; a mode that the lock does not say gets its own readings. docs/felt.md.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple
 
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.law import Onset
 from dart_flight.core.sense.arm_vibration import ArmFilter
-from dart_flight.core.sense.body import Felt
+from dart_flight.core.sense.body import ContactSamples, Felt
 from dart_flight.core.sense.contact_fit import PLACE_M, WALL_RAD, Belief, Body, Contact, Fitting, Tick
 from dart_flight.core.sense.detector import Expected
 from dart_flight.core.sense.state import FlightState
@@ -35,7 +34,6 @@ from dart_flight.samples import (
     WallFelt,
 )
 
-_MOST = 160  # samples of a contact
 _BEFORE = 4  # samples of the contact from before the first one that was over the noise
 _FEWEST = 4  # readings in contact
 _SLOWEST_M_S = 0.02
@@ -45,9 +43,14 @@ _QUARTER = 0.5 * math.pi
 
 
 class WallSense:
-    """Follows the planned contacts and says at the end of each what was felt of the wall."""
+    """Follows the planned contacts and says at the end of each what was felt of the wall.
 
-    def __init__(self, vehicle: VehicleConfig) -> None:
+    Args:
+        vehicle: its body, and what is believed of the materials.
+        samples: of force and torque; whoever owns them adds each before `take`.
+    """
+
+    def __init__(self, vehicle: VehicleConfig, samples: ContactSamples) -> None:
         self._vehicle, self._prior = vehicle, vehicle.estimation.walls
         a = vehicle.airframe
         self._body = Body(
@@ -58,7 +61,7 @@ class WallSense:
             vehicle.vertical_force_sign,
         )
         self._beliefs: dict[tuple[str, Mode], Belief] = {}
-        self._samples: deque[Felt] = deque(maxlen=_MOST)
+        self._samples = samples
         self._slow: Vec2 = (0.0, 0.0)
         self._onset: ImpactOnset | None = None
         self._wall: Wall | None = None
@@ -67,14 +70,12 @@ class WallSense:
 
     def take(
         self,
-        sample: Felt,
         state: FlightState,
         slow: Vec2,
         events: Iterable[ImpactOnset | ImpactPeak | ContactEnd | DetectionFloor],
         expected: Expected,
     ) -> WallFelt | None:
-        """The next IMU sample, and what the detector made of its force; arguments as of `BodySense.take`."""
-        self._samples.append(sample)
+        """What the detector made of the newest sample's force; arguments as of `BodySense.take`."""
         for event in events:
             if isinstance(event, ImpactOnset):
                 self._wall = expected.wall if event.planned else None
@@ -101,7 +102,7 @@ class WallSense:
                 mode: Fitting(contacts[mode], before[mode], self._prior.scatter, self._body) for mode in modes
             }
         )
-        return _Job(self._samples[-1].force.t_us, onset, wall, self._reported, before, fits)
+        return _Job(self._samples.newest.force.t_us, onset, wall, self._reported, before, fits)
 
     def _judge(self, job: _Job) -> WallFelt:
         fits = {mode: found for mode, fit in job.fits.items() if (found := fit.result()) is not None}
@@ -151,8 +152,8 @@ class WallSense:
     def _contacts(self, onset: ImpactOnset, wall: Wall, state: FlightState) -> dict[Mode, Contact] | None:
         """The readings as each mode would have them; None where they are too few."""
         frame = state.frame
-        inside = [s for s in self._samples if s.force.t_us >= onset.first_us]
-        samples = [s for s in self._samples if s.force.t_us < onset.first_us][-_BEFORE:] + inside
+        before, inside = self._samples.since(onset.first_us, _BEFORE)
+        samples = before + inside
         velocity = wall.to_collision(onset.velocity_mission)
         if frame is None or len(inside) < _FEWEST or velocity[0] > -_SLOWEST_M_S:
             return None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from dart_flight.config.mission import Mission
-from dart_flight.core.sense.body import BodySense, Felt
+from dart_flight.core.sense.body import BodySense, ContactSamples, Felt
 from dart_flight.core.sense.detector import Expected, ImpactDetector
 from dart_flight.core.sense.felt import WallSense
 from dart_flight.core.sense.force import ForceEstimator
@@ -78,8 +78,9 @@ class Senses:
         self.estimator = ForceEstimator(mission.vehicle)
         self.torque = TorqueEstimator(mission.vehicle)
         self.detector = ImpactDetector(mission.vehicle)
-        self.body = BodySense(mission.vehicle)
-        self.walls = WallSense(mission.vehicle)
+        self._samples = ContactSamples()
+        self.body = BodySense(mission.vehicle, self._samples)
+        self.walls = WallSense(mission.vehicle, self._samples)
 
     def take(self, item: Input, expected: Expected) -> Sensed:
         """Take one input, knowing what contact the mission expects; returns what that teaches."""
@@ -135,7 +136,7 @@ class Senses:
         impacts = detector.update(estimate, item.received_us, state, expected)
         body = wall = None
         if torque is not None and estimator.attitude is not None:
-            felt = Felt(estimate, torque, estimator.attitude, estimator.turning.rate)
-            body = self.body.take(felt, state, slow, impacts, expected)
-            wall = self.walls.take(felt, state, slow, impacts, expected)
+            self._samples.add(Felt(estimate, torque, estimator.attitude, estimator.turning.rate))
+            body = self.body.take(state, slow, impacts, expected)
+            wall = self.walls.take(state, slow, impacts, expected)
         return Sensed(estimate, tuple(impacts), detector.in_contact, torque, body, wall)
