@@ -72,7 +72,6 @@ _LANDED = {
     SdkLandedState.LANDING: LandedState.LANDING,
 }
 _ACTION_TIMEOUT_S = 5.0
-_RESET_COUNTER = re.compile(r'"reset_counter":\s*(\d+)')
 _RESULT = re.compile(r'"result":\s*(\d+)')
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
 
@@ -92,6 +91,22 @@ class _EscStatus(msgspec.Struct):
     rpm: list[int]
 
 
+class _Odometry(msgspec.Struct):
+    """ODOMETRY as JSON. PX4 sends NaN until its estimator is ready, which arrives as null.
+
+    Position and velocity are in local NED, whatever its frames are called.
+    """
+
+    time_usec: int
+    x: float | None
+    y: float | None
+    z: float | None
+    vx: float | None
+    vy: float | None
+    vz: float | None
+    reset_counter: int = 0  # an extension of the message: older autopilots leave it out
+
+
 class _AttitudeTarget(msgspec.Struct):
     """ATTITUDE_TARGET as JSON."""
 
@@ -100,6 +115,7 @@ class _AttitudeTarget(msgspec.Struct):
 
 
 _decode_actuator = msgspec.json.Decoder(_ActuatorOutputs).decode
+_decode_odometry = msgspec.json.Decoder(_Odometry).decode
 _decode_esc = msgspec.json.Decoder(_EscStatus).decode
 _decode_attitude_target = msgspec.json.Decoder(_AttitudeTarget).decode
 
@@ -156,7 +172,6 @@ class VehicleSession:
         t = self._telemetry
         t.subscribe_imu(self._on_imu)
         t.subscribe_attitude_quaternion(self._on_attitude)
-        t.subscribe_odometry(self._on_odometry)
         t.subscribe_armed(lambda armed, _: self._on_status(armed=bool(armed)))
         t.subscribe_flight_mode(
             lambda mode, _: self._on_status(flight_mode=_MODES.get(mode, FlightMode.MANUAL))
@@ -169,9 +184,11 @@ class VehicleSession:
         t.subscribe_status_text(self._on_status_text)
         if guarded:
             self._subscribe_events()
-        # What the telemetry plugin leaves out: the stamp of the motors' outputs, and all of the others.
+        # What the telemetry plugin leaves out: the stamp of the motors' outputs, the estimator's count of
+        # resets, and all of the others. Both ways for one message cost more than what the plugin spares.
         d = self._direct
         d.subscribe_message("ACTUATOR_OUTPUT_STATUS", self._on_actuator)
+        d.subscribe_message("ODOMETRY", self._on_odometry)
         if estimation.uses_esc:
             self._extra.append(ESC)
             d.subscribe_message(ESC.message, self._on_esc)
@@ -179,7 +196,6 @@ class VehicleSession:
             self._extra.append(ATTITUDE_TARGET)
             d.subscribe_message(ATTITUDE_TARGET.message, self._on_attitude_target)
         if guarded:
-            d.subscribe_message("ODOMETRY", self._on_raw_odometry)
             d.subscribe_message("ESTIMATOR_STATUS", self._on_estimator_status)
 
     async def set_rates(self, names: Collection[str] | None = None, watching: bool = False) -> list[str]:
@@ -254,19 +270,16 @@ class VehicleSession:
         if math.isfinite(q.w):
             self._deliver(AttitudeSample(int(q.timestamp_us), received, (q.w, q.x, q.y, q.z)))
 
-    def _on_odometry(self, odometry: Any, _: Any) -> None:
+    def _on_odometry(self, message: Any, _: Any) -> None:
         received = host_us()
-        p, v = odometry.position_body, odometry.velocity_body
-        values = (p.x_m, p.y_m, p.z_m, v.x_m_s, v.y_m_s, v.z_m_s)
-        # PX4 sends NaN until its estimator is ready; both parts are in local NED whatever they are called.
-        if all(map(math.isfinite, values)):
-            self._deliver(OdometrySample(int(odometry.time_usec), received, values[:3], values[3:]))
-
-    def _on_raw_odometry(self, message: Any, _: Any) -> None:
-        found = _RESET_COUNTER.search(message.fields_json)
-        if found is not None and int(found[1]) != self._reset_counter:
-            self._reset_counter = int(found[1])
+        o = _decode_odometry(message.fields_json)
+        if o.reset_counter != self._reset_counter:
+            self._reset_counter = o.reset_counter
             self._deliver_estimator(reset_counter=self._reset_counter)
+        x, y, z, vx, vy, vz = o.x, o.y, o.z, o.vx, o.vy, o.vz
+        if x is None or y is None or z is None or vx is None or vy is None or vz is None:
+            return
+        self._deliver(OdometrySample(o.time_usec, received, (x, y, z), (vx, vy, vz)))
 
     def _on_estimator_status(self, message: Any, _: Any) -> None:
         healthy = is_healthy(message.fields_json)

@@ -61,7 +61,7 @@ from dart_flight.worlds.runner import CoreRunner, Observe
 
 _TICK_S = 0.02
 _SHOW_PERIOD_S = 0.05
-_LOCK_PERIOD_S = 0.01
+_LOCK_PERIOD_S, _LOCK_REST_S = 0.01, 0.04  # while it travels, and otherwise
 _BACKLOG = 64  # inputs; beyond it only the newest of the state streams is stepped
 _SWITCH_INTERVAL_S = 0.001  # a thread that computes gives way to MAVSDK's callbacks after a millisecond
 _KEY_PAUSE_S = 0.5
@@ -178,8 +178,9 @@ class LockThread:
                 return
         self._session.start()
         while not self._stop.is_set():
+            travels = self._session.state.phase is LockPhase.TRAVELLING
             try:
-                order = self._orders.get(timeout=_LOCK_PERIOD_S)
+                order = self._orders.get(timeout=_LOCK_PERIOD_S if travels else _LOCK_REST_S)
                 if isinstance(order, LockCommand):
                     self._session.command(order.mode)
                 else:

@@ -27,7 +27,8 @@ from pathlib import Path
 CORE, LOOP = b"c", b"l"
 _ARM, _LET_GO = b"a", b"q"
 _OWN_PAUSE_S = 0.1  # a watcher that was not running itself for this long has seen nothing
-FEED_PERIOD_S = 0.02
+FEED_PERIOD_S = 0.04  # waking up is what it costs: a few times within the shortest `starve_s` is enough
+_LEAST_S = 0.001
 
 
 class Deadman:
@@ -153,12 +154,13 @@ def _watch(handle: int, pid: int, starve_s: float, note: str) -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     os.set_blocking(0, False)
-    period_s = min(0.02, starve_s / 4.0)
+    period_s = min(0.05, starve_s / 4.0)
     armed = False
     looked_s = time.monotonic()
     fed_s = {CORE: looked_s, LOOP: looked_s}
     while True:
-        select.select([0], [], [], period_s)
+        left_s = min(fed_s.values()) + starve_s - time.monotonic() if armed else period_s
+        select.select([0], [], [], max(_LEAST_S, min(period_s, left_s)))
         now = time.monotonic()
         try:
             food = os.read(0, 4096)
@@ -181,7 +183,7 @@ def _watch(handle: int, pid: int, starve_s: float, note: str) -> int:
             return 1
         if not food:
             continue
-        time.sleep(period_s / 4.0)  # one look covers what came meanwhile
+        time.sleep(period_s / 3.0)  # one look covers what came meanwhile
 
 
 def _kill(handle: int, pid: int, why: str, note: str) -> None:

@@ -6,16 +6,19 @@ the peak was known to its receiving of the set-point that followed from it.
 
     python -m tools.bench.latency [IMPACTS]
     python -m tools.bench.latency compare IMPACTS
+    python -m tools.bench.latency busy IMPACTS  # as deployed: both cores busy, this at nice -15; needs root
 """
 
 from __future__ import annotations
 
 import asyncio
 import gc
+import os
 import subprocess
 import sys
 import tempfile
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +46,7 @@ from dart_flight.worlds.app import CoreThread, FlightApp
 from dart_flight.worlds.flight_record import FlightRecord
 from dart_flight.worlds.runner import CoreRunner
 from dart_flight.worlds.vehicle_process import free_udp_port
+from tools.bench.alone import Echo, stay
 from tools.bench.impact_source import MISSION, Record
 
 IMPACTS = 500
@@ -105,7 +109,8 @@ class Result(msgspec.Struct):
     cpu_percent: float
 
 
-def _mission() -> Mission:
+def rigid_mission() -> Mission:
+    """The single wall, met with locked arms."""
     mission = load_mission(MISSION)
     first = msgspec.structs.replace(mission.collisions[0], mode=Mode.RIGID)
     return msgspec.structs.replace(mission, collisions=(first,))
@@ -125,7 +130,7 @@ def measure(impacts: int = IMPACTS) -> Result:
 async def _run_app(
     port: int, folder: Path, source: subprocess.Popen[bytes]
 ) -> tuple[RepeatingCore, list[float], float]:
-    mission = _mission()
+    mission = rigid_mission()
     record = FlightRecord(mission, World.EMBEDDED, None, folder)
     inside: list[float] = []
 
@@ -153,6 +158,35 @@ async def _run_app(
 def _wait_for_output(source: subprocess.Popen[bytes]) -> None:
     assert source.stdout is not None
     source.stdout.peek(1)  # type: ignore[attr-defined]
+
+
+def measure_alone(answers: int) -> list[float]:
+    """MAVSDK alone, answering from its callback: the same way without an app in between, milliseconds."""
+    port = free_udp_port()
+    command = [sys.executable, "-m", "tools.bench.impact_source", str(port), str(answers), str(PERIOD_S)]
+    echo = Echo()
+
+    async def run(source: subprocess.Popen[bytes]) -> None:
+        ended = asyncio.Event()
+        staying = asyncio.create_task(stay(rigid_mission(), f"udpin://127.0.0.1:{port}", ended, echo))
+        await asyncio.to_thread(_wait_for_output, source)
+        ended.set()
+        await staying
+
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as source:
+        asyncio.run(run(source))
+        assert source.stdout is not None
+        record = msgspec.json.decode(source.stdout.readline(), type=Record)
+    sent = dict(record.imu)
+    first: dict[int, int] = {}  # of each echo, in centimetres: MAVSDK repeats the last one
+    for received, x, *_ in record.setpoints:
+        first.setdefault(round(100.0 * x), received)
+    found = [
+        (first[round(100.0 * north)] - sent[t_us]) * 1e-6
+        for t_us, north in echo.asked
+        if t_us in sent and round(100.0 * north) in first
+    ]
+    return sorted(found)
 
 
 def _match(recoveries: list[SetPoint], record: Record) -> list[float]:
@@ -219,6 +253,33 @@ def rows(impacts: int = IMPACTS) -> list[dict[str, Any]]:
     ]
 
 
+_BLOCK = 250  # impacts; app and floor take turns
+
+
+def busy(impacts: int) -> None:
+    """Print the latency as deployed, with other work on both cores, beside that of MAVSDK alone."""
+    found: dict[str, list[float]] = {"MAVSDK alone": [], "app": []}
+    expected = 0
+    with ExitStack() as stack:
+        for _ in range(os.cpu_count() or 1):
+            spinning = stack.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
+            stack.callback(spinning.kill)
+        os.setpriority(os.PRIO_PROCESS, 0, -15)
+        while expected < impacts:
+            expected += _BLOCK
+            found["MAVSDK alone"] += measure_alone(_BLOCK)
+            result = measure(_BLOCK)
+            found["app"] += result.wire_ms
+            print(
+                f"{len(found['app'])} of {expected}; {'; '.join(sorted(set(result.overruled)))}", flush=True
+            )
+    print("client | answered | p50 | p90 | p99 | largest ms")
+    for name, values in found.items():
+        figures = " | ".join(f"{percentile(values, s):.2f}" for s in (0.5, 0.9, 0.99, 1.0))
+        print(f"{name} | {len(values)} | {figures}")
+    print(histogram(found["app"]))
+
+
 def compare(impacts: int) -> None:
     """Print what switch interval and garbage collector do to the latency inside the program."""
     print("switch interval ms | collector | receipt to set-point p50 | p90 | p99 | largest ms")
@@ -237,6 +298,8 @@ def compare(impacts: int) -> None:
 if __name__ == "__main__":
     if sys.argv[1:2] == ["compare"]:
         compare(int(sys.argv[2]))
+    elif sys.argv[1:2] == ["busy"]:
+        busy(int(sys.argv[2]))
     else:
         for row in rows(int(sys.argv[1]) if len(sys.argv) > 1 else IMPACTS):
             print(row)

@@ -1,0 +1,60 @@
+"""MAVSDK alone, for the benchmarks: the link at a flight's rates, with callbacks that do nothing.
+
+What it costs of a core, and from an IMU sample on the wire to a set-point on the wire, is the least that an
+app over MAVSDK can do; what `dart_flight` adds is measured against it (`tools.bench.share`, `.latency`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+from mavsdk.plugins.offboard import PositionNedYaw
+
+from dart_flight.config.mission import Mission
+from dart_flight.vehicle.session import VehicleSession, connect
+
+_ECHO_EVERY = 75  # IMU samples: 0.3 s
+_STEP_M = 0.01  # between one echo and the next: told apart on the wire
+
+
+async def stay(mission: Mission, url: str, ended: asyncio.Event, echo: Echo | None = None) -> None:
+    """Connect, subscribe as a flight does, but to callbacks that do nothing; stay until it has ended."""
+    async with connect(url, mission.vehicle.connection.timeout_s, _nothing) as session:
+        for name in dir(VehicleSession):
+            if name.startswith("_on_"):
+                setattr(session, name, _nothing)
+        if echo is not None:
+            echo.attach(session)
+        session.subscribe(mission.vehicle.estimation, len(mission.vehicle.airframe.motors))
+        await session.set_rates()
+        await ended.wait()
+
+
+def _nothing(*_: Any, **__: Any) -> None:
+    """An empty callback."""
+
+
+class Echo:
+    """Answers an IMU sample now and then with a set-point of its own, at once, from MAVSDK's callback.
+
+    Attributes:
+        asked: (the sample's stamp in microseconds, north of the set-point in metres).
+    """
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[int, float]] = []
+        self._count = 0
+        self._offboard: Any = None
+
+    def attach(self, session: VehicleSession) -> None:
+        """Take the session's IMU samples once it subscribes."""
+        self._offboard = session._offboard
+        session._on_imu = self._take  # type: ignore[method-assign]
+
+    def _take(self, imu: Any, _: Any) -> None:
+        self._count += 1
+        if self._count % _ECHO_EVERY == 0:
+            north = _STEP_M * (len(self.asked) + 1)
+            self._offboard.set_position_ned(PositionNedYaw(north, 0.0, -1.0, 0.0))
+            self.asked.append((int(imu.timestamp_us), north))

@@ -1,0 +1,239 @@
+"""Benchmark: what a flight takes of a core at 250 Hz, by part, above MAVSDK alone at the same rates.
+
+    python -m tools.bench.share [--seconds S] [--rounds N] [--busy] [--monitor]
+
+Each client is a process of its own against `impact_source` (a contact every three seconds); clients take
+turns. Parts are threads, by the processor time that Linux counts for each: what is neither Python's nor the
+app's own is MAVSDK's, whose callbacks build the records. The deadman is a process. docs/latency.md has the
+figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import msgspec
+from rich.console import Console
+from rich.table import Table
+
+from dart_flight.config.mission import Mission
+from dart_flight.samples import World
+from dart_flight.vehicle.clock import host_us
+from dart_flight.vehicle.session import connect
+from dart_flight.worlds.app import CoreThread, FlightApp
+from dart_flight.worlds.flight_record import FlightRecord
+from dart_flight.worlds.runner import CoreRunner
+from dart_flight.worlds.vehicle_process import free_udp_port
+from tools.bench import alone
+from tools.bench.impact_source import MISSION
+from tools.bench.latency import RepeatingCore, rigid_mission
+from tools.bench.processor import process_seconds, thread_seconds
+
+SECONDS, ROUNDS = 20.0, 3
+_PERIOD_S = 3.0
+_LEAD_S = 8.0  # connection, rates, the app's start
+MAVSDK = "MAVSDK and its callbacks"
+Shares = dict[str, float]  # part -> per cent of a core
+
+
+def _named() -> dict[int, str]:
+    return {thread.native_id or 0: thread.name for thread in threading.enumerate()}
+
+
+async def _measure(seconds: float, extra: Callable[[], Shares] = dict) -> Shares:
+    """Shares of this process's threads from now on; `extra` adds other processes' seconds."""
+    names, before, began, others = _named(), thread_seconds(), time.monotonic(), extra()
+    await asyncio.sleep(seconds)
+    wall = time.monotonic() - began
+    shares: Shares = {MAVSDK: 0.0}
+    for tid, after in thread_seconds().items():
+        name = names.get(tid, MAVSDK)
+        shares[name] = shares.get(name, 0.0) + 100.0 * (after - before.get(tid, 0.0)) / wall
+    for name, spent in extra().items():
+        shares[name] = 100.0 * (spent - others[name]) / wall
+    return shares
+
+
+# --- the clients -------------------------------------------------------------------------------------------
+
+
+async def mavsdk_alone(mission: Mission, url: str, seconds: float) -> Shares:
+    """The floor: the same subscriptions and rates, empty callbacks."""
+    ended = asyncio.Event()
+    staying = asyncio.create_task(alone.stay(mission, url, ended))
+    await asyncio.sleep(_LEAD_S)
+    shares = await _measure(seconds)
+    ended.set()
+    await staying
+    return shares
+
+
+async def samples_only(mission: Mission, url: str, seconds: float) -> Shares:
+    """The app's own callbacks, whose records nobody takes."""
+    async with connect(url, mission.vehicle.connection.timeout_s, _nobody) as session:
+        session.subscribe(mission.vehicle.estimation, len(mission.vehicle.airframe.motors))
+        await session.set_rates()
+        await asyncio.sleep(_LEAD_S)
+        return await _measure(seconds)
+
+
+def _nobody(_: object) -> None:
+    """Takes a record."""
+
+
+async def whole_app(mission: Mission, url: str, seconds: float) -> Shares:
+    """Link, core, lock, log, deadman, terminal, as `fly` has them."""
+    with tempfile.TemporaryDirectory() as folder:
+        record = FlightRecord(mission, World.EMBEDDED, None, Path(folder))
+        app = FlightApp(mission, url, record, deadman_note=Path(folder) / "deadman.txt")
+        core = RepeatingCore(mission)
+        app._core = CoreThread(CoreRunner(core, app, app._see, host_us), lambda: app._feed(b"c"))
+        flying = asyncio.create_task(app.run())
+        await asyncio.sleep(_LEAD_S)
+        shares = await _measure(seconds, lambda: {"deadman (process)": _process_seconds(app)})
+        app._done.set()
+        await flying
+        record.close()
+        if not core.recoveries:
+            raise RuntimeError("no impact was answered")
+    return shares
+
+
+def _process_seconds(app: FlightApp) -> float:
+    return 0.0 if app._deadman is None else process_seconds(app._deadman.pid)
+
+
+CLIENTS = {"MAVSDK alone": mavsdk_alone, "samples": samples_only, "app": whole_app}
+
+
+def monitor_share(seconds: float) -> float:
+    """`monitor` beside a simulated vehicle at its rates, per cent of a core, its start not counted."""
+    port = str(free_udp_port())
+    simulate = [sys.executable, "-m", "dart_flight", "simulate", str(MISSION), "--port", port]
+    watch = [sys.executable, "-m", "dart_flight", "monitor", "--connection", f"udpin://127.0.0.1:{port}"]
+    quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(simulate, **quiet) as vehicle:
+        try:
+            with subprocess.Popen(watch, **quiet) as monitor:
+                time.sleep(_LEAD_S)
+                before, began = process_seconds(monitor.pid), time.monotonic()
+                time.sleep(seconds)
+                share = 100.0 * (process_seconds(monitor.pid) - before) / (time.monotonic() - began)
+                monitor.terminate()
+        finally:
+            vehicle.terminate()
+    return share
+
+
+# --- taking turns ------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def both_cores_busy() -> Iterator[None]:
+    """Other work on every core, at ordinary priority."""
+    command = [sys.executable, "-c", "while True: pass"]
+    spinning = [subprocess.Popen(command) for _ in range(os.cpu_count() or 1)]
+    try:
+        yield
+    finally:
+        for process in spinning:
+            process.kill()
+            process.wait()
+
+
+def _one(client: str, seconds: float) -> Shares:
+    """Run source and client, each a process."""
+    port = str(free_udp_port())
+    impacts = round((seconds + 4.0) / _PERIOD_S)
+    source = [sys.executable, "-m", "tools.bench.impact_source", port, str(impacts), str(_PERIOD_S)]
+    command = [sys.executable, "-m", "tools.bench.share", "--client", client, port, str(seconds)]
+    with subprocess.Popen(source, stdout=subprocess.DEVNULL) as sending:
+        try:
+            done = subprocess.run(command, stdout=subprocess.PIPE, check=True)
+        finally:
+            sending.kill()
+    return msgspec.json.decode(done.stdout.splitlines()[-1], type=Shares)
+
+
+def measure(seconds: float, rounds: int) -> dict[str, Shares]:
+    """Medians over the rounds: client -> part -> per cent of a core."""
+    found: dict[str, list[Shares]] = {client: [] for client in CLIENTS}
+    for _ in range(rounds):
+        for client, shares in found.items():
+            shares.append(_one(client, seconds))
+    return {
+        client: {part: median(s.get(part, 0.0) for s in shares) for part in shares[0]}
+        for client, shares in found.items()
+    }
+
+
+def rows(seconds: float = SECONDS, rounds: int = 1) -> list[dict[str, Any]]:
+    """Rows for the benchmark table: share of a core above MAVSDK alone, and of it each part."""
+    found = measure(seconds, rounds)
+    floor = sum(found["MAVSDK alone"].values())
+    whole = found["app"]
+    out = [
+        _row("share of a core, MAVSDK alone", floor, None),
+        _row("share of a core, app", sum(whole.values()), floor),
+        _row("app above MAVSDK alone", sum(whole.values()) - floor, None),
+        _row("of it records", sum(found["samples"].values()) - floor, None),
+    ]
+    return out + [_row(f"of it {part}", share, None) for part, share in whole.items() if part != MAVSDK]
+
+
+def _row(name: str, value: float, baseline: float | None) -> dict[str, Any]:
+    ratio = None if baseline is None else baseline / value
+    return {"name": name, "value": value, "unit": "%", "baseline": baseline, "ratio": ratio}
+
+
+def main() -> int:
+    """Measure and print; `--client` is the process of one client."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=SECONDS)
+    parser.add_argument("--rounds", type=int, default=ROUNDS)
+    parser.add_argument("--busy", action="store_true", help="other work on both cores, this at nice -15")
+    parser.add_argument("--monitor", action="store_true", help="`monitor` instead")
+    parser.add_argument("--client", nargs=3, metavar=("NAME", "PORT", "SECONDS"))
+    options = parser.parse_args()
+    if options.client:
+        name, port, seconds = options.client
+        shares = asyncio.run(CLIENTS[name](rigid_mission(), f"udpin://127.0.0.1:{port}", float(seconds)))
+        print(msgspec.json.encode(shares).decode())
+        return 0
+    if options.monitor:
+        watched = sorted(monitor_share(options.seconds) for _ in range(options.rounds))
+        print(f"monitor: {median(watched):.1f} % of a core ({watched[0]:.1f} to {watched[-1]:.1f})")
+        return 0
+    if options.busy:
+        with both_cores_busy():
+            os.setpriority(os.PRIO_PROCESS, 0, -15)
+            found = measure(options.seconds, options.rounds)
+    else:
+        found = measure(options.seconds, options.rounds)
+    table = Table(title=f"per cent of a core, median of {options.rounds} x {options.seconds:g} s")
+    parts = list(dict.fromkeys(part for shares in found.values() for part in shares))
+    for column in ("", *found):
+        table.add_column(column)
+    for part in [*parts, "all"]:
+        values = (
+            sum(shares.values()) if part == "all" else shares.get(part, 0.0) for shares in found.values()
+        )
+        table.add_row(part, *(f"{value:.1f}" for value in values))
+    Console().print(table)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
