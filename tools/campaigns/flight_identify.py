@@ -2,7 +2,7 @@
 
     python -m tools.campaigns.flight_identify           (writes docs/flight_identification.md)
     python -m tools.campaigns.flight_identify --body guards     this kind of vehicle anew, the other as kept
-    python -m tools.campaigns.flight_identify --fly no  identifies anew from the flights that are kept
+    python -m tools.campaigns.flight_identify --resume          what an interrupted run has not done yet
 
 Flights and what was found are kept below `--keep`.
 """
@@ -217,18 +217,16 @@ def main() -> None:
     parser.add_argument("--workers", type=int)
     parser.add_argument("--first-seed", type=int, default=1)
     parser.add_argument("--body", choices=(POINT, GUARDS), help="only these anew, the others as kept")
-    parser.add_argument(
-        "--fly", choices=("yes", "no"), default="yes", help="whether kept flights are flown anew"
-    )
+    parser.add_argument("--resume", action="store_true", help="take flights and results that are kept")
     parser.add_argument("--keep", type=Path, default=ROOT / "build" / "flight_identify", metavar="DIR")
     given = parser.parse_args()
     jobs = [(name, walls) for name, (_, body) in MISSIONS.items() for walls in WALLS[body]]
     anew = [(name, walls) for name, walls in jobs if given.body in (None, MISSIONS[name][1])]
-    for job in anew:
-        folder = folder_of(given.keep, *job)
-        if given.fly == "yes":
-            shutil.rmtree(folder, ignore_errors=True)
-        (folder / _FOUND).unlink(missing_ok=True)
+    if given.resume:
+        anew = [job for job in anew if not (folder_of(given.keep, *job) / _FOUND).exists()]
+    else:
+        for job in anew:
+            shutil.rmtree(folder_of(given.keep, *job), ignore_errors=True)
     with ProcessPoolExecutor(given.workers) as pool:
         running = {pool.submit(run_case, *job, given.first_seed, given.keep): job for job in anew}
         for done in as_completed(running):
