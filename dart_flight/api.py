@@ -361,7 +361,8 @@ def identify(
     Args:
         trials: files (CSV, PX4 ULog, flight log), folders of flight logs, flights, logs, or `Trial`s of your
             own arrays.
-        vehicle: its mass and rule for the onset count; by default that of `load_vehicle()`.
+        vehicle: its mass and rule for the onset count; by default that of `load_vehicle()`. A flight log says
+            its own, which counts for it.
         mode: state of the arms where the trials do not say it; of flights, their collisions in it.
         surface: of flights, their collisions with this material.
         drop: the trials are drops, or the height in m.
@@ -382,7 +383,7 @@ def identify(
         raise InputError(f"{mode!r} is not allowed, only: rigid, flexible", key=("mode",))
     job = Job(
         paths=[str(one) for one in given if isinstance(one, str | Path)],
-        onset=prediction.onset_rule(vehicle, onset),
+        onset=None if onset is None else prediction.onset_rule(vehicle, onset),
         mode=mode,
         drop=drop is not False,
         height_m=None if isinstance(drop, bool) else drop,
@@ -394,7 +395,7 @@ def identify(
         law=law,
     )
     own = [trial for one in given for trial in _trials_in(one, surface, mode or UNLABELLED)]
-    return carry_out(job, vehicle, readers(surface), own)[1]
+    return carry_out(job, vehicle, readers(surface), own).found
 
 
 def _trials_in(source: Source, surface: str | None, mode: str) -> list[Trial]:

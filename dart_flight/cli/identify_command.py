@@ -10,7 +10,6 @@ from dart_flight.cli.options import add_set_option
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
-from dart_flight.samples import Mode
 
 
 def _height_or_trial(text: str) -> float | str:
@@ -97,16 +96,12 @@ def run(arguments: argparse.Namespace) -> int:
     if not paths:
         raise InputError("no trials given", key=("TRIAL",))
     vehicle, source = find_vehicle(arguments.config, arguments.set)
-    problem = None if arguments.mode is None else vehicle.mode_problem(Mode(arguments.mode))
-    if problem is not None:
-        raise InputError(problem, key=("mode",))
     job = identification.Job(
         paths=paths,
-        # A vehicle without a lock has one mode: nothing has to be said.
-        mode=arguments.mode or (None if vehicle.has_lock else vehicle.modes[0].value),
+        mode=arguments.mode,
         drop=drop is not None,
         height_m=drop if isinstance(drop, float) else None,
-        onset=Onset(arguments.onset or vehicle.onset),
+        onset=Onset(arguments.onset) if arguments.onset else None,
         contact_distance_m=arguments.contact_distance,
         columns=arguments.columns,
         wall=tuple(arguments.wall) if arguments.wall else None,
@@ -118,14 +113,16 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("-o needs --surface, the name of the entry", key=("output",))
     from dart_flight.identification.flight_trials import readers
 
-    trials, found = identification.carry_out(job, vehicle, readers(arguments.surface))
-    say_vehicle(source, messages(), asked=arguments.config is not None)
+    done = identification.carry_out(job, vehicle, readers(arguments.surface))
+    trials, found = done.trials, done.found
+    if done.flown is not None:
+        source = done.flown.source
+    say_vehicle(source, messages(), asked=arguments.config is not None or done.flown is not None)
     for note in found.notes:
         messages().print(note, markup=False, soft_wrap=True)
     from dart_flight.identification.judgement import judge_fit
 
-    mass = vehicle.airframe.mass_kg if job.mass_kg is None else job.mass_kg
-    judged = judge_fit(found, trials, mass, job.onset)
+    judged = judge_fit(found, trials, done.mass_kg, done.onset)
     for line in judged.says:
         messages().print(f"[red]{line}[/]", soft_wrap=True)
     # First what was found, whatever becomes of the files.
@@ -135,11 +132,11 @@ def run(arguments: argparse.Namespace) -> int:
         _print(found)
         tables().print(_FIT[judged.good])
     if arguments.output:
-        _write(arguments, found, vehicle, poor=judged.good is False)
+        _write(arguments, found, done.vehicle, poor=judged.good is False)
     if arguments.plot:
         from dart_flight.identification import plots
 
-        plots.plot_fit(arguments.plot, trials, found, mass, job.onset)
+        plots.plot_fit(arguments.plot, trials, found, done.mass_kg, done.onset)
     return 0
 
 

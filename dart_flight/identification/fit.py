@@ -16,6 +16,7 @@ import numpy as np
 
 from dart_flight.config.document import InputError
 from dart_flight.contact.law import Onset
+from dart_flight.identification.allowance import allow
 from dart_flight.identification.estimates import Estimate, Identification, SetAside, TrialFit
 from dart_flight.identification.held_out import HeldOut, compare
 from dart_flight.identification.hits import Hit, hit_of
@@ -73,7 +74,9 @@ def identify(
         notes += [found.sentence for found in held_out.values() if found.hits]
     coefficients, parameters = {}, {}
     for mode, own in members.items():
-        coefficients[mode] = _coefficients(mode, result, own, laws[PAPER], mass_kg, notes)
+        found = _coefficients(mode, result, own, laws[PAPER], mass_kg, notes)
+        coefficients[mode], more = allow(found, [trial for trial in usable if trial.mode == mode], own)
+        notes += [f"{mode}: {note}" for note in more]
         chosen = _chosen(law, held_out.get(mode))
         parameters[mode] = _parameters(mode, chosen, coefficients[mode], laws, own, mass_kg, notes)
         if law == BEST:

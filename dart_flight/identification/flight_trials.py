@@ -8,15 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from dart_flight.config.document import InputError
+from dart_flight.config.provenance import FoundVehicle
 from dart_flight.geometry import Wall
 from dart_flight.identification.trials import READERS as FILE_READERS
 from dart_flight.identification.trials import UNLABELLED, Readers, Series, Trial, TrialReading
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.arrays import FlightArrays
 from dart_flight.recording.reader import Log, NothingInItError, read_log
-from dart_flight.samples import ImpactOnset, Phase, PhaseChange
+from dart_flight.samples import ContactEnd, ImpactOnset, ImuSample, Phase, PhaseChange
 
 _BEFORE_S, _AFTER_S = 0.5, 0.4
+_LONGEST_S = 0.15  # of a contact whose end was not noticed
 # What flight logs of the simulated vehicle, whose coefficients are known, are off by themselves
 # (docs/flight_identification.md): PX4's velocity loop brakes too while the wall does.
 ALLOWANCE = {"k": 0.03, "f": 0.15, "mu": 0.08, "nu": 0.6}
@@ -26,12 +28,13 @@ def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> 
     """Every planned collision of a flight with this material in this mode, by the material of its wall.
 
     Series: position from PX4's estimate, force from the flight core's, both in the wall's collision frame and
-    on the autopilot's clock; the plane is the mission's.
+    on the autopilot's clock; the plane is the mission's, and the vehicle that which flew it.
 
     Raises:
         InputError: the log does not hold its mission.
     """
     mission = flown_mission(log.about, log.source)
+    flown = FoundVehicle(mission.vehicle, mission.flown_vehicle())
     course = FlightArrays(log, mission)
     found: dict[str, list[Trial]] = {}
     onset: ImpactOnset | None = None
@@ -44,7 +47,12 @@ def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> 
             if material in (None, wall.material) and mode in (UNLABELLED, collision.mode.value):
                 name = f"{log.source}: {wall.name}"
                 trial = Trial(
-                    name, _series(course, wall, onset.t_us), collision.mode.value, allowance=ALLOWANCE
+                    name,
+                    _series(course, wall, onset.t_us),
+                    collision.mode.value,
+                    allowance=ALLOWANCE,
+                    flown=flown,
+                    turn_rad_s=_turn(course, onset.t_us),
                 )
                 found.setdefault(wall.material, []).append(trial)
     return found
@@ -66,6 +74,15 @@ def _series(course: FlightArrays, wall: Wall, onset_us: int) -> dict[str, Series
         "normal_force_n": Series(force_time, force.force[felt] @ n),
         "tangential_force_n": Series(force_time, force.force[felt] @ t),
     }
+
+
+def _turn(course: FlightArrays, onset_us: int) -> float | None:
+    """The largest rate about the vehicle's vertical between an onset and the end of its contact."""
+    longest_us = onset_us + round(_LONGEST_S * 1e6)
+    ends = [end.t_us for end in course.all(ContactEnd) if onset_us < end.t_us < longest_us]
+    end_us = min(ends, default=longest_us)
+    rates = [abs(s.rate_frd[2]) for s in course.all(ImuSample) if onset_us <= s.t_us <= end_us]
+    return max(rates, default=None)
 
 
 def trials_at_one(log: Log, material: str | None, mode: str = UNLABELLED) -> list[Trial]:

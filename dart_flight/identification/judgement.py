@@ -93,8 +93,7 @@ def conclude(fit: SampleFit, theta: Array) -> SampleResult:
         found["mu"] = _friction(fit, theta, deviation.half, members)
         found["nu"], up = _vertical(fit, theta, deviation.half, members)
         side = up if up is not None else side
-        allowed = {n: max(fit.trials[i].allowance.get(n, 0.0) for i in members) for n in found}
-        coefficients[mode] = {n: _widened(e, allowed[n]) for n, e in found.items()}
+        coefficients[mode] = found
     half = float(deviation.half[0])
     plane = Estimate(float(theta[0]), float(theta[0]) - half, float(theta[0]) + half)
     return SampleResult(coefficients, plane, _residuals(fit, theta), trials, side, bad, notes)
@@ -115,14 +114,6 @@ def _stiffness(
         else:
             found[name] = Estimate(*(math.exp(v) for v in (value, value - half, value + half)))
     return found
-
-
-def _widened(estimate: Estimate | None, share: float) -> Estimate | None:
-    """The interval with a share of the value added at both ends."""
-    if estimate is None:
-        return None
-    more = share * abs(estimate.value)
-    return Estimate(estimate.value, max(estimate.low - more, 0.0), estimate.high + more)
 
 
 def _friction(fit: SampleFit, theta: Array, deviation: Array, members: list[int]) -> Estimate | None:

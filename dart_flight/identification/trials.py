@@ -18,6 +18,7 @@ import numpy as np
 
 from dart_flight.config.document import InputError
 from dart_flight.config.kinds import FileKind, refuse_other_kind
+from dart_flight.config.provenance import FoundVehicle
 from dart_flight.contact.coefficients import Array
 from dart_flight.geometry import GRAVITY_M_S2
 from dart_flight.recording.ulog import open_ulog
@@ -69,6 +70,8 @@ class Trial:
         position_measured: whether `normal_m` was recorded; if not, it is integrated from `normal_m_s`.
         allowance: coefficient -> share of it by which recordings of this kind are off however many there are;
             the intervals are widened by it.
+        flown: the vehicle, where the recording itself says it, as a flight log does.
+        turn_rad_s: largest rate about the vertical while it touched; None where that was not recorded.
     """
 
     name: str
@@ -78,6 +81,8 @@ class Trial:
     height_m: float | None = None
     position_measured: bool = True
     allowance: Mapping[str, float] = field(default_factory=dict)
+    flown: FoundVehicle | None = None
+    turn_rad_s: float | None = None
 
     @property
     def normal(self) -> Series:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,12 @@ import pytest
 from dart_flight.cli import main
 from dart_flight.config import load_vehicle
 from dart_flight.config.vehicle import packaged
+from dart_flight.contact.law import Onset
+from dart_flight.identification.fit import identify
+from dart_flight.identification.flight_trials import trials_at_one
 from dart_flight.identification.judgement import judge
-from dart_flight.samples import Mode
+from dart_flight.recording.reader import read_log
+from dart_flight.samples import Mode, TruthContact
 from tests.shared_flights import SharedFlights
 from tools.synthetic_trials import drop_trial, wall_trial, write_csv
 
@@ -175,3 +180,52 @@ def test_mode_chooses_among_the_collisions_of_a_flight(
         assert list(json.loads(capsys.readouterr().out)["coefficients"]) == [mode]
     said = refused(capsys, log, "--mode", "flexible", "--surface", "acrylic")
     assert "no collision with acrylic in flexible mode in this flight" in said
+
+
+def test_a_flight_log_is_of_the_vehicle_that_flew(
+    flown: SharedFlights, hits: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whatever configuration is at hand: with another mass k would be off by a third."""
+    log, other = str(flown("single_wall", 1).log), tmp_path / "light.yaml"
+    other.write_text(packaged("configs", "dart.yaml").read_text().replace("mass_kg: 1.3", "mass_kg: 0.9"))
+    found = {}
+    for config in (packaged("configs", "dart.yaml"), other):
+        assert main(["identify", log, "--config", str(config), "--json"]) == 0
+        streams = capsys.readouterr()
+        found[config] = json.loads(streams.out)
+        assert ("not the configuration's of 0.9 kg" in streams.err) == (config == other)
+    right, same = found.values()
+    assert same["coefficients"] == right["coefficients"]
+    assert same["vehicle"]["mass_kg"] == 1.3
+    k = VEHICLE.materials["acrylic"].of(Mode.FLEXIBLE).k
+    assert right["coefficients"]["flexible"]["k"]["value"] == pytest.approx(k, rel=0.04)
+    said = refused(capsys, *hits, log, "--mode", "flexible", "--config", str(other))
+    assert "a trial of another vehicle (0.9 kg; the others' have 1.3 kg): identify them apart" in said
+
+
+def test_a_mass_that_is_not_the_logs_is_taken_and_named(
+    flown: SharedFlights, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = str(flown("single_wall", 1).log)
+    assert main(["identify", log, "--mass", "0.9", "--json"]) == 0
+    streams = capsys.readouterr()
+    assert "fitted with 0.9 kg; the forces in the flight logs are of 1.3 kg" in streams.err
+    k = VEHICLE.materials["acrylic"].of(Mode.FLEXIBLE).k
+    assert abs(json.loads(streams.out)["coefficients"]["flexible"]["k"]["value"] / k - 1.0) > 0.1
+
+
+def test_a_vehicle_that_turns_widens_what_is_said_of_friction(flown: SharedFlights) -> None:
+    """The body with guards is turned by friction, and the law is a point's: mu comes out too low."""
+    log = read_log(flown("single_wall", 1).log)
+    (trial,) = trials_at_one(log, "acrylic")
+    (contact,) = (e.record for e in log.entries if isinstance(e.record, TruthContact))
+    assert trial.turn_rad_s == pytest.approx(abs(contact.rate_out_frd[2]), abs=0.3)
+    truth = VEHICLE.materials["acrylic"].of(Mode.FLEXIBLE).mu
+    for turns in (True, False):
+        given = trial if turns else replace(trial, turn_rad_s=0.0)
+        found = identify([given], VEHICLE.airframe.mass_kg, Onset(VEHICLE.onset), compare_laws=False)
+        mu = found.coefficients["flexible"]["mu"]
+        assert mu is not None
+        assert any("the vehicle turned by up to" in note for note in found.notes) == turns
+        assert (mu.low <= truth <= mu.high) == turns
+        assert mu.value < 0.9 * truth

@@ -11,7 +11,7 @@ from dart_flight.config.vehicle import Coefficients
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.writer import FlightLog
-from dart_flight.samples import Mode, World
+from dart_flight.samples import World
 from dart_flight.worlds.fast import FastFlight
 
 
@@ -22,7 +22,9 @@ def with_walls(mission: Mission, **factors: float) -> Mission:
         return msgspec.structs.replace(c, **{n: getattr(c, n) * x for n, x in factors.items()})
 
     materials = {
-        name: msgspec.structs.replace(m, rigid=changed(m.rigid), flexible=changed(m.of(Mode.FLEXIBLE)))
+        name: msgspec.structs.replace(
+            m, **{mode.value: changed(m.of(mode)) for mode in mission.vehicle.modes}
+        )
         for name, m in mission.vehicle.materials.items()
     }
     vehicle = msgspec.structs.replace(mission.vehicle, materials=materials)

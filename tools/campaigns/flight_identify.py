@@ -1,19 +1,26 @@
 """How well coefficients come out of flight logs: fast flights against walls whose coefficients are known.
 
-python -m tools.campaigns.flight_identify           (writes docs/flight_identification.md)
+    python -m tools.campaigns.flight_identify           (writes docs/flight_identification.md)
+    python -m tools.campaigns.flight_identify --body guards     this kind of vehicle anew, the other as kept
+    python -m tools.campaigns.flight_identify --resume          what an interrupted run has not done yet
+
+Flights and what was found are kept below `--keep`.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
+import shutil
+import statistics
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 import msgspec
 
+from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.contact.law import Onset
 from dart_flight.identification.fit import identify
@@ -25,9 +32,22 @@ from dart_flight.worlds.prepare import load_flyable
 from tools.bench.other_wall import fly_against, with_walls
 
 ROOT = Path(__file__).parents[2]
-MISSIONS = ("single_wall", "dual_collision")
-WALLS: tuple[dict[str, float], ...] = ({}, {"k": 1.2}, {"k": 1.4}, {"k": 0.8}, {"f": 1.5}, {"mu": 0.6})
+# The law is a point's. A point shows what the fit is worth; a body with guards, which turns, what
+# it makes of the vehicle that missions fly with by default.
+POINT, GUARDS = "point", "guards"
+MISSIONS = {
+    "single_wall": ("dart", POINT),
+    "dual_collision": ("dart", POINT),
+    "single_wall, guards": ("dart", GUARDS),
+    "dual_collision, guards": ("dart", GUARDS),
+    "rigid_cage/single_wall, guards": ("rigid_cage", GUARDS),
+}
+WALLS: dict[str, tuple[dict[str, float], ...]] = {
+    POINT: ({}, {"k": 1.2}, {"k": 1.4}, {"k": 0.8}, {"f": 1.5}, {"mu": 0.6}),
+    GUARDS: ({}, {"k": 1.4}, {"mu": 0.6}),
+}
 FLIGHTS = 3
+_FOUND = "found.json"
 
 
 class Found(msgspec.Struct):
@@ -42,8 +62,9 @@ class Found(msgspec.Struct):
     value: float | None
     low: float | None
     high: float | None
+    body: str
+    turned_deg_s: float  # the most about the vertical in these contacts
     proposed: bool  # whether the report of these flights proposes an entry for the material
-    seconds: float
 
     @property
     def inside(self) -> bool:
@@ -51,42 +72,68 @@ class Found(msgspec.Struct):
         return self.low is not None and self.high is not None and self.low <= self.truth <= self.high
 
 
-def run_case(mission_name: str, factors: dict[str, float], flights: int = FLIGHTS) -> list[Found]:
-    """Fly, identify, ask the report: all coefficients of one mission against one kind of walls."""
-    # The law that is fitted is a point's, and so is the vehicle that flies it.
+def _flown(mission: Mission, real: Mission, seed: int, folder: Path) -> Path:
+    """The log of a flight, flown where it is not there; one that was cut short leaves nothing behind."""
+    path = folder / f"{seed}" / "flight.mcap"
+    if not path.exists():
+        with tempfile.TemporaryDirectory(dir=folder) as begun:
+            done = fly_against(mission, real, seed, Path(begun) / path.name)
+            path.parent.mkdir(exist_ok=True)
+            done.rename(path)
+    return path
+
+
+def run_case(name: str, factors: dict[str, float], first_seed: int, keep: Path) -> list[Found]:
+    """Fly, identify, ask the report: all coefficients of one mission against one kind of walls.
+
+    Args:
+        name: of `MISSIONS`.
+        factors: coefficient -> what the real walls' is multiplied by.
+        first_seed: of `FLIGHTS` flights.
+        keep: where flights are kept, and taken from where they are there.
+    """
+    file, (vehicle, body) = name.split(",", maxsplit=1)[0], MISSIONS[name]
     mission = load_flyable(
-        packaged("missions", f"{mission_name}.yaml"),
-        packaged("configs", "dart.yaml"),
-        ["simulation.contact.body=point"],
+        packaged("missions", *f"{file}.yaml".split("/")),
+        packaged("configs", f"{vehicle}.yaml"),
+        [f"simulation.contact.body={body}"],
     )
     real = with_walls(mission, **factors)
-    words = ", ".join(f"{name} × {x:g}" for name, x in factors.items()) or "as configured"
+    words = words_of(factors)
     found = []
-    with tempfile.TemporaryDirectory() as folder:
-        paths = [
-            fly_against(mission, real, seed, Path(folder) / f"{seed}" / "flight.mcap")
-            for seed in range(1, flights + 1)
-        ]
-        proposals = {p.material: bool(p.entry) for p in propose([Flight.read(path) for path in paths])}
-        logs = [read_log(path) for path in paths]
+    folder = folder_of(keep, name, factors)
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [_flown(mission, real, seed, folder) for seed in range(first_seed, first_seed + FLIGHTS)]
+    proposals = {p.material: bool(p.entry) for p in propose([Flight.read(path) for path in paths])}
+    logs = [read_log(path) for path in paths]
     for material in dict.fromkeys(c.wall.material for c in mission.collisions):
         trials = [t for log in logs for t in trials_of(log, material).get(material, [])]
-        begin = time.process_time()
         result = identify(
             trials, mission.vehicle.airframe.mass_kg, Onset(mission.vehicle.onset), compare_laws=False
         )
-        seconds = time.process_time() - begin
         for mode, coefficients in result.coefficients.items():
             truth = getattr(real.vehicle.materials[material], mode)
-            for name, e in coefficients.items():
+            turned = math.degrees(max(t.turn_rad_s or 0.0 for t in trials if t.mode == mode))
+            for coefficient, e in coefficients.items():
                 value, low, high = (None, None, None) if e is None else e
                 found.append(
                     Found(
-                        mission_name, words, material, mode, name, getattr(truth, name), value, low, high,
-                        proposals[material], seconds,
+                        file, words, material, mode, coefficient, getattr(truth, coefficient), value, low,
+                        high, body, turned, proposals[material],
                     )
                 )  # fmt: skip
+    (folder / _FOUND).write_bytes(msgspec.json.encode(found))
     return found
+
+
+def words_of(factors: dict[str, float]) -> str:
+    """What the walls are, in words."""
+    return ", ".join(f"{name} × {x:g}" for name, x in factors.items()) or "as configured"
+
+
+def folder_of(keep: Path, name: str, factors: dict[str, float]) -> Path:
+    """Where a case is kept."""
+    return keep / "_".join((name + " " + words_of(factors)).replace(" × ", "_").replace(",", "").split())
 
 
 def _rows(found: Sequence[Found]) -> Iterator[str]:
@@ -97,52 +144,70 @@ def _rows(found: Sequence[Found]) -> Iterator[str]:
             error = f"{100.0 * (f.value / f.truth - 1.0):+.1f}"
             result = f"{f.value:.4g} | {error} | {f.low:.4g} to {f.high:.4g}"
         yield (
-            f"| {f.mission} | {f.walls} | {f.material}, {f.mode} | {f.name} | {f.truth:.4g} | {result} "
+            f"| {f.mission} | {f.walls} | {f.material}, {f.mode} | {f.turned_deg_s:.0f} | {f.name} "
+            f"| {f.truth:.4g} | {result} "
             f"| {'yes' if f.inside else 'no' if f.value is not None else 'unknown'} "
             f"| {'yes' if f.proposed else 'no'} |"
         )
 
 
-def page(found: Sequence[Found]) -> str:
-    """The report as Markdown."""
+def _errors(found: Sequence[Found]) -> str:
+    """Median and largest error of each coefficient, and how many intervals hold."""
     known = [f for f in found if f.value is not None]
+    said = []
+    for name in ALLOWANCE:
+        sizes = sorted(abs((f.value or 0.0) / f.truth - 1.0) for f in known if f.name == name)
+        if sizes:
+            said.append(f"{name} {100 * statistics.median(sizes):.1f} % and {100 * sizes[-1]:.1f} %")
+    return (
+        f"Median and largest errors: {', '.join(said)}.\n"
+        f"The interval holds the truth in {sum(f.inside for f in known)} of {len(known)} cases."
+    )
+
+
+_HEAD = (
+    "| mission | walls | material, mode | turned, deg/s | | truth | found | error % | 95 % interval "
+    "| holds truth | proposed |\n|---|---|---|---|---|---|---|---|---|---|---|"
+)
+
+
+def page(found: Sequence[Found], missing: Sequence[str], first_seed: int = 1) -> str:
+    """The report as Markdown."""
     allowed = ", ".join(f"{name} {100 * share:.0f} %" for name, share in ALLOWANCE.items())
-    errors = {
-        name: [abs((f.value or 0.0) / f.truth - 1.0) for f in known if f.name == name] for name in ALLOWANCE
-    }
-    worst = ", ".join(f"{name} {100 * max(values):.1f} %" for name, values in errors.items() if values)
-    lines = [
-        "# Coefficients from flight logs",
-        "",
-        "Written by `python -m tools.campaigns.flight_identify`; do not edit. Fast flights, seeds 1 to "
-        f"{FLIGHTS}, against",
-        "walls whose coefficients differ from the configuration's as said; `identify` and "
-        "`report` see only the",
-        "logs.",
-        "",
-        "The intervals are the statistical 95 % interval and an allowance for what such "
-        "recordings are off by,",
-        f"however many there are ({allowed} of the value): PX4's velocity loop brakes",
-        "the vehicle while the wall does, which looks like damping of the wall, and it holds the "
-        "height against",
-        "the vertical force.",
-        f"Largest errors: {worst}. The interval holds the truth in {sum(f.inside for f in known)} of",
-        f"{len(known)} cases.",
-        "",
-        "`proposed`: the report of these flights proposes a new entry for the material. It does so where the "
-        "mean",
-        "of measured over predicted peak, of the normal force or of friction above 5 N, is off by more than",
-        f"{100 * AGREES:.0f} % and by more than its own 95 % interval, and a coefficient's interval does not "
-        "hold",
-        "the configured value. A wrong nu alone is found with `report --identify`.",
-        "",
-        "| mission | walls | material, mode | | truth | found | error % | 95 % interval | holds "
-        "truth | proposed |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-        *_rows(found),
-        "",
-    ]
-    return "\n".join(lines)
+    point, guards = ([f for f in found if f.body == body] for body in (POINT, GUARDS))
+    last = first_seed + FLIGHTS - 1
+    left_out = f"Not run: {'; '.join(missing)}.\n\n" if missing else ""
+    return f"""# Coefficients from flight logs
+
+Written by `python -m tools.campaigns.flight_identify`; do not edit. Fast flights, seeds {first_seed} to
+{last}, against walls whose coefficients differ from the configuration's as said; `identify` and `report`
+see only the logs.
+
+The intervals are the statistical 95 % interval and an allowance for what such recordings are off by,
+however many there are ({allowed} of the value): PX4's velocity loop brakes
+the vehicle while the wall does, which looks like damping of the wall, and it holds the height against
+the vertical force. Where the vehicle turned, mu's interval is wider by that too.
+
+`proposed`: the report of these flights proposes a new entry for the material. It does so where the mean
+of measured over predicted peak, of the normal force or of friction above 5 N, is off by more than
+{100 * AGREES:.0f} % and by more than its own 95 % interval, and a coefficient's interval does not hold
+the configured value. A wrong nu alone is found with `report --identify`.
+
+{left_out}## A point, as the law has it
+
+{_errors(point)}
+
+{_HEAD}
+{chr(10).join(_rows(point))}
+
+## A body with guards, as missions fly by default
+
+The friction turns it, which a point's law does not know.
+{_errors(guards)}
+
+{_HEAD}
+{chr(10).join(_rows(guards))}
+"""
 
 
 def main() -> None:
@@ -150,18 +215,34 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "flight_identification.md")
     parser.add_argument("--workers", type=int)
+    parser.add_argument("--first-seed", type=int, default=1)
+    parser.add_argument("--body", choices=(POINT, GUARDS), help="only these anew, the others as kept")
+    parser.add_argument("--resume", action="store_true", help="take flights and results that are kept")
+    parser.add_argument("--keep", type=Path, default=ROOT / "build" / "flight_identify", metavar="DIR")
     given = parser.parse_args()
-    jobs = [(name, walls) for name in MISSIONS for walls in WALLS]
-    found: list[Found] = []
+    jobs = [(name, walls) for name, (_, body) in MISSIONS.items() for walls in WALLS[body]]
+    anew = [(name, walls) for name, walls in jobs if given.body in (None, MISSIONS[name][1])]
+    if given.resume:
+        anew = [job for job in anew if not (folder_of(given.keep, *job) / _FOUND).exists()]
+    else:
+        for job in anew:
+            shutil.rmtree(folder_of(given.keep, *job), ignore_errors=True)
     with ProcessPoolExecutor(given.workers) as pool:
-        for (name, walls), part in zip(jobs, pool.map(run_case, *zip(*jobs, strict=True)), strict=True):
-            found += part
-            print(
-                name,
-                walls,
-                " ".join(f"{f.name}:{f.value and f.value / f.truth:.3f}" for f in part if f.value),
+        running = {pool.submit(run_case, *job, given.first_seed, given.keep): job for job in anew}
+        for done in as_completed(running):
+            ratios = " ".join(
+                f"{f.name}:{f.value and f.value / f.truth:.3f}" for f in done.result() if f.value
             )
-    given.output.write_text(page(found), encoding="utf-8")
+            print(*running[done], ratios, flush=True)
+    found: list[Found] = []
+    missing = []
+    for name, walls in jobs:
+        file = folder_of(given.keep, name, walls) / _FOUND
+        if file.exists():
+            found += msgspec.json.decode(file.read_bytes(), type=list[Found])
+        else:
+            missing.append(f"{name}, {words_of(walls)}")
+    given.output.write_text(page(found, missing, given.first_seed), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,16 +1,23 @@
 """The identification campaign: synthetic trial sets, errors against the Cramér-Rao bound, coverage.
 
-python -m tools.campaigns.identify --sets 200 -o docs/identification.md
+    python -m tools.campaigns.identify --sets 200 -o docs/identification.md
+    python -m tools.campaigns.identify --only "way along" -o docs/identification.md    only these cases anew
+
+The cases run side by side; each is kept in a file of its own when it is done, so that the page can be made of
+several runs.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from dart_flight.config import Coefficients, InputError, load_vehicle
@@ -22,6 +29,7 @@ from dart_flight.identification.trials import Trial
 from dart_flight.samples import Mode
 from tools.synthetic_trials import MASS_KG, drop_trial, wall_trial
 
+ROOT = Path(__file__).parents[2]
 # A normal error is at most 0.674 deviations in half of all cases.
 MEDIAN_OF_NORMAL = 0.6745
 SPEED_SPREAD = 0.03  # relative: no wall is hit at exactly the intended speed
@@ -190,6 +198,8 @@ def page(results: list[tuple[Case, Outcome]]) -> str:
                 f"{np.mean(out.covered[name]):.1%}",
             ]
             lines.append("| " + " | ".join(cells) + " |")
+    missing = [case.name for case in cases() if case.name not in {c.name for c, _ in results}]
+    left_out = f"Not run: {', '.join(missing)}.\n\n" if missing else ""
     checks = []
     for case, out in results:
         if out.validation:
@@ -211,7 +221,7 @@ median size is {MEDIAN_OF_NORMAL:.2f} bounds and the root mean square one bound.
 
 {chr(10).join(lines)}
 
-Sets without a result: {failures}. One set takes {seconds:.1f} s of one core on average.
+{left_out}Sets without a result: {failures}. One set takes {seconds:.1f} s of one core on average.
 
 ## Validated on drops from 0.2 m
 
@@ -229,29 +239,59 @@ def _summary(values: list[float]) -> str:
     return f"{np.median(sizes):.3%}, {np.percentile(sizes, 95):.3%}"
 
 
+def run_kept(number: int, sets: int, bound_sets: int, seed: int, kept: Path) -> Outcome:
+    """Run a case of `cases` and keep what came out."""
+    out = run(cases()[number], sets, bound_sets, seed)
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    kept.write_bytes(msgspec.json.encode(out))
+    return out
+
+
+def say(case: Case, out: Outcome) -> None:
+    """A line for each coefficient of a case."""
+    for name in case.wanted:
+        bound = np.mean(out.bounds[name])
+        median = np.median(np.abs(out.errors[name]))
+        print(
+            f"{case.name:45s} {name:2s} bound {bound:9.4g}  median error / bound {median / bound:.2f}  "
+            f"coverage {np.mean(out.covered[name]):.1%}  ({out.seconds:.0f} s)",
+            flush=True,
+        )
+
+
 def main() -> None:
     """Run the campaign and write its report."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sets", type=int, default=200)
     parser.add_argument("--bound-sets", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--workers", type=int, help="processes (one for each core)")
+    parser.add_argument(
+        "--only", metavar="TEXT", help="run cases with this in their name, take others as kept"
+    )
+    parser.add_argument("--keep", type=Path, default=ROOT / "build" / "identify", metavar="DIR")
     parser.add_argument("-o", "--output", type=Path)
     given = parser.parse_args()
-    results = []
-    for case in cases():
-        out = run(case, given.sets, given.bound_sets, given.seed)
-        results.append((case, out))
-        for name in case.wanted:
-            bound = np.mean(out.bounds[name])
-            median = np.median(np.abs(out.errors[name]))
-            print(
-                f"{case.name:45s} {name:2s} bound {bound:9.4g}  median error / bound {median / bound:.2f}  "
-                f"coverage {np.mean(out.covered[name]):.1%}  ({out.seconds:.0f} s)",
-                flush=True,
-            )
-        if given.output:  # what is known so far: a long run may be cut short
-            given.output.write_text(page(results), encoding="utf-8")
-    if not given.output:
+    known = cases()
+    files = [
+        given.keep / f"{re.sub('[^a-z0-9]+', '_', case.name)}_{given.sets}_{given.seed}.json"
+        for case in known
+    ]
+    anew = [i for i, case in enumerate(known) if (given.only or "") in case.name]
+    with ProcessPoolExecutor(given.workers) as pool:
+        running = {
+            pool.submit(run_kept, i, given.sets, given.bound_sets, given.seed, files[i]): i for i in anew
+        }
+        for done in as_completed(running):
+            say(known[running[done]], done.result())
+    results = [
+        (case, msgspec.json.decode(file.read_bytes(), type=Outcome))
+        for case, file in zip(known, files, strict=True)
+        if file.exists()
+    ]
+    if given.output:
+        given.output.write_text(page(results), encoding="utf-8")
+    else:
         print(page(results))
 
 
