@@ -227,7 +227,7 @@ def _states(mission: Mission, planned: PlannedFlight) -> Iterator[tuple[float, f
                 before_s = share * mission.vehicle.flying.steady_run_s
                 x, y = collision.impact_point
                 yield x - before_s * vx, y - before_s * vy, vx, vy
-    for path in planned.legs:
+    for path in planned.legs.values():
         for x, y, vx, vy in path.tolist():
             yield x, y, vx, vy
     for leg in legs_of(mission):

@@ -6,7 +6,7 @@ that chose them (`planning.rollout`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -15,10 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.config.mission import Collision, Mission
-from dart_flight.geometry import Vec2
+from dart_flight.geometry import Vec2, Wall
 from dart_flight.planning.flight_model import FreeFlight
-from dart_flight.planning.rollout import LEAST_FACTOR, Arrivals, Draw, Hits, Rollout, new_flight, stages_for
-from dart_flight.planning.task import task_of
+from dart_flight.planning.rollout import (
+    LEAST_FACTOR,
+    Arrivals,
+    Draw,
+    Hits,
+    Rollout,
+    drawn_wall,
+    new_flight,
+    stages_for,
+)
+from dart_flight.planning.task import MissionTask, task_of
 
 _POINTS = 60  # of a leg
 
@@ -45,18 +54,20 @@ class PlannedFlight(msgspec.Struct):
     """What the flight model says of a mission.
 
     Attributes:
-        approaches: straight lines, mission frame, metres: where the vehicle is at rest before (where that is
-            known and elsewhere), run-up point, impact.
-        legs: (n, 4), x, y, vx, vy from an onset over the release to the next onset, the last to the closest
-            approach to the goal. At the onset itself the velocity is given as 0.
+        approaches: index of the collision led to -> straight lines, mission frame, metres: where the
+            vehicle is at rest before (where that is known and elsewhere), run-up point, impact.
+        legs: collision index -> (n, 4), x, y, vx, vy from its onset over the release to the next onset, of
+            the last to the closest approach to the goal. At the onset itself the velocity is given as 0.
         hits: collision index -> the hit; none for a wall that the model does not reach.
         goal_miss_m: closest approach to the goal after the last contact; None where it does not come to that.
+        walls: those that the mission says may stand elsewhere, where they were drawn.
     """
 
-    approaches: list[list[Vec2]]
-    legs: list[NDArray[np.float64]]
+    approaches: dict[int, list[Vec2]]
+    legs: dict[int, NDArray[np.float64]]
     hits: dict[int, PlannedHit]
     goal_miss_m: float | None = None
+    walls: tuple[Wall, ...] = ()
 
 
 def planned_flight(mission: Mission) -> PlannedFlight:
@@ -68,10 +79,11 @@ def planned_flight(mission: Mission) -> PlannedFlight:
 
 
 def drawn_flights(mission: Mission, count: int = 40, seed: int = 1) -> list[PlannedFlight]:
-    """The same with other walls: k, f and mu of every wall and mode drawn about the table's.
+    """The same with other walls: k, f and mu of every wall and mode, and where the walls stand.
 
-    Their relative standard deviation is `estimation.walls.spread`: what is believed of a wall before it is
-    met.
+    The coefficients are drawn about the table's with the relative standard deviation
+    `estimation.walls.spread`, what is believed of a wall before it is met; places and directions with a
+    wall's own figures, where it has some. Approaches stay as planned.
 
     Args:
         mission: whose approaches, modes and gains are flown.
@@ -79,6 +91,7 @@ def drawn_flights(mission: Mission, count: int = 40, seed: int = 1) -> list[Plan
         seed: of the draws.
     """
     rng, spread = np.random.default_rng(seed), mission.vehicle.estimation.walls.spread
+    of_places = np.random.default_rng([seed, 1])  # the coefficients are the same, whatever is known of places
     draws: list[Draw | None] = []
     for _ in range(count):
         of_wall = {
@@ -88,7 +101,8 @@ def drawn_flights(mission: Mission, count: int = 40, seed: int = 1) -> list[Plan
         }
         modes, hits = mission.vehicle.modes, mission.collisions
         factors = {(str(c.index), mode): of_wall[c.wall.name, mode] for c in hits for mode in modes}
-        draws.append(Draw(factors, 0.0, 0.0, 0.0))
+        places = {wall.name: drawn_wall(wall, of_places) for wall in mission.walls if wall.is_uncertain}
+        draws.append(Draw(factors, 0.0, 0.0, 0.0, places))
     return _flights(mission, draws)
 
 
@@ -98,7 +112,7 @@ def _factors(relative: NDArray[np.float64]) -> tuple[float, float, float]:
 
 
 def _flights(mission: Mission, draws: Sequence[Draw | None]) -> list[PlannedFlight]:
-    found = [PlannedFlight([], [], {}) for _ in draws]
+    found = [PlannedFlight({}, {}, {}, walls=() if d is None else tuple(d.walls.values())) for d in draws]
     for group in _groups(mission.collisions):
         flight, begin, all_arrivals = _fly(mission, group, draws)
         impact = group[0].impact_point
@@ -107,7 +121,7 @@ def _flights(mission: Mission, draws: Sequence[Draw | None]) -> list[PlannedFlig
         line = [begin, impact] if before in (None, begin) else [before, begin, impact]
         last = group[-1] is mission.collisions[-1] and mission.recovers_to_goal
         for planned, arrivals in zip(found, all_arrivals, strict=True):
-            planned.approaches.append(line)
+            planned.approaches[group[0].index] = line
             if arrivals is not None and mission.standoff_m is None:
                 _follow(planned, group, flight, arrivals, last)
     return found
@@ -128,7 +142,7 @@ def _follow(
         )
         following = arrivals.hits[i + 1].t_s if i + 1 < len(group) else arrivals.t_s if last else None
         if following is not None:
-            planned.legs.append(_path(flight, hit, float(following[0])))
+            planned.legs[collision.index] = _path(flight, hit, float(following[0]))
     if last:
         planned.goal_miss_m = float(arrivals.miss_m[0])
 
@@ -145,17 +159,40 @@ def _fly(
     """One approach: its run-up point, and what follows in each draw; None where it does not get through."""
     task = task_of(mission, group)
     flight = new_flight(task)
-    rollout = Rollout(task, tuple(task.walls), flight, None, keep_hits=True)
+    rollout = _rollout(task, flight)
     assert group[0].approach_m_s is not None
     normal, tangential = (np.array([v]) for v in group[0].approach_m_s)
     grid = rollout.approach(normal, tangential)
     begin = (float(np.ravel(grid.begin_x)[0]), float(np.ravel(grid.begin_y)[0]))
     modes = tuple(c.mode for c in group)
     found = []
-    for stages, draw in zip(stages_for(task, draws), draws, strict=True):
-        arrivals = rollout.fly(stages, normal, tangential, grid, draw)
+    drawn = [_of_group(draw, group) for draw in draws]
+    for stages, draw in zip(stages_for(task, drawn), drawn, strict=True):
+        really = rollout if draw is None or not draw.walls else _rollout(task, flight, draw.walls)
+        arrivals = really.fly(stages, normal, tangential, grid, draw)
         found.append(next((a for a in arrivals if a.modes == modes and a.rows.size), None))
     return flight, begin, found
+
+
+def _of_group(draw: Draw | None, group: Sequence[Collision]) -> Draw | None:
+    """A draw with its walls by the names that a task gives them: every collision has one of its own."""
+    if draw is None:
+        return None
+    places = {
+        str(c.index): msgspec.structs.replace(draw.walls[c.wall.name], name=str(c.index))
+        for c in group
+        if c.wall.name in draw.walls
+    }
+    return draw._replace(walls=places)
+
+
+def _rollout(task: MissionTask, flight: FreeFlight, walls: Mapping[str, Wall] | None = None) -> Rollout:
+    """The one candidate of a task; `walls`: those that stand elsewhere than the approach takes them to."""
+    sequence = tuple(task.walls)
+    if walls is None:
+        return Rollout(task, sequence, flight, None, keep_hits=True)
+    there = task._replace(walls=task.walls | dict(walls))
+    return Rollout(there, sequence, flight, None, keep_hits=True, approached=task.walls[sequence[0]])
 
 
 def _path(flight: FreeFlight, hit: Hits, until_s: float) -> NDArray[np.float64]:

@@ -155,6 +155,13 @@ class Draw(NamedTuple):
     walls: dict[str, Wall] = {}  # noqa: RUF012  (never changed): of those that are not where the plan has them
 
 
+def drawn_wall(wall: Wall, rng: np.random.Generator) -> Wall:
+    """Where a wall may really stand: drawn by its own standard deviations."""
+    away, angle = rng.standard_normal(2)
+    moved = wall.moved(float(away) * (wall.position_sd_m or 0.0))
+    return moved.turned(float(angle) * (wall.yaw_sd_rad or 0.0))
+
+
 def stages_for(task: Task, draws: Sequence[Draw | None]) -> list[Stages]:
     """Contact stages of every wall with gains in every mode, for every draw (None: the nominal values)."""
     keys = [(name, mode) for name in task.alphas for mode in task.modes]

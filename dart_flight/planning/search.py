@@ -18,11 +18,19 @@ from numpy.typing import NDArray
 from dart_flight.config.document import InputError
 from dart_flight.config.scenario import Objective, Scenario
 from dart_flight.core.mission.approach import Transit
-from dart_flight.geometry import Vec2, Wall, distance2
+from dart_flight.geometry import Vec2, distance2
 from dart_flight.planning.approach_grid import ApproachGrid, straight_is_blocked
 from dart_flight.planning.constraints import ADVICE, REFUSALS, Constraints, Refusal
 from dart_flight.planning.flight_model import Array, FreeFlight, Rows
-from dart_flight.planning.rollout import LEAST_FACTOR, Arrivals, Draw, Rollout, new_flight, stages_for
+from dart_flight.planning.rollout import (
+    LEAST_FACTOR,
+    Arrivals,
+    Draw,
+    Rollout,
+    drawn_wall,
+    new_flight,
+    stages_for,
+)
 from dart_flight.samples import Mode
 
 Progress = Callable[[int, int], None]  # trajectories done, of how many
@@ -383,7 +391,7 @@ def draws_of(scenario: Scenario, seed: int) -> list[Draw]:
                 k, f, mu = np.maximum(1.0 + np.array([u.k, u.f, u.mu]) * rng.standard_normal(3), LEAST_FACTOR)
                 factors[name, mode] = (float(k), float(f), float(mu))
         shift = rng.standard_normal(3)
-        walls = {name: _drawn_wall(wall, rng) for name, wall in scenario.walls.items() if wall.is_uncertain}
+        walls = {name: drawn_wall(wall, rng) for name, wall in scenario.walls.items() if wall.is_uncertain}
         draws.append(
             Draw(
                 factors,
@@ -394,12 +402,6 @@ def draws_of(scenario: Scenario, seed: int) -> list[Draw]:
             )
         )
     return draws
-
-
-def _drawn_wall(wall: Wall, rng: np.random.Generator) -> Wall:
-    away, angle = rng.standard_normal(2)
-    moved = wall.moved(float(away) * (wall.position_sd_m or 0.0))
-    return moved.turned(float(angle) * (wall.yaw_sd_rad or 0.0))
 
 
 def _at(values: Array | None, i: int) -> float | None:

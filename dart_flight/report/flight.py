@@ -312,11 +312,11 @@ class Flight:
     def planned_lines(self) -> list[Array]:
         """The planned path from above: (n, 2), mission frame, metres."""
         planned = self.planned
-        approaches = [np.array(line) for line in planned.approaches]
+        approaches = [np.array(line) for line in planned.approaches.values()]
         from_rest = [
             np.array([leg.begin[:2], leg.end[:2]]) for leg in legs_of(self.mission) if leg.begin is not None
         ]
-        return [*approaches, *(leg[:, :2] for leg in planned.legs), *from_rest]
+        return [*approaches, *(leg[:, :2] for leg in planned.legs.values()), *from_rest]
 
 
 def _peak_after(course: FlightArrays, onset_us: int) -> ImpactPeak | None:

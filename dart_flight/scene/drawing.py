@@ -26,6 +26,7 @@ from foxglove.messages import (
 
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Airframe
+from dart_flight.core.mission.approach import legs_of
 from dart_flight.geometry import IDENTITY, Vec2, Vec3, Wall
 from dart_flight.geometry import Quaternion as Rotation
 from dart_flight.planning.planned import PlannedFlight
@@ -166,7 +167,7 @@ def _wall(mission: Mission, wall: Wall, t_us: int) -> SceneEntity:
 
 
 def _goal(mission: Mission, t_us: int) -> SceneEntity:
-    (gx, gy), radius, z = mission.goal.position_m, mission.goal.capture_radius_m, mission.altitude_m
+    (gx, gy), radius, z = mission.goal.position_m, mission.goal.capture_radius_m, goal_altitude_m(mission)
     size = Vector3(x=2.0 * radius, y=2.0 * radius, z=0.01)
     capture = CylinderPrimitive(
         pose=pose((gx, gy, z)),
@@ -175,27 +176,42 @@ def _goal(mission: Mission, t_us: int) -> SceneEntity:
         top_scale=1.0,
         color=Color(r=0.0, g=0.62, b=0.45, a=0.4),
     )
-    sx, sy = mission.start
+    (sx, sy), above = mission.start, mission.altitude_m
+    if (sx, sy, above) == (gx, gy, z):
+        texts = [text((gx, gy, z + _LABEL_M), "start and goal")]  # two labels in one place cannot be read
+    else:
+        texts = [text((gx, gy, z + _LABEL_M), "goal"), text((sx, sy, above + _LABEL_M), "start")]
     return entity(
         t_us,
         "start and goal",
         cylinders=[capture],
-        spheres=[ball((gx, gy, z), 0.04, GREEN), ball((sx, sy, z), 0.04, GREY)],
-        texts=[text((gx, gy, z + _LABEL_M), "goal"), text((sx, sy, z + _LABEL_M), "start")],
+        spheres=[ball((gx, gy, z), 0.04, GREEN), ball((sx, sy, above), 0.04, GREY)],
+        texts=texts,
     )
 
 
-def planned(flight: PlannedFlight, altitude_m: float, t_us: int) -> SceneEntity:
-    """The way that the flight model predicts, with a ball at every hit that it meets."""
-    ways = [
-        *flight.approaches,
-        *([(float(x), float(y)) for x, y, *_ in leg] for leg in flight.legs),
-    ]
+def goal_altitude_m(mission: Mission) -> float:
+    """Where the flight ends: way-points may have changed the altitude of its start."""
+    return mission.altitude_at(len(mission.collisions))
+
+
+def planned(flight: PlannedFlight, mission: Mission, t_us: int) -> SceneEntity:
+    """The way that the mission says and the flight model predicts: a ball at every hit, a small one at every
+    way-point."""
+    lines = [[leg.begin, leg.end] for leg in legs_of(mission) if leg.begin is not None]
+    for index, approach in flight.approaches.items():
+        z = mission.altitude_at(index - 1)
+        lines.append([(x, y, z) for x, y in approach])
+    for index, leg in flight.legs.items():
+        z = mission.altitude_at(index - 1)
+        lines.append([(float(x), float(y), z) for x, y, *_ in leg])
+    hits = [(*hit.position, mission.altitude_at(index - 1)) for index, hit in flight.hits.items()]
+    stops = [w.position for w in mission.waypoints if w.position is not None]
     return entity(
         t_us,
         "planned way",
-        lines=[line([(x, y, altitude_m) for x, y in way], ORANGE, 2.0) for way in ways],
-        spheres=[ball((*hit.position, altitude_m), 0.05, ORANGE) for hit in flight.hits.values()],
+        lines=[line(points, ORANGE, 2.0) for points in lines],
+        spheres=[*(ball(at, 0.05, ORANGE) for at in hits), *(ball(at, 0.03, ORANGE) for at in stops)],
     )
 
 

@@ -12,7 +12,7 @@ from foxglove.messages import PackedElementField, PackedElementFieldNumericType,
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Airframe
 from dart_flight.geometry import Vec3
-from dart_flight.scene.drawing import height_over, pose, timestamp
+from dart_flight.scene.drawing import goal_altitude_m, height_over, pose, timestamp
 
 Segment = tuple[Vec3, Vec3]
 _ROOM_STEP_M, _VEHICLE_STEP_M = 0.03, 0.01
@@ -72,7 +72,8 @@ def room(mission: Mission) -> list[tuple[Iterable[Vec3], Rgb]]:
         parts.append((_points(lines, _ROOM_STEP_M), WALL))
     (gx, gy), radius = mission.goal.position_m, mission.goal.capture_radius_m
     turns = [2.0 * math.pi * i / 60 for i in range(60)]
-    circle = [(gx + radius * math.cos(a), gy + radius * math.sin(a), mission.altitude_m) for a in turns]
+    z = goal_altitude_m(mission)
+    circle = [(gx + radius * math.cos(a), gy + radius * math.sin(a), z) for a in turns]
     return [*parts, (circle, GREEN)]
 
 

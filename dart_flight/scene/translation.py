@@ -167,7 +167,7 @@ class Translation:
         messages = [_transform(t_us, (x, y, 0.0), IDENTITY), *self._vehicle(t_us)]
         if self._furnished:
             messages.append(_scene(ROOM, t_us, *drawing.room(self._mission, t_us)))
-            plan = drawing.planned(planned_flight(self._mission), self._mission.altitude_m, t_us)
+            plan = drawing.planned(planned_flight(self._mission), self._mission, t_us)
             messages.append(_scene(PLAN, t_us, plan))
             points = outlines.cloud(t_us, drawing.MISSION, outlines.room(self._mission))
             messages.append(Message(OUTLINES[0], t_us, points))

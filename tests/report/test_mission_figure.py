@@ -44,6 +44,41 @@ def test_draws_of_walls_without_spread_are_the_plan(dual: Mission) -> None:
     assert np.std([miss for miss in spread if miss is not None]) > 0.01
 
 
+def test_draws_have_their_walls_where_these_may_stand(dual: Mission) -> None:
+    known = drawn_flights(dual, 60)
+    assert all(not flight.walls for flight in known)
+    for sd_m, yaw_deg in ((0.05, 0.0), (0.0, 3.0)):
+        unsure = dual.replace({"walls.wood.position_sd_m": sd_m, "walls.wood.yaw_sd_deg": yaw_deg})
+        drawn = drawn_flights(unsure, 60)
+        assert {wall.name for flight in drawn for wall in flight.walls} == {"wood"}
+        met = [(a, b) for a, b in zip(known, drawn, strict=True) if 1 in a.hits and 1 in b.hits]
+        assert len(met) > 40
+        # The same coefficients, so as far before or behind the plane: the drawn one, not the mission's.
+        wood = next(wall for wall in dual.walls if wall.name == "wood")
+        before = [wood.signed_distance(a.hits[1].position) for a, _ in met]
+        really = [b.walls[0].signed_distance(b.hits[1].position) for _, b in met]
+        assert really == pytest.approx(before, abs=1e-6 if yaw_deg == 0.0 else 0.005)
+        assert np.std([b.hits[1].position[1] - a.hits[1].position[1] for a, b in met]) > 0.3 * sd_m
+        directions = [b.walls[0].normal[0] for _, b in met]
+        assert np.std(directions) == pytest.approx(np.radians(yaw_deg), rel=0.3, abs=1e-9)
+    told = dual.replace({"walls.wood.position_sd_m": 0.05})
+    words = in_words(told, planned_flight(told), drawn_flights(told, 20))
+    assert any("Where wood may stand" in line for line in words)
+
+
+def heights_in_the_side_view(mission: Mission) -> tuple[dict[str, float], list[float]]:
+    """Numbers of hits -> the height they are written at, and that of every star (the goal)."""
+    side = mission_figure(mission, planned_flight(mission)).axes[1]
+    stars = [float(line.get_ydata()[0]) for line in side.lines if line.get_marker() == "*"]
+    return {text.get_text(): float(text.xy[1]) for text in side.texts}, stars
+
+
+def test_the_side_view_is_as_high_as_the_way_points_say(dual: Mission) -> None:
+    higher = dual.replace({"waypoints": [{"position_m": [0.0, 0.0], "altitude_m": 1.5}]})
+    assert heights_in_the_side_view(dual) == ({"1": 1.0, "2": 1.0}, [1.0])
+    assert heights_in_the_side_view(higher) == ({"1": 1.5, "2": 1.5}, [1.5])
+
+
 def test_the_words_give_the_quantiles_of_the_draws(dual: Mission) -> None:
     drawn = drawn_flights(dual, 20)
     low, high = np.quantile([f.goal_miss_m for f in drawn if f.goal_miss_m is not None], (0.05, 0.95))
@@ -80,6 +115,7 @@ def test_check_says_what_a_picture_needs(
 def test_a_mission_of_way_points_shows_its_ways() -> None:
     mission = load_mission(packaged("missions", "square.yaml"))
     figure = mission_figure(mission, planned_flight(mission))
+    assert {"1", "2, 6: 1 m high", "3: 1.4 m high"} <= set(texts_of(as_svg(figure)))
     assert {"way-point", "predicted way", "goal"} <= set(texts_of(as_svg(figure)))
     plan, side = figure.axes[:2]
     (x0, x1), (y0, y1), (_, z1) = plan.get_xlim(), plan.get_ylim(), side.get_ylim()

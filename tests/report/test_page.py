@@ -256,7 +256,7 @@ def test_a_rehearsal_has_a_page(dual: Mission, tmp_path: Path) -> None:
     assert verdict.log is not None
     flight = Flight.read(verdict.log)
     assert flight.planned.approaches
-    assert flight.planned.legs == []
+    assert flight.planned.legs == {}
     Page(flight_page(flight))
 
 

@@ -11,15 +11,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from foxglove.messages import SceneEntity, SceneUpdate
 from mcap.reader import make_reader
 
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import packaged
 from dart_flight.geometry import Quaternion, Vec3, rotate
+from dart_flight.planning.planned import planned_flight
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.arrays import FlightArrays
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.samples import ForceEstimate, ImpactPeak, LockPhase, LockState, Record
+from dart_flight.scene import drawing
 from dart_flight.scene.drawing import FORCE_SCALE_M_PER_N
 from dart_flight.scene.export import export_foxglove
 from dart_flight.scene.thinning import SCALARS_US, SCENE_US, Thinning
@@ -123,6 +128,28 @@ def test_walls_stand_at_their_surface(log: Log, exported: Messages) -> None:
         assert wall.material in label["text"]
     [capture] = room["start and goal"]["cylinders"]
     assert capture["size"]["x"] == 2.0 * mission.goal.capture_radius_m
+
+
+def decoded(entity: SceneEntity) -> dict[str, Any]:
+    """An entity as a viewer gets it."""
+    schema = SceneUpdate.get_schema()
+    [one] = Decoder("protobuf", schema.name, schema.data)(SceneUpdate(entities=[entity]).encode())["entities"]
+    found: dict[str, Any] = one
+    return found
+
+
+def test_the_plan_and_the_goal_are_as_high_as_the_way_points_say() -> None:
+    dual = load_mission(packaged("missions", "dual_collision.yaml"))
+    higher = dual.replace({"waypoints": [{"position_m": [0.0, 0.0], "altitude_m": 1.5}]})
+    for mission, z in ((dual, 1.0), (higher, 1.5)):
+        flight = planned_flight(mission)
+        way = decoded(drawing.planned(flight, mission, 0))
+        hits = way["spheres"][: len(flight.hits)]
+        assert [ball["pose"]["position"]["z"] for ball in hits] == [z] * 2
+        assert {line["points"][-1]["z"] for line in way["lines"]} == {z}
+        marks = decoded(drawing.room(mission, 0)[-1])
+        said = {one["text"]: one["pose"]["position"]["z"] for one in marks["texts"]}
+        assert said["goal"] - said["start"] == pytest.approx(z - 1.0)
 
 
 def test_the_arms_are_drawn_by_the_state_of_the_lock(log: Log, exported: Messages) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import legs_of
+from dart_flight.geometry import Vec2
 from dart_flight.planning.planned import PlannedFlight, drawn_flights
 from dart_flight.recording.arrays import Array
 from dart_flight.report.figures.labels import Label, place_labels
@@ -39,6 +40,8 @@ SHEET = Look(7.2, 9.0)
 _ABOVE_M, _BELOW_M = 0.35, 0.05  # what the side view shows above the flight's height and below the ground
 _SAME_M = 0.12  # hits that stand nearer together share a label in the side view
 _LONGEST_ARROW_M = 0.4
+_DRAWN = "#8db4e2"
+_EDGE_ON = 0.26  # sine of the angle up to which a wall is seen from its side: 15 degrees
 
 
 @in_style
@@ -52,17 +55,14 @@ def mission_figure(mission: Mission, planned: PlannedFlight | None, *, look: Loo
     """
     drawn = drawn_flights(mission) if planned is not None and planned.hits else []
     view = view_of(mission, _extent(mission, planned))
-    highest = max([mission.altitude_m, *(way[:, 2].max() for way in _from_rest(mission))])
+    highest = max(mission.altitude_m, *(leg.end[2] for leg in legs_of(mission)), 0.0)
     top = min(mission.bounds.z[1], highest + _ABOVE_M) + 0.05
     ratios = [view[1, 1] - view[0, 1], top + _BELOW_M]
     figure, (plan, side) = new_figure(look, 6.0, 2, 1, sharex=True, height_ratios=ratios)
     set_view(plan, view)
     side.set(ylim=(-_BELOW_M, top), aspect="equal")
     draw_room(plan, mission)
-    for flight in drawn:
-        for leg in flight.legs:
-            plan.plot(leg[:, 0], leg[:, 1], color="#8db4e2", linewidth=0.5, alpha=0.6, zorder=1.8,
-                      label=f"{len(drawn)} draws of the walls")  # fmt: skip
+    _draw_draws(plan, mission, drawn)
     if planned is not None:
         _draw_way(plan, mission, planned)
         _draw_hits(plan, mission, planned)
@@ -97,6 +97,11 @@ def in_words(mission: Mission, planned: PlannedFlight | None, drawn: Sequence[Pl
     if misses:
         low, high = np.quantile(misses, (0.05, 0.95))
         spread = mission.vehicle.estimation.walls.spread
+        unsure = [wall.name for wall in mission.walls if wall.is_uncertain]
+        if unsure:
+            lines.append(
+                f"Where {' and '.join(unsure)} may stand, by the mission's figures, is drawn as well."
+            )
         lines.append(
             f"With k, f and mu of the walls drawn ± {100 * spread:.0f} %: {low:.2f} to {high:.2f} m "
             "in nine of ten draws"
@@ -115,9 +120,9 @@ def _extent(mission: Mission, planned: PlannedFlight | None) -> Array:
     if planned is None:
         b = mission.bounds
         return np.array([[b.x[0], b.y[0]], [b.x[1], b.y[1]]])
-    points += [np.array(line) for line in planned.approaches]
+    points += [np.array(line) for line in planned.approaches.values()]
     points += [np.array([leg.end[:2]]) for leg in legs_of(mission)]
-    points += [leg[:, :2] for leg in planned.legs]
+    points += [leg[:, :2] for leg in planned.legs.values()]
     points += [np.array([hit.position]) for hit in planned.hits.values()]
     points += [
         np.array([hit.set_point])
@@ -132,6 +137,15 @@ def _from_rest(mission: Mission) -> list[Array]:
     return [np.array([leg.begin, leg.end]) for leg in legs_of(mission) if leg.begin is not None]
 
 
+def _draw_draws(axis: Any, mission: Mission, drawn: Sequence[PlannedFlight]) -> None:
+    """The ways after the hits with every draw of the walls, and the surfaces that may be elsewhere."""
+    label = f"{len(drawn)} draws of the walls"
+    for flight in drawn:
+        surfaces = [np.array(mission.vehicle.airframe.surface_of(wall).ends) for wall in flight.walls]
+        for way in [*flight.legs.values(), *surfaces]:
+            axis.plot(way[:, 0], way[:, 1], color=_DRAWN, linewidth=0.5, alpha=0.6, zorder=1.8, label=label)
+
+
 def _draw_way(axis: Any, mission: Mission, planned: PlannedFlight) -> None:
     for way in _from_rest(mission):
         axis.plot(way[:, 0], way[:, 1], label="predicted way", **PREDICTED)
@@ -139,14 +153,14 @@ def _draw_way(axis: Any, mission: Mission, planned: PlannedFlight) -> None:
         if waypoint.position is not None:
             axis.plot(*waypoint.position[:2], "s", color="#000000", markersize=5, label="way-point",
                       linestyle="none", zorder=4)  # fmt: skip
-    for line in planned.approaches:
+    for line in planned.approaches.values():
         way = np.array(line)
         axis.plot(way[:, 0], way[:, 1], label="predicted way", **PREDICTED)
         axis.plot(*way[-2], "s", color="#000000", markersize=4, markerfacecolor="white", linestyle="none",
                   label="run-up begins", zorder=4)  # fmt: skip
         middle = way[-2] + 0.55 * (way[-1] - way[-2])
         draw_arrow(axis, middle, middle + 0.06 * (way[-1] - way[-2]), "#000000", linewidth=0.0)
-    for leg in planned.legs:
+    for leg in planned.legs.values():
         axis.plot(leg[:, 0], leg[:, 1], label="predicted way", **PREDICTED)
 
 
@@ -189,19 +203,22 @@ def _write_labels(
         outline = placed(mission.vehicle.airframe.outline_m, hit.position, collision.wall.parallel_yaw(0.0))
         lines += [along(np.array(hit.position) + s * (outline - hit.position)) for s in (1.0, 0.7, 0.4)]
         lines.append(along(np.array([hit.position, hit.set_point])))
-    lines += [along(np.array(line)) for line in planned.approaches]
-    lines += [along(leg[:, :2]) for leg in planned.legs]
+    labels += [Label(text, place, (1.0, 1.0), "#000000") for text, place in _stops(mission)]
+    lines += [along(np.array(line)) for line in planned.approaches.values()]
+    lines += [along(leg[:, :2]) for leg in planned.legs.values()]
+    lines += [along(way[:, :2]) for way in _from_rest(mission)]
     place_labels(axis, labels, lines, names, look.small_pt)
 
 
 def _draw_side(axis: Any, mission: Mission, planned: PlannedFlight | None, top: float) -> None:
-    """The same seen along y, with the height that the flight keeps; a wall seen from its side is hatched."""
+    """The same seen along y; a wall seen from its side is hatched, one that stands askew or behind is
+    not: the vehicle flies before it."""
     out = mission.vehicle.airframe.contact_distance_m
     for wall in mission.walls:
-        (tx, _), (nx, _) = wall.tangent, wall.normal
+        nx, ny = wall.normal
         surface = mission.vehicle.airframe.surface_of(wall).ends
         ends = [x - back * nx for x, _ in surface for back in (0.0, THICKNESS_M)]
-        seen_from_side = abs(nx) > abs(tx)
+        seen_from_side = abs(ny) < _EDGE_ON
         style = {"hatch": "////", "facecolor": "#dcdcdc"} if seen_from_side else {"facecolor": "#f1f1f1"}
         axis.fill_between(
             [min(ends), max(ends)], 0.0, top, edgecolor="#777777", linewidth=0.0,
@@ -210,30 +227,48 @@ def _draw_side(axis: Any, mission: Mission, planned: PlannedFlight | None, top: 
     axis.axhline(0.0, color="#222222", linewidth=1.4)
     for z in mission.bounds.z:
         axis.axhline(z, color="#999999", linewidth=0.8, linestyle=(0, (1, 2)))
-    height = mission.altitude_m
     start = mission.start
-    axis.plot([start[0]] * 2, [0.0, height], **PREDICTED)
+    axis.plot([start[0]] * 2, [0.0, mission.altitude_m], **PREDICTED)
     if planned is not None:
-        for line in [*(np.array(a) for a in planned.approaches), *planned.legs]:
-            axis.plot(line[:, 0], np.full(len(line), height), **PREDICTED)
+        for index, line in [*planned.approaches.items(), *planned.legs.items()]:
+            way = np.array(line)
+            axis.plot(way[:, 0], np.full(len(way), mission.altitude_at(index - 1)), **PREDICTED)
         for way in _from_rest(mission):
             axis.plot(way[:, 0], way[:, 2], **PREDICTED)
-        for x, numbers in _side_by_side(planned):
-            axis.plot(x + np.array([-out, out]), [height, height], color="#000000", linewidth=2.5)
-            axis.annotate(numbers, (x, height), (0, 7), textcoords="offset points", ha="center", color=FORCE)
+        for (x, z), numbers in _side_by_side(mission, planned):
+            axis.plot(x + np.array([-out, out]), [z, z], color="#000000", linewidth=2.5)
+            axis.annotate(numbers, (x, z), (0, 7), textcoords="offset points", ha="center", color=FORCE)
+    for waypoint in mission.waypoints:
+        if waypoint.position is not None:
+            x, _, z = waypoint.position
+            axis.plot(x, z, "s", color="#000000", markersize=5, zorder=4)
     goal = mission.goal.position_m
     at_goal = mission.altitude_at(len(mission.collisions))
     axis.plot(goal[0], at_goal, "*", color="black", markersize=9)
     axis.plot([goal[0]] * 2, [0.0, at_goal], color=GREY, linewidth=0.8, linestyle=":")
 
 
-def _side_by_side(planned: PlannedFlight) -> list[tuple[float, str]]:
-    """Where hits are along x, and their numbers."""
-    found: list[tuple[float, str]] = []
+def _stops(mission: Mission) -> list[tuple[str, Vec2]]:
+    """What is written beside way-points, and where: their numbers, and each change of the altitude."""
+    found: dict[Vec2, str] = {}
+    z_before = mission.altitude_m
+    for waypoint in mission.waypoints:
+        if waypoint.position is None:
+            continue
+        x, y, z = waypoint.position
+        said = f"{waypoint.index}" if z == z_before else f"{waypoint.index}: {z:g} m high"
+        found[x, y] = f"{found[x, y]}, {said}" if (x, y) in found else said
+        z_before = z
+    return [(text, place) for place, text in found.items()]
+
+
+def _side_by_side(mission: Mission, planned: PlannedFlight) -> list[tuple[Vec2, str]]:
+    """Where hits are along x and z, and their numbers."""
+    found: list[tuple[Vec2, str]] = []
     for index, hit in sorted(planned.hits.items(), key=lambda item: item[1].position[0]):
-        x = hit.position[0]
-        if found and x - found[-1][0] < _SAME_M:
+        x, z = hit.position[0], mission.altitude_at(index - 1)
+        if found and x - found[-1][0][0] < _SAME_M and z == found[-1][0][1]:
             found[-1] = (found[-1][0], f"{found[-1][1]}, {index}")
         else:
-            found.append((x, str(index)))
+            found.append(((x, z), str(index)))
     return found
