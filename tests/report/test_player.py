@@ -40,7 +40,7 @@ def not_now(*_: object, **__: object) -> None:
 
 @pytest.fixture(scope="session")
 def ten_page(ten: Flight) -> str:
-    """Its page, without the coefficients of ten hits: half of its time, and none of its size."""
+    """Its page, without identifying the coefficients of ten hits, whose few table rows it lacks."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("dart_flight.report.proposal.identify", not_now)
         return flight_page(ten)
