@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -35,7 +35,8 @@ _CHUNK = 4096
 class _Nodes(NamedTuple):
     place: Array  # on [0, 1]
     stretch: Array  # its derivative by y
-    to_series: Array  # matrix from values to Chebyshev coefficients
+    to_integral: Array  # matrix from values to the Chebyshev coefficients of their integral from the onset
+    at_nodes: Array  # matrix from such coefficients to values
 
 
 @lru_cache(maxsize=1)
@@ -44,8 +45,10 @@ def _nodes() -> _Nodes:
     end = math.tanh(_CROWDING)
     place = 0.5 * (1.0 + np.tanh(_CROWDING * y) / end)
     stretch = 0.5 * _CROWDING / (end * np.cosh(_CROWDING * y) ** 2)
-    matrix = np.linalg.inv(chebyshev.chebvander(y, _TERMS))
-    return _Nodes(*(np.asarray(v, dtype=float) for v in (place, stretch, matrix)))
+    to_series = np.linalg.inv(chebyshev.chebvander(y, _TERMS))
+    to_integral = chebyshev.chebint(to_series, lbnd=-1.0, axis=0)
+    at_nodes = chebyshev.chebvander(y, _TERMS + 1)
+    return _Nodes(*(np.asarray(v, dtype=float) for v in (place, stretch, to_integral, at_nodes)))
 
 
 class _Integral:
@@ -58,8 +61,8 @@ class _Integral:
 
     def _primitive(self, values: ArrayLike) -> Array:
         nodes = _nodes()
-        series = nodes.to_series @ (np.asarray(values) * nodes.stretch * self._end)
-        return np.asarray(chebyshev.chebint(series, lbnd=-1.0), dtype=float)
+        series: Array = nodes.to_integral @ (np.asarray(values) * nodes.stretch * self._end)
+        return series
 
     def once(self, t: Array) -> Array:
         """Integral from 0 to t (of any sign)."""
@@ -69,10 +72,16 @@ class _Integral:
     def twice(self, t: Array) -> Array:
         """Integral from 0 to t of the integral from 0."""
         y, early, late = self._split(t)
-        at_nodes = chebyshev.chebval(-np.cos(np.pi * np.arange(_TERMS + 1) / _TERMS), self._once)
-        inside = chebyshev.chebval(y, self._primitive(at_nodes))
+        at_nodes, series = self._twice
+        inside = chebyshev.chebval(y, series)
         outside = 0.5 * self._before * early**2 + (at_nodes[-1] + 0.5 * self._after * late) * late
         return np.asarray(inside + outside)
+
+    @cached_property
+    def _twice(self) -> tuple[Array, Array]:
+        """The integral at the nodes, and the series of its own."""
+        at_nodes = _nodes().at_nodes @ self._once
+        return at_nodes, self._primitive(at_nodes)
 
     def _split(self, t: Array) -> tuple[Array, Array, Array]:
         """Where t lies in the contact (y), the time before it (negative) and after it."""
@@ -152,33 +161,44 @@ class Contact:
         impulse: Array = np.maximum(c.mass * c.speed * (motion(c, tau)[2] + c.u - c.alpha * tau), 0.0)
         return impulse
 
-    def along(self, time_s: ArrayLike) -> tuple[Array, Array]:
-        """Way m and velocity m/s along the wall per m/s of velocity along the wall at the onset."""
+    def slip(self, time_s: ArrayLike) -> Array:
+        """Velocity m/s along the wall per m/s at the onset."""
         t = np.asarray(time_s, dtype=float)
-        rate = -self.coefficients.mu / self.mass_kg
-
-        def slip(s: Array) -> Array:
-            left: Array = np.exp(rate * self.impulse(s))
-            return left
-
         if not self.met:
-            return t.copy(), np.ones_like(t)
-        out = float(slip(np.array([self._horizon]))[0])
-        return _Integral(slip, self._horizon, 1.0, out).once(t), slip(t)
+            return np.ones_like(t)
+        left: Array = np.exp(-self.coefficients.mu / self.mass_kg * self.impulse(t))
+        return left
 
-    def lifted(self, time_s: ArrayLike) -> tuple[Array, Array]:
-        """Way m and velocity m/s that the vertical force gives per newton of nu, along that force."""
+    def way(self, time_s: ArrayLike) -> Array:
+        """Way m along the wall per m/s of velocity along the wall at the onset."""
         t = np.asarray(time_s, dtype=float)
+        return self._slipped.once(t) if self.met else t.copy()
 
-        def share(s: Array) -> Array:
-            force = self.normal(s)[2]
-            return force / (1.0 + force) / self.mass_kg
+    def rise(self, time_s: ArrayLike) -> Array:
+        """Velocity m/s that the vertical force gives per newton of nu, along that force."""
+        t = np.asarray(time_s, dtype=float)
+        return self._raised.once(t) if self.met else np.zeros_like(t)
 
-        if not self.met:
-            return np.zeros_like(t), np.zeros_like(t)
-        held = float(share(np.array([self._horizon]))[0]) if self._horizon < self.end_s else 0.0
-        integral = _Integral(share, self._horizon, 0.0, held)
-        return integral.twice(t), integral.once(t)
+    def lift(self, time_s: ArrayLike) -> Array:
+        """Way m that the vertical force gives per newton of nu, along that force."""
+        t = np.asarray(time_s, dtype=float)
+        return self._raised.twice(t) if self.met else np.zeros_like(t)
+
+    # Prepared once, and only where they are asked for: a fit asks at many times.
+    @cached_property
+    def _slipped(self) -> _Integral:
+        out = float(self.slip(np.array([self._horizon]))[0])
+        return _Integral(self.slip, self._horizon, 1.0, out)
+
+    @cached_property
+    def _raised(self) -> _Integral:
+        held = float(self._share(np.array([self._horizon]))[0]) if self._horizon < self.end_s else 0.0
+        return _Integral(self._share, self._horizon, 0.0, held)
+
+    def _share(self, time_s: Array) -> Array:
+        """Acceleration m/s2 by the vertical force per newton of nu."""
+        force = self.normal(time_s)[2]
+        return force / (1.0 + force) / self.mass_kg
 
 
 class Trajectory(NamedTuple):
@@ -217,8 +237,8 @@ def trajectory(
     """
     t = np.asarray(time_s, dtype=float)
     x, vx, force = contact.normal(t)
-    way, slip = contact.along(t)
-    lift, rise = contact.lifted(t)
+    way, slip = contact.way(t), contact.slip(t)
+    lift, rise = contact.lift(t), contact.rise(t)
     c = contact.coefficients
     return Trajectory(
         time_s=t,

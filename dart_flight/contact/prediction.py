@@ -119,7 +119,7 @@ def predict_wall(what: Condition, normal_m_s: float, tangential_m_s: float) -> d
     contact = wall_contact(what, normal_m_s, tangential_m_s)
     r = collide(what.coefficients, what.mass_kg, normal_m_s, tangential_m_s, what.onset)
     last = r.contact_time_s if math.isfinite(r.contact_time_s) else 0.0
-    lift = what.coefficients.nu * what.mass_kg * float(contact.lifted(last)[1]) if last else math.nan
+    lift = what.coefficients.nu * what.mass_kg * float(contact.rise(last)) if last else math.nan
     return r._asdict() | {"vertical_impulse_n_s": lift}
 
 

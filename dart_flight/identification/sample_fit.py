@@ -12,9 +12,10 @@ contact, unknown like the rest; where they do not, straight flight is assumed, w
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -25,8 +26,10 @@ from dart_flight.contact.path import Contact
 from dart_flight.identification.trials import Trial, find_impact
 from dart_flight.identification.windows import cut, first_span, weigh
 
+T = TypeVar("T")
+
 PLANE_SD_M = 0.015
-_REMEMBERED = 8
+_REMEMBERED = 8  # per channel
 _PUSH_SD_M_S2 = 5.0
 PUSHES = ("before", "after")
 # The controller leans otherwise once it feels the wall: by this much, standard deviation, over a contact
@@ -88,6 +91,21 @@ def contact_of(
     return Contact(c, fit.mass_kg, speed, fit.onset, acceleration_m_s2=trial.acceleration_m_s2 + push)
 
 
+def _shape(contact: Contact, name: str, time_s: Array) -> tuple[Array, Array, Array]:
+    """A channel's shape at times since the onset; the time after the contact, and (negative) before it."""
+    if name.startswith("normal"):
+        shape = contact.normal(time_s)[("normal_m", "normal_m_s", "normal_force_n").index(name)]
+    elif name == "vertical_m":
+        shape = contact.lift(time_s)
+    elif name == "tangential_force_n":
+        shape = -contact.coefficients.mu * contact.normal(time_s)[2] * contact.slip(time_s)
+    elif name == "tangential_m":
+        shape = contact.way(time_s)
+    else:
+        shape = contact.slip(time_s)
+    return shape, np.maximum(time_s - contact.end_s, 0.0), np.minimum(time_s, 0.0)
+
+
 class SampleFit:
     """The joint fit: trials, windows, weights, and the residuals of a parameter vector."""
 
@@ -100,7 +118,7 @@ class SampleFit:
         self.parameters = Parameters(trials, pushed)
         self.impacts = [find_impact(trial) for trial in trials]
         self.sd = dict(_FIRST_SD)
-        self._memory: dict[int, dict[tuple[float, ...], dict[str, Array]]] = {}
+        self._memory: dict[int, dict[tuple[str | float, ...], Any]] = {}
         position = float(np.median([impact.noise_m for impact in self.impacts]))
         for name in ("normal_m", "tangential_m", "vertical_m"):
             self.sd[name] = max(position, 1e-5)
@@ -148,41 +166,33 @@ class SampleFit:
     def _shapes(self, theta: Array, i: int) -> dict[str, Array]:
         """What the channels need of the contact: the part that is not linear in the parameters.
 
-        Remembered for the last few contacts, because derivatives by the linear parameters ask for the same.
+        Remembered for the last few values of what a channel depends on, because most parameters are of few
+        channels.
         """
         trial, window = self.trials[i], self.windows[i]
         shared, own = self.parameters.of_mode(trial.mode), self.parameters.own[i]
         onset = float(theta[own["onset"]])
         push = float(theta[own["n_in"]]) if "n_in" in own else 0.0
         delay = float(theta[own["delay"]]) if "delay" in own else 0.0
-        key = (
-            onset,
-            push,
-            delay,
-            float(theta[own["speed"]]),
-            *(float(theta[shared[n]]) for n in ("k", "f", "mu")),
-        )
-        memory = self._memory.setdefault(i, {})
-        if key in memory:
-            return memory[key]
-        contact = contact_of(theta, shared, own, trial, self)
+        law = (float(theta[own["speed"]]), push, *(float(theta[shared[n]]) for n in ("k", "f", "mu")))
+        contact = self._remembered(i, law, lambda: contact_of(theta, shared, own, trial, self))
         shapes: dict[str, Array] = {}
         for name, series in window.series.items():
-            t = series.time_s - onset - (delay if name.endswith("_n") else 0.0)
-            shapes[name + " late"] = np.maximum(t - contact.end_s, 0.0)
-            shapes[name + " early"] = np.minimum(t, 0.0)
-            if name.startswith("normal"):
-                shapes[name] = contact.normal(t)[("normal_m", "normal_m_s", "normal_force_n").index(name)]
-            elif name == "vertical_m":
-                shapes[name] = contact.lifted(t)[0]
-            elif name == "tangential_force_n":
-                shapes[name] = -contact.coefficients.mu * contact.normal(t)[2] * contact.along(t)[1]
-            else:
-                shapes[name] = contact.along(t)[0 if name == "tangential_m" else 1]
-        if len(memory) >= _REMEMBERED:
-            memory.clear()
-        memory[key] = shapes
+            begin = onset + delay if name.endswith("_n") else onset
+            of_it = law if name.startswith("tangential") else law[:-1]  # mu is of the way along the wall
+            made = self._remembered(
+                i, (name, begin, *of_it), functools.partial(_shape, contact, name, series.time_s - begin)
+            )
+            shapes[name], shapes[name + " late"], shapes[name + " early"] = made
         return shapes
+
+    def _remembered(self, i: int, key: tuple[str | float, ...], make: Callable[[], T]) -> T:
+        memory: dict[tuple[str | float, ...], T] = self._memory.setdefault(i, {})
+        if key not in memory:
+            if len(memory) >= _REMEMBERED * (1 + len(self.windows[i].series)):
+                memory.clear()
+            memory[key] = make()
+        return memory[key]
 
     def block(self, theta: Array, i: int) -> Array:
         """Weighted residuals of trial i."""

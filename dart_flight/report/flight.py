@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from datetime import datetime, timedelta
+from functools import cached_property
 from pathlib import Path
 
 import msgspec
@@ -234,7 +235,7 @@ class Timing(msgspec.Struct):
 
 
 class Flight:
-    """A recorded flight, judged again and replayed.
+    """A recorded flight, judged again, and replayed where that is asked for.
 
     Raises:
         InputError: the log does not hold its mission.
@@ -250,10 +251,14 @@ class Flight:
         beside = Path(log.source).with_name(PX4_LOG)
         px4_log = str(beside) if beside.exists() else None
         self.verdict: Verdict = builder.build(log.world, log.seed, log.source, px4_log)
-        self.replay: Replay = replay(log)
         self.planned: PlannedFlight = planned_flight(self.mission)
         self.impacts = [Impact(v, self) for v in self.verdict.collisions]
         self.timing = _timing(self.course)
+
+    @cached_property
+    def replay(self) -> Replay:
+        """Whether the flight core decides again as it did; takes as long as the flight did to simulate."""
+        return replay(self.log)
 
     @classmethod
     def read(cls, path: str | Path) -> Flight:

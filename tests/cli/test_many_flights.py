@@ -21,23 +21,18 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.writer import FlightLog
 from dart_flight.samples import World
+from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[2]
 MISSION = str(packaged("missions", "single_wall.yaml"))
 
 
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two flights in one folder."""
-    folder = tmp_path_factory.mktemp("flown")
-    assert main(["dry-run", MISSION, "--fast", "--runs", "2", "--log-dir", str(folder / "flights")]) == 0
-    return folder
-
-
 @pytest.fixture
-def folder(flown: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The same in a working folder of its own, with a log of a flight that never began."""
-    shutil.copytree(flown / "flights", tmp_path / "flights")
+def folder(flown: SharedFlights, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two flights in one folder, which is a working folder of its own."""
+    for seed in (1, 2):
+        log = flown("single_wall", seed).log
+        shutil.copytree(log.parent, tmp_path / "flights" / f"{log.parent.name}-seed{seed}")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -102,7 +97,7 @@ def test_stub_logs_do_not_break_a_glob(folder: Path, capsys: pytest.CaptureFixtu
     assert "left out" in capsys.readouterr().err
     assert main([*identify, str(path)]) == 2, "alone there is nothing to do with it"
     path.write_bytes(b"")
-    assert main([*identify, *logs(folder)]) == 0
+    assert main([*identify, str(path), logs(folder)[-1]]) == 0
     capsys.readouterr()
     assert main(["replay", *logs(folder)]) == 0
     assert "left out" in capsys.readouterr().err

@@ -14,7 +14,7 @@ import pytest
 
 from dart_flight.cli import COMMANDS, build_parser
 from tests.docs.snippets import PAGES, ROOT, Command, commands
-from tests.shared_flights import LiveFlights
+from tests.shared_flights import LiveFlights, SharedFlights
 
 # What is not run here, and why. What calls dart-flight is still parsed.
 NOT_RUN: list[tuple[str, str]] = [
@@ -91,15 +91,18 @@ def test_every_excuse_is_needed(pattern: str, why: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def laboratory(flown: SharedFlights) -> Path:
     """What `init` gives, and the recordings that pages assume: a flight, trials, a list of hits."""
-    folder = tmp_path_factory.mktemp("docs") / "lab"
-    tools = tmp_path_factory.mktemp("bin")
+    return flown.once("laboratory", lambda folder: furnish(folder / "lab")) / "lab"
+
+
+def furnish(folder: Path) -> None:
+    tools = folder.parent / "bin"
+    tools.mkdir()
     for name, start in (("dart-flight", "-m dart_flight"), ("python", "")):
         shim = tools / name
         shim.write_text(f'#!/bin/sh\nexec {sys.executable} {start} "$@"\n')
         shim.chmod(0o755)
-    (folder.parent / "bin").symlink_to(tools)
     _run(["dart-flight", "init", str(folder)], folder.parent, folder.parent)
     _run(["dart-flight", "dry-run", "missions/single_wall.yaml", "--fast"], folder, folder.parent)
     (folder / "hits.csv").write_text("mode,normal_m_s,tangential_m_s\nrigid,-1.0,0.5\nflexible,-0.6,0.5\n")
@@ -110,14 +113,14 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Path:
         _run([*trials, name, *what], folder.parent, folder.parent)
         for i, path in enumerate(sorted((folder.parent / name).glob("*.csv"))):
             path.rename(folder / f"{name}_{i}.csv")
-    return folder
 
 
 def _environment(root: Path) -> dict[str, str]:
     return os.environ | {
         "PATH": f"{root / 'bin'}:{os.environ['PATH']}",
         "PYTHONPATH": str(ROOT),
-        "DART_FLIGHT_STATE_DIR": str(root / "state"),
+        # Of this worker: pages run side by side, and their locks are not the same.
+        "DART_FLIGHT_STATE_DIR": str(root / f"state-{os.environ.get('PYTEST_XDIST_WORKER', '')}"),
         "COLUMNS": "200",
     }
 
@@ -196,9 +199,8 @@ def test_what_is_quick_runs_as_it_stands(page: Path, laboratory: Path, tmp_path:
     """A page's commands in one shell, in order, in a folder made by `init`; each somewhere, if not here."""
     folder = tmp_path / "lab"
     shutil.copytree(laboratory, folder)
-    if page.name == "quickstart.md":
-        folder = tmp_path  # makes its own
-    if page.name == "quickstart.md":
+    if page.name == "quickstart.md":  # makes its own
+        folder = tmp_path
         shutil.rmtree(tmp_path / "lab")
     done = subprocess.run(
         ["bash", "-c", "\n".join(script_of(page, laboratory))],

@@ -64,7 +64,7 @@ def at_100_hz(speed: float, random: np.random.Generator, *, ringing: bool = Fals
     stiff = Coefficients(k=25_000.0, f=60.0, mu=0.3, nu=0.0)
     contact = Contact(stiff, MASS_KG, -speed, Onset.LCP)
     t = np.arange(-0.5, 0.4, 0.01) + random.uniform(0.0, 0.01)
-    way, _ = contact.along(t)
+    way = contact.way(t)
     series = {
         "normal_m": Series(t, contact.normal(t)[0] + random.normal(0.0, 2e-4, t.size)),
         "tangential_m": Series(t, 0.8 * way + random.normal(0.0, 2e-4, t.size)),

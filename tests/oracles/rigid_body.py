@@ -63,15 +63,15 @@ def wrench(body: Body, law: Law, x: Array, v: Array, r: Array, w: Array) -> tupl
         w: angular velocity, wall's frame.
     """
     at, friction_at = guards(body)
-    force, torque, total = np.zeros(3), np.zeros(3), 0.0
-    for lever, rub_lever in zip(at @ r.T, friction_at @ r.T, strict=True):
-        point_v = v + np.cross(w, lever)
-        normal = max(0.0, -(0.5 * law.k * (x[0] + lever[0]) + 0.5 * law.f * point_v[0]))
-        slip = (v + np.cross(w, rub_lever))[1]
-        push, rub = np.array([normal, 0.0, 0.0]), np.array([0.0, -law.mu * normal * slip, 0.0])
-        force += push + rub
-        torque += np.cross(lever, push) + np.cross(rub_lever, rub)
-        total += normal
+    levers, rub_levers, turning = at @ r.T, friction_at @ r.T, _cross_matrix(w).T
+    depth_rate = (v + levers @ turning)[:, 0]
+    normal = np.maximum(0.0, -(0.5 * law.k * (x[0] + levers[:, 0]) + 0.5 * law.f * depth_rate))
+    push, rub = np.zeros_like(levers), np.zeros_like(levers)
+    push[:, 0] = normal
+    rub[:, 1] = -law.mu * normal * (v + rub_levers @ turning)[:, 1]
+    force = (push + rub).sum(axis=0)
+    torque = (np.cross(levers, push) + np.cross(rub_levers, rub)).sum(axis=0)
+    total = float(normal.sum())
     if total > 0.0:
         lift = np.array([0.0, 0.0, law.vertical_sign * law.nu * total / (1.0 + total)])
         force += lift

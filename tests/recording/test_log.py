@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import math
 import os
@@ -188,15 +189,30 @@ def small_log(path: Path) -> bytes:
 
 
 def places_to_cut(whole: bytes) -> list[int]:
-    """Every byte at the beginning and the end of each record of the file, every sixteenth inside of one."""
+    """Every byte at the beginning and the end of a record of the file, every sixteenth inside of one.
+
+    Of the first two and the last in a row of records of one kind, that is: the summary repeats some forty
+    schemas and channels, which differ in length alone. The others are cut at their edges and in the middle.
+    """
     magic, head, near = 8, 9, 24  # bytes; a record is its kind, its length in eight bytes, and its content
-    places, begin = list(range(magic)), magic
+    records, begin = list[tuple[int, int, int]](), magic
     while begin < len(whole) - magic:
         end = begin + head + int.from_bytes(whole[begin + 1 : begin + head], "little")
-        inside = range(begin, end)
-        places += [at for at in inside if at < begin + head + near or at >= end - near or at % 16 == 0]
+        records.append((whole[begin], begin, end))
         begin = end
     assert begin == len(whole) - magic
+    places = list(range(magic))
+    for _, alike in itertools.groupby(records, key=lambda record: record[0]):
+        row = list(alike)
+        for i, (_, first, end) in enumerate(row):
+            if i < 2 or i == len(row) - 1:
+                places += [
+                    at
+                    for at in range(first, end)
+                    if at < first + head + near or at >= end - near or at % 16 == 0
+                ]
+            else:
+                places += [first, first + 1, first + head, (first + end) // 2, end - 1]
     return [*places, *range(begin, len(whole))]
 
 

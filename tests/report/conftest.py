@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -36,16 +37,22 @@ def flight(flights: list[Flight]) -> Flight:
     return flights[0]
 
 
+def kept(flown: SharedFlights, name: str, make: Callable[[], str]) -> str:
+    """A page that is made once for all workers."""
+    folder = flown.once(name, lambda there: (there / "page.html").write_text(make(), encoding="utf-8"))
+    return (folder / "page.html").read_text(encoding="utf-8")
+
+
 @pytest.fixture(scope="session")
-def page(flight: Flight) -> str:
+def page(flown: SharedFlights, request: pytest.FixtureRequest) -> str:
     """The page of the first flight."""
-    return flight_page(flight)
+    return kept(flown, "page", lambda: flight_page(request.getfixturevalue("flight")))
 
 
 @pytest.fixture(scope="session")
-def compared(flights: list[Flight]) -> str:
+def compared(flown: SharedFlights, request: pytest.FixtureRequest) -> str:
     """The page that compares the three, given out of order."""
-    return comparison_page(flights[::-1])
+    return kept(flown, "compared", lambda: comparison_page(request.getfixturevalue("flights")[::-1]))
 
 
 @pytest.fixture(scope="session")

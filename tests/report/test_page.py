@@ -18,12 +18,14 @@ from dart_flight.cli import main
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.identification.estimates import mean_half_width
-from dart_flight.recording.reader import Log, LogEntry
+from dart_flight.recording.about import describe_flight
+from dart_flight.recording.reader import Log, LogEntry, read_log
+from dart_flight.recording.writer import FlightLog
 from dart_flight.report.figures import forces, lock, motion, style
 from dart_flight.report.figures.flight_map import flight_map
 from dart_flight.report.flight import Compared, Flight
 from dart_flight.report.page import flight_page
-from dart_flight.samples import GuardEvent, Override, TruthContact
+from dart_flight.samples import GuardEvent, Override, TruthContact, World
 from dart_flight.worlds.fast import fly_fast
 from dart_flight.worlds.prepare import load_flyable
 
@@ -306,8 +308,13 @@ def test_flights_of_different_missions_are_not_compared(
     trials: list[Path], aborted: Path, dual: Mission, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     other = msgspec.structs.replace(dual, altitude_m=1.2)
-    log = fly_fast(other, 1, tmp_path).log
-    assert main(["report", str(trials[0]), str(log), "-o", str(tmp_path / "page.html")]) == 2
+    path = tmp_path / "other" / "flight.mcap"
+    path.parent.mkdir()
+    log = FlightLog(path, describe_flight(other, World.FAST, 1))
+    for entry in read_log(trials[0]).entries[:2000]:
+        log.put(entry.record, entry.number)
+    log.close()
+    assert main(["report", str(trials[0]), str(path), "-o", str(tmp_path / "page.html")]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "another mission" in error
@@ -345,7 +352,9 @@ def test_figures_for_a_paper(trials: list[Path], tmp_path: Path) -> None:
 def test_a_paper_that_cannot_be_written(
     trials: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    path = tmp_path / "flight.mcap"
+    path.write_bytes(trials[0].read_bytes()[:50_000])  # a short page will do
     page = ["-o", str(tmp_path / "page.html")]
-    for option in (["--pdf", str(tmp_path)], ["--svg", str(trials[0] / "figures")]):
-        assert main(["report", str(trials[0]), *page, *option]) == 2
+    for option in (["--pdf", str(tmp_path)], ["--svg", str(path / "figures")]):
+        assert main(["report", str(path), *page, *option]) == 2
         assert "cannot" in capsys.readouterr().err

@@ -12,7 +12,7 @@ from dart_flight.cli import main
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 from dart_flight.report.flight import Flight
-from dart_flight.report.page import comparison_page, flight_page
+from dart_flight.report.page import comparison_page
 from dart_flight.report.proposal import Proposal, propose
 from dart_flight.samples import Mode
 from dart_flight.worlds.prepare import load_flyable
@@ -58,7 +58,12 @@ def test_flights_that_agree_propose_nothing(single: Mission, flown: SharedFlight
     assert proposal.entry == ""
     assert proposal.suggestions == []
     assert "agree" in proposal.note
-    assert "Proposed entry" not in flight_page(flights[0])
+
+
+def test_the_page_of_a_flight_that_agrees_proposes_nothing(flight: Flight, page: str) -> None:
+    assert [proposal.entry for proposal in propose([flight])] == ["", ""]
+    assert "Contact coefficients" in page
+    assert "Proposed entry" not in page
 
 
 def test_a_stiffer_wall_is_proposed_and_the_entry_loads(

@@ -242,7 +242,14 @@ def test_simulate_shows_what_is_and_monitor_what_is_told(tmp_path: Path) -> None
     environment = os.environ | {"DART_FLIGHT_STATE_DIR": str(tmp_path / "state")}
     true, told, link = free_port(), free_port(), str(free_udp_port())
     program = [sys.executable, "-m", "dart_flight"]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
+    quiet = {
+        "stdout": subprocess.DEVNULL,
+        "stderr": subprocess.DEVNULL,
+        "env": environment,
+        # Whatever runs the tests may ignore Ctrl-C, and its children would inherit that: the monitor would
+        # watch for all of its minute.
+        "preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    }
     simulate = [*program, "simulate", SINGLE_WALL, "--port", link, "--live", "--live-port", str(true)]
     monitor = [*program, "monitor", "--connection", f"udpin://127.0.0.1:{link}", "--seconds", "60", "--json"]
     monitor += ["--live", "--live-port", str(told)]
