@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 from functools import cached_property
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 import msgspec
-from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Metadata
-from mcap.stream_reader import StreamReader, get_chunk_data_stream
+from mcap.records import Channel, Chunk, Message, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
 
 from dart_flight.config.document import InputError
 from dart_flight.config.kinds import FileKind, refuse_other_kind
@@ -28,8 +24,6 @@ if TYPE_CHECKING:
 IN_MEMORY = "<memory>"  # the source of a log without a file
 # The writer's chunks are of a megabyte: a damaged length must not make the reader ask for gigabytes.
 _MOST_BYTES = 64 * 1024 * 1024
-# Of the file format: kind and length of a record; channel, number and the two times of a message.
-_RECORD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
 _MAGIC = b"\x89MCAP0\r\n"
 DECODERS = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
 
@@ -161,32 +155,11 @@ def _entries(stream: BinaryIO, log: Log, found: dict[str, str], source: str) -> 
             continue
         if record.uncompressed_size > _MOST_BYTES:
             raise ValueError(f"a chunk of {record.uncompressed_size} bytes")
-        stream_of_chunk, size = get_chunk_data_stream(record, validate_crc=True)
-        yield from _inside(stream_of_chunk.read(size), topics)
-
-
-def _inside(data: bytes, topics: dict[int, str]) -> Iterator[LogEntry]:
-    """The entries of a chunk; its channels go to `topics`.
-
-    As `mcap.stream_reader.breakup_chunk` reads it, which makes an object of every message and asks its
-    stream for every field: it would take most of the time that a log takes to be read.
-    """
-    at = 0
-    while at < len(data):
-        kind, length = _RECORD.unpack_from(data, at)
-        at += _RECORD.size
-        end = at + length
-        if end > len(data):
-            raise ValueError("a record that goes beyond its chunk")
-        if kind == Opcode.MESSAGE:
-            channel, number, _, _ = _MESSAGE.unpack_from(data, at)
-            decoder = DECODERS.get(topics.get(channel, ""))
-            if decoder is not None:
-                yield LogEntry(number, decode(data[at + _MESSAGE.size : end], decoder))
-        elif kind == Opcode.CHANNEL:
-            found = Channel.read(ReadDataStream(BytesIO(data[at:end])))
-            topics[found.id] = found.topic
-        at = end
+        for inner in breakup_chunk(record, validate_crc=True):
+            if isinstance(inner, Channel):
+                topics[inner.id] = inner.topic
+            elif isinstance(inner, Message) and topics.get(inner.channel_id) in DECODERS:
+                yield LogEntry(inner.sequence, decode(inner.data, DECODERS[topics[inner.channel_id]]))
 
 
 def _check_version(about: dict[str, str], source: str) -> None:
