@@ -18,7 +18,7 @@ from dart_flight.identification.estimates import mean_half_width
 from dart_flight.report.figures import forces, lock, motion
 from dart_flight.report.figures.flight_map import flight_map
 from dart_flight.report.flight import Flight, Impact, percentile
-from dart_flight.report.markup import Cell, Row, details, page, section, shown, signed, table
+from dart_flight.report.markup import Cell, Number, Row, details, page, section, shown, signed, table
 from dart_flight.report.player import player, script
 from dart_flight.report.proposal import Proposal, propose
 from dart_flight.samples import DetectionFloor, Outcome, PlanAnswer, PlanRequest, PlanTaken, WallFelt, World
@@ -326,7 +326,8 @@ def _felt_row(flight: Flight, felt: WallFelt) -> Row:
         (prior.f, felt.f_ns_per_m, felt.f_sd),
         (prior.mu, felt.mu_s_per_m, felt.mu_sd),
     ):
-        cells += [f"{after:.4g} ± {100.0 * sd:.0f} %", f"{before:.4g} ± {100.0 * spread:.0f} %"]
+        told = ((after, sd), (before, spread))
+        cells += [Number(f"{value:.4g} ± {100.0 * share:.0f} %") for value, share in told]
     return cells
 
 

@@ -57,6 +57,7 @@ def flight_map(flights: Sequence[Flight], *, look: Look = PAGE) -> Any:
     for flight in flights:
         shown += [place for (_, place), _, _ in _paths(flight)]
         shown += [np.array([hit.position[:2]]) for hit in hits_of(flight)]
+        shown += flight.planned_lines()  # the walls that a flight broken off never came to
     set_view(axis, view_of(mission, np.vstack(shown)))
     draw_room(axis, mission)
     if len(flights) == 1:
