@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -77,10 +78,32 @@ def test_what_was_judged_is_still_there(everything: list[Mutant]) -> None:
 
 def test_the_report_shows_who_survived() -> None:
     one, two = draw(2, 1)
-    page = report([Result(one, "killed", "core/test_core.py::test_x"), Result(two, "survived")], 1, 100, 3.0)
+    page = report([Result(one, "killed", "core/test_core.py::test_x"), Result(two, "survived")], 1, 100)
     assert "Survived: 1, " in page
     assert f"`{Path(two.path).name}:{two.line}`" in page
     assert "| `core/test_core.py::test_x` | 1 |" in page
+
+
+def test_what_was_noticed_is_not_tried_again_and_survivors_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn, kept = draw(3, 1), tmp_path / "build" / "mutants.jsonl"
+    tried: list[list[Mutant]] = []
+
+    def run_all(
+        given: list[Mutant], jobs: int, tests: Sequence[str], keep: Callable[[Result], None]
+    ) -> list[Result]:
+        tried.append(given)
+        results = [Result(m, "survived" if m is drawn[1] else "killed", "a_test") for m in given]
+        for result in results:
+            keep(result)
+        return results
+
+    monkeypatch.setattr(mutants, "run_all", run_all)
+    first = mutants.run_missing(drawn, 1, [], kept)
+    assert mutants.run_missing(drawn, 1, [], kept) == first
+    assert [r.mutant for r in first] == drawn
+    assert tried == [drawn, [drawn[1]]]
 
 
 def test_a_tree_says_what_failed_in_it(tmp_path: Path) -> None:

@@ -7,32 +7,40 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dart_flight.config.mission import load_mission
 from dart_flight.core.mission.phases import ON_GROUND, TRANSITIONS, Cue
 from dart_flight.core.mission.recovery import recovery_point
+from dart_flight.core.sense.detector import Expected
+from dart_flight.core.sense.senses import Senses
 from dart_flight.samples import (
+    ActuatorSample,
     CommandResult,
+    EstimatorSample,
     FlightMode,
     ForceEstimate,
     GuardEvent,
     HealthReport,
     ImpactOnset,
     ImpactPeak,
+    Input,
     LandedState,
     LockCommand,
     LockPermission,
     LockPhase,
     MissionEnd,
     Mode,
+    OdometrySample,
     OperatorRequest,
     Output,
     Phase,
     Request,
     SetPoint,
+    StatusSample,
     StatusText,
     VehicleAction,
     VehicleCommand,
 )
-from tests.core.conftest import HandFedCore
+from tests.core.conftest import HOVER, ROOT, HandFedCore
 
 
 def of(kind: type[Any], outputs: list[Output]) -> list[Any]:
@@ -279,6 +287,22 @@ def test_a_refusal_carries_what_px4_says(hand_fed: HandFedCore) -> None:
         "offboard_refused: PX4 refused offboard; PX4 says: Heading estimate invalid, "
         "Arming denied: Resolve system health failures first; also No manual control input"
     )
+
+
+@pytest.mark.parametrize(
+    "item",
+    [
+        ActuatorSample(1, 5, (HOVER,) * 4),
+        EstimatorSample(1, 5, healthy=True),
+        OdometrySample(1, 5, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        StatusSample(1, 5),
+    ],
+    ids=lambda i: type(i).__name__,
+)
+def test_whatever_px4_sends_tells_the_hosts_time(item: Input) -> None:
+    senses = Senses(load_mission(ROOT / "missions" / "dual_collision.yaml"))
+    senses.take(item, Expected())
+    assert senses.state.host_us == 5
 
 
 def test_words_of_long_ago_explain_nothing(hand_fed: HandFedCore) -> None:

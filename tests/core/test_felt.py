@@ -13,8 +13,11 @@ from hypothesis import strategies as st
 from dart_flight.config.vehicle import ArmVibration, BodyModel, Coefficients
 from dart_flight.contact.law import Onset, contact_force
 from dart_flight.core.sense.arm_vibration import ArmFilter
+from dart_flight.core.sense.body import ContactSamples, Felt
 from dart_flight.core.sense.contact_fit import Belief, Body, Contact, Fitting, Hypothesis, Tick
-from dart_flight.samples import Mode
+from dart_flight.core.sense.felt import WallSense
+from dart_flight.geometry import IDENTITY, Wall
+from dart_flight.samples import ForceEstimate, Mode, TorqueEstimate
 from tests.sim.test_plant import VEHICLE
 from tools.campaigns.felt import FIRST_SEED, Job, covered, fly, is_wrong, judged_of, plan_of
 
@@ -125,6 +128,27 @@ def test_both_onsets_are_fitted(onset: Onset) -> None:
     found = fit.result()
     assert found is not None
     assert found.belief.k == pytest.approx(true.k, rel=0.05)
+
+
+def test_a_place_that_is_known_for_sure_is_kept() -> None:
+    """The centre is as far before the wall as it flies from the first tick to the first touch."""
+    true = VEHICLE.materials["acrylic"].rigid
+    contact = pulse(true, -0.9, 0.3)._replace(place_sd=1e-6)
+    assert fitted(contact, belief_of("acrylic", Mode.RIGID)).place_m == pytest.approx(
+        0.9 * contact.touched_s, abs=1e-4
+    )
+
+
+def test_a_tick_stands_for_the_angle_at_its_middle() -> None:
+    """Turning to the left at 2 rad/s: 4 mrad in the middle of the first tick, 12 in that of the second."""
+    samples = [
+        Felt(ForceEstimate(t, (0.0, 0.0, 0.0), False), TorqueEstimate(t, (0.0, 0.0, 0.0)), IDENTITY, rate)
+        for t in (4000, 8000, 12_000)
+        for rate in [(0.0, 0.0, -2.0)]
+    ]
+    wall = Wall("wall", (1.0, 0.0), (-1.0, 0.0), 2.0, "acrylic")
+    ticks = WallSense(VEHICLE, ContactSamples())._ticks(samples, wall, taken_out=False, swings=False)
+    assert [t.turned for t in ticks] == pytest.approx([0.004, 0.012, 0.020])
 
 
 def test_readings_at_full_scale_are_only_bounds() -> None:

@@ -11,7 +11,7 @@ import pytest
 from dart_flight.config import load_mission
 from dart_flight.config.vehicle import Observer, ThrustSource, VehicleConfig
 from dart_flight.core.sense.arm_vibration import ArmFilter
-from dart_flight.core.sense.detector import Expected, ImpactDetector
+from dart_flight.core.sense.detector import Expected, ImpactDetector, _top_of
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.momentum import MomentumObserver
 from dart_flight.core.sense.pulse import Prior, TickReading, fit_friction, fit_normal
@@ -313,6 +313,15 @@ def test_the_momentum_observer_takes_late_odometry_at_its_stamp() -> None:
         sample = OdometrySample(late * 4000 + 1, 0, (0.0, 0.0, 0.0), velocities[late])
         force = observer.update(i * 4000 + 1, 0.004, (0.0, 0.0, 0.0), sample, velocities[late])
     assert force[0] == pytest.approx(3.0, rel=0.02)
+
+
+@pytest.mark.parametrize("first_us", [4000, 8000])
+def test_the_top_of_a_parabola_is_found_between_its_samples(first_us: int) -> None:
+    """Four samples, the largest of them the second or the first."""
+    pulse = [(t, 10.0 - 0.02 * ((t - 9300) * 1e-3) ** 2) for t in range(first_us, first_us + 16_000, 4000)]
+    height, t_us = _top_of(pulse)
+    assert height == pytest.approx(10.0)
+    assert abs(t_us - 9300) <= 1
 
 
 def test_the_arms_swinging_is_taken_out() -> None:

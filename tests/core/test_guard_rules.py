@@ -8,14 +8,16 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
-from dart_flight.config.mission import Waypoint
+from dart_flight.config.mission import Waypoint, load_mission
 from dart_flight.core import flight_core
+from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.guard.guard import Guard
 from dart_flight.core.guard.rules import RULES, Rule
 from dart_flight.core.mission import executive, rehearsal
 from dart_flight.geometry import quaternion_from_euler
 from dart_flight.samples import (
     AttitudeSample,
+    ClockOffset,
     EstimatorSample,
     FlightMode,
     GuardEvent,
@@ -38,7 +40,7 @@ from dart_flight.samples import (
     VehicleAction,
     VehicleCommand,
 )
-from tests.core.conftest import TELEPORTING, HandFedCore
+from tests.core.conftest import ROOT, TELEPORTING, HandFedCore
 
 CAUSES: dict[str, Callable[[HandFedCore], object]] = {}
 
@@ -484,6 +486,26 @@ def test_motors_are_stopped_only_long_after_a_landing_must_have_ended() -> None:
     assert c.core.end.outcome == "aborted"
 
 
+def test_a_landing_is_waited_for_until_the_motors_would_be_stopped() -> None:
+    """A minute is too short where the configuration gives a landing more than that."""
+    c = HandFedCore()
+    c.core = FlightCore(
+        load_mission(ROOT / "missions" / "dual_collision.yaml", settings=["guard.kill_after_s=61"]),
+        TELEPORTING,
+    )
+    c.give(ClockOffset(c.t_us, 0))
+    c.to_flight()
+    c.set_status(battery_v=12.9)
+    c.run(1.2)
+    c.set_status(flight_mode=FlightMode.LAND)
+    c.silent = {"actuator", "attitude"}
+    c.odometry_every = 10
+    c.run(60.5)
+    assert c.core.end is None
+    c.run(1.0)
+    assert [e.rule for e in fired(c)][-1] == "still_armed"
+
+
 def test_stamps_that_jump_in_a_landing_do_not_stop_the_motors() -> None:
     c = HandFedCore()
     c.to_flight()
@@ -619,6 +641,18 @@ def test_two_positions_at_one_clock_are_two_vehicles() -> None:
     assert fired(c)[-1].rule == "second_vehicle"  # after the jump, which is seen first
     assert "3.0 m apart" in fired(c)[-1].detail
     assert c.core.override is Override.LAND
+
+
+def test_a_second_vehicle_explains_what_had_fired_before_it_was_told_apart() -> None:
+    """Both rules land: the second one changes nothing but the reason."""
+    c = HandFedCore()
+    c.to_flight()
+    c.silent = {"odometry"}
+    c.run(0.3)
+    assert [e.rule for e in fired(c)] == ["odometry_silent"]
+    c.silent = set()
+    in_turn(c, 238_000_000, 0.0, 0.1)
+    assert [e.rule for e in fired(c)] == ["odometry_silent", "second_vehicle"]
 
 
 def test_the_slow_state_of_the_other_vehicle_ends_nothing() -> None:

@@ -8,6 +8,7 @@ import math
 import msgspec
 import pytest
 
+from dart_flight.config.mission import Waypoint
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.geometry import quaternion_from_euler
 from dart_flight.samples import (
@@ -152,6 +153,18 @@ def test_the_guard_holds_at_the_missions_altitude_or_where_it_is_above_it(up_m: 
     held = [o for o in c.run(0.5) if isinstance(o, SetPoint)]
     assert held
     assert {round(o.position_ned[2], 6) for o in held} == {-held_m}
+
+
+def test_after_a_change_of_altitude_the_guard_holds_at_the_new_one() -> None:
+    c = HandFedCore()
+    higher = Waypoint(1, 0, (0.0, 0.0, 1.4), 0.5, 1.0)
+    c.core = FlightCore(msgspec.structs.replace(c.core.mission, waypoints=(higher,)), TELEPORTING)
+    c.give(ClockOffset(c.t_us, 0))
+    c.to_prepare()
+    assert c.core.phase is Phase.WAYPOINT
+    c.give(OperatorRequest(c.t_us, Request.LAND))
+    held = [o for o in c.run(0.5) if isinstance(o, SetPoint)]
+    assert {round(o.position_ned[2], 6) for o in held} == {-1.4}
 
 
 def test_the_guard_does_not_climb_out_of_the_flight_space() -> None:

@@ -13,7 +13,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.sense.body import BodySense, ContactSamples, Felt, side_of
+from dart_flight.core.sense.body import (
+    BodySense,
+    ContactSamples,
+    Felt,
+    Known,
+    _Fit,
+    _Row,
+    _smoothed,
+    side_of,
+)
 from dart_flight.core.sense.detector import Expected, ImpactDetector
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.state import FlightState
@@ -121,16 +130,22 @@ class Met(NamedTuple):
     contact: TruthContact | None
 
 
-def sense(plant: Plant, vehicle: VehicleConfig, commands: tuple[float, float, float, float]) -> Met:
-    """Fly a plant past its first contact and give its IMU to the senses."""
+def sense(
+    plant: Plant,
+    vehicle: VehicleConfig,
+    commands: tuple[float, float, float, float],
+    heading_rad: float = 0.0,
+) -> Met:
+    """Fly a plant past its first contact and give its IMU to the senses; `heading_rad`: the mission's."""
     state = FlightState()
-    state.frame = plant.frame
+    state.frame = frame = MissionFrame(heading_rad=heading_rad)
     state.status = StatusSample(0, 0, landed=LandedState.IN_AIR)
     state.lock = LockState(0, LockPhase.SETTLED, plant.mode)
     force, torque = ForceEstimator(vehicle), TorqueEstimator(vehicle)
     samples = ContactSamples()
     detector, body = ImpactDetector(vehicle), BodySense(vehicle, samples)
-    expected = Expected(True, WALL.normal, WALL.material)
+    nx, ny, _ = frame.vector_from_ned(plant.frame.vector_to_ned((*WALL.normal, 0.0)))
+    expected = Expected(True, (nx, ny), WALL.material)
     out = Met([], [], [], [], None)
     touched = False
     while plant.time_s < 0.6:
@@ -182,6 +197,36 @@ def test_torque_is_the_walls(mode: Mode, yaw: float) -> None:
     assert last.incidence_rad == pytest.approx(seen.contact.incidence_rad, abs=math.radians(1.0))
     assert last.lead_m * seen.contact.lead_m > 0.0
     assert last.side is side_of(seen.contact.lead_m)
+
+
+@pytest.mark.parametrize("heading_rad", [0.4, -1.1])
+def test_a_wall_may_stand_at_any_angle_to_the_missions_axes(heading_rad: float) -> None:
+    vehicle = body_vehicle()
+    one, other = (
+        sense(before_the_wall(vehicle, Mode.RIGID, -1.0, 0.3, 0.06), vehicle, (HOVER,) * 4, heading)
+        for heading in (0.0, heading_rad)
+    )
+    assert one.bodies
+    for a, b in zip(one.bodies, other.bodies, strict=True):
+        assert b.incidence_rad == pytest.approx(a.incidence_rad, abs=1e-6)
+        assert b.torque_peak_frd == pytest.approx(a.torque_peak_frd, abs=1e-6)
+
+
+@pytest.mark.parametrize(("planned", "degrees"), [(True, 4.0), (False, 15.0)])
+def test_a_hit_that_says_nothing_leaves_the_angle_as_it_was_known(planned: bool, degrees: float) -> None:
+    """docs/torque.md: the attitude against a planned wall is known to 4 degrees, to another one to 15."""
+    c = VEHICLE.materials["acrylic"].rigid
+    rows = [_Row(1, 10.0 * math.sin(0.3 * i), 0.0, 0.0, 0.0, 0.0, -0.5, 0.0) for i in range(10)]
+    fit = _Fit(rows, 0.02, c, (1e6, 1e6), 0.13, 0.2, Known(), planned)
+    angle, sigma = fit.run()
+    assert angle == pytest.approx(0.02, abs=1e-3)
+    assert math.degrees(sigma) == pytest.approx(degrees)
+
+
+def test_what_is_smoothed_keeps_a_parabola() -> None:
+    values: list[Vec3] = [(1.0, 2.0 * i, 3.0 + i - 0.5 * i * i) for i in range(9)]
+    for smooth, value in zip(_smoothed(values), values, strict=True):
+        assert smooth == pytest.approx(value, abs=1e-12)
 
 
 @pytest.mark.parametrize("mode", list(Mode))
@@ -284,6 +329,24 @@ def test_a_torque_that_is_always_there_is_taken_off() -> None:
         white = inertia[k] * math.sqrt(2.0) * 0.01 / 0.004
         assert late[:, k].std() == pytest.approx(white, rel=0.1)
         assert seen[-1].noise_frd_nm[k] == pytest.approx(white, rel=0.25)
+
+
+def test_a_lasting_torque_larger_than_a_vehicles_own_stays_visible() -> None:
+    """About one axis is enough: half a newton metre about pitch, of which 0.3 may be the vehicle's."""
+    torque, turning = TorqueEstimator(VEHICLE), Turning()
+    each = tuple(MASS * 9.81 / 4.0 + d for d in (-1.0, 1.0, -1.0, 1.0))
+    a, b, c, d = each
+    found = None
+    for i in range(2000):
+        t = 1_000_000 + 4000 * i
+        turning.take(ImuSample(t, t, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0)))
+        found = torque.estimate(t, turning, (a, b, c, d), 1.0, True)
+        if i == 1:
+            assert found is not None
+            whole = abs(found.torque_frd[1])
+    assert found is not None
+    assert whole > 0.45
+    assert abs(found.torque_frd[1]) == pytest.approx(whole - 0.3, abs=0.01)
 
 
 def test_a_body_is_not_fitted_as_a_point() -> None:

@@ -132,6 +132,7 @@ def fly(name: str, seed: int, spreads: dict[str, float]) -> list[Row]:
         return []
     plant = flight.autopilot.plant
     seen.contact_n = lambda: plant.frame.vector_from_ned(plant.contact_force_ned)
+    seen.touching = lambda: plant.in_contact
     while flight.core.end is None and not seen.done and flight.autopilot.now_s < _LONGEST_S:
         flight.tick()
     row = _row(name, seed, mission, world.mission, seen)
@@ -153,13 +154,18 @@ class _Seen:
         self.true_n: list[tuple[int, Vec3]] = []
         self.contact_n: Callable[[], Vec3] = lambda: (0.0, 0.0, 0.0)
         self.done = False
+        self.touching: Callable[[], bool] = lambda: False
         self._ended_us: int | None = None
+        self._touched_us = 0
 
     def __call__(self, record: object, number: int) -> None:
         if isinstance(record, ImuSample):
             self.true_n.append((record.t_us, self.contact_n()))
-            if self._ended_us is not None and record.t_us > self._ended_us + _AFTER_US:
-                self.done = True
+            # Where a point still lies at the wall truth has not spoken yet.
+            if self.touching():
+                self._touched_us = record.t_us
+            if self._ended_us is not None:
+                self.done = record.t_us > max(self._ended_us, self._touched_us) + _AFTER_US
         elif isinstance(record, AttitudeSample):
             self.attitude = record
         elif isinstance(record, ForceEstimate):
@@ -289,7 +295,7 @@ def table(rows: Sequence[Row]) -> str:
     by_set = {name: [r for r in rows if r.set == name] for name in SETS}
     by_set = {name: part for name, part in by_set.items() if part}
     lines: list[tuple[str, Callable[[list[Row]], str]]] = [
-        ("hits", lambda p: str(len(p))),
+        ("hits, of as many flights", lambda p: f"{len(p)} of {SETS[p[0].set].flights}"),
         ("force peak, median error", lambda p: _percent(force_errors(p), 50)),
         ("force peak, 95th percentile", lambda p: _percent(force_errors(p), 95)),
         ("peak read from the fitted pulse", lambda p: _share(p, lambda r: r.fitted)),
