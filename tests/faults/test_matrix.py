@@ -38,7 +38,7 @@ def test_a_cell_is_what_the_table_says(fault: str, phase: str) -> None:
 def test_one_row_is_put_into_the_page_and_the_rest_left() -> None:
     page = (ROOT / "docs/fault_matrix.md").read_text()
     lines = page.splitlines()
-    (own,) = [line for line in lines if line.startswith("| second-vehicle ") and line.count("|") == 7]
+    own = next(line for line in lines if line.startswith("| second-vehicle "))  # the matrix comes first
     assert with_row(page, own) == page
     assert with_row(page.replace(own + "\n", ""), own) == page, "in its place, and counted"
     changed = own.replace("second_vehicle", "bounds<br>**uncontrolled: it did not end**", 1)
