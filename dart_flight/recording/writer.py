@@ -133,6 +133,11 @@ class FlightLog:
         part_bytes: size after which the next file begins.
         most_parts: number of files after which telemetry is no longer recorded.
 
+    Attributes:
+        lost: records that were not written.
+        failure: why the log ended before the flight; None: it did not.
+        patience_s: half of how long `close` waits for the disk.
+
     Raises:
         OSError: the file cannot be created.
     """
@@ -146,6 +151,7 @@ class FlightLog:
         most_parts: int = MOST_PARTS,
     ) -> None:
         self.path = path
+        self.patience_s = 5.0
         self.lost = 0
         self.failure: str | None = None
         self._about, self._end = about, dict[str, str]()
@@ -176,9 +182,16 @@ class FlightLog:
         self._end[key] = text
 
     def close(self) -> None:
-        """Write what is queued, finish the file with its index."""
+        """Write what is queued, finish the file with its index.
+
+        Where the disk does not answer the file stays as it is: cut, and opened up to there.
+        """
         self._closing.set()
-        self._thread.join(timeout=10.0)
+        for _ in range(2):  # a process that was stopped finds the first wait over at once
+            self._thread.join(self.patience_s)
+        if self._thread.is_alive():  # what it is writing must not meet the index in the middle of a record
+            self.failure = "the disk does not answer"
+            return
         if self.failure is None:
             with contextlib.suppress(OSError):
                 self._part.finish({**self._end, "lost": str(self.lost)})

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -340,6 +341,31 @@ def test_a_full_disk_stops_the_log_and_not_the_flight(tmp_path: Path) -> None:
     log.close()
     assert log.failure == "No space left on device"
     assert log.lost >= 1
+
+
+def test_a_disk_that_does_not_answer_leaves_a_log_that_is_cut(tmp_path: Path) -> None:
+    log = FlightLog(tmp_path / "flight.mcap", {"mission": "m"})
+    log.put(imu(0), 0)
+    wait_until(lambda: len(read_log(log.path).entries) == 1)
+    write, answers, asked = log._part.write, threading.Event(), threading.Event()
+
+    def slow(record: Record, time_us: int, number: int) -> None:
+        asked.set()
+        answers.wait(10.0)
+        write(record, time_us, number)
+
+    log._part.write = slow  # type: ignore[method-assign]
+    log.put(imu(1), 1)
+    assert asked.wait(10.0)
+    log.patience_s = 0.01
+    log.close()
+    assert log.failure == "the disk does not answer"
+    back = read_log(log.path)
+    assert not back.complete
+    assert [e.number for e in back.entries] == [0]
+    answers.set()
+    log._thread.join(10.0)
+    assert [e.number for e in read_log(log.path).entries] == [0, 1], "no index in the middle of it"
 
 
 def test_a_killed_process_loses_at_most_200_ms(tmp_path: Path) -> None:
