@@ -1,8 +1,9 @@
 """What a vehicle's telemetry shows of force and contact, without flying it: the core's senses alone.
 
-`Watcher` is fed every record by MAVSDK's thread and runs estimator and detector on it; `view` is what a
-screen shows of it, asked for a few times a second from another thread. Nothing is ever sent to the vehicle
-beside requests for streams that come too slowly: on a link shared with a flying `dart-flight` none is slowed.
+`Watcher` is handed every record by MAVSDK's thread; estimator and detector work through them a few times a
+second on another, which takes a third of what it takes one by one as they come. `view` is what a screen shows
+of it. Nothing is ever sent to the vehicle beside requests for streams that come too slowly: on a link shared
+with a flying `dart-flight` none is slowed.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -51,7 +51,7 @@ _STREAM_OF = {
     ActuatorSample: "actuator",
 }
 _RATE_WINDOW_S = 1.0
-_FOLLOW_S = 0.05  # the log's writer hands over as often
+_WORK_S = 0.05  # nobody sees more pictures a second; a log's writer hands over as often
 _INPUTS = get_args(Input)
 
 
@@ -114,7 +114,7 @@ class Watcher:
     def __init__(
         self, mission: Mission, placed: bool, viewer: Callable[[Record], None] = lambda record: None
     ) -> None:
-        self._mutex = threading.Lock()
+        self._came: deque[Input] = deque()  # and not yet worked through
         self._viewer = viewer
         self._senses = Senses(mission)
         self._placed = placed
@@ -133,7 +133,7 @@ class Watcher:
         self._cpu = (time.monotonic(), time.process_time())
 
     def take_record(self, record: Record) -> None:
-        """A record of a flight's log: inputs as from telemetry, and the phase; any thread."""
+        """A record of a flight's log: inputs as from telemetry, and the phase."""
         if isinstance(record, PhaseChange):
             self._phase = record.after.value
         elif isinstance(record, WallFelt):
@@ -141,7 +141,7 @@ class Watcher:
         elif isinstance(record, PlanTaken):
             self._plan = "flown" if record.taken else f"not flown: {record.reason}"
         elif isinstance(record, _INPUTS):
-            self.take(record)
+            self._work_through(record)
 
     def _take_wall(self, felt: WallFelt) -> None:
         mode = felt.mode_felt or felt.mode_reported
@@ -157,11 +157,17 @@ class Watcher:
         )
 
     def take(self, item: Input) -> None:
-        """A record of the telemetry; any thread, short."""
+        """A record of the telemetry, for `work`; any thread, never blocks."""
+        self._came.append(item)
+
+    def work(self) -> None:
+        """Work through what came, in its order."""
+        while self._came:
+            self._work_through(self._came.popleft())
+
+    def _work_through(self, item: Input) -> None:
         self._viewer(item)
-        with self._mutex:
-            learnt = self._take(item)
-        for record in learnt:
+        for record in self._take(item):
             self._viewer(record)
 
     def _take(self, item: Input) -> list[Record]:
@@ -195,10 +201,7 @@ class Watcher:
 
     def view(self) -> Screen:
         """The present state for a screen."""
-        with self._mutex:
-            return self._view()
-
-    def _view(self) -> Screen:
+        self.work()
         now, state, e = host_us(), self._senses.state, self._estimate
         newest = state.imu.t_us if state.imu else 0
         source = self._senses.estimator.thrust.source
@@ -276,10 +279,14 @@ async def watch(
         session.subscribe(watcher.estimation, watcher.motors, guarded=False)
         rates = asyncio.create_task(_raise_rates(watcher, session))
         end = None if seconds is None else time.monotonic() + seconds
+        shown_s = time.monotonic()
         try:
             while end is None or time.monotonic() < end:
-                await asyncio.sleep(period_s)
-                show(watcher.view())
+                await asyncio.sleep(_WORK_S)
+                watcher.work()
+                if time.monotonic() - shown_s >= period_s:
+                    shown_s = time.monotonic()
+                    show(watcher.view())
         finally:
             rates.cancel()
             with contextlib.suppress(asyncio.CancelledError):
@@ -319,5 +326,5 @@ def follow(
         if log.ended or (not alive and not entries):
             break
         if not entries:
-            time.sleep(_FOLLOW_S)
+            time.sleep(_WORK_S)
     show(watcher.view())

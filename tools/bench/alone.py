@@ -18,16 +18,27 @@ _ECHO_EVERY = 75  # IMU samples: 0.3 s
 _STEP_M = 0.01  # between one echo and the next: told apart on the wire
 
 
-async def stay(mission: Mission, url: str, ended: asyncio.Event, echo: Echo | None = None) -> None:
-    """Connect, subscribe as a flight does, but to callbacks that do nothing; stay until it has ended."""
-    async with connect(url, mission.vehicle.connection.timeout_s, _nothing) as session:
+async def stay(
+    mission: Mission, url: str, ended: asyncio.Event, echo: Echo | None = None, *, watching: bool = False
+) -> None:
+    """Connect, subscribe as a flight does, but to callbacks that do nothing; stay until it has ended.
+
+    Args:
+        mission: whose vehicle it is.
+        url: MAVSDK connection URL.
+        ended: when to leave.
+        echo: answers IMU samples.
+        watching: with the streams and rates of `monitor` instead.
+    """
+    async with connect(url, mission.vehicle.connection.timeout_s, _nothing, ground=watching) as session:
         for name in dir(VehicleSession):
             if name.startswith("_on_"):
                 setattr(session, name, _nothing)
         if echo is not None:
             echo.attach(session)
-        session.subscribe(mission.vehicle.estimation, len(mission.vehicle.airframe.motors))
-        await session.set_rates()
+        motors = len(mission.vehicle.airframe.motors)
+        session.subscribe(mission.vehicle.estimation, motors, guarded=not watching)
+        await session.set_rates(watching=watching)
         await ended.wait()
 
 

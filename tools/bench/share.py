@@ -45,6 +45,7 @@ SECONDS, ROUNDS = 20.0, 3
 _PERIOD_S = 3.0
 _LEAD_S = 8.0  # connection, rates, the app's start
 MAVSDK = "MAVSDK and its callbacks"
+MONITOR, WATCHING = "monitor", "MAVSDK alone at monitor's rates"
 Shares = dict[str, float]  # part -> per cent of a core
 
 
@@ -115,23 +116,35 @@ def _process_seconds(app: FlightApp) -> float:
     return 0.0 if app._deadman is None else process_seconds(app._deadman.pid)
 
 
+async def _watching_alone(mission: Mission, url: str, seconds: float) -> Shares:
+    """What `monitor` has of MAVSDK, until it is ended."""
+    await alone.stay(mission, url, asyncio.Event(), watching=True)
+    return {}
+
+
 CLIENTS = {"MAVSDK alone": mavsdk_alone, "samples": samples_only, "app": whole_app}
 
 
-def monitor_share(seconds: float) -> float:
-    """`monitor` beside a simulated vehicle at its rates, per cent of a core, its start not counted."""
+def watching_shares(seconds: float) -> Shares:
+    """`monitor`, and MAVSDK alone at its rates, in turn beside a simulated vehicle; without their start."""
+    return {client: _watching(client, seconds) for client in (WATCHING, MONITOR)}
+
+
+def _watching(client: str, seconds: float) -> float:
     port = str(free_udp_port())
+    url = f"udpin://127.0.0.1:{port}"
     simulate = [sys.executable, "-m", "dart_flight", "simulate", str(MISSION), "--port", port]
-    watch = [sys.executable, "-m", "dart_flight", "monitor", "--connection", f"udpin://127.0.0.1:{port}"]
+    watch = [sys.executable, "-m", "dart_flight", "monitor", "--connection", url]
+    alone_ = [sys.executable, "-m", "tools.bench.share", "--client", WATCHING, port, "0"]
     quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     with subprocess.Popen(simulate, **quiet) as vehicle:
         try:
-            with subprocess.Popen(watch, **quiet) as monitor:
+            with subprocess.Popen(watch if client == MONITOR else alone_, **quiet) as watching:
                 time.sleep(_LEAD_S)
-                before, began = process_seconds(monitor.pid), time.monotonic()
+                before, began = process_seconds(watching.pid), time.monotonic()
                 time.sleep(seconds)
-                share = 100.0 * (process_seconds(monitor.pid) - before) / (time.monotonic() - began)
-                monitor.terminate()
+                share = 100.0 * (process_seconds(watching.pid) - before) / (time.monotonic() - began)
+                watching.terminate()
         finally:
             vehicle.terminate()
     return share
@@ -204,17 +217,21 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=SECONDS)
     parser.add_argument("--rounds", type=int, default=ROUNDS)
     parser.add_argument("--busy", action="store_true", help="other work on both cores, this at nice -15")
-    parser.add_argument("--monitor", action="store_true", help="`monitor` instead")
+    parser.add_argument("--monitor", action="store_true", help="`monitor` instead, and its floor")
     parser.add_argument("--client", nargs=3, metavar=("NAME", "PORT", "SECONDS"))
     options = parser.parse_args()
     if options.client:
         name, port, seconds = options.client
-        shares = asyncio.run(CLIENTS[name](rigid_mission(), f"udpin://127.0.0.1:{port}", float(seconds)))
+        stay = _watching_alone if name == WATCHING else CLIENTS[name]
+        shares = asyncio.run(stay(rigid_mission(), f"udpin://127.0.0.1:{port}", float(seconds)))
         print(msgspec.json.encode(shares).decode())
         return 0
     if options.monitor:
-        watched = sorted(monitor_share(options.seconds) for _ in range(options.rounds))
-        print(f"monitor: {median(watched):.1f} % of a core ({watched[0]:.1f} to {watched[-1]:.1f})")
+        turns = [watching_shares(options.seconds) for _ in range(options.rounds)]
+        for client in turns[0]:
+            found_here = sorted(shares[client] for shares in turns)
+            low, high = found_here[0], found_here[-1]
+            print(f"{client}: {median(found_here):.1f} % of a core ({low:.1f} to {high:.1f})")
         return 0
     if options.busy:
         with both_cores_busy():
