@@ -9,7 +9,10 @@ import contextlib
 import fcntl
 import os
 import time
+from abc import ABC, abstractmethod
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 from dart_flight.config.document import InputError
 
@@ -124,6 +127,27 @@ class HeldFile:
             raise InputError(
                 f"cannot write: {error.strerror}; set DART_FLIGHT_STATE_DIR", source=str(self._path)
             ) from None
+
+
+class Lease(ABC):
+    """The right to something that only one program may have, as a context: taken on entering, given back."""
+
+    @abstractmethod
+    def acquire(self) -> None:
+        """Take it."""
+
+    @abstractmethod
+    def release(self) -> None:
+        """Give it back; harmless when it is not held."""
+
+    def __enter__(self) -> Self:
+        self.acquire()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release()
 
 
 def content_of_held(path: Path) -> bytes | None:

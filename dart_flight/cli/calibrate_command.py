@@ -6,21 +6,20 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
 from rich.table import Table
 
-from dart_flight.cli.options import link_of
+from dart_flight.cli.options import link_of, refuse_unwritable
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config import InputError, default_config_path, find_vehicle
 from dart_flight.config.document import Key
 from dart_flight.config.edit import write_values
 from dart_flight.config.rotors import COUNT, motors_block, motors_of, rotor_differences, rotor_names
-from dart_flight.config.vehicle import VehicleConfig, packaged
+from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.identification.airframe import read_airframe
 from dart_flight.identification.inertia import WINDOW_S, InertiaCalibration, calibrate_inertia
 from dart_flight.identification.thrust_curve import (
@@ -58,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     path = Path(arguments.config) if arguments.config else default_config_path()
     vehicle, source = find_vehicle(path)
     if arguments.write:
-        _refuse_unwritable(arguments, path)
+        refuse_unwritable(arguments, path)
         if arguments.what == "thrust" and vehicle.thrust.table is not None:
             raise InputError("has thrust.table: full_n and model_factor would replace it", source=str(path))
     left_out: list[str] = []
@@ -161,16 +160,6 @@ def _inertia_table(r: InertiaCalibration) -> Table:
         )
     table.add_row("motor lag, s", f"{r.motor_lag_s:.4f}", "", "", "")
     return table
-
-
-def _refuse_unwritable(arguments: argparse.Namespace, path: Path) -> None:
-    if not arguments.config and path == packaged("configs", "dart.yaml"):
-        raise InputError(
-            "is the packaged default; copy it with `dart-flight init` and name the copy with --config",
-            source=str(path),
-        )
-    if not os.access(path, os.W_OK):
-        raise InputError("the calibration would be written here, but it is not writable", source=str(path))
 
 
 def _table(r: ThrustCalibration) -> Table:

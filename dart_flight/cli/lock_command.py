@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from dart_flight.cli.options import link_of
+from dart_flight.cli.options import link_of, refuse_unwritable
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config import InputError, default_config_path, find_vehicle
 from dart_flight.config.document import Document
 from dart_flight.config.edit import write_values
-from dart_flight.config.vehicle import LockConfig, LockDriver, packaged
+from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.lock.calibration import HELP, Calibration, CalibrationError
 from dart_flight.lock.drivers import Driver, DriverError, SetActuator
 from dart_flight.lock.drivers.px4 import parameter_problems, required_parameters
@@ -54,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("this vehicle has no lock", source=str(path))
     config = _with_driver(vehicle.lock, arguments.driver, path)
     if arguments.action == "calibrate":
-        _refuse_packaged(arguments, path)
+        refuse_unwritable(arguments, path)
     if config.driver is not LockDriver.PX4:
         return _owned(arguments, config, path, None)
     url = link_of(arguments, vehicle.connection)
@@ -98,16 +97,6 @@ def _with_driver(config: LockConfig, driver: str | None, path: Path) -> LockConf
         return msgspec.structs.replace(config, driver=LockDriver(driver))
     except ValueError as error:
         raise Document.load(path).error(("lock",), str(error)) from None
-
-
-def _refuse_packaged(arguments: argparse.Namespace, path: Path) -> None:
-    if not arguments.config and path == packaged("configs", "dart.yaml"):
-        raise InputError(
-            "is the packaged default; copy it with `dart-flight init` and name the copy with --config",
-            source=str(path),
-        )
-    if not os.access(path, os.W_OK):
-        raise InputError("the calibration would be written here, but it is not writable", source=str(path))
 
 
 def _with_servo(

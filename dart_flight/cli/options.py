@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Callable
 from pathlib import Path
 
+from dart_flight.config.document import InputError
 from dart_flight.config.link_url import usable_link
 from dart_flight.config.parameters import PositionSource
-from dart_flight.config.vehicle import LockDriver
+from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.config.vehicle.autopilot import ConnectionConfig
 
 
@@ -82,6 +84,21 @@ def link_of(arguments: argparse.Namespace, connection: ConnectionConfig) -> str:
     if arguments.connection is not None:
         return usable_link(arguments.connection)
     return usable_link(connection.url, "connection.url")
+
+
+def refuse_unwritable(arguments: argparse.Namespace, path: Path) -> None:
+    """A calibration goes into a configuration of the user's own.
+
+    Raises:
+        InputError: it is the packaged one, or cannot be written.
+    """
+    if not arguments.config and path == packaged("configs", "dart.yaml"):
+        raise InputError(
+            "is the packaged default; copy it with `dart-flight init` and name the copy with --config",
+            source=str(path),
+        )
+    if not os.access(path, os.W_OK):
+        raise InputError("the calibration would be written here, but it is not writable", source=str(path))
 
 
 def whole_number(low: int, high: int) -> Callable[[str], int]:

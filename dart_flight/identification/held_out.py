@@ -136,17 +136,20 @@ def _baselines(table: HitTable, folds: Array) -> dict[str, Errors]:
     peak, out = np.full(folds.size, math.nan), np.full(folds.size, math.nan)
     for fold in np.unique(folds):
         rest, held = folds != fold, folds == fold
-        share = _median((table.speed_out / table.speed_in)[rest])
-        slope = _median((table.peak / table.speed_in)[rest])
-        if share is not None:
-            out[held] = share * table.speed_in[held]
-        if slope is not None:
-            peak[held] = slope * table.speed_in[held]
+        peak[held], out[held] = _in_proportion(table, rest, held)
     errors = _errors(table, peak, out)
     return {
         CONSTANT_RESTITUTION: Errors(None, errors.outgoing_speed),
         FORCE_PROPORTIONAL: Errors(errors.peak_force, None),
     }
+
+
+def _in_proportion(table: HitTable, known: Array, asked: Array) -> tuple[Array, Array]:
+    """Peak and speed out of the hits asked for, by the median ratios to the speed in of those known; NaN
+    where none of them has it."""
+    ratios = (_median((values / table.speed_in)[known]) for values in (table.peak, table.speed_out))
+    peak, out = ((math.nan if ratio is None else ratio) * table.speed_in[asked] for ratio in ratios)
+    return peak, out
 
 
 def _scatter(table: HitTable, groups: Array) -> Errors:
@@ -155,12 +158,7 @@ def _scatter(table: HitTable, groups: Array) -> Errors:
     for group in np.unique(groups):
         members = groups == group
         if members.sum() >= 3:
-            middle = _median((table.peak / table.speed_in)[members])
-            share = _median((table.speed_out / table.speed_in)[members])
-            if middle is not None:
-                peak[members] = middle * table.speed_in[members]
-            if share is not None:
-                out[members] = share * table.speed_in[members]
+            peak[members], out[members] = _in_proportion(table, members, members)
     return _errors(table, peak, out)
 
 

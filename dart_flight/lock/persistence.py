@@ -10,13 +10,12 @@ import os
 import tempfile
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 
 import msgspec
 
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.samples import LockPhase, LockState, Mode
-from dart_flight.state_folder import HeldError, HeldFile, state_dir, usable
+from dart_flight.state_folder import HeldError, HeldFile, Lease, state_dir, usable
 
 # --- the last command --------------------------------------------------------------------------------
 
@@ -129,7 +128,7 @@ class ServoTakenError(Exception):
         self.pid = pid
 
 
-class ServoOwnership:
+class ServoOwnership(Lease):
     """The right to move the servo: a `HeldFile`, `lock.pid`, with the owner's process number in it."""
 
     def __init__(self, folder: Path | None = None) -> None:
@@ -150,15 +149,6 @@ class ServoOwnership:
     def release(self) -> None:
         """Give the servo back; harmless when it is not held."""
         self._file.release()
-
-    def __enter__(self) -> ServoOwnership:
-        self.acquire()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.release()
 
 
 def _pid_in(content: bytes) -> int | None:

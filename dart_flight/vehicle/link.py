@@ -19,12 +19,11 @@ import termios
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 
 import msgspec
 
 from dart_flight.config.document import InputError
-from dart_flight.state_folder import HeldError, HeldFile, content_of_held, state_dir
+from dart_flight.state_folder import HeldError, HeldFile, Lease, content_of_held, state_dir
 
 _SERIAL = re.compile(r"serial(?:_flowcontrol)?://(?P<device>[^:]+)(?::\d+)?$")
 _NETWORK = re.compile(r"(?P<kind>udpin|udpout|udp|tcpin|tcpout|tcp)://(?P<host>[^:]*)(?::(?P<port>\d+))?$")
@@ -99,7 +98,7 @@ def link_folder() -> Path:
     return state_dir() / "links"
 
 
-class LinkLease:
+class LinkLease(Lease):
     """The right to use one link, for as long as the process lives or until it is released.
 
     Args:
@@ -156,15 +155,6 @@ class LinkLease:
             os.close(self._device)
             self._device = None
         self._file.release()
-
-    def __enter__(self) -> LinkLease:
-        self.acquire()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.release()
 
     def _says(self) -> bytes:
         return msgspec.json.encode(self._holder)

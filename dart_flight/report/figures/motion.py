@@ -51,13 +51,20 @@ def _over_time(axis: Any, flight: Flight) -> None:
     axis.set_xlabel("time, s")
 
 
+def _label(axes: Any, names: tuple[str, ...], flight: Flight) -> None:
+    """What stands on each of some axes above one another, with the detections and one legend."""
+    for axis, name in zip(axes, names, strict=True):
+        axis.set_ylabel(name)
+        mark_impacts(axis, flight)
+    _over_time(axes[-1], flight)
+    legend_above(axes[0])
+
+
 @in_style
 def motion(flight: Flight, *, look: Look = PAGE) -> Any:
     """Velocities and height over time, estimated and true; vertical lines are detections."""
     figure, axes = new_figure(look, 4.2, 3, 1, sharex=True)
-    for j, (axis, name) in enumerate(
-        zip(axes, ("x velocity, m/s", "y velocity, m/s", "height, m"), strict=True)
-    ):
+    for j, axis in enumerate(axes):
         for track, style, label in (
             (flight.course.true, TRUE, "true"),
             (flight.course.estimated, ESTIMATED, "estimated"),
@@ -65,10 +72,7 @@ def motion(flight: Flight, *, look: Look = PAGE) -> Any:
             if track.time_s.size:
                 values = track.position[:, 2] if j == 2 else track.velocity[:, j]
                 _plot(axis, flight, track.time_s, values, label=label, **style)
-        axis.set_ylabel(name)
-        mark_impacts(axis, flight)
-    _over_time(axes[2], flight)
-    legend_above(axes[0])
+    _label(axes, ("x velocity, m/s", "y velocity, m/s", "height, m"), flight)
     return figure
 
 
@@ -83,11 +87,7 @@ def attitude(flight: Flight, *, look: Look = PAGE) -> Any:
         for axis, values in zip(axes, (track.roll, track.pitch, track.yaw), strict=True):
             if track.time_s.size:
                 _plot(axis, flight, track.time_s, np.degrees(values), label=label, **style)
-    for axis, name in zip(axes, ("roll, °", "pitch, °", "yaw, °"), strict=True):
-        axis.set_ylabel(name)
-        mark_impacts(axis, flight)
-    _over_time(axes[2], flight)
-    legend_above(axes[0])
+    _label(axes, ("roll, °", "pitch, °", "yaw, °"), flight)
     return figure
 
 
