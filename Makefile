@@ -19,6 +19,8 @@ $(STAMP): pyproject.toml constraints.txt
 dry-run: $(STAMP)
 	$(BIN)/dart-flight dry-run $(MISSION)
 
+# Hundreds of processes: without bytecode on the disk each of them would compile the package once more.
+test: export PYTHONDONTWRITEBYTECODE :=
 test: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .

@@ -11,11 +11,14 @@ import yaml
 from dart_flight.cli import main
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
+from dart_flight.recording.about import flown_mission
+from dart_flight.recording.reader import read_log
 from dart_flight.report.flight import Flight
 from dart_flight.report.page import comparison_page
 from dart_flight.report.proposal import Proposal, propose
-from dart_flight.samples import Mode
+from dart_flight.samples import Mode, TruthContact
 from dart_flight.worlds.prepare import load_flyable
+from dart_flight.worlds.replay import replay
 from tests.shared_flights import SharedFlights
 from tools.bench.other_wall import fly_against, with_walls
 
@@ -45,6 +48,19 @@ def with_entry(text: str, path: Path) -> VehicleConfig:
     config["materials"].update(yaml.safe_load(text)["materials"])
     path.write_text(yaml.safe_dump(config), encoding="utf-8")
     return load_vehicle(path)
+
+
+def test_the_flights_know_only_the_mission(stiffer: list[Path], single: Mission) -> None:
+    """A core with the mission of the log, whose wall is the softer one, decides what was decided."""
+    log = read_log(stiffer[0])
+    again = replay(log)
+    assert again.exact
+    assert again.equal
+    assert flown_mission(log.about, log.source).vehicle.materials == single.vehicle.materials
+    (contact,) = [e.record for e in log.entries if isinstance(e.record, TruthContact)]
+    (impact,) = Flight.read(stiffer[0]).impacts
+    assert impact.predicted_n is not None
+    assert contact.peak_normal_force_n > 1.05 * impact.predicted_n
 
 
 def test_flights_that_agree_propose_nothing(single: Mission, flown: SharedFlights) -> None:

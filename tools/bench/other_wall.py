@@ -8,10 +8,10 @@ import msgspec
 
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Coefficients
-from dart_flight.core.flight_core import FlightCore
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.writer import FlightLog
 from dart_flight.samples import World
+from dart_flight.sim.draws import DrawnWorld
 from dart_flight.worlds.fast import FastFlight
 
 
@@ -35,8 +35,6 @@ def fly_against(mission: Mission, real: Mission, seed: int, path: Path) -> Path:
     """Fly a mission where the walls are those of `real`; returns the log, which knows only the mission."""
     path.parent.mkdir(parents=True, exist_ok=True)
     log = FlightLog(path, describe_flight(mission, World.FAST, seed))
-    flight = FastFlight(real, seed, observe=log.put)
-    flight.core = FlightCore(mission)
-    flight.run()
+    FastFlight(mission, seed, observe=log.put, world=DrawnWorld(real, None, {})).run()
     log.close()
     return path
