@@ -8,17 +8,18 @@ Frames (`docs/concepts.md`):
 * collision frame of a wall: X outward normal, Y to the right when looking along X in a z-up frame,
   Z = X x Y (it points down at a wall).
 
-Vectors and quaternions, which are plain tuples, and the arithmetic on them come from `rotations`.
+Vectors and quaternions, which are plain tuples, and the arithmetic on them come from `rotations`; the frame
+of a mission from `mission_frame`.
 """
 
 from __future__ import annotations
 
 import math
-from functools import cached_property
 from typing import Any
 
 import msgspec
 
+from dart_flight.mission_frame import MissionFrame
 from dart_flight.rotations import (
     GRAVITY_M_S2,
     IDENTITY,
@@ -76,68 +77,6 @@ __all__ = [
     "wrap_angle",
     "yaw_ned_of",
 ]
-
-
-# --- mission frame and NED -------------------------------------------------------------------------
-
-
-class MissionFrame(msgspec.Struct, frozen=True, dict=True):
-    """Where the mission frame lies in PX4's local NED frame.
-
-    Attributes:
-        north_m, east_m: the mission's origin in local NED.
-        down_m: local NED height of the mission's z = 0 (the ground under the take-off point).
-        heading_rad: direction of the mission's x axis, clockwise from north.
-    """
-
-    north_m: float = 0.0
-    east_m: float = 0.0
-    down_m: float = 0.0
-    heading_rad: float = 0.0
-
-    @cached_property
-    def cos_sin(self) -> Vec2:
-        """Cosine and sine of the heading, kept: every vector that is converted needs them."""
-        return (math.cos(self.heading_rad), math.sin(self.heading_rad))
-
-    def vector_from_ned(self, v_ned: Vec3) -> Vec3:
-        """A direction (velocity, force, acceleration) from NED to the mission frame."""
-        c, s = self.cos_sin
-        n, e, d = v_ned
-        return (n * c + e * s, n * s - e * c, -d)
-
-    def vector_to_ned(self, v_mission: Vec3) -> Vec3:
-        """A direction from the mission frame to NED."""
-        c, s = self.cos_sin
-        x, y, z = v_mission
-        return (x * c + y * s, x * s - y * c, -z)
-
-    def point_from_ned(self, p_ned: Vec3) -> Vec3:
-        """A position from local NED to the mission frame."""
-        return self.vector_from_ned((p_ned[0] - self.north_m, p_ned[1] - self.east_m, p_ned[2] - self.down_m))
-
-    def point_to_ned(self, p_mission: Vec3) -> Vec3:
-        """A position from the mission frame to local NED."""
-        n, e, d = self.vector_to_ned(p_mission)
-        return (n + self.north_m, e + self.east_m, d + self.down_m)
-
-    def attitude_from_ned(self, q_frd_to_ned: Quaternion) -> Quaternion:
-        """Attitude as viewers draw it: body forward, left, up to the mission frame.
-
-        Both flips, of the body's axes and of the world's, are half turns about x; then the heading about z.
-        """
-        half = 0.5 * self.heading_rad
-        flip = (0.0, 1.0, 0.0, 0.0)
-        turn = quaternion_multiply((math.cos(half), 0.0, 0.0, math.sin(half)), flip)
-        return quaternion_multiply(quaternion_multiply(turn, q_frd_to_ned), flip)
-
-    def yaw_from_ned(self, yaw_ned_rad: float) -> float:
-        """Heading clockwise from north to mission yaw, counter-clockwise from the mission's x axis."""
-        return wrap_angle(self.heading_rad - yaw_ned_rad)
-
-    def yaw_to_ned(self, yaw_mission_rad: float) -> float:
-        """Mission yaw, counter-clockwise from x, to heading clockwise from north."""
-        return wrap_angle(self.heading_rad - yaw_mission_rad)
 
 
 # --- walls and the collision frame -----------------------------------------------------------------

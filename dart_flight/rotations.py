@@ -8,14 +8,15 @@ from `geometry`; they stand in a module of their own because it is compiled (doc
 from __future__ import annotations
 
 import math
+from typing import Final
 
 Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
-IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
-GRAVITY_M_S2 = 9.81
-_SMALL_RAD = 1e-9  # below it the sine is the angle
+IDENTITY: Final[Quaternion] = (1.0, 0.0, 0.0, 0.0)
+GRAVITY_M_S2: Final = 9.81
+_SMALL_RAD: Final = 1e-9  # below it the sine is the angle
 
 
 # --- vectors ---------------------------------------------------------------------------------------

@@ -10,7 +10,8 @@ PACKAGE = Path(__file__).parents[1] / "dart_flight"
 
 # Rooms from the ground up; a room may import those of its own and of lower floors.
 FLOORS = {
-    "rotations": -1,
+    "rotations": -2,
+    "mission_frame": -1,
     "errors": 0,
     "geometry": 0,
     "processes": 0,

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from dart_flight.config.vehicle import Coefficients, ContactBody
 from dart_flight.contact.law import Onset, normal_force
@@ -69,7 +69,7 @@ class Touch(NamedTuple):
     left_n: float
 
 
-UNTOUCHED = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+UNTOUCHED: Final = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
 
 
 def guards_of(body: ContactBody) -> tuple[Guard, ...]:
@@ -212,5 +212,5 @@ def arm_of(x: float, y: float) -> int:
     return (0 if x >= 0.0 else 2) + (0 if y >= 0.0 else 1)
 
 
-_LEAST_ARM_M = 0.05  # guards nearer to the middle than this would swing an arm without end
-_NEAR_M = 0.08  # below 5 m/s no contact begins further away
+_LEAST_ARM_M: Final = 0.05  # guards nearer to the middle than this would swing an arm without end
+_NEAR_M: Final = 0.08  # below 5 m/s no contact begins further away

@@ -11,6 +11,7 @@ a fault in the mission's code becomes a decision of the guard (land), with its r
 from __future__ import annotations
 
 import traceback
+from typing import Final
 
 from dart_flight.config.mission import Mission
 from dart_flight.core.guard.guard import Guard
@@ -23,7 +24,7 @@ from dart_flight.core.sense.senses import Sensed, Senses
 from dart_flight.core.sense.state import FlightState
 from dart_flight.samples import Input, MissionEnd, Output, Override, Phase
 
-_NOTHING = Sensed()
+_NOTHING: Final = Sensed()
 
 
 class FlightCore:

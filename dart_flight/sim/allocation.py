@@ -1,23 +1,11 @@
-"""Control allocation: how much of roll, pitch, yaw and lift each motor gives, as PX4's pseudo-inverse has it.
-
-PX4 builds the effectiveness of the motors from their places and yaw torques (CA_ROTOR*), takes the
-pseudo-inverse and scales its columns: roll and pitch by the larger of both (the root of twice the mean
-square), yaw by its largest entry, lift to a mean of one (`ControlAllocationPseudoInverse`).
-"""
+"""Control allocation: how much of roll, pitch, yaw and lift each motor gives, by PX4's pseudo-inverse."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
-from dart_flight.config.vehicle import Motor, effectiveness
-
-Array = NDArray[np.float64]
-
-_SCALE_DIGITS = 4  # a quadrotor's 0.7071, with which every recorded flight has flown
-_SHAPE_DIGITS = 9  # what is beyond is rounding of the inverse
+from dart_flight.config.vehicle import Motor
+from dart_flight.sim.pseudo_inverse import scaled_mix
 
 
 class Allocation:
@@ -28,15 +16,7 @@ class Allocation:
     """
 
     def __init__(self, motors: Sequence[Motor]) -> None:
-        mix = np.linalg.pinv(np.array(effectiveness(motors)))
-        size = np.abs(mix) > 1e-6
-        scale = [float(np.sqrt(2.0 * (mix[:, i] ** 2).sum() / size[:, i].sum())) for i in (0, 1)]
-        level = mix[:, :2] / max(scale)
-        yaw, lift = mix[:, 2] / np.abs(mix[:, 2]).max(), mix[:, 3] / mix[:, 3].mean()
-        largest = float(np.abs(level).max())
-        self._largest = round(largest, _SCALE_DIGITS)
-        shape = np.column_stack((level / largest, yaw, lift)).round(_SHAPE_DIGITS)
-        self._rows = [(float(r), float(p), float(y), float(u)) for r, p, y, u in shape]
+        self._largest, self._rows = scaled_mix(motors)
         self._lift = [row[3] for row in self._rows]
 
     def shares(self, roll: float, pitch: float, yaw: float, up: float) -> list[float]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import msgspec
 
@@ -22,16 +22,17 @@ from dart_flight.lock.drivers.px4 import PREARM_ALWAYS, actuator_pulse_us, requi
 from dart_flight.samples import FlightMode, LandedState
 from dart_flight.sim.cascade import Cascade, TrajectorySetPoint
 from dart_flight.sim.estimator import Estimator
+from dart_flight.sim.noise import Normal
 from dart_flight.sim.plant import Plant, make_plant
 from dart_flight.sim.sensors import ImuSensor, PoseSensor
 
-TICK_S = 0.004
-TICK_US = 4000
-_STEPS_PER_TICK = 4
-_POSITION_EVERY = 2  # ticks: PX4's position controller runs with its estimator, at about 125 Hz
-_FAILSAFE_HOLD_S = 5.0
-_IDLE = 0.05
-_OFFBOARD_PROOF_S = 0.5  # set-points must be this fresh for the mode to be accepted
+TICK_S: Final = 0.004
+TICK_US: Final = 4000
+_STEPS_PER_TICK: Final = 4
+_POSITION_EVERY: Final = 2  # ticks: PX4's position controller runs with its estimator, at about 125 Hz
+_FAILSAFE_HOLD_S: Final = 5.0
+_IDLE: Final = 0.05
+_OFFBOARD_PROOF_S: Final = 0.5  # set-points must be this fresh for the mode to be accepted
 
 
 class ImuReading(NamedTuple):
@@ -54,9 +55,9 @@ class Autopilot:
     def __init__(self, plant: Plant, seed: int, say: Callable[[str, str], None] | None = None) -> None:
         self.plant = plant
         self.vehicle: VehicleConfig = plant.vehicle
-        rng = random.Random(seed)
-        self.imu_sensor = ImuSensor(self.vehicle, rng)
-        self.pose_sensor = PoseSensor(self.vehicle, rng)
+        noise = Normal(random.Random(seed))
+        self.imu_sensor = ImuSensor(self.vehicle, noise)
+        self.pose_sensor = PoseSensor(self.vehicle, noise)
         self.estimator = Estimator()
         self.parameters = default_parameters(self.vehicle)
         v = self.vehicle

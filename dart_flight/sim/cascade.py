@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 from dart_flight.config.vehicle import Motor, Thrust
 from dart_flight.geometry import (
@@ -24,11 +25,11 @@ from dart_flight.geometry import (
 )
 from dart_flight.sim.allocation import Allocation
 
-_FREE = (math.nan, math.nan, math.nan)
-_MAX_RATE = (math.radians(220.0), math.radians(220.0), math.radians(200.0))  # MC_*RATE_MAX defaults
-_MOST_YAW = 0.15  # of the normalised torque
-_YAW_WEIGHT = 0.4  # MC_YAW_WEIGHT default
-_HORIZONTAL_MARGIN = 0.3  # MPC_THR_XY_MARG default: thrust kept for horizontal control when saturated
+_FREE: Final = (math.nan, math.nan, math.nan)
+_MAX_RATE: Final = (math.radians(220.0), math.radians(220.0), math.radians(200.0))  # MC_*RATE_MAX defaults
+_MOST_YAW: Final = 0.15  # of the normalised torque
+_YAW_WEIGHT: Final = 0.4  # MC_YAW_WEIGHT default
+_HORIZONTAL_MARGIN: Final = 0.3  # MPC_THR_XY_MARG default: thrust kept for horizontal control when saturated
 
 
 class TrajectorySetPoint:
@@ -58,7 +59,7 @@ class Cascade:
         self, parameters: Mapping[str, float], hover_thrust: float, thrust: Thrust, motors: Sequence[Motor]
     ) -> None:
         self.parameters, self.hover, self.thrust = parameters, hover_thrust, thrust
-        self._allocation, self._full_n = Allocation(motors), thrust.most_n
+        self._allocation, self._full_n, self._curve = Allocation(motors), thrust.most_n, thrust.curve
         self._velocity_integral: list[float] = [0.0, 0.0, 0.0]
         self._velocity_last: Vec3 | None = None
         self._velocity_slope: list[float] = [0.0, 0.0, 0.0]
@@ -189,8 +190,10 @@ class Cascade:
         self._rate_last = rate
         yaw = max(-_MOST_YAW, min(_MOST_YAW, torque[2]))
         shares = self._allocation.shares(torque[0], torque[1], yaw, self.thrust_setpoint)
-        full_n = self._full_n
-        return tuple(self.thrust.commands_for([max(0.0, share) * full_n for share in shares]))
+        full_n, curve = self._full_n, self._curve
+        if curve is None:
+            return tuple(self.thrust.commands_for([max(0.0, share) * full_n for share in shares]))
+        return tuple([curve.command_for(max(0.0, share) * full_n) for share in shares])
 
 
 def _attitude_error(q: Quaternion, wanted: Quaternion) -> Quaternion:

@@ -7,6 +7,7 @@ velocity error that a clipped accelerometer leaves behind), not a copy of it.
 from __future__ import annotations
 
 from collections import deque
+from typing import Final
 
 from dart_flight.geometry import (
     GRAVITY_M_S2,
@@ -25,10 +26,10 @@ from dart_flight.geometry import (
 )
 
 # Per pose update at 100 Hz: about 0.1 s to follow a position error, 0.2 s for a velocity error.
-_POSITION_GAIN = 0.12
-_VELOCITY_GAIN = 0.8
-_ATTITUDE_GAIN = 0.05
-_HISTORY_S = 0.25
+_POSITION_GAIN: Final = 0.12
+_VELOCITY_GAIN: Final = 0.8
+_ATTITUDE_GAIN: Final = 0.05
+_HISTORY_S: Final = 0.25
 
 
 class Estimator:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Sequence
+from typing import Final
 
 import msgspec
 
@@ -43,18 +44,18 @@ from dart_flight.geometry import (
 )
 from dart_flight.samples import Mode, TruthContact, TruthSample
 
-STEP_S = 0.001
-CONTACT_STEPS = 10  # of 0.1 ms in one step of 1 ms
-_NEAR_WALL_M = 0.08  # below 5 m/s no contact begins further away
-_BEHIND_M = -0.6  # a vehicle this far behind a plane is on the wall's other side
-_REBOUND_S = 0.01  # a guard that comes back within this time belongs to the same contact
-_HALF_ENGAGED = 0.5  # how free arms are with half-engaged rods
-_GROUND_M = 0.01  # above it the landing gear touches nothing
-_NO_FORCE = (0.0, 0.0, 0.0)
-_AT_REST = (0.0, 0.0, 0.0, 0.0)  # arms: displacement north, east in m; its speed in m/s
-_GAIN_M_S = 0.5  # more than this no thrust adds to the speed within a tick
-_GROUND_STEPS = 2  # a millisecond, where only the landing gear touches: nothing is measured there
-_GROUND_SPEED_M_S = 0.05  # regularisation of the ground's friction
+STEP_S: Final = 0.001
+CONTACT_STEPS: Final = 10  # of 0.1 ms in one step of 1 ms
+_NEAR_WALL_M: Final = 0.08  # below 5 m/s no contact begins further away
+_BEHIND_M: Final = -0.6  # a vehicle this far behind a plane is on the wall's other side
+_REBOUND_S: Final = 0.01  # a guard that comes back within this time belongs to the same contact
+_HALF_ENGAGED: Final = 0.5  # how free arms are with half-engaged rods
+_GROUND_M: Final = 0.01  # above it the landing gear touches nothing
+_NO_FORCE: Final = (0.0, 0.0, 0.0)
+_AT_REST: Final = (0.0, 0.0, 0.0, 0.0)  # arms: displacement north, east in m; its speed in m/s
+_GAIN_M_S: Final = 0.5  # more than this no thrust adds to the speed within a tick
+_GROUND_STEPS: Final = 2  # a millisecond, where only the landing gear touches: nothing is measured there
+_GROUND_SPEED_M_S: Final = 0.05  # regularisation of the ground's friction
 
 
 class _WallPlane:
@@ -158,7 +159,7 @@ class Plant:
             self._arm_spring, self._arm_damper = -omega * omega, 2.0 * vibration.damping_ratio * omega
             self._arm_share = vibration.mass_fraction
         self._full_scale = vehicle.imu.full_scale_m_s2
-        self._thrust = vehicle.thrust
+        self._thrust, self._curve = vehicle.thrust, vehicle.thrust.curve
         self._inertia, self._drag_per_s = vehicle.airframe.inertia_kg_m2, vehicle.airframe.drag_per_s
         self._sensed: Vec3 = (0.0, 0.0, -GRAVITY_M_S2)
         lever = vehicle.simulation.imu_position_m
@@ -227,15 +228,20 @@ class Plant:
         return (pushed[0] + contact[0] + sx, pushed[1] + contact[1] + sy, pushed[2] + contact[2])
 
     def _motors(self, commands: Sequence[float]) -> tuple[float, Vec3]:
-        k = self._motor_decay
-        self.motor = motor = [to + (now - to) * k for to, now in zip(commands, self.motor, strict=True)]
+        k, before, curve = self._motor_decay, self.motor, self._curve
         levers = self._straight if self._folded is None else self._folded_levers(self._folded)
+        motor: list[float] = []
         thrust = roll = pitch = yaw = 0.0
-        for force, (x, y, drag) in zip(self._thrust.forces_n(motor), levers, strict=True):
+        for i, (x, y, drag) in enumerate(levers):
+            to = commands[i]
+            u = to + (before[i] - to) * k
+            motor.append(u)
+            force = curve.force_n(u) if curve is not None else self._thrust.force_n(u)
             thrust += force
             roll -= y * force
             pitch += x * force
             yaw += drag * force
+        self.motor = motor
         return thrust, (roll, pitch, yaw)
 
     def _folded_levers(self, folded: tuple[float, float, float, float]) -> list[Vec3]:

@@ -6,9 +6,8 @@ IMU and motion capture for both autopilots; barometer, magnetometer and GPS for 
 from __future__ import annotations
 
 import math
-import random
 from collections import deque
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from dart_flight.config.vehicle import ImuRinging, VehicleConfig
 from dart_flight.geometry import (
@@ -21,26 +20,21 @@ from dart_flight.geometry import (
     rotate,
     scale,
 )
+from dart_flight.sim.noise import Normal
 from dart_flight.sim.plant import Plant
-
-
-def gauss3(rng: random.Random, sigma: float) -> Vec3:
-    """Three independent normal numbers of the same standard deviation."""
-    gauss = rng.gauss
-    return (gauss(0.0, sigma), gauss(0.0, sigma), gauss(0.0, sigma))
 
 
 class ImuSensor:
     """Accelerometer and gyro: tick averages with noise, a constant residual bias, saturated at full scale."""
 
-    def __init__(self, vehicle: VehicleConfig, rng: random.Random) -> None:
+    def __init__(self, vehicle: VehicleConfig, noise: Normal) -> None:
         s = vehicle.simulation
-        self._rng = rng
+        self._noise = noise
         self._sigma, self._gyro_sigma = s.imu_noise_m_s2, s.gyro_noise_rad_s
         self.full_scale_m_s2 = vehicle.imu.full_scale_m_s2
-        self.bias: Vec3 = gauss3(rng, s.imu_bias_m_s2)
+        self.bias: Vec3 = noise.three(s.imu_bias_m_s2)
         ringing = s.imu_ringing
-        self._ringing = None if ringing is None else _Ringing(ringing, vehicle.imu.tick_s, rng)
+        self._ringing = None if ringing is None else _Ringing(ringing, vehicle.imu.tick_s, noise)
 
     def measure(
         self, specific_force_frd: Vec3, rate_frd: Vec3, motors_turn: bool = True
@@ -49,12 +43,12 @@ class ImuSensor:
 
         Motors that stand still shake nothing; PX4 aligns its estimator then, and would not in ringing.
         """
-        noisy = add(add(specific_force_frd, self.bias), gauss3(self._rng, self._sigma))
+        noisy = add(add(specific_force_frd, self.bias), self._noise.three(self._sigma))
         if self._ringing is not None and motors_turn:
             noisy = add(noisy, self._ringing.next())
         f, s = specific_force_frd, self.full_scale_m_s2
         read = (_saturate(f[0], noisy[0], s), _saturate(f[1], noisy[1], s), _saturate(f[2], noisy[2], s))
-        return read, add(rate_frd, gauss3(self._rng, self._gyro_sigma))
+        return read, add(rate_frd, self._noise.three(self._gyro_sigma))
 
 
 class _Ringing:
@@ -62,8 +56,9 @@ class _Ringing:
 
     _WANDER_S = 1.0  # over which the tone crosses its band
 
-    def __init__(self, config: ImuRinging, tick_s: float, rng: random.Random) -> None:
-        self._config, self._tick_s, self._rng = config, tick_s, rng
+    def __init__(self, config: ImuRinging, tick_s: float, noise: Normal) -> None:
+        self._config, self._tick_s, self._noise = config, tick_s, noise
+        rng = noise.rng
         self._low, self._high = config.tone_hz_low, config.tone_hz_high
         self._hz = rng.uniform(self._low, self._high)
         self._phase = 0.0
@@ -72,11 +67,11 @@ class _Ringing:
     def next(self) -> Vec3:
         """The next tick's, m/s2, FRD."""
         c = self._config
-        white = gauss3(self._rng, c.white_m_s2)
+        white = self._noise.three(c.white_m_s2)
         if c.tone_m_s2 <= 0.0:
             return white
         step = (self._high - self._low) * math.sqrt(self._tick_s / self._WANDER_S)
-        self._hz = max(self._low, min(self._high, self._hz + self._rng.gauss(0.0, step)))
+        self._hz = max(self._low, min(self._high, self._hz + self._noise.one(step)))
         self._phase = (self._phase + math.tau * self._hz * self._tick_s) % math.tau
         top = math.sqrt(2.0) * c.tone_m_s2
         a, b, d = self._shift
@@ -98,9 +93,9 @@ def _saturate(true: float, noisy: float, scale: float) -> float:
 class PoseSensor:
     """Motion capture: position and attitude at a rate, with noise, reported after a delay."""
 
-    def __init__(self, vehicle: VehicleConfig, rng: random.Random) -> None:
+    def __init__(self, vehicle: VehicleConfig, noise: Normal) -> None:
         s = vehicle.simulation
-        self._rng = rng
+        self._noise = noise
         self._period_s = 1.0 / s.pose_rate_hz
         self._delay_s, self._sigma, self._attitude_sigma = (
             s.pose_delay_s,
@@ -116,8 +111,8 @@ class PoseSensor:
         now = plant.time_s
         if now >= self._next_s:
             self._next_s += self._period_s
-            twist = quaternion_from_rotation_vector(gauss3(self._rng, self._attitude_sigma))
-            position = add(add(plant.position, self.offset_ned), gauss3(self._rng, self._sigma))
+            twist = quaternion_from_rotation_vector(self._noise.three(self._attitude_sigma))
+            position = add(add(plant.position, self.offset_ned), self._noise.three(self._sigma))
             self._pending.append((now, position, quaternion_multiply(plant.q, twist)))
         if self._pending and self._pending[0][0] + self._delay_s <= now:
             return self._pending.popleft()
@@ -129,13 +124,13 @@ class Barometer:
 
     SIGMA_HPA = 0.01  # about 8 cm
 
-    def __init__(self, rng: random.Random, home_altitude_m: float) -> None:
-        self._rng, self._home = rng, home_altitude_m
+    def __init__(self, noise: Normal, home_altitude_m: float) -> None:
+        self._noise, self._home = noise, home_altitude_m
 
     def measure(self, plant: Plant) -> tuple[float, float]:
         """(static pressure in hPa, pressure altitude in m)."""
         true_hpa = pressure_hpa(self._home - plant.position[2])
-        measured = true_hpa + self._rng.gauss(0.0, self.SIGMA_HPA)
+        measured = true_hpa + self._noise.one(self.SIGMA_HPA)
         return measured, altitude_m(measured)
 
 
@@ -153,19 +148,19 @@ class Magnetometer:
     """The earth's field in the body frame, with noise.
 
     Args:
-        rng: of the noise.
+        noise: numbers for it.
         field_ned_gauss: the field at home, north, east, down.
     """
 
     SIGMA_GAUSS = 0.002
 
-    def __init__(self, rng: random.Random, field_ned_gauss: Vec3) -> None:
-        self._rng, self._field = rng, field_ned_gauss
+    def __init__(self, noise: Normal, field_ned_gauss: Vec3) -> None:
+        self._noise, self._field = noise, field_ned_gauss
 
     def measure(self, plant: Plant) -> Vec3:
         """Field in gauss, FRD."""
         body = rotate(quaternion_conjugate(plant.q), self._field)
-        return add(body, gauss3(self._rng, self.SIGMA_GAUSS))
+        return add(body, self._noise.three(self.SIGMA_GAUSS))
 
 
 class GpsQuality(NamedTuple):
@@ -188,7 +183,7 @@ class GpsQuality(NamedTuple):
 
 
 # Standard deviation in all: 0.02 m for RTK, 1 m without corrections.
-GPS_QUALITIES = {
+GPS_QUALITIES: Final = {
     "rtk": GpsQuality(6, 0.0173, 20.0, 0.01, 0.03, 0.02, 0.03),
     "plain": GpsQuality(3, 1.0, 60.0, 0.05, 0.1, 0.9, 1.5),
 }
@@ -207,8 +202,8 @@ class GpsReceiver:
     RATE_HZ = 10.0
     DELAY_S = 0.1
 
-    def __init__(self, quality: GpsQuality, rng: random.Random) -> None:
-        self.quality, self._rng = quality, rng
+    def __init__(self, quality: GpsQuality, noise: Normal) -> None:
+        self.quality, self._noise = quality, noise
         self._period_s = 1.0 / self.RATE_HZ
         self._decay = math.exp(-self._period_s / quality.wander_s)
         self._wander = self._scaled(quality.wander_m)
@@ -223,13 +218,13 @@ class GpsReceiver:
             q = self.quality
             kick = self._scaled(q.wander_m * math.sqrt(1.0 - self._decay * self._decay))
             self._wander = add(scale(self._wander, self._decay), kick)
-            position = add(add(plant.position, self._wander), gauss3(self._rng, q.noise_m))
-            velocity = add(plant.velocity, gauss3(self._rng, q.velocity_noise_m_s))
+            position = add(add(plant.position, self._wander), self._noise.three(q.noise_m))
+            velocity = add(plant.velocity, self._noise.three(q.velocity_noise_m_s))
             self._pending.append((now, GpsFix(position, velocity)))
         if self._pending and self._pending[0][0] + self.DELAY_S <= now:
             return self._pending.popleft()[1]
         return None
 
     def _scaled(self, sigma: float) -> Vec3:
-        x, y, z = gauss3(self._rng, sigma)
+        x, y, z = self._noise.three(sigma)
         return (x, y, 1.5 * z)

@@ -6,6 +6,7 @@ import math
 import random
 
 from dart_flight.config.vehicle import Simulation
+from dart_flight.sim.noise import Normal
 from dart_flight.sim.plant import Plant
 
 
@@ -22,12 +23,12 @@ class Wind:
         self._steady, self._sigma = simulation.wind_north_east_m_s, simulation.gust_m_s
         self._decay = math.exp(-tick_s / simulation.gust_time_s)
         self._kick = math.sqrt(1.0 - self._decay * self._decay)
-        self._rng = random.Random(seed ^ 0x57494E44)
-        self._gust = [self._rng.gauss(0.0, self._sigma), self._rng.gauss(0.0, self._sigma)]
+        self._noise = Normal(random.Random(seed ^ 0x57494E44))
+        self._gust = [self._noise.one(self._sigma), self._noise.one(self._sigma)]
 
     def blow(self, plant: Plant) -> None:
         """The wind of the next tick."""
         if self._sigma > 0.0:
             for i in range(2):
-                self._gust[i] = self._decay * self._gust[i] + self._kick * self._rng.gauss(0.0, self._sigma)
+                self._gust[i] = self._decay * self._gust[i] + self._kick * self._noise.one(self._sigma)
         plant.wind_ned = (self._steady[0] + self._gust[0], self._steady[1] + self._gust[1], 0.0)

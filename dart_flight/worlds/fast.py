@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
@@ -61,14 +61,14 @@ from dart_flight.worlds.flight_record import FlightRecord, Onlooker
 from dart_flight.worlds.runner import CoreRunner, Observe
 
 # The host reads its own clock; and a message takes 1 ms, the median of MAVSDK's callback over UDP.
-_HOST_OFFSET_US = 7_001_000
-_HALF_RATE = 2  # ticks: attitude, odometry, actuator outputs at 125 Hz
-_TRUTH_EVERY = 2
-_STATUS_EVERY = 50  # 5 Hz, and at once when something changes
-_HOST_EVERY = 5  # ticks of 4 ms: lock polled and host time reported at 50 Hz
-_REPEAT_US = 50_000  # MAVSDK repeats the last set-point at 20 Hz
-_NAN3 = (math.nan, math.nan, math.nan)
-FLIGHT_MODES = {
+_HOST_OFFSET_US: Final = 7_001_000
+_HALF_RATE: Final = 2  # ticks: attitude, odometry, actuator outputs at 125 Hz
+_TRUTH_EVERY: Final = 2
+_STATUS_EVERY: Final = 50  # 5 Hz, and at once when something changes
+_HOST_EVERY: Final = 5  # ticks of 4 ms: lock polled and host time reported at 50 Hz
+_REPEAT_US: Final = 50_000  # MAVSDK repeats the last set-point at 20 Hz
+_NAN3: Final = (math.nan, math.nan, math.nan)
+FLIGHT_MODES: Final = {
     VehicleAction.OFFBOARD: FlightMode.OFFBOARD,
     VehicleAction.HOLD: FlightMode.HOLD,
     VehicleAction.LAND: FlightMode.LAND,

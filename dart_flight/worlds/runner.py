@@ -7,14 +7,14 @@ and in what carries commands out (`Hands`), in nothing else: numbers, order and 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Final, Protocol
 
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.samples import ForceEstimate, Input, Output, Record, SetPoint, SetPointSent, TorqueEstimate
 
 Observe = Callable[[Record, int], None]
 # Set-points have left already; the estimates come with every IMU sample and are no commands.
-_NOT_CARRIED = (SetPoint, ForceEstimate, TorqueEstimate)
+_NOT_CARRIED: Final = (SetPoint, ForceEstimate, TorqueEstimate)
 
 
 class Hands(Protocol):

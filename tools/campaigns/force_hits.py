@@ -23,6 +23,7 @@ from dart_flight.geometry import (
     Vec2,
     Vec3,
     Wall,
+    add,
     dot2,
     quaternion_from_euler,
     quaternion_from_rotation_vector,
@@ -41,6 +42,7 @@ from dart_flight.samples import (
     OdometrySample,
     StatusSample,
 )
+from dart_flight.sim.noise import Normal
 from dart_flight.sim.plant import Plant
 from dart_flight.sim.sensors import ImuSensor
 
@@ -233,9 +235,9 @@ def judge_hit(
         seed: of it.
         believed: the estimator's vehicle, where it is not the plant's.
     """
-    rng = random.Random(seed)
+    noise = Normal(random.Random(seed))
     noisy = msgspec.structs.replace(vehicle.simulation, imu_noise_m_s2=sigma)
-    imu = ImuSensor(msgspec.structs.replace(vehicle, simulation=noisy), rng)
+    imu = ImuSensor(msgspec.structs.replace(vehicle, simulation=noisy), noise)
     state.frame = FRAME
     state.lock = LockState(_START_US, LockPhase.SETTLED, flown.hit.mode)
     state.status = StatusSample(_START_US, _START_US, landed=LandedState.IN_AIR)
@@ -247,7 +249,7 @@ def judge_hit(
     for i, tick in enumerate([*_hover(flown), *flown.ticks]):
         t = tick.t_us
         if i % 2 == 0:
-            _odometry(judge, tick, flown.command if t > _START_US else hover, rng)
+            _odometry(judge, tick, flown.command if t > _START_US else hover, noise)
         judge.expected = judge.expected._replace(watching=t > _START_US)
         measured, rate = imu.measure(tick.specific_force, (0.0, 0.0, 0.0))
         for event in judge.take(ImuSample(t, t + 1000, measured, rate)):
@@ -278,14 +280,13 @@ def _hover(flown: Flown) -> list[Tick]:
     ]
 
 
-def _odometry(judge: Judge, tick: Tick, command: float, rng: random.Random) -> None:
+def _odometry(judge: Judge, tick: Tick, command: float, noise: Normal) -> None:
     t, s = tick.t_us, _ATTITUDE_SIGMA_RAD
-    twist = quaternion_from_rotation_vector((rng.gauss(0.0, s), rng.gauss(0.0, s), rng.gauss(0.0, s)))
+    twist = quaternion_from_rotation_vector(noise.three(s))
     attitude = AttitudeSample(t // 1000 * 1000, t + 1000, quaternion_multiply(tick.q, twist))
     if judge.state.take_attitude(attitude):
         judge.estimator.take_attitude(attitude)
-    v, sv = tick.velocity, _VELOCITY_SIGMA_M_S
-    velocity = (v[0] + rng.gauss(0.0, sv), v[1] + rng.gauss(0.0, sv), v[2] + rng.gauss(0.0, sv))
+    velocity = add(tick.velocity, noise.three(_VELOCITY_SIGMA_M_S))
     judge.state.take_odometry(OdometrySample(t, t + 1000, tick.position, velocity))
     judge.estimator.thrust.take_actuator(ActuatorSample(t, t + 1000, (command,) * 4))
 

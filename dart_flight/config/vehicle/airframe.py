@@ -13,6 +13,7 @@ import msgspec
 from msgspec import Meta
 
 from dart_flight.config.section import Fraction, Section
+from dart_flight.config.vehicle.motor_curve import MotorCurve
 from dart_flight.geometry import Vec2, Wall
 from dart_flight.samples import Mode
 
@@ -186,22 +187,24 @@ class Thrust(Section, frozen=True):
             return Thrust(self.motor_lag_s, table=table)
         return Thrust(self.motor_lag_s, self.most_n * factor, self.model_factor)
 
+    @property
+    def curve(self) -> MotorCurve | None:
+        """The curve of two numbers; None: there is a table."""
+        if self.full_n is None or self.model_factor is None:
+            return None
+        return MotorCurve(self.full_n, self.model_factor)
+
     def force_n(self, command: float) -> float:
         """Steady thrust in newton of one motor at a command from 0 to 1."""
         return self.forces_n((command,))[0]
 
     def forces_n(self, commands: Iterable[float]) -> list[float]:
-        """Steady thrust in newton of each motor: the plant asks for all at once, every millisecond."""
-        full, square = self.full_n, self.model_factor
-        if full is None or square is None:
-            points = self._points()
-            return [_between(points, max(0.0, min(1.0, command)), 0) for command in commands]
-        linear = 1.0 - square
-        forces = []
-        for command in commands:
-            u = 0.0 if command < 0.0 else 1.0 if command > 1.0 else command
-            forces.append(full * (square * u * u + linear * u))
-        return forces
+        """Steady thrust in newton of each motor."""
+        curve = self.curve
+        if curve is not None:
+            return [curve.force_n(command) for command in commands]
+        points = self._points()
+        return [_between(points, max(0.0, min(1.0, command)), 0) for command in commands]
 
     def command_for(self, force_n: float) -> float:
         """The command from 0 to 1 that gives a steady thrust; saturates."""
@@ -209,15 +212,11 @@ class Thrust(Section, frozen=True):
 
     def commands_for(self, forces_n: Iterable[float]) -> list[float]:
         """The command of each motor for a steady thrust in newton."""
-        full, a = self.full_n, self.model_factor
-        if full is None or a is None:
-            points, most = self._points(), self.most_n
-            return [_between(points, max(0.0, min(most, force)), 1) for force in forces_n]
-        relative = [max(0.0, min(1.0, force / full)) for force in forces_n]
-        if a < 1e-6:
-            return relative
-        b = 1.0 - a
-        return [float((-b + (b * b + 4.0 * a * share) ** 0.5) / (2.0 * a)) for share in relative]
+        curve = self.curve
+        if curve is not None:
+            return [curve.command_for(force) for force in forces_n]
+        points, most = self._points(), self.most_n
+        return [_between(points, max(0.0, min(most, force)), 1) for force in forces_n]
 
 
 def _between(points: tuple[tuple[float, float], ...], x: float, given: int) -> float:

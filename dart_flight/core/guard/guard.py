@@ -9,7 +9,7 @@ of the mission.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from dart_flight.config.mission import Mission
 from dart_flight.core.guard.rules import RULES, RULES_BY_NAME, Rule, Scope, in_scope
@@ -40,11 +40,12 @@ from dart_flight.samples import (
 
 Causes = list[tuple[int, Callable[[Watch], str | None], str]]  # rank of the action, cause, name of the rule
 
-_HOLD_US = 3_000_000
-_RETRY_US = 1_000_000
-_DISARM_AFTER_US = 15_000_000  # PX4 disarms by itself after landing; the command is for when it does not
-_UNSURE_US = 15_000_000
-_LANDING_US = 60_000_000  # from 2 m at 0.7 m/s a landing takes 5 s
+_HOLD_US: Final = 3_000_000
+_RETRY_US: Final = 1_000_000
+# PX4 disarms by itself after landing; the command is for when it does not
+_DISARM_AFTER_US: Final = 15_000_000
+_UNSURE_US: Final = 15_000_000
+_LANDING_US: Final = 60_000_000  # from 2 m at 0.7 m/s a landing takes 5 s
 
 
 class _Judged(NamedTuple):

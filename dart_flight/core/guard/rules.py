@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from dart_flight.core.guard.watch import Stamped, Watch, low_rate
 from dart_flight.core.mission.phases import ALTITUDE_EXEMPT, ON_GROUND
@@ -25,10 +25,10 @@ from dart_flight.samples import (
     Request,
 )
 
-_SPEED_TOLERANCE = 1.1
-_STALE_SAMPLES = 5  # in a row; one late datagram is no clock that runs backwards
-_OTHERS_SINCE = 12  # a tenth of a second of one other stream
-_ALTITUDE_SLACK_M = 0.05
+_SPEED_TOLERANCE: Final = 1.1
+_STALE_SAMPLES: Final = 5  # in a row; one late datagram is no clock that runs backwards
+_OTHERS_SINCE: Final = 12  # a tenth of a second of one other stream
+_ALTITUDE_SLACK_M: Final = 0.05
 
 
 class Scope(StrEnum):

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import Final
 
 from dart_flight.geometry import norm
 from dart_flight.samples import OdometrySample
 
-_TURNS = 3  # there and back, within the window
-_WINDOW_US = 2_000_000  # host time
-_FASTEST = 20  # simulated seconds per second
-_REACH_US = 1_000_000  # samples of one source are no further apart
+_TURNS: Final = 3  # there and back, within the window
+_WINDOW_US: Final = 2_000_000  # host time
+_FASTEST: Final = 20  # simulated seconds per second
+_REACH_US: Final = 1_000_000  # samples of one source are no further apart
 
 
 class TwoClocks:

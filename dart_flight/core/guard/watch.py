@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import Final
 
 from dart_flight.config.mission import Mission
 from dart_flight.core.guard.sources import TwoClocks, TwoPlaces
@@ -35,21 +36,21 @@ from dart_flight.samples import (
 )
 from dart_flight.streams import BY_NAME
 
-_FAILSAFE_WORDS = ("failsafe",)
-_FAILSAFE_MEMORY_US = 3_000_000
-_UNSURE_US = 250_000  # in which a second vehicle shows for certain
-_DOUBT_US = 100_000  # host time; another vehicle's samples come within this of its mode
-_GAP_US = 500_000  # of silence, in which PX4 may have said anything
-_RATE_WINDOW_US = 1_000_000
-_LEAP_US = 1_000_000
-_CLIP_SHARE = 0.99
-_JUMP_REACH_US = 100_000  # odometry further apart says nothing about a jump
-_RESET_REACH_US = 100_000  # a step this near to a reset came with it
-_SURELY_DOWN = 3.0  # times the way down from the top of the flight space
-_STEPS = 16  # odometry of more than twice that reach
-_NEVER_S = float(1 << 60) * 1e-6
+_FAILSAFE_WORDS: Final = ("failsafe",)
+_FAILSAFE_MEMORY_US: Final = 3_000_000
+_UNSURE_US: Final = 250_000  # in which a second vehicle shows for certain
+_DOUBT_US: Final = 100_000  # host time; another vehicle's samples come within this of its mode
+_GAP_US: Final = 500_000  # of silence, in which PX4 may have said anything
+_RATE_WINDOW_US: Final = 1_000_000
+_LEAP_US: Final = 1_000_000
+_CLIP_SHARE: Final = 0.99
+_JUMP_REACH_US: Final = 100_000  # odometry further apart says nothing about a jump
+_RESET_REACH_US: Final = 100_000  # a step this near to a reset came with it
+_SURELY_DOWN: Final = 3.0  # times the way down from the top of the flight space
+_STEPS: Final = 16  # odometry of more than twice that reach
+_NEVER_S: Final = float(1 << 60) * 1e-6
 Stamped = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
-_STAMPED = ("imu", "attitude", "odometry", "actuator")
+_STAMPED: Final = ("imu", "attitude", "odometry", "actuator")
 
 
 class Watch:

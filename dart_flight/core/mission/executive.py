@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import ClassVar
+from typing import ClassVar, Final
 
 from dart_flight.config.mission import Collision, Mission, Waypoint
 from dart_flight.core.mission.approach import Approach, check_legs, plan_approach
@@ -49,17 +49,18 @@ from dart_flight.samples import (
     WallFelt,
 )
 
-PASSED_RISE_M = 0.03  # the distance to the goal has risen by more than its noise
-PASSED_AFTER_S = 0.25  # the first moments after a contact do not yet show where it leads
-_RETRY_US = 1_000_000  # telemetry of mode and arming lags by up to a second
-_SLOWEST = 3.0  # host's time over vehicle's
-_STREAMING_US = 200_000  # PX4 accepts offboard only with set-points already streaming
-_REST_TIMEOUT_US = 4_000_000
-_REST_AFTER_US = 500_000
-_DISARM_AFTER_US = 8_000_000
+PASSED_RISE_M: Final = 0.03  # the distance to the goal has risen by more than its noise
+PASSED_AFTER_S: Final = 0.25  # the first moments after a contact do not yet show where it leads
+_RETRY_US: Final = 1_000_000  # telemetry of mode and arming lags by up to a second
+_SLOWEST: Final = 3.0  # host's time over vehicle's
+_STREAMING_US: Final = 200_000  # PX4 accepts offboard only with set-points already streaming
+_REST_TIMEOUT_US: Final = 4_000_000
+_REST_AFTER_US: Final = 500_000
+_DISARM_AFTER_US: Final = 8_000_000
 # The wall stops the vehicle in a contact (but for `yielding`), PX4 lands it.
-_SILENT = frozenset({Phase.READYING, Phase.CONTACT, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
-_ANY_WALL, _NO_WALL = Expected(watching=True), Expected()
+_SILENT: Final = frozenset({Phase.READYING, Phase.CONTACT, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
+_ANY_WALL: Final = Expected(watching=True)
+_NO_WALL: Final = Expected()
 
 
 class Executive:

@@ -6,12 +6,14 @@ sprung back (paper, Sec. III; `lock.relaxation_s`).
 
 from __future__ import annotations
 
+from typing import Final
+
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.core.sense.state import FlightState
 from dart_flight.samples import LockCommand, LockPermission, LockPhase, Mode, Output
 
-RETRY_US = 1_000_000
-_OVERDUE_US = 50_000  # two polls of the lock
+RETRY_US: Final = 1_000_000
+_OVERDUE_US: Final = 50_000  # two polls of the lock
 
 
 class LockOrders:

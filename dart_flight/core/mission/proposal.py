@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from dart_flight.core.sense.detector import Expected
 from dart_flight.geometry import MissionFrame
 from dart_flight.samples import MissionEnd, Output
 
-_NO_WALL = Expected()
+_NO_WALL: Final = Expected()
 
 
 class Finding(NamedTuple):

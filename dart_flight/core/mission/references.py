@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import Approach, ReferencePoint, Transit, Way
@@ -11,7 +12,7 @@ from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import MissionFrame, Vec2, Vec3, norm, wrap_angle
 from dart_flight.samples import OdometrySample, SetPoint
 
-_ARRIVED_YAW_RAD = 0.05
+_ARRIVED_YAW_RAD: Final = 0.05
 
 
 class References:

@@ -11,15 +11,16 @@ forgotten the contact.
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.geometry import Vec3
 
-_FADED_M_S2 = 0.02
-_LARGEST_M_S2 = 5.0  # fed forward; also bounds what a hanging set-point could do
+_FADED_M_S2: Final = 0.02
+_LARGEST_M_S2: Final = 5.0  # fed forward; also bounds what a hanging set-point could do
 # From the onset on; PX4 keeps the last set-point of a program that hangs, and this one leads away.
-LONGEST_S = 0.25
+LONGEST_S: Final = 0.25
 
 
 class Yielding:

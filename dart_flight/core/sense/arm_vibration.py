@@ -12,10 +12,11 @@ is linear in a and solved for it: an exact inverse, stable because the arms' sha
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from dart_flight.config.vehicle import ArmVibration
 
-_MOST_TICKS = 25  # after a longer gap in the stream the arms have come to rest
+_MOST_TICKS: Final = 25  # after a longer gap in the stream the arms have come to rest
 
 
 class ArmFilter:

@@ -10,16 +10,17 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import Final
 
 from dart_flight.config.vehicle import Estimation
 from dart_flight.geometry import GRAVITY_M_S2, Vec2, Vec3
 
-_NOISE_TIME_S = 0.5
-_NOISE_OUTLIER = 9.0  # a squared difference counts at most this many times the present one
-_SCALE_STEP = 0.25
-_MOST_STEP_S = 0.05  # after a gap in the stream one sample counts for this long at most
-_BASELINE_DELAY = 10  # samples: 40 ms, in which even a slow contact reaches the threshold
-_BASELINE_STEP_N = 2.0  # further than this from the baseline it is not followed any faster
+_NOISE_TIME_S: Final = 0.5
+_NOISE_OUTLIER: Final = 9.0  # a squared difference counts at most this many times the present one
+_SCALE_STEP: Final = 0.25
+_MOST_STEP_S: Final = 0.05  # after a gap in the stream one sample counts for this long at most
+_BASELINE_DELAY: Final = 10  # samples: 40 ms, in which even a slow contact reaches the threshold
+_BASELINE_STEP_N: Final = 2.0  # further than this from the baseline it is not followed any faster
 
 
 class HoverBias:

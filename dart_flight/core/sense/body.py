@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.core.sense.detector import Expected
@@ -49,20 +49,20 @@ from dart_flight.samples import (
     TorqueEstimate,
 )
 
-LEAST_LEAD_M = 0.002  # a smaller lead is none: both points at once
-_BEFORE = 3  # samples of the contact from before the first one that was over the noise
-_MOST = 160  # samples of a contact
-_MOST_BINS = 18
-_GRID_RAD = math.radians(3.0)
-_GRID_REACH = 5  # steps to either side of what the attitude says
-_GUESSES = (0.6, 1.0, 1.6, 2.5)  # of the angle that a line gives
-_REFINE = 4
-_FINE = 4  # points of the fitted torque in a tick
-_QUADRATIC = (-3.0 / 35.0, 12.0 / 35.0, 17.0 / 35.0, 12.0 / 35.0, -3.0 / 35.0)
-_NEAR_TOP = 0.6  # share of the torque's top from which on a sample says how large it is
-_SURE_SIGMA = 4.0  # a fitted torque below this many times the noise says nothing of the peak's shape
-_COMMON = 1.5  # more than the samples say: what the model is off by is much the same in all of them
-_QUARTER = 0.5 * math.pi
+LEAST_LEAD_M: Final = 0.002  # a smaller lead is none: both points at once
+_BEFORE: Final = 3  # samples of the contact from before the first one that was over the noise
+_MOST: Final = 160  # samples of a contact
+_MOST_BINS: Final = 18
+_GRID_RAD: Final = math.radians(3.0)
+_GRID_REACH: Final = 5  # steps to either side of what the attitude says
+_GUESSES: Final = (0.6, 1.0, 1.6, 2.5)  # of the angle that a line gives
+_REFINE: Final = 4
+_FINE: Final = 4  # points of the fitted torque in a tick
+_QUADRATIC: Final = (-3.0 / 35.0, 12.0 / 35.0, 17.0 / 35.0, 12.0 / 35.0, -3.0 / 35.0)
+_NEAR_TOP: Final = 0.6  # share of the torque's top from which on a sample says how large it is
+_SURE_SIGMA: Final = 4.0  # a fitted torque below this many times the noise says nothing of the peak's shape
+_COMMON: Final = 1.5  # more than the samples say: what the model is off by is much the same in all of them
+_QUARTER: Final = 0.5 * math.pi
 
 
 class Known(NamedTuple):

@@ -24,30 +24,34 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from dart_flight.contact.law import Onset
 from dart_flight.geometry import Vec2
 
-PLACE_M = 0.1  # at least: how far off the plan a wall may stand: loosely held, the force tells
-WALL_RAD = math.radians(4.0)  # at least: how well a wall's direction is known, with that of the attitude
-_VELOCITY_M_S, _VELOCITY_SHARE = 0.04, 0.02  # deviation of PX4's velocity, at rest and of the speed
-_VERTICAL_N = 1.0  # deviation of the vertical force's mean over a contact
-_LEVER_SHARE = 0.3  # at which friction is expected to act, as in `body.Known`
+PLACE_M: Final = 0.1  # at least: how far off the plan a wall may stand: loosely held, the force tells
+WALL_RAD: Final = math.radians(
+    4.0
+)  # at least: how well a wall's direction is known, with that of the attitude
+_VELOCITY_M_S: Final = 0.04  # deviation of PX4's velocity, at rest and of the speed
+_VELOCITY_SHARE: Final = 0.02
+_VERTICAL_N: Final = 1.0  # deviation of the vertical force's mean over a contact
+_LEVER_SHARE: Final = 0.3  # at which friction is expected to act, as in `body.Known`
 # What the model is off by, of the largest force, and of the largest friction.
-_MODEL_ERROR, _FRICTION_ERROR = 0.015, 0.03
-_LEAST_FACTOR = 0.1  # no coefficient is believed to be below this share of what was believed
-_MOST_ANGLE_RAD = 0.6
-_STEPS = 8  # one a sample, so that 60 ms after the contact's end all is said
-_SETTLED = 1e-2  # a smaller gain of the cost ends the search
-_MOST_DAMPING = 1e4
-_DIFFERENCE = 1e-5  # of a parameter, for the derivatives
-_SUBSTEPS = 2  # of a tick
-_MOST_TICKS = 36  # more are merged
-_GUESS_SHARE = 0.15  # of the largest force: readings that a first guess is made of
-_INCIDENCES_RAD = tuple(math.radians(d) for d in (4.0, 7.0, 10.0))  # at which a fit may begin
+_MODEL_ERROR: Final = 0.015
+_FRICTION_ERROR: Final = 0.03
+_LEAST_FACTOR: Final = 0.1  # no coefficient is believed to be below this share of what was believed
+_MOST_ANGLE_RAD: Final = 0.6
+_STEPS: Final = 8  # one a sample, so that 60 ms after the contact's end all is said
+_SETTLED: Final = 1e-2  # a smaller gain of the cost ends the search
+_MOST_DAMPING: Final = 1e4
+_DIFFERENCE: Final = 1e-5  # of a parameter, for the derivatives
+_SUBSTEPS: Final = 2  # of a tick
+_MOST_TICKS: Final = 36  # more are merged
+_GUESS_SHARE: Final = 0.15  # of the largest force: readings that a first guess is made of
+_INCIDENCES_RAD: Final = tuple(math.radians(d) for d in (4.0, 7.0, 10.0))  # at which a fit may begin
 _K, _F, _X, _V, _D, _MU, _W = range(7)  # k, f, place, velocity, angle, mu, velocity along
-_ALL = 7
+_ALL: Final = 7
 
 
 class Belief(NamedTuple):

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from enum import Enum, auto
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from dart_flight.config.vehicle import Coefficients, Detection, ThresholdTest, VehicleConfig
 from dart_flight.core.sense.bias import SlowForce
@@ -33,20 +33,21 @@ from dart_flight.samples import (
     Mode,
 )
 
-_RISE_SHARE = 0.3  # of the threshold: above it a sample before the crossing belongs to the contact
-_PEAK_DROP_SHARE = 0.25  # of the threshold: a smaller drop is noise
-_DROP_SIGMA = 2.5  # ... and so is one within this many standard deviations of the smoothed force
-_SMOOTH_SHARE = 0.02  # samples are averaged until their noise is this share of the top
-_MOST_SMOOTH = 5
-_TOP_SHARE = 0.7  # samples above this share of the maximum are the top of the pulse
-_TOP_REACH = 4  # samples on either side, at most
-_BEFORE = 8  # samples remembered from before the crossing
-_FAR_SIGMA = 4.6  # threshold over the noise of one sample: from here on two samples in a row will do
-_OFTEN_SIGMA = 1.0  # more for one sample and for two: noise has many more chances there than in a long mean
-_MARGIN_SIGMA = 1.0  # a pulse is promised to be found this many deviations over the threshold
-_NOISY_BASELINE = 0.4  # of its usual rate: where a mean still shakes, the baseline would shake with it
-_LONGEST_CONTACT_S = 0.5  # in noise the end of a contact may drown
-_INTO_WALL = 0.1  # of the force: this much may point into the expected wall at the onset
+_RISE_SHARE: Final = 0.3  # of the threshold: above it a sample before the crossing belongs to the contact
+_PEAK_DROP_SHARE: Final = 0.25  # of the threshold: a smaller drop is noise
+_DROP_SIGMA: Final = 2.5  # ... and so is one within this many standard deviations of the smoothed force
+_SMOOTH_SHARE: Final = 0.02  # samples are averaged until their noise is this share of the top
+_MOST_SMOOTH: Final = 5
+_TOP_SHARE: Final = 0.7  # samples above this share of the maximum are the top of the pulse
+_TOP_REACH: Final = 4  # samples on either side, at most
+_BEFORE: Final = 8  # samples remembered from before the crossing
+_FAR_SIGMA: Final = 4.6  # threshold over the noise of one sample: from here on two samples in a row will do
+# more for one sample and for two: noise has many more chances there than in a long mean
+_OFTEN_SIGMA: Final = 1.0
+_MARGIN_SIGMA: Final = 1.0  # a pulse is promised to be found this many deviations over the threshold
+_NOISY_BASELINE: Final = 0.4  # of its usual rate: where a mean still shakes, the baseline would shake with it
+_LONGEST_CONTACT_S: Final = 0.5  # in noise the end of a contact may drown
+_INTO_WALL: Final = 0.1  # of the force: this much may point into the expected wall at the onset
 
 
 class Expected(NamedTuple):

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.law import Onset
@@ -34,12 +34,12 @@ from dart_flight.samples import (
     WallFelt,
 )
 
-_BEFORE = 4  # samples of the contact from before the first one that was over the noise
-_FEWEST = 4  # readings in contact
-_SLOWEST_M_S = 0.02
-_POSITION_M = 0.01  # deviation of PX4's position against the walls' frame
-_MOST_MISFIT = 2.0  # mean square of the residuals over their errors: beyond it this is no such contact
-_QUARTER = 0.5 * math.pi
+_BEFORE: Final = 4  # samples of the contact from before the first one that was over the noise
+_FEWEST: Final = 4  # readings in contact
+_SLOWEST_M_S: Final = 0.02
+_POSITION_M: Final = 0.01  # deviation of PX4's position against the walls' frame
+_MOST_MISFIT: Final = 2.0  # mean square of the residuals over their errors: beyond it this is no such contact
+_QUARTER: Final = 0.5 * math.pi
 
 
 class WallSense:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import Final
 
 from dart_flight.config.vehicle import Observer, VehicleConfig
 from dart_flight.core.sense.arm_vibration import ArmFilter
@@ -25,9 +26,9 @@ from dart_flight.core.sense.turning import Turning
 from dart_flight.geometry import GRAVITY_M_S2, MissionFrame, Quaternion, Vec3, advance_attitude
 from dart_flight.samples import AttitudeSample, ForceEstimate, ImuSample, Mode
 
-_ATTITUDE_REACH_US = 60_000  # older attitudes are not carried on by the gyro
-_CLIP_SHARE = 0.99  # a reading this near full scale is a lower bound
-_HISTORY = 32
+_ATTITUDE_REACH_US: Final = 60_000  # older attitudes are not carried on by the gyro
+_CLIP_SHARE: Final = 0.99  # a reading this near full scale is a lower bound
+_HISTORY: Final = 32
 
 
 class ForceEstimator:

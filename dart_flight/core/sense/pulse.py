@@ -17,17 +17,17 @@ Scalar floats and `math` only: some tens of samples, once per impact.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
-_MOST_BINS = 13
-_STEPS = 8
-_MODEL_ERROR = (
-    0.01  # of the top: what the model itself may be off by, so that a quiet sensor is not overtrusted
-)
-_PRIOR_LOG_OMEGA = 0.25
-_PRIOR_LOG_KAPPA = 1.0
-_LEAST_OMEGA, _MOST_OMEGA = 8.0, 400.0
-_MOST_MISFIT = 0.12  # of the peak, root mean square: beyond it this is not the model's pulse
+_MOST_BINS: Final = 13
+_STEPS: Final = 8
+# of the top: what the model itself may be off by, so that a quiet sensor is not overtrusted
+_MODEL_ERROR: Final = 0.01
+_PRIOR_LOG_OMEGA: Final = 0.25
+_PRIOR_LOG_KAPPA: Final = 1.0
+_LEAST_OMEGA: Final = 8.0
+_MOST_OMEGA: Final = 400.0
+_MOST_MISFIT: Final = 0.12  # of the peak, root mean square: beyond it this is not the model's pulse
 
 
 class TickReading(NamedTuple):

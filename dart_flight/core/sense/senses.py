@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from dart_flight.config.mission import Mission
 from dart_flight.core.sense.body import BodySense, ContactSamples, Felt
@@ -58,7 +58,8 @@ class Sensed(NamedTuple):
     wall: WallFelt | None = None
 
 
-_NOTHING, _TOUCHING = Sensed(), Sensed(in_contact=True)
+_NOTHING: Final = Sensed()
+_TOUCHING: Final = Sensed(in_contact=True)
 
 
 class Senses:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from typing import Final
 
 from dart_flight.geometry import MissionFrame, Vec3, add, scale, tilt_of, yaw_ned_of
 from dart_flight.samples import (
@@ -24,13 +25,13 @@ from dart_flight.samples import (
     Tick,
 )
 
-_SEVERE = frozenset({"emergency", "alert", "critical", "error", "warning"})
-_SAID_US = 15_000_000  # PX4's words older than this explain nothing any more
-_MOST_REASONS = 6
-_LEAP_US = 1_000_000
-_FASTEST = 20  # simulated seconds per second
-_LEAPS_BELIEVED = 25
-_VELOCITIES_KEPT_US = 1_000_000
+_SEVERE: Final = frozenset({"emergency", "alert", "critical", "error", "warning"})
+_SAID_US: Final = 15_000_000  # PX4's words older than this explain nothing any more
+_MOST_REASONS: Final = 6
+_LEAP_US: Final = 1_000_000
+_FASTEST: Final = 20  # simulated seconds per second
+_LEAPS_BELIEVED: Final = 25
+_VELOCITIES_KEPT_US: Final = 1_000_000
 
 
 class FlightState:

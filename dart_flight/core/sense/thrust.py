@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import Final
 
 from dart_flight.config.vehicle import ThrustSource, VehicleConfig
 from dart_flight.geometry import GRAVITY_M_S2
@@ -18,8 +19,9 @@ from dart_flight.samples import ActuatorSample, AttitudeTargetSample, EscSample
 
 Each = tuple[float, ...]  # of every motor
 
-_ESC_PERIOD_US = 20_000  # `auto` takes no slower telemetry: switching to and fro would look like forces
-_PENDING = 16  # commands ahead of the IMU: a few ticks at most
+# `auto` takes no slower telemetry: switching to and fro would look like forces
+_ESC_PERIOD_US: Final = 20_000
+_PENDING: Final = 16  # commands ahead of the IMU: a few ticks at most
 
 
 class LaggedCommands:

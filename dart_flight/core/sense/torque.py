@@ -12,6 +12,7 @@ motor weaker than the others) is followed outside of contacts and taken off.
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.thrust import Each
@@ -19,13 +20,13 @@ from dart_flight.core.sense.turning import Turning
 from dart_flight.geometry import Vec3, gyroscopic_torque
 from dart_flight.samples import TorqueEstimate
 
-_NOISE_TIME_S = 0.5
-_OUTLIER = 9.0  # a squared difference counts at most this many times the present one
-_THIRD = 1.0 / 3.0  # a change of the rate's white noise, of variance 2: successive ones differ by 6
-_LEAST_STEP = 1e-10  # N2 m2, added with every sample: never let certainty become absolute
-_SLOW_S = 1.0  # time constant of the torque that is always there ...
-_MOST_SLOW_NM = 0.3  # ... which is not followed further than this
-_MOST_STEP_S = 0.05  # after a gap in the stream one sample counts for this long at most
+_NOISE_TIME_S: Final = 0.5
+_OUTLIER: Final = 9.0  # a squared difference counts at most this many times the present one
+_THIRD: Final = 1.0 / 3.0  # a change of the rate's white noise, of variance 2: successive ones differ by 6
+_LEAST_STEP: Final = 1e-10  # N2 m2, added with every sample: never let certainty become absolute
+_SLOW_S: Final = 1.0  # time constant of the torque that is always there ...
+_MOST_SLOW_NM: Final = 0.3  # ... which is not followed further than this
+_MOST_STEP_S: Final = 0.05  # after a gap in the stream one sample counts for this long at most
 
 
 class TorqueEstimator:

@@ -8,10 +8,12 @@ the mean of alpha over the tick, as a reading is the mean of the specific force 
 
 from __future__ import annotations
 
+from typing import Final
+
 from dart_flight.geometry import Vec3
 from dart_flight.samples import ImuSample
 
-_LONGEST_GAP_S = 0.1  # further apart two rates say nothing of the acceleration between them
+_LONGEST_GAP_S: Final = 0.1  # further apart two rates say nothing of the acceleration between them
 
 
 class Turning:

@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import Final
 
 from dart_flight.geometry import Vec2
 
-_QUICK_S, _SLOW_S = 0.5, 5.0  # a manoeuvre counts at once, and its noise is not forgotten at once
-_LEAST_N2 = 1e-4
-_OUTLIER = 9.0  # a square counts at most this many times the present variance
-_ASSUMED = 5  # samples that the noise to begin with counts for
-_DELAY = 10  # samples: what a contact's foot teaches is thrown away at its onset
-_MOST_STEP_S = 0.05  # after a gap in the stream one sample counts for this long at most
+_QUICK_S: Final = 0.5  # a manoeuvre counts at once, and its noise is not forgotten at once
+_SLOW_S: Final = 5.0
+_LEAST_N2: Final = 1e-4
+_OUTLIER: Final = 9.0  # a square counts at most this many times the present variance
+_ASSUMED: Final = 5  # samples that the noise to begin with counts for
+_DELAY: Final = 10  # samples: what a contact's foot teaches is thrown away at its onset
+_MOST_STEP_S: Final = 0.05  # after a gap in the stream one sample counts for this long at most
 
 
 class WindowMean:

@@ -25,6 +25,7 @@ from dart_flight.errors import FlightError
 from dart_flight.geometry import Quaternion, Vec3
 from dart_flight.lock.drivers.px4 import actuator_pulse_us
 from dart_flight.sim.autopilot import TICK_US
+from dart_flight.sim.noise import Normal
 from dart_flight.sim.plant import make_plant
 from dart_flight.sim.sensors import (
     GPS_QUALITIES,
@@ -167,12 +168,12 @@ class Px4Vehicle:
     ) -> None:
         self.vehicle, self._link = mission.vehicle, link
         self.plant = make_plant(mission, motors, seed)
-        rng = random.Random(seed)
-        self._imu = ImuSensor(self.vehicle, rng)
-        self._pose = PoseSensor(self.vehicle, rng) if position_from is PositionSource.MOCAP else None
-        self._gps = GpsReceiver(GPS_QUALITIES[position_from], rng) if self._pose is None else None
-        self._barometer = Barometer(rng, HOME_ALTITUDE_M)
-        self._magnetometer = Magnetometer(rng, HOME_FIELD_GAUSS)
+        noise = Normal(random.Random(seed))
+        self._imu = ImuSensor(self.vehicle, noise)
+        self._pose = PoseSensor(self.vehicle, noise) if position_from is PositionSource.MOCAP else None
+        self._gps = GpsReceiver(GPS_QUALITIES[position_from], noise) if self._pose is None else None
+        self._barometer = Barometer(noise, HOME_ALTITUDE_M)
+        self._magnetometer = Magnetometer(noise, HOME_FIELD_GAUSS)
         self._wind = Wind(self.vehicle.simulation, seed, TICK_US * 1e-6)
         lock = self.vehicle.lock
         self._servo = None if lock is None else LockServo(self.plant, lock.servo)
