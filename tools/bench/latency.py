@@ -7,6 +7,7 @@ the peak was known to its receiving of the set-point that followed from it.
     python -m tools.bench.latency [IMPACTS]
     python -m tools.bench.latency compare IMPACTS
     python -m tools.bench.latency busy IMPACTS  # as deployed: both cores busy, this at nice -15; needs root
+        [beside]  # whatever else already keeps them busy
 """
 
 from __future__ import annotations
@@ -256,12 +257,17 @@ def rows(impacts: int = IMPACTS) -> list[dict[str, Any]]:
 _BLOCK = 250  # impacts; app and floor take turns
 
 
-def busy(impacts: int) -> None:
-    """Print the latency as deployed, with other work on both cores, beside that of MAVSDK alone."""
+def busy(impacts: int, beside: bool = False) -> None:
+    """Print the latency as deployed, with other work on both cores, beside that of MAVSDK alone.
+
+    Args:
+        impacts: of each.
+        beside: what else the machine does is that work; otherwise a loop for each core is begun.
+    """
     found: dict[str, list[float]] = {"MAVSDK alone": [], "app": []}
     expected = 0
     with ExitStack() as stack:
-        for _ in range(os.cpu_count() or 1):
+        for _ in range(0 if beside else os.cpu_count() or 1):
             spinning = stack.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
             stack.callback(spinning.kill)
         os.setpriority(os.PRIO_PROCESS, 0, -15)
@@ -299,7 +305,7 @@ if __name__ == "__main__":
     if sys.argv[1:2] == ["compare"]:
         compare(int(sys.argv[2]))
     elif sys.argv[1:2] == ["busy"]:
-        busy(int(sys.argv[2]))
+        busy(int(sys.argv[2]), beside=sys.argv[3:4] == ["beside"])
     else:
         for row in rows(int(sys.argv[1]) if len(sys.argv) > 1 else IMPACTS):
             print(row)
