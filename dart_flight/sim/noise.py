@@ -15,7 +15,9 @@ class Normal:
     an interpreted method each costs more than all else in compiled sensors (docs/speed.md). The numbers
     are those of `gauss`, which has had this formula and this order in every Python so far
     (`tests/sim/test_noise.py`); should it ever get another, flights of the same seed stay as they are.
-    Args: rng: of the uniform numbers; who else draws from it changes the sequence.
+
+    Args:
+        rng: of the uniform numbers; who else draws from it changes the sequence.
     """
 
     def __init__(self, rng: random.Random) -> None:
