@@ -41,11 +41,6 @@ def rod_mm(servo: Servo, cam: Cam, horn_pulse_us: float) -> float:
     return kinematics.rod_mm(cam, max(low, min(high, angle_deg(servo, horn_pulse_us))))
 
 
-def travel_time_s(servo: Servo, from_us: float, to_us: float) -> float:
-    """Seconds the horn takes between two pulse widths: measured full travel, else catalogue by voltage."""
-    return abs(to_us - from_us) / servo.us_per_deg * servo.s_per_deg
-
-
 def mode_of(servo: Servo, horn_pulse_us: float) -> Mode | None:
     """The mode whose end the horn is at, within `tolerance_us`; None in between."""
     for mode in Mode:

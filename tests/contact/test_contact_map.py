@@ -16,7 +16,7 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import WallHit, collide, contact_map, drop, drop_map
 from dart_flight.contact.law import Onset, contact_force
-from dart_flight.contact.path import Contact, passage, trajectory
+from dart_flight.contact.path import Contact, trajectory
 from dart_flight.samples import Mode
 
 DATA = Path(__file__).parents[1] / "data"
@@ -307,41 +307,3 @@ def test_drops_in_bulk() -> None:
     # What falls from higher rebounds faster, and never as fast as it came.
     assert (np.diff(r.max_rebound_speed_m_s, axis=1) > 0.0).all()
     assert (r.max_rebound_speed_m_s < np.sqrt(2.0 * 9.81 * heights)).all()
-
-
-# --- where a hit leaves the vehicle ---------------------------------------------------------------------
-
-
-@given(coefficient_sets, approaches, slips, onsets)
-def test_passage_is_the_trajectory(c: Coefficients, normal: float, tangential: float, onset: Onset) -> None:
-    p = passage(CoefficientArrays.of(c), MASS, normal, tangential, onset)
-    contact = Contact(c, MASS, normal, onset)
-    at = trajectory(contact, [contact.peak_s, min(contact.end_s, 1e3)], tangential)
-    # As documented up to a damping ratio of 0.6; beyond it the fixed nodes see the long tail less well.
-    damped = 0.5 * c.f / math.sqrt(c.k * MASS) > 0.6
-    way, lift = (1e-3, 1e-3) if damped else (1e-6, 2e-5)
-    assert close(float(p.onset_m), contact.onset_m)
-    assert close(float(p.peak_s), contact.peak_s)
-    assert float(p.peak_m) == pytest.approx(float(at.normal_m[0]), abs=1e-12)
-    assert float(p.tangential_to_peak_m) == pytest.approx(float(at.tangential_m[0]), rel=way, abs=1e-12)
-    assert not any(np.isnan(v).any() for v in p)
-    if math.isfinite(contact.end_s) and contact.end_s < 1.0:
-        assert float(p.exit_m) == pytest.approx(float(at.normal_m[1]), abs=1e-12)
-        assert float(p.tangential_to_exit_m) == pytest.approx(float(at.tangential_m[1]), rel=way, abs=1e-12)
-        assert float(p.vertical_impulse_n_s) == pytest.approx(-MASS * float(at.vertical_m_s[1]), rel=lift)
-
-
-@pytest.mark.parametrize("onset", list(Onset))
-def test_stated_bound_of_ways_and_vertical_impulse(onset: Onset) -> None:
-    random = np.random.default_rng(11)
-    for _ in range(100):
-        k, zeta = float(np.exp(random.uniform(np.log(100.0), np.log(12_000.0)))), random.uniform(0.0, 0.6)
-        c = Coefficients(k=k, f=float(2.0 * zeta * math.sqrt(k * MASS)), mu=random.uniform(0.0, 5.0), nu=3.0)
-        normal = -random.uniform(0.05, 4.0)
-        p = passage(CoefficientArrays.of(c), MASS, normal, 0.7, onset)
-        contact = Contact(c, MASS, normal, onset)
-        end = trajectory(contact, [contact.peak_s, contact.end_s], 0.7)
-        assert float(p.vertical_impulse_n_s) == pytest.approx(-MASS * float(end.vertical_m_s[1]), rel=1e-8)
-        np.testing.assert_allclose(
-            [p.tangential_to_peak_m, p.tangential_to_exit_m], end.tangential_m, rtol=1e-8, atol=1e-12
-        )

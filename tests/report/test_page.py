@@ -28,6 +28,7 @@ from dart_flight.report.page import flight_page
 from dart_flight.samples import GuardEvent, Override, TruthContact, World
 from dart_flight.worlds.fast import fly_fast
 from dart_flight.worlds.prepare import load_flyable
+from tests.report.svg import texts_of
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
 SECTIONS = [
@@ -101,7 +102,7 @@ def number(text: str) -> float | None:
 
 
 def texts(figure: Any) -> set[str]:
-    return set(style.texts_of(style.as_svg(figure)))
+    return set(texts_of(style.as_svg(figure)))
 
 
 # --- one flight ----------------------------------------------------------------------------------------

@@ -150,7 +150,6 @@ class _Fit:
         self.omega = min(_MOST_OMEGA, max(_LEAST_OMEGA, prior.omega))
         self.sigma = min(prior.sigma, 0.7 * self.omega)
         self._normal: list[float] = []
-        self._damped = False
 
     def run(self, onset_s: float) -> bool:
         """Iterate to the least squares; False where it leads nowhere."""

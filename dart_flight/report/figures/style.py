@@ -165,8 +165,3 @@ def legend_above(axis: Any, columns: int | None = None) -> None:
             loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns or len(labels), borderaxespad=0.2,
             columnspacing=1.2, handlelength=1.8,
         )  # fmt: skip
-
-
-def texts_of(svg: str) -> list[str]:
-    """The words in a figure; for tests."""
-    return [t.strip() for t in re.findall(r"<text[^>]*>([^<]+)</text>", svg)]
