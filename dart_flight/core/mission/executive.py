@@ -64,6 +64,7 @@ _WATCHING: Final = WATCHING
 _APPROACH: Final = Phase.APPROACH
 _CONTACT: Final = Phase.CONTACT
 _RECOVERY: Final = Phase.RECOVERY
+_WORDS: Final = frozenset({PlanAnswer, OperatorRequest})
 _ANY_WALL: Final = Expected(watching=True)
 _NO_WALL: Final = Expected()
 
@@ -145,10 +146,8 @@ class Executive:
             self._entered_host_us = state.host_us
         if sensed.estimate is not None and self._yielding is not None:
             self._yielding.take(sensed)
-        if isinstance(item, PlanAnswer):
-            self._replanning.take(item, state.now_us, p)
-        elif isinstance(item, OperatorRequest) and item.request is Request.CONTINUE:
-            self._on_word(state, p)
+        if type(item) in _WORDS:
+            self._take_word(item, state, p)
         for event in sensed.impacts:
             if isinstance(event, ImpactOnset):
                 self._on_onset(event, state, p)
@@ -170,6 +169,13 @@ class Executive:
         p.altitude_m = self._references.altitude_m
         if isinstance(item, OdometrySample):
             self._send_reference(item, state, p)
+
+    def _take_word(self, item: Input, state: FlightState, p: Proposal) -> None:
+        """What planner or operator say."""
+        if isinstance(item, PlanAnswer):
+            self._replanning.take(item, state.now_us, p)
+        elif isinstance(item, OperatorRequest) and item.request is Request.CONTINUE:
+            self._on_word(state, p)
 
     def overruled(self, now_us: int, reason: str) -> list[Output]:
         """The guard has taken over; returns the change of phase, once."""
