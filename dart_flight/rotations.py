@@ -14,7 +14,7 @@ Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
-IDENTITY: Final[Quaternion] = (1.0, 0.0, 0.0, 0.0)
+IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 GRAVITY_M_S2: Final = 9.81
 _SMALL_RAD: Final = 1e-9  # below it the sine is the angle
 

@@ -151,7 +151,11 @@ class Verdict(msgspec.Struct):
 
 
 class VerdictBuilder:
-    """Takes the records of one flight in order."""
+    """Takes the records of one flight in order.
+
+    Attributes:
+        takers: what takes a record, by its kind; other kinds do not matter here.
+    """
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
@@ -172,7 +176,7 @@ class VerdictBuilder:
         self._estimated: list[tuple[int, Vec3]] = []
         self._true: list[tuple[int, Vec3]] = []
         # By kind: most records matter to nothing here, and are passed over by one look-up.
-        self._takers: dict[type, Callable[[Any], None]] = {
+        self.takers: dict[type, Callable[[Any], None]] = {
             AttitudeSample: self._take_attitude,
             OdometrySample: self._take_odometry,
             TruthSample: self._take_truth,
@@ -197,9 +201,8 @@ class VerdictBuilder:
 
     def take(self, record: Any) -> None:
         """Take the next record; kinds that do not matter here are passed over."""
-        take = self._takers.get(type(record))
+        take = self.takers.get(type(record))
         if take is not None:
-            self._anchor.take(record)
             take(record)
 
     def _take_attitude(self, record: AttitudeSample) -> None:
@@ -228,11 +231,13 @@ class VerdictBuilder:
             self._landed_us = record.t_us
 
     def _take_odometry(self, record: OdometrySample) -> None:
+        self._anchor.take(record)
         frame = self._anchor.frame
         if frame is not None and self._airborne_us is not None and self._landed_us is None:
             self._estimated.append((record.t_us, frame.point_from_ned(record.position_ned)))
 
     def _take_phase(self, record: PhaseChange) -> None:
+        self._anchor.take(record)
         if self._phase in ON_GROUND and record.after is Phase.CLIMB:
             self._airborne_us = record.t_us
         if record.after is Phase.CONTACT and record.collision is not None and self._onset is not None:

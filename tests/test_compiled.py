@@ -29,3 +29,30 @@ def test_a_compiled_module_has_no_struct_and_no_arrays(module: str) -> None:
 def test_no_compiled_module_stands_beside_its_source() -> None:
     """It would be imported instead of the source, and hide every change."""
     assert not [path for path in (ROOT / "dart_flight").rglob("*") if path.suffix in (".so", ".pyd")]
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_final_names_are_what_mypyc_reads_right(module: str) -> None:
+    """Of a Final float, or tuple of floats, that is no literal, mypyc says at times that it was not set."""
+    tree = ast.parse((ROOT / module).read_text(encoding="utf-8"))
+    for node in tree.body:
+        if isinstance(node, ast.AnnAssign) and ast.unparse(node.annotation) == "Final":
+            assert node.value is not None
+            assert _is_safe(node.value), ast.unparse(node)
+
+
+def _is_safe(value: ast.expr) -> bool:
+    """A literal, a name, a member of an enumeration, or what is no number for certain."""
+    if isinstance(value, ast.Tuple):
+        return all(
+            isinstance(e, ast.Name) or (isinstance(e, ast.Constant) and isinstance(e.value, str))
+            for e in value.elts
+        )
+    if isinstance(value, ast.Call):
+        name = ast.unparse(value.func)
+        return name == "frozenset" or name[0].isupper()
+    if isinstance(value, ast.Attribute):
+        return ast.unparse(value.value) != "math"
+    if isinstance(value, ast.BinOp | ast.UnaryOp):
+        return all(not isinstance(n, ast.Name | ast.Call) for n in ast.walk(value))
+    return isinstance(value, ast.Constant | ast.Name | ast.Dict)

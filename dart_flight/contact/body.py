@@ -69,7 +69,7 @@ class Touch(NamedTuple):
     left_n: float
 
 
-UNTOUCHED: Final = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+UNTOUCHED = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
 
 
 def guards_of(body: ContactBody) -> tuple[Guard, ...]:

@@ -25,6 +25,7 @@ from dart_flight.core.sense.state import FlightState
 from dart_flight.samples import Input, MissionEnd, Output, Override, Phase
 
 _NOTHING: Final = Sensed()
+_NONE: Final = Override.NONE
 
 
 class FlightCore:
@@ -69,7 +70,7 @@ class FlightCore:
         sensed, proposal, state = _NOTHING, Proposal(), self._senses.state
         try:
             sensed = self._senses.take(item, self._expected)
-            if self._guard.action is Override.NONE:
+            if self._guard.action is _NONE:
                 self._executive.propose(item, state, sensed, proposal)
                 self._expected = proposal.expected
         except Exception:
@@ -78,7 +79,9 @@ class FlightCore:
             state.anchor(proposal.frame)
         known: list[Output] = []
         if sensed.estimate is not None:
-            known = [sensed.estimate, *sensed.impacts]
+            known = [sensed.estimate]
+            if sensed.impacts:
+                known += sensed.impacts
             if sensed.torque is not None:
                 known.append(sensed.torque)
             if sensed.body is not None:
@@ -99,7 +102,7 @@ class FlightCore:
             self._fault = None
         guard, executive, state = self._guard, self._executive, self._senses.state
         kept = guard.review(item, state, sensed, executive.phase, proposal)
-        if guard.action is not Override.NONE:
+        if guard.action is not _NONE:
             kept += executive.overruled(state.now_us, guard.reason or "")
             # A wall met while the guard holds or backs off is an impact, the ground at the end is none.
             if guard.landing:
@@ -107,7 +110,7 @@ class FlightCore:
         if guard.end is not None:
             self.end = guard.end
             kept += executive.ended(guard.end)
-        elif proposal.end is not None and guard.action is Override.NONE:
+        elif proposal.end is not None and guard.action is _NONE:
             self.end = proposal.end
             kept.append(proposal.end)
         return kept

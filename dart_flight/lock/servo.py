@@ -123,10 +123,15 @@ class ServoModel:
         return max(self.servo.min_pulse_us, min(self.servo.max_pulse_us, pulse))
 
     def _advance(self, t_us: int) -> None:
-        elapsed_s = 0.0 if self._t_us is None else max(0, t_us - self._t_us) * 1e-6
-        self._t_us = t_us if self._t_us is None else max(t_us, self._t_us)
-        if self._target_us is None or self._faults.stuck or elapsed_s == 0.0:
+        before_us = self._t_us
+        if before_us is not None and t_us <= before_us:
             return
+        self._t_us = t_us
+        if before_us is None or self._target_us is None or self._target_us == self._horn_us:
+            return  # at the end of a travel a horn rests, as most of the time
+        if self._faults.stuck:
+            return
+        elapsed_s = (t_us - before_us) * 1e-6
         step = self._us_per_s / self._faults.slow * elapsed_s
         goal = max(self._range_us[0], min(self._range_us[1], self._target_us))
         self._horn_us += max(-step, min(step, goal - self._horn_us))

@@ -25,8 +25,8 @@ from dart_flight.geometry import (
 )
 from dart_flight.sim.allocation import Allocation
 
-_FREE: Final = (math.nan, math.nan, math.nan)
-_MAX_RATE: Final = (math.radians(220.0), math.radians(220.0), math.radians(200.0))  # MC_*RATE_MAX defaults
+_FREE = (math.nan, math.nan, math.nan)
+_MAX_RATE = (math.radians(220.0), math.radians(220.0), math.radians(200.0))  # MC_*RATE_MAX defaults
 _MOST_YAW: Final = 0.15  # of the normalised torque
 _YAW_WEIGHT: Final = 0.4  # MC_YAW_WEIGHT default
 _HORIZONTAL_MARGIN: Final = 0.3  # MPC_THR_XY_MARG default: thrust kept for horizontal control when saturated

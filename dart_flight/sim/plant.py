@@ -51,8 +51,10 @@ _BEHIND_M: Final = -0.6  # a vehicle this far behind a plane is on the wall's ot
 _REBOUND_S: Final = 0.01  # a guard that comes back within this time belongs to the same contact
 _HALF_ENGAGED: Final = 0.5  # how free arms are with half-engaged rods
 _GROUND_M: Final = 0.01  # above it the landing gear touches nothing
-_NO_FORCE: Final = (0.0, 0.0, 0.0)
-_AT_REST: Final = (0.0, 0.0, 0.0, 0.0)  # arms: displacement north, east in m; its speed in m/s
+_UNTOUCHED: Final = UNTOUCHED
+_FLEXIBLE: Final = Mode.FLEXIBLE
+_NO_FORCE = (0.0, 0.0, 0.0)
+_AT_REST = (0.0, 0.0, 0.0, 0.0)  # arms: displacement north, east in m; its speed in m/s
 _GAIN_M_S: Final = 0.5  # more than this no thrust adds to the speed within a tick
 _GROUND_STEPS: Final = 2  # a millisecond, where only the landing gear touches: nothing is measured there
 _GROUND_SPEED_M_S: Final = 0.05  # regularisation of the ground's friction
@@ -370,7 +372,7 @@ class Plant:
 
     def _freedom(self) -> float:
         """1 with free arms, 0 with locked ones; half-engaged rods are neither."""
-        if self.mode is Mode.FLEXIBLE:
+        if self.mode is _FLEXIBLE:
             return 1.0
         return _HALF_ENGAGED if self._half_engaged else 0.0
 
@@ -391,7 +393,7 @@ class Plant:
         for plane, c in planes:
             one = touch(self._guards, q, c, self.onset, plane.surface, p, v, w, sign, lever)
             felt.append(one)
-            if one is not UNTOUCHED:
+            if one is not _UNTOUCHED:
                 force, turned = add(force, one.force), add(turned, one.torque)
         self.contact_force_ned, self.contact_torque_frd = force, turned
         m, (ix, iy, iz) = self.mass, self._inertia

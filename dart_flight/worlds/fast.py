@@ -67,7 +67,10 @@ _TRUTH_EVERY: Final = 2
 _STATUS_EVERY: Final = 50  # 5 Hz, and at once when something changes
 _HOST_EVERY: Final = 5  # ticks of 4 ms: lock polled and host time reported at 50 Hz
 _REPEAT_US: Final = 50_000  # MAVSDK repeats the last set-point at 20 Hz
-_NAN3: Final = (math.nan, math.nan, math.nan)
+_NAN3 = (math.nan, math.nan, math.nan)
+# Looked up once: a class is asked for with every record.
+_PHASE_CHANGE: Final = PhaseChange
+_SET_POINT: Final = SetPoint
 FLIGHT_MODES: Final = {
     VehicleAction.OFFBOARD: FlightMode.OFFBOARD,
     VehicleAction.HOLD: FlightMode.HOLD,
@@ -266,7 +269,7 @@ class FastFlight:
     def _see(self, record: Record, number: int) -> None:
         if self._observe is not None:
             self._observe(record, number)
-        if isinstance(record, PhaseChange):
+        if isinstance(record, _PHASE_CHANGE):
             # Of the simulated operator, who ends every pause.
             waits = record.after is Phase.PAUSE and self._operator_us is not None
             self._word_us = self.host_us + (self._operator_us or 0) if waits else None
@@ -318,7 +321,7 @@ class FastFlight:
 
     def deliver(self, order: SetPoint | VehicleAction) -> None:
         """A set-point or an action arrives at the autopilot."""
-        if isinstance(order, SetPoint):
+        if isinstance(order, _SET_POINT):
             self.autopilot.set_trajectory(
                 TrajectorySetPoint(
                     order.position_ned,
@@ -354,7 +357,7 @@ def fly_fast(
     mission: Mission,
     seed: int,
     log_dir: Path | None,
-    progress: Onlooker = lambda record: None,
+    progress: Onlooker | None = None,
     lock_faults: MockFaults | None = None,
     fault: Fault | None = None,
     spreads: Mapping[str, float] | None = None,
@@ -388,7 +391,7 @@ def fly_recorded(
     mission: Mission,
     seed: int,
     log_dir: Path | None,
-    progress: Onlooker = lambda record: None,
+    progress: Onlooker | None = None,
     lock_faults: MockFaults | None = None,
     fault: Fault | None = None,
     spreads: Mapping[str, float] | None = None,
@@ -404,7 +407,8 @@ def fly_recorded(
     world = draw_world(mission, seed, spreads or {})
     faults = lock_faults or world.lock_faults
     record = FlightRecord(mission, World.FAST, seed, log_dir, world.drawn, in_memory=in_memory)
-    record.onlookers.append(progress)
+    if progress is not None:
+        record.onlookers.append(progress)
     FastFlight(mission, seed, driver, faults=faults, observe=record, fault=fault, world=world).run()
     record.close()
     return FlownFast(record.build(), record)

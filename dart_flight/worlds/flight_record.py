@@ -52,7 +52,9 @@ class FlightRecord:
     ) -> None:
         self._world, self._seed, self._drawn = world, seed, dict(drawn or {})
         self.verdict = VerdictBuilder(mission)
-        self.onlookers: list[Onlooker] = [self.verdict.take]
+        # Asked here, not by `verdict.take`: most kinds of records matter to it nothing, and are passed over.
+        self._takers = self.verdict.takers
+        self.onlookers: list[Onlooker] = []
         self.viewers: list[Onlooker] = []
         self._log: FlightLog | MemoryLog | None = None
         if log_dir is not None or in_memory:
@@ -79,6 +81,9 @@ class FlightRecord:
         """Take a record with the number of the input that it is or follows from."""
         if self._log is not None:
             self._log.put(record, number)
+        take = self._takers.get(type(record))
+        if take is not None:
+            take(record)
         for onlooker in self.onlookers:
             onlooker(record)
         for viewer in self.viewers:

@@ -14,6 +14,7 @@ from dart_flight.samples import ForceEstimate, Input, Output, Record, SetPoint, 
 
 Observe = Callable[[Record, int], None]
 # Set-points have left already; the estimates come with every IMU sample and are no commands.
+_SET_POINT: Final = SetPoint
 _NOT_CARRIED: Final = (SetPoint, ForceEstimate, TorqueEstimate)
 
 
@@ -50,7 +51,7 @@ class CoreRunner:
         if not outputs:  # as of most inputs
             self._observe(item, number)
             return
-        sent = [self._send(output) for output in outputs if isinstance(output, SetPoint)]
+        sent = [self._send(output) for output in outputs if isinstance(output, _SET_POINT)]
         self._observe(item, number)
         for output in outputs:
             self._observe(output, number)

@@ -14,6 +14,7 @@ from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.guard.guard import Guard
 from dart_flight.core.guard.rules import RULES, Rule
 from dart_flight.core.mission import executive, rehearsal
+from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import quaternion_from_euler
 from dart_flight.samples import (
     AttitudeSample,
@@ -22,6 +23,7 @@ from dart_flight.samples import (
     FlightMode,
     GuardEvent,
     ImuSample,
+    Input,
     LandedState,
     LockPhase,
     MissionEnd,
@@ -460,6 +462,24 @@ def test_without_the_rule_nobody_says_it(rule: Rule) -> None:
     c = HandFedCore(rules=tuple(r for r in TELEPORTING if r is not rule))
     CAUSES[rule.name](c)
     assert rule.name not in [e.rule for e in fired(c)]
+
+
+@pytest.mark.parametrize("name", CAUSES)
+def test_while_calm_no_rule_marked_so_has_a_cause(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The guard does not ask them then: on the way to every rule's cause it would hear of none."""
+    judge, steps = Guard._judge, [0, 0]
+
+    def judged(guard: Guard, item: Input, state: FlightState, phase: Phase, events: list[Output]) -> None:
+        watch = guard._watch
+        steps[watch.calm] += 1
+        if watch.calm:
+            causes = {r.name: r.cause(watch) for r in RULES if r.calm and r.cause is not None}
+            assert not {rule: cause for rule, cause in causes.items() if cause is not None}
+        judge(guard, item, state, phase, events)
+
+    monkeypatch.setattr(Guard, "_judge", judged)
+    CAUSES[name](HandFedCore(rules=RULES if name == "estimator_jump" else TELEPORTING))
+    assert steps[1] > 20 or name.endswith("_ground"), steps
 
 
 def test_nothing_fires_in_a_quiet_flight() -> None:

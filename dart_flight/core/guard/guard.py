@@ -40,6 +40,13 @@ from dart_flight.samples import (
 
 Causes = list[tuple[int, Callable[[Watch], str | None], str]]  # rank of the action, cause, name of the rule
 
+# Looked up once: a class or a member of an enumeration is asked for at every step.
+_COMMANDS: Final = (SetPoint, VehicleCommand)
+_COMMANDS_AND_LOCK: Final = (SetPoint, VehicleCommand, LockCommand)
+_NONE: Final = Override.NONE
+_RELEASE: Final = Override.RELEASE
+_DONE: Final = Phase.DONE
+
 _HOLD_US: Final = 3_000_000
 _RETRY_US: Final = 1_000_000
 # PX4 disarms by itself after landing; the command is for when it does not
@@ -56,12 +63,15 @@ class _Judged(NamedTuple):
         all: at the first step of the phase.
         after: an input of a kind that some rules wait for.
         always: after any other.
+        calm_after, calm_always: likewise while `Watch.calm`.
     """
 
     asked: Causes
     all: Causes
     after: dict[type, Causes]
     always: Causes
+    calm_after: dict[type, Causes]
+    calm_always: Causes
 
 
 class Guard:
@@ -84,6 +94,7 @@ class Guard:
         # A landing is waited for until the motors would have been stopped.
         self._landing_us = max(_LANDING_US, round(2e6 * (self._watch.surely_down_s or 0.0)))
         self.action = Override.NONE
+        self._rank = self.action.rank
         self.reason: str | None = None
         self._rule: Rule | None = None
         self.end: MissionEnd | None = None
@@ -114,21 +125,21 @@ class Guard:
         events: list[Output] = []
         for finding in proposal.findings:
             self._fire(finding.rule, finding.detail, state, events, finding.noted)
-        if phase is not Phase.DONE and self.end is None:
+        if phase is not _DONE and self.end is None:
             self._judge(item, state, phase, events)
-        if self.action is Override.NONE:
+        if self.action is _NONE:
             if proposal.altitude_m is not None:
                 self._altitude_m = proposal.altitude_m
             outputs = proposal.outputs
+            if not outputs:  # as of most inputs
+                return events
             if self._watch.doubtful:  # the vehicle may be a pilot's already
-                outputs = [o for o in outputs if not isinstance(o, SetPoint | VehicleCommand)]
+                outputs = [o for o in outputs if not isinstance(o, _COMMANDS)]
             self._remember(outputs)
             return outputs + events
-        kept: list[Output] = [
-            o for o in proposal.outputs if not isinstance(o, SetPoint | VehicleCommand | LockCommand)
-        ]
+        kept: list[Output] = [o for o in proposal.outputs if not isinstance(o, _COMMANDS_AND_LOCK)]
         kept += events
-        if self.end is None and (self.action is Override.RELEASE or not self._watch.doubtful):
+        if self.end is None and (self.action is _RELEASE or not self._watch.doubtful):
             self._fly(item, state, kept)
         return kept
 
@@ -138,12 +149,14 @@ class Guard:
         return self._watch.land_asked
 
     def _judge(self, item: Input, state: FlightState, phase: Phase, events: list[Output]) -> None:
-        watch, rank = self._watch, self.action.rank
+        watch, rank = self._watch, self._rank
         judged = self._judged[phase]
         if watch.request is not None:
             due = judged.asked
         elif phase is not self._judged_phase:  # some of the rules have not been in their scope before
             due = judged.all
+        elif watch.calm:
+            due = judged.calm_after.get(type(item), judged.calm_always)
         else:
             due = judged.after.get(type(item), judged.always)
         self._judged_phase = phase
@@ -153,7 +166,7 @@ class Guard:
                 detail = cause(watch)
                 if detail is not None:
                     self._fire(name, detail, state, events)
-                    rank = self.action.rank
+                    rank = self._rank
             elif action == rank and name in self._explaining:
                 self._explain(name, cause(watch), state, events)
 
@@ -182,7 +195,7 @@ class Guard:
         if noted:
             events.append(GuardEvent(state.now_us, rule.name, Override.NONE, detail))
             return
-        if rule.action.rank <= self.action.rank or self.end is not None:
+        if rule.action.rank <= self._rank or self.end is not None:
             return
         events.append(GuardEvent(state.now_us, rule.name, rule.action, detail))
         if rule.action is Override.GIVE_UP:  # nothing has left the ground
@@ -194,7 +207,7 @@ class Guard:
             rule.action is not Override.KILL or self.reason is None
         ):  # the reason is what the landing began with
             self.reason = f"{rule.name}: {detail}" if detail else rule.name
-        self.action, self._rule = rule.action, rule
+        self.action, self._rule, self._rank = rule.action, rule, rule.action.rank
         self._since_us = state.now_us
         self._asked_us = None
         self._hold = None
@@ -286,12 +299,18 @@ class Guard:
 def _sorted_out(rules: tuple[Rule, ...], phase: Phase) -> _Judged:
     asked = [rule for rule in rules if rule.cause is not None and in_scope(rule, phase)]
     unasked = [rule for rule in asked if rule.scope is not Scope.ASKED]
-    kinds = {rule.after for rule in unasked if rule.after is not None}
+    restless = [rule for rule in unasked if not rule.calm]
     return _Judged(
-        _causes(asked),
-        _causes(unasked),
-        {kind: _causes(r for r in unasked if r.after in (None, kind)) for kind in kinds},
-        _causes(rule for rule in unasked if rule.after is None),
+        _causes(asked), _causes(unasked), *_by_input(unasked, unasked), *_by_input(restless, unasked)
+    )
+
+
+def _by_input(rules: list[Rule], every: list[Rule]) -> tuple[dict[type, Causes], Causes]:
+    """Causes by the kind of input that some of all rules wait for, and those after any other."""
+    kinds = {rule.after for rule in every if rule.after is not None}
+    return (
+        {kind: _causes(r for r in rules if r.after in (None, kind)) for kind in kinds},
+        _causes(rule for rule in rules if rule.after is None),
     )
 
 

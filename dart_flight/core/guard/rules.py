@@ -12,7 +12,7 @@ from collections.abc import Callable
 from enum import StrEnum
 from typing import Final, NamedTuple
 
-from dart_flight.core.guard.watch import Stamped, Watch, low_rate
+from dart_flight.core.guard.watch import ALTITUDE_SLACK_M, Stamped, Watch, low_rate
 from dart_flight.core.mission.phases import ALTITUDE_EXEMPT, ON_GROUND
 from dart_flight.geometry import horizontal, norm
 from dart_flight.samples import (
@@ -28,7 +28,6 @@ from dart_flight.samples import (
 _SPEED_TOLERANCE: Final = 1.1
 _STALE_SAMPLES: Final = 5  # in a row; one late datagram is no clock that runs backwards
 _OTHERS_SINCE: Final = 12  # a tenth of a second of one other stream
-_ALTITUDE_SLACK_M: Final = 0.05
 
 
 class Scope(StrEnum):
@@ -55,6 +54,7 @@ class Rule(NamedTuple):
         after: the one kind of input that can bring the cause about; None: any, as time goes by.
         explains: rules that may have fired for the same cause before it could be told: where their action is
             in force and no weaker, the reason becomes this rule's.
+        calm: it has no cause while `Watch.calm`, and is not asked then.
     """
 
     name: str
@@ -66,6 +66,7 @@ class Rule(NamedTuple):
     by_person: bool = False
     after: type | None = None
     explains: frozenset[str] = frozenset()
+    calm: bool = False
 
 
 # --- causes ------------------------------------------------------------------------------------------------
@@ -203,7 +204,7 @@ def _altitude(v: Watch) -> str | None:
     if v.phase in ALTITUDE_EXEMPT:
         return None
     low, high = v.mission.bounds.z
-    tolerance = v.config.altitude_tolerance_m if v.shaken else _ALTITUDE_SLACK_M
+    tolerance = v.config.altitude_tolerance_m if v.shaken else ALTITUDE_SLACK_M
     z = v.state.position[2]
     return None if low - tolerance <= z <= high + tolerance else f"{z:.2f} m"
 
@@ -251,52 +252,55 @@ _LAND, _KILL, _RELEASE = Override.LAND, Override.KILL, Override.RELEASE
 RULES: tuple[Rule, ...] = (
     # judged here, at every step of the scope
     Rule("px4_failsafe", "PX4 has left offboard by itself: its failsafe flies", "",
-         _RELEASE, _ALWAYS, _px4_failsafe),
+         _RELEASE, _ALWAYS, _px4_failsafe, calm=True),
     Rule("pilot", "PX4 was taken out of offboard: the pilot flies", "",
-         _RELEASE, _ALWAYS, _pilot, by_person=True),
-    Rule("disarmed", "PX4 has disarmed in the air", "", _RELEASE, _AIR, _disarmed),
+         _RELEASE, _ALWAYS, _pilot, by_person=True, calm=True),
+    Rule("disarmed", "PX4 has disarmed in the air", "", _RELEASE, _AIR, _disarmed, calm=True),
     Rule("link_lost", "nothing at all comes from the vehicle: PX4's own failsafe must act",
-         "guard.link_lost_s", _RELEASE, _AIR, _link_lost),
+         "guard.link_lost_s", _RELEASE, _AIR, _link_lost, calm=True),
     Rule("imu_silent", "no IMU sample for too long: impacts cannot be felt",
-         "guard.imu_timeout_s, guard.stream_timeout_s", _LAND, _AIR, _imu_silent),
+         "guard.imu_timeout_s, guard.stream_timeout_s", _LAND, _AIR, _imu_silent, calm=True),
     Rule("attitude_silent", "no attitude for too long: forces have no direction", "guard.stream_timeout_s",
-         _LAND, _AIR, _attitude_silent),
+         _LAND, _AIR, _attitude_silent, calm=True),
     Rule("odometry_silent", "no position for too long", "guard.stream_timeout_s",
-         _LAND, _AIR, _odometry_silent),
+         _LAND, _AIR, _odometry_silent, calm=True),
     Rule("actuator_silent", "no motor outputs for too long: thrust cannot be told from contact",
-         "guard.actuator_timeout_s", _HOLD, _FLYING, _actuator_silent),
-    Rule("status_silent", "no heartbeat for too long", "guard.status_timeout_s", _LAND, _AIR, _status_silent),
+         "guard.actuator_timeout_s", _HOLD, _FLYING, _actuator_silent, calm=True),
+    Rule("status_silent", "no heartbeat for too long", "guard.status_timeout_s",
+         _LAND, _AIR, _status_silent, calm=True),
     Rule("stream_rate", "a stream comes at less than the rate that a mission needs (`streams.py`)",
-         "streams: expected_hz", _HOLD, _FLYING, low_rate),
+         "streams: expected_hz", _HOLD, _FLYING, low_rate, calm=True),
     Rule("second_vehicle_ground", "a second vehicle sends on the link, whatever its system id",
-         "guard.stamp_tolerance_s, guard.position_jump_m", _GIVE_UP, _GROUND, _second_vehicle_ground),
+         "guard.stamp_tolerance_s, guard.position_jump_m", _GIVE_UP, _GROUND, _second_vehicle_ground,
+         calm=True),
     Rule("second_vehicle", "two vehicles come in turn under one system id: two clocks, or two positions",
          "guard.stamp_tolerance_s, guard.position_jump_m", _LAND, _AIR, _second_vehicle,
          explains=frozenset({"stamps_backwards", "odometry_silent", "attitude_silent", "imu_silent",
-                             "status_silent", "estimator_flags", "tilt", "altitude"})),
+                             "status_silent", "estimator_flags", "tilt", "altitude"}), calm=True),
     Rule("stamps_backwards", "the autopilot's time stamps have gone back: it has restarted, or its clock has",
-         "guard.stamp_tolerance_s", _LAND, _AIR, _stamps_backwards),
+         "guard.stamp_tolerance_s", _LAND, _AIR, _stamps_backwards, calm=True),
     Rule("imu_stuck", "the IMU repeats one reading: no sensor is that quiet", "guard.imu_stuck_s",
-         _LAND, _AIR, _imu_stuck),
+         _LAND, _AIR, _imu_stuck, calm=True),
     Rule("imu_clipped", "the IMU stays at full scale longer than any contact lasts", "guard.imu_clipped_s",
-         _LAND, _AIR, _imu_clipped),
+         _LAND, _AIR, _imu_clipped, calm=True),
     Rule("estimator_jump", "position or velocity has jumped, other than shortly after an impact",
          "guard.position_jump_m, guard.velocity_jump_m_s, guard.impact_window_s",
          _HOLD, _FLYING, _estimator_jump, after=OdometrySample),
     Rule("estimator_reset",
          "PX4's estimator counts a reset and position or velocity step, other than shortly after an impact",
          "guard.reset_position_m, guard.reset_velocity_m_s, guard.impact_window_s",
-         _HOLD, _FLYING, _estimator_reset),
+         _HOLD, _FLYING, _estimator_reset, calm=True),
     Rule("estimator_flags", "PX4's estimator says that its position is not valid, and the impact is over",
-         "guard.estimator_bad_s, guard.impact_window_s", _LAND, _AIR, _estimator_flags),
+         "guard.estimator_bad_s, guard.impact_window_s", _LAND, _AIR, _estimator_flags, calm=True),
     Rule("battery", "the battery is low", "guard.battery_remaining, guard.battery_v, guard.battery_low_s",
-         _LAND, _AIR, _battery),
+         _LAND, _AIR, _battery, calm=True),
     Rule("still_armed", "in PX4's land mode and still armed long after a landing must have ended",
-         "guard.kill_after_s, bounds_m.z", _KILL, _AIR, _still_armed),
+         "guard.kill_after_s, bounds_m.z", _KILL, _AIR, _still_armed, calm=True),
     Rule("tilt", "tilted further than PX4 can be trusted to right", "guard.tilt_deg", _LAND, _AIR, _tilt,
          after=AttitudeSample),
     Rule("altitude", "outside of the flight space vertically; more is allowed after an impact",
-         "bounds_m.z, guard.altitude_tolerance_m, guard.impact_window_s", _LAND, _FLYING, _altitude),
+         "bounds_m.z, guard.altitude_tolerance_m, guard.impact_window_s", _LAND, _FLYING, _altitude,
+         calm=True),
     Rule("bounds", "outside of the flight space horizontally, or would stop there", "bounds_m.x, bounds_m.y",
          _HOLD, _FLYING, _bounds, after=OdometrySample),
     Rule("speed", "faster than the mission allows", "limits.speed_m_s", _HOLD, _FLYING, _speed,

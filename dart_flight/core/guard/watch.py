@@ -14,6 +14,7 @@ from typing import Final
 from dart_flight.config.mission import Mission
 from dart_flight.core.guard.sources import TwoClocks, TwoPlaces
 from dart_flight.core.mission.arithmetic import SCALARS
+from dart_flight.core.mission.phases import ALTITUDE_EXEMPT
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
@@ -48,9 +49,22 @@ _JUMP_REACH_US: Final = 100_000  # odometry further apart says nothing about a j
 _RESET_REACH_US: Final = 100_000  # a step this near to a reset came with it
 _SURELY_DOWN: Final = 3.0  # times the way down from the top of the flight space
 _STEPS: Final = 16  # odometry of more than twice that reach
-_NEVER_S: Final = float(1 << 60) * 1e-6
+ALTITUDE_SLACK_M: Final = 0.05
+# Looked up once: a member of an enumeration is asked for at every step.
+_ANY_ALTITUDE: Final = ALTITUDE_EXEMPT
+_OFFBOARD: Final = FlightMode.OFFBOARD
+_UNKNOWN: Final = FlightMode.UNKNOWN
+_NEVER_S = float(1 << 60) * 1e-6
 Stamped = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
-_STAMPED: Final = ("imu", "attitude", "odometry", "actuator")
+
+
+class _Stream:
+    """What is remembered of one stream's stamps: its clocks, and the samples since a stamp."""
+
+    def __init__(self, name: str, tolerance_us: float) -> None:
+        self.name, self.clocks = name, TwoClocks(tolerance_us)
+        self.first_us: int | None = None
+        self.count = 0
 
 
 class Watch:
@@ -81,7 +95,16 @@ class Watch:
         self._reset_us: int | None = None  # the estimator's last reset, outside of the window after an impact
         self._steps: deque[tuple[int, float, float]] = deque(maxlen=_STEPS)  # stamp, position m, velocity m/s
         self._tolerance_us = self.config.stamp_tolerance_s * 1e6
-        self._clocks = {name: TwoClocks(self._tolerance_us) for name in _STAMPED}
+        self._imu_stream = _Stream("imu", self._tolerance_us)
+        self._attitude_stream = _Stream("attitude", self._tolerance_us)
+        self._odometry_stream = _Stream("odometry", self._tolerance_us)
+        self._actuator_stream = _Stream("actuator", self._tolerance_us)
+        self._clocks = (
+            self._imu_stream.clocks,
+            self._attitude_stream.clocks,
+            self._odometry_stream.clocks,
+            self._actuator_stream.clocks,
+        )
         self._places = TwoPlaces(self.config.position_jump_m)
         self._other_system: int | None = None
         self.second_vehicle: str | None = None  # how a second vehicle on the link shows; it does not go away
@@ -89,8 +112,15 @@ class Watch:
         self._failsafe_us: int | None = None
         self._gap_us: int | None = None
         self._host_us = 0  # of the newest stamped sample
-        self._counts: dict[str, tuple[int, int]] = {}  # stream -> (first stamp, samples since)
         self.surely_down_s = self._surely_down_s()
+        c, (low_m, high_m) = self.config, mission.bounds.z
+        # Younger than the shortest limit, to the microsecond below: then no stream is silent by any rule.
+        least_s = min(c.imu_timeout_s, c.stream_timeout_s, c.actuator_timeout_s, c.link_lost_s)
+        self._fresh_us = math.floor(least_s * 1e6) - 1
+        self._status_fresh_us = math.floor(c.status_timeout_s * 1e6) - 1
+        slack_m = min(ALTITUDE_SLACK_M, c.altitude_tolerance_m)
+        self._low_m, self._high_m = low_m - slack_m, high_m + slack_m
+        self._rate_is_low = False
         self._full_scale = _CLIP_SHARE * mission.vehicle.imu.full_scale_m_s2
         self._imu: ImuSample | None = None
         self._odometry: OdometrySample | None = None
@@ -107,15 +137,15 @@ class Watch:
                 self.impact_us = event.t_us
         self.jump = ""
         if isinstance(item, ImuSample):
-            self._see_stamp("imu", item)
+            self._see_stamp(self._imu_stream, item, state.imu)
             self._see_imu(item)
         elif isinstance(item, AttitudeSample):
-            self._see_stamp("attitude", item)
+            self._see_stamp(self._attitude_stream, item, state.attitude)
         elif isinstance(item, OdometrySample):
-            self._see_stamp("odometry", item)
+            self._see_stamp(self._odometry_stream, item, state.odometry)
             self._see_odometry(item)
         elif isinstance(item, ActuatorSample):
-            self._see_stamp("actuator", item)
+            self._see_stamp(self._actuator_stream, item, state.actuator)
         elif isinstance(item, EstimatorSample):
             self._see_estimator(item)
         elif isinstance(item, StatusSample):
@@ -127,6 +157,39 @@ class Watch:
         elif isinstance(item, StatusText) and any(w in item.text.lower() for w in _FAILSAFE_WORDS):
             self._failsafe_us = state.now_us
         self._see_flags()
+
+    @property
+    def calm(self) -> bool:
+        """Whether nothing is there that any rule marked `calm` could fire for, as at nearly every step.
+
+        One look at what all of them rest on: to ask each of them would be a third of the guard's work.
+        """
+        state = self.state
+        status, host_us = state.status, state.host_us
+        imu, attitude, odometry, actuator = state.imu, state.attitude, state.odometry, state.actuator
+        if imu is None or attitude is None or odometry is None or actuator is None:
+            return False
+        fresh_us = host_us - self._fresh_us
+        return (
+            imu.received_us > fresh_us
+            and attitude.received_us > fresh_us
+            and odometry.received_us > fresh_us
+            and actuator.received_us > fresh_us
+            and status.received_us > host_us - self._status_fresh_us
+            and (self._low_m <= state.position[2] <= self._high_m or self.phase in _ANY_ALTITUDE)
+            and (status.flight_mode is _OFFBOARD or not self.was_offboard)
+            and (status.armed or not self.was_armed)
+            and self.second_vehicle is None
+            and self._other_system is None
+            and not self.stale
+            and not self._rate_is_low
+            and self.stuck_since_us is None
+            and self.clipped_since_us is None
+            and self.battery_low_since_us is None
+            and self.flags_bad_since_us is None
+            and self._landing_since_us is None
+            and self._reset_us is None
+        )
 
     # -- what rules ask --
 
@@ -176,7 +239,7 @@ class Watch:
     @property
     def _mode_left_to(self) -> FlightMode | None:
         mode = self.state.status.flight_mode
-        if not self.was_offboard or mode in (FlightMode.OFFBOARD, FlightMode.UNKNOWN):
+        if not self.was_offboard or mode is _OFFBOARD or mode is _UNKNOWN:
             return None
         if self.land_asked and (mode is FlightMode.LAND or self.state.on_ground):
             return None
@@ -187,7 +250,7 @@ class Watch:
         """Whether the slow state may be another vehicle's: there is one, or the last moments look like it."""
         if self.second_vehicle is not None:
             return True
-        odd = [clocks.odd_us for clocks in self._clocks.values()]
+        odd = [clocks.odd_us for clocks in self._clocks]
         return any(
             odd_us is not None and self._host_us - odd_us < _UNSURE_US
             for odd_us in (*odd, self._places.odd_us)
@@ -253,43 +316,43 @@ class Watch:
     def _since_impact_us(self) -> float:
         return math.inf if self.impact_us is None else self.state.now_us - self.impact_us
 
-    def _see_stamp(self, name: str, item: Stamped) -> None:
+    def _see_stamp(self, stream: _Stream, item: Stamped, newest: Stamped | None) -> None:
         t_us, received_us = item.t_us, item.received_us
         if received_us > self._host_us:
             if self._host_us and received_us - self._host_us > _GAP_US:
                 self._gap_us = self.state.now_us
             self._host_us = received_us
-        self.since_imu = 0 if name == "imu" else self.since_imu + 1
+        self.since_imu = 0 if stream is self._imu_stream else self.since_imu + 1
         if self.second_vehicle is None:
-            self._look_for_second(name, item)
-        newest = getattr(self.state, name)
-        lag_us = newest.t_us - t_us if newest is not None else 0
+            self._look_for_second(stream.clocks, item, t_us, received_us)
+        lag_us = 0 if newest is None or newest is item else newest.t_us - t_us
         if lag_us > self._tolerance_us:
-            self.stale[name] = self.stale.get(name, 0) + 1
+            self.stale[stream.name] = self.stale.get(stream.name, 0) + 1
             return
         if -lag_us > _LEAP_US:  # not taken yet: another vehicle's, or a clock that has jumped
             return
         if self.stale:
-            self.stale.pop(name, None)
-        first_us, count = self._counts.get(name) or (t_us, 0)
-        span_us = t_us - first_us
+            self.stale.pop(stream.name, None)
+        if stream.first_us is None:
+            stream.first_us = t_us
+        span_us = t_us - stream.first_us
         if span_us >= _RATE_WINDOW_US:
-            self.rates_hz[name] = count * 1e6 / span_us
-            first_us, count = t_us, 0
-        self._counts[name] = (first_us, count + 1)
+            self.rates_hz[stream.name] = stream.count * 1e6 / span_us
+            self._rate_is_low = low_rate(self) is not None
+            stream.first_us, stream.count = t_us, 0
+        stream.count += 1
 
-    def _look_for_second(self, name: str, item: Stamped) -> None:
-        clocks = self._clocks[name]
-        clocks.take(item.t_us, item.received_us)
+    def _look_for_second(self, clocks: TwoClocks, item: Stamped, t_us: int, received_us: int) -> None:
+        clocks.take(t_us, received_us)
         if clocks.odd_us is not None:
             # One stream alone may come by two ways, one of them late; a vehicle sends them all.
-            apart_s = [c.apart_s(item.received_us) for c in self._clocks.values()]
+            apart_s = [c.apart_s(received_us) for c in self._clocks]
             found = [seconds for seconds in apart_s if seconds is not None]
             if len(found) > 1 and max(found) - min(found) < self.config.stamp_tolerance_s:
                 self.second_vehicle = f"two clocks in turn, {found[0]:.1f} s apart"
         if isinstance(item, OdometrySample):
             self._places.take(item)
-            apart_m = self._places.apart_m(item.received_us)
+            apart_m = self._places.apart_m(received_us)
             if apart_m is not None:
                 self.second_vehicle = f"odometry with two positions in turn, {apart_m:.1f} m apart"
 
@@ -327,10 +390,10 @@ class Watch:
             self._estimator_bad = not item.healthy
 
     def _see_status(self, item: StatusSample) -> None:
-        if item.flight_mode is FlightMode.OFFBOARD:
+        if item.flight_mode is _OFFBOARD:
             self.was_offboard = True
             self._left_since_us = None
-        elif self._left_since_us is None and item.flight_mode is not FlightMode.UNKNOWN:
+        elif self._left_since_us is None and item.flight_mode is not _UNKNOWN:
             self._left_since_us = item.received_us
         self.was_armed = self.was_armed or item.armed
         if not (item.armed and item.flight_mode is FlightMode.LAND):

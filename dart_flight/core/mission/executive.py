@@ -59,6 +59,12 @@ _REST_AFTER_US: Final = 500_000
 _DISARM_AFTER_US: Final = 8_000_000
 # The wall stops the vehicle in a contact (but for `yielding`), PX4 lands it.
 _SILENT: Final = frozenset({Phase.READYING, Phase.CONTACT, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
+# Looked up once: asked for at every step.
+_WATCHING: Final = WATCHING
+_APPROACH: Final = Phase.APPROACH
+_CONTACT: Final = Phase.CONTACT
+_RECOVERY: Final = Phase.RECOVERY
+_WORDS: Final = frozenset({PlanAnswer, OperatorRequest})
 _ANY_WALL: Final = Expected(watching=True)
 _NO_WALL: Final = Expected()
 
@@ -76,6 +82,7 @@ class Executive:
     def __init__(self, mission: Mission) -> None:
         self.mission = mission
         self.phase = Phase.READYING
+        self._collisions = mission.collisions
         self._index = 0  # of the collision that comes next or is under way
         self._stops = 0  # way-points and pauses that are over
         self._approaches: dict[int, Approach] = {
@@ -91,6 +98,7 @@ class Executive:
         self._entered_host_us: int | None = None
         self._asked_us: int | None = None  # last time a vehicle command was sent
         self._expected = _NO_WALL
+        self._impact_s = 0.0  # of the approach under way, since its beginning
         self._least_miss_m = math.inf
         self._reached_us: int | None = None  # the way-point under way
         self._captured_us: int | None = None
@@ -115,7 +123,7 @@ class Executive:
     @property
     def _collision(self) -> Collision | None:
         """The collision that comes next or is under way."""
-        collisions = self.mission.collisions
+        collisions = self._collisions
         return collisions[self._index] if self._index < len(collisions) else None
 
     @property
@@ -138,10 +146,8 @@ class Executive:
             self._entered_host_us = state.host_us
         if sensed.estimate is not None and self._yielding is not None:
             self._yielding.take(sensed)
-        if isinstance(item, PlanAnswer):
-            self._replanning.take(item, state.now_us, p)
-        elif isinstance(item, OperatorRequest) and item.request is Request.CONTINUE:
-            self._on_word(state, p)
+        if type(item) in _WORDS:
+            self._take_word(item, state, p)
         for event in sensed.impacts:
             if isinstance(event, ImpactOnset):
                 self._on_onset(event, state, p)
@@ -153,7 +159,9 @@ class Executive:
                 self._lock.contact_ends(event.t_us)
         if sensed.wall is not None:
             self._on_felt(sensed.wall, p)
-        p.outputs += self._lock.permission(state.now_us, sensed.in_contact)
+        permission = self._lock.permission(state.now_us, sensed.in_contact)
+        if permission is not None:
+            p.outputs.append(permission)
         step = self._steps.get(self.phase)
         if step is not None:
             step(state, sensed, p)
@@ -161,6 +169,13 @@ class Executive:
         p.altitude_m = self._references.altitude_m
         if isinstance(item, OdometrySample):
             self._send_reference(item, state, p)
+
+    def _take_word(self, item: Input, state: FlightState, p: Proposal) -> None:
+        """What planner or operator say."""
+        if isinstance(item, PlanAnswer):
+            self._replanning.take(item, state.now_us, p)
+        elif isinstance(item, OperatorRequest) and item.request is Request.CONTINUE:
+            self._on_word(state, p)
 
     def overruled(self, now_us: int, reason: str) -> list[Output]:
         """The guard has taken over; returns the change of phase, once."""
@@ -209,16 +224,18 @@ class Executive:
     def _expect(self) -> Expected:
         collision = self._collision
         if collision is None or not self._is_expected(collision):
-            return _ANY_WALL if self.phase in WATCHING else _NO_WALL
-        wall = collision.wall
-        if self._expected.wall is not wall or self._expected.watching is not (self.phase in WATCHING):
-            self._expected = Expected(self.phase in WATCHING, wall.normal, wall.material, wall)
+            return _ANY_WALL if self.phase in _WATCHING else _NO_WALL
+        wall, watching = collision.wall, self.phase in _WATCHING
+        if self._expected.wall is not wall or self._expected.watching is not watching:
+            self._expected = Expected(watching, wall.normal, wall.material, wall)
         return self._expected
 
     def _is_expected(self, collision: Collision) -> bool:
         """Whether the plan has the vehicle meet this wall in this phase."""
-        by_recovery = self.phase is Phase.RECOVERY and collision.approach_m_s is None
-        return by_recovery or self.phase in (Phase.APPROACH, Phase.CONTACT)
+        phase = self.phase
+        if phase is _RECOVERY:
+            return collision.approach_m_s is None
+        return phase is _APPROACH or phase is _CONTACT
 
     def _is_due(self, collision: Collision) -> bool:
         """Whether an onset now is the plan's; a second one before the peak is not."""
@@ -232,7 +249,9 @@ class Executive:
 
     def _lock_to(self, mode: Mode, state: FlightState, p: Proposal) -> bool:
         """Move the lock where it is not there yet and may move; True once it is settled in `mode`."""
-        p.outputs += self._lock.to(mode, state)
+        order = self._lock.to(mode, state)
+        if order is not None:
+            p.outputs.append(order)
         return state.lock_is_in(mode)
 
     # -- on the ground --
@@ -366,7 +385,9 @@ class Executive:
             p.find("lock_not_ready", f"lock not {collision.mode.value} before collision {collision.index}")
 
     def _begin_approach(self, collision: Collision) -> None:
-        self._references.approach(self._approaches[collision.index])
+        approach = self._approaches[collision.index]
+        self._impact_s = approach.impact_s
+        self._references.approach(approach)
 
     def _approach(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         collision = self._collision
@@ -374,8 +395,10 @@ class Executive:
         if not state.lock_is_in(collision.mode):
             p.find("lock_not_settled", f"lock left {collision.mode.value} during the approach")
         self._check_wall_met(collision, state, sensed, p)
+        since_s = self._elapsed_us(state) * 1e-6 - self._impact_s
+        if since_s <= 0.0:  # no wall is late before its time
+            return
         approach, guard = self._approaches[collision.index], self.mission.vehicle.guard
-        since_s = self._elapsed_us(state) * 1e-6 - approach.impact_s
         assert collision.approach_m_s is not None
         wall = self._survey.seen(collision.wall)
         if since_s > late_s(guard, wall, approach.impact, -collision.approach_m_s[0]):
@@ -384,7 +407,10 @@ class Executive:
 
     def _check_wall_met(self, collision: Collision, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         wall, (x, y, _) = self._survey.seen(collision.wall), state.position
-        overrun, guard = -wall.signed_distance((x, y)), self.mission.vehicle.guard
+        overrun = -wall.signed_distance((x, y))
+        if overrun <= 0.0:
+            return
+        guard = self.mission.vehicle.guard
         if overrun > overrun_m(guard, wall, (x, y)) and not sensed.in_contact:
             p.find("wall_not_met", f"{overrun:.2f} m behind wall {collision.wall.name} without a contact")
 
@@ -604,14 +630,14 @@ class Executive:
         frame = p.frame or state.frame
         if frame is None:
             return
-        if self.phase is Phase.CONTACT and self._yielding is not None:
+        if self.phase is _CONTACT and self._yielding is not None:
             if not self._takes_longer_than(LONGEST_S, state):
                 p.outputs.append(self._references.yielding_setpoint(frame, sample, self._feed_forward()))
             return
         if self.phase in _SILENT:
             return
         self._references.slew_yaw(self._wanted_yaw(state), state.now_us)
-        forward = self._feed_forward() if self.phase is Phase.RECOVERY else None
+        forward = self._feed_forward() if self.phase is _RECOVERY else None
         p.outputs.append(
             self._references.setpoint(frame, sample.t_us, sample.received_us, self._way_us, forward)
         )

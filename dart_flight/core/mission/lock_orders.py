@@ -10,7 +10,7 @@ from typing import Final
 
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.core.sense.state import FlightState
-from dart_flight.samples import LockCommand, LockPermission, LockPhase, Mode, Output
+from dart_flight.samples import LockCommand, LockPermission, LockPhase, Mode
 
 RETRY_US: Final = 1_000_000
 _OVERDUE_US: Final = 50_000  # two polls of the lock
@@ -41,14 +41,14 @@ class LockOrders:
         """The force is gone; the arms spring back."""
         self.contact_end_us = t_us
 
-    def permission(self, now_us: int, in_contact: bool) -> list[Output]:
+    def permission(self, now_us: int, in_contact: bool) -> LockPermission | None:
         """A record where it has changed whether the lock may move."""
         relaxed = self.contact_end_us is not None and now_us - self.contact_end_us >= self._relaxation_us
         permitted = not in_contact and (self._impact_us is None or relaxed)
         if permitted == self._permitted or self._lock is None:
-            return []
+            return None
         self._permitted = permitted
-        return [LockPermission(now_us, permitted)]
+        return LockPermission(now_us, permitted)
 
     def ready_us(self, mode: Mode, state: FlightState) -> int | None:
         """When the lock will be settled in a mode if nothing fails, autopilot time.
@@ -69,14 +69,14 @@ class LockOrders:
         """An order may be given anew in a new phase, without waiting for the last one's retry."""
         self._ordered_us = None
 
-    def to(self, mode: Mode, state: FlightState) -> list[Output]:
+    def to(self, mode: Mode, state: FlightState) -> LockCommand | None:
         """The command to go to a mode where the lock is not there, may move, and was not told just now."""
         if state.lock_is_in(mode):
-            return []
+            return None
         moving = state.lock.phase is LockPhase.TRAVELLING and state.lock.mode is mode
         fresh = self._ordered is not mode or self._ordered_us is None
         stale = self._ordered_us is not None and state.now_us - self._ordered_us >= RETRY_US
         if not self._permitted or moving or not (fresh or stale):
-            return []
+            return None
         self._ordered, self._ordered_us = mode, state.now_us
-        return [LockCommand(state.now_us, mode)]
+        return LockCommand(state.now_us, mode)

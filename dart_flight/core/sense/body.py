@@ -53,16 +53,16 @@ LEAST_LEAD_M: Final = 0.002  # a smaller lead is none: both points at once
 _BEFORE: Final = 3  # samples of the contact from before the first one that was over the noise
 _MOST: Final = 160  # samples of a contact
 _MOST_BINS: Final = 18
-_GRID_RAD: Final = math.radians(3.0)
+_GRID_RAD = math.radians(3.0)
 _GRID_REACH: Final = 5  # steps to either side of what the attitude says
-_GUESSES: Final = (0.6, 1.0, 1.6, 2.5)  # of the angle that a line gives
+_GUESSES = (0.6, 1.0, 1.6, 2.5)  # of the angle that a line gives
 _REFINE: Final = 4
 _FINE: Final = 4  # points of the fitted torque in a tick
-_QUADRATIC: Final = (-3.0 / 35.0, 12.0 / 35.0, 17.0 / 35.0, 12.0 / 35.0, -3.0 / 35.0)
+_QUADRATIC = (-3.0 / 35.0, 12.0 / 35.0, 17.0 / 35.0, 12.0 / 35.0, -3.0 / 35.0)
 _NEAR_TOP: Final = 0.6  # share of the torque's top from which on a sample says how large it is
 _SURE_SIGMA: Final = 4.0  # a fitted torque below this many times the noise says nothing of the peak's shape
 _COMMON: Final = 1.5  # more than the samples say: what the model is off by is much the same in all of them
-_QUARTER: Final = 0.5 * math.pi
+_QUARTER = 0.5 * math.pi
 
 
 class Known(NamedTuple):
@@ -100,13 +100,13 @@ class _Row(NamedTuple):
     sliding: float
 
 
-class Felt(NamedTuple):
+class Felt:
     """What an IMU sample has given: force, torque, attitude, mean rate over its tick (rad/s, FRD)."""
 
-    force: ForceEstimate
-    torque: TorqueEstimate
-    q: Quaternion
-    rate: Vec3
+    __slots__ = ("force", "q", "rate", "torque")
+
+    def __init__(self, force: ForceEstimate, torque: TorqueEstimate, q: Quaternion, rate: Vec3) -> None:
+        self.force, self.torque, self.q, self.rate = force, torque, q, rate
 
 
 class ContactSamples:
@@ -142,6 +142,9 @@ class BodySense:
         vehicle: its body and what materials it meets.
         samples: of force and torque; whoever owns them adds each before `take`.
         known: how well things are known beforehand.
+
+    Attributes:
+        due: there is something to be said after the next sample, whatever the detector makes of it.
     """
 
     def __init__(self, vehicle: VehicleConfig, samples: ContactSamples, known: Known | None = None) -> None:
@@ -155,7 +158,7 @@ class BodySense:
         self._slow: Vec2 = (0.0, 0.0)
         self._onset: ImpactOnset | None = None
         self._peak: ImpactPeak | None = None
-        self._due = False
+        self.due = False
         self._coefficients: Coefficients | None = None
 
     def take(
@@ -174,18 +177,18 @@ class BodySense:
             expected: what the mission expects; counts at the onset.
         """
         told = None
-        if self._due:
+        if self.due:
             # One sample after the peak: the recovery's set-point does not wait for it.
-            self._due = False
+            self.due = False
             told = self._judge(state, final=False)
         for event in events:
             if isinstance(event, ImpactOnset):
                 self._onset, self._peak, self._slow = event, None, slow
                 self._coefficients = self._coefficients_of(expected if event.planned else Expected(), state)
             elif isinstance(event, ImpactPeak):
-                self._peak, self._due = event, True
+                self._peak, self.due = event, True
             elif isinstance(event, ContactEnd) and self._peak is not None:
-                told, self._due = self._judge(state, final=True), False
+                told, self.due = self._judge(state, final=True), False
         return told
 
     def _coefficients_of(self, expected: Expected, state: FlightState) -> Coefficients:
@@ -239,7 +242,8 @@ def _rows(samples: list[Felt], normal: Vec2, slow: Vec2, velocity: Vec3, mass_kg
     vx, vy = velocity[0], velocity[1]
     last_us = samples[0].force.t_us
     rows = []
-    for force, torque, q, rate in samples:
+    for sample in samples:
+        force, torque, q, rate = sample.force, sample.torque, sample.q, sample.rate
         dt_s = (force.t_us - last_us) * 1e-6
         last_us = force.t_us
         fx, fy = force.force_mission[0] - slow[0], force.force_mission[1] - slow[1]

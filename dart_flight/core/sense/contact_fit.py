@@ -30,9 +30,7 @@ from dart_flight.contact.law import Onset
 from dart_flight.geometry import Vec2
 
 PLACE_M: Final = 0.1  # at least: how far off the plan a wall may stand: loosely held, the force tells
-WALL_RAD: Final = math.radians(
-    4.0
-)  # at least: how well a wall's direction is known, with that of the attitude
+WALL_RAD = math.radians(4.0)  # at least: how well a wall's direction is known, with that of the attitude
 _VELOCITY_M_S: Final = 0.04  # deviation of PX4's velocity, at rest and of the speed
 _VELOCITY_SHARE: Final = 0.02
 _VERTICAL_N: Final = 1.0  # deviation of the vertical force's mean over a contact
@@ -49,7 +47,7 @@ _DIFFERENCE: Final = 1e-5  # of a parameter, for the derivatives
 _SUBSTEPS: Final = 2  # of a tick
 _MOST_TICKS: Final = 36  # more are merged
 _GUESS_SHARE: Final = 0.15  # of the largest force: readings that a first guess is made of
-_INCIDENCES_RAD: Final = tuple(math.radians(d) for d in (4.0, 7.0, 10.0))  # at which a fit may begin
+_INCIDENCES_RAD = tuple(math.radians(d) for d in (4.0, 7.0, 10.0))  # at which a fit may begin
 _K, _F, _X, _V, _D, _MU, _W = range(7)  # k, f, place, velocity, angle, mu, velocity along
 _ALL: Final = 7
 

@@ -66,16 +66,16 @@ class Expected(NamedTuple):
     wall: Wall | None = None
 
 
-class _Sample(NamedTuple):
+class _Sample:
     """A sample of the contact; forces less the baseline, mission frame."""
 
-    t_us: int
-    dt_us: int
-    fx: float
-    fy: float
-    fz: float
-    push: Vec2
-    clipped: bool
+    __slots__ = ("clipped", "dt_us", "fx", "fy", "fz", "push", "t_us")
+
+    def __init__(
+        self, t_us: int, dt_us: int, fx: float, fy: float, fz: float, push: Vec2, clipped: bool
+    ) -> None:
+        self.t_us, self.dt_us, self.fx, self.fy, self.fz = t_us, dt_us, fx, fy, fz
+        self.push, self.clipped = push, clipped
 
 
 class _Stage(Enum):
@@ -83,6 +83,13 @@ class _Stage(Enum):
     RISING = auto()
     FALLING = auto()
     REFRACTORY = auto()
+
+
+# Looked up once: what a class or an enumeration is asked for at every sample costs more than the sums.
+_WATCHING: Final = _Stage.WATCHING
+_RISING: Final = _Stage.RISING
+_FALLING: Final = _Stage.FALLING
+_REFRACTORY: Final = _Stage.REFRACTORY
 
 
 Events = list[ImpactOnset | ImpactPeak | ContactEnd | DetectionFloor]
@@ -110,8 +117,13 @@ class ImpactDetector:
             mode: _mean_prior([p for (_, m), p in self._priors.items() if m is mode])
             for mode in vehicle.modes
         }
+        # Of every sample: a number of the configuration's costs a look-up by name.
+        c = self._config
+        self._threshold_n, self._release_n = c.force_threshold_n, c.release_fraction * c.force_threshold_n
+        self._sigma, self._refractory_us = c.noise_sigma, c.refractory_s * 1e6
+        self._learns_noise = c.noise_sigma > 0.0
         self.slow_force = SlowForce(vehicle.estimation)
-        self._stage = _Stage.WATCHING
+        self._stage = _WATCHING
         tick_s, noise_n = vehicle.imu.tick_s, self._mass * vehicle.estimation.imu_noise_m_s2
         lengths = (0.0, 2.0 * tick_s, self._config.short_window_s, self._config.long_window_s)
         self._windows = [WindowMean(s, noise_n, round(s / tick_s)) for s in lengths]
@@ -134,7 +146,7 @@ class ImpactDetector:
     @property
     def in_contact(self) -> bool:
         """Between onset and end of contact."""
-        return self._stage in (_Stage.RISING, _Stage.FALLING)
+        return self._stage is _RISING or self._stage is _FALLING
 
     @property
     def crossed_n(self) -> float:
@@ -156,23 +168,23 @@ class ImpactDetector:
         force, base = estimate.force_mission, self.slow_force.value
         fx, fy = force[0] - base[0], force[1] - base[1]
         stage = self._stage
-        if stage is _Stage.REFRACTORY and t_us - self._ended_us >= self._config.refractory_s * 1e6:
-            stage = self._stage = _Stage.WATCHING
+        if stage is _REFRACTORY and t_us - self._ended_us >= self._refractory_us:
+            stage = self._stage = _WATCHING
         told = self._tell_floor(t_us, expected)
         self._expected = expected
-        if self._config.noise_sigma > 0.0:
+        if self._learns_noise:
             for window in self._windows:
                 window.add(t_us, fx, fy)
-        if stage is _Stage.WATCHING or stage is _Stage.REFRACTORY:
+        if stage is _WATCHING or stage is _REFRACTORY:
             self._noise = estimate.noise_n
             return told + self._watch(estimate, fx, fy, dt_us, received_us, state)
         events: Events = told
-        if stage is _Stage.RISING:
+        if stage is _RISING:
             self._samples.append(
                 _Sample(t_us, dt_us, fx, fy, force[2], estimate.push_mission, estimate.clipped)
             )
             if self._peak_is_past(t_us):
-                self._stage = _Stage.FALLING
+                self._stage = _FALLING
                 events.append(self._peak(t_us, received_us, state))
         else:
             end = self._end(t_us, fx, fy)
@@ -185,24 +197,20 @@ class ImpactDetector:
     def _watch(
         self, estimate: ForceEstimate, fx: float, fy: float, dt_us: int, received_us: int, state: FlightState
     ) -> Events:
-        config = self._config
         size = max(abs(fx), abs(fy)) if self._per_axis else math.sqrt(fx * fx + fy * fy)
-        threshold = config.force_threshold_n
+        threshold, release, force = self._threshold_n, self._release_n, estimate.force_mission
         over = size >= threshold
-        release = config.release_fraction * threshold
         drowned = self._drowned(release)
         # A tone that turns about in the plane never is below the release level in any sample.
         if size < release or (drowned and self._size_of(2) < release):
             self._armed = True
-        sample = _Sample(
-            estimate.t_us, dt_us, fx, fy, estimate.force_mission[2], estimate.push_mission, estimate.clipped
-        )
-        watching = self._expected.watching and self._armed and self._stage is _Stage.WATCHING
+        sample = _Sample(self._last_us, dt_us, fx, fy, force[2], estimate.push_mission, estimate.clipped)
+        watching = self._expected.watching and self._armed and self._stage is _WATCHING
         if watching and self._is_contact(fx, fy, size, over):
             return [self._begin(estimate, sample, received_us, state)]
         self._previous = ((fx, fy), self._previous[0])
         self._before.append(sample)
-        if config.noise_sigma > 0.0 and self._stage is _Stage.WATCHING:
+        if self._learns_noise and self._stage is _WATCHING:
             for window in self._windows:
                 window.learn(dt_us * 1e-6)
         if drowned:
@@ -211,7 +219,7 @@ class ImpactDetector:
             (fx, fy), base = self._windows[2].mean, self.slow_force.value
             fx, fy, seconds = fx + base[0], fy + base[1], _NOISY_BASELINE * dt_us * 1e-6
         else:
-            fx, fy, seconds = *estimate.force_mission[:2], dt_us * 1e-6
+            fx, fy, seconds = force[0], force[1], dt_us * 1e-6
         if not over or not self._armed:
             self.slow_force.follow(fx, fy, seconds)
         return []
@@ -219,7 +227,7 @@ class ImpactDetector:
     def _is_contact(self, fx: float, fy: float, size: float, over: bool) -> bool:
         """Whether the sample, the mean of the newest two or three, or a longer mean is over its threshold."""
         one, two, short, long = self.thresholds_n()
-        threshold = self._config.force_threshold_n
+        threshold = self._threshold_n
         self._by_mean, self._threshold = None, threshold
         if over:
             # One sample is enough where noise cannot have lifted it; else two or three in a row.
@@ -238,7 +246,7 @@ class ImpactDetector:
     def thresholds_n(self) -> tuple[float, float, float, float]:
         """Of one sample, of the mean of two, of the short and of the long window, newton: the configured
         threshold, or the multiple of the learnt noise where that is more."""
-        least, sigma = self._config.force_threshold_n, self._config.noise_sigma
+        least, sigma = self._threshold_n, self._sigma
         one, two, short, long = self._windows
         return (
             max(least, (sigma + _OFTEN_SIGMA) * one.noise_n),
@@ -268,7 +276,7 @@ class ImpactDetector:
 
     def _tell_floor(self, t_us: int, expected: Expected) -> Events:
         """What can be felt, once when a wall begins to be expected."""
-        if self._config.noise_sigma <= 0.0 or expected.normal is None or self._expected.normal is not None:
+        if expected.normal is None or not self._learns_noise or self._expected.normal is not None:
             return []
         thresholds = self.thresholds_n()
         floors = {m: self.floor_n(self._prior_of(expected, m).half_period_s) for m in self._vehicle.modes}
@@ -321,7 +329,7 @@ class ImpactDetector:
             window.forget()
         self._quiet_since_us = None
         self._armed = False
-        self._stage = _Stage.RISING
+        self._stage = _RISING
         self.slow_force.settle()
         self._onset = ImpactOnset(
             t_us=sample.t_us,
@@ -474,13 +482,13 @@ class ImpactDetector:
             self._quiet_since_us = t_us
         if t_us - self._quiet_since_us < self._config.contact_end_s * 1e6:
             return None
-        self._stage = _Stage.REFRACTORY
+        self._stage = _REFRACTORY
         self._ended_us = t_us
         return ContactEnd(t_us=self._quiet_since_us, first_us=self._onset.first_us)
 
     def _drowned(self, release: float) -> bool:
         """Whether a sample's noise alone is often over the release level: then the short mean is asked."""
-        return self._config.noise_sigma > 0.0 and _DROP_SIGMA * self._noise > release
+        return self._learns_noise and _DROP_SIGMA * self._noise > release
 
 
 def confirmed_force(

@@ -39,7 +39,7 @@ _FEWEST: Final = 4  # readings in contact
 _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # deviation of PX4's position against the walls' frame
 _MOST_MISFIT: Final = 2.0  # mean square of the residuals over their errors: beyond it this is no such contact
-_QUARTER: Final = 0.5 * math.pi
+_QUARTER = 0.5 * math.pi
 
 
 class WallSense:
@@ -67,6 +67,11 @@ class WallSense:
         self._wall: Wall | None = None
         self._reported: Mode | None = None
         self._job: _Job | None = None
+
+    @property
+    def due(self) -> bool:
+        """Whether a contact is being judged, a little at every sample."""
+        return self._job is not None
 
     def take(
         self,
@@ -186,7 +191,8 @@ class WallSense:
         nx, ny = wall.normal
         turned, last_us = 0.0, samples[0].force.t_us - round(tick_s * 1e6)
         ticks = []
-        for force, torque, q, rate in samples:
+        for sample in samples:
+            force, torque, q, rate = sample.force, sample.torque, sample.q, sample.rate
             h = (force.t_us - last_us) * 1e-6
             last_us = force.t_us
             fx, fy = force.force_mission[0] - self._slow[0], force.force_mission[1] - self._slow[1]

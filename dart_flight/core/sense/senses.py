@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final
 
 from dart_flight.config.mission import Mission
 from dart_flight.core.sense.body import BodySense, ContactSamples, Felt
@@ -37,8 +37,10 @@ from dart_flight.samples import (
     WallFelt,
 )
 
+Impacts = tuple[ImpactOnset | ImpactPeak | ContactEnd | DetectionFloor, ...]
 
-class Sensed(NamedTuple):
+
+class Sensed:
     """What one input has taught.
 
     Attributes:
@@ -50,12 +52,19 @@ class Sensed(NamedTuple):
         wall: what a planned contact says of its wall and of the arms, at its end.
     """
 
-    estimate: ForceEstimate | None = None
-    impacts: tuple[ImpactOnset | ImpactPeak | ContactEnd | DetectionFloor, ...] = ()
-    in_contact: bool = False
-    torque: TorqueEstimate | None = None
-    body: ImpactBody | None = None
-    wall: WallFelt | None = None
+    __slots__ = ("body", "estimate", "impacts", "in_contact", "torque", "wall")
+
+    def __init__(
+        self,
+        estimate: ForceEstimate | None = None,
+        impacts: Impacts = (),
+        in_contact: bool = False,
+        torque: TorqueEstimate | None = None,
+        body: ImpactBody | None = None,
+        wall: WallFelt | None = None,
+    ) -> None:
+        self.estimate, self.impacts, self.in_contact = estimate, impacts, in_contact
+        self.torque, self.body, self.wall = torque, body, wall
 
 
 _NOTHING: Final = Sensed()
@@ -138,6 +147,8 @@ class Senses:
         body = wall = None
         if torque is not None and estimator.attitude is not None:
             self._samples.add(Felt(estimate, torque, estimator.attitude, estimator.turning.rate))
-            body = self.body.take(state, slow, impacts, expected)
-            wall = self.walls.take(state, slow, impacts, expected)
-        return Sensed(estimate, tuple(impacts), detector.in_contact, torque, body, wall)
+            if impacts or self.body.due:  # else there is nothing new to be said
+                body = self.body.take(state, slow, impacts, expected)
+            if impacts or self.walls.due:
+                wall = self.walls.take(state, slow, impacts, expected)
+        return Sensed(estimate, tuple(impacts) if impacts else (), detector.in_contact, torque, body, wall)

@@ -32,6 +32,10 @@ _LEAP_US: Final = 1_000_000
 _FASTEST: Final = 20  # simulated seconds per second
 _LEAPS_BELIEVED: Final = 25
 _VELOCITIES_KEPT_US: Final = 1_000_000
+# Looked up once: asked of the enumeration at every sample they cost more than the comparison.
+_OFFBOARD: Final = FlightMode.OFFBOARD
+_ON_GROUND: Final = LandedState.ON_GROUND
+_SETTLED: Final = LockPhase.SETTLED
 
 
 class FlightState:
@@ -71,19 +75,20 @@ class FlightState:
 
     def take_odometry(self, sample: OdometrySample) -> bool:
         """A position and velocity; False where its stamp does not advance."""
-        previous = self.odometry
-        if previous is not None and sample.t_us <= previous.t_us:
+        previous, t_us, received_us = self.odometry, sample.t_us, sample.received_us
+        before_us = 0 if previous is None else previous.t_us
+        if previous is not None and t_us <= before_us:
             return False
-        if self._leaps("odometry", sample, previous):
+        if self._leaps("odometry", t_us, received_us, previous):
             return False
         self.odometry = sample
-        self._saw(sample.t_us, sample.received_us)
+        self._saw(t_us, received_us)
         if self.frame is None:
             return True
         position = self.frame.point_from_ned(sample.position_ned)
         velocity = self.frame.vector_from_ned(sample.velocity_ned)
         if previous is not None:
-            dt = (sample.t_us - previous.t_us) * 1e-6
+            dt = (t_us - before_us) * 1e-6
             share = min(1.0, dt / 0.06)  # first order, 0.06 s: the estimator's velocity is noisy
             a, v = self.acceleration, self.velocity
             self.acceleration = (
@@ -92,42 +97,44 @@ class FlightState:
                 a[2] + share * ((velocity[2] - v[2]) / dt - a[2]),
             )
         self.position, self.velocity = position, velocity
-        self._velocities.append((sample.t_us, velocity))
-        while self._velocities[0][0] < sample.t_us - _VELOCITIES_KEPT_US:
+        self._velocities.append((t_us, velocity))
+        while self._velocities[0][0] < t_us - _VELOCITIES_KEPT_US:
             self._velocities.popleft()
         return True
 
     def take_attitude(self, sample: AttitudeSample) -> bool:
         """An attitude; False where its stamp does not advance."""
-        previous = self.attitude
-        if previous is not None and sample.t_us <= previous.t_us:
+        previous, t_us, received_us = self.attitude, sample.t_us, sample.received_us
+        if previous is not None and t_us <= previous.t_us:
             return False
-        if self._leaps("attitude", sample, previous):
+        if self._leaps("attitude", t_us, received_us, previous):
             return False
         self.attitude = sample
-        self._saw(sample.t_us, sample.received_us)
-        self.tilt_rad = tilt_of(sample.q_frd_to_ned)
+        self._saw(t_us, received_us)
+        q = sample.q_frd_to_ned
+        self.tilt_rad = tilt_of(q)
         if self.frame is not None:
-            self.yaw = self.frame.yaw_from_ned(yaw_ned_of(sample.q_frd_to_ned))
+            self.yaw = self.frame.yaw_from_ned(yaw_ned_of(q))
         return True
 
     def take_imu(self, sample: ImuSample) -> bool:
         """An IMU sample; False where its stamp does not advance."""
-        previous = self.imu
-        if previous is not None and sample.t_us <= previous.t_us:
+        previous, t_us, received_us = self.imu, sample.t_us, sample.received_us
+        if previous is not None and t_us <= previous.t_us:
             return False
-        if self._leaps("imu", sample, previous):
+        if self._leaps("imu", t_us, received_us, previous):
             return False
         self.imu = sample
-        self._saw(sample.t_us, sample.received_us)
+        self._saw(t_us, received_us)
         return True
 
     def take_actuator(self, sample: ActuatorSample) -> None:
         """Motor commands."""
-        if self._leaps("actuator", sample, self.actuator):
+        received_us = sample.received_us
+        if self._leaps("actuator", sample.t_us, received_us, self.actuator):
             return
         self.actuator = sample
-        self.host_us = max(self.host_us, sample.received_us)
+        self.host_us = max(self.host_us, received_us)
 
     def take_status(self, sample: StatusSample) -> None:
         """The autopilot's slow state."""
@@ -177,7 +184,8 @@ class FlightState:
     def _leaps(
         self,
         stream: str,
-        sample: ImuSample | AttitudeSample | OdometrySample | ActuatorSample,
+        t_us: int,
+        received_us: int,
         previous: ImuSample | AttitudeSample | OdometrySample | ActuatorSample | None,
     ) -> bool:
         """Whether a stamp lies further ahead than time can have gone by: another vehicle's, on the same link.
@@ -186,14 +194,14 @@ class FlightState:
         is compared with the newest of the others.
         """
         if previous is not None:
-            before_us, received_us = previous.t_us, previous.received_us
+            ahead_us, elapsed_us = t_us - previous.t_us, received_us - previous.received_us
         elif self._stamp_us:
-            before_us, received_us = self._stamp_us, self._stamped_us
+            ahead_us, elapsed_us = t_us - self._stamp_us, received_us - self._stamped_us
         else:
             return False
-        elapsed_us = sample.received_us - received_us
-        if sample.t_us - before_us <= _LEAP_US + _FASTEST * max(0, elapsed_us):
-            self._leapt.pop(stream, None)
+        if ahead_us <= _LEAP_US or ahead_us <= _LEAP_US + _FASTEST * elapsed_us:
+            if self._leapt:
+                self._leapt.pop(stream, None)
             return False
         self._leapt[stream] = self._leapt.get(stream, 0) + 1
         if self._leapt[stream] < _LEAPS_BELIEVED:
@@ -203,8 +211,9 @@ class FlightState:
 
     def _saw(self, t_us: int, received_us: int) -> None:
         self._stamp_us, self._stamped_us = t_us, received_us
-        self.now_us = max(self.now_us, t_us)
-        self.host_us = max(self.host_us, received_us)
+        # Comparisons, where `max` would do: a call for every sample costs more.
+        self.now_us = t_us if t_us > self.now_us else self.now_us
+        self.host_us = received_us if received_us > self.host_us else self.host_us
 
     # -- derived --
 
@@ -280,13 +289,13 @@ class FlightState:
     @property
     def in_offboard(self) -> bool:
         """Whether PX4 says that it flies our set-points."""
-        return self.status.flight_mode is FlightMode.OFFBOARD
+        return self.status.flight_mode is _OFFBOARD
 
     @property
     def on_ground(self) -> bool:
         """Whether PX4's land detector says so."""
-        return self.status.landed is LandedState.ON_GROUND
+        return self.status.landed is _ON_GROUND
 
     def lock_is_in(self, mode: Mode) -> bool:
         """Whether the lock is settled in a mode, as far as it can know."""
-        return self.lock.phase is LockPhase.SETTLED and self.lock.mode is mode
+        return self.lock.phase is _SETTLED and self.lock.mode is mode

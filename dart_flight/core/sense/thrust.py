@@ -22,6 +22,9 @@ Each = tuple[float, ...]  # of every motor
 # `auto` takes no slower telemetry: switching to and fro would look like forces
 _ESC_PERIOD_US: Final = 20_000
 _PENDING: Final = 16  # commands ahead of the IMU: a few ticks at most
+_ESC: Final = ThrustSource.ESC
+_ACTUATOR: Final = ThrustSource.ACTUATOR
+_ATTITUDE_TARGET: Final = ThrustSource.ATTITUDE_TARGET
 
 
 class LaggedCommands:
@@ -68,7 +71,9 @@ class LaggedCommands:
         if a == b:
             return
         left = math.exp(-step / self._lag_us) if self._lag_us > 0.0 else 0.0
-        self.value = tuple([to + (now - to) * left for to, now in zip(a, b, strict=True)])
+        if len(a) != len(b):
+            raise ValueError(f"{len(a)} commands after {len(b)}")
+        self.value = tuple([to + (b[i] - to) * left for i, to in enumerate(a)])
 
 
 class ThrustModel:
@@ -81,6 +86,9 @@ class ThrustModel:
 
     def __init__(self, vehicle: VehicleConfig) -> None:
         self._config = vehicle.estimation
+        self._wanted = self._config.thrust_source
+        self._auto = self._wanted is ThrustSource.AUTO
+        self._per_rpm2 = self._config.esc_thrust_n_per_rpm2
         self._curve, self._full_n = vehicle.thrust, vehicle.thrust.most_n
         self._square, self._most_n = vehicle.thrust.model_factor, len(vehicle.airframe.motors) * self._full_n
         self._hover_n = vehicle.airframe.mass_kg * GRAVITY_M_S2
@@ -125,15 +133,14 @@ class ThrustModel:
         return 0.5 * (before + raw)
 
     def _at(self, t_us: int) -> float:
-        wanted, oldest = self._config.thrust_source, t_us - self._timeout_us
-        auto = wanted is ThrustSource.AUTO
+        wanted, auto, oldest = self._wanted, self._auto, t_us - self._timeout_us
         esc, motors, collective = self._esc, self._motors, self._collective
         # A single choice does not time out: an old value of the right source beats none.
-        per_rpm2 = self._config.esc_thrust_n_per_rpm2
+        per_rpm2 = self._per_rpm2
         if esc is not None and per_rpm2 is not None:
             often = self._esc_period_us <= _ESC_PERIOD_US and esc.t_us >= t_us - _ESC_PERIOD_US
-            if wanted is ThrustSource.ESC or (auto and often):
-                self.source = ThrustSource.ESC
+            if wanted is _ESC or (auto and often):
+                self.source = _ESC
                 self.each_n = tuple([per_rpm2 * rpm * rpm for rpm in esc.rpm])
                 squares = 0.0
                 for rpm in esc.rpm:
@@ -141,13 +148,13 @@ class ThrustModel:
                 return per_rpm2 * squares
         known = motors.newest_us > 0
         fresh = motors.newest_us >= oldest or collective.newest_us < motors.newest_us
-        if known and (wanted is ThrustSource.ACTUATOR or (auto and fresh)):
-            self.source = ThrustSource.ACTUATOR
+        if known and (wanted is _ACTUATOR or (auto and fresh)):
+            self.source = _ACTUATOR
             motors.advance(t_us)
             return self._by_curve(motors.value)
         self.each_n = None
-        if collective.newest_us > 0 and (auto or wanted is ThrustSource.ATTITUDE_TARGET):
-            self.source = ThrustSource.ATTITUDE_TARGET
+        if collective.newest_us > 0 and (auto or wanted is _ATTITUDE_TARGET):
+            self.source = _ATTITUDE_TARGET
             collective.advance(t_us)
             return self._most_n * collective.value[0] * self._voltage_factor
         self.source = None
@@ -160,9 +167,11 @@ class ThrustModel:
             self.each_n = each = tuple([force * volts for force in self._curve.forces_n(commands)])
             return sum(each)
         full, g = self._full_n * volts, 1.0 - f
-        self.each_n = tuple([full * u * (f * u + g) for u in commands])
+        each_n: list[float] = []
         squares = linear = 0.0
         for u in commands:
+            each_n.append(full * u * (f * u + g))
             squares += u * u
             linear += u
+        self.each_n = tuple(each_n)
         return self._full_n * (f * squares + g * linear) * volts

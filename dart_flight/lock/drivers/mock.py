@@ -69,7 +69,8 @@ class MockDriver:
 
     def horn_pulse_us(self, t_us: int) -> float:
         """Where the horn really is at `t_us` of the mock's time base, as a pulse width in us."""
-        self._advance(t_us)
+        if self._reset_at_us is not None:
+            self._advance(t_us)
         return self._servo.pulse_at(t_us)
 
     def open(self) -> None:
