@@ -16,7 +16,7 @@ import math
 import random
 import sys
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -148,10 +148,21 @@ def pulses_for(flying: list[tuple[float, float]], busy: list[float], rng: random
     return out
 
 
-def judge(path: Path, vehicle: VehicleConfig, rng: random.Random) -> dict[str, Any]:
-    """Everything about one log."""
+def open_log(path: Path) -> ULogFile:
+    """A ULog with the topics that `feel` reads."""
+    return open_ulog(path, TOPICS)
+
+
+def judge(
+    path: Path,
+    vehicle: VehicleConfig,
+    rng: random.Random,
+    read: Callable[[Path], ULogFile] = open_log,
+    only_shipped: bool = False,
+) -> dict[str, Any]:
+    """Everything about one log; of the thresholds all, or only the shipped one."""
     try:
-        log = open_ulog(path, TOPICS)
+        log = read(path)
         flight, estimates, flying, made = feel_log_keeping(log, vehicle)
     except InputError as error:
         return {"log": path.name, "refused": error.message}
@@ -162,10 +173,12 @@ def judge(path: Path, vehicle: VehicleConfig, rng: random.Random) -> dict[str, A
         "log": path.name,
         "version": flight.px4_version,
         "flight_s": flight.flight_s,
+        "flights": [[a - begin_s, b - begin_s] for a, b in flying],
         "noise_m_s2": flight.noise_m_s2,
         "noise_short_m_s2": flight.noise_short_m_s2,
         "noise_long_m_s2": flight.noise_long_m_s2,
         "threshold_m_s2": flight.threshold_m_s2,
+        "floors_m_s2": [flight.floor_rigid_m_s2, flight.floor_flexible_m_s2],
         "fastest_m_s": fastest(log),
         "thrust": None if flight.thrust is None else msgspec.to_builtins(flight.thrust),
         "impacts": [msgspec.to_builtins(i) for i in flight.impacts],
@@ -182,6 +195,8 @@ def judge(path: Path, vehicle: VehicleConfig, rng: random.Random) -> dict[str, A
         ),
         *((f"learnt {s:g}", msgspec.structs.replace(d, noise_sigma=s)) for s in SIGMAS),
     ):
+        if only_shipped and detection != d:
+            continue
         clean = detect(made, estimates, detection)
         at_16 = detect(made, estimates, detection, pulses, fixed_n=15.4)
         runs[name] = {
