@@ -107,5 +107,11 @@ def _print(flight: FeltFlight) -> None:
             f"{flight.weak} more over the threshold for a moment, with a fitted peak under it: no impact",
             soft_wrap=True,
         )
+    if flight.untold:
+        out.print(
+            f"{flight.untold} more over the threshold, faster than 1 m/s or at an unknown speed: without "
+            "motor outputs a manoeuvre cannot be told from a contact",
+            soft_wrap=True,
+        )
     for what in flight.unknown:
         out.print(f"unknown: {what}", soft_wrap=True)

@@ -25,7 +25,7 @@ VIBRATION_M_S2 = 2.5
 Rows = list[tuple[float, list[float]]]
 
 
-def topics(motor_hz: float = 100.0, motors: bool = True) -> Topics:
+def topics(motor_hz: float = 100.0, motors: bool = True, north_m_s: float = 0.0) -> Topics:
     """40 s in the air, slow climbs and descents, vibration, one hit; level, facing north."""
     rng = random.Random(5)
     imu: Rows = []
@@ -45,7 +45,7 @@ def topics(motor_hz: float = 100.0, motors: bool = True) -> Topics:
         if i % 10 == 0:
             attitude.append((stamp, [1.0, 0.0, 0.0, 0.0]))
         if i % 25 == 0:
-            position.append((stamp, [0.0, 0.0, -min(2.0, max(0.0, t - 2.0)), 0.0, 0.0, 0.0]))
+            position.append((stamp, [0.0, 0.0, -min(2.0, max(0.0, t - 2.0)), north_m_s, 0.0, 0.0]))
         if i % every == 0:
             commands.append((stamp, [u] * 4))
         if i % 250 == 0:
@@ -104,6 +104,20 @@ def test_slow_and_missing_topics_are_named_with_what_would_help(
     flight = felt(write_ulog(tmp_path / "none.ulg", topics(motors=False)), capsys)
     assert flight["thrust"] is None
     assert any(what.startswith("thrust: has no actuator_motors") for what in flight["unknown"])
+
+
+def test_without_motor_outputs_only_a_vehicle_that_hovers_is_believed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    slow = felt(write_ulog(tmp_path / "slow.ulg", topics(motors=False)), capsys)
+    assert (len(slow["impacts"]), slow["untold"]) == (1, 0)
+    fast_log = write_ulog(tmp_path / "fast.ulg", topics(motors=False, north_m_s=6.0))
+    fast = felt(fast_log, capsys)
+    assert (fast["impacts"], fast["untold"]) == ([], 1)
+    assert main(["feel", str(fast_log)]) == 0
+    assert "cannot be told from a contact" in " ".join(capsys.readouterr().out.split())
+    known = felt(write_ulog(tmp_path / "known.ulg", topics(north_m_s=6.0)), capsys)
+    assert (len(known["impacts"]), known["untold"]) == (1, 0)
 
 
 def test_a_log_without_attitude_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -127,7 +127,8 @@ class ImpactDetector:
         tick_s, noise_n = vehicle.imu.tick_s, self._mass * vehicle.estimation.imu_noise_m_s2
         lengths = (0.0, 2.0 * tick_s, self._config.short_window_s, self._config.long_window_s)
         self._windows = [WindowMean(s, noise_n, round(s / tick_s)) for s in lengths]
-        self._lengths = lengths
+        # A window holds what is younger than its length.
+        self._held = [max(1, math.ceil(s / tick_s - 1e-9)) for s in lengths]
         self._by_mean: WindowMean | None = None  # the window that saw the contact under way, else samples
         self._threshold = self._config.force_threshold_n  # that saw it
         most = max(_BEFORE, round(self._config.long_window_s / tick_s) + _BEFORE)
@@ -266,7 +267,9 @@ class ImpactDetector:
             if i >= 2 and self.thresholds_n()[i - 1] <= self._config.force_threshold_n:
                 break  # a longer window is not asked
             lifted = threshold + _MARGIN_SIGMA * self._windows[i].noise_n
-            best = min(best, lifted / half_sine_share(self._lengths[i], duration_s))
+            share = half_sine_share(self._held[i], duration_s, self._tick_us * 1e-6)
+            if share > 0.0:
+                best = min(best, lifted / share)
         return best
 
     @property

@@ -104,11 +104,18 @@ class WindowMean:
         self._past.clear()
 
 
-def half_sine_share(length_s: float, duration_s: float) -> float:
-    """The largest mean over a window of a half-sine of height one."""
-    if length_s <= 0.0:
-        return 1.0
-    if length_s >= duration_s:
-        return 2.0 * duration_s / (math.pi * length_s)
-    angle = 0.5 * math.pi * length_s / duration_s
-    return math.sin(angle) / angle
+def half_sine_share(samples: int, duration_s: float, period_s: float) -> float:
+    """The least that the largest mean over a window of a half-sine of height one can be.
+
+    Samples fall on it anyhow: half a period beside its middle at the worst. It is the sum of sines at equal
+    distances, in closed form.
+
+    Args:
+        samples: in the window.
+        duration_s: of the half-sine.
+        period_s: between samples.
+    """
+    x = 0.5 * math.pi * period_s / duration_s
+    if x >= 0.5 * math.pi:
+        return 0.0  # it may fall between two samples
+    return math.sin(min(samples * x, 0.5 * math.pi)) / (samples * math.tan(x))

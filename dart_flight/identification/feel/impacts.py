@@ -34,6 +34,7 @@ Array = NDArray[np.float64]
 _BEYOND_THRUST = 0.5  # of the impulse: what pushes against a vehicle tilted by up to 45 degrees has as much
 REMEMBERED = 256  # samples: as long as the detector waits for a peak
 _BORNE_OUT = 0.3  # of the threshold: a short pulse just over it is fitted too low, to about a third at worst
+_HOVERS_M_S = 1.0  # an assumed thrust is that of hovering
 _TOUCHDOWN_S = 3.0  # an impact this long before PX4 says landed is the ground
 
 
@@ -156,7 +157,8 @@ class FeltFlight(msgspec.Struct):
     """What one log felt; newtons are None without a mass.
 
     `weak` counts crossings of the threshold whose fitted peak stayed below it, or that an error of the thrust
-    explains: they are no impacts.
+    explains: they are no impacts. `untold` counts those in the air of a log without motor outputs that came
+    faster than 1 m/s, or at a speed that is not known: manoeuvre or contact, nothing tells.
     """
 
     log: str
@@ -176,6 +178,7 @@ class FeltFlight(msgspec.Struct):
     thrust: SpecificThrust | None
     impacts: list[Felt]
     weak: int
+    untold: int
     unknown: list[str]
     series: FeltSeries | None = None  # not in JSON
 
@@ -286,8 +289,9 @@ class Pass:
         drag: float,
         mass_kg: float | None,
         unknown: list[str],
+        motors: bool,
     ) -> FeltFlight:
-        """The result."""
+        """The result; `motors` says whether the log has their outputs."""
         begin = float(track.imu_s[0])
         table = np.array(self.rows).reshape(-1, 5)
         noise = (
@@ -301,6 +305,8 @@ class Pass:
                 np.stack([np.asarray(position[n], dtype=float) for n in ("x", "y", "z")], axis=1),
                 np.asarray(position["timestamp"], dtype=float) * 1e-6 - begin,
             )
+        found = [self._impact(c, begin, track.ground, where, mass_kg) for c in self.crossings if c.is_impact]
+        told = found if motors else [i for i in found if i.kind == "touch-down" or _hovers(i, where[1])]
         return FeltFlight(
             log=log.source,
             px4_version=".".join(str(v) for v in log.version) if log.version else None,
@@ -317,10 +323,9 @@ class Pass:
             floor_flexible_m_s2=float(noise[4]),
             drag_per_s=drag,
             thrust=curve,
-            impacts=[
-                self._impact(c, begin, track.ground, where, mass_kg) for c in self.crossings if c.is_impact
-            ],
+            impacts=told,
             weak=sum(not c.is_impact for c in self.crossings),
+            untold=len(found) - len(told),
             unknown=unknown,
             series=FeltSeries(table[:, 0] - begin, table[:, 1:4], table[:, 4], where[1], where[0]),
         )
@@ -350,3 +355,8 @@ class Pass:
             speed_m_s=math.hypot(onset.velocity_mission[0], onset.velocity_mission[1]),
             height_m=height if math.isfinite(height) else None,
         )
+
+
+def _hovers(felt: Felt, known_s: Array) -> bool:
+    """Whether the log says that the vehicle was about as slow as an assumed thrust of hovering needs."""
+    return bool(known_s.size) and felt.speed_m_s < _HOVERS_M_S

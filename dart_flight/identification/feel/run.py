@@ -40,14 +40,14 @@ def feel_log(
     `listen` is told the vehicle that the estimator has and the flights; what it returns takes every estimate
     and whether it was in the air.
     """
-    unknown = missing(log)
+    unknown, motors = missing(log), True
     try:
         track = track_of(log)
         fitted = fit_specific_thrust(track, vehicle)
     except InputError as error:
         if log.first("sensor_combined") is None:
             raise
-        track, fitted = track_without_motors(log), error.message
+        track, fitted, motors = track_without_motors(log), error.message, False
     unknown += [f"thrust: {fitted}; hover is assumed"] if isinstance(fitted, str) else []
     unknown += track.notes[1:]
     curve = None if isinstance(fitted, str) else fitted
@@ -62,4 +62,4 @@ def feel_log(
     pass_ = Pass(made, flying, listen(made, flying) if listen is not None else None)
     for sample in samples_of(log, track, curve, len(made.airframe.motors)):
         pass_.take(sample)
-    return pass_.felt(log, track, curve, drag, mass_kg, unknown)
+    return pass_.felt(log, track, curve, drag, mass_kg, unknown, motors)
