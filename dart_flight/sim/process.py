@@ -2,7 +2,7 @@
 
 Started by `dry-run` with its end of a pipe: commands come on standard input, truth goes to standard output,
 one JSON object a line. When the app dies (end of input) the vehicle flies on to its failsafe, which goes to
-its text log, and the process ends once it has landed, 30 s later at the latest.
+its text log, and the process ends once it has landed, 30 s later at the latest; after 3 s in a pilot's hands.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import msgspec
 from dart_flight.config.document import Document
 from dart_flight.config.mission import parse_mission
 from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.samples import FlightMode
 from dart_flight.sim.autopilot import TICK_S
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.faults.impairment import Impairment
@@ -31,6 +32,7 @@ from dart_flight.sim.vehicle import SimulatedVehicle
 
 _TRUTH_EVERY = 2  # ticks
 _ORPHAN_S = 28.0  # after the app's death; with start and end it stays within 30 s
+_PILOT_S = 3.0  # likewise in a pilot's hands, where it only has to hold still
 _LATE_S = 0.25  # a stall longer than this is not caught up with: the world pauses instead
 
 
@@ -137,7 +139,9 @@ class VehicleProcess:
             self._orphan_since_s = now
             if self._autopilot.armed:
                 self._say("warning", "the app is gone, flying on to the failsafe")
-        elif not self._autopilot.armed or now - self._orphan_since_s > _ORPHAN_S:
+            return
+        most_s = _PILOT_S if self._autopilot.mode is FlightMode.MANUAL else _ORPHAN_S
+        if not self._autopilot.armed or now - self._orphan_since_s > most_s:
             self._over = True
 
 

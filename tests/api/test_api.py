@@ -374,9 +374,8 @@ def test_identification_takes_flights_and_arrays(flight: dart_flight.Flight, tmp
     found = dart_flight.identify([flown[0], flown[1].log], surface="acrylic")
     assert [len(found.trials), list(found.coefficients)] == [2, ["flexible"]]
     (path,) = tmp_path.glob("*/flight.mcap")
-    of_file = dart_flight.identify(path, surface="acrylic")
-    of_flight = dart_flight.identify(flown[1], surface="acrylic")
-    assert of_file.coefficients == of_flight.coefficients
+    of_file = dart_flight.identify([flight.log, path], surface="acrylic")
+    assert of_file.coefficients == found.coefficients
     with pytest.raises(dart_flight.InputError, match="no collision with wood"):
         dart_flight.identify(flight, surface="wood")
 

@@ -20,7 +20,6 @@ from dart_flight.campaign import run as campaigns
 from dart_flight.campaign.asked import Asked, Item
 from dart_flight.campaign.flight import Flown, Flyer
 from dart_flight.cli import main
-from dart_flight.config.vehicle import packaged
 from dart_flight.sim.draws import parse_vary
 from dart_flight.worlds.fast import fly_fast
 from dart_flight.worlds.prepare import load_flyable
@@ -28,8 +27,8 @@ from dart_flight.worlds.workers import Done, Failure, Interrupt
 from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[2]
-SINGLE = str(packaged("missions", "single_wall.yaml"))
-# Some of these worlds have their wall where the mission does not believe it.
+MISSION = str(ROOT / "tests" / "data" / "near_wall.yaml")
+# Short flights; some of these worlds have their wall where the mission does not believe it.
 VARY = ["--vary", "wall_offset_m=0.4", "--vary", "mass"]
 
 
@@ -37,7 +36,7 @@ RUNS = 5  # one of them completed, so that both outcomes are in the table
 
 
 def words(out: Path, runs: int, *more: str) -> list[str]:
-    return ["campaign", SINGLE, "--runs", str(runs), "--out", str(out), *VARY, *more]
+    return ["campaign", MISSION, "--runs", str(runs), "--out", str(out), *VARY, *more]
 
 
 def rows(out: Path) -> list[dict[str, str]]:
@@ -56,7 +55,7 @@ def flown(flown: SharedFlights) -> Path:
 
 
 def test_a_row_is_the_flight(flown: Path) -> None:
-    mission = load_flyable(SINGLE)
+    mission = load_flyable(MISSION)
     spreads = parse_vary(VARY[1::2], mission.vehicle)
     found = {int(row["seed"]): row for row in rows(flown)}
     assert sorted(found) == list(range(1, RUNS + 1))
@@ -64,7 +63,7 @@ def test_a_row_is_the_flight(flown: Path) -> None:
     for seed in (1, 2):  # without a contact, and with one
         verdict = fly_fast(mission, seed, None, spreads=spreads)
         row = found[seed]
-        assert row["mission"] == SINGLE
+        assert row["mission"] == MISSION
         assert float(row["wall_offset_m.acrylic"]) == verdict.drawn["wall_offset_m.acrylic"]
         assert row["outcome"] == verdict.outcome.value
         assert row["reason"] == (verdict.reason or "")
@@ -176,9 +175,9 @@ def test_another_campaign_is_refused_in_one_line(
         (["--runs", "3"], "MISSION: no mission given"),
         (["--resume"], "no campaign to go on with here"),
         (["--resume", "--runs", "3"], "--runs needs the missions, too"),
-        ([SINGLE], "--runs: how many seeds?"),
+        ([MISSION], "--runs: how many seeds?"),
         (
-            [SINGLE, "--runs", "1", "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"],
+            [MISSION, "--runs", "1", "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"],
             "--jobs is for this machine",
         ),
     ],
@@ -247,7 +246,7 @@ def test_ctrl_c_keeps_what_is_flown(tmp_path: Path) -> None:
 
 
 def opened(out: Path, runs: int = 6) -> campaigns.Opened:
-    return campaigns.open_campaign(Asked((SINGLE,), runs=runs), out, resume=True)
+    return campaigns.open_campaign(Asked((MISSION,), runs=runs), out, resume=True)
 
 
 def engine_of(flights: Mapping[int, Flown | Failure]) -> campaigns.Engine:
@@ -283,7 +282,7 @@ def test_a_full_disk_ends_it_with_a_line_and_it_goes_on_later(
     )
     script = tmp_path / "limited.py"
     script.write_text(limited)
-    command = ["campaign", SINGLE, "--runs", "9", "--out", str(out), "--keep", "none", "--jobs", "2"]
+    command = ["campaign", MISSION, "--runs", "9", "--out", str(out), "--keep", "none", "--jobs", "2"]
     done = subprocess.run(
         [sys.executable, str(script), *command],
         env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False,

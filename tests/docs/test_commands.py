@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import glob
 import importlib.util
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from dart_flight.cli import COMMANDS, build_parser
+from dart_flight.cli import COMMANDS, build_parser, main
 from tests.docs.snippets import PAGES, ROOT, Command, commands
 from tests.shared_flights import LiveFlights, SharedFlights
 
@@ -163,9 +167,8 @@ def _repeated() -> set[tuple[str, str]]:
 REPEATED = _repeated()
 
 
-def script_of(page: Path, laboratory: Path) -> list[str]:
-    """The page's commands as lines for a shell, each with a check of its status."""
-    lines = ["set -o pipefail"]
+def to_run(page: Path, laboratory: Path) -> Iterator[tuple[Command, str]]:
+    """The page's commands, each with the line to run for it."""
     for command in commands(page):
         if why_not_run(command) is not None or is_real_time(command):
             continue
@@ -176,9 +179,56 @@ def script_of(page: Path, laboratory: Path) -> list[str]:
                 assert "--log-dir" not in text, "later commands want its flight"
                 continue
             text = f"cp -r {laboratory}/flights {flight[2]}"
+        yield command, text
+
+
+def in_a_shell(page: Path, laboratory: Path, folder: Path) -> None:
+    """The page's commands in one shell, each in a process of its own."""
+    lines = ["set -o pipefail"]
+    for command, text in to_run(page, laboratory):
         check = f"[ $s = {command.status} ] || {{ echo '{command.place}: ended with' $s >&2; exit 99; }}"
         lines += [f"{text}\ns=$?", check]
-    return lines
+    done = subprocess.run(
+        ["bash", "-c", "\n".join(lines)],
+        cwd=folder,
+        env=_environment(laboratory.parent),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+# What a shell has to be asked for: pipes, variables, more than one command.
+SHELL = re.compile(r"[|&;$`]|^[A-Z_]+=")
+
+
+def in_process(page: Path, laboratory: Path) -> None:
+    """The page's commands, ours here: to start a process takes longer than most of them."""
+    for command, text in to_run(page, laboratory):
+        if text.startswith("cd "):
+            os.chdir(text[3:])
+            status = 0
+        elif text.startswith("dart-flight ") and not SHELL.search(text):
+            status = _main(text)
+        else:
+            status = subprocess.run(["bash", "-c", text], check=False, timeout=300).returncode
+        assert status == command.status, f"{command.place}: ended with {status}"
+
+
+def _main(text: str) -> int:
+    text, _, into = text.partition(" > ")
+    words = [name for word in shlex.split(text)[1:] for name in sorted(glob.glob(word)) or [word]]
+    with contextlib.ExitStack() as stack:
+        if into:
+            file = stack.enter_context(open(into.strip(), "w", encoding="utf-8"))
+            stack.enter_context(contextlib.redirect_stdout(file))
+        try:
+            return main(words)
+        except SystemExit as end:
+            return int(end.code or 0)
 
 
 def _has_something_to_run(page: Path) -> bool:
@@ -195,24 +245,18 @@ def test_what_is_run_once_is_run_somewhere() -> None:
 
 
 @pytest.mark.parametrize("page", RUNNABLE, ids=lambda page: page.name)
-def test_what_is_quick_runs_as_it_stands(page: Path, laboratory: Path, tmp_path: Path) -> None:
-    """A page's commands in one shell, in order, in a folder made by `init`; each somewhere, if not here."""
-    folder = tmp_path / "lab"
-    shutil.copytree(laboratory, folder)
-    if page.name == "quickstart.md":  # makes its own
-        folder = tmp_path
-        shutil.rmtree(tmp_path / "lab")
-    done = subprocess.run(
-        ["bash", "-c", "\n".join(script_of(page, laboratory))],
-        cwd=folder,
-        env=_environment(laboratory.parent),
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
+def test_what_is_quick_runs_as_it_stands(
+    page: Path, laboratory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A page's commands in order, in a folder made by `init`; each somewhere, if not here."""
+    if page.name == "quickstart.md":  # makes its own folder, and is typed as it stands by whoever begins
+        in_a_shell(page, laboratory, tmp_path)
+        return
+    shutil.copytree(laboratory, tmp_path / "lab")
+    monkeypatch.chdir(tmp_path / "lab")
+    for name, value in _environment(laboratory.parent).items():
+        monkeypatch.setenv(name, value)
+    in_process(page, laboratory)
 
 
 def test_the_error_in_the_quickstart_is_the_one_that_comes(laboratory: Path, tmp_path: Path) -> None:
@@ -237,8 +281,11 @@ def test_the_error_in_the_quickstart_is_the_one_that_comes(laboratory: Path, tmp
 
 
 def real_time() -> list[tuple[str, str | None]]:
-    """Commands to run, each once: a dry-run, or a flight with the `simulate` before it on the page."""
-    found: dict[tuple[str, str | None], None] = {}
+    """Commands to run: dry-runs, and flights with the `simulate` before them on the page.
+
+    Each once, whichever mission it flies: what the missions are like is seen where they are flown fast.
+    """
+    found: dict[str, tuple[str, str | None]] = {}
     for page in PAGES:
         simulate: str | None = None
         for command in filter(is_real_time, commands(page)):
@@ -246,8 +293,9 @@ def real_time() -> list[tuple[str, str | None]]:
                 simulate = command.text
             else:
                 flies = command.text.startswith("dart-flight fly")
-                found[command.text, simulate if flies else None] = None
-    return list(found)
+                form = re.sub(r"missions/\S+", "MISSION", command.text)
+                found.setdefault(form, (command.text, simulate if flies else None))
+    return list(found.values())
 
 
 @pytest.mark.mavlink

@@ -19,7 +19,7 @@ from dart_flight.worlds.vehicle_process import free_udp_port
 from tools.lossy_proxy import set_point_times
 
 ROOT = Path(__file__).parents[2]
-SINGLE = str(ROOT / "missions/single_wall.yaml")
+NEAR = str(ROOT / "tests/data/near_wall.yaml")
 STARVE_S = 0.3
 
 FED = """
@@ -151,7 +151,7 @@ def vehicle_behind_proxy(record: Path) -> Iterator[str]:
         cwd=ROOT,
     )
     vehicle = subprocess.Popen(
-        [sys.executable, "-m", "dart_flight", "simulate", SINGLE, "--port", str(far)],
+        [sys.executable, "-m", "dart_flight", "simulate", NEAR, "--port", str(far)],
         cwd=ROOT,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -172,7 +172,7 @@ def test_set_points_stop_on_the_wire_within_half_a_second(fault: str, tmp_path: 
         flight = subprocess.run(
             [
                 *(sys.executable, str(Path(__file__).with_name("sabotaged_flight.py"))),
-                *(SINGLE, url, str(tmp_path), f"{fault}@approach"),
+                *(NEAR, url, str(tmp_path), f"{fault}@approach"),
             ],
             cwd=ROOT,
             env={**os.environ, "PYTHONPATH": str(ROOT)},

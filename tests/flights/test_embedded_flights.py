@@ -23,6 +23,7 @@ from tests.shared_flights import LiveFlights, patient
 
 ROOT = Path(__file__).parents[2]
 SINGLE = "missions/single_wall.yaml"
+NEAR = str(ROOT / "tests" / "data" / "near_wall.yaml")
 DUAL = "missions/dual_collision.yaml"
 
 
@@ -97,7 +98,7 @@ def test_dual_collision_through_mavsdk(commanded: LiveFlights) -> None:
 @pytest.mark.mavlink
 def test_a_hexarotor_through_mavsdk(commanded: LiveFlights) -> None:
     """Six motors on the wire: commands in one message, measured speeds in two."""
-    fly = f"dart-flight dry-run {SINGLE} --config configs/hexarotor.yaml"
+    fly = f"dart-flight dry-run {NEAR} --speed 2 --config configs/hexarotor.yaml"
     done = commanded(
         f"{fly} --set estimation.thrust_source=esc --set estimation.esc_thrust_n_per_rpm2=1.1e-8"
     )
@@ -143,7 +144,7 @@ def test_a_plain_mavsdk_script_flies_the_simulated_vehicle() -> None:
 
 @pytest.mark.mavlink
 def test_sigkill_in_flight_leaves_a_landed_vehicle_and_a_log(tmp_path: Path) -> None:
-    flight = command("dry-run", SINGLE, *patiently(tmp_path), "--log-dir", str(tmp_path / "flights"))
+    flight = command("dry-run", NEAR, *patiently(tmp_path), "--log-dir", str(tmp_path / "flights"))
     read_until(flight, "approach")
     time.sleep(0.5)
     flight.kill()
@@ -174,7 +175,7 @@ def test_sigkill_in_flight_leaves_a_landed_vehicle_and_a_log(tmp_path: Path) -> 
 @pytest.mark.mavlink
 def test_control_c_leaves_the_wall_and_lands(tmp_path: Path) -> None:
     flights = tmp_path / "flights"
-    flight = command("dry-run", SINGLE, *patiently(tmp_path), "--log-dir", str(flights), "--json")
+    flight = command("dry-run", NEAR, *patiently(tmp_path), "--log-dir", str(flights), "--json")
     read_until(flight, "approach")
     time.sleep(1.0)
     flight.send_signal(signal.SIGINT)
@@ -193,7 +194,8 @@ def test_control_c_leaves_the_wall_and_lands(tmp_path: Path) -> None:
 def test_control_c_in_many_flights_sums_up_what_is_there(tmp_path: Path) -> None:
     """In the second of three: it lands, the third is not begun."""
     flights = tmp_path / "flights"
-    words = ["dry-run", SINGLE, *patiently(tmp_path), "--log-dir", str(flights), "--runs", "3", "--json"]
+    words = ["dry-run", NEAR, *patiently(tmp_path), "--log-dir", str(flights), "--runs", "3", "--json"]
+    words += ["--speed", "2"]
     process = subprocess.Popen(
         [sys.executable, "-m", "dart_flight", *words],
         cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
@@ -203,7 +205,7 @@ def test_control_c_in_many_flights_sums_up_what_is_there(tmp_path: Path) -> None
     until = time.monotonic() + 120.0
     while len(list(flights.glob("*/autopilot.log"))) < 2 and time.monotonic() < until:
         time.sleep(0.1)
-    time.sleep(5.0)
+    time.sleep(3.0)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
     out, err = process.communicate(timeout=90.0)
     assert process.returncode == 130, err

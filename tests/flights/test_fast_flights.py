@@ -61,7 +61,7 @@ def test_a_seed_decides_everything(flown: SharedFlights) -> None:
     assert recorded(3) != recorded(4)
 
 
-@pytest.mark.parametrize("seed", range(2, 6))
+@pytest.mark.parametrize("seed", [2, 3])  # more of them: tools.campaigns.replay
 def test_missions_complete_over_seeds(seed: int, flown: SharedFlights) -> None:
     for name in ("dual_collision", "single_wall"):
         verdict = flown(name, seed).verdict

@@ -136,32 +136,24 @@ def test_a_vehicle_that_has_px4s_own_port_is_heard_of_though_a_flight_has_the_ot
 
 
 @pytest.mark.mavlink
-def test_no_second_program_gets_at_a_flight_and_monitor_watches_it_by_its_log(commands: Commands) -> None:
+def test_what_else_is_started_beside_a_flight_does_it_no_harm(commands: Commands) -> None:
+    """In one flight: another vehicle of its own system id, programs on its link, monitors of its log."""
     port = free_udp_port()
     url = f"udpin://127.0.0.1:{port}"
-    log_dir = commands.folder / "flights"
-    commands.start("simulate", SINGLE, "--port", str(port))
-    wait_until_it_sends(port)
-    fly = commands.start(
-        "fly", SINGLE, "--config", str(commands.config), "--connection", url, "--driver", "px4", "--yes",
-        "--json", "--log-dir", str(log_dir),
-    )  # fmt: skip
-    assert fly.stderr is not None
-    said = ""
-    for line in fly.stderr:
-        said += line
-        if "approach" in line:
-            break
-    else:
-        pytest.fail(said)
-    monitor = commands.start("monitor", "--json")  # in the approach, without a URL
+    fly = commands.fly(port)
+    wait_for_phase(fly, "climb")
+    monitor = commands.start("monitor", "--json")  # without a URL
     wait_until_idle_class(monitor.pid)
+    wait_for_phase(fly, "approach (collision 1)")
+    commands.second_vehicle(port, 7, 238.0)
+    stopped = commands.start("monitor", "--json")
     for words in (["monitor", "--connection", url, "--seconds", "1"], ["check", SINGLE, "--connection", url]):
         status, error = commands.run(*words)
         assert status == 2
         assert f"in use by fly, process {fly.pid}" in error
         refusal = [line for line in error.splitlines() if not line.startswith("vehicle: ")]
         assert len(refusal) == 1, error
+    stopped.send_signal(signal.SIGKILL)  # in the middle of whatever it does
     out, _ = fly.communicate(timeout=90.0)
     verdict = json.loads(out)
     assert verdict["outcome"] == "completed", verdict["reason"]
@@ -216,29 +208,16 @@ def test_fly_beside_a_second_vehicle_on_the_port_does_not_take_off(
 
 
 @pytest.mark.mavlink
-@pytest.mark.parametrize("ahead_s", [238.0, 0.0])
-def test_a_second_vehicle_that_begins_to_send_in_the_approach_makes_it_land(
-    ahead_s: float, commands: Commands
-) -> None:
+def test_a_second_vehicle_that_begins_to_send_in_the_approach_makes_it_land(commands: Commands) -> None:
+    """Its clock is the flight's own; with another one, and in every phase: tests/faults/test_matrix.py."""
     port = free_udp_port()
     fly = commands.fly(port)
     wait_for_phase(fly, "approach (collision 1)")
-    commands.second_vehicle(port, 1, ahead_s)
+    commands.second_vehicle(port, 1, 0.0)
     out, error = fly.communicate(timeout=90.0)
     verdict = json.loads(out)
     assert verdict["outcome"] == "aborted", error
     assert verdict["reason"].startswith("second_vehicle: "), verdict["reason"]
-
-
-@pytest.mark.mavlink
-def test_a_second_vehicle_with_a_system_id_of_its_own_does_no_harm_in_the_air(commands: Commands) -> None:
-    port = free_udp_port()
-    fly = commands.fly(port)
-    wait_for_phase(fly, "approach (collision 1)")
-    commands.second_vehicle(port, 7, 238.0)
-    out, _ = fly.communicate(timeout=90.0)
-    verdict = json.loads(out)
-    assert verdict["outcome"] == "completed", verdict["reason"]
 
 
 @pytest.mark.mavlink
@@ -257,19 +236,3 @@ def test_monitor_without_a_flight_or_a_vehicle_says_so(commands: Commands) -> No
     )
     assert status == 1
     assert "no autopilot on" in error
-
-
-@pytest.mark.mavlink
-def test_monitor_watches_a_dry_run_and_can_be_stopped_at_any_time(commands: Commands) -> None:
-    flight = commands.start(
-        "dry-run", SINGLE, "--config", str(commands.config), "--json", "--log-dir", str(commands.folder / "f")
-    )
-    assert flight.stderr is not None
-    for line in flight.stderr:
-        if "climb" in line:
-            break
-    monitor = commands.start("monitor", "--json")
-    time.sleep(3.0)
-    monitor.send_signal(signal.SIGKILL)
-    out, _ = flight.communicate(timeout=90.0)
-    assert json.loads(out)["outcome"] == "completed"

@@ -34,7 +34,7 @@ def test_a_flight_replays_bit_for_bit(flight: Log) -> None:
     assert any(isinstance(r, SetPoint) and r.recovery for r in result.replayed)
 
 
-@pytest.mark.parametrize("seed", range(2, 6))
+@pytest.mark.parametrize("seed", [2, 3])  # the bulk: tools.campaigns.replay
 def test_dual_collisions_replay_bit_for_bit(seed: int, flown: SharedFlights) -> None:
     result = replay(read_log(flown("dual_collision", seed).log))
     assert result.equal, result.differences[0].text()

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.report.figures.flight_map import flight_map
 from dart_flight.report.flight import Flight
 from dart_flight.report.page import flight_page
 from dart_flight.report.player import player_data
 from dart_flight.worlds.fast import fly_fast
+from dart_flight.worlds.replay import Replay
 from tests.report.ten_hits import many_hits
 from tests.shared_flights import SharedFlights
 from tools.docs.browser import Browser, find_browser
@@ -40,9 +40,13 @@ def not_now(*_: object, **__: object) -> None:
 
 @pytest.fixture(scope="session")
 def ten_page(ten: Flight) -> str:
-    """Its page, without identifying the coefficients of ten hits, whose few table rows it lacks."""
+    """Its page without the coefficients of ten hits, whose few table rows it lacks, and not replayed."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("dart_flight.report.proposal.identify", not_now)
+        patch.setattr(
+            "dart_flight.report.flight.replay",
+            lambda _: Replay(0, 0, True, [], [], [], 0, "not in this test"),
+        )
         return flight_page(ten)
 
 
@@ -273,8 +277,3 @@ def test_without_scripts_the_page_lacks_nothing_else(browser: Browser, file: Pat
         assert min(widths) > 0
     finally:
         browser.emulate(1280)
-
-
-def test_the_command_writes_the_page(trials: list[Path], tmp_path: Path) -> None:
-    assert main(["report", str(trials[0]), "-o", str(tmp_path / "page.html")]) == 0
-    assert numbers((tmp_path / "page.html").read_text(encoding="utf-8"))["hits"]
