@@ -51,6 +51,7 @@ def summary(rows: list[dict[str, Any]]) -> str:
     lines = [f"{len(rows)} recordings, {len(rows) - len(judged)} refused, {minutes:.1f} min in the air"]
     lines += [f"  {r['log']}: {r['refused']}" for r in rows if "refused" in r]
     lines.append(f"{hits} hits in the air, {events} events, {60.0 * events / max(minutes, 1e-9):.1f} an hour")
+    lines.append(f"{sum(r['untold'] for r in judged)} more that `feel` cannot tell from manoeuvres")
     fitted = sorted(r["thrust"]["held_out_percent"] for r in judged if r["thrust"])
     if fitted:
         lines.append(

@@ -182,6 +182,7 @@ def judge(
         "fastest_m_s": fastest(log),
         "thrust": None if flight.thrust is None else msgspec.to_builtins(flight.thrust),
         "impacts": [msgspec.to_builtins(i) for i in flight.impacts],
+        "untold": flight.untold,
         "unknown": flight.unknown,
     }
     d = made.detection
