@@ -29,7 +29,7 @@ test: $(STAMP)
 	$(BIN)/pytest -m px4 -rs --reruns 1 tests/px4
 	@# In real time they mostly wait, so they go side by side. The guard lands after 100 ms of silence; a shared
 	@# machine may stall for longer: once more.
-	$(BIN)/pytest -m mavlink -n 4 --dist worksteal -rs --reruns 1
+	$(BIN)/pytest -m mavlink -n 3 --dist worksteal -rsR --reruns 1
 
 bench: $(STAMP)
 	$(BIN)/python -m tools.bench.__main__

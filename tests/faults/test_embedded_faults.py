@@ -30,8 +30,8 @@ def flown(text: str, folder: Path, speed: float = 1.0) -> tuple[str, list[object
     [
         # No silence in these: the pace is not their subject.
         ("wall-missing@approach", 2.0),
-        ("packet-loss=10@take-off", 2.0),
         ("servo-unplugged@approach", 2.0),
+        ("packet-loss=10@take-off", 1.0),
         ("link-loss@recovery", 1.0),
     ],
 )
