@@ -260,6 +260,6 @@ def test_the_lock_command_moves_the_servo_on_px4s_output(tmp_path: Path) -> None
             timeout=40,
             check=False,
         )
-    assert process.returncode == 0, process.stderr
+        assert process.returncode == 0, process.stderr
     state = json.loads(process.stdout)["state"]
     assert (state["phase"], state["mode"], state["feedback"]) == ("settled", "rigid", False)
