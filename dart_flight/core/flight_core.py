@@ -19,6 +19,7 @@ from dart_flight.core.guard.rules import RULES, Rule
 from dart_flight.core.mission.executive import Executive
 from dart_flight.core.mission.proposal import Finding, Proposal
 from dart_flight.core.mission.rehearsal import Rehearsal
+from dart_flight.core.pace import Pace, pace_near_walls
 from dart_flight.core.sense.detector import Expected
 from dart_flight.core.sense.senses import Sensed, Senses
 from dart_flight.core.sense.state import FlightState
@@ -62,6 +63,14 @@ class FlightCore:
     def override(self) -> Override:
         """What the guard has put in the place of the mission."""
         return self._guard.action
+
+    @property
+    def pace(self) -> Pace:
+        """How soon the next inputs have to be stepped."""
+        senses, phase = self._senses, self._executive.phase
+        if senses.walls.due or (senses.detector.in_contact and phase is not Phase.CONTACT):
+            return Pace.LONG  # what the contact's end says of wall and arms is fitted then
+        return pace_near_walls(self.mission, senses.state, phase)
 
     def step(self, item: Input) -> list[Output]:
         """Take one input; returns commands to carry out and records to log, in order."""

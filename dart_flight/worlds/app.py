@@ -29,17 +29,13 @@ from dart_flight.lock.drivers.mock import MockDriver, MockFaults
 from dart_flight.lock.session import LockSession
 from dart_flight.lock.state_machine import status_text
 from dart_flight.samples import (
-    ActuatorSample,
     AfterImpact,
-    AttitudeSample,
     CommandResult,
-    Input,
     LockCommand,
     LockPermission,
     LockPhase,
     LockState,
     MissionEnd,
-    OdometrySample,
     OperatorRequest,
     Output,
     PhaseChange,
@@ -48,21 +44,19 @@ from dart_flight.samples import (
     Request,
     SetPoint,
     Silence,
-    Tick,
     VehicleAction,
     VehicleCommand,
     WallFelt,
 )
 from dart_flight.vehicle.clock import Clock, host_us
 from dart_flight.vehicle.session import VehicleSession, connect
+from dart_flight.worlds.core_thread import CoreThread
 from dart_flight.worlds.deadman import CORE, FEED_PERIOD_S, LOOP, Deadman, SystemdNotice
 from dart_flight.worlds.planner import PlannerProcess
 from dart_flight.worlds.runner import CoreRunner, Observe
 
-_TICK_S = 0.02
 _SHOW_PERIOD_S = 0.05
 _LOCK_PERIOD_S, _LOCK_REST_S = 0.01, 0.04  # while it travels, and otherwise
-_BACKLOG = 64  # inputs; beyond it only the newest of the state streams is stepped
 _SWITCH_INTERVAL_S = 0.001  # a thread that computes gives way to MAVSDK's callbacks after a millisecond
 _KEY_PAUSE_S = 0.5
 _END_GRACE_S = 0.3  # for the last truth and the log
@@ -83,66 +77,6 @@ class SimulatedWorld(Protocol):
 
     def send_horn(self, pulse_us: float) -> None:
         """Tell the plant where the mock servo's horn is."""
-
-
-class CoreThread:
-    """The thread that owns the core: takes inputs from one queue and steps.
-
-    Args:
-        runner: steps the core and hands out what follows.
-        alive: called at every turn, at least every 20 ms; feeds the deadman.
-    """
-
-    def __init__(self, runner: CoreRunner, alive: Callable[[], None] = lambda: None) -> None:
-        self._runner, self._alive = runner, alive
-        self._queue: queue.SimpleQueue[Input] = queue.SimpleQueue()
-        self._stop = threading.Event()
-        self._ticked_us = 0
-        self._turned_us = host_us()
-        self.thread = threading.Thread(target=self._run, name="core", daemon=True)
-
-    def age_s(self) -> float:
-        """How long ago the thread last came round, seconds."""
-        return (host_us() - self._turned_us) * 1e-6
-
-    def put(self, item: Input) -> None:
-        """Queue an input; any thread, never blocks."""
-        self._queue.put(item)
-
-    def stop(self) -> None:
-        """End the thread after what is queued."""
-        self._stop.set()
-        self.thread.join(timeout=2.0)
-
-    def _run(self) -> None:
-        while not self._stop.is_set():
-            self._turned_us = host_us()
-            self._alive()
-            for item in self._next():
-                self._runner.take(item)
-            now = host_us()
-            if now - self._ticked_us >= _TICK_S * 1e6:
-                self._ticked_us = now
-                self._runner.take(Tick(now))
-
-    def _next(self) -> list[Input]:
-        """What is queued, at least one or nothing within a tick; a backlog is coalesced, newest wins."""
-        try:
-            items = [self._queue.get(timeout=_TICK_S)]
-        except queue.Empty:
-            return []
-        with contextlib.suppress(queue.Empty):
-            while True:
-                items.append(self._queue.get_nowait())
-        if len(items) <= _BACKLOG:
-            return items
-        newest = {type(item): i for i, item in enumerate(items)}
-        state_streams = (AttitudeSample, OdometrySample, ActuatorSample)
-        return [
-            item
-            for i, item in enumerate(items)
-            if not isinstance(item, state_streams) or newest[type(item)] == i
-        ]
 
 
 class LockThread:
@@ -254,7 +188,7 @@ class FlightApp:
         self.loop = asyncio.get_running_loop()
         timeout_s = self._mission.vehicle.connection.timeout_s
         async with connect(
-            self._url, timeout_s, self._core.put, clock=self._clock, opened=self._opened
+            self._url, timeout_s, self._core.arrive, clock=self._clock, opened=self._opened
         ) as session:
             self._session = session
             if self._mission.vehicle.lock is not None:

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import itertools
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import Generic, TypeVar
+
+import pytest
 
 from dart_flight.core.flight_core import FlightCore
+from dart_flight.core.pace import Pace
 from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
@@ -22,7 +27,7 @@ from dart_flight.samples import (
     Tick,
 )
 from dart_flight.vehicle.clock import host_us
-from dart_flight.worlds.app import CoreThread
+from dart_flight.worlds.core_thread import CoreThread
 from dart_flight.worlds.runner import CoreRunner
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -33,6 +38,7 @@ class SteppedCore(FlightCore):
 
     def __init__(self, answer: Callable[[Input], list[Output]] = lambda item: []) -> None:
         self.taken: list[Input] = []
+        self.wanted = Pace.LONG
         self._answer = answer
 
     def step(self, item: Input) -> list[Output]:
@@ -40,15 +46,22 @@ class SteppedCore(FlightCore):
         return [] if isinstance(item, Tick) else self._answer(item)
 
     @property
+    def pace(self) -> Pace:
+        return self.wanted
+
+    @property
     def samples(self) -> list[Input]:
         """What it was given, without the ticks."""
         return [item for item in self.taken if not isinstance(item, Tick)]
 
 
-class Harness:
+C = TypeVar("C", bound=SteppedCore)
+
+
+class Harness(Generic[C]):
     """A core thread with ears: what is sent, carried out and observed, in order."""
 
-    def __init__(self, core: SteppedCore) -> None:
+    def __init__(self, core: C) -> None:
         self.core = core
         self.turns = 0
         self.did: list[tuple[str, Record]] = []
@@ -165,3 +178,148 @@ def test_without_inputs_it_ticks_every_20_ms_and_says_that_it_lives() -> None:
     assert harness.core.samples == []
     time.sleep(0.1)
     assert 0.1 <= harness.thread.age_s() < 10.0  # it does not come round any more
+
+
+# --- the core's pace: which thread steps, and when ---------------------------------------------------------
+
+
+def attitude(t_us: int) -> AttitudeSample:
+    return AttitudeSample(t_us, t_us, LEVEL)
+
+
+class WatchedCore(SteppedCore):
+    """Notes on which thread it was stepped, and that no two were in it at once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.threads: list[str] = []
+        self.inside = self.collided = 0
+        self.held = threading.Event()  # a step waits for it
+        self.held.set()
+        self.broken = False
+
+    def step(self, item: Input) -> list[Output]:
+        self.inside += 1
+        self.collided += self.inside > 1
+        if not isinstance(item, Tick):
+            self.threads.append(threading.current_thread().name)
+            assert self.held.wait(10.0)
+            if self.broken:
+                raise RuntimeError("the core must not raise")
+        out = super().step(item)
+        self.inside -= 1
+        return out
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+
+
+@pytest.fixture
+def watched() -> Iterator[Harness[WatchedCore]]:
+    harness = Harness(WatchedCore())
+    yield harness
+    harness.core.held.set()
+    harness.thread.stop()
+
+
+def begin(harness: Harness[WatchedCore], pace: Pace) -> None:
+    """Start the thread and let the core have said how soon it wants its inputs."""
+    harness.core.wanted = pace
+    harness.thread.thread.start()
+    wait_for(lambda: bool(harness.core.taken))
+
+
+def test_in_haste_an_input_is_stepped_on_the_thread_that_brings_it(watched: Harness[WatchedCore]) -> None:
+    begin(watched, Pace.PROMPT)
+    watched.thread.arrive(attitude(4000))
+    assert watched.core.samples == [attitude(4000)]  # when `arrive` returns, not some time later
+    assert watched.core.threads == [threading.current_thread().name]
+
+
+@pytest.mark.parametrize("pace", [Pace.TOGETHER, Pace.LONG])
+def test_otherwise_the_cores_own_thread_steps(watched: Harness[WatchedCore], pace: Pace) -> None:
+    begin(watched, pace)
+    for t_us in range(4000, 24000, 4000):
+        watched.thread.arrive(attitude(t_us))
+    wait_for(lambda: len(watched.core.samples) == 5)
+    assert watched.core.samples == [attitude(t_us) for t_us in range(4000, 24000, 4000)]
+    assert set(watched.core.threads) == {"core"}
+
+
+def test_with_patience_inputs_do_not_wake_the_thread(watched: Harness[WatchedCore]) -> None:
+    """Ten inputs, each before the next turn is due: several share a turn, however slow the machine."""
+    begin(watched, Pace.TOGETHER)
+    turns = watched.turns
+    began = time.monotonic()
+    for i in range(1, 11):
+        watched.thread.arrive(attitude(4000 * i))
+        time.sleep(0.004)
+    took_s = time.monotonic() - began
+    assert watched.turns - turns <= took_s / 0.02 + 1
+
+
+def test_what_other_threads_put_is_stepped_with_the_next_turn(watched: Harness[WatchedCore]) -> None:
+    begin(watched, Pace.PROMPT)
+    watched.thread.put(attitude(4000))
+    wait_for(lambda: bool(watched.core.samples))
+    assert watched.core.threads == ["core"]
+
+
+def test_two_threads_never_step_at_once_and_nothing_is_left_lying(watched: Harness[WatchedCore]) -> None:
+    begin(watched, Pace.PROMPT)
+    watched.core.held.clear()
+    first = threading.Thread(target=watched.thread.arrive, args=(attitude(4000),), name="first")
+    first.start()
+    wait_for(lambda: watched.core.threads == ["first"])  # in the step, and held there
+    watched.thread.arrive(attitude(8000))  # returns at once
+    assert watched.core.samples == []
+    watched.core.held.set()
+    first.join(10.0)
+    assert watched.core.samples == [attitude(4000), attitude(8000)]
+    assert watched.core.threads == ["first", "first"]
+    assert not watched.core.collided
+
+
+def test_from_haste_to_a_long_step_the_cores_own_thread_takes_over(watched: Harness[WatchedCore]) -> None:
+    begin(watched, Pace.PROMPT)
+    watched.core.wanted = Pace.LONG
+    watched.thread.arrive(attitude(4000))
+    watched.thread.arrive(attitude(8000))
+    wait_for(lambda: len(watched.core.samples) == 2)
+    assert watched.core.threads == [threading.current_thread().name, "core"]
+
+
+def test_a_step_that_hangs_on_another_thread_starves_the_deadman(watched: Harness[WatchedCore]) -> None:
+    begin(watched, Pace.PROMPT)
+    watched.core.held.clear()
+    hanging = threading.Thread(target=watched.thread.arrive, args=(attitude(4000),), name="hanging")
+    hanging.start()
+    wait_for(lambda: bool(watched.core.threads))
+    time.sleep(0.1)  # the turn under way ends
+    turns = watched.turns
+    time.sleep(0.2)
+    assert watched.turns == turns
+    watched.core.held.set()
+    hanging.join(10.0)
+    wait_for(lambda: watched.turns > turns)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_fault_on_another_thread_ends_the_cores_own(watched: Harness[WatchedCore]) -> None:
+    """MAVSDK's thread would swallow it and go on; so the deadman sees it as it sees any other."""
+    begin(watched, Pace.PROMPT)
+    watched.core.broken = True
+    watched.thread.arrive(attitude(4000))
+    watched.thread.thread.join(10.0)
+    assert not watched.thread.thread.is_alive()
+
+
+def test_after_the_stop_nothing_is_stepped(watched: Harness[WatchedCore]) -> None:
+    begin(watched, Pace.PROMPT)
+    watched.thread.stop()
+    watched.thread.arrive(attitude(4000))
+    assert watched.core.samples == []

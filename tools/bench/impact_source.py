@@ -1,10 +1,11 @@
 """A MAVLink source that hovers and is hit, for `tools.bench.latency`: a process of its own, in real time.
 
-    python -m tools.bench.impact_source PORT IMPACTS PERIOD_S
+    python -m tools.bench.impact_source PORT IMPACTS PERIOD_S [NORTH_M]
 
 Sends what the embedded autopilot would send, armed and in offboard mode, with the contact model's rigid
 pulse on the IMU every PERIOD_S seconds. When done it prints one JSON object: when every IMU sample went to
-the wire and when every set-point came from it, host's monotonic nanoseconds.
+the wire and when every set-point came from it, host's monotonic nanoseconds. With NORTH_M it hovers
+there instead, for as long, and nothing hits it.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ def pulse_n(t_s: float, k: float, f: float, mass_kg: float) -> float:
     )
 
 
-def main(port: int, impacts: int, period_s: float) -> int:
+def main(port: int, impacts: int, period_s: float, north_m: float | None = None) -> int:
     """Body of the process."""
     mission = load_mission(MISSION)
     rng = random.Random(1)
@@ -79,7 +80,7 @@ def main(port: int, impacts: int, period_s: float) -> int:
     hover = mission.vehicle.thrust.command_for(mission.vehicle.airframe.mass_kg * GRAVITY_M_S2 / 4.0)
     autopilot.motors = (hover,) * 4
     e = autopilot.estimator
-    e.ok, e.position = True, POSITION_NED
+    e.ok, e.position = True, (POSITION_NED if north_m is None else (north_m, *POSITION_NED[1:]))
     rigid, mass = mission.vehicle.materials["acrylic"].rigid, mission.vehicle.airframe.mass_kg
     endpoint = _Endpoint(autopilot, (port,))
     due, first = time.monotonic(), time.monotonic() + _SETTLE_S
@@ -91,7 +92,8 @@ def main(port: int, impacts: int, period_s: float) -> int:
         while done < impacts and t_s > next_s + period_s:
             next_s += period_s + rng.uniform(0.0, TICK_S)  # never in step with the ticks
             done += 1
-        force = pulse_n(max(0.0, t_s - next_s), rigid.k, rigid.f, mass) if done < impacts else 0.0
+        hit = done < impacts and north_m is None
+        force = pulse_n(max(0.0, t_s - next_s), rigid.k, rigid.f, mass) if hit else 0.0
         noise = [rng.gauss(0.0, 0.2) for _ in range(3)]
         autopilot.imu = ImuReading(
             autopilot.time_us // TICK_US * TICK_US,
@@ -107,4 +109,4 @@ def main(port: int, impacts: int, period_s: float) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])))
+    sys.exit(main(int(sys.argv[1]), int(sys.argv[2]), *map(float, sys.argv[3:])))

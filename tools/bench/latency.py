@@ -43,7 +43,8 @@ from dart_flight.samples import (
     World,
 )
 from dart_flight.vehicle.clock import host_us
-from dart_flight.worlds.app import CoreThread, FlightApp
+from dart_flight.worlds.app import FlightApp
+from dart_flight.worlds.core_thread import CoreThread
 from dart_flight.worlds.flight_record import FlightRecord
 from dart_flight.worlds.runner import CoreRunner
 from dart_flight.worlds.vehicle_process import free_udp_port

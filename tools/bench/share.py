@@ -32,7 +32,8 @@ from dart_flight.config.mission import Mission
 from dart_flight.samples import World
 from dart_flight.vehicle.clock import host_us
 from dart_flight.vehicle.session import connect
-from dart_flight.worlds.app import CoreThread, FlightApp
+from dart_flight.worlds.app import FlightApp
+from dart_flight.worlds.core_thread import CoreThread
 from dart_flight.worlds.flight_record import FlightRecord
 from dart_flight.worlds.runner import CoreRunner
 from dart_flight.worlds.vehicle_process import free_udp_port
@@ -42,6 +43,8 @@ from tools.bench.latency import RepeatingCore, rigid_mission
 from tools.bench.processor import process_seconds, thread_seconds
 
 SECONDS, ROUNDS = 20.0, 3
+FAR = "app, no wall near"
+_FAR_M = 0.6  # north: a metre before the wall
 _PERIOD_S = 3.0
 _LEAD_S = 8.0  # connection, rates, the app's start
 MAVSDK = "MAVSDK and its callbacks"
@@ -94,7 +97,12 @@ def _nobody(_: object) -> None:
     """Takes a record."""
 
 
-async def whole_app(mission: Mission, url: str, seconds: float) -> Shares:
+async def far_app(mission: Mission, url: str, seconds: float) -> Shares:
+    """The whole app where no wall is near."""
+    return await whole_app(mission, url, seconds, hit=False)
+
+
+async def whole_app(mission: Mission, url: str, seconds: float, *, hit: bool = True) -> Shares:
     """Link, core, lock, log, deadman, terminal, as `fly` has them."""
     with tempfile.TemporaryDirectory() as folder:
         record = FlightRecord(mission, World.EMBEDDED, None, Path(folder))
@@ -107,7 +115,7 @@ async def whole_app(mission: Mission, url: str, seconds: float) -> Shares:
         app._done.set()
         await flying
         record.close()
-        if not core.recoveries:
+        if hit and not core.recoveries:
             raise RuntimeError("no impact was answered")
     return shares
 
@@ -122,7 +130,7 @@ async def _watching_alone(mission: Mission, url: str, seconds: float) -> Shares:
     return {}
 
 
-CLIENTS = {"MAVSDK alone": mavsdk_alone, "samples": samples_only, "app": whole_app}
+CLIENTS = {"MAVSDK alone": mavsdk_alone, "samples": samples_only, FAR: far_app, "app": whole_app}
 
 
 def watching_shares(seconds: float) -> Shares:
@@ -171,6 +179,7 @@ def _one(client: str, seconds: float) -> Shares:
     port = str(free_udp_port())
     impacts = round((seconds + 4.0) / _PERIOD_S)
     source = [sys.executable, "-m", "tools.bench.impact_source", port, str(impacts), str(_PERIOD_S)]
+    source += [str(_FAR_M)] if client == FAR else []
     command = [sys.executable, "-m", "tools.bench.share", "--client", client, port, str(seconds)]
     with subprocess.Popen(source, stdout=subprocess.DEVNULL) as sending:
         try:

@@ -38,7 +38,10 @@ JUDGED = Path(__file__).with_name("mutants_judged.csv")
 KEPT = ROOT / "build" / "mutants.jsonl"
 # What is mutated: whole files, or the named classes of one.
 CORE = "dart_flight/core"
-CLASSES = {"dart_flight/worlds/app.py": ("CoreThread",), "dart_flight/worlds/runner.py": ("CoreRunner",)}
+CLASSES = {
+    "dart_flight/worlds/core_thread.py": ("CoreThread",),
+    "dart_flight/worlds/runner.py": ("CoreRunner",),
+}
 # What must notice: first what notices most in the shortest time.
 TESTS = (
     "tests/recording/test_recorded_flights.py::test_a_recorded_flight_is_decided_again",

@@ -1,0 +1,46 @@
+"""How soon the next inputs have to be stepped: near a wall as they arrive, elsewhere several together.
+
+A companion computer that wakes for every sample finds its memory cold every time: most of what the core
+then takes is waiting for memory (docs/latency.md). Where no contact can come several samples share one
+waking. What is decided does not depend on it, only when: the core sees stamps and no clock.
+"""
+
+from __future__ import annotations
+
+from enum import Enum, auto
+from typing import Final
+
+from dart_flight.config.mission import Mission
+from dart_flight.core.mission.survey import early_m, overrun_m
+from dart_flight.core.sense.state import FlightState
+from dart_flight.samples import Phase
+
+PATIENCE_S: Final = 0.02  # as often as a tick; a fifth of the shortest silence that the guard acts on
+_LEAD_S: Final = 0.5  # so long before a wall may be met patience ends
+_AT_ONCE: Final = frozenset({Phase.CONTACT, Phase.RECOVERY})
+
+
+class Pace(Enum):
+    """How the shell should step the next inputs."""
+
+    TOGETHER = auto()  # what comes within `PATIENCE_S`, at one go
+    PROMPT = auto()  # each as it arrives, on the thread it arrives on; every step is short
+    LONG = auto()  # each as it arrives; a step may take long, and nobody else should wait for it
+
+
+def pace_near_walls(mission: Mission, state: FlightState, phase: Phase) -> Pace:
+    """`TOGETHER` or `PROMPT`, by where the vehicle is.
+
+    `PROMPT` in a contact and in the recovery, and wherever within half a second a wall of the mission may be
+    met, by the guard's own words for how early and how late that may be, whatever the phase.
+    """
+    if phase in _AT_ONCE:
+        return Pace.PROMPT
+    place, velocity, guard = state.position, state.velocity, mission.vehicle.guard
+    for wall in mission.walls:
+        n = wall.normal
+        closing_m_s = max(0.0, -(velocity[0] * n[0] + velocity[1] * n[1]))
+        ahead_m = early_m(guard, wall, place) + _LEAD_S * closing_m_s
+        if -overrun_m(guard, wall, place) < wall.signed_distance(place) < ahead_m:
+            return Pace.PROMPT
+    return Pace.TOGETHER

@@ -1,0 +1,85 @@
+"""How soon inputs have to be stepped: at once wherever a contact may come, together elsewhere."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import cast
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.core.pace import Pace, pace_near_walls
+from dart_flight.core.sense.state import FlightState
+from dart_flight.recording import read_log
+from dart_flight.recording.about import flown_mission
+from dart_flight.recording.schema import INPUTS
+from dart_flight.samples import ContactEnd, ImpactOnset, ImpactPeak, Input, OdometrySample, Phase, WallFelt
+from dart_flight.worlds.prepare import load_flyable
+from tests.shared_flights import SharedFlights
+
+SINGLE_WALL = load_flyable(packaged("missions", "single_wall.yaml"), packaged("configs", "dart.yaml"))
+WHILE_FLYING = [Phase.CLIMB, Phase.WAYPOINT, Phase.TRANSIT, Phase.PREPARE, Phase.APPROACH, Phase.OVERRULED]
+LEAD_S = 0.5
+
+
+def state_at(mission: Mission, place: tuple[float, float], velocity: tuple[float, float]) -> FlightState:
+    state = FlightState()
+    state.anchor(mission.frame_at((0.0, 0.0, 0.0)))
+    ned = mission.frame_at((0.0, 0.0, 0.0))
+    state.take_odometry(
+        OdometrySample(8000, 8000, ned.point_to_ned((*place, 1.0)), ned.vector_to_ned((*velocity, 0.0)))
+    )
+    return state
+
+
+@given(
+    distance_m=st.floats(-0.1, 4.0),
+    along_m=st.floats(-2.0, 2.0),
+    closing_m_s=st.floats(0.05, 5.0),
+    phase=st.sampled_from(WHILE_FLYING),
+)
+def test_whatever_meets_a_wall_within_half_a_second_is_stepped_at_once(
+    distance_m: float, along_m: float, closing_m_s: float, phase: Phase
+) -> None:
+    wall = SINGLE_WALL.walls[0]
+    (nx, ny), (tx, ty) = wall.normal, wall.tangent
+    place = (
+        wall.point[0] + distance_m * nx + along_m * tx,
+        wall.point[1] + distance_m * ny + along_m * ty,
+    )
+    state = state_at(SINGLE_WALL, place, (-closing_m_s * nx, -closing_m_s * ny))
+    pace = pace_near_walls(SINGLE_WALL, state, phase)
+    if distance_m < LEAD_S * closing_m_s:
+        assert pace is Pace.PROMPT
+    elif distance_m > LEAD_S * closing_m_s + 0.3:  # the earliest contact that is still the wall's, and more
+        assert pace is Pace.TOGETHER
+
+
+@pytest.mark.parametrize("mission", ["single_wall", "dual_collision"])
+def test_no_contact_of_a_flight_comes_while_the_core_has_patience(flown: SharedFlights, mission: str) -> None:
+    log = read_log(flown(mission, 3).log)
+    core = FlightCore(flown_mission(log.about, "a flight"))
+    seen: Counter[Pace] = Counter()
+    met = 0
+    for entry in log.entries:
+        if not isinstance(entry.record, INPUTS):
+            continue
+        pace = core.pace
+        seen[pace] += 1
+        for output in core.step(cast(Input, entry.record)):
+            if isinstance(output, ImpactOnset | ImpactPeak):
+                met += 1
+                assert pace is Pace.PROMPT  # the answer goes out on the thread that brings the sample
+            elif isinstance(output, ContactEnd | WallFelt):
+                assert pace is Pace.LONG  # the fit is nobody else's to wait for
+    assert met
+    # It is what patience is for: most of a flight no contact can come.
+    assert seen[Pace.TOGETHER] > 0.6 * seen.total()
+
+
+def test_on_the_ground_it_has_patience() -> None:
+    assert FlightCore(SINGLE_WALL).pace is Pace.TOGETHER
