@@ -46,7 +46,7 @@ ABOUT, END = "dart_flight", "dart_flight_end"  # names of the metadata records
 PART_BYTES = 64 * 1024 * 1024  # about ten minutes of a flight (docs/log.md)
 MOST_PARTS = 16
 
-_FLUSH_S = 0.1  # every turn costs a chunk with its index and a cold start; a killed process loses it
+_FLUSH_S = 0.15  # every turn costs a chunk with its index and a cold start; a killed process loses it
 _SYNC_S = 1.0
 _MOST_WAITING = 200_000  # records; about two minutes of a flight while the disk does not answer
 _STREAMS = frozenset(

@@ -55,10 +55,11 @@ from dart_flight.worlds.deadman import CORE, FEED_PERIOD_S, LOOP, Deadman, Syste
 from dart_flight.worlds.planner import PlannerProcess
 from dart_flight.worlds.runner import CoreRunner, Observe
 
-_SHOW_PERIOD_S = 0.05
-_LOCK_PERIOD_S, _LOCK_REST_S = 0.01, 0.04  # while it travels, and otherwise
+_SHOW_PERIOD_S = 0.1
+_LOCK_PERIOD_S, _LOCK_REST_S = 0.01, 0.1  # while it travels, and otherwise
 _SWITCH_INTERVAL_S = 0.001  # a thread that computes gives way to MAVSDK's callbacks after a millisecond
 _KEY_PAUSE_S = 0.5
+_LOOK_PERIOD_S = 0.5  # for other vehicles, and for the end of the world
 _END_GRACE_S = 0.3  # for the last truth and the log
 
 Progress = Callable[[Record], None]
@@ -257,7 +258,7 @@ class FlightApp:
                     self._deadman.mend()
                 if self._core.age_s() < starve_s:
                     systemd.alive()
-                await asyncio.sleep(FEED_PERIOD_S)
+                await asyncio.sleep(FEED_PERIOD_S if self._deadman is None else self._deadman.feed_period_s)
         finally:
             systemd.stopping()
 
@@ -272,7 +273,7 @@ class FlightApp:
     async def _watch(self, session: VehicleSession) -> None:
         while not self._done.is_set():
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._done.wait(), 0.2)
+                await asyncio.wait_for(self._done.wait(), _LOOK_PERIOD_S)
             await session.look_for_others()
             if self._world is not None and self._world.died and not self._done.is_set():
                 self._core.put(OperatorRequest(host_us(), Request.WORLD_DIED, self._world.cause))

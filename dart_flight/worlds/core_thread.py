@@ -100,9 +100,9 @@ class CoreThread:
 
     def _step_queued(self, items: list[Input]) -> None:
         """Step what is queued, after `items`; a backlog is coalesced, newest wins. Owner only."""
-        with contextlib.suppress(queue.Empty):
-            while True:
-                items.append(self._queue.get_nowait())
+        queued = self._queue
+        while not queued.empty():  # nobody else takes from it
+            items.append(queued.get_nowait())
         if len(items) > _BACKLOG:
             newest = {type(item): i for i, item in enumerate(items)}
             items = [
@@ -110,6 +110,8 @@ class CoreThread:
                 for i, item in enumerate(items)
                 if not isinstance(item, _STATE_STREAMS) or newest[type(item)] == i
             ]
+        left = len(items)
         for item in items:
-            self._runner.take(item)
+            left -= 1
+            self._runner.take(item, more=left > 0)
         self._pace = self._runner.core.pace

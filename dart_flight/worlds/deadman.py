@@ -26,9 +26,11 @@ from pathlib import Path
 
 CORE, LOOP = b"c", b"l"
 _ARM, _LET_GO = b"a", b"q"
-_OWN_PAUSE_S = 0.1  # a watcher that was not running itself for this long has seen nothing
-FEED_PERIOD_S = 0.04  # waking up is what it costs: a few times within the shortest `starve_s` is enough
+_OWN_PAUSES = 2.0  # periods: a watcher that did not run itself for so long has seen nothing
+FEED_PERIOD_S = 0.1  # at most: waking up is what it costs
+_FEEDS = 5  # within `starve_s`: all but one of them may be late
 _LEAST_S = 0.001
+_LEAST_PAUSE_S = 0.1
 
 
 class Deadman:
@@ -37,6 +39,9 @@ class Deadman:
     Args:
         starve_s: how long either may be silent.
         note: text file that gets a line when the app is killed; None for none.
+
+    Attributes:
+        feed_period_s: how often both should feed it.
 
     Raises:
         OSError: the process cannot be started.
@@ -49,6 +54,7 @@ class Deadman:
             *(str(self._self), str(os.getpid()), str(starve_s)),
             str(note.resolve()) if note else "",
         ]
+        self.feed_period_s = _period_s(starve_s)
         self._fed_s = {CORE: 0.0, LOOP: 0.0}
         self._armed = False
         self._start()
@@ -78,7 +84,7 @@ class Deadman:
     def feed(self, part: bytes) -> None:
         """`CORE` or `LOOP` is alive; any thread, never blocks, cheap enough for every step."""
         now = time.monotonic()
-        if now - self._fed_s[part] >= FEED_PERIOD_S:
+        if now - self._fed_s[part] >= self.feed_period_s:
             self._fed_s[part] = now
             self._write(part)
 
@@ -146,6 +152,10 @@ class SystemdNotice:
                 self._socket.sendto(text.encode(), self._address)
 
 
+def _period_s(starve_s: float) -> float:
+    return min(FEED_PERIOD_S, starve_s / _FEEDS)
+
+
 # --- the process -------------------------------------------------------------------------------------------
 
 
@@ -154,7 +164,8 @@ def _watch(handle: int, pid: int, starve_s: float, note: str) -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     os.set_blocking(0, False)
-    period_s = min(0.05, starve_s / 4.0)
+    period_s = _period_s(starve_s)
+    own_pause_s = max(_LEAST_PAUSE_S, _OWN_PAUSES * period_s)
     armed = False
     looked_s = time.monotonic()
     fed_s = {CORE: looked_s, LOOP: looked_s}
@@ -171,7 +182,7 @@ def _watch(handle: int, pid: int, starve_s: float, note: str) -> int:
         for part in fed_s:
             if part in food:
                 fed_s[part] = now
-        if _ARM in food or now - looked_s > _OWN_PAUSE_S:
+        if _ARM in food or now - looked_s > own_pause_s:
             # Just armed, or this process itself did not run: what happened meanwhile it cannot know.
             armed = armed or _ARM in food
             fed_s = dict.fromkeys(fed_s, now)

@@ -42,21 +42,33 @@ class CoreRunner:
         self.core = core
         self._hands, self._observe, self._host_us = hands, observe, host_us
         self._number = 0
+        self._held: SetPoint | None = None
 
-    def take(self, item: Input) -> None:
-        """Step the core with an input and hand out what follows; set-points leave before anything else."""
+    def take(self, item: Input, *, more: bool = False) -> None:
+        """Step the core with an input and hand out what follows; set-points leave before anything else.
+
+        Args:
+            item: the input.
+            more: another one follows at once. A set-point waits for what that makes of it: one that is
+                replaced a moment later need not leave.
+        """
         number = self._number
         self._number += 1
         outputs = self.core.step(item)
         if not outputs:  # as of most inputs
             self._observe(item, number)
+            if not more:
+                self._let_go()
             return
-        sent = [self._send(output) for output in outputs if isinstance(output, _SET_POINT)]
+        sent = [self._send(output, more) for output in outputs if isinstance(output, _SET_POINT)]
         self._observe(item, number)
         for output in outputs:
             self._observe(output, number)
             if not isinstance(output, _NOT_CARRIED):
+                self._let_go()
                 self._hands.carry_out(output)
+        if not more:
+            self._let_go()
         for note in sent:
             if note is not None:
                 self._observe(note, number)
@@ -65,9 +77,18 @@ class CoreRunner:
         """Show a record that is neither input nor output: truth, at the number of the next input."""
         self._observe(record, self._number)
 
-    def _send(self, setpoint: SetPoint) -> SetPointSent | None:
-        self._hands.send(setpoint)
+    def _send(self, setpoint: SetPoint, more: bool) -> SetPointSent | None:
         if not setpoint.recovery:
+            self._held = setpoint
+            if not more:
+                self._let_go()
             return None
+        self._held = None
+        self._hands.send(setpoint)
         sent_us = self._host_us()
         return SetPointSent(setpoint.t_us, sent_us, sent_us - setpoint.trigger_received_us)
+
+    def _let_go(self) -> None:
+        if self._held is not None:
+            self._hands.send(self._held)
+            self._held = None

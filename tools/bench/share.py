@@ -1,6 +1,6 @@
 """Benchmark: what a flight takes of a core at 250 Hz, by part, above MAVSDK alone at the same rates.
 
-    python -m tools.bench.share [--seconds S] [--rounds N] [--busy] [--monitor]
+    python -m tools.bench.share [--seconds S] [--rounds N] [--busy] [--monitor | --flight]
 
 Each client is a process of its own against `impact_source` (a contact every three seconds); clients take
 turns. Parts are threads, by the processor time that Linux counts for each: what is neither Python's nor the
@@ -40,7 +40,7 @@ from dart_flight.worlds.vehicle_process import free_udp_port
 from tools.bench import alone
 from tools.bench.impact_source import MISSION
 from tools.bench.latency import RepeatingCore, rigid_mission
-from tools.bench.processor import process_seconds, thread_seconds
+from tools.bench.processor import family_seconds, process_seconds, thread_seconds
 
 SECONDS, ROUNDS = 20.0, 3
 FAR = "app, no wall near"
@@ -49,6 +49,9 @@ _PERIOD_S = 3.0
 _LEAD_S = 8.0  # connection, rates, the app's start
 MAVSDK = "MAVSDK and its callbacks"
 MONITOR, WATCHING = "monitor", "MAVSDK alone at monitor's rates"
+WATCHING_ALL = "MAVSDK alone, until it is ended"
+DUAL = MISSION.with_name("dual_collision.yaml")
+_QUIET: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
 Shares = dict[str, float]  # part -> per cent of a core
 
 
@@ -124,13 +127,89 @@ def _process_seconds(app: FlightApp) -> float:
     return 0.0 if app._deadman is None else process_seconds(app._deadman.pid)
 
 
+async def _stay_alone(mission: Mission, url: str, seconds: float) -> Shares:
+    """What a flight has of MAVSDK, until it is ended."""
+    await alone.stay(mission, url, asyncio.Event())
+    return {}
+
+
 async def _watching_alone(mission: Mission, url: str, seconds: float) -> Shares:
-    """What `monitor` has of MAVSDK, until it is ended."""
+    """What `monitor` has of it, until it is ended."""
     await alone.stay(mission, url, asyncio.Event(), watching=True)
     return {}
 
 
 CLIENTS = {"MAVSDK alone": mavsdk_alone, "samples": samples_only, FAR: far_app, "app": whole_app}
+STAYING = {WATCHING: _watching_alone, WATCHING_ALL: _stay_alone}
+
+
+class InFlight(msgspec.Struct):
+    """A whole flight by `fly`, between take-off and landing.
+
+    Attributes:
+        app: per cent of a core, the deadman included.
+        alone: of MAVSDK alone at the same rates.
+        seconds: how long it was.
+    """
+
+    app: float
+    alone: float
+    seconds: float
+
+
+def in_flight() -> InFlight:
+    """What `fly` takes for the dual collision with a simulated vehicle, and MAVSDK alone with another.
+
+    Raises:
+        RuntimeError: the flight did not complete.
+    """
+    with _vehicle() as url:
+        command = [sys.executable, "-m", "dart_flight", "fly", str(DUAL), "--driver", "px4", "--yes"]
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            subprocess.Popen(
+                [*command, "--connection", url, "--log-dir", folder],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+            ) as app,
+        ):
+            assert app.stdout is not None
+            at: dict[str, tuple[float, float]] = {}
+            for line in app.stdout:  # "  12.34 s  phase  why"
+                phase = line.split()[2:3]
+                if phase and phase[0] in ("climb", "landing"):
+                    at.setdefault(phase[0], (time.monotonic(), family_seconds(app.pid)))
+        if app.returncode or len(at) != 2:
+            raise RuntimeError("the flight did not complete")
+    (from_s, before), (to_s, after) = at["climb"], at["landing"]
+    with _vehicle() as url:
+        port = url.rpartition(":")[2]
+        alone_ = [sys.executable, "-m", "tools.bench.share", "--client", WATCHING_ALL, port, "0"]
+        floor = _share_of(alone_, to_s - from_s)
+    return InFlight(100.0 * (after - before) / (to_s - from_s), floor, to_s - from_s)
+
+
+@contextmanager
+def _vehicle() -> Iterator[str]:
+    port = free_udp_port()
+    command = [sys.executable, "-m", "dart_flight", "simulate", str(DUAL), "--port", str(port)]
+    with subprocess.Popen(command, **_QUIET) as vehicle:
+        try:
+            yield f"udpin://127.0.0.1:{port}"
+        finally:
+            vehicle.terminate()
+
+
+def _share_of(command: list[str], seconds: float) -> float:
+    """Per cent of a core that a process takes once it runs."""
+    with subprocess.Popen(command, **_QUIET) as process:
+        time.sleep(_LEAD_S)
+        before, began = process_seconds(process.pid), time.monotonic()
+        time.sleep(seconds)
+        share = 100.0 * (process_seconds(process.pid) - before) / (time.monotonic() - began)
+        process.terminate()
+    return share
 
 
 def watching_shares(seconds: float) -> Shares:
@@ -139,23 +218,11 @@ def watching_shares(seconds: float) -> Shares:
 
 
 def _watching(client: str, seconds: float) -> float:
-    port = str(free_udp_port())
-    url = f"udpin://127.0.0.1:{port}"
-    simulate = [sys.executable, "-m", "dart_flight", "simulate", str(MISSION), "--port", port]
-    watch = [sys.executable, "-m", "dart_flight", "monitor", "--connection", url]
-    alone_ = [sys.executable, "-m", "tools.bench.share", "--client", WATCHING, port, "0"]
-    quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    with subprocess.Popen(simulate, **quiet) as vehicle:
-        try:
-            with subprocess.Popen(watch if client == MONITOR else alone_, **quiet) as watching:
-                time.sleep(_LEAD_S)
-                before, began = process_seconds(watching.pid), time.monotonic()
-                time.sleep(seconds)
-                share = 100.0 * (process_seconds(watching.pid) - before) / (time.monotonic() - began)
-                watching.terminate()
-        finally:
-            vehicle.terminate()
-    return share
+    with _vehicle() as url:
+        if client == MONITOR:
+            return _share_of([sys.executable, "-m", "dart_flight", "monitor", "--connection", url], seconds)
+        port = url.rpartition(":")[2]
+        return _share_of([sys.executable, "-m", "tools.bench.share", "--client", client, port, "0"], seconds)
 
 
 # --- taking turns ------------------------------------------------------------------------------------------
@@ -227,11 +294,12 @@ def main() -> int:
     parser.add_argument("--rounds", type=int, default=ROUNDS)
     parser.add_argument("--busy", action="store_true", help="other work on both cores, this at nice -15")
     parser.add_argument("--monitor", action="store_true", help="`monitor` instead, and its floor")
+    parser.add_argument("--flight", action="store_true", help="a whole flight by `fly`, and its floor")
     parser.add_argument("--client", nargs=3, metavar=("NAME", "PORT", "SECONDS"))
     options = parser.parse_args()
     if options.client:
         name, port, seconds = options.client
-        stay = _watching_alone if name == WATCHING else CLIENTS[name]
+        stay = {**CLIENTS, **STAYING}[name]
         shares = asyncio.run(stay(rigid_mission(), f"udpin://127.0.0.1:{port}", float(seconds)))
         print(msgspec.json.encode(shares).decode())
         return 0
@@ -241,6 +309,14 @@ def main() -> int:
             found_here = sorted(shares[client] for shares in turns)
             low, high = found_here[0], found_here[-1]
             print(f"{client}: {median(found_here):.1f} % of a core ({low:.1f} to {high:.1f})")
+        return 0
+    if options.flight:
+        for _ in range(options.rounds):
+            one = in_flight()
+            added = one.app - one.alone
+            print(
+                f"fly {one.app:.1f} % of a core for {one.seconds:.1f} s, MAVSDK alone {one.alone:.1f}: {added:+.1f}"
+            )
         return 0
     if options.busy:
         with both_cores_busy():
