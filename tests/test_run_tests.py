@@ -35,20 +35,26 @@ def test_the_others_run_in_the_idle_class_and_are_shown_last(capfd: pytest.Captu
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
-def test_what_is_interrupted_leaves_nothing_behind(number: signal.Signals, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("number", "ignored"),
+    [(signal.SIGINT, False), (signal.SIGTERM, False), (signal.SIGTERM, True)],
+    ids=["Ctrl-C", "SIGTERM", "SIGTERM to what a script has started behind it"],
+)
+def test_what_is_interrupted_leaves_nothing_behind(
+    number: signal.Signals, ignored: bool, tmp_path: Path
+) -> None:
     sleeps = [
         f"timeit -n 1 -r 1 'import os, time; os.mkdir(\"{tmp_path}/\" + str(os.getpid())); time.sleep(60)'"
         for _ in range(2)
     ]
-    code = "import sys; from tools import run_tests as r; "
+    code = "import sys; from tools import run_tests as r; r._PATIENCE_S = 1.0; "
     code += f"r.LINT, r.REAL_TIME, r.OTHERS = (), *{[[sleep] for sleep in sleeps]}; sys.exit(r.main([]))"
     process = subprocess.Popen(
         [sys.executable, "-c", code],
         cwd=ROOT,
         start_new_session=True,
-        # Whatever runs the tests may ignore Ctrl-C, and its children would inherit that.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
+        # It is inherited whether Ctrl-C is ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN if ignored else signal.SIG_DFL),  # noqa: PLW1509
     )
     until = time.monotonic() + 60.0
     while len(list(tmp_path.iterdir())) < 2 and time.monotonic() < until:

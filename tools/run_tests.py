@@ -8,6 +8,8 @@ once; what they say is shown when those in real time have ended. Ctrl-C ends bot
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import os
 import shlex
 import signal
@@ -15,12 +17,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import IO
 
 from dart_flight.processes import stand_back
 
 BEHIND = "--behind"
+_PATIENCE_S = 20.0
 LINT = ("ruff format --check .", "ruff check .")
 OTHERS = ("mypy", "pytest -m 'not mavlink and not px4' -n auto --dist worksteal")
 REAL_TIME = (
@@ -41,14 +44,23 @@ def run(commands: Sequence[str]) -> bool:
 
 
 def finish(process: subprocess.Popen[bytes]) -> int:
-    """The exit status of a process; it is also waited for when it or this one is interrupted."""
+    """The exit status of a process; it is ended and waited for when this one is."""
     try:
         return process.wait()
-    except SystemExit:  # Ctrl-C it has got itself
-        process.send_signal(signal.SIGINT)
+    except KeyboardInterrupt:  # which it has got as well
+        process.wait()
         raise
     finally:
-        process.wait()
+        end(process, process.send_signal)
+
+
+def end(process: subprocess.Popen[bytes], send: Callable[[int], None]) -> None:
+    """By Ctrl-C, so that it ends what it has started; where that is ignored, as behind a script, by SIGTERM."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if process.poll() is None:
+            send(number)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(_PATIENCE_S)
 
 
 def behind(commands: Sequence[str], output: IO[bytes]) -> subprocess.Popen[bytes]:
@@ -81,9 +93,7 @@ def run_both(first: Sequence[str], others: Sequence[str]) -> bool:
             show(said, process)
             return process.wait() == 0 and good
         finally:
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGINT)
-                process.wait()
+            end(process, functools.partial(os.killpg, process.pid))
 
 
 def main(arguments: Sequence[str]) -> int:
