@@ -55,7 +55,7 @@ def finish(process: subprocess.Popen[bytes]) -> int:
 
 
 def end(process: subprocess.Popen[bytes], send: Callable[[int], None]) -> None:
-    """By Ctrl-C, so that it ends what it has started; where that is ignored, as behind a script, by SIGTERM."""
+    """By Ctrl-C, so that it ends what it has started; where that is ignored, as behind a script, SIGTERM."""
     for number in (signal.SIGINT, signal.SIGTERM):
         if process.poll() is None:
             send(number)
