@@ -22,14 +22,7 @@ dry-run: $(STAMP)
 # Hundreds of processes: without bytecode on the disk each of them would compile the package once more.
 test: export PYTHONDONTWRITEBYTECODE :=
 test: $(STAMP)
-	$(BIN)/ruff format --check .
-	$(BIN)/ruff check .
-	$(BIN)/mypy
-	$(BIN)/pytest -m 'not mavlink and not px4' -n auto --dist worksteal
-	$(BIN)/pytest -m px4 -rs --reruns 1 tests/px4
-	@# In real time they mostly wait, so they go side by side. The guard lands after 100 ms of silence; a shared
-	@# machine may stall for longer: up to twice more.
-	$(BIN)/pytest -m mavlink -n 2 --dist worksteal -rsR --reruns 2 --reruns-delay 1
+	$(BIN)/python -m tools.run_tests
 
 bench: $(STAMP)
 	$(BIN)/python -m tools.bench.__main__

@@ -29,6 +29,8 @@ from dart_flight.worlds.vehicle_process import free_udp_port
 ROOT = Path(__file__).parents[1]
 VERDICT, SAID = "verdict.json", "said.json"
 PATIENCE_S = 0.5  # as with a PX4 in lockstep
+# The same as `patient`, as settings.
+PATIENT = (f"guard.imu_timeout_s={PATIENCE_S}", f"guard.stream_timeout_s={PATIENCE_S}")
 
 
 class Flown(NamedTuple):

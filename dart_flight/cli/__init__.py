@@ -127,7 +127,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of `dart-flight`. Returns the exit status: 0 success, 1 not completed, 2 wrong input."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     command = next((a for a in arguments if a in COMMANDS), None)
-    if command == "monitor" and not any(a.startswith("--connection") for a in arguments):
+    # For good, and so only in a process of its own: not where another program, or a test, calls this in its.
+    if argv is None and command == "monitor" and not any(a.startswith("--connection") for a in arguments):
         stand_back()
     try:
         parsed = build_parser([command] if command else []).parse_args(arguments)

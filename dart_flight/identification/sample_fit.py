@@ -145,15 +145,16 @@ class SampleFit:
                 out[name] = theta[own["vy"]] * shapes[name]
             else:
                 out[name] = shapes[name]
-            self._add_push(out, theta, i, name)
+            self._add_push(out, shapes, theta, i, name)
         return out
 
-    def _add_push(self, out: dict[str, Array], theta: Array, i: int, name: str) -> None:
+    def _add_push(
+        self, out: dict[str, Array], shapes: dict[str, Array], theta: Array, i: int, name: str
+    ) -> None:
         """The controller's accelerations outside the contact."""
         own, axis = self.parameters.own[i], name[0]
         if f"{axis}_after" not in own or name.endswith("_n"):
             return
-        shapes = self._shapes(theta, i)
         late, early = shapes[name + " late"], shapes[name + " early"]
         after, before = theta[own[f"{axis}_after"]], theta[own[f"{axis}_before"]]
         if axis == "n":  # the contact's own push is in its shape, before and after it as well
@@ -169,15 +170,26 @@ class SampleFit:
         Remembered for the last few values of what a channel depends on, because most parameters are of few
         channels.
         """
-        trial, window = self.trials[i], self.windows[i]
-        shared, own = self.parameters.of_mode(trial.mode), self.parameters.own[i]
+        shared, own = self.parameters.of_mode(self.trials[i].mode), self.parameters.own[i]
         onset = float(theta[own["onset"]])
         push = float(theta[own["n_in"]]) if "n_in" in own else 0.0
         delay = float(theta[own["delay"]]) if "delay" in own else 0.0
         law = (float(theta[own["speed"]]), push, *(float(theta[shared[n]]) for n in ("k", "f", "mu")))
+        return self._remembered(
+            i, ("all", onset, delay, *law), lambda: self._shapes_of(theta, i, onset, delay, law)
+        )
+
+    def _shapes_of(
+        self, theta: Array, i: int, onset: float, delay: float, law: tuple[float, ...]
+    ) -> dict[str, Array]:
+        trial, shared, own = (
+            self.trials[i],
+            self.parameters.of_mode(self.trials[i].mode),
+            self.parameters.own[i],
+        )
         contact = self._remembered(i, law, lambda: contact_of(theta, shared, own, trial, self))
         shapes: dict[str, Array] = {}
-        for name, series in window.series.items():
+        for name, series in self.windows[i].series.items():
             begin = onset + delay if name.endswith("_n") else onset
             of_it = law if name.startswith("tangential") else law[:-1]  # mu is of the way along the wall
             made = self._remembered(
@@ -189,7 +201,7 @@ class SampleFit:
     def _remembered(self, i: int, key: tuple[str | float, ...], make: Callable[[], T]) -> T:
         memory: dict[tuple[str | float, ...], T] = self._memory.setdefault(i, {})
         if key not in memory:
-            if len(memory) >= _REMEMBERED * (1 + len(self.windows[i].series)):
+            if len(memory) >= _REMEMBERED * (2 + len(self.windows[i].series)):
                 memory.clear()
             memory[key] = make()
         return memory[key]

@@ -128,6 +128,14 @@ class FreeFlight:
         x, y = (expm(axis.matrix * t_s) @ z for axis, z in zip(self.axes, (leg.x, leg.y), strict=True))
         return Leg(x, y, leg.goal_x, leg.goal_y)
 
+    def along(self, leg: Leg, times_s: Array) -> tuple[Array, Array]:
+        """States (n, 4) of the first candidate, along x and along y, at times (n,) after the leg's start."""
+        x, y = (
+            expm(axis.matrix * times_s[:, None, None]) @ z[:, 0]
+            for axis, z in zip(self.axes, (leg.x, leg.y), strict=True)
+        )
+        return x, y
+
     def near(self, leg: Leg, index: Rows) -> Near:
         """The exact solutions about one grid point per candidate."""
         states: list[Array] = [

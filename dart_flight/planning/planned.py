@@ -198,9 +198,6 @@ def _rollout(task: MissionTask, flight: FreeFlight, walls: Mapping[str, Wall] | 
 def _path(flight: FreeFlight, hit: Hits, until_s: float) -> NDArray[np.float64]:
     """From the onset of a hit over its release to a time, mission frame (n, 4)."""
     release_s = float(hit.t_s[0] + hit.duration_s[0])
-    points = [(float(hit.x[0]), float(hit.y[0]), 0.0, 0.0)]
-    for t_s in np.linspace(0.0, max(until_s - release_s, 0.0), _POINTS):
-        at = flight.at(hit.leg, float(t_s))
-        x, y = float(at.x[0, 0] + at.goal_x[0]), float(at.y[0, 0] + at.goal_y[0])
-        points.append((x, y, float(at.x[1, 0]), float(at.y[1, 0])))
-    return np.array(points)
+    x, y = flight.along(hit.leg, np.linspace(0.0, max(until_s - release_s, 0.0), _POINTS))
+    after = np.stack([x[:, 0] + hit.leg.goal_x[0], y[:, 0] + hit.leg.goal_y[0], x[:, 1], y[:, 1]], axis=1)
+    return np.concatenate([[(hit.x[0], hit.y[0], 0.0, 0.0)], after])

@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 import io
-import struct
 from pathlib import Path
 
-from mcap.exceptions import EndOfFile
-from mcap.records import Channel, Chunk, Message, Metadata
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import Chunk, Metadata
 
-from dart_flight.recording.encoding import decode
-from dart_flight.recording.reader import DECODERS, LogEntry
+from dart_flight.recording.mcap_records import HEAD, MAGIC, MOST_BYTES, ChunkReader, LogEntry, parts_of
 from dart_flight.recording.writer import ABOUT, END, part_path
 
-_MAGIC_BYTES = 8
-_HEAD = struct.Struct("<BQ")  # MCAP: kind and length of a record
-_MOST_BYTES = 64 * 1024 * 1024
 _READ_BYTES = 8 * 1024 * 1024  # at once
 
 
@@ -40,8 +33,8 @@ class LogFollower:
 
     def _next_part(self) -> None:
         self._part += 1
-        self._offset = _MAGIC_BYTES
-        self._topics: dict[int, str] = {}
+        self._offset = len(MAGIC)
+        self._chunks = ChunkReader()
         self._continued = False
 
     def read(self) -> list[LogEntry]:
@@ -51,34 +44,22 @@ class LogFollower:
             OSError: the file cannot be read.
             ValueError: it is damaged.
         """
-        data = self._whole_records()
         entries: list[LogEntry] = []
-        if data:
-            reader = StreamReader(
-                io.BytesIO(data), skip_magic=True, emit_chunks=True, record_size_limit=_MOST_BYTES
-            )
-            try:
-                for record in reader.records:
-                    self._take(record, entries)
-            except EndOfFile:
-                pass
+        for part in parts_of(io.BytesIO(self._whole_records())):
+            if isinstance(part, Chunk):
+                entries += self._chunks.entries(part)
+            elif isinstance(part, Metadata):
+                self._take(part)
         return entries
 
-    def _take(self, record: object, entries: list[LogEntry]) -> None:
-        if isinstance(record, Metadata) and record.name == ABOUT:
-            self.about.update(record.metadata)
-        elif isinstance(record, Metadata) and record.name == END:
-            if record.metadata.get("continued") == "yes":
+    def _take(self, metadata: Metadata) -> None:
+        if metadata.name == ABOUT:
+            self.about.update(metadata.metadata)
+        elif metadata.name == END:
+            if metadata.metadata.get("continued") == "yes":
                 self._continued = True
             else:
                 self.ended = True
-        elif isinstance(record, Chunk):
-            for inner in breakup_chunk(record, validate_crc=True):
-                if isinstance(inner, Channel):
-                    self._topics[inner.id] = inner.topic
-                elif isinstance(inner, Message) and self._topics.get(inner.channel_id) in DECODERS:
-                    decoder = DECODERS[self._topics[inner.channel_id]]
-                    entries.append(LogEntry(inner.sequence, decode(inner.data, decoder)))
 
     def _whole_records(self) -> bytes:
         """Bytes from where the last call ended to the end of the last whole record."""
@@ -88,12 +69,12 @@ class LogFollower:
             file.seek(self._offset)
             data = file.read(_READ_BYTES)
         end = 0
-        while len(data) - end >= _HEAD.size:
-            _, length = _HEAD.unpack_from(data, end)
-            if length > _MOST_BYTES:
+        while len(data) - end >= HEAD.size:
+            _, length = HEAD.unpack_from(data, end)
+            if length > MOST_BYTES:
                 raise ValueError(f"a record of {length} bytes")
-            if end + _HEAD.size + length > len(data):
+            if end + HEAD.size + length > len(data):
                 break
-            end += _HEAD.size + length
+            end += HEAD.size + length
         self._offset += end
         return data[:end]

@@ -276,7 +276,9 @@ def test_a_full_disk_ends_it_with_a_line_and_it_goes_on_later(
     limited = (
         "import resource, sys\n"
         "from dart_flight.cli import main\n"
+        "from dart_flight.recording.about import software_version\n"
         "if __name__ == '__main__':\n"
+        "    software_version()\n"  # git writes its index: cut, that would leave a lock behind
         "    resource.setrlimit(resource.RLIMIT_FSIZE, (1200, 1200))\n"
         "    sys.exit(main(sys.argv[1:]))\n"
     )
@@ -284,7 +286,7 @@ def test_a_full_disk_ends_it_with_a_line_and_it_goes_on_later(
     script.write_text(limited)
     command = ["campaign", MISSION, "--runs", "9", "--out", str(out), "--keep", "none", "--jobs", "2"]
     done = subprocess.run(
-        [sys.executable, str(script), *command],
+        [sys.executable, "-B", str(script), *command],  # -B: bytecode would be cut, too, and stay
         env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 1, done.stderr

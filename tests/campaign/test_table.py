@@ -98,7 +98,7 @@ def test_a_full_disk_leaves_whole_rows(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
 
     done = subprocess.run(
-        [sys.executable, "-c", FULL, str(path)],
+        [sys.executable, "-B", "-c", FULL, str(path)],  # -B: bytecode would be cut, too, and stay
         cwd=Path(__file__).parents[2], preexec_fn=limit, capture_output=True, text=True, check=True,
     )  # fmt: skip
     seeds, _, said = done.stdout.strip().partition(" ")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -172,3 +174,15 @@ def test_monitor_ends_when_nothing_comes(capsys: pytest.CaptureFixture[str]) -> 
     assert main(["monitor", "--connection", f"udpin://127.0.0.1:{port}", "--seconds", "0.5"]) == 1
     assert time.monotonic() - begun < 15.0, "connection.timeout_s is 30 s"
     assert "no autopilot" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the idle class is Linux's")
+def test_a_program_that_calls_monitor_keeps_its_own_priority(tmp_path: Path) -> None:
+    """The command of its own gives way for good: tests/flights/test_one_link.py."""
+
+    def priority() -> tuple[int, int]:
+        return os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)
+
+    before = priority()
+    assert main(["monitor", "--log", str(tmp_path / "none.mcap"), "--seconds", "0.1"]) == 2
+    assert priority() == before

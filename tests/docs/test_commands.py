@@ -134,7 +134,9 @@ def _run(words: list[str], folder: Path, root: Path) -> None:
 
 
 # Run on every page that has them they would teach nothing more: the same command on the same flight.
-ONCE = re.compile(r"^dart-flight (check|predict|replay|report|identify|calibrate|export|dry-run .*--fast)\b")
+ONCE = re.compile(
+    r"^dart-flight (campaign|check|predict|replay|report|identify|calibrate|export|dry-run .*--fast)\b"
+)
 # The laboratory's own flight, wherever a page keeps it.
 ITS_FLIGHT = re.compile(
     r"^dart-flight dry-run missions/single_wall\.yaml --fast( --runs 1)? --log-dir (\S+)$"
@@ -147,8 +149,12 @@ def as_run(command: Command) -> str:
 
 
 def _essence(text: str) -> str:
-    """A command without the names of what it writes, and of the folder whose flights it reads."""
-    return re.sub(r"[\w.]+(?=/\*/flight\.mcap)", "", re.sub(r" (-o|--log-dir) \S+", "", text))
+    """A command without the names of what it writes, and of the folder whose flights it reads.
+
+    Of a campaign also without its missions: what they are like is seen where each is flown.
+    """
+    text = re.sub(r"[\w.]+(?=/\*/flight\.mcap)", "", re.sub(r" (-o|--log-dir|--out) \S+", "", text))
+    return re.sub(r" missions/\S+", " MISSION", text) if text.startswith("dart-flight campaign") else text
 
 
 def _repeated() -> set[tuple[str, str]]:
@@ -180,25 +186,6 @@ def to_run(page: Path, laboratory: Path) -> Iterator[tuple[Command, str]]:
                 continue
             text = f"cp -r {laboratory}/flights {flight[2]}"
         yield command, text
-
-
-def in_a_shell(page: Path, laboratory: Path, folder: Path) -> None:
-    """The page's commands in one shell, each in a process of its own."""
-    lines = ["set -o pipefail"]
-    for command, text in to_run(page, laboratory):
-        check = f"[ $s = {command.status} ] || {{ echo '{command.place}: ended with' $s >&2; exit 99; }}"
-        lines += [f"{text}\ns=$?", check]
-    done = subprocess.run(
-        ["bash", "-c", "\n".join(lines)],
-        cwd=folder,
-        env=_environment(laboratory.parent),
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
 
 
 # What a shell has to be asked for: pipes, variables, more than one command.
@@ -249,11 +236,11 @@ def test_what_is_quick_runs_as_it_stands(
     page: Path, laboratory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A page's commands in order, in a folder made by `init`; each somewhere, if not here."""
-    if page.name == "quickstart.md":  # makes its own folder, and is typed as it stands by whoever begins
-        in_a_shell(page, laboratory, tmp_path)
-        return
-    shutil.copytree(laboratory, tmp_path / "lab")
-    monkeypatch.chdir(tmp_path / "lab")
+    if page.name == "quickstart.md":  # makes its own folder
+        monkeypatch.chdir(tmp_path)
+    else:
+        shutil.copytree(laboratory, tmp_path / "lab")
+        monkeypatch.chdir(tmp_path / "lab")
     for name, value in _environment(laboratory.parent).items():
         monkeypatch.setenv(name, value)
     in_process(page, laboratory)

@@ -6,6 +6,7 @@ import configparser
 import json
 import re
 import shlex
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -177,13 +178,17 @@ def test_differences_of_shape_are_seen() -> None:
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recorded(flown: SharedFlights, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder from `init` with one flight in it."""
-    folder = tmp_path_factory.mktemp("interfaces") / "lab"
-    assert main(["init", str(folder)]) == 0
-    mission = str(folder / "missions" / "single_wall.yaml")
-    assert main(["dry-run", mission, "--fast", "--log-dir", str(folder / "demo")]) == 0
-    return folder
+    return shutil.copytree(
+        flown.once("recorded", record) / "lab", tmp_path_factory.mktemp("recorded") / "lab"
+    )
+
+
+def record(there: Path) -> None:
+    assert main(["init", str(there / "lab")]) == 0
+    mission = str(there / "lab" / "missions" / "single_wall.yaml")
+    assert main(["dry-run", mission, "--fast", "--log-dir", str(there / "lab" / "demo")]) == 0
 
 
 @pytest.mark.parametrize("block", of("json"), ids=lambda b: b.place)

@@ -1,5 +1,6 @@
 """A chosen part of the fault matrix through real MAVSDK, in real time."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -9,15 +10,19 @@ from dart_flight.samples import GuardEvent, ImuSample, SetPoint, Silence, Status
 from dart_flight.sim.faults.kinds import Fault, parse_fault
 from dart_flight.worlds.embedded import fly_embedded
 from dart_flight.worlds.prepare import load_flyable
+from tests.shared_flights import PATIENT
 from tools.campaigns.faults import expected
 
 ROOT = Path(__file__).parents[2]
 NEAR = ROOT / "tests/data/near_wall.yaml"
 
 
-def flown(text: str, folder: Path, speed: float = 1.0) -> tuple[str, list[object], Fault]:
+def flown(
+    text: str, folder: Path, speed: float = 1.0, settings: Sequence[str] = PATIENT
+) -> tuple[str, list[object], Fault]:
+    """A flight with a fault; with a guard that bears the silences of a shared machine, unless they are it."""
     fault = parse_fault(text)
-    verdict = fly_embedded(load_flyable(NEAR), 1, folder, fault=fault, speed=speed)
+    verdict = fly_embedded(load_flyable(NEAR, settings=settings), 1, folder, fault=fault, speed=speed)
     assert verdict.log is not None
     log = read_log(next(folder.glob("*/flight.mcap")))
     came = "completed" if verdict.outcome == "completed" else (verdict.reason or "").split(":")[0]
@@ -44,7 +49,7 @@ def test_a_cell_through_mavsdk(text: str, speed: float, tmp_path: Path) -> None:
 
 @pytest.mark.mavlink
 def test_imu_drop_out_to_decision_within_a_tenth_of_a_second(tmp_path: Path) -> None:
-    came, records, _ = flown("imu-dropout@approach", tmp_path)
+    came, records, _ = flown("imu-dropout@approach", tmp_path, settings=())
     assert came == "imu_silent"
     event = next(i for i, r in enumerate(records) if isinstance(r, GuardEvent))
     last = max(r.received_us for r in records[:event] if isinstance(r, ImuSample))

@@ -27,6 +27,12 @@ NEAR = str(ROOT / "tests" / "data" / "near_wall.yaml")
 DUAL = "missions/dual_collision.yaml"
 
 
+@pytest.fixture(autouse=True)
+def state_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One for all programs of a test: by it a program knows a `simulate` that is just starting."""
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
+
+
 def command(*arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", "dart_flight", *arguments],
@@ -73,7 +79,8 @@ def simulated_vehicle(mission: str) -> Iterator[str]:
         yield f"udpin://127.0.0.1:{port}"
     finally:
         vehicle.terminate()
-        assert vehicle.wait(10) == 0
+        status = vehicle.wait(10)
+    assert status == 0
 
 
 @pytest.mark.mavlink
@@ -238,7 +245,7 @@ def test_a_silent_port_is_said_in_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.mavlink
-def test_the_lock_command_moves_the_servo_on_px4s_output(tmp_path: Path) -> None:
+def test_the_lock_command_moves_the_servo_on_px4s_output() -> None:
     with simulated_vehicle(SINGLE) as url:
         process = subprocess.run(
             [
@@ -254,7 +261,6 @@ def test_the_lock_command_moves_the_servo_on_px4s_output(tmp_path: Path) -> None
                 "--json",
             ],
             cwd=ROOT,
-            env={**os.environ, "DART_FLIGHT_STATE_DIR": str(tmp_path)},
             capture_output=True,
             text=True,
             timeout=40,

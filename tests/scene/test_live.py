@@ -25,6 +25,7 @@ from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.samples import ForceEstimate, ImuSample
 from dart_flight.scene.live import LiveView, Show
+from dart_flight.vehicle.link import LinkLease
 from dart_flight.worlds.vehicle_process import free_udp_port
 from tests.doubles.viewer import Viewer
 from tests.shared_flights import SharedFlights
@@ -224,23 +225,27 @@ def free_port() -> int:
         return port
 
 
-def test_monitor_shows_a_flight_by_its_log(log: Log, capsys: pytest.CaptureFixture[str]) -> None:
+def test_monitor_shows_a_flight_by_its_log(
+    log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Half of it is written, and no more comes; the flight is over once the viewer has seen it."""
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
+    written = tmp_path / "flight.mcap"
+    whole = Path(log.source).read_bytes()
+    written.write_bytes(whole[: len(whole) // 2])
     port = free_port()
     viewer = Viewer(f"ws://127.0.0.1:{port}", lambda m: "/scene/room" in m and bool(places(m)))
-    thread = threading.Thread(target=viewer.watch, args=(PATIENCE_S,))
+    flight = LinkLease(f"udpin://127.0.0.1:{free_udp_port()}", "fly", written)
+    flight.acquire()
+
+    def watch() -> None:
+        viewer.watch(PATIENCE_S)
+        flight.release()
+
+    thread = threading.Thread(target=watch)
     thread.start()
-    command = [
-        "monitor",
-        "--log",
-        log.source,
-        "--live",
-        "--live-port",
-        str(port),
-        "--json",
-        "--seconds",
-        "30",
-    ]
-    assert main(command) == 0
+    live = ["--live", "--live-port", str(port)]
+    assert main(["monitor", "--log", str(written), *live, "--json", "--seconds", str(PATIENCE_S)]) == 0
     thread.join(PATIENCE_S)
     assert f"ws://127.0.0.1:{port}" in capsys.readouterr().err
     assert "/scene/room" in viewer.messages

@@ -105,9 +105,10 @@ def view_of(mission: Mission, points: Array, margin_m: float = 0.45) -> Array:
 
 
 def points_per_unit(axis: Any) -> float:
-    """Points on paper per metre, at an equal aspect, once the figure has been laid out."""
+    """Points on paper per metre, at an equal aspect, with the figure laid out as it stands."""
     figure = axis.figure
-    figure.draw_without_rendering()
+    figure.get_layout_engine().execute(figure)
+    axis.apply_aspect()
     width = axis.get_xlim()[1] - axis.get_xlim()[0]
     return float(axis.get_window_extent().width / width * 72.0 / figure.dpi)
 

@@ -1,0 +1,71 @@
+"""`make test` itself: two kinds side by side, both of which count, and neither of which stays behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tools.run_tests import run_both
+
+ROOT = Path(__file__).parents[1]
+GOOD, BAD = "timeit -n 1 -r 1 pass", "py_compile there-is-no-such-file.py"
+CLASS = "timeit -n 1 -r 1 'import os; print(chr(123), os.sched_getscheduler(0), chr(125))'"
+
+
+@pytest.mark.parametrize(
+    ("first", "others", "good"),
+    [([GOOD], [GOOD], True), ([BAD, GOOD], [GOOD], False), ([GOOD], [BAD, GOOD], False)],
+)
+def test_both_kinds_count(first: list[str], others: list[str], good: bool) -> None:
+    assert run_both(first, others) is good
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the idle class is Linux's")
+def test_the_others_run_in_the_idle_class_and_are_shown_last(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run_both([GOOD], [CLASS, GOOD])
+    shown = capfd.readouterr().out.splitlines()
+    assert [line for line in shown if line[0] in "+{"] == [
+        f"+ {GOOD}", f"+ {CLASS}", f"{{ {os.SCHED_IDLE} }}", f"+ {GOOD}"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("number", "ignored"),
+    [(signal.SIGINT, False), (signal.SIGTERM, False), (signal.SIGTERM, True)],
+    ids=["Ctrl-C", "SIGTERM", "SIGTERM to what a script has started behind it"],
+)
+def test_what_is_interrupted_leaves_nothing_behind(
+    number: signal.Signals, ignored: bool, tmp_path: Path
+) -> None:
+    sleeps = [
+        f"timeit -n 1 -r 1 'import os, time; os.mkdir(\"{tmp_path}/\" + str(os.getpid())); time.sleep(60)'"
+        for _ in range(2)
+    ]
+    code = "import sys; from tools import run_tests as r; r._PATIENCE_S = 1.0; "
+    code += f"r.LINT, r.REAL_TIME, r.OTHERS = (), *{[[sleep] for sleep in sleeps]}; sys.exit(r.main([]))"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        start_new_session=True,
+        # It is inherited whether Ctrl-C is ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN if ignored else signal.SIG_DFL),  # noqa: PLW1509
+    )
+    until = time.monotonic() + 60.0
+    while len(list(tmp_path.iterdir())) < 2 and time.monotonic() < until:
+        time.sleep(0.05)
+    if number is signal.SIGINT:
+        os.killpg(process.pid, number)  # as a terminal does
+    else:
+        process.send_signal(number)
+    assert process.wait(30.0) == 1
+    sleepers = [int(path.name) for path in tmp_path.iterdir()]
+    assert len(sleepers) == 2
+    for pid in sleepers:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
