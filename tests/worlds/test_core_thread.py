@@ -318,6 +318,39 @@ def test_a_fault_on_another_thread_ends_the_cores_own(watched: Harness[WatchedCo
     assert not watched.thread.thread.is_alive()
 
 
+def setpoint_at(t_us: int) -> SetPoint:
+    return SetPoint(t_us, t_us, (0.0, 0.0, -1e-6 * t_us), 0.0)
+
+
+def at_one_go(answer: Callable[[Input], list[Output]], times_us: list[int]) -> Harness[SteppedCore]:
+    """Attitudes that are all there when the thread begins."""
+    harness = Harness(SteppedCore(answer))
+    harness.run([attitude(t_us) for t_us in times_us])
+    return harness
+
+
+def test_of_set_points_decided_at_one_go_the_newest_leaves_and_all_are_logged() -> None:
+    harness = at_one_go(
+        lambda item: [setpoint_at(item.t_us)] if isinstance(item, AttitudeSample) else [], [4, 8, 12]
+    )
+    assert harness.did == [("send", setpoint_at(12))]
+    assert [r for r, _ in harness.observed if isinstance(r, SetPoint)] == [setpoint_at(t) for t in (4, 8, 12)]
+
+
+def test_a_set_point_leaves_before_what_is_carried_out_after_it() -> None:
+    permission = LockPermission(8, True)
+    answers: dict[int, list[Output]] = {4: [setpoint_at(4)], 8: [permission], 12: []}
+    harness = at_one_go(lambda item: answers.get(getattr(item, "t_us", 0), []), [4, 8, 12])
+    assert harness.did == [("send", setpoint_at(4)), ("carry out", permission)]
+
+
+def test_a_set_point_of_the_recovery_never_waits_and_replaces_what_does() -> None:
+    recovery = SetPoint(8, 8, (0.0, 0.0, -1.0), 0.0, recovery=True)
+    answers: dict[int, list[Output]] = {4: [setpoint_at(4)], 8: [recovery], 12: []}
+    harness = at_one_go(lambda item: answers.get(getattr(item, "t_us", 0), []), [4, 8, 12])
+    assert harness.did == [("send", recovery)]
+
+
 def test_after_the_stop_nothing_is_stepped(watched: Harness[WatchedCore]) -> None:
     begin(watched, Pace.PROMPT)
     watched.thread.stop()

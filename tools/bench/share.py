@@ -314,9 +314,8 @@ def main() -> int:
         for _ in range(options.rounds):
             one = in_flight()
             added = one.app - one.alone
-            print(
-                f"fly {one.app:.1f} % of a core for {one.seconds:.1f} s, MAVSDK alone {one.alone:.1f}: {added:+.1f}"
-            )
+            both = f"fly {one.app:.1f} % of a core, MAVSDK alone {one.alone:.1f}: {added:+.1f}"
+            print(f"{both}, over {one.seconds:.1f} s of flight")
         return 0
     if options.busy:
         with both_cores_busy():
