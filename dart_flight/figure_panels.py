@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from dart_flight.config.document import InputError
+from dart_flight.config.document import InputError, writing
 
 # Okabe and Ito's colours: told apart by everyone, also in grey.
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#666666"
@@ -37,12 +37,11 @@ def save(figure: Any, path: str | Path) -> None:
     Raises:
         InputError: the format is unknown or the file cannot be written.
     """
-    try:
-        figure.savefig(path, dpi=150)
-    except ValueError as error:
-        raise InputError(str(error), source=str(path)) from None
-    except OSError as error:
-        raise InputError(f"cannot write: {error.strerror or error}", source=str(path)) from None
+    with writing(path):
+        try:
+            figure.savefig(path, dpi=150)
+        except ValueError as error:
+            raise InputError(str(error), source=str(path)) from None
 
 
 def shade(axes: Sequence[Any], begin_ms: float, end_ms: float) -> None:

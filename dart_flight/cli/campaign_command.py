@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
         engine = on_cluster(arguments.scheduler)
     else:
         engine = campaigns.here(arguments.jobs or usable_cores())
-    say_vehicle(opened.points[0].mission.flown_vehicle(), console, asked=arguments.config is not None)
+    say_vehicle(opened.points[0].mission.flown_vehicle(), arguments)
     if len(opened.points) > 1:
         console.print(f"and {len(opened.points) - 1} more missions or settings")
     for line in dict.fromkeys(line for point in opened.points for line in impact_warnings(point.mission)):

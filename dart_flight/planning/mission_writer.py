@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from dart_flight.config.document import Document, InputError
+from dart_flight.config.document import Document, writing
 from dart_flight.config.mission import Mission, WallSpec, parse_mission
 from dart_flight.config.scenario import Scenario
 from dart_flight.planning.search import Plan
@@ -99,10 +99,8 @@ def write_mission(scenario: Scenario, plan: Plan, target: Path) -> str:
     """
     text = mission_text(scenario, plan, target)
     planned_mission(scenario, plan, text)
-    try:
+    with writing(target):
         target.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot write: {error.strerror}", source=str(target)) from None
     return text
 
 
