@@ -22,9 +22,8 @@ from dart_flight.check.parameters import (
 )
 from dart_flight.check.vehicle import judge_lock, judge_observation
 from dart_flight.cli import main
-from dart_flight.config import InputError, Mission, parse_mission
-from dart_flight.config.document import Document
-from dart_flight.config.mission import Bounds, CollisionPrediction
+from dart_flight.config.document import Document, InputError
+from dart_flight.config.mission import BoundsSpec, CollisionPrediction, Mission, parse_mission
 from dart_flight.config.parameters import PositionSource, vehicle_parameters
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.drivers.px4 import required_parameters
@@ -68,7 +67,7 @@ def test_what_is_wrong_is_a_no_go(old: str, new: str, item: str) -> None:
 
 def test_a_run_up_without_room_is_a_no_go() -> None:
     tight = msgspec.structs.replace(
-        mission(), start=(0.9, -0.9), bounds=Bounds((0.85, 2.2), (-1.6, 2), (0.3, 2))
+        mission(), start=(0.9, -0.9), bounds=BoundsSpec((0.85, 2.2), (-1.6, 2), (0.3, 2))
     )
     assert "approach_1" in no_goes(check_mission(tight))
 

@@ -15,11 +15,12 @@ from rich.table import Table
 from dart_flight.cli.options import link_of, refuse_unwritable
 from dart_flight.cli.terminal import emit_json, messages, say, tables
 from dart_flight.cli.vehicle_line import say_vehicle
-from dart_flight.config import InputError, default_config_path, find_vehicle
-from dart_flight.config.document import Key
+from dart_flight.config.document import InputError, Key
 from dart_flight.config.edit import write_values
+from dart_flight.config.provenance import find_vehicle
 from dart_flight.config.rotors import COUNT, motors_block, motors_of, rotor_differences, rotor_names
 from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.config.vehicle.configuration import default_config_path
 from dart_flight.identification.airframe import read_airframe
 from dart_flight.identification.inertia import WINDOW_S, InertiaCalibration, calibrate_inertia
 from dart_flight.identification.thrust_curve import (

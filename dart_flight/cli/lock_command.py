@@ -12,10 +12,11 @@ import msgspec
 from dart_flight.cli.options import link_of, refuse_unwritable
 from dart_flight.cli.terminal import emit_json, messages, say, tables
 from dart_flight.cli.vehicle_line import say_vehicle
-from dart_flight.config import InputError, default_config_path, find_vehicle
-from dart_flight.config.document import Document
+from dart_flight.config.document import Document, InputError
 from dart_flight.config.edit import write_values
+from dart_flight.config.provenance import find_vehicle
 from dart_flight.config.vehicle import LockConfig, LockDriver
+from dart_flight.config.vehicle.configuration import default_config_path
 from dart_flight.lock.calibration import HELP, Calibration, CalibrationError
 from dart_flight.lock.drivers import Driver, DriverError, SetActuator
 from dart_flight.lock.drivers.px4 import parameter_problems, required_parameters

@@ -29,7 +29,6 @@ _TERMS = 80
 _CROWDING = 3.0
 # A contact that never ends is followed for this many time constants of its slower decay.
 _SETTLED = 40.0
-_CHUNK = 4096
 
 
 class _Nodes(NamedTuple):

@@ -111,14 +111,6 @@ NOT_PERMITTED = "the arms are in contact or have not sprung back"
 SETTLED_TEXT = {True: "settled", False: "settled (no feedback)"}
 
 
-def diagram() -> str:
-    """The table as Mermaid text."""
-    lines = ["stateDiagram-v2", f"    [*] --> {LockPhase.UNKNOWN}"]
-    for before, row in TRANSITIONS.items():
-        lines += [f"    {before} --> {after}: {event}" for event, after in row.items()]
-    return "\n".join(lines) + "\n"
-
-
 def describe(state: LockState) -> str:
     """A lock state in a few words, for people: `rigid: settled (no feedback)`."""
     if state.phase is LockPhase.SETTLED:

@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 
 import msgspec
 
-from dart_flight.config.mission import Bounds, Collision, GoalSpec, Limits, Mission
+from dart_flight.config.mission import BoundsSpec, Collision, GoalSpec, Limits, Mission
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.geometry import Vec2, Wall
 from dart_flight.samples import Mode
@@ -32,7 +32,7 @@ class Task(Protocol):
         """Where it is, and how near counts."""
 
     @property
-    def bounds(self) -> Bounds:
+    def bounds(self) -> BoundsSpec:
         """The flight space."""
 
     @property
@@ -58,7 +58,7 @@ class MissionTask(NamedTuple):
     vehicle: VehicleConfig
     start: Vec2
     goal: GoalSpec
-    bounds: Bounds
+    bounds: BoundsSpec
     walls: dict[str, Wall]
     limits: Limits
     modes: tuple[Mode, ...]

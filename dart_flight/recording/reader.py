@@ -172,6 +172,3 @@ def _check_version(about: dict[str, str], source: str) -> None:
             f"dart-flight {about.get('software', '?')}; update dart-flight",
             source=source,
         )
-
-
-__all__ = ["IN_MEMORY", "Log", "LogEntry", "NothingInItError", "read_log"]
