@@ -383,7 +383,7 @@ def test_adopt_believes_only_what_can_be_seen(
     # The last process may have died in the middle of the travel: it is waited for.
     assert machine.state.phase is LockPhase.TRAVELLING
     for t_us in range(10_000, 400_000, 10_000):
-        assert machine.reading(t_us, reading) == []
+        machine.reading(t_us, reading)
     assert (machine.state.phase, machine.state.mode) == (LockPhase.SETTLED, mode)
     assert machine.state.feedback is feedback
 
