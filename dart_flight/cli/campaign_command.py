@@ -186,15 +186,9 @@ def _table(summary: Any) -> Any:
         table.add_column(column, justify="left" if not column else "right")
     for point in summary.points:
         name = " ".join((point.mission, *(f"{key}={value}" for key, value in point.settings.items())))
-        table.add_row(escape(name), str(point.completed.of), *_rate(point.completed))
+        table.add_row(escape(name), str(point.completed.of), *point.completed.words("-"))
     if summary.plan_followed.of:
-        table.add_row("plan followed", str(summary.plan_followed.of), *_rate(summary.plan_followed))
+        table.add_row("plan followed", str(summary.plan_followed.of), *summary.plan_followed.words("-"))
     for rule in summary.rules:
         table.add_row(f"[red]{escape(rule.rule)}[/]", str(rule.flights), "", "")
     return table
-
-
-def _rate(rate: Any) -> tuple[str, str]:
-    if rate.share is None:
-        return "-", "-"
-    return f"{100.0 * rate.share:.1f} %", f"{100.0 * rate.low:.1f} to {100.0 * rate.high:.1f} %"

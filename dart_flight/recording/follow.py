@@ -7,11 +7,10 @@ import struct
 from pathlib import Path
 
 from mcap.exceptions import EndOfFile
-from mcap.records import Channel, Chunk, Message, Metadata
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import Chunk, Metadata
+from mcap.stream_reader import StreamReader
 
-from dart_flight.recording.encoding import decode
-from dart_flight.recording.reader import DECODERS, LogEntry
+from dart_flight.recording.reader import LogEntry, entries_in
 from dart_flight.recording.writer import ABOUT, END, part_path
 
 _MAGIC_BYTES = 8
@@ -73,12 +72,7 @@ class LogFollower:
             else:
                 self.ended = True
         elif isinstance(record, Chunk):
-            for inner in breakup_chunk(record, validate_crc=True):
-                if isinstance(inner, Channel):
-                    self._topics[inner.id] = inner.topic
-                elif isinstance(inner, Message) and self._topics.get(inner.channel_id) in DECODERS:
-                    decoder = DECODERS[self._topics[inner.channel_id]]
-                    entries.append(LogEntry(inner.sequence, decode(inner.data, decoder)))
+            entries += entries_in(record, self._topics)
 
     def _whole_records(self) -> bytes:
         """Bytes from where the last call ended to the end of the last whole record."""

@@ -155,11 +155,16 @@ def _entries(stream: BinaryIO, log: Log, found: dict[str, str], source: str) -> 
             continue
         if record.uncompressed_size > _MOST_BYTES:
             raise ValueError(f"a chunk of {record.uncompressed_size} bytes")
-        for inner in breakup_chunk(record, validate_crc=True):
-            if isinstance(inner, Channel):
-                topics[inner.id] = inner.topic
-            elif isinstance(inner, Message) and topics.get(inner.channel_id) in DECODERS:
-                yield LogEntry(inner.sequence, decode(inner.data, DECODERS[topics[inner.channel_id]]))
+        yield from entries_in(record, topics)
+
+
+def entries_in(chunk: Chunk, topics: dict[int, str]) -> Iterator[LogEntry]:
+    """The records of a chunk; `topics` holds the channels by number, and learns new ones."""
+    for inner in breakup_chunk(chunk, validate_crc=True):
+        if isinstance(inner, Channel):
+            topics[inner.id] = inner.topic
+        elif isinstance(inner, Message) and topics.get(inner.channel_id) in DECODERS:
+            yield LogEntry(inner.sequence, decode(inner.data, DECODERS[topics[inner.channel_id]]))
 
 
 def _check_version(about: dict[str, str], source: str) -> None:
