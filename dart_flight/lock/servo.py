@@ -13,22 +13,6 @@ from dart_flight.config.vehicle import Servo
 from dart_flight.samples import Mode
 
 
-def pulse_us(servo: Servo, cam_angle_deg: float) -> float:
-    """Pulse width in us at a cam angle, by the two calibrated points.
-
-    Raises:
-        ValueError: the servo's end stops do not allow it.
-    """
-    offset_deg = cam_angle_deg - servo.flexible_deg
-    pulse = servo.flexible_pulse_us + servo.direction * servo.us_per_deg * offset_deg
-    if not servo.min_pulse_us - 1e-6 <= pulse <= servo.max_pulse_us + 1e-6:
-        raise ValueError(
-            f"{cam_angle_deg:g} degrees is {pulse:.0f} us, over the servo's end stops "
-            f"{servo.min_pulse_us:g} to {servo.max_pulse_us:g}"
-        )
-    return pulse
-
-
 def mode_of(servo: Servo, horn_pulse_us: float) -> Mode | None:
     """The mode whose end the horn is at, within `tolerance_us`; None in between."""
     for mode in Mode:

@@ -33,15 +33,6 @@ def test_cam_refuses_what_it_cannot_reach() -> None:
             kinematics.rod_mm(cam, theta)
 
 
-def test_calibration_by_two_points(vary: Vary) -> None:
-    servo = vary().servo
-    assert calibration.pulse_us(servo, 90.0) == pytest.approx(1980.0)
-    mirrored = vary(servo={"rigid_pulse_us": 1020.0, "flexible_pulse_us": 1980.0, "direction": -1}).servo
-    assert calibration.pulse_us(mirrored, 67.5) == pytest.approx(1260.0)
-    with pytest.raises(ValueError, match="end stops"):
-        calibration.pulse_us(servo, 110.0)
-
-
 @pytest.mark.parametrize(
     ("supply_v", "seconds"), [(4.8, 0.285), (6.0, 0.225), (5.4, 0.255)]
 )  # the catalogue's 0.19 and 0.15 s/60 degrees times 1.5, and the middle
