@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -23,6 +23,9 @@ from dart_flight.config.settings import apply_changes
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.geometry import MissionFrame, Vec2, Vec3, Wall
 from dart_flight.samples import AfterImpact, Mode, ModeMismatch
+
+if TYPE_CHECKING:
+    from dart_flight.config.scenario import ScenarioFile
 
 Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
 Velocity = Annotated[float, Meta(ge=-20.0, le=20.0)]
@@ -590,20 +593,9 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
     )
 
 
-class _SpaceSpec(Protocol):
-    """The keys that missions and scenarios share: where things are."""
-
-    @property
-    def start(self) -> StartSpec: ...
-    @property
-    def goal(self) -> GoalSpec: ...
-    @property
-    def bounds_m(self) -> BoundsSpec: ...
-    @property
-    def walls(self) -> dict[str, WallSpec]: ...
-
-
-def resolve_space(spec: _SpaceSpec, vehicle: VehicleConfig, document: Document) -> dict[str, Wall]:
+def resolve_space(
+    spec: MissionFile | ScenarioFile, vehicle: VehicleConfig, document: Document
+) -> dict[str, Wall]:
     """Check start, goal, bounds and walls against each other; returns the walls by name.
 
     Raises:
@@ -646,7 +638,7 @@ def resolve_walls(specs: dict[str, WallSpec], vehicle: VehicleConfig, document: 
     return walls
 
 
-def _check_space(spec: _SpaceSpec, document: Document) -> None:
+def _check_space(spec: MissionFile | ScenarioFile, document: Document) -> None:
     for axis in ("x", "y", "z"):
         low, high = getattr(spec.bounds_m, axis)
         if not low < high:
