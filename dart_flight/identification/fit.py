@@ -221,19 +221,14 @@ def _trial_fit(hit: Hit, sampled: SampleTrial | None) -> TrialFit:
         used = "whole"
     else:
         used = "samples"
+    found = sampled._asdict()
+    del found["worst_channel"]
     return TrialFit(
         name=hit.name,
         mode=hit.mode,
-        onset_s=sampled.onset_s,
-        normal_m_s=sampled.normal_m_s,
-        tangential_m_s=sampled.tangential_m_s,
-        samples_in_contact=sampled.samples_in_contact,
-        push_m_s2=sampled.push_m_s2,
         used=used,
         normal_out_m_s=hit.normal_out_m_s,
         tangential_out_m_s=hit.tangential_out_m_s,
         peak_force_n=hit.peak_force_n,
-        force_delay_s=sampled.force_delay_s,
-        misfit=sampled.misfit,
-        set_aside=sampled.set_aside,
+        **found,
     )

@@ -137,7 +137,7 @@ def fly(mission: Mission, fault: Fault, seed: int, folder: Path | None = None) -
     problems = []
     try:
         flight.run()
-        flight.run_out()
+        run_out(flight)
     except Exception as error:
         problems.append(f"exception {type(error).__name__}: {error}")
     problems += _close(log, path)
@@ -188,6 +188,18 @@ def _records(path: Path) -> list[object]:
         if isinstance(chunk, Chunk):
             breakup_chunk(chunk, validate_crc=True)
     return list(records)
+
+
+def run_out(flight: FastFlight, limit_s: float = 60.0) -> None:
+    """Let the vehicle fly on by itself until it has landed, for `limit_s` more seconds at most.
+
+    In a pilot's hands it only has to hold still: three seconds of that are enough.
+    """
+    until_s = flight.autopilot.now_s + limit_s
+    while flight.autopilot.armed and flight.autopilot.now_s < until_s:
+        flight.tick()
+        if flight.autopilot.mode is FlightMode.MANUAL:
+            until_s = min(until_s, flight.autopilot.now_s + 3.0)
 
 
 def excursion_allowed_m(fault: Fault | None) -> float:
