@@ -29,14 +29,7 @@ from dart_flight.report.figures.scene import (
     set_view,
     view_of,
 )
-from dart_flight.report.figures.style import (
-    FORCE,
-    GREY,
-    PREDICTED,
-    Look,
-    in_style,
-    new_figure,
-)
+from dart_flight.report.figures.style import FORCE, GREY, PREDICTED, Look, in_style, new_figure
 
 SHEET = Look(7.2, 9.0)
 _ABOVE_M, _BELOW_M = 0.35, 0.05  # what the side view shows above the flight's height and below the ground
