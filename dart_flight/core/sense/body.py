@@ -272,16 +272,8 @@ def _binned(rows: list[_Row]) -> list[_Row]:
 
 def _mean(rows: list[_Row]) -> _Row:
     n = len(rows)
-    return _Row(
-        n,
-        sum(r.normal for r in rows) / n,
-        sum(r.along for r in rows) / n,
-        sum(r.torque for r in rows) / n,
-        sum(r.turned for r in rows) / n,
-        sum(r.turning for r in rows) / n,
-        sum(r.towards for r in rows) / n,
-        sum(r.sliding for r in rows) / n,
-    )
+    _, *values = zip(*rows, strict=True)
+    return _Row(n, *(sum(column) / n for column in values))
 
 
 def _torque_peak(samples: list[Felt], model: list[float], noise_nm: float) -> Vec3:
