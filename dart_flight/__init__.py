@@ -13,28 +13,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 __version__ = "0.1.0"
 
+# ruff: noqa: F405  (the names stand in `api.__all__` as well)
 if TYPE_CHECKING:
-    from dart_flight.api import (
-        Flight,
-        Identification,
-        InputError,
-        Log,
-        Mission,
-        PlanResult,
-        Trial,
-        VehicleConfig,
-        Verdict,
-        identify,
-        load_mission,
-        load_scenario,
-        load_vehicle,
-        packaged,
-        plan,
-        predict,
-        predict_drop,
-        read_log,
-        simulate,
-    )
+    from dart_flight.api import *  # noqa: F403
 
 __all__ = [
     "Flight",

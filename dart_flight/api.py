@@ -215,9 +215,7 @@ def predict(
     what = prediction.condition(vehicle, surface, mode, onset, incidence_deg)
     normal, tangential = np.asarray(normal_m_s, dtype=float), np.asarray(tangential_m_s, dtype=float)
     for pair in np.broadcast(normal, tangential):
-        problem = prediction.hit_problem(*map(float, pair))
-        if problem is not None:
-            raise InputError(f"{problem[0]} {problem[1]}", key=("velocity",))
+        prediction.refuse_hit(*map(float, pair))
     if normal.ndim == 0 and tangential.ndim == 0:
         return collide(what.coefficients, what.mass_kg, float(normal), float(tangential), what.onset)
     table = CoefficientArrays.of([what.coefficients])

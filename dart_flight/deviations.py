@@ -174,14 +174,3 @@ def _times_over(one: Deviation) -> float:
     if isinstance(one.planned, float) and isinstance(one.flown, float) and one.tolerance:
         return abs(one.flown - one.planned) / one.tolerance
     return math.inf
-
-
-__all__ = [
-    "Deviation",
-    "FlownImpact",
-    "PlannedImpact",
-    "departures",
-    "deviations",
-    "planned_impacts",
-    "worst",
-]

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from dart_flight.config.document import InputError
+from dart_flight.config.document import InputError, writing
 
 # Okabe and Ito's colours: told apart by everyone, also in grey.
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#666666"
 
 
-def panels(rows: int, width_in: float = 7.2, row_in: float = 2.1) -> tuple[Any, Any]:
-    """A figure of panels above each other that share the time axis, without any window system.
+def blank(width_in: float, height_in: float) -> Any:
+    """A figure without any window system.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -22,7 +22,16 @@ def panels(rows: int, width_in: float = 7.2, row_in: float = 2.1) -> tuple[Any, 
         from matplotlib.figure import Figure  # noqa: PLC0415
     except ImportError:
         raise InputError("needs matplotlib: pip install dart-flight[report]", key=("plot",)) from None
-    figure = Figure(figsize=(width_in, row_in * rows + 0.9), layout="constrained")
+    return Figure(figsize=(width_in, height_in), layout="constrained")
+
+
+def panels(rows: int) -> tuple[Any, Any]:
+    """A figure of panels above each other that share the time axis.
+
+    Raises:
+        InputError: matplotlib is not installed.
+    """
+    figure = blank(7.2, 2.1 * rows + 0.9)
     axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
     for axis in axes:
         axis.grid(visible=True, color="#dddddd", linewidth=0.6)
@@ -37,12 +46,17 @@ def save(figure: Any, path: str | Path) -> None:
     Raises:
         InputError: the format is unknown or the file cannot be written.
     """
-    try:
-        figure.savefig(path, dpi=150)
-    except ValueError as error:
-        raise InputError(str(error), source=str(path)) from None
-    except OSError as error:
-        raise InputError(f"cannot write: {error.strerror or error}", source=str(path)) from None
+    with writing(path):
+        try:
+            figure.savefig(path, dpi=150)
+        except ValueError as error:
+            raise InputError(str(error), source=str(path)) from None
+
+
+def legend_entries(axis: Any) -> dict[str, Any]:
+    """Label -> handle of what an axis shows, each label once."""
+    handles, labels = axis.get_legend_handles_labels()
+    return dict(zip(labels, handles, strict=True))
 
 
 def shade(axes: Sequence[Any], begin_ms: float, end_ms: float) -> None:

@@ -37,11 +37,6 @@ def scale(a: Vec3, factor: float) -> Vec3:
     return (a[0] * factor, a[1] * factor, a[2] * factor)
 
 
-def dot2(a: Vec2, b: Vec2) -> float:
-    """Scalar product in the horizontal plane."""
-    return a[0] * b[0] + a[1] * b[1]
-
-
 def norm(a: Vec3) -> float:
     """Euclidean length."""
     return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])

@@ -22,9 +22,8 @@ from dart_flight.check.parameters import (
 )
 from dart_flight.check.vehicle import judge_lock, judge_observation
 from dart_flight.cli import main
-from dart_flight.config import InputError, Mission, parse_mission
-from dart_flight.config.document import Document
-from dart_flight.config.mission import Bounds, CollisionPrediction
+from dart_flight.config.document import Document, InputError
+from dart_flight.config.mission import BoundsSpec, CollisionPrediction, Mission, parse_mission
 from dart_flight.config.parameters import PositionSource, vehicle_parameters
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.drivers.px4 import required_parameters
@@ -68,7 +67,7 @@ def test_what_is_wrong_is_a_no_go(old: str, new: str, item: str) -> None:
 
 def test_a_run_up_without_room_is_a_no_go() -> None:
     tight = msgspec.structs.replace(
-        mission(), start=(0.9, -0.9), bounds=Bounds((0.85, 2.2), (-1.6, 2), (0.3, 2))
+        mission(), start=(0.9, -0.9), bounds=BoundsSpec((0.85, 2.2), (-1.6, 2), (0.3, 2))
     )
     assert "approach_1" in no_goes(check_mission(tight))
 
@@ -128,7 +127,7 @@ def test_a_vehicle_set_up_by_our_files_is_go_without_a_remark() -> None:
     findings = judge_parameters(mission(), GOOD, PositionSource.MOCAP)
     assert not no_goes(findings)
     assert not remarks(findings)
-    assert {p.name for p in PARAMETERS} == {f.item for f in findings}
+    assert set(PARAMETERS) == {f.item for f in findings}
     assert all(len(f.says.split()) >= 3 for f in findings)
 
 
@@ -192,7 +191,7 @@ def test_the_imus_place_is_compared_with_the_configuration() -> None:
 
 def test_what_cannot_be_read_is_no_go_where_it_can_hurt_and_a_remark_elsewhere() -> None:
     silent = judge_parameters(mission(), {}, PositionSource.RTK)
-    assert set(no_goes(silent)) == {p.name for p in PARAMETERS}
+    assert set(no_goes(silent)) == set(PARAMETERS)
     assert set(remarks(silent)) == set(vehicle_parameters(PositionSource.RTK)) - set(no_goes(silent))
 
 

@@ -14,7 +14,7 @@ import pytest
 from packaging.utils import canonicalize_name
 
 from dart_flight.cli import build_parser
-from dart_flight.config import load_vehicle
+from dart_flight.config.vehicle.configuration import load_vehicle
 from tools import check_wheels
 
 ROOT = Path(__file__).parents[1]

@@ -12,7 +12,6 @@ from dart_flight.geometry import (
     Vec3,
     Wall,
     advance_attitude,
-    dot2,
     norm,
     quaternion_conjugate,
     quaternion_from_euler,
@@ -92,7 +91,7 @@ def test_distance_and_place_along_a_wall(wall: Wall, away: float, along: float) 
     p = (wall.point[0] + away * n[0] + along * t[0], wall.point[1] + away * n[1] + along * t[1])
     assert wall.signed_distance(p) == pytest.approx(away, abs=1e-9)
     assert wall.along(p) == pytest.approx(along, abs=1e-9)
-    assert abs(dot2(n, t)) < 1e-12
+    assert abs(n[0] * t[0] + n[1] * t[1]) < 1e-12
 
 
 @given(walls(), angles)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from dart_flight.recording import read_log
+from dart_flight.recording.reader import read_log
 from tools.bench.instructions import FLIGHT, HANDED_OVER, costs, counter, measure, receiving
 
 

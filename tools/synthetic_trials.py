@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dart_flight.config import Coefficients, load_vehicle
 from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle.airframe import Coefficients
+from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset

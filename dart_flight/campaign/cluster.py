@@ -87,7 +87,7 @@ def _hand_out(client: Any, flyer: Flyer, waiting: Iterator[Item], interrupt: Int
             item = next(waiting, None)
             if item is None:
                 break
-            under_way[client.submit(_fly, shared, item, pure=False)] = item
+            under_way[client.submit(attempt, shared, item, pure=False)] = item
         if not under_way:
             return
         landed = [future for future in under_way if future.done()]
@@ -110,7 +110,3 @@ def _result(future: Any) -> Flown | Failure:
 
 def _same(flyer: Flyer) -> Flyer:
     return flyer
-
-
-def _fly(flyer: Flyer, item: Item) -> Flown | Failure:
-    return attempt(flyer, item)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Generator, Iterable
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -87,10 +86,6 @@ def open_campaign(asked: Asked | None, folder: Path, resume: bool) -> Opened:
 def _begin(asked: Asked, folder: Path) -> Opened:
     points = points_of(asked)
     campaign = campaign_of(asked, points)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FlightError(f"cannot write {folder}: {error.strerror}") from None
     if (folder / TABLE).exists():
         raise InputError(
             "is a table without its campaign.json: name another folder", source=str(folder / TABLE)
@@ -113,30 +108,28 @@ def _write(path: Path, campaign: Campaign) -> None:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file, whole or not at all, and force it to the disk.
+    """Write a file, whole or not at all, and force it to the disk; its folder is made where there is none.
 
     Raises:
         FlightError: it cannot be written.
     """
     part = path.with_name(f"{path.name}.part")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         with open(part, "wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
         os.replace(part, path)
     except OSError as error:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            part.unlink()
         raise FlightError(f"cannot write {path}: {error.strerror}") from None
 
 
 def here(jobs: int) -> Engine:
     """Flights in processes of this machine (`worlds.workers`)."""
-    return partial(_work, jobs)
-
-
-def _work(jobs: int, flyer: Flyer, items: Iterable[Item], interrupt: Interrupt) -> Landings:
-    return work(flyer, items, jobs, interrupt)
+    return lambda flyer, items, interrupt: work(flyer, items, jobs, interrupt)
 
 
 def fly(
@@ -170,17 +163,9 @@ def fly(
                 flown = flyer.failed(item, result.what) if isinstance(result, Failure) else result
                 if flown.log is not None:
                     # Before its row, so that a row never promises a log that is not there.
-                    _keep(opened.log_of(item), flown.log)
+                    write_whole(opened.log_of(item), flown.log)
                 table.append(flown.line)
                 rows, failed = rows + 1, failed + (not flown.completed)
                 progress(rows, failed)
         table.sync()
     return rows
-
-
-def _keep(path: Path, data: bytes) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FlightError(f"cannot write {path}: {error.strerror}") from None
-    write_whole(path, data)

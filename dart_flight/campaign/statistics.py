@@ -26,6 +26,12 @@ class Share(msgspec.Struct, frozen=True):
     low: float | None
     high: float | None
 
+    def words(self, unknown: str) -> tuple[str, str]:
+        """The rate and its interval, in percent."""
+        if self.share is None or self.low is None or self.high is None:
+            return unknown, unknown
+        return f"{100.0 * self.share:.1f} %", f"{100.0 * self.low:.1f} to {100.0 * self.high:.1f} %"
+
 
 def share(successes: int, flights: int) -> Share:
     """A success rate with its interval."""

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-import msgspec
-
 from dart_flight.check.findings import Finding
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameters import PositionSource, differences, vehicle_parameters
@@ -20,13 +18,6 @@ _NO_TERMINATION = 121212  # CBRK_FLIGHTTERM: PX4's magic number for "off"
 _OVERRIDE_IN_OFFBOARD = 2  # bit 1 of COM_RC_OVERRIDE
 _HORIZONTAL = 1  # bit 0 of EKF2_EV_CTRL and of EKF2_GPS_CTRL
 _RTK_FIX = "rtk_fixed"
-
-
-class Explained(msgspec.Struct, frozen=True):
-    """One of PX4's parameters that matters to a vehicle that collides, and how to read it."""
-
-    name: str
-    judge: Callable[[float, Mission], tuple[bool, str]]
 
 
 _LOSS_ACTIONS = {
@@ -126,20 +117,21 @@ def _disarm_land(value: float, _: Mission) -> tuple[bool, str]:
     )
 
 
-PARAMETERS: tuple[Explained, ...] = (
-    Explained("COM_OF_LOSS_T", _of_loss),
-    Explained("COM_OBL_RC_ACT", _loss_action),
-    Explained("COM_RC_OVERRIDE", _rc_override),
-    Explained("NAV_RCL_ACT", _rc_loss),
-    Explained("COM_RCL_EXCEPT", _rc_exception),
-    Explained("FD_FAIL_P", _attitude_limit),
-    Explained("FD_FAIL_R", _attitude_limit),
-    Explained("COM_LKDOWN_TKO", _lockdown),
-    Explained("CBRK_FLIGHTTERM", _termination),
-    Explained("COM_IMB_PROP_ACT", _imbalance),
-    Explained("IMU_GYRO_RATEMAX", _gyro_rate),
-    Explained("COM_DISARM_LAND", _disarm_land),
-)
+# PX4's parameters that matter to a vehicle that collides: whether a value is a go, and what it means.
+PARAMETERS: dict[str, Callable[[float, Mission], tuple[bool, str]]] = {
+    "COM_OF_LOSS_T": _of_loss,
+    "COM_OBL_RC_ACT": _loss_action,
+    "COM_RC_OVERRIDE": _rc_override,
+    "NAV_RCL_ACT": _rc_loss,
+    "COM_RCL_EXCEPT": _rc_exception,
+    "FD_FAIL_P": _attitude_limit,
+    "FD_FAIL_R": _attitude_limit,
+    "COM_LKDOWN_TKO": _lockdown,
+    "CBRK_FLIGHTTERM": _termination,
+    "COM_IMB_PROP_ACT": _imbalance,
+    "IMU_GYRO_RATEMAX": _gyro_rate,
+    "COM_DISARM_LAND": _disarm_land,
+}
 # The prediction of where a recovery leads rests on these.
 _GAINS = ("MPC_XY_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_D_ACC", "MPC_VELD_LP", "MPC_TILTMAX_AIR", "MPC_Z_P")
 # Forward, right, down of the centre of mass, as imu.position_m.
@@ -149,7 +141,7 @@ _POSITION_TOLERANCE_M = 0.005
 
 def names_to_read() -> list[str]:
     """Every parameter that the judgements here look at."""
-    names = [p.name for p in PARAMETERS] + list(_GAINS) + list(IMU_POSITION)
+    names = [*PARAMETERS, *_GAINS, *IMU_POSITION]
     for source in PositionSource:
         names += vehicle_parameters(source)
     return list(dict.fromkeys(names))
@@ -177,15 +169,15 @@ def judge_parameters(
     """
     different = {d.name: d for d in differences(vehicle_parameters(source), values)}
     findings = []
-    for parameter in PARAMETERS:
-        difference = different.pop(parameter.name, None)
-        if parameter.name not in values:
-            findings.append(Finding(parameter.name, False, "cannot be read: what PX4 will do is not known"))
+    for name, judge in PARAMETERS.items():
+        difference = different.pop(name, None)
+        if name not in values:
+            findings.append(Finding(name, False, "cannot be read: what PX4 will do is not known"))
             continue
-        go, says = parameter.judge(values[parameter.name], mission)
+        go, says = judge(values[name], mission)
         if go and difference is not None:
             says += f"; recommended {difference.wanted:g}, not {difference.actual:g}: {difference.reason}"
-        findings.append(Finding(parameter.name, go, says, remark=go and difference is not None))
+        findings.append(Finding(name, go, says, remark=go and difference is not None))
     findings += _judge_gains(mission, values)
     findings += _judge_imu_position(mission, values)
     findings += [Finding(d.name, True, d.line(), remark=True) for d in different.values()]

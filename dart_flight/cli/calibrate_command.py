@@ -13,13 +13,14 @@ import msgspec
 from rich.table import Table
 
 from dart_flight.cli.options import link_of, refuse_unwritable
-from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.terminal import emit_json, messages, say, tables
 from dart_flight.cli.vehicle_line import say_vehicle
-from dart_flight.config import InputError, default_config_path, find_vehicle
-from dart_flight.config.document import Key
+from dart_flight.config.document import InputError, Key
 from dart_flight.config.edit import write_values
+from dart_flight.config.provenance import find_vehicle
 from dart_flight.config.rotors import COUNT, motors_block, motors_of, rotor_differences, rotor_names
 from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.config.vehicle.configuration import default_config_path
 from dart_flight.identification.airframe import read_airframe
 from dart_flight.identification.inertia import WINDOW_S, InertiaCalibration, calibrate_inertia
 from dart_flight.identification.thrust_curve import (
@@ -64,15 +65,13 @@ def run(arguments: argparse.Namespace) -> int:
     tracks = from_each(logs_in(arguments.logs), read_track, left_out.append)
     calibrate = _thrust if arguments.what == "thrust" else _inertia
     result, table, said, values = calibrate(tracks, vehicle)
-    for line in left_out:
-        messages().print(line, markup=False, soft_wrap=True)
-    say_vehicle(source, messages(), asked=arguments.config is not None)
+    say(*left_out)
+    say_vehicle(source, arguments)
     if arguments.json:
         emit_json({**result, "vehicle": source})
     else:
         tables().print(table)
-        for line in said:
-            messages().print(line, markup=False, soft_wrap=True)
+        say(*said)
     if arguments.write:
         write_values(path, values)
         messages().print(f"written: {path}", soft_wrap=True)
@@ -95,14 +94,13 @@ def _airframe(arguments: argparse.Namespace) -> int:
             motors = motors_of(values | link.read_parameters(rotor_names(values.get(COUNT, 0.0))), url)
     else:
         motors = read_airframe(Path(arguments.logs[0]))
-    say_vehicle(source, messages(), asked=arguments.config is not None)
+    say_vehicle(source, arguments)
     other, sizes = rotor_differences(vehicle.airframe.motors, motors)
     if arguments.json:
         emit_json({"motors": motors, "other_than_configured": other, "other_sizes": sizes})
         return 0
     tables().print(motors_block(motors), markup=False, highlight=False, soft_wrap=True)
-    for line in [*other, *sizes]:
-        messages().print(line, markup=False, soft_wrap=True)
+    say(*other, *sizes)
     return 0
 
 

@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
         engine = on_cluster(arguments.scheduler)
     else:
         engine = campaigns.here(arguments.jobs or usable_cores())
-    say_vehicle(opened.points[0].mission.flown_vehicle(), console, asked=arguments.config is not None)
+    say_vehicle(opened.points[0].mission.flown_vehicle(), arguments)
     if len(opened.points) > 1:
         console.print(f"and {len(opened.points) - 1} more missions or settings")
     for line in dict.fromkeys(line for point in opened.points for line in impact_warnings(point.mission)):
@@ -186,15 +186,9 @@ def _table(summary: Any) -> Any:
         table.add_column(column, justify="left" if not column else "right")
     for point in summary.points:
         name = " ".join((point.mission, *(f"{key}={value}" for key, value in point.settings.items())))
-        table.add_row(escape(name), str(point.completed.of), *_rate(point.completed))
+        table.add_row(escape(name), str(point.completed.of), *point.completed.words("-"))
     if summary.plan_followed.of:
-        table.add_row("plan followed", str(summary.plan_followed.of), *_rate(summary.plan_followed))
+        table.add_row("plan followed", str(summary.plan_followed.of), *summary.plan_followed.words("-"))
     for rule in summary.rules:
         table.add_row(f"[red]{escape(rule.rule)}[/]", str(rule.flights), "", "")
     return table
-
-
-def _rate(rate: Any) -> tuple[str, str]:
-    if rate.share is None:
-        return "-", "-"
-    return f"{100.0 * rate.share:.1f} %", f"{100.0 * rate.low:.1f} to {100.0 * rate.high:.1f} %"

@@ -36,10 +36,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     mission = load_mission(arguments.mission, arguments.config, arguments.set)
-    if arguments.driver is not None:
-        mission = with_driver(mission, arguments.driver)
+    mission = with_driver(mission, arguments.driver)
     if arguments.plot is not None:
-        write_picture(mission, arguments.plot, messages())
+        write_picture(mission, arguments.plot)
     findings = check_mission(mission)
     if arguments.connection is not None:
         url = link_of(arguments, mission.vehicle.connection)
@@ -48,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     elif arguments.position_from is not None:
         findings += judge_claim(mission, arguments.position_from)
     report = decide(mission, findings, arguments.overrule)
-    say_vehicle(mission.flown_vehicle(), messages(), asked=arguments.config is not None)
+    say_vehicle(mission.flown_vehicle(), arguments)
     if arguments.json:
         emit_json(report)
     else:

@@ -6,8 +6,6 @@ import argparse
 import contextlib
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 from rich.progress import Progress
 
@@ -23,7 +21,7 @@ from dart_flight.config.provenance import shown_path
 from dart_flight.planning.envelope import impact_warnings
 from dart_flight.sim.draws import parse_vary
 from dart_flight.sim.extras import need_mavlink
-from dart_flight.sim.faults.kinds import Fault, parse_fault
+from dart_flight.sim.faults.kinds import parse_fault
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.campaigns import RunsInterruptedError, fly_fast_many, fly_one_by_one, summarise
 from dart_flight.worlds.embedded import fly_embedded
@@ -61,10 +59,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def _flight(arguments: argparse.Namespace, mission: Mission) -> Callable[..., Verdict]:
-    """The function that flies one mission in the wanted world: (mission, seed, log folder[, progress])."""
+    """The function that flies one mission in the wanted world; seed, log_dir and progress by name."""
     position_from = position_source_of(arguments)
-    fault = _fault(arguments, mission)
-    spreads = _spreads(arguments, mission)
+    fault = None if arguments.fault is None else parse_fault(arguments.fault, mission.vehicle.has_lock)
+    spreads = parse_vary(arguments.vary, mission.vehicle)
     if fault is not None and (arguments.runs is not None or arguments.px4 is not None):
         raise InputError("--fault is for one flight in the fast or the embedded world")
     if arguments.fast and arguments.speed is not None:
@@ -82,52 +80,31 @@ def _flight(arguments: argparse.Namespace, mission: Mission) -> Callable[..., Ve
     from dart_flight.sim.px4.launch import find_install
 
     find_install(arguments.px4)
-
-    def fly(mission: Mission, seed: int, log_dir: Path, *progress: Any, **viewer: Any) -> Verdict:
-        return fly_px4(
-            mission,
-            arguments.px4,
-            seed,
-            log_dir,
-            *progress,
-            position_from=position_from,
-            speed=arguments.speed or 1.0,
-            parameter_files=tuple(arguments.params or ()),
-            spreads=spreads,
-            **viewer,
-        )
-
-    return fly
-
-
-def _fault(arguments: argparse.Namespace, mission: Mission) -> Fault | None:
-    if arguments.fault is None:
-        return None
-    return parse_fault(arguments.fault, mission.vehicle.has_lock)
-
-
-def _spreads(arguments: argparse.Namespace, mission: Mission) -> dict[str, float]:
-    return parse_vary(arguments.vary, mission.vehicle)
+    return partial(
+        fly_px4,
+        directory=arguments.px4,
+        position_from=position_from,
+        speed=arguments.speed or 1.0,
+        parameter_files=tuple(arguments.params or ()),
+        spreads=spreads,
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     mission = load_flyable(arguments.mission, arguments.config, arguments.set)
-    if arguments.driver is not None:
-        mission = with_driver(mission, arguments.driver)
-    if arguments.standoff is not None:
-        mission = with_standoff(mission, arguments.standoff)
+    mission = with_standoff(with_driver(mission, arguments.driver), arguments.standoff)
     fly = _flight(arguments, mission)
     console = messages()
-    say_vehicle(mission.flown_vehicle(), console, asked=arguments.config is not None)
+    say_vehicle(mission.flown_vehicle(), arguments)
     for line in [*impact_warnings(mission), *position_warnings(position_source_of(arguments))]:
         console.print(f"[yellow]{line}[/]", soft_wrap=True)
     if arguments.runs is None:
         live_line = None if arguments.fast else live_line_for(mission, console)
         lines = FlightLines(console, arguments.verbose > 0, live_line)
-        with live_view(arguments, mission, console) as live, contextlib.closing(lines):
+        with live_view(arguments, mission) as live, contextlib.closing(lines):
             seen = {} if live is None else {"viewer": live}
-            verdict = fly(mission, arguments.seed, arguments.log_dir, lines, **seen)
+            verdict = fly(mission, seed=arguments.seed, log_dir=arguments.log_dir, progress=lines, **seen)
         show_end(verdict, console, arguments.json)
         return 0 if verdict.outcome == "completed" else 1
     seeds = range(arguments.seed, arguments.seed + arguments.runs)
@@ -140,11 +117,13 @@ def run(arguments: argparse.Namespace) -> int:
 
         try:
             if arguments.fast:
-                spreads = _spreads(arguments, mission)
+                spreads = parse_vary(arguments.vary, mission.vehicle)
                 verdicts = fly_fast_many(mission, seeds, arguments.log_dir, done, spreads)
             else:
                 verdicts = fly_one_by_one(
-                    lambda seed, look: fly(mission, seed, arguments.log_dir, look), seeds, done
+                    lambda seed, look: fly(mission, seed=seed, log_dir=arguments.log_dir, progress=look),
+                    seeds,
+                    done,
                 )
         except RunsInterruptedError as stopped:
             verdicts, interrupted = stopped.verdicts, True

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from dart_flight.cli.terminal import emit_json, messages
+from dart_flight.cli.terminal import emit_json, say
 
 FOXGLOVE_NAME = "foxglove.mcap"
 
@@ -64,7 +64,7 @@ def _export_foxglove(path: Path, file: Path) -> dict[str, Any]:
 
 def _say(line: str, complete: bool) -> None:
     cut = "" if complete else "; the log was cut, exported up to there"
-    messages().print(f"{line}{cut}", markup=False, soft_wrap=True)
+    say(f"{line}{cut}")
 
 
 def _folders(logs: list[Path], output: Path | None) -> list[Path]:

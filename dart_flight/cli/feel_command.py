@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.terminal import emit_json, messages, tables, write_text
 from dart_flight.config.document import InputError
 
 if TYPE_CHECKING:
@@ -54,11 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _write_page(path: Path, flights: list[FeltFlight]) -> None:
     from dart_flight.report.felt import felt_page
 
-    try:
-        path.write_text(felt_page(flights), encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot write: {error.strerror}", source=str(path)) from None
-    messages().print(f"wrote {path}", soft_wrap=True)
+    write_text(path, felt_page(flights))
 
 
 def _public(flight: FeltFlight) -> dict[str, Any]:

@@ -9,8 +9,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-from rich.console import Console
-
 from dart_flight.check.findings import decide
 from dart_flight.check.mission import check_mission
 from dart_flight.check.vehicle import check_vehicle
@@ -19,7 +17,7 @@ from dart_flight.cli.flight_output import FlightLines, live_line_for, show_end
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import add_flight_options, add_position_option, link_of
-from dart_flight.cli.terminal import messages
+from dart_flight.cli.terminal import messages, say
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, Waypoint
@@ -48,10 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     mission = load_flyable(arguments.mission, arguments.config)
-    if arguments.driver is not None:
-        mission = with_driver(mission, arguments.driver)
-    if arguments.standoff is not None:
-        mission = with_standoff(mission, arguments.standoff)
+    mission = with_standoff(with_driver(mission, arguments.driver), arguments.standoff)
     url = link_of(arguments, mission.vehicle.connection)
     with LinkLease(url, "fly") as lease:
         return _fly(arguments, mission, url, lease)
@@ -60,22 +55,22 @@ def run(arguments: argparse.Namespace) -> int:
 def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkLease) -> int:
     console = messages()
     if arguments.plot is not None:
-        write_picture(mission, arguments.plot, console)
+        write_picture(mission, arguments.plot)
     else:
         see = f"to see it first: dart-flight check {shlex.quote(arguments.mission)} --plot mission.png"
-        console.print(see, markup=False, soft_wrap=True)
-    say_vehicle(mission.flown_vehicle(), console, asked=arguments.config is not None)
+        say(see)
+    say_vehicle(mission.flown_vehicle(), arguments)
     console.print(_intention(mission, url), soft_wrap=True)
     findings = check_mission(mission) + check_vehicle(mission, url, arguments.position_from)
     report = decide(mission, findings, arguments.overrule)
     show(report, console)
     if not report.go:
         return 1
-    if not arguments.yes and not confirmed(mission, console):
+    if not arguments.yes and not confirmed(mission):
         console.print("not flown")
         return 1
     lines = FlightLines(console, arguments.verbose > 0, live_line_for(mission, console))
-    with live_view(arguments, mission, console) as live, contextlib.closing(lines):
+    with live_view(arguments, mission) as live, contextlib.closing(lines):
         verdict = fly_vehicle(mission, url, arguments.log_dir, lines, lease, live)
     show_end(verdict, console, arguments.json)
     return 0 if verdict.outcome == "completed" else 1
@@ -111,7 +106,7 @@ def _stop(w: Waypoint) -> str:
     return f"  fly to ({x:g}, {y:g}) at {z:g} m at up to {w.speed_m_s:g} m/s{held}"
 
 
-def confirmed(mission: Mission, console: Console) -> bool:
+def confirmed(mission: Mission) -> bool:
     """Ask on the terminal; `p` writes a picture of the mission, and the question is asked again."""
     while sys.stdin.isatty():
         sys.stderr.write("Fly? [y/N, p: picture] ")
@@ -120,7 +115,7 @@ def confirmed(mission: Mission, console: Console) -> bool:
         if answer not in ("p", "picture"):
             return answer in ("y", "yes")
         try:
-            write_picture(mission, Path(tempfile.mkdtemp(prefix="dart-flight-")) / "mission.png", console)
+            write_picture(mission, Path(tempfile.mkdtemp(prefix="dart-flight-")) / "mission.png")
         except InputError as error:
-            console.print(str(error), markup=False, soft_wrap=True)  # a missing extra does not end the flight
+            say(str(error))  # a missing extra does not end the flight
     return False

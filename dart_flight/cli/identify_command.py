@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dart_flight.cli.options import add_set_option
-from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.terminal import emit_json, messages, say, tables, write_text
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 
@@ -117,9 +117,8 @@ def run(arguments: argparse.Namespace) -> int:
     trials, found = done.trials, done.found
     if done.flown is not None:
         source = done.flown.source
-    say_vehicle(source, messages(), asked=arguments.config is not None or done.flown is not None)
-    for note in found.notes:
-        messages().print(note, markup=False, soft_wrap=True)
+    say_vehicle(source, arguments, flown=done.flown is not None)
+    say(*found.notes)
     from dart_flight.identification.judgement import judge_fit
 
     judged = judge_fit(found, trials, done.mass_kg, done.onset)
@@ -144,12 +143,8 @@ def _write(arguments: argparse.Namespace, found: Any, vehicle: Any, *, poor: boo
     from dart_flight.identification.materials_entry import materials_entry
 
     entry = materials_entry(found, arguments.surface, vehicle, poor=poor)
-    try:
-        Path(arguments.output).write_text(entry.text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot write: {error.strerror or error}", source=str(arguments.output)) from None
+    write_text(Path(arguments.output), entry.text)
     console = messages()
-    console.print(f"wrote {arguments.output}", markup=False, soft_wrap=True)
     if entry.assumed:
         console.print(
             f"[yellow]not seen in these trials, written as 0 and marked: {', '.join(entry.assumed)}[/]",

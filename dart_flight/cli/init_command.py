@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dart_flight.cli.terminal import emit_json, messages
+from dart_flight.cli.terminal import emit_json, say
 from dart_flight.config.starter import DART, VEHICLES, first_mission, write_starter
 
 
@@ -27,10 +27,11 @@ def run(arguments: argparse.Namespace) -> int:
         files = [str(path) for path in written]
         emit_json({"directory": str(arguments.directory), "vehicle_name": arguments.vehicle, "files": files})
     else:
-        console = messages()
-        console.print(f"{len(written)} files in {arguments.directory}; try:", markup=False, soft_wrap=True)
-        console.print(f"  cd {arguments.directory}", markup=False, soft_wrap=True)
         mission = first_mission(arguments.vehicle)
-        for command in (f"check {mission}", f"dry-run {mission} --fast"):
-            console.print(f"  dart-flight {command}", markup=False, soft_wrap=True)
+        say(
+            f"{len(written)} files in {arguments.directory}; try:",
+            f"  cd {arguments.directory}",
+            f"  dart-flight check {mission}",
+            f"  dart-flight dry-run {mission} --fast",
+        )
     return 0

@@ -6,9 +6,8 @@ import argparse
 import contextlib
 from collections.abc import Iterator
 
-from rich.console import Console
-
 from dart_flight.cli.options import whole_number
+from dart_flight.cli.terminal import say
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import shown_path
@@ -41,7 +40,6 @@ def add_live_options(parser: argparse.ArgumentParser) -> None:
 def live_view(
     arguments: argparse.Namespace,
     mission: Mission,
-    console: Console,
     *,
     furnished: bool = True,
     placed: bool = False,
@@ -58,9 +56,6 @@ def live_view(
                 raise InputError(f"--{name.replace('_', '-')} needs --live")
         yield None
         return
-
-    def say(line: str) -> None:
-        console.print(line, markup=False, soft_wrap=True)
 
     host = arguments.live_host or DEFAULT_HOST
     port = arguments.live_port or DEFAULT_PORT

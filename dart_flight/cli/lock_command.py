@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from dart_flight.cli.options import link_of, refuse_unwritable
-from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.terminal import emit_json, messages, say, tables
 from dart_flight.cli.vehicle_line import say_vehicle
-from dart_flight.config import InputError, default_config_path, find_vehicle
-from dart_flight.config.document import Document
+from dart_flight.config.document import Document, InputError
 from dart_flight.config.edit import write_values
+from dart_flight.config.provenance import find_vehicle
 from dart_flight.config.vehicle import LockConfig, LockDriver
+from dart_flight.config.vehicle.configuration import default_config_path
 from dart_flight.lock.calibration import HELP, Calibration, CalibrationError
 from dart_flight.lock.drivers import Driver, DriverError, SetActuator
 from dart_flight.lock.drivers.px4 import parameter_problems, required_parameters
@@ -62,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
             config, link.read_parameters(required.name for required in required_parameters(config))
         )
         for problem in problems:
-            messages().print(f"PX4 would not move the servo: {problem}", markup=False, soft_wrap=True)
+            say(f"PX4 would not move the servo: {problem}")
         if problems and arguments.action != "status":
             return EXIT_INCOMPLETE
         return _owned(arguments, config, path, link.set_actuator)
@@ -86,7 +87,7 @@ def _owned(
     except DriverError as error:
         if error.key:
             raise Document.load(path).error(("lock", *error.key), str(error)) from None
-        messages().print(f"lock: {error}", markup=False, soft_wrap=True)
+        say(f"lock: {error}")
         return EXIT_INCOMPLETE
 
 
@@ -126,7 +127,7 @@ def _with_servo(
                 )
             state = lock.move(wanted, release=arguments.release)
             if store.problem is not None:
-                messages().print(store.problem, markup=False, soft_wrap=True)
+                say(store.problem)
     finally:
         driver.close()
     reached = wanted is None or (state.phase is LockPhase.SETTLED and state.mode is wanted)
@@ -142,7 +143,7 @@ def _report(
     ok: bool,
     owner_pid: int | None = None,
 ) -> None:
-    say_vehicle(arguments.vehicle, messages(), asked=arguments.config is not None)
+    say_vehicle(arguments.vehicle, arguments)
     last = load_last()
     if arguments.json:
         report: dict[str, Any] = {
@@ -168,7 +169,7 @@ def _report(
 
 def _taken(arguments: argparse.Namespace, config: LockConfig, error: ServoTakenError) -> int:
     """The servo is another process's: `status` reports what that wrote down, all else is refused."""
-    messages().print(f"lock: {error}", markup=False, soft_wrap=True)
+    say(f"lock: {error}")
     status = arguments.action == "status"
     if status or arguments.json:
         _report(arguments, config, None, ok=status, owner_pid=error.pid)
@@ -179,26 +180,21 @@ def _taken(arguments: argparse.Namespace, config: LockConfig, error: ServoTakenE
 
 
 def _calibrate(arguments: argparse.Namespace, config: LockConfig, path: Path, driver: Driver) -> int:
-    say = messages()
     steps = calibration(config, driver)
     if driver.read().pulse_us is None:
-        say.print(
-            f"The servo will go to {steps.pulse_us:g} us at once. Are the rods free to move? [y/N]",
-            markup=False,
-            soft_wrap=True,
-        )
+        say(f"The servo will go to {steps.pulse_us:g} us at once. Are the rods free to move? [y/N]")
         if not _yes(arguments):
             return _unchanged(arguments, config, "nothing moved")
     forget_last()
     driver.set_pulse(steps.pulse_us)
-    say.print(HELP, markup=False, soft_wrap=True)
+    say(HELP)
     if not _seek(steps):
         return _unchanged(arguments, config, "left as it was; nothing written")
     found = steps.result()
     for key, value in steps.values().items():
         before = getattr(config.servo, str(key[-1]))
-        say.print(f"{key[-1]}: {before:g} -> {value:g}", markup=False)
-    say.print(f"Write this to {path}? [y/N]", markup=False, soft_wrap=True)
+        say(f"{key[-1]}: {before:g} -> {value:g}")
+    say(f"Write this to {path}? [y/N]")
     if not _yes(arguments):
         return _unchanged(arguments, config, "nothing written")
     write_values(path, steps.values())
@@ -219,16 +215,15 @@ def _unchanged(arguments: argparse.Namespace, config: LockConfig, why: str) -> i
 
 def _seek(steps: Calibration) -> bool:
     """Lines from standard input until both ends are known; False: the operator quits."""
-    say = messages()
     while steps.seeking is not None:
-        say.print(f"{steps.seeking} end, now {steps.pulse_us:g} us:", markup=False)
+        say(f"{steps.seeking} end, now {steps.pulse_us:g} us:")
         line = sys.stdin.readline()
         if not line or line.strip().lower() in ("quit", "q"):
             return False
         try:
             steps.enter(line)
         except CalibrationError as error:
-            say.print(str(error), markup=False, soft_wrap=True)
+            say(str(error))
     return True
 
 

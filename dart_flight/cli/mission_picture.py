@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from rich.console import Console
-
 from dart_flight.check.mission import modelled
+from dart_flight.cli.terminal import say
 from dart_flight.config.mission import Mission
 
 
@@ -21,7 +20,7 @@ def add_plot_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def write_picture(mission: Mission, path: Path, console: Console) -> None:
+def write_picture(mission: Mission, path: Path) -> None:
     """Draw a mission by the planner's flight model, and say where the picture is.
 
     Raises:
@@ -31,4 +30,4 @@ def write_picture(mission: Mission, path: Path, console: Console) -> None:
     from dart_flight.report.figures.style import save_figure
 
     save_figure(mission_figure(mission, modelled(mission)), path)
-    console.print(f"picture: {path}", markup=False, soft_wrap=True)
+    say(f"picture: {path}")

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import link_of, number
-from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.terminal import emit_json, say, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
@@ -75,7 +75,7 @@ def _watch(arguments: argparse.Namespace, show: Callable[[Screen], None]) -> Mis
         if flight is not None:
             return _follow(*flight, show, arguments)
     url = link_of(arguments, connection)
-    say_vehicle(mission.flown_vehicle(), messages(), asked=arguments.config is not None)
+    say_vehicle(mission.flown_vehicle(), arguments)
     lease = LinkLease(url, "monitor")
     try:
         lease.acquire()
@@ -85,7 +85,7 @@ def _watch(arguments: argparse.Namespace, show: Callable[[Screen], None]) -> Mis
         ) from None
     seconds, timeout_s = arguments.seconds, connection.timeout_s
     try:
-        with live_view(arguments, mission, messages(), furnished=placed, placed=True) as live:
+        with live_view(arguments, mission, furnished=placed, placed=True) as live:
             watcher = Watcher(mission, placed, live or _nobody)
             asyncio.run(watch(watcher, url, timeout_s, show, _PERIOD_S, seconds, lease.close_device))
     finally:
@@ -110,7 +110,7 @@ def _flight(log: Path | None, url: str) -> tuple[Path, Callable[[], bool]] | Non
         several = "; ".join(f"{holder.words()}: {holder.log}" for holder in flights)
         raise InputError(f"several flights are under way, say which with --log: {several}")
     flight = here[0] if here else flights[0]
-    messages().print(f"watching {flight.words()} by its log {flight.log}", markup=False, soft_wrap=True)
+    say(f"watching {flight.words()} by its log {flight.log}")
     return Path(flight.log or ""), _still_held(flight)
 
 
@@ -131,7 +131,7 @@ def _follow(
         first = follower.read()
         mission = flown_mission(follower.about, str(log))
         watcher = Watcher(mission, placed=True)
-        with live_view(arguments, mission, messages()) as live:
+        with live_view(arguments, mission) as live:
             viewer = live.feed if live is not None else _nobody
             for entry in first:
                 watcher.take_record(entry.record)

@@ -9,7 +9,7 @@ from rich.progress import Progress
 
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import add_set_option, link_of, whole_number
-from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.terminal import emit_json, messages, say, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.scenario import Objective, load_scenario
 from dart_flight.planning.mission_writer import planned_mission, write_mission
@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
         result = search(
             scenario, top, arguments.seed, lambda done, of: bar.update(task, completed=done, total=of)
         )
-    say_vehicle(scenario.vehicle_source, console, asked=arguments.config is not None)
+    say_vehicle(scenario.vehicle_source, arguments)
     plan = result.plans[min(arguments.rank, len(result.plans)) - 1]
     if arguments.output is not None:
         write_mission(scenario, plan, arguments.output)
@@ -80,12 +80,12 @@ def run(arguments: argparse.Namespace) -> int:
                 soft_wrap=True,
             )
     if arguments.plot is not None:
-        write_picture(planned_mission(scenario, plan), arguments.plot, console)
+        write_picture(planned_mission(scenario, plan), arguments.plot)
     if arguments.plot_search is not None:
         from dart_flight.planning.plots import plot_search
 
         plot_search(result, plan, arguments.plot_search)
-        console.print(f"picture: {arguments.plot_search}", markup=False, soft_wrap=True)
+        say(f"picture: {arguments.plot_search}")
     if arguments.json:
         emit_json(plan_summary(result))
     else:

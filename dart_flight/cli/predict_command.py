@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 import re
 import sys
+from collections.abc import Mapping
 from typing import Any
 
 from dart_flight.cli.options import add_set_option
-from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.terminal import emit_json, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 
@@ -61,20 +62,17 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("--surface is required, or --restitution", key=("surface",))
     vehicle, source = find_vehicle(arguments.config, arguments.set)
 
-    def say() -> None:
-        say_vehicle(source, messages(), asked=arguments.config is not None)
-
     where = (arguments.surface, arguments.onset, arguments.incidence_deg)
     if arguments.batch is not None:
         if arguments.plot or arguments.mode:
             raise InputError("--batch takes the mode from the file and plots nothing")
         if arguments.json:
             rows = prediction.predict_batch_rows(vehicle, *where, path=arguments.batch)
-            say()
+            say_vehicle(source, arguments)
             emit_json({"collisions": rows, "vehicle": source})
         else:
             text = prediction.predict_batch(vehicle, *where, path=arguments.batch)
-            say()
+            say_vehicle(source, arguments)
             sys.stdout.write(text)
         return 0
     if arguments.mode is None and vehicle.has_lock:
@@ -88,11 +86,15 @@ def run(arguments: argparse.Namespace) -> int:
         numbers = prediction.predict_drop(what, arguments.drop)
     if arguments.plot:
         _plot(arguments, what)
-    say()
+    say_vehicle(source, arguments)
     if arguments.json:
         emit_json({**numbers, "vehicle": source})
     else:
-        _print(numbers, what, arguments)
+        if arguments.drop is None:
+            event = "{:g} m/s normal, {:g} m/s along".format(*arguments.velocity)
+        else:
+            event = f"drop from {arguments.drop:g} m"
+        _print(f"{what.surface}, {what.mode.value}, onset {what.onset.value}: {event}", numbers)
     return 0
 
 
@@ -127,15 +129,7 @@ def _from_ratios(arguments: argparse.Namespace) -> int:
     if arguments.json:
         emit_json(numbers)
         return 0
-    from rich.table import Table
-
-    table = Table(title="from restitution and tangential ratio: forces and times cannot be known from these")
-    table.add_column("quantity")
-    table.add_column("value", justify="right")
-    table.add_column("unit")
-    for name, value in numbers.items():
-        table.add_row(*prediction.described(name, float("nan") if value is None else value))
-    tables().print(table)
+    _print("from restitution and tangential ratio: forces and times cannot be known from these", numbers)
     return 0
 
 
@@ -155,19 +149,15 @@ def _plot(arguments: argparse.Namespace, what: Any) -> None:
         plots.plot_drop(arguments.plot, what, contact, arguments.drop, shown)
 
 
-def _print(numbers: dict[str, float], what: Any, arguments: argparse.Namespace) -> None:
+def _print(title: str, numbers: Mapping[str, float | None]) -> None:
     from rich.table import Table
 
     from dart_flight.contact.prediction import described
 
-    if arguments.drop is None:
-        event = "{:g} m/s normal, {:g} m/s along".format(*arguments.velocity)
-    else:
-        event = f"drop from {arguments.drop:g} m"
-    table = Table(title=f"{what.surface}, {what.mode.value}, onset {what.onset.value}: {event}")
+    table = Table(title=title)
     table.add_column("quantity")
     table.add_column("value", justify="right")
     table.add_column("unit")
     for name, value in numbers.items():
-        table.add_row(*described(name, value))
+        table.add_row(*described(name, float("nan") if value is None else value))
     tables().print(table)

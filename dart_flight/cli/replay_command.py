@@ -10,7 +10,7 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
-from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.terminal import emit_json, say, tables
 from dart_flight.config.mission import Mission
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.found import from_each, logs_in
@@ -40,7 +40,6 @@ def run(arguments: argparse.Namespace) -> int:
 
     With --json: one object; of several logs whether all are equal, and an object per log.
     """
-    console = messages()
     paths = logs_in(arguments.logs)
     summaries: list[dict[str, Any]] = []
 
@@ -50,14 +49,14 @@ def run(arguments: argparse.Namespace) -> int:
         result = replay(log, arguments.settings)
         name = f"{path}: " if len(paths) > 1 else ""
         if result.note:
-            console.print(f"{name}{result.note}", markup=False, soft_wrap=True)
+            say(f"{name}{result.note}")
         if arguments.json:
             summaries.append(_summary(path, mission, result))
         else:
             _print(name, result)
         return result.equal
 
-    equal = all(from_each(paths, one, lambda line: console.print(line, markup=False, soft_wrap=True)))
+    equal = all(from_each(paths, one, say))
     if arguments.json:
         emit_json(summaries[0] if len(paths) == 1 else {"equal": equal, "replays": summaries})
     return 0 if equal else 1

@@ -7,10 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-
-from dart_flight.cli.terminal import emit_json, messages
-from dart_flight.config.document import InputError
+from dart_flight.cli.terminal import emit_json, say, write_text
 from dart_flight.recording.found import from_each, logs_in
 
 if TYPE_CHECKING:
@@ -51,35 +48,30 @@ def run(arguments: argparse.Namespace) -> int:
     from dart_flight.report.flight import Flight
     from dart_flight.report.page import comparison_page, flight_page
 
-    console = messages()
     paths = logs_in(arguments.logs)
-    flights = from_each(paths, Flight.read, lambda line: console.print(line, markup=False, soft_wrap=True))
+    flights = from_each(paths, Flight.read, say)
     output = arguments.output or _beside(paths)
     identify = arguments.identify
     if len(flights) == 1:
         page = flight_page(flights[0], identify=identify)
     else:
         page = comparison_page(flights, identify=identify)
-    try:
-        output.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot write: {error.strerror}", source=str(output)) from None
-    console.print(f"wrote {output}", markup=False, soft_wrap=True)
-    _write_figures(arguments, flights, console)
+    write_text(output, page)
+    _write_figures(arguments, flights)
     if arguments.json:
         emit_json({"page": str(output), "verdicts": [flight.verdict for flight in flights]})
     return 0
 
 
-def _write_figures(arguments: argparse.Namespace, flights: list[Flight], console: Console) -> None:
+def _write_figures(arguments: argparse.Namespace, flights: list[Flight]) -> None:
     from dart_flight.report.figures.paper_set import write_pdf, write_svgs
 
     if arguments.pdf is not None:
         write_pdf(flights, arguments.pdf)
-        console.print(f"wrote {arguments.pdf}", markup=False, soft_wrap=True)
+        say(f"wrote {arguments.pdf}")
     if arguments.svg is not None:
         written = write_svgs(flights, arguments.svg)
-        console.print(f"wrote {len(written)} figures to {arguments.svg}", markup=False, soft_wrap=True)
+        say(f"wrote {len(written)} figures to {arguments.svg}")
 
 
 def _beside(logs: list[Path]) -> Path:

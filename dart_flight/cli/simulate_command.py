@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     config = arguments.config or (None if arguments.mission else default_config_path())
     mission = load_mission(path, config, arguments.set)
     console = messages()
-    say_vehicle(mission.flown_vehicle(), console, asked=arguments.config is not None)
+    say_vehicle(mission.flown_vehicle(), arguments)
     feed = Feed(arguments.port)
     try:
         station = LinkLease(feed_of(GROUND_STATION_PORT), "simulate")
@@ -90,7 +90,7 @@ def _run(
         f"  dart-flight fly {path} {driver}--connection udpin://127.0.0.1:{arguments.port}",
         soft_wrap=True,
     )
-    with live_view(arguments, mission, console, from_truth=True) as live:
+    with live_view(arguments, mission, from_truth=True) as live:
         viewer = live if live is not None else lambda record: None
         run_vehicle(
             mission, arguments.seed, ports, lambda line: console.print(line, soft_wrap=True), own_port, viewer

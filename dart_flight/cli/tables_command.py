@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.terminal import emit_json, say, tables, write_text
 from dart_flight.cli.vehicle_line import say_vehicle
-from dart_flight.config.document import InputError
+from dart_flight.config.document import InputError, writing
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.law import Onset
 
@@ -34,9 +34,12 @@ def run(arguments: argparse.Namespace) -> int:
     for surface in paper.SURFACES:
         if surface not in vehicle.materials:
             raise InputError(f"the tables need the material {surface}", key=("materials",))
-    say_vehicle(source, messages(), asked=arguments.config is not None)
+    say_vehicle(source, arguments)
     if arguments.output:
-        _write(Path(arguments.output), paper.page(vehicle))
+        path = Path(arguments.output)
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, paper.page(vehicle))
     if arguments.figures is not None:
         _write_all(arguments.figures, vehicle)
     if arguments.json:
@@ -64,23 +67,14 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _write(path: Path, text: str) -> None:
-    """Raises InputError: the file cannot be written."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot write: {error.strerror or error}", source=str(path)) from None
-    messages().print(f"wrote {path}", markup=False, soft_wrap=True)
-
-
 def _write_all(folder: Path, vehicle: VehicleConfig) -> None:
     """The page with its figures below it."""
     from dart_flight.report import paper, paper_figures
 
     page = [paper.page(vehicle), "## Figures\n"]
-    folder.mkdir(parents=True, exist_ok=True)
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
     for figure in paper_figures.write(folder, vehicle):
-        messages().print(f"wrote {folder / figure.file}", markup=False, soft_wrap=True)
+        say(f"wrote {folder / figure.file}")
         page.append(f"**{figure.title}.** {figure.says}\n\n![{figure.title}]({figure.file})\n")
-    _write(folder / "paper_tables.md", "\n".join(page))
+    write_text(folder / "paper_tables.md", "\n".join(page))

@@ -3,15 +3,35 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import Any
 
 import msgspec
 from rich.console import Console
 
+from dart_flight.config.document import writing
+
 
 def messages() -> Console:
     """Console for progress and messages: standard error."""
     return Console(stderr=True, highlight=False)
+
+
+def say(*lines: object) -> None:
+    """Lines on standard error as they are: square brackets are no markup, and the terminal may break them."""
+    for line in lines:
+        messages().print(line, markup=False, soft_wrap=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file, and say so.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    with writing(path):
+        path.write_text(text, encoding="utf-8")
+    say(f"wrote {path}")
 
 
 def tables() -> Console:

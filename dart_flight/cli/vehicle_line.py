@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-from rich.console import Console
+import argparse
+
 from rich.markup import escape
 
+from dart_flight.cli.terminal import messages
 from dart_flight.config.provenance import VehicleSource, passed_over
 
 
-def say_vehicle(source: VehicleSource | None, console: Console, *, asked: bool = False) -> None:
+def say_vehicle(source: VehicleSource | None, arguments: argparse.Namespace, *, flown: bool = False) -> None:
     """Name the configuration and its mass; where the packaged one is taken and another is at hand, say so.
 
     Args:
         source: what was found; None says nothing.
-        console: for messages.
-        asked: the file was named with --config: then nothing was passed over.
+        arguments: of the command; where --config names the file nothing was passed over.
+        flown: nor where a log says the vehicle.
     """
     if source is None:
         return
+    console = messages()
     which = source.source or "as its log says"
     if source.packaged:
         which = f"the packaged configuration ({which})"
     changed = f", with {escape(', '.join(source.set))}" if source.set else ""
     console.print(f"vehicle: {escape(which)}, {source.mass_kg:g} kg{changed}", soft_wrap=True)
-    others = [] if asked else passed_over(source)
+    others = [] if flown or arguments.config is not None else passed_over(source)
     if others:
         more = f" (and {len(others) - 1} more)" if len(others) > 1 else ""
         console.print(

@@ -7,6 +7,7 @@ known name.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import math
 import re
@@ -59,6 +60,19 @@ class InputError(ValueError):
         line = ": ".join(part for part in (place, dotted(self.key), self.message) if part)
         # A key or a value may hold anything, also what would break the line or steer the terminal.
         return "".join(c if c.isprintable() else "?" for c in line)
+
+
+@contextlib.contextmanager
+def writing(path: str | Path) -> Iterator[None]:
+    """Around what writes a file or a folder.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"cannot write: {error.strerror or error}", source=str(path)) from None
 
 
 def dotted(key: Key) -> str:

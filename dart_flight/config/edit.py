@@ -9,7 +9,7 @@ from pathlib import Path
 
 import yaml
 
-from dart_flight.config.document import Document, InputError, Key
+from dart_flight.config.document import Document, InputError, Key, writing
 
 
 def edit_values(text: str, values: Mapping[Key, float], source: str = "") -> str:
@@ -41,7 +41,7 @@ def write_values(path: Path, values: Mapping[Key, float]) -> None:
         InputError: as `edit_values`; or the file cannot be written.
     """
     target = path.resolve()  # a link to the configuration stays a link
-    try:
+    with writing(path):
         text = edit_values(target.read_bytes().decode("utf-8"), values, str(path))
         descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
         try:
@@ -54,8 +54,6 @@ def write_values(path: Path, values: Mapping[Key, float]) -> None:
         except OSError:
             Path(name).unlink(missing_ok=True)
             raise
-    except OSError as error:
-        raise InputError(f"cannot write: {error.strerror}", source=str(path)) from None
 
 
 def _number(value: float) -> str:

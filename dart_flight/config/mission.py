@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -23,6 +23,9 @@ from dart_flight.config.settings import apply_changes
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.geometry import MissionFrame, Vec2, Vec3, Wall
 from dart_flight.samples import AfterImpact, Mode, ModeMismatch
+
+if TYPE_CHECKING:
+    from dart_flight.config.scenario import ScenarioFile
 
 Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
 Velocity = Annotated[float, Meta(ge=-20.0, le=20.0)]
@@ -97,6 +100,10 @@ class BoundsSpec(Section, frozen=True):
     x: Range
     y: Range
     z: Range
+
+    def excess2(self, p: Vec2 | Vec3) -> float:
+        """How far a point lies outside horizontally, metres; 0 inside."""
+        return max(self.x[0] - p[0], p[0] - self.x[1], self.y[0] - p[1], p[1] - self.y[1], 0.0)
 
 
 class GivenAt(StrEnum):
@@ -296,18 +303,6 @@ class MissionFile(Section, frozen=True):
     mode_mismatch: ModeMismatch = ModeMismatch.GO_ON
 
 
-class Bounds(msgspec.Struct, frozen=True):
-    """The flight space, mission frame, metres."""
-
-    x: Range
-    y: Range
-    z: Range
-
-    def excess2(self, p: Vec2 | Vec3) -> float:
-        """How far a point lies outside horizontally, metres; 0 inside."""
-        return max(self.x[0] - p[0], p[0] - self.x[1], self.y[0] - p[1], p[1] - self.y[1], 0.0)
-
-
 class Collision(msgspec.Struct, frozen=True):
     """A planned collision, resolved.
 
@@ -368,7 +363,7 @@ class Mission(msgspec.Struct, frozen=True):
     start: Vec2
     altitude_m: float
     goal: GoalSpec
-    bounds: Bounds
+    bounds: BoundsSpec
     walls: tuple[Wall, ...]
     collisions: tuple[Collision, ...]
     transit_mode: Mode
@@ -585,7 +580,7 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
         start=spec.start.position_m,
         altitude_m=spec.start.altitude_m,
         goal=spec.goal,
-        bounds=Bounds(spec.bounds_m.x, spec.bounds_m.y, spec.bounds_m.z),
+        bounds=spec.bounds_m,
         walls=tuple(walls.values()),
         collisions=collisions,
         transit_mode=spec.transit_mode,
@@ -598,20 +593,9 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
     )
 
 
-class SpaceSpec(Protocol):
-    """The keys that missions and scenarios share: where things are."""
-
-    @property
-    def start(self) -> StartSpec: ...
-    @property
-    def goal(self) -> GoalSpec: ...
-    @property
-    def bounds_m(self) -> BoundsSpec: ...
-    @property
-    def walls(self) -> dict[str, WallSpec]: ...
-
-
-def resolve_space(spec: SpaceSpec, vehicle: VehicleConfig, document: Document) -> dict[str, Wall]:
+def resolve_space(
+    spec: MissionFile | ScenarioFile, vehicle: VehicleConfig, document: Document
+) -> dict[str, Wall]:
     """Check start, goal, bounds and walls against each other; returns the walls by name.
 
     Raises:
@@ -654,18 +638,17 @@ def resolve_walls(specs: dict[str, WallSpec], vehicle: VehicleConfig, document: 
     return walls
 
 
-def _check_space(spec: SpaceSpec, document: Document) -> None:
+def _check_space(spec: MissionFile | ScenarioFile, document: Document) -> None:
     for axis in ("x", "y", "z"):
         low, high = getattr(spec.bounds_m, axis)
         if not low < high:
             raise document.error(("bounds_m", axis), f"[low, high] needs low < high, not [{low:g}, {high:g}]")
-    bounds = Bounds(spec.bounds_m.x, spec.bounds_m.y, spec.bounds_m.z)
-    _check_within(bounds, spec.start.position_m, spec.start.altitude_m, ("start",), document)
-    _check_within(bounds, spec.goal.position_m, None, ("goal",), document)
+    _check_within(spec.bounds_m, spec.start.position_m, spec.start.altitude_m, ("start",), document)
+    _check_within(spec.bounds_m, spec.goal.position_m, None, ("goal",), document)
 
 
 def _check_within(
-    bounds: Bounds, point: Vec2, altitude_m: float | None, key: Key, document: Document
+    bounds: BoundsSpec, point: Vec2, altitude_m: float | None, key: Key, document: Document
 ) -> None:
     """Raises InputError: a place, or an altitude given there, lies outside of the bounds."""
     if bounds.excess2(point) > 0.0:
@@ -683,7 +666,6 @@ def _check_within(
 def _resolve_waypoints(
     spec: MissionFile, vehicle: VehicleConfig, walls: dict[str, Wall], document: Document
 ) -> tuple[Waypoint, ...]:
-    bounds = Bounds(spec.bounds_m.x, spec.bounds_m.y, spec.bounds_m.z)
     altitude_m, flown = spec.start.altitude_m, 0
     found = []
     for i, one in enumerate(spec.waypoints):
@@ -693,7 +675,7 @@ def _resolve_waypoints(
         if one.pause is None:
             assert one.position_m is not None
             altitude_m = altitude_m if one.altitude_m is None else one.altitude_m
-            _check_within(bounds, one.position_m, one.altitude_m, key, document)
+            _check_within(spec.bounds_m, one.position_m, one.altitude_m, key, document)
             _check_not_in_wall(one.position_m, walls, (*key, "position_m"), document)
             speed = one.speed_m_s or vehicle.flying.transit_speed_m_s
             if speed > spec.limits.speed_m_s:
@@ -840,14 +822,3 @@ def _ray_meets_wall(start: Vec2, wall: Wall, approach_m_s: Vec2) -> Vec2:
     v = wall.from_collision((approach_m_s[0], approach_m_s[1], 0.0))
     t = wall.signed_distance(start) / -approach_m_s[0]
     return (start[0] + v[0] * t, start[1] + v[1] * t)
-
-
-__all__ = [
-    "Bounds",
-    "Collision",
-    "InputError",
-    "Mission",
-    "MissionFile",
-    "load_mission",
-    "parse_mission",
-]

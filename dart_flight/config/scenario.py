@@ -20,7 +20,6 @@ from dart_flight.config.document import Document, Key, unknown_name
 from dart_flight.config.kinds import FileKind, load_document
 from dart_flight.config.mission import (
     Alpha,
-    Bounds,
     BoundsSpec,
     FrameSpec,
     GoalSpec,
@@ -154,7 +153,7 @@ class Scenario(msgspec.Struct, frozen=True):
     start: Vec2
     altitude_m: float
     goal: GoalSpec
-    bounds: Bounds
+    bounds: BoundsSpec
     walls: dict[str, Wall]
     sequences: tuple[tuple[str, ...], ...]
     chosen_by_planner: bool
@@ -231,7 +230,7 @@ def resolve_scenario(
         start=spec.start.position_m,
         altitude_m=spec.start.altitude_m,
         goal=spec.goal,
-        bounds=Bounds(spec.bounds_m.x, spec.bounds_m.y, spec.bounds_m.z),
+        bounds=spec.bounds_m,
         walls=walls,
         sequences=sequences,
         chosen_by_planner=spec.sequence == "any",

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dart_flight.config.document import InputError, unknown_name
+from dart_flight.config.document import InputError, unknown_name, writing
 from dart_flight.config.vehicle import packaged
 
 DART = "dart"
@@ -65,10 +65,8 @@ def write_starter(directory: Path, vehicle: str = DART) -> list[Path]:
             f"is already there{others}, nothing is overwritten; name an empty folder", source=str(there[0])
         )
     for path, source in files.items():
-        try:
+        with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             with path.open("xb") as file:
                 file.write(source.read_bytes())
-        except OSError as error:
-            raise InputError(f"cannot write: {error.strerror or error}", source=str(path)) from None
     return list(files)

@@ -58,18 +58,15 @@ class Touch(NamedTuple):
         torque: about the centre of mass, body FRD, N m.
         normal_n: sum of the normal forces.
         friction_n: sum of the friction forces along the tangent, signed.
-        right_n, left_n: normal force on the guards at the tangent's positive and negative side.
     """
 
     force: Vec3
     torque: Vec3
     normal_n: float
     friction_n: float
-    right_n: float
-    left_n: float
 
 
-UNTOUCHED = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+UNTOUCHED = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
 
 
 def guards_of(body: ContactBody) -> tuple[Guard, ...]:
@@ -132,17 +129,13 @@ def touch(
     t, d = rotate_back(q, plane.tangent), rotate_back(q, plane.down)
     world = plane.tangent
     sliding = world[0] * velocity[0] + world[1] * velocity[1] + world[2] * velocity[2]
-    total = friction = right = left = 0.0
+    total = friction = 0.0
     tx = ty = tz = 0.0
     for force, (rx, ry, rz), (fx, fy, fz) in pressed:
         slip = sliding + t[0] * (wy * fz - wz * fy) + t[1] * (wz * fx - wx * fz) + t[2] * (wx * fy - wy * fx)
         rub = -c.mu * force * slip
         total += force
         friction += rub
-        if t[0] * rx + t[1] * ry + t[2] * rz >= 0.0:
-            right += force
-        else:
-            left += force
         tx += force * (ry * nz - rz * ny) + rub * (fy * t[2] - fz * t[1])
         ty += force * (rz * nx - rx * nz) + rub * (fz * t[0] - fx * t[2])
         tz += force * (rx * ny - ry * nx) + rub * (fx * t[1] - fy * t[0])
@@ -162,8 +155,6 @@ def touch(
         ),
         total,
         friction,
-        right,
-        left,
     )
 
 

@@ -98,15 +98,24 @@ def hit_problem(normal_m_s: float, tangential_m_s: float) -> tuple[str, str] | N
     return None
 
 
-def wall_contact(what: Condition, normal_m_s: float, tangential_m_s: float) -> Contact:
-    """The hit, for its course in time.
+def refuse_hit(normal_m_s: float, tangential_m_s: float) -> None:
+    """Make sure that a velocity may be that of a wall hit.
 
     Raises:
-        InputError: the velocity does not approach the wall, or is not one of a vehicle.
+        InputError: it does not approach the wall, or is not one of a vehicle.
     """
     problem = hit_problem(normal_m_s, tangential_m_s)
     if problem is not None:
         raise InputError(f"{problem[0]} {problem[1]}", key=("velocity",))
+
+
+def wall_contact(what: Condition, normal_m_s: float, tangential_m_s: float) -> Contact:
+    """The hit, for its course in time.
+
+    Raises:
+        InputError: as `refuse_hit`.
+    """
+    refuse_hit(normal_m_s, tangential_m_s)
     return Contact(what.coefficients, what.mass_kg, normal_m_s, what.onset)
 
 
@@ -150,10 +159,7 @@ def predict_wall_from_ratios(
         InputError: a ratio is not from 0 to 1, or the velocity does not approach the wall.
     """
     ratios.checked()
-    if not -_FASTEST_M_S <= normal_m_s < 0.0 or not abs(tangential_m_s) <= _FASTEST_M_S:
-        raise InputError(
-            f"normal {normal_m_s:g} m/s does not approach the wall, it must be negative", key=("velocity",)
-        )
+    refuse_hit(normal_m_s, tangential_m_s)
     numbers: dict[str, float | None] = dict.fromkeys((*WALL_COLUMNS, "vertical_impulse_n_s"))
     numbers["normal_out_m_s"] = -ratios.restitution * normal_m_s
     if ratios.tangential_ratio is not None:

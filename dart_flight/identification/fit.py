@@ -9,7 +9,6 @@ whole. What the data cannot tell comes back as None.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -20,10 +19,8 @@ from dart_flight.identification.allowance import allow
 from dart_flight.identification.estimates import Estimate, Identification, SetAside, TrialFit
 from dart_flight.identification.held_out import HeldOut, compare
 from dart_flight.identification.hits import Hit, hit_of
-from dart_flight.identification.intervals import covariance
 from dart_flight.identification.judgement import SampleResult, SampleTrial, conclude, errors_of_hits
 from dart_flight.identification.laws import ContactLaw, candidate_laws
-from dart_flight.identification.sample_fit import PLANE_SD_M
 from dart_flight.identification.solver import solve, without_derived
 from dart_flight.identification.trials import Trial
 from dart_flight.identification.whole_hits import friction, law_parameters, restitution, tangential_ratio
@@ -43,7 +40,6 @@ def identify(
     mass_kg: float,
     onset: Onset,
     *,
-    plane_sd_m: float = PLANE_SD_M,
     law: str = PAPER,
     compare_laws: bool = True,
 ) -> Identification:
@@ -53,7 +49,6 @@ def identify(
         trials: recordings; all share the plane, those of one mode its coefficients.
         mass_kg: vehicle mass.
         onset: onset rule of the model that is fitted; k and f depend on it a little.
-        plane_sd_m: how well the plane's position is known beforehand, standard deviation.
         law: whose parameters to give beside the paper's coefficients, of `LAWS`.
         compare_laws: whether to try every law on held-out hits.
 
@@ -65,7 +60,7 @@ def identify(
     usable, notes = without_derived(trials)
     hits = [hit_of(trial, mass_kg) for trial in usable]
     notes += [note for hit in hits for note in hit.notes]
-    sampled, result = _fit_samples(usable, hits, mass_kg, onset, plane_sd_m, notes)
+    sampled, result = _fit_samples(usable, hits, mass_kg, onset, notes)
     laws = candidate_laws(onset)
     members = {hit.mode: [other for other in hits if other.mode == hit.mode] for hit in hits}
     held_out = {}
@@ -126,7 +121,6 @@ def _fit_samples(
     hits: Sequence[Hit],
     mass_kg: float,
     onset: Onset,
-    plane_sd_m: float,
     notes: list[str],
 ) -> tuple[list[int], SampleResult | None]:
     """The joint fit of those trials whose positions show the contact, and which they are."""
@@ -145,9 +139,7 @@ def _fit_samples(
     result = None
     while chosen:
         felt = [(hits[i].begin_s, hits[i].end_s) for i in chosen]
-        fit, theta, more = solve(
-            [trials[i] for i in chosen], felt, mass_kg, onset, plane_sd_m, least=_LEAST_IN_CONTACT
-        )
+        fit, theta, more = solve([trials[i] for i in chosen], felt, mass_kg, onset, least=_LEAST_IN_CONTACT)
         counts = {i: fit.in_contact(theta, j) for j, i in enumerate(chosen)}
         less = {i: n for i, n in counts.items() if n < _LEAST_IN_CONTACT}
         if not less:
@@ -229,62 +221,14 @@ def _trial_fit(hit: Hit, sampled: SampleTrial | None) -> TrialFit:
         used = "whole"
     else:
         used = "samples"
+    found = sampled._asdict()
+    del found["worst_channel"]
     return TrialFit(
         name=hit.name,
         mode=hit.mode,
-        onset_s=sampled.onset_s,
-        normal_m_s=sampled.normal_m_s,
-        tangential_m_s=sampled.tangential_m_s,
-        samples_in_contact=sampled.samples_in_contact,
-        push_m_s2=sampled.push_m_s2,
         used=used,
         normal_out_m_s=hit.normal_out_m_s,
         tangential_out_m_s=hit.tangential_out_m_s,
         peak_force_n=hit.peak_force_n,
-        force_delay_s=sampled.force_delay_s,
-        misfit=sampled.misfit,
-        set_aside=sampled.set_aside,
+        **found,
     )
-
-
-def deviation_bound(
-    trials: Sequence[Trial],
-    mass_kg: float,
-    onset: Onset,
-    noise: dict[str, float],
-    *,
-    plane_sd_m: float = PLANE_SD_M,
-) -> dict[str, dict[str, float]]:
-    """Cramér-Rao bound: the smallest standard deviation any unbiased estimate of k, f, mu, nu can have.
-
-    Onset times, approach velocities and the plane (with its prior) are unknown, as they are in `identify`;
-    free flight is taken to be straight.
-
-    Args:
-        trials: (nearly) noise-free recordings, at the sample times of those in question.
-        mass_kg, onset, plane_sd_m: as `identify`.
-        noise: standard deviation of the noise by channel.
-
-    Returns:
-        mode -> coefficient -> bound, in the coefficient's unit.
-    """
-    felt = [(hit.begin_s, hit.end_s) for hit in (hit_of(trial, mass_kg) for trial in trials)]
-    fit, theta, _ = solve(trials, felt, mass_kg, onset, plane_sd_m, may_curve=False)
-    fit.sd.update(noise)
-    for window in fit.windows:
-        for counts in window.counts.values():
-            counts[:] = 1.0
-    deviation = np.sqrt(np.diag(covariance(fit, theta)))
-    bounds = {}
-    for mode in fit.parameters.modes:
-        at = fit.parameters.of_mode(mode)
-        bounds[mode] = {
-            "k": float(deviation[at["k"]] * math.exp(theta[at["k"]])),
-            "f": float(deviation[at["f"]] * math.exp(theta[at["f"]])),
-            "mu": float(deviation[at["mu"]]),
-            "nu": float(deviation[at["nu"]]),
-        }
-    return bounds
-
-
-__all__ = ["BASELINE", "BEST", "LAWS", "PAPER", "Estimate", "Identification", "deviation_bound", "identify"]

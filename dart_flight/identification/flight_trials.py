@@ -125,6 +125,3 @@ def reader_for(material: str | None) -> Callable[[Path, TrialReading], list[Tria
 def readers(material: str | None) -> Readers:
     """All readers: those of files, and that of flight logs."""
     return {**FILE_READERS, ".mcap": reader_for(material)}
-
-
-__all__ = ["reader_for", "readers", "trials_at_one", "trials_of"]

@@ -11,7 +11,6 @@ a damping that opposes the motion, cut off where it would pull.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -270,8 +269,3 @@ def collide(
             break
     contact = np.where(np.isnan(contact), _LONGEST * _STEPS_PER_CONTACT * step, contact)
     return LawOutcome(np.maximum(out, 0.0), peak, contact, deepest)
-
-
-def values_of(law: ContactLaw, p: Array) -> Mapping[str, float]:
-    """Parameters (parameters,) by name."""
-    return {parameter.name: float(v) for parameter, v in zip(law.parameters, p, strict=True)}

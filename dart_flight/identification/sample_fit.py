@@ -28,7 +28,7 @@ from dart_flight.identification.windows import cut, first_span, weigh
 
 T = TypeVar("T")
 
-PLANE_SD_M = 0.015
+_PLANE_SD_M = 0.015  # how well the position of the plane is known beforehand
 _REMEMBERED = 8  # per channel
 _PUSH_SD_M_S2 = 5.0
 PUSHES = ("before", "after")
@@ -110,10 +110,10 @@ class SampleFit:
     """The joint fit: trials, windows, weights, and the residuals of a parameter vector."""
 
     def __init__(
-        self, trials: Sequence[Trial], mass_kg: float, onset: Onset, plane_sd_m: float, pushed: bool,
+        self, trials: Sequence[Trial], mass_kg: float, onset: Onset, pushed: bool,
         felt: Sequence[tuple[float, float]],
     ) -> None:  # fmt: skip
-        self.trials, self.mass_kg, self.onset, self.plane_sd_m = list(trials), mass_kg, onset, plane_sd_m
+        self.trials, self.mass_kg, self.onset = list(trials), mass_kg, onset
         self.felt = list(felt)
         self.parameters = Parameters(trials, pushed)
         self.impacts = [find_impact(trial) for trial in trials]
@@ -231,7 +231,7 @@ class SampleFit:
                 weak.append(theta[own["delay"]] / _DELAY_SD_S)
             if "n_in" in own:
                 weak.append((theta[own["n_in"]] - theta[own["n_before"]]) / _PUSH_CHANGE_SD_M_S2)
-        return np.array([theta[0] / self.plane_sd_m, *weak])
+        return np.array([theta[0] / _PLANE_SD_M, *weak])
 
     def residuals(self, theta: Array) -> Array:
         """All weighted residuals, those of the priors last."""

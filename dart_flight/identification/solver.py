@@ -24,7 +24,6 @@ def solve(
     felt: Sequence[tuple[float, float]],
     mass_kg: float,
     onset: Onset,
-    plane_sd_m: float,
     *,
     may_curve: bool = True,
     least: int = 0,
@@ -34,7 +33,7 @@ def solve(
     Args:
         trials: with positions.
         felt: begin and end of each contact as the recording itself shows it.
-        mass_kg, onset, plane_sd_m: as `identify`.
+        mass_kg, onset: as `identify`.
         may_curve: whether accelerations in free flight may be estimated.
         least: samples in contact that every trial needs; with fewer the fit stops early.
 
@@ -62,13 +61,13 @@ def solve(
                 _refine(fit, theta)
         return theta
 
-    fit = SampleFit(trials, mass_kg, onset, plane_sd_m, False, felt)
+    fit = SampleFit(trials, mass_kg, onset, False, felt)
     theta = descend(fit, fit.start(), ("soft_l1", "linear", "linear"))
     if any(fit.in_contact(theta, i) < least for i in range(len(fit.trials))):
         return fit, theta, notes
     if may_curve and _is_curved(fit, theta):
         notes.append("free flight is not straight: accelerations before and after the contact are estimated")
-        pushed = SampleFit(trials, mass_kg, onset, plane_sd_m, True, felt)
+        pushed = SampleFit(trials, mass_kg, onset, True, felt)
         pushed.sd = dict(fit.sd)
         start = np.zeros(pushed.parameters.size)
         start[: 1 + 4 * len(fit.parameters.modes)] = theta[: 1 + 4 * len(fit.parameters.modes)]

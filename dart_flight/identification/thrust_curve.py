@@ -107,6 +107,13 @@ class Points(msgspec.Struct):
     motors: int
     rejected: dict[str, int]
 
+    def chosen(self, which: NDArray[np.bool_]) -> Points:
+        """Some of the stretches."""
+        return msgspec.structs.replace(self, **{name: getattr(self, name)[which] for name in _BY_STRETCH})
+
+
+_BY_STRETCH = ("square", "linear", "force", "volts", "start_s")  # the arrays of `Points`
+
 
 class ThrustCalibration(msgspec.Struct):
     """Thrust curve and how well it fits; standard errors of what was fitted, null for what was kept."""
@@ -297,18 +304,9 @@ def said_of(rejected: dict[str, int]) -> str:
 
 
 def _joined(parts: list[Points]) -> Points:
-    def all_of(name: str) -> Array:
-        return np.concatenate([getattr(part, name) for part in parts])
-
-    return Points(
-        all_of("square"),
-        all_of("linear"),
-        all_of("force"),
-        all_of("volts"),
-        all_of("start_s"),
-        parts[0].motors,
-        {name: sum(part.rejected[name] for part in parts) for name in TESTS},
-    )
+    rejected = {name: sum(part.rejected[name] for part in parts) for name in TESTS}
+    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _BY_STRETCH}
+    return Points(**arrays, motors=parts[0].motors, rejected=rejected)
 
 
 def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustCalibration:

@@ -21,7 +21,7 @@ from dart_flight.config.kinds import FileKind, refuse_other_kind
 from dart_flight.config.provenance import FoundVehicle
 from dart_flight.contact.coefficients import Array
 from dart_flight.geometry import GRAVITY_M_S2
-from dart_flight.recording.ulog import open_ulog
+from dart_flight.recording.ulog import columns, open_ulog, seconds
 
 UNLABELLED = "unlabelled"
 # Columns of a trial, in the collision frame; `vertical_m` is a height (against Z at a wall). Required first.
@@ -304,7 +304,7 @@ def _bump(topics: Any, felt: bool, source: str) -> tuple[float, float, float]:
     near = np.abs(time - time[at]) < 0.02
     north, east = level[near, 0].mean(), level[near, 1].mean()
     place = topics["vehicle_local_position"]
-    stamps = _stamps(place)
+    stamps = seconds(place)
     about = np.abs(stamps - time[at]) < 0.15
     if about.sum() < 3:
         raise InputError("no position about the strongest acceleration", source=source)
@@ -323,18 +323,13 @@ def _axes(how: TrialReading) -> tuple[Array, Array]:
     return normal, np.array([-normal[1], normal[0], 0.0])
 
 
-def _stamps(data: Any) -> Array:
-    name = "timestamp_sample" if "timestamp_sample" in data else "timestamp"
-    return np.asarray(data[name], dtype=float) * 1e-6
-
-
 def _increasing(time: Array, value: Array) -> Series:
     keep = np.concatenate(([True], np.diff(np.maximum.accumulate(time)) > 0.0)) & np.isfinite(value)
     return Series(time[keep], value[keep])
 
 
 def _from_local_position(data: Any, how: TrialReading) -> dict[str, Series]:
-    time = _stamps(data)
+    time = seconds(data)
     position = np.stack([np.asarray(data[name], dtype=float) for name in ("x", "y", "z")], axis=1)
     normal, tangent = _axes(how)
     origin = np.array([how.wall[0], how.wall[1], 0.0]) if how.wall else np.zeros(3)
@@ -350,13 +345,10 @@ def _from_local_position(data: Any, how: TrialReading) -> dict[str, Series]:
 
 def _specific_force_ned(imu: Any, attitude: Any) -> tuple[Array, Array]:
     """Times (n,) and specific force in NED (n, 3)."""
-    time = _stamps(imu)
-    specific = np.stack([np.asarray(imu[f"accelerometer_m_s2[{i}]"], dtype=float) for i in range(3)], axis=1)
-    stamps = _stamps(attitude)
-    q = np.stack(
-        [np.interp(time, stamps, np.unwrap(np.asarray(attitude[f"q[{i}]"], dtype=float))) for i in range(4)],
-        axis=1,
-    )
+    time = seconds(imu)
+    specific = columns(imu, "accelerometer_m_s2", 3)
+    stamps, turned = seconds(attitude), columns(attitude, "q", 4).T
+    q = np.stack([np.interp(time, stamps, np.unwrap(part)) for part in turned], axis=1)
     q /= np.linalg.norm(q, axis=1, keepdims=True)
     scalar, vector = q[:, :1], q[:, 1:]
     turn: Array = 2.0 * np.cross(vector, specific)

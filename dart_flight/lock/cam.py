@@ -22,12 +22,6 @@ def limits_deg(cam: Cam) -> tuple[float, float]:
     return cam.theta0_deg, cam.theta0_deg + RANGE_DEG
 
 
-def rod_limits_mm(cam: Cam) -> tuple[float, float]:
-    """Rod translation in mm at the cam's lowest and highest angle."""
-    low, high = limits_deg(cam)
-    return rod_mm(cam, low), rod_mm(cam, high)
-
-
 def rod_mm(cam: Cam, theta_deg: float) -> float:
     """Rod translation l in mm at a cam angle.
 
@@ -38,18 +32,3 @@ def rod_mm(cam: Cam, theta_deg: float) -> float:
     if not low - _SLACK_DEG <= theta_deg <= high + _SLACK_DEG:
         raise ValueError(f"cam angle {theta_deg:g} degrees is outside {low:g} to {high:g}")
     return cam.r_cam_mm - cam.r_mm * math.cos(math.radians(theta_deg))
-
-
-def angle_deg(cam: Cam, rod_translation_mm: float) -> float:
-    """Cam angle in degrees at a rod translation; the inverse of `rod_mm`.
-
-    Raises:
-        ValueError: the cam cannot reach this translation.
-    """
-    nearest, farthest = rod_limits_mm(cam)
-    if not nearest - 1e-9 <= rod_translation_mm <= farthest + 1e-9:
-        raise ValueError(f"rod translation {rod_translation_mm:g} mm is outside {nearest:g} to {farthest:g}")
-    cosine = (cam.r_cam_mm - rod_translation_mm) / cam.r_mm
-    low, high = limits_deg(cam)
-    angle = math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
-    return max(low, min(high, angle))

@@ -9,36 +9,8 @@ from __future__ import annotations
 
 import msgspec
 
-from dart_flight.config.vehicle import Cam, Servo
-from dart_flight.lock import cam as kinematics
+from dart_flight.config.vehicle import Servo
 from dart_flight.samples import Mode
-
-
-def angle_deg(servo: Servo, pulse_us: float) -> float:
-    """Cam angle in degrees at a pulse width, by the two calibrated points."""
-    return servo.flexible_deg + servo.direction * (pulse_us - servo.flexible_pulse_us) / servo.us_per_deg
-
-
-def pulse_us(servo: Servo, cam_angle_deg: float) -> float:
-    """Pulse width in us at a cam angle, by the two calibrated points.
-
-    Raises:
-        ValueError: the servo's end stops do not allow it.
-    """
-    offset_deg = cam_angle_deg - servo.flexible_deg
-    pulse = servo.flexible_pulse_us + servo.direction * servo.us_per_deg * offset_deg
-    if not servo.min_pulse_us - 1e-6 <= pulse <= servo.max_pulse_us + 1e-6:
-        raise ValueError(
-            f"{cam_angle_deg:g} degrees is {pulse:.0f} us, over the servo's end stops "
-            f"{servo.min_pulse_us:g} to {servo.max_pulse_us:g}"
-        )
-    return pulse
-
-
-def rod_mm(servo: Servo, cam: Cam, horn_pulse_us: float) -> float:
-    """Rod translation in mm with the horn at a pulse width; beyond the cam's range, that of its end."""
-    low, high = kinematics.limits_deg(cam)
-    return kinematics.rod_mm(cam, max(low, min(high, angle_deg(servo, horn_pulse_us))))
 
 
 def mode_of(servo: Servo, horn_pulse_us: float) -> Mode | None:
@@ -92,11 +64,6 @@ class ServoModel:
         self._t_us: int | None = None
         self._faults = faults
         self._range_us = self._reachable()
-
-    @property
-    def faults(self) -> ServoFaults:
-        """The faults in force."""
-        return self._faults
 
     @property
     def commanded_us(self) -> float | None:

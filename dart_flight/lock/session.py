@@ -69,11 +69,12 @@ class LockSession:
         try:
             reading = self.driver.read()
         except DriverError as error:
-            actions = self.machine.driver_failed(asked_us, str(error))
+            self.machine.driver_failed(asked_us, str(error))
         else:
-            actions = self.machine.reading(asked_us, reading)
-        self._carry_out(actions)
-        self._carry_out(self.machine.step(self._clock_us()))
+            self.machine.reading(asked_us, reading)
+        self._show()
+        self.machine.step(self._clock_us())
+        self._show()
         return self.machine.state
 
     def _carry_out(self, actions: list[Action]) -> Refused | None:

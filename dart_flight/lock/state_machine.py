@@ -111,14 +111,6 @@ NOT_PERMITTED = "the arms are in contact or have not sprung back"
 SETTLED_TEXT = {True: "settled", False: "settled (no feedback)"}
 
 
-def diagram() -> str:
-    """The table as Mermaid text."""
-    lines = ["stateDiagram-v2", f"    [*] --> {LockPhase.UNKNOWN}"]
-    for before, row in TRANSITIONS.items():
-        lines += [f"    {before} --> {after}: {event}" for event, after in row.items()]
-    return "\n".join(lines) + "\n"
-
-
 def describe(state: LockState) -> str:
     """A lock state in a few words, for people: `rigid: settled (no feedback)`."""
     if state.phase is LockPhase.SETTLED:
@@ -242,21 +234,20 @@ class LockStateMachine:
         if self._state.phase is LockPhase.TRAVELLING and self._at_target(pulse_us) and self._sent_us is None:
             self._sent_us = t_us
 
-    def driver_failed(self, t_us: int, reason: str) -> list[Action]:
+    def driver_failed(self, t_us: int, reason: str) -> None:
         """The driver could not do what was asked, or could not be read."""
         self._go(t_us, LockEvent.DRIVER_FAILED, reason=reason)
-        return []
 
-    def reading(self, t_us: int, reading: DriverReading) -> list[Action]:
+    def reading(self, t_us: int, reading: DriverReading) -> None:
         """What the driver reports; `t_us` is the time before the reading was taken."""
         self._last, self._last_reading_us = reading, t_us
         if self._state.phase is LockPhase.TRAVELLING:
             self._read_travelling(t_us, reading)
         elif self._state.phase is LockPhase.SETTLED:
             self._read_settled(t_us, reading)
-        return self.step(t_us)
+        self.step(t_us)
 
-    def step(self, t_us: int) -> list[Action]:
+    def step(self, t_us: int) -> None:
         """Time goes by."""
         phase = self._state.phase
         if phase is LockPhase.TRAVELLING and t_us - self._begun_us >= self.config.timeout_s * 1e6:
@@ -265,7 +256,6 @@ class LockStateMachine:
             silent_s = (t_us - self._last_reading_us) * 1e-6
             if silent_s > self.config.timeout_s:
                 self._go(t_us, LockEvent.DRIVER_FAILED, reason=f"no reading for {silent_s:.1f} s")
-        return []
 
     # -- judgement of readings --
 

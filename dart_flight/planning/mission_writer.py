@@ -3,22 +3,38 @@
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import yaml
 
-from dart_flight.config.document import Document, InputError
+from dart_flight.config.document import Document, writing
 from dart_flight.config.mission import Mission, WallSpec, parse_mission
 from dart_flight.config.scenario import Scenario
-from dart_flight.planning.search import Plan
+from dart_flight.planning.search import Plan, PlannedCollision
 
 _DIGITS = 4
-# Words and paths that YAML reads as text without quotes.
-_PLAIN = re.compile(r"[A-Za-z_][\w-]*( [\w-]+)*|(\.\./)*[A-Za-z_][\w-]*(/[\w-]+)*\.ya?ml", re.ASCII)
-_SPECIAL = frozenset(("true", "false", "null", "yes", "no", "on", "off"))
+
+
+class _Dumper(yaml.SafeDumper):
+    """Block style as a person writes it: what is in a list is indented, a vector stands in one line."""
+
+    def increase_indent(self, flow: bool = False, indentless: bool = False) -> None:
+        super().increase_indent(flow, False)
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def _represent(dumper: yaml.SafeDumper, values: Sequence[Any]) -> yaml.Node:
+    in_line = not any(isinstance(value, dict) for value in values)
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=in_line)
+
+
+_Dumper.add_representer(list, _represent)
+_Dumper.add_representer(tuple, _represent)
 
 
 def mission_text(scenario: Scenario, plan: Plan, target: Path) -> str:
@@ -30,42 +46,37 @@ def mission_text(scenario: Scenario, plan: Plan, target: Path) -> str:
         target: where the file will be; paths in it are relative to that.
     """
     spec = scenario.spec
-    lines = [
-        f"# Planned by `dart-flight plan` from {Path(scenario.source).name}, objective "
-        f"{scenario.objective.value}. `predicted` is what the flight model expects.",
-        "version: 1",
-        f"name: {_scalar(scenario.name)}",
-    ]
+    tree: dict[str, Any] = {"version": 1, "name": scenario.name}
     if scenario.vehicle_path is not None:
         relative = os.path.relpath(scenario.vehicle_path.resolve(), target.resolve().parent)
-        lines.append(f"vehicle: {_scalar(Path(relative).as_posix())}")
-    for name, section in (
-        ("frame", spec.frame),
-        ("start", spec.start),
-        ("goal", spec.goal),
-        ("bounds_m", spec.bounds_m),
-    ):
-        lines += _block(name, msgspec.to_builtins(section), 0)
-    lines += _block("walls", {n: _given(w) for n, w in spec.walls.items()}, 0)
-    lines.append(f"transit_mode: {spec.transit_mode.value}")
-    lines.append("collisions:")
-    for i, collision in enumerate(plan.collisions):
-        lines += _collision(scenario, plan, i, collision.wall)
-    lines += _block("limits", msgspec.to_builtins(spec.limits), 0)
-    lines += _block("predicted", {"goal_miss_m": _short(plan.goal_miss_m)}, 0)
-    return "\n".join(lines) + "\n"
+        tree["vehicle"] = Path(relative).as_posix()
+    tree |= {
+        "frame": spec.frame,
+        "start": spec.start,
+        "goal": spec.goal,
+        "bounds_m": spec.bounds_m,
+        "walls": {name: _given(wall) for name, wall in spec.walls.items()},
+        "transit_mode": spec.transit_mode,
+        "collisions": [_collision(scenario, plan, c) for c in plan.collisions],
+        "limits": spec.limits,
+        "predicted": {"goal_miss_m": _short(plan.goal_miss_m)},
+    }
+    head = (
+        f"# Planned by `dart-flight plan` from {Path(scenario.source).name}, objective "
+        f"{scenario.objective.value}. `predicted` is what the flight model expects.\n"
+    )
+    return head + yaml.dump(msgspec.to_builtins(tree), Dumper=_Dumper, sort_keys=False, width=1 << 16)
 
 
-def _collision(scenario: Scenario, plan: Plan, i: int, wall: str) -> list[str]:
-    c = plan.collisions[i]
-    body: dict[str, Any] = {"wall": wall, "mode": c.mode.value}
-    if i == 0:
+def _collision(scenario: Scenario, plan: Plan, c: PlannedCollision) -> dict[str, Any]:
+    body: dict[str, Any] = {"wall": c.wall, "mode": c.mode}
+    if c is plan.collisions[0]:
         body["approach"] = {"normal_m_s": plan.normal_m_s, "tangential_m_s": plan.tangential_m_s}
     spec = scenario.spec
-    if wall in spec.alpha_m_per_n:
-        body["alpha_m_per_n"] = list(spec.alpha_m_per_n[wall])
+    if c.wall in spec.alpha_m_per_n:
+        body["alpha_m_per_n"] = spec.alpha_m_per_n[c.wall]
     else:
-        body["alpha_wall_m_per_n"] = list(spec.alpha_wall_m_per_n[wall])
+        body["alpha_wall_m_per_n"] = spec.alpha_wall_m_per_n[c.wall]
     body["predicted"] = {
         "t_s": _short(c.t_s),
         "position_m": [_short(v) for v in c.position_m],
@@ -74,8 +85,7 @@ def _collision(scenario: Scenario, plan: Plan, i: int, wall: str) -> list[str]:
         "peak_force_n": _short(c.peak_force_n),
         "contact_time_s": _short(c.contact_time_s),
     }
-    lines = [line for key, value in body.items() for line in _block(key, value, 4)]
-    return ["  - " + lines[0].lstrip(), *lines[1:]]
+    return body
 
 
 def planned_mission(scenario: Scenario, plan: Plan, text: str | None = None) -> Mission:
@@ -99,45 +109,14 @@ def write_mission(scenario: Scenario, plan: Plan, target: Path) -> str:
     """
     text = mission_text(scenario, plan, target)
     planned_mission(scenario, plan, text)
-    try:
+    with writing(target):
         target.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot write: {error.strerror}", source=str(target)) from None
     return text
 
 
 def _given(wall: WallSpec) -> dict[str, Any]:
     """A wall's keys without those that say nothing."""
     return {key: value for key, value in msgspec.to_builtins(wall).items() if value is not None}
-
-
-def _block(key: str, value: Any, indent: int) -> list[str]:
-    pad = " " * indent
-    if isinstance(value, dict):
-        return [
-            f"{pad}{_scalar(key)}:",
-            *(line for k, v in value.items() for line in _block(k, v, indent + 2)),
-        ]
-    if isinstance(value, list | tuple):
-        return [f"{pad}{key}: {_flow(value)}"]
-    return [f"{pad}{key}: {_scalar(value)}"]
-
-
-def _flow(values: Iterable[Any]) -> str:
-    return "[" + ", ".join(_scalar(v) for v in values) + "]"
-
-
-def _scalar(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, float):
-        return repr(value)
-    if isinstance(value, int):
-        return str(value)
-    text = str(value)
-    if _PLAIN.fullmatch(text) and text.lower() not in _SPECIAL:
-        return text
-    return msgspec.json.encode(text).decode()  # a JSON string is YAML
 
 
 def _short(value: float) -> float:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.config.document import InputError
+from dart_flight.figure_panels import blank, save
 from dart_flight.planning.flight_model import FreeFlight, Leg
 from dart_flight.planning.rollout import Arrivals
 from dart_flight.planning.search import Candidates, Plan, Planner, Search
@@ -39,17 +39,10 @@ def plot_search(result: Search, plan: Plan, path: Path) -> None:
     Raises:
         InputError: matplotlib is missing, or the file cannot be written or has an unknown ending.
     """
-    try:
-        import matplotlib as mpl  # noqa: PLC0415
-
-        mpl.use("Agg")
-        import matplotlib.pyplot as plt  # noqa: PLC0415
-    except ImportError:
-        raise InputError("--plot needs matplotlib: pip install 'dart-flight[report]'") from None
     sequence = [m for m in result.maps if m.sequence == plan.sequence]
     columns = min(len(sequence), _COLUMNS)
     rows = -(-len(sequence) // columns)
-    figure = plt.figure(figsize=(11.0, 6.2 + 3.0 * rows), layout="constrained")
+    figure = blank(11.0, 6.2 + 3.0 * rows)
     top, bottom = figure.subfigures(2, 1, height_ratios=[6.2, 3.0 * rows])
     _draw_map(top.subplots(), result, sequence, plan)
     axes = bottom.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
@@ -61,12 +54,7 @@ def plot_search(result: Search, plan: Plan, path: Path) -> None:
             axis.set_visible(False)
     if image is not None:
         bottom.colorbar(image, ax=axes, label="goal miss m", shrink=0.9)
-    try:
-        figure.savefig(path, dpi=130)
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot write the picture: {error}", source=str(path)) from None
-    finally:
-        plt.close(figure)
+    save(figure, path)
 
 
 # --- the map ----------------------------------------------------------------------------------------------

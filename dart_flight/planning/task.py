@@ -5,64 +5,37 @@ A checked `Scenario` is one; a part of a mission is made one by `task_of`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple, Protocol
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import msgspec
 
-from dart_flight.config.mission import Bounds, Collision, GoalSpec, Limits, Mission
+from dart_flight.config.mission import BoundsSpec, Collision, GoalSpec, Limits, Mission
+from dart_flight.config.scenario import Scenario
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.geometry import Vec2, Wall
 from dart_flight.samples import Mode
 
 
-class Task(Protocol):
-    """Read-only."""
-
-    @property
-    def vehicle(self) -> VehicleConfig:
-        """Gains, drag, materials, lock."""
-
-    @property
-    def start(self) -> Vec2:
-        """Mission frame, metres."""
-
-    @property
-    def goal(self) -> GoalSpec:
-        """Where it is, and how near counts."""
-
-    @property
-    def bounds(self) -> Bounds:
-        """The flight space."""
-
-    @property
-    def walls(self) -> Mapping[str, Wall]:
-        """By name."""
-
-    @property
-    def limits(self) -> Limits:
-        """Of the mission."""
-
-    @property
-    def modes(self) -> tuple[Mode, ...]:
-        """That may be tried."""
-
-    @property
-    def alphas(self) -> Mapping[str, tuple[float, float]]:
-        """Gains (A_n, A_t) of the recovery set-point per wall, m/N."""
-
-
 class MissionTask(NamedTuple):
-    """Collisions of a mission that follow from one approach; every one has a wall of its own name."""
+    """Collisions of a mission that follow from one approach; every one has a wall of its own name.
+
+    Attributes:
+        modes: that may be tried.
+        alphas: gains (A_n, A_t) of the recovery set-point per wall, m/N.
+    """
 
     vehicle: VehicleConfig
     start: Vec2
     goal: GoalSpec
-    bounds: Bounds
+    bounds: BoundsSpec
     walls: dict[str, Wall]
     limits: Limits
     modes: tuple[Mode, ...]
     alphas: dict[str, tuple[float, float]]
+
+
+Task = Scenario | MissionTask
 
 
 def task_of(mission: Mission, group: Sequence[Collision]) -> MissionTask:

@@ -13,12 +13,7 @@ from dart_flight.core.mission.anchor import Anchor
 from dart_flight.geometry import MissionFrame
 from dart_flight.recording.flight_time import zero_of
 from dart_flight.recording.reader import Log
-from dart_flight.samples import (
-    ForceEstimate,
-    OdometrySample,
-    Record,
-    TruthSample,
-)
+from dart_flight.samples import ForceEstimate, OdometrySample, Record, TruthSample
 
 Array = NDArray[np.float64]
 R = TypeVar("R", bound=Record)

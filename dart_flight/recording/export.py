@@ -8,7 +8,7 @@ from typing import Any, TextIO
 
 import msgspec
 
-from dart_flight.config.document import InputError
+from dart_flight.config.document import writing
 from dart_flight.recording.flight_time import zero_of
 from dart_flight.recording.reader import Log
 from dart_flight.recording.schema import axes_of, schema
@@ -25,12 +25,10 @@ def export_csv(log: Log, folder: Path) -> list[Path]:
     Raises:
         InputError: a file cannot be written.
     """
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         written = _write_records(log, folder)
         (folder / "about.json").write_bytes(msgspec.json.format(msgspec.json.encode(log.about | log.end)))
-    except OSError as error:
-        raise InputError(f"cannot write: {error.strerror}", source=str(folder)) from None
     return written
 
 

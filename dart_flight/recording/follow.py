@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import io
+import struct
 from pathlib import Path
 
+from mcap.exceptions import EndOfFile
 from mcap.records import Chunk, Metadata
+from mcap.stream_reader import StreamReader
 
-from dart_flight.recording.mcap_records import HEAD, MAGIC, MOST_BYTES, ChunkReader, LogEntry, parts_of
+from dart_flight.recording.reader import LogEntry, entries_in
 from dart_flight.recording.writer import ABOUT, END, part_path
 
+_MAGIC_BYTES = 8
+_HEAD = struct.Struct("<BQ")  # MCAP: kind and length of a record
+_MOST_BYTES = 64 * 1024 * 1024
 _READ_BYTES = 8 * 1024 * 1024  # at once
 
 
@@ -33,8 +39,8 @@ class LogFollower:
 
     def _next_part(self) -> None:
         self._part += 1
-        self._offset = len(MAGIC)
-        self._chunks = ChunkReader()
+        self._offset = _MAGIC_BYTES
+        self._topics: dict[int, str] = {}
         self._continued = False
 
     def read(self) -> list[LogEntry]:
@@ -44,22 +50,29 @@ class LogFollower:
             OSError: the file cannot be read.
             ValueError: it is damaged.
         """
+        data = self._whole_records()
         entries: list[LogEntry] = []
-        for part in parts_of(io.BytesIO(self._whole_records())):
-            if isinstance(part, Chunk):
-                entries += self._chunks.entries(part)
-            elif isinstance(part, Metadata):
-                self._take(part)
+        if data:
+            reader = StreamReader(
+                io.BytesIO(data), skip_magic=True, emit_chunks=True, record_size_limit=_MOST_BYTES
+            )
+            try:
+                for record in reader.records:
+                    self._take(record, entries)
+            except EndOfFile:
+                pass
         return entries
 
-    def _take(self, metadata: Metadata) -> None:
-        if metadata.name == ABOUT:
-            self.about.update(metadata.metadata)
-        elif metadata.name == END:
-            if metadata.metadata.get("continued") == "yes":
+    def _take(self, record: object, entries: list[LogEntry]) -> None:
+        if isinstance(record, Metadata) and record.name == ABOUT:
+            self.about.update(record.metadata)
+        elif isinstance(record, Metadata) and record.name == END:
+            if record.metadata.get("continued") == "yes":
                 self._continued = True
             else:
                 self.ended = True
+        elif isinstance(record, Chunk):
+            entries += entries_in(record, self._topics)
 
     def _whole_records(self) -> bytes:
         """Bytes from where the last call ended to the end of the last whole record."""
@@ -69,12 +82,12 @@ class LogFollower:
             file.seek(self._offset)
             data = file.read(_READ_BYTES)
         end = 0
-        while len(data) - end >= HEAD.size:
-            _, length = HEAD.unpack_from(data, end)
-            if length > MOST_BYTES:
+        while len(data) - end >= _HEAD.size:
+            _, length = _HEAD.unpack_from(data, end)
+            if length > _MOST_BYTES:
                 raise ValueError(f"a record of {length} bytes")
-            if end + HEAD.size + length > len(data):
+            if end + _HEAD.size + length > len(data):
                 break
-            end += HEAD.size + length
+            end += _HEAD.size + length
         self._offset += end
         return data[:end]

@@ -8,18 +8,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 import msgspec
-from mcap.records import Chunk, Footer, Metadata
+from mcap.records import Channel, Chunk, Message, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
 
 from dart_flight.config.document import InputError
 from dart_flight.config.kinds import FileKind, refuse_other_kind
-from dart_flight.recording.mcap_records import MAGIC, ChunkReader, LogEntry, parts_of
+from dart_flight.recording.encoding import decode
+from dart_flight.recording.schema import RECORD_TYPES
 from dart_flight.recording.writer import ABOUT, END, FORMAT_VERSION, part_path
-from dart_flight.samples import World
+from dart_flight.samples import Record, World
 
 if TYPE_CHECKING:
     from dart_flight.recording.topics import Topic, Topics
 
 IN_MEMORY = "<memory>"  # the source of a log without a file
+# The writer's chunks are of a megabyte: a damaged length must not make the reader ask for gigabytes.
+_MOST_BYTES = 64 * 1024 * 1024
+_MAGIC = b"\x89MCAP0\r\n"
+DECODERS = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
 
 
 class NothingInItError(InputError):
@@ -27,6 +33,13 @@ class NothingInItError(InputError):
 
     Where many logs are given it is left out, with a word.
     """
+
+
+class LogEntry(msgspec.Struct, frozen=True, gc=False):
+    """One record of a log and the number of the input it is or follows from."""
+
+    number: int
+    record: Record
 
 
 class Log(msgspec.Struct, dict=True):
@@ -111,10 +124,11 @@ def _read_part(path: Path, log: Log) -> None:
     found = dict[str, str]()
     try:
         with open(path, "rb") as stream:
-            start = stream.read(len(MAGIC))
-            if not MAGIC.startswith(start):
+            start = stream.read(len(_MAGIC))
+            if not _MAGIC.startswith(start):
                 refuse_other_kind(path, FileKind.FLIGHT_LOG)
                 raise InputError("not a flight log (no MCAP file)", source=source)
+            stream.seek(0)
             for entry in _entries(stream, log, found, source):
                 log.entries.append(entry)
     except InputError:
@@ -122,25 +136,35 @@ def _read_part(path: Path, log: Log) -> None:
     except OSError as error:
         raise InputError(f"cannot read: {error.strerror or error}", source=source) from None
     except Exception:
-        # Cut off or damaged here, for which there are many kinds of errors; the rest is good.
+        # Cut off or damaged here, for which the library raises many kinds of errors; the rest is good.
         log.complete = False
     if not found and log.complete:
         raise InputError("an MCAP file, but not a flight log of dart-flight", source=source)
 
 
 def _entries(stream: BinaryIO, log: Log, found: dict[str, str], source: str) -> Iterator[LogEntry]:
-    chunks, last = ChunkReader(), None
-    for last in parts_of(stream):
-        if isinstance(last, Chunk) and found:
-            yield from chunks.entries(last)
-        elif isinstance(last, Metadata) and last.name == ABOUT:
-            found.update(last.metadata)
-            _check_version(last.metadata, source)
-            log.about.update(last.metadata)
-        elif isinstance(last, Metadata) and last.name == END:
-            log.end.update(last.metadata)
-    if not isinstance(last, Footer) or stream.read(len(MAGIC)) != MAGIC:
-        raise ValueError("the file ends here")
+    topics: dict[int, str] = {}
+    for record in StreamReader(stream, emit_chunks=True, record_size_limit=_MOST_BYTES).records:
+        if isinstance(record, Metadata) and record.name == ABOUT:
+            found.update(record.metadata)
+            _check_version(record.metadata, source)
+            log.about.update(record.metadata)
+        elif isinstance(record, Metadata) and record.name == END:
+            log.end.update(record.metadata)
+        if not isinstance(record, Chunk) or not found:
+            continue
+        if record.uncompressed_size > _MOST_BYTES:
+            raise ValueError(f"a chunk of {record.uncompressed_size} bytes")
+        yield from entries_in(record, topics)
+
+
+def entries_in(chunk: Chunk, topics: dict[int, str]) -> Iterator[LogEntry]:
+    """The records of a chunk; `topics` holds the channels by number, and learns new ones."""
+    for inner in breakup_chunk(chunk, validate_crc=True):
+        if isinstance(inner, Channel):
+            topics[inner.id] = inner.topic
+        elif isinstance(inner, Message) and topics.get(inner.channel_id) in DECODERS:
+            yield LogEntry(inner.sequence, decode(inner.data, DECODERS[topics[inner.channel_id]]))
 
 
 def _check_version(about: dict[str, str], source: str) -> None:
@@ -153,6 +177,3 @@ def _check_version(about: dict[str, str], source: str) -> None:
             f"dart-flight {about.get('software', '?')}; update dart-flight",
             source=source,
         )
-
-
-__all__ = ["IN_MEMORY", "Log", "LogEntry", "NothingInItError", "read_log"]

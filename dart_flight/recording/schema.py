@@ -13,8 +13,6 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
-import msgspec
-
 from dart_flight.samples import Input, Note, Output, Record
 
 INPUTS: tuple[type[Record], ...] = get_args(Input)
@@ -136,8 +134,3 @@ def _plain(type_: Any) -> dict[str, Any]:
         return {"type": "array", "items": _plain(get_args(type_)[0])}
     names = {float: "number", int: "integer", bool: "boolean"}
     return {"type": names.get(type_, "string")}
-
-
-def encoded_schema(kind: type[Record]) -> bytes:
-    """`schema` as JSON text."""
-    return msgspec.json.encode(schema(kind))

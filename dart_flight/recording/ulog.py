@@ -214,15 +214,3 @@ def battery(log: ULogFile) -> Battery:
         return Battery(empty, empty, f"battery voltage of {float(np.nanmedian(volts)):.2f} V is none")
     good = np.isfinite(volts) & (volts >= _LEAST_CELL_V)
     return Battery(seconds(data)[good], volts[good])
-
-
-__all__ = [
-    "Battery",
-    "MotorCommands",
-    "ULogFile",
-    "battery",
-    "columns",
-    "motor_commands",
-    "open_ulog",
-    "seconds",
-]

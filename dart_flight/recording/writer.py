@@ -19,11 +19,12 @@ import time
 from collections import deque
 from pathlib import Path
 
+import msgspec
 from mcap.writer import CompressionType, Writer
 
 from dart_flight import __version__
 from dart_flight.recording.encoding import encode
-from dart_flight.recording.schema import RECORD_TYPES, encoded_schema
+from dart_flight.recording.schema import RECORD_TYPES, schema
 from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
@@ -81,8 +82,9 @@ class LogPart:
         self._file.flush()
 
     def _register(self, kind: type[Record]) -> int:
-        schema = self._writer.register_schema(kind.__name__, "jsonschema", encoded_schema(kind))
-        return self._writer.register_channel(kind.topic, "json", schema)
+        text = msgspec.json.encode(schema(kind))
+        number = self._writer.register_schema(kind.__name__, "jsonschema", text)
+        return self._writer.register_channel(kind.topic, "json", number)
 
     @property
     def size_bytes(self) -> int:

@@ -44,15 +44,15 @@ def _over_draws(summary: CampaignSummary) -> str:
 
 def _head(summary: CampaignSummary) -> str:
     missing = summary.asked - summary.flights
+    completed, interval = summary.completed.words("–")
     tiles = [
-        (_percent(summary.completed), "completed"),
-        (_interval(summary.completed), "95 % interval"),
+        (completed, "completed"),
+        (interval, "95 % interval"),
         (f"{summary.completed.count} of {summary.completed.of}", "flights"),
     ]
     if summary.plan_followed.of:
-        tiles.append(
-            (_percent(summary.plan_followed), f"followed the plan, {_interval(summary.plan_followed)}")
-        )
+        followed, interval = summary.plan_followed.words("–")
+        tiles.append((followed, f"followed the plan, {interval}"))
     text = "".join(f"<div class=tile><b>{value}</b><span>{name}</span></div>" for value, name in tiles)
     notes = [f"Flown by dart-flight {html.escape(summary.software)}."]
     if summary.vary:
@@ -64,23 +64,11 @@ def _head(summary: CampaignSummary) -> str:
     return f"<section>{reason}<div class=tiles>{text}</div><p class=note>{' '.join(notes)}</p></section>"
 
 
-def _percent(rate: Share) -> str:
-    return "–" if rate.share is None else f"{100.0 * rate.share:.1f} %"
-
-
-def _interval(rate: Share) -> str:
-    return (
-        "–"
-        if rate.low is None or rate.high is None
-        else f"{100.0 * rate.low:.1f} to {100.0 * rate.high:.1f} %"
-    )
-
-
 def _points(summary: CampaignSummary) -> str:
     keys = list(summary.points[0].settings)
     rows: list[Row] = [
-        [p.mission, *p.settings.values(), p.completed.of, _percent(p.completed), _interval(p.completed),
-         _percent(p.plan_followed)]
+        [p.mission, *p.settings.values(), p.completed.of, *p.completed.words("–"),
+         p.plan_followed.words("–")[0]]
         for p in summary.points
     ]  # fmt: skip
     return table(["mission", *keys, "flights", "completed", "95 % interval", "followed the plan"], rows)

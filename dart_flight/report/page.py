@@ -21,7 +21,16 @@ from dart_flight.report.flight import Flight, Impact, percentile
 from dart_flight.report.markup import Cell, Number, Row, details, page, section, shown, signed, table
 from dart_flight.report.player import player, script
 from dart_flight.report.proposal import Proposal, propose
-from dart_flight.samples import DetectionFloor, Outcome, PlanAnswer, PlanRequest, PlanTaken, WallFelt, World
+from dart_flight.samples import (
+    DetectionFloor,
+    Outcome,
+    PhaseChange,
+    PlanAnswer,
+    PlanRequest,
+    PlanTaken,
+    WallFelt,
+    World,
+)
 from dart_flight.verdict import Verdict
 
 _MAIN_ROWS = ("normal velocity", "peak normal force", "contact time")
@@ -209,7 +218,7 @@ def sentence(flight: Flight) -> str:
     v, planned, met = flight.verdict, len(flight.mission.collisions), len(flight.impacts)
     if flight.mission.standoff_m is not None:
         hits = "a rehearsal, which stops before each wall"
-    elif planned == 0 or planned == 0:
+    elif planned == 0:
         hits = "no hit was planned"
     elif planned == 1:
         hits = "its one planned hit was flown" if met else "its one planned hit was not flown"
@@ -231,15 +240,12 @@ def sentence(flight: Flight) -> str:
 
 
 def _hits_table(flight: Flight) -> str:
-    rows: list[Row] = [_hit_row(flight, impact) for impact in flight.impacts]
     if not flight.mission.collisions:
         return ""
-    if not rows:
-        return "<p>No planned wall was hit.</p>" if flight.mission.collisions else ""
-    return table(
-        ["hit", "at, s", "wall", "mode", "normal, m/s", "along, m/s", "peak, N", "error %"],
-        rows,
-    )
+    if not flight.impacts:
+        return "<p>No planned wall was hit.</p>"
+    heads = ["hit", "at, s", "wall", "mode", "normal, m/s", "along, m/s", "peak, N", "error %"]
+    return table(heads, [_hit_row(flight, impact) for impact in flight.impacts])
 
 
 def _hit_row(flight: Flight, impact: Impact) -> Row:
@@ -371,15 +377,8 @@ def _timing_table(flight: Flight) -> str:
             ("sample to recovery set-point", t.recovery_ms),
         )
     ]
-    for impact in flight.impacts:
-        rows.append(
-            [
-                f"collision {impact.verdict.index}: contact to detection",
-                impact.verdict.detection_latency_ms,
-                None,
-                None,
-            ]
-        )
+    for v in flight.verdict.collisions:
+        rows.append([f"collision {v.index}: contact to detection", v.detection_latency_ms, None, None])
     note = "<p class=note>From detection to recovery the core sends no set-point; PX4 holds the last one.</p>"
     if flight.log.world is World.FAST:
         note += "<p class=note>Simulated in one process: messages take no time.</p>"
@@ -397,33 +396,17 @@ def _guard_table(flight: Flight) -> str:
 
 def _noise_table(flight: Flight) -> str:
     """What could be felt as each approach began; empty for flights from before that was recorded."""
+    time_of = flight.course.time_of
     rows: list[Row] = [
-        [
-            flight.course.time_of(f.t_us),
-            f.threshold_n,
-            f.noise_short_n,
-            f.noise_long_n,
-            f.rigid_n,
-            f.flexible_n,
-        ]
+        [time_of(f.t_us), f.threshold_n, f.noise_short_n, f.noise_long_n, f.rigid_n, f.flexible_n]
         for f in flight.course.all(DetectionFloor)
     ]
-    if not rows:
-        return ""
-    heads = [
-        "s",
-        "threshold N",
-        "noise, short mean N",
-        "long mean N",
-        "rigid felt from N",
-        "flexible felt from N",
-    ]
-    return table(heads, rows)
+    noise = ["noise, short mean N", "long mean N"]
+    heads = ["s", "threshold N", *noise, "rigid felt from N", "flexible felt from N"]
+    return table(heads, rows) if rows else ""
 
 
 def _phase_table(flight: Flight) -> str:
-    from dart_flight.samples import PhaseChange  # noqa: PLC0415
-
     rows: list[Row] = [
         [flight.course.time_of(c.t_us), c.before, c.after, c.reason] for c in flight.course.all(PhaseChange)
     ]

@@ -217,9 +217,9 @@ def stiffness_ratios(vehicle: VehicleConfig) -> dict[str, float]:
     return {name: m.rigid.k / m.flexible.k for name, m in vehicle.materials.items() if m.flexible}
 
 
-def _table(header: list[str], rows: list[list[str]]) -> str:
-    align = ["---"] * 2 + ["---:"] * (len(header) - 2)
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in (header, align, *rows))
+def _rows(rows: list[list[str]]) -> str:
+    """The rows of a table in Markdown."""
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in rows)
 
 
 def page(vehicle: VehicleConfig) -> str:
@@ -295,22 +295,9 @@ of the configuration. The onset rules `lcp` and `touch` are explained in [contac
 Concrete, gravity along the normal, released at rest; published values are averages of three trials
 (Sec. III).
 
-{
-        _table(
-            [
-                "drop",
-                "onset",
-                "contact ms, paper",
-                "model",
-                "error",
-                "rebound m/s, paper",
-                "model",
-                "error",
-                "peak force N",
-            ],
-            drops,
-        )
-    }
+| drop | onset | contact ms, paper | model | error | rebound m/s, paper | model | error | peak force N |
+| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
+{_rows(drops)}
 
 Mean size of the error: {"; ".join(means)}.
 
@@ -322,22 +309,9 @@ pair, but no single pair meets both. Least so in the rigid mode: its published c
 rebound a larger share from the greater height, while a spring and a damper under gravity are in contact for
 less long.
 
-{
-        _table(
-            [
-                "mode",
-                "onset",
-                "fitted to",
-                "k N/m",
-                "f N s/m",
-                "0.05 m contact",
-                "rebound",
-                "0.2 m contact",
-                "rebound",
-            ],
-            refitted,
-        )
-    }
+| mode | onset | fitted to | k N/m | f N s/m | 0.05 m contact | rebound | 0.2 m contact | rebound |
+| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
+{_rows(refitted)}
 
 ## Peaks in flight
 
@@ -345,45 +319,24 @@ Acrylic, {normal:g} m/s along the normal, {
         tangential:g} m/s along the wall (Sec. V-A). The paper gives no values,
 only how closely its peak acceleration met the measured one over three trials (last column).
 
-{
-        _table(
-            [
-                "mode",
-                "onset",
-                "normal N",
-                "friction N",
-                "vertical N",
-                "normal m/s²",
-                "friction m/s²",
-                "agreement in the paper",
-            ],
-            flights,
-        )
-    }
+| mode | onset | normal N | friction N | vertical N | normal m/s² | friction m/s² | agreement in the paper |
+| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |
+{_rows(flights)}
 
 ## Dual collision
 
 From the published first impact on, with the published gains (Sec. V-B): velocities in each wall's frame, and
 the flight model's with PX4's default gains, as the paper gives none. Wood has the ground's coefficients.
 
-{
-        _table(
-            [
-                "wall",
-                "mode",
-                "normal m/s, paper",
-                "along, paper",
-                "normal m/s, model",
-                "along, model",
-                "peak N, model",
-            ],
-            duals,
-        )
-    }
+| wall | mode | normal m/s, paper | along, paper | normal m/s, model | along, model | peak N, model |
+| --- | --- | ---: | ---: | ---: | ---: | ---: |
+{_rows(duals)}
 
 ## Stiffness ratio
 
 Rigid over flexible; the paper states {STIFFNESS_RATIO:g} (abstract), from the drop tests.
 
-{_table(["surface", "source of the coefficients", "k rigid / k flexible"], ratios)}
+| surface | source of the coefficients | k rigid / k flexible |
+| --- | --- | ---: |
+{_rows(ratios)}
 """

@@ -19,7 +19,7 @@ from dart_flight.config.scenario import load_scenario
 from dart_flight.config.vehicle import VehicleConfig, packaged
 from dart_flight.contact import prediction
 from dart_flight.contact.law import Onset
-from dart_flight.figure_panels import BLUE, GREY, ORANGE, panels, save, shade
+from dart_flight.figure_panels import BLUE, GREY, ORANGE, legend_entries, panels, save, shade
 from dart_flight.lock import cam
 from dart_flight.planning.plots import plot_search
 from dart_flight.planning.search import search
@@ -168,7 +168,8 @@ def _draw_forces(path: Path, flight: Flight, impacts: list[Impact]) -> None:
         for impact in impacts:
             _draw_prediction(axis, impact, i, first_s)
         axis.set_ylabel(f"force along {name}, N")
-        axis.legend(*_once(axis), loc="best", fontsize=8, frameon=False)
+        entries = legend_entries(axis)
+        axis.legend(entries.values(), entries.keys(), loc="best", fontsize=8, frameon=False)
     axes[-1].set_xlabel("time since the first onset, ms")
     for impact in impacts:
         lock = impact.verdict.lock
@@ -201,10 +202,3 @@ def _draw_prediction(axis: Any, impact: Impact, component: int, zero_s: float) -
         fontsize=8,
         color=GREY,
     )
-
-
-def _once(axis: Any) -> tuple[list[Any], list[str]]:
-    """Legend entries, each label once."""
-    handles, labels = axis.get_legend_handles_labels()
-    unique = dict(zip(labels, handles, strict=True))
-    return list(unique.values()), list(unique)

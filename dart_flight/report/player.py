@@ -17,15 +17,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.geometry import Vec2
 from dart_flight.recording.arrays import Array, Force, Motion
 from dart_flight.report.flight import Flight
-from dart_flight.report.hits import (
-    Hit,
-    airborne,
-    guard_acts,
-    hits_of,
-    lock_stretches,
-    shown_span,
-    stretches,
-)
+from dart_flight.report.hits import Hit, airborne, guard_acts, hits_of, lock_stretches, shown_span, stretches
 from dart_flight.report.shape import arms_m
 from dart_flight.report.tracks import Angles, angles, in_force, set_points
 from dart_flight.samples import Mode, PhaseChange

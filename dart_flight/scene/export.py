@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dart_flight.config.document import InputError
+from dart_flight.config.document import InputError, writing
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import Log
 
@@ -28,11 +28,9 @@ def export_foxglove(log: Log, path: Path) -> int:
     except ImportError:
         raise InputError("--foxglove needs foxglove-sdk: pip install 'dart-flight[live]'") from None
     channels, thinning, translation = Channels(), Thinning(), Translation(mission)
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         written = foxglove.open_mcap(path, allow_overwrite=True, context=channels.context)
-    except OSError as error:
-        raise InputError(f"cannot write: {error.strerror or error}", source=str(path)) from None
     count = 0
     with written as file:
         file.write_metadata(_DESCRIPTION, {key: log.about[key] for key in _KEPT if key in log.about})

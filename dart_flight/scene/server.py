@@ -21,7 +21,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.geometry import MissionFrame
 from dart_flight.processes import stand_back
 from dart_flight.recording.encoding import decode
-from dart_flight.recording.mcap_records import DECODERS
+from dart_flight.recording.reader import DECODERS
 from dart_flight.scene.channels import Channels
 from dart_flight.scene.live import Opened, Show
 from dart_flight.scene.translation import LASTING, Translation

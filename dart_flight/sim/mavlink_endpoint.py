@@ -13,6 +13,7 @@ import math
 import socket
 import struct
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -29,7 +30,6 @@ _PX4 = 12  # MAV_AUTOPILOT_PX4
 _VERSION = (1 << 24) | (16 << 16) | (0 << 8) | 255  # says v1.16.0, the version whose behaviour this imitates
 _HOME_LAT, _HOME_LON, _HOME_ALT = 33.4242, -111.9281, 360.0
 _EARTH_M_PER_DEG = 111_320.0
-# Everything else that the embedded autopilot knows is a float in PX4, too.
 # PX4 custom mode: main mode and, for the automatic modes, sub mode.
 _MODES: dict[FlightMode, tuple[int, int]] = {
     FlightMode.MANUAL: (3, 0),  # position control: what a pilot switches to
@@ -50,30 +50,6 @@ _LANDED = {
 _DISARMED_US = 900.0  # pulse of a motor output that is off
 _SEVERITY = {"critical": 2, "error": 3, "warning": 4, "info": 6}
 
-# message -> default rate in Hz on PX4's onboard link
-DEFAULT_RATES: dict[int, float] = {
-    mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
-    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
-    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
-    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: 50.0,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: 50.0,
-    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
-    mavlink.MAVLINK_MSG_ID_ODOMETRY: 30.0,
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
-    mavlink.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
-    mavlink.MAVLINK_MSG_ID_ALTITUDE: 10.0,
-    mavlink.MAVLINK_MSG_ID_VIBRATION: 0.5,
-    mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: 0.0,
-    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 0.0,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 10.0,
-    esc_status.MESSAGE_ID: 0.0,
-    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
-}
-
-
 _ESC_THRUST_N_PER_RPM2 = 1.1e-8  # where the configuration has none, example value
 
 
@@ -86,7 +62,7 @@ class Link:
         self.socket.setblocking(False)
         self.remote = (host, remote_port)
         self.period_ticks: dict[int, int] = {}
-        for message, rate in DEFAULT_RATES.items():
+        for message, (rate, _) in MESSAGES.items():
             self.set_rate(message, rate)
         self.parser = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
         self.parser.robust_parsing = True
@@ -128,26 +104,7 @@ class MavlinkEndpoint:
         self._clips = [0, 0, 0]
         self._type = MAV_TYPES.get(len(autopilot.motors), MAV_TYPES[4])
         self._builders: dict[int, Callable[[], Any]] = {
-            mavlink.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
-            mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
-            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._extended_sys_state,
-            mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: self._battery_status,
-            mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: self._highres_imu,
-            mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self._attitude_quaternion,
-            mavlink.MAVLINK_MSG_ID_ATTITUDE: self._attitude,
-            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._local_position,
-            mavlink.MAVLINK_MSG_ID_ODOMETRY: self._odometry,
-            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._global_position,
-            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._gps_raw,
-            mavlink.MAVLINK_MSG_ID_HOME_POSITION: self._home_position,
-            mavlink.MAVLINK_MSG_ID_ALTITUDE: self._altitude,
-            mavlink.MAVLINK_MSG_ID_VIBRATION: self._vibration,
-            mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: self._actuator_output_status,
-            mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: self._servo_output_raw,
-            mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: self._attitude_target,
-            esc_status.MESSAGE_ID: self._esc_status,
-            mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self._estimator_status,
-            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._autopilot_version,
+            message: partial(build, self) for message, (_, build) in MESSAGES.items()
         }
         self._commands: dict[int, Callable[[Any], int]] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._do_arm,
@@ -291,7 +248,7 @@ class MavlinkEndpoint:
         if interval_us < 0:
             link.set_rate(message_id, 0.0)
         elif interval_us == 0:
-            link.set_rate(message_id, DEFAULT_RATES.get(message_id, 0.0))
+            link.set_rate(message_id, MESSAGES[message_id][0])
         else:
             link.set_rate(message_id, 1e6 / interval_us)
         return int(mavlink.MAV_RESULT_ACCEPTED)
@@ -305,14 +262,13 @@ class MavlinkEndpoint:
     def _do_arm(self, message: Any) -> int:
         force = _whole(message.param2) == 21196
         ok = self.autopilot.arm(force) if message.param1 > 0.5 else self.autopilot.disarm(force)
-        return int(mavlink.MAV_RESULT_ACCEPTED if ok else mavlink.MAV_RESULT_DENIED)
+        return _result(ok)
 
     def _do_set_mode(self, message: Any) -> int:
         wanted = (_whole(message.param2), _whole(message.param3))
         for mode, numbers in _MODES.items():
             if numbers == wanted or (wanted[0] != 4 and numbers[0] == wanted[0]):
-                ok = self.autopilot.set_mode(mode)
-                return int(mavlink.MAV_RESULT_ACCEPTED if ok else mavlink.MAV_RESULT_DENIED)
+                return _result(self.autopilot.set_mode(mode))
         if wanted[0] in (1, 2, 5, 7, 8):  # the other modes that sticks fly
             self.autopilot.set_mode(FlightMode.MANUAL)
             return int(mavlink.MAV_RESULT_ACCEPTED)
@@ -320,11 +276,7 @@ class MavlinkEndpoint:
 
     def _do_takeoff(self, message: Any) -> int:
         altitude = None if math.isnan(message.param7) else message.param7 - _HOME_ALT
-        return int(
-            mavlink.MAV_RESULT_ACCEPTED
-            if self.autopilot.take_off(altitude if altitude and altitude > 0.0 else None)
-            else mavlink.MAV_RESULT_DENIED
-        )
+        return _result(self.autopilot.take_off(altitude if altitude and altitude > 0.0 else None))
 
     def _do_land(self, _message: Any) -> int:
         self.autopilot.set_mode(FlightMode.LAND)
@@ -336,15 +288,8 @@ class MavlinkEndpoint:
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
     def _do_set_actuator(self, message: Any) -> int:
-        values = (
-            message.param1,
-            message.param2,
-            message.param3,
-            message.param4,
-            message.param5,
-            message.param6,
-        )
-        for index, value in enumerate(values, start=1):
+        for index in range(1, 7):
+            value = getattr(message, f"param{index}")
             if not math.isnan(value):
                 self.autopilot.set_actuator(index, value)
         return int(mavlink.MAV_RESULT_ACCEPTED)  # always, mapped or not, as PX4 does
@@ -599,6 +544,35 @@ class MavlinkEndpoint:
         return mavlink.MAVLink_autopilot_version_message(
             capabilities, _VERSION, 0, 0, 0, custom, custom, custom, 0, 0, 0xDA27
         )
+
+
+# message -> its default rate in Hz on PX4's onboard link, 0: only where it is asked for; what it says
+MESSAGES: dict[int, tuple[float, Callable[[MavlinkEndpoint], Any]]] = {
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: (1.0, MavlinkEndpoint._heartbeat),
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: (5.0, MavlinkEndpoint._sys_status),
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: (5.0, MavlinkEndpoint._extended_sys_state),
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: (0.5, MavlinkEndpoint._battery_status),
+    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: (50.0, MavlinkEndpoint._highres_imu),
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: (50.0, MavlinkEndpoint._attitude_quaternion),
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: (50.0, MavlinkEndpoint._attitude),
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: (30.0, MavlinkEndpoint._local_position),
+    mavlink.MAVLINK_MSG_ID_ODOMETRY: (30.0, MavlinkEndpoint._odometry),
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: (10.0, MavlinkEndpoint._global_position),
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: (5.0, MavlinkEndpoint._gps_raw),
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION: (0.5, MavlinkEndpoint._home_position),
+    mavlink.MAVLINK_MSG_ID_ALTITUDE: (10.0, MavlinkEndpoint._altitude),
+    mavlink.MAVLINK_MSG_ID_VIBRATION: (0.5, MavlinkEndpoint._vibration),
+    mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: (0.0, MavlinkEndpoint._actuator_output_status),
+    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: (0.0, MavlinkEndpoint._servo_output_raw),
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: (10.0, MavlinkEndpoint._attitude_target),
+    esc_status.MESSAGE_ID: (0.0, MavlinkEndpoint._esc_status),
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: (1.0, MavlinkEndpoint._estimator_status),
+    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: (0.0, MavlinkEndpoint._autopilot_version),
+}
+
+
+def _result(accepted: bool) -> int:
+    return int(mavlink.MAV_RESULT_ACCEPTED if accepted else mavlink.MAV_RESULT_DENIED)
 
 
 def _whole(value: float) -> int:

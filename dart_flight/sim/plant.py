@@ -506,7 +506,7 @@ class Plant:
         """As a point: the whole force acts at the centre of mass."""
         for plane, c in planes:
             lx, ly, _ = self._wall_force(plane, c, self.position, self.velocity)
-            felt = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), lx, ly, 0.5 * lx, 0.5 * lx)
+            felt = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), lx, ly)
             self._note_contact(plane, c, felt, t_s, velocity_before)
 
     def _note_contact(

@@ -18,13 +18,7 @@ from dart_flight.samples import Record
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 from dart_flight.sim.process import run_in_real_time
 from dart_flight.sim.vehicle import SimulatedVehicle
-from dart_flight.vehicle.link import (
-    LinkLease,
-    LinkTakenError,
-    feed_of,
-    owner_of_udp_port,
-    udp_port_is_free,
-)
+from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of, owner_of_udp_port, udp_port_is_free
 
 _OWN_PORT = 40  # of PX4's own, 14580, from the one that it sends to, 14540
 _LISTEN_S = 0.4  # a vehicle sends dozens of messages a second

@@ -105,15 +105,14 @@ class LinkLease(Lease):
         url: MAVSDK connection URL.
         command: of this software that wants it.
         log: the flight's log.
-        probe: look for other people's programs on it, too.
 
     Raises:
         LinkTakenError: on entering, when another program has it; names it.
         InputError: on entering, when the state folder cannot be used.
     """
 
-    def __init__(self, url: str, command: str, log: Path | None = None, *, probe: bool = True) -> None:
-        self._url, self._probe = url, probe
+    def __init__(self, url: str, command: str, log: Path | None = None) -> None:
+        self._url = url
         self._place = place_of(url)
         self._file = HeldFile(_file_of(url))
         self._holder = Holder(os.getpid(), command, url, None if log is None else str(log.resolve()))
@@ -128,8 +127,7 @@ class LinkLease(Lease):
             words = holder.words() if holder is not None else "another dart-flight"
             raise LinkTakenError(f"in use by {words}", source=self._url) from None
         try:
-            if self._probe:
-                self._look_for_others()
+            self._look_for_others()
             if self._place.device is not None:
                 self._lock_device(self._place.device)
         except InputError:

@@ -67,10 +67,6 @@ def _interruptible() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _fast_run(mission: Mission, log_dir: Path | None, spreads: dict[str, float], seed: int) -> Verdict:
-    return fly_fast(mission, seed, log_dir, spreads=spreads)
-
-
 def fly_fast_many(
     mission: Mission,
     seeds: Sequence[int],
@@ -87,7 +83,7 @@ def fly_fast_many(
         FlightError: a flight's process died, and again when the flight was tried once more.
     """
     verdicts: dict[int, Verdict] = {}
-    fly = partial(_fast_run, mission, log_dir, dict(spreads or {}))
+    fly = partial(fly_fast, mission, log_dir=log_dir, spreads=dict(spreads or {}))
     with (
         Interrupt() as interrupt,
         contextlib.closing(work(fly, seeds, usable_cores(), interrupt)) as landings,

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import msgspec
 
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.samples import World
+from dart_flight.sim.draws import draw_world
+from dart_flight.sim.extras import need_mavlink
+from dart_flight.sim.faults.kinds import Fault
+from dart_flight.sim.pipe import WorldSpec
 from dart_flight.vehicle.clock import LockstepClock
 from dart_flight.vehicle.link import free_link
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.app import FlightApp
 from dart_flight.worlds.flight_record import FlightRecord, Onlooker
-
-if TYPE_CHECKING:  # simulation is an extra
-    from dart_flight.sim.faults.kinds import Fault
-    from dart_flight.worlds.vehicle_process import WorldProcess
+from dart_flight.worlds.sabotage import Sabotage
+from dart_flight.worlds.vehicle_process import WorldProcess, fly_in_world, world_log
 
 DEADMAN_NOTE = "deadman.txt"
 
@@ -47,19 +48,6 @@ def fly_embedded(
         InputError: the log cannot be written.
         WorldError, VehicleError: the simulated vehicle did not start or did not answer.
     """
-    try:
-        from dart_flight.sim.draws import draw_world  # noqa: PLC0415
-        from dart_flight.sim.extras import need_mavlink  # noqa: PLC0415
-        from dart_flight.sim.pipe import WorldSpec  # noqa: PLC0415
-        from dart_flight.worlds.sabotage import Sabotage  # noqa: PLC0415
-        from dart_flight.worlds.vehicle_process import (  # noqa: PLC0415
-            WorldProcess,
-            fly_in_world,
-            world_log,
-        )
-    except ImportError as error:
-        raise InputError(f"simulation needs {error.name}: pip install 'dart-flight[sim]'") from None
-
     need_mavlink()
     drawn = draw_world(mission, seed, spreads or {})
     record = FlightRecord(mission, World.EMBEDDED, seed, log_dir, drawn.drawn)

@@ -182,17 +182,6 @@ class FastFlight:
         while self.core.end is None and self.autopilot.now_s < limit_s and not self._orphaned:
             self.tick()
 
-    def run_out(self, limit_s: float = 60.0) -> None:
-        """Let the vehicle fly on by itself until it has landed, for `limit_s` more seconds at most.
-
-        In a pilot's hands it only has to hold still: three seconds of that are enough.
-        """
-        until_s = self.autopilot.now_s + limit_s
-        while self.autopilot.armed and self.autopilot.now_s < until_s:
-            self.tick()
-            if self.autopilot.mode is FlightMode.MANUAL:
-                until_s = min(until_s, self.autopilot.now_s + 3.0)
-
     @property
     def _orphaned(self) -> bool:
         return self.faulted is not None and self.faulted.app_dead and not self.autopilot.armed

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import msgspec
 
-from dart_flight.config.mission import Mission
-from dart_flight.lock.drivers.mock import MockDriver
 from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
@@ -20,35 +18,17 @@ from dart_flight.samples import (
     StatusText,
     VehicleAction,
 )
-from dart_flight.sim.autopilot import Autopilot
 from dart_flight.sim.faults.impairment import Impairment, LossyLink
 from dart_flight.sim.faults.kinds import Fault, Place, Trigger, VehicleFault, impairment_of, mock_faults_of
 from dart_flight.sim.faults.twin import second_vehicle
 from dart_flight.sim.vehicle import SimulatedVehicle
 
+if TYPE_CHECKING:
+    from dart_flight.worlds.fast import FastFlight
+
 Telemetry = (
     ImuSample | AttitudeSample | OdometrySample | ActuatorSample | StatusSample | EstimatorSample | StatusText
 )
-
-
-class Flight(Protocol):
-    """What a fault needs of the flight that it strikes."""
-
-    mission: Mission
-    vehicle: SimulatedVehicle
-    autopilot: Autopilot
-    mock: MockDriver | None
-    deadman_s: float
-
-    @property
-    def host_us(self) -> int:
-        """The host's monotonic time, microseconds."""
-
-    def deliver(self, order: SetPoint | VehicleAction) -> None:
-        """A set-point or an action arrives at the autopilot."""
-
-    def forget_setpoint(self) -> None:
-        """Nothing repeats the last set-point any more."""
 
 
 class FaultedFlight:
@@ -57,7 +37,7 @@ class FaultedFlight:
     A hang leaves MAVSDK repeating the last set-point until the deadman ends the process.
     """
 
-    def __init__(self, flight: Flight, fault: Fault, seed: int) -> None:
+    def __init__(self, flight: FastFlight, fault: Fault, seed: int) -> None:
         self._flight, self.fault = flight, fault
         self._trigger = Trigger(fault)
         self.began_us: int | None = None  # host time

@@ -42,12 +42,14 @@ def refuse_unflyable(mission: Mission) -> None:
         raise InputError(problem, source=mission.source)
 
 
-def with_driver(mission: Mission, driver: LockDriver) -> Mission:
-    """The mission with another lock driver.
+def with_driver(mission: Mission, driver: LockDriver | None) -> Mission:
+    """The mission with another lock driver; None: the configuration's.
 
     Raises:
         InputError: the vehicle has no lock.
     """
+    if driver is None:
+        return mission
     if mission.vehicle.lock is None:
         raise InputError("this vehicle has no lock", key=("--driver",))
     lock = msgspec.structs.replace(mission.vehicle.lock, driver=driver)
@@ -55,12 +57,14 @@ def with_driver(mission: Mission, driver: LockDriver) -> Mission:
     return msgspec.structs.replace(mission, vehicle=vehicle)
 
 
-def with_standoff(mission: Mission, standoff_m: float) -> Mission:
-    """The mission's rehearsal: every contact replaced by stopping so far before the wall.
+def with_standoff(mission: Mission, standoff_m: float | None) -> Mission:
+    """The mission's rehearsal: every contact replaced by stopping so far before the wall; None: as it is.
 
     Raises:
         InputError: not a distance from 0.1 to 2 m.
     """
+    if standoff_m is None:
+        return mission
     if not 0.1 <= standoff_m <= 2.0:
         raise InputError(f"{standoff_m:g} m, allowed is 0.1 to 2 m", key=("--standoff",))
     return msgspec.structs.replace(mission, standoff_m=standoff_m)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -14,14 +13,15 @@ from dart_flight.config.parameters import PositionSource
 from dart_flight.planning.positioning import frame_problem
 from dart_flight.recording.px4_log import read_px4_log
 from dart_flight.samples import World
+from dart_flight.sim.draws import draw_world
+from dart_flight.sim.extras import need_mavlink
+from dart_flight.sim.pipe import Px4Spec, WorldSpec
 from dart_flight.vehicle.clock import LockstepClock
 from dart_flight.vehicle.link import LinkLease
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.app import FlightApp
 from dart_flight.worlds.flight_record import FlightRecord, Onlooker
-
-if TYPE_CHECKING:  # simulation is an extra
-    from dart_flight.worlds.vehicle_process import WorldProcess
+from dart_flight.worlds.vehicle_process import Px4World, WorldProcess, fly_in_world, world_log
 
 _LOCKSTEP_PAUSE_S = 0.5
 
@@ -57,16 +57,9 @@ def fly_px4(
         InputError: there is no PX4, a parameter file is wrong, or the mission's frame cannot be had with GPS.
         WorldError, VehicleError: PX4 did not start or did not answer.
     """
-    try:
-        from dart_flight.sim.draws import draw_world  # noqa: PLC0415
-        from dart_flight.sim.extras import need_mavlink  # noqa: PLC0415
-        from dart_flight.sim.pipe import Px4Spec, WorldSpec  # noqa: PLC0415
-        from dart_flight.sim.px4.launch import find_install, flight_parameters  # noqa: PLC0415
-        from dart_flight.worlds.vehicle_process import Px4World, fly_in_world, world_log  # noqa: PLC0415
-    except ImportError as error:
-        raise InputError(f"simulation needs {error.name}: pip install 'dart-flight[sim]'") from None
-
     need_mavlink()
+    from dart_flight.sim.px4.launch import find_install, flight_parameters  # noqa: PLC0415
+
     install = find_install(directory)
     problem = frame_problem(mission, position_from)
     if problem is not None:

@@ -317,6 +317,3 @@ def changed_mission(log: Log, settings: Sequence[str]) -> Mission:
             source=log.source,
         )
     return msgspec.structs.replace(flown, vehicle=changed.vehicle)
-
-
-__all__ = ["DECISIONS", "Difference", "Replay", "changed_mission", "decision_rows", "replay"]

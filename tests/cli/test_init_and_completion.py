@@ -14,7 +14,6 @@ import pytest
 
 from dart_flight.check.mission import check_mission
 from dart_flight.cli import COMMANDS, main
-from dart_flight.config import load_vehicle
 from dart_flight.config.document import Document
 from dart_flight.config.kinds import EXTENDS
 from dart_flight.config.mission import load_mission
@@ -22,6 +21,7 @@ from dart_flight.config.parameters import load_parameters
 from dart_flight.config.scenario import load_scenario
 from dart_flight.config.starter import DART, VEHICLES
 from dart_flight.config.vehicle import default_config_path
+from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.worlds.fast import fly_fast
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from dart_flight.cli import main
-from dart_flight.config import load_mission
+from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.writer import FlightLog

@@ -12,8 +12,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dart_flight.cli import main
-from dart_flight.config import InputError, load_mission, load_vehicle, parse_mission
-from dart_flight.config.document import Document
+from dart_flight.config.document import Document, InputError
+from dart_flight.config.mission import load_mission, parse_mission
+from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.worlds.prepare import load_flyable
 
 ROOT = Path(__file__).parents[2]

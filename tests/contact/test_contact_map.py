@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dart_flight.config import Coefficients, load_vehicle
 from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle.airframe import Coefficients
+from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import WallHit, collide, contact_map, drop, drop_map
 from dart_flight.contact.law import Onset, contact_force

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from dart_flight.cli import main
-from dart_flight.config import load_vehicle
 from dart_flight.config.vehicle import Coefficients, packaged
+from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.report import paper

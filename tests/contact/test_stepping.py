@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dart_flight.config import Coefficients, load_vehicle
 from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle.airframe import Coefficients
+from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.coefficients import Array, CoefficientArrays
 from dart_flight.contact.contact_map import contact_map, drop
 from dart_flight.contact.law import Onset

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.config import load_mission
+from dart_flight.config.mission import load_mission
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.guard.rules import RULES, Rule
 from dart_flight.geometry import Vec3, quaternion_from_euler

@@ -8,8 +8,7 @@ import random
 import msgspec
 import pytest
 
-from dart_flight.config import load_mission
-from dart_flight.config.mission import Mission
+from dart_flight.config.mission import Mission, load_mission
 from dart_flight.core.mission.references import References
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import MissionFrame

@@ -8,7 +8,7 @@ import random
 import msgspec
 import pytest
 
-from dart_flight.config import load_mission
+from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import Observer, ThrustSource, VehicleConfig
 from dart_flight.core.sense.arm_vibration import ArmFilter
 from dart_flight.core.sense.detector import Expected, ImpactDetector, _top_of

@@ -14,8 +14,8 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.pace import Pace, pace_near_walls
 from dart_flight.core.sense.state import FlightState
-from dart_flight.recording import read_log
 from dart_flight.recording.about import flown_mission
+from dart_flight.recording.reader import read_log
 from dart_flight.recording.schema import INPUTS
 from dart_flight.samples import ContactEnd, ImpactOnset, ImpactPeak, Input, OdometrySample, Phase, WallFelt
 from dart_flight.worlds.prepare import load_flyable

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.recording import read_log
+from dart_flight.recording.reader import read_log
 from dart_flight.samples import GuardEvent, ImuSample, SetPoint, Silence, StatusSample, VehicleCommand
 from dart_flight.sim.faults.kinds import Fault, parse_fault
 from dart_flight.worlds.embedded import fly_embedded

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from dart_flight.cli import main
-from dart_flight.config import InputError
+from dart_flight.config.document import InputError
 from dart_flight.samples import GuardEvent, Outcome, Override, Record, StatusSample
 from dart_flight.sim.faults.impairment import Impairment, LossyLink
 from dart_flight.sim.faults.kinds import KINDS, Fault, parse_fault

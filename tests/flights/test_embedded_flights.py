@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.recording import read_log
+from dart_flight.recording.reader import read_log
 from dart_flight.report.flight import Flight
 from dart_flight.samples import ActuatorSample, EscSample, ImuSample, MissionEnd, PhaseChange, TruthContact
 from dart_flight.worlds.vehicle_process import free_udp_port

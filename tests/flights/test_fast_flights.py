@@ -7,11 +7,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dart_flight.config import parse_mission
 from dart_flight.config.document import Document
-from dart_flight.config.mission import load_mission
+from dart_flight.config.mission import load_mission, parse_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.recording import read_log
+from dart_flight.recording.reader import read_log
 from dart_flight.samples import GoalPassed, Record, SetPoint, TruthSample
 from dart_flight.sim.faults.kinds import Fault
 from dart_flight.worlds.fast import FastFlight, fly_fast

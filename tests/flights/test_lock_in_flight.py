@@ -4,7 +4,7 @@ from pathlib import Path
 
 import msgspec
 
-from dart_flight.config import Mission
+from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LimitSwitch
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults

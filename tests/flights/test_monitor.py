@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from dart_flight.cli.monitor_command import screen
-from dart_flight.config import load_mission
+from dart_flight.config.mission import load_mission
 from dart_flight.samples import StatusText
 from dart_flight.worlds.fast import FastFlight
 from dart_flight.worlds.monitor import Watcher

@@ -10,7 +10,7 @@ import pytest
 
 from dart_flight.check.findings import Finding
 from dart_flight.check.mission import check_mission
-from dart_flight.config import InputError
+from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.flight_core import FlightCore

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from dart_flight.cli import main
-from dart_flight.config import InputError, load_vehicle
+from dart_flight.config.document import InputError
+from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.identification.thrust_curve import calibrate_thrust, quiet_points, read_track
 from tests.shared_flights import SharedFlights
 

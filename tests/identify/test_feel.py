@@ -16,6 +16,7 @@ from dart_flight.identification.feel.impacts import Crossing, Estimated
 from dart_flight.identification.trials import TrialReading, read_trials
 from dart_flight.samples import ForceEstimate, ImpactOnset, ImpactPeak
 from tests.doubles.ulog_file import Topics, write_ulog
+from tools.campaigns.real import pushed
 
 pytest.importorskip("pyulog")
 
@@ -190,7 +191,7 @@ def at_tilt(tilt_deg: float, thrust_n: float, along_n: float) -> Estimated:
 def test_what_an_error_of_the_thrust_explains_is_no_impact(
     tilt_deg: float, along_n: float, push_n: float, is_impact: bool
 ) -> None:
-    felt = at_tilt(tilt_deg, 12.0, along_n).pushed((push_n, 0.0))
+    felt = pushed(at_tilt(tilt_deg, 12.0, along_n), (push_n, 0.0))
     x, y, z = felt.force.force_mission
     onset = ImpactOnset(1, 1, 1, (x, y, z), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     crossing = Crossing(onset, 5.5)

@@ -11,11 +11,14 @@ import numpy as np
 import pytest
 
 from dart_flight.cli import main
-from dart_flight.config import Coefficients, InputError, load_vehicle
+from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle.airframe import Coefficients
+from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.law import Onset
 from dart_flight.contact.path import Contact
-from dart_flight.identification.fit import Estimate, Identification, identify
+from dart_flight.identification.estimates import Estimate, Identification
+from dart_flight.identification.fit import identify
 from dart_flight.identification.trials import Series, Trial, find_impact
 from dart_flight.samples import Mode
 from tools.synthetic_trials import MASS_KG, drop_trial, wall_trial, write_csv

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from dart_flight.cli import main
-from dart_flight.config import load_vehicle
 from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.law import Onset
 from dart_flight.identification.fit import identify
 from dart_flight.identification.flight_trials import trials_at_one

@@ -15,8 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dart_flight.cli import main
-from dart_flight.config import Coefficients, InputError, load_vehicle
+from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle.airframe import Coefficients
+from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.contact_map import collide as exact
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset

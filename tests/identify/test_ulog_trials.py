@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from dart_flight.cli import main
-from dart_flight.config import Coefficients, load_vehicle
 from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle.airframe import Coefficients
+from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.contact.path import Contact, trajectory

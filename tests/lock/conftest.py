@@ -8,8 +8,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from dart_flight.config import load_vehicle
 from dart_flight.config.vehicle import LimitSwitch, LockConfig, packaged
+from dart_flight.config.vehicle.configuration import load_vehicle
 
 BOTH_SWITCHES = LimitSwitch(chip="/dev/gpiochip0", rigid_line=23, flexible_line=24)
 

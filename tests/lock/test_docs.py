@@ -6,8 +6,8 @@ import re
 from pathlib import Path
 
 from dart_flight.cli import build_parser
-from dart_flight.config import load_vehicle
 from dart_flight.config.vehicle import LockConfig, packaged
+from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lock.drivers.px4 import required_parameters
 
 PAGE = Path(__file__).parents[2] / "docs" / "lock.md"

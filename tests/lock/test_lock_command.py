@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 from dart_flight.cli import main
-from dart_flight.config import load_vehicle
 from dart_flight.config.vehicle import Servo, packaged
+from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lock.ground import clock_us
 from dart_flight.lock.persistence import load_last
 from dart_flight.lock.servo import mode_of

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.config import InputError
+from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.persistence import (
     CommandStore,

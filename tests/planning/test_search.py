@@ -194,7 +194,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("option", "says"), [("--plot-search", "cannot write the picture"), ("--plot", ".png, .svg or .pdf")]
+    ("option", "says"), [("--plot-search", "is not supported"), ("--plot", ".png, .svg or .pdf")]
 )
 def test_command_refuses_a_picture_format_it_does_not_know(
     option: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

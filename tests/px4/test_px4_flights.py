@@ -20,7 +20,7 @@ from dart_flight.config.parameters import PositionSource
 from dart_flight.config.rotors import rotor_differences
 from dart_flight.config.vehicle import packaged
 from dart_flight.identification.airframe import read_airframe
-from dart_flight.recording import read_log
+from dart_flight.recording.reader import read_log
 from dart_flight.samples import ForceEstimate, GuardEvent, ImpactPeak, MissionEnd, PlanTaken
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.prepare import load_flyable

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.recording import read_log
 from dart_flight.recording.follow import LogFollower
+from dart_flight.recording.reader import read_log
 from dart_flight.recording.writer import FlightLog
 from dart_flight.samples import StatusText, Tick
 

@@ -26,13 +26,12 @@ from mcap.writer import Writer
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
-from dart_flight.recording import FlightLog, Log, read_log
 from dart_flight.recording.about import flown_mission, parse_written, written_mission
 from dart_flight.recording.encoding import decode, encode
 from dart_flight.recording.export import export_csv
-from dart_flight.recording.reader import LogEntry
+from dart_flight.recording.reader import Log, LogEntry, read_log
 from dart_flight.recording.schema import CLOCKS, RECORD_TYPES, schema
-from dart_flight.recording.writer import ABOUT, FORMAT_VERSION, part_path
+from dart_flight.recording.writer import ABOUT, FORMAT_VERSION, FlightLog, part_path
 from dart_flight.samples import (
     GuardEvent,
     HealthReport,
@@ -374,7 +373,7 @@ def test_a_killed_process_loses_at_most_200_ms(tmp_path: Path) -> None:
         f"""
         import time
         from pathlib import Path
-        from dart_flight.recording import FlightLog
+        from dart_flight.recording.writer import FlightLog
         from dart_flight.samples import Tick
         log = FlightLog(Path({str(path)!r}), {{}})
         i = 0

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.recording import read_log
+from dart_flight.recording.reader import read_log
 from dart_flight.report.flight import Flight
 from dart_flight.report.page import flight_page
 from dart_flight.samples import ForceEstimate, ImpactOnset, ImpactPeak, LockCommand, SetPoint, TorqueEstimate

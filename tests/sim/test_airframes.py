@@ -14,9 +14,11 @@ from hypothesis import strategies as st
 
 from dart_flight.check.airframe import judge_airframe
 from dart_flight.cli import main
-from dart_flight.config import InputError, Mission, load_mission, load_vehicle
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.rotors import motors_block, motors_of, rotor_parameters
 from dart_flight.config.vehicle import Thrust, effectiveness
+from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.geometry import MissionFrame
 from dart_flight.samples import ActuatorSample, Record, TorqueEstimate, TruthContact
 from dart_flight.sim.allocation import Allocation

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dart_flight.config import load_vehicle
+from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.geometry import GRAVITY_M_S2, MissionFrame, Wall, quaternion_from_euler, tilt_of
 from dart_flight.samples import Mode, TruthContact
 from dart_flight.sim.plant import Plant

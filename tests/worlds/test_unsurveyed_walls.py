@@ -11,11 +11,11 @@ import pytest
 
 from dart_flight.check.findings import Finding
 from dart_flight.check.mission import check_mission
-from dart_flight.config import load_mission, load_vehicle
 from dart_flight.config.document import Document
-from dart_flight.config.mission import Mission, parse_mission
+from dart_flight.config.mission import Mission, load_mission, parse_mission
 from dart_flight.config.scenario import Objective, Scenario, load_scenario
 from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.core.mission.approach import plan_approach, stop_before
 from dart_flight.core.mission.survey import Survey, early_m, late_s, overrun_m, slack_m
 from dart_flight.geometry import Wall
@@ -24,8 +24,8 @@ from dart_flight.planning.mission_writer import write_mission
 from dart_flight.planning.rollout import Rollout, new_flight, stages_for
 from dart_flight.planning.search import draws_of, search
 from dart_flight.planning.summary import with_objective
-from dart_flight.recording import read_log
 from dart_flight.recording.about import flown_mission
+from dart_flight.recording.reader import read_log
 from dart_flight.samples import Mode, Record, WallFelt
 from dart_flight.sim.draws import draw_world
 from dart_flight.worlds.prepare import with_standoff

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from dart_flight.config import load_vehicle
 from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import contact_map
 from dart_flight.contact.law import Onset

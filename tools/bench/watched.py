@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 from dart_flight.config.vehicle import packaged
-from dart_flight.recording import read_log
+from dart_flight.recording.reader import read_log
 from dart_flight.samples import Phase, PhaseChange, SetPoint, SetPointSent
 
 PAIRS = 4

@@ -49,7 +49,7 @@ from dart_flight.samples import (
 from dart_flight.sim.draws import DrawnWorld, draw_world, parse_vary, place_walls
 from dart_flight.verdict import VerdictBuilder
 from dart_flight.worlds.fast import FastFlight
-from tools.campaigns.faults import Watch, judge
+from tools.campaigns.faults import Watch, judge, run_out
 from tools.campaigns.kept import fly_missing
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -304,7 +304,7 @@ def fly(job: Job) -> Flown:
     problems = []
     try:
         flight.run()
-        flight.run_out()
+        run_out(flight)
     except Exception as error:
         problems.append(f"exception {type(error).__name__}: {error}")
     verdict = builder.build(World.FAST, job.seed)

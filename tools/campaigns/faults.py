@@ -35,10 +35,10 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.geometry import distance2, tilt_of
-from dart_flight.recording import read_log
+from dart_flight.recording.reader import read_log
 from dart_flight.recording.writer import FlightLog
 from dart_flight.samples import FlightMode, GuardEvent, Record, TruthSample, World
-from dart_flight.sim.faults.kinds import KINDS, Fault, FaultKind, excursion_allowed_m
+from dart_flight.sim.faults.kinds import KINDS, Fault, FaultKind
 from dart_flight.verdict import VerdictBuilder
 from dart_flight.worlds.fast import FastFlight
 from dart_flight.worlds.prepare import load_flyable
@@ -137,7 +137,7 @@ def fly(mission: Mission, fault: Fault, seed: int, folder: Path | None = None) -
     problems = []
     try:
         flight.run()
-        flight.run_out()
+        run_out(flight)
     except Exception as error:
         problems.append(f"exception {type(error).__name__}: {error}")
     problems += _close(log, path)
@@ -188,6 +188,27 @@ def _records(path: Path) -> list[object]:
         if isinstance(chunk, Chunk):
             breakup_chunk(chunk, validate_crc=True)
     return list(records)
+
+
+def run_out(flight: FastFlight, limit_s: float = 60.0) -> None:
+    """Let the vehicle fly on by itself until it has landed, for `limit_s` more seconds at most.
+
+    In a pilot's hands it only has to hold still: three seconds of that are enough.
+    """
+    until_s = flight.autopilot.now_s + limit_s
+    while flight.autopilot.armed and flight.autopilot.now_s < until_s:
+        flight.tick()
+        if flight.autopilot.mode is FlightMode.MANUAL:
+            until_s = min(until_s, flight.autopilot.now_s + 3.0)
+
+
+def excursion_allowed_m(fault: Fault | None) -> float:
+    """How far outside of the bounds a faulted flight may get before it counts as uncontrolled, metres.
+
+    Half a metre for braking; and where the position itself is wrong, as much as it is wrong by.
+    """
+    wrong = abs(fault.value) if fault is not None and fault.name == "ekf-jump" else 0.0
+    return 0.5 + wrong if math.isfinite(wrong) else math.inf
 
 
 def judge(flight: FastFlight, watch: Watch, fault: Fault | None, outcome: str, rule: str) -> Iterator[str]:

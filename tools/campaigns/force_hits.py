@@ -24,7 +24,6 @@ from dart_flight.geometry import (
     Vec3,
     Wall,
     add,
-    dot2,
     quaternion_from_euler,
     quaternion_from_rotation_vector,
     quaternion_multiply,
@@ -314,4 +313,5 @@ def direction_error_deg(flown: Flown, peak: ImpactPeak) -> float:
     true = (flown.peak_normal, flown.peak_tangential(peak.detected_us))
     found = (peak.normal_force_n, peak.tangential_force_n)
     size = math.hypot(*true) * math.hypot(*found)
-    return math.degrees(math.acos(max(-1.0, min(1.0, dot2(true, found) / size)))) if size > 0.0 else 0.0
+    along = true[0] * found[0] + true[1] * found[1]
+    return math.degrees(math.acos(max(-1.0, min(1.0, along / size)))) if size > 0.0 else 0.0

@@ -26,11 +26,12 @@ import msgspec
 import yaml
 from pymavlink.dialects.v20 import common as mavlink
 
-from dart_flight.config import InputError, load_vehicle, parse_mission
-from dart_flight.config.document import Document
+from dart_flight.config.document import Document, InputError
+from dart_flight.config.mission import parse_mission
 from dart_flight.config.scenario import load_scenario
 from dart_flight.config.vehicle import LockDriver, VehicleConfig, packaged
-from dart_flight.recording import read_log
+from dart_flight.config.vehicle.configuration import load_vehicle
+from dart_flight.recording.reader import read_log
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 from dart_flight.sim.vehicle import SimulatedVehicle
 from dart_flight.worlds.fast import fly_fast

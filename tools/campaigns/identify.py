@@ -10,9 +10,10 @@ several runs.
 from __future__ import annotations
 
 import argparse
+import math
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,11 +21,16 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from dart_flight.config import Coefficients, InputError, load_vehicle
+from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle.airframe import Coefficients
+from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
-from dart_flight.identification.fit import deviation_bound, identify
+from dart_flight.identification.fit import identify
+from dart_flight.identification.hits import hit_of
+from dart_flight.identification.intervals import covariance
+from dart_flight.identification.solver import solve
 from dart_flight.identification.trials import Trial
 from dart_flight.samples import Mode
 from tools.synthetic_trials import MASS_KG, drop_trial, wall_trial
@@ -169,6 +175,44 @@ def run(case: Case, sets: int, bound_sets: int, seed: int) -> Outcome:
             for name in case.wanted:
                 out.bounds.setdefault(name, []).append(bound[name])
     return out
+
+
+def deviation_bound(
+    trials: Sequence[Trial],
+    mass_kg: float,
+    onset: Onset,
+    noise: dict[str, float],
+) -> dict[str, dict[str, float]]:
+    """Cramér-Rao bound: the smallest standard deviation any unbiased estimate of k, f, mu, nu can have.
+
+    Onset times, approach velocities and the plane (with its prior) are unknown, as they are in `identify`;
+    free flight is taken to be straight.
+
+    Args:
+        trials: (nearly) noise-free recordings, at the sample times of those in question.
+        mass_kg, onset: as `identify`.
+        noise: standard deviation of the noise by channel.
+
+    Returns:
+        mode -> coefficient -> bound, in the coefficient's unit.
+    """
+    felt = [(hit.begin_s, hit.end_s) for hit in (hit_of(trial, mass_kg) for trial in trials)]
+    fit, theta, _ = solve(trials, felt, mass_kg, onset, may_curve=False)
+    fit.sd.update(noise)
+    for window in fit.windows:
+        for counts in window.counts.values():
+            counts[:] = 1.0
+    deviation = np.sqrt(np.diag(covariance(fit, theta)))
+    bounds = {}
+    for mode in fit.parameters.modes:
+        at = fit.parameters.of_mode(mode)
+        bounds[mode] = {
+            "k": float(deviation[at["k"]] * math.exp(theta[at["k"]])),
+            "f": float(deviation[at["f"]] * math.exp(theta[at["f"]])),
+            "mu": float(deviation[at["mu"]]),
+            "nu": float(deviation[at["nu"]]),
+        }
+    return bounds
 
 
 def page(results: list[tuple[Case, Outcome]]) -> str:

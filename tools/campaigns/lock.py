@@ -25,8 +25,8 @@ from typing import Protocol
 
 import msgspec
 
-from dart_flight.config import load_vehicle
 from dart_flight.config.vehicle import LimitSwitch, LockConfig, LockDriver, packaged
+from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lock.drivers import Driver
 from dart_flight.lock.drivers.limit_switch import WithLimitSwitch
 from dart_flight.lock.drivers.maestro import MaestroDriver

@@ -32,7 +32,7 @@ from dart_flight.config.mission import parse_mission
 from dart_flight.config.parameters import PositionSource
 from dart_flight.config.vehicle import packaged
 from dart_flight.geometry import norm, tilt_of
-from dart_flight.recording import read_log
+from dart_flight.recording.reader import read_log
 from dart_flight.samples import ImuSample, OdometrySample, TruthSample
 from dart_flight.sim.px4.launch import find_install
 from dart_flight.verdict import Verdict

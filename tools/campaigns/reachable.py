@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.progress import track
 from scipy.optimize import linprog
 
-from dart_flight.config.mission import Bounds, Mission, load_mission
+from dart_flight.config.mission import BoundsSpec, Mission, load_mission
 from dart_flight.geometry import GRAVITY_M_S2, Wall
 from dart_flight.planning.planned import planned_flight
 from dart_flight.sim.draws import draw_world, parse_vary
@@ -39,7 +39,9 @@ _STEPS = 20
 _SIDES = 16
 
 
-def nearest_m_s(after: AfterFirst, wall: Wall, normal_m_s: float, bounds: Bounds, most_m_s2: float) -> float:
+def nearest_m_s(
+    after: AfterFirst, wall: Wall, normal_m_s: float, bounds: BoundsSpec, most_m_s2: float
+) -> float:
     """How near the normal velocity at a wall can come to the planned one, m/s; inf: the wall is out of reach.
 
     Args:
@@ -56,7 +58,7 @@ def nearest_m_s(after: AfterFirst, wall: Wall, normal_m_s: float, bounds: Bounds
 
 
 def _error(
-    after: AfterFirst, wall: Wall, normal_m_s: float, bounds: Bounds, most_m_s2: float, duration_s: float
+    after: AfterFirst, wall: Wall, normal_m_s: float, bounds: BoundsSpec, most_m_s2: float, duration_s: float
 ) -> float:
     h, n = duration_s / _STEPS, _STEPS
     speed = np.tril(np.full((n, n), h))

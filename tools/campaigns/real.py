@@ -27,7 +27,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Detection, VehicleConfig, load_vehicle
 from dart_flight.core.sense.detector import Expected, ImpactDetector
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import MissionFrame
+from dart_flight.geometry import MissionFrame, Vec2
 from dart_flight.identification.feel import TOPICS, FeltFlight, feel_log
 from dart_flight.identification.feel.impacts import REMEMBERED, Crossing, Estimated, short_samples
 from dart_flight.recording.ulog import ULogFile, open_ulog
@@ -71,6 +71,14 @@ class Detected(msgspec.Struct):
     pulses: list[Pulse]
 
 
+def pushed(estimated: Estimated, push: Vec2) -> Estimated:
+    """An estimate as it would be with one more horizontal force, newton, mission frame."""
+    x, y, z = estimated.force.force_mission
+    force = msgspec.structs.replace(estimated.force, force_mission=(x + push[0], y + push[1], z))
+    along = estimated.along_n + push[0] * estimated.up[0] + push[1] * estimated.up[1]
+    return estimated._replace(force=force, along_n=along)
+
+
 def detect(
     vehicle: VehicleConfig,
     estimates: Sequence[Estimated],
@@ -106,8 +114,8 @@ def detect(
             into = t - now.start_s
             if into <= now.duration_s:
                 push = now.peak_n * math.sin(math.pi * max(0.0, into) / now.duration_s)
-                estimated = estimated.pushed(
-                    (push * math.cos(now.heading_rad), push * math.sin(now.heading_rad))
+                estimated = pushed(
+                    estimated, (push * math.cos(now.heading_rad), push * math.sin(now.heading_rad))
                 )
                 estimate = estimated.force
             elif into > now.duration_s + _LATE_S:

@@ -50,7 +50,7 @@ from dart_flight.sim.draws import draw_world, parse_vary
 from dart_flight.verdict import VerdictBuilder
 from dart_flight.worlds.fast import FastFlight
 from tools.campaigns.body import ROOT
-from tools.campaigns.faults import Watch, judge
+from tools.campaigns.faults import Watch, judge, run_out
 
 _RISE_M = 0.03  # by which the distance to the goal has risen after a closest approach
 HELD_SEED, TUNING_SEED = 12001, 1  # rules were tuned on the seeds from the second one on only
@@ -171,7 +171,7 @@ def fly(way: str, seed: int, vary: Sequence[str], settings: Sequence[str], path:
             mission, seed, LockDriver.MOCK, faults=world.lock_faults, observe=observe, world=world
         )
         flight.run()
-        flight.run_out()
+        run_out(flight)
     verdict = builder.build(World.FAST, seed)
     fired = [one.rule for one in verdict.guard if one.action is not Override.NONE]
     rule = fired[0] if fired and verdict.outcome != Outcome.COMPLETED else ""

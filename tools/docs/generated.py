@@ -12,7 +12,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dart_flight.core.guard import rules as guard_rules
-from dart_flight.lock import state_machine
 from tools.docs import configuration_comments, fault_table, key_tables, log_channels, phase_diagram, schemas
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -20,7 +19,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "configuration keys": key_tables.configuration_table,
     "fault kinds": fault_table.table,
     "guard rules": guard_rules.table,
-    "lock states": lambda: f"```mermaid\n{state_machine.diagram()}```\n",
+    "lock states": phase_diagram.lock_diagram,
     "log channels": log_channels.tables,
     "mission keys": key_tables.mission_tables,
     "mission phases": phase_diagram.diagram,

@@ -1,9 +1,10 @@
-"""The mission's state diagram for `docs/mission_phases.md`, from `core/mission/phases.py`."""
+"""State diagrams for the docs: the mission's from `core/mission/phases.py`, the lock's from its table."""
 
 from __future__ import annotations
 
 from dart_flight.core.mission.phases import TRANSITIONS, Cue
-from dart_flight.samples import Phase
+from dart_flight.lock import state_machine
+from dart_flight.samples import LockPhase, Phase
 
 
 def diagram() -> str:
@@ -26,3 +27,11 @@ def diagram() -> str:
         for target in targets
     ]
     return "```mermaid\n" + "\n".join(lines) + "\n```\n\n" + "\n".join(ways) + "\n"
+
+
+def lock_diagram() -> str:
+    """The lock's table as a Mermaid state diagram."""
+    lines = ["stateDiagram-v2", f"    [*] --> {LockPhase.UNKNOWN}"]
+    for before, row in state_machine.TRANSITIONS.items():
+        lines += [f"    {before} --> {after}: {event}" for event, after in row.items()]
+    return "```mermaid\n" + "\n".join(lines) + "\n```\n"

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from dart_flight.config.mission import Bounds, Collision, Limits, Mission
+from dart_flight.config.mission import BoundsSpec, Collision, Limits, Mission
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import contact_map
@@ -28,7 +28,7 @@ SETTLED_BEFORE_S = 0.05
 SETPOINT_OUTSIDE_M = 2.0
 
 
-def setpoint_outside_m(m: Arithmetic, bounds: Bounds, x: Number, y: Number) -> Number:
+def setpoint_outside_m(m: Arithmetic, bounds: BoundsSpec, x: Number, y: Number) -> Number:
     """How far a set-point lies outside of the bounds horizontally, metres; 0 inside."""
     beside = m.maximum(bounds.x[0] - x, x - bounds.x[1])
     return m.maximum(m.maximum(beside, m.maximum(bounds.y[0] - y, y - bounds.y[1])), 0.0)
@@ -69,7 +69,7 @@ def bearable_in_either_mode(
     m: Arithmetic,
     vehicle: VehicleConfig,
     limits: Limits,
-    bounds: Bounds,
+    bounds: BoundsSpec,
     wall: Wall,
     alphas_m_per_n: tuple[float, float],
     place: tuple[Number, Number],

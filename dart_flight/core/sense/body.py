@@ -25,9 +25,10 @@ from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
-from dart_flight.core.sense.detector import Expected
+from dart_flight.core.sense.detector import Events, Expected
 from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import (
+    MissionFrame,
     Quaternion,
     Vec2,
     Vec3,
@@ -40,7 +41,6 @@ from dart_flight.geometry import (
 from dart_flight.samples import (
     ContactEnd,
     ContactSide,
-    DetectionFloor,
     ForceEstimate,
     ImpactBody,
     ImpactOnset,
@@ -161,13 +161,7 @@ class BodySense:
         self.due = False
         self._coefficients: Coefficients | None = None
 
-    def take(
-        self,
-        state: FlightState,
-        slow: Vec2,
-        events: Iterable[ImpactOnset | ImpactPeak | ContactEnd | DetectionFloor],
-        expected: Expected,
-    ) -> ImpactBody | None:
+    def take(self, state: FlightState, slow: Vec2, events: Events, expected: Expected) -> ImpactBody | None:
         """What the detector made of the newest sample's force.
 
         Args:
@@ -206,10 +200,7 @@ class BodySense:
             return None
         samples = [*before, *inside]
         rows = _rows(samples, peak.normal, self._slow, onset.velocity_mission, self._mass)
-        yaw = frame.yaw_from_ned(yaw_ned_of(samples[0].q))
-        facing = math.atan2(-peak.normal[1], -peak.normal[0])
-        seen = wrap_angle(yaw - facing)
-        seen -= _QUARTER * round(seen / _QUARTER)
+        seen = seen_incidence(frame, samples[0].q, peak.normal)
         noise = (max(1e-4, norm(inside[0].torque.noise_frd_nm) * 0.6), max(1e-3, inside[0].force.noise_n))
         fit = _Fit(rows, seen, c, noise, self._along, self._out, self._known, onset.planned)
         incidence, sigma = fit.run()
@@ -226,6 +217,12 @@ class BodySense:
             torque_peak_frd=top,
             peak_torque_nm=norm(top),
         )
+
+
+def seen_incidence(frame: MissionFrame, q: Quaternion, normal: Vec2) -> float:
+    """Angle of incidence of the edge that is nearest to a wall, by attitude and the wall's normal."""
+    seen = wrap_angle(frame.yaw_from_ned(yaw_ned_of(q)) - math.atan2(-normal[1], -normal[0]))
+    return seen - _QUARTER * round(seen / _QUARTER)
 
 
 def side_of(lead_m: float) -> ContactSide:
@@ -275,16 +272,8 @@ def _binned(rows: list[_Row]) -> list[_Row]:
 
 def _mean(rows: list[_Row]) -> _Row:
     n = len(rows)
-    return _Row(
-        n,
-        sum(r.normal for r in rows) / n,
-        sum(r.along for r in rows) / n,
-        sum(r.torque for r in rows) / n,
-        sum(r.turned for r in rows) / n,
-        sum(r.turning for r in rows) / n,
-        sum(r.towards for r in rows) / n,
-        sum(r.sliding for r in rows) / n,
-    )
+    _, *values = zip(*rows, strict=True)
+    return _Row(n, *(sum(column) / n for column in values))
 
 
 def _torque_peak(samples: list[Felt], model: list[float], noise_nm: float) -> Vec3:

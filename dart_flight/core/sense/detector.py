@@ -24,14 +24,7 @@ from dart_flight.core.sense.pulse import NormalPulse, Prior, TickReading, fit_fr
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
 from dart_flight.geometry import Vec2, Wall
-from dart_flight.samples import (
-    ContactEnd,
-    DetectionFloor,
-    ForceEstimate,
-    ImpactOnset,
-    ImpactPeak,
-    Mode,
-)
+from dart_flight.samples import ContactEnd, DetectionFloor, ForceEstimate, ImpactOnset, ImpactPeak, Mode
 
 _RISE_SHARE: Final = 0.3  # of the threshold: above it a sample before the crossing belongs to the contact
 _PEAK_DROP_SHARE: Final = 0.25  # of the threshold: a smaller drop is noise
@@ -92,7 +85,8 @@ _FALLING: Final = _Stage.FALLING
 _REFRACTORY: Final = _Stage.REFRACTORY
 
 
-Events = list[ImpactOnset | ImpactPeak | ContactEnd | DetectionFloor]
+Event = ImpactOnset | ImpactPeak | ContactEnd | DetectionFloor
+Events = list[Event]
 
 
 class ImpactDetector:

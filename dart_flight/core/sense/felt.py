@@ -13,33 +13,23 @@ unlocked; a mode that the lock does not say gets its own readings. docs/felt.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.law import Onset
 from dart_flight.core.sense.arm_vibration import ArmFilter
-from dart_flight.core.sense.body import ContactSamples, Felt
+from dart_flight.core.sense.body import ContactSamples, Felt, seen_incidence
 from dart_flight.core.sense.contact_fit import PLACE_M, WALL_RAD, Belief, Body, Contact, Fitting, Tick
-from dart_flight.core.sense.detector import Expected
+from dart_flight.core.sense.detector import Events, Expected
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import Vec2, Wall, rotate, wrap_angle, yaw_ned_of
-from dart_flight.samples import (
-    ContactEnd,
-    DetectionFloor,
-    ImpactOnset,
-    ImpactPeak,
-    LockPhase,
-    Mode,
-    WallFelt,
-)
+from dart_flight.geometry import Vec2, Wall, rotate
+from dart_flight.samples import ContactEnd, ImpactOnset, LockPhase, Mode, WallFelt
 
 _BEFORE: Final = 4  # samples of the contact from before the first one that was over the noise
 _FEWEST: Final = 4  # readings in contact
 _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # deviation of PX4's position against the walls' frame
 _MOST_MISFIT: Final = 2.0  # mean square of the residuals over their errors: beyond it this is no such contact
-_QUARTER = 0.5 * math.pi
 
 
 class WallSense:
@@ -73,13 +63,7 @@ class WallSense:
         """Whether a contact is being judged, a little at every sample."""
         return self._job is not None
 
-    def take(
-        self,
-        state: FlightState,
-        slow: Vec2,
-        events: Iterable[ImpactOnset | ImpactPeak | ContactEnd | DetectionFloor],
-        expected: Expected,
-    ) -> WallFelt | None:
+    def take(self, state: FlightState, slow: Vec2, events: Events, expected: Expected) -> WallFelt | None:
         """What the detector made of the newest sample's force; arguments as of `BodySense.take`."""
         for event in events:
             if isinstance(event, ImpactOnset):
@@ -163,11 +147,9 @@ class WallSense:
         if frame is None or len(inside) < _FEWEST or velocity[0] > -_SLOWEST_M_S:
             return None
         tick_s = self._vehicle.imu.tick_s
-        yaw = frame.yaw_from_ned(yaw_ned_of(samples[0].q))
-        seen = wrap_angle(yaw - math.atan2(-wall.normal[1], -wall.normal[0]))
-        seen -= _QUARTER * round(seen / _QUARTER)
         begin_us = samples[0].force.t_us - round((tick_s + self._vehicle.imu.filter_lag_s) * 1e6)
         touched_s = (onset.first_us - begin_us) * 1e-6 - 0.75 * tick_s
+        seen = seen_incidence(frame, samples[0].q, wall.normal)
         taken_out = self._reported is not Mode.RIGID
         noise_n = max(1e-2, inside[0].force.noise_n)
         return {

@@ -6,7 +6,7 @@ from typing import Final
 
 from dart_flight.config.mission import Mission
 from dart_flight.core.sense.body import BodySense, ContactSamples, Felt
-from dart_flight.core.sense.detector import Expected, ImpactDetector
+from dart_flight.core.sense.detector import Event, Expected, ImpactDetector
 from dart_flight.core.sense.felt import WallSense
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.state import FlightState
@@ -17,15 +17,11 @@ from dart_flight.samples import (
     AttitudeTargetSample,
     ClockOffset,
     CommandResult,
-    ContactEnd,
-    DetectionFloor,
     EscSample,
     EstimatorSample,
     ForceEstimate,
     HealthReport,
     ImpactBody,
-    ImpactOnset,
-    ImpactPeak,
     ImuSample,
     Input,
     LockState,
@@ -36,8 +32,6 @@ from dart_flight.samples import (
     TorqueEstimate,
     WallFelt,
 )
-
-Impacts = tuple[ImpactOnset | ImpactPeak | ContactEnd | DetectionFloor, ...]
 
 
 class Sensed:
@@ -57,7 +51,7 @@ class Sensed:
     def __init__(
         self,
         estimate: ForceEstimate | None = None,
-        impacts: Impacts = (),
+        impacts: tuple[Event, ...] = (),
         in_contact: bool = False,
         torque: TorqueEstimate | None = None,
         body: ImpactBody | None = None,

@@ -257,10 +257,6 @@ class FlightState:
             total, n = add(total, velocity), n + 1
         return scale(total, 1.0 / n)
 
-    def age_us(self, sample: ImuSample | AttitudeSample | OdometrySample | ActuatorSample | None) -> int:
-        """Host time since a stream's newest sample was received; huge where there was none."""
-        return self.host_us - sample.received_us if sample is not None else 1 << 60
-
     def reasons(self, command: str | None = None) -> str:
         """Why PX4 does not do something, in its own words.
 

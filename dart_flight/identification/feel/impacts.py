@@ -81,13 +81,6 @@ class Estimated(NamedTuple):
     along_n: float
     full_n: float
 
-    def pushed(self, push: Vec2) -> Estimated:
-        """As it would be with one more horizontal force, newton, mission frame."""
-        x, y, z = self.force.force_mission
-        force = msgspec.structs.replace(self.force, force_mission=(x + push[0], y + push[1], z))
-        along = self.along_n + push[0] * self.up[0] + push[1] * self.up[1]
-        return self._replace(force=force, along_n=along)
-
     def beyond_thrust(self) -> Vec2:
         """The part of the horizontal force that is there whatever the motors gave, newton, mission frame.
 

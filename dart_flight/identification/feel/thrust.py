@@ -123,22 +123,10 @@ def _held_out(points: Points, fit: Callable[[Points], Curve]) -> float:
     part = (np.arange(len(points.force)) // _BLOCK) % min(_FOLDS, max(2, len(points.force) // _BLOCK))
     squares = []
     for fold in np.unique(part):
-        train, test = _some(points, part != fold), _some(points, part == fold)
+        train, test = points.chosen(part != fold), points.chosen(part == fold)
         if len(train.force):
             squares.append((fit(train).of(test) - test.force) ** 2)
     return float(np.sqrt(np.concatenate(squares).mean()) / points.force.mean())
-
-
-def _some(p: Points, chosen: NDArray[np.bool_]) -> Points:
-    return Points(
-        p.square[chosen],
-        p.linear[chosen],
-        p.force[chosen],
-        p.volts[chosen],
-        p.start_s[chosen],
-        p.motors,
-        p.rejected,
-    )
 
 
 def fit_drag(log: ULogFile, flying: list[tuple[float, float]]) -> float:

@@ -13,9 +13,12 @@ from dart_flight.report.figures.labels import Label, place_labels
 from dart_flight.report.figures.scene import (
     along,
     draw_arrow,
+    draw_recovery,
     draw_room,
     draw_vehicle,
     fit_map,
+    name_arrows,
+    name_recoveries,
     name_walls,
     placed,
     set_view,
@@ -29,7 +32,6 @@ from dart_flight.report.figures.style import (
     PAGE,
     PREDICTED,
     REPLANNED,
-    SET_POINT,
     TRUE,
     Look,
     in_style,
@@ -100,10 +102,9 @@ def _draw_one(axis: Any, flight: Flight) -> None:
     for hit in hits:
         _draw_hit(axis, flight, hit, largest)
     if largest > 0.0:
-        said = f"peak force, 0.1 m: {0.1 * largest / _LONGEST_ARROW_M:.0f} N"
-        axis.plot([], [], color=FORCE, linewidth=1.6, marker=">", markersize=4, label=said)
+        name_arrows(axis, largest / _LONGEST_ARROW_M)
     if any(hit.set_point is not None for hit in hits):
-        axis.plot([], [], "x--", color=SET_POINT, linewidth=1.0, markersize=5, label="recovery set-point")
+        name_recoveries(axis)
     acts = [act for act in guard_acts(flight) if act.place is not None]
     for act in acts:
         axis.plot(
@@ -150,9 +151,7 @@ def _draw_hit(axis: Any, flight: Flight, hit: Hit, largest_n: float) -> None:
     at = np.array(hit.position[:2])
     draw_vehicle(axis, flight.mission.vehicle.airframe, (float(at[0]), float(at[1])), hit.yaw_rad, hit.mode)
     if hit.set_point is not None:
-        target = np.array(hit.set_point[:2])
-        axis.plot(*np.stack([at, target]).T, "--", color=SET_POINT, linewidth=1.0, zorder=4)
-        axis.plot(*target, "x", color=SET_POINT, markersize=6, zorder=5, clip_on=True)
+        draw_recovery(axis, at, np.array(hit.set_point[:2]))
     if hit.force_n is not None and largest_n > 0.0:
         draw_arrow(axis, at, at + _LONGEST_ARROW_M / largest_n * np.array(hit.force_n), FORCE)
 

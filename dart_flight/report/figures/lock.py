@@ -7,12 +7,7 @@ from typing import Any
 from dart_flight.report.figures.style import PAGE, Look, in_style, new_figure
 from dart_flight.report.flight import Flight
 from dart_flight.report.hits import lock_stretches, shown_span, stretches
-from dart_flight.samples import (
-    ContactEnd,
-    ImpactOnset,
-    LockPermission,
-    PhaseChange,
-)
+from dart_flight.samples import ContactEnd, ImpactOnset, LockPermission, PhaseChange
 
 _TONES = {
     "flexible": ("#ffffff", ""),

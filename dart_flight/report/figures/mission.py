@@ -18,23 +18,18 @@ from dart_flight.report.figures.scene import (
     THICKNESS_M,
     along,
     draw_arrow,
+    draw_recovery,
     draw_room,
     draw_vehicle,
     fit_map,
+    name_arrows,
+    name_recoveries,
     name_walls,
     placed,
     set_view,
     view_of,
 )
-from dart_flight.report.figures.style import (
-    FORCE,
-    GREY,
-    PREDICTED,
-    SET_POINT,
-    Look,
-    in_style,
-    new_figure,
-)
+from dart_flight.report.figures.style import FORCE, GREY, PREDICTED, Look, in_style, new_figure
 
 SHEET = Look(7.2, 9.0)
 _ABOVE_M, _BELOW_M = 0.35, 0.05  # what the side view shows above the flight's height and below the ground
@@ -175,16 +170,13 @@ def _draw_hits(axis: Any, mission: Mission, planned: PlannedFlight) -> None:
         draw_vehicle(axis, mission.vehicle.airframe, at, yaw, collision.mode)
         if hit is None or mission.standoff_m is not None:
             continue
-        target = np.array(hit.set_point)
-        axis.plot(*np.stack([np.array(at), target]).T, "--", color=SET_POINT, linewidth=1.0, zorder=4)
-        axis.plot(*target, "x", color=SET_POINT, markersize=6, zorder=5)
+        draw_recovery(axis, np.array(at), np.array(hit.set_point))
         x, y, _ = collision.wall.from_collision((hit.normal_n, hit.tangential_n, 0.0))
         tip = np.array(at) + _LONGEST_ARROW_M / largest * np.array([x, y])
         draw_arrow(axis, np.array(at), tip, FORCE)
     if planned.hits:
-        said = f"peak force, 0.1 m: {0.1 * largest / _LONGEST_ARROW_M:.0f} N"
-        axis.plot([], [], color=FORCE, linewidth=1.6, marker=">", markersize=4, label=said)
-        axis.plot([], [], "x--", color=SET_POINT, linewidth=1.0, markersize=5, label="recovery set-point")
+        name_arrows(axis, largest / _LONGEST_ARROW_M)
+        name_recoveries(axis)
 
 
 def _write_labels(

@@ -9,9 +9,10 @@ import numpy as np
 
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Airframe
+from dart_flight.figure_panels import legend_entries
 from dart_flight.geometry import Vec2, Wall
 from dart_flight.recording.arrays import Array
-from dart_flight.report.figures.style import GREY
+from dart_flight.report.figures.style import FORCE, GREY, SET_POINT
 from dart_flight.report.shape import arms_m
 from dart_flight.samples import Mode
 
@@ -159,6 +160,23 @@ def draw_arrow(axis: Any, begin: Array, end: Array, colour: str, **style: Any) -
     )  # fmt: skip
 
 
+def draw_recovery(axis: Any, at: Array, set_point: Array) -> None:
+    """The set-point that follows a hit, and a line to it."""
+    axis.plot(*np.stack([at, set_point]).T, "--", color=SET_POINT, linewidth=1.0, zorder=4)
+    axis.plot(*set_point, "x", color=SET_POINT, markersize=6, zorder=5)
+
+
+def name_arrows(axis: Any, n_per_m: float) -> None:
+    """The legend's word on the length of force arrows."""
+    said = f"peak force, 0.1 m: {0.1 * n_per_m:.0f} N"
+    axis.plot([], [], color=FORCE, linewidth=1.6, marker=">", markersize=4, label=said)
+
+
+def name_recoveries(axis: Any) -> None:
+    """The legend's word on `draw_recovery`."""
+    axis.plot([], [], "x--", color=SET_POINT, linewidth=1.0, markersize=5, label="recovery set-point")
+
+
 def along(line: Array, step_m: float = 0.03) -> Array:
     """Points every few centimetres on a polyline (n, 2)."""
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
@@ -175,8 +193,7 @@ def fit_map(figure: Any, axis: Any, *, below: Any = None, note: str = "") -> Non
         below: another axis with an equal aspect, of the same width.
         note: lines of text under the legend.
     """
-    handles, labels = axis.get_legend_handles_labels()
-    unique = dict(zip(labels, handles, strict=True))
+    unique = legend_entries(axis)
     width = figure.get_size_inches()[0]
     columns = 2 if width < _WIDE_IN else 3
     rows = -(-len(unique) // columns) + (note.count("\n") + 2 if note else 0)

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, ParamSpec
 
-from dart_flight.config.document import InputError
+from dart_flight.config.document import InputError, writing
 
 TRUE = {"color": "#000000", "linestyle": "-", "linewidth": 1.8}
 ESTIMATED = {"color": "#1f6fd0", "linestyle": (0, (5, 1.5)), "linewidth": 1.6}
@@ -133,11 +133,8 @@ def save_figure(figure: Any, path: Path) -> None:
     """
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise InputError("a picture is a file .png, .svg or .pdf", source=str(path))
-    try:
-        with _styled(PAGE):
-            figure.savefig(path, dpi=200)
-    except OSError as error:
-        raise InputError(f"cannot write: {error.strerror or error}", source=str(path)) from None
+    with writing(path), _styled(PAGE):
+        figure.savefig(path, dpi=200)
 
 
 def save_pages(figures: Iterable[Any], path: Path) -> None:
@@ -149,12 +146,9 @@ def save_pages(figures: Iterable[Any], path: Path) -> None:
     with _styled(PAGE):
         from matplotlib.backends.backend_pdf import PdfPages  # noqa: PLC0415
 
-        try:
-            with PdfPages(path, metadata={"CreationDate": None}) as pages:
-                for figure in figures:
-                    pages.savefig(figure)
-        except OSError as error:
-            raise InputError(f"cannot write: {error.strerror or error}", source=str(path)) from None
+        with writing(path), PdfPages(path, metadata={"CreationDate": None}) as pages:
+            for figure in figures:
+                pages.savefig(figure)
 
 
 def legend_above(axis: Any, columns: int | None = None) -> None:

@@ -8,7 +8,6 @@ to the mock servo, `app` to the program itself.
 
 from __future__ import annotations
 
-import math
 from enum import StrEnum
 
 import msgspec
@@ -284,12 +283,3 @@ class VehicleFault:
         near = min(plant.planes, key=lambda p: abs(p.wall.signed_distance(here)), default=None)
         normal = near.normal if near is not None else (1.0, 0.0, 0.0)
         plant.wind_ned = scale(normal, -self._fault.value)
-
-
-def excursion_allowed_m(fault: Fault | None) -> float:
-    """How far outside of the bounds a faulted flight may get before it counts as uncontrolled, metres.
-
-    Half a metre for braking; and where the position itself is wrong, as much as it is wrong by.
-    """
-    wrong = abs(fault.value) if fault is not None and fault.name == "ekf-jump" else 0.0
-    return 0.5 + wrong if math.isfinite(wrong) else math.inf
