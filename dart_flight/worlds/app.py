@@ -1,7 +1,7 @@
 """The shell around the core for worlds with a clock: streams -> queue -> core -> vehicle, lock, log.
 
-Threads: MAVSDK's own builds records and queues them; the core thread takes them, steps the core and sends
-set-points at once; the lock thread, where there is a lock, steps its state machine and may block on its
+Threads: MAVSDK's own builds records and queues them; the core is stepped and set-points are sent by its own
+thread, and near a wall by MAVSDK's (`core_thread`); the lock thread, where there is a lock, steps its state machine and may block on its
 driver; the log thread encodes and writes; asyncio owns connecting, arming and mode changes, signals and the
 terminal.
 """
