@@ -187,7 +187,7 @@ def test_set_points_stop_on_the_wire_within_half_a_second(fault: str, tmp_path: 
     at = re.search(r"at monotonic ([0-9.]+) s", flight.stderr)
     assert at is not None, flight.stderr
     times = set_point_times(record)
-    assert len(times) > 200  # it flew
+    assert len(times) > 100  # it flew: 20 to 125 a second
     last = max(times) - float(at[1])
     print(f"{fault}: last set-point {1e3 * last:.0f} ms after the fault")
     assert last < 0.5
