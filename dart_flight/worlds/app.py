@@ -1,9 +1,9 @@
 """The shell around the core for worlds with a clock: streams -> queue -> core -> vehicle, lock, log.
 
 Threads: MAVSDK's own builds records and queues them; the core is stepped and set-points are sent by its own
-thread, and near a wall by MAVSDK's (`core_thread`); the lock thread, where there is a lock, steps its state machine and may block on its
-driver; the log thread encodes and writes; asyncio owns connecting, arming and mode changes, signals and the
-terminal.
+thread, and near a wall by MAVSDK's (`core_thread`); the lock thread, where there is a lock, steps its state
+machine and may block on its driver; the log thread encodes and writes; asyncio owns connecting, arming and
+mode changes, signals and the terminal.
 """
 
 from __future__ import annotations
