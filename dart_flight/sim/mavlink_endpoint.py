@@ -13,7 +13,6 @@ import math
 import socket
 import struct
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -104,7 +103,8 @@ class MavlinkEndpoint:
         self._clips = [0, 0, 0]
         self._type = MAV_TYPES.get(len(autopilot.motors), MAV_TYPES[4])
         self._builders: dict[int, Callable[[], Any]] = {
-            message: partial(build, self) for message, (_, build) in MESSAGES.items()
+            message: getattr(self, build.__name__)  # a subclass may say it otherwise
+            for message, (_, build) in MESSAGES.items()
         }
         self._commands: dict[int, Callable[[Any], int]] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._do_arm,
