@@ -15,7 +15,7 @@ from dart_flight.core.mission.survey import early_m, overrun_m
 from dart_flight.core.sense.state import FlightState
 from dart_flight.samples import Phase
 
-PATIENCE_S: Final = 0.02  # as often as a tick; a fifth of the shortest silence that the guard acts on
+PATIENCE_S: Final = 0.02  # as often as a tick; a quarter of the silence of the IMU on which the guard acts
 _LEAD_S: Final = 0.5  # so long before a wall may be met patience ends
 _AT_ONCE: Final = frozenset({Phase.CONTACT, Phase.RECOVERY})
 

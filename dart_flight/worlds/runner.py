@@ -10,7 +10,16 @@ from collections.abc import Callable
 from typing import Final, Protocol
 
 from dart_flight.core.flight_core import FlightCore
-from dart_flight.samples import ForceEstimate, Input, Output, Record, SetPoint, SetPointSent, TorqueEstimate
+from dart_flight.samples import (
+    ForceEstimate,
+    Input,
+    Output,
+    Record,
+    SetPoint,
+    SetPointSent,
+    Silence,
+    TorqueEstimate,
+)
 
 Observe = Callable[[Record, int], None]
 # Set-points have left already; the estimates come with every IMU sample and are no commands.
@@ -55,20 +64,17 @@ class CoreRunner:
         number = self._number
         self._number += 1
         outputs = self.core.step(item)
-        if not outputs:  # as of most inputs
-            self._observe(item, number)
-            if not more:
-                self._let_go()
-            return
-        sent = [self._send(output, more) for output in outputs if isinstance(output, _SET_POINT)]
+        sent = [self._send(output) for output in outputs if isinstance(output, _SET_POINT)]
+        if not more:
+            self._let_go()
         self._observe(item, number)
         for output in outputs:
             self._observe(output, number)
             if not isinstance(output, _NOT_CARRIED):
+                if isinstance(output, Silence):  # nothing leaves once that is decided
+                    self._held = None
                 self._let_go()
                 self._hands.carry_out(output)
-        if not more:
-            self._let_go()
         for note in sent:
             if note is not None:
                 self._observe(note, number)
@@ -77,11 +83,10 @@ class CoreRunner:
         """Show a record that is neither input nor output: truth, at the number of the next input."""
         self._observe(record, self._number)
 
-    def _send(self, setpoint: SetPoint, more: bool) -> SetPointSent | None:
+    def _send(self, setpoint: SetPoint) -> SetPointSent | None:
+        """Those of the recovery leave at once; others as soon as it is known that none follows at once."""
         if not setpoint.recovery:
             self._held = setpoint
-            if not more:
-                self._let_go()
             return None
         self._held = None
         self._hands.send(setpoint)

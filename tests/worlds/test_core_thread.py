@@ -23,6 +23,7 @@ from dart_flight.samples import (
     Record,
     SetPoint,
     SetPointSent,
+    Silence,
     StatusSample,
     Tick,
 )
@@ -342,6 +343,13 @@ def test_a_set_point_leaves_before_what_is_carried_out_after_it() -> None:
     answers: dict[int, list[Output]] = {4: [setpoint_at(4)], 8: [permission], 12: []}
     harness = at_one_go(lambda item: answers.get(getattr(item, "t_us", 0), []), [4, 8, 12])
     assert harness.did == [("send", setpoint_at(4)), ("carry out", permission)]
+
+
+def test_once_silence_is_decided_no_set_point_leaves() -> None:
+    silence = Silence(8, "a pilot flies")
+    answers: dict[int, list[Output]] = {4: [setpoint_at(4)], 8: [silence], 12: []}
+    harness = at_one_go(lambda item: answers.get(getattr(item, "t_us", 0), []), [4, 8, 12])
+    assert harness.did == [("carry out", silence)]
 
 
 def test_a_set_point_of_the_recovery_never_waits_and_replaces_what_does() -> None:
