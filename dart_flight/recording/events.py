@@ -5,6 +5,7 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import NamedTuple
 
+from dart_flight.recording.schema import STREAMS
 from dart_flight.samples import (
     ContactEnd,
     GoalPassed,
@@ -76,6 +77,8 @@ class Events:
 
     def take(self, record: Record) -> Event | None:
         """The event that a record is, or None."""
+        if type(record) in STREAMS:  # as most are
+            return None
         if isinstance(record, PhaseChange):
             which = f" (collision {record.collision})" if record.collision else ""
             return Event(Level.INFO, "mission", f"{record.after}{which}", record.reason)

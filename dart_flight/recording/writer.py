@@ -20,26 +20,12 @@ from collections import deque
 from pathlib import Path
 
 import msgspec
-from mcap.writer import CompressionType, Writer
 
 from dart_flight import __version__
 from dart_flight.recording.encoding import encode
-from dart_flight.recording.schema import RECORD_TYPES, schema
-from dart_flight.samples import (
-    ActuatorSample,
-    AttitudeSample,
-    AttitudeTargetSample,
-    EscSample,
-    EstimatorSample,
-    ForceEstimate,
-    ImuSample,
-    OdometrySample,
-    Record,
-    SetPoint,
-    Tick,
-    TorqueEstimate,
-    TruthSample,
-)
+from dart_flight.recording.mcap_writer import McapWriter
+from dart_flight.recording.schema import RECORD_TYPES, STREAMS, schema
+from dart_flight.samples import Record
 
 FORMAT_VERSION = 1
 PROFILE = "dart-flight"
@@ -50,22 +36,6 @@ MOST_PARTS = 16
 _FLUSH_S = 0.15  # every turn costs a chunk with its index and a cold start; a killed process loses it
 _SYNC_S = 1.0
 _MOST_WAITING = 200_000  # records; about two minutes of a flight while the disk does not answer
-_STREAMS = frozenset(
-    {
-        ImuSample,
-        AttitudeSample,
-        OdometrySample,
-        ActuatorSample,
-        AttitudeTargetSample,
-        EscSample,
-        EstimatorSample,
-        Tick,
-        SetPoint,
-        ForceEstimate,
-        TorqueEstimate,
-        TruthSample,
-    }
-)
 
 
 class LogPart:
@@ -73,7 +43,7 @@ class LogPart:
 
     def __init__(self, path: Path, about: dict[str, str], number: int) -> None:
         self._file = open(path, "xb")  # noqa: SIM115
-        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
+        self._writer = McapWriter(self._file)
         self._writer.start(profile=PROFILE, library=f"dart-flight {__version__}")
         self._writer.add_metadata(
             ABOUT, {**about, "format_version": str(FORMAT_VERSION), "part": str(number)}
@@ -93,13 +63,9 @@ class LogPart:
 
     def write(self, record: Record, time_us: int, number: int) -> None:
         """Add a record at an autopilot time; `number` is that of the input it is or follows from."""
-        self._writer.add_message(
-            channel_id=self._channels[type(record)],
-            log_time=max(0, time_us) * 1000,  # MCAP has no time before 0; a broken clock has
-            publish_time=max(0, time_us) * 1000,
-            data=encode(record),
-            sequence=number & 0xFFFFFFFF,
-        )
+        time_ns = time_us * 1000 if time_us > 0 else 0  # MCAP has no time before 0; a broken clock has
+        channel = self._channels[type(record)]
+        self._writer.add_message(channel, time_ns, encode(record), time_ns, number & 0xFFFFFFFF)
 
     def flush(self) -> None:
         """End the chunk and hand it to the operating system."""
@@ -229,7 +195,7 @@ class FlightLog:
             self.lost += 1
 
     def _write(self, record: Record, number: int) -> None:
-        if self._parts > self._most_parts and type(record) in _STREAMS:
+        if self._parts > self._most_parts and type(record) in STREAMS:
             self.lost += 1
             return
         t_us = getattr(record, "t_us", 0)

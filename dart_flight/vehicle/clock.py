@@ -66,6 +66,8 @@ class ClockEstimate:
             self._best.append(difference)
         elif difference > self._best[-1]:
             self._best[-1] = difference
+        else:  # as of nearly every message
+            return None
         offset = self._offset_us = max(self._best)
         if self._reported is None or abs(offset - self._reported) >= _STEP_US:
             self._reported = offset

@@ -51,6 +51,7 @@ from dart_flight.samples import (
 )
 from dart_flight.streams import ATTITUDE_TARGET, ESC, MESSAGE_ID, STREAMS, Stream
 from dart_flight.vehicle import reasons, sdk_log
+from dart_flight.vehicle.callback_thread import stay_known
 from dart_flight.vehicle.clock import Clock, ClockEstimate, host_us
 from dart_flight.vehicle.local_position import LocalPosition, is_healthy
 
@@ -74,6 +75,7 @@ _LANDED = {
 _ACTION_TIMEOUT_S = 5.0
 _RESULT = re.compile(r'"result":\s*(\d+)')
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
+_MOTOR_SPAN_US = MOTOR_FULL_US - MOTOR_STOP_US
 
 
 class _ActuatorOutputs(msgspec.Struct):
@@ -118,6 +120,15 @@ _decode_actuator = msgspec.json.Decoder(_ActuatorOutputs).decode
 _decode_odometry = msgspec.json.Decoder(_Odometry).decode
 _decode_esc = msgspec.json.Decoder(_EscStatus).decode
 _decode_attitude_target = msgspec.json.Decoder(_AttitudeTarget).decode
+
+
+def _throttle(pwm_us: float | None) -> float:
+    """A motor's output, 0 (stopped) to 1."""
+    if pwm_us is None or pwm_us <= MOTOR_STOP_US:
+        return 0.0
+    if pwm_us >= MOTOR_FULL_US:
+        return 1.0
+    return (pwm_us - MOTOR_STOP_US) / _MOTOR_SPAN_US
 
 
 class VehicleError(FlightError):
@@ -303,9 +314,7 @@ class VehicleSession:
         outputs = status.actuator[: self._motors]
         if len(outputs) < self._motors:
             return
-        span = MOTOR_FULL_US - MOTOR_STOP_US
-        m = [max(0.0, min(1.0, ((pwm or 0.0) - MOTOR_STOP_US) / span)) for pwm in outputs]
-        self._deliver(ActuatorSample(status.time_usec, received, tuple(m)))
+        self._deliver(ActuatorSample(status.time_usec, received, tuple([_throttle(pwm) for pwm in outputs])))
 
     def _on_esc(self, message: Any, _: Any) -> None:
         received = host_us()
@@ -327,6 +336,7 @@ class VehicleSession:
 
     def _on_status(self, **changes: Any) -> None:
         received = host_us()
+        stay_known()  # here, where it is seldom asked: all callbacks come on one thread
         self._status = msgspec.structs.replace(
             self._status, t_us=self.clock.to_autopilot(received), received_us=received, **changes
         )

@@ -55,7 +55,7 @@ from dart_flight.worlds.deadman import CORE, FEED_PERIOD_S, LOOP, Deadman, Syste
 from dart_flight.worlds.planner import PlannerProcess
 from dart_flight.worlds.runner import CoreRunner, Observe
 
-_SHOW_PERIOD_S = 0.1
+_SHOW_PERIOD_S = 0.2  # as often as the live line changes
 _LOCK_PERIOD_S, _LOCK_REST_S = 0.01, 0.1  # while it travels, and otherwise
 _SWITCH_INTERVAL_S = 0.001  # a thread that computes gives way to MAVSDK's callbacks after a millisecond
 _KEY_PAUSE_S = 0.5
@@ -266,9 +266,9 @@ class FlightApp:
         """Looks now and then: waking up for every record would cost the core thread its latency."""
         while not (self._ended.wait(_SHOW_PERIOD_S) and not self._shown):
             while self._shown:
-                record = self._shown.popleft()
                 with contextlib.suppress(OSError):
-                    self._progress(record)
+                    while self._shown:
+                        self._progress(self._shown.popleft())
 
     async def _watch(self, session: VehicleSession) -> None:
         while not self._done.is_set():

@@ -143,8 +143,8 @@ class FastFlight:
         self.autopilot.say = self._on_text
         self.deadman_s = mission.vehicle.guard.deadman_s
         self._observe = observe
-        self._runner = CoreRunner(FlightCore(mission), self, self._see, lambda: self.host_us)
-        self.core = self._runner.core
+        self.core = FlightCore(mission)
+        self._runner = CoreRunner(self.core, self, self._see, lambda: self.host_us)
         self._ticks = 0
         self._sender = TelemetrySender(self.vehicle)
         self._twin_sender: TelemetrySender | None = None

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final, Protocol
 
-from dart_flight.core.flight_core import FlightCore
+from dart_flight.core.pace import Pace
 from dart_flight.samples import (
     ForceEstimate,
     Input,
@@ -37,6 +37,17 @@ class Hands(Protocol):
         """Every other output but the estimates; records that are no commands are passed over."""
 
 
+class Core(Protocol):
+    """What is stepped: a `FlightCore`, or something of the same shape around one."""
+
+    @property
+    def pace(self) -> Pace:
+        """How soon the next inputs have to be stepped."""
+
+    def step(self, item: Input) -> list[Output]:
+        """Advance by one input."""
+
+
 class CoreRunner:
     """Steps the core: numbers inputs, hands out outputs, shows both to the observer.
 
@@ -47,7 +58,7 @@ class CoreRunner:
         host_us: the host's monotonic clock, microseconds; simulated in the fast world.
     """
 
-    def __init__(self, core: FlightCore, hands: Hands, observe: Observe, host_us: Callable[[], int]) -> None:
+    def __init__(self, core: Core, hands: Hands, observe: Observe, host_us: Callable[[], int]) -> None:
         self.core = core
         self._hands, self._observe, self._host_us = hands, observe, host_us
         self._number = 0

@@ -29,6 +29,7 @@ import dart_flight.worlds.app as app_module
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.guard.guard import Guard
+from dart_flight.core.pace import Pace
 from dart_flight.samples import (
     Input,
     LockPhase,
@@ -57,36 +58,42 @@ _SAME_M = 1e-3  # a set-point on the wire is this near to the one that the core 
 _LATEST_NS = 100_000_000
 
 
-class RepeatingCore(FlightCore):
+class RepeatingCore:
     """A core that is on its approach again 0.2 s after every impact."""
 
     def __init__(self, mission: Mission) -> None:
-        super().__init__(mission)
+        self._mission, self._core = mission, FlightCore(mission)  # beside it: a compiled one has no heirs
         self.recoveries: list[SetPoint] = []
         self.overruled: list[str] = []  # why the guard took over, as when the machine stalls
         self._again_us = 0
         self._begun = False
 
+    @property
+    def pace(self) -> Pace:
+        """As the core's."""
+        return self._core.pace
+
     def step(self, item: Input) -> list[Output]:
         """As the core's."""
+        core = self._core
         if isinstance(item, LockState):
             item = LockState(item.t_us, LockPhase.SETTLED, Mode.RIGID)
-        executive, now = self._executive, self.state.now_us
-        if self.override is not Override.NONE:
-            self.overruled.append(self._guard.reason or "")
-            self._guard = Guard(self.mission)
+        executive, now = core._executive, core.state.now_us
+        if core.override is not Override.NONE:
+            self.overruled.append(core._guard.reason or "")
+            core._guard = Guard(self._mission)
             self._begun = False
-        status = self.state.status
-        ready = self.state.odometry is not None and status.armed and status.local_position_ok
+        status = core.state.status
+        ready = core.state.odometry is not None and status.armed and status.local_position_ok
         rested = executive.phase is Phase.RECOVERY and now > self._again_us
         if rested or (not self._begun and ready):
             self._begin(now)
         elif not self._begun:
             executive.phase = Phase.READYING
-            self.state.lock = LockState(now, LockPhase.SETTLED, Mode.RIGID)
+            core.state.lock = LockState(now, LockPhase.SETTLED, Mode.RIGID)
         elif executive.phase is Phase.APPROACH and now - (executive._entered_us or 0) > 1_000_000:
             executive._entered_us = now
-        outputs = super().step(item)
+        outputs = core.step(item)
         for output in outputs:
             if isinstance(output, SetPoint) and output.recovery:
                 self.recoveries.append(output)
@@ -95,10 +102,10 @@ class RepeatingCore(FlightCore):
         return [output for output in outputs if not isinstance(output, VehicleCommand)]
 
     def _begin(self, now_us: int) -> None:
-        executive, self._begun = self._executive, True
-        self.state.anchor(self.mission.frame_at((0.0, 0.0, 0.0)))  # the ground is not where it is first seen
+        state, executive, self._begun = self._core.state, self._core._executive, True
+        state.anchor(self._mission.frame_at((0.0, 0.0, 0.0)))  # the ground is not where it is first seen
         executive.phase, executive._index, executive._entered_us = Phase.APPROACH, 0, now_us
-        executive._begin_approach(self.mission.collisions[0])
+        executive._begin_approach(self._mission.collisions[0])
 
 
 class Result(msgspec.Struct):

@@ -148,7 +148,7 @@ class InFlight(msgspec.Struct):
 
     Attributes:
         app: per cent of a core, the deadman included.
-        alone: of MAVSDK alone at the same rates.
+        alone: of MAVSDK alone at the same rates, at the same time.
         seconds: how long it was.
     """
 
@@ -160,34 +160,31 @@ class InFlight(msgspec.Struct):
 def in_flight() -> InFlight:
     """What `fly` takes for the dual collision with a simulated vehicle, and MAVSDK alone with another.
 
+    At the same time: what the machine has to give wanders from minute to minute by a third.
+
     Raises:
         RuntimeError: the flight did not complete.
     """
-    with _vehicle() as url:
-        command = [sys.executable, "-m", "dart_flight", "fly", str(DUAL), "--driver", "px4", "--yes"]
-        with (
-            tempfile.TemporaryDirectory() as folder,
-            subprocess.Popen(
-                [*command, "--connection", url, "--log-dir", folder],
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-            ) as app,
-        ):
-            assert app.stdout is not None
-            at: dict[str, tuple[float, float]] = {}
-            for line in app.stdout:  # "  12.34 s  phase  why"
-                phase = line.split()[2:3]
-                if phase and phase[0] in ("climb", "landing"):
-                    at.setdefault(phase[0], (time.monotonic(), family_seconds(app.pid)))
-        if app.returncode or len(at) != 2:
-            raise RuntimeError("the flight did not complete")
-    (from_s, before), (to_s, after) = at["climb"], at["landing"]
-    with _vehicle() as url:
-        port = url.rpartition(":")[2]
-        alone_ = [sys.executable, "-m", "tools.bench.share", "--client", WATCHING_ALL, port, "0"]
-        floor = _share_of(alone_, to_s - from_s)
-    return InFlight(100.0 * (after - before) / (to_s - from_s), floor, to_s - from_s)
+    with _vehicle() as url, _vehicle() as other, tempfile.TemporaryDirectory() as folder:
+        port = other.rpartition(":")[2]
+        watching = [sys.executable, "-m", "tools.bench.share", "--client", WATCHING_ALL, port, "0"]
+        flying = [sys.executable, "-m", "dart_flight", "fly", str(DUAL), "--driver", "px4", "--yes"]
+        flying += ["--connection", url, "--log-dir", folder]
+        at: dict[str, tuple[float, float, float]] = {}
+        with subprocess.Popen(watching, **_QUIET) as alone_:
+            time.sleep(_LEAD_S)
+            with subprocess.Popen(flying, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as app:
+                assert app.stdout is not None
+                for line in app.stdout:  # "  12.34 s  phase  why"
+                    phase = line.split()[2:3]
+                    if phase and phase[0] in ("climb", "landing"):
+                        spent = family_seconds(app.pid), process_seconds(alone_.pid)
+                        at.setdefault(phase[0], (time.monotonic(), *spent))
+            alone_.terminate()
+    if app.returncode or len(at) != 2:
+        raise RuntimeError("the flight did not complete")
+    seconds, app_s, alone_s = (after - before for before, after in zip(*at.values(), strict=True))
+    return InFlight(100.0 * app_s / seconds, 100.0 * alone_s / seconds, seconds)
 
 
 @contextmanager

@@ -1,0 +1,51 @@
+"""MAVSDK's callback thread stays known to the interpreter: real MAVSDK, against the embedded autopilot."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from dart_flight.config.mission import load_mission
+from dart_flight.vehicle.session import connect
+from dart_flight.worlds.vehicle_process import free_udp_port
+
+ROOT = Path(__file__).parents[2]
+MISSION = ROOT / "missions" / "single_wall.yaml"
+_WAIT_S, _ENOUGH = 20.0, 100
+
+
+@pytest.mark.mavlink
+def test_what_a_callback_leaves_behind_the_next_one_finds() -> None:
+    """A thread that the interpreter forgets between two callbacks begins at one every time."""
+    port = free_udp_port()
+    own = threading.local()
+    counts: dict[int, int] = {}
+
+    async def listen() -> None:
+        vehicle = load_mission(MISSION).vehicle
+        loop, enough = asyncio.get_running_loop(), asyncio.Event()
+
+        def deliver(_: object) -> None:
+            own.count = getattr(own, "count", 0) + 1
+            counts[threading.get_ident()] = own.count
+            if own.count == _ENOUGH:
+                loop.call_soon_threadsafe(enough.set)
+
+        async with connect(f"udpin://127.0.0.1:{port}", _WAIT_S, deliver) as session:
+            session.subscribe(vehicle.estimation, len(vehicle.airframe.motors))
+            await asyncio.wait_for(enough.wait(), _WAIT_S)
+
+    command = [sys.executable, "-m", "dart_flight", "simulate", str(MISSION), "--port", str(port)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as simulator:
+        try:
+            for _ in range(2):  # a second connection has a thread of its own
+                counts.clear()
+                asyncio.run(listen())
+                assert max(counts.values()) >= _ENOUGH
+        finally:
+            simulator.terminate()
