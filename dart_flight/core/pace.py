@@ -16,8 +16,8 @@ from dart_flight.core.sense.state import FlightState
 from dart_flight.samples import Phase
 
 PATIENCE_S: Final = 0.02  # as often as a tick; a quarter of the silence of the IMU on which the guard acts
-_LEAD_S: Final = 0.5  # so long before a wall may be met patience ends
-_AT_ONCE: Final = frozenset({Phase.CONTACT, Phase.RECOVERY})
+_LEAD_S: Final = 0.2  # so long before a wall may be met patience ends: ten times what it holds back
+_CONTACT: Final = Phase.CONTACT
 
 
 class Pace(Enum):
@@ -31,10 +31,10 @@ class Pace(Enum):
 def pace_near_walls(mission: Mission, state: FlightState, phase: Phase) -> Pace:
     """`TOGETHER` or `PROMPT`, by where the vehicle is.
 
-    `PROMPT` in a contact and in the recovery, and wherever within half a second a wall of the mission may be
-    met, by the guard's own words for how early and how late that may be, whatever the phase.
+    `PROMPT` in a contact, and wherever within 0.2 s a wall of the mission may be met, by the guard's own
+    words for how early and how late that may be, whatever the phase.
     """
-    if phase in _AT_ONCE:
+    if phase is _CONTACT:
         return Pace.PROMPT
     place, velocity, guard = state.position, state.velocity, mission.vehicle.guard
     for wall in mission.walls:

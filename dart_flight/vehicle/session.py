@@ -76,6 +76,7 @@ _ACTION_TIMEOUT_S = 5.0
 _RESULT = re.compile(r'"result":\s*(\d+)')
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
 _MOTOR_SPAN_US = MOTOR_FULL_US - MOTOR_STOP_US
+_REPEATED_US = 100_000
 
 
 class _ActuatorOutputs(msgspec.Struct):
@@ -122,6 +123,11 @@ _decode_esc = msgspec.json.Decoder(_EscStatus).decode
 _decode_attitude_target = msgspec.json.Decoder(_AttitudeTarget).decode
 
 
+def _said(s: SetPoint) -> tuple[object, ...]:
+    """What a set-point says to the vehicle, without its stamps."""
+    return (s.position_ned, s.yaw_ned_rad, s.velocity_ned, s.acceleration_ned)
+
+
 def _throttle(pwm_us: float | None) -> float:
     """A motor's output, 0 (stopped) to 1."""
     if pwm_us is None or pwm_us <= MOTOR_STOP_US:
@@ -164,6 +170,8 @@ class VehicleSession:
         self._status = StatusSample(t_us=0, received_us=0)
         self._place = LocalPosition()
         self._silent = False
+        self._sent: tuple[object, ...] | None = None  # the last set-point, and when it left
+        self._sent_us = 0
         self._events = Events(self._raw)
         self._other: int | None = None  # system id of another autopilot on the link
         self._checked = False  # whether PX4 has sent a report of its checks
@@ -404,9 +412,17 @@ class VehicleSession:
     # -- commands --
 
     def send(self, setpoint: SetPoint) -> None:
-        """Send a set-point at once; any thread. MAVSDK repeats it at 20 Hz until the next."""
+        """Send a set-point at once; any thread. MAVSDK repeats it at 20 Hz until the next.
+
+        One that it is repeating already is left to that, but for a tenth of a second at most: MAVSDK stops
+        when it has seen another mode meanwhile.
+        """
         if self._silent:
             return
+        said, now_us = _said(setpoint), host_us()
+        if said == self._sent and now_us - self._sent_us < _REPEATED_US:
+            return
+        self._sent, self._sent_us = said, now_us
         yaw = math.degrees(setpoint.yaw_ned_rad)
         position = PositionNedYaw(*setpoint.position_ned, yaw)
         v, a = setpoint.velocity_ned, setpoint.acceleration_ned

@@ -16,9 +16,9 @@ from __future__ import annotations
 
 import contextlib
 import os
-import select
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import time
@@ -30,6 +30,8 @@ _OWN_PAUSES = 2.0  # periods: a watcher that did not run itself for so long has 
 FEED_PERIOD_S = 0.1  # at most: waking up is what it costs
 _FEEDS = 5  # within `starve_s`: all but one of them may be late
 _LEAST_S = 0.001
+_WORD = struct.Struct("=cd")  # what the app says, and when; so short a write is whole or is none
+_MOST_WORDS = 400  # at one look
 _LEAST_PAUSE_S = 0.1
 
 
@@ -112,7 +114,7 @@ class Deadman:
     def _write(self, what: bytes) -> None:
         # A full pipe has enough food in it; a broken one is mended by the event loop.
         with contextlib.suppress(OSError, ValueError):
-            os.write(self._pipe, what)
+            os.write(self._pipe, _WORD.pack(what, time.monotonic()))
 
 
 class SystemdNotice:
@@ -170,21 +172,24 @@ def _watch(handle: int, pid: int, starve_s: float, note: str) -> int:
     looked_s = time.monotonic()
     fed_s = {CORE: looked_s, LOOP: looked_s}
     while True:
+        # It does not wait for what is said: to be woken by every word is what it would cost. When a word was
+        # said is in the word.
         left_s = min(fed_s.values()) + starve_s - time.monotonic() if armed else period_s
-        select.select([0], [], [], max(_LEAST_S, min(period_s, left_s)))
+        time.sleep(max(_LEAST_S, min(period_s, left_s)))
         now = time.monotonic()
         try:
-            food = os.read(0, 4096)
-            if not food or _LET_GO in food:
+            words = _heard()
+        except EOFError:
+            return 0
+        for word, said_s in words:
+            if word == _LET_GO:
                 return 0
-        except BlockingIOError:
-            food = b""
-        for part in fed_s:
-            if part in food:
-                fed_s[part] = now
-        if _ARM in food or now - looked_s > own_pause_s:
+            if word in fed_s:
+                fed_s[word] = max(fed_s[word], said_s)
+        arming = any(word == _ARM for word, _ in words)
+        if arming or now - looked_s > own_pause_s:
             # Just armed, or this process itself did not run: what happened meanwhile it cannot know.
-            armed = armed or _ARM in food
+            armed = armed or arming
             fed_s = dict.fromkeys(fed_s, now)
         looked_s = now
         starved = [part for part, at_s in fed_s.items() if now - at_s > starve_s]
@@ -192,9 +197,25 @@ def _watch(handle: int, pid: int, starve_s: float, note: str) -> int:
             names = " and ".join("core thread" if part == CORE else "event loop" for part in starved)
             _kill(handle, pid, f"{names} silent for {now - min(fed_s.values()):.3f} s", note)
             return 1
+
+
+def _heard() -> list[tuple[bytes, float]]:
+    """What the app has said since the last look.
+
+    Raises:
+        EOFError: it is gone.
+    """
+    words: list[tuple[bytes, float]] = []
+    while True:
+        try:
+            food = os.read(0, _MOST_WORDS * _WORD.size)
+        except BlockingIOError:
+            return words
         if not food:
-            continue
-        time.sleep(period_s / 3.0)  # one look covers what came meanwhile
+            if words:
+                return words  # the end is heard at the next look
+            raise EOFError
+        words += _WORD.iter_unpack(food)
 
 
 def _kill(handle: int, pid: int, why: str, note: str) -> None:
