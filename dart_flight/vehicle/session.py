@@ -414,13 +414,14 @@ class VehicleSession:
     def send(self, setpoint: SetPoint) -> None:
         """Send a set-point at once; any thread. MAVSDK repeats it at 20 Hz until the next.
 
-        One that it is repeating already is left to that, but for a tenth of a second at most: MAVSDK stops
-        when it has seen another mode meanwhile.
+        One that it is repeating already is left to that, for a tenth of a second at most and in offboard mode
+        only: seeing another mode MAVSDK stops, and then refuses to start offboard for want of a set-point.
         """
         if self._silent:
             return
         said, now_us = _said(setpoint), host_us()
-        if said == self._sent and now_us - self._sent_us < _REPEATED_US:
+        repeats = self._status.flight_mode is FlightMode.OFFBOARD and now_us - self._sent_us < _REPEATED_US
+        if repeats and said == self._sent:
             return
         self._sent, self._sent_us = said, now_us
         yaw = math.degrees(setpoint.yaw_ned_rad)
