@@ -10,12 +10,10 @@ from mcap.exceptions import EndOfFile
 from mcap.records import Chunk, Metadata
 from mcap.stream_reader import StreamReader
 
-from dart_flight.recording.reader import LogEntry, entries_in
+from dart_flight.recording.reader import MAGIC, MOST_BYTES, LogEntry, entries_in
 from dart_flight.recording.writer import ABOUT, END, part_path
 
-_MAGIC_BYTES = 8
 _HEAD = struct.Struct("<BQ")  # MCAP: kind and length of a record
-_MOST_BYTES = 64 * 1024 * 1024
 _READ_BYTES = 8 * 1024 * 1024  # at once
 
 
@@ -39,7 +37,7 @@ class LogFollower:
 
     def _next_part(self) -> None:
         self._part += 1
-        self._offset = _MAGIC_BYTES
+        self._offset = len(MAGIC)
         self._topics: dict[int, str] = {}
         self._continued = False
 
@@ -54,7 +52,7 @@ class LogFollower:
         entries: list[LogEntry] = []
         if data:
             reader = StreamReader(
-                io.BytesIO(data), skip_magic=True, emit_chunks=True, record_size_limit=_MOST_BYTES
+                io.BytesIO(data), skip_magic=True, emit_chunks=True, record_size_limit=MOST_BYTES
             )
             try:
                 for record in reader.records:
@@ -84,7 +82,7 @@ class LogFollower:
         end = 0
         while len(data) - end >= _HEAD.size:
             _, length = _HEAD.unpack_from(data, end)
-            if length > _MOST_BYTES:
+            if length > MOST_BYTES:
                 raise ValueError(f"a record of {length} bytes")
             if end + _HEAD.size + length > len(data):
                 break

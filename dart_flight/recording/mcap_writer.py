@@ -70,6 +70,7 @@ class McapWriter(Writer):
             index = chunk.message_indices[channel_id] = _Index(channel_id, [])
         index.records.append((log_time, offset))
         size = _HEAD_BYTES + len(data)
-        records.write(_HEAD.pack(Opcode.MESSAGE, size, channel_id, sequence, log_time, publish_time) + data)
-        if offset + size + 9 > self._chunk_bytes:
+        message = _HEAD.pack(Opcode.MESSAGE, size, channel_id, sequence, log_time, publish_time) + data
+        records.write(message)
+        if offset + len(message) > self._chunk_bytes:
             self.flush()  # type: ignore[no-untyped-call]

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 IN_MEMORY = "<memory>"  # the source of a log without a file
 # The writer's chunks are of a megabyte: a damaged length must not make the reader ask for gigabytes.
-_MOST_BYTES = 64 * 1024 * 1024
-_MAGIC = b"\x89MCAP0\r\n"
+MOST_BYTES = 64 * 1024 * 1024
+MAGIC = b"\x89MCAP0\r\n"
 DECODERS = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
 
 
@@ -124,8 +124,8 @@ def _read_part(path: Path, log: Log) -> None:
     found = dict[str, str]()
     try:
         with open(path, "rb") as stream:
-            start = stream.read(len(_MAGIC))
-            if not _MAGIC.startswith(start):
+            start = stream.read(len(MAGIC))
+            if not MAGIC.startswith(start):
                 refuse_other_kind(path, FileKind.FLIGHT_LOG)
                 raise InputError("not a flight log (no MCAP file)", source=source)
             stream.seek(0)
@@ -144,7 +144,7 @@ def _read_part(path: Path, log: Log) -> None:
 
 def _entries(stream: BinaryIO, log: Log, found: dict[str, str], source: str) -> Iterator[LogEntry]:
     topics: dict[int, str] = {}
-    for record in StreamReader(stream, emit_chunks=True, record_size_limit=_MOST_BYTES).records:
+    for record in StreamReader(stream, emit_chunks=True, record_size_limit=MOST_BYTES).records:
         if isinstance(record, Metadata) and record.name == ABOUT:
             found.update(record.metadata)
             _check_version(record.metadata, source)
@@ -153,7 +153,7 @@ def _entries(stream: BinaryIO, log: Log, found: dict[str, str], source: str) -> 
             log.end.update(record.metadata)
         if not isinstance(record, Chunk) or not found:
             continue
-        if record.uncompressed_size > _MOST_BYTES:
+        if record.uncompressed_size > MOST_BYTES:
             raise ValueError(f"a chunk of {record.uncompressed_size} bytes")
         yield from entries_in(record, topics)
 

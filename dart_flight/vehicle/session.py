@@ -76,7 +76,7 @@ _ACTION_TIMEOUT_S = 5.0
 _RESULT = re.compile(r'"result":\s*(\d+)')
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
 _MOTOR_SPAN_US = MOTOR_FULL_US - MOTOR_STOP_US
-_REPEATED_US = 100_000
+_REPEATED_US = 100_000  # a set-point that stays the same leaves as often
 
 
 class _ActuatorOutputs(msgspec.Struct):
@@ -416,12 +416,13 @@ class VehicleSession:
 
         One that it is repeating already is left to that, for a tenth of a second at most and in offboard mode
         only: seeing another mode MAVSDK stops, and then refuses to start offboard for want of a set-point.
+        That of an impact always leaves.
         """
         if self._silent:
             return
         said, now_us = _said(setpoint), host_us()
         repeats = self._status.flight_mode is FlightMode.OFFBOARD and now_us - self._sent_us < _REPEATED_US
-        if repeats and said == self._sent:
+        if repeats and said == self._sent and not setpoint.recovery:
             return
         self._sent, self._sent_us = said, now_us
         yaw = math.degrees(setpoint.yaw_ned_rad)

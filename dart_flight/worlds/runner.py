@@ -24,6 +24,7 @@ from dart_flight.samples import (
 Observe = Callable[[Record, int], None]
 # Set-points have left already; the estimates come with every IMU sample and are no commands.
 _SET_POINT: Final = SetPoint
+_SILENCE: Final = Silence
 _NOT_CARRIED: Final = (SetPoint, ForceEstimate, TorqueEstimate)
 
 
@@ -76,14 +77,14 @@ class CoreRunner:
         self._number += 1
         outputs = self.core.step(item)
         sent = [self._send(output) for output in outputs if isinstance(output, _SET_POINT)]
-        if not more:
+        if any(isinstance(output, _SILENCE) for output in outputs):
+            self._held = None  # nothing leaves once that is decided
+        elif not more:
             self._let_go()
         self._observe(item, number)
         for output in outputs:
             self._observe(output, number)
             if not isinstance(output, _NOT_CARRIED):
-                if isinstance(output, Silence):  # nothing leaves once that is decided
-                    self._held = None
                 self._let_go()
                 self._hands.carry_out(output)
         for note in sent:

@@ -49,6 +49,8 @@ def test_another_one_leaves_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
         sent.send(north_m)
     sent.send(1.0, velocity_ned=(0.1, 0.0, 0.0))
     assert sent.norths == [1.0, 2.0, 1.0, 1.0]
+    sent.send(1.0, velocity_ned=(0.1, 0.0, 0.0), recovery=True)  # the log says of it that it left
+    assert len(sent.norths) == 5
 
 
 @pytest.mark.parametrize("mode", [FlightMode.HOLD, FlightMode.UNKNOWN])

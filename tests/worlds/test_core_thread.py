@@ -345,10 +345,11 @@ def test_a_set_point_leaves_before_what_is_carried_out_after_it() -> None:
     assert harness.did == [("send", setpoint_at(4)), ("carry out", permission)]
 
 
-def test_once_silence_is_decided_no_set_point_leaves() -> None:
+@pytest.mark.parametrize("times_us", [[4, 8], [4, 8, 12]], ids=["last of its go", "more follows"])
+def test_once_silence_is_decided_no_set_point_leaves(times_us: list[int]) -> None:
     silence = Silence(8, "a pilot flies")
     answers: dict[int, list[Output]] = {4: [setpoint_at(4)], 8: [silence], 12: []}
-    harness = at_one_go(lambda item: answers.get(getattr(item, "t_us", 0), []), [4, 8, 12])
+    harness = at_one_go(lambda item: answers.get(getattr(item, "t_us", 0), []), times_us)
     assert harness.did == [("carry out", silence)]
 
 
