@@ -81,17 +81,26 @@ class SimulatedWorld(Protocol):
 
 
 class LockThread:
-    """The lock's state machine on the core's time base, with a driver that may block."""
+    """The lock's state machine on the core's time base, with a driver that may block.
+
+    Args:
+        make_session: makes machine and driver's session, once the clock is known: a stamp from before would
+            be the host's, and whatever remembers it would wait for the autopilot's clock to get there.
+        states: what the session says, in order.
+        clock_known: whether the autopilot's time is known.
+        deliver: takes every state of the lock.
+        after_poll: called after every look at the driver.
+    """
 
     def __init__(
         self,
-        session: LockSession,
+        make_session: Callable[[], LockSession],
         states: queue.SimpleQueue[LockState],
         clock_known: Callable[[], bool],
         deliver: Callable[[LockState], None],
         after_poll: Callable[[], None],
     ) -> None:
-        self._session, self._states, self._deliver = session, states, deliver
+        self._make_session, self._states, self._deliver = make_session, states, deliver
         self._clock_known, self._after_poll = clock_known, after_poll
         self._orders: queue.SimpleQueue[LockCommand | LockPermission] = queue.SimpleQueue()
         self._stop = threading.Event()
@@ -107,22 +116,23 @@ class LockThread:
         self.thread.join(timeout=2.0)
 
     def _run(self) -> None:
-        # The lock lives on the autopilot's clock: it starts once that is known.
+        # The lock lives on the autopilot's clock: it begins to exist once that is known.
         while not self._clock_known():
             if self._stop.wait(_LOCK_PERIOD_S):
                 return
-        self._session.start()
+        session = self._make_session()
+        session.start()
         while not self._stop.is_set():
-            travels = self._session.state.phase is LockPhase.TRAVELLING
+            travels = session.state.phase is LockPhase.TRAVELLING
             try:
                 order = self._orders.get(timeout=_LOCK_PERIOD_S if travels else _LOCK_REST_S)
                 if isinstance(order, LockCommand):
-                    self._session.command(order.mode)
+                    session.command(order.mode)
                 else:
-                    self._session.permit(order.permitted)
+                    session.permit(order.permitted)
             except queue.Empty:
                 pass
-            self._session.poll()
+            session.poll()
             self._after_poll()
             while True:
                 try:
@@ -316,12 +326,11 @@ class FlightApp:
         def clock_us() -> int:
             return session.clock.to_autopilot(host_us())
 
-        driver: Driver = make_driver(config, clock_us=clock_us, set_actuator=session.set_actuator)
+        driver: Driver = make_driver(
+            config, clock_us=clock_us, set_actuator=session.set_actuator, mock_faults=self._lock_faults
+        )
         self.mock = driver if isinstance(driver, MockDriver) else None
-        if self.mock is not None and self._lock_faults is not None:
-            self.mock.inject(self._lock_faults)
         states: queue.SimpleQueue[LockState] = queue.SimpleQueue()
-        lock = LockSession(config, driver, clock_us, states.put)
         sent: list[float] = []
 
         def after_poll() -> None:
@@ -333,7 +342,11 @@ class FlightApp:
                     self._world.send_horn(pulse)
 
         return LockThread(
-            lock, states, lambda: session.clock.offset_us is not None, self._take_lock_state, after_poll
+            lambda: LockSession(config, driver, clock_us, states.put),
+            states,
+            lambda: session.clock.offset_us is not None,
+            self._take_lock_state,
+            after_poll,
         )
 
     def _take_lock_state(self, state: LockState) -> None:

@@ -8,11 +8,14 @@ the next call tries to reach the hardware again, so a cable may be pulled and pu
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from dart_flight.config.document import Key
 from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.lock.state_machine import DriverReading
+
+if TYPE_CHECKING:
+    from dart_flight.lock.drivers.mock import MockFaults
 
 SetActuator = Callable[[int, float], None]
 
@@ -55,6 +58,7 @@ def make_driver(
     *,
     clock_us: Callable[[], int] | None = None,
     set_actuator: SetActuator | None = None,
+    mock_faults: MockFaults | None = None,
 ) -> Driver:
     """The driver of a kind (default: the configured one), with the limit switch where one is configured.
 
@@ -64,6 +68,7 @@ def make_driver(
         clock_us: time base of the mock, microseconds; needed for it only.
         set_actuator: `set_actuator(index, value)` with value from -1 to 1, for the px4 driver: the shell's,
             which has the connection. It blocks until sent and may raise anything.
+        mock_faults: what is wrong with the mock's servo from the start on.
 
     Raises:
         ValueError: the argument that this kind needs is missing.
@@ -75,7 +80,7 @@ def make_driver(
 
         if clock_us is None:
             raise ValueError("the mock driver needs clock_us")
-        return MockDriver(config, clock_us)
+        return MockDriver(config, clock_us, faults=mock_faults)
     driver: Driver
     if kind is LockDriver.MAESTRO:
         # Imported here: pyserial is not needed by the other drivers.
