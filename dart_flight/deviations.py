@@ -15,7 +15,7 @@ from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.planned import expected_hit, impact_velocity
 from dart_flight.geometry import Vec2, distance2
 from dart_flight.planning.planned import planned_flight
-from dart_flight.samples import Mode
+from dart_flight.samples import AfterImpact, Mode
 
 
 class PlannedImpact(NamedTuple):
@@ -68,17 +68,39 @@ class Deviation(msgspec.Struct, frozen=True):
         return self.flown == self.planned
 
 
-def planned_impacts(mission: Mission) -> dict[int, PlannedImpact]:
-    """By index of the collision: the planner's prediction in the mission, else the approach and the contact
-    law, else where the flight model leads."""
+class Prediction(NamedTuple):
+    """What a mission leads to.
+
+    Attributes:
+        impacts: by index of the collision.
+        goal_miss_m: how near to the goal the last recovery passes; None where that is not known, or the goal
+            is flown to from rest.
+    """
+
+    impacts: dict[int, PlannedImpact]
+    goal_miss_m: float | None
+
+
+def predict_flight(mission: Mission) -> Prediction:
+    """The planner's prediction in the mission, else the approach and the contact law, else where the flight
+    model leads. What is planned again after every hit is planned to pass through the goal."""
     said = {c.index: _as_written(mission, c) for c in mission.collisions}
-    if all(one.normal_m_s is not None for one in said.values()):
-        return said
-    flown = planned_flight(mission).hits
-    for index, hit in flown.items():
+    miss_m = None
+    if mission.recovers_to_goal:
+        miss_m = 0.0 if mission.after_impact is AfterImpact.REPLAN else _miss_as_written(mission)
+    if all(one.normal_m_s is not None for one in said.values()) and (
+        miss_m is not None or not mission.recovers_to_goal
+    ):
+        return Prediction(said, miss_m)
+    model = planned_flight(mission)
+    for index, hit in model.hits.items():
         if said[index].normal_m_s is None:
             said[index] = PlannedImpact(hit.normal_m_s, hit.tangential_m_s, hit.normal_n, hit.position)
-    return said
+    return Prediction(said, model.goal_miss_m if miss_m is None else miss_m)
+
+
+def _miss_as_written(mission: Mission) -> float | None:
+    return None if mission.predicted is None else mission.predicted.goal_miss_m
 
 
 def _as_written(mission: Mission, collision: Collision) -> PlannedImpact:
@@ -92,16 +114,13 @@ def _as_written(mission: Mission, collision: Collision) -> PlannedImpact:
 
 
 def deviations(
-    mission: Mission,
-    planned: dict[int, PlannedImpact],
-    flown: Sequence[FlownImpact],
-    goal_miss_m: float | None,
+    mission: Mission, planned: Prediction, flown: Sequence[FlownImpact], goal_miss_m: float | None
 ) -> list[Deviation]:
     """Everything that was planned, in the order of the mission; nothing of a rehearsal.
 
     Args:
         mission: with its tolerances.
-        planned: by index (`planned_impacts`).
+        planned: what it leads to (`predict_flight`).
         flown: the collisions that were met.
         goal_miss_m: None where the goal was not passed.
     """
@@ -111,11 +130,16 @@ def deviations(
     found = [
         deviation
         for collision in mission.collisions
-        for deviation in _of_collision(mission, collision, planned[collision.index], met.get(collision.index))
+        for deviation in _of_collision(
+            mission, collision, planned.impacts[collision.index], met.get(collision.index)
+        )
     ]
-    if not mission.recovers_to_goal:  # the goal is flown to from rest: nothing is missed
+    if planned.goal_miss_m is None:
         return found
-    return [*found, Deviation("goal miss, m", 0.0, goal_miss_m, mission.goal.capture_radius_m)]
+    return [
+        *found,
+        Deviation("goal miss, m", planned.goal_miss_m, goal_miss_m, mission.goal.capture_radius_m),
+    ]
 
 
 def _of_collision(

@@ -19,7 +19,7 @@ from dart_flight.contact.law import Onset
 from dart_flight.core.mission.anchor import Anchor
 from dart_flight.core.mission.phases import ON_GROUND
 from dart_flight.core.sense.body import side_of
-from dart_flight.deviations import Deviation, FlownImpact, deviations, planned_impacts
+from dart_flight.deviations import Deviation, FlownImpact, deviations, predict_flight
 from dart_flight.geometry import Vec2, Vec3, tilt_of
 from dart_flight.samples import (
     AttitudeSample,
@@ -95,6 +95,7 @@ class CollisionVerdict(msgspec.Struct):
     mode_by_contact_time: str | None = None  # what the duration says, whatever the lock reported
     mode_felt: Mode | None = None  # what the whole contact says (docs/felt.md); None: undecided, or not told
     mode_log_odds: float | None = None  # of rigid against flexible; None: not told
+    mode_true: Mode | None = None  # of the simulated arms
 
 
 class GuardVerdict(msgspec.Struct):
@@ -146,8 +147,15 @@ class Verdict(msgspec.Struct):
     px4: Px4Figures | None = None
     drawn: dict[str, float | str] = msgspec.field(default_factory=dict)  # of the simulated world (`--vary`)
     vehicle: VehicleSource | None = None
-    plan_followed: bool | None = None  # None: nothing was planned, as in a rehearsal
+    plan_followed: bool | None = (
+        None  # the flight did what was predicted; None: nothing was, as in a rehearsal
+    )
+    goal_reached: bool | None = None  # within the capture radius; None: the flight has no end
+    goal_miss_planned_m: float | None = None  # as predicted; None: not known, or flown to from rest
     deviations: list[Deviation] = msgspec.field(default_factory=list)
+    arms_moved: bool | None = (
+        None  # whether simulated arms ever followed the lock; None: it had one mode only
+    )
 
 
 class VerdictBuilder:
@@ -175,6 +183,8 @@ class VerdictBuilder:
         self._anchor = Anchor(mission)
         self._estimated: list[tuple[int, Vec3]] = []
         self._true: list[tuple[int, Vec3]] = []
+        self._settled: set[Mode] = set()
+        self._true_modes: set[Mode] = set()
         # By kind: most records matter to nothing here, and are passed over by one look-up.
         self.takers: dict[type, Callable[[Any], None]] = {
             AttitudeSample: self._take_attitude,
@@ -211,6 +221,7 @@ class VerdictBuilder:
 
     def _take_truth(self, record: TruthSample) -> None:
         self._true.append((record.t_us, record.position_mission))
+        self._true_modes.add(record.mode)
 
     def _take_onset(self, record: ImpactOnset) -> None:
         self._onset = record
@@ -291,7 +302,9 @@ class VerdictBuilder:
     def _take_felt(self, record: WallFelt) -> None:
         if self._relaxation_us is None:
             return  # one mode: nothing to tell apart
-        if self._collisions and self._onset and self._onset.first_us == record.first_us:
+        # As of a peak: what is felt of an unplanned hit says nothing of the collision before it.
+        of_last = self._collisions and self._onset and self._collisions[-1].t_us == self._onset.t_us
+        if of_last and self._onset is not None and self._onset.first_us == record.first_us:
             self._collisions[-1].mode_felt = record.mode_felt
             self._collisions[-1].mode_log_odds = record.log_odds
 
@@ -311,6 +324,8 @@ class VerdictBuilder:
         return min(Mode, key=unlikeness).value
 
     def _take_lock(self, record: LockState) -> None:
+        if record.phase is LockPhase.SETTLED and record.mode is not None:
+            self._settled.add(record.mode)
         if not self._collisions:
             return
         times = self._collisions[-1].lock
@@ -325,10 +340,10 @@ class VerdictBuilder:
         self, world: World | None, seed: int | None, log: str | None = None, px4_log: str | None = None
     ) -> Verdict:
         """The verdict of what has been taken so far; without an end the flight counts as aborted."""
-        planned = planned_impacts(self._mission)
+        planned = predict_flight(self._mission)
         for collision in self._collisions:
             self._match_truth(collision)
-            of_plan = planned[collision.index]
+            of_plan = planned.impacts[collision.index]
             collision.planned = Velocities(of_plan.normal_m_s, of_plan.tangential_m_s, of_plan.peak_force_n)
         differ = deviations(self._mission, planned, self._flown(), self._miss_m)
         end = self._end
@@ -353,7 +368,24 @@ class VerdictBuilder:
             vehicle=self._mission.flown_vehicle(),
             plan_followed=all(one.within for one in differ) if differ else None,
             deviations=differ,
+            arms_moved=self._arms_moved(),
+            goal_reached=self._goal_reached(),
+            goal_miss_planned_m=planned.goal_miss_m if self._mission.standoff_m is None else None,
         )
+
+    def _goal_reached(self) -> bool | None:
+        """Whether the goal was passed, or arrived at from rest, within its capture radius."""
+        if self._end is None:
+            return None
+        nearest_m = self._miss_m
+        if nearest_m is None and self._end.outcome is Outcome.COMPLETED:
+            nearest_m = self._end.final_error_m
+        return nearest_m is not None and nearest_m <= self._mission.goal.capture_radius_m
+
+    def _arms_moved(self) -> bool | None:
+        if len(self._settled) < len(Mode) or not self._true_modes:
+            return None
+        return len(self._true_modes) == len(Mode)
 
     def _flown(self) -> list[FlownImpact]:
         return [
@@ -395,6 +427,7 @@ class VerdictBuilder:
         if not near:
             return
         truth = min(near, key=lambda t: abs(t.t_us - collision.t_us))
+        collision.mode_true = truth.mode
         collision.truth = Velocities(
             truth.normal_in_m_s,
             truth.tangential_in_m_s,

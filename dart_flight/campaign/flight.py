@@ -15,6 +15,7 @@ from dart_flight.recording.memory import write_log
 from dart_flight.recording.reader import Log
 from dart_flight.samples import Outcome, Override
 from dart_flight.verdict import Verdict
+from dart_flight.worlds.campaigns import unexplained_modes
 from dart_flight.worlds.fast import fly_recorded
 
 ERROR = "error"  # the outcome of a flight without a verdict: a fault of the program, not of the flight
@@ -76,6 +77,7 @@ def cells_of(verdict: Verdict) -> dict[str, Cell]:
         "final_error_m": verdict.final_error_m,
         "max_tilt_deg": verdict.max_tilt_deg,
         "flight_time_s": verdict.flight_time_s,
+        "unexplained_modes": "; ".join(unexplained_modes(verdict)) or None,
     }
     for c in verdict.collisions:
         cells[f"c{c.index}_normal_m_s"] = c.measured.normal_m_s

@@ -122,6 +122,8 @@ class CampaignSummary(msgspec.Struct, frozen=True):
         points: by mission and settings; rules: why flights did not complete.
         drawn: success over what was drawn.
         failed: flights that did not complete, at most 1000.
+        unexplained_modes: those whose arms were in another mode than the lock although no fault of it was
+            drawn; the campaign proves nothing while there are any.
         vary: what was drawn, standard deviations.
         software: version that flew; vehicle: of the first mission and setting.
     """
@@ -136,6 +138,7 @@ class CampaignSummary(msgspec.Struct, frozen=True):
     rules: list[Rule]
     drawn: list[Drawn]
     failed: list[Failed]
+    unexplained_modes: list[Failed]
     vary: dict[str, float]
     software: str
     vehicle: VehicleSource
@@ -149,6 +152,7 @@ class _Row(NamedTuple):
     outcome: str
     rule: str
     reason: str
+    unexplained: str
     followed: bool | None
     drawn: tuple[float | str | None, ...]
     figures: tuple[float | None, ...]
@@ -187,6 +191,10 @@ def summarise(opened: Opened) -> CampaignSummary:
         rules=_rules(rows, names),
         drawn=_drawn(judged, names),
         failed=[_failed(opened, row) for row in islice((r for r in rows if not r.completed), _MOST_FAILED)],
+        unexplained_modes=[
+            _failed(opened, row, row.unexplained)
+            for row in islice((r for r in rows if r.unexplained), _MOST_FAILED)
+        ],
         vary=opened.points[0].spreads,
         software=opened.campaign.software,
         vehicle=opened.points[0].mission.flown_vehicle(),
@@ -205,6 +213,7 @@ def _rows(opened: Opened, names: Sequence[str], figures: Sequence[str]) -> Itera
             row["outcome"],
             row["reason"].partition(":")[0],
             row["reason"],
+            row["unexplained_modes"],
             {"true": True, "false": False}.get(row["plan_followed"]),
             tuple(_value(row[name]) for name in names),
             tuple(_number(row[name]) for name in figures),
@@ -327,7 +336,7 @@ def _numbers(rows: Sequence[_Row], i: int, word: str | None) -> list[float]:
     return [value for row in rows if isinstance(value := row.drawn[i], float)]
 
 
-def _failed(opened: Opened, row: _Row) -> Failed:
+def _failed(opened: Opened, row: _Row, reason: str | None = None) -> Failed:
     log = opened.log_of(row.item)
     kept = log.exists() and row.outcome != ERROR
     again = command_of(opened.campaign.asked, row.point, row.item.seed)
@@ -338,7 +347,7 @@ def _failed(opened: Opened, row: _Row) -> Failed:
         _settings(opened, row.point),
         row.item.seed,
         row.outcome,
-        row.reason,
+        reason or row.reason,
         str(Path(log).relative_to(opened.folder)) if kept else None,
         again,
     )

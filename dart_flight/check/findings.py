@@ -20,6 +20,7 @@ class Finding(msgspec.Struct, frozen=True):
         says: what was found, in words.
         remark: go, but not as it is recommended.
         overruled: a no-go that the operator has taken upon himself.
+        figures: what was computed, units in the names.
     """
 
     item: str
@@ -27,6 +28,7 @@ class Finding(msgspec.Struct, frozen=True):
     says: str
     remark: bool = False
     overruled: bool = False
+    figures: dict[str, float] = {}
 
 
 class CheckReport(msgspec.Struct, frozen=True):

@@ -33,7 +33,8 @@ from dart_flight.planning.envelope import (
     incidence_warning,
     speed_warning,
 )
-from dart_flight.planning.planned import PlannedFlight, planned_flight
+from dart_flight.planning.planned import PlannedFlight, describe_passing, planned_flight
+from dart_flight.samples import AfterImpact
 
 _CLEARANCE_M = 0.15  # of start and goal from a wall's plane
 _WEAK = 1.3  # an impact below this many thresholds may be missed
@@ -56,6 +57,7 @@ def check_mission(mission: Mission) -> list[Finding]:
         findings += _check_servo(mission, collision)
     if planned is not None:
         findings += _check_path(mission, planned)
+        findings += _check_goal(mission, planned)
     findings += check_walls(mission, planned)
     findings += _check_coefficients(mission)
     return findings
@@ -216,6 +218,21 @@ def _check_path(mission: Mission, planned: PlannedFlight) -> list[Finding]:
         return [Finding("path", False, says)]
     reached = "" if len(planned.hits) == len(mission.collisions) else ", as far as the model follows it"
     return [Finding("path", True, f"the predicted path and where it could stop lie within bounds_m{reached}")]
+
+
+def _check_goal(mission: Mission, planned: PlannedFlight) -> list[Finding]:
+    """Whether the last recovery is predicted to reach the goal; one that only passes it is a remark."""
+    if not mission.recovers_to_goal or mission.standoff_m is not None:
+        return []
+    if mission.after_impact is AfterImpact.REPLAN:
+        return [Finding("goal", True, "planned again after every hit, to pass through the goal")]
+    if planned.goal_miss_m is None:
+        says = "the model does not follow the flight to the goal"
+        return [Finding("goal", True, says, remark=True)]
+    miss_m, radius_m = planned.goal_miss_m, mission.goal.capture_radius_m
+    figures = {"goal_miss_m": miss_m, "capture_radius_m": radius_m}
+    says = describe_passing(miss_m, mission.goal)
+    return [Finding("goal", True, says, remark=miss_m > radius_m, figures=figures)]
 
 
 def _states(mission: Mission, planned: PlannedFlight) -> Iterator[tuple[float, float, float, float]]:

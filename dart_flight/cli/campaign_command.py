@@ -16,6 +16,7 @@ from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 
 EXIT_INTERRUPTED = 130
+_MOST_SHOWN = 5  # flights whose arms were not in the lock's mode; the summary has them all
 _LINE_EVERY_S = 60.0  # of progress where there is no terminal
 
 
@@ -97,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(f"page: {opened.folder / campaigns.PAGE}", soft_wrap=True)
     if flown < opened.flights:
         return EXIT_INTERRUPTED
-    return 1 if summary.errors else 0
+    return 1 if summary.errors or summary.unexplained_modes else 0
 
 
 def _asked(arguments: argparse.Namespace) -> Any:
@@ -191,4 +192,7 @@ def _table(summary: Any) -> Any:
         table.add_row("plan followed", str(summary.plan_followed.of), *summary.plan_followed.words("-"))
     for rule in summary.rules:
         table.add_row(f"[red]{escape(rule.rule)}[/]", str(rule.flights), "", "")
+    for one in summary.unexplained_modes[:_MOST_SHOWN]:
+        said = f"{one.mission}, seed {one.seed}: {one.reason}; no fault of the lock was drawn"
+        table.add_row(f"[red]{escape(said)}[/]", "", "", "")
     return table

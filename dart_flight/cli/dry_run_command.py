@@ -146,4 +146,8 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(f"logs: {len(verdicts)} flights in {shown_path(arguments.log_dir)}", soft_wrap=True)
     if interrupted:
         return EXIT_INTERRUPTED
-    return 0 if summary.completed == summary.runs else 1
+    for seed, found in summary.unexplained_modes.items():
+        console.print(
+            f"[red]seed {seed}: {'; '.join(found)}; no fault of the lock was drawn[/]", soft_wrap=True
+        )
+    return 0 if summary.completed == summary.runs and not summary.unexplained_modes else 1

@@ -122,10 +122,22 @@ def verdict_table(verdict: Verdict) -> RenderableType:
     ]
     if figures:
         parts.append(Text(", ".join(figures)))
+    if verdict.goal_reached is not None and verdict.outcome is Outcome.COMPLETED:
+        parts.append(_goal_line(verdict))
     # Of a flight that was broken off the reason says what is to be known.
     if verdict.plan_followed is not None and verdict.outcome is Outcome.COMPLETED:
         parts.append(_plan_line(verdict))
     return Group(*parts)
+
+
+def _goal_line(verdict: Verdict) -> Text:
+    """Whether the goal was reached; where not, how far off it was predicted to be."""
+    if verdict.goal_reached:
+        return Text("goal reached")
+    said = "goal not reached"
+    if verdict.goal_miss_m is not None and verdict.goal_miss_planned_m is not None:
+        said += f": passed at {verdict.goal_miss_m:.2f} m, {verdict.goal_miss_planned_m:.2f} m predicted"
+    return Text(said, style="yellow")
 
 
 def _plan_line(verdict: Verdict) -> Text:

@@ -13,6 +13,7 @@ from dart_flight.cli.terminal import emit_json, messages, say, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.scenario import Objective, load_scenario
 from dart_flight.planning.mission_writer import planned_mission, write_mission
+from dart_flight.planning.planned import describe_passing
 from dart_flight.planning.search import search
 from dart_flight.planning.summary import plan_summary, plan_table, refusal_table, with_objective
 
@@ -91,4 +92,5 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         for table in (plan_table(result), refusal_table(result)):
             tables().print(table)
+        tables().print(f"plan {plan.rank} {describe_passing(plan.goal_miss_m, scenario.spec.goal)}")
     return 0

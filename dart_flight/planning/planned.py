@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.config.mission import Collision, Mission
+from dart_flight.config.mission import Collision, GoalSpec, Mission
 from dart_flight.geometry import Vec2, Wall
 from dart_flight.planning.flight_model import FreeFlight
 from dart_flight.planning.rollout import (
@@ -68,6 +68,11 @@ class PlannedFlight(msgspec.Struct):
     hits: dict[int, PlannedHit]
     goal_miss_m: float | None = None
     walls: tuple[Wall, ...] = ()
+
+
+def describe_passing(miss_m: float, goal: GoalSpec) -> str:
+    """In words how near the goal is passed, and from where on that counts as reached."""
+    return f"passes the goal at {miss_m:.2f} m, captured within {goal.capture_radius_m:g} m"
 
 
 def planned_flight(mission: Mission) -> PlannedFlight:

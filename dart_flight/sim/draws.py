@@ -27,7 +27,8 @@ _RINGING_M_S2 = (2.0, 3.0)  # of one sample in hover, per axis, in recordings (d
 _RINGING_WHITE_M_S2 = 0.8  # of that without colour: what a mean over 32 ms of those recordings leaves
 _LEAST_FACTOR = 0.1  # no quantity shrinks below this share of its nominal value
 NAMES = tuple(field.encode_name for field in msgspec.structs.fields(Spreads))
-_OF_LOCK = ("lock_true_mode", "servo")
+LOCK_TRUE_MODE, AS_COMMANDED = "lock_true_mode", "as commanded"  # in `drawn`, of a lock without a fault
+_OF_LOCK = (LOCK_TRUE_MODE, "servo")
 
 
 class DrawnWorld(NamedTuple):
@@ -218,7 +219,7 @@ def _servo(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 def _lock_true_mode(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
     """With this probability the servo does not do what it is told: stuck from the start, or half engaged."""
     if rng.random() >= sd:
-        return world._replace(drawn=world.drawn | {"lock_true_mode": "as commanded"})
+        return world._replace(drawn=world.drawn | {LOCK_TRUE_MODE: AS_COMMANDED})
     if rng.random() < 0.5:
         faults = world.lock_faults or MockFaults()
         faults = msgspec.structs.replace(faults, servo=ServoFaults(stuck=True))

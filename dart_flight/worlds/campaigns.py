@@ -15,6 +15,7 @@ import msgspec
 from dart_flight.config.mission import Mission
 from dart_flight.errors import FlightError
 from dart_flight.samples import OperatorRequest, Outcome, Record, Request
+from dart_flight.sim.draws import AS_COMMANDED, LOCK_TRUE_MODE
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.fast import fly_fast
 from dart_flight.worlds.flight_record import Onlooker
@@ -30,7 +31,11 @@ class Spread(msgspec.Struct):
 
 
 class Summary(msgspec.Struct):
-    """Many flights of one mission in a few figures."""
+    """Many flights of one mission in a few figures.
+
+    Attributes:
+        unexplained_modes: by seed, where the arms were in another mode than the lock (`unexplained_modes`).
+    """
 
     runs: int
     completed: int
@@ -40,6 +45,7 @@ class Summary(msgspec.Struct):
     max_tilt_deg: Spread | None
     peak_force_error_percent: Spread | None
     plan_followed: int | None = None  # flights; None: none had a plan
+    unexplained_modes: dict[str, list[str]] = {}
 
 
 class RunsInterruptedError(Exception):
@@ -147,7 +153,25 @@ def summarise(verdicts: list[Verdict]) -> Summary:
         max_tilt_deg=_spread(v.max_tilt_deg for v in verdicts),
         peak_force_error_percent=_spread(_force_errors(verdicts)),
         plan_followed=_count(v.plan_followed for v in verdicts),
+        unexplained_modes={str(v.seed): found for v in verdicts if (found := unexplained_modes(v))},
     )
+
+
+def unexplained_modes(verdict: Verdict) -> list[str]:
+    """Where the arms were not in the lock's mode although no fault of the lock was drawn.
+
+    In a simulated world that is a fault of the simulation, or of the mode felt: no flight of it counts.
+    """
+    if verdict.drawn.get(LOCK_TRUE_MODE, AS_COMMANDED) != AS_COMMANDED:
+        return []
+    found = [] if verdict.arms_moved is not False else ["the arms never followed the lock"]
+    for c in verdict.collisions:
+        if c.mode_true not in (None, c.mode):
+            found.append(f"collision {c.index}: the arms were {c.mode_true}, the lock {c.mode}")
+        if c.mode_felt not in (None, c.mode):
+            truly = "" if c.mode_true is None else f", truly {c.mode_true}"
+            found.append(f"collision {c.index}: felt {c.mode_felt}, the lock {c.mode}{truly}")
+    return found
 
 
 def _count(followed: Iterable[bool | None]) -> int | None:

@@ -4,8 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.lock.drivers.mock import MockFaults
+from dart_flight.lock.servo import ServoFaults
 from dart_flight.samples import World
-from dart_flight.sim.draws import parse_vary
+from dart_flight.sim.draws import LOCK_TRUE_MODE, parse_vary
+from dart_flight.worlds.campaigns import summarise, unexplained_modes
 from dart_flight.worlds.embedded import fly_embedded
 from dart_flight.worlds.fast import fly_fast
 from dart_flight.worlds.prepare import load_flyable
@@ -25,3 +28,25 @@ def test_a_drawn_servo_locks_the_arms_before_the_second_hit(tmp_path: Path) -> N
     assert [c.mode_felt for c in embedded.collisions] == [c.mode_felt for c in fast.collisions]
     peaks = [c.truth.peak_force_n for v in (embedded, fast) for c in v.collisions[1:] if c.truth is not None]
     assert peaks == pytest.approx([69.0, 69.0], rel=0.1)
+
+
+def test_arms_that_never_follow_the_lock_are_named_where_no_fault_was_drawn() -> None:
+    mission = load_flyable(ROOT / "missions/dual_collision.yaml")
+    verdict = fly_fast(mission, 4, None, lock_faults=MockFaults(servo=ServoFaults(stuck=True)))
+    assert unexplained_modes(verdict) == [
+        "the arms never followed the lock",
+        "collision 2: the arms were flexible, the lock rigid",
+        "collision 2: felt flexible, the lock rigid, truly flexible",
+    ]
+    assert summarise([verdict]).unexplained_modes == {"4": unexplained_modes(verdict)}
+    verdict.drawn = {LOCK_TRUE_MODE: "stuck"}
+    assert unexplained_modes(verdict) == []
+    assert unexplained_modes(fly_fast(mission, 4, None)) == []
+
+
+def test_what_is_felt_of_an_unplanned_hit_is_not_taken_for_the_planned_one_before_it() -> None:
+    """The acrylic wall is met behind its place, after the approach to it was broken off."""
+    mission = load_flyable(ROOT / "missions/dual_collision.yaml")
+    verdict = fly_fast(mission, 7238, None, spreads=parse_vary(["all"], mission.vehicle))
+    assert [(c.wall, c.mode_felt) for c in verdict.collisions] == [("wood", "flexible")]
+    assert unexplained_modes(verdict) == []

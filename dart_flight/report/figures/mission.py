@@ -11,7 +11,7 @@ import numpy as np
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import legs_of
 from dart_flight.geometry import Vec2
-from dart_flight.planning.planned import PlannedFlight, drawn_flights
+from dart_flight.planning.planned import PlannedFlight, describe_passing, drawn_flights
 from dart_flight.recording.arrays import Array
 from dart_flight.report.figures.labels import Label, place_labels
 from dart_flight.report.figures.scene import (
@@ -86,8 +86,8 @@ def in_words(mission: Mission, planned: PlannedFlight | None, drawn: Sequence[Pl
     if missing:
         lines.append(f"The model does not reach wall {missing[0].wall.name} of collision {missing[0].index}.")
     if planned.goal_miss_m is not None:
-        radius = mission.goal.capture_radius_m
-        lines.append(f"Passes the goal at {planned.goal_miss_m:.2f} m; captured within {radius:g} m.")
+        words = describe_passing(planned.goal_miss_m, mission.goal)
+        lines.append(f"{words[0].upper()}{words[1:]}.")
     misses = [flight.goal_miss_m for flight in drawn if flight.goal_miss_m is not None]
     if misses:
         low, high = np.quantile(misses, (0.05, 0.95))
