@@ -34,7 +34,7 @@ from dart_flight.worlds.prepare import load_flyable, with_driver, with_standoff
 from tests.flights.test_embedded_flights import simulated_vehicle
 
 ROOT = Path(__file__).parents[1]
-DUAL = (ROOT / "missions/dual_collision.yaml").read_text()
+DUAL = (ROOT / "missions/paper_dual_collision.yaml").read_text()
 
 
 def mission(old: str = "", new: str = "") -> Mission:
@@ -247,7 +247,7 @@ def test_a_surveyed_room_means_nothing_to_gps() -> None:
 
 
 def test_plain_gps_is_refused_without_a_vehicle_too(capsys: pytest.CaptureFixture[str]) -> None:
-    path = str(ROOT / "missions/single_wall.yaml")
+    path = str(ROOT / "missions/paper_single_wall.yaml")
     assert main(["check", path, "--position-from", "plain"]) == 1
     assert "needs RTK or motion capture" in capsys.readouterr().err
     assert main(["check", path, "--position-from", "plain", "--overrule", "position_source"]) == 0
@@ -280,11 +280,11 @@ def test_a_lock_that_would_not_move_is_a_no_go() -> None:
 @pytest.mark.mavlink
 def test_check_and_fly_with_a_vehicle(tmp_path: Path) -> None:
     """`check` reads a vehicle; `fly` refuses on the same no-go."""
-    with simulated_vehicle("missions/single_wall.yaml") as url:
+    with simulated_vehicle("missions/paper_single_wall.yaml") as url:
 
         def command(*arguments: str) -> subprocess.CompletedProcess[str]:
             return subprocess.run(
-                [sys.executable, "-m", "dart_flight", *arguments, "missions/single_wall.yaml"],
+                [sys.executable, "-m", "dart_flight", *arguments, "missions/paper_single_wall.yaml"],
                 cwd=ROOT,
                 env=dict(os.environ),
                 capture_output=True,
@@ -319,7 +319,8 @@ def test_check_and_fly_with_a_vehicle(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "standoff"), [("dual_collision", 0.3), ("dual_collision", 0.6), ("single_wall", 0.4)]
+    ("name", "standoff"),
+    [("paper_dual_collision", 0.3), ("paper_dual_collision", 0.6), ("paper_single_wall", 0.4)],
 )
 def test_a_rehearsal_stops_before_every_wall(name: str, standoff: float) -> None:
     plain = load_flyable(ROOT / f"missions/{name}.yaml")
@@ -335,4 +336,4 @@ def test_a_rehearsal_stops_before_every_wall(name: str, standoff: float) -> None
 
 
 def test_a_standoff_of_nothing_is_refused() -> None:
-    assert main(["dry-run", str(ROOT / "missions/single_wall.yaml"), "--fast", "--standoff", "0"]) == 2
+    assert main(["dry-run", str(ROOT / "missions/paper_single_wall.yaml"), "--fast", "--standoff", "0"]) == 2

@@ -160,7 +160,7 @@ class DualRow(NamedTuple):
     model_peak_n: float | None
 
 
-DUAL_MISSION = "dual_collision.yaml"
+DUAL_MISSION = "paper_dual_collision.yaml"
 DUAL_PUBLISHED = ((-0.6, 0.5), (-1.6, 0.25))
 
 

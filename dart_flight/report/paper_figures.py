@@ -116,7 +116,7 @@ def _searches(folder: Path, vehicle: VehicleConfig) -> Iterator[Written]:
 
 
 def _hits_in_flight(folder: Path, vehicle: VehicleConfig) -> Iterator[Written]:
-    mission = _with_vehicle("single_wall.yaml", vehicle)
+    mission = _with_vehicle("paper_single_wall.yaml", vehicle)
     for mode in Mode:
         collisions = tuple(msgspec.structs.replace(c, mode=mode) for c in mission.collisions)
         flight = _flown(msgspec.structs.replace(mission, collisions=collisions))

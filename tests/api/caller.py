@@ -3,7 +3,7 @@
 import dart_flight
 
 vehicle = dart_flight.load_vehicle().replace({"materials.acrylic.rigid.k": 5000.0})
-mission = dart_flight.load_mission(dart_flight.packaged("missions", "single_wall.yaml"), vehicle)
+mission = dart_flight.load_mission(dart_flight.packaged("missions", "paper_single_wall.yaml"), vehicle)
 flight = dart_flight.simulate(mission.replace({"collisions[0].mode": "rigid"}), seed=2, vary={"mass": 0.1})
 force = flight.log["/estimate/force"]
 strongest_n = float(abs(force.force_mission[force.t_s > 0.0, 0]).max())

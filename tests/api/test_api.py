@@ -22,8 +22,8 @@ from dart_flight.config.mission import CollisionSpec, GoalSpec, MissionFile, Wal
 from dart_flight.recording.schema import RECORD_TYPES
 from dart_flight.samples import Outcome
 
-SINGLE = dart_flight.packaged("missions", "single_wall.yaml")
-DUAL = dart_flight.packaged("missions", "dual_collision.yaml")
+SINGLE = dart_flight.packaged("missions", "paper_single_wall.yaml")
+DUAL = dart_flight.packaged("missions", "paper_dual_collision.yaml")
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,9 @@ from dart_flight.campaign.statistics import bin_edges, bin_of, separation, share
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
 
-SINGLE, DUAL = (str(packaged("missions", f"{name}.yaml")) for name in ("single_wall", "dual_collision"))
+SINGLE, DUAL = (
+    str(packaged("missions", f"{name}.yaml")) for name in ("paper_single_wall", "paper_dual_collision")
+)
 
 
 def test_values_are_parted_at_commas_outside_brackets_and_quotes() -> None:
@@ -78,7 +80,7 @@ def test_wrong_input_is_found_before_the_first_flight(asked: Asked, said: str, t
 def test_another_campaign_is_told_by_what_differs(tmp_path: Path) -> None:
     shutil.copytree(packaged("missions"), tmp_path / "missions")
     shutil.copytree(packaged("configs"), tmp_path / "configs")
-    mission = tmp_path / "missions" / "single_wall.yaml"
+    mission = tmp_path / "missions" / "paper_single_wall.yaml"
     asked = Asked((str(mission),), vary=("mass",), runs=4, seed=3)
 
     def differs(**changes: object) -> str | None:

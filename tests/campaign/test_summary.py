@@ -16,7 +16,7 @@ from dart_flight.campaign.table import Table
 from dart_flight.config.vehicle import packaged
 from dart_flight.report.campaign import campaign_page
 
-SINGLE = str(packaged("missions", "single_wall.yaml"))
+SINGLE = str(packaged("missions", "paper_single_wall.yaml"))
 FLIGHTS = 400
 
 

@@ -22,7 +22,7 @@ from tests.shared_flights import SharedFlights
 
 @pytest.fixture(scope="module")
 def log(flown: SharedFlights) -> Log:
-    return read_log(flown("single_wall", 1).log)
+    return read_log(flown("paper_single_wall", 1).log)
 
 
 def test_it_shows_phase_place_speed_force_lock_and_battery(log: Log) -> None:
@@ -65,7 +65,7 @@ def test_after_a_flight_the_next_commands_are_named_and_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    mission = str(packaged("missions", "single_wall.yaml"))
+    mission = str(packaged("missions", "paper_single_wall.yaml"))
     main(["dry-run", mission, "--fast", "--log-dir", "my flights"])
     steps = re.findall(r"^  dart-flight (.*)$", capsys.readouterr().err, re.MULTILINE)
     assert [step.split()[0] for step in steps] == ["report", "export", "replay", "identify"]

@@ -24,14 +24,14 @@ from dart_flight.samples import World
 from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[2]
-MISSION = str(packaged("missions", "single_wall.yaml"))
+MISSION = str(packaged("missions", "paper_single_wall.yaml"))
 
 
 @pytest.fixture
 def folder(flown: SharedFlights, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Two flights in one folder, which is a working folder of its own."""
     for seed in (1, 2):
-        log = flown("single_wall", seed).log
+        log = flown("paper_single_wall", seed).log
         shutil.copytree(log.parent, tmp_path / "flights" / f"{log.parent.name}-seed{seed}")
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -172,7 +172,7 @@ def test_tables_fit_eighty_columns(
     for words, status in (
         (["plan", str(scenarios / "dual_collision.yaml"), "--top", "3"], 0),
         (["plan", str(scenarios / "one_wall.yaml"), "--objective", "robust", "--top", "2"], 0),
-        (["dry-run", str(packaged("missions", "dual_collision.yaml")), "--fast"], 0),
+        (["dry-run", str(packaged("missions", "paper_dual_collision.yaml")), "--fast"], 0),
         (["dry-run", MISSION, "--fast", "--runs", "1"], 0),
         (["predict", "--surface", "acrylic", "--mode", "rigid", "--drop", "0.2"], 0),
         (["calibrate", "thrust", "flights"], 0),

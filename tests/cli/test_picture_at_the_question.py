@@ -27,7 +27,7 @@ class Terminal(io.StringIO):
 def test_the_picture_is_one_of_the_answers(
     answers: str, flies: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    mission = load_mission(packaged("missions", "single_wall.yaml"))
+    mission = load_mission(packaged("missions", "paper_single_wall.yaml"))
     monkeypatch.setattr(sys, "stdin", Terminal(answers))
     assert confirmed(mission) is flies
     said = capsys.readouterr().err
@@ -46,7 +46,7 @@ def test_the_picture_is_one_of_the_answers(
 def test_without_matplotlib_the_question_comes_again(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    mission = load_mission(packaged("missions", "single_wall.yaml"))
+    mission = load_mission(packaged("missions", "paper_single_wall.yaml"))
     monkeypatch.setattr(sys, "stdin", Terminal("p\ny\n"))
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert confirmed(mission)
@@ -57,4 +57,4 @@ def test_without_matplotlib_the_question_comes_again(
 
 def test_without_a_terminal_the_answer_is_no(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
-    assert not confirmed(load_mission(packaged("missions", "single_wall.yaml")))
+    assert not confirmed(load_mission(packaged("missions", "paper_single_wall.yaml")))

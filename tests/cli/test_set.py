@@ -13,7 +13,7 @@ from dart_flight.cli import main
 from dart_flight.config.vehicle import packaged
 from dart_flight.sim import standalone
 
-MISSION = str(packaged("missions", "single_wall.yaml"))
+MISSION = str(packaged("missions", "paper_single_wall.yaml"))
 SCENARIO = str(packaged("missions", "scenarios", "one_wall.yaml"))
 PREDICT = ["predict", "--surface", "acrylic", "--mode", "rigid", "--velocity", "-1", "0"]
 COMMANDS = {

@@ -14,7 +14,7 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.recording.about import describe_flight, flown_mission
 from dart_flight.samples import World
 
-MISSION = str(packaged("missions", "single_wall.yaml"))
+MISSION = str(packaged("missions", "paper_single_wall.yaml"))
 SCENARIO = str(packaged("missions", "scenarios", "one_wall.yaml"))
 PREDICT = ["predict", "--surface", "acrylic", "--mode", "rigid", "--velocity", "-1", "0"]
 

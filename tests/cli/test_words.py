@@ -12,7 +12,7 @@ from dart_flight.cli import main
 from dart_flight.config.link_url import link_problem
 from dart_flight.config.vehicle import packaged
 
-MISSION = str(packaged("missions", "single_wall.yaml"))
+MISSION = str(packaged("missions", "paper_single_wall.yaml"))
 SCENARIO = str(packaged("missions", "scenarios", "one_wall.yaml"))
 CONFIG = str(packaged("configs", "dart.yaml"))
 FLIGHT = str(next((Path(__file__).parents[1] / "data" / "flights").rglob("*.mcap")))

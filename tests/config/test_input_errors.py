@@ -18,7 +18,7 @@ from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.worlds.prepare import load_flyable
 
 ROOT = Path(__file__).parents[2]
-DUAL = (ROOT / "missions/dual_collision.yaml").read_text()
+DUAL = (ROOT / "missions/paper_dual_collision.yaml").read_text()
 VEHICLE = load_vehicle(ROOT / "configs/dart.yaml")
 
 # (what is replaced, by what, where the error points, what it says)
@@ -70,7 +70,7 @@ def test_each_mistake_is_named_with_its_place(old: str, new: str, place: str, wo
     body = DUAL.split("\n", 2)  # the comment names some of the same words
     text = "\n".join([*body[:2], body[2].replace(old, new, 1)])
     with pytest.raises(InputError) as caught:
-        parse_mission(Document(text, str(ROOT / "missions/dual_collision.yaml")))
+        parse_mission(Document(text, str(ROOT / "missions/paper_dual_collision.yaml")))
     line = caught.value.one_line()
     assert place in line
     assert words in line
@@ -116,10 +116,10 @@ def test_a_missing_file_and_a_folder(tmp_path: Path, capsys: pytest.CaptureFixtu
         [],
         ["fly"],
         ["fli", "x"],
-        ["dry-run", "missions/dual_collision.yaml", "--seed", "x"],
-        ["dry-run", "missions/dual_collision.yaml", "--runs", "0"],
-        ["dry-run", "missions/dual_collision.yaml", "--driver", "hydraulic"],
-        ["dry-run", "missions/dual_collision.yaml", "--config", "none.yaml"],
+        ["dry-run", "missions/paper_dual_collision.yaml", "--seed", "x"],
+        ["dry-run", "missions/paper_dual_collision.yaml", "--runs", "0"],
+        ["dry-run", "missions/paper_dual_collision.yaml", "--driver", "hydraulic"],
+        ["dry-run", "missions/paper_dual_collision.yaml", "--config", "none.yaml"],
         ["simulate", "--port", "99999"],
     ],
 )

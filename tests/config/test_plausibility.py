@@ -15,7 +15,7 @@ from dart_flight.config.units import unit_of
 from dart_flight.config.vehicle import VehicleConfig, packaged
 
 ROOT = Path(__file__).parents[2]
-DUAL = (ROOT / "missions/dual_collision.yaml").read_text()
+DUAL = (ROOT / "missions/paper_dual_collision.yaml").read_text()
 CONFIG = (ROOT / "configs/dart.yaml").read_text()
 
 
@@ -64,7 +64,7 @@ def test_a_configuration_out_of_range(
     assert before in CONFIG
     path = tmp_path / "dart.yaml"
     path.write_text(CONFIG.replace(before, after))
-    assert main(["check", str(ROOT / "missions/dual_collision.yaml"), "--config", str(path)]) == 2
+    assert main(["check", str(ROOT / "missions/paper_dual_collision.yaml"), "--config", str(path)]) == 2
     said = capsys.readouterr().err
     assert says in said
     assert said.count("\n") == 1

@@ -40,7 +40,7 @@ class HandFedCore:
     """Feeds hovering telemetry at 250 Hz; position, velocity and force are set by the test."""
 
     def __init__(
-        self, mission: str = "missions/dual_collision.yaml", rules: tuple[Rule, ...] = TELEPORTING
+        self, mission: str = "missions/paper_dual_collision.yaml", rules: tuple[Rule, ...] = TELEPORTING
     ) -> None:
         self.core = FlightCore(load_mission(ROOT / mission), rules)
         self.noise_m_s2 = 1e-4  # a real IMU never repeats itself

@@ -39,7 +39,7 @@ def hovering(mission: Mission, seconds: float, drift_m_s: float = 0.0) -> float 
 
 
 def shipped() -> Mission:
-    return load_mission(ROOT / "missions/dual_collision.yaml")
+    return load_mission(ROOT / "missions/paper_dual_collision.yaml")
 
 
 def with_mean(mission: Mission, mean_s: float) -> Mission:

@@ -300,7 +300,7 @@ def test_a_refusal_carries_what_px4_says(hand_fed: HandFedCore) -> None:
     ids=lambda i: type(i).__name__,
 )
 def test_whatever_px4_sends_tells_the_hosts_time(item: Input) -> None:
-    senses = Senses(load_mission(ROOT / "missions" / "dual_collision.yaml"))
+    senses = Senses(load_mission(ROOT / "missions" / "paper_dual_collision.yaml"))
     senses.take(item, Expected())
     assert senses.state.host_us == 5
 

@@ -39,7 +39,9 @@ from tools.campaigns.force_hits import grid
 from tools.campaigns.force_quiet import fly_quiet
 
 # The paper's law, which the detector's pulse is made for; a body's hits are in test_torque.
-MISSION = load_mission(ROOT / "missions" / "dual_collision.yaml", settings=["simulation.contact.body=point"])
+MISSION = load_mission(
+    ROOT / "missions" / "paper_dual_collision.yaml", settings=["simulation.contact.body=point"]
+)
 VEHICLE = MISSION.vehicle
 MASS = VEHICLE.airframe.mass_kg
 

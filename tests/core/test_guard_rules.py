@@ -510,7 +510,7 @@ def test_a_landing_is_waited_for_until_the_motors_would_be_stopped() -> None:
     """A minute is too short where the configuration gives a landing more than that."""
     c = HandFedCore()
     c.core = FlightCore(
-        load_mission(ROOT / "missions" / "dual_collision.yaml", settings=["guard.kill_after_s=61"]),
+        load_mission(ROOT / "missions" / "paper_dual_collision.yaml", settings=["guard.kill_after_s=61"]),
         TELEPORTING,
     )
     c.give(ClockOffset(c.t_us, 0))

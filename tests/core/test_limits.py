@@ -30,7 +30,7 @@ from dart_flight.samples import (
 )
 from tests.core.conftest import TELEPORTING, HandFedCore
 
-SINGLE = "missions/single_wall.yaml"
+SINGLE = "missions/paper_single_wall.yaml"
 
 
 def after_the_contact(c: HandFedCore) -> None:

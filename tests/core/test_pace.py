@@ -21,7 +21,7 @@ from dart_flight.samples import ContactEnd, ImpactOnset, ImpactPeak, Input, Odom
 from dart_flight.worlds.prepare import load_flyable
 from tests.shared_flights import SharedFlights
 
-SINGLE_WALL = load_flyable(packaged("missions", "single_wall.yaml"), packaged("configs", "dart.yaml"))
+SINGLE_WALL = load_flyable(packaged("missions", "paper_single_wall.yaml"), packaged("configs", "dart.yaml"))
 WHILE_FLYING = [
     Phase.CLIMB,
     Phase.WAYPOINT,
@@ -67,7 +67,7 @@ def test_whatever_meets_a_wall_soon_is_stepped_at_once(
         assert pace is Pace.TOGETHER
 
 
-@pytest.mark.parametrize("mission", ["single_wall", "dual_collision"])
+@pytest.mark.parametrize("mission", ["paper_single_wall", "paper_dual_collision"])
 def test_no_contact_of_a_flight_comes_while_the_core_has_patience(flown: SharedFlights, mission: str) -> None:
     log = read_log(flown(mission, 3).log)
     core = FlightCore(flown_mission(log.about, "a flight"))

@@ -371,7 +371,7 @@ def test_a_body_is_not_fitted_as_a_point() -> None:
 
 
 def test_the_verdict_says_how_the_body_met(flown: SharedFlights) -> None:
-    verdict = flown("single_wall", 2).verdict
+    verdict = flown("paper_single_wall", 2).verdict
     measured, truth = verdict.collisions[0].measured, verdict.collisions[0].truth
     assert truth is not None
     assert truth.incidence_deg is not None

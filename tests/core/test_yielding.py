@@ -88,7 +88,7 @@ def flown(mission: Mission, yields: bool) -> list[Record]:
 
 @pytest.fixture(scope="module")
 def flights() -> dict[bool, list[Record]]:
-    mission = load_mission(ROOT / "missions" / "single_wall.yaml")
+    mission = load_mission(ROOT / "missions" / "paper_single_wall.yaml")
     return {yields: flown(mission, yields) for yields in (True, False)}
 
 

@@ -119,7 +119,7 @@ def install(
     told = folder / "bin" / "px4-ver"
     told.write_text(f"#!/bin/sh\necho 'HW arch: PX4_SITL'\necho 'PX4 version: {version} (17825792)'\n")
     told.chmod(0o755)
-    vehicle = load_mission(packaged("missions", "dual_collision.yaml")).vehicle
+    vehicle = load_mission(packaged("missions", "paper_dual_collision.yaml")).vehicle
     names = {*known, *flight_parameters(vehicle, PositionSource.MOCAP)} - set(missing.split())
     (folder / "known").write_text("".join(f"{name}\n" for name in sorted(names)))
     (folder / "after_boot").write_text(f"x * {overwritten} [1,2] : 77\n" if overwritten else "")

@@ -15,7 +15,7 @@ from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 from dart_flight.sim.process import run_in_real_time
 from dart_flight.worlds.prepare import load_flyable
 
-MISSION = Path(__file__).parents[2] / "missions" / "single_wall.yaml"
+MISSION = Path(__file__).parents[2] / "missions" / "paper_single_wall.yaml"
 
 
 def main() -> None:

@@ -19,7 +19,7 @@ from dart_flight.worlds.prepare import load_flyable
 from tools.campaigns.faults import PHASES, came_of, cell, expected, random_flight, with_row
 
 ROOT = Path(__file__).parents[2]
-SINGLE = ROOT / "missions/single_wall.yaml"
+SINGLE = ROOT / "missions/paper_single_wall.yaml"
 # The cells that are flown here: each fault once, the phases in turn.
 SAMPLE = [(kind.name, PHASES[i % len(PHASES)]) for i, kind in enumerate(KINDS)]
 

@@ -22,9 +22,9 @@ from dart_flight.worlds.vehicle_process import free_udp_port
 from tests.shared_flights import LiveFlights, patient
 
 ROOT = Path(__file__).parents[2]
-SINGLE = "missions/single_wall.yaml"
+SINGLE = "missions/paper_single_wall.yaml"
 NEAR = str(ROOT / "tests" / "data" / "near_wall.yaml")
-DUAL = "missions/dual_collision.yaml"
+DUAL = "missions/paper_dual_collision.yaml"
 
 
 @pytest.fixture(autouse=True)

@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_dual_collision_completes_as_the_paper_flew_it(flown: SharedFlights) -> None:
-    verdict = flown("dual_collision", 1).verdict
+    verdict = flown("paper_dual_collision", 1).verdict
     assert verdict.outcome == "completed"
     assert [(c.wall, c.mode) for c in verdict.collisions] == [("wood", "flexible"), ("acrylic", "rigid")]
     first = verdict.collisions[0]
@@ -52,24 +52,24 @@ def test_a_seed_decides_everything(flown: SharedFlights) -> None:
         return msgspec.json.encode([r for r in records if isinstance(r, SetPoint)])
 
     def recorded(seed: int) -> bytes:
-        return setpoints(entry.record for entry in read_log(flown("dual_collision", seed).log).entries)
+        return setpoints(entry.record for entry in read_log(flown("paper_dual_collision", seed).log).entries)
 
     again: list[Record] = []
-    fly_fast(load_flyable(ROOT / "missions/dual_collision.yaml"), 3, None, again.append)
+    fly_fast(load_flyable(ROOT / "missions/paper_dual_collision.yaml"), 3, None, again.append)
     assert recorded(3) == setpoints(again)
     assert recorded(3) != recorded(4)
 
 
 @pytest.mark.parametrize("seed", [2, 3])  # more of them: tools.campaigns.replay
 def test_missions_complete_over_seeds(seed: int, flown: SharedFlights) -> None:
-    for name in ("dual_collision", "single_wall"):
+    for name in ("paper_dual_collision", "paper_single_wall"):
         verdict = flown(name, seed).verdict
         assert (verdict.outcome, verdict.reason) == ("completed", None)
 
 
 @pytest.mark.parametrize("goal", ["[-3.0, 1.0]", "[-5.0, 1.0]"])
 def test_a_goal_far_from_the_recovery_is_flown_to_at_transit_speed(goal: str) -> None:
-    text = (ROOT / "missions/single_wall.yaml").read_text()
+    text = (ROOT / "missions/paper_single_wall.yaml").read_text()
     text = text.replace("goal: {position_m: [0.4, 1.0]", f"goal: {{position_m: {goal}")
     text = text.replace("x: [-1.5, 2.2]", "x: [-6.0, 2.2]")
     mission = parse_mission(Document(text, str(ROOT / "missions/far.yaml")))
@@ -86,7 +86,7 @@ def test_a_goal_far_from_the_recovery_is_flown_to_at_transit_speed(goal: str) ->
 
 def test_a_clock_that_jumps_back_before_everything_is_ready_ends_the_wait() -> None:
     """The autopilot's time stands still for the core then; the host's goes on."""
-    mission = load_mission(packaged("missions", "single_wall.yaml"))
+    mission = load_mission(packaged("missions", "paper_single_wall.yaml"))
     flight = FastFlight(mission, 16, fault=Fault("clock-back", 972.6, None, 0.0))
     flight.run()
     assert flight.core.end is not None

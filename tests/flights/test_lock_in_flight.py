@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def dual(**lock_changes: object) -> Mission:
-    mission = load_flyable(ROOT / "missions/dual_collision.yaml")
+    mission = load_flyable(ROOT / "missions/paper_dual_collision.yaml")
     assert mission.vehicle.lock is not None
     lock = msgspec.structs.replace(mission.vehicle.lock, **lock_changes)
     return msgspec.structs.replace(mission, vehicle=msgspec.structs.replace(mission.vehicle, lock=lock))
@@ -84,7 +84,7 @@ def test_a_stuck_servo_without_a_switch_is_revealed_by_the_contact(flown: Shared
         ("rigid", "flexible", "flexible"),
     ]
     assert [(e.rule, e.action) for e in verdict.guard] == [("mode_felt", Override.NONE)]
-    healthy = flown("dual_collision", 1).verdict
+    healthy = flown("paper_dual_collision", 1).verdict
     assert [(c.mode, c.mode_by_contact_time, c.mode_felt) for c in healthy.collisions] == [
         ("flexible", "flexible", "flexible"),
         ("rigid", "rigid", "rigid"),

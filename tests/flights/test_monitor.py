@@ -23,7 +23,9 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_it_sees_force_and_impacts_of_a_flight() -> None:
-    mission = load_mission(ROOT / "missions" / "single_wall.yaml", settings=["simulation.contact.body=point"])
+    mission = load_mission(
+        ROOT / "missions" / "paper_single_wall.yaml", settings=["simulation.contact.body=point"]
+    )
     watcher = Watcher(mission, placed=True)
     flight = FastFlight(mission, 1)
     step = flight.core.step

@@ -28,7 +28,7 @@ from dart_flight.worlds.prepare import load_flyable, with_driver
 from dart_flight.worlds.replay import replay
 
 DART = packaged("configs", "dart.yaml")
-SINGLE = packaged("missions", "single_wall.yaml").read_text("utf-8")
+SINGLE = packaged("missions", "paper_single_wall.yaml").read_text("utf-8")
 DUAL = packaged("missions", "dual_collision_replan.yaml").read_text("utf-8")
 ONE_WALL = packaged("missions", "scenarios", "one_wall.yaml").read_text("utf-8")
 NO_LOCK = f"extends: {DART}\nlock: {{driver: none}}\n"

@@ -22,7 +22,7 @@ from dart_flight.worlds.vehicle_process import free_udp_port
 from tests.shared_flights import patient
 
 ROOT = Path(__file__).parents[2]
-SINGLE = "missions/single_wall.yaml"
+SINGLE = "missions/paper_single_wall.yaml"
 
 
 class Commands:

@@ -21,7 +21,7 @@ VEHICLE = load_vehicle(ROOT / "configs" / "dart.yaml")
 
 @pytest.fixture(scope="module")
 def flight(flown: SharedFlights) -> Path:
-    return flown("single_wall", 2).log
+    return flown("paper_single_wall", 2).log
 
 
 def test_own_log_gives_the_plants_curve(flight: Path) -> None:

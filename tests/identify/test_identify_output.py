@@ -148,7 +148,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 def test_a_flight_log_has_no_drops(
     flown: SharedFlights, drops: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    log, out = str(flown("single_wall", 1).log), tmp_path / "entry.yaml"
+    log, out = str(flown("paper_single_wall", 1).log), tmp_path / "entry.yaml"
     for words in (
         [log, "--drop"],
         [log, "--drop", "0.2", "--surface", "acrylic", "-o", str(out)],
@@ -166,7 +166,7 @@ def test_a_flight_log_has_no_drops(
 def test_an_option_for_files_of_another_kind_is_refused(
     flown: SharedFlights, option: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    said = refused(capsys, str(flown("single_wall", 1).log), *option)
+    said = refused(capsys, str(flown("paper_single_wall", 1).log), *option)
     assert said.startswith(f"{option[0].removeprefix('--')}: is for .")
 
 
@@ -174,7 +174,7 @@ def test_mode_chooses_among_the_collisions_of_a_flight(
     flown: SharedFlights, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The dual collision meets wood with flexible arms, then acrylic with rigid ones."""
-    log = str(flown("dual_collision", 1).log)
+    log = str(flown("paper_dual_collision", 1).log)
     for mode in ("flexible", "rigid"):
         assert main(["identify", log, "--mode", mode, "--json"]) == 0
         assert list(json.loads(capsys.readouterr().out)["coefficients"]) == [mode]
@@ -186,7 +186,7 @@ def test_a_flight_log_is_of_the_vehicle_that_flew(
     flown: SharedFlights, hits: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Whatever configuration is at hand: with another mass k would be off by a third."""
-    log, other = str(flown("single_wall", 1).log), tmp_path / "light.yaml"
+    log, other = str(flown("paper_single_wall", 1).log), tmp_path / "light.yaml"
     other.write_text(packaged("configs", "dart.yaml").read_text().replace("mass_kg: 1.3", "mass_kg: 0.9"))
     found = {}
     for config in (packaged("configs", "dart.yaml"), other):
@@ -206,7 +206,7 @@ def test_a_flight_log_is_of_the_vehicle_that_flew(
 def test_a_mass_that_is_not_the_logs_is_taken_and_named(
     flown: SharedFlights, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    log = str(flown("single_wall", 1).log)
+    log = str(flown("paper_single_wall", 1).log)
     assert main(["identify", log, "--mass", "0.9", "--json"]) == 0
     streams = capsys.readouterr()
     assert "fitted with 0.9 kg; the forces in the flight logs are of 1.3 kg" in streams.err
@@ -216,7 +216,7 @@ def test_a_mass_that_is_not_the_logs_is_taken_and_named(
 
 def test_a_vehicle_that_turns_widens_what_is_said_of_friction(flown: SharedFlights) -> None:
     """The body with guards is turned by friction, and the law is a point's: mu comes out too low."""
-    log = read_log(flown("single_wall", 1).log)
+    log = read_log(flown("paper_single_wall", 1).log)
     (trial,) = trials_at_one(log, "acrylic")
     (contact,) = (e.record for e in log.entries if isinstance(e.record, TruthContact))
     assert trial.turn_rad_s == pytest.approx(abs(contact.rate_out_frd[2]), abs=0.3)

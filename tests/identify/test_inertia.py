@@ -154,7 +154,7 @@ def test_own_log_and_the_configuration(
     config = tmp_path / "mine.yaml"
     text = (ROOT / "configs" / "dart.yaml").read_text()
     config.write_text(text.replace("[0.0125, 0.0125, 0.022]", "[0.02, 0.02, 0.03]"))
-    log = str(flown("single_wall", 2).log)
+    log = str(flown("paper_single_wall", 2).log)
     assert main(["calibrate", "inertia", log, "--config", str(config), "--write", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     pitch = said["axes"][1]

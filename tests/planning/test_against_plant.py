@@ -42,7 +42,7 @@ def test_a_plan_flies_as_predicted(name: str, seed: int, tmp_path: Path) -> None
 
 def test_the_papers_plan(tmp_path: Path) -> None:
     """Second impact and miss of the published optimum as the shipped mission flies it."""
-    mission = load_mission(SCENARIOS.parent / "dual_collision.yaml", settings=POINT)
+    mission = load_mission(SCENARIOS.parent / "paper_dual_collision.yaml", settings=POINT)
     result = search(load_scenario(SCENARIOS / "dual_collision.yaml"), top=2000)
     plan = next(
         p

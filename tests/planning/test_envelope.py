@@ -14,7 +14,7 @@ from dart_flight.planning.envelope import heights_flown_m, impact_warnings, inci
 from dart_flight.planning.search import search
 from dart_flight.samples import Mode
 
-DUAL = load_mission(packaged("missions", "dual_collision.yaml"))
+DUAL = load_mission(packaged("missions", "paper_dual_collision.yaml"))
 
 
 def with_second_wall_turned(angle_deg: float, mode: Mode) -> Mission:
@@ -53,10 +53,12 @@ def test_check_says_no_to_a_hit_further_askew_than_its_mode_bears(
 @pytest.mark.parametrize(("height_m", "warns"), [(0.0, False), (-0.03, False), (-0.04, True), (0.06, True)])
 def test_guards_beside_the_centre_are_warned_of_by_the_speed_of_the_hit(height_m: float, warns: bool) -> None:
     settings = [f"simulation.contact.guard_height_m={height_m}"]
-    mission = load_mission(packaged("missions", "single_wall.yaml"), settings=settings)  # meets it at 1 m/s
+    mission = load_mission(
+        packaged("missions", "paper_single_wall.yaml"), settings=settings
+    )  # meets it at 1 m/s
     assert any("turn the vehicle over" in line for line in impact_warnings(mission)) is warns
     point = load_mission(
-        packaged("missions", "single_wall.yaml"), settings=[*settings, "simulation.contact.body=point"]
+        packaged("missions", "paper_single_wall.yaml"), settings=[*settings, "simulation.contact.body=point"]
     )
     assert not any("turn the vehicle over" in line for line in impact_warnings(point))
 

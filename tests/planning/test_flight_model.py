@@ -76,7 +76,7 @@ def test_terminal_states_against_an_ode_solver(name: str) -> None:
 
 def test_approaches_are_refused_as_the_executive_refuses_them(dual: Scenario) -> None:
     rollout = Rollout(dual, ("wood", "acrylic"), new_flight(dual), Constraints(dual))
-    text = (SCENARIOS.parent / "dual_collision.yaml").read_text()
+    text = (SCENARIOS.parent / "paper_dual_collision.yaml").read_text()
     rng = np.random.default_rng(5)
     seen: set[Refusal | None] = set()
     for _ in range(150):

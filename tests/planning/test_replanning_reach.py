@@ -10,7 +10,7 @@ from dart_flight.config.vehicle import packaged
 from tools.campaigns.reachable import nearest_m_s
 from tools.campaigns.replanning import AfterFirst
 
-MISSION = load_mission(packaged("missions", "dual_collision.yaml"))
+MISSION = load_mission(packaged("missions", "paper_dual_collision.yaml"))
 WALL = MISSION.walls[1]  # acrylic, at x = 1.65, met along x
 MOST_M_S2 = 9.8
 AFTER = AfterFirst((0.0, 0.0), (0.0, 0.0), 0.5)

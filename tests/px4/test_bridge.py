@@ -38,7 +38,7 @@ COUNTS_PER_M_S2 = 2048.0 / 9.80665
 
 @pytest.fixture
 def mission() -> Mission:
-    return load_mission(packaged("missions", "dual_collision.yaml"))
+    return load_mission(packaged("missions", "paper_dual_collision.yaml"))
 
 
 @pytest.fixture

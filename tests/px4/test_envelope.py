@@ -29,7 +29,7 @@ def limit_to(path: Path, force_n: float) -> Path:
     return path
 
 
-@pytest.mark.parametrize("name", ["single_wall.yaml", "dual_collision.yaml"])
+@pytest.mark.parametrize("name", ["paper_single_wall.yaml", "paper_dual_collision.yaml"])
 def test_the_shipped_missions_are_well_inside(name: str) -> None:
     mission = load_flyable(packaged("missions", name))
     assert impact_warnings(mission) == []
@@ -38,7 +38,7 @@ def test_the_shipped_missions_are_well_inside(name: str) -> None:
 def test_force_is_the_contact_laws(tmp_path: Path) -> None:
     mission = load_flyable(sweep(tmp_path, 2.0))
     assert expected_force_n(mission, mission.collisions[0]) == pytest.approx(2.0 * 63.6, rel=0.01)
-    dual = load_flyable(packaged("missions", "dual_collision.yaml"))
+    dual = load_flyable(packaged("missions", "paper_dual_collision.yaml"))
     assert expected_force_n(dual, dual.collisions[1]) is None
 
 

@@ -37,7 +37,7 @@ from dart_flight.sim.px4.launch import (
 from dart_flight.worlds.vehicle_process import Px4World, WorldError
 from tests.doubles.fake_px4 import install
 
-MISSION = packaged("missions", "dual_collision.yaml")
+MISSION = packaged("missions", "paper_dual_collision.yaml")
 
 
 def test_an_install_and_a_build_folder_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -48,7 +48,7 @@ def accept(verdict: Verdict) -> None:
 
 
 def test_dual_collision_indoors_in_real_time(px4_dir: Path, tmp_path: Path) -> None:
-    verdict = fly_px4(load_flyable(MISSIONS / "dual_collision.yaml"), px4_dir, 1, tmp_path)
+    verdict = fly_px4(load_flyable(MISSIONS / "paper_dual_collision.yaml"), px4_dir, 1, tmp_path)
     accept(verdict)
     assert [c.wall for c in verdict.collisions] == ["wood", "acrylic"]
     for collision in verdict.collisions:
@@ -83,7 +83,7 @@ def test_the_paper_s_second_impact_with_stiffer_gains(px4_dir: Path, tmp_path: P
 
 
 def test_single_wall_outdoors_with_rtk(px4_dir: Path, tmp_path: Path) -> None:
-    mission = load_flyable(MISSIONS / "single_wall.yaml")
+    mission = load_flyable(MISSIONS / "paper_single_wall.yaml")
     accept(fly_px4(mission, px4_dir, 1, tmp_path, position_from=PositionSource.RTK, speed=FAST))
 
 
@@ -91,7 +91,7 @@ def test_lock_servo_on_px4s_own_output(px4_dir: Path, tmp_path: Path) -> None:
     from dart_flight.config.vehicle import LockDriver
     from dart_flight.worlds.prepare import with_driver
 
-    mission = with_driver(load_flyable(MISSIONS / "dual_collision.yaml"), LockDriver.PX4)
+    mission = with_driver(load_flyable(MISSIONS / "paper_dual_collision.yaml"), LockDriver.PX4)
     accept(fly_px4(mission, px4_dir, 1, tmp_path, speed=min(2.0, FAST)))
 
 
@@ -99,7 +99,7 @@ def test_a_hexarotor_with_the_lock_s_servo_after_its_motors(px4_dir: Path, tmp_p
     from dart_flight.config.vehicle import LockDriver
     from dart_flight.worlds.prepare import with_driver
 
-    mission = load_flyable(MISSIONS / "single_wall.yaml", packaged("configs", "hexarotor.yaml"))
+    mission = load_flyable(MISSIONS / "paper_single_wall.yaml", packaged("configs", "hexarotor.yaml"))
     verdict = fly_px4(with_driver(mission, LockDriver.PX4), px4_dir, 1, tmp_path, speed=min(2.0, FAST))
     accept(verdict)
     (hit,) = verdict.collisions
@@ -142,7 +142,7 @@ class Flight:
     def __init__(self, px4_dir: Path, folder: Path) -> None:
         self.folder = folder
         self.killed_at: float | None = None
-        mission = str(MISSIONS / "dual_collision.yaml")
+        mission = str(MISSIONS / "paper_dual_collision.yaml")
         command = [sys.executable, "-m", "dart_flight", "dry-run", mission, "--json"]
         command += ["--px4", str(px4_dir), "--speed", "2", "--log-dir", str(folder)]
         self.app = subprocess.Popen(

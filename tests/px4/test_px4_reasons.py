@@ -21,7 +21,7 @@ from tests.px4.test_px4_check import waiting_px4
 
 pytestmark = pytest.mark.px4
 
-MISSION = Path(__file__).parents[2] / "missions" / "single_wall.yaml"
+MISSION = Path(__file__).parents[2] / "missions" / "paper_single_wall.yaml"
 # v1.14 and v1.15 in simulation do not serve the words of their events.
 WITHOUT_WORDS = ("preflight checks failed", "gives no reason")
 # A distance sensor that is not there: a preflight check that every version has.

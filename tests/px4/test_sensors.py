@@ -28,7 +28,7 @@ from dart_flight.sim.wind import Wind
 
 @pytest.fixture
 def plant() -> Plant:
-    return make_plant(load_mission(packaged("missions", "dual_collision.yaml")))
+    return make_plant(load_mission(packaged("missions", "paper_dual_collision.yaml")))
 
 
 def fixes_of(receiver: GpsReceiver, plant: Plant, seconds: float) -> list[tuple[float, float, float]]:

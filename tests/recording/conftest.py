@@ -15,12 +15,12 @@ from tests.shared_flights import SharedFlights
 
 @pytest.fixture(scope="session")
 def single_wall() -> Mission:
-    return load_flyable(packaged("missions", "single_wall.yaml"), packaged("configs", "dart.yaml"))
+    return load_flyable(packaged("missions", "paper_single_wall.yaml"), packaged("configs", "dart.yaml"))
 
 
 @pytest.fixture(scope="session")
 def flight_path(flown: SharedFlights) -> Path:
-    return flown("single_wall", 1).log
+    return flown("paper_single_wall", 1).log
 
 
 @pytest.fixture(scope="session")

@@ -114,7 +114,7 @@ def test_nothing_is_read_from_the_disk_but_the_log(flight_path: Path, tmp_path: 
     """The mission and configuration files may be gone."""
     log = read_log(flight_path)
     log.about["mission_source"] = str(tmp_path / "gone.yaml")
-    text = log.about["flown"].replace(str(Path("missions/single_wall.yaml").resolve()), "/gone.yaml")
+    text = log.about["flown"].replace(str(Path("missions/paper_single_wall.yaml").resolve()), "/gone.yaml")
     log.about["flown"] = text
     assert flown_mission(log.about, "log").walls
     assert parse_written(*written_mission(log.about, "log")).walls

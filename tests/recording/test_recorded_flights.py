@@ -60,7 +60,7 @@ def test_what_is_left_out_is_said(flight_path: Path, tmp_path: Path) -> None:
     assert len(result.differences) > 1000
 
 
-@pytest.mark.parametrize(("mission", "seed"), [("dual_collision", 11), ("single_wall", 12)])
+@pytest.mark.parametrize(("mission", "seed"), [("paper_dual_collision", 11), ("paper_single_wall", 12)])
 def test_a_sample_of_the_campaign(mission: str, seed: int, tmp_path: Path) -> None:
     result = fly_and_replay("fast", mission, seed, tmp_path)
     assert (result.outcome, result.differences, result.missing) == ("completed", 0, 0)
@@ -71,6 +71,6 @@ def test_a_sample_of_the_campaign(mission: str, seed: int, tmp_path: Path) -> No
 @pytest.mark.mavlink
 def test_a_real_time_flight_replays_bit_for_bit(commanded: LiveFlights) -> None:
     """Whatever becomes of the flight on a busy machine: what was decided is decided again."""
-    result = judge(commanded("dart-flight dry-run missions/dual_collision.yaml").log)
+    result = judge(commanded("dart-flight dry-run missions/paper_dual_collision.yaml").log)
     assert (result.differences, result.missing) == (0, 0)
     assert result.inputs > 5000

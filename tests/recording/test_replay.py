@@ -36,7 +36,7 @@ def test_a_flight_replays_bit_for_bit(flight: Log) -> None:
 
 @pytest.mark.parametrize("seed", [2, 3])  # the bulk: tools.campaigns.replay
 def test_dual_collisions_replay_bit_for_bit(seed: int, flown: SharedFlights) -> None:
-    result = replay(read_log(flown("dual_collision", seed).log))
+    result = replay(read_log(flown("paper_dual_collision", seed).log))
     assert result.equal, result.differences[0].text()
     assert sum(isinstance(r, ImpactPeak) for r in result.replayed) == 2
 

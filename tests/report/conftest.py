@@ -17,13 +17,13 @@ from tests.shared_flights import SharedFlights
 
 @pytest.fixture(scope="session")
 def dual() -> Mission:
-    return load_flyable(packaged("missions", "dual_collision.yaml"), packaged("configs", "dart.yaml"))
+    return load_flyable(packaged("missions", "paper_dual_collision.yaml"), packaged("configs", "dart.yaml"))
 
 
 @pytest.fixture(scope="session")
 def trials(flown: SharedFlights) -> list[Path]:
     """Three flights of the dual collision."""
-    return [flown("dual_collision", seed).log for seed in (1, 2, 3)]
+    return [flown("paper_dual_collision", seed).log for seed in (1, 2, 3)]
 
 
 @pytest.fixture(scope="session")
@@ -58,6 +58,6 @@ def compared(flown: SharedFlights, request: pytest.FixtureRequest) -> str:
 @pytest.fixture(scope="session")
 def aborted(flown: SharedFlights) -> Path:
     """A flight into a wall that is not there."""
-    verdict, log = flown("dual_collision", 1, "wall-missing@approach")
+    verdict, log = flown("paper_dual_collision", 1, "wall-missing@approach")
     assert verdict.outcome == "aborted"
     return log

@@ -18,7 +18,7 @@ from dart_flight.report.figures.mission import in_words, mission_figure
 from dart_flight.report.figures.style import as_svg
 from tests.report.svg import texts_of
 
-DUAL = str(packaged("missions", "dual_collision.yaml"))
+DUAL = str(packaged("missions", "paper_dual_collision.yaml"))
 
 
 def test_every_hit_is_named_with_its_figures(dual: Mission) -> None:

@@ -149,7 +149,7 @@ def test_truth_and_prediction_of_a_contact(tmp_path: Path) -> None:
     """
     configuration = packaged("configs", "dart.yaml")
     mission = load_flyable(
-        packaged("missions", "dual_collision.yaml"), configuration, ["simulation.contact.body=point"]
+        packaged("missions", "paper_dual_collision.yaml"), configuration, ["simulation.contact.body=point"]
     )
     flight = Flight.read(Path(str(fly_fast(mission, 1, tmp_path).log)))
     truths = flight.course.all(TruthContact)

@@ -28,7 +28,9 @@ CONFIG = packaged("configs", "dart.yaml")
 @pytest.fixture(scope="module")
 def single() -> Mission:
     # What is identified is the law of a point: only its flights agree with the truth in every coefficient.
-    return load_flyable(packaged("missions", "single_wall.yaml"), CONFIG, ["simulation.contact.body=point"])
+    return load_flyable(
+        packaged("missions", "paper_single_wall.yaml"), CONFIG, ["simulation.contact.body=point"]
+    )
 
 
 @pytest.fixture(scope="module")

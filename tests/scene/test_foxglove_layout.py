@@ -23,7 +23,7 @@ PATH = re.compile(r"^(/[a-z_/]+)\.([a-z_]+)$")
 @pytest.fixture(scope="module")
 def exported(flown: SharedFlights, tmp_path_factory: pytest.TempPathFactory) -> Messages:
     path = tmp_path_factory.mktemp("layout") / "flight.mcap"
-    export_foxglove(read_log(flown("single_wall", 1).log), path)
+    export_foxglove(read_log(flown("paper_single_wall", 1).log), path)
     return read(path)
 
 

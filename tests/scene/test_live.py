@@ -36,12 +36,12 @@ pytestmark = pytest.mark.mavlink
 PATIENCE_S = 60.0
 _AHEAD_US = 2_000_000
 Messages = dict[str, list[dict[str, Any]]]
-SINGLE_WALL = str(packaged("missions", "single_wall.yaml"))
+SINGLE_WALL = str(packaged("missions", "paper_single_wall.yaml"))
 
 
 @pytest.fixture(scope="module")
 def log(flown: SharedFlights) -> Log:
-    return read_log(flown("dual_collision", 1).log)
+    return read_log(flown("paper_dual_collision", 1).log)
 
 
 @pytest.fixture(scope="module")

@@ -36,7 +36,7 @@ Messages = dict[str, list[tuple[int, dict[str, Any]]]]
 
 @pytest.fixture(scope="module")
 def log(flown: SharedFlights) -> Log:
-    return read_log(flown("dual_collision", 1).log)
+    return read_log(flown("paper_dual_collision", 1).log)
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +139,7 @@ def decoded(entity: SceneEntity) -> dict[str, Any]:
 
 
 def test_the_plan_and_the_goal_are_as_high_as_the_way_points_say() -> None:
-    dual = load_mission(packaged("missions", "dual_collision.yaml"))
+    dual = load_mission(packaged("missions", "paper_dual_collision.yaml"))
     higher = dual.replace({"waypoints": [{"position_m": [0.0, 0.0], "altitude_m": 1.5}]})
     for mission, z in ((dual, 1.0), (higher, 1.5)):
         flight = planned_flight(mission)
@@ -209,7 +209,7 @@ def test_hits_and_events_are_told(log: Log, exported: Messages) -> None:
 
 def test_a_guards_action_is_an_error_in_the_log(flown: SharedFlights, tmp_path: Path) -> None:
     path = tmp_path / "fault.mcap"
-    export_foxglove(read_log(flown("single_wall", 1, "imu-dropout@approach").log), path)
+    export_foxglove(read_log(flown("paper_single_wall", 1, "imu-dropout@approach").log), path)
     errors = [m["message"] for _, m in read(path)["/log"] if m["level"] in ("ERROR", "FATAL")]
     assert any(line.startswith("guard: ") for line in errors)
 
@@ -246,7 +246,7 @@ def test_a_peak_of_one_sample_gets_through_the_thinning() -> None:
 def test_the_command_writes_beside_the_log_or_where_told(
     flown: SharedFlights, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    source = flown("single_wall", 1).log
+    source = flown("paper_single_wall", 1).log
     there = tmp_path / "one" / "flight.mcap"
     there.parent.mkdir()
     there.write_bytes(source.read_bytes())

@@ -175,7 +175,7 @@ def test_each_motor_of_the_plant_pushes_and_turns_where_it_is() -> None:
 @pytest.mark.parametrize("eight", [False, True])
 def test_another_airframe_flies_the_single_wall(tmp_path: Path, eight: bool) -> None:
     config = octorotor(tmp_path) if eight else HEXAROTOR
-    mission = load_mission(ROOT / "missions/single_wall.yaml", config)
+    mission = load_mission(ROOT / "missions/paper_single_wall.yaml", config)
     records: list[Record] = []
     verdict = fly_fast(mission, 1, None, records.append)
     assert verdict.outcome == "completed", verdict.reason
@@ -194,7 +194,7 @@ def test_another_airframe_flies_the_single_wall(tmp_path: Path, eight: bool) -> 
 
 
 def hexarotor_mission() -> Mission:
-    return load_mission(ROOT / "missions/single_wall.yaml", HEXAROTOR)
+    return load_mission(ROOT / "missions/paper_single_wall.yaml", HEXAROTOR)
 
 
 def test_px4_s_parameters_say_where_the_motors_are_and_back() -> None:

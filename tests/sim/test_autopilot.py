@@ -20,7 +20,7 @@ NAN = math.nan
 def autopilot() -> Autopilot:
     said: list[str] = []
     vehicle = make_autopilot(
-        load_mission(ROOT / "missions/dual_collision.yaml"), 1, lambda _, t: said.append(t)
+        load_mission(ROOT / "missions/paper_dual_collision.yaml"), 1, lambda _, t: said.append(t)
     )
     vehicle.said = said  # type: ignore[attr-defined]
     return vehicle

@@ -44,7 +44,7 @@ def test_the_interval_is_wilsons() -> None:
 def flown(seed: int, outcome: str, rule: str, *problems: str) -> Flown:
     hit = HitFigures("wood", "flexible", -0.6, 0.5, 15.0, 1.0, 0.0, 40.0, 14.0, 100.0 + seed, 0.01)
     return Flown(
-        Job("dual_collision", seed, default_case()), outcome, rule, list(problems), 15.0, 0.1, [hit], {}
+        Job("paper_dual_collision", seed, default_case()), outcome, rule, list(problems), 15.0, 0.1, [hit], {}
     )
 
 
@@ -64,11 +64,11 @@ def test_no_failure_is_averaged_away() -> None:
 
 
 def test_a_flight_tells_what_its_hits_did() -> None:
-    found = fly(Job("single_wall", 1, default_case(), yaw_deg=10.0))
+    found = fly(Job("paper_single_wall", 1, default_case(), yaw_deg=10.0))
     assert found.kind == "completed"
     assert found.hits[0].incidence_deg == pytest.approx(-10.0, abs=1.5)
     assert found.hits[0].rate_deg_s >= 0.9 * found.hits[0].rate_out_deg_s > 30.0
 
 
 def test_an_approach_that_has_no_room_is_refused_not_flown() -> None:
-    assert fly(Job("single_wall", 1, default_case(), normal_m_s=-9.0)).kind == "refused"
+    assert fly(Job("paper_single_wall", 1, default_case(), normal_m_s=-9.0)).kind == "refused"

@@ -15,7 +15,7 @@ from dart_flight.worlds.prepare import load_flyable
 from dart_flight.worlds.replay import replay
 
 ROOT = Path(__file__).parents[2]
-MISSION = load_flyable(ROOT / "missions/single_wall.yaml", None, ["simulation.contact.body=guards"])
+MISSION = load_flyable(ROOT / "missions/paper_single_wall.yaml", None, ["simulation.contact.body=guards"])
 VEHICLE = MISSION.vehicle
 
 
@@ -63,7 +63,7 @@ def test_a_varied_flight_tells_what_was_drawn_and_replays(tmp_path: Path) -> Non
 def test_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     arguments = [
         "dry-run",
-        str(ROOT / "missions/single_wall.yaml"),
+        str(ROOT / "missions/paper_single_wall.yaml"),
         "--fast",
         "--json",
         "--log-dir",

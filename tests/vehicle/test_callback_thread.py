@@ -15,7 +15,7 @@ from dart_flight.vehicle.session import connect
 from dart_flight.worlds.vehicle_process import free_udp_port
 
 ROOT = Path(__file__).parents[2]
-MISSION = ROOT / "missions" / "single_wall.yaml"
+MISSION = ROOT / "missions" / "paper_single_wall.yaml"
 _WAIT_S, _ENOUGH = 20.0, 100
 
 

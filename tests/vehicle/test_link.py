@@ -26,7 +26,7 @@ from dart_flight.vehicle.link import (
     udp_port_is_free,
 )
 
-MISSION = str(packaged("missions", "single_wall.yaml"))
+MISSION = str(packaged("missions", "paper_single_wall.yaml"))
 HOLD = """
 import sys, time
 from pathlib import Path

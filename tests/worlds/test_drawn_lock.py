@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 @pytest.mark.mavlink
 def test_a_drawn_servo_locks_the_arms_before_the_second_hit(tmp_path: Path) -> None:
     """Its faults used to be set before the autopilot's clock was known, which froze its model's time."""
-    mission = load_flyable(ROOT / "missions/dual_collision.yaml", settings=PATIENT)
+    mission = load_flyable(ROOT / "missions/paper_dual_collision.yaml", settings=PATIENT)
     spreads = parse_vary(["servo"], mission.vehicle)
     embedded = fly_embedded(mission, 4, tmp_path, spreads=spreads, speed=2.0)
     fast = fly_fast(mission, 4, None, spreads=spreads)
@@ -31,7 +31,7 @@ def test_a_drawn_servo_locks_the_arms_before_the_second_hit(tmp_path: Path) -> N
 
 
 def test_arms_that_never_follow_the_lock_are_named_where_no_fault_was_drawn() -> None:
-    mission = load_flyable(ROOT / "missions/dual_collision.yaml")
+    mission = load_flyable(ROOT / "missions/paper_dual_collision.yaml")
     verdict = fly_fast(mission, 4, None, lock_faults=MockFaults(servo=ServoFaults(stuck=True)))
     assert unexplained_modes(verdict) == [
         "the arms never followed the lock",
@@ -46,7 +46,7 @@ def test_arms_that_never_follow_the_lock_are_named_where_no_fault_was_drawn() ->
 
 def test_what_is_felt_of_an_unplanned_hit_is_not_taken_for_the_planned_one_before_it() -> None:
     """The acrylic wall is met behind its place, after the approach to it was broken off."""
-    mission = load_flyable(ROOT / "missions/dual_collision.yaml")
+    mission = load_flyable(ROOT / "missions/paper_dual_collision.yaml")
     verdict = fly_fast(mission, 7238, None, spreads=parse_vary(["all"], mission.vehicle))
     assert [(c.wall, c.mode_felt) for c in verdict.collisions] == [("wood", "flexible")]
     assert unexplained_modes(verdict) == []

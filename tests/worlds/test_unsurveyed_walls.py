@@ -32,7 +32,7 @@ from dart_flight.worlds.prepare import with_standoff
 from tools.campaigns.walls import Row, fly, mission_of
 
 ROOT = Path(__file__).parents[2]
-SINGLE = (ROOT / "missions/single_wall.yaml").read_text()
+SINGLE = (ROOT / "missions/paper_single_wall.yaml").read_text()
 WALL = Wall("board", (1.0, 0.0), (-1.0, 0.0), 4.0, "wood")
 POINT = "point_m: [1.65, 0.5]"
 
@@ -101,7 +101,7 @@ def test_the_run_up_is_steady_before_where_the_wall_may_stand_nearest() -> None:
 @pytest.mark.parametrize("away_m", [-0.12, 0.12, -0.27, 0.27])
 def test_a_wall_nearer_or_further_away_is_met_where_it_stands(away_m: float) -> None:
     sd = 0.06 if abs(away_m) < 0.2 else 0.1
-    verdict = fly(Row("single_wall", "acrylic", away_m, 0.0, f"position_sd_m: {sd}"), 5)
+    verdict = fly(Row("paper_single_wall", "acrylic", away_m, 0.0, f"position_sd_m: {sd}"), 5)
     assert verdict.outcome == "completed", verdict.reason
     (hit,) = verdict.collisions
     assert hit.truth is not None
@@ -113,7 +113,7 @@ def test_a_wall_nearer_or_further_away_is_met_where_it_stands(away_m: float) -> 
     [(-0.27, 0.0, "wall_not_met"), (0.27, 0.0, "wall_met_early"), (0.0, -8.0, "wall_not_met")],
 )
 def test_without_its_figures_it_is_broken_off_as_ever(away_m: float, yaw_deg: float, rule: str) -> None:
-    mission = "single_wall beside" if yaw_deg else "single_wall"
+    mission = "single_wall beside" if yaw_deg else "paper_single_wall"
     verdict = fly(Row(mission, "acrylic", away_m, yaw_deg, ""), 5)
     assert verdict.outcome == "aborted"
     assert (verdict.reason or "").startswith(rule)
@@ -138,7 +138,7 @@ def test_a_way_planned_in_flight_leads_to_an_uncertain_wall(away_m: float) -> No
 @pytest.mark.parametrize("away_m", [-0.27, 0.27])
 def test_where_the_plane_is_is_felt(away_m: float) -> None:
     records: list[Record] = []
-    fly(Row("single_wall", "acrylic", away_m, 0.0, "position_sd_m: 0.1"), 5, records.append)
+    fly(Row("paper_single_wall", "acrylic", away_m, 0.0, "position_sd_m: 0.1"), 5, records.append)
     (felt,) = [r for r in records if isinstance(r, WallFelt)]
     assert felt.plane_offset_m == pytest.approx(away_m, abs=max(0.03, 3.0 * felt.plane_offset_sigma_m))
     assert felt.plane_offset_sigma_m < 0.05
@@ -293,4 +293,4 @@ def test_the_campaign_s_rows_are_of_missions_that_load() -> None:
     (wall,) = mission_of(row).walls
     assert wall.point == (1.65, -0.5)
     assert wall.yaw_sd_rad == pytest.approx(math.radians(4.0))
-    assert packaged("missions", "single_wall.yaml").exists()
+    assert packaged("missions", "paper_single_wall.yaml").exists()

@@ -39,7 +39,11 @@ from dart_flight.worlds.flight_record import FlightRecord
 
 ROOT = Path(__file__).parents[2]
 COMPILED = ROOT / "build" / "compiled"
-MISSIONS = ("dual_collision", "dual_collision_replan", "single_wall")  # set-point, replanned, one wall
+MISSIONS = (
+    "paper_dual_collision",
+    "dual_collision_replan",
+    "paper_single_wall",
+)  # set-point, replanned, one wall
 _REPEATS = 5
 _CHUNK = 50  # inputs, or ticks
 _NAN3 = (float("nan"),) * 3

@@ -26,7 +26,7 @@ from dart_flight.samples import FlightMode, LandedState
 from dart_flight.sim.autopilot import TICK_S, TICK_US, ImuReading, make_autopilot
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 
-MISSION = Path(__file__).parents[2] / "missions" / "single_wall.yaml"
+MISSION = Path(__file__).parents[2] / "missions" / "paper_single_wall.yaml"
 POSITION_NED = (1.6, 0.0, -1.0)  # just before the acrylic wall of that mission
 SPEED_M_S = 1.0
 _SETTLE_S = 6.0  # connection, rates, the app's start

@@ -17,7 +17,7 @@ from dart_flight.samples import Record, TruthContact, TruthSample, World
 from dart_flight.worlds.fast import FastFlight
 from tools.bench.processor import thread_seconds
 
-_MISSION = Path(__file__).parents[2] / "missions" / "dual_collision.yaml"
+_MISSION = Path(__file__).parents[2] / "missions" / "paper_dual_collision.yaml"
 _SLOT_US = 4000  # one IMU sample
 _PACED_S = 10.0
 _WRITTEN_S = 0.5  # after the last record

@@ -50,7 +50,7 @@ _LEAD_S = 8.0  # connection, rates, the app's start
 MAVSDK = "MAVSDK and its callbacks"
 MONITOR, WATCHING = "monitor", "MAVSDK alone at monitor's rates"
 WATCHING_ALL = "MAVSDK alone, until it is ended"
-DUAL = MISSION.with_name("dual_collision.yaml")
+DUAL = MISSION.with_name("paper_dual_collision.yaml")
 _QUIET: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
 Shares = dict[str, float]  # part -> per cent of a core
 

@@ -79,7 +79,7 @@ def fly(folder: Path, *, watched: bool) -> Timing:
     """
     environment = {**os.environ, "DART_FLIGHT_STATE_DIR": str(folder / "state")}
     program = [sys.executable, "-m", "dart_flight"]
-    mission = str(packaged("missions", "single_wall.yaml"))
+    mission = str(packaged("missions", "paper_single_wall.yaml"))
     command = [*program, "dry-run", mission, "--json", "--log-dir", str(folder)]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, env=environment, stdout=pipe, stderr=pipe, text=True) as flight:

@@ -55,7 +55,7 @@ from tools.campaigns.kept import fly_missing
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "build" / "body"
 PICTURE = ROOT / "build" / "body.png"
-MISSIONS = ("single_wall", "dual_collision")
+MISSIONS = ("paper_single_wall", "paper_dual_collision")
 WIDE_ROOM = "wide_room"
 PARTS = ("corners", "yaw", "map", "vary")
 FIRST_SEED = 7001
@@ -342,13 +342,13 @@ def yaw_jobs(case: Case, missions: Iterable[str], runs: int) -> list[Job]:
 
 def corner_jobs() -> list[Job]:
     """Every corner once, with walls askew to the side that is the harder one at the default."""
-    return [Job("dual_collision", FIRST_SEED, case, 10.0) for case in corners()]
+    return [Job("paper_dual_collision", FIRST_SEED, case, 10.0) for case in corners()]
 
 
 def vary_jobs(runs: int) -> list[Job]:
     """Dual flights with everything drawn."""
     return [
-        Job("dual_collision", seed, default_case(), vary=("all",))
+        Job("paper_dual_collision", seed, default_case(), vary=("all",))
         for seed in range(FIRST_SEED, FIRST_SEED + runs)
     ]
 
@@ -390,7 +390,7 @@ _ANGLES = (-30.0, -20.0, -10.0, 0.0, 10.0, 20.0, 30.0)
 PANELS = (
     Panel(
         "Dual collision, walls 5 degrees askew",
-        "dual_collision",
+        "paper_dual_collision",
         "friction_lever_share",
         "vertical_lever_m",
         (0.0, 0.3, 0.6, 1.0),
@@ -399,16 +399,16 @@ PANELS = (
     ),
     Panel(
         "Dual collision",
-        "dual_collision",
+        "paper_dual_collision",
         "yaw_deg",
         "guard_height_m",
         _ANGLES,
         (-0.1, -0.03, 0.0, 0.03, 0.1),
     ),
-    Panel("Single wall", "single_wall", "yaw_deg", "normal_m_s", _ANGLES, (-0.5, -1.0, -1.5, -2.0)),
+    Panel("Single wall", "paper_single_wall", "yaw_deg", "normal_m_s", _ANGLES, (-0.5, -1.0, -1.5, -2.0)),
     Panel(
         "Dual collision, walls 5 degrees askew",
-        "dual_collision",
+        "paper_dual_collision",
         "fold_share",
         "inertia",
         (0.0, 0.35, 0.7, 1.0),

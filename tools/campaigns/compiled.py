@@ -27,7 +27,7 @@ from dart_flight.worlds.prepare import load_flyable
 
 ROOT = Path(__file__).parents[2]
 COMPILED = ROOT / "build" / "compiled"
-MISSIONS = ("dual_collision", "dual_collision_replan", "dual_collision_stiff", "single_wall")
+MISSIONS = ("paper_dual_collision", "dual_collision_replan", "dual_collision_stiff", "paper_single_wall")
 
 
 class Flown(msgspec.Struct, frozen=True):

@@ -46,7 +46,7 @@ from dart_flight.worlds.sabotage import fill_disk_of
 
 EXPECTED = Path(__file__).resolve().parents[2] / "tests" / "faults" / "expected.csv"
 PHASES = ("take-off", "approach", "contact", "recovery", "goal")
-MISSIONS = ("dual_collision", "single_wall")
+MISSIONS = ("paper_dual_collision", "paper_single_wall")
 _NAMES = tuple(kind.name for kind in KINDS)
 _LANDING_M_S = 1.5
 _TILT_DEG = 80.0
@@ -262,7 +262,7 @@ def cell(fault: str, phase: str, seed: int = 1) -> Flown:
     """One cell of the matrix: the paper's dual collision."""
     kind = next(k for k in KINDS if k.name == fault)
     with tempfile.TemporaryDirectory() as folder:
-        return fly(_mission("dual_collision"), Fault(fault, kind.value, phase), seed, Path(folder))
+        return fly(_mission("paper_dual_collision"), Fault(fault, kind.value, phase), seed, Path(folder))
 
 
 def random_flight(number: int) -> Flown:

@@ -139,7 +139,7 @@ def plan_of(job: Job) -> Plan:
     tangential = rng.choice((-1.0, 1.0)) * rng.uniform(*chosen.tangential_m_s)
     mode = Mode.RIGID if chosen.half_engaged else rng.choice(list(Mode))
     lies = not chosen.half_engaged and rng.random() < _LIE_SHARE
-    document = load_document(ROOT / "missions" / "single_wall.yaml", FileKind.MISSION)
+    document = load_document(ROOT / "missions" / "paper_single_wall.yaml", FileKind.MISSION)
     tree = document.tree
     tree["start"]["position_m"] = [0.0, 0.5]
     tree["bounds_m"]["y"] = [-3.5, 4.5]

@@ -36,8 +36,8 @@ ROOT = Path(__file__).parents[2]
 # it makes of the vehicle that missions fly with by default.
 POINT, GUARDS = "point", "guards"
 MISSIONS = {
-    "single_wall": ("dart", POINT),
-    "dual_collision": ("dart", POINT),
+    "paper_single_wall": ("dart", POINT),
+    "paper_dual_collision": ("dart", POINT),
     "single_wall, guards": ("dart", GUARDS),
     "dual_collision, guards": ("dart", GUARDS),
     "rigid_cage/single_wall, guards": ("rigid_cage", GUARDS),

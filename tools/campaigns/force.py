@@ -70,8 +70,12 @@ class Row(msgspec.Struct):
 def missions() -> tuple[Mission, Mission]:
     """Dual collision and single wall."""
     return (
-        load_mission(ROOT / "missions" / "dual_collision.yaml", settings=["simulation.contact.body=point"]),
-        load_mission(ROOT / "missions" / "single_wall.yaml", settings=["simulation.contact.body=point"]),
+        load_mission(
+            ROOT / "missions" / "paper_dual_collision.yaml", settings=["simulation.contact.body=point"]
+        ),
+        load_mission(
+            ROOT / "missions" / "paper_single_wall.yaml", settings=["simulation.contact.body=point"]
+        ),
     )
 
 

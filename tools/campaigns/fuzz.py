@@ -164,7 +164,7 @@ class _Log:
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory()
         folder = Path(self._folder.name)
-        mission = load_flyable(packaged("missions", "single_wall.yaml"))
+        mission = load_flyable(packaged("missions", "paper_single_wall.yaml"))
         fly_fast(mission, 1, folder)
         whole = next(folder.glob("*/flight.mcap")).read_bytes()
         self._good = whole[:60_000]
@@ -179,7 +179,7 @@ class _Frame:
     """Frames that arrive at the autopilot's endpoint, valid, spoiled and invented."""
 
     def __init__(self) -> None:
-        mission = load_flyable(packaged("missions", "single_wall.yaml"))
+        mission = load_flyable(packaged("missions", "paper_single_wall.yaml"))
         self._vehicle = SimulatedVehicle(mission, 1, LockDriver.PX4)
         self._endpoint = MavlinkEndpoint(self._vehicle.autopilot, (9,))
         self._link = self._endpoint.links[0]

@@ -143,7 +143,7 @@ def main() -> int:
     parser.add_argument("flights", type=Path)
     parser.add_argument("--vary", nargs="*", default=["contact=0.3"], help="as the flights were flown")
     parser.add_argument("--set", nargs="*", default=[])
-    parser.add_argument("--mission", default=str(ROOT / "missions" / "dual_collision.yaml"))
+    parser.add_argument("--mission", default=str(ROOT / "missions" / "paper_dual_collision.yaml"))
     options = parser.parse_args()
     flights = [msgspec.json.decode(line, type=Flown) for line in options.flights.read_bytes().splitlines()]
     mission = load_mission(options.mission, settings=options.set)

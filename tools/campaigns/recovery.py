@@ -189,7 +189,7 @@ def jobs() -> dict[str, list[Job]]:
     """What every candidate flies, by group."""
     groups: dict[str, list[Job]] = {}
     for case, mission in itertools.product(
-        (default_case(), MIDDLE, WORST), ("single_wall", "dual_collision")
+        (default_case(), MIDDLE, WORST), ("paper_single_wall", "paper_dual_collision")
     ):
         groups[f"{mission}, {case.name}"] = [
             Job(mission, seed, case, yaw) for yaw, seed in itertools.product((0.0, 5.0, -10.0), _SEEDS)

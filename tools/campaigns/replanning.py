@@ -244,7 +244,7 @@ def main() -> int:
     parser.add_argument("--ways", nargs="*", default=list(WAYS))
     parser.add_argument("--body", default="guards")
     parser.add_argument("--set", nargs="*", default=[])
-    parser.add_argument("--mission", default=str(ROOT / "missions" / "dual_collision.yaml"))
+    parser.add_argument("--mission", default=str(ROOT / "missions" / "paper_dual_collision.yaml"))
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--keep", type=Path, help="append every flight to this file, a line of JSON each")
     options = parser.parse_args()

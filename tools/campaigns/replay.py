@@ -27,7 +27,7 @@ from dart_flight.worlds.px4 import fly_px4
 from dart_flight.worlds.replay import replay
 
 ROOT = Path(__file__).parents[2]
-MISSIONS = ("dual_collision", "single_wall")
+MISSIONS = ("paper_dual_collision", "paper_single_wall")
 WORLDS = ("fast", "embedded", "px4")
 _HEAD = "| world | mission | seed | outcome | MB/min | inputs | outputs | decisions | differ | replay s |"
 _RULE = "|---|---|---:|---|---:|---:|---:|---:|---:|---:|"

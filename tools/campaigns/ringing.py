@@ -34,7 +34,7 @@ from dart_flight.worlds.fast import fly_fast
 from dart_flight.worlds.prepare import load_flyable
 
 ROOT = Path(__file__).parents[2]
-MISSIONS = ("dual_collision", "single_wall")
+MISSIONS = ("paper_dual_collision", "paper_single_wall")
 RINGINGS = {
     "none": None,
     "white 3 m/s2": ImuRinging(white_m_s2=3.0),

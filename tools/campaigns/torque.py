@@ -112,7 +112,7 @@ def as_body(mission: Mission) -> Mission:
 
 def drawn_mission(seed: int) -> Mission:
     """The single wall with mode and approach of a seed."""
-    mission = as_body(load_mission(ROOT / "missions" / "single_wall.yaml"))
+    mission = as_body(load_mission(ROOT / "missions" / "paper_single_wall.yaml"))
     rng = random.Random(f"torque {seed}")
     approach = (-rng.uniform(0.4, 1.5), rng.uniform(-0.6, 0.6))
     collision = msgspec.structs.replace(

@@ -80,7 +80,13 @@ def fly(folder: Path, port: int | None) -> int:
         latencies.append((host_us() - setpoint.trigger_received_us) * 1e-3)
 
     FlightApp.send = timed  # type: ignore[method-assign,assignment]
-    command = ["dry-run", str(packaged("missions", "single_wall.yaml")), "--json", "--log-dir", str(folder)]
+    command = [
+        "dry-run",
+        str(packaged("missions", "paper_single_wall.yaml")),
+        "--json",
+        "--log-dir",
+        str(folder),
+    ]
     if port is not None:
         command += ["--live", "--live-port", str(port)]
     status = dart_flight(command)

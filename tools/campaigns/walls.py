@@ -44,8 +44,8 @@ class Row(NamedTuple):
 ROWS = [
     Row(mission, wall, away_m, yaw_deg, known)
     for mission, wall, moved, of_place in (
-        ("single_wall", "acrylic", (-0.12, 0.12), "position_sd_m: 0.06"),
-        ("single_wall", "acrylic", (-0.27, 0.27), "position_sd_m: 0.1"),
+        ("paper_single_wall", "acrylic", (-0.12, 0.12), "position_sd_m: 0.06"),
+        ("paper_single_wall", "acrylic", (-0.27, 0.27), "position_sd_m: 0.1"),
         ("dual_collision_replan", "acrylic", (-0.25, 0.27), "position_sd_m: 0.1"),
     )
     for away_m, yaw_deg in [(m, 0.0) for m in moved]

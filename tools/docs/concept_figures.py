@@ -147,7 +147,7 @@ def frames(folder: Path) -> None:
 
 def vehicle_to_scale(folder: Path) -> None:
     """The vehicle from above with its sizes, its arms in both modes, and the cam with its rods, to scale."""
-    vehicle = _mission("single_wall.yaml").vehicle
+    vehicle = _mission("paper_single_wall.yaml").vehicle
     figure, (left, right) = _figure(8.2, 3.9, columns=2)
     _draw_sizes(left, vehicle.airframe)
     _draw_cam(right, vehicle.lock.cam if vehicle.lock is not None else None)
@@ -224,7 +224,7 @@ def _draw_cam(axis: Any, cam: Cam | None) -> None:
 
 def modes(folder: Path) -> None:
     """What the cam does with the rods, and what the mode does with the same hit."""
-    vehicle = _mission("single_wall.yaml").vehicle
+    vehicle = _mission("paper_single_wall.yaml").vehicle
     figure, (left, right) = _figure(8.2, 3.2, columns=2)
     assert vehicle.lock is not None
     cam = vehicle.lock.cam
@@ -255,7 +255,7 @@ def modes(folder: Path) -> None:
 
 def contact(folder: Path) -> None:
     """One hit by both onset rules: depth, velocity and force."""
-    vehicle = _mission("single_wall.yaml").vehicle
+    vehicle = _mission("paper_single_wall.yaml").vehicle
     figure, axes = _figure(8.2, 2.9, columns=3)
     time_s = np.linspace(-0.02, 0.12, 1401)
     for onset, colour, style in ((Onset.LCP, DARK, SOLID), (Onset.TOUCH, MIDDLE, DASHED)):
@@ -279,7 +279,7 @@ def contact(folder: Path) -> None:
 
 def recovery(folder: Path) -> None:
     """A flown dual collision from above: path, peak forces and the set-points that follow from them."""
-    mission = _mission("dual_collision.yaml")
+    mission = _mission("paper_dual_collision.yaml")
     with tempfile.TemporaryDirectory() as logs:
         verdict = fly_fast(mission, 1, Path(logs))
         if verdict.log is None or verdict.outcome != "completed":

@@ -41,25 +41,25 @@ def _flown(mission: Mission, folder: Path, seed: int = 1, fault: str | None = No
 
 
 def _single(folder: Path) -> str:
-    return flight_page(_flown(_mission("single_wall"), folder))
+    return flight_page(_flown(_mission("paper_single_wall"), folder))
 
 
 def _dual(folder: Path) -> str:
-    return flight_page(_flown(_mission("dual_collision"), folder))
+    return flight_page(_flown(_mission("paper_dual_collision"), folder))
 
 
 def _aborted(folder: Path) -> str:
-    return flight_page(_flown(_mission("dual_collision"), folder, fault="wall-missing@approach"))
+    return flight_page(_flown(_mission("paper_dual_collision"), folder, fault="wall-missing@approach"))
 
 
 def _ten_trials(folder: Path) -> str:
-    mission = _mission("dual_collision")
+    mission = _mission("paper_dual_collision")
     return comparison_page([_flown(mission, folder, seed) for seed in range(1, _TRIALS + 1)])
 
 
 def _proposal(folder: Path) -> str:
     # What is identified is the law of a point: a body's friction, off its centre, would come out as another.
-    mission = _mission("single_wall", "simulation.contact.body=point")
+    mission = _mission("paper_single_wall", "simulation.contact.body=point")
     flights = []
     for seed in range(1, _PROPOSED_FROM + 1):
         log = folder / str(seed) / "flight.mcap"
