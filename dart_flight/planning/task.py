@@ -13,6 +13,8 @@ import msgspec
 from dart_flight.config.mission import BoundsSpec, Collision, GoalSpec, Limits, Mission
 from dart_flight.config.scenario import Scenario
 from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.core.mission.approach import run_up
+from dart_flight.core.mission.arithmetic import SCALARS
 from dart_flight.geometry import Vec2, Wall
 from dart_flight.samples import Mode
 
@@ -43,12 +45,10 @@ def task_of(mission: Mission, group: Sequence[Collision]) -> MissionTask:
     first = group[0]
     assert first.approach_m_s is not None
     assert first.impact_point is not None
-    # A rollout meets the wall on the ray from the start: where a mission says the point, seen from there.
+    # A rollout meets the wall on the ray from the start: from where the flight begins its run-up.
     vx, vy, _ = first.approach_velocity()
-    until = first.wall.signed_distance(mission.start) / -first.approach_m_s[0]
-    start = (first.impact_point[0] - vx * until, first.impact_point[1] - vy * until)
-    if all(abs(a - b) < _SAME_M for a, b in zip(start, mission.start, strict=True)):
-        start = mission.start
+    flying = mission.vehicle.flying
+    start = run_up(SCALARS, mission.start, first.impact_point, (vx, vy), flying, first.wall).begin
     return MissionTask(
         mission.vehicle,
         start,
@@ -59,9 +59,6 @@ def task_of(mission: Mission, group: Sequence[Collision]) -> MissionTask:
         mission.vehicle.modes,
         {str(c.index): (c.alpha_normal_m_per_n, c.alpha_tangential_m_per_n) for c in group},
     )
-
-
-_SAME_M = 1e-6
 
 
 def drag_along(wall: Wall, drag_per_s: Sequence[float]) -> tuple[float, float]:
