@@ -91,6 +91,7 @@ class Wall(msgspec.Struct, frozen=True):
         material: key of the materials table.
         position_sd_m: standard deviation of the plane's place along the normal; None: not told.
         yaw_sd_rad: of its direction, about `point`; None: not told.
+        half_vehicle_m: from the vehicle's centre to its side, which must fit on the wall, or past its end.
     """
 
     name: str
@@ -100,6 +101,7 @@ class Wall(msgspec.Struct, frozen=True):
     material: str
     position_sd_m: float | None = None
     yaw_sd_rad: float | None = None
+    half_vehicle_m: float = 0.0
 
     @property
     def tangent(self) -> Vec2:
@@ -150,6 +152,13 @@ class Wall(msgspec.Struct, frozen=True):
         reach = 0.5 * self.length_m
         along = max(-reach, min(reach, self.along(position)))
         return (self.point[0] + along * self.tangent[0], self.point[1] + along * self.tangent[1])
+
+    def end_distance_m(self, position: tuple[Any, ...]) -> Any:
+        """How far inside the nearer end a point lies along the wall, metres; negative beyond it.
+
+        Numbers, or arrays of them.
+        """
+        return 0.5 * self.length_m - abs(self.along(position))
 
     def spans(self, position: Vec2 | Vec3) -> bool:
         """Whether the point lies before the wall's finite length."""

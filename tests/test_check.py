@@ -280,11 +280,11 @@ def test_a_lock_that_would_not_move_is_a_no_go() -> None:
 @pytest.mark.mavlink
 def test_check_and_fly_with_a_vehicle(tmp_path: Path) -> None:
     """`check` reads a vehicle; `fly` refuses on the same no-go."""
-    with simulated_vehicle("missions/paper_single_wall.yaml") as url:
+    with simulated_vehicle("missions/single_wall.yaml") as url:
 
         def command(*arguments: str) -> subprocess.CompletedProcess[str]:
             return subprocess.run(
-                [sys.executable, "-m", "dart_flight", *arguments, "missions/paper_single_wall.yaml"],
+                [sys.executable, "-m", "dart_flight", *arguments, "missions/single_wall.yaml"],
                 cwd=ROOT,
                 env=dict(os.environ),
                 capture_output=True,

@@ -9,7 +9,7 @@ from dart_flight.check.findings import Finding
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import NoApproachError, is_blocked, legs_to_impact, plan_approach
 from dart_flight.core.mission.arithmetic import SCALARS
-from dart_flight.core.mission.survey import SURE_SD, slack_m
+from dart_flight.core.mission.survey import SURE_SD, end_margin_m, slack_m
 from dart_flight.geometry import Vec2
 from dart_flight.planning.envelope import incidence_deg, most_incidence_deg
 from dart_flight.planning.planned import PlannedFlight
@@ -24,7 +24,32 @@ def check_walls(mission: Mission, planned: PlannedFlight | None) -> list[Finding
         mission: whose walls they are.
         planned: its flight by the planner's model, for the places of hits that a recovery leads to.
     """
-    return [finding for c in mission.collisions for finding in _check_collision(mission, c, planned)]
+    found = [finding for c in mission.collisions for finding in _check_collision(mission, c, planned)]
+    return [*_check_ends(mission, planned), *found]
+
+
+def _check_ends(mission: Mission, planned: PlannedFlight | None) -> Iterator[Finding]:
+    """Whether every wall is met far enough from its end for the whole vehicle to meet it."""
+    if not mission.collisions:
+        return
+    places = [(c, _place(c, planned)) for c in mission.collisions]
+
+    def room_m(one: tuple[Collision, Vec2]) -> float:
+        wall, place = one[0].wall, one[1]
+        return float(wall.end_distance_m(place) - end_margin_m(wall, place))
+
+    nearest, place = min(places, key=room_m)
+    wall = nearest.wall
+    distance_m, slack = float(wall.end_distance_m(place)), float(slack_m(wall, place))
+    side = "from" if distance_m >= 0.0 else "beyond"
+    says = f"wall {wall.name} is met {abs(distance_m):.2f} m {side} its end"
+    needed = f"half a vehicle ({wall.half_vehicle_m:.2f} m)"
+    if slack > 0.0:
+        needed += f" and {SURE_SD:g} standard deviations of its place ({slack:.2f} m)"
+    figures = {"distance_m": distance_m, "margin_m": wall.half_vehicle_m + slack}
+    if room_m((nearest, place)) < 0.0:
+        says += f", nearer than {needed}: move the hit along the wall"
+    yield Finding("wall_end", room_m((nearest, place)) >= 0.0, says, figures=figures)
 
 
 def _check_collision(

@@ -634,7 +634,10 @@ def resolve_walls(specs: dict[str, WallSpec], vehicle: VehicleConfig, document: 
         offset = vehicle.airframe.contact_distance_m if spec.given_at is GivenAt.SURFACE else 0.0
         point = (spec.point_m[0] + offset * normal[0], spec.point_m[1] + offset * normal[1])
         yaw_sd_rad = None if spec.yaw_sd_deg is None else math.radians(spec.yaw_sd_deg)
-        walls[name] = Wall(name, point, normal, spec.length_m, spec.material, spec.position_sd_m, yaw_sd_rad)
+        half_m = vehicle.airframe.contact_distance_m
+        walls[name] = Wall(
+            name, point, normal, spec.length_m, spec.material, spec.position_sd_m, yaw_sd_rad, half_m
+        )
     return walls
 
 

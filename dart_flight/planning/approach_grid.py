@@ -15,6 +15,7 @@ from dart_flight.core.mission.approach import (
     transit_time_s,
 )
 from dart_flight.core.mission.arithmetic import Number
+from dart_flight.core.mission.survey import end_margin_m
 from dart_flight.geometry import Vec2, Wall
 from dart_flight.planning.constraints import ARRAYS, Constraints, Refusal
 from dart_flight.planning.task import Task
@@ -72,7 +73,7 @@ def approach_grid(
     for x, y in (impact, begin):
         outside = (x < b.x[0]) | (x > b.x[1]) | (y < b.y[0]) | (y > b.y[1])
         mark(codes, outside, Refusal.RUN_UP_ROOM)
-    beyond = (np.abs(wall.along(impact)) > 0.5 * wall.length_m) | (until + 0.0 * speed <= 0.0)
+    beyond = (wall.end_distance_m(impact) < end_margin_m(wall, impact)) | (until + 0.0 * speed <= 0.0)
     mark(codes, beyond, Refusal.BEYOND_WALL)
     mark(codes, speed > task.limits.speed_m_s, Refusal.APPROACH_SPEED)
     return grid

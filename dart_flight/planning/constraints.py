@@ -22,6 +22,7 @@ from dart_flight.core.mission.commitment import (
     setpoint_outside_m,
 )
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S, STOP_TIME_S, least_distance_m, stop_share
+from dart_flight.core.mission.survey import end_margin_m
 from dart_flight.geometry import GRAVITY_M_S2, Vec2, Wall
 from dart_flight.planning.flight_model import Leg, Window
 from dart_flight.planning.task import Task
@@ -166,11 +167,12 @@ class Constraints:
         if begins:
             alive[:, 0] = False
         for wall in obstacles:
-            (nx, ny), (px, py), (tx, ty) = wall.normal, wall.point, wall.tangent
+            (nx, ny), (px, py) = wall.normal, wall.point
             depth = nx * (w.x - px) + ny * (w.y - py)
-            along = tx * (w.x - px) + ty * (w.y - py)
+            place = (w.x, w.y)
             # Behind a wall is not in it: only passing through its front counts.
-            touched = _touches(wall, w) & (np.abs(along) <= 0.5 * wall.length_m) & (depth > -_THICK_M)
+            before = wall.end_distance_m(place) >= -end_margin_m(wall, place)
+            touched = _touches(wall, w) & before & (depth > -_THICK_M)
             self.mark(codes, (touched & alive).any(axis=1), Refusal.OBSTACLE)
         return codes
 
@@ -194,13 +196,14 @@ class Constraints:
         """Whether a wall stands between the closest approaches and the goal, which is flown to straight."""
         codes = np.zeros(x.shape, dtype=np.int8)
         for wall in self.walls:
-            (nx, ny), (px, py), (tx, ty) = wall.normal, wall.point, wall.tangent
+            (nx, ny), (px, py) = wall.normal, wall.point
             here, there = nx * (x - px) + ny * (y - py), wall.signed_distance(goal)
             # Just released the vehicle may still be a little behind the plane: no way through the wall.
             crosses = (here > 0.0) if there < 0.0 else (here < -_THICK_M)
             share = np.where(crosses, here / np.where(crosses, here - there, 1.0), 0.0)
-            along = tx * (x + share * (goal[0] - x) - px) + ty * (y + share * (goal[1] - y) - py)
-            self.mark(codes, crosses & (np.abs(along) <= 0.5 * wall.length_m), Refusal.OBSTACLE)
+            crossing = (x + share * (goal[0] - x), y + share * (goal[1] - y))
+            blocks = crosses & (wall.end_distance_m(crossing) >= -end_margin_m(wall, crossing))
+            self.mark(codes, blocks, Refusal.OBSTACLE)
         return codes
 
     def lock_in_time(self, leg: Leg, wall: Wall) -> NDArray[np.bool_]:
@@ -250,7 +253,7 @@ class Constraints:
 def leads_behind(wall: Wall, place: tuple[Number, Number], target: tuple[Number, Number]) -> Number:
     """Whether a set-point lies behind a wall in front of which the vehicle is; numbers, or arrays of them."""
     crosses = (wall.signed_distance(place) > 0.0) & (wall.signed_distance(target) <= 0.0)
-    return crosses & (abs(wall.along(target)) <= 0.5 * wall.length_m)
+    return crosses & (wall.end_distance_m(target) >= -end_margin_m(wall, target))
 
 
 def _outside(limits: tuple[float, float], x: NDArray[Any], v: NDArray[Any]) -> NDArray[np.bool_]:

@@ -29,7 +29,7 @@ from dart_flight.config.vehicle import Coefficients
 from dart_flight.core.mission.commitment import SETTLED_BEFORE_S
 from dart_flight.core.mission.planned import impact_velocity
 from dart_flight.core.mission.position_loop import PositionLoop
-from dart_flight.core.mission.survey import Survey, slack_m
+from dart_flight.core.mission.survey import Survey, end_margin_m, slack_m
 from dart_flight.geometry import GRAVITY_M_S2, Vec2, Wall
 from dart_flight.planning.constraints import REFUSALS, Constraints
 from dart_flight.planning.contact_stage import build_stages, expm
@@ -175,7 +175,8 @@ class Replanner:
         impact_s = duration + straight_s
         assert request.lock_ready_us is not None
         ready_s = (request.lock_ready_us - request.begin_us) * 1e-6
-        on_wall = np.abs(wall.along((x + vx * straight_s, y + vy * straight_s))) <= 0.5 * wall.length_m
+        hit = (x + vx * straight_s, y + vy * straight_s)
+        on_wall = wall.end_distance_m(hit) >= end_margin_m(wall, hit)
         fine = on_wall & (impact_s >= ready_s + SETTLED_BEFORE_S)
         goal = self._mission.goal.position_m
         rest_s = np.hypot(x - goal[0], y - goal[1]) / self._mission.vehicle.flying.transit_speed_m_s

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.core.mission.executive import PASSED_AFTER_S, PASSED_RISE_M
+from dart_flight.core.mission.survey import end_margin_m
 from dart_flight.geometry import Vec2, Wall
 from dart_flight.planning.approach_grid import ApproachGrid, approach_grid
 from dart_flight.planning.constraints import CODE, REFUSALS, Constraints, Refusal
@@ -390,7 +391,7 @@ class Rollout:
 
     def _search_wall(self, front: _Front, wall: Wall, number: int) -> tuple[Rows, Rows]:
         """Grid index just behind the plane, and which candidates get there, after collision `number`."""
-        (nx, ny), (px, py), (tx, ty) = wall.normal, wall.point, wall.tangent
+        (nx, ny), (px, py) = wall.normal, wall.point
         offset = nx * px + ny * py
         live = np.arange(front.leg.size)
         grid = self.flight.grid(front.leg)
@@ -418,8 +419,8 @@ class Rollout:
                 codes = self.constraints.path(w, until, wall, first == 0)
                 rows = np.flatnonzero(crossed & (codes == 0))
                 at = index[rows]
-                along = tx * (w.x[rows, at] - px) + ty * (w.y[rows, at] - py)
-                passes = np.abs(along) > 0.5 * wall.length_m
+                place = (w.x[rows, at], w.y[rows, at])
+                passes = wall.end_distance_m(place) < end_margin_m(wall, place)
                 codes[rows[passes]] = CODE[Refusal.WALL_NOT_REACHED]
                 self._refuse(codes, number)
             fine = codes == 0
@@ -551,7 +552,8 @@ def _really_met(
     later_s = before / -into
     x, y = grid.impact_x + vx * later_s, grid.impact_y + vy * later_s
     codes = grid.codes.copy()
-    beyond = np.abs(tx * (x - wall.point[0]) + ty * (y - wall.point[1])) > 0.5 * wall.length_m
+    # Where it stands is drawn: only the vehicle's own half must fit on it.
+    beyond = wall.end_distance_m((x, y)) < wall.half_vehicle_m
     codes[(codes == 0) & beyond] = CODE[Refusal.BEYOND_WALL]
     met = grid._replace(codes=codes, impact_x=x, impact_y=y, impact_s=grid.impact_s + later_s)
     n, t = shift

@@ -14,6 +14,7 @@ from dart_flight.config.mission import Collision, Mission, parse_mission
 from dart_flight.config.scenario import Scenario, load_scenario
 from dart_flight.core.mission.approach import NoApproachError, plan_approach
 from dart_flight.core.mission.position_loop import PositionLoop, least_distance_m
+from dart_flight.core.mission.survey import end_margin_m
 from dart_flight.planning.constraints import REFUSALS, Constraints, Refusal
 from dart_flight.planning.contact_stage import expm
 from dart_flight.planning.flight_model import FreeFlight, Leg, loop_matrix
@@ -90,6 +91,10 @@ def test_approaches_are_refused_as_the_executive_refuses_them(dual: Scenario) ->
         except (InputError, NoApproachError):
             assert grid.codes != 0
             seen.add(REFUSALS[int(grid.codes) - 1])
+            continue
+        wall = dual.walls["wood"]
+        if wall.end_distance_m(approach.impact) < end_margin_m(wall, approach.impact):  # `check` refuses it
+            assert REFUSALS[int(grid.codes) - 1] is Refusal.BEYOND_WALL
             continue
         assert grid.codes == 0
         assert (float(grid.begin_x), float(grid.begin_y)) == pytest.approx(approach.begin)

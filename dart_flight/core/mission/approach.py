@@ -15,7 +15,7 @@ import msgspec
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.arithmetic import SCALARS, Arithmetic, Number
-from dart_flight.core.mission.survey import slack_m
+from dart_flight.core.mission.survey import end_margin_m, slack_m
 from dart_flight.geometry import Vec2, Vec3, Wall, distance2
 
 # Speed follows 3 s^2 - 2 s^3: the peak acceleration is 1.5 times the mean, the way half of speed times time.
@@ -148,6 +148,8 @@ def is_blocked(
 ) -> Number:
     """Whether a wall stands in the way from one point to another, or the way begins too near behind it.
 
+    What passes its end keeps `end_margin_m` from it.
+
     Args:
         m: for numbers or for arrays.
         wall: the obstacle.
@@ -160,7 +162,7 @@ def is_blocked(
     gap = da - db
     share = m.where(gap != 0.0, da / m.where(gap != 0.0, gap, 1.0), 0.0)
     crossing = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
-    return crosses & (abs(wall.along(crossing)) <= 0.5 * wall.length_m)
+    return crosses & (wall.end_distance_m(crossing) >= -end_margin_m(wall, crossing))
 
 
 def legs_to_impact(

@@ -27,6 +27,14 @@ def slack_m(wall: Wall, place: tuple[Number, ...]) -> Number:
     return SURE_SD * wall.plane_sd_m(place)
 
 
+def end_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
+    """What a hit keeps from the wall's end, and a path that passes it from its other side, metres.
+
+    Half a vehicle, and what the wall's place leaves open.
+    """
+    return wall.half_vehicle_m + slack_m(wall, place)
+
+
 def overrun_m(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3) -> float:
     """How far behind the plane there must have been a contact."""
     return float(guard.wall_overrun_m + slack_m(wall, place))

@@ -1,0 +1,71 @@
+"""Half a vehicle, and what a wall's place leaves open, between a hit and the wall's end, and past its end."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.check.findings import Finding
+from dart_flight.check.mission import check_mission
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.scenario import load_scenario
+from dart_flight.config.vehicle import packaged
+from dart_flight.core.mission.approach import is_blocked
+from dart_flight.core.mission.arithmetic import SCALARS
+from dart_flight.core.mission.survey import SURE_SD, end_margin_m
+from dart_flight.geometry import Wall
+from dart_flight.planning.search import search
+
+HALF_M = 0.2  # of the packaged vehicle: its contact distance
+
+
+def met_at(from_end_m: float, **wall: float) -> Mission:
+    """The single wall as a door 1.6 m wide, met so far from its end."""
+    mission = load_mission(packaged("missions", "paper_single_wall.yaml"))
+    hit = mission.collisions[0].impact_point
+    assert hit is not None
+    door = msgspec.structs.replace(
+        mission.walls[0], length_m=1.6, point=(hit[0], hit[1] + 0.8 - from_end_m), **wall
+    )
+    collision = msgspec.structs.replace(mission.collisions[0], wall=door)
+    return msgspec.structs.replace(mission, walls=(door,), collisions=(collision,))
+
+
+def wall_end(mission: Mission) -> Finding:
+    return next(f for f in check_mission(mission) if f.item == "wall_end")
+
+
+def test_a_hit_sixteen_millimetres_from_a_doors_end_is_no_go() -> None:
+    finding = wall_end(met_at(0.016))
+    assert not finding.go
+    assert finding.figures == pytest.approx({"distance_m": 0.016, "margin_m": HALF_M})
+    assert "0.02 m from its end, nearer than half a vehicle (0.20 m)" in finding.says
+    assert wall_end(met_at(HALF_M + 0.01)).go
+
+
+def test_what_the_place_leaves_open_counts_too() -> None:
+    assert wall_end(met_at(0.45)).go
+    finding = wall_end(met_at(0.45, position_sd_m=0.1))
+    assert not finding.go
+    assert finding.figures["margin_m"] == pytest.approx(HALF_M + SURE_SD * 0.1)
+
+
+@pytest.mark.parametrize("name", ["dual_collision", "any_walls"])
+def test_no_plan_meets_a_wall_at_its_end(name: str) -> None:
+    scenario = load_scenario(packaged("missions", "scenarios", f"{name}.yaml"))
+    plans = search(scenario, top=300).plans
+    assert len(plans) > 100
+    for plan in plans:
+        for c in plan.collisions:
+            wall = scenario.walls[c.wall]
+            assert wall.end_distance_m(c.position_m) >= end_margin_m(wall, c.position_m) - 1e-6
+
+
+@given(st.floats(-1.5, 1.5), st.floats(0.0, 0.1))
+def test_a_path_keeps_the_margin_from_the_end_that_it_passes(y: float, sd: float) -> None:
+    wall = Wall("door", (1.0, 0.0), (-1.0, 0.0), 1.6, "wood", sd, None, HALF_M)
+    beside = abs(y) - 0.8 - HALF_M - SURE_SD * sd
+    if abs(beside) > 1e-9:
+        assert is_blocked(SCALARS, wall, (0.0, y), (2.0, y)) == (beside < 0.0)
