@@ -111,8 +111,17 @@ def test_the_command_says_no_go_with_exit_1(tmp_path: Path, capsys: pytest.Captu
     assert main(["check", str(path), "--overrule", "force_9"]) == 2
 
 
+V1_16, V1_18 = (1, 16), (1, 18)
+
+
+def shipped(version: tuple[int, int]) -> dict[str, float]:
+    """What our files set on a vehicle of a version."""
+    wanted = vehicle_parameters(PositionSource.MOCAP).values()
+    return {p.name: float(p.value) for p in wanted if not p.is_absent_in(version)}
+
+
 GOOD = {
-    **{p.name: float(p.value) for p in vehicle_parameters(PositionSource.MOCAP).values()},
+    **shipped(V1_16),
     "COM_OF_LOSS_T": 1.0,
     "COM_LKDOWN_TKO": 3.0,
     "COM_DISARM_LAND": 2.0,
@@ -127,8 +136,39 @@ def test_a_vehicle_set_up_by_our_files_is_go_without_a_remark() -> None:
     findings = judge_parameters(mission(), GOOD, PositionSource.MOCAP)
     assert not no_goes(findings)
     assert not remarks(findings)
-    assert set(PARAMETERS) == {f.item for f in findings}
+    assert set(PARAMETERS) - {"MAN_OVERRIDE_SPD"} == {f.item for f in findings}
     assert all(len(f.says.split()) >= 3 for f in findings)
+
+
+NEWER = GOOD | shipped(V1_18)
+for went in ("COM_RC_OVERRIDE", "COM_IMB_PROP_ACT"):
+    NEWER.pop(went)
+
+
+@pytest.mark.parametrize("version", [V1_18, None])
+def test_a_vehicle_of_a_version_that_has_renamed_and_dropped_parameters_is_go(
+    version: tuple[int, int] | None,
+) -> None:
+    """v1.18 has MAN_OVERRIDE_SPD instead of COM_RC_OVERRIDE, and no COM_IMB_PROP_ACT."""
+    findings = judge_parameters(mission(), NEWER, PositionSource.MOCAP, version)
+    assert not no_goes(findings)
+    assert not remarks(findings)
+    assert {"MAN_OVERRIDE_SPD"} == {f.item for f in findings} - set(GOOD)
+    assert not {"COM_RC_OVERRIDE", "COM_IMB_PROP_ACT"} & {f.item for f in findings}
+    unable = judge_parameters(mission(), {**NEWER, "MAN_OVERRIDE_SPD": -1.0}, PositionSource.MOCAP, version)
+    assert no_goes(unable) == ["MAN_OVERRIDE_SPD"]
+
+
+@pytest.mark.parametrize("name", ["COM_RC_OVERRIDE", "COM_IMB_PROP_ACT"])
+def test_a_parameter_that_the_version_has_and_that_was_not_read_is_a_no_go(name: str) -> None:
+    missing = {n: value for n, value in GOOD.items() if n != name}
+    assert no_goes(judge_parameters(mission(), missing, PositionSource.MOCAP, V1_16)) == [name]
+    without_both = {n: v for n, v in missing.items() if n not in ("COM_RC_OVERRIDE", "COM_IMB_PROP_ACT")}
+    assert set(no_goes(judge_parameters(mission(), without_both, PositionSource.MOCAP))) == {
+        "COM_RC_OVERRIDE",
+        "COM_IMB_PROP_ACT",
+        "MAN_OVERRIDE_SPD",
+    }
 
 
 @pytest.mark.parametrize(

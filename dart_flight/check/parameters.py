@@ -10,7 +10,13 @@ from collections.abc import Callable, Mapping
 
 from dart_flight.check.findings import Finding
 from dart_flight.config.mission import Mission
-from dart_flight.config.parameters import PositionSource, differences, vehicle_parameters
+from dart_flight.config.parameters import (
+    Parameter,
+    PositionSource,
+    Version,
+    differences,
+    vehicle_parameters,
+)
 from dart_flight.planning.positioning import PLAIN_GPS, frame_problem
 
 _GAIN_TOLERANCE = 0.02
@@ -61,6 +67,12 @@ def _rc_override(value: float, _: Mission) -> tuple[bool, str]:
         if takes_over
         else "the pilot's sticks do NOT take over in offboard: only the mode switch does"
     )
+
+
+def _stick_speed(value: float, _: Mission) -> tuple[bool, str]:
+    if value < 0.0:
+        return False, "the pilot's sticks do NOT take over in offboard: only the mode switch does"
+    return True, f"the pilot's sticks take over in offboard when moved faster than {value:g} 1/s"
 
 
 def _rc_loss(value: float, _: Mission) -> tuple[bool, str]:
@@ -122,6 +134,7 @@ PARAMETERS: dict[str, Callable[[float, Mission], tuple[bool, str]]] = {
     "COM_OF_LOSS_T": _of_loss,
     "COM_OBL_RC_ACT": _loss_action,
     "COM_RC_OVERRIDE": _rc_override,
+    "MAN_OVERRIDE_SPD": _stick_speed,  # in its place from v1.18 on
     "NAV_RCL_ACT": _rc_loss,
     "COM_RCL_EXCEPT": _rc_exception,
     "FD_FAIL_P": _attitude_limit,
@@ -139,12 +152,14 @@ IMU_POSITION = ("EKF2_IMU_POS_X", "EKF2_IMU_POS_Y", "EKF2_IMU_POS_Z")
 _POSITION_TOLERANCE_M = 0.005
 
 
-def names_to_read() -> list[str]:
-    """Every parameter that the judgements here look at."""
-    names = [*PARAMETERS, *_GAINS, *IMU_POSITION]
+def names_to_read(version: Version | None = None) -> list[str]:
+    """Every parameter that the judgements here look at and a version of PX4 may have."""
+    names, absent = [*PARAMETERS, *_GAINS, *IMU_POSITION], set[str]()
     for source in PositionSource:
-        names += vehicle_parameters(source)
-    return list(dict.fromkeys(names))
+        parameters = vehicle_parameters(source)
+        names += parameters
+        absent |= {p.name for p in parameters.values() if p.is_absent_in(version)}
+    return [name for name in dict.fromkeys(names) if name not in absent]
 
 
 def other_names(values: Mapping[str, float]) -> list[str]:
@@ -158,7 +173,10 @@ def other_names(values: Mapping[str, float]) -> list[str]:
 
 
 def judge_parameters(
-    mission: Mission, values: Mapping[str, float], source: PositionSource | None
+    mission: Mission,
+    values: Mapping[str, float],
+    source: PositionSource | None,
+    version: Version | None = None,
 ) -> list[Finding]:
     """Parameters as read: explained, compared with the configuration and with `configs/px4/`.
 
@@ -166,12 +184,16 @@ def judge_parameters(
         mission: for its limits and its vehicle.
         values: as read from the vehicle.
         source: where its position comes from; None: only what every vehicle needs is compared.
+        version: of PX4; None: not told, and every parameter is expected that any version has.
     """
-    different = {d.name: d for d in differences(vehicle_parameters(source), values)}
+    wanted = vehicle_parameters(source)
+    different = {d.name: d for d in differences(wanted, values)}
     findings = []
     for name, judge in PARAMETERS.items():
         difference = different.pop(name, None)
         if name not in values:
+            if name in wanted and _is_elsewhere(wanted[name], wanted, values, version):
+                continue
             findings.append(Finding(name, False, "cannot be read: what PX4 will do is not known"))
             continue
         go, says = judge(values[name], mission)
@@ -182,6 +204,19 @@ def judge_parameters(
     findings += _judge_imu_position(mission, values)
     findings += [Finding(d.name, True, d.line(), remark=True) for d in different.values()]
     return findings
+
+
+def _is_elsewhere(
+    missing: Parameter, wanted: Mapping[str, Parameter], values: Mapping[str, float], version: Version | None
+) -> bool:
+    """Whether this PX4 goes without a parameter: by its version, or where that is not told by what it has."""
+    if version is not None:
+        return missing.is_absent_in(version)
+    # It has one that came when this one went, or lacks one that went when this one came.
+    when = {"before": "after", "after": "before"}.get(missing.absent.partition(" ")[0])
+    return any(
+        one.absent.startswith(f"{when} ") and (one.name in values) for one in wanted.values() if one.absent
+    )
 
 
 def _judge_gains(mission: Mission, values: Mapping[str, float]) -> list[Finding]:

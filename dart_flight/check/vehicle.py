@@ -14,7 +14,7 @@ from dart_flight.check.parameters import (
     position_source,
 )
 from dart_flight.config.mission import Mission
-from dart_flight.config.parameters import PositionSource
+from dart_flight.config.parameters import PositionSource, Version
 from dart_flight.config.rotors import COUNT, rotor_names
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.drivers.px4 import parameter_problems, required_parameters
@@ -35,23 +35,31 @@ def check_vehicle(mission: Mission, url: str, position_from: PositionSource | No
     Raises:
         VehicleError: nothing answers at the URL.
     """
-    names = [*names_to_read(), COUNT]
     lock = mission.vehicle.lock
-    if lock is not None and lock.driver is LockDriver.PX4:
-        names += [required.name for required in required_parameters(lock)]
     with GroundLink(url, mission.vehicle.connection.timeout_s) as link:
         observed = link.observe(_MEASURE_S)
+        version = _release_of(observed.version)
+        names = [*names_to_read(version), COUNT]
+        if lock is not None and lock.driver is LockDriver.PX4:
+            names += [required.name for required in required_parameters(lock)]
         values = link.read_parameters(names)
         values |= link.read_parameters(dict.fromkeys(other_names(values)))
         values |= link.read_parameters(rotor_names(values.get(COUNT, 0.0)))
     found = position_source(values, observed.gps_fix)
     return [
         *judge_position(mission, found, observed.gps_fix, position_from),
-        *judge_parameters(mission, values, position_from or found),
+        *judge_parameters(mission, values, position_from or found, version),
         *judge_airframe(mission, values),
         *judge_observation(mission, observed),
         *judge_lock(mission, values),
     ]
+
+
+def _release_of(text: str) -> Version | None:
+    """Major and minor of a version in words; None where it tells none, as 0.0.0."""
+    major, _, rest = text.partition(".")
+    minor = rest.partition(".")[0]
+    return (int(major), int(minor)) if major.isdigit() and minor.isdigit() and int(major) else None
 
 
 def judge_observation(mission: Mission, observed: Observation) -> list[Finding]:

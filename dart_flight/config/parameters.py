@@ -2,8 +2,10 @@
 
 A line is `vehicle-id component-id name value type`, separated by tabs, type 6 for INT32 and 9 for REAL32;
 lines that start with # are comments. Ours give the reason of every parameter in the comment above it, and
-where versions of PX4 differ, a line of its own there: `#? absent before v1.16` (a PX4 without it goes well
-without it), `#? renamed NAME after v1.17` (a PX4 without it has it under that name).
+where builds of PX4 differ, a line of its own there: `#? absent before v1.16` or `#? absent after v1.17` (a
+version without it goes well without it), `#? absent without gyro_fft` (likewise a build without that module),
+`#? renamed NAME after v1.17` (a PX4 without it has it under that name). What comes after a version begins
+with the line of the next one: `after v1.17` is true of a v1.18 that is not released yet.
 """
 
 from __future__ import annotations
@@ -21,13 +23,15 @@ from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
 
 Value = int | float
+Version = tuple[int, int]  # of PX4: major, minor
 
 _TYPES = {"6": int, "9": float}
 _NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}\Z")
 _INT32 = 1 << 31
 _LISTED = re.compile(r"^\s*[x ] [ *+] (?P<name>[A-Z][A-Z0-9_]*) \[.*\] : (?P<value>\S+)\s*$")
 _VERSIONS = re.compile(
-    r"#\?\s*(absent|renamed\s+(?P<name>[A-Z][A-Z0-9_]{0,15}))\s+(?P<where>(?:before|after) v\d+\.\d+)$"
+    r"#\?\s*(absent|renamed\s+(?P<name>[A-Z][A-Z0-9_]{0,15}))"
+    r"\s+(?P<where>(?:before|after) v\d+\.\d+|without [a-z][a-z0-9_]*)$"
 )
 
 
@@ -53,7 +57,8 @@ class Parameter(msgspec.Struct, frozen=True):
         name: PX4's name, at most 16 characters.
         value: int for INT32, float for REAL32.
         reason: the comment lines directly above it, joined; empty without.
-        absent: versions of PX4 that do not have it under this name, such as "before v1.16"; empty: none.
+        absent: builds of PX4 that do not have it under this name, such as "before v1.16" or "without
+            gyro_fft"; empty: none.
         renamed: its name there; None: they go without it.
     """
 
@@ -62,6 +67,14 @@ class Parameter(msgspec.Struct, frozen=True):
     reason: str
     absent: str = ""
     renamed: str | None = None
+
+    def is_absent_in(self, version: Version | None) -> bool:
+        """Whether a version of PX4 is known not to have it under this name; modules are not known here."""
+        when, _, release = self.absent.partition(" v")
+        if version is None or not release:
+            return False
+        major, minor = release.split(".")
+        return version < (int(major), int(minor)) if when == "before" else version > (int(major), int(minor))
 
 
 class ParameterDifference(msgspec.Struct, frozen=True):
@@ -117,7 +130,8 @@ def load_parameters(path: str | Path) -> dict[str, Parameter]:
             found = _VERSIONS.match(line)
             if found is None:
                 raise InputError(
-                    f"{line!r}, allowed are `#? absent before v1.16` and `#? renamed NAME after v1.17`",
+                    f"{line!r}, allowed are `#? absent before v1.16`, `#? absent without MODULE` and "
+                    "`#? renamed NAME after v1.17`",
                     source=str(path),
                     line=number,
                 )
