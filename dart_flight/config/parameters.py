@@ -28,7 +28,7 @@ Version = tuple[int, int]  # of PX4: major, minor
 _TYPES = {"6": int, "9": float}
 _NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}\Z")
 _INT32 = 1 << 31
-_LISTED = re.compile(r"^\s*[x ] [ *+] (?P<name>[A-Z][A-Z0-9_]*) \[.*\] : (?P<value>\S+)\s*$")
+_LISTED = re.compile(r"^\s*[x ] [ *+](?: [ l])? (?P<name>[A-Z][A-Z0-9_]*) \[.*\] : (?P<value>\S+)\s*$")
 _VERSIONS = re.compile(
     r"#\?\s*(absent|renamed\s+(?P<name>[A-Z][A-Z0-9_]{0,15}))"
     r"\s+(?P<where>(?:before|after) v\d+\.\d+|without [a-z][a-z0-9_]*)$"

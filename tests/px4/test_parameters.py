@@ -8,7 +8,13 @@ import msgspec
 import pytest
 
 from dart_flight.config.document import InputError
-from dart_flight.config.parameters import PositionSource, differences, load_parameters, vehicle_files
+from dart_flight.config.parameters import (
+    PositionSource,
+    differences,
+    load_parameters,
+    parse_listing,
+    vehicle_files,
+)
 from dart_flight.config.vehicle import Px4Parameters, load_vehicle, packaged
 from dart_flight.sim.px4.launch import (
     airframe_parameters,
@@ -155,3 +161,14 @@ def test_motors_of_the_plant_are_those_px4_is_told(tmp_path: Path) -> None:
     )
     first = motors_from(values_of(flight_parameters(vehicle, PositionSource.MOCAP, [own])), vehicle)[0]
     assert (first.x_m, first.y_m, first.yaw_torque_per_thrust_m) == (0.1515, 0.245, 0.05)
+
+
+def test_a_listing_is_read_with_and_without_a_column_for_locked_ones() -> None:
+    """v1.18 marks locked parameters in a column of its own; the flags, not the names, moved."""
+    older = "x   CA_ROTOR_COUNT [24,355] : 4\n    ADSB_EMERGC [-1,2] : 0\nx * SYS_AUTOSTART [1,2] : 10016\n"
+    newer = (
+        "x     CA_ROTOR_COUNT [24,355] : 4\n      ADSB_EMERGC [-1,2] : 0\nx *   SYS_AUTOSTART [1,2] : 10016\n"
+    )
+    locked = newer.replace("x *   SYS", "x + l SYS")
+    expected = {"CA_ROTOR_COUNT": 4.0, "ADSB_EMERGC": 0.0, "SYS_AUTOSTART": 10016.0}
+    assert [parse_listing(text) for text in (older, newer, locked)] == [expected] * 3
