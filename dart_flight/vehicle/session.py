@@ -26,6 +26,7 @@ from mavsdk.plugins.telemetry import FlightMode as SdkFlightMode
 from mavsdk.plugins.telemetry import LandedState as SdkLandedState
 from mavsdk.plugins.telemetry import Telemetry
 
+from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Estimation, ThrustSource
 from dart_flight.errors import FlightError
 from dart_flight.samples import (
@@ -139,6 +140,10 @@ def _throttle(pwm_us: float | None) -> float:
 
 class VehicleError(FlightError):
     """The vehicle cannot be reached."""
+
+
+class NoAnswerError(InputError):
+    """The vehicle sends, but does not answer what it is asked: nothing can be flown over such a link."""
 
 
 class VehicleSession:
