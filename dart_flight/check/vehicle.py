@@ -34,12 +34,16 @@ def check_vehicle(mission: Mission, url: str, position_from: PositionSource | No
 
     Raises:
         VehicleError: nothing answers at the URL.
+        NoAnswerError: what answers there does not answer requests.
     """
     names = [*names_to_read(), COUNT]
     lock = mission.vehicle.lock
     if lock is not None and lock.driver is LockDriver.PX4:
         names += [required.name for required in required_parameters(lock)]
     with GroundLink(url, mission.vehicle.connection.timeout_s) as link:
+        late = judge_round_trip(mission, link.round_trip_s())
+        if not late.go:
+            return [late]  # over such a link the rest would take minutes, and tell nothing
         observed = link.observe(_MEASURE_S)
         values = link.read_parameters(names)
         values |= link.read_parameters(dict.fromkeys(other_names(values)))
@@ -49,9 +53,19 @@ def check_vehicle(mission: Mission, url: str, position_from: PositionSource | No
         *judge_position(mission, found, observed.gps_fix, position_from),
         *judge_parameters(mission, values, position_from or found),
         *judge_airframe(mission, values),
+        late,
         *judge_observation(mission, observed),
         *judge_lock(mission, values),
     ]
+
+
+def judge_round_trip(mission: Mission, seconds: float | None) -> Finding:
+    """Whether samples come in time, as far as a round trip tells; None: no request for it was answered."""
+    item, limit_s = "round_trip", 2.0 * mission.vehicle.guard.telemetry_late_s
+    if seconds is None:
+        return Finding(item, True, "the vehicle does not answer TIMESYNC", remark=True)
+    says = f"{seconds * 1e3:.0f} ms between vehicle and program, allowed are {limit_s * 1e3:.0f} ms"
+    return Finding(item, seconds <= limit_s, says)
 
 
 def judge_observation(mission: Mission, observed: Observation) -> list[Finding]:

@@ -27,6 +27,7 @@ from dart_flight.vehicle import reasons, sdk_log
 from dart_flight.vehicle.clock import host_us
 from dart_flight.vehicle.local_position import LocalPosition, is_healthy
 from dart_flight.vehicle.session import NoAnswerError, VehicleError
+from dart_flight.vehicle.timesync import answer_of, request
 
 
 class Observation(msgspec.Struct):
@@ -46,6 +47,7 @@ class Observation(msgspec.Struct):
 
 _STAMP_TOLERANCE_US = 500_000
 _REPORT_S = 5.0  # on top, where something is amiss: until MAVSDK has fetched the words for it
+_ROUND_TRIPS, _ASK_PERIOD_S, _ROUND_TRIP_MOST_S = 10, 0.1, 5.0
 _MOST_UNANSWERED = 2  # requests, where none has been answered; MAVSDK asks for each of them for seconds
 _PARAMETERS_S = 90.0  # for all parameters; a few that a build does not have take 3 s each
 
@@ -90,6 +92,26 @@ class GroundLink:
     def _close(self) -> None:
         with sdk_log.closing():
             self._mavsdk.destroy()
+
+    def round_trip_s(self) -> float | None:
+        """The shortest of some TIMESYNC requests with their answers, seconds; None: no answer within 5 s."""
+        found: list[int] = []
+        asked: set[int] = set()
+
+        def take(message: Any, _: Any) -> None:
+            received, answer = host_us(), answer_of(message)
+            if answer is not None and answer.sent_us in asked and message.system_id == self._system_id:
+                found.append(received - answer.sent_us)
+
+        handle = self._direct.subscribe_message("TIMESYNC", take)
+        end_s = time.monotonic() + _ROUND_TRIP_MOST_S
+        while len(found) < _ROUND_TRIPS and time.monotonic() < end_s:
+            now = host_us()
+            asked.add(now)
+            self._direct.send_message(request(now))
+            time.sleep(_ASK_PERIOD_S)
+        self._direct.unsubscribe_message(handle)
+        return min(found) * 1e-6 if found else None
 
     def _ask(self, what: str, request: Callable[[], Any]) -> Any:
         """Make a request; `what` names it.

@@ -113,6 +113,7 @@ def _for_lockstep(mission: Mission, speed: float) -> Mission:
     """
     guard = mission.vehicle.guard
     timeout_s = max(guard.stream_timeout_s, _LOCKSTEP_PAUSE_S / speed)
-    guard = msgspec.structs.replace(guard, stream_timeout_s=timeout_s)
+    late_s = max(guard.telemetry_late_s, _LOCKSTEP_PAUSE_S / speed)
+    guard = msgspec.structs.replace(guard, stream_timeout_s=timeout_s, telemetry_late_s=late_s)
     vehicle = msgspec.structs.replace(mission.vehicle, guard=guard)
     return msgspec.structs.replace(mission, vehicle=vehicle)

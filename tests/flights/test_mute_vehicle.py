@@ -30,7 +30,7 @@ def test_a_vehicle_that_answers_nothing_is_told_within_seconds(silent_after_s: f
     assert ended.returncode == 2
     last = ended.stderr.splitlines()[-1]
     assert last.startswith(f"udpin://127.0.0.1:{port}: the vehicle ")
-    assert "rate of ATTITUDE_QUATERNION" in last
+    assert "rate of " in last
     assert took_s < 20.0
     assert ended.stderr.count("Retrying failed") <= 2
     assert not list(tmp_path.iterdir()), "nothing was flown"
