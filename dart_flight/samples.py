@@ -695,4 +695,12 @@ class SetPointSent(Record, frozen=True, gc=False):
     latency_us: int  # since receipt of the sample that triggered it
 
 
-Note = TruthSample | TruthContact | SetPointSent
+class LogFailure(Record, frozen=True, gc=False):
+    """The flight's log lacks records: shown, and in the log itself where that goes on."""
+
+    topic: ClassVar[str] = "/shell/log_failure"
+    t_us: int
+    reason: str
+
+
+Note = TruthSample | TruthContact | SetPointSent | LogFailure

@@ -233,6 +233,10 @@ class FlightApp:
                 for task in list(self._tasks):
                     task.cancel()
 
+    def show(self, record: Record) -> None:
+        """Have a record shown that is none of the core's; any thread."""
+        self._shown.append(record)
+
     def stop(self) -> None:
         """The operator wants out: the first time leave the wall and land, the second time release."""
         self._stops += 1

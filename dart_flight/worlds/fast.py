@@ -417,6 +417,7 @@ def fly_recorded(
     record = FlightRecord(mission, World.FAST, seed, log_dir, world.drawn, in_memory=in_memory)
     if progress is not None:
         record.onlookers.append(progress)
+        record.notice = progress
     FastFlight(mission, seed, driver, faults=faults, observe=record, fault=fault, world=world).run()
     record.close()
     return FlownFast(record.build(), record)

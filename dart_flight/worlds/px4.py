@@ -90,9 +90,11 @@ def fly_px4(
         lease = LinkLease(url, "dry-run --px4", record.path)
         lease.acquire()
         leases.append(lease)
-        return FlightApp(
+        app = FlightApp(
             mission, url, record, world, progress, LockstepClock(speed), lock_faults=drawn.lock_faults
         )
+        record.notice = app.show
+        return app
 
     try:
         world = fly_in_world(record, lambda on_truth: Px4World(spec, on_truth), make_app)
