@@ -306,6 +306,15 @@ class ClockOffset(Record, frozen=True, gc=False):
     offset_us: int
 
 
+class RoundTrip(Record, frozen=True, gc=False):
+    """The vehicle has answered a request: how long that takes bounds how late telemetry comes."""
+
+    topic: ClassVar[str] = "/in/round_trip"
+    received_us: int  # the answer
+    sent_us: int  # the request, host's monotonic time
+    autopilot_us: int | None  # autopilot's time as it answered; none: not told, or its clock goes at any pace
+
+
 class PlanAnswer(Record, frozen=True, gc=False):
     """What the planner makes of a `PlanRequest`: a way from a coming moment on, and what it leads to.
 
@@ -351,6 +360,7 @@ Input = (
     | CommandResult
     | OperatorRequest
     | ClockOffset
+    | RoundTrip
     | PlanAnswer
     | Tick
 )
@@ -685,4 +695,12 @@ class SetPointSent(Record, frozen=True, gc=False):
     latency_us: int  # since receipt of the sample that triggered it
 
 
-Note = TruthSample | TruthContact | SetPointSent
+class LogFailure(Record, frozen=True, gc=False):
+    """The flight's log lacks records: shown, and in the log itself where that goes on."""
+
+    topic: ClassVar[str] = "/shell/log_failure"
+    t_us: int
+    reason: str
+
+
+Note = TruthSample | TruthContact | SetPointSent | LogFailure

@@ -140,6 +140,7 @@ class Verdict(msgspec.Struct):
     max_tilt_deg: float | None
     flight_time_s: float | None
     log: str | None = None
+    log_failure: str | None = None  # what is missing in the log, and why
     px4_log: str | None = None
     ekf_error_m: float | None = (
         None  # largest distance of the estimated position from the true one, in the air

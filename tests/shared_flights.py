@@ -30,7 +30,9 @@ ROOT = Path(__file__).parents[1]
 VERDICT, SAID = "verdict.json", "said.json"
 PATIENCE_S = 0.5  # as with a PX4 in lockstep
 # The same as `patient`, as settings.
-PATIENT = (f"guard.imu_timeout_s={PATIENCE_S}", f"guard.stream_timeout_s={PATIENCE_S}")
+PATIENT = tuple(
+    f"guard.{key}={PATIENCE_S}" for key in ("imu_timeout_s", "stream_timeout_s", "telemetry_late_s")
+)
 
 
 class Flown(NamedTuple):
@@ -98,8 +100,9 @@ def patient(config: str) -> str:
 
     Side by side on a shared machine all streams may pause for longer than the guard puts up with.
     """
-    text, count = re.subn(r"(imu_timeout_s|stream_timeout_s): [0-9.]+", rf"\1: {PATIENCE_S}", config)
-    assert count == 2
+    keys = "imu_timeout_s|stream_timeout_s|telemetry_late_s"
+    text, count = re.subn(rf"({keys}): [0-9.]+", rf"\1: {PATIENCE_S}", config)
+    assert count == 3
     return text
 
 

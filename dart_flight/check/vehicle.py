@@ -34,9 +34,13 @@ def check_vehicle(mission: Mission, url: str, position_from: PositionSource | No
 
     Raises:
         VehicleError: nothing answers at the URL.
+        NoAnswerError: what answers there does not answer requests.
     """
     lock = mission.vehicle.lock
     with GroundLink(url, mission.vehicle.connection.timeout_s) as link:
+        late = judge_round_trip(mission, link.round_trip_s())
+        if not late.go:
+            return [late]  # over such a link the rest would take minutes, and tell nothing
         observed = link.observe(_MEASURE_S)
         version = _release_of(observed.version)
         names = [*names_to_read(version), COUNT]
@@ -50,6 +54,7 @@ def check_vehicle(mission: Mission, url: str, position_from: PositionSource | No
         *judge_position(mission, found, observed.gps_fix, position_from),
         *judge_parameters(mission, values, position_from or found, version),
         *judge_airframe(mission, values),
+        late,
         *judge_observation(mission, observed),
         *judge_lock(mission, values),
     ]
@@ -60,6 +65,15 @@ def _release_of(text: str) -> Version | None:
     major, _, rest = text.partition(".")
     minor = rest.partition(".")[0]
     return (int(major), int(minor)) if major.isdigit() and minor.isdigit() and int(major) else None
+
+
+def judge_round_trip(mission: Mission, seconds: float | None) -> Finding:
+    """Whether samples come in time, as far as a round trip tells; None: no request for it was answered."""
+    item, limit_s = "round_trip", 2.0 * mission.vehicle.guard.telemetry_late_s
+    if seconds is None:
+        return Finding(item, True, "the vehicle does not answer TIMESYNC", remark=True)
+    says = f"{seconds * 1e3:.0f} ms between vehicle and program, allowed are {limit_s * 1e3:.0f} ms"
+    return Finding(item, seconds <= limit_s, says)
 
 
 def judge_observation(mission: Mission, observed: Observation) -> list[Finding]:

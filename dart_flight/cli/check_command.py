@@ -8,11 +8,18 @@ from rich.console import Console
 from rich.markup import escape
 
 from dart_flight.check.findings import CheckReport, decide
+from dart_flight.check.log_space import check_log_space
 from dart_flight.check.mission import check_mission
 from dart_flight.check.parameters import judge_claim
 from dart_flight.check.vehicle import check_vehicle
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
-from dart_flight.cli.options import add_driver_option, add_position_option, add_set_option, link_of
+from dart_flight.cli.options import (
+    add_driver_option,
+    add_log_dir_option,
+    add_position_option,
+    add_set_option,
+    link_of,
+)
 from dart_flight.cli.terminal import emit_json, messages
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import load_mission
@@ -27,6 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--overrule", action="append", default=[], metavar="ITEM", help="fly although this item is no-go"
     )
+    add_log_dir_option(parser)
     add_position_option(parser)
     add_driver_option(parser)
     add_set_option(parser)
@@ -39,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     mission = with_driver(mission, arguments.driver)
     if arguments.plot is not None:
         write_picture(mission, arguments.plot)
-    findings = check_mission(mission)
+    findings = [*check_mission(mission), check_log_space(mission, arguments.log_dir)]
     if arguments.connection is not None:
         url = link_of(arguments, mission.vehicle.connection)
         with LinkLease(url, "check"):

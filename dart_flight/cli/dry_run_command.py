@@ -9,7 +9,7 @@ from functools import partial
 
 from rich.progress import Progress
 
-from dart_flight.cli.flight_output import FlightLines, live_line_for, show_end, summary_table
+from dart_flight.cli.flight_output import FlightLines, exit_status, live_line_for, show_end, summary_table
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import add_flight_options, add_set_option, add_vary_option, number, whole_number
 from dart_flight.cli.px4_options import add_px4_options, position_source_of, position_warnings
@@ -106,7 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
             seen = {} if live is None else {"viewer": live}
             verdict = fly(mission, seed=arguments.seed, log_dir=arguments.log_dir, progress=lines, **seen)
         show_end(verdict, console, arguments.json)
-        return 0 if verdict.outcome == "completed" else 1
+        return exit_status(verdict)
     seeds = range(arguments.seed, arguments.seed + arguments.runs)
     interrupted = False
     with Progress(console=console, transient=True) as bar:
@@ -144,10 +144,13 @@ def run(arguments: argparse.Namespace) -> int:
         tables().print(summary_table(summary))
     if verdicts:
         console.print(f"logs: {len(verdicts)} flights in {shown_path(arguments.log_dir)}", soft_wrap=True)
+    cut = [verdict for verdict in verdicts if verdict.log_failure is not None]
+    if cut:
+        console.print(f"[red]{len(cut)} logs are not complete[/]: {cut[0].log_failure}", soft_wrap=True)
     if interrupted:
         return EXIT_INTERRUPTED
     for seed, found in summary.unexplained_modes.items():
         console.print(
             f"[red]seed {seed}: {'; '.join(found)}; no fault of the lock was drawn[/]", soft_wrap=True
         )
-    return 0 if summary.completed == summary.runs and not summary.unexplained_modes else 1
+    return 0 if summary.completed == summary.runs and not (summary.unexplained_modes or cut) else 1

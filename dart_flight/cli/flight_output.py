@@ -64,8 +64,17 @@ def show_end(verdict: Verdict, console: Console, as_json: bool) -> None:
         emit_json(verdict)
         return
     tables().print(verdict_table(verdict))
+    if verdict.log_failure is not None:
+        told = f"log: {verdict.log} is not complete: {verdict.log_failure}"
+        console.print(told, markup=False, soft_wrap=True, style="red")
+        return
     for line in [f"log: {verdict.log}", *(f"  {step}" for step in next_steps(verdict))]:
         console.print(line, markup=False, soft_wrap=True)
+
+
+def exit_status(verdict: Verdict) -> int:
+    """Of a command that has flown: 0 where the flight completed, and its log with it."""
+    return 0 if verdict.outcome is Outcome.COMPLETED and verdict.log_failure is None else 1
 
 
 def next_steps(verdict: Verdict) -> list[str]:

@@ -10,10 +10,11 @@ import tempfile
 from pathlib import Path
 
 from dart_flight.check.findings import decide
+from dart_flight.check.log_space import check_log_space
 from dart_flight.check.mission import check_mission
 from dart_flight.check.vehicle import check_vehicle
 from dart_flight.cli.check_command import show
-from dart_flight.cli.flight_output import FlightLines, live_line_for, show_end
+from dart_flight.cli.flight_output import FlightLines, exit_status, live_line_for, show_end
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import add_flight_options, add_position_option, link_of
@@ -61,7 +62,8 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
         say(see)
     say_vehicle(mission.flown_vehicle(), arguments)
     console.print(_intention(mission, url), soft_wrap=True)
-    findings = check_mission(mission) + check_vehicle(mission, url, arguments.position_from)
+    findings = [*check_mission(mission), check_log_space(mission, arguments.log_dir)]
+    findings += check_vehicle(mission, url, arguments.position_from)
     report = decide(mission, findings, arguments.overrule)
     show(report, console)
     if not report.go:
@@ -73,7 +75,7 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     with live_view(arguments, mission) as live, contextlib.closing(lines):
         verdict = fly_vehicle(mission, url, arguments.log_dir, lines, lease, live)
     show_end(verdict, console, arguments.json)
-    return 0 if verdict.outcome == "completed" else 1
+    return exit_status(verdict)
 
 
 def _intention(mission: Mission, url: str) -> str:

@@ -17,15 +17,20 @@ from dart_flight.config.vehicle.autopilot import ConnectionConfig
 def add_flight_options(parser: argparse.ArgumentParser) -> None:
     """What `fly` and `dry-run` share."""
     parser.add_argument("mission", metavar="MISSION", help="mission file, see missions/")
-    parser.add_argument(
-        "--log-dir", type=Path, default=Path("flights"), metavar="DIR", help="default: flights"
-    )
+    add_log_dir_option(parser)
     add_driver_option(parser)
     parser.add_argument(
         "--standoff",
         type=float,
         metavar="M",
         help="rehearsal: instead of hitting a wall, stop this many metres before it",
+    )
+
+
+def add_log_dir_option(parser: argparse.ArgumentParser) -> None:
+    """Where the logs of flights go."""
+    parser.add_argument(
+        "--log-dir", type=Path, default=Path("flights"), metavar="DIR", help="default: flights"
     )
 
 

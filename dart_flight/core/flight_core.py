@@ -68,6 +68,8 @@ class FlightCore:
     def pace(self) -> Pace:
         """How soon the next inputs have to be stepped."""
         senses, phase = self._senses, self._executive.phase
+        if self._guard.telemetry_late:
+            return Pace.TOGETHER  # a backlog is emptied sooner where nobody steps what is old one by one
         if senses.walls.due or (senses.detector.in_contact and phase is not Phase.CONTACT):
             return Pace.LONG  # what the contact's end says of wall and arms is fitted then
         return pace_near_walls(self.mission, senses.state, phase)

@@ -14,6 +14,7 @@ from dart_flight.samples import (
     ImpactPeak,
     LockPhase,
     LockState,
+    LogFailure,
     MissionEnd,
     Outcome,
     Override,
@@ -39,7 +40,7 @@ class Event(NamedTuple):
 
     Attributes:
         level: how much it matters.
-        source: which part says it: mission, contact, guard, lock or px4.
+        source: which part says it: mission, contact, guard, lock, px4 or log.
         head: what happened.
         detail: why, or how much; may be empty.
     """
@@ -111,6 +112,8 @@ class Events:
             return Event(level, "px4", f"PX4 {record.severity}: {record.text}")
         if isinstance(record, HealthReport):
             return self._health(record)
+        if isinstance(record, LogFailure):
+            return Event(Level.ERROR, "log", f"the log of this flight is not complete: {record.reason}")
         return None
 
     def _health(self, record: HealthReport) -> Event | None:

@@ -22,6 +22,8 @@ class MemoryLog:
     def __init__(self, about: dict[str, str]) -> None:
         self.log = Log(IN_MEMORY, about, {}, [], complete=True)
 
+    shortfall: str | None = None  # memory takes everything
+
     def put(self, record: Record, number: int) -> None:
         """Take a record; `number` is that of the input it is or follows from."""
         self.log.entries.append(LogEntry(number, record))

@@ -32,6 +32,7 @@ PROFILE = "dart-flight"
 ABOUT, END = "dart_flight", "dart_flight_end"  # names of the metadata records
 PART_BYTES = 64 * 1024 * 1024  # about ten minutes of a flight (docs/log.md)
 MOST_PARTS = 16
+BYTES_PER_S = 150_000  # of flight, rounded up: 8.6 MB a minute were measured (docs/log.md)
 
 _FLUSH_S = 0.15  # every turn costs a chunk with its index and a cold start; a killed process loses it
 _SYNC_S = 1.0
@@ -134,6 +135,13 @@ class FlightLog:
         self._thread.start()
 
     @property
+    def shortfall(self) -> str | None:
+        """What is missing in the log and why, in words; None: nothing so far."""
+        if self.failure is not None:
+            return f"{self.failure}, {self.lost} records lost"
+        return f"{self.lost} records lost" if self.lost else None
+
+    @property
     def thread_id(self) -> int:
         """Of the thread that writes, as the operating system knows it; for measuring what it costs."""
         return self._thread.native_id or 0
@@ -161,8 +169,10 @@ class FlightLog:
             self.failure = "the disk does not answer"
             return
         if self.failure is None:
-            with contextlib.suppress(OSError):
+            try:
                 self._part.finish({**self._end, "lost": str(self.lost)})
+            except OSError as error:
+                self.failure = error.strerror or str(error)
         with contextlib.suppress(OSError):
             self._part.close()
 

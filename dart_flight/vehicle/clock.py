@@ -19,7 +19,13 @@ def host_us() -> int:
 
 
 class Clock(Protocol):
-    """Relates autopilot time and host time."""
+    """Relates autopilot time and host time.
+
+    Attributes:
+        runs_in_real_time: the autopilot's time goes as the host's does.
+    """
+
+    runs_in_real_time: bool
 
     @property
     def offset_us(self) -> int | None:
@@ -38,6 +44,8 @@ class ClockEstimate:
     Every message is late by an unknown, positive delay, so the largest difference of the last seconds is the
     nearest to the truth; the window lets it follow a drifting clock.
     """
+
+    runs_in_real_time = True
 
     def __init__(self) -> None:
         self._offset_us: int | None = None
@@ -90,6 +98,7 @@ class LockstepClock:
     """
 
     _REACH_US = 50_000
+    runs_in_real_time = False
 
     def __init__(self, speed: float = 1.0) -> None:
         self._speed = speed

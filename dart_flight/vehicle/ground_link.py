@@ -7,6 +7,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterable
+from functools import partial
 from types import TracebackType
 from typing import Any
 
@@ -25,7 +26,8 @@ from dart_flight.streams import BY_NAME
 from dart_flight.vehicle import reasons, sdk_log
 from dart_flight.vehicle.clock import host_us
 from dart_flight.vehicle.local_position import LocalPosition, is_healthy
-from dart_flight.vehicle.session import VehicleError
+from dart_flight.vehicle.session import NoAnswerError, VehicleError
+from dart_flight.vehicle.timesync import answer_of, request
 
 
 class Observation(msgspec.Struct):
@@ -45,6 +47,9 @@ class Observation(msgspec.Struct):
 
 _STAMP_TOLERANCE_US = 500_000
 _REPORT_S = 5.0  # on top, where something is amiss: until MAVSDK has fetched the words for it
+_ROUND_TRIPS, _ASK_PERIOD_S, _ROUND_TRIP_MOST_S = 10, 0.1, 5.0
+_MOST_UNANSWERED = 2  # requests, where none has been answered; MAVSDK asks for each of them for seconds
+_PARAMETERS_S = 90.0  # for all parameters; a few that a build does not have take 3 s each
 
 
 class GroundLink:
@@ -52,11 +57,14 @@ class GroundLink:
 
     Raises:
         VehicleError: on entering, when the URL cannot be opened or no autopilot answers.
+        NoAnswerError: on a request, when the vehicle has answered none, or has fallen silent.
     """
 
     def __init__(self, url: str, timeout_s: float) -> None:
         self._url, self._timeout_s = url, timeout_s
         self._mavsdk: Any = None
+        self._answered = False  # whether any request was
+        self._unanswered: list[str] = []  # requests, while none was
 
     def __enter__(self) -> GroundLink:
         sdk_log.redirect()
@@ -70,7 +78,7 @@ class GroundLink:
         if system is None:
             self._close()
             raise VehicleError(f"no autopilot on {self._url} within {self._timeout_s:g} s")
-        self._system_id = system.get_system_id()
+        self._system, self._system_id = system, system.get_system_id()
         self._action, self._param = Action(system), Param(system)
         self._telemetry, self._info = Telemetry(system), Info(system)
         self._events, self._direct = Events(system), MavlinkDirect(system)
@@ -85,6 +93,50 @@ class GroundLink:
         with sdk_log.closing():
             self._mavsdk.destroy()
 
+    def round_trip_s(self) -> float | None:
+        """The shortest of some TIMESYNC requests with their answers, seconds; None: no answer within 5 s."""
+        found: list[int] = []
+        asked: set[int] = set()
+
+        def take(message: Any, _: Any) -> None:
+            received, answer = host_us(), answer_of(message)
+            if answer is not None and answer.sent_us in asked and message.system_id == self._system_id:
+                found.append(received - answer.sent_us)
+
+        handle = self._direct.subscribe_message("TIMESYNC", take)
+        end_s = time.monotonic() + _ROUND_TRIP_MOST_S
+        while len(found) < _ROUND_TRIPS and time.monotonic() < end_s:
+            now = host_us()
+            asked.add(now)
+            self._direct.send_message(request(now))
+            time.sleep(_ASK_PERIOD_S)
+        self._direct.unsubscribe_message(handle)
+        return min(found) * 1e-6 if found else None
+
+    def _ask(self, what: str, request: Callable[[], Any]) -> Any:
+        """Make a request; `what` names it.
+
+        Raises:
+            NoAnswerError: no use in asking on.
+            Exception: MAVSDK's own, for a refusal, or for no answer from a vehicle that answers others.
+        """
+        try:
+            answer = request()
+        except Exception as error:
+            if getattr(getattr(error, "result", None), "name", "") != "TIMEOUT":
+                self._answered = True
+                raise
+            if not self._system.is_connected():
+                says = f"the vehicle has fallen silent, {what} was not answered"
+                raise NoAnswerError(says, source=self._url) from None
+            self._unanswered.append(what)
+            if not self._answered and len(self._unanswered) >= _MOST_UNANSWERED:
+                says = f"the vehicle sends, but answers no request: {', '.join(self._unanswered)}"
+                raise NoAnswerError(says, source=self._url) from None
+            raise
+        self._answered = True
+        return answer
+
     def set_actuator(self, index: int, value: float) -> None:
         """Command a peripheral output, -1 to 1; an acknowledgement says nothing about movement."""
         self._action.set_actuator(index, value)
@@ -92,10 +144,16 @@ class GroundLink:
     def read_parameters(self, names: Iterable[str]) -> dict[str, float]:
         """Values of the parameters that the vehicle has, whole numbers or not; others are left out."""
         values = {}
+        end_s = time.monotonic() + _PARAMETERS_S
         for name in names:
+            if time.monotonic() > end_s:
+                says = f"parameter {name} and others were not told within {_PARAMETERS_S:g} s"
+                raise NoAnswerError(says, source=self._url)
             for read in (self._param.get_param_int, self._param.get_param_float):
                 try:
-                    values[name] = float(read(name))
+                    values[name] = float(self._ask(f"parameter {name}", partial(read, name)))
+                except NoAnswerError:
+                    raise
                 except Exception as error:
                     if getattr(error, "result", None) in (ParamResult.WRONG_TYPE, ParamResult.TYPE_MISMATCH):
                         continue
@@ -139,8 +197,13 @@ class GroundLink:
             (t.set_rate_odometry, "odometry"),
             (t.set_rate_actuator_output_status, "actuator"),
         ):
-            with contextlib.suppress(Exception):  # refused: the count shows what comes anyway
-                set_rate(BY_NAME[name].rate_hz)
+            stream = BY_NAME[name]
+            try:
+                self._ask(f"rate of {stream.message}", partial(set_rate, stream.rate_hz))
+            except NoAnswerError:
+                raise
+            except Exception:  # refused: the count shows what comes anyway
+                continue
         count_imu, clocks = count("imu"), TwoClocks(_STAMP_TOLERANCE_US)
 
         def imu(sample: Any, _: Any) -> None:

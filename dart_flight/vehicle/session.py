@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import math
 import re
+from collections import deque
 from collections.abc import Callable, Collection
 from typing import Any
 
@@ -26,6 +27,7 @@ from mavsdk.plugins.telemetry import FlightMode as SdkFlightMode
 from mavsdk.plugins.telemetry import LandedState as SdkLandedState
 from mavsdk.plugins.telemetry import Telemetry
 
+from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Estimation, ThrustSource
 from dart_flight.errors import FlightError
 from dart_flight.samples import (
@@ -44,6 +46,7 @@ from dart_flight.samples import (
     LandedState,
     OdometrySample,
     OtherVehicle,
+    RoundTrip,
     SetPoint,
     StatusSample,
     StatusText,
@@ -54,6 +57,7 @@ from dart_flight.vehicle import reasons, sdk_log
 from dart_flight.vehicle.callback_thread import stay_known
 from dart_flight.vehicle.clock import Clock, ClockEstimate, host_us
 from dart_flight.vehicle.local_position import LocalPosition, is_healthy
+from dart_flight.vehicle.timesync import answer_of, request
 
 _MODES = {
     SdkFlightMode.READY: FlightMode.READY,
@@ -77,6 +81,8 @@ _RESULT = re.compile(r'"result":\s*(\d+)')
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
 _MOTOR_SPAN_US = MOTOR_FULL_US - MOTOR_STOP_US
 _REPEATED_US = 100_000  # a set-point that stays the same leaves as often
+_ASK_PERIOD_S = 0.1  # the round trip
+_MOST_ASKED = 256  # requests remembered; their answers may come seconds later
 
 
 class _ActuatorOutputs(msgspec.Struct):
@@ -141,6 +147,10 @@ class VehicleError(FlightError):
     """The vehicle cannot be reached."""
 
 
+class NoAnswerError(InputError):
+    """The vehicle sends, but does not answer what it is asked: nothing can be flown over such a link."""
+
+
 class VehicleSession:
     """One connected autopilot.
 
@@ -173,6 +183,7 @@ class VehicleSession:
         self._sent: tuple[object, ...] | None = None  # the last set-point, and when it left
         self._sent_us = 0
         self._events = Events(self._raw)
+        self._asked: deque[int] = deque(maxlen=_MOST_ASKED)  # host time of TIMESYNC requests, microseconds
         self._other: int | None = None  # system id of another autopilot on the link
         self._checked = False  # whether PX4 has sent a report of its checks
         self._health: tuple[bool, tuple[str, ...], tuple[str, ...]] | None = None
@@ -245,6 +256,58 @@ class VehicleSession:
             if not await asyncio.to_thread(self._ask_rate, stream):
                 refused.append(stream.name)
         return refused
+
+    async def measure_link(self, timeout_s: float) -> list[str]:
+        """Wait for the first round trip; returns the requests that were not answered, none where one was.
+
+        By TIMESYNC, and by another request's answer where the vehicle does not know that.
+        """
+        loop, heard = asyncio.get_running_loop(), asyncio.Event()
+
+        def take(message: Any, _: Any) -> None:
+            if self._take_answer(message):
+                loop.call_soon_threadsafe(heard.set)
+
+        self._direct.subscribe_message("TIMESYNC", take)
+        asking = asyncio.create_task(self.keep_measuring())
+        try:
+            await asyncio.wait_for(heard.wait(), timeout_s)
+            return []
+        except TimeoutError:
+            pass
+        finally:
+            asking.cancel()
+        sent, stream = host_us(), STREAMS[0]
+        try:
+            await asyncio.to_thread(self._telemetry.set_rate_imu, stream.rate_hz)
+        except Exception as error:
+            if getattr(getattr(error, "result", None), "name", "") == "TIMEOUT":
+                return ["TIMESYNC", f"rate of {stream.message}"]
+        self._deliver(RoundTrip(host_us(), sent, None))
+        return []
+
+    async def keep_measuring(self) -> None:
+        """Ask for the round trip again and again; what `measure_link` has subscribed to takes the answers."""
+        while True:
+            now = host_us()
+            self._asked.append(now)
+            with contextlib.suppress(Exception):  # a link that takes nothing shows by its silence
+                self._direct.send_message(request(now))
+            await asyncio.sleep(_ASK_PERIOD_S)
+
+    def _take_answer(self, message: Any) -> bool:
+        """TIMESYNC: an answer to one of ours, or what another asks."""
+        received = host_us()
+        answer = answer_of(message)
+        if (
+            answer is None
+            or answer.sent_us not in self._asked
+            or message.system_id != self._raw.get_system_id()
+        ):
+            return False
+        own = answer.autopilot_us if self.clock.runs_in_real_time else None
+        self._deliver(RoundTrip(received, answer.sent_us, own))
+        return True
 
     def _ask_rate(self, stream: Stream) -> bool:
         """SET_MESSAGE_INTERVAL for a stream without a rate in the telemetry plugin; blocking."""

@@ -49,7 +49,7 @@ from dart_flight.samples import (
     WallFelt,
 )
 from dart_flight.vehicle.clock import Clock, host_us
-from dart_flight.vehicle.session import VehicleSession, connect
+from dart_flight.vehicle.session import NoAnswerError, VehicleSession, connect
 from dart_flight.worlds.core_thread import CoreThread
 from dart_flight.worlds.deadman import CORE, FEED_PERIOD_S, LOOP, Deadman, SystemdNotice
 from dart_flight.worlds.planner import PlannerProcess
@@ -195,6 +195,7 @@ class FlightApp:
 
         Raises:
             VehicleError: no autopilot at the URL.
+            NoAnswerError: it does not answer what it is asked.
         """
         self.loop = asyncio.get_running_loop()
         timeout_s = self._mission.vehicle.connection.timeout_s
@@ -202,6 +203,10 @@ class FlightApp:
             self._url, timeout_s, self._core.arrive, clock=self._clock, opened=self._opened
         ) as session:
             self._session = session
+            unanswered = await session.measure_link(timeout_s)
+            if unanswered:
+                says = f"the vehicle sends, but answers no request: {', '.join(unanswered)}"
+                raise NoAnswerError(says, source=self._url)
             if self._mission.vehicle.lock is not None:
                 self._lock = self._make_lock(session, self._mission.vehicle.lock)
             if self._mission.after_impact is AfterImpact.REPLAN:
@@ -219,11 +224,13 @@ class FlightApp:
             session.subscribe(vehicle.estimation, len(vehicle.airframe.motors))
             self._listen_for_signals()
             keeper = asyncio.create_task(self._keep_alive())
+            measuring = asyncio.create_task(session.keep_measuring())
             try:
                 await session.set_rates()
                 await self._watch(session)
             finally:
                 keeper.cancel()
+                measuring.cancel()
                 if self._deadman is not None:
                     self._deadman.let_go()
                 self._core.stop()
@@ -235,6 +242,10 @@ class FlightApp:
                 terminal.join(timeout=1.0)
                 for task in list(self._tasks):
                     task.cancel()
+
+    def show(self, record: Record) -> None:
+        """Have a record shown that is none of the core's; any thread."""
+        self._shown.append(record)
 
     def stop(self) -> None:
         """The operator wants out: the first time leave the wall and land, the second time release."""

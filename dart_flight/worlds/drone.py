@@ -41,6 +41,7 @@ def fly_vehicle(
         note = record.folder / DEADMAN_NOTE
         lease.note_log(record.path)
         app = FlightApp(mission, url, record, None, progress, deadman_note=note, opened=lease.close_device)
+        record.notice = app.show
         asyncio.run(app.run())
     finally:
         record.close()

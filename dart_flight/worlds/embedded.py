@@ -73,6 +73,7 @@ def fly_embedded(
         url = f"udpin://127.0.0.1:{port}"
         clock = None if speed == 1.0 else LockstepClock(speed)
         app = FlightApp(mission, url, record, world, progress, clock, note, drawn.lock_faults)
+        record.notice = app.show
         if fault is not None:
             record.onlookers.append(Sabotage(fault, app, world, record.path))
         return app

@@ -41,6 +41,7 @@ from dart_flight.samples import (
     PlanRequest,
     Record,
     Request,
+    RoundTrip,
     SetPoint,
     Silence,
     StatusSample,
@@ -56,7 +57,7 @@ from dart_flight.sim.draws import DrawnWorld, draw_world
 from dart_flight.sim.faults.kinds import Fault
 from dart_flight.sim.vehicle import SimulatedVehicle
 from dart_flight.verdict import Verdict
-from dart_flight.worlds.faulted import FaultedFlight, Telemetry
+from dart_flight.worlds.faulted import FaultedFlight, Order, Telemetry, TimeRequest
 from dart_flight.worlds.flight_record import FlightRecord, Onlooker
 from dart_flight.worlds.runner import CoreRunner, Observe
 
@@ -66,6 +67,7 @@ _HALF_RATE: Final = 2  # ticks: attitude, odometry, actuator outputs at 125 Hz
 _TRUTH_EVERY: Final = 2
 _STATUS_EVERY: Final = 50  # 5 Hz, and at once when something changes
 _HOST_EVERY: Final = 5  # ticks of 4 ms: lock polled and host time reported at 50 Hz
+_ASK_EVERY: Final = 25  # ticks: as often as the app measures the round trip
 _REPEAT_US: Final = 50_000  # MAVSDK repeats the last set-point at 20 Hz
 _NAN3 = (math.nan, math.nan, math.nan)
 # Looked up once: a class is asked for with every record.
@@ -146,6 +148,7 @@ class FastFlight:
         self.core = FlightCore(mission)
         self._runner = CoreRunner(self.core, self, self._see, lambda: self.host_us)
         self._ticks = 0
+        self._connected = False  # as the app: no telemetry is taken before the first request is answered
         self._sender = TelemetrySender(self.vehicle)
         self._twin_sender: TelemetrySender | None = None
         self._texts: list[tuple[str, str]] = []
@@ -201,6 +204,8 @@ class FastFlight:
         self.vehicle.advance()
         self._ticks += 1
         self._truth()
+        if self._ticks % _ASK_EVERY == 1:
+            self._ask_time()
         if self.faulted is not None and self.faulted.app_silent:
             self._repeat()  # MAVSDK's own thread goes on
             return
@@ -218,7 +223,7 @@ class FastFlight:
         self._telemetry()
         if self.faulted is not None:
             for item in self.faulted.arrived():
-                self.take(item)
+                self._arrive(item)
         self._repeat()
 
     def _truth(self) -> None:
@@ -242,9 +247,21 @@ class FastFlight:
 
     def _receive(self, item: Telemetry) -> None:
         if self.faulted is None:
-            self.take(item)
+            self._arrive(item)
         else:
             self.faulted.send_in(item)
+
+    def _arrive(self, item: Telemetry) -> None:
+        self._connected = self._connected or isinstance(item, RoundTrip)
+        if self._connected:
+            self.take(item)
+
+    def _ask_time(self) -> None:
+        """TIMESYNC, as the app sends it."""
+        if self.faulted is None:
+            self.deliver(TimeRequest(self.host_us))
+        else:
+            self.faulted.send_out(TimeRequest(self.host_us))
 
     def _on_text(self, severity: str, text: str) -> None:
         self._texts.append((severity, text))
@@ -308,8 +325,8 @@ class FastFlight:
         else:
             self.deliver(order)
 
-    def deliver(self, order: SetPoint | VehicleAction) -> None:
-        """A set-point or an action arrives at the autopilot."""
+    def deliver(self, order: Order) -> None:
+        """A set-point, an action or a request arrives at the autopilot."""
         if isinstance(order, _SET_POINT):
             self.autopilot.set_trajectory(
                 TrajectorySetPoint(
@@ -319,6 +336,8 @@ class FastFlight:
                     order.yaw_ned_rad,
                 )
             )
+        elif isinstance(order, TimeRequest):
+            self._receive(RoundTrip(self.host_us, order.sent_us, self.autopilot.time_us))
         else:
             self._perform(order)
 
@@ -398,6 +417,7 @@ def fly_recorded(
     record = FlightRecord(mission, World.FAST, seed, log_dir, world.drawn, in_memory=in_memory)
     if progress is not None:
         record.onlookers.append(progress)
+        record.notice = progress
     FastFlight(mission, seed, driver, faults=faults, observe=record, fault=fault, world=world).run()
     record.close()
     return FlownFast(record.build(), record)

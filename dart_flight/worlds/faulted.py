@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
@@ -13,6 +13,7 @@ from dart_flight.samples import (
     ImuSample,
     OdometrySample,
     Record,
+    RoundTrip,
     SetPoint,
     StatusSample,
     StatusText,
@@ -27,8 +28,24 @@ if TYPE_CHECKING:
     from dart_flight.worlds.fast import FastFlight
 
 Telemetry = (
-    ImuSample | AttitudeSample | OdometrySample | ActuatorSample | StatusSample | EstimatorSample | StatusText
+    ImuSample
+    | AttitudeSample
+    | OdometrySample
+    | ActuatorSample
+    | StatusSample
+    | EstimatorSample
+    | StatusText
+    | RoundTrip
 )
+
+
+class TimeRequest(NamedTuple):
+    """TIMESYNC on its way to the autopilot; sent at a host time."""
+
+    sent_us: int
+
+
+Order = SetPoint | VehicleAction | TimeRequest
 
 
 class FaultedFlight:
@@ -42,7 +59,7 @@ class FaultedFlight:
         self._trigger = Trigger(fault)
         self.began_us: int | None = None  # host time
         self._in: LossyLink[Telemetry] = LossyLink(seed)
-        self._out: LossyLink[SetPoint | VehicleAction] = LossyLink(seed + 1)
+        self._out: LossyLink[Order] = LossyLink(seed + 1)
         self._vehicle: VehicleFault | None = None
         self._seed = seed
         self.twin: SimulatedVehicle | None = None  # a second vehicle on the link, once it sends
@@ -113,8 +130,8 @@ class FaultedFlight:
             for item in self._in.pop(self._flight.autopilot.now_s)
         ]
 
-    def send_out(self, order: SetPoint | VehicleAction) -> None:
-        """A set-point or an action on its way to the autopilot."""
+    def send_out(self, order: Order) -> None:
+        """A set-point, an action or a request on its way to the autopilot."""
         self._out.push(self._flight.autopilot.now_s, order)
         for one in self._out.pop(self._flight.autopilot.now_s):
             self._flight.deliver(one)

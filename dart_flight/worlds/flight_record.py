@@ -15,7 +15,7 @@ from dart_flight.recording.found import LOG_NAME
 from dart_flight.recording.memory import MemoryLog
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.recording.writer import FlightLog, new_flight_folder
-from dart_flight.samples import Record, World
+from dart_flight.samples import LogFailure, Record, World
 from dart_flight.verdict import Verdict, VerdictBuilder
 
 Onlooker = Callable[[Record], None]
@@ -35,6 +35,7 @@ class FlightRecord:
     Attributes:
         onlookers: called with every record, on the thread that took it.
         viewers: likewise, and with the truth of a simulated vehicle on its own thread; must not block.
+        notice: told once that the log has failed, on the thread that took a record.
 
     Raises:
         InputError: the log cannot be written.
@@ -56,6 +57,8 @@ class FlightRecord:
         self._takers = self.verdict.takers
         self.onlookers: list[Onlooker] = []
         self.viewers: list[Onlooker] = []
+        self.notice: Onlooker = lambda record: None
+        self._fails = False
         self._log: FlightLog | MemoryLog | None = None
         if log_dir is not None or in_memory:
             about = _describe(mission, world, seed, self._drawn)
@@ -79,8 +82,11 @@ class FlightRecord:
 
     def __call__(self, record: Record, number: int) -> None:
         """Take a record with the number of the input that it is or follows from."""
-        if self._log is not None:
-            self._log.put(record, number)
+        log = self._log
+        if log is not None:
+            log.put(record, number)
+            if not self._fails and log.shortfall is not None:
+                self._tell_failure(log.shortfall, getattr(record, "t_us", 0))
         take = self._takers.get(type(record))
         if take is not None:
             take(record)
@@ -88,6 +94,12 @@ class FlightRecord:
             onlooker(record)
         for viewer in self.viewers:
             viewer(record)
+
+    def _tell_failure(self, why: str, t_us: int) -> None:
+        self._fails = True
+        failure = LogFailure(t_us, why.partition(",")[0])
+        for tell in (self.notice, *self.viewers):
+            tell(failure)
 
     def truth(self, record: Record) -> None:
         """Take a record of the simulated vehicle that comes beside the core's inputs."""
@@ -108,6 +120,7 @@ class FlightRecord:
         kept = shown_path(px4_log) if px4_log is not None and px4_log.exists() else None
         built = self.verdict.build(self._world, self._seed, log, kept)
         built.drawn = self._drawn
+        built.log_failure = self._log.shortfall if self._log is not None else None
         return built
 
 

@@ -90,9 +90,11 @@ def fly_px4(
         lease = LinkLease(url, "dry-run --px4", record.path)
         lease.acquire()
         leases.append(lease)
-        return FlightApp(
+        app = FlightApp(
             mission, url, record, world, progress, LockstepClock(speed), lock_faults=drawn.lock_faults
         )
+        record.notice = app.show
+        return app
 
     try:
         world = fly_in_world(record, lambda on_truth: Px4World(spec, on_truth), make_app)
@@ -113,6 +115,7 @@ def _for_lockstep(mission: Mission, speed: float) -> Mission:
     """
     guard = mission.vehicle.guard
     timeout_s = max(guard.stream_timeout_s, _LOCKSTEP_PAUSE_S / speed)
-    guard = msgspec.structs.replace(guard, stream_timeout_s=timeout_s)
+    late_s = max(guard.telemetry_late_s, _LOCKSTEP_PAUSE_S / speed)
+    guard = msgspec.structs.replace(guard, stream_timeout_s=timeout_s, telemetry_late_s=late_s)
     vehicle = msgspec.structs.replace(mission.vehicle, guard=guard)
     return msgspec.structs.replace(mission, vehicle=vehicle)

@@ -36,6 +36,7 @@ from dart_flight.samples import (
     Override,
     Phase,
     Request,
+    RoundTrip,
     SetPoint,
     Silence,
     StatusText,
@@ -121,6 +122,24 @@ def in_turn(c: HandFedCore, ahead_us: int, apart_m: float, seconds: float) -> No
         c.give(ImuSample(t, received, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0)))
         c.give(AttitudeSample(t, received, c.q))
         c.give(OdometrySample(t, received, (x, y + apart_m, z), c.velocity_ned))
+
+
+def late(c: HandFedCore) -> None:
+    """A round trip of a second, then samples as before."""
+    c.give(RoundTrip(c.t_us, c.t_us - 1_000_000, c.t_us))
+    c.run(0.3)
+
+
+@cause
+def telemetry_late_ground(c: HandFedCore) -> None:
+    c.run(0.1)
+    late(c)
+
+
+@cause
+def telemetry_late(c: HandFedCore) -> None:
+    c.to_flight()
+    late(c)
 
 
 @cause

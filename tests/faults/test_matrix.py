@@ -16,16 +16,18 @@ from dart_flight.sim.faults.impairment import Impairment, LossyLink
 from dart_flight.sim.faults.kinds import KINDS, Fault, parse_fault
 from dart_flight.worlds.fast import FastFlight, fly_fast
 from dart_flight.worlds.prepare import load_flyable
-from tools.campaigns.faults import PHASES, came_of, cell, expected, random_flight, with_row
+from tools.campaigns.faults import ON_GROUND, PHASES, ROWS, came_of, cell, expected, random_flight, with_row
 
 ROOT = Path(__file__).parents[2]
 SINGLE = ROOT / "missions/paper_single_wall.yaml"
 # The cells that are flown here: each fault once, the phases in turn.
-SAMPLE = [(kind.name, PHASES[i % len(PHASES)]) for i, kind in enumerate(KINDS)]
+SAMPLE = [(row, PHASES[i % len(PHASES)]) for i, row in enumerate(ROWS)]
+IN_AIR = [phase for phase in PHASES if phase != ON_GROUND]
 
 
 def test_the_table_has_every_cell() -> None:
-    assert set(expected()) == {(kind.name, phase) for kind in KINDS for phase in PHASES}
+    assert set(expected()) == {(row, phase) for row in ROWS for phase in PHASES}
+    assert {kind.name for kind in KINDS} <= set(ROWS)
 
 
 @pytest.mark.parametrize(("fault", "phase"), SAMPLE)
@@ -44,7 +46,23 @@ def test_one_row_is_put_into_the_page_and_the_rest_left() -> None:
     changed = own.replace("second_vehicle", "bounds<br>**uncontrolled: it did not end**", 1)
     after = with_row(page, changed).splitlines()
     differ = [(a, b) for a, b in zip(lines, after, strict=True) if a != b]
-    assert differ == [(own, changed), ("135 cells, 0 uncontrolled.", "135 cells, 1 uncontrolled.")]
+    cells = len(ROWS) * len(PHASES)
+    assert differ == [(own, changed), (f"{cells} cells, 0 uncontrolled.", f"{cells} cells, 1 uncontrolled.")]
+
+
+@pytest.mark.parametrize("delay_ms", [100, 300, 1000, 2000])
+def test_with_late_telemetry_nothing_leaves_the_ground(delay_ms: float) -> None:
+    flight = FastFlight(load_flyable(SINGLE), 1, fault=Fault("delay", delay_ms))
+    while flight.core.end is None:
+        flight.tick()
+        assert not flight.autopilot.armed
+    reason = flight.core.end.reason or ""
+    found = re.fullmatch(
+        r"telemetry_late_ground: samples come (\d+) ms after they were taken, round trip (\d+) ms", reason
+    )
+    assert found, reason
+    assert int(found[1]) == pytest.approx(delay_ms, abs=5)
+    assert int(found[2]) == pytest.approx(2 * delay_ms, abs=10)
 
 
 @pytest.mark.parametrize("number", range(3))  # thousands: tools.campaigns.faults
@@ -63,7 +81,7 @@ def test_imu_drop_out_is_decided_within_a_tenth_of_a_second() -> None:
 # Every phase, and every order of the clocks in more than one.
 @pytest.mark.parametrize(
     ("phase", "ahead_s"),
-    list(zip([*PHASES, "transit", "landing"], itertools.cycle([238.0, -238.0, 0.0]), strict=False)),
+    list(zip([*IN_AIR, "transit", "landing"], itertools.cycle([238.0, -238.0, 0.0]), strict=False)),
 )
 def test_a_second_vehicle_on_the_link_is_named_at_once_in_every_phase(phase: str, ahead_s: float) -> None:
     events: list[GuardEvent] = []

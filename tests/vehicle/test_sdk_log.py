@@ -1,4 +1,4 @@
-"""What MAVSDK says goes to the log; a socket that complains of being closed is an error only in use."""
+"""What MAVSDK says goes to the log, once; a socket that complains of being closed is an error only in use."""
 
 import logging
 
@@ -7,6 +7,12 @@ import pytest
 from dart_flight.vehicle import sdk_log
 
 RACE = "Error from async_receive_from: Bad file descriptor"
+
+
+@pytest.fixture(autouse=True)
+def _nothing_said_yet() -> None:
+    with sdk_log.closing():
+        pass
 
 
 @pytest.mark.parametrize(
@@ -24,7 +30,22 @@ def test_only_a_closing_socket_may_complain(
         if closing:
             with sdk_log.closing():
                 assert sdk_log.take(3, message, None, 0)
+            assert sdk_log.take(3, RACE, None, 0)  # afterwards it is an error again
         else:
             assert sdk_log.take(3, message, None, 0)
-        assert sdk_log.take(3, RACE, None, 0)  # afterwards it is an error again
-    assert [r.levelno for r in caplog.records] == [level, logging.ERROR]
+    assert [r.levelno for r in caplog.records] == [level, logging.ERROR][: 1 + closing]
+
+
+def test_what_is_said_again_and_again_comes_once_and_with_its_count(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.DEBUG, "dart_flight.mavsdk"):
+        for i in range(200):
+            assert sdk_log.take(3, "Retrying failed", None, 0)
+            assert sdk_log.take(2, f"Sending again, retries to do: {i}", None, 0)
+        assert sdk_log.take(2, "Received unknown GPS fix type", None, 0)
+        assert len(caplog.records) == 3
+        with sdk_log.closing():
+            pass
+    assert [r.getMessage() for r in caplog.records[3:]] == [
+        "Retrying failed (200 times)",
+        "Sending again, retries to do: 0 (200 times)",
+    ]

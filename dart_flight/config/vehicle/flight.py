@@ -39,6 +39,7 @@ class GuardThresholds(Section, frozen=True):
         wall_late_s: wall not met this long after the planned impact: break off.
         wall_early_m: a contact further before the wall's plane is not the planned wall: break off.
         deadman_s: core thread or event loop hang for longer: the program is killed.
+        telemetry_late_s: samples older than this when they come: do not take off, or land.
     """
 
     stream_timeout_s: Seconds
@@ -67,6 +68,7 @@ class GuardThresholds(Section, frozen=True):
     wall_late_s: Seconds
     wall_early_m: Metres
     deadman_s: Annotated[float, Meta(ge=0.1, le=2.0)]
+    telemetry_late_s: Seconds = 0.075
 
 
 class Flying(Section, frozen=True):

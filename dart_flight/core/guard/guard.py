@@ -144,6 +144,11 @@ class Guard:
         return kept
 
     @property
+    def telemetry_late(self) -> bool:
+        """Whether samples are old when they come."""
+        return self._watch.lateness.late
+
+    @property
     def landing(self) -> bool:
         """Whether a landing has been asked for, by the mission or by the guard."""
         return self._watch.land_asked

@@ -134,6 +134,10 @@ def _link_lost(v: Watch) -> str | None:
     return f"nothing from the vehicle for {age:.1f} s" if age > v.config.link_lost_s else None
 
 
+def _telemetry_late(v: Watch) -> str | None:
+    return v.lateness.words() if v.lateness.late else None
+
+
 def _second_vehicle(v: Watch) -> str | None:
     return v.second_vehicle
 
@@ -270,6 +274,12 @@ RULES: tuple[Rule, ...] = (
          _LAND, _AIR, _status_silent, calm=True),
     Rule("stream_rate", "a stream comes at less than the rate that a mission needs (`streams.py`)",
          "streams: expected_hz", _HOLD, _FLYING, low_rate, calm=True),
+    Rule("telemetry_late_ground", "samples are old when they come: what they show is over",
+         "guard.telemetry_late_s", _GIVE_UP, _GROUND, _telemetry_late, calm=True),
+    Rule("telemetry_late", "samples are old when they come, for more than a moment",
+         "guard.telemetry_late_s", _LAND, _AIR, _telemetry_late,
+         explains=frozenset({"imu_silent", "attitude_silent", "odometry_silent", "status_silent"}),
+         calm=True),
     Rule("second_vehicle_ground", "a second vehicle sends on the link, whatever its system id",
          "guard.stamp_tolerance_s, guard.position_jump_m", _GIVE_UP, _GROUND, _second_vehicle_ground,
          calm=True),

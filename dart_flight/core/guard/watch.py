@@ -12,6 +12,7 @@ from collections import deque
 from typing import Final
 
 from dart_flight.config.mission import Mission
+from dart_flight.core.guard.lateness import Lateness
 from dart_flight.core.guard.sources import TwoClocks, TwoPlaces
 from dart_flight.core.mission.arithmetic import SCALARS
 from dart_flight.core.mission.phases import ALTITUDE_EXEMPT
@@ -32,6 +33,7 @@ from dart_flight.samples import (
     OperatorRequest,
     OtherVehicle,
     Phase,
+    RoundTrip,
     StatusSample,
     StatusText,
 )
@@ -106,6 +108,7 @@ class Watch:
             self._actuator_stream.clocks,
         )
         self._places = TwoPlaces(self.config.position_jump_m)
+        self.lateness = Lateness(self.config.telemetry_late_s)
         self._other_system: int | None = None
         self.second_vehicle: str | None = None  # how a second vehicle on the link shows; it does not go away
         self._left_since_us: int | None = None  # host time since when the mode says that offboard was left
@@ -139,6 +142,7 @@ class Watch:
         if isinstance(item, ImuSample):
             self._see_stamp(self._imu_stream, item, state.imu)
             self._see_imu(item)
+            self.lateness.take_sample(item.t_us, item.received_us)
         elif isinstance(item, AttitudeSample):
             self._see_stamp(self._attitude_stream, item, state.attitude)
         elif isinstance(item, OdometrySample):
@@ -150,6 +154,8 @@ class Watch:
             self._see_estimator(item)
         elif isinstance(item, StatusSample):
             self._see_status(item)
+        elif isinstance(item, RoundTrip):
+            self.lateness.take_round_trip(item)
         elif isinstance(item, OperatorRequest):
             self.request = item
         elif isinstance(item, OtherVehicle):
@@ -183,6 +189,7 @@ class Watch:
             and self._other_system is None
             and not self.stale
             and not self._rate_is_low
+            and not self.lateness.late
             and self.stuck_since_us is None
             and self.clipped_since_us is None
             and self.battery_low_since_us is None

@@ -18,6 +18,7 @@ class Impairment(msgspec.Struct, frozen=True):
         loss, reorder, duplicate: share of the messages that it befalls, 0 to 1.
         delay_s: every message comes this much later.
         reorder_s: how much later than the others a reordered message comes.
+        jitter_s: every message comes up to this much later, each its own.
         down: nothing comes through.
     """
 
@@ -26,6 +27,7 @@ class Impairment(msgspec.Struct, frozen=True):
     reorder: float = 0.0
     reorder_s: float = 0.02
     duplicate: float = 0.0
+    jitter_s: float = 0.0
     down: bool = False
 
 
@@ -48,6 +50,8 @@ class LossyLink(Generic[T]):
             late_s = is_.delay_s
             if is_.reorder > 0.0 and chance() < is_.reorder:
                 late_s += is_.reorder_s
+            if is_.jitter_s > 0.0:
+                late_s += is_.jitter_s * chance()
             self._number += 1
             heapq.heappush(self._waiting, (now_s + late_s, self._number, message))
 

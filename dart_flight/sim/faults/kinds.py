@@ -59,6 +59,9 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind("link-loss", _P.LINK, "nothing comes through, for so long (0: for ever)", "s", 0.0, 0.0, 60.0),
     FaultKind("packet-loss", _P.LINK, "messages are lost", "%", 10.0, 0.0, 100.0),
     FaultKind("delay", _P.LINK, "messages come late", "ms", 50.0, 0.0, 2000.0),
+    FaultKind(
+        "jitter", _P.LINK, "messages come up to this much later, each its own", "ms", 100.0, 0.0, 2000.0
+    ),
     FaultKind("reorder", _P.LINK, "messages overtake each other by 20 ms", "%", 10.0, 0.0, 100.0),
     FaultKind("duplicate", _P.LINK, "messages come twice", "%", 10.0, 0.0, 100.0),
     FaultKind(
@@ -178,7 +181,9 @@ class Trigger:
         return self._since_us is not None
 
     def due(self, now_us: int) -> bool:
-        """Whether it is time."""
+        """Whether it is time; one from the start on needs no record."""
+        if self._fault.phase is None and self._fault.after_s == 0.0:
+            return True
         return self._since_us is not None and now_us - self._since_us >= self._fault.after_s * 1e6
 
 
@@ -192,6 +197,7 @@ def impairment_of(fault: Fault) -> Impairment:
         "link-loss": Impairment(down=True),
         "packet-loss": Impairment(loss=share),
         "delay": Impairment(delay_s=fault.value * 1e-3),
+        "jitter": Impairment(jitter_s=fault.value * 1e-3),
         "reorder": Impairment(reorder=share),
         "duplicate": Impairment(duplicate=share),
         "imu-dropout": Impairment(),

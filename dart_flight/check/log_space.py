@@ -1,0 +1,48 @@
+"""Whether the disk has room for the log of the longest flight that a mission can become."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from dart_flight.check.findings import Finding
+from dart_flight.config.mission import Mission
+from dart_flight.core.mission.approach import legs_of, transit_of
+from dart_flight.recording.writer import BYTES_PER_S
+
+_WAITS_FIRST = 4  # telemetry, offboard mode, arming, climb
+_LANDING_S = 60.0
+
+
+def check_log_space(mission: Mission, log_dir: Path) -> Finding:
+    """Compare the room left where the log goes with the log of the longest flight."""
+    there = next(folder for folder in (log_dir.absolute(), *log_dir.absolute().parents) if folder.exists())
+    try:
+        left = shutil.disk_usage(there).free
+    except OSError as error:
+        return Finding("log_space", False, f"{log_dir}: {error.strerror}")
+    longest_s = longest_flight_s(mission)
+    needed = BYTES_PER_S * longest_s
+    says = (
+        f"{_megabytes(left)} left for the log in {log_dir}, "
+        f"{longest_s / 60.0:.1f} minutes, the longest that this can take, need {_megabytes(needed)}"
+    )
+    return Finding("log_space", left >= needed, says)
+
+
+def longest_flight_s(mission: Mission) -> float:
+    """How long a mission lasts where everything in it takes the longest that it may."""
+    vehicle, limits = mission.vehicle, mission.limits
+    wait_s = vehicle.flying.ready_timeout_s
+    lock_s = 0.0 if vehicle.lock is None else vehicle.lock.timeout_s
+    ways_s = sum(
+        transit_of(mission, leg, leg.begin).duration_s for leg in legs_of(mission) if leg.begin is not None
+    )
+    stops_s = sum(w.hold_s + (wait_s if w.position is not None else 0.0) for w in mission.waypoints)
+    hits_s = len(mission.collisions) * (wait_s + lock_s + limits.collision_timeout_s)
+    goal_s = limits.collision_timeout_s + mission.goal.hold_s
+    return _WAITS_FIRST * wait_s + ways_s + stops_s + hits_s + goal_s + _LANDING_S
+
+
+def _megabytes(size: float) -> str:
+    return f"{size / 1e6:.{0 if size >= 1e7 else 1}f} MB"

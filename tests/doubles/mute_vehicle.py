@@ -1,0 +1,44 @@
+"""A vehicle that sends as PX4 does and answers nothing that it is asked; falls silent after a while.
+
+python -m tests.doubles.mute_vehicle PORT SILENT_AFTER_S
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from dart_flight.config.vehicle import LockDriver
+from dart_flight.sim.mavlink_endpoint import Link, MavlinkEndpoint
+from dart_flight.sim.process import run_in_real_time
+from dart_flight.sim.vehicle import SimulatedVehicle
+from dart_flight.worlds.prepare import load_flyable
+
+MISSION = Path(__file__).parents[2] / "missions" / "single_wall.yaml"
+
+
+class MuteEndpoint(MavlinkEndpoint):
+    """Takes nothing of what arrives."""
+
+    def _take(self, link: Link, message: Any) -> None:
+        pass
+
+
+def main() -> None:
+    port, silent_after_s = int(sys.argv[1]), float(sys.argv[2])
+    vehicle = SimulatedVehicle(load_flyable(MISSION), 1, LockDriver.PX4)
+    endpoint = MuteEndpoint(vehicle.autopilot, (port,))
+    end_s = time.monotonic() + silent_after_s
+
+    def step() -> None:
+        vehicle.advance()
+        endpoint.exchange()
+
+    run_in_real_time(step, lambda: time.monotonic() > end_s)
+    time.sleep(3600.0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,45 @@
+"""A link that is late in both directions by the same all the time, between programs as people start them."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from dart_flight.worlds.vehicle_process import free_udp_port
+
+ROOT = Path(__file__).parents[2]
+MISSION = "missions/single_wall.yaml"
+
+
+@pytest.mark.mavlink
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ([], r"NO-GO +round_trip: 2\d\d ms between vehicle and program"),
+        (["--overrule", "round_trip"], r"telemetry_late_ground: samples come 1\d\d ms after they were taken"),
+    ],
+)
+def test_fly_stays_on_the_ground_and_says_how_late(options: list[str], words: str, tmp_path: Path) -> None:
+    there, here = free_udp_port(), free_udp_port()
+    run = [sys.executable, "-m"]
+    simulate = [*run, "dart_flight", "simulate", MISSION, "--port", str(there)]
+    proxy = [*run, "tools.lossy_proxy", "--listen", str(there), "--to", str(here), "--delay-ms", "100"]
+    fly = [*run, "dart_flight", "fly", MISSION, "--yes", "--driver", "px4", "--log-dir", str(tmp_path)]
+    fly += ["--connection", f"udpin://127.0.0.1:{here}", *options]
+    with (
+        subprocess.Popen(simulate, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as vehicle,
+        subprocess.Popen(proxy, cwd=ROOT, stdout=subprocess.DEVNULL) as link,
+    ):
+        try:
+            time.sleep(2.0)
+            ended = subprocess.run(fly, cwd=ROOT, capture_output=True, text=True, timeout=90.0, check=False)
+        finally:
+            vehicle.terminate()
+            link.terminate()
+    assert ended.returncode == 1
+    assert re.search(words, " ".join((ended.stdout + ended.stderr).split())), ended.stderr

@@ -1,0 +1,36 @@
+"""A vehicle that sends and answers nothing: every command that asks it something ends, and says why."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from dart_flight.worlds.vehicle_process import free_udp_port
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.mavlink
+@pytest.mark.parametrize("silent_after_s", [4.0, 60.0])
+def test_a_vehicle_that_answers_nothing_is_told_within_seconds(silent_after_s: float, tmp_path: Path) -> None:
+    port = free_udp_port()
+    words = [sys.executable, "-m", "tests.doubles.mute_vehicle", str(port), str(silent_after_s)]
+    fly = [sys.executable, "-m", "dart_flight", "fly", "missions/single_wall.yaml", "--yes"]
+    fly += ["--driver", "px4", "--connection", f"udpin://127.0.0.1:{port}", "--log-dir", str(tmp_path)]
+    with subprocess.Popen(words, cwd=ROOT) as vehicle:
+        began_s = time.monotonic()
+        try:
+            ended = subprocess.run(fly, cwd=ROOT, capture_output=True, text=True, timeout=60.0, check=False)
+        finally:
+            vehicle.kill()
+    took_s = time.monotonic() - began_s
+    print(f"{took_s:.1f} s: {ended.stderr.splitlines()[-1]}")
+    assert ended.returncode == 2
+    last = ended.stderr.splitlines()[-1]
+    assert last.startswith(f"udpin://127.0.0.1:{port}: the vehicle ")
+    assert "rate of " in last
+    assert took_s < 20.0
+    assert ended.stderr.count("Retrying failed") <= 2
+    assert not list(tmp_path.iterdir()), "nothing was flown"

@@ -1,0 +1,80 @@
+"""A disk that is full: the flight goes on, and nothing about it is silent."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+
+import msgspec
+import pytest
+
+from dart_flight.check.log_space import check_log_space, longest_flight_s
+from dart_flight.cli import main
+from dart_flight.config.vehicle import packaged
+from dart_flight.recording.events import Events
+from dart_flight.recording.writer import LogPart
+from dart_flight.samples import LogFailure, Record, Tick, World
+from dart_flight.verdict import Verdict
+from dart_flight.worlds.flight_record import FlightRecord
+from dart_flight.worlds.prepare import load_flyable
+from dart_flight.worlds.sabotage import fill_disk_of
+
+ROOT = Path(__file__).parents[2]
+SINGLE = ROOT / "missions/single_wall.yaml"
+MISSION = load_flyable(packaged("missions", "single_wall.yaml"))
+
+
+def test_it_is_told_once_in_flight_and_stands_in_the_verdict(tmp_path: Path) -> None:
+    record = FlightRecord(MISSION, World.EMBEDDED, 1, tmp_path)
+    told: list[Record] = []
+    record.notice = told.append
+    record(Tick(1), 0)
+    fill_disk_of(record.path)
+    record(Tick(2), 1)
+    record.close()  # what was queued has met the full disk
+    for number in range(2, 10):
+        record(Tick(number), number)
+    assert [type(one) for one in told] == [LogFailure]
+    event = Events().take(told[0])
+    assert event is not None
+    assert event.head == "the log of this flight is not complete: No space left on device"
+    assert (record.build().log_failure or "").startswith("No space left on device, ")
+
+
+def test_a_flight_whose_log_is_cut_says_so_and_does_not_end_well(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(part: LogPart) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    words = ["dry-run", str(SINGLE), "--fast", "--log-dir", str(tmp_path)]
+    assert main([*words, "--runs", "1"]) == 0
+    monkeypatch.setattr(LogPart, "flush", full)
+    monkeypatch.setattr(LogPart, "sync", full)
+    capsys.readouterr()
+    assert main(words) == 1
+    said = capsys.readouterr()
+    last = said.err.strip().splitlines()[-1]
+    assert last.startswith("log: ")
+    assert "is not complete: No space left on device, " in last
+    assert "dart-flight report" not in said.err, "nothing is offered that needs the log"
+    assert main([*words, "--json"]) == 1
+    verdict = msgspec.json.decode(capsys.readouterr().out, type=Verdict)
+    assert verdict.outcome == "completed"
+    assert (verdict.log_failure or "").startswith("No space left on device")
+
+
+def test_check_compares_the_room_with_the_longest_flight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert check_log_space(MISSION, tmp_path / "not" / "there").go
+    assert 120.0 < longest_flight_s(MISSION) < 600.0
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1_000_000))
+    found = check_log_space(MISSION, tmp_path)
+    assert not found.go
+    assert "1.0 MB left for the log" in found.says
+    assert main(["check", str(SINGLE), "--log-dir", str(tmp_path)]) == 1
+    assert "NO-GO     log_space: 1.0 MB left" in capsys.readouterr().err
