@@ -86,7 +86,8 @@ def dotted(key: Key) -> str:
 class Document:
     """A parsed YAML file: `tree` of dicts, lists and scalars, and the line of every key.
 
-    `set_by` says of keys that did not come from the file which option gave them (`config.settings`).
+    `set_by` says of keys that did not come from the file which option gave them (`config.settings`); `above`
+    is the key at which a part of a document stands.
 
     Raises:
         InputError: the text is not YAML, not a mapping, too large or too deep, has duplicate keys, aliases,
@@ -97,6 +98,7 @@ class Document:
         self.source = source
         self.lines: dict[Key, int] = {}
         self.set_by: dict[Key, str] = {}
+        self.above: Key = ()
         if len(text) > _MAX_BYTES:
             raise InputError(f"larger than {_MAX_BYTES} bytes", source=source)
         try:
@@ -137,9 +139,16 @@ class Document:
                 values, None, lists and mappings of them), or nested too deep.
         """
         document = cls.__new__(cls)
-        document.source, document.lines, document.set_by = source, {}, {}
+        document.source, document.lines, document.set_by, document.above = source, {}, {}, ()
         document.tree = plain(tree, (), source)
         return document
+
+    def part(self, name: str) -> Document:
+        """The mapping below a key as a document of its own; its errors name place and key in this one."""
+        part = Document.of(self.tree[name], self.source)
+        part.lines = {key[1:]: line for key, line in self.lines.items() if key[:1] == (name,)}
+        part.above = (*self.above, name)
+        return part
 
     def error(self, key: Key, message: str) -> InputError:
         """An error at a key of this document, with the line of the nearest key that is written in it.
@@ -153,8 +162,8 @@ class Document:
         for length in range(len(key), -1, -1):
             line = self.lines.get(key[:length])
             if line is not None:
-                return InputError(message, source=self.source, line=line, key=key)
-        return InputError(message, source=self.source, key=key)
+                return InputError(message, source=self.source, line=line, key=(*self.above, *key))
+        return InputError(message, source=self.source, key=(*self.above, *key))
 
     def convert(self, type_: type[T]) -> T:
         """The document as a `type_`.
