@@ -23,7 +23,7 @@ from dart_flight.campaign.asked import (
 )
 from dart_flight.campaign.flight import Flown, Flyer
 from dart_flight.campaign.table import Table, flown_in
-from dart_flight.config.document import InputError
+from dart_flight.config.document import InputError, read_text
 from dart_flight.errors import FlightError
 from dart_flight.recording.found import LOG_NAME
 from dart_flight.worlds.workers import Done, Failure, Interrupt, work
@@ -96,9 +96,7 @@ def _begin(asked: Asked, folder: Path) -> Opened:
 
 def _read(path: Path) -> Campaign:
     try:
-        return msgspec.json.decode(path.read_bytes(), type=Campaign)
-    except OSError as error:
-        raise InputError(f"cannot read: {error.strerror}", source=str(path)) from None
+        return msgspec.json.decode(read_text(path), type=Campaign)
     except msgspec.MsgspecError as error:
         raise InputError(f"is no campaign: {error}", source=str(path)) from None
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import fcntl
+import io
 import os
 import time
 from collections.abc import Iterator, Sequence
@@ -16,7 +17,7 @@ from types import TracebackType
 
 from dart_flight.campaign.asked import Item, Point
 from dart_flight.campaign.flight import line_of
-from dart_flight.config.document import InputError
+from dart_flight.config.document import InputError, open_file
 from dart_flight.errors import FlightError
 
 _SYNC_S = 1.0
@@ -110,7 +111,7 @@ def rows_in(path: Path) -> Iterator[dict[str, str]]:
         InputError: the file cannot be read, or a line is no row.
     """
     try:
-        with open(path, newline="", encoding="utf-8") as file:
+        with io.TextIOWrapper(open_file(path), encoding="utf-8", newline="") as file:
             reader = csv.reader(file)
             columns = next(reader, [])
             for cells in reader:

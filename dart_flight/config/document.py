@@ -10,11 +10,13 @@ from __future__ import annotations
 import contextlib
 import difflib
 import math
+import os
 import re
+import stat
 from collections.abc import Iterator, Mapping
 from enum import Enum
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin
+from typing import Any, BinaryIO, Literal, TypeVar, get_args, get_origin
 
 import msgspec
 import yaml
@@ -26,6 +28,8 @@ Key = tuple[str | int, ...]
 
 IN_PYTHON = "<dict>"  # the source of what did not come from a file
 _MAX_BYTES = 1_000_000
+MOST_TABLE_BYTES = 200_000_000  # of a CSV: an hour of trials at 1 kHz
+MOST_LOG_BYTES = 2_000_000_000  # of a log: PX4 writes up to some 500 MB an hour, and pyulog reads it whole
 _MAX_DEPTH = 32
 # YAML 1.1 reads 1e-3 as a string; people who write it mean the number (as YAML 1.2 does).
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\Z")
@@ -75,6 +79,48 @@ def writing(path: str | Path) -> Iterator[None]:
         raise InputError(f"cannot write: {error.strerror or error}", source=str(path)) from None
 
 
+def open_file(path: str | Path, most_bytes: int = MOST_LOG_BYTES) -> BinaryIO:
+    """A file that a person has named, open for reading; every command opens its input here.
+
+    Only regular files: a pipe may never give a byte, a device may never end.
+
+    Raises:
+        InputError: it cannot be read, is no regular file, or is larger than `most_bytes`.
+    """
+    source = str(path)
+    try:
+        file = os.fdopen(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb")
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot read: {getattr(error, 'strerror', None) or error}", source=source) from None
+    about = os.fstat(file.fileno())
+    problem = None
+    if stat.S_ISDIR(about.st_mode):
+        problem = "a folder, expected a file"
+    elif not stat.S_ISREG(about.st_mode):
+        problem = f"a {'pipe' if stat.S_ISFIFO(about.st_mode) else 'device'}, expected a regular file"
+    elif about.st_size > most_bytes:
+        problem = f"larger than {most_bytes / 1e6:g} MB ({about.st_size / 1e6:.0f} MB)"
+    if problem is not None:
+        file.close()
+        raise InputError(problem, source=source)
+    return file
+
+
+def read_text(path: str | Path, most_bytes: int = MOST_TABLE_BYTES) -> str:
+    """The text of a file that a person has named; a byte order mark is left out.
+
+    Raises:
+        InputError: as `open_file`, or it is not UTF-8.
+    """
+    with open_file(path, most_bytes) as file:
+        try:
+            return file.read(most_bytes).decode("utf-8-sig")
+        except OSError as error:
+            raise InputError(f"cannot read: {error.strerror or error}", source=str(path)) from None
+        except UnicodeDecodeError:
+            raise InputError("not UTF-8 text", source=str(path)) from None
+
+
 def dotted(key: Key) -> str:
     """`("walls", "wood", "normal", 0)` as `walls.wood.normal[0]`."""
     text = ""
@@ -86,7 +132,8 @@ def dotted(key: Key) -> str:
 class Document:
     """A parsed YAML file: `tree` of dicts, lists and scalars, and the line of every key.
 
-    `set_by` says of keys that did not come from the file which option gave them (`config.settings`).
+    `set_by` says of keys that did not come from the file which option gave them (`config.settings`); `above`
+    is the key at which a part of a document stands.
 
     Raises:
         InputError: the text is not YAML, not a mapping, too large or too deep, has duplicate keys, aliases,
@@ -97,6 +144,7 @@ class Document:
         self.source = source
         self.lines: dict[Key, int] = {}
         self.set_by: dict[Key, str] = {}
+        self.above: Key = ()
         if len(text) > _MAX_BYTES:
             raise InputError(f"larger than {_MAX_BYTES} bytes", source=source)
         try:
@@ -120,13 +168,7 @@ class Document:
         Raises:
             InputError: the file cannot be read, or as above.
         """
-        try:
-            text = Path(path).read_bytes().decode("utf-8")
-        except OSError as error:
-            raise InputError(f"cannot read: {error.strerror or error}", source=str(path)) from None
-        except (UnicodeDecodeError, ValueError):
-            raise InputError("not UTF-8 text", source=str(path)) from None
-        return cls(text, str(path))
+        return cls(read_text(path, _MAX_BYTES), str(path))
 
     @classmethod
     def of(cls, tree: Mapping[str, Any], source: str = IN_PYTHON) -> Document:
@@ -137,9 +179,16 @@ class Document:
                 values, None, lists and mappings of them), or nested too deep.
         """
         document = cls.__new__(cls)
-        document.source, document.lines, document.set_by = source, {}, {}
+        document.source, document.lines, document.set_by, document.above = source, {}, {}, ()
         document.tree = plain(tree, (), source)
         return document
+
+    def part(self, name: str) -> Document:
+        """The mapping below a key as a document of its own; its errors name place and key in this one."""
+        part = Document.of(self.tree[name], self.source)
+        part.lines = {key[1:]: line for key, line in self.lines.items() if key[:1] == (name,)}
+        part.above = (*self.above, name)
+        return part
 
     def error(self, key: Key, message: str) -> InputError:
         """An error at a key of this document, with the line of the nearest key that is written in it.
@@ -153,8 +202,8 @@ class Document:
         for length in range(len(key), -1, -1):
             line = self.lines.get(key[:length])
             if line is not None:
-                return InputError(message, source=self.source, line=line, key=key)
-        return InputError(message, source=self.source, key=key)
+                return InputError(message, source=self.source, line=line, key=(*self.above, *key))
+        return InputError(message, source=self.source, key=(*self.above, *key))
 
     def convert(self, type_: type[T]) -> T:
         """The document as a `type_`.

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import yaml
 
-from dart_flight.config.document import Document, InputError, Key, writing
+from dart_flight.config.document import Document, InputError, Key, read_text, writing
 
 
 def edit_values(text: str, values: Mapping[Key, float], source: str = "") -> str:
@@ -42,7 +42,7 @@ def write_values(path: Path, values: Mapping[Key, float]) -> None:
     """
     target = path.resolve()  # a link to the configuration stays a link
     with writing(path):
-        text = edit_values(target.read_bytes().decode("utf-8"), values, str(path))
+        text = edit_values(read_text(target), values, str(path))
         descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
         try:
             with os.fdopen(descriptor, "wb") as file:

@@ -7,7 +7,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from dart_flight.config.document import Document, InputError
+from dart_flight.config.document import Document, InputError, open_file
 
 
 class FileKind(Enum):
@@ -40,7 +40,7 @@ def kind_of_tree(tree: Mapping[str, Any]) -> FileKind | None:
 def kind_of_file(path: str | Path) -> FileKind | None:
     """The kind of a file by its content, CSV by its name; None where it cannot be told or read."""
     try:
-        with open(path, "rb") as file:
+        with open_file(path) as file:
             start = file.read(8)
         for magic, kind in _MAGIC.items():
             if start.startswith(magic):

@@ -17,10 +17,10 @@ from msgspec import Meta
 
 from dart_flight.config.document import IN_PYTHON, Document, InputError, Key, unknown_name
 from dart_flight.config.kinds import FileKind, load_document, refuse_other_keys
-from dart_flight.config.provenance import FoundVehicle, VehicleSource, find_vehicle
+from dart_flight.config.provenance import FoundVehicle, VehicleSource, find_vehicle, shown_path
 from dart_flight.config.section import Section
 from dart_flight.config.settings import apply_changes
-from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.config.vehicle import VehicleConfig, load_vehicle
 from dart_flight.geometry import MissionFrame, Vec2, Vec3, Wall
 from dart_flight.samples import AfterImpact, Mode, ModeMismatch
 
@@ -34,6 +34,7 @@ Direction = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Alpha = Annotated[float, Meta(ge=0.0, le=1.0)]
 Point2 = tuple[Coordinate, Coordinate]
 Range = tuple[Coordinate, Coordinate]
+Standoff = Annotated[float, Meta(ge=0.1, le=2.0)]
 
 _AXIS_TOLERANCE = 1e-6
 _PAUSE_S = 60.0
@@ -275,7 +276,8 @@ class MissionFile(Section, frozen=True):
         collisions: in the order of the hits; none: a flight without one.
         waypoints: way-points and pauses before, between and after the collisions, in the order in which they
             are flown.
-        vehicle: vehicle configuration, relative to this file; without it, the default one.
+        vehicle: vehicle configuration: a file, relative to this one, or its keys and values themselves;
+            without it, the default one.
         transit_mode: state of the arms in take-off, transit and landing.
         predicted: written by plan.
         after_impact: setpoint: the paper's recovery set-point leads on; replan: a way that is planned in
@@ -283,6 +285,8 @@ class MissionFile(Section, frozen=True):
         tolerance: by how much a flight may differ from the plan; for the goal that is its capture radius.
         mode_mismatch: where a contact was felt in the other mode than the lock reports; go_on: it is noted
             in log and verdict; land: the guard lands.
+        standoff_m: a rehearsal: every contact is replaced by stopping so far before its wall, as with
+            --standoff; null: the contacts are flown.
     """
 
     version: Literal[1]
@@ -293,7 +297,7 @@ class MissionFile(Section, frozen=True):
     walls: dict[str, WallSpec] = msgspec.field(default_factory=dict)
     collisions: list[CollisionSpec] = msgspec.field(default_factory=list)
     waypoints: list[WaypointSpec] = msgspec.field(default_factory=list)
-    vehicle: str | None = None
+    vehicle: str | dict[str, Any] | None = None
     frame: FrameSpec = FrameSpec()
     transit_mode: Mode = Mode.RIGID
     limits: Limits = Limits()
@@ -301,6 +305,7 @@ class MissionFile(Section, frozen=True):
     after_impact: AfterImpact = AfterImpact.SETPOINT
     tolerance: Tolerance = Tolerance()
     mode_mismatch: ModeMismatch = ModeMismatch.GO_ON
+    standoff_m: Standoff | None = None
 
 
 class Collision(msgspec.Struct, frozen=True):
@@ -405,11 +410,15 @@ class Mission(msgspec.Struct, frozen=True):
         return msgspec.structs.replace(self.vehicle_source, mass_kg=mass_kg)
 
     def to_dict(self) -> dict[str, Any]:
-        """As a mission file says it, resolved: `parse_mission` makes the same mission of it for its vehicle.
+        """As a mission file says it, resolved, with its vehicle: `load_mission` makes the same mission of it.
 
         Walls are given at the vehicle's centre and gains in the wall's axes; a point of impact is left out
-        where it follows from start and approach.
+        where it follows from start and approach. From which file the vehicle came is not in it.
         """
+        return {**self._own_keys(), "vehicle": self.vehicle.to_dict()}
+
+    def _own_keys(self) -> dict[str, Any]:
+        """As `to_dict`, without the vehicle."""
         tree: dict[str, Any] = {
             "version": 1,
             "name": self.name,
@@ -426,6 +435,7 @@ class Mission(msgspec.Struct, frozen=True):
             "after_impact": self.after_impact,
             "tolerance": self.tolerance,
             "mode_mismatch": self.mode_mismatch,
+            "standoff_m": self.standoff_m,
         }
         found: dict[str, Any] = msgspec.to_builtins(tree)
         return found
@@ -458,10 +468,9 @@ class Mission(msgspec.Struct, frozen=True):
                 source = msgspec.structs.replace(
                     source, mass_kg=vehicle.airframe.mass_kg, set=(*source.set, *said)
                 )
-        document = Document.of(self.to_dict(), IN_PYTHON)
+        document = Document.of(self._own_keys(), IN_PYTHON)
         apply_changes(own, document)
-        changed = parse_mission(document, vehicle)
-        return msgspec.structs.replace(changed, standoff_m=self.standoff_m, vehicle_source=source)
+        return msgspec.structs.replace(parse_mission(document, vehicle), vehicle_source=source)
 
     def frame_at(self, takeoff_ned: Vec3) -> MissionFrame:
         """The mission frame once the take-off point is known (local NED, metres)."""
@@ -554,11 +563,22 @@ def parse_mission(
     if isinstance(config, VehicleConfig):
         return resolve(spec, config, document)
     if not isinstance(config, FoundVehicle):
-        if config is None and spec.vehicle is not None:
-            config = Path(document.source).parent / spec.vehicle
-        config = find_vehicle(config, settings)
+        config = _find_vehicle(spec, config, document, settings)
     mission = resolve(spec, config.config, document)
     return msgspec.structs.replace(mission, vehicle_source=config.source)
+
+
+def _find_vehicle(
+    spec: MissionFile, config: str | Path | None, document: Document, settings: Sequence[str]
+) -> FoundVehicle:
+    """The vehicle of a mission: `config`, else what the mission has or names, else the default one."""
+    if config is None and isinstance(spec.vehicle, dict):
+        vehicle = load_vehicle(document.part("vehicle"), settings)
+        source = None if document.source == IN_PYTHON else shown_path(document.source)
+        return FoundVehicle(vehicle, VehicleSource(source, False, vehicle.airframe.mass_kg, tuple(settings)))
+    if config is None and isinstance(spec.vehicle, str):
+        config = Path(document.source).parent / spec.vehicle
+    return find_vehicle(config, settings)
 
 
 def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mission:
@@ -589,6 +609,7 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
         after_impact=spec.after_impact,
         tolerance=spec.tolerance,
         mode_mismatch=spec.mode_mismatch,
+        standoff_m=spec.standoff_m,
         waypoints=_resolve_waypoints(spec, vehicle, walls, document),
     )
 

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import msgspec
 
-from dart_flight.config.document import InputError
+from dart_flight.config.document import InputError, read_text
 from dart_flight.config.vehicle import packaged
 
 Value = int | float
@@ -114,10 +114,7 @@ def load_parameters(path: str | Path) -> dict[str, Parameter]:
     Raises:
         InputError: the file cannot be read, or a line is not a parameter, a duplicate or out of range.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read: {error}", source=str(path)) from None
+    text = read_text(path)
     parameters: dict[str, Parameter] = {}
     reason: list[str] = []
     versions: tuple[str, str | None] = ("", None)

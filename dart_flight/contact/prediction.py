@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dart_flight.config.document import InputError, unknown_name
+from dart_flight.config.document import InputError, read_text, unknown_name
 from dart_flight.config.kinds import FileKind, refuse_other_kind
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
@@ -250,12 +250,7 @@ def predict_batch(
 
 def _read_batch(path: str | Path, modes: list[str]) -> tuple[Rows, Array, Array]:
     source = str(path)
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"cannot read: {error.strerror or error}", source=source) from None
-    except UnicodeDecodeError:
-        raise InputError("not UTF-8 text", source=source) from None
+    text = read_text(path)
     reader = csv.DictReader(io.StringIO(text), skipinitialspace=True)
     header = [name.strip() for name in reader.fieldnames or []]
     reader.fieldnames = header

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dart_flight.config.document import InputError
+from dart_flight.config.document import read_text
 from dart_flight.config.parameters import load_parameters, parse_listing
 from dart_flight.config.rotors import motors_of
 from dart_flight.config.vehicle import Motor
@@ -26,8 +26,5 @@ def read_airframe(path: Path) -> tuple[Motor, ...]:
 def _parameters(path: Path) -> dict[str, float]:
     if path.suffix == ".ulg":
         return open_ulog(path, ["vehicle_land_detected"]).parameters
-    try:
-        listed = parse_listing(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read: {error}", source=str(path)) from None
+    listed = parse_listing(read_text(path))
     return listed or {name: float(p.value) for name, p in load_parameters(path).items()}

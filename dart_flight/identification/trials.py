@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dart_flight.config.document import InputError
+from dart_flight.config.document import InputError, read_text
 from dart_flight.config.kinds import FileKind, refuse_other_kind
 from dart_flight.config.provenance import FoundVehicle
 from dart_flight.contact.coefficients import Array
@@ -170,12 +170,7 @@ def read_csv(path: Path, how: TrialReading) -> list[Trial]:
         InputError: with file, line and column of what is wrong.
     """
     source = str(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"cannot read: {error.strerror or error}", source=source) from None
-    except UnicodeDecodeError:
-        raise InputError("not UTF-8 text", source=source) from None
+    text = read_text(path)
     lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and line[0] != "#"]
     if not lines:
         raise InputError("the file is empty", source=source)

@@ -11,7 +11,7 @@ import msgspec
 from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from dart_flight.config.document import InputError
+from dart_flight.config.document import InputError, open_file
 from dart_flight.config.kinds import FileKind, refuse_other_kind
 from dart_flight.recording.encoding import decode
 from dart_flight.recording.schema import RECORD_TYPES
@@ -123,7 +123,7 @@ def _read_part(path: Path, log: Log) -> None:
     source = str(path)
     found = dict[str, str]()
     try:
-        with open(path, "rb") as stream:
+        with open_file(path) as stream:
             start = stream.read(len(MAGIC))
             if not MAGIC.startswith(start):
                 refuse_other_kind(path, FileKind.FLIGHT_LOG)

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.config.document import InputError
+from dart_flight.config.document import InputError, open_file
 from dart_flight.config.rotors import COUNT, MAV_TYPES
 
 Array = NDArray[np.float64]
@@ -95,13 +95,14 @@ def open_ulog(path: str | Path, topics: Sequence[str]) -> ULogFile:
         from pyulog import ULog  # noqa: PLC0415  (an extra, slow to import)
     except ImportError:
         raise InputError("needs pyulog: pip install dart-flight[identify]", source=source) from None
-    try:
-        log = ULog(source, list(topics))
-    except OSError as error:
-        raise InputError(f"cannot read: {error.strerror or error}", source=source) from None
-    except Exception:
-        # pyulog raises whatever its parsing stumbles over.
-        raise InputError("not a readable ULog", source=source) from None
+    with open_file(path) as file:
+        try:
+            log = ULog(file, list(topics))
+        except OSError as error:
+            raise InputError(f"cannot read: {error.strerror or error}", source=source) from None
+        except Exception:
+            # pyulog raises whatever its parsing stumbles over.
+            raise InputError("not a readable ULog", source=source) from None
     found: dict[str, dict[int, dict[str, Any]]] = {}
     for entry in log.data_list:
         if len(entry.data["timestamp"]):

@@ -70,16 +70,131 @@ def test_flying_takes_no_extra() -> None:
 # --- missions and vehicles without a file ---------------------------------------------------------------
 
 
-@pytest.mark.parametrize("path", sorted(SINGLE.parent.glob("*.yaml")), ids=lambda path: path.stem)
+def unsourced(mission: dart_flight.Mission) -> dart_flight.Mission:
+    """A mission without the files that it came from."""
+    return msgspec.structs.replace(mission, source="", vehicle_source=None)
+
+
+MISSIONS = sorted(path for path in SINGLE.parent.glob("**/*.yaml") if path.parent.name != "scenarios")
+
+
+@pytest.mark.parametrize("path", MISSIONS, ids=lambda path: path.stem)
 def test_a_mission_comes_back_from_its_dictionary(path: Path) -> None:
     mission = dart_flight.load_mission(path)
     tree = json.loads(json.dumps(mission.to_dict()))
-    again = dart_flight.load_mission(tree, mission.vehicle)
-    assert (
-        msgspec.structs.replace(again, source=mission.source, vehicle_source=mission.vehicle_source)
-        == mission
-    )
+    assert unsourced(dart_flight.load_mission(tree)) == unsourced(mission)
     assert dart_flight.load_vehicle(mission.vehicle.to_dict()) == mission.vehicle
+
+
+def every_key() -> dict[str, Any]:
+    """A mission that sets every key, each to another value than its default."""
+    vehicle = dart_flight.load_vehicle(dart_flight.packaged("configs", "rigid_cage.yaml")).to_dict()
+    vehicle["airframe"]["mass_kg"] = 0.93
+    prediction = {
+        "t_s": 1.5,
+        "position_m": [0.4, -1.1],
+        "normal_m_s": -0.6,
+        "tangential_m_s": 0.4,
+        "peak_force_n": 31.0,
+        "contact_time_s": 0.06,
+    }
+    first = {
+        "wall": "near",
+        "mode": "rigid",
+        "approach": {"normal_m_s": -0.6, "tangential_m_s": 0.4},
+        "impact_point_m": [0.25, -1.1],
+        "alpha_m_per_n": [0.03, 0.04],
+        "predicted": prediction,
+    }
+    far = {
+        "point_m": [1.65, 0.0],
+        "normal": [-1.0, 0.02],
+        "length_m": 3.0,
+        "material": sorted(vehicle["materials"])[0],
+        "given_at": "surface",
+        "position_sd_m": 0.13,
+        "yaw_sd_deg": 4.3,
+    }
+    return {
+        "version": 1,
+        "name": "every key",
+        "vehicle": vehicle,
+        "frame": {"origin": "takeoff", "north_m": 1.0, "east_m": -2.0, "heading_deg": 30.0},
+        "start": {"position_m": [0.1, 0.2], "altitude_m": 1.1},
+        "goal": {"position_m": [1.0, -0.5], "capture_radius_m": 0.2, "hold_s": 3.0},
+        "bounds_m": {"x": [-2.0, 2.2], "y": [-1.6, 2.0], "z": [0.3, 2.1]},
+        "walls": {
+            "near": far | {"point_m": [0.8, -1.1], "normal": [0.0, 1.0], "given_at": "centre"},
+            "far": far,
+        },
+        "transit_mode": "rigid",
+        "collisions": [
+            first,
+            {"wall": "far", "alpha_wall_m_per_n": [0.02, 0.03], "mode": "rigid"},
+        ],
+        "waypoints": [
+            {"position_m": [0.2, 0.4], "altitude_m": 1.4, "speed_m_s": 0.4, "hold_s": 1.0},
+            {"pause": "operator", "timeout_s": 33.0},
+            {"position_m": [0.2, 0.1], "after": 2},
+        ],
+        "limits": {"speed_m_s": 2.5, "peak_force_n": 120.0, "collision_timeout_s": 7.0},
+        "predicted": {"goal_miss_m": 0.31},
+        "after_impact": "replan",
+        "tolerance": {"impact_m_s": 0.2, "peak_force_share": 0.3, "place_m": 0.3},
+        "mode_mismatch": "land",
+        "standoff_m": 0.4,
+    }
+
+
+def keys_unset(kind: Any, trees: list[Any], above: str) -> list[str]:
+    """Keys of a section that none of the trees sets, or that only have their defaults."""
+    out = []
+    for field in msgspec.structs.fields(kind):
+        name = field.encode_name
+        values = [tree[name] for tree in trees if name in tree]
+        plain = msgspec.to_builtins(field.default) if field.default is not msgspec.NODEFAULT else None
+        if not values or (all(value == plain for value in values) and name != "transit_mode"):
+            out.append(f"{above}{name}")
+        below = [
+            v
+            for v in (getattr(field.type, "__args__", None) or (field.type,))
+            if hasattr(v, "__struct_fields__")
+        ]
+        nested = [
+            v
+            for value in values
+            for v in (value.values() if name == "walls" else value if isinstance(value, list) else [value])
+        ]
+        for section in below:
+            out += keys_unset(section, nested, f"{above}{name}.")
+    return out
+
+
+def test_a_mission_that_sets_every_key_comes_back_with_its_vehicle() -> None:
+    tree = every_key()
+    assert keys_unset(MissionFile, [tree], "") == []
+    mission = dart_flight.load_mission(tree)
+    again = dart_flight.load_mission(json.loads(json.dumps(mission.to_dict())))
+    assert again == mission
+    assert (again.vehicle.has_lock, again.vehicle.airframe.mass_kg) == (False, 0.93)
+    assert again.standoff_m == 0.4
+
+
+def test_the_vehicle_of_a_mission_file_may_stand_in_it(tmp_path: Path) -> None:
+    text = SINGLE.read_text(encoding="utf-8")
+    inline = "vehicle:\n  extends: dart.yaml\n  airframe:\n    mass_kg: 1.4\n"
+    path = tmp_path / "mission.yaml"
+    (tmp_path / "dart.yaml").write_bytes(dart_flight.packaged("configs", "dart.yaml").read_bytes())
+    path.write_text(text.replace("vehicle: ../configs/dart.yaml\n", inline), encoding="utf-8")
+    mission = dart_flight.load_mission(path, settings=["airframe.contact_distance_m=0.3"])
+    assert mission.vehicle.airframe.mass_kg == 1.4
+    assert mission.flown_vehicle().set == ("airframe.contact_distance_m=0.3",)
+    path.write_text(path.read_text().replace("mass_kg: 1.4", "mas_kg: 1.4"), encoding="utf-8")
+    line = next(i for i, said in enumerate(path.read_text().splitlines(), 1) if "mas_kg" in said)
+    with pytest.raises(
+        dart_flight.InputError, match=rf"mission.yaml:{line}: vehicle.airframe.mas_kg: unknown key"
+    ):
+        dart_flight.load_mission(path)
 
 
 def test_a_dictionary_has_every_key_of_the_file() -> None:
@@ -90,8 +205,7 @@ def test_a_dictionary_has_every_key_of_the_file() -> None:
         (tree["collisions"][0], CollisionSpec),
         (tree["goal"], GoalSpec),
     ):
-        keys = {field.encode_name for field in msgspec.structs.fields(kind)} - {"vehicle"}  # it has its own
-        assert set(node) == keys
+        assert set(node) == {field.encode_name for field in msgspec.structs.fields(kind)}
 
 
 def test_a_wall_comes_back_to_the_bit() -> None:

@@ -88,7 +88,11 @@ def _kind(value: Schema) -> str:
             return f"{len(items)} numbers{_limits(items[0])}"
         return f"list of {_kind(items)}" + ("s" if _kind(items) == "section" else "")
     if kind == "object":
-        return f"name: {_kind(value['additionalProperties'])}"
+        return (
+            f"name: {_kind(value['additionalProperties'])}"
+            if "additionalProperties" in value
+            else "keys and values"
+        )
     words = {"number": "number", "integer": "whole number", "string": "text", "boolean": "`true`, `false`"}
     return words[str(kind)] + _limits(value)
 

@@ -119,12 +119,13 @@ def default_config_path() -> Path:
 
 
 def load_vehicle(
-    path: str | Path | Mapping[str, Any] | None = None, settings: Sequence[str] = ()
+    path: str | Path | Mapping[str, Any] | Document | None = None, settings: Sequence[str] = ()
 ) -> VehicleConfig:
     """Load and validate a vehicle configuration.
 
     Args:
-        path: of the file; the default configuration without. Or a mapping of what a file would hold.
+        path: of the file; the default configuration without. Or a mapping of what a file would hold, or a
+            document already read.
         settings: `KEY=VALUE` with a dotted key, set before the validation (`config.settings`).
 
     A file with `extends: FILE` holds only what differs from that one, which lies relative to it.
@@ -133,9 +134,12 @@ def load_vehicle(
         InputError: as `Document` and `vehicle_of`.
     """
     if isinstance(path, Mapping):
-        document = _with_base(Document.of(path))
+        document = Document.of(path)
+    elif isinstance(path, Document):
+        document = path
     else:
-        document = _with_base(Document.load(path or default_config_path()))
+        document = Document.load(path or default_config_path())
+    document = _with_base(document)
     apply_settings(settings, document)
     return vehicle_of(document)
 
