@@ -108,7 +108,12 @@ def test_a_mistake_in_an_extending_configuration_is_named_where_it_stands(
 
 
 WRONG: list[tuple[str, str, str, str]] = [
-    ("missions/paper_single_wall.yaml", "name: single-wall", "nam: single-wall", "unknown and missing key"),
+    (
+        "missions/paper_single_wall.yaml",
+        "name: paper-single-wall",
+        "nam: single-wall",
+        "unknown and missing key",
+    ),
     ("missions/paper_single_wall.yaml", "mode: flexible", "mode: soft", "not a mode"),
     ("missions/paper_single_wall.yaml", "normal_m_s: -1.0", "normal_m_s: 1.0", "away from the wall"),
     ("missions/paper_single_wall.yaml", "normal: [-1.0, 0.0]", "normal: [-1.0]", "too short a list"),

@@ -10,7 +10,7 @@ from dart_flight.cli import main
 from dart_flight.config.scenario import load_scenario
 
 SCENARIOS = Path(__file__).parents[2] / "missions" / "scenarios"
-DUAL = SCENARIOS / "paper_dual_collision.yaml"
+DUAL = SCENARIOS / "dual_collision.yaml"
 
 
 def changed(tmp_path: Path, old: str, new: str) -> Path:
