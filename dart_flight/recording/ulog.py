@@ -108,7 +108,7 @@ def open_ulog(path: str | Path, topics: Sequence[str]) -> ULogFile:
     try:
         from pyulog import ULog  # noqa: PLC0415  (an extra, slow to import)
     except ImportError:
-        raise InputError("needs pyulog: pip install dart-flight[identify]", source=source) from None
+        raise InputError("needs pyulog: pip install 'dart-flight[identify]'", source=source) from None
     # pyulog prints what it stumbles over, to where JSON goes.
     with open_file(path) as file, contextlib.redirect_stdout(io.StringIO()) as printed:
         try:
