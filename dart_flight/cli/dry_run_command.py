@@ -9,6 +9,7 @@ from functools import partial
 
 from rich.progress import Progress
 
+from dart_flight.cli import EXIT_INTERRUPTED
 from dart_flight.cli.flight_output import FlightLines, exit_status, live_line_for, show_end, summary_table
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import add_flight_options, add_set_option, add_vary_option, number, whole_number
@@ -28,8 +29,6 @@ from dart_flight.worlds.embedded import fly_embedded
 from dart_flight.worlds.fast import fly_fast
 from dart_flight.worlds.prepare import load_flyable, with_driver, with_standoff
 from dart_flight.worlds.px4 import fly_px4
-
-EXIT_INTERRUPTED = 130  # as a shell has it for SIGINT: the rest of a script ends, too
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -557,6 +557,24 @@ def test_stamps_that_jump_in_a_landing_do_not_stop_the_motors() -> None:
     assert "still_armed" not in [e.rule for e in fired(c)]
 
 
+@pytest.mark.parametrize("whose", ["autopilot", "host"])
+def test_one_clock_that_leaps_in_a_landing_does_not_stop_the_motors(whose: str) -> None:
+    """Both must say that a landing has long ended."""
+    c = HandFedCore()
+    c.to_flight()
+    c.set_status(battery_v=12.9)
+    c.run(1.2)
+    c.set_status(flight_mode=FlightMode.LAND)
+    c.run(1.0)
+    if whose == "autopilot":
+        c.t_us += 60_000_000
+        c.host_ahead_us -= 60_000_000
+    else:
+        c.host_ahead_us += 60_000_000
+    c.run(1.0)
+    assert "still_armed" not in [e.rule for e in fired(c)]
+
+
 def test_a_reset_of_the_heading_alone_is_none() -> None:
     c = HandFedCore()
     c.to_flight()

@@ -56,6 +56,7 @@ _BOOTED = "Startup script returned successfully"
 _CLIENT, _VERSION = "px4-param", "px4-ver"
 _ANSWER_S = 5.0
 MOTOR_1 = 101  # output function "Motor 1"
+_CELL_V = 3.9  # of a simulated battery in flight
 _DIGITS = 5.1e-5  # `px4-param show` writes four decimals
 _SET_PDEATHSIG = 1
 
@@ -183,6 +184,7 @@ def airframe_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
         parameters[f"EKF2_IMU_POS_{axis}"] = place
     parameters["THR_MDL_FAC"] = vehicle.thrust.square_share
     parameters["MPC_THR_HOVER"] = vehicle.hover_thrust_fraction()
+    parameters["BAT1_N_CELLS"] = max(1, round(vehicle.simulation.battery_v / _CELL_V))
     for field in msgspec.structs.fields(Px4Parameters):
         parameters[field.encode_name] = float(getattr(vehicle.px4, field.name))
     if vehicle.lock is not None and vehicle.lock.driver is LockDriver.PX4:
