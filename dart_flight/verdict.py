@@ -7,6 +7,7 @@ The one source for every world, for `--json`, for the terminal and for the repor
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -46,6 +47,7 @@ from dart_flight.samples import (
     World,
 )
 
+_KEPT = 1024  # samples of estimate and truth until they have met: 8 s at 125 Hz
 _TRUTH_MATCH_US = 60_000  # an impact and its truth lie this near in time
 
 
@@ -151,6 +153,47 @@ class Verdict(msgspec.Struct):
     deviations: list[Deviation] = msgspec.field(default_factory=list)
 
 
+class PositionError:
+    """Largest distance between estimate and truth at the same stamp, truth interpolated.
+
+    The two come on threads of their own, either of them first: what has not met yet waits, and all else is
+    forgotten, however long the flight.
+
+    Attributes:
+        worst_m: so far, metres; None: the two have not met.
+    """
+
+    def __init__(self) -> None:
+        self.worst_m: float | None = None
+        self._estimates: deque[tuple[int, Vec3]] = deque(maxlen=_KEPT)
+        self._truths: deque[tuple[int, Vec3]] = deque(maxlen=_KEPT)
+
+    def take_estimate(self, t_us: int, position: Vec3) -> None:
+        """An estimated position, mission frame."""
+        self._estimates.append((t_us, position))
+
+    def take_truth(self, t_us: int, position: Vec3) -> None:
+        """The true position, mission frame; compares it with what has been estimated meanwhile."""
+        truths, estimates = self._truths, self._estimates
+        if truths and t_us <= truths[-1][0]:
+            truths.clear()  # the clock went back
+        truths.append((t_us, position))
+        while estimates and estimates[0][0] <= t_us:
+            self._compare(*estimates.popleft())
+
+    def _compare(self, t_us: int, estimated: Vec3) -> None:
+        after = None
+        for before in reversed(self._truths):
+            if after is not None and before[0] <= t_us <= after[0]:
+                (t0, a), (t1, b) = before, after
+                share = (t_us - t0) / (t1 - t0)
+                x, y, z = (p + share * (q - p) for p, q in zip(a, b, strict=True))
+                error = math.dist(estimated, (x, y, z))
+                self.worst_m = error if self.worst_m is None else max(self.worst_m, error)
+                return
+            after = before
+
+
 class VerdictBuilder:
     """Takes the records of one flight in order.
 
@@ -174,8 +217,7 @@ class VerdictBuilder:
         self._airborne_us: int | None = None
         self._landed_us: int | None = None
         self._anchor = Anchor(mission)
-        self._estimated: list[tuple[int, Vec3]] = []
-        self._true: list[tuple[int, Vec3]] = []
+        self._position_error = PositionError()
         # By kind: most records matter to nothing here, and are passed over by one look-up.
         self.takers: dict[type, Callable[[Any], None]] = {
             AttitudeSample: self._take_attitude,
@@ -211,7 +253,7 @@ class VerdictBuilder:
             self._tilt_rad = max(self._tilt_rad or 0.0, tilt_of(record.q_frd_to_ned))
 
     def _take_truth(self, record: TruthSample) -> None:
-        self._true.append((record.t_us, record.position_mission))
+        self._position_error.take_truth(record.t_us, record.position_mission)
 
     def _take_onset(self, record: ImpactOnset) -> None:
         self._onset = record
@@ -235,7 +277,7 @@ class VerdictBuilder:
         self._anchor.take(record)
         frame = self._anchor.frame
         if frame is not None and self._airborne_us is not None and self._landed_us is None:
-            self._estimated.append((record.t_us, frame.point_from_ned(record.position_ned)))
+            self._position_error.take_estimate(record.t_us, frame.point_from_ned(record.position_ned))
 
     def _take_phase(self, record: PhaseChange) -> None:
         self._anchor.take(record)
@@ -350,7 +392,7 @@ class VerdictBuilder:
             flight_time_s=time_s,
             log=log,
             px4_log=px4_log,
-            ekf_error_m=self._ekf_error_m(),
+            ekf_error_m=self._position_error.worst_m,
             vehicle=self._mission.flown_vehicle(),
             plan_followed=all(one.within for one in differ) if differ else None,
             deviations=differ,
@@ -368,23 +410,6 @@ class VerdictBuilder:
             )
             for c in self._collisions
         ]
-
-    def _ekf_error_m(self) -> float | None:
-        """Largest distance between estimate and truth at the same stamp, truth interpolated."""
-        worst: float | None = None
-        true = sorted(self._true)
-        i = 0
-        for t_us, estimated in self._estimated:
-            while i + 1 < len(true) and true[i + 1][0] < t_us:
-                i += 1
-            if i + 1 >= len(true) or true[i][0] > t_us:
-                continue
-            (t0, a), (t1, b) = true[i], true[i + 1]
-            share = (t_us - t0) / (t1 - t0)
-            there = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2]))
-            error = math.dist(estimated, there)
-            worst = error if worst is None else max(worst, error)
-        return worst
 
     def _match_truth(self, collision: CollisionVerdict) -> None:
         near = [
