@@ -41,12 +41,14 @@ from dart_flight.samples import (
     Phase,
     PhaseChange,
     SetPointSent,
+    Tick,
     TruthContact,
     TruthSample,
     WallFelt,
     World,
 )
 
+_TICK_US = 20_000
 _KEPT = 1024  # samples of estimate and truth until they have met: 8 s at 125 Hz
 _TRUTH_MATCH_US = 60_000  # an impact and its truth lie this near in time
 
@@ -142,6 +144,7 @@ class Verdict(msgspec.Struct):
     flight_time_s: float | None
     log: str | None = None
     log_failure: str | None = None  # what is missing in the log, and why
+    own_lateness_ms: float | None = None  # how late the program itself ran at worst; none: not told
     px4_log: str | None = None
     ekf_error_m: float | None = (
         None  # largest distance of the estimated position from the true one, in the air
@@ -218,6 +221,8 @@ class VerdictBuilder:
         self._landed_us: int | None = None
         self._anchor = Anchor(mission)
         self._position_error = PositionError()
+        self._ticked_us: int | None = None
+        self._late_us: int | None = None  # at worst, between ticks
         # By kind: most records matter to nothing here, and are passed over by one look-up.
         self.takers: dict[type, Callable[[Any], None]] = {
             AttitudeSample: self._take_attitude,
@@ -235,6 +240,7 @@ class VerdictBuilder:
             GoalPassed: self._take_passed,
             TruthContact: self._truths.append,
             MissionEnd: self._take_end,
+            Tick: self._take_tick,
         }
 
     @property
@@ -251,6 +257,12 @@ class VerdictBuilder:
     def _take_attitude(self, record: AttitudeSample) -> None:
         if self._airborne_us is not None and self._landed_us is None:
             self._tilt_rad = max(self._tilt_rad or 0.0, tilt_of(record.q_frd_to_ned))
+
+    def _take_tick(self, record: Tick) -> None:
+        if self._ticked_us is not None and self._end is None:
+            late_us = max(0, record.host_us - self._ticked_us - _TICK_US)
+            self._late_us = max(self._late_us or 0, late_us)
+        self._ticked_us = record.host_us
 
     def _take_truth(self, record: TruthSample) -> None:
         self._position_error.take_truth(record.t_us, record.position_mission)
@@ -392,6 +404,7 @@ class VerdictBuilder:
             flight_time_s=time_s,
             log=log,
             px4_log=px4_log,
+            own_lateness_ms=None if self._late_us is None else self._late_us * 1e-3,
             ekf_error_m=self._position_error.worst_m,
             vehicle=self._mission.flown_vehicle(),
             plan_followed=all(one.within for one in differ) if differ else None,
