@@ -7,7 +7,7 @@
 `dry-run` flies a mission that holds a way-point, in a process of its own; this one looks at it once in a
 minute of flight, through /proc. It fails where memory grows by more than 8 MB from the third minute to the
 last (the index of one part of the log, and what Python keeps in reserve), or where descriptors or threads
-become more. The simulated battery lasts 13 minutes and ends nothing here. `--set KEY=VALUE` goes to `dry-run`:
+become more. The simulated battery lasts 13 minutes and ends nothing here. `--set KEY=VALUE` is for `dry-run`:
 on a busy machine longer silences.
 """
 
