@@ -14,11 +14,14 @@ from dart_flight.cli.live_line import LiveLine
 from dart_flight.cli.terminal import emit_json, tables
 from dart_flight.config.mission import Mission
 from dart_flight.deviations import departures
+from dart_flight.processes import LATE_S
 from dart_flight.recording.events import Event, Events, Level
 from dart_flight.recording.flight_time import FlightTime
-from dart_flight.samples import GuardEvent, MissionEnd, Outcome, PhaseChange, Record
+from dart_flight.samples import GuardEvent, MissionEnd, Outcome, PhaseChange, Record, World
 from dart_flight.verdict import CollisionVerdict, Velocities, Verdict
 from dart_flight.worlds.campaigns import Summary
+
+TOO_BUSY = "the computer is too busy for this pace; --fast has none, --speed 0.5 half of it"
 
 
 class FlightLines:
@@ -68,6 +71,11 @@ def show_end(verdict: Verdict, console: Console, as_json: bool) -> None:
         emit_json(verdict)
         return
     tables().print(verdict_table(verdict))
+    late_ms = verdict.own_lateness_ms or 0.0
+    if verdict.outcome is not Outcome.COMPLETED and late_ms > 1e3 * LATE_S:
+        simulated = verdict.world is not None and verdict.world is not World.DRONE
+        why = TOO_BUSY if simulated else "the computer was too busy; docs/latency.md says what helps"
+        console.print(f"this program ran up to {late_ms:.0f} ms late: {why}", style="yellow", soft_wrap=True)
     if verdict.log_failure is not None:
         told = f"log: {verdict.log} is not complete: {verdict.log_failure}"
         console.print(told, markup=False, soft_wrap=True, style="red")

@@ -90,10 +90,15 @@ def test_every_signal_that_ends_a_program_stops_the_flight(
         monkeypatch.setattr(app, "loop", asyncio.get_running_loop())
         app._listen_for_signals()
         signal.raise_signal(number)
-        await asyncio.sleep(0)
+        for _ in range(100):  # until the loop has heard of it
+            if told:
+                break
+            await asyncio.sleep(0.01)
         signal.raise_signal(signal.SIGUSR1)
-        while len(told) < 2:
-            await asyncio.sleep(0)
+        for _ in range(100):
+            if len(told) == 2:
+                break
+            await asyncio.sleep(0.01)
 
     asyncio.run(signalled())
     assert requests(told) == [Request.LAND, Request.CONTINUE]
@@ -118,14 +123,14 @@ def test_an_action_is_performed_and_its_result_is_an_input(
 ) -> None:
     session = Session(problem)
     app, told = app_with(monkeypatch, session)
-    carry_out(app, monkeypatch, VehicleCommand(1, VehicleAction.LAND, "why"))
+    carry_out(app, monkeypatch, VehicleCommand(1, VehicleAction.LAND))
     assert session.asked == [VehicleAction.LAND]
     assert [(r.command, r.ok, r.detail) for r in told if isinstance(r, CommandResult)] == [
         ("land", not problem, problem)
     ]
 
 
-@pytest.mark.parametrize("last", [Silence(1, "the pilot has it"), MissionEnd(1, Outcome.COMPLETED, None)])
+@pytest.mark.parametrize("last", [Silence(1), MissionEnd(1, Outcome.COMPLETED, None, None)])
 def test_with_silence_and_at_the_end_the_session_falls_silent(
     monkeypatch: pytest.MonkeyPatch, last: Output
 ) -> None:

@@ -48,6 +48,7 @@ ENVIRONMENT = "DART_PX4_DIR"
 TESTED: tuple[tuple[int, int], ...] = ((1, 14), (1, 15), (1, 16), (1, 17))
 OLDEST = (1, 14)
 SIMULATOR_PORT, ONBOARD_PORT = 4560, 14540
+_LOCK_FILES = "/tmp/px4_lock"  # and "-", and the number; locked as long as that instance runs
 _LOCAL_PORTS = (14580, 18570, 14280, 13030)  # UDP, plus the instance
 _INSTANCES = range(10)  # from the tenth on PX4 sends to one shared port
 _TERM_WAIT_S = 2.0
@@ -290,7 +291,7 @@ def _free_simulator_port(number: int) -> socket.socket | None:
 def _instance_is_locked(instance: int) -> bool:
     """Whether a running PX4 holds the instance's lock file."""
     try:
-        with open(f"/tmp/px4_lock-{instance}", "r+b") as lock:
+        with open(f"{_LOCK_FILES}-{instance}", "r+b") as lock:
             fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except FileNotFoundError:
         return False
