@@ -130,7 +130,7 @@ def test_an_action_is_performed_and_its_result_is_an_input(
     ]
 
 
-@pytest.mark.parametrize("last", [Silence(1), MissionEnd(1, Outcome.COMPLETED, None, None)])
+@pytest.mark.parametrize("last", [Silence(1, ""), MissionEnd(1, Outcome.COMPLETED, None, None)])
 def test_with_silence_and_at_the_end_the_session_falls_silent(
     monkeypatch: pytest.MonkeyPatch, last: Output
 ) -> None:
