@@ -82,6 +82,21 @@ def test_where_the_thrust_fit_is_refused_fast_flight_is_untold(
     assert flight["untold"] == len(flight["impacts"]) > 0
 
 
+def test_a_log_that_begins_in_the_air_is_felt_whole(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = dict(with_status(topics()))
+    made["vehicle_land_detected", 0] = (
+        "bool landed;",
+        [(BEGIN_US + 1.1e6 + 2e6 * i, [False]) for i in range(21)],
+    )
+    fields, rows = made["vehicle_local_position", 0]
+    made["vehicle_local_position", 0] = (fields, [(t, [0.0, 0.0, -30.0, *v[3:]]) for t, v in rows])
+    flight = felt(write_ulog(tmp_path / "a.ulg", made), capsys)
+    assert flight["flight_s"] == pytest.approx(45.0, abs=0.1)
+    assert [round(i["t_s"]) for i in flight["impacts"]] == [round(HIT_S)]
+
+
 def test_every_impact_has_its_standard_deviation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (impact,) = felt(write_ulog(tmp_path / "a.ulg", topics()), capsys, "--mass", "2.0")["impacts"]
     assert impact["force_sd_n"] == pytest.approx(2.0 * impact["acceleration_sd_m_s2"])

@@ -174,8 +174,9 @@ def flights_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
     if log.first("vehicle_status") is not None:
         # Not cut where it was disarmed: what was stopped in the air still has to come down.
         air = [(a, b) for a, b in air if any(x < b and y > a for x, y in armed)]
-    # What is in the air when the log begins has taken off before.
-    taken_off = [(a if a <= begin + 0.1 else _off_the_ground(log, a, b), b) for a, b in air]
+    # What is in the air when the log begins, or when PX4 first says where it is, has taken off before.
+    known = max(first, begin + 0.1)
+    taken_off = [(begin if a <= known else _off_the_ground(log, a, b), b) for a, b in air]
     return [(a, b) for a, b in taken_off if b > a]
 
 
