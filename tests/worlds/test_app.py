@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import queue
 import signal
 import threading
+from collections.abc import AsyncIterator, Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +26,15 @@ from dart_flight.samples import (
     OperatorRequest,
     Outcome,
     Output,
+    Record,
     Request,
     SetPoint,
     Silence,
     VehicleAction,
     VehicleCommand,
 )
-from dart_flight.vehicle.clock import ClockEstimate
+from dart_flight.vehicle.clock import ClockEstimate, host_us
+from dart_flight.worlds import app as module
 from dart_flight.worlds.app import FlightApp, LockThread
 from dart_flight.worlds.prepare import load_flyable
 
@@ -49,6 +54,9 @@ class Session:
 
     def silence(self) -> None:
         self.asked.append("silence")
+
+    def set_actuator(self, index: int, value: float) -> None:
+        self.asked.append((index, value))
 
     def tell_ground(self, text: str) -> None:
         self.asked.append(text)
@@ -199,3 +207,90 @@ def test_the_lock_is_not_made_before_the_autopilots_clock_is_known() -> None:
     assert not thread.thread.is_alive()
     assert [a for a in made[0].asked if a != "poll"] == ["start", Mode.RIGID, False]
     assert [state.mode for state in delivered] == [Mode.RIGID]
+
+
+class Flight(Session):
+    """A session for a whole run of the app; the flight is over as soon as the app's threads have shown up."""
+
+    def __init__(self, end: Callable[[], None]) -> None:
+        super().__init__()
+        self.end = end
+        self.motors = 0
+
+    async def measure_link(self, timeout_s: float) -> list[str]:
+        return []
+
+    async def keep_measuring(self) -> None:
+        await asyncio.sleep(60.0)
+
+    def subscribe(self, estimation: object, motors: int) -> None:
+        self.motors = motors
+        self.clock.update(5_000_000, host_us())  # the autopilot has been up for five seconds
+
+    async def set_rates(self) -> list[str]:
+        return []
+
+    async def look_for_others(self) -> None:
+        self.end()
+
+
+class World:
+    """A simulated world that notes where the servo's horn is told to be."""
+
+    died, cause = False, ""
+
+    def __init__(self) -> None:
+        self.horns: list[float] = []
+
+    def send_horn(self, pulse_us: float) -> None:
+        self.horns.append(pulse_us)
+
+
+def test_a_run_starts_lock_terminal_and_deadman_and_ends_them(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    mission = load_flyable(ROOT / "missions/paper_single_wall.yaml")
+    assert mission.vehicle.lock is not None
+    world, shown, looks = World(), list[Record](), list[bool]()
+    app = FlightApp(
+        mission, "udpin://nowhere:1", lambda *_: None, world, shown.append, deadman_note=tmp_path / "note"
+    )
+
+    def end() -> None:
+        """Once the horn has moved, and the deadman was there meanwhile."""
+        looks.append(app._deadman is not None)
+        if len(world.horns) > 1 or len(looks) > 40:
+            app.carry_out(MissionEnd(1, Outcome.COMPLETED, None, None))
+
+    session = Flight(end)
+
+    @contextlib.asynccontextmanager
+    async def connected(*_: object, **__: object) -> AsyncIterator[Flight]:
+        yield session
+
+    monkeypatch.setattr(module, "connect", connected)
+    # What it does to its process is not for a process of tests.
+    monkeypatch.setattr(module.gc, "freeze", lambda: None)
+    monkeypatch.setattr(module.sys, "setswitchinterval", lambda _: None)
+    app.show(OperatorRequest(1, Request.CONTINUE))
+    asyncio.run(app.run())
+    assert session.motors == len(mission.vehicle.airframe.motors)
+    assert shown == [OperatorRequest(1, Request.CONTINUE)]
+    assert all(looks)
+    # Homed: from the flexible end, where it was, towards the rigid one.
+    flexible, rigid = (mission.vehicle.lock.servo.pulse_us(mode) for mode in (Mode.FLEXIBLE, Mode.RIGID))
+    assert world.horns[0] == flexible
+    assert min(flexible, rigid) <= min(world.horns)
+    assert max(world.horns) <= max(flexible, rigid)
+    assert all(a != b for a, b in pairwise(world.horns))  # told only what has changed
+    assert not (tmp_path / "note").exists()  # the deadman was let go
+    running = {thread.name for thread in threading.enumerate()}
+    assert not running & {"lock", "terminal"}
+
+
+@pytest.mark.parametrize(("theirs", "expected"), [(0, False), (1, True)])
+def test_a_terminal_of_another_job_is_not_read(
+    monkeypatch: pytest.MonkeyPatch, theirs: int, expected: bool
+) -> None:
+    monkeypatch.setattr(module.os, "tcgetpgrp", lambda _: module.os.getpgrp() + theirs)
+    assert module._in_background(0) is expected
