@@ -147,14 +147,17 @@ def simulate(
         log_dir: the log goes into a folder of its own in this one; without, it is kept in memory.
 
     Raises:
-        InputError: the mission cannot be flown, or what is to be drawn or to go wrong is unknown.
+        InputError: the mission cannot be flown, the seed is no whole number, or what is to be drawn or to go
+            wrong is unknown.
     """
+    if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or not 0 <= seed < 2**31:
+        raise InputError(f"expected a whole number from 0 to {2**31 - 1}, not {seed!r}", key=("seed",))
     mission = load_mission(mission)
     refuse_unflyable(mission)
     spreads = parse_vary(_settings_of(vary), mission.vehicle)
     broken = parse_fault(fault, mission.vehicle.has_lock) if isinstance(fault, str) else fault
     folder = None if log_dir is None else Path(log_dir)
-    return Flight(mission, fly_recorded(mission, seed, folder, fault=broken, spreads=spreads))
+    return Flight(mission, fly_recorded(mission, int(seed), folder, fault=broken, spreads=spreads))
 
 
 def _settings_of(vary: str | Iterable[str] | Mapping[str, float] | None) -> list[str]:

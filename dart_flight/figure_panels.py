@@ -21,7 +21,7 @@ def blank(width_in: float, height_in: float) -> Any:
     try:
         from matplotlib.figure import Figure  # noqa: PLC0415
     except ImportError:
-        raise InputError("needs matplotlib: pip install dart-flight[report]", key=("plot",)) from None
+        raise InputError("needs matplotlib: pip install 'dart-flight[report]'", key=("plot",)) from None
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 

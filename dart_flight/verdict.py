@@ -7,6 +7,7 @@ The one source for every world, for `--json`, for the terminal and for the repor
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -40,12 +41,15 @@ from dart_flight.samples import (
     Phase,
     PhaseChange,
     SetPointSent,
+    Tick,
     TruthContact,
     TruthSample,
     WallFelt,
     World,
 )
 
+_TICK_US = 20_000
+_KEPT = 1024  # samples of estimate and truth until they have met: 8 s at 125 Hz
 _TRUTH_MATCH_US = 60_000  # an impact and its truth lie this near in time
 
 
@@ -141,6 +145,7 @@ class Verdict(msgspec.Struct):
     flight_time_s: float | None
     log: str | None = None
     log_failure: str | None = None  # what is missing in the log, and why
+    own_lateness_ms: float | None = None  # how late the program itself ran at worst; none: not told
     px4_log: str | None = None
     ekf_error_m: float | None = (
         None  # largest distance of the estimated position from the true one, in the air
@@ -148,15 +153,52 @@ class Verdict(msgspec.Struct):
     px4: Px4Figures | None = None
     drawn: dict[str, float | str] = msgspec.field(default_factory=dict)  # of the simulated world (`--vary`)
     vehicle: VehicleSource | None = None
-    plan_followed: bool | None = (
-        None  # the flight did what was predicted; None: nothing was, as in a rehearsal
-    )
+    plan_followed: bool | None = None  # it did what was predicted; None: nothing was, as of a rehearsal
     goal_reached: bool | None = None  # within the capture radius; None: the flight has no end
     goal_miss_planned_m: float | None = None  # as predicted; None: not known, or flown to from rest
     deviations: list[Deviation] = msgspec.field(default_factory=list)
-    arms_moved: bool | None = (
-        None  # whether simulated arms ever followed the lock; None: it had one mode only
-    )
+    arms_moved: bool | None = None  # whether simulated arms ever followed the lock; None: it never moved
+
+
+class PositionError:
+    """Largest distance between estimate and truth at the same stamp, truth interpolated.
+
+    The two come on threads of their own, either of them first: what has not met yet waits, and all else is
+    forgotten, however long the flight.
+
+    Attributes:
+        worst_m: so far, metres; None: the two have not met.
+    """
+
+    def __init__(self) -> None:
+        self.worst_m: float | None = None
+        self._estimates: deque[tuple[int, Vec3]] = deque(maxlen=_KEPT)
+        self._truths: deque[tuple[int, Vec3]] = deque(maxlen=_KEPT)
+
+    def take_estimate(self, t_us: int, position: Vec3) -> None:
+        """An estimated position, mission frame."""
+        self._estimates.append((t_us, position))
+
+    def take_truth(self, t_us: int, position: Vec3) -> None:
+        """The true position, mission frame; compares it with what has been estimated meanwhile."""
+        truths, estimates = self._truths, self._estimates
+        if truths and t_us <= truths[-1][0]:
+            truths.clear()  # the clock went back
+        truths.append((t_us, position))
+        while estimates and estimates[0][0] <= t_us:
+            self._compare(*estimates.popleft())
+
+    def _compare(self, t_us: int, estimated: Vec3) -> None:
+        after = None
+        for before in reversed(self._truths):
+            if after is not None and before[0] <= t_us <= after[0]:
+                (t0, a), (t1, b) = before, after
+                share = (t_us - t0) / (t1 - t0)
+                x, y, z = (p + share * (q - p) for p, q in zip(a, b, strict=True))
+                error = math.dist(estimated, (x, y, z))
+                self.worst_m = error if self.worst_m is None else max(self.worst_m, error)
+                return
+            after = before
 
 
 class VerdictBuilder:
@@ -182,8 +224,9 @@ class VerdictBuilder:
         self._airborne_us: int | None = None
         self._landed_us: int | None = None
         self._anchor = Anchor(mission)
-        self._estimated: list[tuple[int, Vec3]] = []
-        self._true: list[tuple[int, Vec3]] = []
+        self._position_error = PositionError()
+        self._ticked_us: int | None = None
+        self._late_us: int | None = None  # at worst, between ticks
         self._settled: set[Mode] = set()
         self._true_modes: set[Mode] = set()
         # By kind: most records matter to nothing here, and are passed over by one look-up.
@@ -203,6 +246,7 @@ class VerdictBuilder:
             GoalPassed: self._take_passed,
             TruthContact: self._truths.append,
             MissionEnd: self._take_end,
+            Tick: self._take_tick,
         }
 
     @property
@@ -220,8 +264,14 @@ class VerdictBuilder:
         if self._airborne_us is not None and self._landed_us is None:
             self._tilt_rad = max(self._tilt_rad or 0.0, tilt_of(record.q_frd_to_ned))
 
+    def _take_tick(self, record: Tick) -> None:
+        if self._ticked_us is not None and self._end is None:
+            late_us = max(0, record.host_us - self._ticked_us - _TICK_US)
+            self._late_us = max(self._late_us or 0, late_us)
+        self._ticked_us = record.host_us
+
     def _take_truth(self, record: TruthSample) -> None:
-        self._true.append((record.t_us, record.position_mission))
+        self._position_error.take_truth(record.t_us, record.position_mission)
         self._true_modes.add(record.mode)
 
     def _take_onset(self, record: ImpactOnset) -> None:
@@ -246,7 +296,7 @@ class VerdictBuilder:
         self._anchor.take(record)
         frame = self._anchor.frame
         if frame is not None and self._airborne_us is not None and self._landed_us is None:
-            self._estimated.append((record.t_us, frame.point_from_ned(record.position_ned)))
+            self._position_error.take_estimate(record.t_us, frame.point_from_ned(record.position_ned))
 
     def _take_phase(self, record: PhaseChange) -> None:
         self._anchor.take(record)
@@ -365,7 +415,8 @@ class VerdictBuilder:
             flight_time_s=time_s,
             log=log,
             px4_log=px4_log,
-            ekf_error_m=self._ekf_error_m(),
+            own_lateness_ms=None if self._late_us is None else self._late_us * 1e-3,
+            ekf_error_m=self._position_error.worst_m,
             vehicle=self._mission.flown_vehicle(),
             plan_followed=all(one.within for one in differ) if differ else None,
             deviations=differ,
@@ -400,23 +451,6 @@ class VerdictBuilder:
             )
             for c in self._collisions
         ]
-
-    def _ekf_error_m(self) -> float | None:
-        """Largest distance between estimate and truth at the same stamp, truth interpolated."""
-        worst: float | None = None
-        true = sorted(self._true)
-        i = 0
-        for t_us, estimated in self._estimated:
-            while i + 1 < len(true) and true[i + 1][0] < t_us:
-                i += 1
-            if i + 1 >= len(true) or true[i][0] > t_us:
-                continue
-            (t0, a), (t1, b) = true[i], true[i + 1]
-            share = (t_us - t0) / (t1 - t0)
-            there = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2]))
-            error = math.dist(estimated, there)
-            worst = error if worst is None else max(worst, error)
-        return worst
 
     def _match_truth(self, collision: CollisionVerdict) -> None:
         near = [

@@ -90,6 +90,8 @@ def _begin(asked: Asked, folder: Path) -> Opened:
         raise InputError(
             "is a table without its campaign.json: name another folder", source=str(folder / TABLE)
         )
+    if folder.is_dir() and any(folder.iterdir()):
+        raise InputError("has other files in it: name a new folder", source=str(folder), key=("--out",))
     _write(folder / ASKED, campaign)
     return Opened(folder, campaign, points)
 

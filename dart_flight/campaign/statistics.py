@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 import math
+import statistics
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -81,3 +82,13 @@ def separation(first: Sequence[float], second: Sequence[float]) -> Separation:
     n, m = len(first), len(second)
     chance = wins / (n * m)
     return Separation(chance, (chance - 0.5) / math.sqrt((n + m + 1) / (12.0 * n * m)))
+
+
+def rank_correlation(pairs: Sequence[tuple[float, float]]) -> float:
+    """Spearman's correlation: of the ranks, equal values sharing theirs; both have to vary."""
+
+    def ranks(values: Sequence[float]) -> list[float]:
+        ordered = sorted(values)
+        return [bisect.bisect_left(ordered, v) + bisect.bisect_right(ordered, v) for v in values]
+
+    return statistics.correlation(ranks([x for x, _ in pairs]), ranks([y for _, y in pairs]))

@@ -15,7 +15,15 @@ import msgspec
 from dart_flight.campaign.asked import Item, Point, command_of
 from dart_flight.campaign.flight import ERROR
 from dart_flight.campaign.run import TABLE, Opened
-from dart_flight.campaign.statistics import Separation, Share, bin_edges, bin_of, separation, share
+from dart_flight.campaign.statistics import (
+    Separation,
+    Share,
+    bin_edges,
+    bin_of,
+    rank_correlation,
+    separation,
+    share,
+)
 from dart_flight.campaign.table import rows_in
 from dart_flight.config.provenance import VehicleSource
 from dart_flight.samples import Outcome
@@ -24,6 +32,8 @@ _MOST_FAILED = 1000  # that are listed; the table has them all
 _CLEAR_Z = 4.0  # from here on a quantity tells failed flights from others, also among fifty looked at
 _LEAST_FAILED = 5
 _MOST_TOLD = 4
+_MOST_OVER = 2  # drawn quantities for one figure
+_MOST_POINTS = 400
 
 
 class Spread(msgspec.Struct, frozen=True):
@@ -65,6 +75,21 @@ class Drawn(msgspec.Struct, frozen=True):
     name: str
     bins: list[Bin]
     z: float | None = None
+
+
+class Varied(msgspec.Struct, frozen=True):
+    """A figure of the flights that completed, over the drawn quantity that it follows most.
+
+    Attributes:
+        figure, name: of the figure and of the drawn quantity.
+        correlation: of their ranks (Spearman), -1 to 1; 0: the figure does not follow it.
+        points: drawn and figure of each flight, of the first 400.
+    """
+
+    figure: str
+    name: str
+    correlation: float
+    points: list[tuple[float, float]]
 
 
 class GridPoint(msgspec.Struct, frozen=True):
@@ -120,7 +145,8 @@ class CampaignSummary(msgspec.Struct, frozen=True):
         completed, plan_followed: rates with their intervals.
         figures: by column.
         points: by mission and settings; rules: why flights did not complete.
-        drawn: success over what was drawn.
+        drawn: success over what was drawn; empty where all flights completed, or none.
+        varied: miss and peak forces over what was drawn, of the flights that completed.
         failed: flights that did not complete, at most 1000.
         unexplained_modes: those whose arms were in another mode than the lock although no fault of it was
             drawn; the campaign proves nothing while there are any.
@@ -137,6 +163,7 @@ class CampaignSummary(msgspec.Struct, frozen=True):
     points: list[GridPoint]
     rules: list[Rule]
     drawn: list[Drawn]
+    varied: list[Varied]
     failed: list[Failed]
     unexplained_modes: list[Failed]
     vary: dict[str, float]
@@ -190,6 +217,7 @@ def summarise(opened: Opened) -> CampaignSummary:
         points=[_at_point(opened, point, judged) for point in opened.points],
         rules=_rules(rows, names),
         drawn=_drawn(judged, names),
+        varied=_varied([row for row in judged if row.completed], names, figures),
         failed=[_failed(opened, row) for row in islice((r for r in rows if not r.completed), _MOST_FAILED)],
         unexplained_modes=[
             _failed(opened, row, row.unexplained)
@@ -260,12 +288,31 @@ def _settings(opened: Opened, point: Point) -> dict[str, str]:
 def _drawn(rows: Sequence[_Row], names: Sequence[str]) -> list[Drawn]:
     """What was drawn, what tells most first; what is the same in all flights is left out."""
     fine, others = [r for r in rows if r.completed], [r for r in rows if not r.completed]
+    if not fine or not others:
+        return []
     found = []
     for i, name in enumerate(names):
         if len({row.drawn[i] for row in rows}) > 1:
             apart = [one.z for _, _, _, one in _apart(others, fine, i, name)]
             found.append(Drawn(name, _bins(rows, i), max(apart, key=abs, default=None)))
     return sorted(found, key=lambda drawn: -abs(drawn.z or 0.0))
+
+
+def _varied(rows: Sequence[_Row], names: Sequence[str], figures: Sequence[str]) -> list[Varied]:
+    """Miss and peak forces, each over the two drawn quantities that it follows most."""
+    found = []
+    for j, figure in enumerate(figures):
+        if figure != "goal_miss_m" and not figure.endswith("_peak_force_n"):
+            continue
+        over = []
+        for i, name in enumerate(names):
+            known = [
+                (x, y) for r in rows if isinstance(x := r.drawn[i], float) and (y := r.figures[j]) is not None
+            ]
+            if len({x for x, _ in known}) > 1 and len({y for _, y in known}) > 1:
+                over.append(Varied(figure, name, rank_correlation(known), known[:_MOST_POINTS]))
+        found += sorted(over, key=lambda varied: -abs(varied.correlation))[:_MOST_OVER]
+    return found
 
 
 def _bins(rows: Sequence[_Row], i: int) -> list[Bin]:

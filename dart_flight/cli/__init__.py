@@ -44,6 +44,7 @@ COMMANDS = {
 }
 
 EXIT_OK, EXIT_INCOMPLETE, EXIT_INPUT = 0, 1, 2
+EXIT_INTERRUPTED = 130  # as a shell has it for SIGINT
 
 
 _WRONG_VALUE = re.compile(r"argument (?P<name>.+?): invalid (choice|\w+ value): (?P<value>'[^']*')")
@@ -131,7 +132,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None and command == "monitor" and not any(a.startswith("--connection") for a in arguments):
         stand_back()
     try:
-        parsed = build_parser([command] if command else []).parse_args(arguments)
+        parser = build_parser([command] if command else [])
+        if not arguments:
+            parser.print_help()
+            return EXIT_OK
+        parsed = parser.parse_args(arguments)
         logging.basicConfig(
             stream=sys.stderr,
             level=logging.DEBUG if parsed.verbose > 1 else logging.ERROR,
@@ -145,7 +150,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(error, file=sys.stderr)  # noqa: T201
         return EXIT_INCOMPLETE
     except KeyboardInterrupt:
-        return EXIT_INCOMPLETE
+        print("interrupted", file=sys.stderr)  # noqa: T201
+        return EXIT_INTERRUPTED
     except BrokenPipeError:
         # The reader of our output went away (`| head`): nothing is left to say.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -18,7 +18,14 @@ from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError, Key
 from dart_flight.config.edit import write_values
 from dart_flight.config.provenance import find_vehicle
-from dart_flight.config.rotors import COUNT, motors_block, motors_of, rotor_differences, rotor_names
+from dart_flight.config.rotors import (
+    COUNT,
+    motors_block,
+    motors_of,
+    refuse_unmeasured,
+    rotor_differences,
+    rotor_names,
+)
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.config.vehicle.configuration import default_config_path
 from dart_flight.identification.airframe import read_airframe
@@ -94,6 +101,7 @@ def _airframe(arguments: argparse.Namespace) -> int:
             motors = motors_of(values | link.read_parameters(rotor_names(values.get(COUNT, 0.0))), url)
     else:
         motors = read_airframe(Path(arguments.logs[0]))
+    refuse_unmeasured(motors, arguments.connection or arguments.logs[0])
     say_vehicle(source, arguments)
     other, sizes = rotor_differences(vehicle.airframe.motors, motors)
     if arguments.json:

@@ -10,12 +10,12 @@ from typing import Any
 
 import msgspec
 
+from dart_flight.cli import EXIT_INTERRUPTED
 from dart_flight.cli.options import add_vary_option, whole_number
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 
-EXIT_INTERRUPTED = 130
 _MOST_SHOWN = 5  # flights whose arms were not in the lock's mode; the summary has them all
 _LINE_EVERY_S = 60.0  # of progress where there is no terminal
 

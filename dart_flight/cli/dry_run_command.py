@@ -9,7 +9,15 @@ from functools import partial
 
 from rich.progress import Progress
 
-from dart_flight.cli.flight_output import FlightLines, exit_status, live_line_for, show_end, summary_table
+from dart_flight.cli import EXIT_INTERRUPTED
+from dart_flight.cli.flight_output import (
+    TOO_BUSY,
+    FlightLines,
+    exit_status,
+    live_line_for,
+    show_end,
+    summary_table,
+)
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import add_flight_options, add_set_option, add_vary_option, number, whole_number
 from dart_flight.cli.px4_options import add_px4_options, position_source_of, position_warnings
@@ -19,6 +27,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import shown_path
 from dart_flight.planning.envelope import impact_warnings
+from dart_flight.processes import LATE_S, measure_lateness_s
 from dart_flight.sim.draws import parse_vary
 from dart_flight.sim.extras import need_mavlink
 from dart_flight.sim.faults.kinds import parse_fault
@@ -28,8 +37,6 @@ from dart_flight.worlds.embedded import fly_embedded
 from dart_flight.worlds.fast import fly_fast
 from dart_flight.worlds.prepare import load_flyable, with_driver, with_standoff
 from dart_flight.worlds.px4 import fly_px4
-
-EXIT_INTERRUPTED = 130  # as a shell has it for SIGINT: the rest of a script ends, too
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -97,7 +104,11 @@ def run(arguments: argparse.Namespace) -> int:
     fly = _flight(arguments, mission)
     console = messages()
     say_vehicle(mission.flown_vehicle(), arguments)
-    for line in [*impact_warnings(mission), *position_warnings(position_source_of(arguments))]:
+    warnings = [*impact_warnings(mission), *position_warnings(position_source_of(arguments))]
+    late_s = 0.0 if arguments.fast else measure_lateness_s()
+    if late_s > LATE_S:
+        warnings.append(f"this program runs up to {late_s * 1e3:.0f} ms late: {TOO_BUSY}")
+    for line in warnings:
         console.print(f"[yellow]{line}[/]", soft_wrap=True)
     if arguments.runs is None:
         live_line = None if arguments.fast else live_line_for(mission, console)

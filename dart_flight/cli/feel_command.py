@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from dart_flight.cli.terminal import emit_json, messages, tables, write_text
+from dart_flight.cli.terminal import emit_json, messages, say, tables, write_text
 from dart_flight.config.document import InputError
 
 if TYPE_CHECKING:
@@ -28,14 +28,23 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Feel, print, write. Returns the exit status."""
+    """Feel, print, write. Returns the exit status: 2 where a log was refused, whatever the others gave."""
     from dart_flight.config.vehicle import load_vehicle
     from dart_flight.identification.feel import feel, write_trials
 
     if arguments.mass is not None and not arguments.mass > 0.0:
         raise InputError("must be over 0", key=("mass",))
     vehicle = load_vehicle(arguments.config)
-    flights = [feel(log, vehicle, arguments.mass) for log in arguments.logs]
+    flights: list[FeltFlight] = []
+    refused: list[InputError] = []
+    for log in arguments.logs:
+        try:
+            flights.append(feel(log, vehicle, arguments.mass))
+        except InputError as error:
+            refused.append(error)
+    if not flights and len(refused) == 1:
+        raise refused[0]
+    say(*(error.one_line() for error in refused))
     if arguments.output is not None:
         if arguments.mass is None:
             messages().print("without --mass the trials hold no force")
@@ -45,10 +54,10 @@ def run(arguments: argparse.Namespace) -> int:
         _write_page(arguments.report, flights)
     if arguments.json:
         emit_json([_public(flight) for flight in flights])
-        return 0
-    for flight in flights:
-        _print(flight)
-    return 0
+    else:
+        for flight in flights:
+            _print(flight)
+    return 2 if refused else 0
 
 
 def _write_page(path: Path, flights: list[FeltFlight]) -> None:
@@ -64,7 +73,10 @@ def _public(flight: FeltFlight) -> dict[str, Any]:
 def _print(flight: FeltFlight) -> None:
     out = tables()
     version = flight.px4_version or "of unknown version"
-    out.print(f"{flight.log}: PX4 {version}, {flight.duration_s:.0f} s, {flight.flight_s:.0f} s in the air")
+    out.print(
+        f"{flight.log}: PX4 {version}, {flight.duration_s:.0f} s, {flight.flight_s:.0f} s in the air",
+        soft_wrap=True,
+    )
     thrust = flight.thrust
     if thrust is not None:
         out.print(
@@ -79,16 +91,17 @@ def _print(flight: FeltFlight) -> None:
             f"{flight.floor_rigid_m_s2:.1f}, flexible from {flight.floor_flexible_m_s2:.1f} m/s2",
             soft_wrap=True,
         )
-    if flight.impacts:
+    told = [i for i in flight.impacts if i.kind != "untold"]
+    if told:
         table = Table()
         for column in ("at s", "peak m/s2", "peak N", "from north deg", "before m/s", "height m", ""):
             table.add_column(column, justify="right" if column else "left")
-        for i in flight.impacts:
-            force = "-" if i.force_n is None else f"{i.force_n:.1f}"
+        for i in told:
+            force = "-" if i.force_n is None else f"{i.force_n:.1f} ± {i.force_sd_n:.1f}"
             says = i.kind + (", clipped: a lower bound" if i.clipped else "")
             table.add_row(
                 f"{i.t_s:.2f}",
-                f"{i.acceleration_m_s2:.1f}",
+                f"{i.acceleration_m_s2:.1f} ± {i.acceleration_sd_m_s2:.1f}",
                 force,
                 f"{i.direction_deg:.0f}",
                 f"{i.speed_m_s:.1f}",
@@ -105,8 +118,8 @@ def _print(flight: FeltFlight) -> None:
         )
     if flight.untold:
         out.print(
-            f"{flight.untold} more over the threshold, faster than 1 m/s or at an unknown speed: without "
-            "motor outputs a manoeuvre cannot be told from a contact",
+            f"{flight.untold} more over the threshold that cannot be told: a contact or a manoeuvre, in "
+            "fast flight of unknown thrust, after a crash, or less than four standard deviations",
             soft_wrap=True,
         )
     for what in flight.unknown:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from importlib.util import find_spec
 
 from rich.console import Console, Group, RenderableType
 from rich.markup import escape
@@ -13,11 +14,14 @@ from dart_flight.cli.live_line import LiveLine
 from dart_flight.cli.terminal import emit_json, tables
 from dart_flight.config.mission import Mission
 from dart_flight.deviations import departures
+from dart_flight.processes import LATE_S
 from dart_flight.recording.events import Event, Events, Level
 from dart_flight.recording.flight_time import FlightTime
-from dart_flight.samples import GuardEvent, MissionEnd, Outcome, PhaseChange, Record
+from dart_flight.samples import GuardEvent, MissionEnd, Outcome, PhaseChange, Record, World
 from dart_flight.verdict import CollisionVerdict, Velocities, Verdict
 from dart_flight.worlds.campaigns import Summary
+
+TOO_BUSY = "the computer is too busy for this pace; --fast has none, --speed 0.5 half of it"
 
 
 class FlightLines:
@@ -32,6 +36,7 @@ class FlightLines:
     def __init__(self, console: Console, verbose: bool = False, live_line: LiveLine | None = None) -> None:
         self._console, self._verbose, self._live_line = console, verbose, live_line
         self._time = FlightTime()
+        self._newest_us = 0
         self._events = Events(every_problem=verbose)
 
     def __call__(self, record: Record) -> None:
@@ -43,7 +48,9 @@ class FlightLines:
         if event is None or (event.level is Level.DEBUG and not self._verbose):
             return
         self.close()
-        time_s = self._time.seconds(getattr(record, "t_us", 0))
+        # When it was known, so that lines are in order: a peak and a nearest point lie before that.
+        self._newest_us = max(self._newest_us, getattr(record, "detected_us", getattr(record, "t_us", 0)))
+        time_s = self._time.seconds(self._newest_us)
         shown = " " * 9 if time_s is None else f"{time_s:7.2f} s"
         self._console.print(f"[dim]{shown}[/]  {_markup(record, event)}", soft_wrap=True)
 
@@ -64,6 +71,11 @@ def show_end(verdict: Verdict, console: Console, as_json: bool) -> None:
         emit_json(verdict)
         return
     tables().print(verdict_table(verdict))
+    late_ms = verdict.own_lateness_ms or 0.0
+    if verdict.outcome is not Outcome.COMPLETED and late_ms > 1e3 * LATE_S:
+        simulated = verdict.world is not None and verdict.world is not World.DRONE
+        why = TOO_BUSY if simulated else "the computer was too busy; docs/latency.md says what helps"
+        console.print(f"this program ran up to {late_ms:.0f} ms late: {why}", style="yellow", soft_wrap=True)
     if verdict.log_failure is not None:
         told = f"log: {verdict.log} is not complete: {verdict.log_failure}"
         console.print(told, markup=False, soft_wrap=True, style="red")
@@ -78,16 +90,17 @@ def exit_status(verdict: Verdict) -> int:
 
 
 def next_steps(verdict: Verdict) -> list[str]:
-    """What can be done with a flight's log, as commands."""
+    """What can be done with a flight's log, as commands, by what is installed."""
     if verdict.log is None:
         return []
     log = shlex.quote(verdict.log)
     steps = [
-        f"dart-flight report {log}",
-        f"dart-flight export --foxglove {log}",
-        f"dart-flight replay {log}",
+        ("matplotlib", f"dart-flight report {log}"),
+        ("foxglove", f"dart-flight export --foxglove {log}"),
+        (None, f"dart-flight replay {log}"),
+        *([("scipy", f"dart-flight identify {log}")] if verdict.collisions else []),
     ]
-    return [*steps, f"dart-flight identify {log}"] if verdict.collisions else steps
+    return [step for needs, step in steps if needs is None or find_spec(needs) is not None]
 
 
 def _markup(record: Record, event: Event) -> str:

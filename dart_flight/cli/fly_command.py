@@ -10,6 +10,7 @@ import tempfile
 from pathlib import Path
 
 from dart_flight.check.findings import decide
+from dart_flight.check.lateness import check_lateness
 from dart_flight.check.log_space import check_log_space
 from dart_flight.check.mission import check_mission
 from dart_flight.check.vehicle import check_vehicle
@@ -63,6 +64,7 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     say_vehicle(mission.flown_vehicle(), arguments)
     console.print(_intention(mission, url), soft_wrap=True)
     findings = [*check_mission(mission), check_log_space(mission, arguments.log_dir)]
+    findings.append(check_lateness(mission))
     findings += check_vehicle(mission, url, arguments.position_from)
     report = decide(mission, findings, arguments.overrule)
     show(report, console)

@@ -159,5 +159,5 @@ def _print(title: str, numbers: Mapping[str, float | None]) -> None:
     table.add_column("value", justify="right")
     table.add_column("unit")
     for name, value in numbers.items():
-        table.add_row(*described(name, float("nan") if value is None else value))
+        table.add_row(*described(name, value))
     tables().print(table)

@@ -189,6 +189,8 @@ class CollisionSpec(Section, frozen=True):
             the collision before leads to this wall.
         impact_point_m: [x, y] on the wall's plane; without it, where the ray from start along the approach
             meets the wall.
+        impact_along_m: the same as a distance along the wall from its middle, positive to the right when
+            looking along the normal; at most one of the two is given.
         alpha_m_per_n: recovery gains along the mission's x and y axes (the paper's form), m of set-point per
             N of peak force; for walls along an axis, or both the same.
         alpha_wall_m_per_n: the same as [normal, tangential] of the wall, for any wall; exactly one of the
@@ -200,6 +202,7 @@ class CollisionSpec(Section, frozen=True):
     mode: Mode | None = None
     approach: ApproachSpec | None = None
     impact_point_m: Point2 | None = None
+    impact_along_m: Coordinate | None = None
     alpha_m_per_n: tuple[Alpha, Alpha] | None = None
     alpha_wall_m_per_n: tuple[Alpha, Alpha] | None = None
     predicted: CollisionPrediction | None = None
@@ -777,11 +780,20 @@ def _resolve_collision(
             raise document.error(
                 (*key, "approach"), f"{speed:.2f} m/s is over limits.speed_m_s {mission.limits.speed_m_s:g}"
             )
-        impact = spec.impact_point_m or _ray_meets_wall(mission.start.position_m, wall, approach)
-        if spec.impact_point_m is None and wall.signed_distance(mission.start.position_m) <= 0.0:
+        impact = _impact_point(spec, mission.start.position_m, wall, approach, key, document)
+        if (
+            spec.impact_point_m is None
+            and spec.impact_along_m is None
+            and wall.signed_distance(mission.start.position_m) <= 0.0
+        ):
             raise document.error((*key, "approach"), f"start is not in front of wall {wall.name}")
-        if spec.impact_point_m is not None and abs(wall.signed_distance(spec.impact_point_m)) > 0.01:
-            raise document.error((*key, "impact_point_m"), f"is not on wall {wall.name}")
+        if spec.impact_point_m is not None and abs(wall.signed_distance(impact)) > 0.01:
+            x, y = wall.foot(impact)
+            raise document.error(
+                (*key, "impact_point_m"),
+                f"is {abs(wall.signed_distance(impact)):.3f} m off wall {wall.name}, whose nearest point is "
+                f"[{x:.3f}, {y:.3f}]; or give impact_along_m: {wall.along((x, y)):.3f}",
+            )
         if not wall.spans(impact):
             raise document.error(
                 (*key, "approach"),
@@ -790,8 +802,9 @@ def _resolve_collision(
             )
     elif i == 0:
         raise document.error(key, "the first collision needs an approach")
-    elif spec.impact_point_m is not None:
-        raise document.error((*key, "impact_point_m"), "only a collision with an approach has one")
+    for name in ("impact_point_m", "impact_along_m"):
+        if approach is None and getattr(spec, name) is not None:
+            raise document.error((*key, name), "only a collision with an approach has one")
     return Collision(
         index=i + 1,
         wall=wall,
@@ -839,6 +852,23 @@ def resolve_alphas(
     if not alphas[0] > 0.0:
         raise document.error(key, "the gain along the wall's normal must be above 0")
     return alphas
+
+
+def _impact_point(
+    spec: CollisionSpec, start: Vec2, wall: Wall, approach_m_s: Vec2, key: Key, document: Document
+) -> Vec2:
+    """Where the wall is to be met, as given, or where the approach leads to from the start."""
+    if spec.impact_along_m is None:
+        return spec.impact_point_m or _ray_meets_wall(start, wall, approach_m_s)
+    if spec.impact_point_m is not None:
+        raise document.error((*key, "impact_along_m"), "give this or impact_point_m, not both")
+    (x, y), (tx, ty), along = wall.point, wall.tangent, spec.impact_along_m
+    if abs(along) > 0.5 * wall.length_m:
+        reach = 0.5 * wall.length_m
+        raise document.error(
+            (*key, "impact_along_m"), f"{along:g}, the wall reaches from {-reach:g} to {reach:g}"
+        )
+    return (x + along * tx, y + along * ty)
 
 
 def _ray_meets_wall(start: Vec2, wall: Wall, approach_m_s: Vec2) -> Vec2:

@@ -291,10 +291,12 @@ def _read_batch(path: str | Path, modes: list[str]) -> tuple[Rows, Array, Array]
 _UNITS = {"m_s": "m/s", "s": "s", "m": "m", "n": "N", "n_s": "N s", "deg_s": "deg/s"}
 
 
-def described(name: str, value: float) -> tuple[str, str, str]:
-    """Quantity, value and unit as a person reads them, from a name with its unit at the end."""
+def described(name: str, value: float | None) -> tuple[str, str, str]:
+    """Quantity, value and unit as a person reads them, from a name that ends in its unit."""
     unit = next(u for u in sorted(_UNITS, key=len, reverse=True) if name.endswith("_" + u))
     words = name[: -len(unit) - 1].replace("_", " ")
+    if value is None or math.isnan(value):
+        return words, "unknown", ""
     if unit == "s" and 0.0 < abs(value) < 1.0:
         return words, f"{1e3 * value:.2f}", "ms"
     if unit == "m" and 0.0 < abs(value) < 1.0:

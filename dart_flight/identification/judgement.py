@@ -79,8 +79,8 @@ def conclude(fit: SampleFit, theta: Array) -> SampleResult:
         if judged.misfit is not None and judged.misfit > BAD_FIT:
             bad.add(trial.mode)
             notes.append(
-                f"{trial.name}: bad fit: in contact {judged.worst_channel} is off by {judged.misfit:.1f} "
-                "times its noise in free flight"
+                f"{trial.name}: in contact {judged.worst_channel} differs from the law by "
+                f"{judged.misfit:.1f} times its noise in free flight"
             )
         aside = judged.set_aside
         if aside.contact:

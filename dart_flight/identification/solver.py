@@ -46,7 +46,7 @@ def solve(
     try:
         from scipy.optimize import least_squares  # noqa: PLC0415
     except ImportError:
-        raise InputError("needs SciPy: pip install dart-flight[identify]") from None
+        raise InputError("needs SciPy: pip install 'dart-flight[identify]'") from None
     notes: list[str] = []
 
     def descend(fit: SampleFit, theta: Array, losses: Sequence[str]) -> Array:

@@ -147,6 +147,8 @@ def read_trials(path: str | Path, how: TrialReading, readers: Readers | None = N
     trials = reader(Path(path), how)
     for trial in trials:
         _check(trial)
+        if reader is read_csv:
+            _refuse_millimetres(trial)
     shift = how.contact_distance_m
     return [
         replace(
@@ -389,6 +391,14 @@ class TrialImpact(NamedTuple):
     noise_m: float
 
 
+def _refuse_millimetres(trial: Trial) -> None:
+    """Of numbers that a person has written; a log's are in metres, however far the flight led."""
+    far = float(np.abs(trial.normal.value).max()) if "normal_m" in trial.series else 0.0
+    if far > _FARTHEST_M:
+        says = f"positions up to {far:.0f} m: millimetres? the column is in metres"
+        raise InputError(says, source=trial.name, key=("normal_m",))
+
+
 def _check(trial: Trial) -> None:
     for name, series in trial.series.items():
         if series.time_s.size > 1 and not (np.diff(series.time_s) > 0.0).all():
@@ -397,16 +407,9 @@ def _check(trial: Trial) -> None:
             raise InputError("values that are not numbers", source=trial.name, key=(name,))
     if "normal_m" not in trial.series:
         return
-    time, value = trial.normal
+    time = trial.normal.time_s
     if time.size < 12:
         raise InputError(f"{time.size} samples are too few for an impact", source=trial.name)
-    far = float(np.abs(value).max())
-    if far > _FARTHEST_M:
-        raise InputError(
-            f"positions up to {far:.0f} m: millimetres? the column is in metres",
-            source=trial.name,
-            key=("normal_m",),
-        )
     step = float(np.median(np.diff(time)))
     if step > _LONGEST_STEP_S:
         raise InputError(

@@ -24,8 +24,13 @@ _LEAST_ALONG_M_S = 0.1  # along the wall, below which a ratio says nothing
 _WIDEST_LOG = math.log(3.0)  # a parameter known less well than to a factor of three is not known
 
 
-def _ratio(shares: Array, deviations: Array, top: float) -> Estimate | None:
-    """Median of ratios with a 95 % interval: of their spread, at least of their measurement."""
+def _ratio(
+    shares: Array, deviations: Array, least: float = -math.inf, most: float = math.inf
+) -> Estimate | None:
+    """Median of ratios with a 95 % interval: of their spread, at least of their measurement.
+
+    Value and interval are kept between the least and the most that the ratio can be.
+    """
     n = shares.size
     if not n:
         return None
@@ -35,7 +40,7 @@ def _ratio(shares: Array, deviations: Array, top: float) -> Estimate | None:
         # The median of a normal sample spreads 1.25 times as much as its mean.
         spread = 1.25 * float(np.std(shares, ddof=1)) / math.sqrt(n)
         half = max(half, student_t(n - 1) * spread)
-    return Estimate(value, max(value - half, 0.0), min(value + half, top))
+    return Estimate(*(min(max(v, least), most) for v in (value, value - half, value + half)))
 
 
 def restitution(hits: Sequence[Hit]) -> Estimate | None:
@@ -48,11 +53,14 @@ def restitution(hits: Sequence[Hit]) -> Estimate | None:
             for (h, _), e in zip(known, shares, strict=True)
         ]
     )
-    return _ratio(shares, sds, 1.0)
+    return _ratio(shares, sds, 0.0, 1.0)
 
 
 def tangential_ratio(hits: Sequence[Hit]) -> Estimate | None:
-    """Velocity along the wall after a hit over that before; None where none of them moves along it."""
+    """Velocity along the wall after a hit over that before; None where none of them moves along it.
+
+    Below 0 where the vehicle comes back along the wall.
+    """
     shares, sds = [], []
     for h in hits:
         before, after = h.tangential_in_m_s, h.tangential_out_m_s
@@ -60,7 +68,7 @@ def tangential_ratio(hits: Sequence[Hit]) -> Estimate | None:
             continue
         shares.append(after / before)
         sds.append(1.5 * h.sd_tangential_m_s / abs(before))
-    return _ratio(np.array(shares), np.array(sds), math.inf)
+    return _ratio(np.array(shares), np.array(sds))
 
 
 def friction(hits: Sequence[Hit]) -> Estimate | None:
@@ -75,7 +83,7 @@ def friction(hits: Sequence[Hit]) -> Estimate | None:
         change = h.normal_in_m_s + out
         found.append(math.log(before / after) / change)
         sds.append(1.5 * h.sd_tangential_m_s / abs(after) / change)
-    estimate = _ratio(np.array(found), np.array(sds), math.inf)
+    estimate = _ratio(np.array(found), np.array(sds), 0.0)
     if estimate is None or estimate.value <= 0.0:
         return None
     return estimate

@@ -8,6 +8,8 @@ one, servos or nothing on the other.
 
 from __future__ import annotations
 
+import contextlib
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -29,6 +31,16 @@ _DSHOT = (0.0, 1999.0)
 _UAVCAN = (0.0, 8191.0)
 _LOWEST_PULSE = 800.0  # a pulse width of an armed output is never shorter
 _LONGEST_PULSE = 2200.0
+# Largest magnitude that a field can mean; a flipped bit makes others. 1000 m/s2 are 100 g: no IMU has that.
+_PLAUSIBLE = {
+    "sensor_combined": {"accelerometer_m_s2": 1000.0, "gyro_rad": 100.0},
+    "vehicle_attitude": {"q": 1.01},
+    "vehicle_local_position": {"x": 1e5, "y": 1e5, "z": 1e5, "vx": 1e3, "vy": 1e3, "vz": 1e3},
+    "actuator_motors": {"control": 1.01},
+    "battery_status": {"voltage_v": 1e3},
+}
+_MOST_OUT_OF_STEP_US = 100_000  # of a stamp among its neighbours
+_MOST_SPAN_US = 86_400e6  # of a log: a day
 _STILL = 1e-3  # share of the range: outputs that vary less are not motors
 
 
@@ -41,6 +53,7 @@ class ULogFile(msgspec.Struct):
         parameters: PX4's parameters at the start of the log.
         version: PX4's version, None where the log does not say or it was built between releases.
         gaps_s: seconds in all that the logger lost.
+        damage: what of the file is damaged and was left out, in words.
     """
 
     source: str
@@ -48,6 +61,7 @@ class ULogFile(msgspec.Struct):
     parameters: dict[str, float]
     version: tuple[int, int, int] | None
     gaps_s: float
+    damage: tuple[str, ...] = ()
 
     def first(self, name: str) -> dict[str, Any] | None:
         """Instance 0 of a topic, None where it was not logged."""
@@ -94,8 +108,9 @@ def open_ulog(path: str | Path, topics: Sequence[str]) -> ULogFile:
     try:
         from pyulog import ULog  # noqa: PLC0415  (an extra, slow to import)
     except ImportError:
-        raise InputError("needs pyulog: pip install dart-flight[identify]", source=source) from None
-    with open_file(path) as file:
+        raise InputError("needs pyulog: pip install 'dart-flight[identify]'", source=source) from None
+    # pyulog prints what it stumbles over, to where JSON goes.
+    with open_file(path) as file, contextlib.redirect_stdout(io.StringIO()) as printed:
         try:
             log = ULog(file, list(topics))
         except OSError as error:
@@ -104,9 +119,13 @@ def open_ulog(path: str | Path, topics: Sequence[str]) -> ULogFile:
             # pyulog raises whatever its parsing stumbles over.
             raise InputError("not a readable ULog", source=source) from None
     found: dict[str, dict[int, dict[str, Any]]] = {}
+    damage = ["parts of the file are damaged"] if log.file_corruption or printed.getvalue() else []
     for entry in log.data_list:
-        if len(entry.data["timestamp"]):
-            found.setdefault(entry.name, {})[entry.multi_id] = entry.data
+        good = _plausible(entry.name, entry.data)
+        if not good.all():
+            damage.append(f"{int((~good).sum())} damaged samples of {entry.name}")
+        if good.any():
+            found.setdefault(entry.name, {})[entry.multi_id] = {k: v[good] for k, v in entry.data.items()}
     release = int(log.msg_info_dict.get("ver_sw_release", 0))
     version = (release >> 24 & 255, release >> 16 & 255, release >> 8 & 255) if release else None
     return ULogFile(
@@ -115,7 +134,24 @@ def open_ulog(path: str | Path, topics: Sequence[str]) -> ULogFile:
         parameters={name: float(value) for name, value in log.initial_parameters.items()},
         version=version,
         gaps_s=sum(d.duration for d in log.dropouts) * 1e-3,
+        damage=tuple(damage),
     )
+
+
+def _plausible(name: str, data: dict[str, Any]) -> NDArray[np.bool_]:
+    """Which samples of a topic can be: a stamp among its neighbours, values that mean something (or none)."""
+    stamps = np.asarray(data["timestamp"]).astype(float)
+    good = np.ones(len(stamps), dtype=bool)
+    if len(stamps) > 4:
+        around = np.lib.stride_tricks.sliding_window_view(stamps, 5)
+        good[2:-2] = np.abs(stamps[2:-2] - np.median(around, axis=1)) <= _MOST_OUT_OF_STEP_US
+        for ends in (slice(0, 2), slice(-2, None)):
+            good[ends] = np.abs(stamps[ends] - np.median(stamps)) <= _MOST_SPAN_US
+    for field, most in _PLAUSIBLE.get(name, {}).items():
+        for column, values in data.items():
+            if column.partition("[")[0] == field:
+                good &= ~(np.abs(np.asarray(values, dtype=float)) > most)  # NaN: not known
+    return good
 
 
 def seconds(data: dict[str, Any]) -> Array:
@@ -211,7 +247,8 @@ def battery(log: ULogFile) -> Battery:
     if data is None:
         return Battery(empty, empty, "no battery_status")
     volts = np.asarray(data["voltage_v"], dtype=float)
-    if not np.isfinite(volts).any() or float(np.nanmedian(volts)) < _LEAST_CELL_V:
-        return Battery(empty, empty, f"battery voltage of {float(np.nanmedian(volts)):.2f} V is none")
+    usual = float(np.median(volts[np.isfinite(volts)])) if np.isfinite(volts).any() else 0.0
+    if usual < _LEAST_CELL_V:
+        return Battery(empty, empty, f"battery voltage of {usual:.2f} V is none")
     good = np.isfinite(volts) & (volts >= _LEAST_CELL_V)
     return Battery(seconds(data)[good], volts[good])

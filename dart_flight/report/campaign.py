@@ -6,7 +6,7 @@ import html
 from collections.abc import Sequence
 
 from dart_flight.campaign.statistics import Share
-from dart_flight.campaign.summary import Bin, CampaignSummary, Drawn, Failed
+from dart_flight.campaign.summary import Bin, CampaignSummary, Drawn, Failed, Varied
 from dart_flight.report.markup import Markup, Row, details, page, section, shown, table
 
 _SHOWN = 12  # figures, failed flights; the others are folded away
@@ -26,6 +26,8 @@ def campaign_page(summary: CampaignSummary) -> str:
     ]
     if summary.drawn:
         parts.append(section("Success over what was drawn", _over_draws(summary)))
+    if summary.varied:
+        parts.append(section("What varied over what was drawn", _varied(summary)))
     return page("Campaign", parts)
 
 
@@ -40,6 +42,27 @@ def _over_draws(summary: CampaignSummary) -> str:
     )
     first, others = drawn[:_SHOWN], drawn[_SHOWN:]
     return note + shown(*first) + (details(f"{len(others)} more", shown(*others)) if others else "")
+
+
+def _varied(summary: CampaignSummary) -> str:
+    figures = [
+        (
+            varied_figure(one),
+            f"{_words(one.figure)} over {one.name}: rank correlation {one.correlation:.2f}",
+        )
+        for one in summary.varied
+    ]
+    note = (
+        "<p class=note>Flights that completed, a point each; for every figure the two drawn quantities that "
+        "it follows most.</p>"
+    )
+    return note + shown(*figures)
+
+
+def _words(figure: str) -> str:
+    """A column with its unit, as a person reads it."""
+    name, unit = (figure[:-2], "m") if figure.endswith("_m") else (figure[:-2], "N")
+    return f"{name.replace('_', ' ')}, {unit}"
 
 
 def _head(summary: CampaignSummary) -> str:
@@ -123,7 +146,34 @@ def _again(one: Failed) -> Markup:
 def success_figure(drawn: Drawn) -> str:
     """Success over one drawn quantity, as SVG text."""
     numbers = [one for one in drawn.bins if one.low is not None and one.high is not None]
-    inside = _axis() + (_over_numbers(numbers) if numbers else _over_words(drawn.bins))
+    return _svg(_axis() + (_over_numbers(numbers) if numbers else _over_words(drawn.bins)))
+
+
+def varied_figure(varied: Varied) -> str:
+    """A figure of the flights over one drawn quantity, as SVG text."""
+    xs, ys = zip(*varied.points, strict=True)
+    low_x, low_y = min(xs), min(ys)
+    width, height = max(xs) - low_x or 1.0, max(ys) - low_y or 1.0
+    parts = []
+    for share in (0.0, 0.5, 1.0):
+        y = _y(share)
+        parts.append(f'<path d="M{_LEFT} {y:.1f}H{_WIDTH - _RIGHT}" stroke="{_LINE}"/>')
+        parts.append(
+            f'<text x="{_LEFT - 5}" y="{y + 4:.1f}" text-anchor="end">{low_y + share * height:.3g}</text>'
+        )
+    for x, y in varied.points:
+        at = _LEFT + (x - low_x) / width * (_WIDTH - _LEFT - _RIGHT)
+        parts.append(f'<circle cx="{at:.1f}" cy="{_y((y - low_y) / height):.1f}" r="2" fill="{_BLUE}"/>')
+    below = _HEIGHT - _BOTTOM + 16
+    for share, anchor in ((0.0, "start"), (0.5, "middle"), (1.0, "end")):
+        at = _LEFT + share * (_WIDTH - _LEFT - _RIGHT)
+        parts.append(
+            f'<text x="{at:.1f}" y="{below}" text-anchor="{anchor}">{low_x + share * width:.3g}</text>'
+        )
+    return _svg("".join(parts))
+
+
+def _svg(inside: str) -> str:
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" font-size="11" '
         f'font-family="DejaVu Sans, Arial, sans-serif" fill="{_INK}">{inside}</svg>'

@@ -30,9 +30,10 @@ def _flight(flight: FeltFlight) -> str:
         figure = felt_force(series.time_s, force, series.threshold_m_s2, [i.t_s for i in flight.impacts])
         body += shown((figure, "Horizontal force over mass, and the threshold in force. Vertical: impacts."))
     rows = [
-        (i.t_s, i.acceleration_m_s2, i.force_n, i.direction_deg, i.speed_m_s, i.kind) for i in flight.impacts
+        (i.t_s, i.acceleration_m_s2, i.acceleration_sd_m_s2, i.force_n, i.direction_deg, i.speed_m_s, i.kind)
+        for i in flight.impacts
     ]
-    heads = ("at s", "peak m/s²", "peak N", "direction °", "speed before m/s", "")
+    heads = ("at s", "peak m/s²", "± m/s²", "peak N", "direction °", "speed before m/s", "")
     body += table(heads, rows) if rows else "<p>No impact.</p>"
     thrust = flight.thrust
     facts: list[tuple[str, str]] = [

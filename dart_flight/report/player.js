@@ -82,7 +82,7 @@
   const beside = el("div", stage, {class: "beside"});
   const facts = el("dl", beside, {class: "facts"});
   const fact = {};
-  for (const name of ["time", "phase", "speed", "height", "force", "lock"]) {
+  for (const name of ["time", "phase", "speed", "height", "force"].concat(D.hasLock ? ["lock"] : [])) {
     const one = el("div", facts);
     el("dt", one, {}, name);
     fact[name] = el("dd", one, {}, DASH);
@@ -210,7 +210,7 @@
 
   const OH = 118, OX = (t) => FL + (FW - FL) * (t - T0) / (T1 - T0);
   const whole = svg("svg", beside, {viewBox: `0 0 ${FW} ${OH}`, class: "strip whole", role: "img",
-                                    "aria-label": "The whole flight: force, lock and phases"});
+                                    "aria-label": "The whole flight: force" + (D.hasLock ? ", lock" : "") + " and phases"});
   const OY = (n) => 52 - 40 * n / top;
   if (F.t.length) svg("path", whole, {d: line(F.t.map((t, i) => [OX(t), OY(size[i])])), class: "estimated solid"});
   const bars = (rows, y, name, classOf) => {
@@ -227,7 +227,7 @@
       }
     });
   };
-  bars(D.lock, 58, "lock", (value) => `lock-${value}`);
+  if (D.hasLock) bars(D.lock, 58, "lock", (value) => `lock-${value}`);
   bars(D.phases, 78, "", (_, i) => (i % 2 ? "phase-odd" : "phase-even"));
   for (const h of D.hits) {
     svg("text", whole, {x: OX(h.t), y: 9, class: "axis hit", "text-anchor": "middle"}, h.n);
@@ -326,7 +326,7 @@
       speed: `${fixed(at(D.speed, i, share) / 100, 2)} m/s`,
       height: `${fixed(z / 1000, 2)} m`,
       force: newtons === null ? DASH : `${fixed(newtons, 1)} N`,
-      lock: state,
+      ...(D.hasLock ? {lock: state} : {}),
     };
     for (const [name, value] of Object.entries(text)) {
       if (fact[name].textContent !== value) fact[name].textContent = value;

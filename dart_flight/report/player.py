@@ -83,6 +83,7 @@ def player_data(flight: Flight) -> dict[str, Any] | None:
             if span[0] <= act.at_s <= span[1]
         ],
         "lock": _lock(flight, span),
+        "hasLock": mission.vehicle.has_lock,
         "phases": [
             [_ms(since), name]
             for since, _, name in stretches(

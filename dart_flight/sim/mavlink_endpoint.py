@@ -399,7 +399,9 @@ class MavlinkEndpoint:
 
     def _battery_status(self) -> Any:
         a = self.autopilot
-        cells = [round(a.vehicle.simulation.battery_v * 250)] * 4 + [65535] * 6
+        # Cells that are not known: the whole voltage in the first, what does not fit there in the second.
+        volts = round(a.vehicle.simulation.battery_v * 1000)
+        cells = [min(volts, 65534), volts - 65534 if volts > 65534 else 65535] + [65535] * 8
         return mavlink.MAVLink_battery_status_message(
             0, 0, 0, 32767, cells, -1, -1, -1, round(a.battery_remaining * 100)
         )

@@ -221,6 +221,9 @@ def _heard() -> list[tuple[bytes, float]]:
 def _kill(handle: int, pid: int, why: str, note: str) -> None:
     with contextlib.suppress(OSError):
         signal.pidfd_send_signal(handle, signal.SIGKILL)
+    # Whether it hung, or only had no processor, cannot be told from here; how many wanted one can.
+    with contextlib.suppress(OSError):
+        why += f" (load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors)"
     line = f"deadman: {why}, killed process {pid} at monotonic {time.monotonic():.3f} s\n"
     with contextlib.suppress(OSError):
         os.write(2, line.encode())

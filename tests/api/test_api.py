@@ -130,7 +130,9 @@ def every_key() -> dict[str, Any]:
         "transit_mode": "rigid",
         "collisions": [
             first,
-            {"wall": "far", "alpha_wall_m_per_n": [0.02, 0.03], "mode": "rigid"},
+            first
+            | {"wall": "far", "impact_point_m": None, "impact_along_m": 0.1}
+            | {"alpha_m_per_n": None, "alpha_wall_m_per_n": [0.02, 0.03]},
         ],
         "waypoints": [
             {"position_m": [0.2, 0.4], "altitude_m": 1.4, "speed_m_s": 0.4, "hold_s": 1.0},

@@ -93,6 +93,31 @@ def test_the_page_shows_it(summary: CampaignSummary) -> None:
     assert "--vary lock_true_mode" in summary.failed[0].command
 
 
+def test_where_everything_completed_the_page_shows_what_varied(tmp_path: Path) -> None:
+    """Of one-point plots of the rate none; the miss over what it follows."""
+    asked = Asked((SINGLE,), vary=("mass", "battery"), runs=40)
+    opened = campaigns.open_campaign(asked, tmp_path / "out", resume=False)
+    rng = random.Random(4)
+    with Table(opened.folder / campaigns.TABLE, opened.campaign.columns) as table:
+        for seed in range(1, 41):
+            mass = rng.gauss(1.0, 0.1)
+            cells: dict[str, str | float | int | bool | None] = {
+                "mission": SINGLE, "seed": seed, "mass": mass, "battery": rng.gauss(1.0, 0.1),
+                "outcome": "completed", "goal_miss_m": mass**3, "c1_peak_force_n": -mass,
+            }  # fmt: skip
+            table.append(line_of([cells.get(name) for name in opened.campaign.columns]))
+    summary = summarise(opened)
+    assert summary.drawn == []
+    assert [(v.figure, v.name) for v in summary.varied if abs(v.correlation) > 0.99] == [
+        ("goal_miss_m", "mass"),
+        ("c1_peak_force_n", "mass"),
+    ]
+    assert all(len(v.points) == 40 for v in summary.varied)
+    page = campaign_page(summary)
+    assert "goal miss, m over mass: rank correlation 1.00" in page
+    assert "Success over what was drawn" not in page
+
+
 def test_a_campaign_without_a_row_has_a_page(tmp_path: Path) -> None:
     empty = campaigns.open_campaign(Asked((SINGLE,), vary=("mass",), runs=2), tmp_path, resume=False)
     summary = summarise(empty)

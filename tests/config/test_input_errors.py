@@ -113,7 +113,6 @@ def test_a_missing_file_and_a_folder(tmp_path: Path, capsys: pytest.CaptureFixtu
 @pytest.mark.parametrize(
     "arguments",
     [
-        [],
         ["fly"],
         ["fli", "x"],
         ["dry-run", "missions/paper_dual_collision.yaml", "--seed", "x"],

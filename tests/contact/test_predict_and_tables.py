@@ -194,7 +194,7 @@ def test_plot_without_matplotlib_says_what_to_install(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    assert "pip install dart-flight[report]" in refused(capsys, *WALL, "--plot", "x.png")
+    assert "pip install 'dart-flight[report]'" in refused(capsys, *WALL, "--plot", "x.png")
 
 
 # --- tables ---------------------------------------------------------------------------------------------

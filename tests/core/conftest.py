@@ -46,6 +46,7 @@ class HandFedCore:
         self.noise_m_s2 = 1e-4  # a real IMU never repeats itself
         self.odometry_every = 2
         self.t_us = 10_000_000
+        self.host_ahead_us = 0  # of the autopilot's clock
         self.position_ned: Vec3 = (0.0, 0.0, 0.0)
         self.velocity_ned: Vec3 = (0.0, 0.0, 0.0)
         self.force_ned: Vec3 = (0.0, 0.0, 0.0)
@@ -67,21 +68,21 @@ class HandFedCore:
         before = len(self.outputs)
         for _ in range(round(seconds / 0.004)):
             self.t_us += 4000
-            t = self.t_us
+            t, host = self.t_us, self.t_us + self.host_ahead_us
             m = self.core.mission.vehicle.airframe.mass_kg
             if "attitude" not in self.silent:
-                self.give(AttitudeSample(t, t, self.q))
+                self.give(AttitudeSample(t, host, self.q))
             if "odometry" not in self.silent and (t // 4000) % self.odometry_every == 0:
-                self.give(OdometrySample(t, t, self.position_ned, self.velocity_ned))
+                self.give(OdometrySample(t, host, self.position_ned, self.velocity_ned))
             if "actuator" not in self.silent:
-                self.give(ActuatorSample(t, t, self.motors))
+                self.give(ActuatorSample(t, host, self.motors))
             if "imu" not in self.silent:
                 f = self.force_ned
                 noise = self.noise_m_s2 * ((t // 4000) % 2)
                 lift = 0.0 if self.falling else 9.81
-                self.give(ImuSample(t, t, (f[0] / m, f[1] / m, f[2] / m - lift + noise), (0.0, 0.0, 0.0)))
+                self.give(ImuSample(t, host, (f[0] / m, f[1] / m, f[2] / m - lift + noise), (0.0, 0.0, 0.0)))
             if (t // 4000) % 5 == 0:
-                self.give(Tick(t))
+                self.give(Tick(host))
             if (t // 4000) % 50 == 0 and "status" not in self.silent:
                 self.set_status()
         return self.outputs[before:]
@@ -107,7 +108,8 @@ class HandFedCore:
     def set_status(self, **changes: object) -> list[Output]:
         import msgspec
 
-        self.status = msgspec.structs.replace(self.status, t_us=self.t_us, received_us=self.t_us, **changes)
+        received = self.t_us + self.host_ahead_us
+        self.status = msgspec.structs.replace(self.status, t_us=self.t_us, received_us=received, **changes)
         return self.give(self.status)
 
     def set_lock(self, mode: Mode | None, phase: LockPhase = LockPhase.SETTLED) -> None:

@@ -15,7 +15,7 @@ from dart_flight.core.guard.guard import Guard
 from dart_flight.core.guard.rules import RULES, Rule
 from dart_flight.core.mission import executive, rehearsal
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import quaternion_from_euler
+from dart_flight.geometry import Vec3, quaternion_from_euler
 from dart_flight.samples import (
     AttitudeSample,
     ClockOffset,
@@ -557,6 +557,24 @@ def test_stamps_that_jump_in_a_landing_do_not_stop_the_motors() -> None:
     assert "still_armed" not in [e.rule for e in fired(c)]
 
 
+@pytest.mark.parametrize("whose", ["autopilot", "host"])
+def test_one_clock_that_leaps_in_a_landing_does_not_stop_the_motors(whose: str) -> None:
+    """Both must say that a landing has long ended."""
+    c = HandFedCore()
+    c.to_flight()
+    c.set_status(battery_v=12.9)
+    c.run(1.2)
+    c.set_status(flight_mode=FlightMode.LAND)
+    c.run(1.0)
+    if whose == "autopilot":
+        c.t_us += 60_000_000
+        c.host_ahead_us -= 60_000_000
+    else:
+        c.host_ahead_us += 60_000_000
+    c.run(1.0)
+    assert "still_armed" not in [e.rule for e in fired(c)]
+
+
 def test_a_reset_of_the_heading_alone_is_none() -> None:
     c = HandFedCore()
     c.to_flight()
@@ -814,6 +832,71 @@ def test_a_clock_that_jumps_ahead_is_believed_in_the_end() -> None:
     assert c.core.state.imu is not None
     assert c.core.state.imu.t_us > c.t_us + 50_000_000
     assert "second_vehicle" not in [e.rule for e in fired(c)]
+
+
+def test_what_is_known_of_link_and_computer_is_said_where_a_stream_fails() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.give(OtherVehicle(c.t_us, c.t_us, 7))
+    c.silent.add("imu")
+    c.run(0.1)
+    assert [(e.rule, e.detail) for e in fired(c)] == [
+        ("imu_silent", "for 84 ms; system 7 sends on the same link")
+    ]
+    c = HandFedCore()
+    c.to_flight()
+    c.odometry_every = 14
+    c.run(1.0)
+    c.give(OtherVehicle(c.t_us, c.t_us, 7))
+    c.run(1.2)
+    assert [(e.rule, e.detail) for e in fired(c)] == [
+        ("stream_rate", "odometry at 18 Hz, needs 30; system 7 sends on the same link")
+    ]
+
+
+def test_a_program_that_did_not_run_is_named_as_the_cause_of_silence() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.run(0.1)
+    c.t_us += 400_000  # no sample, and no tick either
+    c.run(0.004)
+    assert fired(c)[0].rule.endswith("_silent")
+    said = r"for 40\d ms; the computer is too busy: this program did not run for 40\d ms"
+    assert re.fullmatch(said, fired(c)[0].detail)
+    c = HandFedCore()  # a vehicle that falls silent is none of the computer's business
+    c.to_flight()
+    c.silent.add("attitude")
+    c.run(0.3)
+    assert [(e.rule, e.detail) for e in fired(c)] == [("attitude_silent", "for 204 ms")]
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity", "words"),
+    [
+        ((1e33, 0.0, 0.0), (0.0, 0.0, 0.0), "implausible: 1e+33 m from the origin at 0 m/s"),
+        ((0.0, 0.0, -1.0), (0.0, -1e9, 0.0), "implausible: 1 m from the origin at 1e+09 m/s"),
+    ],
+)
+def test_a_position_that_cannot_be_is_called_so_and_not_subtracted(
+    position: Vec3, velocity: Vec3, words: str
+) -> None:
+    c = HandFedCore(rules=RULES)
+    c.run(0.5)
+    c.give(OdometrySample(c.t_us + 1000, c.t_us + 1000, position, velocity))  # on the ground: not taken
+    assert c.core.state.odometry is not None
+    assert c.core.state.odometry.position_ned == c.position_ned
+    c = HandFedCore(rules=RULES)
+    c.set_lock(Mode.RIGID)
+    c.run(0.5)
+    c.set_status(flight_mode=FlightMode.OFFBOARD)
+    c.run(0.1)
+    c.set_status(armed=True)
+    c.run(0.1)
+    assert c.core.phase is Phase.CLIMB
+    before = c.core.state.position
+    c.give(OdometrySample(c.t_us + 1000, c.t_us + 1000, position, velocity))
+    assert [(e.rule, e.detail) for e in fired(c)] == [("estimator_jump", words)]
+    assert c.core.state.position == before
 
 
 def test_another_system_on_the_link_is_refused_before_take_off_and_harmless_in_the_air() -> None:

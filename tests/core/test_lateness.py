@@ -5,7 +5,6 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 
-from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.guard.lateness import Lateness
 from dart_flight.core.pace import Pace
 from dart_flight.samples import ImuSample, RoundTrip
@@ -124,9 +123,8 @@ def test_a_late_backlog_is_not_stepped_one_by_one_near_a_wall() -> None:
     """MAVSDK's thread hands over and goes on emptying it; what has become old is left out by the queue."""
     c = HandFedCore()
     c.at_the_wood()
-    core: FlightCore = c.core
-    assert core.pace is Pace.PROMPT
+    paces = [c.core.pace]
     c.give(RoundTrip(c.t_us, c.t_us - 1_000_000, c.t_us))
     for i in range(80):
         c.give(ImuSample(c.t_us + 4000 * i, c.t_us + 4000 * i, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)))
-    assert core.pace is Pace.TOGETHER
+    assert [*paces, c.core.pace] == [Pace.PROMPT, Pace.TOGETHER]

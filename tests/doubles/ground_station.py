@@ -24,7 +24,9 @@ def arm(instance: int) -> bool:
     while time.monotonic() < end:
         try:
             link.mav.heartbeat_send(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0)
-            link.mav.command_long_send(1, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1.0, *([0.0] * 6))
+            system = instance + 1  # as PX4 SITL numbers them
+            order = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+            link.mav.command_long_send(system, 1, order, 0, 1.0, *([0.0] * 6))
             answer = link.recv_match(type="COMMAND_ACK", blocking=True, timeout=0.2)
         except ConnectionError:  # PX4 does not listen yet
             answer = None

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-_SIZES = {"float": "f", "uint8_t": "B", "bool": "?"}
+_SIZES = {"float": "f", "uint8_t": "B", "uint32_t": "I", "bool": "?"}
 
 # (topic, instance) -> fields such as "float[3] gyro_rad;bool landed;", rows of (microseconds, values)
 Topics = Mapping[tuple[str, int], tuple[str, Sequence[tuple[float, Sequence[float]]]]]

@@ -21,7 +21,9 @@ from dart_flight.worlds.sabotage import Sabotage
 path, url, log_dir, fault = sys.argv[1:]
 mission = with_driver(load_flyable(path), LockDriver.PX4)
 # Not the guard is on trial: a shared machine that pauses must not make it land first.
-guard = msgspec.structs.replace(mission.vehicle.guard, imu_timeout_s=0.5, stream_timeout_s=0.5)
+guard = msgspec.structs.replace(
+    mission.vehicle.guard, imu_timeout_s=0.5, stream_timeout_s=0.5, telemetry_late_s=0.5
+)
 vehicle = msgspec.structs.replace(mission.vehicle, guard=guard)
 mission = msgspec.structs.replace(mission, vehicle=vehicle)
 record = FlightRecord(mission, World.DRONE, None, Path(log_dir))

@@ -385,7 +385,7 @@ def test_without_scipy(
 ) -> None:
     monkeypatch.setitem(sys.modules, "scipy.optimize", None)
     said = refused(capsys, str(folder / "hit_1.csv"))
-    assert "needs SciPy: pip install dart-flight[identify]" in said
+    assert "needs SciPy: pip install 'dart-flight[identify]'" in said
 
 
 # --- PX4 logs -------------------------------------------------------------------------------------------

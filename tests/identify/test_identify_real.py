@@ -141,7 +141,7 @@ def two_stage_hits() -> list[Trial]:
 def test_a_wrong_law_is_named_and_the_peak_is_kept() -> None:
     trials = two_stage_hits()
     found = identify(trials, MASS_KG, Onset.LCP)
-    assert any("bad fit" in note for note in found.notes)
+    assert any("differs from the law by" in note for note in found.notes)
     assert sum(t.set_aside.contact for t in found.trials) <= 0.1 * sum(
         t.set_aside.in_contact for t in found.trials
     )

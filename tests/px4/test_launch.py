@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
+from pymavlink.dialects.v20 import common as mavlink
 
 from dart_flight.cli import main
 from dart_flight.cli.px4_options import position_warnings
@@ -21,6 +26,7 @@ from dart_flight.config.parameters import PositionSource
 from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.samples import TruthContact, TruthSample
 from dart_flight.sim.pipe import Px4Spec, WorldSpec
+from dart_flight.sim.px4 import launch
 from dart_flight.sim.px4.launch import (
     ENVIRONMENT,
     SIMULATOR_PORT,
@@ -35,6 +41,7 @@ from dart_flight.sim.px4.launch import (
     parse_version,
 )
 from dart_flight.worlds.vehicle_process import Px4World, WorldError
+from tests.doubles import ground_station
 from tests.doubles.fake_px4 import install
 
 MISSION = packaged("missions", "paper_dual_collision.yaml")
@@ -109,6 +116,51 @@ def test_an_instance_whose_mavlink_port_is_taken_is_passed_over() -> None:
         other = claim_instance()
         other.release()
         assert other.number != free.number
+
+
+def test_an_instance_whose_lock_file_a_px4_holds_is_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where it runs in another network namespace, whose ports do not show."""
+    monkeypatch.setattr(launch, "_LOCK_FILES", str(tmp_path / "px4_lock"))
+    free = claim_instance()
+    free.release()
+    lock = tmp_path / f"px4_lock-{free.number}"
+    lock.touch()
+    hold = f"import fcntl, sys; f = open({str(lock)!r}, 'r+b'); fcntl.lockf(f, fcntl.LOCK_EX)"
+    words = [sys.executable, "-c", f"{hold}; print('held', flush=True); sys.stdin.read()"]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as px4:
+        assert px4.stdout is not None
+        px4.stdout.readline()
+        other = claim_instance()
+        other.release()
+        px4.communicate()
+    assert other.number != free.number
+    again = claim_instance()  # a file that is left over locks nothing
+    again.release()
+    assert again.number == free.number
+
+
+def test_a_ground_station_arms_the_system_of_its_instance() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as px4:
+        px4.settimeout(5.0)
+        for instance in range(20, 200):
+            with contextlib.suppress(OSError):
+                px4.bind(("127.0.0.1", ground_station.PORT + instance))
+                break
+        ours = threading.Thread(target=ground_station.arm, args=(instance,), daemon=True)
+        ours.start()
+        parser = mavlink.MAVLink(None, srcSystem=instance + 1, srcComponent=1)
+        orders: list[Any] = []
+        while not orders:
+            data, sender = px4.recvfrom(2048)
+            found = parser.parse_buffer(data) or []
+            orders = [message for message in found if message.get_type() == "COMMAND_LONG"]
+        accepted = mavlink.MAVLink_command_ack_message(orders[0].command, mavlink.MAV_RESULT_ACCEPTED)
+        px4.sendto(accepted.pack(parser), sender)
+        ours.join(5.0)
+        assert not ours.is_alive()
+    assert orders[0].target_system == instance + 1
 
 
 @pytest.mark.parametrize(

@@ -145,6 +145,11 @@ def test_px4_is_told_where_its_imu_is() -> None:
     assert [told[f"EKF2_IMU_POS_{axis}"] for axis in "XYZ"] == [0.02, -0.01, 0.005]
 
 
+@pytest.mark.parametrize(("name", "cells"), [("dart", 4), ("rigid_cage", 4), ("ring_guard_250g", 3)])
+def test_px4s_simulated_battery_has_the_vehicles_cells(name: str, cells: int) -> None:
+    assert airframe_parameters(load_vehicle(packaged("configs", f"{name}.yaml")))["BAT1_N_CELLS"] == cells
+
+
 def test_motors_of_the_plant_are_those_px4_is_told(tmp_path: Path) -> None:
     vehicle = load_vehicle()
     told = airframe_parameters(vehicle)

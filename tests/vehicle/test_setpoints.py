@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import pytest
 
-from dart_flight.samples import FlightMode, SetPoint, StatusSample
+from dart_flight.samples import FlightMode, SetPoint, StatusSample, VehicleAction
 from dart_flight.vehicle import session as module
 from dart_flight.vehicle.session import VehicleSession
 
@@ -60,3 +61,15 @@ def test_before_offboard_every_one_leaves(monkeypatch: pytest.MonkeyPatch, mode:
     for _ in range(5):
         sent.send(1.0)
     assert len(sent.norths) == 5
+
+
+def test_after_silence_nothing_leaves_not_even_an_action(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The pilot has the vehicle: a set-point or a mode would fight him."""
+    sent = Sent(monkeypatch, FlightMode.OFFBOARD)
+    sent.send(1.0)
+    sent.session.silence()
+    sent.send(2.0)
+    sent.send(3.0, recovery=True, velocity_ned=(0.1, 0.0, 0.0))
+    assert sent.norths == [1.0]
+    for action in VehicleAction:  # there is no action plugin to call: it would be an AttributeError
+        assert asyncio.run(sent.session.perform(action)) == "silent"

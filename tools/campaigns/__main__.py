@@ -23,6 +23,7 @@ MODULES = {
     "walls": "tools.campaigns.walls",
     "faults": "tools.campaigns.faults",
     "fuzz": "tools.campaigns.fuzz",
+    "soak": "tools.campaigns.soak",
     "mutants": "tools.campaigns.mutants",
 }
 

@@ -11,8 +11,8 @@ A flight counts as controlled only when all of this holds:
 * what did not complete says why: a rule of the guard is in the log and in the verdict's reason (where the app
   itself was hung or killed nothing is left to say it: then PX4's failsafe must have landed the vehicle);
 * truth left the flight space by no more than `excursion_allowed_m`;
-* it touched the ground at no more than 1.5 m/s downwards and never tilted by 80 degrees (not asked of a vehicle
-  whose kill switch was thrown);
+* it touched the ground at no more than 1.5 m/s downwards and never tilted by 80 degrees (not asked of a
+  vehicle whose kill switch was thrown);
 * its log opens.
 """
 

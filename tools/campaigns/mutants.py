@@ -1,4 +1,4 @@
-"""Seeded mutants of the core and of the core thread: does a test notice each of them?
+"""Seeded mutants of the core and of what is around it: does a test notice each of them?
 
     python -m tools.campaigns.mutants --runs 60 --seed 1
     python -m tools.campaigns.mutants --at dart_flight/core/guard/guard.py:196
@@ -42,7 +42,19 @@ CLASSES = {
     "dart_flight/worlds/core_thread.py": ("CoreThread",),
     "dart_flight/worlds/runner.py": ("CoreRunner",),
 }
-# What must notice: first what notices most in the shortest time.
+# Around the core, each with the tests that need no real time and must notice.
+SHELL: dict[str, tuple[str, ...]] = {
+    "dart_flight/worlds/app.py": ("tests/worlds/test_app.py", "tests/worlds/test_operator.py"),
+    "dart_flight/worlds/deadman.py": ("tests/faults/test_deadman.py",),
+    "dart_flight/vehicle/session.py": ("tests/vehicle",),
+    "dart_flight/planning/replanning.py": (
+        "tests/planning/test_replanner.py",
+        "tests/planning/test_replanning_reach.py",
+        "tests/flights/test_replanned_flights.py",
+    ),
+    "dart_flight/lock": ("tests/lock",),
+}
+# What must notice of the core: first what notices most in the shortest time.
 TESTS = (
     "tests/recording/test_recorded_flights.py::test_a_recorded_flight_is_decided_again",
     "tests/core",
@@ -260,21 +272,34 @@ def mutants_of(path: Path, root: Path = ROOT) -> list[Mutant]:
     return [mutant for node in found for mutant in finder.find(node, node.name)]
 
 
+def _files_of(path: Path) -> list[Path]:
+    return [path] if path.is_file() else sorted(path.rglob("*.py"))
+
+
+def tests_of(mutant: Mutant) -> tuple[str, ...]:
+    """The tests that must notice it."""
+    return next((tests for name, tests in SHELL.items() if mutant.path.startswith(name)), TESTS)
+
+
 @functools.cache
 def all_mutants(root: Path = ROOT) -> list[Mutant]:
-    """Every mutant of the core and of the core thread."""
-    files = sorted((root / CORE).rglob("*.py")) + [root / name for name in CLASSES]
+    """Every mutant of the core, of the core thread, and of what is around them."""
+    files = [path for name in (CORE, *CLASSES, *SHELL) for path in _files_of(root / name)]
     return [mutant for path in files for mutant in mutants_of(path, root)]
 
 
-def draw(runs: int, seed: int) -> list[Mutant]:
+def draw(runs: int, seed: int, under: str = "") -> list[Mutant]:
     """A sample without repetition; the same seed draws the same from the same code.
+
+    Only of files whose path begins with `under`.
 
     Every kind of change is drawn as often as the others: there are more formulas than decisions.
     """
     generator = random.Random(seed)
     by_kind: dict[str, list[Mutant]] = {}
     for mutant in all_mutants():
+        if not mutant.path.startswith(under):
+            continue
         by_kind.setdefault(mutant.kind, []).append(mutant)
     for found in by_kind.values():
         generator.shuffle(found)
@@ -327,7 +352,7 @@ def run_tests(tree: Path, tests: Sequence[str] = TESTS, timeout_s: float = _LONG
     return "killed", test.removeprefix("tests/")
 
 
-def _try(mutant: Mutant, tree: Path, tests: Sequence[str], timeout_s: float) -> Result:
+def _try(mutant: Mutant, tree: Path, tests: Sequence[str] | None, timeout_s: float) -> Result:
     path = tree / mutant.path
     source = path.read_bytes()
     changed = mutant.applied(source)
@@ -337,7 +362,7 @@ def _try(mutant: Mutant, tree: Path, tests: Sequence[str], timeout_s: float) -> 
     try:
         path.write_bytes(changed)
         shutil.rmtree(stale, ignore_errors=True)
-        return Result(mutant, *run_tests(tree, tests, timeout_s))
+        return Result(mutant, *run_tests(tree, tests or tests_of(mutant), timeout_s))
     finally:
         path.write_bytes(source)
         shutil.rmtree(stale, ignore_errors=True)
@@ -350,7 +375,7 @@ def noticed(kept: Path) -> dict[Mutant, Result]:
     return {result.mutant: result for result in map(decode, lines) if result.outcome != "survived"}
 
 
-def run_missing(mutants: list[Mutant], jobs: int, tests: Sequence[str], kept: Path) -> list[Result]:
+def run_missing(mutants: list[Mutant], jobs: int, tests: Sequence[str] | None, kept: Path) -> list[Result]:
     """Try what a file of results does not have as noticed; results in the order of the mutants."""
     have = noticed(kept)
     kept.parent.mkdir(parents=True, exist_ok=True)
@@ -367,7 +392,7 @@ def run_missing(mutants: list[Mutant], jobs: int, tests: Sequence[str], kept: Pa
 def run_all(
     mutants: list[Mutant],
     jobs: int,
-    tests: Sequence[str] = TESTS,
+    tests: Sequence[str] | None = None,
     keep: Callable[[Result], None] = lambda _: None,
 ) -> list[Result]:
     """Try every mutant, `jobs` at a time, each in a tree of its own; `keep` gets each result as it comes.
@@ -384,7 +409,8 @@ def run_all(
 
         tree = trees.get()
         began = time.monotonic()
-        whole = run_tests(tree, tests)
+        needed = tests or tuple(dict.fromkeys(test for m in mutants for test in tests_of(m)))
+        whole = run_tests(tree, needed)
         timeout_s = _PATIENCE * (time.monotonic() - began)
         trees.put(tree)
         if whole != ("survived", ""):
@@ -488,7 +514,8 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--tests", nargs="+", default=TESTS, help="only these, in this order")
+    parser.add_argument("--tests", nargs="+", help="only these, in this order")
+    parser.add_argument("--under", default="", metavar="PATH", help="only mutants of files below it")
     parser.add_argument("--at", metavar="FILE:LINE", help="every mutant of one line, without a report")
     parser.add_argument("--report-dir", type=Path, default=Path("docs"))
     parser.add_argument("--fresh", action="store_true", help="forget what was noticed before")
@@ -500,7 +527,7 @@ def main() -> int:
         return int(any(r.outcome == "survived" for r in results))
     if arguments.fresh:
         KEPT.unlink(missing_ok=True)
-    drawn = draw(arguments.runs, arguments.seed)
+    drawn = draw(arguments.runs, arguments.seed, arguments.under)
     results = run_missing(drawn, arguments.jobs, arguments.tests, KEPT)
     page = report(results, arguments.seed, len(all_mutants()))
     (arguments.report_dir / "mutants.md").write_text(page, encoding="utf-8")

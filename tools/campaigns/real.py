@@ -189,7 +189,7 @@ def judge(
         "floors_m_s2": [flight.floor_rigid_m_s2, flight.floor_flexible_m_s2],
         "fastest_m_s": fastest(log),
         "thrust": None if flight.thrust is None else msgspec.to_builtins(flight.thrust),
-        "impacts": [msgspec.to_builtins(i) for i in flight.impacts],
+        "impacts": [msgspec.to_builtins(i) for i in flight.impacts if i.kind != "untold"],
         "untold": flight.untold,
         "unknown": flight.unknown,
     }

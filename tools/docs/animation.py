@@ -37,7 +37,7 @@ _WINDOW_S = 0.3
 
 def flown() -> Flight:
     """The dual collision with the shipped configuration."""
-    mission = load_mission(ROOT / "missions" / "paper_dual_collision.yaml", ROOT / "configs" / "dart.yaml")
+    mission = load_mission(ROOT / "missions" / "dual_collision.yaml", ROOT / "configs" / "dart.yaml")
     with tempfile.TemporaryDirectory() as logs:
         verdict = fly_fast(mission, 1, Path(logs))
         if verdict.log is None or verdict.outcome != "completed":

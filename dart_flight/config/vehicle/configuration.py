@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from dart_flight.config.document import Document
+from dart_flight.config.document import Document, InputError, unknown_name
 from dart_flight.config.kinds import EXTENDS
 from dart_flight.config.section import Section
 from dart_flight.config.settings import apply_changes, apply_settings
@@ -99,15 +99,29 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
 
 
 def packaged(*parts: str) -> Path:
-    """A file of `configs/` or `missions/`: from the checkout, else the copy in the installed package."""
-    checkout = Path(__file__).resolve().parents[3].joinpath(*parts)
-    if checkout.exists():
-        return checkout
-    return Path(str(resources.files("dart_flight").joinpath("data", *parts)))
+    """A file of `configs/` or `missions/`: from the checkout, else the copy in the installed package.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    copies = Path(str(resources.files("dart_flight").joinpath("data")))
+    for root in (Path(__file__).resolve().parents[3], copies):
+        path = root.joinpath(*parts)
+        if path.exists():
+            return path
+        if path.parent.is_dir():
+            known = sorted(other.name for other in path.parent.iterdir())
+            raise InputError(
+                f"comes not with the program: {unknown_name(path.name, known)}", source="/".join(parts)
+            )
+    raise InputError("comes not with the program, known: configs, missions", source="/".join(parts))
 
 
 def default_config_path() -> Path:
-    """$DART_FLIGHT_CONFIG, else ./configs/dart.yaml or the only one there is, else the packaged default."""
+    """$DART_FLIGHT_CONFIG, else ./configs/dart.yaml or the only one there is, else the packaged default.
+
+    What another one there extends is not counted.
+    """
     named = os.environ.get("DART_FLIGHT_CONFIG")
     if named:
         return Path(named)
@@ -115,7 +129,18 @@ def default_config_path() -> Path:
     if local.exists():
         return local
     others = sorted(local.parent.glob("*.yaml"))  # as `init --vehicle` leaves them
+    bases = {path.parent / base for path in others if (base := _base_of(path)) is not None}
+    others = [path for path in others if path not in bases]
     return others[0] if len(others) == 1 else packaged("configs", "dart.yaml")
+
+
+def _base_of(path: Path) -> str | None:
+    """What a configuration extends; None: nothing, or it cannot be read."""
+    try:
+        base = Document.load(path).tree.get(EXTENDS)
+    except InputError:
+        return None
+    return base if isinstance(base, str) else None
 
 
 def load_vehicle(

@@ -179,6 +179,8 @@ class Guard:
         """The cause of what is in force already shows: its rule is named, and is the reason from now on."""
         rule = self._rules[name]
         if detail is not None and self._rule is not None and self._rule.name in rule.explains:
+            if rule.of_streams:
+                detail += self._watch.circumstances
             events.append(GuardEvent(state.now_us, rule.name, rule.action, detail))
             self._rule, self.reason = rule, f"{rule.name}: {detail}"
 
@@ -202,6 +204,8 @@ class Guard:
             return
         if rule.action.rank <= self._rank or self.end is not None:
             return
+        if rule.of_streams:
+            detail += self._watch.circumstances
         events.append(GuardEvent(state.now_us, rule.name, rule.action, detail))
         if rule.action is Override.GIVE_UP:  # nothing has left the ground
             if state.status.armed:

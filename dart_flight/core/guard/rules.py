@@ -56,6 +56,7 @@ class Rule(NamedTuple):
         explains: rules that may have fired for the same cause before it could be told: where their action is
             in force and no weaker, the reason becomes this rule's.
         calm: it has no cause while `Watch.calm`, and is not asked then.
+        of_streams: telemetry fails; what else is known of link and computer is said with it.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Rule(NamedTuple):
     after: type | None = None
     explains: frozenset[str] = frozenset()
     calm: bool = False
+    of_streams: bool = False
 
 
 # --- causes ------------------------------------------------------------------------------------------------
@@ -267,25 +269,25 @@ RULES: tuple[Rule, ...] = (
     Rule("disarmed", "disarmed in the air: PX4 says so, or the motors stand still and the vehicle falls", "",
          _RELEASE, _AIR, _disarmed, calm=True),
     Rule("link_lost", "nothing at all comes from the vehicle: PX4's own failsafe must act",
-         "guard.link_lost_s", _RELEASE, _AIR, _link_lost, calm=True),
+         "guard.link_lost_s", _RELEASE, _AIR, _link_lost, calm=True, of_streams=True),
     Rule("imu_silent", "no IMU sample for too long: impacts cannot be felt",
-         "guard.imu_timeout_s, guard.stream_timeout_s", _LAND, _AIR, _imu_silent, calm=True),
+         "guard.imu_timeout_s, guard.stream_timeout_s", _LAND, _AIR, _imu_silent, calm=True, of_streams=True),
     Rule("attitude_silent", "no attitude for too long: forces have no direction", "guard.stream_timeout_s",
-         _LAND, _AIR, _attitude_silent, calm=True),
+         _LAND, _AIR, _attitude_silent, calm=True, of_streams=True),
     Rule("odometry_silent", "no position for too long", "guard.stream_timeout_s",
-         _LAND, _AIR, _odometry_silent, calm=True),
+         _LAND, _AIR, _odometry_silent, calm=True, of_streams=True),
     Rule("actuator_silent", "no motor outputs for too long: thrust cannot be told from contact",
-         "guard.actuator_timeout_s", _HOLD, _FLYING, _actuator_silent, calm=True),
+         "guard.actuator_timeout_s", _HOLD, _FLYING, _actuator_silent, calm=True, of_streams=True),
     Rule("status_silent", "no heartbeat for too long", "guard.status_timeout_s",
-         _LAND, _AIR, _status_silent, calm=True),
+         _LAND, _AIR, _status_silent, calm=True, of_streams=True),
     Rule("stream_rate", "a stream comes at less than the rate that a mission needs (`streams.py`)",
-         "streams: expected_hz", _HOLD, _FLYING, low_rate, calm=True),
+         "streams: expected_hz", _HOLD, _FLYING, low_rate, calm=True, of_streams=True),
     Rule("telemetry_late_ground", "samples are old when they come: what they show is over",
-         "guard.telemetry_late_s", _GIVE_UP, _GROUND, _telemetry_late, calm=True),
+         "guard.telemetry_late_s", _GIVE_UP, _GROUND, _telemetry_late, calm=True, of_streams=True),
     Rule("telemetry_late", "samples are old when they come, for more than a moment",
          "guard.telemetry_late_s", _LAND, _AIR, _telemetry_late,
          explains=frozenset({"imu_silent", "attitude_silent", "odometry_silent", "status_silent"}),
-         calm=True),
+         calm=True, of_streams=True),
     Rule("second_vehicle_ground", "a second vehicle sends on the link, whatever its system id",
          "guard.stamp_tolerance_s, guard.position_jump_m", _GIVE_UP, _GROUND, _second_vehicle_ground,
          calm=True),
@@ -294,7 +296,7 @@ RULES: tuple[Rule, ...] = (
          explains=frozenset({"stamps_backwards", "odometry_silent", "attitude_silent", "imu_silent",
                              "status_silent", "estimator_flags", "tilt", "altitude"}), calm=True),
     Rule("stamps_backwards", "the autopilot's time stamps have gone back: it has restarted, or its clock has",
-         "guard.stamp_tolerance_s", _LAND, _AIR, _stamps_backwards, calm=True),
+         "guard.stamp_tolerance_s", _LAND, _AIR, _stamps_backwards, calm=True, of_streams=True),
     Rule("imu_stuck", "the IMU repeats one reading: no sensor is that quiet", "guard.imu_stuck_s",
          _LAND, _AIR, _imu_stuck, calm=True),
     Rule("imu_clipped", "the IMU stays at full scale longer than any contact lasts", "guard.imu_clipped_s",
@@ -352,7 +354,8 @@ RULES: tuple[Rule, ...] = (
     Rule("pause_timeout", "the operator did not end a pause in time", "", _LAND),
     Rule("goal_not_reached", "the goal could not be held in time", "goal.hold_s, limits.collision_timeout_s",
          _LAND),
-    Rule("not_ready", "telemetry or lock are not ready on the ground", "flying.ready_timeout_s", _GIVE_UP),
+    Rule("not_ready", "telemetry or lock are not ready on the ground", "flying.ready_timeout_s", _GIVE_UP,
+         of_streams=True),
     Rule("offboard_refused", "PX4 does not go into offboard", "flying.ready_timeout_s", _GIVE_UP),
     Rule("arming_refused", "PX4 does not arm", "flying.ready_timeout_s", _GIVE_UP),
     Rule("mission_fault", "an exception in the mission's own code", "", _LAND),

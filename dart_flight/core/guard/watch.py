@@ -51,6 +51,8 @@ _FALLING_M_S2: Final = 0.5 * GRAVITY_M_S2
 _JUMP_REACH_US: Final = 100_000  # odometry further apart says nothing about a jump
 _RESET_REACH_US: Final = 100_000  # a step this near to a reset came with it
 _SURELY_DOWN: Final = 3.0  # times the way down from the top of the flight space
+_PAUSE_US: Final = 40_000  # host time goes on by 20 ms at most, by ticks: after more this program did not run
+_PAUSE_MEMORY_US: Final = 3_000_000
 _STEPS: Final = 16  # odometry of more than twice that reach
 ALTITUDE_SLACK_M: Final = 0.05
 # Looked up once: a member of an enumeration is asked for at every step.
@@ -117,6 +119,8 @@ class Watch:
         self._failsafe_us: int | None = None
         self._gap_us: int | None = None
         self._host_us = 0  # of the newest stamped sample
+        self._seen_us = 0  # host time at the step before
+        self._pause_us = self._paused_us = 0  # longest pause of this program lately, and its end
         self.surely_down_s = self._surely_down_s()
         c, (low_m, high_m) = self.config, mission.bounds.z
         # Younger than the shortest limit, to the microsecond below: then no stream is silent by any rule.
@@ -141,6 +145,10 @@ class Watch:
                 # For a while the contact explains what estimator and altitude do.
                 self.impact_us = event.t_us
         self.jump = ""
+        host_us = state.host_us
+        if host_us - self._seen_us > _PAUSE_US and self._seen_us:
+            self._see_pause(host_us)
+        self._seen_us = host_us
         if isinstance(item, ImuSample):
             self._see_stamp(self._imu_stream, item, state.imu)
             self._see_imu(item)
@@ -148,8 +156,12 @@ class Watch:
         elif isinstance(item, AttitudeSample):
             self._see_stamp(self._attitude_stream, item, state.attitude)
         elif isinstance(item, OdometrySample):
-            self._see_stamp(self._odometry_stream, item, state.odometry)
-            self._see_odometry(item)
+            if state.is_plausible(item):  # else no difference to it means anything
+                self._see_stamp(self._odometry_stream, item, state.odometry)
+                self._see_odometry(item)
+            else:
+                away_m, fast_m_s = norm(item.position_ned), norm(item.velocity_ned)
+                self.jump = f"implausible: {away_m:.3g} m from the origin at {fast_m_s:.3g} m/s"
         elif isinstance(item, ActuatorSample):
             self._see_stamp(self._actuator_stream, item, state.actuator)
             self._see_motors(item)
@@ -210,6 +222,18 @@ class Watch:
         if self._other_system is not None:
             return f"system {self._other_system} sends on the same link"
         return self.second_vehicle
+
+    @property
+    def circumstances(self) -> str:
+        """What else is known where a stream fails, to be appended; empty where nothing is."""
+        known = ""
+        if self._other_system is not None:
+            known += f"; system {self._other_system} sends on the same link"
+        if self._pause_us and self.state.host_us - self._paused_us < _PAUSE_MEMORY_US:
+            known += (
+                f"; the computer is too busy: this program did not run for {self._pause_us * 1e-3:.0f} ms"
+            )
+        return known
 
     @property
     def shaken(self) -> bool:
@@ -366,6 +390,12 @@ class Watch:
             apart_m = self._places.apart_m(received_us)
             if apart_m is not None:
                 self.second_vehicle = f"odometry with two positions in turn, {apart_m:.1f} m apart"
+
+    def _see_pause(self, host_us: int) -> None:
+        """This program has not run since the step before: no tick has come, either."""
+        pause_us = host_us - self._seen_us
+        if pause_us > self._pause_us or host_us - self._paused_us > _PAUSE_MEMORY_US:
+            self._pause_us, self._paused_us = pause_us, host_us
 
     def _see_imu(self, item: ImuSample) -> None:
         if item is not self.state.imu:

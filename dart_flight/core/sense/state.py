@@ -29,6 +29,8 @@ _SEVERE: Final = frozenset({"emergency", "alert", "critical", "error", "warning"
 _SAID_US: Final = 15_000_000  # PX4's words older than this explain nothing any more
 _MOST_REASONS: Final = 6
 _LEAP_US: Final = 1_000_000
+_FURTHEST_M: Final = 1e5  # any position in PX4's local frame is nearer to its origin
+_FASTEST_M_S: Final = 1e3
 _FASTEST: Final = 20  # simulated seconds per second
 _LEAPS_BELIEVED: Final = 25
 _VELOCITIES_KEPT_US: Final = 1_000_000
@@ -74,7 +76,9 @@ class FlightState:
         self._refused: dict[str, str] = {}  # command -> PX4's answer, while it is a refusal
 
     def take_odometry(self, sample: OdometrySample) -> bool:
-        """A position and velocity; False where its stamp does not advance."""
+        """A position and velocity; False where its stamp does not advance, or neither can be."""
+        if not self.is_plausible(sample):
+            return False
         previous, t_us, received_us = self.odometry, sample.t_us, sample.received_us
         before_us = 0 if previous is None else previous.t_us
         if previous is not None and t_us <= before_us:
@@ -101,6 +105,19 @@ class FlightState:
         while self._velocities[0][0] < t_us - _VELOCITIES_KEPT_US:
             self._velocities.popleft()
         return True
+
+    @staticmethod
+    def is_plausible(sample: OdometrySample) -> bool:
+        """Whether any vehicle can be there and as fast; what cannot be is compared with nothing."""
+        (x, y, z), (u, v, w) = sample.position_ned, sample.velocity_ned
+        return (
+            abs(x) < _FURTHEST_M
+            and abs(y) < _FURTHEST_M
+            and abs(z) < _FURTHEST_M
+            and abs(u) < _FASTEST_M_S
+            and abs(v) < _FASTEST_M_S
+            and abs(w) < _FASTEST_M_S
+        )
 
     def take_attitude(self, sample: AttitudeSample) -> bool:
         """An attitude; False where its stamp does not advance."""

@@ -1,6 +1,9 @@
-"""What a ULog has to be felt from: topics and their rates, and the stretches in the air."""
+"""What a ULog has to be felt from: whose log it is, topics and their rates, and the stretches in the air."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -15,6 +18,7 @@ TOPICS = (
     "actuator_motors",
     "actuator_outputs",
     "vehicle_land_detected",
+    "vehicle_status",
     "battery_status",
 )
 # Topic -> rate in Hz from which on nothing is lost by it; below it is named.
@@ -27,10 +31,57 @@ WANTED_HZ = {
 _LEAST_IMU_HZ = 90.0  # below it a rigid contact is four samples
 _RISEN_M = 0.3  # above the ground: taken off
 _TAKEOFF_S = 5.0  # ... where the height is not known
+_LANDED_S = 1.0  # PX4 says landed after a second on the ground; for less, and so high, it was in the air
+_HIGH_M = 2.0
+_LOW_M = 0.5
+_ARMED = 2  # vehicle_status.arming_state
+_OLDEST = (1, 9, 0)
+_ROTARY_WING = 1  # vehicle_status.vehicle_type
+_VEHICLE_TYPES = {2: "plane", 3: "rover", 4: "airship"}
+# MAV_TYPE: multirotors, and what else PX4 flies and drives.
+_MULTIROTORS = (0, 2, 3, 13, 14, 15, 29, 35)
+_MAV_TYPES = {
+    **{1: "plane", 4: "helicopter", 7: "airship", 8: "balloon", 10: "rover", 11: "boat", 12: "submarine"},
+    **dict.fromkeys(range(19, 26), "VTOL"),
+}
 _PROFILE = (
     "SDLOG_PROFILE 17, the default (bit 0) with high rate (bit 4): motors and attitude as fast as they are "
     "computed"
 )
+
+
+def refuse_other_vehicles(log: ULogFile) -> None:
+    """Make sure that a log is of a multicopter that was armed, and of a version that is read.
+
+    What the log does not say is no reason.
+
+    Raises:
+        InputError: it is not, by name.
+    """
+    if log.version is not None and log.version < _OLDEST:
+        raise InputError(
+            f"of PX4 {'.'.join(map(str, log.version))}, logs of {_OLDEST[0]}.{_OLDEST[1]} and later are read",
+            source=log.source,
+        )
+    other = _other_than_multicopter(log)
+    if other is not None:
+        raise InputError(f"of a {other}: only multicopters are felt", source=log.source)
+    status = log.first("vehicle_status")
+    if status is not None and not (np.asarray(status["arming_state"]) == _ARMED).any():
+        raise InputError("the vehicle was never armed: there is no flight in it", source=log.source)
+
+
+def _other_than_multicopter(log: ULogFile) -> str | None:
+    """What the vehicle is, if it is no multicopter."""
+    status, kind = log.first("vehicle_status") or {}, log.parameters.get("MAV_TYPE", 0.0)
+    if "system_type" in status:
+        kind = float(status["system_type"][-1])
+    if "is_vtol" in status and np.asarray(status["is_vtol"]).any():
+        return "VTOL"
+    if kind not in _MULTIROTORS:
+        return _MAV_TYPES.get(int(kind), f"vehicle of MAV_TYPE {kind:.0f}")
+    types = [int(t) for t in np.unique(status.get("vehicle_type", [])) if t not in (0, _ROTARY_WING)]
+    return _VEHICLE_TYPES.get(types[0], f"vehicle of type {types[0]}") if types else None
 
 
 def missing(log: ULogFile) -> list[str]:
@@ -63,7 +114,9 @@ def missing(log: ULogFile) -> list[str]:
         out.append("no vehicle_land_detected: the whole log counts as flight")
     if log.gaps_s > 0.0:
         out.append(f"{log.gaps_s:.2f} s that the logger lost")
-    return out + [f"what would help: {_PROFILE}"] * slow
+    if log.first("vehicle_status") is None:
+        out.append("no vehicle_status: whether it is a multicopter, and was armed")
+    return [*out, *[f"what would help: {_PROFILE}"] * slow, *log.damage]
 
 
 def track_without_motors(log: ULogFile) -> Track:
@@ -86,24 +139,61 @@ def track_without_motors(log: ULogFile) -> Track:
     )
 
 
+def landings_of(log: ULogFile) -> list[tuple[float, float]]:
+    """From, to in seconds: on the ground, begun where PX4 was close to saying so; or close to it, and low."""
+    close = ground_of(log)
+    landed = [(min([a, *(x for x, y in close if x <= a <= y)]), b) for a, b in _landed(log)]
+    return landed + [(a, b) for a, b in close if _height_at(log, a) < _LOW_M]
+
+
+def _landed(log: ULogFile) -> list[tuple[float, float]]:
+    """From, to in seconds: PX4 says landed. Motors cut in the air look like that: for a moment, high up."""
+    found = _stretches(log, "vehicle_land_detected", "landed")
+    return [(a, b) for a, b in found if b - a >= _LANDED_S or not _height_at(log, a) > _HIGH_M]
+
+
+def _height_at(log: ULogFile, t_s: float) -> float:
+    """Above where the log begins, metres; NaN where PX4 has no estimate."""
+    position = log.first("vehicle_local_position")
+    if position is None:
+        return math.nan
+    height = -np.asarray(position["z"], dtype=float)
+    return float(np.interp(t_s, np.asarray(position["timestamp"], dtype=float) * 1e-6, height) - height[0])
+
+
 def flights_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
-    """From, to in seconds: in the air, from 0.3 m up to what PX4 calls landed."""
+    """From, to in seconds: in the air, from 0.3 m up to what PX4 calls landed, and armed at some moment."""
     begin, end = float(track.imu_s[0]), float(track.imu_s[-1])
-    landed = log.first("vehicle_land_detected")
-    if landed is None:
-        return [(begin, end)]
-    stamps = np.asarray(landed["timestamp"], dtype=float) * 1e-6
-    air: list[list[float]] = []
-    for t, state, until in zip(stamps, landed["landed"], [*stamps[1:], end], strict=True):
-        if state:
-            continue
-        if air and air[-1][1] == t:
-            air[-1][1] = float(until)
-        else:
-            air.append([float(t), float(until)])
-    # What is in the air when the log begins has taken off before.
-    taken_off = [(a if a <= begin + 0.1 else _off_the_ground(log, a, b), b) for a, b in air]
+    armed = _stretches(log, "vehicle_status", "arming_state", _ARMED)
+    detected = log.first("vehicle_land_detected")
+    if detected is None:
+        return _clipped(armed, begin, end) if log.first("vehicle_status") is not None else [(begin, end)]
+    first = float(detected["timestamp"][0]) * 1e-6
+    edges = [min(first, end), *(t for stretch in _landed(log) for t in stretch), end]
+    air = _clipped(zip(edges[::2], edges[1::2], strict=True), begin, end)
+    if log.first("vehicle_status") is not None:
+        # Not cut where it was disarmed: what was stopped in the air still has to come down.
+        air = [(a, b) for a, b in air if any(x < b and y > a for x, y in armed)]
+    # What is in the air when the log begins, or when PX4 first says where it is, has taken off before.
+    known = max(first, begin + 0.1)
+    taken_off = [(begin if a <= known else _off_the_ground(log, a, b), b) for a, b in air]
     return [(a, b) for a, b in taken_off if b > a]
+
+
+def _clipped(stretches: Iterable[tuple[float, float]], begin: float, end: float) -> list[tuple[float, float]]:
+    inside = [(max(a, begin), min(b, end)) for a, b in stretches]
+    return [(a, b) for a, b in inside if b > a]
+
+
+def _stretches(log: ULogFile, topic: str, field: str, value: int = 1) -> list[tuple[float, float]]:
+    """From, to in seconds: a field has a value; it has it until the next sample, the last one for good."""
+    data = log.first(topic)
+    if data is None:
+        return []
+    holds = np.asarray(data[field]).astype(int) == value
+    stamps = [*(np.asarray(data["timestamp"], dtype=float) * 1e-6), math.inf]
+    turns = np.flatnonzero(np.diff(np.concatenate(([False], holds, [False])).astype(int)))
+    return [(float(stamps[a]), float(stamps[b])) for a, b in zip(turns[::2], turns[1::2], strict=True)]
 
 
 def _off_the_ground(log: ULogFile, begin: float, end: float) -> float:

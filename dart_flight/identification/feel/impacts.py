@@ -15,7 +15,8 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.detector import Expected, ImpactDetector
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import MissionFrame, Vec2, Vec3, rotate
+from dart_flight.geometry import GRAVITY_M_S2, MissionFrame, Vec2, Vec3, rotate
+from dart_flight.identification.feel.content import landings_of
 from dart_flight.identification.feel.samples import Sample
 from dart_flight.identification.feel.thrust import SpecificThrust
 from dart_flight.identification.thrust_curve import Track
@@ -36,6 +37,14 @@ REMEMBERED = 256  # samples: as long as the detector waits for a peak
 _BORNE_OUT = 0.3  # of the threshold: a short pulse just over it is fitted too low, to about a third at worst
 _HOVERS_M_S = 1.0  # an assumed thrust is that of hovering
 _TOUCHDOWN_S = 3.0  # an impact this long before PX4 says landed is the ground
+_FALLING_M_S2 = 0.6 * GRAVITY_M_S2  # felt in all: less than what carries the vehicle
+_FALLING_S = 0.25  # ... in the mean over so long
+_FALLEN_S = 1.0  # ... within so long before the ground
+_JOLT_S = 0.02
+_CRASH_M_S2 = 5.0 * GRAVITY_M_S2
+_CRASH_LASTS_S = 3.0  # bounces and all
+_TOLD_SD = 4.0  # standard deviations from nothing
+_ASSUMED_THRUST_SD = 0.5  # share of gravity by which an assumed thrust of hovering may be off
 
 
 class Felt(msgspec.Struct):
@@ -44,17 +53,24 @@ class Felt(msgspec.Struct):
     Attributes:
         t_s: since the log's beginning, first contact.
         acceleration_m_s2: peak of the normal force over mass.
+        acceleration_sd_m_s2: its standard deviation, by noise and by how well the thrust is known.
         force_n: peak of the normal force; None without a mass.
+        force_sd_n: its standard deviation.
         direction_deg: where the force points, clockwise from north.
         clipped: the accelerometer was at full scale: a lower bound.
-        kind: `impact`, or `touch-down` where PX4 says landed shortly after.
+        kind: `impact`; `touch-down` where PX4 says landed shortly after; `crash` where the vehicle fell, and
+            what follows within seconds; `untold` where a manoeuvre would look the same, because the thrust
+            is not known and the vehicle does not hover, or because it is after a crash, and where it is less
+            than four standard deviations.
         speed_m_s: horizontal, before it.
         height_m: above where the log begins, by PX4's estimate; None where it has none.
     """
 
     t_s: float
     acceleration_m_s2: float
+    acceleration_sd_m_s2: float
     force_n: float | None
+    force_sd_n: float | None
     direction_deg: float
     clipped: bool
     kind: str
@@ -104,12 +120,16 @@ class Crossing(msgspec.Struct):
         peak: None where the log ends before it is known.
         beyond_thrust: whether no thrust of the motors explains it: half of the impulse up to the peak, or
             what alone is over the threshold in a mean over the detector's short window.
+        noise_n: of the mean over the detector's short window.
+        level: horizontal part of the direction of the thrust, 0 where the vehicle was level.
     """
 
     onset: ImpactOnset
     threshold_n: float
     peak: ImpactPeak | None = None
     beyond_thrust: bool = True
+    noise_n: float = 0.0
+    level: float = 0.0
 
     def ends(self, peak: ImpactPeak, newest: Iterable[Estimated], short: int) -> None:
         """Its peak is known.
@@ -150,8 +170,8 @@ class FeltFlight(msgspec.Struct):
     """What one log felt; newtons are None without a mass.
 
     `weak` counts crossings of the threshold whose fitted peak stayed below it, or that an error of the thrust
-    explains: they are no impacts. `untold` counts those in the air of a log without motor outputs that came
-    faster than 1 m/s, or at a speed that is not known: manoeuvre or contact, nothing tells.
+    explains: they are no impacts. `untold` counts the impacts of that kind: manoeuvre or contact, nothing
+    tells.
     """
 
     log: str
@@ -243,7 +263,9 @@ class Pass:
             self._listener(felt)
         for event in detector.update(estimate, sample.t_us, self.state, Expected(flying)):
             if isinstance(event, ImpactOnset):
-                self.crossings.append(Crossing(event, detector.crossed_n))
+                level = math.hypot(felt.up[0], felt.up[1])
+                noise = detector.noise_n[0]
+                self.crossings.append(Crossing(event, detector.crossed_n, noise_n=noise, level=level))
             elif isinstance(event, ImpactPeak):
                 self.crossings[-1].ends(event, self._newest, self._short)
         if flying:
@@ -282,9 +304,8 @@ class Pass:
         drag: float,
         mass_kg: float | None,
         unknown: list[str],
-        motors: bool,
     ) -> FeltFlight:
-        """The result; `motors` says whether the log has their outputs."""
+        """The result."""
         begin = float(track.imu_s[0])
         table = np.array(self.rows).reshape(-1, 5)
         noise = (
@@ -298,8 +319,20 @@ class Pass:
                 np.stack([np.asarray(position[n], dtype=float) for n in ("x", "y", "z")], axis=1),
                 np.asarray(position["timestamp"], dtype=float) * 1e-6 - begin,
             )
-        found = [self._impact(c, begin, track.ground, where, mass_kg) for c in self.crossings if c.is_impact]
-        told = found if motors else [i for i in found if i.kind == "touch-down" or _hovers(i, where[1])]
+        thrust_sd = _ASSUMED_THRUST_SD if curve is None else curve.held_out_percent / 100.0
+        landings = landings_of(log)
+        found = [self._impact(c, begin, where, thrust_sd, landings) for c in self.crossings if c.is_impact]
+        crashes = [
+            self._crash(t, begin, where, track, table, float(noise[0])) for t in falls(track, self._flying)
+        ]
+        impacts = _with_crashes(found, crashes)
+        for one in impacts:
+            if one.kind == "impact" and not _is_told(one, curve is not None, where[1]):
+                one.kind = "untold"
+        for one in impacts:
+            if mass_kg is not None:
+                one.force_n = mass_kg * one.acceleration_m_s2
+                one.force_sd_n = mass_kg * one.acceleration_sd_m_s2
         return FeltFlight(
             log=log.source,
             px4_version=".".join(str(v) for v in log.version) if log.version else None,
@@ -316,9 +349,9 @@ class Pass:
             floor_flexible_m_s2=float(noise[4]),
             drag_per_s=drag,
             thrust=curve,
-            impacts=told,
+            impacts=impacts,
             weak=sum(not c.is_impact for c in self.crossings),
-            untold=len(found) - len(told),
+            untold=sum(i.kind == "untold" for i in impacts),
             unknown=unknown,
             series=FeltSeries(table[:, 0] - begin, table[:, 1:4], table[:, 4], where[1], where[0]),
         )
@@ -327,29 +360,116 @@ class Pass:
         self,
         crossing: Crossing,
         begin: float,
-        ground: list[tuple[float, float]],
         where: tuple[Array, Array],
-        mass_kg: float | None,
+        thrust_sd: float,
+        landings: list[tuple[float, float]],
     ) -> Felt:
         onset, peak = crossing.onset, crossing.peak
         fx, fy = onset.force_mission[:2] if peak is None else peak.normal
         size = math.hypot(fx, fy) if peak is None else peak.normal_force_n
+        noise = max(crossing.noise_n, 0.0 if peak is None else peak.normal_sigma_n)
         t = onset.first_us * 1e-6
-        down_m = where[0][:, 2]
-        height = float(down_m[0] - np.interp(t - begin, where[1], down_m)) if len(down_m) else math.nan
-        down = any(a - _TOUCHDOWN_S <= t <= b for a, b in ground)
+        down = any(a - _TOUCHDOWN_S <= t <= b for a, b in landings)
         return Felt(
             t_s=t - begin,
             acceleration_m_s2=size / self._mass,
-            force_n=None if mass_kg is None else size / self._mass * mass_kg,
+            acceleration_sd_m_s2=math.hypot(noise / self._mass, thrust_sd * GRAVITY_M_S2 * crossing.level),
+            force_n=None,
+            force_sd_n=None,
             direction_deg=math.degrees(math.atan2(-fy, fx)) % 360.0,
             clipped=peak is not None and peak.clipped,
             kind="touch-down" if down else "impact",
             speed_m_s=math.hypot(onset.velocity_mission[0], onset.velocity_mission[1]),
-            height_m=height if math.isfinite(height) else None,
+            height_m=_height(where, t - begin),
+        )
+
+    def _crash(
+        self,
+        t_s: float,
+        begin: float,
+        where: tuple[Array, Array],
+        track: Track,
+        table: Array,
+        noise_m_s2: float,
+    ) -> Felt:
+        """The end of a fall: what the accelerometer felt in all, whatever the thrust."""
+        near = slice(*np.searchsorted(track.imu_s, (t_s, t_s + _FALLING_S)))
+        felt = np.linalg.norm(track.specific_force[near], axis=1)
+        rows = table[slice(*np.searchsorted(table[:, 0], (t_s, t_s + _FALLING_S)))]
+        north, east = rows[np.argmax(np.hypot(rows[:, 1], rows[:, 2])), 1:3] if len(rows) else (0.0, 0.0)
+        return Felt(
+            t_s=t_s - begin,
+            acceleration_m_s2=float(np.nanmax(felt)),
+            acceleration_sd_m_s2=noise_m_s2,
+            force_n=None,
+            force_sd_n=None,
+            direction_deg=math.degrees(math.atan2(east, north)) % 360.0,
+            clipped=False,
+            kind="crash",
+            speed_m_s=_speed(track, t_s),
+            height_m=_height(where, t_s - begin),
         )
 
 
-def _hovers(felt: Felt, known_s: Array) -> bool:
-    """Whether the log says that the vehicle was about as slow as an assumed thrust of hovering needs."""
-    return bool(known_s.size) and felt.speed_m_s < _HOVERS_M_S
+def falls(track: Track, flying: list[tuple[float, float]]) -> list[float]:
+    """Moments at which a fall ends in a jolt, in means that leave vibration out; of several the first."""
+    found: list[float] = []
+    jolt = _mean_size(track, _JOLT_S)
+    carried = _mean_size(track, _FALLING_S)
+    for i in np.flatnonzero(jolt > _CRASH_M_S2):
+        t = float(track.imu_s[i])
+        if not any(a <= t <= b for a, b in flying) or (found and t - found[-1] < _CRASH_LASTS_S):
+            continue
+        # As it falls faster the air carries it, so that the fall is at the beginning of the second.
+        before = slice(*np.searchsorted(track.imu_s, (t - _FALLEN_S, t - _FALLING_S)))
+        if (carried[before] < _FALLING_M_S2).any():
+            found.append(t)
+    return found
+
+
+def _mean_size(track: Track, window_s: float) -> Array:
+    """Size of the mean specific force over a window that begins at each sample, m/s2."""
+    sums = np.cumsum(np.concatenate((np.zeros((1, 3)), np.nan_to_num(track.specific_force))), axis=0)
+    begin = np.arange(len(track.imu_s))
+    end = np.maximum(np.searchsorted(track.imu_s, track.imu_s + window_s), begin + 1)
+    return np.asarray(np.linalg.norm((sums[end] - sums[begin]) / (end - begin)[:, None], axis=1))
+
+
+def _with_crashes(impacts: list[Felt], crashes: list[Felt]) -> list[Felt]:
+    """All in order; what was felt in a crash is the crash, what comes after it is not told."""
+    kept = list(crashes)
+    for one in impacts:
+        since = [one.t_s - crash.t_s for crash in crashes if one.t_s >= crash.t_s - _FALLING_S]
+        if since and since[-1] <= _FALLING_S:
+            continue
+        if since and one.kind == "impact":
+            one.kind = "crash" if since[-1] <= _CRASH_LASTS_S else "untold"
+        kept.append(one)
+    return sorted(kept, key=lambda felt: felt.t_s)
+
+
+def _speed(track: Track, t_s: float) -> float:
+    """Horizontal, by PX4's estimate; NaN where it has none."""
+    if not len(track.velocity_s):
+        return math.nan
+    north, east = (float(np.interp(t_s, track.velocity_s, track.velocity[:, k])) for k in (0, 1))
+    return math.hypot(north, east)
+
+
+def _height(where: tuple[Array, Array], t_s: float) -> float | None:
+    """Above where the log begins, by PX4's estimate."""
+    down_m = where[0][:, 2]
+    height = float(down_m[0] - np.interp(t_s, where[1], down_m)) if len(down_m) else math.nan
+    return height if math.isfinite(height) else None
+
+
+def _is_told(felt: Felt, thrust_known: bool, known_s: Array) -> bool:
+    """Whether it is a contact for certain: beyond its own error, and no manoeuvre that would look like it.
+
+    Without a thrust curve that of hovering is assumed, which the log has to say that the vehicle did.
+    """
+    hovers = bool(known_s.size) and felt.speed_m_s < _HOVERS_M_S
+    beyond_motors = felt.acceleration_m_s2 > _CRASH_M_S2
+    return felt.acceleration_m_s2 >= _TOLD_SD * felt.acceleration_sd_m_s2 and (
+        thrust_known or hovers or beyond_motors
+    )

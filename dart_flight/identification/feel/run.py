@@ -7,7 +7,13 @@ from pathlib import Path
 
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.identification.feel.content import TOPICS, flights_of, missing, track_without_motors
+from dart_flight.identification.feel.content import (
+    TOPICS,
+    flights_of,
+    missing,
+    refuse_other_vehicles,
+    track_without_motors,
+)
 from dart_flight.identification.feel.impacts import FeltFlight, Listener, Pass
 from dart_flight.identification.feel.samples import samples_of, vehicle_for
 from dart_flight.identification.feel.thrust import fit_drag, fit_specific_thrust
@@ -24,7 +30,7 @@ def feel(path: str | Path, vehicle: VehicleConfig, mass_kg: float | None = None)
         mass_kg: of the vehicle that flew; None where it is not known.
 
     Raises:
-        InputError: the file cannot be read, or lacks IMU or attitude.
+        InputError: the file cannot be read, lacks IMU or attitude, or is of no multicopter that was armed.
     """
     return feel_log(open_ulog(path, TOPICS), vehicle, mass_kg)
 
@@ -40,14 +46,15 @@ def feel_log(
     `listen` is told the vehicle that the estimator has and the flights; what it returns takes every estimate
     and whether it was in the air.
     """
-    unknown, motors = missing(log), True
+    refuse_other_vehicles(log)
+    unknown = missing(log)
     try:
         track = track_of(log)
         fitted = fit_specific_thrust(track, vehicle)
     except InputError as error:
         if log.first("sensor_combined") is None:
             raise
-        track, fitted, motors = track_without_motors(log), error.message, False
+        track, fitted = track_without_motors(log), error.message
     unknown += [f"thrust: {fitted}; hover is assumed"] if isinstance(fitted, str) else []
     unknown += track.notes[1:]
     curve = None if isinstance(fitted, str) else fitted
@@ -62,4 +69,4 @@ def feel_log(
     pass_ = Pass(made, flying, listen(made, flying) if listen is not None else None)
     for sample in samples_of(log, track, curve, len(made.airframe.motors)):
         pass_.take(sample)
-    return pass_.felt(log, track, curve, drag, mass_kg, unknown, motors)
+    return pass_.felt(log, track, curve, drag, mass_kg, unknown)

@@ -94,7 +94,9 @@ def vehicle_for(
     imu = log.first("sensor_combined") or {}
     tick = vehicle.imu.tick_s
     if "accelerometer_integral_dt" in imu:
-        tick = float(np.median(imu["accelerometer_integral_dt"])) * 1e-6 or tick
+        interval = np.asarray(imu["accelerometer_integral_dt"])
+        # Before 1.7 it was in seconds.
+        tick = float(np.median(interval)) * (1.0 if interval.dtype.kind == "f" else 1e-6) or tick
     return replace(
         vehicle,
         airframe=replace(vehicle.airframe, drag_per_s=(drag, drag, 0.0)),

@@ -48,6 +48,7 @@ ENVIRONMENT = "DART_PX4_DIR"
 TESTED: tuple[tuple[int, int], ...] = ((1, 14), (1, 15), (1, 16), (1, 17))
 OLDEST = (1, 14)
 SIMULATOR_PORT, ONBOARD_PORT = 4560, 14540
+_LOCK_FILES = "/tmp/px4_lock"  # and "-", and the number; locked as long as that instance runs
 _LOCAL_PORTS = (14580, 18570, 14280, 13030)  # UDP, plus the instance
 _INSTANCES = range(10)  # from the tenth on PX4 sends to one shared port
 _TERM_WAIT_S = 2.0
@@ -56,6 +57,7 @@ _BOOTED = "Startup script returned successfully"
 _CLIENT, _VERSION = "px4-param", "px4-ver"
 _ANSWER_S = 5.0
 MOTOR_1 = 101  # output function "Motor 1"
+_CELL_V = 3.9  # of a simulated battery in flight
 _DIGITS = 5.1e-5  # `px4-param show` writes four decimals
 _SET_PDEATHSIG = 1
 
@@ -183,6 +185,7 @@ def airframe_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
         parameters[f"EKF2_IMU_POS_{axis}"] = place
     parameters["THR_MDL_FAC"] = vehicle.thrust.square_share
     parameters["MPC_THR_HOVER"] = vehicle.hover_thrust_fraction()
+    parameters["BAT1_N_CELLS"] = max(1, round(vehicle.simulation.battery_v / _CELL_V))
     for field in msgspec.structs.fields(Px4Parameters):
         parameters[field.encode_name] = float(getattr(vehicle.px4, field.name))
     if vehicle.lock is not None and vehicle.lock.driver is LockDriver.PX4:
@@ -288,7 +291,7 @@ def _free_simulator_port(number: int) -> socket.socket | None:
 def _instance_is_locked(instance: int) -> bool:
     """Whether a running PX4 holds the instance's lock file."""
     try:
-        with open(f"/tmp/px4_lock-{instance}", "r+b") as lock:
+        with open(f"{_LOCK_FILES}-{instance}", "r+b") as lock:
             fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except FileNotFoundError:
         return False

@@ -1,0 +1,168 @@
+"""Fifty bad inputs: each is refused in one line, with exit status 2, and soon."""
+
+from __future__ import annotations
+
+import re
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.config.vehicle import packaged
+
+MISSION = packaged("missions", "single_wall.yaml")
+SCENARIO = packaged("missions", "scenarios", "one_wall.yaml")
+VEHICLE = packaged("configs", "dart.yaml")
+FLIGHT = next((Path(__file__).parents[1] / "data" / "flights").rglob("*.mcap"))
+ULOG = b"ULog\x01\x12\x35\x01" + bytes(8)
+TRIAL = "time_s,normal_m\n" + "".join(f"{0.01 * i:.2f},{0.5 - 0.01 * i:.3f}\n" for i in range(60))
+
+# name -> words and content: FILE is a file of that, OUT is not there, MISSION and SCENARIO are shipped.
+# Three as content: that text of a shipped file replaced by another.
+CASES: dict[str, tuple[list[str], object]] = {
+    "tab for an indent": (["check", "FILE"], (MISSION, "walls:", "walls:\n\t- x")),
+    "a key with a colon": (["check", "FILE"], (MISSION, "name: single-wall", "name: a: b")),
+    "name with a slash": (["check", "FILE"], (MISSION, "name: single-wall", "name: ../../etc/passwd")),
+    "version 2": (["check", "FILE"], (MISSION, "version: 1", "version: 2")),
+    "version as text": (["check", "FILE"], (MISSION, "version: 1", "version: '1'")),
+    "no version": (["check", "FILE"], (MISSION, "version: 1", "")),
+    "a wall without a normal": (["check", "FILE"], (MISSION, "normal: [-1.0, 0.0],", "")),
+    "a normal of zeros": (["check", "FILE"], (MISSION, "normal: [-1.0, 0.0]", "normal: [0.0, 0.0]")),
+    "a normal of three": (["check", "FILE"], (MISSION, "normal: [-1.0, 0.0]", "normal: [-1.0, 0.0, 0.0]")),
+    "bounds upside down": (["check", "FILE"], (MISSION, "z: [0.3, 2.0]", "z: [2.0, 0.3]")),
+    "an altitude of 1e9": (["check", "FILE"], (MISSION, "altitude_m: 1.0", "altitude_m: 1.0e+9")),
+    "an altitude in text": (["check", "FILE"], (MISSION, "altitude_m: 1.0", "altitude_m: one metre")),
+    "a list of collisions that is none": (["check", "FILE"], (MISSION, "collisions:", "collisions: 3\nx:")),
+    "a vehicle that is not there": (["check", "FILE"], (MISSION, "../configs/dart.yaml", "no/such.yaml")),
+    "a vehicle of keys that are none": (
+        ["check", "FILE"],
+        (MISSION, "vehicle: ../configs/dart.yaml", "vehicle: {wings: 2}"),
+    ),
+    "a vehicle that is a number": (
+        ["check", "FILE"],
+        (MISSION, "vehicle: ../configs/dart.yaml", "vehicle: 3"),
+    ),
+    "a rehearsal of 5 m": (["check", "FILE"], (MISSION, "version: 1", "version: 1\nstandoff_m: 5.0")),
+    "control characters": (["check", "FILE"], b"version: 1\nname: \x07\x1b[2J\n"),
+    "UTF-16": (["check", "FILE"], "version: 1\n".encode("utf-16")),
+    "a thousand keys": (["check", "FILE"], "".join(f"k{i}: {i}\n" for i in range(1000))),
+    "ten thousand brackets": (["check", "FILE"], "a: " + "[" * 10_000),
+    "an anchor bomb": (["check", "FILE"], "a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]\n"),
+    "a python object": (["check", "FILE"], "a: !!python/object/apply:os.system [ls]\n"),
+    "a number of 400 digits": (["check", "FILE"], "version: " + "9" * 400),
+    "only comments": (["check", "FILE"], "# nothing\n# at all\n"),
+    "a configuration that extends itself": (
+        ["check", "MISSION", "--config", "FILE"],
+        "extends: input.yaml\n",
+    ),
+    "a configuration that extends a folder": (["check", "MISSION", "--config", "FILE"], "extends: .\n"),
+    "a mass in grams": (["check", "MISSION", "--set", "airframe.mass_kg=1300"], b""),
+    "a setting without a value": (["check", "MISSION", "--set", "airframe.mass_kg="], b""),
+    "a setting of a list": (["check", "MISSION", "--set", "airframe.mass_kg=[1, 2]"], b""),
+    "a setting below a number": (["check", "MISSION", "--set", "airframe.mass_kg.x=1"], b""),
+    "a step of nothing": (["plan", "FILE"], (SCENARIO, "step: 0.05", "step: 0.0")),
+    "a sequence of walls that are none": (
+        ["plan", "FILE"],
+        (SCENARIO, "sequence: [", "sequence: [nowhere, "),
+    ),
+    "more plans than can be": (["plan", "SCENARIO", "--top", "-3"], b""),
+    "a rank that is none": (["plan", "SCENARIO", "--rank", "0"], b""),
+    "a drop of nan": (["predict", "--surface", "wood", "--mode", "rigid", "--drop", "nan"], b""),
+    "a hit of infinite speed": (
+        ["predict", "--surface", "wood", "--mode", "rigid", "--velocity", "-inf", "0"],
+        b"",
+    ),
+    "a batch with a hole": (
+        ["predict", "--surface", "wood", "--batch", "FILE.csv"],
+        "mode,normal_m_s,tangential_m_s\nrigid,,0\n",
+    ),
+    "a batch with a NUL": (
+        ["predict", "--surface", "wood", "--batch", "FILE.csv"],
+        "mode,normal_m_s,tangential_m_s\nrigid,\x00,0\n",
+    ),
+    "a trial that goes back in time": (["identify", "FILE.csv"], TRIAL + "0.10,0.2\n"),
+    "a trial that stands still": (["identify", "FILE.csv"], re.sub(r",.*[0-9]", ",0.5", TRIAL)),
+    "a trial with words": (["identify", "FILE.csv"], TRIAL.replace("0.400", "four")),
+    "a trial with an open quote": (["identify", "FILE.csv"], TRIAL.replace("0.400", '"0.400')),
+    "a ULog that ends in its header": (["feel", "FILE.ulg"], ULOG[:12]),
+    "a ULog of nothing": (["feel", "FILE.ulg"], ULOG),
+    "a ULog with a message of 65 kB that is not there": (["feel", "FILE.ulg"], ULOG + b"\xff\xffF"),
+    "a ULog of letters": (["calibrate", "thrust", "FILE.ulg"], ULOG + b"A" * 4000),
+    "an MCAP of zeros": (["replay", "FILE.mcap"], b"\x89MCAP0\r\n" + bytes(4000)),
+    "a flight log that was turned round": (["report", "FILE.mcap"], FLIGHT.read_bytes()[::-1][:100_000]),
+    "a seed of 1e30": (["dry-run", "MISSION", "--fast", "--seed", "1e30"], b""),
+    "a fault of nothing": (["dry-run", "MISSION", "--fast", "--fault", "delay="], b""),
+    "a fault of nan": (["dry-run", "MISSION", "--fast", "--fault", "delay=nan"], b""),
+    "a spread below nothing": (["dry-run", "MISSION", "--fast", "--vary", "mass=-1"], b""),
+    "a spread of words": (["dry-run", "MISSION", "--fast", "--vary", "mass=heavy"], b""),
+    "a campaign of a folder": (["campaign", ".", "--runs", "1", "--out", "OUT"], b""),
+    "a campaign of a value that cannot be": (
+        ["campaign", "MISSION", "--runs", "1", "--set", "airframe.mass_kg=1,-1", "--out", "OUT"],
+        b"",
+    ),
+}
+_MOST_S = 20.0  # on a loaded machine; two on an idle one
+
+
+@pytest.fixture(autouse=True)
+def alarm() -> Iterator[None]:
+    """A hang ends as an error."""
+
+    def late(number: int, frame: FrameType | None) -> None:
+        raise AssertionError(f"not refused after {_MOST_S:g} s")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, _MOST_S)
+    yield
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def written(folder: Path, name: str, content: object) -> Path:
+    path = folder / name
+    if isinstance(content, tuple):
+        shipped, old, new = content
+        text = shipped.read_text(encoding="utf-8")
+        assert old in text, f"{old!r} is not in {shipped.name} any more"
+        if "../configs" not in old:
+            text = text.replace("../configs", str(VEHICLE.parent)).replace(
+                "../" + str(VEHICLE.parent), str(VEHICLE.parent)
+            )
+        content = text.replace(old, new, 1)
+    path.write_bytes(content if isinstance(content, bytes) else str(content).encode())
+    return path
+
+
+def test_there_are_fifty() -> None:
+    assert len(CASES) >= 50
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_it_is_refused_in_one_line(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
+    monkeypatch.chdir(tmp_path)
+    words, content = CASES[name]
+    shipped = {"MISSION": str(MISSION), "SCENARIO": str(SCENARIO), "OUT": str(tmp_path / "out")}
+    given = []
+    for word in words:
+        if word.partition(".")[0] == "FILE":
+            word = str(written(tmp_path, "input" + (word[4:] or ".yaml"), content))
+        given.append(shipped.get(word, word))
+    begin = time.monotonic()
+    try:
+        status = main(given)
+    except SystemExit as exit_:
+        status = int(str(exit_.code))
+    took_s = time.monotonic() - begin
+    out, err = capsys.readouterr()
+    said = [line for line in err.splitlines() if not line.startswith("vehicle: ")]
+    assert (status, out, len(said)) == (2, "", 1), err
+    assert said[0].isprintable()
+    assert "Traceback" not in err
+    assert took_s < _MOST_S

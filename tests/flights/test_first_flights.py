@@ -1,0 +1,45 @@
+"""The missions that a newcomer meets reach their goals and follow their plans; the paper's do what they say.
+
+Twenty seeds of each are in docs/missions.md; here a sample of them.
+"""
+
+from pathlib import Path
+
+import pytest
+
+from dart_flight.config.starter import first_mission
+from dart_flight.sim.draws import parse_vary
+from dart_flight.verdict import Verdict
+from dart_flight.worlds.fast import fly_fast
+from dart_flight.worlds.prepare import load_flyable
+
+ROOT = Path(__file__).parents[2]
+
+
+def flown(name: str, seed: int, *vary: str) -> Verdict:
+    mission = load_flyable(ROOT / "missions" / name)
+    return fly_fast(mission, seed, None, spreads=parse_vary(vary, mission.vehicle))
+
+
+@pytest.mark.parametrize("name", ["dual_collision.yaml", "single_wall.yaml", "dual_collision_replan.yaml"])
+def test_a_first_flight_reaches_its_goal_and_follows_its_plan(name: str) -> None:
+    for seed in (2, 5):
+        verdict = flown(name, seed, "contact=0.2")
+        assert (verdict.outcome, verdict.goal_reached, verdict.plan_followed) == ("completed", True, True)
+        assert verdict.goal_miss_planned_m == 0.0
+
+
+def test_make_dry_run_flies_one_of_them() -> None:
+    makefile = (ROOT / "Makefile").read_text()
+    assert "MISSION ?= missions/dual_collision.yaml" in makefile
+    assert first_mission("dart") == Path("missions/dual_collision.yaml")
+
+
+@pytest.mark.parametrize(
+    ("name", "miss_m"), [("paper_dual_collision.yaml", 0.28), ("paper_single_wall.yaml", 0.55)]
+)
+def test_the_papers_numbers_follow_their_plan_and_miss_the_goal(name: str, miss_m: float) -> None:
+    verdict = flown(name, 1)
+    assert (verdict.goal_reached, verdict.plan_followed) == (False, True)
+    assert verdict.goal_miss_planned_m == pytest.approx(miss_m, abs=0.01)
+    assert verdict.goal_miss_m == pytest.approx(miss_m, abs=0.05)

@@ -1,0 +1,73 @@
+"""A computer that is too busy for a flight in real time: measured before it, and named after it."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from dart_flight.check import lateness
+from dart_flight.cli import dry_run_command, main
+from dart_flight.config.vehicle import packaged
+from dart_flight.processes import measure_lateness_s
+from dart_flight.samples import GuardEvent, MissionEnd, Outcome, Override, Tick, World
+from dart_flight.verdict import Verdict, VerdictBuilder
+from dart_flight.worlds.prepare import load_flyable
+
+ROOT = Path(__file__).parents[1]
+SINGLE = ROOT / "missions/single_wall.yaml"
+MISSION = load_flyable(packaged("missions", "single_wall.yaml"))
+
+
+def test_how_late_it_runs_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    real, naps = time.sleep, iter([0.12])
+    monkeypatch.setattr(time, "sleep", lambda s: real(s + next(naps, 0.0)))
+    assert 0.12 <= measure_lateness_s() < 5.0
+
+
+@pytest.mark.parametrize(
+    ("late_s", "go", "remark"), [(0.003, True, False), (0.1, True, True), (0.3, False, False)]
+)
+def test_check_says_how_late(late_s: float, go: bool, remark: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lateness, "measure_lateness_s", lambda: late_s)
+    found = lateness.check_lateness(MISSION)
+    assert (found.item, found.go, found.remark) == ("lateness", go, remark)
+    assert f"{1e3 * late_s:.0f} ms late" in found.says
+    assert main(["check", str(SINGLE)]) == (0 if go else 1)
+
+
+def late_flight(late_us: int, world: World) -> Verdict:
+    builder = VerdictBuilder(MISSION)
+    for host_us in (0, 20_000, 40_000 + late_us, 60_000 + late_us):
+        builder.take(Tick(host_us))
+    builder.take(GuardEvent(1, "imu_silent", Override.LAND, "for 412 ms"))
+    builder.take(MissionEnd(1, Outcome.ABORTED, "imu_silent: for 412 ms", None))
+    return builder.build(world, 1)
+
+
+def test_the_verdict_knows_how_late_the_program_ran() -> None:
+    assert late_flight(412_000, World.EMBEDDED).own_lateness_ms == 412.0
+    assert late_flight(0, World.FAST).own_lateness_ms == 0.0
+
+
+def test_a_dry_run_in_real_time_says_so_before_and_after(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(dry_run_command, "measure_lateness_s", lambda: 0.1)
+    monkeypatch.setattr(
+        dry_run_command, "fly_embedded", lambda *_, **__: late_flight(412_000, World.EMBEDDED)
+    )
+    assert main(["dry-run", str(SINGLE)]) == 1
+    said = capsys.readouterr().err
+    advice = "the computer is too busy for this pace; --fast has none, --speed 0.5 half of it"
+    assert f"this program runs up to 100 ms late: {advice}" in said
+    assert f"this program ran up to 412 ms late: {advice}" in said
+
+
+def test_in_simulated_time_nothing_is_measured(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(dry_run_command, "measure_lateness_s", lambda: 0.1)
+    assert main(["dry-run", str(SINGLE), "--fast", "--log-dir", str(tmp_path)]) == 0
+    assert "too busy" not in capsys.readouterr().err
