@@ -32,6 +32,7 @@ _STEPS_PER_TICK: Final = 4
 _POSITION_EVERY: Final = 2  # ticks: PX4's position controller runs with its estimator, at about 125 Hz
 _FAILSAFE_HOLD_S: Final = 5.0
 _IDLE: Final = 0.05
+_KILL_DISARM_S: Final = 5.0  # PX4's COM_KILL_DISARM
 _OFFBOARD_PROOF_S: Final = 0.5  # set-points must be this fresh for the mode to be accepted
 # Looked up once: asked of the enumeration at every tick they cost more than the comparison.
 _ON_GROUND: Final = LandedState.ON_GROUND
@@ -74,6 +75,7 @@ class Autopilot:
         self.mode = FlightMode.HOLD
         self.landed = LandedState.ON_GROUND
         self.motors: tuple[float, ...] = self._stopped
+        self._killed_at_s: float | None = None
         self.actuator_set: list[float] = [math.nan] * 6
         self.imu = ImuReading(0, (0.0, 0.0, -GRAVITY_M_S2), (0.0, 0.0, 0.0))
         self.failsafe: str | None = None
@@ -113,6 +115,9 @@ class Autopilot:
         """Arm where PX4 would: estimator ready, and in a mode that can take off without GPS."""
         if self.armed:
             return True
+        if self._killed_at_s is not None:
+            self.say("critical", "Arming denied: kill switch engaged")
+            return False
         if not self.estimator.ok:
             self.say("critical", "Arming denied: no local position")
             return False
@@ -135,6 +140,10 @@ class Autopilot:
             self.armed = False
             self.say("info", "Disarmed")
         return True
+
+    def kill(self) -> None:
+        """The pilot's kill switch: motors off at once, disarmed as late as PX4 does it."""
+        self._killed_at_s = self.now_s
 
     def set_mode(self, mode: FlightMode) -> bool:
         """Change the flight mode; offboard needs a fresh stream of set-points."""
@@ -195,7 +204,9 @@ class Autopilot:
             self.estimator.correct(*pose)
         self._tick += 1
         self._detect_landing()
-        if not self.armed:
+        if self._killed_at_s is not None and self.now_s - self._killed_at_s > _KILL_DISARM_S:
+            self.disarm(force=True)
+        if not self.armed or self._killed_at_s is not None:
             self.motors = self._stopped
             return
         self._check_offboard()

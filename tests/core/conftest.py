@@ -54,6 +54,8 @@ class HandFedCore:
         self.status = StatusSample(self.t_us, self.t_us, local_position_ok=True, landed=LandedState.ON_GROUND)
         self.outputs: list[Output] = []
         self.silent: set[str] = set()
+        self.motors = (HOVER,) * 4
+        self.falling = False
         self.give(ClockOffset(self.t_us, 0))
 
     def give(self, item: Input) -> list[Output]:
@@ -73,11 +75,12 @@ class HandFedCore:
             if "odometry" not in self.silent and (t // 4000) % self.odometry_every == 0:
                 self.give(OdometrySample(t, host, self.position_ned, self.velocity_ned))
             if "actuator" not in self.silent:
-                self.give(ActuatorSample(t, host, (HOVER,) * 4))
+                self.give(ActuatorSample(t, host, self.motors))
             if "imu" not in self.silent:
                 f = self.force_ned
                 noise = self.noise_m_s2 * ((t // 4000) % 2)
-                self.give(ImuSample(t, host, (f[0] / m, f[1] / m, f[2] / m - 9.81 + noise), (0.0, 0.0, 0.0)))
+                lift = 0.0 if self.falling else 9.81
+                self.give(ImuSample(t, host, (f[0] / m, f[1] / m, f[2] / m - lift + noise), (0.0, 0.0, 0.0)))
             if (t // 4000) % 5 == 0:
                 self.give(Tick(host))
             if (t // 4000) % 50 == 0 and "status" not in self.silent:

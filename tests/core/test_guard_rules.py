@@ -763,6 +763,29 @@ def test_a_mode_that_goes_back_to_offboard_at_once_costs_only_that_moment() -> N
     assert not fired(c)
 
 
+def test_a_kill_switch_shows_by_the_fall_before_px4_disarms() -> None:
+    """Until the fall breaks another rule it has lasted 0.3 s; armed stays true for 5 s more."""
+    c = HandFedCore()
+    c.to_flight()
+    c.motors, c.falling = (0.0,) * 4, True
+    c.run(0.1)
+    assert not fired(c)
+    c.run(0.02)
+    assert [e.rule for e in fired(c)] == ["disarmed"]
+    assert c.core.end is not None
+    assert c.core.end.reason is not None
+    assert "stopped the motors in the air" in c.core.end.reason
+
+
+@pytest.mark.parametrize("falling", [True, False])
+def test_motors_at_nothing_or_a_moment_without_weight_alone_are_no_kill_switch(falling: bool) -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.motors, c.falling = c.motors if falling else (0.0,) * 4, falling
+    c.run(0.3)
+    assert "disarmed" not in {e.rule for e in fired(c)}
+
+
 def test_one_report_of_landed_and_disarmed_does_not_end_a_landing_of_the_guard() -> None:
     """It may be that of a vehicle which stands on the same link, before its first sample."""
     c = HandFedCore()

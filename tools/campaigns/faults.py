@@ -11,7 +11,8 @@ A flight counts as controlled only when all of this holds:
 * what did not complete says why: a rule of the guard is in the log and in the verdict's reason (where the app
   itself was hung or killed nothing is left to say it: then PX4's failsafe must have landed the vehicle);
 * truth left the flight space by no more than `excursion_allowed_m`;
-* it touched the ground at no more than 1.5 m/s downwards and never tilted by 80 degrees;
+* it touched the ground at no more than 1.5 m/s downwards and never tilted by 80 degrees (not asked of a
+  vehicle whose kill switch was thrown);
 * its log opens.
 """
 
@@ -221,6 +222,7 @@ def excursion_allowed_m(fault: Fault | None) -> float:
 def judge(flight: FastFlight, watch: Watch, fault: Fault | None, outcome: str, rule: str) -> Iterator[str]:
     """What is uncontrolled about a flight; nothing where it is not."""
     a = flight.autopilot
+    falls = fault is not None and fault.name == "kill-switch"  # what the switch is for
     gone = flight.faulted is not None and flight.faulted.app_silent
     if flight.core.end is None and not gone:
         yield "it did not end"
@@ -229,16 +231,16 @@ def judge(flight: FastFlight, watch: Watch, fault: Fault | None, outcome: str, r
         held = a.mode in (FlightMode.MANUAL, FlightMode.HOLD) and speed < _STILL_M_S
         if not (outcome == "released" and held):
             yield f"still armed in {a.mode.value} at {speed:.2f} m/s"
-    elif watch.last is not None and watch.last.position_mission[2] > _DOWN_M:
+    elif not falls and watch.last is not None and watch.last.position_mission[2] > _DOWN_M:
         yield "disarmed in the air"
     if outcome != "completed" and not rule:
         yield "not completed, and no reason given"
     allowed = excursion_allowed_m(fault)
     if watch.excursion > allowed:
         yield f"{watch.excursion:.2f} m out of bounds, {allowed:.2f} allowed"
-    if watch.landing > _LANDING_M_S:
+    if watch.landing > _LANDING_M_S and not falls:
         yield f"met the ground at {watch.landing:.2f} m/s"
-    if math.degrees(watch.tilt) > _TILT_DEG:
+    if math.degrees(watch.tilt) > _TILT_DEG and not falls:
         yield f"tilted by {math.degrees(watch.tilt):.0f} degrees"
 
 
@@ -467,7 +469,7 @@ def main() -> int:
         run_only(arguments.report_dir, arguments.only)
     else:
         arguments.report_dir.mkdir(parents=True, exist_ok=True)  # before hours of flights, not after them
-    run(arguments.report_dir, arguments.runs)
+        run(arguments.report_dir, arguments.runs)
     return 0
 
 

@@ -27,6 +27,7 @@ from dart_flight.samples import (
 
 _SPEED_TOLERANCE: Final = 1.1
 _STALE_SAMPLES: Final = 5  # in a row; one late datagram is no clock that runs backwards
+_FALL_S: Final = 0.1
 _OTHERS_SINCE: Final = 12  # a tenth of a second of one other stream
 
 
@@ -90,6 +91,10 @@ def _by_px4(v: Watch) -> bool:
 
 
 def _disarmed(v: Watch) -> str | None:
+    # A kill switch stops the motors at once; PX4 disarms 5 s later, and the heartbeat may take 1 s more.
+    falling_s = v.lasting_s(v.falling_since_us)
+    if falling_s > _FALL_S and v.was_armed and not v.state.on_ground:
+        return f"PX4 has stopped the motors in the air, falling for {falling_s * 1e3:.0f} ms"
     if v.state.status.armed or not v.was_armed or v.state.on_ground or v.land_asked:
         return None
     # It may be the other vehicle's state.
@@ -261,7 +266,8 @@ RULES: tuple[Rule, ...] = (
          _RELEASE, _ALWAYS, _px4_failsafe, calm=True),
     Rule("pilot", "PX4 was taken out of offboard: the pilot flies", "",
          _RELEASE, _ALWAYS, _pilot, by_person=True, calm=True),
-    Rule("disarmed", "PX4 has disarmed in the air", "", _RELEASE, _AIR, _disarmed, calm=True),
+    Rule("disarmed", "disarmed in the air: PX4 says so, or the motors stand still and the vehicle falls", "",
+         _RELEASE, _AIR, _disarmed, calm=True),
     Rule("link_lost", "nothing at all comes from the vehicle: PX4's own failsafe must act",
          "guard.link_lost_s", _RELEASE, _AIR, _link_lost, calm=True, of_streams=True),
     Rule("imu_silent", "no IMU sample for too long: impacts cannot be felt",

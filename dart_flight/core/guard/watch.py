@@ -19,7 +19,7 @@ from dart_flight.core.mission.phases import ALTITUDE_EXEMPT
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import Vec3, norm
+from dart_flight.geometry import GRAVITY_M_S2, Vec3, norm
 from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
@@ -47,6 +47,7 @@ _GAP_US: Final = 500_000  # of silence, in which PX4 may have said anything
 _RATE_WINDOW_US: Final = 1_000_000
 _LEAP_US: Final = 1_000_000
 _CLIP_SHARE: Final = 0.99
+_FALLING_M_S2: Final = 0.5 * GRAVITY_M_S2
 _JUMP_REACH_US: Final = 100_000  # odometry further apart says nothing about a jump
 _RESET_REACH_US: Final = 100_000  # a step this near to a reset came with it
 _SURELY_DOWN: Final = 3.0  # times the way down from the top of the flight space
@@ -91,6 +92,7 @@ class Watch:
         self.stuck_since_us: int | None = None
         self.clipped_since_us: int | None = None
         self.battery_low_since_us: int | None = None
+        self.falling_since_us: int | None = None  # motors stopped, and next to nothing carries the vehicle
         self.flags_bad_since_us: int | None = None
         self._landing_since_us: tuple[int, int] | None = (
             None  # in land mode and armed: autopilot's, host's time
@@ -162,6 +164,7 @@ class Watch:
                 self.jump = f"implausible: {away_m:.3g} m from the origin at {fast_m_s:.3g} m/s"
         elif isinstance(item, ActuatorSample):
             self._see_stamp(self._actuator_stream, item, state.actuator)
+            self._see_motors(item)
         elif isinstance(item, EstimatorSample):
             self._see_estimator(item)
         elif isinstance(item, StatusSample):
@@ -205,6 +208,7 @@ class Watch:
             and self.stuck_since_us is None
             and self.clipped_since_us is None
             and self.battery_low_since_us is None
+            and self.falling_since_us is None
             and self.flags_bad_since_us is None
             and self._landing_since_us is None
             and self._reset_us is None
@@ -402,6 +406,11 @@ class Watch:
         (x, y, z), full = item.specific_force_frd, self._full_scale
         clipped = abs(x) >= full or abs(y) >= full or abs(z) >= full
         self.clipped_since_us = (self.clipped_since_us or item.t_us) if clipped else None
+
+    def _see_motors(self, item: ActuatorSample) -> None:
+        imu = self._imu
+        falls = imu is not None and not any(item.motors) and norm(imu.specific_force_frd) < _FALLING_M_S2
+        self.falling_since_us = (self.falling_since_us or item.t_us) if falls else None
 
     def _see_odometry(self, item: OdometrySample) -> None:
         if item is not self.state.odometry:

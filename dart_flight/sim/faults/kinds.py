@@ -82,6 +82,7 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind("clock-back", _P.AUTOPILOT, "the autopilot's clock goes back", "s", 5.0, 0.0, 1000.0),
     FaultKind("low-battery", _P.AUTOPILOT, "charge left", "%", 10.0, 0.0, 100.0),
     FaultKind("pilot", _P.AUTOPILOT, "the pilot takes over (position mode)"),
+    FaultKind("kill-switch", _P.AUTOPILOT, "the pilot's kill switch: motors off, disarmed 5 s later"),
     FaultKind(
         "second-gcs",
         _P.AUTOPILOT,
@@ -256,6 +257,9 @@ class VehicleFault:
 
     def _begin_pilot(self) -> None:
         self._autopilot.set_mode(FlightMode.MANUAL)
+
+    def _begin_kill_switch(self) -> None:
+        self._autopilot.kill()
 
     def _begin_second_gcs(self) -> None:
         pass  # it acts tick by tick
