@@ -87,7 +87,7 @@ def test_a_goal_far_from_the_recovery_is_flown_to_at_transit_speed(goal: str) ->
 def test_a_clock_that_jumps_back_before_everything_is_ready_ends_the_wait() -> None:
     """The autopilot's time stands still for the core then; the host's goes on."""
     mission = load_mission(packaged("missions", "paper_single_wall.yaml"))
-    flight = FastFlight(mission, 16, fault=Fault("clock-back", 972.6, None, 0.0))
+    flight = FastFlight(mission, 16, fault=Fault("clock-back", 972.6, None, 0.02))
     flight.run()
     assert flight.core.end is not None
     assert (flight.core.end.reason or "").startswith("not_ready")

@@ -255,7 +255,7 @@ def test_check_says_where_another_wall_may_be_in_the_way() -> None:
     )
     near = single(wide, (POINT, f"{POINT}, position_sd_m: 0.1"), ("collisions:", behind))
     assert "beyond wall screen" in no_goes(check_mission(near))["survey_1"]
-    side = "  side: {point_m: [1.0, 0.05], normal: [0.0, 1.0], length_m: 0.6, material: wood"
+    side = "  side: {point_m: [1.2, 0.05], normal: [0.0, 1.0], length_m: 0.4, material: wood"
     side += ", position_sd_m: 0.12}\ncollisions:"
     beside = no_goes(check_mission(single(wide, ("collisions:", side))))
     assert "wall side may stand in the way of the run-up to wall acrylic" in beside["survey_1"]
