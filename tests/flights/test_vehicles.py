@@ -22,7 +22,7 @@ def test_a_rigid_cage_pauses_goes_on_at_the_signal_and_hits_a_wall(tmp_path: Pat
     config = tmp_path / "cage.yaml"
     config.write_text(patient(packaged("configs", "rigid_cage.yaml").read_text("utf-8")))
     mission = tmp_path / "mission.yaml"
-    text = packaged("missions", "rigid_cage", "paper_single_wall.yaml").read_text("utf-8")
+    text = packaged("missions", "rigid_cage", "single_wall.yaml").read_text("utf-8")
     mission.write_text(f"{text}waypoints: [{{pause: operator, timeout_s: 30.0}}]\n")
     command = ["dry-run", str(mission), "--config", str(config), "--log-dir", str(tmp_path), "--json"]
     command += ["--speed", "2"]
