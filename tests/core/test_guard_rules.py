@@ -787,7 +787,7 @@ def test_motors_at_nothing_or_a_moment_without_weight_alone_are_no_kill_switch(f
 
 
 def test_from_a_wall_that_is_not_in_the_mission_it_goes_away_the_way_it_was_pushed() -> None:
-    """On plain GPS a wall stands a metre from its place: what was felt says where, and so does a second hit."""
+    """On plain GPS a wall stands a metre from its place: what was felt says where."""
 
     def goes_to() -> tuple[float, float]:
         north, east, _ = next(o for o in reversed(c.outputs) if isinstance(o, SetPoint)).position_ned

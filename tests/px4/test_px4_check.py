@@ -86,7 +86,7 @@ def test_a_receiver_is_known_by_its_fix(
 def test_a_vehicle_without_a_lock_is_go_without_an_overrule(
     px4_dir: Path, tmp_path: Path, vehicle: str
 ) -> None:
-    mission = load_flyable(MISSION.parent / vehicle / "paper_single_wall.yaml")
+    mission = load_flyable(MISSION.parent / vehicle / "single_wall.yaml")
     with waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, {}) as url:
         found = by_item(check_vehicle(mission, url))
     assert [f"{item}: {f.says}" for item, f in found.items() if not f.go] == []
