@@ -141,7 +141,7 @@ def test_a_vehicle_set_up_by_our_files_is_go_without_a_remark() -> None:
 
 
 NEWER = GOOD | shipped(V1_18)
-for went in ("COM_RC_OVERRIDE", "COM_IMB_PROP_ACT"):
+for went in ("COM_RC_OVERRIDE", "COM_IMB_PROP_ACT", "COM_LKDOWN_TKO"):
     NEWER.pop(went)
 
 
@@ -149,7 +149,7 @@ for went in ("COM_RC_OVERRIDE", "COM_IMB_PROP_ACT"):
 def test_a_vehicle_of_a_version_that_has_renamed_and_dropped_parameters_is_go(
     version: tuple[int, int] | None,
 ) -> None:
-    """v1.18 has MAN_OVERRIDE_SPD instead of COM_RC_OVERRIDE, and no COM_IMB_PROP_ACT."""
+    """v1.18 has MAN_OVERRIDE_SPD instead of COM_RC_OVERRIDE, no COM_IMB_PROP_ACT, no COM_LKDOWN_TKO."""
     findings = judge_parameters(mission(), NEWER, PositionSource.MOCAP, version)
     assert not no_goes(findings)
     assert not remarks(findings)
@@ -159,7 +159,7 @@ def test_a_vehicle_of_a_version_that_has_renamed_and_dropped_parameters_is_go(
     assert no_goes(unable) == ["MAN_OVERRIDE_SPD"]
 
 
-@pytest.mark.parametrize("name", ["COM_RC_OVERRIDE", "COM_IMB_PROP_ACT"])
+@pytest.mark.parametrize("name", ["COM_RC_OVERRIDE", "COM_IMB_PROP_ACT", "COM_LKDOWN_TKO"])
 def test_a_parameter_that_the_version_has_and_that_was_not_read_is_a_no_go(name: str) -> None:
     missing = {n: value for n, value in GOOD.items() if n != name}
     assert no_goes(judge_parameters(mission(), missing, PositionSource.MOCAP, V1_16)) == [name]

@@ -145,6 +145,7 @@ PARAMETERS: dict[str, Callable[[float, Mission], tuple[bool, str]]] = {
     "IMU_GYRO_RATEMAX": _gyro_rate,
     "COM_DISARM_LAND": _disarm_land,
 }
+_LOCKDOWN, _LOCKDOWN_UNTIL = "COM_LKDOWN_TKO", (1, 17)  # nothing takes its place
 # The prediction of where a recovery leads rests on these.
 _GAINS = ("MPC_XY_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_D_ACC", "MPC_VELD_LP", "MPC_TILTMAX_AIR", "MPC_Z_P")
 # Forward, right, down of the centre of mass, as imu.position_m.
@@ -159,6 +160,8 @@ def names_to_read(version: Version | None = None) -> list[str]:
         parameters = vehicle_parameters(source)
         names += parameters
         absent |= {p.name for p in parameters.values() if p.is_absent_in(version)}
+    if version is not None and version > _LOCKDOWN_UNTIL:
+        absent.add(_LOCKDOWN)
     return [name for name in dict.fromkeys(names) if name not in absent]
 
 
@@ -192,6 +195,9 @@ def judge_parameters(
     for name, judge in PARAMETERS.items():
         difference = different.pop(name, None)
         if name not in values:
+            newer = "MAN_OVERRIDE_SPD" in values if version is None else version > _LOCKDOWN_UNTIL
+            if name == _LOCKDOWN and newer:
+                continue
             if name in wanted and _is_elsewhere(wanted[name], wanted, values, version):
                 continue
             findings.append(Finding(name, False, "cannot be read: what PX4 will do is not known"))

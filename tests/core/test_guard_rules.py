@@ -786,6 +786,24 @@ def test_motors_at_nothing_or_a_moment_without_weight_alone_are_no_kill_switch(f
     assert "disarmed" not in {e.rule for e in fired(c)}
 
 
+def test_from_a_wall_that_is_not_in_the_mission_it_goes_away_the_way_it_was_pushed() -> None:
+    """On plain GPS a wall stands a metre from its place: what was felt says where."""
+
+    def goes_to() -> tuple[float, float]:
+        north, east, _ = next(o for o in reversed(c.outputs) if isinstance(o, SetPoint)).position_ned
+        return north, east
+
+    c = HandFedCore()
+    c.to_flight()
+    c.core._executive.phase = Phase.TRANSIT
+    c.pulse((20.0, 0.0))
+    assert [e.rule for e in fired(c)] == ["unplanned_hit"]
+    assert goes_to() == pytest.approx((0.5, 0.0), abs=0.01)
+    c.run(0.3)
+    c.pulse((0.0, -40.0))
+    assert goes_to() == pytest.approx((0.0, -0.5), abs=0.01)
+
+
 def test_one_report_of_landed_and_disarmed_does_not_end_a_landing_of_the_guard() -> None:
     """It may be that of a vehicle which stands on the same link, before its first sample."""
     c = HandFedCore()

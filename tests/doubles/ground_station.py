@@ -5,8 +5,10 @@ python -m tests.doubles.ground_station INSTANCE
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
+from threading import Event
 
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
@@ -34,6 +36,32 @@ def arm(instance: int) -> bool:
             return True
         time.sleep(0.05)
     return False
+
+
+def switch_to_position(instance: int, begin: Event, sticks: bool) -> int | None:
+    """Ask for position mode once `begin` is set, until PX4 answers; returns its answer, None: there was none.
+
+    Args:
+        instance: of PX4.
+        begin: when to ask; sticks are sent before, too.
+        sticks: send centred sticks, without which PX4 has nobody to hand over to.
+    """
+    link = mavutil.mavlink_connection(
+        f"udpout:127.0.0.1:{PORT + instance}", source_system=255, dialect="common"
+    )
+    system, end = instance + 1, time.monotonic() + 3.0 * _WAIT_S
+    while time.monotonic() < end:
+        with contextlib.suppress(ConnectionError):
+            link.mav.heartbeat_send(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0)
+            if sticks:
+                link.mav.manual_control_send(system, 0, 0, 500, 0, 0)
+            if begin.is_set():
+                mode = (1.0, 3.0, *([0.0] * 5))  # PX4's own: position
+                link.mav.command_long_send(system, 1, mavlink.MAV_CMD_DO_SET_MODE, 0, *mode)
+            answer = link.recv_match(type="COMMAND_ACK", blocking=True, timeout=0.05)
+            if answer is not None and answer.command == mavlink.MAV_CMD_DO_SET_MODE:
+                return int(answer.result)
+    return None
 
 
 if __name__ == "__main__":

@@ -178,7 +178,8 @@ def test_version_out_of_what_px4_says(answer: str, version: tuple[int, int, int]
 def test_an_old_version_is_refused_and_another_one_noted() -> None:
     assert judge_version((1, 16, 2)) is None
     assert judge_version((1, 14, 4)) is None
-    assert "v1.18.1" in (judge_version((1, 18, 1)) or "")
+    assert judge_version((1, 18, 0)) is None
+    assert "v1.19.1" in (judge_version((1, 19, 1)) or "")
     assert "does not tell" in (judge_version(None) or "")
     with pytest.raises(Px4Error, match=r"v1\.13\.3 is too old"):
         judge_version((1, 13, 3))

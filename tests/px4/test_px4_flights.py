@@ -12,19 +12,31 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any
 
 import pytest
+from pymavlink.dialects.v20.common import MAV_RESULT_ACCEPTED, MAV_RESULT_TEMPORARILY_REJECTED
 
 from dart_flight.config.parameters import PositionSource
 from dart_flight.config.rotors import rotor_differences
 from dart_flight.config.vehicle import packaged
 from dart_flight.identification.airframe import read_airframe
 from dart_flight.recording.reader import read_log
-from dart_flight.samples import ForceEstimate, GuardEvent, ImpactPeak, MissionEnd, PlanTaken
+from dart_flight.samples import (
+    ForceEstimate,
+    GuardEvent,
+    ImpactPeak,
+    MissionEnd,
+    Phase,
+    PhaseChange,
+    PlanTaken,
+    Record,
+)
 from dart_flight.verdict import Verdict
 from dart_flight.worlds.prepare import load_flyable
 from dart_flight.worlds.px4 import fly_px4
+from tests.doubles.ground_station import switch_to_position
 
 pytestmark = pytest.mark.px4
 
@@ -131,6 +143,35 @@ def test_a_hit_beyond_full_scale_is_marked_as_clipped(px4_dir: Path, tmp_path: P
     records = [entry.record for entry in read_log(verdict.log).entries]
     assert any(isinstance(r, ForceEstimate) and r.clipped for r in records)
     assert [r.clipped for r in records if isinstance(r, ImpactPeak)] == [True]
+
+
+@pytest.mark.parametrize("sticks", [True, False])
+def test_a_switch_to_position_mode_in_the_approach(px4_dir: Path, tmp_path: Path, sticks: bool) -> None:
+    """With sticks the pilot has it; without PX4 refuses, stays in offboard, and the flight goes on."""
+    taken = tmp_path / "sticks.params"
+    taken.write_text("# sticks over MAVLink\n1\t1\tCOM_RC_IN_MODE\t1\t6\n")
+    begin, answers = Event(), list[int | None]()
+
+    def ask(record: Record) -> None:
+        if isinstance(record, PhaseChange) and record.after is Phase.OFFBOARD:
+            found = re.search(r"PX4 instance (\d+)", next(tmp_path.glob("*/autopilot.log")).read_text())
+            assert found is not None
+            instance = int(found[1])
+            station.append(Thread(target=lambda: answers.append(switch_to_position(instance, begin, sticks))))
+            station[0].start()
+        elif isinstance(record, PhaseChange) and record.after is Phase.APPROACH:
+            begin.set()
+
+    station: list[Thread] = []
+    mission, files = load_flyable(MISSIONS / "single_wall.yaml"), (taken,) if sticks else ()
+    verdict = fly_px4(mission, px4_dir, 1, tmp_path, ask, parameter_files=files)
+    station[0].join()
+    if sticks:
+        assert answers == [MAV_RESULT_ACCEPTED]
+        assert (verdict.outcome, verdict.reason) == ("released", "pilot: PX4 is in manual")
+    else:
+        assert answers == [MAV_RESULT_TEMPORARILY_REJECTED]
+        accept(verdict)
 
 
 # --- what dies -----------------------------------------------------------------------------------

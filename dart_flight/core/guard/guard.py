@@ -8,6 +8,7 @@ of the mission.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from typing import Final, NamedTuple
 
@@ -17,13 +18,14 @@ from dart_flight.core.guard.watch import Watch
 from dart_flight.core.mission.phases import DOWN_US
 from dart_flight.core.mission.position_loop import STOP_TIME_S
 from dart_flight.core.mission.proposal import Proposal
-from dart_flight.core.mission.survey import slack_m
+from dart_flight.core.mission.survey import early_m, slack_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import Vec3, norm
+from dart_flight.geometry import Vec2, Vec3, norm
 from dart_flight.samples import (
     FlightMode,
     GuardEvent,
+    ImpactOnset,
     Input,
     LockCommand,
     MissionEnd,
@@ -102,6 +104,7 @@ class Guard:
         self._asked_us: int | None = None
         self._down_us: int | None = None  # since when landed and disarmed
         self._hold: Vec3 | None = None
+        self._held_impact: ImpactOnset | None = None  # that it keeps away from
         self._yaw_ned = 0.0
         self._altitude_m = mission.altitude_m
 
@@ -248,8 +251,9 @@ class Guard:
             self._land(state, out)
             return
         if isinstance(item, OdometrySample) and state.frame is not None:
-            if self._hold is None:
-                self._hold = self._clear_of_walls(state)
+            impact = self._watch.impact
+            if self._hold is None or impact is not self._held_impact:  # hit again, it goes away from that
+                self._hold, self._held_impact = self._clear_of_walls(state), impact
             out.append(
                 SetPoint(
                     t_us=item.t_us,
@@ -277,9 +281,13 @@ class Guard:
         return state.now_us - self._down_us >= DOWN_US
 
     def _clear_of_walls(self, state: FlightState) -> Vec3:
-        """The present place, moved away from walls to the retreat distance, at the mission's altitude."""
+        """The present place, moved away from walls to the retreat distance, at the mission's altitude.
+
+        From the mission's walls, and from one that was felt where the mission has none.
+        """
         x, y, z = state.position
         if self.action is Override.BREAK_OFF:
+            x, y = self._clear_of_felt(x, y)
             for wall in self._mission.walls:
                 distance = wall.signed_distance((x, y))
                 away_m = self._config.retreat_m + slack_m(wall, (x, y))
@@ -290,6 +298,22 @@ class Guard:
                 if wall.spans((x, y)) and -away_m < distance and push > 0.0 and distance < 1.0:
                     x, y = x + push * nx, y + push * ny
         return (x, y, max(z, min(self._altitude_m, self._mission.bounds.z[1])))
+
+    def _clear_of_felt(self, x: float, y: float) -> Vec2:
+        impact = self._watch.impact
+        if impact is None or not self._watch.shaken:
+            return x, y
+        (px, py, _), (fx, fy, _) = impact.position_mission, impact.force_mission
+        size, place = math.hypot(fx, fy), (px, py)
+        known = any(
+            wall.spans(place) and wall.signed_distance(place) <= early_m(self._config, wall, place)
+            for wall in self._mission.walls
+        )
+        if known or size == 0.0:
+            return x, y
+        ux, uy = fx / size, fy / size
+        push = max(0.0, self._config.retreat_m - ((x - px) * ux + (y - py) * uy))
+        return x + push * ux, y + push * uy
 
     def _land(self, state: FlightState, out: list[Output]) -> None:
         self._watch.land_asked = True

@@ -85,7 +85,7 @@ class Watch:
         self.land_asked = False
         self.was_offboard = False
         self.was_armed = False
-        self.impact_us: int | None = None
+        self.impact: ImpactOnset | None = None  # the newest
         self.rates_hz: dict[str, float] = {}
         self.stale: dict[str, int] = {}  # samples in a row whose stamp lies far in the past, where there are
         self.since_imu = 0  # samples of other streams since the newest of the IMU
@@ -143,7 +143,7 @@ class Watch:
         for event in sensed.impacts:
             if isinstance(event, ImpactOnset):
                 # For a while the contact explains what estimator and altitude do.
-                self.impact_us = event.t_us
+                self.impact = event
         self.jump = ""
         host_us = state.host_us
         if host_us - self._seen_us > _PAUSE_US and self._seen_us:
@@ -349,7 +349,7 @@ class Watch:
         return None
 
     def _since_impact_us(self) -> float:
-        return math.inf if self.impact_us is None else self.state.now_us - self.impact_us
+        return math.inf if self.impact is None else self.state.now_us - self.impact.t_us
 
     def _see_stamp(self, stream: _Stream, item: Stamped, newest: Stamped | None) -> None:
         t_us, received_us = item.t_us, item.received_us

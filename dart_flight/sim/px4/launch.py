@@ -45,7 +45,7 @@ from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of, holder_
 MODEL = "none_iris"  # PX4's airframe for an external simulator: a quadrotor in X
 ENVIRONMENT = "DART_PX4_DIR"
 # Flown, with results in docs/px4.md; before 1.14 the names of the parameters were others.
-TESTED: tuple[tuple[int, int], ...] = ((1, 14), (1, 15), (1, 16), (1, 17))
+TESTED: tuple[tuple[int, int], ...] = ((1, 14), (1, 15), (1, 16), (1, 17), (1, 18))
 OLDEST = (1, 14)
 SIMULATOR_PORT, ONBOARD_PORT = 4560, 14540
 _LOCK_FILES = "/tmp/px4_lock"  # and "-", and the number; locked as long as that instance runs
