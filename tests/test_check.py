@@ -159,7 +159,7 @@ def test_a_vehicle_of_a_version_that_has_renamed_and_dropped_parameters_is_go(
     assert no_goes(unable) == ["MAN_OVERRIDE_SPD"]
 
 
-@pytest.mark.parametrize("name", ["COM_RC_OVERRIDE", "COM_IMB_PROP_ACT", "COM_LKDOWN_TKO"])
+@pytest.mark.parametrize("name", ["COM_RC_OVERRIDE", "COM_IMB_PROP_ACT"])
 def test_a_parameter_that_the_version_has_and_that_was_not_read_is_a_no_go(name: str) -> None:
     missing = {n: value for n, value in GOOD.items() if n != name}
     assert no_goes(judge_parameters(mission(), missing, PositionSource.MOCAP, V1_16)) == [name]
