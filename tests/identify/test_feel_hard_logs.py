@@ -82,6 +82,32 @@ def test_where_the_thrust_fit_is_refused_fast_flight_is_untold(
     assert flight["untold"] == len(flight["impacts"]) > 0
 
 
+@pytest.mark.parametrize(("motor_hz", "kind"), [(6.0, "untold"), (10.0, "untold"), (25.0, "impact")])
+def test_between_slow_motor_outputs_fast_flight_is_untold(
+    motor_hz: float, kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = topics(motor_hz=motor_hz, north_m_s=6.0)
+    flight = felt(write_ulog(tmp_path / "fast.ulg", made), capsys)
+    assert flight["thrust"] is not None
+    assert [i["kind"] for i in flight["impacts"]] == [kind]
+    said = [what for what in flight["unknown"] if "between motor outputs" in what]
+    assert len(said) == (kind == "untold")
+    slow = felt(write_ulog(tmp_path / "slow.ulg", topics(motor_hz=motor_hz)), capsys)
+    assert [i["kind"] for i in slow["impacts"]] == ["impact"]
+
+
+def test_where_motor_outputs_were_lost_fast_flight_is_untold(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = dict(topics(north_m_s=6.0))
+    fields, rows = made["actuator_motors", 0]
+    for lost_s, kind in ((HIT_S, "untold"), (HIT_S - 5.0, "impact")):
+        kept = [(t, v) for t, v in rows if not 0.0 <= (t - BEGIN_US) * 1e-6 - lost_s <= 0.2]
+        made["actuator_motors", 0] = fields, kept
+        flight = felt(write_ulog(tmp_path / "a.ulg", made), capsys)
+        assert [i["kind"] for i in flight["impacts"]] == [kind]
+
+
 def test_a_log_that_begins_in_the_air_is_felt_whole(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -18,7 +18,7 @@ from dart_flight.core.sense.state import FlightState
 from dart_flight.geometry import GRAVITY_M_S2, MissionFrame, Vec2, Vec3, rotate
 from dart_flight.identification.feel.content import landings_of
 from dart_flight.identification.feel.samples import Sample
-from dart_flight.identification.feel.thrust import SpecificThrust
+from dart_flight.identification.feel.thrust import SpecificThrust, is_thrust_known
 from dart_flight.identification.thrust_curve import Track
 from dart_flight.recording.ulog import ULogFile
 from dart_flight.samples import (
@@ -60,8 +60,8 @@ class Felt(msgspec.Struct):
         clipped: the accelerometer was at full scale: a lower bound.
         kind: `impact`; `touch-down` where PX4 says landed shortly after; `crash` where the vehicle fell, and
             what follows within seconds; `untold` where a manoeuvre would look the same, because the thrust
-            is not known and the vehicle does not hover, or because it is after a crash, and where it is less
-            than four standard deviations.
+            is not known there (`is_thrust_known`) and the vehicle does not hover, or because it is after a
+            crash, and where it is less than four standard deviations.
         speed_m_s: horizontal, before it.
         height_m: above where the log begins, by PX4's estimate; None where it has none.
     """
@@ -319,15 +319,19 @@ class Pass:
                 np.stack([np.asarray(position[n], dtype=float) for n in ("x", "y", "z")], axis=1),
                 np.asarray(position["timestamp"], dtype=float) * 1e-6 - begin,
             )
-        thrust_sd = _ASSUMED_THRUST_SD if curve is None else curve.held_out_percent / 100.0
         landings = landings_of(log)
-        found = [self._impact(c, begin, where, thrust_sd, landings) for c in self.crossings if c.is_impact]
+        found = [
+            self._impact(c, begin, where, _thrust_sd(track, curve, c.onset.first_us * 1e-6), landings)
+            for c in self.crossings
+            if c.is_impact
+        ]
         crashes = [
             self._crash(t, begin, where, track, table, float(noise[0])) for t in falls(track, self._flying)
         ]
         impacts = _with_crashes(found, crashes)
         for one in impacts:
-            if one.kind == "impact" and not _is_told(one, curve is not None, where[1]):
+            known = is_thrust_known(track, curve, begin + one.t_s)
+            if one.kind == "impact" and not _is_told(one, known, where[1]):
                 one.kind = "untold"
         for one in impacts:
             if mass_kg is not None:
@@ -411,6 +415,13 @@ class Pass:
         )
 
 
+def _thrust_sd(track: Track, curve: SpecificThrust | None, t_s: float) -> float:
+    """Standard deviation of the thrust at a moment, share of gravity."""
+    if curve is None or not is_thrust_known(track, curve, t_s):
+        return _ASSUMED_THRUST_SD
+    return curve.held_out_percent / 100.0
+
+
 def falls(track: Track, flying: list[tuple[float, float]]) -> list[float]:
     """Moments at which a fall ends in a jolt, in means that leave vibration out; of several the first."""
     found: list[float] = []
@@ -466,7 +477,7 @@ def _height(where: tuple[Array, Array], t_s: float) -> float | None:
 def _is_told(felt: Felt, thrust_known: bool, known_s: Array) -> bool:
     """Whether it is a contact for certain: beyond its own error, and no manoeuvre that would look like it.
 
-    Without a thrust curve that of hovering is assumed, which the log has to say that the vehicle did.
+    Where the thrust is not known that of hovering is assumed, which the log has to say that the vehicle did.
     """
     hovers = bool(known_s.size) and felt.speed_m_s < _HOVERS_M_S
     beyond_motors = felt.acceleration_m_s2 > _CRASH_M_S2

@@ -16,7 +16,12 @@ from dart_flight.identification.feel.content import (
 )
 from dart_flight.identification.feel.impacts import FeltFlight, Listener, Pass
 from dart_flight.identification.feel.samples import samples_of, vehicle_for
-from dart_flight.identification.feel.thrust import fit_drag, fit_specific_thrust
+from dart_flight.identification.feel.thrust import (
+    THRUST_KNOWN_HZ,
+    are_motors_slow,
+    fit_drag,
+    fit_specific_thrust,
+)
 from dart_flight.identification.thrust_curve import track_of
 from dart_flight.recording.ulog import ULogFile, open_ulog
 
@@ -58,6 +63,11 @@ def feel_log(
     unknown += [f"thrust: {fitted}; hover is assumed"] if isinstance(fitted, str) else []
     unknown += track.notes[1:]
     curve = None if isinstance(fitted, str) else fitted
+    if curve is not None and are_motors_slow(track):
+        unknown.append(
+            f"thrust between motor outputs: known from {THRUST_KNOWN_HZ:.0f} Hz on; here only a vehicle that "
+            "hovers is believed"
+        )
     flying = flights_of(log, track)
     drag = fit_drag(log, flying)
     if not drag:

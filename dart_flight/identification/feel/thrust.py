@@ -20,6 +20,12 @@ _FOLDS = 4  # held-out parts
 _BLOCK = 5  # windows that are held out together, 2.5 s
 _MOST_HELD_OUT = 0.1  # error of the thrust on held-out stretches: what is worse is no fit
 _MOST_DRAG_PER_S = 1.0
+# At speed a vehicle changes its thrust and back within the time of a contact: contacts last 50 to 180 ms,
+# and motors that lag by 30 to 50 ms follow within 100 ms. Two motor outputs in such a change are the least
+# that shows it; with fewer it may lie between two of them, and a line through them be off by all of it.
+_THRUST_CHANGES_S = 0.1
+THRUST_KNOWN_HZ = 2.0 / _THRUST_CHANGES_S
+_JITTER = 1.5  # periods: longer than that a motor output is missing
 _FAST_M_S = 99.0
 
 
@@ -127,6 +133,30 @@ def _held_out(points: Points, fit: Callable[[Points], Curve]) -> float:
         if len(train.force):
             squares.append((fit(train).of(test) - test.force) ** 2)
     return float(np.sqrt(np.concatenate(squares).mean()) / points.force.mean())
+
+
+def is_thrust_known(track: Track, curve: SpecificThrust | None, t_s: float) -> bool:
+    """Whether the thrust is known around a moment, on the log's clock.
+
+    There has to be a curve, and motor outputs so close to one another that no change of it fits between two.
+    """
+    if curve is None:
+        return False
+    before = int(np.searchsorted(track.motor_s, t_s - _THRUST_CHANGES_S, side="right")) - 1
+    after = int(np.searchsorted(track.motor_s, t_s + _THRUST_CHANGES_S))
+    if before < 0 or after >= len(track.motor_s):
+        return False
+    return not _is_too_far(float(np.diff(track.motor_s[before : after + 1]).max()))
+
+
+def are_motors_slow(track: Track) -> bool:
+    """Whether the thrust is not known between a log's motor outputs, as a rule."""
+    return len(track.motor_s) < 2 or _is_too_far(float(np.median(np.diff(track.motor_s))))
+
+
+def _is_too_far(apart_s: float) -> bool:
+    """Whether the thrust is not known between two motor outputs."""
+    return apart_s * THRUST_KNOWN_HZ >= _JITTER
 
 
 def fit_drag(log: ULogFile, flying: list[tuple[float, float]]) -> float:
