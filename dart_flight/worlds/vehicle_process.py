@@ -25,6 +25,7 @@ from dart_flight.sim.pipe import Died, FaultLine, Horn, Ready, Truth, WorldOutpu
 from dart_flight.worlds.app import FlightApp
 from dart_flight.worlds.flight_record import FlightRecord
 
+_LAST_WORDS_S = 0.5
 _PORTS = range(20_000, 30_000)  # neither handed out by Linux nor PX4's
 
 
@@ -60,7 +61,8 @@ class WorldProcess:
                 start_new_session=True,
             )
         self._send_line(msgspec.json.encode(spec))
-        threading.Thread(target=self._read, name="truth", daemon=True).start()
+        self._reader = threading.Thread(target=self._read, name="truth", daemon=True)
+        self._reader.start()
 
     @property
     def pid(self) -> int:
@@ -75,6 +77,7 @@ class WorldProcess:
     @property
     def cause(self) -> str:
         """What died, in words, once `died`."""
+        self._reader.join(_LAST_WORDS_S)  # it may have said why, and not have been read yet
         if self._cause is not None:
             return self._cause
         code = self._process.poll()

@@ -19,7 +19,7 @@ from dart_flight.core.mission.phases import ALTITUDE_EXEMPT
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import GRAVITY_M_S2, Vec3, norm
+from dart_flight.geometry import Vec3, norm
 from dart_flight.samples import (
     ActuatorSample,
     AttitudeSample,
@@ -47,7 +47,7 @@ _GAP_US: Final = 500_000  # of silence, in which PX4 may have said anything
 _RATE_WINDOW_US: Final = 1_000_000
 _LEAP_US: Final = 1_000_000
 _CLIP_SHARE: Final = 0.99
-_FALLING_M_S2: Final = 0.5 * GRAVITY_M_S2
+_FALLING_M_S2: Final = 4.9  # half of what carries the vehicle
 _JUMP_REACH_US: Final = 100_000  # odometry further apart says nothing about a jump
 _RESET_REACH_US: Final = 100_000  # a step this near to a reset came with it
 _SURELY_DOWN: Final = 3.0  # times the way down from the top of the flight space
