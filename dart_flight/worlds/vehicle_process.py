@@ -25,7 +25,7 @@ from dart_flight.sim.pipe import Died, FaultLine, Horn, Ready, Truth, WorldOutpu
 from dart_flight.worlds.app import FlightApp
 from dart_flight.worlds.flight_record import FlightRecord
 
-_LAST_WORDS_S = 0.5
+_LAST_WORDS_S = 0.2  # less than the deadman waits for an event loop
 _PORTS = range(20_000, 30_000)  # neither handed out by Linux nor PX4's
 
 
@@ -77,7 +77,8 @@ class WorldProcess:
     @property
     def cause(self) -> str:
         """What died, in words, once `died`."""
-        self._reader.join(_LAST_WORDS_S)  # it may have said why, and not have been read yet
+        if self._cause is None:
+            self._reader.join(_LAST_WORDS_S)  # it may have said why, and not have been read yet
         if self._cause is not None:
             return self._cause
         code = self._process.poll()
