@@ -224,15 +224,14 @@ def _check_goal(mission: Mission, planned: PlannedFlight) -> list[Finding]:
     """Whether the last recovery is predicted to reach the goal; one that only passes it is a remark."""
     if not mission.recovers_to_goal or mission.standoff_m is not None:
         return []
-    if mission.after_impact is AfterImpact.REPLAN:
-        return [Finding("goal", True, "planned again after every hit, to pass through the goal")]
     if planned.goal_miss_m is None:
         says = "the model does not follow the flight to the goal"
         return [Finding("goal", True, says, remark=True)]
     miss_m, radius_m = planned.goal_miss_m, mission.goal.capture_radius_m
     figures = {"goal_miss_m": miss_m, "capture_radius_m": radius_m}
-    says = describe_passing(miss_m, mission.goal)
-    return [Finding("goal", True, says, remark=miss_m > radius_m, figures=figures)]
+    says = describe_passing(miss_m, mission.goal, mission.after_impact)
+    misses = miss_m > radius_m and mission.after_impact is not AfterImpact.REPLAN
+    return [Finding("goal", True, says, remark=misses, figures=figures)]
 
 
 def _states(mission: Mission, planned: PlannedFlight) -> Iterator[tuple[float, float, float, float]]:

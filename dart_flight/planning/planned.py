@@ -28,6 +28,7 @@ from dart_flight.planning.rollout import (
     stages_for,
 )
 from dart_flight.planning.task import MissionTask, task_of
+from dart_flight.samples import AfterImpact
 
 _POINTS = 60  # of a leg
 
@@ -70,9 +71,12 @@ class PlannedFlight(msgspec.Struct):
     walls: tuple[Wall, ...] = ()
 
 
-def describe_passing(miss_m: float, goal: GoalSpec) -> str:
+def describe_passing(miss_m: float, goal: GoalSpec, after_impact: AfterImpact = AfterImpact.SETPOINT) -> str:
     """In words how near the goal is passed, and from where on that counts as reached."""
-    return f"passes the goal at {miss_m:.2f} m, captured within {goal.capture_radius_m:g} m"
+    says = f"passes the goal at {miss_m:.2f} m, captured within {goal.capture_radius_m:g} m"
+    if after_impact is AfterImpact.REPLAN:
+        return f"planned again after every hit, to pass through the goal; by its set-points alone it {says}"
+    return says
 
 
 def planned_flight(mission: Mission) -> PlannedFlight:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.check.findings import Finding
+from dart_flight.check.mission import check_mission
 from dart_flight.config.starter import first_mission
 from dart_flight.sim.draws import parse_vary
 from dart_flight.verdict import Verdict
@@ -43,3 +45,19 @@ def test_the_papers_numbers_follow_their_plan_and_miss_the_goal(name: str, miss_
     assert (verdict.goal_reached, verdict.plan_followed) == (False, True)
     assert verdict.goal_miss_planned_m == pytest.approx(miss_m, abs=0.01)
     assert verdict.goal_miss_m == pytest.approx(miss_m, abs=0.05)
+
+
+def goal_finding(name: str) -> Finding:
+    return next(f for f in check_mission(load_flyable(ROOT / "missions" / name)) if f.item == "goal")
+
+
+def test_check_says_before_the_flight_how_near_the_goal_is_passed() -> None:
+    paper = goal_finding("paper_dual_collision.yaml")
+    assert (paper.go, paper.remark) == (True, True)
+    assert paper.says == "passes the goal at 0.28 m, captured within 0.15 m"
+    assert paper.figures == pytest.approx({"goal_miss_m": 0.281, "capture_radius_m": 0.15}, abs=1e-3)
+    replanned = goal_finding("single_wall.yaml")
+    assert not replanned.remark
+    assert replanned.says.startswith(
+        "planned again after every hit, to pass through the goal; by its set-points"
+    )

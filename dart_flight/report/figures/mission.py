@@ -86,7 +86,7 @@ def in_words(mission: Mission, planned: PlannedFlight | None, drawn: Sequence[Pl
     if missing:
         lines.append(f"The model does not reach wall {missing[0].wall.name} of collision {missing[0].index}.")
     if planned.goal_miss_m is not None:
-        words = describe_passing(planned.goal_miss_m, mission.goal)
+        words = describe_passing(planned.goal_miss_m, mission.goal, mission.after_impact)
         lines.append(f"{words[0].upper()}{words[1:]}.")
     misses = [flight.goal_miss_m for flight in drawn if flight.goal_miss_m is not None]
     if misses:
