@@ -11,7 +11,7 @@ from dart_flight.report.markup import Markup, Row, details, page, section, shown
 
 _SHOWN = 12  # figures, failed flights; the others are folded away
 _WIDTH, _HEIGHT = 360, 190
-_LEFT, _RIGHT, _TOP, _BOTTOM = 38, 8, 10, 34
+_LEFT, _RIGHT, _TOP, _BOTTOM = 56, 8, 10, 34
 _BLUE, _INK, _LINE = "#0072B2", "#1a1a1a", "#d0d0d0"
 
 
@@ -159,7 +159,7 @@ def varied_figure(varied: Varied) -> str:
         y = _y(share)
         parts.append(f'<path d="M{_LEFT} {y:.1f}H{_WIDTH - _RIGHT}" stroke="{_LINE}"/>')
         parts.append(
-            f'<text x="{_LEFT - 5}" y="{y + 4:.1f}" text-anchor="end">{low_y + share * height:.3g}</text>'
+            f'<text x="{_LEFT - 5}" y="{y + 4:.1f}" text-anchor="end">{low_y + share * height:.2g}</text>'
         )
     for x, y in varied.points:
         at = _LEFT + (x - low_x) / width * (_WIDTH - _LEFT - _RIGHT)
