@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
+import os
 import queue
 import signal
+import sys
 import threading
 from collections.abc import AsyncIterator, Callable
 from itertools import pairwise
@@ -272,8 +275,8 @@ def test_a_run_starts_lock_terminal_and_deadman_and_ends_them(
 
     monkeypatch.setattr(module, "connect", connected)
     # What it does to its process is not for a process of tests.
-    monkeypatch.setattr(module.gc, "freeze", lambda: None)
-    monkeypatch.setattr(module.sys, "setswitchinterval", lambda _: None)
+    monkeypatch.setattr(gc, "freeze", lambda: None)
+    monkeypatch.setattr(sys, "setswitchinterval", lambda _: None)
     app.show(OperatorRequest(1, Request.CONTINUE))
     asyncio.run(app.run())
     assert session.motors == len(mission.vehicle.airframe.motors)
@@ -293,5 +296,5 @@ def test_a_run_starts_lock_terminal_and_deadman_and_ends_them(
 def test_a_terminal_of_another_job_is_not_read(
     monkeypatch: pytest.MonkeyPatch, theirs: int, expected: bool
 ) -> None:
-    monkeypatch.setattr(module.os, "tcgetpgrp", lambda _: module.os.getpgrp() + theirs)
+    monkeypatch.setattr(os, "tcgetpgrp", lambda _: os.getpgrp() + theirs)
     assert module._in_background(0) is expected
