@@ -90,10 +90,6 @@ class Deadman:
             self._fed_s[part] = now
             self._write(part)
 
-    def age_s(self, part: bytes) -> float:
-        """How long ago `CORE` or `LOOP` was alive, seconds."""
-        return time.monotonic() - self._fed_s[part]
-
     def mend(self) -> None:
         """Start another watcher where this one has died."""
         if self._process.poll() is not None:

@@ -115,6 +115,8 @@ def test_systemd_is_told(tmp_path: Path) -> None:
         listener.setblocking(False)
         with pytest.raises(BlockingIOError):
             listener.recv(100)  # at half the period, not at every call
+        notice.stopping()
+        assert listener.recv(100) == b"STOPPING=1"
     SystemdNotice({}).alive()  # without systemd: nothing
 
 

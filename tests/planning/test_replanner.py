@@ -14,7 +14,7 @@ from dart_flight.core.mission.approach import Way
 from dart_flight.geometry import GRAVITY_M_S2
 from dart_flight.planning.planned import planned_flight
 from dart_flight.planning.replanning import Replanner
-from dart_flight.samples import PlanAnswer, PlanRequest
+from dart_flight.samples import Mode, PlanAnswer, PlanRequest, WallFelt
 
 MISSION = load_mission(packaged("missions", "dual_collision_replan.yaml"))
 REPLANNER = Replanner(MISSION)
@@ -109,3 +109,58 @@ def test_a_fault_of_the_planner_is_a_problem_and_no_exception(monkeypatch: pytes
     answer = REPLANNER.answer(TO_GOAL, 0)
     assert answer.problem == "the planner failed: ZeroDivisionError: by hand"
     assert answer.number == TO_GOAL.number
+
+
+def felt(reported: Mode | None, found: Mode | None, stiffer: float) -> WallFelt:
+    c = MISSION.vehicle.materials["acrylic"].of(Mode.RIGID)
+    own, spread, plane = (stiffer * c.k, c.f, c.mu, c.nu), (0.1, 0.1, 0.1, 0.1), (0.0, 0.1, 0.0, 0.1)
+    return WallFelt(1, 0, "acrylic", reported, found, 0.0, *own, *spread, *plane)
+
+
+@pytest.mark.parametrize(
+    ("reported", "found", "ratio"),
+    [
+        (Mode.RIGID, None, 2.0),  # undecided: what the lock says
+        (None, Mode.RIGID, 2.0),
+        (Mode.RIGID, Mode.FLEXIBLE, 1.0),  # of the other mode: this one stays as it was
+        (None, None, 1.0),
+    ],
+)
+def test_what_was_felt_counts_for_the_mode_that_it_was_felt_in(
+    reported: Mode | None, found: Mode | None, ratio: float
+) -> None:
+    """The peak goes about with the square root of the stiffness."""
+    before = REPLANNER.answer(TO_WALL, 0)
+    replanner = Replanner(MISSION)
+    replanner.feel(felt(reported, found, 2.0))
+    after = replanner.answer(TO_WALL, 0)
+    assert before.peak_force_n is not None
+    assert after.peak_force_n is not None
+    force = after.peak_force_n / before.peak_force_n
+    speed = (after.normal_m_s or 0.0) / (before.normal_m_s or 1.0)
+    assert force / speed == pytest.approx(math.sqrt(ratio), rel=0.08)
+
+
+@pytest.mark.parametrize("most_n", [150.0, 12.0])
+def test_a_hit_that_is_flown_to_from_rest_is_as_fast_as_it_may_be(most_n: float) -> None:
+    limits = msgspec.structs.replace(MISSION.limits, peak_force_n=most_n)
+    request = msgspec.structs.replace(TO_WALL, collision=1)
+    answer = Replanner(msgspec.structs.replace(MISSION, limits=limits)).answer(request, 0)
+    assert answer.problem == ""
+    assert answer.normal_m_s is not None
+    planned = -0.6
+    assert (answer.normal_m_s == pytest.approx(planned)) is (most_n > 100.0)
+    assert planned - 1e-9 <= answer.normal_m_s < 0.0
+
+
+def test_a_plan_begins_where_the_loop_will_have_flown_to() -> None:
+    """Under the set-point in force; a tenth of a second is about a tenth of the velocity."""
+    begins = []
+    for ahead_us in (0, 100_000, 200_000):
+        request = msgspec.structs.replace(TO_WALL, begin_us=TO_WALL.t_us + ahead_us, lock_ready_us=600_000)
+        begins.append(way_of(REPLANNER.answer(request, 0)).at(0.0).position)
+    assert begins[0][:2] == pytest.approx(TO_WALL.position_mission[:2], abs=1e-6)
+    for axis in (0, 1):
+        first, second = (begins[i + 1][axis] - begins[i][axis] for i in (0, 1))
+        assert first == pytest.approx(0.1 * TO_WALL.velocity_mission[axis], rel=0.6)
+        assert second == pytest.approx(first, rel=0.8)
