@@ -65,7 +65,9 @@ def test_our_own_setup_is_go_and_each_change_is_told(px4_dir: Path, tmp_path: Pa
     # The lock's driver of this mission is the mock.
     assert {item for item, f in found.items() if not f.go} == {"NAV_RCL_ACT", "lock_driver"}
     # Without a global position PX4 would not arm in Hold, the mode that it waits in.
-    assert {item for item, f in found.items() if f.remark} == {"COM_FAIL_ACT_T", "px4_checks"}
+    # Not every version's answer to TIMESYNC reaches MAVSDK (docs/px4.md).
+    remarks = {item for item, f in found.items() if f.remark} - {"round_trip"}
+    assert remarks == {"COM_FAIL_ACT_T", "px4_checks"}
     assert "Land at once" in found["COM_FAIL_ACT_T"].says
 
 
@@ -79,7 +81,7 @@ def test_a_receiver_is_known_by_its_fix(
     position = found["position_source"]
     assert position.go is go
     assert ("rtk fixed" if go else "needs RTK or motion capture") in position.says
-    assert {item for item, f in found.items() if f.remark} <= {"px4_checks"}
+    assert {item for item, f in found.items() if f.remark} <= {"px4_checks", "round_trip"}
 
 
 @pytest.mark.parametrize("vehicle", ["rigid_cage", "ring_guard_250g"])
