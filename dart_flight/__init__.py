@@ -15,7 +15,7 @@ __version__ = "0.1.0"
 
 # ruff: noqa: F405  (the names stand in `api.__all__` as well)
 if TYPE_CHECKING:
-    from dart_flight.api import *  # noqa: F403
+    from dart_flight.lab.api import *  # noqa: F403
 
 __all__ = [
     "Flight",
@@ -43,9 +43,9 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from dart_flight import api  # noqa: PLC0415  only now: `dart-flight --help` and the Pi do without
+    from dart_flight.lab_entries import SCRIPT_NAMES, load_entry  # noqa: PLC0415  only when asked for
 
-    value = getattr(api, name)
+    value = getattr(load_entry(SCRIPT_NAMES), name)
     globals()[name] = value
     return value
 

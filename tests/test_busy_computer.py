@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.base.processes import measure_lateness_s
+from dart_flight.base.records import GuardEvent, MissionEnd, Outcome, Override, Tick, World
 from dart_flight.check import lateness
 from dart_flight.cli import dry_run_command, main
 from dart_flight.config.vehicle import packaged
-from dart_flight.processes import measure_lateness_s
-from dart_flight.samples import GuardEvent, MissionEnd, Outcome, Override, Tick, World
-from dart_flight.verdict import Verdict, VerdictBuilder
-from dart_flight.worlds.prepare import load_flyable
+from dart_flight.recording.verdict import Verdict, VerdictBuilder
+from dart_flight.run.prepare import load_flyable
 
 ROOT = Path(__file__).parents[1]
 SINGLE = ROOT / "missions/single_wall.yaml"

@@ -8,38 +8,39 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "dart_flight"
 
-# Rooms from the ground up; a room may import those of its own and of lower floors.
+# Rooms from the ground up; a room may import those of its own and of lower floors. All but the lab fly.
+FLIGHT = (
+    "base",
+    "config",
+    "contact",
+    "core",
+    "planning",
+    "lock",
+    "vehicle",
+    "recording",
+    "sim",
+    "run",
+    "check",
+)
 FLOORS = {
-    "rotations": -2,
-    "mission_frame": -1,
-    "errors": 0,
-    "geometry": 0,
-    "processes": 0,
-    "samples": 1,
-    "streams": 1,
-    "config": 2,
-    "state_folder": 3,
-    "figure_panels": 3,
-    "contact": 3,
-    "core": 4,
-    "planning": 5,
-    "deviations": 6,
-    "lock": 6,
-    "verdict": 7,
-    "vehicle": 7,
-    "sim": 8,  # may use the lock's pure modules
-    "recording": 9,
-    "identification": 10,
-    "scene": 10,
-    "worlds": 11,
-    "campaign": 12,
-    "check": 13,
-    "report": 13,
-    "api": 14,
-    "cli": 14,
-    "__main__": 15,
-    "__init__": 15,
+    room: floor for floor, room in enumerate(("lab_entries", *FLIGHT, "cli", "lab", "__main__", "__init__"))
 }
+# Inside the lab likewise.
+LAB = (
+    "figure_panels",
+    "flight_arrays",
+    "predict",
+    "search",
+    "identify",
+    "calibrate",
+    "inspect",
+    "campaign",
+    "report",
+    "scene",
+    "paper",
+    "api",
+    "commands",
+)
 # Inside the core likewise: what is known, what is proposed, what is allowed.
 CORE_FLOORS = {"sense": 0, "mission": 1, "guard": 2, "flight_core": 3}
 # Where a package from outside may be imported.
@@ -47,9 +48,9 @@ DOORS = {
     "mavsdk": ("vehicle/",),
     "serial": ("lock/drivers/maestro.py",),
     "pymavlink": ("sim/",),
-    "asyncio": ("vehicle/", "worlds/", "cli/"),
+    "asyncio": ("vehicle/", "run/", "cli/"),
     "mcap": ("recording/",),
-    "foxglove": ("scene/",),
+    "foxglove": ("lab/scene/",),
 }
 
 
@@ -84,6 +85,26 @@ def test_imports_point_down(path: Path) -> None:
             continue
         assert room is not None
         assert FLOORS[room] < FLOORS[own], f"{relative} imports {module}"
+
+
+def test_the_lab_imports_point_down() -> None:
+    for path in (PACKAGE / "lab").rglob("*.py"):
+        relative = path.relative_to(PACKAGE / "lab")
+        own = relative.parts[0].removesuffix(".py")
+        for module in imports_of(path):
+            parts = module.split(".")
+            if parts[:2] == ["dart_flight", "lab"] and len(parts) > 2 and parts[2] != own:
+                assert LAB.index(parts[2]) < LAB.index(own), f"{relative} imports {module}"
+
+
+def test_whatever_is_reached_in_the_lab_stands_in_one_table() -> None:
+    for path in modules():
+        relative = path.relative_to(PACKAGE)
+        if relative.parts[0] == "lab" or relative.name == "lab_entries.py":
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Constant):
+                assert not str(node.value).startswith("dart_flight.lab."), relative
 
 
 @pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(PACKAGE)))

@@ -64,9 +64,7 @@ def test_a_seed_draws_the_same_again() -> None:
 
 
 def test_the_core_thread_is_among_them_and_the_rest_of_the_app_is_not(everything: list[Mutant]) -> None:
-    functions = {
-        m.function.split(".")[0] for m in everything if m.path == "dart_flight/worlds/core_thread.py"
-    }
+    functions = {m.function.split(".")[0] for m in everything if m.path == "dart_flight/run/core_thread.py"}
     assert functions == {"CoreThread"}
     assert any(m.function.startswith("CoreRunner") for m in everything)
 

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import msgspec
 
+from dart_flight.base.records import ContactEnd, ForceEstimate, TorqueEstimate
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.recording.schema import INPUTS, OUTPUTS
 from dart_flight.recording.writer import LogPart
-from dart_flight.samples import ContactEnd, ForceEstimate, TorqueEstimate
-from dart_flight.worlds.replay import WITHOUT
+from dart_flight.run.replay import WITHOUT
 
 _AFTER_US = 2_000_000
 _LEFT_OUT = (ForceEstimate, TorqueEstimate)  # one for every IMU sample

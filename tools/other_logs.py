@@ -23,8 +23,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.config.document import InputError
-from dart_flight.geometry import GRAVITY_M_S2
 from dart_flight.recording.ulog import ULogFile
 
 Array = NDArray[np.float64]

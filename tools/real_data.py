@@ -19,17 +19,17 @@ from pathlib import Path
 
 import numpy as np
 
+from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.config.vehicle.airframe import Coefficients
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
-from dart_flight.geometry import GRAVITY_M_S2
-from dart_flight.identification.fit import identify
-from dart_flight.identification.held_out import compare
-from dart_flight.identification.hits import Hit, hit_of
-from dart_flight.identification.law_fit import HitTable, best_fit, fit_law, predict
-from dart_flight.identification.laws import candidate_laws
-from dart_flight.identification.trials import Series, Trial
+from dart_flight.lab.identify.fit import identify
+from dart_flight.lab.identify.held_out import compare
+from dart_flight.lab.identify.hits import Hit, hit_of
+from dart_flight.lab.identify.law_fit import HitTable, best_fit, fit_law, predict
+from dart_flight.lab.identify.laws import candidate_laws
+from dart_flight.lab.identify.trials import Series, Trial
 
 DROP_MASS_KG = 0.241
 WALL_MASS_KG = 1.234

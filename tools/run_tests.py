@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import IO
 
-from dart_flight.processes import stand_back
+from dart_flight.base.processes import stand_back
 
 BEHIND = "--behind"
 _PATIENCE_S = 20.0

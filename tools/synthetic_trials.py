@@ -13,16 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
+from dart_flight.base.geometry import GRAVITY_M_S2
+from dart_flight.base.records import Mode
 from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.airframe import Coefficients
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
-from dart_flight.contact.path import Contact, trajectory
-from dart_flight.geometry import GRAVITY_M_S2
-from dart_flight.identification.trials import Series, Trial
-from dart_flight.samples import Mode
+from dart_flight.lab.identify.trials import Series, Trial
+from dart_flight.lab.predict.path import Contact, trajectory
 
 MASS_KG = 1.3
 

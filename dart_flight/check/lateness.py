@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from dart_flight.base.processes import LATE_S, measure_lateness_s
 from dart_flight.check.findings import Finding
 from dart_flight.config.mission import Mission
-from dart_flight.processes import LATE_S, measure_lateness_s
 
 
 def check_lateness(mission: Mission) -> Finding:

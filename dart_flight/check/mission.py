@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from dart_flight.base.geometry import Vec3
+from dart_flight.base.records import AfterImpact
 from dart_flight.check.findings import Finding
 from dart_flight.check.walls import check_walls
 from dart_flight.config.mission import Collision, Mission
@@ -24,7 +26,6 @@ from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.core.mission.survey import SURE_SD, slack_m
 from dart_flight.core.sense.detector import ImpactDetector
-from dart_flight.geometry import Vec3
 from dart_flight.planning.constraints import leads_behind
 from dart_flight.planning.envelope import (
     clipping_warning,
@@ -34,7 +35,6 @@ from dart_flight.planning.envelope import (
     speed_warning,
 )
 from dart_flight.planning.planned import PlannedFlight, describe_passing, planned_flight
-from dart_flight.samples import AfterImpact
 
 _CLEARANCE_M = 0.15  # of start and goal from a wall's plane
 _WEAK = 1.3  # an impact below this many thresholds may be missed

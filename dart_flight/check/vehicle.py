@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from dart_flight.base.streams import BY_NAME
 from dart_flight.check.airframe import judge_airframe
 from dart_flight.check.findings import Finding
 from dart_flight.check.parameters import (
@@ -18,7 +19,6 @@ from dart_flight.config.parameters import PositionSource, Version
 from dart_flight.config.rotors import COUNT, rotor_names
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.drivers.px4 import parameter_problems, required_parameters
-from dart_flight.streams import BY_NAME
 from dart_flight.vehicle.ground_link import GroundLink, Observation
 
 _MEASURE_S = 3.0

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from dart_flight.base.geometry import Vec2
 from dart_flight.check.findings import Finding
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import NoApproachError, is_blocked, legs_to_impact, plan_approach
 from dart_flight.core.mission.arithmetic import SCALARS
 from dart_flight.core.mission.survey import SURE_SD, end_margin_m, slack_m
-from dart_flight.geometry import Vec2
 from dart_flight.planning.envelope import incidence_deg, most_incidence_deg
 from dart_flight.planning.planned import PlannedFlight
 

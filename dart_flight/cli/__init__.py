@@ -1,14 +1,14 @@
 """The command line: one module per command, imported only when that command runs.
 
-A command module has `configure(parser)` and `run(arguments) -> int`. It parses, calls into the rooms and
-prints; it holds no logic. `InputError` becomes one line and exit status 2 here, for all of them.
+Those of the lab stand in `lab/commands/` and are reached through `lab_entries`. A command module has
+`configure(parser)` and `run(arguments) -> int`. It parses, calls into the rooms and prints; it holds no
+logic. `InputError` becomes one line and exit status 2 here, for all of them.
 """
 
 from __future__ import annotations
 
 import argparse
 import difflib
-import importlib
 import logging
 import os
 import re
@@ -17,9 +17,11 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 from dart_flight import __version__
+from dart_flight.base.errors import FlightError
+from dart_flight.base.processes import stand_back
 from dart_flight.config.document import InputError
-from dart_flight.errors import FlightError
-from dart_flight.processes import stand_back
+from dart_flight.lab_entries import COMMANDS as LAB_COMMANDS
+from dart_flight.lab_entries import load_entry
 
 # command -> what it does, in the order of `dart-flight --help`
 COMMANDS = {
@@ -36,12 +38,15 @@ COMMANDS = {
     "predict": "predict a collision or a drop",
     "monitor": "live view of force, detection, streams, lock and phase, without flying",
     "calibrate": "thrust curve or inertia from flights",
-    "feel": "what PX4 logs of any multirotor felt: force, impacts, what is unknown",
+    "inspect": "what PX4 logs of any multirotor felt: force, impacts, what is unknown",
     "identify": "contact coefficients from recorded trials",
     "tables": "the paper's tables and figures beside the model's",
     "init": "copy the packaged configuration, missions and scenarios to start from",
     "completion": "what completes commands in bash, zsh or tcsh",
 }
+
+# commands that were renamed: the old name goes on working for one release, with a note
+RENAMED = {"feel": "inspect"}
 
 EXIT_OK, EXIT_INCOMPLETE, EXIT_INPUT = 0, 1, 2
 EXIT_INTERRUPTED = 130  # as a shell has it for SIGINT
@@ -121,12 +126,22 @@ def _common(parser: argparse.ArgumentParser) -> None:
 
 
 def _module(command: str) -> Any:
-    return importlib.import_module(f"dart_flight.cli.{command.replace('-', '_')}_command")
+    here = f"dart_flight.cli.{command.replace('-', '_')}_command"
+    return load_entry(LAB_COMMANDS.get(command, here))
+
+
+def _renamed(arguments: list[str]) -> list[str]:
+    """The arguments with the new name of a command that was renamed."""
+    if arguments and arguments[0] in RENAMED:
+        new = RENAMED[arguments[0]]
+        print(f"dart-flight: `{arguments[0]}` is now `{new}`", file=sys.stderr)  # noqa: T201
+        return [new, *arguments[1:]]
+    return arguments
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of `dart-flight`. Returns the exit status: 0 success, 1 not completed, 2 wrong input."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    arguments = _renamed(list(sys.argv[1:] if argv is None else argv))
     command = next((a for a in arguments if a in COMMANDS), None)
     # For good, and so only in a process of its own: not where another program, or a test, calls this in its.
     if argv is None and command == "monitor" and not any(a.startswith("--connection") for a in arguments):

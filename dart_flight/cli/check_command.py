@@ -24,8 +24,8 @@ from dart_flight.cli.options import (
 from dart_flight.cli.terminal import emit_json, messages
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import load_mission
+from dart_flight.run.prepare import with_driver
 from dart_flight.vehicle.link import LinkLease
-from dart_flight.worlds.prepare import with_driver
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

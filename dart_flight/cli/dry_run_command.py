@@ -9,6 +9,7 @@ from functools import partial
 
 from rich.progress import Progress
 
+from dart_flight.base.processes import LATE_S, measure_lateness_s
 from dart_flight.cli import EXIT_INTERRUPTED
 from dart_flight.cli.flight_output import (
     TOO_BUSY,
@@ -27,16 +28,15 @@ from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import shown_path
 from dart_flight.planning.envelope import impact_warnings
-from dart_flight.processes import LATE_S, measure_lateness_s
+from dart_flight.recording.verdict import Verdict
+from dart_flight.run.embedded import fly_embedded
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.many_flights import RunsInterruptedError, fly_fast_many, fly_one_by_one, summarise
+from dart_flight.run.prepare import load_flyable, with_driver, with_standoff
+from dart_flight.run.px4 import fly_px4
 from dart_flight.sim.draws import parse_vary
 from dart_flight.sim.extras import need_mavlink
 from dart_flight.sim.faults.kinds import parse_fault
-from dart_flight.verdict import Verdict
-from dart_flight.worlds.campaigns import RunsInterruptedError, fly_fast_many, fly_one_by_one, summarise
-from dart_flight.worlds.embedded import fly_embedded
-from dart_flight.worlds.fast import fly_fast
-from dart_flight.worlds.prepare import load_flyable, with_driver, with_standoff
-from dart_flight.worlds.px4 import fly_px4
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

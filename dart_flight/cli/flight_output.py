@@ -10,16 +10,16 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from dart_flight.base.processes import LATE_S
+from dart_flight.base.records import GuardEvent, MissionEnd, Outcome, PhaseChange, Record, World
 from dart_flight.cli.live_line import LiveLine
 from dart_flight.cli.terminal import emit_json, tables
 from dart_flight.config.mission import Mission
-from dart_flight.deviations import departures
-from dart_flight.processes import LATE_S
+from dart_flight.recording.deviations import departures
 from dart_flight.recording.events import Event, Events, Level
 from dart_flight.recording.flight_time import FlightTime
-from dart_flight.samples import GuardEvent, MissionEnd, Outcome, PhaseChange, Record, World
-from dart_flight.verdict import CollisionVerdict, Velocities, Verdict
-from dart_flight.worlds.campaigns import Summary
+from dart_flight.recording.verdict import CollisionVerdict, Velocities, Verdict
+from dart_flight.run.many_flights import Summary
 
 TOO_BUSY = "the computer is too busy for this pace; --fast has none, --speed 0.5 half of it"
 

@@ -23,9 +23,9 @@ from dart_flight.cli.terminal import messages, say
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, Waypoint
+from dart_flight.run.drone import fly_vehicle
+from dart_flight.run.prepare import load_flyable, with_driver, with_standoff
 from dart_flight.vehicle.link import LinkLease
-from dart_flight.worlds.drone import fly_vehicle
-from dart_flight.worlds.prepare import load_flyable, with_driver, with_standoff
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -8,11 +8,18 @@ import time
 from collections.abc import Callable
 from typing import IO, Any
 
+from dart_flight.base.geometry import norm
+from dart_flight.base.records import (
+    ForceEstimate,
+    LockState,
+    OdometrySample,
+    PhaseChange,
+    Record,
+    StatusSample,
+)
 from dart_flight.config.mission import Mission
-from dart_flight.core.mission.anchor import Anchor
-from dart_flight.geometry import norm
 from dart_flight.lock.state_machine import describe
-from dart_flight.samples import ForceEstimate, LockState, OdometrySample, PhaseChange, Record, StatusSample
+from dart_flight.recording.anchor import Anchor
 
 _PERIOD_S = 0.2
 _CLEAR = "\r\x1b[K"

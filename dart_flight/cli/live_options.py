@@ -4,17 +4,56 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
+from dart_flight.base.records import Record
 from dart_flight.cli.options import whole_number
 from dart_flight.cli.terminal import say
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import shown_path
 from dart_flight.config.vehicle import packaged
-from dart_flight.scene.live import DEFAULT_HOST, DEFAULT_PORT, LiveView, Show
+from dart_flight.lab_entries import LIVE_VIEW, load_entry
 
+DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 8765
 _LOCAL = ("127.0.0.1", "::1", "localhost")
+
+
+class LiveView:
+    """The lab's live view beside a flight: whatever fails in it is a line on the terminal, and the flight
+    goes on.
+
+    Args:
+        view: what the lab opened; takes records.
+    """
+
+    def __init__(self, view: Any) -> None:
+        self._view = view
+        self.port: int = view.port
+        self._failed = False
+
+    def __call__(self, record: Record) -> None:
+        """Take a record; any thread, never blocks."""
+        self._try(self._view, record)
+
+    def feed(self, record: Record) -> None:
+        """Take a record, waiting where the view does not keep up."""
+        self._try(self._view.feed, record)
+
+    def close(self) -> None:
+        """The flight is over."""
+        self._failed = False
+        self._try(self._view.close)
+
+    def _try(self, action: Callable[..., None], *arguments: Record) -> None:
+        if self._failed:
+            return
+        try:
+            action(*arguments)
+        except Exception as error:
+            self._failed = True
+            say(f"the live view failed ({error!r}); the flight goes on without it")
 
 
 def add_live_options(parser: argparse.ArgumentParser) -> None:
@@ -59,7 +98,10 @@ def live_view(
 
     host = arguments.live_host or DEFAULT_HOST
     port = arguments.live_port or DEFAULT_PORT
-    view = LiveView(Show(mission, host, port, furnished, placed, from_truth), say)
+    view = _open(mission, host, port, furnished, placed, from_truth)
+    if view is None:
+        yield None
+        return
     try:
         layout = shown_path(packaged("docs", "foxglove_layout.json"))
         say(f"live: in Foxglove or Lichtblick open the connection ws://{host}:{view.port}; layout {layout}")
@@ -68,3 +110,14 @@ def live_view(
         yield view
     finally:
         view.close()
+
+
+def _open(mission: Mission, host: str, port: int, *shown: bool) -> LiveView | None:
+    """None where the lab fails; what the operator can mend is raised, nothing has moved yet."""
+    try:
+        return LiveView(load_entry(LIVE_VIEW)(mission, host, port, *shown, say))
+    except InputError:
+        raise
+    except Exception as error:
+        say(f"no live view ({error!r}); the flight goes on without it")
+        return None

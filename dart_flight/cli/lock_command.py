@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.cli.options import link_of, refuse_unwritable
 from dart_flight.cli.terminal import emit_json, messages, say, tables
 from dart_flight.cli.vehicle_line import say_vehicle
@@ -23,7 +24,6 @@ from dart_flight.lock.drivers.px4 import parameter_problems, required_parameters
 from dart_flight.lock.ground import GroundLock, calibration, ground_driver
 from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTakenError, forget_last, load_last
 from dart_flight.lock.state_machine import describe
-from dart_flight.samples import LockPhase, LockState, Mode
 from dart_flight.vehicle.link import LinkLease
 
 if TYPE_CHECKING:

@@ -7,7 +7,9 @@ from pathlib import Path
 
 from dart_flight.check.mission import modelled
 from dart_flight.cli.terminal import say
+from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
+from dart_flight.lab_entries import MISSION_PICTURE, load_entry
 
 
 def add_plot_option(parser: argparse.ArgumentParser) -> None:
@@ -21,13 +23,17 @@ def add_plot_option(parser: argparse.ArgumentParser) -> None:
 
 
 def write_picture(mission: Mission, path: Path) -> None:
-    """Draw a mission by the planner's flight model, and say where the picture is.
+    """Draw a mission by the planner's flight model, and say where the picture is, or why there is none: a
+    failure of the drawing ends no flight.
 
     Raises:
         InputError: matplotlib is missing, or the file has an unknown ending or cannot be written.
     """
-    from dart_flight.report.figures.mission import mission_figure
-    from dart_flight.report.figures.style import save_figure
-
-    save_figure(mission_figure(mission, modelled(mission)), path)
+    try:
+        load_entry(MISSION_PICTURE)(mission, modelled(mission), path)
+    except InputError:
+        raise
+    except Exception as error:
+        say(f"no picture ({error!r})")
+        return
     say(f"picture: {path}")

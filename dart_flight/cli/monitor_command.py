@@ -12,6 +12,7 @@ from rich.console import Group
 from rich.live import Live
 from rich.table import Table
 
+from dart_flight.base.records import Record
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import link_of, number
 from dart_flight.cli.terminal import emit_json, say, tables
@@ -21,9 +22,8 @@ from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import default_config_path, packaged
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.follow import LogFollower
-from dart_flight.samples import Record
+from dart_flight.run.monitor import Screen, Watcher, follow, watch
 from dart_flight.vehicle.link import Holder, LinkLease, LinkTakenError, held_links, holder_of, place_of
-from dart_flight.worlds.monitor import Screen, Watcher, follow, watch
 
 _PERIOD_S = 0.2
 _BAR_N, _BAR_WIDTH = 40.0, 24

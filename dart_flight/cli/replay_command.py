@@ -15,7 +15,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.found import from_each, logs_in
 from dart_flight.recording.reader import read_log
-from dart_flight.worlds.replay import Replay, decision_rows, replay
+from dart_flight.run.replay import Replay, decision_rows, replay
 
 _MOST_SHOWN = 40
 _PARTS = re.compile(r", (?![^(]*\))")  # not the commas of a vector

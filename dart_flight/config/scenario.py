@@ -16,6 +16,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from dart_flight.base.geometry import Vec2, Wall
+from dart_flight.base.records import Mode
 from dart_flight.config.document import Document, Key, unknown_name
 from dart_flight.config.kinds import FileKind, load_document
 from dart_flight.config.mission import (
@@ -33,8 +35,6 @@ from dart_flight.config.mission import (
 from dart_flight.config.provenance import VehicleSource, find_vehicle
 from dart_flight.config.section import Section
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.geometry import Vec2, Wall
-from dart_flight.samples import Mode
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$"
 _MOST_STEPS = 2001

@@ -22,9 +22,9 @@ import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
+from dart_flight.base.geometry import Quaternion, Vec3, rotate_back
 from dart_flight.config.vehicle import Coefficients, ContactBody
 from dart_flight.contact.law import Onset, normal_force
-from dart_flight.geometry import Quaternion, Vec3, rotate_back
 
 
 class Guard(NamedTuple):

@@ -22,7 +22,7 @@ w = sqrt(1 - zeta^2) and A = theta / w,
 time is infinite, its exit speed 0. The peak of the friction force and, with a, the release have no elementary
 form; both are found by a safeguarded Newton iteration to machine precision.
 
-All arrays are float64. Frame: the wall's collision frame (`dart_flight.geometry`); normal < 0 approaches.
+All arrays are float64. Frame: the wall's collision frame (`base/geometry.py`); normal < 0 approaches.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
 from dart_flight.contact.law import Onset
@@ -48,7 +49,6 @@ from dart_flight.contact.oscillator import (
     oscillator,
     quarter_time,
 )
-from dart_flight.geometry import GRAVITY_M_S2
 
 T = TypeVar("T")
 

@@ -1,6 +1,6 @@
 """The contact law (paper, Sec. IV-B) as a force: the one definition that plant and predictions share.
 
-All quantities are in the wall's collision frame (`dart_flight.geometry`): x is the signed distance of the
+All quantities are in the wall's collision frame (`base/geometry.py`): x is the signed distance of the
 vehicle's centre to its plane of first touch, negative in compression.
 
     0 <= lx  complementary to  w = lx + k x + f vx >= 0      ->  lx = max(0, -(k x + f vx))
@@ -13,9 +13,9 @@ from __future__ import annotations
 import math
 from enum import StrEnum
 
+from dart_flight.base.geometry import Vec3
+from dart_flight.base.records import Mode
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
-from dart_flight.geometry import Vec3
-from dart_flight.samples import Mode
 
 
 class Onset(StrEnum):

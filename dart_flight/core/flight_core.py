@@ -13,6 +13,7 @@ from __future__ import annotations
 import traceback
 from typing import Final
 
+from dart_flight.base.records import Input, MissionEnd, Output, Override, Phase
 from dart_flight.config.mission import Mission
 from dart_flight.core.guard.guard import Guard
 from dart_flight.core.guard.rules import RULES, Rule
@@ -23,7 +24,6 @@ from dart_flight.core.pace import Pace, pace_near_walls
 from dart_flight.core.sense.detector import Expected
 from dart_flight.core.sense.senses import Sensed, Senses
 from dart_flight.core.sense.state import FlightState
-from dart_flight.samples import Input, MissionEnd, Output, Override, Phase
 
 _NOTHING: Final = Sensed()
 _NONE: Final = Override.NONE

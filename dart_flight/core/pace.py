@@ -10,10 +10,10 @@ from __future__ import annotations
 from enum import Enum, auto
 from typing import Final
 
+from dart_flight.base.records import Phase
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.survey import early_m, overrun_m
 from dart_flight.core.sense.state import FlightState
-from dart_flight.samples import Phase
 
 PATIENCE_S: Final = 0.02  # as often as a tick; a quarter of the silence of the IMU on which the guard acts
 _LEAD_S: Final = 0.2  # so long before a wall may be met patience ends: ten times what it holds back

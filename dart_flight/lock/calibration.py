@@ -11,9 +11,9 @@ from collections.abc import Callable
 
 import msgspec
 
+from dart_flight.base.records import Mode
 from dart_flight.config.document import Key
 from dart_flight.config.vehicle import LockConfig
-from dart_flight.samples import Mode
 
 STEP_US = 10.0  # about one degree: a rod that jams does so gently
 HELP = (

@@ -11,13 +11,13 @@ from collections.abc import Callable
 
 import msgspec
 
+from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.config.vehicle import LockConfig, LockDriver, LockStartup
 from dart_flight.lock.calibration import Calibration
 from dart_flight.lock.drivers import Driver, SetActuator, make_driver
 from dart_flight.lock.drivers.mock import MockDriver
 from dart_flight.lock.persistence import LastCommand
 from dart_flight.lock.session import LockSession
-from dart_flight.samples import LockPhase, LockState, Mode
 
 POLL_S = 0.02
 CALIBRATION_STEP_S = 0.04  # two frames of the servo for every small step

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import msgspec
 
+from dart_flight.base.records import LockPhase, LockState, Mode
+from dart_flight.config.state_folder import HeldError, HeldFile, Lease, state_dir, usable
 from dart_flight.config.vehicle import LockDriver
-from dart_flight.samples import LockPhase, LockState, Mode
-from dart_flight.state_folder import HeldError, HeldFile, Lease, state_dir, usable
 
 # --- the last command --------------------------------------------------------------------------------
 

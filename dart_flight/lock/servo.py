@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import msgspec
 
+from dart_flight.base.records import Mode
 from dart_flight.config.vehicle import Servo
-from dart_flight.samples import Mode
 
 
 def mode_of(servo: Servo, horn_pulse_us: float) -> Mode | None:

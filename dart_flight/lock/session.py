@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from dart_flight.base.records import LockState, Mode
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.lock.drivers import Driver, DriverError
 from dart_flight.lock.state_machine import Action, LockStateMachine, PulsesOff, Refused, SetPulse
-from dart_flight.samples import LockState, Mode
 
 
 class LockSession:

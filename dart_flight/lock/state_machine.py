@@ -21,9 +21,9 @@ from enum import StrEnum
 
 import msgspec
 
+from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.config.vehicle import LockConfig, LockStartup
 from dart_flight.lock.servo import mode_of
-from dart_flight.samples import LockPhase, LockState, Mode
 
 # --- what goes in and out ----------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dart_flight.base.geometry import Vec2, Wall
 from dart_flight.core.mission.approach import (
     impact_time_s,
     is_blocked,
@@ -16,7 +17,6 @@ from dart_flight.core.mission.approach import (
 )
 from dart_flight.core.mission.arithmetic import Number
 from dart_flight.core.mission.survey import end_margin_m
-from dart_flight.geometry import Vec2, Wall
 from dart_flight.planning.constraints import ARRAYS, Constraints, Refusal
 from dart_flight.planning.task import Task
 

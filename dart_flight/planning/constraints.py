@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dart_flight.base.geometry import GRAVITY_M_S2, Vec2, Wall
 from dart_flight.core.mission.arithmetic import Arithmetic, Number
 from dart_flight.core.mission.commitment import (
     SETPOINT_OUTSIDE_M,
@@ -23,7 +24,6 @@ from dart_flight.core.mission.commitment import (
 )
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S, STOP_TIME_S, least_distance_m, stop_share
 from dart_flight.core.mission.survey import end_margin_m
-from dart_flight.geometry import GRAVITY_M_S2, Vec2, Wall
 from dart_flight.planning.flight_model import Leg, Window
 from dart_flight.planning.task import Task
 

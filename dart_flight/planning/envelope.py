@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 
+from dart_flight.base.records import Mode
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import BodyModel, VehicleConfig
 from dart_flight.core.mission.planned import expected_hit, impact_velocity
-from dart_flight.samples import Mode
 
 # Normal speed. A body with guards completes at 3 m/s and tilts over 60 degrees at 3.5 (docs/px4.md, rigid); a
 # point survived 4 m/s, but no vehicle is one.

@@ -24,19 +24,19 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dart_flight.base.geometry import GRAVITY_M_S2, Vec2, Wall
+from dart_flight.base.records import Mode, PlanAnswer, PlanRequest, WallFelt
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.core.mission.commitment import SETTLED_BEFORE_S
 from dart_flight.core.mission.planned import impact_velocity
 from dart_flight.core.mission.position_loop import PositionLoop
 from dart_flight.core.mission.survey import Survey, end_margin_m, slack_m
-from dart_flight.geometry import GRAVITY_M_S2, Vec2, Wall
 from dart_flight.planning.constraints import REFUSALS, Constraints
 from dart_flight.planning.contact_stage import build_stages, expm
 from dart_flight.planning.flight_model import Array, Rows, Window, loop_matrix
 from dart_flight.planning.planned import planned_flight
 from dart_flight.planning.task import MissionTask, drag_along
-from dart_flight.samples import Mode, PlanAnswer, PlanRequest, WallFelt
 
 _DURATIONS_S = np.arange(0.3, 4.01, 0.05)
 _ALONG_M = np.arange(-0.8, 0.81, 0.05)  # places along the wall, about the planned one

@@ -15,10 +15,11 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from dart_flight.base.geometry import Vec2, Wall
+from dart_flight.base.records import Mode
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.core.mission.executive import PASSED_AFTER_S, PASSED_RISE_M
 from dart_flight.core.mission.survey import end_margin_m
-from dart_flight.geometry import Vec2, Wall
 from dart_flight.planning.approach_grid import ApproachGrid, approach_grid
 from dart_flight.planning.constraints import CODE, REFUSALS, Constraints, Refusal
 from dart_flight.planning.contact_stage import (
@@ -40,7 +41,6 @@ from dart_flight.planning.flight_model import (
     first_crossing,
 )
 from dart_flight.planning.task import Task, drag_along
-from dart_flight.samples import Mode
 
 _HORIZON_S = 6.0  # what has not come by then does not come: the loop has settled
 LEAST_FACTOR = 0.1  # a drawn coefficient is never below this share of its nominal value

@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 import msgspec
 
+from dart_flight.base.geometry import Vec2, Wall
+from dart_flight.base.records import Mode
 from dart_flight.config.mission import BoundsSpec, Collision, GoalSpec, Limits, Mission
 from dart_flight.config.scenario import Scenario
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.mission.approach import run_up
 from dart_flight.core.mission.arithmetic import SCALARS
-from dart_flight.geometry import Vec2, Wall
-from dart_flight.samples import Mode
 
 
 class MissionTask(NamedTuple):

@@ -18,12 +18,12 @@ from typing import Any
 import msgspec
 
 from dart_flight import __version__
+from dart_flight.base.records import World
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 from dart_flight.recording.reader import NothingInItError
 from dart_flight.recording.schema import OUTPUTS
-from dart_flight.samples import World
 
 OUTPUT_KINDS = "output_kinds"  # those that the writing program has
 

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from dart_flight.samples import Record
+from dart_flight.base.records import Record
 
 R = TypeVar("R", bound=Record)
 

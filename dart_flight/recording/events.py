@@ -5,8 +5,7 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import NamedTuple
 
-from dart_flight.recording.schema import STREAMS
-from dart_flight.samples import (
+from dart_flight.base.records import (
     ContactEnd,
     GoalPassed,
     GuardEvent,
@@ -23,6 +22,7 @@ from dart_flight.samples import (
     Record,
     StatusText,
 )
+from dart_flight.recording.schema import STREAMS
 
 
 class Level(IntEnum):

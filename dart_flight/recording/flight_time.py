@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from dart_flight.samples import ImuSample, Record
+from dart_flight.base.records import ImuSample, Record
 
 
 class FlightTime:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from dart_flight.base.records import Record
 from dart_flight.recording.reader import IN_MEMORY, Log, LogEntry
 from dart_flight.recording.writer import LogPart
-from dart_flight.samples import Record
 
 
 class MemoryLog:

@@ -8,7 +8,7 @@ from typing import Any
 
 from dart_flight.config.document import InputError
 from dart_flight.recording.ulog import open_ulog
-from dart_flight.verdict import Px4Figures
+from dart_flight.recording.verdict import Px4Figures
 
 _ARMED = 2  # vehicle_status.arming_state
 _RESET_COUNTERS = ("xy_reset_counter", "z_reset_counter", "vxy_reset_counter", "vz_reset_counter")

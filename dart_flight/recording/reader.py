@@ -11,12 +11,12 @@ import msgspec
 from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
+from dart_flight.base.records import Record, World
 from dart_flight.config.document import InputError, open_file
 from dart_flight.config.kinds import FileKind, refuse_other_kind
 from dart_flight.recording.encoding import decode
 from dart_flight.recording.schema import RECORD_TYPES
 from dart_flight.recording.writer import ABOUT, END, FORMAT_VERSION, part_path
-from dart_flight.samples import Record, World
 
 if TYPE_CHECKING:
     from dart_flight.recording.topics import Topic, Topics

@@ -1,6 +1,6 @@
 """What the log says about itself: a JSON Schema per kind of record, with the unit and frame of every number.
 
-The one source is `samples.py`: a record's docstring describes it, the comment on a field's line describes the
+The one source is `base/records.py`: a record's docstring describes it, the comment on its line describes a
 field, the end of its name gives unit and frame (`NAMES`). Foxglove and PlotJuggler show the description.
 """
 
@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
-from dart_flight.samples import (
+from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
     AttitudeTargetSample,

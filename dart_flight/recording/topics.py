@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Union, get_args, get_origin, 
 import numpy as np
 from numpy.typing import NDArray
 
+from dart_flight.base.records import Record
 from dart_flight.recording.flight_time import zero_of
 from dart_flight.recording.schema import RECORD_TYPES, axes_of
-from dart_flight.samples import Record
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -22,10 +22,10 @@ from pathlib import Path
 import msgspec
 
 from dart_flight import __version__
+from dart_flight.base.records import Record
 from dart_flight.recording.encoding import encode
 from dart_flight.recording.mcap_writer import McapWriter
 from dart_flight.recording.schema import RECORD_TYPES, STREAMS, schema
-from dart_flight.samples import Record
 
 FORMAT_VERSION = 1
 PROFILE = "dart-flight"

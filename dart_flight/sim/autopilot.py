@@ -13,13 +13,13 @@ from typing import Final
 
 import msgspec
 
+from dart_flight.base.geometry import GRAVITY_M_S2, Vec3, distance2, yaw_ned_of
+from dart_flight.base.records import FlightMode, LandedState
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameters import PositionSource, Value, vehicle_parameters
 from dart_flight.config.rotors import rotor_parameters
 from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
-from dart_flight.geometry import GRAVITY_M_S2, Vec3, distance2, yaw_ned_of
 from dart_flight.lock.drivers.px4 import PREARM_ALWAYS, actuator_pulse_us, required_parameters
-from dart_flight.samples import FlightMode, LandedState
 from dart_flight.sim.cascade import Cascade, TrajectorySetPoint
 from dart_flight.sim.estimator import Estimator
 from dart_flight.sim.noise import Normal

@@ -12,8 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from dart_flight.config.vehicle import Motor, Thrust
-from dart_flight.geometry import (
+from dart_flight.base.geometry import (
     GRAVITY_M_S2,
     Quaternion,
     Vec3,
@@ -23,6 +22,7 @@ from dart_flight.geometry import (
     quaternion_normalise,
     wrap_angle,
 )
+from dart_flight.config.vehicle import Motor, Thrust
 from dart_flight.sim.allocation import Allocation
 
 _FREE = (math.nan, math.nan, math.nan)

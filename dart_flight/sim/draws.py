@@ -13,13 +13,13 @@ from typing import NamedTuple
 
 import msgspec
 
+from dart_flight.base.geometry import Wall
+from dart_flight.base.records import Mode
 from dart_flight.config.document import InputError, unknown_name
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Coefficients, ImuRinging, Material, Spreads, VehicleConfig
-from dart_flight.geometry import Wall
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
-from dart_flight.samples import Mode
 
 Drawn = dict[str, float | str]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
-from dart_flight.geometry import (
+from dart_flight.base.geometry import (
     GRAVITY_M_S2,
     IDENTITY,
     Quaternion,

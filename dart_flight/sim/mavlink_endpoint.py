@@ -17,9 +17,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from dart_flight.base.geometry import distance2
+from dart_flight.base.records import MOTOR_FULL_US, MOTOR_STOP_US, FlightMode, LandedState
 from dart_flight.config.rotors import MAV_TYPES
-from dart_flight.geometry import distance2
-from dart_flight.samples import MOTOR_FULL_US, MOTOR_STOP_US, FlightMode, LandedState
 from dart_flight.sim import esc_status
 from dart_flight.sim.autopilot import TICK_US, Autopilot
 from dart_flight.sim.cascade import TrajectorySetPoint

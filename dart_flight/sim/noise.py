@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import random
 
-from dart_flight.geometry import Vec3
+from dart_flight.base.geometry import Vec3
 
 
 class Normal:

@@ -13,9 +13,9 @@ from typing import IO
 
 import msgspec
 
+from dart_flight.base.records import TruthContact, TruthSample
 from dart_flight.config.parameters import Parameter, PositionSource
 from dart_flight.config.vehicle import LockDriver
-from dart_flight.samples import TruthContact, TruthSample
 from dart_flight.sim.faults.kinds import Fault
 
 

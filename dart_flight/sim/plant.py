@@ -16,11 +16,7 @@ from typing import Final
 
 import msgspec
 
-from dart_flight.config.mission import Mission
-from dart_flight.config.vehicle import BodyModel, Coefficients, Motor, VehicleConfig
-from dart_flight.contact.body import UNTOUCHED, Plane, Touch, arm_of, clearance_m, folds, guards_of, touch
-from dart_flight.contact.law import Onset, coefficients_in_force, contact_force
-from dart_flight.geometry import (
+from dart_flight.base.geometry import (
     GRAVITY_M_S2,
     MissionFrame,
     Quaternion,
@@ -42,7 +38,11 @@ from dart_flight.geometry import (
     wrap_angle,
     yaw_ned_of,
 )
-from dart_flight.samples import Mode, TruthContact, TruthSample
+from dart_flight.base.records import Mode, TruthContact, TruthSample
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import BodyModel, Coefficients, Motor, VehicleConfig
+from dart_flight.contact.body import UNTOUCHED, Plane, Touch, arm_of, clearance_m, folds, guards_of, touch
+from dart_flight.contact.law import Onset, coefficients_in_force, contact_force
 
 STEP_S: Final = 0.001
 CONTACT_STEPS: Final = 10  # of 0.1 ms in one step of 1 ms

@@ -17,10 +17,10 @@ from typing import IO
 
 import msgspec
 
+from dart_flight.base.records import FlightMode
 from dart_flight.config.document import Document
 from dart_flight.config.mission import parse_mission
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.samples import FlightMode
 from dart_flight.sim.autopilot import TICK_S
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.faults.impairment import Impairment

@@ -9,8 +9,7 @@ import math
 from collections import deque
 from typing import Final, NamedTuple
 
-from dart_flight.config.vehicle import ImuRinging, VehicleConfig
-from dart_flight.geometry import (
+from dart_flight.base.geometry import (
     Quaternion,
     Vec3,
     add,
@@ -20,6 +19,7 @@ from dart_flight.geometry import (
     rotate,
     scale,
 )
+from dart_flight.config.vehicle import ImuRinging, VehicleConfig
 from dart_flight.sim.noise import Normal
 from dart_flight.sim.plant import Plant
 

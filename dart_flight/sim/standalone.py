@@ -12,9 +12,9 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from dart_flight.base.records import Record
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockDriver
-from dart_flight.samples import Record
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 from dart_flight.sim.process import run_in_real_time
 from dart_flight.sim.vehicle import SimulatedVehicle

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
+from dart_flight.base.records import Mode
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockDriver, Servo
 from dart_flight.lock.servo import ServoModel, mode_of
-from dart_flight.samples import Mode
 from dart_flight.sim.autopilot import TICK_S, Autopilot, make_autopilot
 from dart_flight.sim.plant import Plant
 from dart_flight.sim.wind import Wind

@@ -21,8 +21,8 @@ from mavsdk.plugins.mavlink_direct import MavlinkDirect
 from mavsdk.plugins.param import Param, ParamResult
 from mavsdk.plugins.telemetry import Telemetry
 
+from dart_flight.base.streams import BY_NAME
 from dart_flight.core.guard.sources import TwoClocks
-from dart_flight.streams import BY_NAME
 from dart_flight.vehicle import reasons, sdk_log
 from dart_flight.vehicle.clock import host_us
 from dart_flight.vehicle.local_position import LocalPosition, is_healthy

@@ -23,7 +23,7 @@ from pathlib import Path
 import msgspec
 
 from dart_flight.config.document import InputError
-from dart_flight.state_folder import HeldError, HeldFile, Lease, content_of_held, state_dir
+from dart_flight.config.state_folder import HeldError, HeldFile, Lease, content_of_held, state_dir
 
 _SERIAL = re.compile(r"serial(?:_flowcontrol)?://(?P<device>[^:]+)(?::\d+)?$")
 _NETWORK = re.compile(r"(?P<kind>udpin|udpout|udp|tcpin|tcpout|tcp)://(?P<host>[^:]*)(?::(?P<port>\d+))?$")

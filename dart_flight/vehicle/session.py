@@ -27,10 +27,8 @@ from mavsdk.plugins.telemetry import FlightMode as SdkFlightMode
 from mavsdk.plugins.telemetry import LandedState as SdkLandedState
 from mavsdk.plugins.telemetry import Telemetry
 
-from dart_flight.config.document import InputError
-from dart_flight.config.vehicle import Estimation, ThrustSource
-from dart_flight.errors import FlightError
-from dart_flight.samples import (
+from dart_flight.base.errors import FlightError
+from dart_flight.base.records import (
     MOTOR_FULL_US,
     MOTOR_STOP_US,
     ActuatorSample,
@@ -52,7 +50,9 @@ from dart_flight.samples import (
     StatusText,
     VehicleAction,
 )
-from dart_flight.streams import ATTITUDE_TARGET, ESC, MESSAGE_ID, STREAMS, Stream
+from dart_flight.base.streams import ATTITUDE_TARGET, ESC, MESSAGE_ID, STREAMS, Stream
+from dart_flight.config.document import InputError
+from dart_flight.config.vehicle import Estimation, ThrustSource
 from dart_flight.vehicle import reasons, sdk_log
 from dart_flight.vehicle.callback_thread import stay_known
 from dart_flight.vehicle.clock import Clock, ClockEstimate, host_us

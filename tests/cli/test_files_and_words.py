@@ -12,13 +12,13 @@ import pytest
 from rich.console import Console
 
 import dart_flight
+from dart_flight.base.records import ImpactPeak, ImuSample, Phase, PhaseChange
 from dart_flight.cli import main
 from dart_flight.cli.flight_output import FlightLines, next_steps
 from dart_flight.config.mission import load_mission
 from dart_flight.config.provenance import find_vehicle
-from dart_flight.report.flight import Flight
-from dart_flight.report.player import player_data
-from dart_flight.samples import ImpactPeak, ImuSample, Phase, PhaseChange
+from dart_flight.lab.report.flight import Flight
+from dart_flight.lab.report.player import player_data
 
 ROOT = Path(__file__).resolve().parents[2]
 SINGLE = dart_flight.packaged("missions", "single_wall.yaml")

@@ -22,7 +22,7 @@ from dart_flight.config.scenario import load_scenario
 from dart_flight.config.starter import DART, VEHICLES
 from dart_flight.config.vehicle import default_config_path
 from dart_flight.config.vehicle.configuration import load_vehicle
-from dart_flight.worlds.fast import fly_fast
+from dart_flight.run.fast import fly_fast
 
 ROOT = Path(__file__).resolve().parents[2]
 

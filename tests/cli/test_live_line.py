@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from dart_flight.base.records import OdometrySample
 from dart_flight.cli import main
 from dart_flight.cli.flight_output import FlightLines, live_line_for
 from dart_flight.cli.live_line import LiveLine
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import Log, read_log
-from dart_flight.samples import OdometrySample
 from tests.shared_flights import SharedFlights
 
 

@@ -15,12 +15,12 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.base.records import World
 from dart_flight.cli import main
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.writer import FlightLog
-from dart_flight.samples import World
 from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[2]
@@ -149,10 +149,10 @@ def test_an_abort_shows_its_reason(folder: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_truth_is_null_where_there_is_none(folder: Path) -> None:
+    from dart_flight.base.records import TruthContact, TruthSample
     from dart_flight.recording.about import flown_mission
     from dart_flight.recording.reader import read_log
-    from dart_flight.samples import TruthContact, TruthSample
-    from dart_flight.verdict import VerdictBuilder
+    from dart_flight.recording.verdict import VerdictBuilder
 
     log = read_log(logs(folder)[0])
     builder = VerdictBuilder(flown_mission(log.about, log.source))

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.base.records import World
 from dart_flight.cli import main
 from dart_flight.config.mission import load_mission
 from dart_flight.config.provenance import find_vehicle
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.about import describe_flight, flown_mission
-from dart_flight.samples import World
 
 MISSION = str(packaged("missions", "paper_single_wall.yaml"))
 SCENARIO = str(packaged("missions", "scenarios", "one_wall.yaml"))

@@ -15,7 +15,7 @@ from dart_flight.cli import main
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import load_mission, parse_mission
 from dart_flight.config.vehicle.configuration import load_vehicle
-from dart_flight.worlds.prepare import load_flyable
+from dart_flight.run.prepare import load_flyable
 
 ROOT = Path(__file__).parents[2]
 DUAL = (ROOT / "missions/paper_dual_collision.yaml").read_text()

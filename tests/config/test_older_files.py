@@ -11,7 +11,7 @@ import msgspec
 import pytest
 
 from dart_flight.config.mission import Mission, load_mission
-from dart_flight.worlds.prepare import load_flyable
+from dart_flight.run.prepare import load_flyable
 
 OLDER = sorted((Path(__file__).parents[1] / "data" / "older").glob("*/missions/*.yaml"))
 

@@ -11,14 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dart_flight.base.records import Mode
 from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.airframe import Coefficients
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import WallHit, collide, contact_map, drop, drop_map
 from dart_flight.contact.law import Onset, contact_force
-from dart_flight.contact.path import Contact, trajectory
-from dart_flight.samples import Mode
+from dart_flight.lab.predict.path import Contact, trajectory
 
 DATA = Path(__file__).parents[1] / "data"
 MASS = 1.3

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dart_flight.base.records import Mode
 from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.airframe import Coefficients
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.coefficients import Array, CoefficientArrays
 from dart_flight.contact.contact_map import contact_map, drop
 from dart_flight.contact.law import Onset
-from dart_flight.samples import Mode
 from tests.oracles.stepping import Corner, simulate, step_corner, step_normal, stepped_map
 
 MASS = 1.3

@@ -7,11 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.config.mission import load_mission
-from dart_flight.core.flight_core import FlightCore
-from dart_flight.core.guard.rules import RULES, Rule
-from dart_flight.geometry import Vec3, quaternion_from_euler
-from dart_flight.samples import (
+from dart_flight.base.geometry import Vec3, quaternion_from_euler
+from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
     ClockOffset,
@@ -27,6 +24,9 @@ from dart_flight.samples import (
     StatusSample,
     Tick,
 )
+from dart_flight.config.mission import load_mission
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.core.guard.rules import RULES, Rule
 
 ROOT = Path(__file__).parents[2]
 HOVER = 0.5547  # command at which four motors of the configuration carry 1.3 kg

@@ -8,11 +8,11 @@ import random
 import msgspec
 import pytest
 
+from dart_flight.base.geometry import MissionFrame
+from dart_flight.base.records import AttitudeSample, OdometrySample
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.core.mission.references import References
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import MissionFrame
-from dart_flight.samples import AttitudeSample, OdometrySample
 from tests.core.conftest import ROOT
 
 SHAKE_M_S, SHAKE_TIME_S, STEP_US = 0.07, 0.1, 8000

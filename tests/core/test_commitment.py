@@ -14,7 +14,7 @@ from dart_flight.core.mission.position_loop import PlaneMet, least_distance_m, m
 from dart_flight.core.sense.state import FlightState
 from dart_flight.planning.constraints import ARRAYS
 from dart_flight.planning.planned import planned_flight
-from dart_flight.worlds.fast import fly_fast
+from dart_flight.run.fast import fly_fast
 
 # The point of the paper: with guards the first hit leaves a slower vehicle, and the lock is early enough.
 STIFF = load_mission(

@@ -7,12 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dart_flight.config.mission import load_mission
-from dart_flight.core.mission.phases import ON_GROUND, TRANSITIONS, Cue
-from dart_flight.core.mission.recovery import recovery_point
-from dart_flight.core.sense.detector import Expected
-from dart_flight.core.sense.senses import Senses
-from dart_flight.samples import (
+from dart_flight.base.records import (
     ActuatorSample,
     CommandResult,
     EstimatorSample,
@@ -40,6 +35,11 @@ from dart_flight.samples import (
     VehicleAction,
     VehicleCommand,
 )
+from dart_flight.config.mission import load_mission
+from dart_flight.core.mission.phases import ON_GROUND, TRANSITIONS, Cue
+from dart_flight.core.mission.recovery import recovery_point
+from dart_flight.core.sense.detector import Expected
+from dart_flight.core.sense.senses import Senses
 from tests.core.conftest import HOVER, ROOT, HandFedCore
 
 

@@ -9,11 +9,11 @@ from typing import Any
 import msgspec
 import pytest
 
+from dart_flight.base.records import ContactEnd, DetectionFloor, ForceEstimate, ImpactOnset, ImpactPeak
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.detector import Expected, ImpactDetector
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
-from dart_flight.samples import ContactEnd, DetectionFloor, ForceEstimate, ImpactOnset, ImpactPeak
 from tests.core.test_force_estimate import VEHICLE, half_sine
 
 Forces = list[tuple[float, float]]

@@ -8,17 +8,8 @@ import random
 import msgspec
 import pytest
 
-from dart_flight.config.mission import load_mission
-from dart_flight.config.vehicle import Observer, ThrustSource, VehicleConfig
-from dart_flight.core.sense.arm_vibration import ArmFilter
-from dart_flight.core.sense.detector import Expected, ImpactDetector, _top_of
-from dart_flight.core.sense.force import ForceEstimator
-from dart_flight.core.sense.momentum import MomentumObserver
-from dart_flight.core.sense.pulse import Prior, TickReading, fit_friction, fit_normal
-from dart_flight.core.sense.state import FlightState
-from dart_flight.core.sense.thrust import LaggedCommands, ThrustModel
-from dart_flight.geometry import IDENTITY, MissionFrame, Vec3, quaternion_from_euler
-from dart_flight.samples import (
+from dart_flight.base.geometry import IDENTITY, MissionFrame, Vec3, quaternion_from_euler
+from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
     AttitudeTargetSample,
@@ -33,6 +24,15 @@ from dart_flight.samples import (
     OdometrySample,
     StatusSample,
 )
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import Observer, ThrustSource, VehicleConfig
+from dart_flight.core.sense.arm_vibration import ArmFilter
+from dart_flight.core.sense.detector import Expected, ImpactDetector, _top_of
+from dart_flight.core.sense.force import ForceEstimator
+from dart_flight.core.sense.momentum import MomentumObserver
+from dart_flight.core.sense.pulse import Prior, TickReading, fit_friction, fit_normal
+from dart_flight.core.sense.state import FlightState
+from dart_flight.core.sense.thrust import LaggedCommands, ThrustModel
 from tests.core.conftest import HOVER, ROOT
 from tools.campaigns.force import judge, percentile
 from tools.campaigns.force_hits import grid

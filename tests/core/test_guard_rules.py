@@ -8,15 +8,8 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
-from dart_flight.config.mission import Waypoint, load_mission
-from dart_flight.core import flight_core
-from dart_flight.core.flight_core import FlightCore
-from dart_flight.core.guard.guard import Guard
-from dart_flight.core.guard.rules import RULES, Rule
-from dart_flight.core.mission import executive, rehearsal
-from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import Vec3, quaternion_from_euler
-from dart_flight.samples import (
+from dart_flight.base.geometry import Vec3, quaternion_from_euler
+from dart_flight.base.records import (
     AttitudeSample,
     ClockOffset,
     EstimatorSample,
@@ -43,6 +36,13 @@ from dart_flight.samples import (
     VehicleAction,
     VehicleCommand,
 )
+from dart_flight.config.mission import Waypoint, load_mission
+from dart_flight.core import flight_core
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.core.guard.guard import Guard
+from dart_flight.core.guard.rules import RULES, Rule
+from dart_flight.core.mission import executive, rehearsal
+from dart_flight.core.sense.state import FlightState
 from tests.core.conftest import ROOT, TELEPORTING, HandFedCore
 
 CAUSES: dict[str, Callable[[HandFedCore], object]] = {}

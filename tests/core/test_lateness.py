@@ -5,9 +5,9 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 
+from dart_flight.base.records import ImuSample, RoundTrip
 from dart_flight.core.guard.lateness import Lateness
 from dart_flight.core.pace import Pace
-from dart_flight.samples import ImuSample, RoundTrip
 from tests.core.conftest import HandFedCore
 
 AHEAD_US = 300_000_000  # the autopilot's clock

@@ -8,10 +8,8 @@ import math
 import msgspec
 import pytest
 
-from dart_flight.config.mission import Waypoint
-from dart_flight.core.flight_core import FlightCore
-from dart_flight.geometry import quaternion_from_euler
-from dart_flight.samples import (
+from dart_flight.base.geometry import quaternion_from_euler
+from dart_flight.base.records import (
     ClockOffset,
     ContactEnd,
     FlightMode,
@@ -28,6 +26,8 @@ from dart_flight.samples import (
     VehicleAction,
     VehicleCommand,
 )
+from dart_flight.config.mission import Waypoint
+from dart_flight.core.flight_core import FlightCore
 from tests.core.conftest import TELEPORTING, HandFedCore
 
 SINGLE = "missions/paper_single_wall.yaml"

@@ -9,6 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dart_flight.base.records import (
+    ContactEnd,
+    ImpactOnset,
+    ImpactPeak,
+    Input,
+    OdometrySample,
+    Phase,
+    WallFelt,
+)
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.flight_core import FlightCore
@@ -17,8 +26,7 @@ from dart_flight.core.sense.state import FlightState
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.schema import INPUTS
-from dart_flight.samples import ContactEnd, ImpactOnset, ImpactPeak, Input, OdometrySample, Phase, WallFelt
-from dart_flight.worlds.prepare import load_flyable
+from dart_flight.run.prepare import load_flyable
 from tests.shared_flights import SharedFlights
 
 SINGLE_WALL = load_flyable(packaged("missions", "paper_single_wall.yaml"), packaged("configs", "dart.yaml"))

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dart_flight.base.records import ForceEstimate, PlanAnswer, PlanRequest, PlanTaken
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import Way
@@ -15,7 +16,6 @@ from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.replanning import Replanning
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
-from dart_flight.samples import ForceEstimate, PlanAnswer, PlanRequest, PlanTaken
 
 MISSION = load_mission(packaged("missions", "dual_collision_replan.yaml"))
 NOW_US = 10_000_000

@@ -12,24 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.sense.body import (
-    BodySense,
-    ContactSamples,
-    Felt,
-    Known,
-    _Fit,
-    _Row,
-    _smoothed,
-    side_of,
-)
-from dart_flight.core.sense.detector import Expected, ImpactDetector
-from dart_flight.core.sense.force import ForceEstimator
-from dart_flight.core.sense.state import FlightState
-from dart_flight.core.sense.torque import TorqueEstimator
-from dart_flight.core.sense.turning import Turning
-from dart_flight.geometry import IDENTITY, MissionFrame, Vec3, advance_attitude, norm
-from dart_flight.samples import (
+from dart_flight.base.geometry import IDENTITY, MissionFrame, Vec3, advance_attitude, norm
+from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
     AttitudeTargetSample,
@@ -46,6 +30,22 @@ from dart_flight.samples import (
     TorqueEstimate,
     TruthContact,
 )
+from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.core.sense.body import (
+    BodySense,
+    ContactSamples,
+    Felt,
+    Known,
+    _Fit,
+    _Row,
+    _smoothed,
+    side_of,
+)
+from dart_flight.core.sense.detector import Expected, ImpactDetector
+from dart_flight.core.sense.force import ForceEstimator
+from dart_flight.core.sense.state import FlightState
+from dart_flight.core.sense.torque import TorqueEstimator
+from dart_flight.core.sense.turning import Turning
 from dart_flight.sim.plant import Plant
 from tests.core.conftest import HOVER
 from tests.shared_flights import SharedFlights

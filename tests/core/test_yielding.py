@@ -10,12 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dart_flight.config.mission import Mission, load_mission
-from dart_flight.config.vehicle import load_vehicle
-from dart_flight.core.mission.yielding import Yielding
-from dart_flight.core.sense.senses import Sensed
-from dart_flight.geometry import norm, tilt_of
-from dart_flight.samples import (
+from dart_flight.base.geometry import norm, tilt_of
+from dart_flight.base.records import (
     AttitudeSample,
     ForceEstimate,
     ImpactOnset,
@@ -25,7 +21,11 @@ from dart_flight.samples import (
     Record,
     SetPoint,
 )
-from dart_flight.worlds.fast import FastFlight
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import load_vehicle
+from dart_flight.core.mission.yielding import Yielding
+from dart_flight.core.sense.senses import Sensed
+from dart_flight.run.fast import FastFlight
 
 ROOT = Path(__file__).parents[2]
 VEHICLE = load_vehicle(ROOT / "configs" / "dart.yaml")

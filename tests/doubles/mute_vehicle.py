@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from dart_flight.config.vehicle import LockDriver
+from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.mavlink_endpoint import Link, MavlinkEndpoint
 from dart_flight.sim.process import run_in_real_time
 from dart_flight.sim.vehicle import SimulatedVehicle
-from dart_flight.worlds.prepare import load_flyable
 
 MISSION = Path(__file__).parents[2] / "missions" / "single_wall.yaml"
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.faults.twin import second_vehicle
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 from dart_flight.sim.process import run_in_real_time
-from dart_flight.worlds.prepare import load_flyable
 
 MISSION = Path(__file__).parents[2] / "missions" / "paper_single_wall.yaml"
 

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import msgspec
 
+from dart_flight.base.records import World
 from dart_flight.config.vehicle import LockDriver
-from dart_flight.samples import World
+from dart_flight.run.app import FlightApp
+from dart_flight.run.embedded import DEADMAN_NOTE
+from dart_flight.run.flight_record import FlightRecord
+from dart_flight.run.prepare import load_flyable, with_driver
+from dart_flight.run.sabotage import Sabotage
 from dart_flight.sim.faults.kinds import parse_fault
-from dart_flight.worlds.app import FlightApp
-from dart_flight.worlds.embedded import DEADMAN_NOTE
-from dart_flight.worlds.flight_record import FlightRecord
-from dart_flight.worlds.prepare import load_flyable, with_driver
-from dart_flight.worlds.sabotage import Sabotage
 
 path, url, log_dir, fault = sys.argv[1:]
 mission = with_driver(load_flyable(path), LockDriver.PX4)

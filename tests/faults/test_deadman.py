@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.worlds.deadman import SystemdNotice
-from dart_flight.worlds.vehicle_process import free_udp_port
+from dart_flight.run.deadman import SystemdNotice
+from dart_flight.run.world_process import free_udp_port
 from tools.lossy_proxy import set_point_times
 
 ROOT = Path(__file__).parents[2]
@@ -25,7 +25,7 @@ STARVE_S = 0.3
 FED = """
 import sys, time
 from pathlib import Path
-from dart_flight.worlds.deadman import CORE, LOOP, Deadman
+from dart_flight.run.deadman import CORE, LOOP, Deadman
 deadman = Deadman({starve}, Path(sys.argv[1]))
 deadman.arm()
 print(time.monotonic(), deadman.pid, flush=True)
@@ -128,9 +128,9 @@ def test_nothing_that_flies_reads_the_time_of_day() -> None:
         "vehicle",
         "lock/drivers",
         "lock/session.py",
-        "worlds/deadman.py",
-        "worlds/app.py",
-        "worlds/core_thread.py",
+        "run/deadman.py",
+        "run/app.py",
+        "run/core_thread.py",
     ):
         path = package / folder
         for file in [path] if path.is_file() else path.rglob("*.py"):

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.base.records import GuardEvent, ImuSample, SetPoint, Silence, StatusSample, VehicleCommand
 from dart_flight.recording.reader import read_log
-from dart_flight.samples import GuardEvent, ImuSample, SetPoint, Silence, StatusSample, VehicleCommand
+from dart_flight.run.embedded import fly_embedded
+from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.faults.kinds import Fault, parse_fault
-from dart_flight.worlds.embedded import fly_embedded
-from dart_flight.worlds.prepare import load_flyable
 from tests.shared_flights import PATIENT
 from tools.campaigns.faults import ROWS, expected
 

@@ -15,10 +15,17 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.base.records import (
+    ActuatorSample,
+    EscSample,
+    ImuSample,
+    MissionEnd,
+    PhaseChange,
+    TruthContact,
+)
+from dart_flight.lab.report.flight import Flight
 from dart_flight.recording.reader import read_log
-from dart_flight.report.flight import Flight
-from dart_flight.samples import ActuatorSample, EscSample, ImuSample, MissionEnd, PhaseChange, TruthContact
-from dart_flight.worlds.vehicle_process import free_udp_port
+from dart_flight.run.world_process import free_udp_port
 from tests.shared_flights import LiveFlights, patient
 
 ROOT = Path(__file__).parents[2]

@@ -7,14 +7,14 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from dart_flight.base.records import GoalPassed, Record, SetPoint, TruthSample
 from dart_flight.config.document import Document
 from dart_flight.config.mission import load_mission, parse_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.reader import read_log
-from dart_flight.samples import GoalPassed, Record, SetPoint, TruthSample
+from dart_flight.run.fast import FastFlight, fly_fast
+from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.faults.kinds import Fault
-from dart_flight.worlds.fast import FastFlight, fly_fast
-from dart_flight.worlds.prepare import load_flyable
 from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[2]

@@ -10,10 +10,10 @@ import pytest
 from dart_flight.check.findings import Finding
 from dart_flight.check.mission import check_mission
 from dart_flight.config.starter import first_mission
+from dart_flight.recording.verdict import Verdict
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.draws import parse_vary
-from dart_flight.verdict import Verdict
-from dart_flight.worlds.fast import fly_fast
-from dart_flight.worlds.prepare import load_flyable
 
 ROOT = Path(__file__).parents[2]
 

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import msgspec
 
+from dart_flight.base.records import Override, World
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LimitSwitch
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
-from dart_flight.samples import Override, World
-from dart_flight.worlds.fast import fly_fast
-from dart_flight.worlds.prepare import load_flyable
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.prepare import load_flyable
 from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[2]
@@ -57,8 +57,8 @@ def test_a_limit_switch_that_stays_silent_breaks_it_off_too() -> None:
 
 
 def test_a_switch_that_falls_silent_in_flight_breaks_it_off() -> None:
-    from dart_flight.verdict import VerdictBuilder
-    from dart_flight.worlds.fast import FastFlight
+    from dart_flight.recording.verdict import VerdictBuilder
+    from dart_flight.run.fast import FastFlight
 
     mission = dual(limit_switch=LimitSwitch(chip="gpiochip0", rigid_line=17))
     builder = VerdictBuilder(mission)

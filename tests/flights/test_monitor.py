@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from dart_flight.base.records import StatusText
 from dart_flight.cli.monitor_command import screen
 from dart_flight.config.mission import load_mission
-from dart_flight.samples import StatusText
-from dart_flight.worlds.fast import FastFlight
-from dart_flight.worlds.monitor import Watcher
-from dart_flight.worlds.vehicle_process import free_udp_port
+from dart_flight.run.fast import FastFlight
+from dart_flight.run.monitor import Watcher
+from dart_flight.run.world_process import free_udp_port
 from tests.core.conftest import HandFedCore
 
 ROOT = Path(__file__).parents[2]

@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from dart_flight.base.records import LockCommand, LockPermission, LockState, Mode, PhaseChange, WallFelt
 from dart_flight.check.mission import check_mission
 from dart_flight.check.vehicle import judge_lock
 from dart_flight.cli import main
@@ -17,15 +18,14 @@ from dart_flight.config.scenario import load_scenario
 from dart_flight.config.vehicle import LockDriver, VehicleConfig, packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.core.mission.phases import TRANSITIONS, Cue
-from dart_flight.planning.search import search
+from dart_flight.lab.report.flight import Flight
+from dart_flight.lab.report.page import flight_page
+from dart_flight.lab.search.search import search
 from dart_flight.recording.reader import read_log
-from dart_flight.report.flight import Flight
-from dart_flight.report.page import flight_page
-from dart_flight.samples import LockCommand, LockPermission, LockState, Mode, PhaseChange, WallFelt
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.prepare import load_flyable, with_driver
+from dart_flight.run.replay import replay
 from dart_flight.sim.draws import draw_world, parse_vary
-from dart_flight.worlds.fast import fly_fast
-from dart_flight.worlds.prepare import load_flyable, with_driver
-from dart_flight.worlds.replay import replay
 
 DART = packaged("configs", "dart.yaml")
 SINGLE = packaged("missions", "paper_single_wall.yaml").read_text("utf-8")

@@ -5,12 +5,12 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from dart_flight.base.records import AfterImpact, Outcome, PlanTaken, Record, SetPoint
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.recording.reader import read_log
-from dart_flight.samples import AfterImpact, Outcome, PlanTaken, Record, SetPoint
-from dart_flight.worlds.fast import FastFlight, fly_fast
-from dart_flight.worlds.replay import replay
+from dart_flight.run.fast import FastFlight, fly_fast
+from dart_flight.run.replay import replay
 
 SOURCE = packaged("missions", "dual_collision_replan.yaml")
 

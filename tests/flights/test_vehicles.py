@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.base.records import LockCommand, LockState, OperatorRequest, PhaseChange, Request
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.reader import read_log
-from dart_flight.samples import LockCommand, LockState, OperatorRequest, PhaseChange, Request
-from dart_flight.worlds.replay import replay
+from dart_flight.run.replay import replay
 from tests.shared_flights import patient
 
 

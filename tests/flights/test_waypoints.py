@@ -8,17 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dart_flight.check.findings import Finding
-from dart_flight.check.mission import check_mission
-from dart_flight.config.document import InputError
-from dart_flight.config.mission import Mission, load_mission
-from dart_flight.config.vehicle import packaged
-from dart_flight.core.flight_core import FlightCore
-from dart_flight.core.mission.approach import NoApproachError, legs_of, transit_of
-from dart_flight.recording.reader import Log, read_log
-from dart_flight.report.flight import Flight
-from dart_flight.report.page import flight_page
-from dart_flight.samples import (
+from dart_flight.base.records import (
     ImpactPeak,
     Input,
     OdometrySample,
@@ -30,11 +20,21 @@ from dart_flight.samples import (
     Request,
     SetPoint,
 )
+from dart_flight.check.findings import Finding
+from dart_flight.check.mission import check_mission
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.core.mission.approach import NoApproachError, legs_of, transit_of
+from dart_flight.lab.report.flight import Flight
+from dart_flight.lab.report.page import flight_page
+from dart_flight.recording.reader import Log, read_log
+from dart_flight.recording.verdict import VerdictBuilder
+from dart_flight.run.fast import FastFlight, fly_fast
+from dart_flight.run.prepare import load_flyable
+from dart_flight.run.replay import replay
 from dart_flight.sim.faults.kinds import parse_fault
-from dart_flight.verdict import VerdictBuilder
-from dart_flight.worlds.fast import FastFlight, fly_fast
-from dart_flight.worlds.prepare import load_flyable
-from dart_flight.worlds.replay import replay
 
 DART = packaged("configs", "dart.yaml")
 BARE = f"""\

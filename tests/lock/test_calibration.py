@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.base.records import Mode
 from dart_flight.config.document import InputError
 from dart_flight.config.edit import edit_values, write_values
 from dart_flight.config.vehicle import LockConfig, packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lock.calibration import STEP_US, Calibration, CalibrationError
-from dart_flight.samples import Mode
 
 Vary = Callable[..., LockConfig]
 

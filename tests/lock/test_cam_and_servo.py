@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dart_flight.base.records import Mode
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.vehicle import Cam, LockConfig, LockDriver, VehicleConfig, packaged
 from dart_flight.lock import cam as kinematics
 from dart_flight.lock import servo as calibration
 from dart_flight.lock.servo import ServoFaults, ServoModel
-from dart_flight.samples import Mode
 
 Vary = Callable[..., LockConfig]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from dart_flight.base.records import LockState, Mode
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.lock import state_machine
-from dart_flight.samples import LockState, Mode
 from tools.campaigns.lock import campaign
 
 

@@ -14,13 +14,13 @@ from typing import Any
 
 import pytest
 
+from dart_flight.base.records import LockPhase, Mode
 from dart_flight.cli import main
 from dart_flight.config.vehicle import Servo, packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lock.ground import clock_us
 from dart_flight.lock.persistence import load_last
 from dart_flight.lock.servo import mode_of
-from dart_flight.samples import LockPhase, Mode
 from tests.doubles.emulated_maestro import EmulatedMaestro
 
 

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.config.vehicle import LockConfig, LockDriver, LockStartup
 from dart_flight.lock.drivers import Driver, DriverError, make_driver
 from dart_flight.lock.drivers.maestro import MaestroDriver, error_names
 from dart_flight.lock.servo import ServoFaults, mode_of
 from dart_flight.lock.session import LockSession
-from dart_flight.samples import LockPhase, LockState, Mode
 from tests.doubles.emulated_maestro import EmulatedMaestro
 
 Vary = Callable[..., LockConfig]

@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.config.document import InputError
+from dart_flight.config.state_folder import state_dir
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.persistence import (
     CommandStore,
@@ -20,8 +22,6 @@ from dart_flight.lock.persistence import (
     forget_last,
     load_last,
 )
-from dart_flight.samples import LockPhase, LockState, Mode
-from dart_flight.state_folder import state_dir
 
 HOLD = """
 import os, sys, time

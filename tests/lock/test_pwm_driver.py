@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.base.records import LockPhase, Mode
 from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.lock.drivers import Driver, DriverError, make_driver, pwm
 from dart_flight.lock.drivers.pwm import PwmDriver
 from dart_flight.lock.session import LockSession
-from dart_flight.samples import LockPhase, Mode
 
 Vary = Callable[..., LockConfig]
 

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.config.vehicle import LimitSwitch, LockConfig, LockStartup
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
 from dart_flight.lock.servo import ServoFaults, mode_of
@@ -22,7 +23,6 @@ from dart_flight.lock.state_machine import (
     describe,
     status_text,
 )
-from dart_flight.samples import LockPhase, LockState, Mode
 
 from .conftest import BOTH_SWITCHES
 

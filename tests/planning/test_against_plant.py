@@ -12,9 +12,9 @@ import pytest
 
 from dart_flight.config.mission import load_mission
 from dart_flight.config.scenario import load_scenario
-from dart_flight.planning.mission_writer import write_mission
-from dart_flight.planning.search import search
-from dart_flight.worlds.fast import fly_fast
+from dart_flight.lab.search.mission_writer import write_mission
+from dart_flight.lab.search.search import search
+from dart_flight.run.fast import fly_fast
 
 POINT = ["simulation.contact.body=point"]
 SCENARIOS = Path(__file__).parents[2] / "missions" / "scenarios"

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dart_flight.base.geometry import GRAVITY_M_S2
+from dart_flight.base.records import Mode, PlanAnswer, PlanRequest, WallFelt
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import Way
-from dart_flight.geometry import GRAVITY_M_S2
 from dart_flight.planning.planned import planned_flight
 from dart_flight.planning.replanning import Replanner
-from dart_flight.samples import Mode, PlanAnswer, PlanRequest, WallFelt
 
 MISSION = load_mission(packaged("missions", "dual_collision_replan.yaml"))
 REPLANNER = Replanner(MISSION)

@@ -13,11 +13,12 @@ from typing import Any
 import msgspec
 import pytest
 
+from dart_flight.base.records import Mode
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.parameters import PositionSource
 from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.lock.drivers.px4 import actuator_value
-from dart_flight.samples import Mode
+from dart_flight.run.prepare import with_driver
 from dart_flight.sim.px4 import bridge as px4_bridge
 from dart_flight.sim.px4.bridge import (
     ACCELEROMETER_LIMIT_M_S2,
@@ -30,7 +31,6 @@ from dart_flight.sim.px4.bridge import (
     geodetic,
     servo_channel,
 )
-from dart_flight.worlds.prepare import with_driver
 from tests.doubles.fake_px4 import FakePx4
 
 COUNTS_PER_M_S2 = 2048.0 / 9.80665

@@ -11,7 +11,7 @@ from dart_flight.check.mission import check_mission
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
 from dart_flight.planning.envelope import expected_force_n, impact_warnings
-from dart_flight.worlds.prepare import load_flyable
+from dart_flight.run.prepare import load_flyable
 
 SWEEP = Path(__file__).parents[2] / "tools" / "campaigns" / "px4_sweep_mission.yaml"
 

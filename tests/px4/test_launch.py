@@ -18,13 +18,14 @@ import msgspec
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from dart_flight.base.records import TruthContact, TruthSample
 from dart_flight.cli import main
 from dart_flight.cli.px4_options import position_warnings
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
 from dart_flight.config.parameters import PositionSource
 from dart_flight.config.vehicle import LockDriver, packaged
-from dart_flight.samples import TruthContact, TruthSample
+from dart_flight.run.world_process import Px4World, WorldError
 from dart_flight.sim.pipe import Px4Spec, WorldSpec
 from dart_flight.sim.px4 import launch
 from dart_flight.sim.px4.launch import (
@@ -40,7 +41,6 @@ from dart_flight.sim.px4.launch import (
     judge_version,
     parse_version,
 )
-from dart_flight.worlds.vehicle_process import Px4World, WorldError
 from tests.doubles import ground_station
 from tests.doubles.fake_px4 import install
 

@@ -15,10 +15,10 @@ from dart_flight.check.vehicle import check_vehicle
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameters import Parameter, PositionSource
 from dart_flight.config.vehicle import LockDriver
+from dart_flight.run.prepare import load_flyable
+from dart_flight.run.world_process import Px4World
 from dart_flight.sim.pipe import Px4Spec, WorldSpec
 from dart_flight.sim.px4.launch import flight_parameters
-from dart_flight.worlds.prepare import load_flyable
-from dart_flight.worlds.vehicle_process import Px4World
 
 pytestmark = pytest.mark.px4
 

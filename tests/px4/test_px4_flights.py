@@ -18,12 +18,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20.common import MAV_RESULT_ACCEPTED, MAV_RESULT_TEMPORARILY_REJECTED
 
-from dart_flight.config.parameters import PositionSource
-from dart_flight.config.rotors import rotor_differences
-from dart_flight.config.vehicle import packaged
-from dart_flight.identification.airframe import read_airframe
-from dart_flight.recording.reader import read_log
-from dart_flight.samples import (
+from dart_flight.base.records import (
     ForceEstimate,
     GuardEvent,
     ImpactPeak,
@@ -33,9 +28,14 @@ from dart_flight.samples import (
     PlanTaken,
     Record,
 )
-from dart_flight.verdict import Verdict
-from dart_flight.worlds.prepare import load_flyable
-from dart_flight.worlds.px4 import fly_px4
+from dart_flight.config.parameters import PositionSource
+from dart_flight.config.rotors import rotor_differences
+from dart_flight.config.vehicle import packaged
+from dart_flight.lab.calibrate.airframe import read_airframe
+from dart_flight.recording.reader import read_log
+from dart_flight.recording.verdict import Verdict
+from dart_flight.run.prepare import load_flyable
+from dart_flight.run.px4 import fly_px4
 from tests.doubles.ground_station import switch_to_position
 
 pytestmark = pytest.mark.px4
@@ -101,7 +101,7 @@ def test_single_wall_outdoors_with_rtk(px4_dir: Path, tmp_path: Path) -> None:
 
 def test_lock_servo_on_px4s_own_output(px4_dir: Path, tmp_path: Path) -> None:
     from dart_flight.config.vehicle import LockDriver
-    from dart_flight.worlds.prepare import with_driver
+    from dart_flight.run.prepare import with_driver
 
     mission = with_driver(load_flyable(MISSIONS / "paper_dual_collision.yaml"), LockDriver.PX4)
     accept(fly_px4(mission, px4_dir, 1, tmp_path, speed=min(2.0, FAST)))
@@ -109,7 +109,7 @@ def test_lock_servo_on_px4s_own_output(px4_dir: Path, tmp_path: Path) -> None:
 
 def test_a_hexarotor_with_the_lock_s_servo_after_its_motors(px4_dir: Path, tmp_path: Path) -> None:
     from dart_flight.config.vehicle import LockDriver
-    from dart_flight.worlds.prepare import with_driver
+    from dart_flight.run.prepare import with_driver
 
     mission = load_flyable(MISSIONS / "paper_single_wall.yaml", packaged("configs", "hexarotor.yaml"))
     verdict = fly_px4(with_driver(mission, LockDriver.PX4), px4_dir, 1, tmp_path, speed=min(2.0, FAST))

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from dart_flight.base.records import GuardEvent, HealthReport, StatusText
 from dart_flight.config.parameters import PositionSource
 from dart_flight.recording.reader import read_log
-from dart_flight.samples import GuardEvent, HealthReport, StatusText
-from dart_flight.worlds.prepare import load_flyable
+from dart_flight.run.prepare import load_flyable
 from tests.doubles.ground_station import arm
 from tests.px4.test_px4_check import waiting_px4
 

@@ -9,9 +9,9 @@ import statistics
 
 import pytest
 
+from dart_flight.base.geometry import quaternion_from_euler
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import ImuRinging, load_vehicle, packaged
-from dart_flight.geometry import quaternion_from_euler
 from dart_flight.sim.noise import Normal
 from dart_flight.sim.plant import Plant, make_plant
 from dart_flight.sim.sensors import (

@@ -9,7 +9,7 @@ import pytest
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.reader import Log, read_log
-from dart_flight.worlds.prepare import load_flyable
+from dart_flight.run.prepare import load_flyable
 from tests.shared_flights import SharedFlights
 
 

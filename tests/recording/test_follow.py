@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.base.records import StatusText, Tick
 from dart_flight.recording.follow import LogFollower
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.writer import FlightLog
-from dart_flight.samples import StatusText, Tick
 
 
 def drain(follower: LogFollower, wanted: int, timeout_s: float = 10.0) -> list[int]:

@@ -11,16 +11,16 @@ from types import SimpleNamespace
 import msgspec
 import pytest
 
+from dart_flight.base.records import LogFailure, Record, Tick, World
 from dart_flight.check.log_space import check_log_space, longest_flight_s
 from dart_flight.cli import main
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.events import Events
+from dart_flight.recording.verdict import Verdict
 from dart_flight.recording.writer import LogPart
-from dart_flight.samples import LogFailure, Record, Tick, World
-from dart_flight.verdict import Verdict
-from dart_flight.worlds.flight_record import FlightRecord
-from dart_flight.worlds.prepare import load_flyable
-from dart_flight.worlds.sabotage import fill_disk_of
+from dart_flight.run.flight_record import FlightRecord
+from dart_flight.run.prepare import load_flyable
+from dart_flight.run.sabotage import fill_disk_of
 
 ROOT = Path(__file__).parents[2]
 SINGLE = ROOT / "missions/single_wall.yaml"

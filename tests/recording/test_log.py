@@ -24,16 +24,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from dart_flight.cli import main
-from dart_flight.config.document import InputError
-from dart_flight.config.mission import Mission
-from dart_flight.recording.about import flown_mission, parse_written, written_mission
-from dart_flight.recording.encoding import decode, encode
-from dart_flight.recording.export import export_csv
-from dart_flight.recording.reader import Log, LogEntry, read_log
-from dart_flight.recording.schema import CLOCKS, RECORD_TYPES, schema
-from dart_flight.recording.writer import ABOUT, FORMAT_VERSION, FlightLog, part_path
-from dart_flight.samples import (
+from dart_flight.base.records import (
     GuardEvent,
     HealthReport,
     ImuSample,
@@ -47,6 +38,15 @@ from dart_flight.samples import (
     SetPoint,
     Tick,
 )
+from dart_flight.cli import main
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission
+from dart_flight.lab.scene.csv_export import export_csv
+from dart_flight.recording.about import flown_mission, parse_written, written_mission
+from dart_flight.recording.encoding import decode, encode
+from dart_flight.recording.reader import Log, LogEntry, read_log
+from dart_flight.recording.schema import CLOCKS, RECORD_TYPES, schema
+from dart_flight.recording.writer import ABOUT, FORMAT_VERSION, FlightLog, part_path
 
 IMU = ImuSample(t_us=1, received_us=2, specific_force_frd=(0.1, -0.0, -9.81), rate_frd=(0.0, 0.0, 0.0))
 
@@ -386,7 +386,7 @@ def test_a_killed_process_loses_at_most_200_ms(tmp_path: Path) -> None:
         import time
         from pathlib import Path
         from dart_flight.recording.writer import FlightLog
-        from dart_flight.samples import Tick
+        from dart_flight.base.records import Tick
         log = FlightLog(Path({str(path)!r}), {{}})
         i = 0
         while True:

@@ -6,11 +6,18 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.base.records import (
+    ForceEstimate,
+    ImpactOnset,
+    ImpactPeak,
+    LockCommand,
+    SetPoint,
+    TorqueEstimate,
+)
+from dart_flight.lab.report.flight import Flight
+from dart_flight.lab.report.page import flight_page
 from dart_flight.recording.reader import read_log
-from dart_flight.report.flight import Flight
-from dart_flight.report.page import flight_page
-from dart_flight.samples import ForceEstimate, ImpactOnset, ImpactPeak, LockCommand, SetPoint, TorqueEstimate
-from dart_flight.worlds.replay import replay
+from dart_flight.run.replay import replay
 from tests.shared_flights import LiveFlights
 from tools.campaigns.replay import fly_and_replay, judge
 from tools.keep_flight import keep

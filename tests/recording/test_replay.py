@@ -8,13 +8,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from dart_flight.base.records import ImpactOnset, ImpactPeak, ImuSample, SetPoint, World
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.recording.reader import Log, LogEntry, read_log
-from dart_flight.samples import ImpactOnset, ImpactPeak, ImuSample, SetPoint, World
-from dart_flight.worlds.fast import FastFlight
-from dart_flight.worlds.replay import changed_mission, replay
+from dart_flight.run.fast import FastFlight
+from dart_flight.run.replay import changed_mission, replay
 from tests.shared_flights import SharedFlights
 
 

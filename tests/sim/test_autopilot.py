@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.base.geometry import distance2
+from dart_flight.base.records import FlightMode, LandedState
 from dart_flight.check.parameters import names_to_read
 from dart_flight.config.mission import load_mission
-from dart_flight.geometry import distance2
-from dart_flight.samples import FlightMode, LandedState
 from dart_flight.sim.autopilot import Autopilot, make_autopilot
 from dart_flight.sim.cascade import TrajectorySetPoint
 

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from dart_flight.base.geometry import GRAVITY_M_S2, MissionFrame, Vec3, Wall, quaternion_from_euler, rotate
+from dart_flight.base.records import Mode, TruthContact
 from dart_flight.config.vehicle import BodyModel, Coefficients, ContactBody, VehicleConfig
 from dart_flight.contact.body import Plane, guards_of, touch
 from dart_flight.contact.law import Onset
-from dart_flight.geometry import GRAVITY_M_S2, MissionFrame, Vec3, Wall, quaternion_from_euler, rotate
-from dart_flight.samples import Mode, TruthContact
 from dart_flight.sim.plant import Plant
 from tests.oracles.rigid_body import Body, Law, fly
 from tests.sim.test_plant import HOVER, VEHICLE

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from dart_flight.geometry import MissionFrame, quaternion_from_euler, tilt_of, yaw_ned_of
+from dart_flight.base.geometry import MissionFrame, quaternion_from_euler, tilt_of, yaw_ned_of
 from dart_flight.sim.autopilot import default_parameters
 from dart_flight.sim.cascade import Cascade, TrajectorySetPoint
 from dart_flight.sim.plant import Plant

@@ -9,10 +9,10 @@ import pytest
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.recording.reader import read_log
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.prepare import load_flyable
+from dart_flight.run.replay import replay
 from dart_flight.sim.draws import NAMES, draw_world, parse_vary
-from dart_flight.worlds.fast import fly_fast
-from dart_flight.worlds.prepare import load_flyable
-from dart_flight.worlds.replay import replay
 
 ROOT = Path(__file__).parents[2]
 MISSION = load_flyable(ROOT / "missions/paper_single_wall.yaml", None, ["simulation.contact.body=guards"])

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from dart_flight.samples import (
+from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
     AttitudeTargetSample,

@@ -11,8 +11,7 @@ from typing import Any
 import pytest
 from mavsdk.plugins.telemetry import FlightMode as SdkFlightMode
 
-from dart_flight.config.vehicle import load_vehicle, packaged
-from dart_flight.samples import (
+from dart_flight.base.records import (
     FlightMode,
     HealthReport,
     Input,
@@ -21,7 +20,8 @@ from dart_flight.samples import (
     StatusSample,
     VehicleAction,
 )
-from dart_flight.streams import STREAMS
+from dart_flight.base.streams import STREAMS
+from dart_flight.config.vehicle import load_vehicle, packaged
 from dart_flight.vehicle import reasons
 from dart_flight.vehicle import session as module
 from dart_flight.vehicle.session import VehicleSession

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from dart_flight.samples import FlightMode, SetPoint, StatusSample, VehicleAction
+from dart_flight.base.records import FlightMode, SetPoint, StatusSample, VehicleAction
 from dart_flight.vehicle import session as module
 from dart_flight.vehicle.session import VehicleSession
 

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from dart_flight.base.records import Mode
 from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import contact_map
 from dart_flight.contact.law import Onset
-from dart_flight.samples import Mode
 from tests.oracles.stepping import stepped_map
 
 BATCH = 100_000

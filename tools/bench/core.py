@@ -19,9 +19,7 @@ from typing import Any, NamedTuple, get_args
 
 import msgspec
 
-from dart_flight.config.mission import Mission, load_mission
-from dart_flight.core.flight_core import FlightCore
-from dart_flight.samples import (
+from dart_flight.base.records import (
     ClockOffset,
     ImuSample,
     Input,
@@ -32,10 +30,12 @@ from dart_flight.samples import (
     VehicleCommand,
     World,
 )
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.run.fast import FLIGHT_MODES, FastFlight, simulated_driver
+from dart_flight.run.flight_record import FlightRecord
 from dart_flight.sim.cascade import TrajectorySetPoint
 from dart_flight.sim.vehicle import SimulatedVehicle
-from dart_flight.worlds.fast import FLIGHT_MODES, FastFlight, simulated_driver
-from dart_flight.worlds.flight_record import FlightRecord
 
 ROOT = Path(__file__).parents[2]
 COMPILED = ROOT / "build" / "compiled"

@@ -29,13 +29,7 @@ import msgspec
 from mavsdk.plugins.mavlink_direct.mavlink_direct import MavlinkMessage, MavlinkMessageCStruct
 from mavsdk.plugins.telemetry.telemetry import Imu, ImuCStruct, Quaternion, QuaternionCStruct
 
-from dart_flight.core.flight_core import FlightCore
-from dart_flight.recording.about import flown_mission
-from dart_flight.recording.encoding import encode
-from dart_flight.recording.reader import Log, read_log
-from dart_flight.recording.schema import INPUTS
-from dart_flight.recording.writer import _FLUSH_S, LogPart
-from dart_flight.samples import (
+from dart_flight.base.records import (
     MOTOR_FULL_US,
     MOTOR_STOP_US,
     ActuatorSample,
@@ -50,6 +44,12 @@ from dart_flight.samples import (
     Record,
     WallFelt,
 )
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.recording.about import flown_mission
+from dart_flight.recording.encoding import encode
+from dart_flight.recording.reader import Log, read_log
+from dart_flight.recording.schema import INPUTS
+from dart_flight.recording.writer import _FLUSH_S, LogPart
 from dart_flight.vehicle.clock import ClockEstimate, host_us
 from dart_flight.vehicle.session import VehicleSession
 

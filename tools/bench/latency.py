@@ -25,12 +25,8 @@ from typing import Any
 
 import msgspec
 
-import dart_flight.worlds.app as app_module
-from dart_flight.config.mission import Mission, load_mission
-from dart_flight.core.flight_core import FlightCore
-from dart_flight.core.guard.guard import Guard
-from dart_flight.core.pace import Pace
-from dart_flight.samples import (
+import dart_flight.run.app as app_module
+from dart_flight.base.records import (
     Input,
     LockPhase,
     LockState,
@@ -43,12 +39,16 @@ from dart_flight.samples import (
     VehicleCommand,
     World,
 )
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.core.guard.guard import Guard
+from dart_flight.core.pace import Pace
+from dart_flight.run.app import FlightApp
+from dart_flight.run.core_thread import CoreThread
+from dart_flight.run.flight_record import FlightRecord
+from dart_flight.run.runner import CoreRunner
+from dart_flight.run.world_process import free_udp_port
 from dart_flight.vehicle.clock import host_us
-from dart_flight.worlds.app import FlightApp
-from dart_flight.worlds.core_thread import CoreThread
-from dart_flight.worlds.flight_record import FlightRecord
-from dart_flight.worlds.runner import CoreRunner
-from dart_flight.worlds.vehicle_process import free_udp_port
 from tools.bench.alone import Echo, stay
 from tools.bench.impact_source import MISSION, Record
 

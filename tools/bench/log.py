@@ -10,11 +10,11 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from dart_flight.base.records import Record, TruthContact, TruthSample, World
 from dart_flight.config.mission import load_mission
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.writer import FlightLog
-from dart_flight.samples import Record, TruthContact, TruthSample, World
-from dart_flight.worlds.fast import FastFlight
+from dart_flight.run.fast import FastFlight
 from tools.bench.processor import thread_seconds
 
 _MISSION = Path(__file__).parents[2] / "missions" / "paper_dual_collision.yaml"

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import msgspec
 
+from dart_flight.base.records import World
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.writer import FlightLog
-from dart_flight.samples import World
+from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import DrawnWorld
-from dart_flight.worlds.fast import FastFlight
 
 
 def with_walls(mission: Mission, **factors: float) -> Mission:

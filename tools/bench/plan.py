@@ -14,8 +14,8 @@ import msgspec
 import numpy as np
 
 from dart_flight.config.scenario import Scenario, load_scenario
+from dart_flight.lab.search.search import draws_of
 from dart_flight.planning.rollout import Arrivals, Rollout, Stages, new_flight, stages_for
-from dart_flight.planning.search import draws_of
 from tests.oracles.plan_reference import solve_candidate
 from tests.oracles.plan_stepping import Ends, step_everything
 

@@ -28,15 +28,15 @@ import msgspec
 from rich.console import Console
 from rich.table import Table
 
+from dart_flight.base.records import World
 from dart_flight.config.mission import Mission
-from dart_flight.samples import World
+from dart_flight.run.app import FlightApp
+from dart_flight.run.core_thread import CoreThread
+from dart_flight.run.flight_record import FlightRecord
+from dart_flight.run.runner import CoreRunner
+from dart_flight.run.world_process import free_udp_port
 from dart_flight.vehicle.clock import host_us
 from dart_flight.vehicle.session import connect
-from dart_flight.worlds.app import FlightApp
-from dart_flight.worlds.core_thread import CoreThread
-from dart_flight.worlds.flight_record import FlightRecord
-from dart_flight.worlds.runner import CoreRunner
-from dart_flight.worlds.vehicle_process import free_udp_port
 from tools.bench import alone
 from tools.bench.impact_source import MISSION
 from tools.bench.latency import RepeatingCore, rigid_mission

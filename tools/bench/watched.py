@@ -24,9 +24,9 @@ import msgspec
 from rich.console import Console
 from rich.table import Table
 
+from dart_flight.base.records import Phase, PhaseChange, SetPoint, SetPointSent
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.reader import read_log
-from dart_flight.samples import Phase, PhaseChange, SetPoint, SetPointSent
 
 PAIRS = 4
 _FLIGHT_S = 120.0

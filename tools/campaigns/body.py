@@ -28,15 +28,8 @@ from typing import Any
 
 import msgspec
 
-from dart_flight.campaign.statistics import wilson
-from dart_flight.config.document import InputError
-from dart_flight.config.kinds import FileKind, load_document
-from dart_flight.config.mission import Mission, parse_mission
-from dart_flight.config.vehicle import LockDriver, load_vehicle
-from dart_flight.core.flight_core import FlightCore
-from dart_flight.core.mission.approach import NoApproachError
-from dart_flight.geometry import norm, tilt_of
-from dart_flight.samples import (
+from dart_flight.base.geometry import norm, tilt_of
+from dart_flight.base.records import (
     ActuatorSample,
     ImuSample,
     Outcome,
@@ -46,9 +39,16 @@ from dart_flight.samples import (
     TruthSample,
     World,
 )
+from dart_flight.config.document import InputError
+from dart_flight.config.kinds import FileKind, load_document
+from dart_flight.config.mission import Mission, parse_mission
+from dart_flight.config.vehicle import LockDriver, load_vehicle
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.core.mission.approach import NoApproachError
+from dart_flight.lab.campaign.statistics import wilson
+from dart_flight.recording.verdict import VerdictBuilder
+from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import DrawnWorld, draw_world, parse_vary, place_walls
-from dart_flight.verdict import VerdictBuilder
-from dart_flight.worlds.fast import FastFlight
 from tools.campaigns.faults import Watch, judge, run_out
 from tools.campaigns.kept import fly_missing
 

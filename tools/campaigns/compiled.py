@@ -18,12 +18,12 @@ from pathlib import Path
 
 import msgspec
 
+from dart_flight.base.records import Record, World
 from dart_flight.core.flight_core import FlightCore
-from dart_flight.samples import Record, World
+from dart_flight.run.fast import FastFlight, simulated_driver
+from dart_flight.run.flight_record import FlightRecord
+from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.draws import draw_world, parse_vary
-from dart_flight.worlds.fast import FastFlight, simulated_driver
-from dart_flight.worlds.flight_record import FlightRecord
-from dart_flight.worlds.prepare import load_flyable
 
 ROOT = Path(__file__).parents[2]
 COMPILED = ROOT / "build" / "compiled"

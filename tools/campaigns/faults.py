@@ -33,17 +33,17 @@ import msgspec
 from mcap.records import Chunk, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
+from dart_flight.base.geometry import distance2, tilt_of
+from dart_flight.base.records import FlightMode, GuardEvent, Record, TruthSample, World
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.geometry import distance2, tilt_of
 from dart_flight.recording.reader import read_log
+from dart_flight.recording.verdict import VerdictBuilder
 from dart_flight.recording.writer import FlightLog
-from dart_flight.samples import FlightMode, GuardEvent, Record, TruthSample, World
+from dart_flight.run.fast import FastFlight
+from dart_flight.run.prepare import load_flyable
+from dart_flight.run.sabotage import fill_disk_of
 from dart_flight.sim.faults.kinds import KINDS, Fault, parse_fault
-from dart_flight.verdict import VerdictBuilder
-from dart_flight.worlds.fast import FastFlight
-from dart_flight.worlds.prepare import load_flyable
-from dart_flight.worlds.sabotage import fill_disk_of
 
 EXPECTED = Path(__file__).resolve().parents[2] / "tests" / "faults" / "expected.csv"
 ON_GROUND = "ground"  # from the start on

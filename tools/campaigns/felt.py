@@ -28,17 +28,17 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from dart_flight.campaign.statistics import wilson
+from dart_flight.base.records import Mode, Phase, PhaseChange, Record, TruthContact, WallFelt, World
 from dart_flight.config.kinds import FileKind, load_document
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.vehicle import BodyModel, Coefficients, LockDriver, load_vehicle
 from dart_flight.core.mission.approach import NoApproachError
+from dart_flight.lab.campaign.statistics import wilson
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
-from dart_flight.samples import Mode, Phase, PhaseChange, Record, TruthContact, WallFelt, World
+from dart_flight.recording.verdict import VerdictBuilder
+from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import draw_world
-from dart_flight.verdict import VerdictBuilder
-from dart_flight.worlds.fast import FastFlight
 from tools.campaigns.kept import fly_missing
 
 ROOT = Path(__file__).resolve().parents[2]

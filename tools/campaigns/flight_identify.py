@@ -23,12 +23,12 @@ import msgspec
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.contact.law import Onset
-from dart_flight.identification.fit import identify
-from dart_flight.identification.flight_trials import ALLOWANCE, trials_of
+from dart_flight.lab.identify.fit import identify
+from dart_flight.lab.identify.flight_trials import ALLOWANCE, trials_of
+from dart_flight.lab.report.flight import Flight
+from dart_flight.lab.report.proposal import AGREES, propose
 from dart_flight.recording.reader import read_log
-from dart_flight.report.flight import Flight
-from dart_flight.report.proposal import AGREES, propose
-from dart_flight.worlds.prepare import load_flyable
+from dart_flight.run.prepare import load_flyable
 from tools.bench.other_wall import fly_against, with_walls
 
 ROOT = Path(__file__).parents[2]

@@ -17,11 +17,7 @@ from pathlib import Path
 import matplotlib as mpl
 import msgspec
 
-from dart_flight.config.mission import Mission, load_mission
-from dart_flight.config.vehicle import Coefficients, VehicleConfig
-from dart_flight.contact.law import Onset, contact_force
-from dart_flight.core.sense.state import FlightState
-from dart_flight.samples import (
+from dart_flight.base.records import (
     ContactEnd,
     ForceEstimate,
     ImpactOnset,
@@ -30,7 +26,11 @@ from dart_flight.samples import (
     TruthContact,
     TruthSample,
 )
-from dart_flight.worlds.fast import FastFlight
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import Coefficients, VehicleConfig
+from dart_flight.contact.law import Onset, contact_force
+from dart_flight.core.sense.state import FlightState
+from dart_flight.run.fast import FastFlight
 from tools.campaigns.force_hits import Hit, direction_error_deg, fly_hit, grid, judge_hit
 from tools.campaigns.force_quiet import Quiet, fly_quiet
 

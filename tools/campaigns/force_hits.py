@@ -12,11 +12,7 @@ from collections.abc import Iterator
 
 import msgspec
 
-from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.sense.detector import Expected, ImpactDetector, confirmed_force
-from dart_flight.core.sense.force import ForceEstimator
-from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import (
+from dart_flight.base.geometry import (
     GRAVITY_M_S2,
     MissionFrame,
     Quaternion,
@@ -28,7 +24,7 @@ from dart_flight.geometry import (
     quaternion_from_rotation_vector,
     quaternion_multiply,
 )
-from dart_flight.samples import (
+from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
     ImpactOnset,
@@ -41,6 +37,10 @@ from dart_flight.samples import (
     OdometrySample,
     StatusSample,
 )
+from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.core.sense.detector import Expected, ImpactDetector, confirmed_force
+from dart_flight.core.sense.force import ForceEstimator
+from dart_flight.core.sense.state import FlightState
 from dart_flight.sim.noise import Normal
 from dart_flight.sim.plant import Plant
 from dart_flight.sim.sensors import ImuSensor

@@ -12,12 +12,8 @@ import random
 
 import msgspec
 
-from dart_flight.config.mission import Mission
-from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.sense.detector import Expected
-from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import MissionFrame, Vec3, yaw_ned_of
-from dart_flight.samples import (
+from dart_flight.base.geometry import MissionFrame, Vec3, yaw_ned_of
+from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
     FlightMode,
@@ -30,6 +26,10 @@ from dart_flight.samples import (
     OdometrySample,
     StatusSample,
 )
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.core.sense.detector import Expected
+from dart_flight.core.sense.state import FlightState
 from dart_flight.sim.autopilot import Autopilot
 from dart_flight.sim.cascade import TrajectorySetPoint
 from dart_flight.sim.plant import Plant

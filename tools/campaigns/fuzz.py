@@ -32,10 +32,10 @@ from dart_flight.config.scenario import load_scenario
 from dart_flight.config.vehicle import LockDriver, VehicleConfig, packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.recording.reader import read_log
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 from dart_flight.sim.vehicle import SimulatedVehicle
-from dart_flight.worlds.fast import fly_fast
-from dart_flight.worlds.prepare import load_flyable
 
 KINDS = ("mission", "scenario", "configuration", "log", "frame")
 SLOW_S = 1.0

@@ -2,7 +2,7 @@
 
     python -m tools.campaigns.hours FILE_OR_FOLDER... [--json FILE]
 
-The recordings of `tools.other_logs` go through `dart_flight.identification.feel` at the shipped operating
+The recordings of `tools.other_logs` go through `dart_flight.lab.inspect` at the shipped operating
 point, as those of `tools.campaigns.real` do. What is felt in the air counts, a second and more from take-off
 and landing.
 """

@@ -21,18 +21,18 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from dart_flight.base.records import Mode
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.airframe import Coefficients
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
-from dart_flight.identification.fit import identify
-from dart_flight.identification.hits import hit_of
-from dart_flight.identification.intervals import covariance
-from dart_flight.identification.solver import solve
-from dart_flight.identification.trials import Trial
-from dart_flight.samples import Mode
+from dart_flight.lab.identify.fit import identify
+from dart_flight.lab.identify.hits import hit_of
+from dart_flight.lab.identify.intervals import covariance
+from dart_flight.lab.identify.solver import solve
+from dart_flight.lab.identify.trials import Trial
 from tools.synthetic_trials import MASS_KG, drop_trial, wall_trial
 
 ROOT = Path(__file__).parents[2]

@@ -25,6 +25,7 @@ from typing import Protocol
 
 import msgspec
 
+from dart_flight.base.records import LockPhase, Mode
 from dart_flight.config.vehicle import LimitSwitch, LockConfig, LockDriver, packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lock.drivers import Driver
@@ -33,7 +34,6 @@ from dart_flight.lock.drivers.maestro import MaestroDriver
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
 from dart_flight.lock.servo import NO_FAULTS, ServoFaults, mode_of
 from dart_flight.lock.session import LockSession
-from dart_flight.samples import LockPhase, Mode
 from tests.doubles.emulated_maestro import EmulatedMaestro
 
 POLL_US = 20_000

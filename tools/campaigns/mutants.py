@@ -39,13 +39,13 @@ KEPT = ROOT / "build" / "mutants.jsonl"
 # What is mutated: whole files, or the named classes of one.
 CORE = "dart_flight/core"
 CLASSES = {
-    "dart_flight/worlds/core_thread.py": ("CoreThread",),
-    "dart_flight/worlds/runner.py": ("CoreRunner",),
+    "dart_flight/run/core_thread.py": ("CoreThread",),
+    "dart_flight/run/runner.py": ("CoreRunner",),
 }
 # Around the core, each with the tests that need no real time and must notice.
 SHELL: dict[str, tuple[str, ...]] = {
-    "dart_flight/worlds/app.py": ("tests/worlds/test_app.py", "tests/worlds/test_operator.py"),
-    "dart_flight/worlds/deadman.py": ("tests/faults/test_deadman.py",),
+    "dart_flight/run/app.py": ("tests/run/test_app.py", "tests/run/test_operator.py"),
+    "dart_flight/run/deadman.py": ("tests/faults/test_deadman.py",),
     "dart_flight/vehicle/session.py": ("tests/vehicle",),
     "dart_flight/planning/replanning.py": (
         "tests/planning/test_replanner.py",

@@ -17,11 +17,11 @@ from typing import NamedTuple
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
 from dart_flight.config.scenario import Objective, load_scenario
-from dart_flight.planning.mission_writer import write_mission
-from dart_flight.planning.search import Plan, search
-from dart_flight.planning.summary import with_objective
-from dart_flight.verdict import Verdict
-from dart_flight.worlds.campaigns import fly_fast_many
+from dart_flight.lab.search.mission_writer import write_mission
+from dart_flight.lab.search.search import Plan, search
+from dart_flight.lab.search.summary import with_objective
+from dart_flight.recording.verdict import Verdict
+from dart_flight.run.many_flights import fly_fast_many
 
 ROOT = Path(__file__).parents[2]
 SCENARIOS = 10

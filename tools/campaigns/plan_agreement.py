@@ -13,13 +13,13 @@ from pathlib import Path
 
 import msgspec
 
+from dart_flight.base.records import Mode, TruthContact
 from dart_flight.config.mission import load_mission
 from dart_flight.config.scenario import load_scenario
-from dart_flight.planning.mission_writer import write_mission
-from dart_flight.planning.search import Plan, search
-from dart_flight.samples import Mode, TruthContact
-from dart_flight.verdict import Verdict
-from dart_flight.worlds.fast import fly_fast
+from dart_flight.lab.search.mission_writer import write_mission
+from dart_flight.lab.search.search import Plan, search
+from dart_flight.recording.verdict import Verdict
+from dart_flight.run.fast import fly_fast
 
 ROOT = Path(__file__).parents[2]
 FLIGHTS = 10

@@ -27,19 +27,19 @@ from statistics import fmean, stdev
 
 import msgspec
 
+from dart_flight.base.geometry import norm, tilt_of
+from dart_flight.base.records import ImuSample, OdometrySample, TruthSample
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import parse_mission
 from dart_flight.config.parameters import PositionSource
 from dart_flight.config.vehicle import packaged
-from dart_flight.geometry import norm, tilt_of
 from dart_flight.recording.reader import read_log
-from dart_flight.samples import ImuSample, OdometrySample, TruthSample
+from dart_flight.recording.verdict import Verdict
+from dart_flight.run.embedded import fly_embedded
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.prepare import load_flyable
+from dart_flight.run.px4 import fly_px4
 from dart_flight.sim.px4.launch import find_install
-from dart_flight.verdict import Verdict
-from dart_flight.worlds.embedded import fly_embedded
-from dart_flight.worlds.fast import fly_fast
-from dart_flight.worlds.prepare import load_flyable
-from dart_flight.worlds.px4 import fly_px4
 
 SEEDS = range(1, 11)
 EMBEDDED_SEEDS = range(1, 4)  # real time: few

@@ -25,8 +25,8 @@ from rich.console import Console
 from rich.progress import track
 from scipy.optimize import linprog
 
+from dart_flight.base.geometry import GRAVITY_M_S2, Wall
 from dart_flight.config.mission import BoundsSpec, Mission, load_mission
-from dart_flight.geometry import GRAVITY_M_S2, Wall
 from dart_flight.planning.planned import planned_flight
 from dart_flight.sim.draws import draw_world, parse_vary
 from tools.campaigns.body import ROOT

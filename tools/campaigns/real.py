@@ -2,7 +2,7 @@
 
     python -m tools.campaigns.real LOG_OR_FOLDER... [--json FILE]
 
-ULogs go through `dart_flight.identification.feel`. What comes out: thrust fitted or refused by name, impacts
+ULogs go through `dart_flight.lab.inspect`. What comes out: thrust fitted or refused by name, impacts
 in flight, and, with half-sines of 30 to 180 ms added to the estimated force, how many of them are found, by
 their height over the floor that the software states. Detection is done again for a series of thresholds,
 without and with the learnt noise, on the same estimates.
@@ -23,15 +23,15 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from dart_flight.base.geometry import MissionFrame, Vec2
+from dart_flight.base.records import ImpactOnset, ImpactPeak
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Detection, VehicleConfig, load_vehicle
 from dart_flight.core.sense.detector import Expected, ImpactDetector
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import MissionFrame, Vec2
-from dart_flight.identification.feel import TOPICS, FeltFlight, feel_log
-from dart_flight.identification.feel.impacts import REMEMBERED, Crossing, Estimated, short_samples
+from dart_flight.lab.inspect import TOPICS, FeltFlight, feel_log
+from dart_flight.lab.inspect.impacts import REMEMBERED, Crossing, Estimated, short_samples
 from dart_flight.recording.ulog import ULogFile, open_ulog
-from dart_flight.samples import ImpactOnset, ImpactPeak
 
 _EVERY_S = 1.6  # a pulse, in flight
 _AFTER_S = 3.0  # from the beginning of a flight

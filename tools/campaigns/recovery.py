@@ -22,13 +22,13 @@ from unittest.mock import patch
 import msgspec
 from rich.console import Console
 
+from dart_flight.base.geometry import distance2
+from dart_flight.base.records import ImpactPeak, Input, OdometrySample, Phase, SetPoint
 from dart_flight.core import flight_core
 from dart_flight.core.mission.executive import Executive
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import distance2
-from dart_flight.samples import ImpactPeak, Input, OdometrySample, Phase, SetPoint
 from tools.campaigns.body import MIDDLE, ROOT, WIDE_ROOM, WORST, Flown, Job, default_case, fly
 
 _SEEDS = (6001,)  # not those of `tools.campaigns.body`: a candidate may be chosen on these

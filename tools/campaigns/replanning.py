@@ -23,17 +23,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from dart_flight.campaign.statistics import wilson
-from dart_flight.config.mission import Mission, load_mission
-from dart_flight.config.vehicle import LockDriver
-from dart_flight.core import flight_core
-from dart_flight.core.mission.executive import Executive
-from dart_flight.core.mission.phases import Cue
-from dart_flight.core.mission.proposal import Proposal
-from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import distance2
-from dart_flight.planning.planned import planned_flight
-from dart_flight.samples import (
+from dart_flight.base.geometry import distance2
+from dart_flight.base.records import (
     AfterImpact,
     GoalPassed,
     LockPhase,
@@ -46,9 +37,18 @@ from dart_flight.samples import (
     TruthSample,
     World,
 )
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import LockDriver
+from dart_flight.core import flight_core
+from dart_flight.core.mission.executive import Executive
+from dart_flight.core.mission.phases import Cue
+from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.sense.state import FlightState
+from dart_flight.lab.campaign.statistics import wilson
+from dart_flight.planning.planned import planned_flight
+from dart_flight.recording.verdict import VerdictBuilder
+from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import draw_world, parse_vary
-from dart_flight.verdict import VerdictBuilder
-from dart_flight.worlds.fast import FastFlight
 from tools.campaigns.body import ROOT
 from tools.campaigns.faults import Watch, judge, run_out
 

@@ -17,14 +17,14 @@ from pathlib import Path
 
 import msgspec
 
+from dart_flight.base.records import ImuSample, MissionEnd
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.reader import read_log
-from dart_flight.samples import ImuSample, MissionEnd
-from dart_flight.worlds.embedded import fly_embedded
-from dart_flight.worlds.fast import fly_fast
-from dart_flight.worlds.prepare import load_flyable
-from dart_flight.worlds.px4 import fly_px4
-from dart_flight.worlds.replay import replay
+from dart_flight.run.embedded import fly_embedded
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.prepare import load_flyable
+from dart_flight.run.px4 import fly_px4
+from dart_flight.run.replay import replay
 
 ROOT = Path(__file__).parents[2]
 MISSIONS = ("paper_dual_collision", "paper_single_wall")

@@ -27,11 +27,11 @@ from typing import Any
 
 import msgspec
 
+from dart_flight.base.records import ContactEnd, ImpactOnset, Phase, PhaseChange, TruthContact
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import ImuRinging
-from dart_flight.samples import ContactEnd, ImpactOnset, Phase, PhaseChange, TruthContact
-from dart_flight.worlds.fast import fly_fast
-from dart_flight.worlds.prepare import load_flyable
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.prepare import load_flyable
 
 ROOT = Path(__file__).parents[2]
 MISSIONS = ("paper_dual_collision", "paper_single_wall")

@@ -20,13 +20,13 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from dart_flight.campaign.statistics import wilson
+from dart_flight.base.records import ImpactOnset, ImpactPeak, Mode, PlanAnswer, Record, TruthContact
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import Coefficients, LockDriver, Material
 from dart_flight.core.mission.planned import expected_hit
-from dart_flight.samples import ImpactOnset, ImpactPeak, Mode, PlanAnswer, Record, TruthContact
+from dart_flight.lab.campaign.statistics import wilson
+from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import draw_world
-from dart_flight.worlds.fast import FastFlight
 from tools.campaigns.body import ROOT
 
 MISSION = ROOT / "tools" / "campaigns" / "one_wall_twice.yaml"

@@ -21,12 +21,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.config.mission import Mission, load_mission
-from dart_flight.config.vehicle import BodyModel
-from dart_flight.core.mission.approach import NoApproachError
-from dart_flight.core.sense.body import side_of
-from dart_flight.geometry import Vec2, Vec3, wrap_angle, yaw_ned_of
-from dart_flight.samples import (
+from dart_flight.base.geometry import Vec2, Vec3, wrap_angle, yaw_ned_of
+from dart_flight.base.records import (
     AttitudeSample,
     ContactSide,
     ForceEstimate,
@@ -38,8 +34,12 @@ from dart_flight.samples import (
     TorqueEstimate,
     TruthContact,
 )
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import BodyModel
+from dart_flight.core.mission.approach import NoApproachError
+from dart_flight.core.sense.body import side_of
+from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import draw_world
-from dart_flight.worlds.fast import FastFlight
 
 ROOT = Path(__file__).parents[2]
 ROWS, PAGE = ROOT / "build" / "torque.jsonl", ROOT / "docs" / "torque_results.md"

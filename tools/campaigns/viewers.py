@@ -34,12 +34,12 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
 from websockets.typing import Subprotocol
 
+from dart_flight.base.processes import stand_back
+from dart_flight.base.records import SetPoint
 from dart_flight.cli import main as dart_flight
 from dart_flight.config.vehicle import packaged
-from dart_flight.processes import stand_back
-from dart_flight.samples import SetPoint
+from dart_flight.run.app import FlightApp
 from dart_flight.vehicle.clock import host_us
-from dart_flight.worlds.app import FlightApp
 
 PAIRS = 10
 VIEWERS, STALLED = 10, 3

@@ -16,14 +16,14 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from typing import NamedTuple
 
+from dart_flight.base.records import Record, World
 from dart_flight.config.document import Document
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.samples import Record, World
+from dart_flight.recording.verdict import Verdict
+from dart_flight.run.fast import FastFlight
+from dart_flight.run.flight_record import FlightRecord
 from dart_flight.sim.draws import DrawnWorld, place_walls
-from dart_flight.verdict import Verdict
-from dart_flight.worlds.fast import FastFlight
-from dart_flight.worlds.flight_record import FlightRecord
 from tools.campaigns.body import ROOT
 
 HELD_SEED = 16001

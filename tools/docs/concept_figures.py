@@ -16,18 +16,18 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+from dart_flight.base.geometry import MissionFrame, Vec2, Wall
+from dart_flight.base.records import ImpactPeak, Mode, SetPoint
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import Airframe, Cam
 from dart_flight.contact.law import Onset
-from dart_flight.contact.path import trajectory
-from dart_flight.contact.prediction import condition, wall_contact
-from dart_flight.geometry import MissionFrame, Vec2, Wall
+from dart_flight.lab.flight_arrays import FlightArrays
+from dart_flight.lab.predict.path import trajectory
+from dart_flight.lab.predict.prediction import condition, wall_contact
+from dart_flight.lab.report.figures.scene import draw_vehicle
 from dart_flight.lock.cam import limits_deg, rod_mm
-from dart_flight.recording.arrays import FlightArrays
 from dart_flight.recording.reader import read_log
-from dart_flight.report.figures.scene import draw_vehicle
-from dart_flight.samples import ImpactPeak, Mode, SetPoint
-from dart_flight.worlds.fast import fly_fast
+from dart_flight.run.fast import fly_fast
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "img"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from dart_flight.base.records import Record
 from dart_flight.recording.schema import INPUTS, NOTES, OUTPUTS, schema
-from dart_flight.samples import Record
 
 _GROUPS = (
     ("Inputs of the flight core", INPUTS),

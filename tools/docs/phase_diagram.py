@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from dart_flight.base.records import LockPhase, Phase
 from dart_flight.core.mission.phases import TRANSITIONS, Cue
 from dart_flight.lock import state_machine
-from dart_flight.samples import LockPhase, Phase
 
 
 def diagram() -> str:

@@ -15,11 +15,11 @@ from typing import NamedTuple
 
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.report.flight import Flight
-from dart_flight.report.page import comparison_page, flight_page
+from dart_flight.lab.report.flight import Flight
+from dart_flight.lab.report.page import comparison_page, flight_page
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.faults.kinds import parse_fault
-from dart_flight.worlds.fast import fly_fast
-from dart_flight.worlds.prepare import load_flyable
 from tools.bench.other_wall import fly_against, with_walls
 from tools.docs.browser import Browser, find_browser
 

@@ -12,10 +12,10 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
+from dart_flight.base.geometry import Vec2, Wall
+from dart_flight.base.records import Mode
 from dart_flight.config.section import Fraction, Section
 from dart_flight.config.vehicle.motor_curve import MotorCurve
-from dart_flight.geometry import Vec2, Wall
-from dart_flight.samples import Mode
 
 Drag = Annotated[float, Meta(ge=0.0, le=10.0)]
 Inertia = Annotated[float, Meta(gt=0.0, le=10.0)]

@@ -10,6 +10,8 @@ from typing import Any, Literal
 
 import msgspec
 
+from dart_flight.base.geometry import GRAVITY_M_S2
+from dart_flight.base.records import Mode
 from dart_flight.config.document import Document, InputError, unknown_name
 from dart_flight.config.kinds import EXTENDS
 from dart_flight.config.section import Section
@@ -20,8 +22,6 @@ from dart_flight.config.vehicle.estimation import Detection, Estimation
 from dart_flight.config.vehicle.flight import Flying, GuardThresholds
 from dart_flight.config.vehicle.lock import NO_LOCK, LockConfig, LockDriver
 from dart_flight.config.vehicle.simulation import Simulation
-from dart_flight.geometry import GRAVITY_M_S2
-from dart_flight.samples import Mode
 
 
 class VehicleConfig(Section, frozen=True, kw_only=True):

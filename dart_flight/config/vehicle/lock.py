@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
+from dart_flight.base.records import Mode
 from dart_flight.config.section import Seconds, Section
-from dart_flight.samples import Mode
 
 
 class Cam(Section, frozen=True):

@@ -12,17 +12,8 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Final, NamedTuple
 
-from dart_flight.config.mission import Mission
-from dart_flight.core.guard.rules import RULES, RULES_BY_NAME, Rule, Scope, in_scope
-from dart_flight.core.guard.watch import Watch
-from dart_flight.core.mission.phases import DOWN_US
-from dart_flight.core.mission.position_loop import STOP_TIME_S
-from dart_flight.core.mission.proposal import Proposal
-from dart_flight.core.mission.survey import early_m, slack_m
-from dart_flight.core.sense.senses import Sensed
-from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import Vec2, Vec3, norm
-from dart_flight.samples import (
+from dart_flight.base.geometry import Vec2, Vec3, norm
+from dart_flight.base.records import (
     FlightMode,
     GuardEvent,
     ImpactOnset,
@@ -39,6 +30,15 @@ from dart_flight.samples import (
     VehicleAction,
     VehicleCommand,
 )
+from dart_flight.config.mission import Mission
+from dart_flight.core.guard.rules import RULES, RULES_BY_NAME, Rule, Scope, in_scope
+from dart_flight.core.guard.watch import Watch
+from dart_flight.core.mission.phases import DOWN_US
+from dart_flight.core.mission.position_loop import STOP_TIME_S
+from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.mission.survey import early_m, slack_m
+from dart_flight.core.sense.senses import Sensed
+from dart_flight.core.sense.state import FlightState
 
 Causes = list[tuple[int, Callable[[Watch], str | None], str]]  # rank of the action, cause, name of the rule
 

@@ -12,7 +12,7 @@ import math
 from collections import deque
 from typing import Final
 
-from dart_flight.samples import RoundTrip
+from dart_flight.base.records import RoundTrip
 
 _SHARE: Final = 0.15  # of about the last second; what comes at one go after a pause takes no time
 _SHARE_US: Final = 1_000_000

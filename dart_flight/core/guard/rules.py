@@ -12,10 +12,8 @@ from collections.abc import Callable
 from enum import StrEnum
 from typing import Final, NamedTuple
 
-from dart_flight.core.guard.watch import ALTITUDE_SLACK_M, Stamped, Watch, low_rate
-from dart_flight.core.mission.phases import ALTITUDE_EXEMPT, ON_GROUND
-from dart_flight.geometry import horizontal, norm
-from dart_flight.samples import (
+from dart_flight.base.geometry import horizontal, norm
+from dart_flight.base.records import (
     AttitudeSample,
     FlightMode,
     ImuSample,
@@ -24,6 +22,8 @@ from dart_flight.samples import (
     Phase,
     Request,
 )
+from dart_flight.core.guard.watch import ALTITUDE_SLACK_M, Stamped, Watch, low_rate
+from dart_flight.core.mission.phases import ALTITUDE_EXEMPT, ON_GROUND
 
 _SPEED_TOLERANCE: Final = 1.1
 _STALE_SAMPLES: Final = 5  # in a row; one late datagram is no clock that runs backwards
@@ -280,7 +280,7 @@ RULES: tuple[Rule, ...] = (
          "guard.actuator_timeout_s", _HOLD, _FLYING, _actuator_silent, calm=True, of_streams=True),
     Rule("status_silent", "no heartbeat for too long", "guard.status_timeout_s",
          _LAND, _AIR, _status_silent, calm=True, of_streams=True),
-    Rule("stream_rate", "a stream comes at less than the rate that a mission needs (`streams.py`)",
+    Rule("stream_rate", "a stream comes at less than the rate that a mission needs (`base/streams.py`)",
          "streams: expected_hz", _HOLD, _FLYING, low_rate, calm=True, of_streams=True),
     Rule("telemetry_late_ground", "samples are old when they come: what they show is over",
          "guard.telemetry_late_s", _GIVE_UP, _GROUND, _telemetry_late, calm=True, of_streams=True),

@@ -10,8 +10,8 @@ import math
 from collections import deque
 from typing import Final
 
-from dart_flight.geometry import norm
-from dart_flight.samples import OdometrySample
+from dart_flight.base.geometry import norm
+from dart_flight.base.records import OdometrySample
 
 _TURNS: Final = 3  # there and back, within the window
 _WINDOW_US: Final = 2_000_000  # host time

@@ -11,16 +11,8 @@ import math
 from collections import deque
 from typing import Final
 
-from dart_flight.config.mission import Mission
-from dart_flight.core.guard.lateness import Lateness
-from dart_flight.core.guard.sources import TwoClocks, TwoPlaces
-from dart_flight.core.mission.arithmetic import SCALARS
-from dart_flight.core.mission.phases import ALTITUDE_EXEMPT
-from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
-from dart_flight.core.sense.senses import Sensed
-from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import Vec3, norm
-from dart_flight.samples import (
+from dart_flight.base.geometry import Vec3, norm
+from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
     EstimatorSample,
@@ -37,7 +29,15 @@ from dart_flight.samples import (
     StatusSample,
     StatusText,
 )
-from dart_flight.streams import BY_NAME
+from dart_flight.base.streams import BY_NAME
+from dart_flight.config.mission import Mission
+from dart_flight.core.guard.lateness import Lateness
+from dart_flight.core.guard.sources import TwoClocks, TwoPlaces
+from dart_flight.core.mission.arithmetic import SCALARS
+from dart_flight.core.mission.phases import ALTITUDE_EXEMPT
+from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
+from dart_flight.core.sense.senses import Sensed
+from dart_flight.core.sense.state import FlightState
 
 _FAILSAFE_WORDS: Final = ("failsafe",)
 _FAILSAFE_MEMORY_US: Final = 3_000_000

@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import msgspec
 
+from dart_flight.base.geometry import Vec2, Vec3, Wall, distance2
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.arithmetic import SCALARS, Arithmetic, Number
 from dart_flight.core.mission.survey import end_margin_m, slack_m
-from dart_flight.geometry import Vec2, Vec3, Wall, distance2
 
 # Speed follows 3 s^2 - 2 s^3: the peak acceleration is 1.5 times the mean, the way half of speed times time.
 PEAK_OVER_MEAN = 1.5

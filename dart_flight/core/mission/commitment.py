@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 
+from dart_flight.base.geometry import GRAVITY_M_S2, Wall
 from dart_flight.config.mission import BoundsSpec, Collision, Limits, Mission
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.coefficients import CoefficientArrays
@@ -18,7 +19,6 @@ from dart_flight.contact.law import Onset
 from dart_flight.core.mission.arithmetic import SCALARS, Arithmetic, Number
 from dart_flight.core.mission.position_loop import PlaneMet
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import GRAVITY_M_S2, Wall
 
 # Of the prediction "holding still stops short of the wall"; small, because breaking off brakes harder.
 STOP_MARGIN_M = 0.02

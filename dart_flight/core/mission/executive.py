@@ -10,24 +10,8 @@ import math
 from collections.abc import Callable
 from typing import ClassVar, Final
 
-from dart_flight.config.mission import Collision, Mission, Waypoint
-from dart_flight.core.mission.approach import Approach, check_legs, plan_approach
-from dart_flight.core.mission.commitment import STOP_MARGIN_M, may_commit
-from dart_flight.core.mission.lock_orders import LockOrders
-from dart_flight.core.mission.phases import BETWEEN, DOWN_US, TRANSITIONS, WATCHING, Cue
-from dart_flight.core.mission.planned import expected_hit
-from dart_flight.core.mission.position_loop import least_distance_m, meets_plane
-from dart_flight.core.mission.proposal import Proposal
-from dart_flight.core.mission.recovery import recovery_point
-from dart_flight.core.mission.references import References
-from dart_flight.core.mission.replanning import Replanning
-from dart_flight.core.mission.survey import Survey, early_m, late_s, overrun_m
-from dart_flight.core.mission.yielding import LONGEST_S, Yielding
-from dart_flight.core.sense.detector import Expected
-from dart_flight.core.sense.senses import Sensed
-from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import Vec3, distance2, yaw_ned_of
-from dart_flight.samples import (
+from dart_flight.base.geometry import Vec3, distance2, yaw_ned_of
+from dart_flight.base.records import (
     DetectionFloor,
     GoalPassed,
     ImpactOnset,
@@ -48,6 +32,22 @@ from dart_flight.samples import (
     VehicleCommand,
     WallFelt,
 )
+from dart_flight.config.mission import Collision, Mission, Waypoint
+from dart_flight.core.mission.approach import Approach, check_legs, plan_approach
+from dart_flight.core.mission.commitment import STOP_MARGIN_M, may_commit
+from dart_flight.core.mission.lock_orders import LockOrders
+from dart_flight.core.mission.phases import BETWEEN, DOWN_US, TRANSITIONS, WATCHING, Cue
+from dart_flight.core.mission.planned import expected_hit
+from dart_flight.core.mission.position_loop import least_distance_m, meets_plane
+from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.mission.recovery import recovery_point
+from dart_flight.core.mission.references import References
+from dart_flight.core.mission.replanning import Replanning
+from dart_flight.core.mission.survey import Survey, early_m, late_s, overrun_m
+from dart_flight.core.mission.yielding import LONGEST_S, Yielding
+from dart_flight.core.sense.detector import Expected
+from dart_flight.core.sense.senses import Sensed
+from dart_flight.core.sense.state import FlightState
 
 PASSED_RISE_M: Final = 0.03  # the distance to the goal has risen by more than its noise
 PASSED_AFTER_S: Final = 0.25  # the first moments after a contact do not yet show where it leads

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import Final
 
+from dart_flight.base.records import LockCommand, LockPermission, LockPhase, Mode
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.core.sense.state import FlightState
-from dart_flight.samples import LockCommand, LockPermission, LockPhase, Mode
 
 RETRY_US: Final = 1_000_000
 _OVERDUE_US: Final = 50_000  # two polls of the lock

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from dart_flight.samples import Phase
+from dart_flight.base.records import Phase
 
 
 class Cue(StrEnum):

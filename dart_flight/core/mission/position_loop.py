@@ -14,10 +14,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
+from dart_flight.base.geometry import Wall
 from dart_flight.config.vehicle import Px4Parameters
 from dart_flight.core.mission.arithmetic import Arithmetic, Number
 from dart_flight.core.mission.survey import slack_m
-from dart_flight.geometry import Wall
 
 # Attitude loop (MC_ROLL_P 6.5) and motors; held to the plant in tests/planning/test_against_plant.py.
 ATTITUDE_LAG_S = 0.15

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
+from dart_flight.base.geometry import MissionFrame
+from dart_flight.base.records import MissionEnd, Output
 from dart_flight.core.sense.detector import Expected
-from dart_flight.geometry import MissionFrame
-from dart_flight.samples import MissionEnd, Output
 
 _NO_WALL: Final = Expected()
 

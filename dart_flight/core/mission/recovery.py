@@ -7,7 +7,7 @@ away from the wall by the normal force, onward along the wall by the friction fo
 
 from __future__ import annotations
 
-from dart_flight.geometry import Vec2, Vec3
+from dart_flight.base.geometry import Vec2, Vec3
 
 
 def recovery_point(

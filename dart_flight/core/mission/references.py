@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from dart_flight.base.geometry import MissionFrame, Vec2, Vec3, norm, wrap_angle
+from dart_flight.base.records import OdometrySample, SetPoint
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import Approach, ReferencePoint, Transit, Way
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import MissionFrame, Vec2, Vec3, norm, wrap_angle
-from dart_flight.samples import OdometrySample, SetPoint
 
 _ARRIVED_YAW_RAD: Final = 0.05
 

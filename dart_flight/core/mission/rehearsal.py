@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from dart_flight.base.records import Phase
 from dart_flight.config.mission import Collision
 from dart_flight.core.mission.approach import stop_before
 from dart_flight.core.mission.executive import Executive
@@ -11,7 +12,6 @@ from dart_flight.core.mission.phases import Cue
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
-from dart_flight.samples import Phase
 
 
 class Rehearsal(Executive):

@@ -12,6 +12,8 @@ import math
 
 import msgspec
 
+from dart_flight.base.geometry import Vec3, Wall
+from dart_flight.base.records import AfterImpact, PlanAnswer, PlanRequest, PlanTaken
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import Approach, NoApproachError, Way, plan_approach
 from dart_flight.core.mission.lock_orders import LockOrders
@@ -20,8 +22,6 @@ from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.survey import late_s
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import Vec3, Wall
-from dart_flight.samples import AfterImpact, PlanAnswer, PlanRequest, PlanTaken
 
 _FELT_WITHIN_US = 60_000  # of a contact's end (`sense.felt`)
 # Where the vehicle may be beside the beginning of a way: what the loop takes out within a few tenths.

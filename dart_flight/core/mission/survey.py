@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import msgspec
 
+from dart_flight.base.geometry import Vec2, Vec3, Wall
+from dart_flight.base.records import WallFelt
 from dart_flight.config.vehicle.flight import GuardThresholds
 from dart_flight.core.mission.arithmetic import Number
-from dart_flight.geometry import Vec2, Vec3, Wall
-from dart_flight.samples import WallFelt
 
 SURE_SD = 3.0  # standard deviations that are reckoned with
 _LEAST_CLOSING_M_S = 0.1

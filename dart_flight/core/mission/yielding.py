@@ -13,9 +13,9 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from dart_flight.base.geometry import Vec3
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.senses import Sensed
-from dart_flight.geometry import Vec3
 
 _FADED_M_S2: Final = 0.02
 _LARGEST_M_S2: Final = 5.0  # fed forward; also bounds what a hanging set-point could do

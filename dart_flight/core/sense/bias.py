@@ -12,8 +12,8 @@ import math
 from collections import deque
 from typing import Final
 
+from dart_flight.base.geometry import GRAVITY_M_S2, Vec2, Vec3
 from dart_flight.config.vehicle import Estimation
-from dart_flight.geometry import GRAVITY_M_S2, Vec2, Vec3
 
 _NOISE_TIME_S: Final = 0.5
 _NOISE_OUTLIER: Final = 9.0  # a squared difference counts at most this many times the present one

@@ -24,10 +24,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Final, NamedTuple
 
-from dart_flight.config.vehicle import Coefficients, VehicleConfig
-from dart_flight.core.sense.detector import Events, Expected
-from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import (
+from dart_flight.base.geometry import (
     MissionFrame,
     Quaternion,
     Vec2,
@@ -38,7 +35,7 @@ from dart_flight.geometry import (
     wrap_angle,
     yaw_ned_of,
 )
-from dart_flight.samples import (
+from dart_flight.base.records import (
     ContactEnd,
     ContactSide,
     ForceEstimate,
@@ -48,6 +45,9 @@ from dart_flight.samples import (
     Mode,
     TorqueEstimate,
 )
+from dart_flight.config.vehicle import Coefficients, VehicleConfig
+from dart_flight.core.sense.detector import Events, Expected
+from dart_flight.core.sense.state import FlightState
 
 LEAST_LEAD_M: Final = 0.002  # a smaller lead is none: both points at once
 _BEFORE: Final = 3  # samples of the contact from before the first one that was over the noise

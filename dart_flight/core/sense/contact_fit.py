@@ -26,8 +26,8 @@ import operator
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
+from dart_flight.base.geometry import Vec2
 from dart_flight.contact.law import Onset
-from dart_flight.geometry import Vec2
 
 PLACE_M: Final = 0.1  # at least: how far off the plan a wall may stand: loosely held, the force tells
 WALL_RAD = math.radians(4.0)  # at least: how well a wall's direction is known, with that of the attitude

@@ -18,13 +18,13 @@ from collections import deque
 from enum import Enum, auto
 from typing import Final, NamedTuple
 
+from dart_flight.base.geometry import Vec2, Wall
+from dart_flight.base.records import ContactEnd, DetectionFloor, ForceEstimate, ImpactOnset, ImpactPeak, Mode
 from dart_flight.config.vehicle import Coefficients, Detection, ThresholdTest, VehicleConfig
 from dart_flight.core.sense.bias import SlowForce
 from dart_flight.core.sense.pulse import NormalPulse, Prior, TickReading, fit_friction, fit_normal
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
-from dart_flight.geometry import Vec2, Wall
-from dart_flight.samples import ContactEnd, DetectionFloor, ForceEstimate, ImpactOnset, ImpactPeak, Mode
 
 _RISE_SHARE: Final = 0.3  # of the threshold: above it a sample before the crossing belongs to the contact
 _PEAK_DROP_SHARE: Final = 0.25  # of the threshold: a smaller drop is noise

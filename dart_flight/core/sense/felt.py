@@ -15,6 +15,8 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
+from dart_flight.base.geometry import Vec2, Wall, rotate
+from dart_flight.base.records import ContactEnd, ImpactOnset, LockPhase, Mode, WallFelt
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.law import Onset
 from dart_flight.core.sense.arm_vibration import ArmFilter
@@ -22,8 +24,6 @@ from dart_flight.core.sense.body import ContactSamples, Felt, seen_incidence
 from dart_flight.core.sense.contact_fit import PLACE_M, WALL_RAD, Belief, Body, Contact, Fitting, Tick
 from dart_flight.core.sense.detector import Events, Expected
 from dart_flight.core.sense.state import FlightState
-from dart_flight.geometry import Vec2, Wall, rotate
-from dart_flight.samples import ContactEnd, ImpactOnset, LockPhase, Mode, WallFelt
 
 _BEFORE: Final = 4  # samples of the contact from before the first one that was over the noise
 _FEWEST: Final = 4  # readings in contact

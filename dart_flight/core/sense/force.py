@@ -16,6 +16,8 @@ import math
 from collections import deque
 from typing import Final
 
+from dart_flight.base.geometry import GRAVITY_M_S2, MissionFrame, Quaternion, Vec3, advance_attitude
+from dart_flight.base.records import AttitudeSample, ForceEstimate, ImuSample, Mode
 from dart_flight.config.vehicle import Observer, VehicleConfig
 from dart_flight.core.sense.arm_vibration import ArmFilter
 from dart_flight.core.sense.bias import HoverBias
@@ -23,8 +25,6 @@ from dart_flight.core.sense.momentum import MomentumObserver
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.thrust import ThrustModel
 from dart_flight.core.sense.turning import Turning
-from dart_flight.geometry import GRAVITY_M_S2, MissionFrame, Quaternion, Vec3, advance_attitude
-from dart_flight.samples import AttitudeSample, ForceEstimate, ImuSample, Mode
 
 _ATTITUDE_REACH_US: Final = 60_000  # older attitudes are not carried on by the gyro
 _CLIP_SHARE: Final = 0.99  # a reading this near full scale is a lower bound

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from collections import deque
 
-from dart_flight.geometry import Vec3
-from dart_flight.samples import OdometrySample
+from dart_flight.base.geometry import Vec3
+from dart_flight.base.records import OdometrySample
 
 _HISTORY = 64  # ticks: the odometry is at most this late
 

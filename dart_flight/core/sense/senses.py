@@ -4,14 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from dart_flight.config.mission import Mission
-from dart_flight.core.sense.body import BodySense, ContactSamples, Felt
-from dart_flight.core.sense.detector import Event, Expected, ImpactDetector
-from dart_flight.core.sense.felt import WallSense
-from dart_flight.core.sense.force import ForceEstimator
-from dart_flight.core.sense.state import FlightState
-from dart_flight.core.sense.torque import TorqueEstimator
-from dart_flight.samples import (
+from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
     AttitudeTargetSample,
@@ -32,6 +25,13 @@ from dart_flight.samples import (
     TorqueEstimate,
     WallFelt,
 )
+from dart_flight.config.mission import Mission
+from dart_flight.core.sense.body import BodySense, ContactSamples, Felt
+from dart_flight.core.sense.detector import Event, Expected, ImpactDetector
+from dart_flight.core.sense.felt import WallSense
+from dart_flight.core.sense.force import ForceEstimator
+from dart_flight.core.sense.state import FlightState
+from dart_flight.core.sense.torque import TorqueEstimator
 
 
 class Sensed:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
-from dart_flight.geometry import MissionFrame, Vec3, add, scale, tilt_of, yaw_ned_of
-from dart_flight.samples import (
+from dart_flight.base.geometry import MissionFrame, Vec3, add, scale, tilt_of, yaw_ned_of
+from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
     ClockOffset,

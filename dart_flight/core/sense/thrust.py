@@ -13,9 +13,9 @@ import math
 from collections import deque
 from typing import Final
 
+from dart_flight.base.geometry import GRAVITY_M_S2
+from dart_flight.base.records import ActuatorSample, AttitudeTargetSample, EscSample
 from dart_flight.config.vehicle import ThrustSource, VehicleConfig
-from dart_flight.geometry import GRAVITY_M_S2
-from dart_flight.samples import ActuatorSample, AttitudeTargetSample, EscSample
 
 Each = tuple[float, ...]  # of every motor
 

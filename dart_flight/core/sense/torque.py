@@ -14,11 +14,11 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from dart_flight.base.geometry import Vec3, gyroscopic_torque
+from dart_flight.base.records import TorqueEstimate
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.thrust import Each
 from dart_flight.core.sense.turning import Turning
-from dart_flight.geometry import Vec3, gyroscopic_torque
-from dart_flight.samples import TorqueEstimate
 
 _NOISE_TIME_S: Final = 0.5
 _OUTLIER: Final = 9.0  # a squared difference counts at most this many times the present one

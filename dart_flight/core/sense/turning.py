@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from dart_flight.geometry import Vec3
-from dart_flight.samples import ImuSample
+from dart_flight.base.geometry import Vec3
+from dart_flight.base.records import ImuSample
 
 _LONGEST_GAP_S: Final = 0.1  # further apart two rates say nothing of the acceleration between them
 

@@ -11,7 +11,7 @@ import math
 from collections import deque
 from typing import Final
 
-from dart_flight.geometry import Vec2
+from dart_flight.base.geometry import Vec2
 
 _QUICK_S: Final = 0.5  # a manoeuvre counts at once, and its noise is not forgotten at once
 _SLOW_S: Final = 5.0

@@ -10,11 +10,11 @@ from collections.abc import Callable
 
 import msgspec
 
+from dart_flight.base.records import Mode
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.lock.drivers import DriverError
 from dart_flight.lock.servo import NO_FAULTS, ServoFaults, ServoModel, mode_of
 from dart_flight.lock.state_machine import DriverReading
-from dart_flight.samples import Mode
 
 
 class MockFaults(msgspec.Struct, frozen=True):

@@ -12,11 +12,11 @@ from enum import StrEnum
 
 import msgspec
 
+from dart_flight.base.geometry import GRAVITY_M_S2, scale
+from dart_flight.base.records import FlightMode, Phase, PhaseChange, Record
 from dart_flight.config.document import InputError, unknown_name
-from dart_flight.geometry import GRAVITY_M_S2, scale
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
-from dart_flight.samples import FlightMode, Phase, PhaseChange, Record
 from dart_flight.sim.cascade import TrajectorySetPoint
 from dart_flight.sim.faults.impairment import Impairment
 from dart_flight.sim.vehicle import SimulatedVehicle

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import msgspec
 
+from dart_flight.base.geometry import add
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockDriver
-from dart_flight.geometry import add
 from dart_flight.sim.vehicle import SimulatedVehicle
 
 _APART_NED = (0.0, 4.0, 0.0)  # outside of the missions' flight space, on its own floor

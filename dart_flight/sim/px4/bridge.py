@@ -18,11 +18,11 @@ from typing import Any
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
+from dart_flight.base.errors import FlightError
+from dart_flight.base.geometry import Quaternion, Vec3
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameters import PositionSource
 from dart_flight.config.vehicle import LockDriver, Motor, VehicleConfig
-from dart_flight.errors import FlightError
-from dart_flight.geometry import Quaternion, Vec3
 from dart_flight.lock.drivers.px4 import actuator_pulse_us
 from dart_flight.sim.autopilot import TICK_US
 from dart_flight.sim.noise import Normal

@@ -26,6 +26,7 @@ from pathlib import Path
 
 import msgspec
 
+from dart_flight.base.errors import FlightError
 from dart_flight.config.document import InputError
 from dart_flight.config.parameters import (
     Parameter,
@@ -37,7 +38,6 @@ from dart_flight.config.parameters import (
 )
 from dart_flight.config.rotors import COUNT, MAV_TYPES, motors_of, rotor_parameters
 from dart_flight.config.vehicle import LockDriver, Motor, Px4Parameters, VehicleConfig, packaged
-from dart_flight.errors import FlightError
 from dart_flight.lock.drivers.px4 import ACTUATOR_SET_1, PREARM_ALWAYS
 from dart_flight.sim.px4.bridge import servo_channel
 from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of, holder_of, udp_port_is_free

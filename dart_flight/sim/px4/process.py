@@ -15,12 +15,12 @@ from typing import IO
 
 import msgspec
 
+from dart_flight.base.errors import FlightError
+from dart_flight.base.records import TruthSample
 from dart_flight.config.document import Document
 from dart_flight.config.mission import parse_mission
 from dart_flight.config.parameters import PositionSource, Value, parse_listing
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.errors import FlightError
-from dart_flight.samples import TruthSample
 from dart_flight.sim.autopilot import TICK_S
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.pipe import Died, Horn, LineReader, LineWriter, Px4Spec, Ready, Truth, WorldSpec

@@ -1,0 +1,1 @@
+"""What every room stands on: rotations, frames, records, streams, errors."""

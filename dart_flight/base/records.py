@@ -1,0 +1,706 @@
+"""The immutable records that flow through the flight core.
+
+SI units. `t_us` is the autopilot's time in integer microseconds, `received_us` the host's monotonic time
+at receipt. What the core takes in is an `Input`, what it gives out is an `Output`: a command that a shell
+carries out, or a record of what was estimated or decided, which is only logged.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import ClassVar
+
+import msgspec
+
+from dart_flight.base.geometry import Quaternion, Vec2, Vec3
+
+# Pulse widths of the motor outputs at the commands 0 and 1: PX4's PWM_<bank>_MIN and _MAX as it ships.
+MOTOR_STOP_US, MOTOR_FULL_US = 1000.0, 2000.0
+
+
+class Mode(StrEnum):
+    """State of the arms: Γ = 1 rigid (locked), Γ = 2 flexible (unlocked)."""
+
+    RIGID = "rigid"
+    FLEXIBLE = "flexible"
+
+    @property
+    def other(self) -> Mode:
+        """The opposite mode."""
+        return Mode.FLEXIBLE if self is Mode.RIGID else Mode.RIGID
+
+
+class FlightMode(StrEnum):
+    """PX4's flight modes as far as the core tells them apart."""
+
+    UNKNOWN = "unknown"
+    READY = "ready"
+    TAKEOFF = "takeoff"
+    HOLD = "hold"
+    MISSION = "mission"
+    RETURN = "return"
+    LAND = "land"
+    OFFBOARD = "offboard"
+    MANUAL = "manual"  # any mode that a pilot's sticks fly: manual, stabilized, altitude, position, acro
+
+
+class LandedState(StrEnum):
+    """PX4's land detector."""
+
+    UNKNOWN = "unknown"
+    ON_GROUND = "on_ground"
+    IN_AIR = "in_air"
+    TAKING_OFF = "taking_off"
+    LANDING = "landing"
+
+
+class World(StrEnum):
+    """Where a flight takes place (docs/architecture.md)."""
+
+    DRONE = "drone"
+    PX4 = "px4"  # a real PX4 on our plant
+    EMBEDDED = "embedded"  # our small autopilot, through MAVSDK
+    FAST = "fast"  # in process, simulated time
+
+
+class Outcome(StrEnum):
+    """How a flight ended."""
+
+    COMPLETED = "completed"
+    ABORTED = "aborted"
+    RELEASED = "released"  # a person took over
+
+
+class AfterImpact(StrEnum):
+    """What follows an impact."""
+
+    SETPOINT = "setpoint"  # the paper's recovery set-point
+    REPLAN = "replan"  # the same, until a way planned from what was felt begins
+
+
+class Request(StrEnum):
+    """What an operator, or the shell itself, asks of a flight under way."""
+
+    LAND = "land"  # leave the wall, land
+    CONTINUE = "continue"  # the pause is over
+    RELEASE = "release"
+    WORLD_DIED = "world_died"  # by the shell: the simulated vehicle is gone
+
+
+class ModeMismatch(StrEnum):
+    """What follows where a contact was felt in the other mode than the lock reports."""
+
+    GO_ON = "go_on"  # noted in log and verdict
+    LAND = "land"
+
+
+class Phase(StrEnum):
+    """Where the mission stands; `core/mission/phases.py` says what follows what."""
+
+    READYING = "readying"  # waiting for telemetry, lock in the transit mode
+    OFFBOARD = "offboard"  # asking PX4 for offboard mode
+    ARMING = "arming"
+    CLIMB = "climb"
+    WAYPOINT = "waypoint"  # to a way-point, and holding there
+    PAUSE = "pause"  # holding until the operator's word
+    TRANSIT = "transit"  # to the run-up point, turning parallel to the wall
+    PREPARE = "prepare"  # lock to the collision's mode
+    APPROACH = "approach"
+    CONTACT = "contact"  # from onset to the peak of the normal force
+    RECOVERY = "recovery"
+    GOAL = "goal"  # holding the goal
+    LANDING = "landing"
+    DONE = "done"
+    OVERRULED = "overruled"  # the guard flies: break off, hold, land, or silence
+
+
+class Override(StrEnum):
+    """What an override of the guard does; a later one in this list replaces an earlier one."""
+
+    NONE = "none"
+    GIVE_UP = "give_up"  # on the ground: the mission ends before it has begun
+    BREAK_OFF = "break_off"  # away from the wall, hold, land
+    HOLD = "hold"  # stop here, then land
+    LAND = "land"
+    KILL = "kill"  # motors off, whatever PX4 believes
+    RELEASE = "release"  # silence: the pilot or PX4 flies
+
+    @property
+    def rank(self) -> int:
+        """Position in the order of replacement."""
+        return _RANKS[self]
+
+
+_RANKS = {override: rank for rank, override in enumerate(Override)}
+
+
+class Record(msgspec.Struct, frozen=True, gc=False):
+    """Base of everything that flows and is logged; `topic` names its channel in the log."""
+
+    topic: ClassVar[str] = ""
+
+
+# --- inputs: telemetry -----------------------------------------------------------------------------
+
+
+class ImuSample(Record, frozen=True, gc=False):
+    """HIGHRES_IMU: specific force (bias-corrected, gravity not in it) and body rate, FRD."""
+
+    topic: ClassVar[str] = "/in/imu"
+    t_us: int
+    received_us: int
+    specific_force_frd: Vec3  # m/s2
+    rate_frd: Vec3  # rad/s
+
+
+class AttitudeSample(Record, frozen=True, gc=False):
+    """ATTITUDE_QUATERNION: body FRD to world NED."""
+
+    topic: ClassVar[str] = "/in/attitude"
+    t_us: int
+    received_us: int
+    q_frd_to_ned: Quaternion
+
+
+class OdometrySample(Record, frozen=True, gc=False):
+    """ODOMETRY: PX4's position (m) and velocity (m/s) estimate in local NED."""
+
+    topic: ClassVar[str] = "/in/odometry"
+    t_us: int
+    received_us: int
+    position_ned: Vec3
+    velocity_ned: Vec3
+
+
+class ActuatorSample(Record, frozen=True, gc=False):
+    """ACTUATOR_OUTPUT_STATUS: what PX4 sends to the motors, 0 (stopped) to 1."""
+
+    topic: ClassVar[str] = "/in/actuator"
+    t_us: int
+    received_us: int
+    motors: tuple[float, ...]  # in PX4's order
+    stamp_is_estimated: bool = True  # the stream has no stamp: mapped host time
+
+
+class AttitudeTargetSample(Record, frozen=True, gc=False):
+    """ATTITUDE_TARGET: the collective thrust that PX4's controller asks for, 0 to 1 of full thrust."""
+
+    topic: ClassVar[str] = "/in/attitude_target"
+    t_us: int
+    received_us: int
+    thrust: float  # 0 to 1 of full thrust
+
+
+class EscSample(Record, frozen=True, gc=False):
+    """ESC_STATUS: measured speed of the motors, revolutions per minute."""
+
+    topic: ClassVar[str] = "/in/esc"
+    t_us: int
+    received_us: int
+    rpm: tuple[float, ...]  # revolutions per minute, in PX4's order
+
+
+class StatusSample(Record, frozen=True, gc=False):
+    """Slow state of the autopilot, one record for every change of any part of it."""
+
+    topic: ClassVar[str] = "/in/status"
+    t_us: int
+    received_us: int
+    armed: bool = False
+    flight_mode: FlightMode = FlightMode.UNKNOWN
+    landed: LandedState = LandedState.UNKNOWN
+    local_position_ok: bool = False  # a position has come, and ESTIMATOR_STATUS, where sent, has one
+    battery_v: float | None = None
+    battery_remaining: float | None = None  # 0 to 1
+
+
+class EstimatorSample(Record, frozen=True, gc=False):
+    """What PX4 says of its estimator: ODOMETRY's reset counter, ESTIMATOR_STATUS's flags; None: not said."""
+
+    topic: ClassVar[str] = "/in/estimator"
+    t_us: int
+    received_us: int
+    reset_counter: int | None = None  # counts up to 255, then from 0
+    healthy: bool | None = None  # attitude, horizontal velocity and a horizontal position are valid
+
+
+class StatusText(Record, frozen=True, gc=False):
+    """STATUSTEXT of the autopilot, or an event of PX4 in words."""
+
+    topic: ClassVar[str] = "/in/statustext"
+    t_us: int
+    received_us: int
+    severity: str  # emergency, alert, critical, error, warning, notice, info or debug
+    text: str
+
+
+class HealthReport(Record, frozen=True, gc=False):
+    """PX4's health and arming checks, one record for every change: what keeps it from arming or flying on."""
+
+    topic: ClassVar[str] = "/in/health"
+    t_us: int
+    received_us: int
+    can_arm: bool  # in the mode that it is in
+    blocking: tuple[str, ...]  # in that mode, warnings and worse
+    others: tuple[str, ...]  # what else is wrong, for other modes
+
+
+class OtherVehicle(Record, frozen=True, gc=False):
+    """Another autopilot on the same link, by its system id; what it sends is told apart."""
+
+    topic: ClassVar[str] = "/in/other_vehicle"
+    t_us: int
+    received_us: int
+    system: int  # MAVLink's system id
+
+
+# --- inputs: lock, results, operator, time -----------------------------------------------------------
+
+
+class LockPhase(StrEnum):
+    """What the lock's state machine knows; `settled` means travel time is over, not that a sensor saw it."""
+
+    UNKNOWN = "unknown"
+    TRAVELLING = "travelling"
+    SETTLED = "settled"
+    FAULT = "fault"
+
+
+class LockState(Record, frozen=True, gc=False):
+    """State of the locking mechanism on the core's time base."""
+
+    topic: ClassVar[str] = "/in/lock"
+    t_us: int
+    phase: LockPhase
+    mode: Mode | None  # commanded while travelling, reached when settled
+    commanded_us: int | None = None
+    settled_us: int | None = None
+    feedback: bool = False  # confirmed by a switch; otherwise "settled (no feedback)"
+    reason: str | None = None
+
+
+class CommandResult(Record, frozen=True, gc=False):
+    """How a vehicle command ended, by telemetry and not by its acknowledgement."""
+
+    topic: ClassVar[str] = "/in/result"
+    t_us: int
+    command: str
+    ok: bool
+    detail: str = ""
+
+
+class OperatorRequest(Record, frozen=True, gc=False):
+    """What the person at the keyboard asked for; `detail` says what of the simulated vehicle has died."""
+
+    topic: ClassVar[str] = "/in/operator"
+    t_us: int
+    request: Request
+    detail: str = ""
+
+
+class ClockOffset(Record, frozen=True, gc=False):
+    """Estimate of autopilot time minus host time, microseconds."""
+
+    topic: ClassVar[str] = "/in/clock"
+    received_us: int
+    offset_us: int
+
+
+class RoundTrip(Record, frozen=True, gc=False):
+    """The vehicle has answered a request: how long that takes bounds how late telemetry comes."""
+
+    topic: ClassVar[str] = "/in/round_trip"
+    received_us: int  # the answer
+    sent_us: int  # the request, host's monotonic time
+    autopilot_us: int | None  # autopilot's time as it answered; none: not told, or its clock goes at any pace
+
+
+class PlanAnswer(Record, frozen=True, gc=False):
+    """What the planner makes of a `PlanRequest`: a way from a coming moment on, and what it leads to.
+
+    The way is x and y as polynomials of fifth order in the seconds since `begin_us`, constant term first,
+    then straight on at the velocity of its end.
+    """
+
+    topic: ClassVar[str] = "/in/plan"
+    received_us: int
+    number: int  # of the request
+    begin_us: int  # autopilot's time at which the way begins
+    duration_s: float = 0.0  # of the polynomials, s
+    x_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...
+    y_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...
+    collision: int | None = None  # 1-based index of the collision that it leads to; none: to the goal
+    impact_s: float | None = None  # from its beginning to the wall's plane, s
+    normal_m_s: float | None = None  # velocity there, collision frame
+    tangential_m_s: float | None = None  # velocity there, collision frame
+    peak_force_n: float | None = None  # of the normal force, by the coefficients felt so far
+    problem: str = ""  # why there is no way
+
+
+class Tick(Record, frozen=True, gc=False):
+    """Host time goes by, at least every 20 ms, so that silence can be judged."""
+
+    topic: ClassVar[str] = "/in/tick"
+    host_us: int
+
+
+Input = (
+    ImuSample
+    | AttitudeSample
+    | OdometrySample
+    | ActuatorSample
+    | AttitudeTargetSample
+    | EscSample
+    | StatusSample
+    | EstimatorSample
+    | StatusText
+    | HealthReport
+    | OtherVehicle
+    | LockState
+    | CommandResult
+    | OperatorRequest
+    | ClockOffset
+    | RoundTrip
+    | PlanAnswer
+    | Tick
+)
+
+
+# --- outputs: commands -----------------------------------------------------------------------------
+
+
+class SetPoint(Record, frozen=True, gc=False):
+    """Offboard set-point in local NED; velocity and acceleration are feed-forward where present."""
+
+    topic: ClassVar[str] = "/out/setpoint"
+    t_us: int
+    trigger_received_us: int  # receipt of the sample that led to it
+    position_ned: Vec3
+    yaw_ned_rad: float
+    velocity_ned: Vec3 | None = None
+    acceleration_ned: Vec3 | None = None
+    recovery: bool = False  # the set-point of an impact: its latency is measured
+
+
+class VehicleAction(StrEnum):
+    """What the core asks of the autopilot beside set-points."""
+
+    OFFBOARD = "offboard"
+    ARM = "arm"
+    HOLD = "hold"
+    LAND = "land"
+    DISARM = "disarm"
+    KILL = "kill"  # disarms whether or not PX4 believes itself on the ground
+
+
+class VehicleCommand(Record, frozen=True, gc=False):
+    """An action for the autopilot; its result comes back as a `CommandResult`."""
+
+    topic: ClassVar[str] = "/out/command"
+    t_us: int
+    action: VehicleAction
+
+
+class LockCommand(Record, frozen=True, gc=False):
+    """Move the lock; given only when the core knows that locking is permitted."""
+
+    topic: ClassVar[str] = "/out/lock"
+    t_us: int
+    mode: Mode
+
+
+class LockPermission(Record, frozen=True, gc=False):
+    """Whether the arms are clear of contact and have sprung back, for the lock's state machine."""
+
+    topic: ClassVar[str] = "/out/lock_permission"
+    t_us: int
+    permitted: bool
+
+
+class PlanRequest(Record, frozen=True, gc=False):
+    """Plan the rest of the mission anew, after a contact; the answer is a `PlanAnswer` of the same number."""
+
+    topic: ClassVar[str] = "/out/plan_request"
+    t_us: int  # of the state below
+    number: int  # counts up
+    begin_us: int  # when the way is to begin; an answer that comes later is not taken
+    collision: int | None  # 1-based index of the next one; none: the goal is next
+    position_mission: Vec3
+    velocity_mission: Vec3
+    acceleration_mission: Vec3  # of thrust and drag
+    setpoint_mission: Vec3  # m; in force until then
+    lock_ready_us: int | None  # when the lock can be settled in the mode that comes next; none: never
+
+
+class Silence(Record, frozen=True, gc=False):
+    """Send nothing more: the pilot has the vehicle."""
+
+    topic: ClassVar[str] = "/out/silence"
+    t_us: int
+    reason: str
+
+
+# --- outputs: estimates and decisions --------------------------------------------------------------
+
+
+class ForceEstimate(Record, frozen=True, gc=False):
+    """External force on the vehicle at an IMU sample, mission frame, newton (docs/force.md).
+
+    A sample stands for the mean over the IMU's tick that ends at `t_us`. Clipped samples are lower bounds.
+    """
+
+    topic: ClassVar[str] = "/estimate/force"
+    t_us: int
+    force_mission: Vec3
+    clipped: bool
+    filtered_mission: Vec3 = (0.0, 0.0, 0.0)  # first-order low-pass of the force
+    variance_n2: Vec3 = (0.0, 0.0, 0.0)  # N2, of each component's error, mission frame
+    noise_n: float = 0.0  # white part of one component's error, standard deviation
+    push_mission: Vec2 = (0.0, 0.0)  # horizontal force of thrust and drag, N: what leans on a wall
+
+
+class TorqueEstimate(Record, frozen=True, gc=False):
+    """External torque about the centre of mass at an IMU sample, body FRD (docs/torque.md).
+
+    What turns the vehicle beside its motors: inertia times the change of the gyro's rate over the tick, the
+    gyroscopic term, less the torque of the motors. A sample stands for the mean over the tick that ends at
+    `t_us`.
+    """
+
+    topic: ClassVar[str] = "/estimate/torque"
+    t_us: int
+    torque_frd: Vec3
+    torque_filtered_frd: Vec3 = (0.0, 0.0, 0.0)  # first-order low-pass of the torque
+    noise_frd_nm: Vec3 = (0.0, 0.0, 0.0)  # white part of each component's error, standard deviation
+    motors_known: bool = True  # else the motors' torque is not in it: it counts as external
+
+
+class ImpactOnset(Record, frozen=True, gc=False):
+    """The horizontal force crossed the threshold."""
+
+    topic: ClassVar[str] = "/event/onset"
+    t_us: int  # sample that crossed
+    first_us: int  # first sample in contact, by the force rising out of the noise before it
+    received_us: int
+    force_mission: Vec3
+    velocity_mission: Vec3  # last before contact
+    position_mission: Vec3
+    planned: bool = False  # a wall was expected and the force points out of it
+
+
+class ImpactPeak(Record, frozen=True, gc=False):
+    """The peaks of an impact, each component its own, as the recovery uses them."""
+
+    topic: ClassVar[str] = "/event/peak"
+    t_us: int  # moment of the normal peak, t_c
+    detected_us: int  # sample at which the peak was known
+    received_us: int
+    normal: Vec2  # wall normal used, mission frame
+    normal_force_n: float
+    tangential_force_n: float  # signed, along the wall's tangent
+    position_mission: Vec3  # p(t_c)
+    clipped: bool
+    normal_sigma_n: float = 0.0  # standard error of the normal force
+    fitted: bool = False  # from the contact model's pulse; otherwise from a parabola through the top
+    vertical_mean_n: float = 0.0  # mean vertical force since the onset, up
+
+
+class ContactEnd(Record, frozen=True, gc=False):
+    """The force has gone back below the release level."""
+
+    topic: ClassVar[str] = "/event/contact_end"
+    t_us: int
+    first_us: int
+
+
+class ContactSide(StrEnum):
+    """Which of the two points of a side met the wall first, as seen when flying into it."""
+
+    LEFT = "left"
+    RIGHT = "right"
+    BOTH = "both"
+
+
+class ImpactBody(Record, frozen=True, gc=False):
+    """How an impact met the vehicle's body: once after its peak, once more at its end (docs/torque.md)."""
+
+    topic: ClassVar[str] = "/event/impact_body"
+    t_us: int  # newest sample that it rests on
+    first_us: int  # of the impact's onset
+    final: bool  # at the end of the contact
+    side: ContactSide
+    lead_m: float  # how much nearer to the wall the right point was than the left one at the first touch
+    incidence_rad: float  # leading edge against the wall at the first touch, signed: positive turned left
+    incidence_sigma_rad: float
+    torque_peak_frd: Vec3  # largest external torque so far
+    peak_torque_nm: float  # its magnitude
+
+
+class WallFelt(Record, frozen=True, gc=False):
+    """What a planned contact says of its wall and of the arms, at its end (docs/felt.md).
+
+    Coefficients are posterior means of the wall in the mode felt; in the reported one where undecided.
+    """
+
+    topic: ClassVar[str] = "/estimate/wall"
+    t_us: int  # newest sample that it rests on
+    first_us: int  # of the impact's onset
+    wall: str  # its name
+    mode_reported: Mode | None  # what the lock said at the onset; none: it was not settled
+    mode_felt: Mode | None  # none: undecided
+    log_odds: float  # of rigid against flexible, natural logarithm, prior odds 1
+    k_n_per_m: float  # stiffness
+    f_ns_per_m: float  # damping
+    mu_s_per_m: float  # friction
+    nu_n: float  # bound of the vertical force
+    k_sd: float  # relative standard deviation
+    f_sd: float  # relative standard deviation
+    mu_sd: float  # relative standard deviation
+    nu_sd: float  # relative standard deviation
+    incidence_rad: float  # leading edge against the wall at the first touch, signed: positive turned left
+    incidence_sigma_rad: float
+    plane_offset_m: float  # where the wall's plane stands along its normal, less where the mission has it
+    plane_offset_sigma_m: float
+
+
+class DetectionFloor(Record, frozen=True, gc=False):
+    """What can be felt at the start of an approach, by the noise learnt so far, newton (docs/force.md)."""
+
+    topic: ClassVar[str] = "/estimate/detection"
+    t_us: int
+    threshold_n: float  # the lowest that is in force
+    noise_short_n: float  # deviation of a component of the short mean
+    noise_long_n: float  # ... of the long mean
+    rigid_n: float  # peak from which on a rigid contact with this wall is found for certain
+    flexible_n: float | None = None  # ... a flexible contact; none: the vehicle has no lock
+
+
+class PhaseChange(Record, frozen=True, gc=False):
+    """The mission executive went from one phase to the next."""
+
+    topic: ClassVar[str] = "/event/phase"
+    t_us: int
+    before: Phase
+    after: Phase
+    reason: str
+    collision: int | None = None  # 1-based index of the collision it concerns
+
+
+class GuardEvent(Record, frozen=True, gc=False):
+    """A rule of the guard fired."""
+
+    topic: ClassVar[str] = "/event/guard"
+    t_us: int
+    rule: str
+    action: Override
+    detail: str
+
+
+class GoalPassed(Record, frozen=True, gc=False):
+    """The closest approach to the goal after the last contact; from here on the goal is held."""
+
+    topic: ClassVar[str] = "/event/goal"
+    t_us: int
+    miss_m: float
+    timed_out: bool = False  # it was not passed: limits.collision_timeout_s was over
+
+
+class PlanTaken(Record, frozen=True, gc=False):
+    """What became of a `PlanAnswer`: flown, or not, and why not."""
+
+    topic: ClassVar[str] = "/event/plan"
+    t_us: int
+    number: int  # of the request
+    taken: bool
+    reason: str = ""  # why it is not flown
+
+
+class MissionEnd(Record, frozen=True, gc=False):
+    """The flight is over for the core."""
+
+    topic: ClassVar[str] = "/event/end"
+    t_us: int
+    outcome: Outcome
+    reason: str | None
+    final_error_m: float | None
+
+
+Output = (
+    SetPoint
+    | VehicleCommand
+    | LockCommand
+    | LockPermission
+    | PlanRequest
+    | Silence
+    | ForceEstimate
+    | TorqueEstimate
+    | ImpactOnset
+    | ImpactPeak
+    | ContactEnd
+    | DetectionFloor
+    | ImpactBody
+    | WallFelt
+    | PhaseChange
+    | GuardEvent
+    | GoalPassed
+    | PlanTaken
+    | MissionEnd
+)
+
+
+# --- records of the shells: truth and timing ---------------------------------------------------------
+
+
+class TruthSample(Record, frozen=True, gc=False):
+    """What the simulated vehicle really did, mission frame."""
+
+    topic: ClassVar[str] = "/truth/state"
+    t_us: int
+    position_mission: Vec3
+    velocity_mission: Vec3
+    contact_force_mission: Vec3
+    q_frd_to_ned: Quaternion
+    mode: Mode
+    contact_torque_frd: Vec3 = (0.0, 0.0, 0.0)  # of walls, about the centre of mass, N m
+
+
+class TruthContact(Record, frozen=True, gc=False):
+    """One simulated contact, start to end."""
+
+    topic: ClassVar[str] = "/truth/contact"
+    t_us: int  # first force
+    end_us: int
+    wall: str
+    mode: Mode
+    normal_in_m_s: float
+    tangential_in_m_s: float
+    normal_out_m_s: float
+    tangential_out_m_s: float
+    peak_normal_force_n: float
+    peak_friction_force_n: float
+    position_mission: Vec3
+    incidence_rad: float = 0.0  # leading edge against the wall at first touch, signed: positive turned left
+    tilt_rad: float = 0.0  # at first touch
+    rate_out_frd: Vec3 = (0.0, 0.0, 0.0)  # body rate at the end, rad/s
+    lead_m: float = 0.0  # how much nearer the right guard was than the left one at first touch
+    peak_torque_nm: float = 0.0  # largest torque of the wall about the centre of mass
+
+
+class SetPointSent(Record, frozen=True, gc=False):
+    """A recovery set-point left the program."""
+
+    topic: ClassVar[str] = "/shell/setpoint_sent"
+    t_us: int  # of the set-point
+    sent_us: int  # host
+    latency_us: int  # since receipt of the sample that triggered it
+
+
+class LogFailure(Record, frozen=True, gc=False):
+    """The flight's log lacks records: shown, and in the log itself where that goes on."""
+
+    topic: ClassVar[str] = "/shell/log_failure"
+    t_us: int
+    reason: str
+
+
+Note = TruthSample | TruthContact | SetPointSent | LogFailure

@@ -1,0 +1,1 @@
+"""Thrust curve, inertia and airframe from flights."""

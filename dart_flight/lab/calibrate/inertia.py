@@ -1,0 +1,300 @@
+"""Inertia about the three axes from a vehicle's own turning in flight (docs/torque.md).
+
+Over a short window the rates change by what the motors' torque adds up to:
+
+    change of w = (1/J) integral of (motors - w x J w) dt + drift
+
+The motors' torque follows from their commands through the thrust curve, their lag, places and the propellers'
+drag, so this is a line through many windows: the slope is 1/J. Both sides have errors: the rates that of the
+gyro and whatever turns the vehicle beside its motors, the torques what the motors did between the commands
+that were recorded. A line that puts all errors on one side gives the most that J can be, on the other the
+least; the value lies between, the interval holds both. The rates at a window's ends are means over some
+samples, because a controller answers the noise of a single one. The motors' lag is tried over a range and
+the best is kept. About an axis where the torques are too small, or the two lines too far apart, nothing is
+said.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.config.document import InputError
+from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.lab.calibrate.thrust_curve import Track
+
+Array = NDArray[np.float64]
+
+AXES = ("roll", "pitch", "yaw")
+WINDOW_S = 0.1
+_END_SAMPLES = 3  # on either side of a window's end, averaged
+_LEAST_HZ = 50.0  # of gyro and motors: slower ones miss what the controller does
+_MOST_GAP_S = 0.05
+_MOST_SIDEWAYS_M_S2 = 5.0  # across the thrust axis, mean over a window's end: more is a contact
+_LEAST_WINDOWS = 40
+_MOST_ERROR = 0.1  # standard error of a slope, relative: less certain is not told
+_MOST_RATIO = 1.3  # of the most to the least that the inertia can be
+_GROUND_MARGIN_S = 1.0
+_LAGS = (0.4, 0.55, 0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.1)  # of the configured one
+_SIGMA_95 = 1.96
+_MEDIAN_OF_SQUARE = 0.4549  # of a standard normal number
+_ROUNDS = 3  # the gyroscopic term needs the inertia that is sought
+
+
+class AxisInertia(msgspec.Struct):
+    """Inertia about one axis, kg m2; None where the flights cannot tell, `refused` says why.
+
+    Attributes:
+        axis: roll (forward), pitch (right) or yaw (down).
+        value, low, high: with the 95 % interval.
+        torque_nm: standard deviation of the motors' mean torque over a window.
+        rate_change_rad_s: standard deviation of the rate's change over a window.
+        explained: share of that variance which the motors explain.
+        refused: empty where there is a value.
+    """
+
+    axis: str
+    value: float | None
+    low: float | None
+    high: float | None
+    torque_nm: float
+    rate_change_rad_s: float
+    explained: float
+    refused: str = ""
+
+
+class InertiaCalibration(msgspec.Struct):
+    """Inertia about the three axes, and what it rests on.
+
+    Attributes:
+        windows: of `WINDOW_S` seconds.
+        axes: roll, pitch, yaw.
+        motor_lag_s: with which the motors explain most.
+        drift_rad_s2: rates that come by themselves: a centre of mass beside the motors' middle.
+        notes: how the logs were read.
+    """
+
+    windows: int
+    axes: list[AxisInertia]
+    motor_lag_s: float
+    drift_rad_s2: tuple[float, float, float]
+    notes: list[str]
+
+    @property
+    def inertia_kg_m2(self) -> tuple[float | None, float | None, float | None]:
+        """Of the three axes; None where it was refused."""
+        x, y, z = (axis.value for axis in self.axes)
+        return (x, y, z)
+
+
+class _Windows(msgspec.Struct):
+    """Windows one beside the other.
+
+    Attributes:
+        change, impulse, products: of the rates, of the motors' torque, and the integral of (wy wz, wz wx,
+            wx wy); (n, 3) each.
+        duration: (n,).
+        noise: variance of a change by the gyro's white noise, (3,).
+    """
+
+    change: Array
+    impulse: Array
+    products: Array  # integral of (wy wz, wz wx, wx wy)
+    duration: Array
+    noise: Array
+
+
+def calibrate_inertia(tracks: Iterable[Track], vehicle: VehicleConfig) -> InertiaCalibration:
+    """Fit the inertia to the turning in some flights.
+
+    Args:
+        tracks: flights of the same vehicle.
+        vehicle: thrust curve, motors' places and lag.
+
+    Raises:
+        InputError: a log has another number of motors or is too slow, or no axis is told by them.
+    """
+    tracks = list(tracks)
+    for track in tracks:
+        _refuse_unsuited(track, len(vehicle.airframe.motors))
+    best: tuple[float, float, list[AxisInertia], tuple[float, float, float], int] | None = None
+    for factor in _LAGS:
+        lag_s = factor * vehicle.thrust.motor_lag_s
+        parts = [_windows(track, vehicle, lag_s) for track in tracks]
+        joined = _joined(parts)
+        if len(joined.duration) < _LEAST_WINDOWS:
+            raise InputError(
+                f"{len(joined.duration)} windows of {WINDOW_S:g} s in flight without a contact, at least "
+                f"{_LEAST_WINDOWS} are needed",
+                source=", ".join(t.source for t in tracks),
+            )
+        axes, drift, unexplained = _fit(joined, vehicle)
+        if best is None or unexplained < best[0]:
+            best = (unexplained, lag_s, axes, drift, len(joined.duration))
+    assert best is not None
+    _, lag_s, axes, drift, count = best
+    if all(axis.value is None for axis in axes):
+        raise InputError(
+            "no axis is excited: " + "; ".join(f"{axis.axis}: {axis.refused}" for axis in axes),
+            source=", ".join(t.source for t in tracks),
+        )
+    notes = [note for track in tracks for note in track.notes]
+    return InertiaCalibration(count, axes, lag_s, drift, notes)
+
+
+def _joined(parts: list[_Windows]) -> _Windows:
+    return _Windows(
+        np.concatenate([p.change for p in parts]),
+        np.concatenate([p.impulse for p in parts]),
+        np.concatenate([p.products for p in parts]),
+        np.concatenate([p.duration for p in parts]),
+        np.mean([p.noise for p in parts], axis=0),
+    )
+
+
+def _refuse_unsuited(track: Track, motors: int) -> None:
+    if track.motors.shape[1:] != (motors,):
+        raise InputError(
+            f"has {track.motors.shape[1]} motors, the configuration's airframe {motors}", source=track.source
+        )
+    for what, stamps in (("gyro", track.imu_s), ("motor commands", track.motor_s)):
+        rate = (len(stamps) - 1) / max(stamps[-1] - stamps[0], 1e-6)
+        if rate < _LEAST_HZ:
+            more = "; log them faster (SDLOG_PROFILE, high rate)" if track.source.endswith(".ulg") else ""
+            raise InputError(
+                f"has {what} at {rate:.0f} Hz, at least {_LEAST_HZ:.0f} are needed{more}", source=track.source
+            )
+
+
+def _windows(track: Track, vehicle: VehicleConfig, lag_s: float) -> _Windows:
+    """The windows of a flight in the air and without a contact."""
+    t, w = track.imu_s, track.rate
+    torque = _motor_torque(track, vehicle, lag_s)
+    step = np.diff(t)
+    impulse, products = _integral(torque, step), _integral(np.roll(w, -1, 1) * np.roll(w, -2, 1), step)
+    size = 2 * _END_SAMPLES + 1
+    kernel = np.full(size, 1.0 / size)
+    smooth = np.stack([np.convolve(w[:, i], kernel, mode="same") for i in range(3)], axis=1)
+    # The mean of an integral over the same samples belongs to the mean rate.
+    impulse, products = (
+        np.stack([np.convolve(x[:, i], kernel, mode="same") for i in range(3)], axis=1)
+        for x in (impulse, products)
+    )
+    across = [np.convolve(track.specific_force[:, i], kernel, mode="same") for i in range(2)]
+    sideways = np.hypot(*across)
+    stride = max(1, round(WINDOW_S / float(np.median(step))))
+    rows: list[tuple[int, int]] = []
+    for a in range(_END_SAMPLES, len(t) - stride - _END_SAMPLES, stride):
+        b = a + stride
+        from_s, to_s = t[a - _END_SAMPLES], t[b + _END_SAMPLES]
+        if any(x - _GROUND_MARGIN_S < to_s and y + _GROUND_MARGIN_S > from_s for x, y in track.ground):
+            continue
+        inside = slice(a - _END_SAMPLES, b + _END_SAMPLES)
+        if step[inside].max() > _MOST_GAP_S or sideways[inside].max() > _MOST_SIDEWAYS_M_S2:
+            continue
+        motors = track.motors[slice(*np.searchsorted(track.motor_s, (from_s, to_s)))]
+        if len(motors) < WINDOW_S * _LEAST_HZ * 0.8 or motors.max() >= 0.999 or motors.min() <= 0.001:
+            continue
+        rows.append((a, b))
+    # What the gyro's noise makes of a change: by its second differences, in which motion hardly shows.
+    bend = w[2:] - 2.0 * w[1:-1] + w[:-2]
+    noise = np.median(bend**2, axis=0) / _MEDIAN_OF_SQUARE / 6.0 * 2.0 / size
+    ends = np.array(rows, dtype=int).reshape(-1, 2)
+    first, last = ends[:, 0], ends[:, 1]
+    return _Windows(
+        smooth[last] - smooth[first],
+        impulse[last] - impulse[first],
+        products[last] - products[first],
+        t[last] - t[first],
+        noise,
+    )
+
+
+def _motor_torque(track: Track, vehicle: VehicleConfig, lag_s: float) -> Array:
+    """Torque of the motors at the gyro's stamps, (n, 3), FRD."""
+    held = np.clip(np.searchsorted(track.motor_s, track.imu_s, side="right") - 1, 0, None)
+    commands = track.motors[held]
+    lagged = np.empty_like(commands)
+    value = commands[0]
+    steps = np.diff(track.imu_s, prepend=track.imu_s[0])
+    left = np.exp(-steps / max(lag_s, 1e-4))
+    for i, (command, keep) in enumerate(zip(commands, left, strict=True)):
+        # A command that holds from its stamp on has acted for the step that ends here.
+        value = command + (value - command) * keep
+        lagged[i] = value
+    thrust = np.array(vehicle.thrust.forces_n(lagged.ravel().tolist())).reshape(lagged.shape)
+    arms = np.array([(-m.y_m, m.x_m, m.yaw_torque_per_thrust_m) for m in vehicle.airframe.motors])
+    return np.asarray(thrust @ arms, dtype=float)
+
+
+def _integral(values: Array, step: Array) -> Array:
+    """Running integral by trapezoids, from 0 on."""
+    parts = 0.5 * (values[1:] + values[:-1]) * step[:, None]
+    return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(parts, axis=0)])
+
+
+def _fit(
+    windows: _Windows, vehicle: VehicleConfig
+) -> tuple[list[AxisInertia], tuple[float, float, float], float]:
+    """The axes, the drift and the share of the changes that stays unexplained, sum over the axes."""
+    inertia = np.array(vehicle.airframe.inertia_kg_m2)
+    axes: list[AxisInertia] = []
+    drift = np.zeros(3)
+    unexplained = 0.0
+    for _ in range(_ROUNDS):
+        axes, unexplained = [], 0.0
+        # J w' = motors - (Jz - Jy) wy wz and so on in turn.
+        gyroscopic = (np.roll(inertia, -2) - np.roll(inertia, -1)) * windows.products
+        for i, name in enumerate(AXES):
+            axis, drift[i], rest = _line(name, windows, windows.impulse[:, i] - gyroscopic[:, i], i)
+            axes.append(axis)
+            unexplained += rest
+            if axis.value is not None:
+                inertia[i] = axis.value
+    return axes, (float(drift[0]), float(drift[1]), float(drift[2])), unexplained
+
+
+def _line(name: str, windows: _Windows, impulse: Array, i: int) -> tuple[AxisInertia, float, float]:
+    duration = float(windows.duration.mean())
+    y = windows.change[:, i] - windows.change[:, i].mean()
+    x = impulse - impulse.mean()
+    n, xx, xy, yy = len(x), float(x @ x), float(x @ y), float(y @ y)
+    explained = xy * xy / (xx * yy) if xx > 0.0 and yy > 0.0 else 0.0
+    axis = AxisInertia(
+        axis=name,
+        value=None,
+        low=None,
+        high=None,
+        torque_nm=math.sqrt(xx / n) / duration,
+        rate_change_rad_s=math.sqrt(yy / n),
+        explained=explained,
+    )
+    drift = float(windows.change[:, i].mean()) / duration
+    if xy <= 0.0:
+        axis.refused = f"no excitation: torques of {axis.torque_nm:.4f} N m and no turning that follows them"
+        return axis, drift, 1.0
+    drift -= xy / xx * float(impulse.mean()) / duration
+    # All that the motors do not explain is on the side of the rates: the most that the inertia can be. All
+    # but the gyro's noise is on the side of the torques: the least.
+    noise = min(n * float(windows.noise[i]), yy - xy * xy / xx)
+    most, least = xx / xy, xy / (yy - noise)
+    error = math.sqrt((1.0 - explained) / max(1, n - 2) / explained)
+    value = math.sqrt(most * least)
+    if error > _MOST_ERROR:
+        axis.refused = (
+            f"too little excitation: torques of {axis.torque_nm:.4f} N m tell the inertia to "
+            f"{100.0 * error:.0f} %, {100.0 * _MOST_ERROR:.0f} are needed"
+        )
+    elif most > _MOST_RATIO * least:
+        axis.refused = (
+            f"the motors explain {100.0 * explained:.0f} % of how the rates change, which leaves anything "
+            f"from {least:.4f} to {most:.4f} kg m2: wind, too few commands, order or places of the motors"
+        )
+    else:
+        axis.value = value
+        axis.low, axis.high = least / (1.0 + _SIGMA_95 * error), most * (1.0 + _SIGMA_95 * error)
+    return axis, drift, 1.0 - explained

@@ -1,0 +1,147 @@
+"""The table of a campaign: a file of lines that survives Ctrl-C, SIGKILL, power loss and a full disk.
+
+Every row is handed to the operating system whole and at once, and forced to the disk about once a second. A
+row that is torn nevertheless (the disk was full, the power went) is cut off: its flight is flown again.
+"""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import io
+import os
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from types import TracebackType
+
+from dart_flight.base.errors import FlightError
+from dart_flight.config.document import InputError, open_file
+from dart_flight.lab.campaign.asked import Item, Point
+from dart_flight.lab.campaign.flight import line_of
+
+_SYNC_S = 1.0
+
+
+class Table:
+    """The table open for appending, by this process alone.
+
+    Args:
+        path: of the file; made with its header where it is not there.
+        columns: of the rows.
+
+    Raises:
+        FlightError: it cannot be written, or another process writes it.
+        InputError: what is there is no table of this campaign.
+    """
+
+    def __init__(self, path: Path, columns: Sequence[str]) -> None:
+        self.path = path
+        header = line_of(columns)
+        self._synced_s = time.monotonic()
+        try:
+            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
+        except OSError as error:
+            raise FlightError(f"cannot write {path}: {error.strerror}") from None
+        try:
+            self._lock()
+            self._length = _whole(path)
+            os.ftruncate(self._file, self._length)
+            if not self._length:
+                self.append(header)
+            elif path.read_bytes()[: len(header)] != header:
+                raise InputError("is no table of this campaign: other columns", source=str(path), line=1)
+        except BaseException:
+            os.close(self._file)
+            raise
+
+    def _lock(self) -> None:
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise FlightError(f"{self.path} is being written by another campaign") from None
+
+    def __enter__(self) -> Table:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.close(self._file)
+
+    def append(self, line: bytes) -> None:
+        """Add a row.
+
+        Raises:
+            FlightError: the disk does not take it; what is there of it is taken back.
+        """
+        try:
+            written = os.write(self._file, line)
+            if written < len(line):
+                # The disk took a part of it: the rest says why.
+                os.write(self._file, line[written:])
+        except OSError as error:
+            os.ftruncate(self._file, self._length)
+            raise FlightError(
+                f"cannot write {self.path}: {error.strerror}; its rows are kept, --resume goes on with them"
+            ) from None
+        self._length += len(line)
+        now = time.monotonic()
+        if now - self._synced_s >= _SYNC_S:
+            self._synced_s = now
+            self.sync()
+
+    def sync(self) -> None:
+        """Force it to the disk."""
+        os.fsync(self._file)
+
+
+def _whole(path: Path) -> int:
+    """Length of the file without a last line that is torn, bytes."""
+    data = path.read_bytes()
+    # After a power loss what was not forced to the disk may be there as zeros.
+    zeros = data.find(b"\0")
+    return data.rfind(b"\n", 0, zeros if zeros >= 0 else None) + 1
+
+
+def rows_in(path: Path) -> Iterator[dict[str, str]]:
+    """The rows, one by one: column -> text.
+
+    Raises:
+        InputError: the file cannot be read, or a line is no row.
+    """
+    try:
+        with io.TextIOWrapper(open_file(path), encoding="utf-8", newline="") as file:
+            reader = csv.reader(file)
+            columns = next(reader, [])
+            for cells in reader:
+                if len(cells) != len(columns):
+                    raise InputError(
+                        f"{len(cells)} cells, a row has {len(columns)}",
+                        source=str(path),
+                        line=reader.line_num,
+                    )
+                yield dict(zip(columns, cells, strict=True))
+    except OSError as error:
+        raise InputError(f"cannot read: {error.strerror}", source=str(path)) from None
+    except UnicodeDecodeError:
+        raise InputError("not UTF-8 text", source=str(path)) from None
+
+
+def flown_in(path: Path, keys: Sequence[str], points: Sequence[Point]) -> set[Item]:
+    """The flights that have a row.
+
+    Raises:
+        InputError: as `rows_in`, or a row is of no flight of this campaign, or is there twice.
+    """
+    numbers = {(point.path, *point.values): point.number for point in points}
+    found: set[Item] = set()
+    for line, row in enumerate(rows_in(path), start=2):
+        number = numbers.get((row["mission"], *(row[key] for key in keys)))
+        if number is None or not row["seed"].isdigit():
+            raise InputError("is of no flight of this campaign", source=str(path), line=line)
+        item = Item(number, int(row["seed"]))
+        if item in found:
+            raise InputError("this flight is there twice", source=str(path), line=line)
+        found.add(item)
+    return found

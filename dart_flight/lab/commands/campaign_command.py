@@ -1,0 +1,198 @@
+"""`dart-flight campaign MISSION... --runs N --out DIR`: thousands of flights, and what they amount to."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from dart_flight.cli import EXIT_INTERRUPTED
+from dart_flight.cli.options import add_vary_option, whole_number
+from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.config.document import InputError
+
+_MOST_SHOWN = 5  # flights whose arms were not in the lock's mode; the summary has them all
+_LINE_EVERY_S = 60.0  # of progress where there is no terminal
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "missions", nargs="*", metavar="MISSION", help="mission files; with --resume those it was begun with"
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the campaign")
+    parser.add_argument(
+        "--runs", type=whole_number(1, 10_000_000), metavar="N", help="seeds for each mission and setting"
+    )
+    parser.add_argument(
+        "--seed", type=whole_number(0, 2**31 - 1), metavar="S", help="the first one (default 1)"
+    )
+    add_vary_option(parser)
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=V1,V2,...",
+        help="a key of the configuration and its values; every combination of all keys is flown; repeatable",
+    )
+    parser.add_argument("--resume", action="store_true", help="go on with the campaign in --out")
+    parser.add_argument(
+        "--keep",
+        choices=("failed", "all", "none"),
+        help="whose logs stay, in DIR/logs: of flights that did not complete (default), of all, of none",
+    )
+    parser.add_argument(
+        "--jobs", type=whole_number(1, 1024), metavar="N", help="processes (default: one for every core)"
+    )
+    parser.add_argument(
+        "--scheduler", metavar="URL", help="fly on the workers of a Dask scheduler, tcp://host:8786"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fly, sum up, write the page; returns the exit status."""
+    from dart_flight.lab.campaign import run as campaigns
+    from dart_flight.lab.campaign.summary import summarise
+    from dart_flight.lab.report.campaign_page import campaign_page
+    from dart_flight.planning.envelope import impact_warnings
+    from dart_flight.run.workers import Interrupt, usable_cores
+
+    console = messages()
+    if arguments.scheduler is not None and arguments.jobs is not None:
+        raise InputError("--jobs is for this machine, a scheduler's workers are its own", key=("--jobs",))
+    opened = campaigns.open_campaign(_asked(arguments), arguments.out, arguments.resume)
+    if arguments.scheduler is not None:
+        from dart_flight.lab.campaign.cluster import on_cluster
+
+        engine = on_cluster(arguments.scheduler)
+    else:
+        engine = campaigns.here(arguments.jobs or usable_cores())
+    say_vehicle(opened.points[0].mission.flown_vehicle(), arguments)
+    if len(opened.points) > 1:
+        console.print(f"and {len(opened.points) - 1} more missions or settings")
+    for line in dict.fromkeys(line for point in opened.points for line in impact_warnings(point.mission)):
+        console.print(f"[yellow]{line}[/]", soft_wrap=True)
+    with Interrupt() as interrupt, _Shown(console, opened.flights) as shown:
+        flown = campaigns.fly(opened, engine, interrupt, shown)
+    summary = summarise(opened)
+    campaigns.write_whole(
+        opened.folder / campaigns.SUMMARY, msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n"
+    )
+    campaigns.write_whole(opened.folder / campaigns.PAGE, campaign_page(summary).encode())
+    if flown < opened.flights:
+        again = shlex.join(["dart-flight", "campaign", "--resume", "--out", str(arguments.out)])
+        console.print(
+            f"[red]interrupted[/]: {flown} of {opened.flights} flights are in the table; {again} goes on",
+            soft_wrap=True,
+            highlight=False,
+        )
+    if arguments.json:
+        emit_json(summary)
+    else:
+        tables().print(_table(summary))
+        console.print(f"page: {opened.folder / campaigns.PAGE}", soft_wrap=True)
+    if flown < opened.flights:
+        return EXIT_INTERRUPTED
+    return 1 if summary.errors or summary.unexplained_modes else 0
+
+
+def _asked(arguments: argparse.Namespace) -> Any:
+    """What the command line asks for; None where it leaves that to the campaign that is to go on."""
+    from dart_flight.lab.campaign.asked import Asked, Keep, parse_grid
+
+    given = {
+        "--config": arguments.config, "--runs": arguments.runs, "--seed": arguments.seed,
+        "--vary": arguments.vary, "--set": arguments.set, "--keep": arguments.keep,
+    }  # fmt: skip
+    if not arguments.missions:
+        if not arguments.resume:
+            raise InputError("no mission given", key=("MISSION",))
+        idle = next((name for name, value in given.items() if value not in (None, [])), None)
+        if idle is not None:
+            raise InputError(f"{idle} needs the missions, too; --resume --out DIR alone goes on as begun")
+        return None
+    if arguments.runs is None:
+        raise InputError("how many seeds? --runs N", key=("--runs",))
+    return Asked(
+        missions=tuple(arguments.missions),
+        config=arguments.config,
+        settings=parse_grid(arguments.set),
+        vary=tuple(arguments.vary),
+        runs=arguments.runs,
+        seed=1 if arguments.seed is None else arguments.seed,
+        keep=Keep(arguments.keep or Keep.FAILED),
+    )
+
+
+class _Shown:
+    """How far it is, how fast it goes and how long it will take, on standard error."""
+
+    def __init__(self, console: Any, flights: int) -> None:
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        self._console, self._flights = console, flights
+        self._began_s, self._said_s = time.monotonic(), time.monotonic()
+        self._begun_with: int | None = None
+        self._bar = Progress(
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}"),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[failed]}"),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._task = self._bar.add_task("flights", total=flights, rate="", failed="")
+
+    def __enter__(self) -> _Shown:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def __call__(self, flown: int, failed: int) -> None:
+        """So many rows are in the table; of the flights of this call so many did not complete."""
+        now = time.monotonic()
+        if self._begun_with is None:
+            self._begun_with = flown
+            self._bar.update(self._task, completed=flown)
+            if flown:
+                self._console.print(f"{flown} of {self._flights} flights are in the table already")
+        elapsed = max(now - self._began_s, 1e-6)
+        rate = (flown - self._begun_with) / elapsed
+        bad = f"{failed} not completed" if failed else ""
+        self._bar.update(self._task, completed=flown, rate=f"{60.0 * rate:.0f} a minute", failed=bad)
+        if not self._console.is_terminal and now - self._said_s >= _LINE_EVERY_S and rate:
+            self._said_s = now
+            left_s = (self._flights - flown) / rate
+            said = [f"{flown} of {self._flights} flights", f"{60.0 * rate:.0f} a minute"]
+            said += [f"{left_s / 60.0:.0f} min left", *([bad] if bad else [])]
+            self._console.print(", ".join(said))
+
+
+def _table(summary: Any) -> Any:
+    from rich.markup import escape
+    from rich.table import Table
+
+    rate = summary.completed
+    table = Table(title=f"{rate.count} of {rate.of} completed", title_justify="left")
+    for column in ("", "flights", "completed", "95 % interval"):
+        table.add_column(column, justify="left" if not column else "right")
+    for point in summary.points:
+        name = " ".join((point.mission, *(f"{key}={value}" for key, value in point.settings.items())))
+        table.add_row(escape(name), str(point.completed.of), *point.completed.words("-"))
+    if summary.plan_followed.of:
+        table.add_row("plan followed", str(summary.plan_followed.of), *summary.plan_followed.words("-"))
+    for rule in summary.rules:
+        table.add_row(f"[red]{escape(rule.rule)}[/]", str(rule.flights), "", "")
+    for one in summary.unexplained_modes[:_MOST_SHOWN]:
+        said = f"{one.mission}, seed {one.seed}: {one.reason}; no fault of the lock was drawn"
+        table.add_row(f"[red]{escape(said)}[/]", "", "", "")
+    return table

@@ -1,0 +1,99 @@
+"""`dart-flight export LOG...`: flight logs as CSV files, or in standard schemas that viewers play in 3D."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from dart_flight.cli.terminal import emit_json, say
+
+FOXGLOVE_NAME = "foxglove.mcap"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="flight.mcap, or a folder of flights")
+    parser.add_argument(
+        "--foxglove",
+        action="store_true",
+        help="an MCAP file in standard schemas, to play in 3D in Foxglove, Lichtblick and Rerun",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="PATH",
+        help="folder of the CSV files (default: csv beside the log), of several logs a folder each in it; "
+        f"with --foxglove the file (default: {FOXGLOVE_NAME} beside the log), of several the folder",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; returns the exit status. With --json: one object, of several logs a list of them."""
+    from dart_flight.recording.found import logs_in
+
+    paths = logs_in(arguments.logs)
+    export = _export_foxglove if arguments.foxglove else _export_csv
+    places = _files(paths, arguments.output) if arguments.foxglove else _folders(paths, arguments.output)
+    exports = [export(path, place) for path, place in zip(paths, places, strict=True)]
+    if arguments.json:
+        emit_json(exports[0] if len(exports) == 1 else {"exports": exports})
+    return 0
+
+
+def _export_csv(path: Path, folder: Path) -> dict[str, Any]:
+    from dart_flight.lab.scene.csv_export import export_csv
+    from dart_flight.recording.reader import read_log
+
+    log = read_log(path)
+    files = export_csv(log, folder)
+    _say(f"{path}: {len(log.entries)} records in {len(files)} files in {folder}", log.complete)
+    return {"files": [str(file) for file in files], "records": len(log.entries), "log": str(path)}
+
+
+def _export_foxglove(path: Path, file: Path) -> dict[str, Any]:
+    from dart_flight.lab.scene.export import export_foxglove
+    from dart_flight.recording.reader import read_log
+
+    log = read_log(path)
+    count = export_foxglove(log, file)
+    _say(f"{path}: {count} messages in {file}", log.complete)
+    return {"files": [str(file)], "messages": count, "log": str(path)}
+
+
+def _say(line: str, complete: bool) -> None:
+    cut = "" if complete else "; the log was cut, exported up to there"
+    say(f"{line}{cut}")
+
+
+def _folders(logs: list[Path], output: Path | None) -> list[Path]:
+    """Where the files of each log go; no two in the same folder."""
+    if output is None:
+        return [log.parent / ("csv" if log.stem == "flight" else f"{log.stem}_csv") for log in logs]
+    if len(logs) == 1:
+        return [output]
+    return [output / name for name in _names(logs)]
+
+
+def _files(logs: list[Path], output: Path | None) -> list[Path]:
+    """The one file of each log."""
+    if output is None:
+        names = [FOXGLOVE_NAME if log.stem == "flight" else f"{log.stem}_{FOXGLOVE_NAME}" for log in logs]
+        return [log.with_name(name) for log, name in zip(logs, names, strict=True)]
+    if len(logs) == 1 and not output.is_dir():
+        return [output]
+    return [output / f"{name}.mcap" for name in _names(logs)]
+
+
+def _names(logs: list[Path]) -> list[str]:
+    """A name of its own for each log."""
+    names: list[str] = []
+    for log in logs:
+        base = name = log.resolve().parent.name if log.stem == "flight" else log.stem
+        number = 1
+        while name in names:
+            number += 1
+            name = f"{base}-{number}"
+        names.append(name)
+    return names

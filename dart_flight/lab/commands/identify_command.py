@@ -1,0 +1,235 @@
+"""`dart-flight identify`: contact coefficients from recorded trials."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from dart_flight.cli.options import add_set_option
+from dart_flight.cli.terminal import emit_json, messages, say, tables, write_text
+from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.config.document import InputError
+
+
+def _height_or_trial(text: str) -> float | str:
+    """`--drop` may stand before a file: what is not a number is a trial."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+# As `dart_flight.lab.identify.fit.LAWS`, which needs numpy: --help does without.
+LAWS = ("paper", "preload", "hertz", "two-stage", "baseline", "best")
+
+_FIT = {True: "[green]fit: good[/]", False: "[red]fit: poor[/]", None: "fit: nothing to judge it by"}
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "trials", nargs="*", metavar="TRIAL", help="CSV, PX4 ULog or flight log; all share one wall"
+    )
+    parser.add_argument(
+        "--mode",
+        choices=("rigid", "flexible"),
+        help="state of the arms in the trials; of a flight log, its collisions in it",
+    )
+    parser.add_argument(
+        "--surface", help="name of the material, for -o; of a flight log, its collisions with it"
+    )
+    parser.add_argument(
+        "--drop",
+        nargs="?",
+        type=_height_or_trial,
+        const=True,
+        metavar="HEIGHT",
+        help="drops: gravity along the normal; the height in m, if given, is compared with the recording",
+    )
+    parser.add_argument("--onset", choices=("lcp", "touch"), help="rule for the onset (the configuration's)")
+    parser.add_argument(
+        "--contact-distance",
+        type=float,
+        default=0.0,
+        metavar="M",
+        help="subtract this from normal_m: recordings of the centre's height above the ground",
+    )
+    parser.add_argument(
+        "--columns", metavar="NAME=HEADER,...", help="other headers, e.g. time_s=t,normal_m=x"
+    )
+    parser.add_argument(
+        "--wall",
+        nargs=3,
+        type=float,
+        metavar=("NORTH", "EAST", "HEADING"),
+        help="for PX4 logs: a point of the plane of first touch in local NED (m), and the heading of its "
+        "outward normal (degrees)",
+    )
+    parser.add_argument(
+        "--bump", action="store_true", help="for PX4 logs: the strongest horizontal acceleration is the hit"
+    )
+    parser.add_argument("--mass", type=float, metavar="KG", help="of the vehicle (the configuration's)")
+    parser.add_argument(
+        "--law",
+        choices=LAWS,
+        default="paper",
+        help="whose parameters to give beside the paper's coefficients; baseline: none, restitution only; "
+        "best: what predicts held-out hits best",
+    )
+    parser.add_argument("-o", "--output", metavar="FILE", help="write a materials entry (YAML)")
+    parser.add_argument("--plot", metavar="FILE", help="recordings and fit (PNG, PDF, SVG)")
+    add_set_option(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, fit, print, write."""
+    from dart_flight.config.provenance import find_vehicle
+    from dart_flight.contact.law import Onset
+    from dart_flight.lab.identify import job as identification
+
+    paths = list(arguments.trials)
+    drop = arguments.drop
+    if isinstance(drop, str):
+        paths.insert(0, drop)
+        drop = True
+    if not paths:
+        raise InputError("no trials given", key=("TRIAL",))
+    vehicle, source = find_vehicle(arguments.config, arguments.set)
+    job = identification.Job(
+        paths=paths,
+        mode=arguments.mode,
+        drop=drop is not None,
+        height_m=drop if isinstance(drop, float) else None,
+        onset=Onset(arguments.onset) if arguments.onset else None,
+        contact_distance_m=arguments.contact_distance,
+        columns=arguments.columns,
+        wall=tuple(arguments.wall) if arguments.wall else None,
+        mass_kg=arguments.mass,
+        bump=arguments.bump,
+        law=arguments.law,
+    )
+    if arguments.output and not arguments.surface:
+        raise InputError("-o needs --surface, the name of the entry", key=("output",))
+    from dart_flight.lab.identify.flight_trials import readers
+
+    done = identification.carry_out(job, vehicle, readers(arguments.surface))
+    trials, found = done.trials, done.found
+    if done.flown is not None:
+        source = done.flown.source
+    say_vehicle(source, arguments, flown=done.flown is not None)
+    say(*found.notes)
+    from dart_flight.lab.identify.judgement import judge_fit
+
+    judged = judge_fit(found, trials, done.mass_kg, done.onset)
+    for line in judged.says:
+        messages().print(f"[red]{line}[/]", soft_wrap=True)
+    # First what was found, whatever becomes of the files.
+    if arguments.json:
+        emit_json({**identification.as_json(found), "fit": judged._asdict(), "vehicle": source})
+    else:
+        _print(found)
+        tables().print(_FIT[judged.good])
+    if arguments.output:
+        _write(arguments, found, done.vehicle, poor=judged.good is False)
+    if arguments.plot:
+        from dart_flight.lab.identify import plots
+
+        plots.plot_fit(arguments.plot, trials, found, done.mass_kg, done.onset)
+    return 0
+
+
+def _write(arguments: argparse.Namespace, found: Any, vehicle: Any, *, poor: bool) -> None:
+    from dart_flight.lab.identify.materials_entry import materials_entry
+
+    entry = materials_entry(found, arguments.surface, vehicle, poor=poor)
+    write_text(Path(arguments.output), entry.text)
+    console = messages()
+    if entry.assumed:
+        console.print(
+            f"[yellow]not seen in these trials, written as 0 and marked: {', '.join(entry.assumed)}[/]",
+            soft_wrap=True,
+        )
+    for mode in entry.missing:
+        console.print(
+            f"[yellow]not complete: {mode} is not known; a configuration needs it: "
+            f"identify trials with --mode {mode}[/]",
+            soft_wrap=True,
+        )
+
+
+def _estimates(title: str, rows: Any) -> None:
+    """A table of estimates: name, estimate or None, unit."""
+    from rich.table import Table
+
+    table = Table(title=title)
+    for name in ("", "value", "low", "high", "unit"):
+        table.add_column(name, justify="left" if name in ("", "unit") else "right")
+    for name, estimate, unit in rows:
+        shown = ["unknown", "", ""] if estimate is None else [f"{v:.4g}" for v in estimate]
+        table.add_row(name, *shown, unit)
+    tables().print(table)
+
+
+def _print(found: Any) -> None:
+    from rich.table import Table
+
+    from dart_flight.contact.law import Onset
+    from dart_flight.lab.identify.job import UNITS
+    from dart_flight.lab.identify.laws import candidate_laws
+
+    units = {law.name: {p.name: p.unit for p in law.parameters} for law in candidate_laws(Onset.LCP).values()}
+    for mode, coefficients in found.coefficients.items():
+        rows = [(name, estimate, UNITS[name]) for name, estimate in coefficients.items()]
+        rows += [
+            ("restitution", found.restitution[mode], ""),
+            ("tangential ratio", found.tangential_ratio[mode], ""),
+        ]
+        _estimates(f"{mode}: coefficients with 95 % intervals", rows)
+        parameters = found.law_parameters[mode]
+        if parameters and found.law != "paper":
+            name = found.law if found.law in units else found.held_out[mode].best
+            rows = [(n, e, units[name].get(n, "")) for n, e in parameters.items()]
+            _estimates(f"{mode}: law {name}", rows)
+        if mode in found.held_out and found.held_out[mode].laws:
+            _print_held_out(found.held_out[mode])
+    table = Table(title="trials")
+    columns = (
+        "trial",
+        "normal m/s",
+        "out m/s",
+        "along m/s",
+        "peak N",
+        "samples in contact",
+        "set aside",
+        "used",
+    )
+    for name in columns:
+        table.add_column(name, justify="left" if name in ("trial", "used") else "right")
+    for trial in found.trials:
+        numbers = (trial.normal_m_s, trial.normal_out_m_s, trial.tangential_m_s)
+        shown = ["" if v is None else f"{v:.3f}" for v in numbers]
+        peak = "" if trial.peak_force_n is None else f"{trial.peak_force_n:.1f}"
+        aside = f"{trial.set_aside.contact} in contact, {trial.set_aside.free} free"
+        table.add_row(trial.name, *shown, peak, str(trial.samples_in_contact), aside, trial.used)
+    tables().print(table)
+    if found.plane_m is not None:
+        plane = found.plane_m
+        tables().print(
+            f"plane of first touch at {1e3 * plane.value:.1f} mm "
+            f"({1e3 * plane.low:.1f} to {1e3 * plane.high:.1f}); residuals: "
+            + ", ".join(f"{name} {value:.3g}" for name, value in found.residuals.items())
+        )
+
+
+def _print_held_out(compared: Any) -> None:
+    from rich.table import Table
+
+    what = "speeds" if compared.held_out == "speed" else "hits"
+    table = Table(title=f"{compared.mode}: median error on held-out {what}")
+    for name in ("", "peak force", "outgoing speed"):
+        table.add_column(name, justify="right" if name else "left")
+    rows = {**compared.laws, **compared.baselines, "scatter of repeats": compared.scatter}
+    for name, errors in rows.items():
+        table.add_row(name, *("" if v is None else f"{100.0 * v:.1f} %" for v in errors))
+    tables().print(table)

@@ -1,0 +1,126 @@
+"""`dart-flight feel LOG...`: what PX4's own logs felt."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+
+from dart_flight.cli.terminal import emit_json, messages, say, tables, write_text
+from dart_flight.config.document import InputError
+
+if TYPE_CHECKING:
+    from dart_flight.lab.inspect import FeltFlight
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="PX4 ULog (.ulg) of any multirotor, 1.9 on")
+    parser.add_argument(
+        "--mass", type=float, metavar="KG", help="of the vehicle that flew; without it no newtons"
+    )
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write a page (HTML)")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="DIR", help="write every impact as a trial for `identify`"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Feel, print, write. Returns the exit status: 2 where a log was refused, whatever the others gave."""
+    from dart_flight.config.vehicle import load_vehicle
+    from dart_flight.lab.inspect import feel, write_trials
+
+    if arguments.mass is not None and not arguments.mass > 0.0:
+        raise InputError("must be over 0", key=("mass",))
+    vehicle = load_vehicle(arguments.config)
+    flights: list[FeltFlight] = []
+    refused: list[InputError] = []
+    for log in arguments.logs:
+        try:
+            flights.append(feel(log, vehicle, arguments.mass))
+        except InputError as error:
+            refused.append(error)
+    if not flights and len(refused) == 1:
+        raise refused[0]
+    say(*(error.one_line() for error in refused))
+    if arguments.output is not None:
+        if arguments.mass is None:
+            messages().print("without --mass the trials hold no force")
+        for path in (p for flight in flights for p in write_trials(flight, arguments.output)):
+            messages().print(f"wrote {path}", soft_wrap=True)
+    if arguments.report is not None:
+        _write_page(arguments.report, flights)
+    if arguments.json:
+        emit_json([_public(flight) for flight in flights])
+    else:
+        for flight in flights:
+            _print(flight)
+    return 2 if refused else 0
+
+
+def _write_page(path: Path, flights: list[FeltFlight]) -> None:
+    from dart_flight.lab.report.inspection_page import felt_page
+
+    write_text(path, felt_page(flights))
+
+
+def _public(flight: FeltFlight) -> dict[str, Any]:
+    return {n: getattr(flight, n) for n in flight.__struct_fields__ if n != "series"}
+
+
+def _print(flight: FeltFlight) -> None:
+    out = tables()
+    version = flight.px4_version or "of unknown version"
+    out.print(
+        f"{flight.log}: PX4 {version}, {flight.duration_s:.0f} s, {flight.flight_s:.0f} s in the air",
+        soft_wrap=True,
+    )
+    thrust = flight.thrust
+    if thrust is not None:
+        out.print(
+            f"thrust fitted from {thrust.windows} half seconds of {thrust.said}: {thrust.full_m_s2:.1f} m/s2 "
+            f"at full command, held-out residual {thrust.held_out_percent:.1f} %",
+            soft_wrap=True,
+        )
+    if flight.flight_s > 0.0:
+        out.print(
+            f"noise {flight.noise_m_s2:.2f} m/s2 a sample, {flight.noise_short_m_s2:.2f} and "
+            f"{flight.noise_long_m_s2:.2f} in the short and the long mean; felt for certain: rigid from "
+            f"{flight.floor_rigid_m_s2:.1f}, flexible from {flight.floor_flexible_m_s2:.1f} m/s2",
+            soft_wrap=True,
+        )
+    told = [i for i in flight.impacts if i.kind != "untold"]
+    if told:
+        table = Table()
+        for column in ("at s", "peak m/s2", "peak N", "from north deg", "before m/s", "height m", ""):
+            table.add_column(column, justify="right" if column else "left")
+        for i in told:
+            force = "-" if i.force_n is None else f"{i.force_n:.1f} ± {i.force_sd_n:.1f}"
+            says = i.kind + (", clipped: a lower bound" if i.clipped else "")
+            table.add_row(
+                f"{i.t_s:.2f}",
+                f"{i.acceleration_m_s2:.1f} ± {i.acceleration_sd_m_s2:.1f}",
+                force,
+                f"{i.direction_deg:.0f}",
+                f"{i.speed_m_s:.1f}",
+                "-" if i.height_m is None else f"{i.height_m:.1f}",
+                says,
+            )
+        out.print(table)
+    else:
+        out.print("no impact")
+    if flight.weak:
+        out.print(
+            f"{flight.weak} more over the threshold for a moment, with a fitted peak under it: no impact",
+            soft_wrap=True,
+        )
+    if flight.untold:
+        out.print(
+            f"{flight.untold} more over the threshold that cannot be told: a contact or a manoeuvre, in "
+            "fast flight of unknown thrust, after a crash, or less than four standard deviations",
+            soft_wrap=True,
+        )
+    for what in flight.unknown:
+        out.print(f"unknown: {what}", soft_wrap=True)

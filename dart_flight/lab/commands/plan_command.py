@@ -1,0 +1,96 @@
+"""`dart-flight plan SCENARIO -o MISSION`: choose modes and pre-collision velocities."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from rich.progress import Progress
+
+from dart_flight.cli.mission_picture import add_plot_option, write_picture
+from dart_flight.cli.options import add_set_option, link_of, whole_number
+from dart_flight.cli.terminal import emit_json, messages, say, tables
+from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.config.scenario import Objective, load_scenario
+from dart_flight.lab.search.mission_writer import planned_mission, write_mission
+from dart_flight.lab.search.search import search
+from dart_flight.lab.search.summary import plan_summary, plan_table, refusal_table, with_objective
+from dart_flight.planning.planned import describe_passing
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("scenario", metavar="SCENARIO", help="scenario file, see missions/scenarios/")
+    parser.add_argument("-o", "--output", type=Path, metavar="MISSION", help="mission file to write")
+    parser.add_argument(
+        "--objective",
+        type=Objective,
+        choices=list(Objective),
+        metavar="OBJECTIVE",
+        help="instead of the scenario's: " + ", ".join(Objective),
+    )
+    parser.add_argument(
+        "--top", type=whole_number(1, 1000), default=10, metavar="N", help="plans to list (10)"
+    )
+    parser.add_argument(
+        "--rank", type=whole_number(1, 1000), default=1, metavar="R", help="plan to write (1)"
+    )
+    parser.add_argument(
+        "--seed", type=whole_number(0, 2**31 - 1), default=1, help="of the draws of robust (1)"
+    )
+    add_plot_option(parser)
+    parser.add_argument(
+        "--plot-search", type=Path, metavar="FILE", help="picture of all candidates: png, svg or pdf"
+    )
+    parser.add_argument(
+        "--connection",
+        metavar="URL",
+        help="read PX4's parameters from the vehicle instead of the configuration",
+    )
+    add_set_option(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; returns the exit status."""
+    console = messages()
+    scenario = load_scenario(arguments.scenario, arguments.config, settings=arguments.set)
+    if arguments.connection is not None:
+        from dart_flight.run.prepare import with_vehicle_parameters
+        from dart_flight.vehicle.link import LinkLease
+
+        url = link_of(arguments, scenario.vehicle.connection)
+        with LinkLease(url, "plan"):
+            scenario = with_vehicle_parameters(scenario, url)
+    if arguments.objective is not None:
+        scenario = with_objective(scenario, arguments.objective)
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task("trajectories", total=None)
+        top = max(arguments.top, arguments.rank)
+        result = search(
+            scenario, top, arguments.seed, lambda done, of: bar.update(task, completed=done, total=of)
+        )
+    say_vehicle(scenario.vehicle_source, arguments)
+    plan = result.plans[min(arguments.rank, len(result.plans)) - 1]
+    if arguments.output is not None:
+        write_mission(scenario, plan, arguments.output)
+        console.print(f"plan {plan.rank} written to {arguments.output}", soft_wrap=True)
+        if arguments.set:
+            console.print(
+                "[yellow]the mission names the configuration without what was set: fly it with the same "
+                "--set[/]",
+                soft_wrap=True,
+            )
+    if arguments.plot is not None:
+        write_picture(planned_mission(scenario, plan), arguments.plot)
+    if arguments.plot_search is not None:
+        from dart_flight.lab.search.plots import plot_search
+
+        plot_search(result, plan, arguments.plot_search)
+        say(f"picture: {arguments.plot_search}")
+    if arguments.json:
+        emit_json(plan_summary(result))
+    else:
+        for table in (plan_table(result), refusal_table(result)):
+            tables().print(table)
+        tables().print(f"plan {plan.rank} {describe_passing(plan.goal_miss_m, scenario.spec.goal)}")
+    return 0

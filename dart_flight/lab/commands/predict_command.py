@@ -1,0 +1,163 @@
+"""`dart-flight predict`: one wall hit, one drop, or a file of wall hits."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+from dart_flight.cli.options import add_set_option
+from dart_flight.cli.terminal import emit_json, tables
+from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.config.document import InputError
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    # argparse takes -0.5 for a number but -5e-1 for an option; scripts print both.
+    parser._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
+    parser.add_argument("--surface", help="a material of the configuration")
+    parser.add_argument(
+        "--mode", choices=("rigid", "flexible"), help="state of the arms; without a lock it may be left out"
+    )
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument(
+        "--velocity",
+        nargs=2,
+        type=float,
+        metavar=("NORMAL", "TANGENTIAL"),
+        help="wall hit: velocity at the onset in the collision frame, m/s; normal is negative",
+    )
+    what.add_argument("--drop", type=float, metavar="HEIGHT", help="drop from this height, m")
+    what.add_argument("--batch", metavar="FILE", help="CSV of wall hits: mode, normal_m_s, tangential_m_s")
+    parser.add_argument(
+        "--restitution",
+        type=float,
+        metavar="E",
+        help="without a surface: outgoing over incoming normal speed, as `identify` gives it",
+    )
+    parser.add_argument(
+        "--tangential-ratio", type=float, metavar="R", help="with --restitution: the same along the wall"
+    )
+    parser.add_argument("--onset", choices=("lcp", "touch"), help="rule for the onset (the configuration's)")
+    parser.add_argument(
+        "--incidence-deg", type=float, default=0.0, metavar="DEG", help="leading edge against the wall"
+    )
+    parser.add_argument(
+        "--plot", metavar="FILE", help="position, velocity and force over time (PNG, PDF, SVG)"
+    )
+    add_set_option(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Predict, print, plot."""
+    from dart_flight.config.provenance import find_vehicle
+    from dart_flight.lab.predict import prediction
+
+    if arguments.restitution is not None or arguments.tangential_ratio is not None:
+        return _from_ratios(arguments)
+    if arguments.surface is None:
+        raise InputError("--surface is required, or --restitution", key=("surface",))
+    vehicle, source = find_vehicle(arguments.config, arguments.set)
+
+    where = (arguments.surface, arguments.onset, arguments.incidence_deg)
+    if arguments.batch is not None:
+        if arguments.plot or arguments.mode:
+            raise InputError("--batch takes the mode from the file and plots nothing")
+        if arguments.json:
+            rows = prediction.predict_batch_rows(vehicle, *where, path=arguments.batch)
+            say_vehicle(source, arguments)
+            emit_json({"collisions": rows, "vehicle": source})
+        else:
+            text = prediction.predict_batch(vehicle, *where, path=arguments.batch)
+            say_vehicle(source, arguments)
+            sys.stdout.write(text)
+        return 0
+    if arguments.mode is None and vehicle.has_lock:
+        raise InputError("--mode is required: rigid or flexible")
+    mode = arguments.mode or vehicle.modes[0].value
+    what = prediction.condition(vehicle, where[0], mode, where[1], where[2])
+    if arguments.drop is None:
+        numbers = prediction.predict_wall(what, *arguments.velocity)
+        numbers["turning_deg_s"] = _turning(vehicle, what, arguments.velocity)
+    else:
+        numbers = prediction.predict_drop(what, arguments.drop)
+    if arguments.plot:
+        _plot(arguments, what)
+    say_vehicle(source, arguments)
+    if arguments.json:
+        emit_json({**numbers, "vehicle": source})
+    else:
+        if arguments.drop is None:
+            event = "{:g} m/s normal, {:g} m/s along".format(*arguments.velocity)
+        else:
+            event = f"drop from {arguments.drop:g} m"
+        _print(f"{what.surface}, {what.mode.value}, onset {what.onset.value}: {event}", numbers)
+    return 0
+
+
+def _turning(vehicle: Any, what: Any, velocity: list[float]) -> float:
+    """How fast the body turns after the hit, degrees per second (`contact.body_hit`)."""
+    from math import radians
+
+    from dart_flight.lab.predict.body_hit import body_hit
+
+    askew = radians(what.incidence_deg)
+    normal, along = velocity
+    return body_hit(vehicle, what.surface, what.mode, normal, along, askew, what.onset).turning_deg_s
+
+
+def _from_ratios(arguments: argparse.Namespace) -> int:
+    """Outgoing speeds from restitution and tangential ratio; the rest is null."""
+    from dart_flight.lab.predict import prediction
+
+    if arguments.restitution is None:
+        raise InputError("--tangential-ratio needs --restitution", key=("restitution",))
+    given = [
+        name for name in ("surface", "mode", "batch", "onset", "plot") if getattr(arguments, name) is not None
+    ]
+    given += ["set"] if arguments.set else []
+    if given:
+        raise InputError(f"--restitution stands without --{given[0]}", key=("restitution",))
+    ratios = prediction.Ratios(arguments.restitution, arguments.tangential_ratio)
+    if arguments.drop is None:
+        numbers = prediction.predict_wall_from_ratios(ratios, *arguments.velocity)
+    else:
+        numbers = prediction.predict_drop_from_ratios(ratios, arguments.drop)
+    if arguments.json:
+        emit_json(numbers)
+        return 0
+    _print("from restitution and tangential ratio: forces and times cannot be known from these", numbers)
+    return 0
+
+
+def _plot(arguments: argparse.Namespace, what: Any) -> None:
+    from dart_flight.lab.paper import contact_figures as plots
+    from dart_flight.lab.paper import tables as paper
+    from dart_flight.lab.predict import prediction
+
+    if arguments.drop is None:
+        contact = prediction.wall_contact(what, *arguments.velocity)
+        plots.plot_wall(arguments.plot, what, contact, arguments.velocity[1])
+    else:
+        contact = prediction.drop_contact(what, arguments.drop)
+        shown = None
+        if what.surface == paper.DROP_SURFACE:
+            shown = paper.published_drop(arguments.drop, what.mode)
+        plots.plot_drop(arguments.plot, what, contact, arguments.drop, shown)
+
+
+def _print(title: str, numbers: Mapping[str, float | None]) -> None:
+    from rich.table import Table
+
+    from dart_flight.lab.predict.prediction import described
+
+    table = Table(title=title)
+    table.add_column("quantity")
+    table.add_column("value", justify="right")
+    table.add_column("unit")
+    for name, value in numbers.items():
+        table.add_row(*described(name, value))
+    tables().print(table)

@@ -1,0 +1,81 @@
+"""`dart-flight tables`: the paper's tables and figures beside the model's."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from dart_flight.cli.terminal import emit_json, say, tables, write_text
+from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.config.document import InputError, writing
+from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.contact.law import Onset
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("-o", "--output", metavar="FILE", help="write the page (docs/paper_tables.md)")
+    parser.add_argument(
+        "--figures",
+        type=Path,
+        metavar="DIR",
+        help="write the page, and every figure of the paper that there is data for, into this folder",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Compute the tables and print or write them."""
+    from dart_flight.config.provenance import find_vehicle
+    from dart_flight.lab.paper import tables as paper
+
+    vehicle, source = find_vehicle(arguments.config)
+    if not vehicle.has_lock:
+        raise InputError("the paper's tables need a vehicle with a lock", key=("lock",))
+    for surface in paper.SURFACES:
+        if surface not in vehicle.materials:
+            raise InputError(f"the tables need the material {surface}", key=("materials",))
+    say_vehicle(source, arguments)
+    if arguments.output:
+        path = Path(arguments.output)
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, paper.page(vehicle))
+    if arguments.figures is not None:
+        _write_all(arguments.figures, vehicle)
+    if arguments.json:
+        emit_json(
+            {
+                "drops": [
+                    row._asdict() | {"published": row.published._asdict()} for row in paper.drop_rows(vehicle)
+                ],
+                "flight": [row._asdict() for row in paper.flight_rows(vehicle)],
+                "stiffness_ratio": {
+                    "published": paper.STIFFNESS_RATIO,
+                    "model": paper.stiffness_ratios(vehicle),
+                },
+                "refits": [
+                    row._asdict() for onset in Onset for row in paper.refits(vehicle.airframe.mass_kg, onset)
+                ],
+                "dual_collision": [row._asdict() for row in paper.dual_rows(vehicle)],
+                "vehicle": source,
+            }
+        )
+    elif not arguments.output and arguments.figures is None:
+        from rich.markdown import Markdown
+
+        tables().print(Markdown(paper.page(vehicle)))
+    return 0
+
+
+def _write_all(folder: Path, vehicle: VehicleConfig) -> None:
+    """The page with its figures below it."""
+    from dart_flight.lab.paper import figures as paper_figures
+    from dart_flight.lab.paper import tables as paper
+
+    page = [paper.page(vehicle), "## Figures\n"]
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    for figure in paper_figures.write(folder, vehicle):
+        say(f"wrote {folder / figure.file}")
+        page.append(f"**{figure.title}.** {figure.says}\n\n![{figure.title}]({figure.file})\n")
+    write_text(folder / "paper_tables.md", "\n".join(page))

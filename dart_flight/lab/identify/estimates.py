@@ -1,0 +1,140 @@
+"""What an identification says: estimates with intervals, what became of each trial, and the whole."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from dart_flight.config.vehicle import Coefficients
+from dart_flight.lab.identify.held_out import HeldOut
+
+_T_FEW = (12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.2622, 2.2281)
+
+
+def student_t(freedom: int) -> float:
+    """97.5 % point of Student's t: tabulated where the expansion about the normal quantile is not close."""
+    if freedom <= len(_T_FEW):
+        return _T_FEW[freedom - 1]
+    z = 1.959964
+    g1, g2 = (z**3 + z) / 4.0, (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / 96.0
+    g3 = (3.0 * z**7 + 19.0 * z**5 + 17.0 * z**3 - 15.0 * z) / 384.0
+    return z + g1 / freedom + g2 / freedom**2 + g3 / freedom**3
+
+
+def mean_half_width(values: Sequence[float]) -> float | None:
+    """Half the 95 % interval of the mean by Student's t; None from fewer than two values."""
+    n = len(values)
+    if n < 2:
+        return None
+    mean = sum(values) / n
+    deviation = math.sqrt(sum((v - mean) ** 2 for v in values) / (n - 1))
+    return student_t(n - 1) * deviation / math.sqrt(n)
+
+
+class Estimate(NamedTuple):
+    """A value with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+class SetAside(NamedTuple):
+    """Samples that a fit does not count, of those in its window.
+
+    Attributes:
+        free: in free flight, beyond five deviations.
+        contact: in the contact: single samples between good neighbours, never more than a tenth.
+        in_contact: samples in the contact, of all channels.
+    """
+
+    free: int
+    contact: int
+    in_contact: int
+
+
+class TrialFit(NamedTuple):
+    """What a fit says of one trial.
+
+    Attributes:
+        name, mode: of the trial.
+        onset_s: time of the onset in the recording.
+        normal_m_s, tangential_m_s: velocity at the onset.
+        samples_in_contact: position samples in contact.
+        push_m_s2: the controller's acceleration along the normal, before and after the contact; 0 where the
+            flight was straight.
+        used: `samples` where its samples were fitted, `whole` where only speeds, peak and duration count.
+        normal_out_m_s, tangential_out_m_s: velocity after the contact, measured without a law.
+        peak_force_n: as measured; None where no force was recorded, or it was cut off.
+        force_delay_s: by how much the force's clock is late against the positions'; None without both.
+        misfit: residual in contact over the noise in free flight, of the worst channel.
+        set_aside: samples that do not count.
+    """
+
+    name: str
+    mode: str
+    onset_s: float
+    normal_m_s: float
+    tangential_m_s: float | None
+    samples_in_contact: int
+    push_m_s2: tuple[float, float]
+    used: str
+    normal_out_m_s: float | None
+    tangential_out_m_s: float | None
+    peak_force_n: float | None
+    force_delay_s: float | None
+    misfit: float | None
+    set_aside: SetAside
+
+
+class Identification(NamedTuple):
+    """Result of `identify`.
+
+    Attributes:
+        coefficients: mode -> k, f, mu, nu -> estimate, None where the data cannot tell.
+        plane_m: position of the plane of first touch in the recordings; None where no samples were fitted.
+        residuals: root mean square per quantity, in its own unit.
+        trials: one per trial.
+        vertical_side: whether the vertical force acts with (1) or against (-1) `vertical_m`; None if unknown.
+        notes: what a reader should know, in sentences.
+        restitution: mode -> speed out over speed in, along the normal.
+        tangential_ratio: mode -> the same along the wall.
+        law: whose parameters `law_parameters` are.
+        law_parameters: mode -> parameter -> estimate; those of the paper's law are `coefficients`.
+        held_out: mode -> which law predicts hits it has not seen; empty where that was not asked for.
+    """
+
+    coefficients: dict[str, dict[str, Estimate | None]]
+    plane_m: Estimate | None
+    residuals: dict[str, float]
+    trials: list[TrialFit]
+    vertical_side: int | None
+    notes: list[str]
+    restitution: dict[str, Estimate | None]
+    tangential_ratio: dict[str, Estimate | None]
+    law: str
+    law_parameters: dict[str, dict[str, Estimate | None]]
+    held_out: dict[str, HeldOut]
+
+    def is_known(self, mode: str) -> bool:
+        """Whether k and f of a mode are identified."""
+        return all(self.coefficients[mode][name] is not None for name in ("k", "f"))
+
+    def fitted(self, mode: str, fallback: Coefficients | None = None) -> Coefficients:
+        """The coefficients of a mode; what was not identified is taken from `fallback`, else 0.
+
+        Raises:
+            ValueError: k or f is not known.
+        """
+        values = {}
+        for name, estimate in self.coefficients[mode].items():
+            if estimate is not None:
+                values[name] = max(estimate.value, 0.0)
+            elif fallback is not None:
+                values[name] = getattr(fallback, name)
+            elif name in ("k", "f"):
+                raise ValueError(f"{name} of {mode} was not identified")
+            else:
+                values[name] = 0.0
+        return Coefficients(**values)

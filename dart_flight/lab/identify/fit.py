@@ -1,0 +1,234 @@
+"""`identify`: contact coefficients, restitution and the law that predicts, from recorded trials.
+
+Every trial is first read as a whole (`hits`): speeds in and out, peak, duration, without a law. Where its
+positions show the contact in enough samples, the paper's law is fitted to them jointly (`sample_fit`,
+`solver`), which tells most where the law is right. Where it is not (the residual in contact is several times
+the noise), or where there are only speeds or an accelerometer, the coefficients come from the hits as a
+whole. What the data cannot tell comes back as None.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dart_flight.config.document import InputError
+from dart_flight.contact.law import Onset
+from dart_flight.lab.identify.allowance import allow
+from dart_flight.lab.identify.estimates import Estimate, Identification, SetAside, TrialFit
+from dart_flight.lab.identify.held_out import HeldOut, compare
+from dart_flight.lab.identify.hits import Hit, hit_of
+from dart_flight.lab.identify.judgement import SampleResult, SampleTrial, conclude, errors_of_hits
+from dart_flight.lab.identify.laws import ContactLaw, candidate_laws
+from dart_flight.lab.identify.solver import solve, without_derived
+from dart_flight.lab.identify.trials import Trial
+from dart_flight.lab.identify.whole_hits import friction, law_parameters, restitution, tangential_ratio
+
+PAPER = "paper"
+BASELINE = "baseline"  # no law: restitution and force per speed
+BEST = "best"  # what predicts held-out hits best
+LAWS = (PAPER, "preload", "hertz", "two-stage", BASELINE, BEST)
+_LEAST_IN_CONTACT = 4
+_SLOW_SAMPLING_S = 0.006
+_PREDICTS = 0.1  # error of peak and speed out up to which a fit of samples stands although it is off
+_COEFFICIENTS = ("k", "f", "mu", "nu")
+
+
+def identify(
+    trials: Sequence[Trial],
+    mass_kg: float,
+    onset: Onset,
+    *,
+    law: str = PAPER,
+    compare_laws: bool = True,
+) -> Identification:
+    """Coefficients per mode from trials at one plane (paper, Sec. IV-B and V-A).
+
+    Args:
+        trials: recordings; all share the plane, those of one mode its coefficients.
+        mass_kg: vehicle mass.
+        onset: onset rule of the model that is fitted; k and f depend on it a little.
+        law: whose parameters to give beside the paper's coefficients, of `LAWS`.
+        compare_laws: whether to try every law on held-out hits.
+
+    Raises:
+        InputError: SciPy is missing, or a trial cannot be used (its name and why).
+    """
+    if not trials:
+        raise InputError("no trials")
+    usable, notes = without_derived(trials)
+    hits = [hit_of(trial, mass_kg) for trial in usable]
+    notes += [note for hit in hits for note in hit.notes]
+    sampled, result = _fit_samples(usable, hits, mass_kg, onset, notes)
+    laws = candidate_laws(onset)
+    members = {hit.mode: [other for other in hits if other.mode == hit.mode] for hit in hits}
+    held_out = {}
+    if compare_laws or law == BEST:
+        held_out = {mode: compare(list(laws.values()), own, mass_kg) for mode, own in members.items()}
+        notes += [found.sentence for found in held_out.values() if found.hits]
+    coefficients, parameters = {}, {}
+    for mode, own in members.items():
+        found = _coefficients(mode, result, own, laws[PAPER], mass_kg, notes)
+        coefficients[mode], more = allow(found, [trial for trial in usable if trial.mode == mode], own)
+        notes += [f"{mode}: {note}" for note in more]
+        chosen = _chosen(law, held_out.get(mode))
+        parameters[mode] = _parameters(mode, chosen, coefficients[mode], laws, own, mass_kg, notes)
+        if law == BEST:
+            notes.append(f"{mode}: chosen by held-out hits: {chosen}")
+    return Identification(
+        coefficients=coefficients,
+        plane_m=result.plane_m if result else None,
+        residuals=result.residuals if result else {},
+        trials=_trial_fits(hits, sampled, result),
+        vertical_side=result.vertical_side if result else None,
+        notes=notes,
+        restitution={mode: restitution(own) for mode, own in members.items()},
+        tangential_ratio={mode: tangential_ratio(own) for mode, own in members.items()},
+        law=law,
+        law_parameters=parameters,
+        held_out=held_out,
+    )
+
+
+def _chosen(law: str, held_out: HeldOut | None) -> str:
+    if law != BEST:
+        return law
+    return held_out.best if held_out and held_out.best and held_out.earned else BASELINE
+
+
+def _parameters(
+    mode: str,
+    law: str,
+    coefficients: Mapping[str, Estimate | None],
+    laws: Mapping[str, ContactLaw],
+    hits: Sequence[Hit],
+    mass_kg: float,
+    notes: list[str],
+) -> dict[str, Estimate | None]:
+    """Those of the chosen law; a baseline has none."""
+    if law == PAPER:
+        return {name: coefficients[name] for name in ("k", "f")}
+    if law == BASELINE:
+        return {}
+    found, more = law_parameters(laws[law], hits, mass_kg)
+    notes += [f"{mode}: {note}" for note in more]
+    return found
+
+
+def _fit_samples(
+    trials: Sequence[Trial],
+    hits: Sequence[Hit],
+    mass_kg: float,
+    onset: Onset,
+    notes: list[str],
+) -> tuple[list[int], SampleResult | None]:
+    """The joint fit of those trials whose positions show the contact, and which they are."""
+    positions = [
+        i for i, trial in enumerate(trials) if "normal_m" in trial.series and trial.position_measured
+    ]
+    # Where sampling is slow the hit's own extent (widened to whole samples on both sides) decides at once;
+    # where it is fast that extent begins late, when the path has bent by more than noise, the fit decides.
+    few = {
+        i: max(trials[i].samples_between(hits[i].begin_s, hits[i].end_s) - 2, 0)
+        for i in positions
+        if float(np.median(np.diff(trials[i].normal.time_s))) > _SLOW_SAMPLING_S
+    }
+    few = {i: n for i, n in few.items() if n < _LEAST_IN_CONTACT}
+    chosen = [i for i in positions if i not in few]
+    result = None
+    while chosen:
+        felt = [(hits[i].begin_s, hits[i].end_s) for i in chosen]
+        fit, theta, more = solve([trials[i] for i in chosen], felt, mass_kg, onset, least=_LEAST_IN_CONTACT)
+        counts = {i: fit.in_contact(theta, j) for j, i in enumerate(chosen)}
+        less = {i: n for i, n in counts.items() if n < _LEAST_IN_CONTACT}
+        if not less:
+            result = conclude(fit, theta)
+            notes += more + result.notes
+            break
+        few |= less
+        chosen = [i for i in chosen if i not in less]
+    for i, n in few.items():
+        notes.append(
+            f"{trials[i].name}: {n} sample{'' if n == 1 else 's'} in contact, at least "
+            f"{_LEAST_IN_CONTACT} are needed for stiffness: only its speeds are used"
+        )
+    return chosen, result
+
+
+def _coefficients(
+    mode: str,
+    result: SampleResult | None,
+    hits: Sequence[Hit],
+    paper: ContactLaw,
+    mass_kg: float,
+    notes: list[str],
+) -> dict[str, Estimate | None]:
+    """From samples where the law fits them, from whole hits elsewhere."""
+    found = dict(result.coefficients[mode]) if result and mode in result.coefficients else None
+    bad = result is not None and mode in result.bad
+    if bad and found is not None and _predicts(found, paper, hits, mass_kg):
+        bad = False  # off at the samples by more than noise, but right in what is asked of it
+    if found is None or bad:
+        whole, more = law_parameters(paper, hits, mass_kg)
+        notes += [f"{mode}: {note}" for note in more]
+        if found is None:
+            found = dict.fromkeys(_COEFFICIENTS)
+        if any(e is not None for e in whole.values()):
+            found |= whole
+            notes.append(f"{mode}: k and f are from speeds, peaks and durations of whole hits")
+        elif not bad:
+            notes.append(f"{mode}: neither forces nor enough samples in contact: k and f are not known")
+        mu = friction(hits)
+        if mu is not None:
+            found["mu"] = mu
+    for name, what in (
+        ("mu", "no mu, because the trials show no motion along the wall that friction changes"),
+        ("nu", "no nu, because the trials show no vertical motion that the contact changes"),
+    ):
+        if found[name] is None:
+            notes.append(f"{mode}: {what}")
+    return found
+
+
+def _predicts(
+    found: dict[str, Estimate | None], paper: ContactLaw, hits: Sequence[Hit], mass_kg: float
+) -> bool:
+    """Whether coefficients give peak and speed out of their own hits to a tenth, in the median."""
+    known = [e for e in errors_of_hits(found, paper, hits, mass_kg) if e is not None]
+    return bool(known) and max(known) < _PREDICTS
+
+
+def _trial_fits(hits: Sequence[Hit], sampled: Sequence[int], result: SampleResult | None) -> list[TrialFit]:
+    """One per trial; `sampled` are the places of those whose samples were fitted."""
+    of = dict(zip(sampled, result.trials, strict=True)) if result else {}
+    return [_trial_fit(hit, of.get(i)) for i, hit in enumerate(hits)]
+
+
+def _trial_fit(hit: Hit, sampled: SampleTrial | None) -> TrialFit:
+    if sampled is None:
+        sampled = SampleTrial(
+            onset_s=hit.begin_s,
+            normal_m_s=-hit.normal_in_m_s,
+            tangential_m_s=hit.tangential_in_m_s,
+            samples_in_contact=hit.samples_in_contact,
+            push_m_s2=(0.0, 0.0),
+            force_delay_s=None,
+            misfit=None,
+            worst_channel="",
+            set_aside=SetAside(0, 0, hit.samples_in_contact),
+        )
+        used = "whole"
+    else:
+        used = "samples"
+    found = sampled._asdict()
+    del found["worst_channel"]
+    return TrialFit(
+        name=hit.name,
+        mode=hit.mode,
+        used=used,
+        normal_out_m_s=hit.normal_out_m_s,
+        tangential_out_m_s=hit.tangential_out_m_s,
+        peak_force_n=hit.peak_force_n,
+        **found,
+    )

@@ -1,0 +1,127 @@
+"""Collisions of recorded flights as trials for `identify`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from dart_flight.base.geometry import Wall
+from dart_flight.base.records import ContactEnd, ImpactOnset, ImuSample, Phase, PhaseChange
+from dart_flight.config.document import InputError
+from dart_flight.config.provenance import FoundVehicle
+from dart_flight.lab.flight_arrays import FlightArrays
+from dart_flight.lab.identify.trials import READERS as FILE_READERS
+from dart_flight.lab.identify.trials import UNLABELLED, Readers, Series, Trial, TrialReading
+from dart_flight.recording.about import flown_mission
+from dart_flight.recording.reader import Log, NothingInItError, read_log
+
+_BEFORE_S, _AFTER_S = 0.5, 0.4
+_LONGEST_S = 0.15  # of a contact whose end was not noticed
+# What flight logs of the simulated vehicle, whose coefficients are known, are off by themselves
+# (docs/flight_identification.md): PX4's velocity loop brakes too while the wall does.
+ALLOWANCE = {"k": 0.03, "f": 0.15, "mu": 0.08, "nu": 0.6}
+
+
+def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> dict[str, list[Trial]]:
+    """Every planned collision of a flight with this material in this mode, by the material of its wall.
+
+    Series: position from PX4's estimate, force from the flight core's, both in the wall's collision frame and
+    on the autopilot's clock; the plane is the mission's, and the vehicle that which flew it.
+
+    Raises:
+        InputError: the log does not hold its mission.
+    """
+    mission = flown_mission(log.about, log.source)
+    flown = FoundVehicle(mission.vehicle, mission.flown_vehicle())
+    course = FlightArrays(log, mission)
+    found: dict[str, list[Trial]] = {}
+    onset: ImpactOnset | None = None
+    for record in course.records:
+        if isinstance(record, ImpactOnset):
+            onset = record
+        elif isinstance(record, PhaseChange) and record.after is Phase.CONTACT and onset is not None:
+            collision = mission.collisions[(record.collision or 1) - 1]
+            wall = collision.wall
+            if material in (None, wall.material) and mode in (UNLABELLED, collision.mode.value):
+                name = f"{log.source}: {wall.name}"
+                trial = Trial(
+                    name,
+                    _series(course, wall, onset.t_us),
+                    collision.mode.value,
+                    allowance=ALLOWANCE,
+                    flown=flown,
+                    turn_rad_s=_turn(course, onset.t_us),
+                )
+                found.setdefault(wall.material, []).append(trial)
+    return found
+
+
+def _series(course: FlightArrays, wall: Wall, onset_us: int) -> dict[str, Series]:
+    at = course.time_of(onset_us)
+    motion, force = course.estimated, course.estimated_force
+    near = (motion.time_s > at - _BEFORE_S) & (motion.time_s < at + _AFTER_S)
+    felt = (force.time_s > at - _BEFORE_S) & (force.time_s < at + _AFTER_S)
+    n = np.array([*wall.normal, 0.0])
+    t = np.array([*wall.tangent, 0.0])
+    place = motion.position[near] - np.array([*wall.point, 0.0])
+    time, force_time = motion.time_s[near] - at, force.time_s[felt] - at
+    return {
+        "normal_m": Series(time, place @ n),
+        "tangential_m": Series(time, place @ t),
+        "vertical_m": Series(time, place[:, 2]),
+        "normal_force_n": Series(force_time, force.force[felt] @ n),
+        "tangential_force_n": Series(force_time, force.force[felt] @ t),
+    }
+
+
+def _turn(course: FlightArrays, onset_us: int) -> float | None:
+    """The largest rate about the vehicle's vertical between an onset and the end of its contact."""
+    longest_us = onset_us + round(_LONGEST_S * 1e6)
+    ends = [end.t_us for end in course.all(ContactEnd) if onset_us < end.t_us < longest_us]
+    end_us = min(ends, default=longest_us)
+    rates = [abs(s.rate_frd[2]) for s in course.all(ImuSample) if onset_us <= s.t_us <= end_us]
+    return max(rates, default=None)
+
+
+def trials_at_one(log: Log, material: str | None, mode: str = UNLABELLED) -> list[Trial]:
+    """As `trials_of`, of the collisions with one material; None: there must be only one.
+
+    Raises:
+        InputError: there are several; `NothingInItError` where there is no such collision.
+    """
+    by_material = trials_of(log, material, mode)
+    if not by_material:
+        what = f"no collision with {material}" if material else "no collision"
+        how_armed = "" if mode == UNLABELLED else f" in {mode} mode"
+        raise NothingInItError(f"{what}{how_armed} in this flight", source=log.source)
+    if len(by_material) > 1:
+        names = ", ".join(by_material)
+        raise InputError(f"collisions with {names}: say which with --surface", source=log.source)
+    (trials,) = by_material.values()
+    return trials
+
+
+def reader_for(material: str | None) -> Callable[[Path, TrialReading], list[Trial]]:
+    """A reader of flight logs for `identify.trials.read_trials`; it refuses drops, which no mission has.
+
+    Args:
+        material: take the collisions with this material; None: there must be only one.
+    """
+
+    def read(path: Path, how: TrialReading) -> list[Trial]:
+        if how.drop:
+            raise InputError(
+                "a flight log has wall collisions and no drops: leave --drop away",
+                source=str(path),
+                key=("drop",),
+            )
+        return trials_at_one(read_log(path), material, how.mode)
+
+    return read
+
+
+def readers(material: str | None) -> Readers:
+    """All readers: those of files, and that of flight logs."""
+    return {**FILE_READERS, ".mcap": reader_for(material)}

@@ -1,0 +1,90 @@
+"""A materials entry for the vehicle configuration, from identified coefficients."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from dart_flight.config.document import InputError
+from dart_flight.config.vehicle import Coefficients, VehicleConfig
+from dart_flight.lab.identify.estimates import Estimate, Identification
+
+# What a coefficient is where nothing tells: the contact does not do what it stands for. Stiffness has no such
+# value. The key is written all the same, and marked, so that nobody takes the gap for a measurement.
+_ASSUMED = {"f": 0.0, "mu": 0.0, "nu": 0.0}
+
+
+class MaterialsEntry(NamedTuple):
+    """YAML to put under `materials` of a configuration.
+
+    Attributes:
+        text: the YAML; accepted as it is where nothing is missing.
+        assumed: coefficients that neither the trials nor the configuration tell, such as `nu of rigid`.
+        missing: modes left out, because their stiffness is not known.
+    """
+
+    text: str
+    assumed: list[str]
+    missing: list[str]
+
+
+def materials_entry(
+    found: Identification, surface: str, vehicle: VehicleConfig, *, poor: bool = False
+) -> MaterialsEntry:
+    """What is known of a material, as YAML; what is not is marked.
+
+    What was not identified (the other mode, a coefficient the trials do not show) is taken from the
+    configuration's entry of the same name. Where there is none, friction, damping and the vertical force are
+    written as 0 and marked as assumed, and a mode without a stiffness is left out with a comment.
+
+    Args:
+        found: the coefficients.
+        surface: the material's name.
+        vehicle: with the entry to fall back on.
+        poor: the fit is not to be believed; the entry says so.
+
+    Raises:
+        InputError: the trials carry no mode.
+    """
+    known = vehicle.materials.get(surface)
+    modes = [mode for mode in vehicle.modes if mode.value in found.coefficients]
+    if not modes:
+        wanted = " or ".join(f"--mode {mode.value}" for mode in vehicle.modes)
+        raise InputError(f"to write an entry the trials need {wanted}", key=("output",))
+    lines, assumed, missing = [], [], []
+    for mode in vehicle.modes:
+        fallback = known.of(mode) if known else None
+        estimates = found.coefficients.get(mode.value, {})
+        if estimates.get("k") is None and fallback is None:
+            missing.append(mode.value)
+            lines.append(
+                f"    # {mode.value}: not known from these trials, and a configuration needs it: "
+                f"identify trials with --mode {mode.value} and put it here"
+            )
+            continue
+        values, marks = [], []
+        for name in ("k", "f", "mu", "nu"):
+            value, mark = _value(name, estimates.get(name), fallback)
+            values.append(f"{name}: {value}")
+            marks.append(mark)
+            if mark.endswith("assumed"):
+                assumed.append(f"{name} of {mode.value}")
+        lines.append(f"    {mode.value}: {{{', '.join(values)}}}  # 95 %: {'; '.join(marks)}")
+    names = " and ".join(mode.value for mode in modes)
+    count = len(found.trials)
+    source = f"identified: {names}, {count} trial{'s' if count > 1 else ''}"
+    source += f"; assumed: {', '.join(assumed)}" if assumed else ""
+    source += "; POOR FIT" if poor else ""
+    head = ["materials:", f"  {surface}:", f'    source: "{source}"']
+    return MaterialsEntry("\n".join([*head, *lines]) + "\n", assumed, missing)
+
+
+def _value(name: str, estimate: Estimate | None, fallback: Coefficients | None) -> tuple[str, str]:
+    """A coefficient as YAML, and what is known of it."""
+    if estimate is not None:
+        return (
+            repr(float(f"{max(estimate.value, 0.0):.6g}")),
+            f"{name} {estimate.low:.4g} to {estimate.high:.4g}",
+        )
+    if fallback is not None:
+        return repr(getattr(fallback, name)), f"{name} from the configuration"
+    return repr(_ASSUMED[name]), f"{name} not seen in the trials, assumed"

@@ -1,0 +1,372 @@
+"""The residuals of a law at the samples of trials: one parameter vector for all trials of a call.
+
+All trials share one plane, whose position is known to a centimetre or two and estimated along; all trials of
+a mode share its coefficients; every trial has its own onset time and approach velocity, and where it has both
+positions and forces, its own delay between their clocks. The law is the paper's, in its closed form in time
+(`dart_flight.lab.predict.path`): free flight, contact, free flight.
+
+In real flights the controller pushes before and after a wall contact. Where the recordings show such
+curvature, every wall hit gets constant accelerations of its own, one before, one in and one after the
+contact, unknown like the rest; where they do not, straight flight is assumed, which tells more.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+
+from dart_flight.config.vehicle import Coefficients
+from dart_flight.contact.coefficients import Array
+from dart_flight.contact.law import Onset
+from dart_flight.lab.identify.trials import Trial, find_impact
+from dart_flight.lab.identify.windows import cut, first_span, weigh
+from dart_flight.lab.predict.path import Contact
+
+T = TypeVar("T")
+
+_PLANE_SD_M = 0.015  # how well the position of the plane is known beforehand
+_REMEMBERED = 8  # per channel
+_PUSH_SD_M_S2 = 5.0
+PUSHES = ("before", "after")
+# The controller leans otherwise once it feels the wall: by this much, standard deviation, over a contact
+# that is shorter than its own lag. Positions alone could not tell that from stiffness.
+_PUSH_CHANGE_SD_M_S2 = 1.0
+_DELAY_SD_S = 0.01  # between the clocks of positions and forces
+LOWEST_K, HIGHEST_K, LOWEST_F, HIGHEST_F = 10.0, 1e6, 1e-3, 1e4
+# Deviation assumed before the residuals tell: the order in which the channels then count does not matter.
+_FIRST_SD = {
+    "normal_m_s": 0.05, "normal_force_n": 2.0, "tangential_m_s": 0.05, "tangential_force_n": 2.0,
+}  # fmt: skip
+
+
+class Parameters:
+    """Names the entries of the parameter vector."""
+
+    def __init__(self, trials: Sequence[Trial], pushed: bool) -> None:
+        self.modes = list(dict.fromkeys(trial.mode for trial in trials))
+        self.size = 1 + 4 * len(self.modes)  # plane; ln k, ln f, mu, nu per mode
+        self.own: list[dict[str, int]] = []
+        for trial in trials:
+            names = ["onset", "speed"]
+            if any(name.startswith("tangential") for name in trial.series):
+                names += ["y0", "vy"]
+            if "vertical_m" in trial.series:
+                names += ["z0", "vz"]
+            if pushed and trial.acceleration_m_s2 == 0.0:
+                axes = [
+                    name[0] for name in ("normal_m", "tangential_m", "vertical_m") if name in trial.series
+                ]
+                names += [f"{axis}_{when}" for axis in axes for when in PUSHES] + ["n_in"]
+            if "normal_force_n" in trial.series:
+                names.append("delay")
+            self.own.append({name: self.size + i for i, name in enumerate(names)})
+            self.size += len(names)
+
+    def of_mode(self, mode: str) -> dict[str, int]:
+        """Where k and f (by their logarithm), mu and nu of a mode are."""
+        first = 1 + 4 * self.modes.index(mode)
+        return {name: first + i for i, name in enumerate(("k", "f", "mu", "nu"))}
+
+    def of_trial(self, i: int, mode: str) -> list[int]:
+        """Everything that trial i depends on."""
+        return [0, *self.of_mode(mode).values(), *self.own[i].values()]
+
+
+def contact_of(
+    theta: Array, shared: dict[str, int], own: dict[str, int], trial: Trial, fit: SampleFit
+) -> Contact:
+    """The contact of a trial under a parameter vector."""
+    c = Coefficients(
+        k=math.exp(min(max(theta[shared["k"]], -5.0), 20.0)),
+        f=math.exp(min(max(theta[shared["f"]], -12.0), 12.0)),
+        mu=float(theta[shared["mu"]]),
+        nu=1.0,
+    )
+    speed = -max(float(theta[own["speed"]]), 1e-4)
+    push = float(theta[own["n_in"]]) if "n_in" in own else 0.0
+    return Contact(c, fit.mass_kg, speed, fit.onset, acceleration_m_s2=trial.acceleration_m_s2 + push)
+
+
+def _shape(contact: Contact, name: str, time_s: Array) -> tuple[Array, Array, Array]:
+    """A channel's shape at times since the onset; the time after the contact, and (negative) before it."""
+    if name.startswith("normal"):
+        shape = contact.normal(time_s)[("normal_m", "normal_m_s", "normal_force_n").index(name)]
+    elif name == "vertical_m":
+        shape = contact.lift(time_s)
+    elif name == "tangential_force_n":
+        shape = -contact.coefficients.mu * contact.normal(time_s)[2] * contact.slip(time_s)
+    elif name == "tangential_m":
+        shape = contact.way(time_s)
+    else:
+        shape = contact.slip(time_s)
+    return shape, np.maximum(time_s - contact.end_s, 0.0), np.minimum(time_s, 0.0)
+
+
+class SampleFit:
+    """The joint fit: trials, windows, weights, and the residuals of a parameter vector."""
+
+    def __init__(
+        self, trials: Sequence[Trial], mass_kg: float, onset: Onset, pushed: bool,
+        felt: Sequence[tuple[float, float]],
+    ) -> None:  # fmt: skip
+        self.trials, self.mass_kg, self.onset = list(trials), mass_kg, onset
+        self.felt = list(felt)
+        self.parameters = Parameters(trials, pushed)
+        self.impacts = [find_impact(trial) for trial in trials]
+        self.sd = dict(_FIRST_SD)
+        self._memory: dict[int, dict[tuple[str | float, ...], Any]] = {}
+        position = float(np.median([impact.noise_m for impact in self.impacts]))
+        for name in ("normal_m", "tangential_m", "vertical_m"):
+            self.sd[name] = max(position, 1e-5)
+        self.windows = [
+            cut(trial, *first_span(trial, impact))
+            for trial, impact in zip(self.trials, self.impacts, strict=True)
+        ]
+
+    def predict(self, theta: Array, i: int) -> dict[str, Array]:
+        """The model at the samples of trial i, by channel."""
+        trial = self.trials[i]
+        shared, own = self.parameters.of_mode(trial.mode), self.parameters.own[i]
+        shapes = self._shapes(theta, i)
+        out: dict[str, Array] = {}
+        for name, series in self.windows[i].series.items():
+            if name == "normal_m":
+                out[name] = theta[0] + shapes[name]
+            elif name == "vertical_m":
+                free = theta[own["z0"]] + theta[own["vz"]] * (series.time_s - theta[own["onset"]])
+                out[name] = free + theta[shared["nu"]] * shapes[name]
+            elif name == "tangential_m":
+                out[name] = theta[own["y0"]] + theta[own["vy"]] * shapes[name]
+            elif name.startswith("tangential"):
+                out[name] = theta[own["vy"]] * shapes[name]
+            else:
+                out[name] = shapes[name]
+            self._add_push(out, shapes, theta, i, name)
+        return out
+
+    def _add_push(
+        self, out: dict[str, Array], shapes: dict[str, Array], theta: Array, i: int, name: str
+    ) -> None:
+        """The controller's accelerations outside the contact."""
+        own, axis = self.parameters.own[i], name[0]
+        if f"{axis}_after" not in own or name.endswith("_n"):
+            return
+        late, early = shapes[name + " late"], shapes[name + " early"]
+        after, before = theta[own[f"{axis}_after"]], theta[own[f"{axis}_before"]]
+        if axis == "n":  # the contact's own push is in its shape, before and after it as well
+            after, before = after - theta[own["n_in"]], before - theta[own["n_in"]]
+        if name.endswith("_s"):
+            out[name] = out[name] + after * late + before * early
+        else:
+            out[name] = out[name] + 0.5 * (after * late * late + before * early * early)
+
+    def _shapes(self, theta: Array, i: int) -> dict[str, Array]:
+        """What the channels need of the contact: the part that is not linear in the parameters.
+
+        Remembered for the last few values of what a channel depends on, because most parameters are of few
+        channels.
+        """
+        shared, own = self.parameters.of_mode(self.trials[i].mode), self.parameters.own[i]
+        onset = float(theta[own["onset"]])
+        push = float(theta[own["n_in"]]) if "n_in" in own else 0.0
+        delay = float(theta[own["delay"]]) if "delay" in own else 0.0
+        law = (float(theta[own["speed"]]), push, *(float(theta[shared[n]]) for n in ("k", "f", "mu")))
+        return self._remembered(
+            i, ("all", onset, delay, *law), lambda: self._shapes_of(theta, i, onset, delay, law)
+        )
+
+    def _shapes_of(
+        self, theta: Array, i: int, onset: float, delay: float, law: tuple[float, ...]
+    ) -> dict[str, Array]:
+        trial, shared, own = (
+            self.trials[i],
+            self.parameters.of_mode(self.trials[i].mode),
+            self.parameters.own[i],
+        )
+        contact = self._remembered(i, law, lambda: contact_of(theta, shared, own, trial, self))
+        shapes: dict[str, Array] = {}
+        for name, series in self.windows[i].series.items():
+            begin = onset + delay if name.endswith("_n") else onset
+            of_it = law if name.startswith("tangential") else law[:-1]  # mu is of the way along the wall
+            made = self._remembered(
+                i, (name, begin, *of_it), functools.partial(_shape, contact, name, series.time_s - begin)
+            )
+            shapes[name], shapes[name + " late"], shapes[name + " early"] = made
+        return shapes
+
+    def _remembered(self, i: int, key: tuple[str | float, ...], make: Callable[[], T]) -> T:
+        memory: dict[tuple[str | float, ...], T] = self._memory.setdefault(i, {})
+        if key not in memory:
+            if len(memory) >= _REMEMBERED * (2 + len(self.windows[i].series)):
+                memory.clear()
+            memory[key] = make()
+        return memory[key]
+
+    def block(self, theta: Array, i: int) -> Array:
+        """Weighted residuals of trial i."""
+        window = self.windows[i]
+        predicted = self.predict(theta, i)
+        parts = [
+            window.counts[name] * (predicted[name] - series.value) / self.sd[name]
+            for name, series in window.series.items()
+        ]
+        return np.concatenate(parts)
+
+    def prior(self, theta: Array) -> Array:
+        """The plane's position; and next to nothing on the coefficients, so that none is ever singular."""
+        weak = []
+        for mode in self.parameters.modes:
+            at = self.parameters.of_mode(mode)
+            weak += [
+                (theta[at["k"]] - 7.5) / 20.0, (theta[at["f"]] - 2.5) / 20.0,
+                theta[at["mu"]] / 1e3, theta[at["nu"]] / 1e4,
+            ]  # fmt: skip
+        for own in self.parameters.own:
+            weak += [theta[j] / _PUSH_SD_M_S2 for name, j in own.items() if name.endswith(PUSHES)]
+            if "delay" in own:
+                weak.append(theta[own["delay"]] / _DELAY_SD_S)
+            if "n_in" in own:
+                weak.append((theta[own["n_in"]] - theta[own["n_before"]]) / _PUSH_CHANGE_SD_M_S2)
+        return np.array([theta[0] / _PLANE_SD_M, *weak])
+
+    def residuals(self, theta: Array) -> Array:
+        """All weighted residuals, those of the priors last."""
+        return np.concatenate([self.block(theta, i) for i in range(len(self.trials))] + [self.prior(theta)])
+
+    def jacobian(self, theta: Array) -> Array:
+        """Central differences; a trial is evaluated only for what it depends on."""
+        blocks = []
+        for i, trial in enumerate(self.trials):
+            rows = self.block(theta, i).size
+            block = np.zeros((rows, theta.size))
+            for j in self.parameters.of_trial(i, trial.mode):
+                block[:, j] = self._difference(theta, j, lambda x, i=i: self.block(x, i))
+            blocks.append(block)
+        prior = np.stack([self._difference(theta, j, self.prior) for j in range(theta.size)], axis=1)
+        return np.concatenate([*blocks, prior])
+
+    @staticmethod
+    def _difference(theta: Array, j: int, function: Any) -> Array:
+        h = 1e-6 * max(1.0, abs(float(theta[j])))
+        up, down = theta.copy(), theta.copy()
+        up[j] += h
+        down[j] -= h
+        difference: Array = (function(up) - function(down)) / (2.0 * h)
+        return difference
+
+    def span(self, theta: Array, i: int) -> tuple[float, float, Contact]:
+        """Onset and release of trial i by the law, in the recording's time, and its contact."""
+        trial, own = self.trials[i], self.parameters.own[i]
+        contact = contact_of(theta, self.parameters.of_mode(trial.mode), own, trial, self)
+        begin = float(theta[own["onset"]])
+        return begin, begin + (contact.end_s if math.isfinite(contact.end_s) else 0.3), contact
+
+    def in_contact(self, theta: Array, i: int) -> int:
+        """Samples of trial i that show the contact's shape."""
+        begin, end, _ = self.span(theta, i)
+        return self.trials[i].samples_between(begin, end)
+
+    def errors(self, theta: Array, i: int) -> dict[str, Array]:
+        """Model less recording for trial i, by channel."""
+        return {
+            name: predicted - self.windows[i].series[name].value
+            for name, predicted in self.predict(theta, i).items()
+        }
+
+    def weigh(self, theta: Array) -> None:
+        """Deviations and weights from the residuals, free flight and contact apart."""
+        names: dict[str, list[int]] = {}
+        for i, window in enumerate(self.windows):
+            begin, end, _ = self.span(theta, i)
+            # What the recording itself shows as contact is contact, whatever the law makes of it.
+            begin, end = min(begin, self.felt[i][0]), max(end, self.felt[i][1])
+            for name, series in window.series.items():
+                window.contact[name][:] = (series.time_s >= begin) & (series.time_s <= end)
+                names.setdefault(name, []).append(i)
+        for name, members in names.items():
+            errors = [self.errors(theta, i)[name] for i in members]
+            contacts = [self.windows[i].contact[name] for i in members]
+            counts, self.sd[name] = weigh(errors, contacts)
+            for i, weights in zip(members, counts, strict=True):
+                self.windows[i].counts[name][:] = weights
+
+    def cut(self, i: int, begin: float, end: float) -> None:
+        """Fit trial i between two of its times."""
+        self.windows[i] = cut(self.trials[i], begin, end)
+        self._memory.pop(i, None)
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Limits that no impact in question goes beyond: they keep the search where the data are."""
+        low, high = np.full(self.parameters.size, -np.inf), np.full(self.parameters.size, np.inf)
+        for mode in self.parameters.modes:
+            at = self.parameters.of_mode(mode)
+            low[at["k"]], high[at["k"]] = math.log(LOWEST_K), math.log(HIGHEST_K)
+            low[at["f"]], high[at["f"]] = math.log(LOWEST_F), math.log(HIGHEST_F)
+            low[at["mu"]], high[at["mu"]] = 0.0, 1e3
+        low[0], high[0] = -0.2, 0.2
+        for own, impact in zip(self.parameters.own, self.impacts, strict=True):
+            low[own["onset"]], high[own["onset"]] = impact.turn_s - 0.2, impact.turn_s + 0.02
+            if "delay" in own:
+                low[own["delay"]], high[own["delay"]] = -0.05, 0.05
+            low[own["speed"]], high[own["speed"]] = 0.4 * -impact.approach_m_s, 2.0 * -impact.approach_m_s
+        return low, high
+
+    # -- starting point --
+
+    def start(self) -> Array:
+        """Approach lines from the samples before, coefficients from a coarse search."""
+        theta = np.zeros(self.parameters.size)
+        for i, impact in enumerate(self.impacts):
+            own = self.parameters.own[i]
+            theta[own["speed"]] = -impact.approach_m_s
+            theta[own["onset"]] = impact.turn_s
+            for name, place in (("tangential_m", "y0"), ("vertical_m", "z0")):
+                if name in self.windows[i].series:
+                    line = self._line_before(i, name)
+                    theta[own[place]], theta[own["v" + place[0]]] = line
+        for mode in self.parameters.modes:
+            at = self.parameters.of_mode(mode)
+            members = [i for i, trial in enumerate(self.trials) if trial.mode == mode]
+            theta[at["mu"]] = 1.0
+            best, cost = theta, math.inf
+            for k in np.geomspace(200.0, 16_000.0, 10):
+                for zeta in (0.03, 0.09, 0.2, 0.4):
+                    trial_theta = theta.copy()
+                    trial_theta[at["k"]] = math.log(k)
+                    trial_theta[at["f"]] = math.log(2.0 * zeta * math.sqrt(k * self.mass_kg))
+                    for i in members:
+                        self._place_onset(trial_theta, i)
+                    total = sum(self._rough_cost(trial_theta, i) for i in members)
+                    if total < cost:
+                        best, cost = trial_theta, total
+            theta = best
+        return theta
+
+    def _line_before(self, i: int, name: str) -> tuple[float, float]:
+        series, impact = self.windows[i].series[name], self.impacts[i]
+        t = series.time_s - impact.turn_s
+        before = t < -0.03
+        if before.sum() < 2:
+            return float(series.value[0]), 0.0
+        slope, offset = np.polyfit(t[before], series.value[before], 1)
+        return float(offset), float(slope)
+
+    def _place_onset(self, theta: Array, i: int) -> None:
+        """The onset time at which this contact turns when the recording does."""
+        trial, own = self.trials[i], self.parameters.own[i]
+        contact = contact_of(theta, self.parameters.of_mode(trial.mode), own, trial, self)
+        end = contact.end_s if math.isfinite(contact.end_s) else 0.3
+        t = np.linspace(0.0, end, 60)
+        theta[own["onset"]] = self.impacts[i].turn_s - float(t[np.argmin(contact.normal(t)[0])])
+
+    def _rough_cost(self, theta: Array, i: int) -> float:
+        series = self.windows[i].series["normal_m"]
+        shared, own = self.parameters.of_mode(self.trials[i].mode), self.parameters.own[i]
+        contact = contact_of(theta, shared, own, self.trials[i], self)
+        error = series.value - contact.normal(series.time_s - theta[own["onset"]])[0]
+        # The plane may be off by centimetres: its part of the error is a constant.
+        return float(np.mean(np.abs(error - np.median(error))))

@@ -1,0 +1,127 @@
+"""Which samples of a trial are fitted, and how much each of them counts.
+
+A window has two parts. In *free flight* a sample beyond five deviations is an error of the recording and
+does not count. In *contact* that test would be wrong: what does not fit there is usually the law. So the
+contact has a scale of its own, estimated from its own residuals; its samples count less where they lie far
+off (Huber), and only single samples between good neighbours are set aside, at most a tenth of a contact, and
+counted.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.config.document import InputError
+from dart_flight.contact.coefficients import Array
+from dart_flight.lab.identify.trials import Series, Trial, TrialImpact
+
+Mask = NDArray[np.bool_]
+
+BEFORE_S, AFTER_S = 0.25, 0.15  # free flight used at a wall: later the recovery acts
+_OUTLIER = 5.0  # deviations in free flight
+_HUBER = 3.0  # deviations in contact from which a sample counts less
+_SPIKE = 8.0  # deviations of a single sample that is set aside
+MOST_SET_ASIDE = 0.1  # of the samples of a contact
+_LIKE_FREE = 1.5  # a contact whose residuals are this close to those of free flight has the same noise
+
+CHANNELS = (
+    "normal_m", "normal_m_s", "normal_force_n", "tangential_m", "tangential_m_s", "tangential_force_n",
+    "vertical_m",
+)  # fmt: skip
+
+
+class Window(NamedTuple):
+    """The samples of a trial that are fitted, by channel.
+
+    Attributes:
+        series: the samples.
+        counts: factor on each residual: 0 does not count, 1 counts with the deviation of free flight.
+        contact: which of them are in contact, by the law or by the recording itself.
+    """
+
+    series: dict[str, Series]
+    counts: dict[str, Array]
+    contact: dict[str, Mask]
+
+
+def first_span(trial: Trial, impact: TrialImpact) -> tuple[float, float]:
+    """Where to look before anything is fitted."""
+    if trial.acceleration_m_s2 < 0.0:
+        # A drop is free fall only from its release on, and after the rebound only until the next contact.
+        fall = 0.85 * -impact.approach_m_s / -trial.acceleration_m_s2
+        rise = 1.5 * impact.rebound_m_s / -trial.acceleration_m_s2
+        return impact.turn_s - 0.03 - min(fall, BEFORE_S), impact.turn_s + 0.04 + min(rise, BEFORE_S)
+    return impact.turn_s - 0.05 - BEFORE_S, impact.turn_s + 0.06 + AFTER_S
+
+
+def cut(trial: Trial, begin: float, end: float) -> Window:
+    """The samples of a trial between two of its times, all counting.
+
+    Raises:
+        InputError: too few of them.
+    """
+    series, counts, contact = {}, {}, {}
+    for name in CHANNELS:
+        if name in trial.series:
+            time, value = trial.series[name]
+            inside = (time >= begin) & (time <= end)
+            if name == "normal_m" and inside.sum() < 8:
+                raise InputError("too few samples about the impact", source=trial.name)
+            if inside.any():
+                series[name] = Series(time[inside], value[inside])
+                counts[name] = np.ones(int(inside.sum()))
+                contact[name] = np.zeros(int(inside.sum()), dtype=bool)
+    return Window(series, counts, contact)
+
+
+def deviation_of(errors: Array) -> float:
+    """Standard deviation from the median size of errors: deaf to outliers."""
+    return max(1.4826 * float(np.median(np.abs(errors))), 1e-9)
+
+
+def weigh(errors: list[Array], contacts: list[Mask]) -> tuple[list[Array], float]:
+    """How much the samples of one channel count.
+
+    Args:
+        errors: residuals, one array per trial.
+        contacts: which of them are in contact.
+
+    Returns:
+        Factors on the residuals, per trial; and the deviation in free flight, which they refer to.
+    """
+    free = np.concatenate([e[~c] for e, c in zip(errors, contacts, strict=True)])
+    hit = np.concatenate([e[c] for e, c in zip(errors, contacts, strict=True)])
+    robust = deviation_of(free if free.size >= 8 else np.concatenate((free, hit)))
+    inside = free[np.abs(free) <= _OUTLIER * robust]
+    if hit.size >= 4 and deviation_of(hit) < _LIKE_FREE * robust:  # one noise: both tell it
+        inside = np.concatenate((inside, hit[np.abs(hit) <= _OUTLIER * robust]))
+    sd = max(float(np.sqrt(np.mean(inside**2))) if inside.size else robust, 1e-7)
+    scale = deviation_of(hit) if hit.size else sd
+    if scale < _LIKE_FREE * sd:
+        scale = sd
+    counts = []
+    for e, c in zip(errors, contacts, strict=True):
+        size = np.abs(e)
+        weight = np.where(
+            c,
+            sd / scale * np.sqrt(np.minimum(1.0, _HUBER * scale / np.maximum(size, 1e-12))),
+            (size <= _OUTLIER * robust).astype(float),
+        )
+        weight[_spikes(size, c, scale)] = 0.0
+        counts.append(weight)
+    return counts, sd
+
+
+def _spikes(size: Array, contact: Mask, scale: float) -> NDArray[np.intp]:
+    """Samples of a contact that are set aside: far off, between neighbours that are not; the worst first."""
+    far = contact & (size > _SPIKE * scale)
+    near = size <= _HUBER * scale
+    before = np.concatenate(([True], near[:-1]))
+    after = np.concatenate((near[1:], [True]))
+    alone = np.flatnonzero(far & before & after)
+    most = math.floor(MOST_SET_ASIDE * int(contact.sum()))
+    return alone[np.argsort(size[alone])[::-1][:most]]

@@ -1,0 +1,210 @@
+"""What a ULog has to be felt from: whose log it is, topics and their rates, and the stretches in the air."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from dart_flight.config.document import InputError
+from dart_flight.lab.calibrate.thrust_curve import Track, ground_of
+from dart_flight.recording.ulog import ULogFile, columns
+
+TOPICS = (
+    "sensor_combined",
+    "vehicle_attitude",
+    "vehicle_local_position",
+    "actuator_motors",
+    "actuator_outputs",
+    "vehicle_land_detected",
+    "vehicle_status",
+    "battery_status",
+)
+# Topic -> rate in Hz from which on nothing is lost by it; below it is named.
+WANTED_HZ = {
+    "sensor_combined": 190.0,
+    "vehicle_attitude": 15.0,
+    "vehicle_local_position": 9.0,
+    "actuator": 50.0,
+}
+_LEAST_IMU_HZ = 90.0  # below it a rigid contact is four samples
+_RISEN_M = 0.3  # above the ground: taken off
+_TAKEOFF_S = 5.0  # ... where the height is not known
+_LANDED_S = 1.0  # PX4 says landed after a second on the ground; for less, and so high, it was in the air
+_HIGH_M = 2.0
+_LOW_M = 0.5
+_ARMED = 2  # vehicle_status.arming_state
+_OLDEST = (1, 9, 0)
+_ROTARY_WING = 1  # vehicle_status.vehicle_type
+_VEHICLE_TYPES = {2: "plane", 3: "rover", 4: "airship"}
+# MAV_TYPE: multirotors, and what else PX4 flies and drives.
+_MULTIROTORS = (0, 2, 3, 13, 14, 15, 29, 35)
+_MAV_TYPES = {
+    **{1: "plane", 4: "helicopter", 7: "airship", 8: "balloon", 10: "rover", 11: "boat", 12: "submarine"},
+    **dict.fromkeys(range(19, 26), "VTOL"),
+}
+_PROFILE = (
+    "SDLOG_PROFILE 17, the default (bit 0) with high rate (bit 4): motors and attitude as fast as they are "
+    "computed"
+)
+
+
+def refuse_other_vehicles(log: ULogFile) -> None:
+    """Make sure that a log is of a multicopter that was armed, and of a version that is read.
+
+    What the log does not say is no reason.
+
+    Raises:
+        InputError: it is not, by name.
+    """
+    if log.version is not None and log.version < _OLDEST:
+        raise InputError(
+            f"of PX4 {'.'.join(map(str, log.version))}, logs of {_OLDEST[0]}.{_OLDEST[1]} and later are read",
+            source=log.source,
+        )
+    other = _other_than_multicopter(log)
+    if other is not None:
+        raise InputError(f"of a {other}: only multicopters are felt", source=log.source)
+    status = log.first("vehicle_status")
+    if status is not None and not (np.asarray(status["arming_state"]) == _ARMED).any():
+        raise InputError("the vehicle was never armed: there is no flight in it", source=log.source)
+
+
+def _other_than_multicopter(log: ULogFile) -> str | None:
+    """What the vehicle is, if it is no multicopter."""
+    status, kind = log.first("vehicle_status") or {}, log.parameters.get("MAV_TYPE", 0.0)
+    if "system_type" in status:
+        kind = float(status["system_type"][-1])
+    if "is_vtol" in status and np.asarray(status["is_vtol"]).any():
+        return "VTOL"
+    if kind not in _MULTIROTORS:
+        return _MAV_TYPES.get(int(kind), f"vehicle of MAV_TYPE {kind:.0f}")
+    types = [int(t) for t in np.unique(status.get("vehicle_type", [])) if t not in (0, _ROTARY_WING)]
+    return _VEHICLE_TYPES.get(types[0], f"vehicle of type {types[0]}") if types else None
+
+
+def missing(log: ULogFile) -> list[str]:
+    """Topics that are not there or too slow, in words.
+
+    Raises:
+        InputError: without IMU or attitude nothing can be felt.
+    """
+    for name in ("sensor_combined", "vehicle_attitude"):
+        if log.first(name) is None:
+            raise InputError(f"has no {name}: nothing can be felt", source=log.source)
+    rate = log.rate_hz("sensor_combined") or 0.0
+    if rate < _LEAST_IMU_HZ:
+        raise InputError(
+            f"sensor_combined at {rate:.0f} Hz: a rigid contact of 50 ms needs {_LEAST_IMU_HZ:.0f}; log with "
+            f"{_PROFILE}",
+            source=log.source,
+        )
+    out, slow = [], False
+    for name, wanted in WANTED_HZ.items():
+        topics = ("actuator_motors", "actuator_outputs") if name == "actuator" else (name,)
+        rates = [r for topic in topics if (r := log.rate_hz(topic)) is not None]
+        if not rates:
+            out.append(f"no {' or '.join(topics)}")
+            slow = True
+        elif max(rates) < wanted:
+            out.append(f"{' or '.join(topics)} at {max(rates):.0f} Hz, {wanted:.0f} would do")
+            slow = True
+    if log.first("vehicle_land_detected") is None:
+        out.append("no vehicle_land_detected: the whole log counts as flight")
+    if log.gaps_s > 0.0:
+        out.append(f"{log.gaps_s:.2f} s that the logger lost")
+    if log.first("vehicle_status") is None:
+        out.append("no vehicle_status: whether it is a multicopter, and was armed")
+    return [*out, *[f"what would help: {_PROFILE}"] * slow, *log.damage]
+
+
+def track_without_motors(log: ULogFile) -> Track:
+    """The track of a log whose motor commands cannot be read."""
+    imu = log.first("sensor_combined")
+    assert imu is not None
+    empty = np.empty(0)
+    return Track(
+        source=log.source,
+        imu_s=np.asarray(imu["timestamp"], dtype=float) * 1e-6,
+        specific_force=columns(imu, "accelerometer_m_s2", 3),
+        rate=columns(imu, "gyro_rad", 3),
+        motor_s=empty,
+        motors=np.empty((0, 4)),
+        velocity_s=empty,
+        velocity=np.empty((0, 3)),
+        voltage_s=empty,
+        voltage=empty,
+        ground=ground_of(log),
+    )
+
+
+def landings_of(log: ULogFile) -> list[tuple[float, float]]:
+    """From, to in seconds: on the ground, begun where PX4 was close to saying so; or close to it, and low."""
+    close = ground_of(log)
+    landed = [(min([a, *(x for x, y in close if x <= a <= y)]), b) for a, b in _landed(log)]
+    return landed + [(a, b) for a, b in close if _height_at(log, a) < _LOW_M]
+
+
+def _landed(log: ULogFile) -> list[tuple[float, float]]:
+    """From, to in seconds: PX4 says landed. Motors cut in the air look like that: for a moment, high up."""
+    found = _stretches(log, "vehicle_land_detected", "landed")
+    return [(a, b) for a, b in found if b - a >= _LANDED_S or not _height_at(log, a) > _HIGH_M]
+
+
+def _height_at(log: ULogFile, t_s: float) -> float:
+    """Above where the log begins, metres; NaN where PX4 has no estimate."""
+    position = log.first("vehicle_local_position")
+    if position is None:
+        return math.nan
+    height = -np.asarray(position["z"], dtype=float)
+    return float(np.interp(t_s, np.asarray(position["timestamp"], dtype=float) * 1e-6, height) - height[0])
+
+
+def flights_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
+    """From, to in seconds: in the air, from 0.3 m up to what PX4 calls landed, and armed at some moment."""
+    begin, end = float(track.imu_s[0]), float(track.imu_s[-1])
+    armed = _stretches(log, "vehicle_status", "arming_state", _ARMED)
+    detected = log.first("vehicle_land_detected")
+    if detected is None:
+        return _clipped(armed, begin, end) if log.first("vehicle_status") is not None else [(begin, end)]
+    first = float(detected["timestamp"][0]) * 1e-6
+    edges = [min(first, end), *(t for stretch in _landed(log) for t in stretch), end]
+    air = _clipped(zip(edges[::2], edges[1::2], strict=True), begin, end)
+    if log.first("vehicle_status") is not None:
+        # Not cut where it was disarmed: what was stopped in the air still has to come down.
+        air = [(a, b) for a, b in air if any(x < b and y > a for x, y in armed)]
+    # What is in the air when the log begins, or when PX4 first says where it is, has taken off before.
+    known = max(first, begin + 0.1)
+    taken_off = [(begin if a <= known else _off_the_ground(log, a, b), b) for a, b in air]
+    return [(a, b) for a, b in taken_off if b > a]
+
+
+def _clipped(stretches: Iterable[tuple[float, float]], begin: float, end: float) -> list[tuple[float, float]]:
+    inside = [(max(a, begin), min(b, end)) for a, b in stretches]
+    return [(a, b) for a, b in inside if b > a]
+
+
+def _stretches(log: ULogFile, topic: str, field: str, value: int = 1) -> list[tuple[float, float]]:
+    """From, to in seconds: a field has a value; it has it until the next sample, the last one for good."""
+    data = log.first(topic)
+    if data is None:
+        return []
+    holds = np.asarray(data[field]).astype(int) == value
+    stamps = [*(np.asarray(data["timestamp"], dtype=float) * 1e-6), math.inf]
+    turns = np.flatnonzero(np.diff(np.concatenate(([False], holds, [False])).astype(int)))
+    return [(float(stamps[a]), float(stamps[b])) for a, b in zip(turns[::2], turns[1::2], strict=True)]
+
+
+def _off_the_ground(log: ULogFile, begin: float, end: float) -> float:
+    """When a flight has risen a little: PX4's land detector says "in the air" at the first thrust."""
+    position = log.first("vehicle_local_position")
+    if position is None:
+        return begin + _TAKEOFF_S
+    t = np.asarray(position["timestamp"], dtype=float) * 1e-6
+    inside = (t >= begin) & (t <= end)
+    height = -np.asarray(position["z"], dtype=float)[inside]
+    if not len(height):
+        return begin + _TAKEOFF_S
+    risen = np.flatnonzero(height > height[0] + _RISEN_M)
+    return float(t[inside][risen[0]]) if len(risen) else end

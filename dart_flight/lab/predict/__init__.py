@@ -1,0 +1,1 @@
+"""One collision or drop, predicted step by step."""

@@ -1,0 +1,305 @@
+"""What `dart-flight predict` answers: one hit, one drop, or a file of hits."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from dart_flight.base.geometry import GRAVITY_M_S2
+from dart_flight.base.records import Mode
+from dart_flight.config.document import InputError, read_text, unknown_name
+from dart_flight.config.kinds import FileKind, refuse_other_kind
+from dart_flight.config.vehicle import Coefficients, VehicleConfig
+from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
+from dart_flight.contact.contact_map import Drop, collide, contact_map, drop
+from dart_flight.contact.law import Onset, coefficients_in_force
+from dart_flight.lab.predict.path import Contact
+
+BATCH_COLUMNS = ("mode", "normal_m_s", "tangential_m_s")
+WALL_COLUMNS = (
+    "normal_out_m_s",
+    "tangential_out_m_s",
+    "contact_time_s",
+    "penetration_m",
+    "peak_normal_force_n",
+    "peak_friction_force_n",
+    "impulse_n_s",
+)
+DROP_NAMES = Drop._fields
+_FASTEST_M_S = 100.0  # beyond this an input is a mistake of units
+
+
+class Condition(NamedTuple):
+    """What is predicted: a surface, a lock state, the rule for the onset, and what is in force of them."""
+
+    surface: str
+    mode: Mode
+    onset: Onset
+    incidence_deg: float
+    coefficients: Coefficients
+    mass_kg: float
+    vertical_sign: int
+
+
+def condition(
+    vehicle: VehicleConfig, surface: str, mode: str, onset: str | None, incidence_deg: float
+) -> Condition:
+    """Look up and check what the user named.
+
+    Raises:
+        InputError: the surface is not in the configuration, mode or onset is none or not of this vehicle, or
+            the incidence is not from 0 to 45°.
+    """
+    if mode not in list(Mode):
+        raise InputError(f"{mode!r} is not allowed, only: {', '.join(Mode)}", key=("mode",))
+    if surface not in vehicle.materials:
+        raise InputError(unknown_name(surface, list(vehicle.materials), "surface"), key=("surface",))
+    if not 0.0 <= incidence_deg <= 45.0:
+        raise InputError(f"{incidence_deg:g} is not an angle from 0 to 45", key=("incidence-deg",))
+    problem = vehicle.mode_problem(Mode(mode))
+    if problem is not None:
+        raise InputError(problem, key=("mode",))
+    c = coefficients_in_force(vehicle, surface, Mode(mode), math.radians(incidence_deg))
+    return Condition(
+        surface,
+        Mode(mode),
+        onset_rule(vehicle, onset),
+        incidence_deg,
+        c,
+        vehicle.airframe.mass_kg,
+        vehicle.vertical_force_sign,
+    )
+
+
+def onset_rule(vehicle: VehicleConfig, onset: str | None) -> Onset:
+    """The rule that was named, else the vehicle's.
+
+    Raises:
+        InputError: there is no such rule.
+    """
+    rule = onset or vehicle.onset
+    if rule not in list(Onset):
+        raise InputError(f"{rule!r} is not allowed, only: {', '.join(Onset)}", key=("onset",))
+    return Onset(rule)
+
+
+def hit_problem(normal_m_s: float, tangential_m_s: float) -> tuple[str, str] | None:
+    """Which velocity cannot be that of a wall hit, and why; the same for one hit and for a file of them."""
+    for name, value in (("normal", normal_m_s), ("tangential", tangential_m_s)):
+        if not abs(value) <= _FASTEST_M_S:
+            return name, f"{value:g} m/s, expected at most {_FASTEST_M_S:g}"
+    if not normal_m_s < 0.0:
+        return "normal", f"{normal_m_s:g} m/s does not approach the wall, it must be negative"
+    return None
+
+
+def refuse_hit(normal_m_s: float, tangential_m_s: float) -> None:
+    """Make sure that a velocity may be that of a wall hit.
+
+    Raises:
+        InputError: it does not approach the wall, or is not one of a vehicle.
+    """
+    problem = hit_problem(normal_m_s, tangential_m_s)
+    if problem is not None:
+        raise InputError(f"{problem[0]} {problem[1]}", key=("velocity",))
+
+
+def wall_contact(what: Condition, normal_m_s: float, tangential_m_s: float) -> Contact:
+    """The hit, for its course in time.
+
+    Raises:
+        InputError: as `refuse_hit`.
+    """
+    refuse_hit(normal_m_s, tangential_m_s)
+    return Contact(what.coefficients, what.mass_kg, normal_m_s, what.onset)
+
+
+def predict_wall(what: Condition, normal_m_s: float, tangential_m_s: float) -> dict[str, float]:
+    """Numbers of a wall hit, named with their units.
+
+    Raises:
+        InputError: as `wall_contact`.
+    """
+    contact = wall_contact(what, normal_m_s, tangential_m_s)
+    r = collide(what.coefficients, what.mass_kg, normal_m_s, tangential_m_s, what.onset)
+    last = r.contact_time_s if math.isfinite(r.contact_time_s) else 0.0
+    lift = what.coefficients.nu * what.mass_kg * float(contact.rise(last)) if last else math.nan
+    return r._asdict() | {"vertical_impulse_n_s": lift}
+
+
+class Ratios(NamedTuple):
+    """What speeds alone tell of a contact: speed out over speed in, along the normal and along the wall."""
+
+    restitution: float
+    tangential_ratio: float | None
+
+    def checked(self) -> Ratios:
+        """Itself.
+
+        Raises:
+            InputError: a ratio creates energy or turns the motion round.
+        """
+        for key, value in (("restitution", self.restitution), ("tangential-ratio", self.tangential_ratio)):
+            if value is not None and not 0.0 <= value <= 1.0:
+                raise InputError(f"{value:g} is not a ratio from 0 to 1", key=(key,))
+        return self
+
+
+def predict_wall_from_ratios(
+    ratios: Ratios, normal_m_s: float, tangential_m_s: float
+) -> dict[str, float | None]:
+    """The numbers of `predict_wall`; what the ratios cannot tell (forces, times, depth) is None.
+
+    Raises:
+        InputError: a ratio is not from 0 to 1, or the velocity does not approach the wall.
+    """
+    ratios.checked()
+    refuse_hit(normal_m_s, tangential_m_s)
+    numbers: dict[str, float | None] = dict.fromkeys((*WALL_COLUMNS, "vertical_impulse_n_s"))
+    numbers["normal_out_m_s"] = -ratios.restitution * normal_m_s
+    if ratios.tangential_ratio is not None:
+        numbers["tangential_out_m_s"] = ratios.tangential_ratio * tangential_m_s
+    return numbers
+
+
+def predict_drop_from_ratios(ratios: Ratios, height_m: float) -> dict[str, float | None]:
+    """The numbers of `predict_drop`; what a restitution cannot tell is None.
+
+    Raises:
+        InputError: the ratio is not from 0 to 1, or the height is not one of a drop.
+    """
+    ratios.checked()
+    if not 0.0 < height_m <= 100.0:
+        raise InputError(f"{height_m:g} m, expected a height above 0 and up to 100", key=("drop",))
+    numbers: dict[str, float | None] = dict.fromkeys(DROP_NAMES)
+    numbers["max_rebound_speed_m_s"] = ratios.restitution * math.sqrt(2.0 * GRAVITY_M_S2 * height_m)
+    return numbers
+
+
+def drop_contact(what: Condition, height_m: float) -> Contact:
+    """The first contact of a drop, for its course in time.
+
+    Raises:
+        InputError: the height is not positive, or not one of a drop test.
+    """
+    if not 0.0 < height_m <= 100.0:
+        raise InputError(f"{height_m:g} m, expected a height above 0 and up to 100", key=("drop",))
+    r = drop(what.coefficients, what.mass_kg, height_m, what.onset)
+    return Contact(
+        what.coefficients, what.mass_kg, -r.onset_speed_m_s, what.onset, acceleration_m_s2=-GRAVITY_M_S2
+    )
+
+
+def predict_drop(what: Condition, height_m: float) -> dict[str, float]:
+    """Numbers of a drop, named with their units.
+
+    Raises:
+        InputError: as `drop_contact`.
+    """
+    drop_contact(what, height_m)
+    return drop(what.coefficients, what.mass_kg, height_m, what.onset)._asdict()
+
+
+def predict_batch_rows(
+    vehicle: VehicleConfig, surface: str, onset: str | None, incidence_deg: float, *, path: str | Path
+) -> list[dict[str, str | float]]:
+    """Wall hits of a CSV with the columns mode, normal_m_s, tangential_m_s: those and the wall-hit columns.
+
+    Raises:
+        InputError: the file cannot be read, a column is missing or a value is not one (with its line).
+    """
+    table = [condition(vehicle, surface, mode.value, onset, incidence_deg) for mode in vehicle.modes]
+    modes = [mode.value for mode in vehicle.modes]
+    which, normal, tangential = _read_batch(path, modes)
+    result = contact_map(
+        CoefficientArrays.of([row.coefficients for row in table]),
+        table[0].mass_kg,
+        normal,
+        tangential,
+        table[0].onset,
+        rows=which,
+    )
+    columns = [normal.tolist(), tangential.tolist()]
+    columns += [getattr(result, name).tolist() for name in WALL_COLUMNS]
+    names = (*BATCH_COLUMNS, *WALL_COLUMNS)
+    return [
+        dict(zip(names, (modes[row], *values), strict=True))
+        for row, *values in zip(which.tolist(), *columns, strict=True)
+    ]
+
+
+def predict_batch(
+    vehicle: VehicleConfig, surface: str, onset: str | None, incidence_deg: float, *, path: str | Path
+) -> str:
+    """`predict_batch_rows` as CSV text, in full double precision.
+
+    Raises:
+        InputError: as `predict_batch_rows`.
+    """
+    out = io.StringIO()
+    writer = csv.DictWriter(out, (*BATCH_COLUMNS, *WALL_COLUMNS), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(predict_batch_rows(vehicle, surface, onset, incidence_deg, path=path))
+    return out.getvalue()
+
+
+def _read_batch(path: str | Path, modes: list[str]) -> tuple[Rows, Array, Array]:
+    source = str(path)
+    text = read_text(path)
+    reader = csv.DictReader(io.StringIO(text), skipinitialspace=True)
+    header = [name.strip() for name in reader.fieldnames or []]
+    reader.fieldnames = header
+    for name in BATCH_COLUMNS:
+        if name not in header:
+            refuse_other_kind(path, FileKind.TRIAL)
+            raise InputError(
+                f"missing column {name}, expected {', '.join(BATCH_COLUMNS)}", source=source, line=1
+            )
+    which, speeds = [], []
+    for row in reader:
+        line = reader.line_num
+        mode = (row["mode"] or "").strip()
+        if mode not in modes:
+            raise InputError(
+                f"{mode!r} is not allowed, only: {', '.join(modes)}", source=source, line=line, key=("mode",)
+            )
+        which.append(modes.index(mode))
+        pair = []
+        for name in BATCH_COLUMNS[1:]:
+            try:
+                value = float(row[name] or "")
+            except ValueError:
+                value = math.nan
+            if math.isnan(value):
+                raise InputError(
+                    f"{row[name]!r} is not a speed in m/s", source=source, line=line, key=(name,)
+                )
+            pair.append(value)
+        problem = hit_problem(*pair)
+        if problem is not None:
+            raise InputError(problem[1], source=source, line=line, key=(f"{problem[0]}_m_s",))
+        speeds.append(pair)
+    values = np.array(speeds, dtype=float).reshape(-1, 2)
+    return np.array(which, dtype=np.intp), values[:, 0], values[:, 1]
+
+
+_UNITS = {"m_s": "m/s", "s": "s", "m": "m", "n": "N", "n_s": "N s", "deg_s": "deg/s"}
+
+
+def described(name: str, value: float | None) -> tuple[str, str, str]:
+    """Quantity, value and unit as a person reads them, from a name that ends in its unit."""
+    unit = next(u for u in sorted(_UNITS, key=len, reverse=True) if name.endswith("_" + u))
+    words = name[: -len(unit) - 1].replace("_", " ")
+    if value is None or math.isnan(value):
+        return words, "unknown", ""
+    if unit == "s" and 0.0 < abs(value) < 1.0:
+        return words, f"{1e3 * value:.2f}", "ms"
+    if unit == "m" and 0.0 < abs(value) < 1.0:
+        return words, f"{1e3 * value:.2f}", "mm"
+    text = "never ends" if math.isinf(value) else f"{value:.4f}"
+    return words, text, "" if math.isinf(value) else _UNITS[unit]

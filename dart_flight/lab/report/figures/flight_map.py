@@ -1,0 +1,214 @@
+"""A flight from above: what was planned, what was flown, and every hit with its force and what followed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from dart_flight.lab.flight_arrays import Array
+from dart_flight.lab.report.figures.labels import Label, place_labels
+from dart_flight.lab.report.figures.scene import (
+    along,
+    draw_arrow,
+    draw_recovery,
+    draw_room,
+    draw_vehicle,
+    fit_map,
+    name_arrows,
+    name_recoveries,
+    name_walls,
+    placed,
+    set_view,
+    view_of,
+)
+from dart_flight.lab.report.figures.style import (
+    ESTIMATED,
+    FORCE,
+    GREY,
+    GUARD,
+    PAGE,
+    PREDICTED,
+    REPLANNED,
+    TRUE,
+    Look,
+    in_style,
+    new_figure,
+)
+from dart_flight.lab.report.flight import Flight
+from dart_flight.lab.report.hits import Hit, airborne, guard_acts, hits_of
+
+_LONGEST_ARROW_M = 0.45  # of the largest force
+_FEW_LABELS = 14
+_STEPS_S = (1, 2, 5, 10, 20, 50, 100)
+_ARROW_EVERY_M = 0.9
+
+
+@in_style
+def flight_map(flights: Sequence[Flight], *, look: Look = PAGE) -> Any:
+    """Walls, plan and flown paths from above; of several flights the paths lie over each other.
+
+    One flight alone shows more: seconds, direction, the vehicle at each hit with the state of its arms, the
+    peak force, the set-point that followed, and what the guard did.
+    """
+    mission = flights[0].mission
+    figure, axis = new_figure(look, 5.0)
+    shown = [np.array([mission.start, mission.goal.position_m])]
+    for flight in flights:
+        shown += [place for (_, place), _, _ in _paths(flight)]
+        shown += [np.array([hit.position[:2]]) for hit in hits_of(flight)]
+        shown += flight.planned_lines()  # the walls that a flight broken off never came to
+    set_view(axis, view_of(mission, np.vstack(shown)))
+    draw_room(axis, mission)
+    if len(flights) == 1:
+        _draw_one(axis, flights[0])
+    else:
+        _draw_many(axis, flights)
+    axis.grid(visible=False)
+    axis.set_xlabel("x, m")
+    axis.set_ylabel("y, m")
+    fit_map(figure, axis)
+    names = name_walls(axis, mission, look.small_pt)
+    if len(flights) == 1:
+        _write_labels(axis, flights[0], names, look)
+    return figure
+
+
+# --- one flight ----------------------------------------------------------------------------------------
+
+
+def _draw_one(axis: Any, flight: Flight) -> None:
+    paths = _paths(flight)
+    for line in flight.planned_lines():
+        axis.plot(line[:, 0], line[:, 1], label="planned", **PREDICTED)
+    for (_, place), style, label in paths:
+        thin = {**style, "linewidth": 0.75 * float(style["linewidth"])}
+        axis.plot(place[:, 0], place[:, 1], label=label, **thin)
+    for waypoint in flight.mission.waypoints:
+        if waypoint.position is not None:
+            axis.plot(
+                *waypoint.position[:2], "s", color="black", markersize=4, markerfacecolor="white",
+                label="way-point", linestyle="none",
+            )  # fmt: skip
+    for way in flight.ways():
+        axis.plot(way[:, 0], way[:, 1], label="planned in flight", **REPLANNED)
+    if paths:
+        _direction(axis, paths[0][0][1])
+        _seconds(axis, paths[0][0])
+    hits = hits_of(flight)
+    largest = max((math.hypot(*hit.force_n) for hit in hits if hit.force_n is not None), default=0.0)
+    for hit in hits:
+        _draw_hit(axis, flight, hit, largest)
+    if largest > 0.0:
+        name_arrows(axis, largest / _LONGEST_ARROW_M)
+    if any(hit.set_point is not None for hit in hits):
+        name_recoveries(axis)
+    acts = [act for act in guard_acts(flight) if act.place is not None]
+    for act in acts:
+        axis.plot(
+            *(act.place or ()), "D", color=GUARD, markersize=6, label="guard", linestyle="none", zorder=6
+        )
+
+
+def _paths(flight: Flight) -> list[tuple[tuple[Array, Array], dict[str, Any], str]]:
+    """((time, place), style, name) of what is known of the way in the air, the true one first."""
+    air = airborne(flight)
+    found = []
+    for motion, style, label in (
+        (flight.course.true, TRUE, "flown (true)"),
+        (flight.course.estimated, ESTIMATED, "flown (estimated)"),
+    ):
+        if air is None or not motion.time_s.size:
+            continue
+        inside = (motion.time_s >= air[0]) & (motion.time_s <= air[1])
+        if inside.any():
+            found.append(((motion.time_s[inside], motion.position[inside, :2]), style, label))
+    return found
+
+
+def _direction(axis: Any, place: Array) -> None:
+    """Arrow heads along a path."""
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1))])
+    for at in np.arange(0.5 * _ARROW_EVERY_M, way[-1], _ARROW_EVERY_M):
+        i, j = np.searchsorted(way, at - 0.01), np.searchsorted(way, at + 0.05)
+        if j < way.size and np.linalg.norm(place[j] - place[i]) > 0.02:
+            draw_arrow(axis, place[i], place[j], "#000000", linewidth=0.0, mutation_scale=10)
+
+
+def _seconds(axis: Any, path: tuple[Array, Array]) -> None:
+    times, place = path
+    whole = np.arange(math.ceil(times[0]), times[-1])
+    dots = np.stack([np.interp(whole, times, place[:, i]) for i in (0, 1)], axis=1)
+    axis.plot(
+        dots[:, 0], dots[:, 1], "o", markersize=2.6, color="black", markerfacecolor="white",
+        markeredgewidth=0.7, label="every second", linestyle="none", zorder=4,
+    )  # fmt: skip
+
+
+def _draw_hit(axis: Any, flight: Flight, hit: Hit, largest_n: float) -> None:
+    at = np.array(hit.position[:2])
+    draw_vehicle(axis, flight.mission.vehicle.airframe, (float(at[0]), float(at[1])), hit.yaw_rad, hit.mode)
+    if hit.set_point is not None:
+        draw_recovery(axis, at, np.array(hit.set_point[:2]))
+    if hit.force_n is not None and largest_n > 0.0:
+        draw_arrow(axis, at, at + _LONGEST_ARROW_M / largest_n * np.array(hit.force_n), FORCE)
+
+
+def _write_labels(axis: Any, flight: Flight, names: list[Array], look: Look) -> None:
+    """Numbers of the hits first, then guard, then seconds: what is more important finds its place first."""
+    airframe = flight.mission.vehicle.airframe
+    labels, lines = [], []
+    for hit in hits_of(flight):
+        impact, force = hit.impact, hit.force_n
+        size = "" if force is None else f": {math.hypot(*force):.0f} N"
+        nx, ny = impact.collision.wall.normal
+        at = (hit.position[0], hit.position[1])
+        labels.append(Label(f"{impact.verdict.index}{size}", at, (-nx, -ny), FORCE))
+        outline = placed(airframe.outline_m, at, hit.yaw_rad)
+        lines += [along(np.array(at) + share * (outline - at)) for share in (1.0, 0.7, 0.4)]
+        if hit.set_point is not None:
+            lines.append(along(np.array([at, hit.set_point[:2]])))
+    for act in guard_acts(flight):
+        if act.place is not None:
+            labels.append(Label(f"{act.rule}:\n{act.action}", act.place, colour=GUARD))
+    paths = _paths(flight)
+    if paths:
+        (times, place), _, _ = paths[0]
+        lines.append(along(place))
+        seconds = _second_labels(times, place)
+        for one in seconds:
+            axis.plot(*one.at, "o", markersize=3.2, color="black", zorder=4.5)
+        labels += seconds
+    place_labels(axis, labels, lines, names, look.small_pt)
+
+
+def _second_labels(times: Array, place: Array) -> list[Label]:
+    duration = times[-1] - times[0]
+    step = next((s for s in _STEPS_S if duration / s <= _FEW_LABELS), _STEPS_S[-1])
+    found: list[Label] = []
+    for at in np.arange(math.ceil(times[0] / step) * step, times[-1], step):
+        x, y = (float(np.interp(at, times, place[:, i])) for i in (0, 1))
+        # A vehicle that hovers stays where it was: once is enough.
+        if not found or math.dist(found[-1].at, (x, y)) > 0.1:
+            found.append(Label(f"{at:.0f} s", (x, y), colour=GREY))
+    return found
+
+
+# --- several -------------------------------------------------------------------------------------------
+
+
+def _draw_many(axis: Any, flights: Sequence[Flight]) -> None:
+    for flight in flights:
+        paths = _paths(flight)
+        if paths:
+            (_, place), style, label = paths[0]
+            thin = {**style, "linewidth": 0.8, "alpha": 0.6}
+            axis.plot(place[:, 0], place[:, 1], label=label, **thin)
+        for hit in hits_of(flight):
+            axis.plot(
+                *hit.position[:2], "o", color=FORCE, markersize=2.5, label="hit", linestyle="none", zorder=5
+            )
+    for line in flights[0].planned_lines():
+        axis.plot(line[:, 0], line[:, 1], label="planned", **PREDICTED)

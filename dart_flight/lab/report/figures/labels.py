@@ -1,0 +1,134 @@
+"""Labels beside their points that cover neither each other nor the points."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dart_flight.lab.flight_arrays import Array
+from dart_flight.lab.report.figures.scene import points_per_unit
+
+_DIRECTIONS = 16
+_REACHES_PT = (13.0, 21.0, 31.0, 43.0, 57.0, 75.0)
+_PER_LETTER, _LINE = 0.6, 1.25  # width of a letter and height of a line, in font sizes
+_PAD_PT = 1.5
+
+
+class Label(NamedTuple):
+    """A text and what it belongs to.
+
+    Attributes:
+        text: one or more lines.
+        at: the point, in the axis' data.
+        away: direction that is preferred, in the data's axes; (0, 0): none.
+        colour: of the letters.
+    """
+
+    text: str
+    at: tuple[float, float]
+    away: tuple[float, float] = (0.0, 0.0)
+    colour: str = "#000000"
+
+
+class _Box(NamedTuple):
+    left: float
+    low: float
+    right: float
+    high: float
+
+    def overlap(self, other: _Box) -> float:
+        """Common area, square points."""
+        width = min(self.right, other.right) - max(self.left, other.left)
+        height = min(self.high, other.high) - max(self.low, other.low)
+        return max(width, 0.0) * max(height, 0.0)
+
+    def holds(self, points: Array) -> int:
+        """How many of the points (n, 2) lie inside."""
+        x, y = points[:, 0], points[:, 1]
+        return int(((x > self.left) & (x < self.right) & (y > self.low) & (y < self.high)).sum())
+
+
+def place_labels(
+    axis: Any, labels: Sequence[Label], lines: Iterable[Array], taken: Iterable[Array], font_pt: float
+) -> None:
+    """Write every label where it covers least, with a thin line to its point where it stands apart.
+
+    One after the other, each at the best of a ring of places around its point: a common area with what is
+    already written weighs most, then the lines that it would cover, then the distance. Limits and aspect of
+    the axis have to be set before.
+
+    Args:
+        axis: with an equal aspect.
+        labels: most important first.
+        lines: (n, 2) in the axis' data, that had better stay visible.
+        taken: [[low x, low y], [high x, high y]] each, in the axis' data: places with other texts.
+        font_pt: size of the letters.
+    """
+    scale = points_per_unit(axis)
+    x0, y0 = axis.get_xlim()[0], axis.get_ylim()[0]
+    page = _Box(0.0, 0.0, (axis.get_xlim()[1] - x0) * scale, (axis.get_ylim()[1] - y0) * scale)
+
+    def on_page(x: float, y: float) -> tuple[float, float]:
+        return (x - x0) * scale, (y - y0) * scale
+
+    covered = np.vstack([np.empty((0, 2)), *((line - (x0, y0)) * scale for line in lines)])
+    anchors = [on_page(*label.at) for label in labels]
+    written = [_Box(ax - 6.0, ay - 6.0, ax + 6.0, ay + 6.0) for ax, ay in anchors]
+    written += [_Box(*on_page(*low), *on_page(*high)) for low, high in taken]
+    for label, anchor in zip(labels, anchors, strict=True):
+        rows = label.text.split("\n")
+        half = (
+            0.5 * _PER_LETTER * font_pt * max(map(len, rows)) + _PAD_PT,
+            (0.5 * _LINE * font_pt * len(rows) + _PAD_PT),
+        )
+        best = min(
+            _places(anchor, half, label.away), key=lambda place: _cost(place, half, page, written, covered)
+        )
+        written.append(_around(best[0], half))
+        middle = (best[0][0] / scale + x0, best[0][1] / scale + y0)
+        line = {"arrowstyle": "-", "color": "#888888", "linewidth": 0.6, "shrinkA": 0, "shrinkB": 0}
+        axis.annotate(
+            label.text, label.at, xytext=middle, ha="center", va="center", fontsize=font_pt,
+            color=label.colour, arrowprops=line if best[1] > _REACHES_PT[1] else None, zorder=9,
+            linespacing=1.1,
+            bbox={"boxstyle": "square,pad=0.08", "facecolor": "white", "edgecolor": "none", "alpha": 0.75},
+        )  # fmt: skip
+
+
+def _places(
+    anchor: tuple[float, float], half: tuple[float, float], away: tuple[float, float]
+) -> Iterable[tuple[tuple[float, float], float, float]]:
+    """Middles of a text around its point, how far its edge is from it, and how much it is disliked."""
+    for reach in _REACHES_PT:
+        for i in range(_DIRECTIONS):
+            angle = 2.0 * math.pi * i / _DIRECTIONS
+            c, s = math.cos(angle), math.sin(angle)
+            # From the middle of the text to its edge in this direction.
+            edge = min(half[0] / max(abs(c), 1e-9), half[1] / max(abs(s), 1e-9))
+            reached = reach - _REACHES_PT[0] + 7.0 + edge
+            wrong = 1.0 - (c * away[0] + s * away[1]) if away != (0.0, 0.0) else 0.0
+            yield (
+                (anchor[0] + reached * c, anchor[1] + reached * s),
+                reach,
+                0.8 * reach + 6.0 * wrong,
+            )
+
+
+def _around(middle: tuple[float, float], half: tuple[float, float]) -> _Box:
+    return _Box(middle[0] - half[0], middle[1] - half[1], middle[0] + half[0], middle[1] + half[1])
+
+
+def _cost(
+    place: tuple[tuple[float, float], float, float],
+    half: tuple[float, float],
+    page: _Box,
+    written: Sequence[_Box],
+    covered: Array,
+) -> float:
+    box = _around(place[0], half)
+    outside = 4.0 * half[0] * half[1] - box.overlap(page)
+    common = sum(box.overlap(other) for other in written)
+    return 3.0 * (common + outside) + 4.0 * box.holds(covered) + place[2]

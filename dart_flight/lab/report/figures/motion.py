@@ -1,0 +1,135 @@
+"""How the vehicle moved over a flight, how well it followed its set-points, and what that took."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dart_flight.lab.report.figures.style import (
+    ESTIMATED,
+    GREY,
+    PAGE,
+    TRUE,
+    Look,
+    in_style,
+    legend_above,
+    new_figure,
+)
+from dart_flight.lab.report.flight import Flight
+from dart_flight.lab.report.hits import shown_span
+from dart_flight.lab.report.tracks import angles, power, tracking
+
+_MOST_POINTS = 700  # of a line over a whole flight: more than the page has pixels
+
+
+def mark_impacts(axis: Any, flight: Flight) -> None:
+    """A thin vertical line at each detection."""
+    for impact in flight.impacts:
+        axis.axvline(impact.at_s, color=GREY, linewidth=0.7, zorder=1)
+
+
+def _plot(axis: Any, flight: Flight, time_s: Any, values: Any, **style: Any) -> None:
+    """A line over the shown span; of more points than can be seen, the lowest and highest of each stretch."""
+    begin, end = shown_span(flight)
+    inside = (time_s >= begin) & (time_s <= end)
+    t, v = time_s[inside], np.asarray(values)[inside]
+    if v.size > _MOST_POINTS:
+        step = -(-2 * v.size // _MOST_POINTS)
+        count = v.size // step
+        parts = v[: count * step].reshape(count, step)
+        first = np.arange(count) * step
+        low, high = first + parts.argmin(axis=1), first + parts.argmax(axis=1)
+        chosen = np.unique(np.concatenate([low, high]))
+        t, v = t[chosen], v[chosen]
+    if v.size:
+        axis.plot(t, v, **style)
+
+
+def _over_time(axis: Any, flight: Flight) -> None:
+    axis.set_xlim(*shown_span(flight))
+    axis.set_xlabel("time, s")
+
+
+def _label(axes: Any, names: tuple[str, ...], flight: Flight) -> None:
+    """What stands on each of some axes above one another, with the detections and one legend."""
+    for axis, name in zip(axes, names, strict=True):
+        axis.set_ylabel(name)
+        mark_impacts(axis, flight)
+    _over_time(axes[-1], flight)
+    legend_above(axes[0])
+
+
+@in_style
+def motion(flight: Flight, *, look: Look = PAGE) -> Any:
+    """Velocities and height over time, estimated and true; vertical lines are detections."""
+    figure, axes = new_figure(look, 4.2, 3, 1, sharex=True)
+    for j, axis in enumerate(axes):
+        for track, style, label in (
+            (flight.course.true, TRUE, "true"),
+            (flight.course.estimated, ESTIMATED, "estimated"),
+        ):
+            if track.time_s.size:
+                values = track.position[:, 2] if j == 2 else track.velocity[:, j]
+                _plot(axis, flight, track.time_s, values, label=label, **style)
+    _label(axes, ("x velocity, m/s", "y velocity, m/s", "height, m"), flight)
+    return figure
+
+
+@in_style
+def attitude(flight: Flight, *, look: Look = PAGE) -> Any:
+    """Roll, pitch and yaw, estimated and true, degrees."""
+    figure, axes = new_figure(look, 4.2, 3, 1, sharex=True)
+    for track, style, label in (
+        (angles(flight.course, true=True), TRUE, "true"),
+        (angles(flight.course), ESTIMATED, "estimated"),
+    ):
+        for axis, values in zip(axes, (track.roll, track.pitch, track.yaw), strict=True):
+            if track.time_s.size:
+                _plot(axis, flight, track.time_s, np.degrees(values), label=label, **style)
+    _label(axes, ("roll, °", "pitch, °", "yaw, °"), flight)
+    return figure
+
+
+@in_style
+def tracking_error(flight: Flight, *, look: Look = PAGE) -> Any:
+    """Distance of estimated position and velocity from the set-point in force."""
+    figure, axes = new_figure(look, 2.9, 2, 1, sharex=True)
+    error = tracking(flight.course)
+    for axis, values, name in (
+        (axes[0], error.position_m, "position, m"),
+        (axes[1], error.velocity_m_s, "velocity, m/s"),
+    ):
+        _plot(axis, flight, error.time_s, values, **ESTIMATED)
+        axis.set_ylabel(name)
+        axis.set_ylim(bottom=0.0)
+        mark_impacts(axis, flight)
+    _over_time(axes[1], flight)
+    return figure
+
+
+@in_style
+def thrust_and_battery(flight: Flight, *, look: Look = PAGE) -> Any:
+    """Total thrust as the core reckons it, the lowest and highest command to a motor, and the battery."""
+    figure, axes = new_figure(look, 4.0, 3, 1, sharex=True)
+    p = power(flight.course, flight.mission)
+    _plot(axes[0], flight, p.time_s, p.thrust_n, **ESTIMATED)
+    axes[0].set_ylabel("thrust, N")
+    _plot(axes[1], flight, p.motor_time_s, 100.0 * p.highest, label="highest", **{**TRUE, "linewidth": 1.0})
+    _plot(
+        axes[1], flight, p.motor_time_s, 100.0 * p.lowest, label="lowest", **{**ESTIMATED, "linewidth": 1.0}
+    )
+    axes[1].set_ylabel("motors, %")
+    axes[1].set_ylim(0.0, 100.0)
+    legend_above(axes[1])
+    if p.battery_time_s.size:
+        axes[2].step(p.battery_time_s, p.battery_v, where="post", color="#000000", linewidth=1.2)
+        low, high = float(p.battery_v.min()), float(p.battery_v.max())
+        axes[2].set_ylim(low - 0.3, high + 0.3)
+    else:
+        axes[2].annotate("not told", (0.5, 0.5), xycoords="axes fraction", ha="center", color=GREY)
+    axes[2].set_ylabel("battery, V")
+    for axis in axes:
+        mark_impacts(axis, flight)
+    _over_time(axes[2], flight)
+    return figure

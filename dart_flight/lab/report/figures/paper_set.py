@@ -1,0 +1,58 @@
+"""Every figure of a report as a file for a paper: vector graphics, a column wide."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from dart_flight.config.document import InputError
+from dart_flight.lab.report.figures import forces, lock, motion
+from dart_flight.lab.report.figures.flight_map import flight_map
+from dart_flight.lab.report.figures.style import COLUMN, save_figure, save_pages
+from dart_flight.lab.report.flight import Flight
+
+
+def figures_of(flights: Sequence[Flight]) -> Iterator[tuple[str, Any]]:
+    """(name, figure) of a report's figures, `COLUMN` wide: of one flight, or over several of one mission."""
+    yield "map", flight_map(flights, look=COLUMN)
+    if len(flights) > 1:
+        yield "errors", forces.errors_over_trials(flights, look=COLUMN)
+        for index in sorted({impact.verdict.index for flight in flights for impact in flight.impacts}):
+            yield f"force_{index}", forces.impact_forces_over_trials(flights, index, look=COLUMN)
+        return
+    flight = flights[0]
+    for impact in flight.impacts:
+        yield f"force_{impact.verdict.index}", forces.impact_forces(flight, impact, look=COLUMN)
+    yield "motion", motion.motion(flight, look=COLUMN)
+    yield "attitude", motion.attitude(flight, look=COLUMN)
+    yield "tracking", motion.tracking_error(flight, look=COLUMN)
+    yield "thrust", motion.thrust_and_battery(flight, look=COLUMN)
+    yield "timeline", lock.timeline(flight, look=COLUMN)
+
+
+def write_svgs(flights: Sequence[Flight], folder: Path) -> list[Path]:
+    """One SVG file for each figure, its letters as text.
+
+    Raises:
+        InputError: the folder cannot be made or written to, or matplotlib is missing.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the folder: {error.strerror}", source=str(folder)) from None
+    written = []
+    for name, figure in figures_of(flights):
+        path = folder / f"{name}.svg"
+        save_figure(figure, path)
+        written.append(path)
+    return written
+
+
+def write_pdf(flights: Sequence[Flight], path: Path) -> None:
+    """All figures in one PDF, one on each page, fonts embedded as TrueType.
+
+    Raises:
+        InputError: the file cannot be written, or matplotlib is missing.
+    """
+    save_pages((figure for _, figure in figures_of(flights)), path)

@@ -1,0 +1,211 @@
+"""What stands in every map: walls, bounds, start and goal, and the vehicle to scale."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from dart_flight.base.geometry import Vec2, Wall
+from dart_flight.base.records import Mode
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import Airframe
+from dart_flight.lab.figure_panels import legend_entries
+from dart_flight.lab.flight_arrays import Array
+from dart_flight.lab.report.figures.style import FORCE, GREY, SET_POINT
+from dart_flight.lab.report.shape import arms_m
+
+_WIDE_IN = 6.0  # from this width on a legend has three columns
+THICKNESS_M = 0.12  # of a drawn wall; what is behind the surface is not known
+
+
+def draw_room(axis: Any, mission: Mission) -> None:
+    """Bounds, walls, start and goal from above."""
+    (x0, x1), (y0, y1) = mission.bounds.x, mission.bounds.y
+    axis.plot(
+        [x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color="#999999", linewidth=0.8, linestyle=(0, (1, 2))
+    )
+    for wall in mission.walls:
+        draw_wall(axis, wall, mission.vehicle.airframe)
+    axis.plot(*mission.start, "o", color="black", markersize=5, label="start", linestyle="none")
+    radius = mission.goal.capture_radius_m
+    angle = np.linspace(0.0, 2.0 * math.pi, 49)
+    goal = mission.goal.position_m
+    axis.plot(
+        goal[0] + radius * np.cos(angle), goal[1] + radius * np.sin(angle), color="black", linewidth=0.7
+    )
+    axis.plot(*goal, "*", color="black", markersize=9, label="goal", linestyle="none")
+
+
+def draw_wall(axis: Any, wall: Wall, airframe: Airframe) -> None:
+    """The wall from its surface back, and thin the plane that the centre meets."""
+    plane, surface = np.array(wall.ends), np.array(airframe.surface_of(wall).ends)
+    back = surface - THICKNESS_M * np.array(wall.normal)
+    axis.fill(
+        *np.vstack([surface, back[::-1]]).T, facecolor="#dcdcdc", edgecolor="#777777", hatch="////",
+        linewidth=0.0, zorder=1.5,
+    )  # fmt: skip
+    axis.plot(*surface.T, color="#222222", linewidth=1.8, solid_capstyle="butt", zorder=1.6)
+    axis.plot(*plane.T, color=GREY, linewidth=0.7, linestyle=(0, (4, 3)), zorder=1.6)
+
+
+def name_walls(axis: Any, mission: Mission, font_pt: float) -> list[Array]:
+    """Write the walls' names and materials behind their parts that the axis shows.
+
+    Returns:
+        What the names cover: [[low x, low y], [high x, high y]] each, metres.
+    """
+    (x0, x1), (y0, y1) = axis.get_xlim(), axis.get_ylim()
+    unit = points_per_unit(axis)
+    covered = []
+    for wall in mission.walls:
+        tangent, normal = np.array(wall.tangent), np.array(wall.normal)
+        back = np.array(mission.vehicle.airframe.surface_of(wall).point) - THICKNESS_M * normal
+        along = np.linspace(-0.5 * wall.length_m, 0.5 * wall.length_m, 201)
+        place = back + along[:, None] * tangent - 0.75 * font_pt / unit * normal
+        seen = (place[:, 0] > x0) & (place[:, 0] < x1) & (place[:, 1] > y0) & (place[:, 1] < y1)
+        if not seen.any():
+            continue
+        middle = place[seen].mean(axis=0)
+        slope = math.degrees(math.atan2(tangent[1], tangent[0]))
+        text = wall.name if wall.name == wall.material else f"{wall.name} ({wall.material})"
+        axis.annotate(
+            text, middle, ha="center", va="center", color="#333333", fontsize=font_pt,
+            rotation=(slope + 90.0) % 180.0 - 90.0, rotation_mode="anchor",
+        )  # fmt: skip
+        half = 0.5 * font_pt / unit * (np.abs(tangent) * 0.6 * len(text) + np.abs(normal) * 1.2)
+        covered.append(np.stack([middle - half, middle + half]))
+    return covered
+
+
+def set_view(axis: Any, view: Array) -> None:
+    """Equal aspect, and the part of the room that `view_of` says."""
+    (x0, y0), (x1, y1) = view
+    axis.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal")
+
+
+def view_of(mission: Mission, points: Array, margin_m: float = 0.45) -> Array:
+    """[[low x, low y], [high x, high y]]: the part of the room in which the points (n, 2) are, with a margin.
+
+    No more than the room: its bounds and its walls with their names.
+    """
+    (x0, x1), (y0, y1) = mission.bounds.x, mission.bounds.y
+    room = [np.array([[x0, y0], [x1, y1]])]
+    for wall in mission.walls:
+        surface = np.array(mission.vehicle.airframe.surface_of(wall).ends)
+        room.append(surface - (THICKNESS_M + 0.15) * np.array(wall.normal))
+    corners = np.vstack(room)
+    inside = points[np.isfinite(points).all(axis=1)]
+    low = np.maximum(inside.min(axis=0) - margin_m, corners.min(axis=0) - 0.05)
+    high = np.minimum(inside.max(axis=0) + margin_m, corners.max(axis=0) + 0.05)
+    # Never a strip: what is narrow is widened about its middle.
+    least = 0.5 * (high - low).max()
+    middle, size = 0.5 * (low + high), np.maximum(high - low, least)
+    return np.stack([middle - 0.5 * size, middle + 0.5 * size])
+
+
+def points_per_unit(axis: Any) -> float:
+    """Points on paper per metre, at an equal aspect, with the figure laid out as it stands."""
+    figure = axis.figure
+    figure.get_layout_engine().execute(figure)
+    axis.apply_aspect()
+    width = axis.get_xlim()[1] - axis.get_xlim()[0]
+    return float(axis.get_window_extent().width / width * 72.0 / figure.dpi)
+
+
+def placed(points: list[Vec2], at: Vec2, yaw_rad: float) -> Array:
+    """Points of the body, (forward, left), in the mission frame: (n, 2)."""
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array([(at[0] + c * x - s * y, at[1] + s * x + c * y) for x, y in points])
+
+
+def draw_vehicle(
+    axis: Any, airframe: Airframe, at: Vec2, yaw_rad: float, mode: Mode | None, colour: str = "#000000"
+) -> None:
+    """The vehicle from above: guards, four arms, a dot at the leading edge.
+
+    Args:
+        axis: in metres, mission frame.
+        airframe: for the sizes.
+        at: the centre, mission frame.
+        yaw_rad: mission yaw.
+        mode: rigid: arms drawn through and heavy; flexible: thin and dashed; None: not known, dotted.
+        colour: of the lines.
+    """
+    outline = placed(airframe.outline_m, at, yaw_rad)
+    axis.fill(*outline.T, facecolor="white", edgecolor=colour, linewidth=0.9, alpha=0.55, zorder=3.0)
+    axis.plot(*np.vstack([outline, outline[:1]]).T, color=colour, linewidth=0.9, zorder=3.1)
+    style: dict[str, Any] = {
+        Mode.RIGID: {"linewidth": 2.4, "linestyle": "-"},
+        Mode.FLEXIBLE: {"linewidth": 1.1, "linestyle": (0, (2, 1.5))},
+    }.get(mode, {"linewidth": 1.0, "linestyle": ":"})  # type: ignore[arg-type]
+    for arm in arms_m(airframe):
+        ends = placed(list(arm), at, yaw_rad)
+        axis.plot(*ends.T, color=colour, zorder=3.2, solid_capstyle="butt", **style)
+        axis.plot(
+            *ends[1], "o", color=colour, markersize=3.0, zorder=3.3,
+            markerfacecolor=colour if mode is Mode.RIGID else "white", markeredgewidth=0.8,
+        )  # fmt: skip
+    front = placed([(0.8 * airframe.contact_distance_m, 0.0)], at, yaw_rad)[0]
+    axis.plot(*front, marker=(3, 0, math.degrees(yaw_rad) - 90.0), color=colour, markersize=4.0, zorder=3.3)
+
+
+def draw_arrow(axis: Any, begin: Array, end: Array, colour: str, **style: Any) -> None:
+    """An arrow between two points of the map."""
+    axis.annotate(
+        "", end, begin, zorder=5,
+        arrowprops={"arrowstyle": "-|>", "color": colour, "shrinkA": 0, "shrinkB": 0, "linewidth": 1.6,
+                    "mutation_scale": 9, **style},
+    )  # fmt: skip
+
+
+def draw_recovery(axis: Any, at: Array, set_point: Array) -> None:
+    """The set-point that follows a hit, and a line to it."""
+    axis.plot(*np.stack([at, set_point]).T, "--", color=SET_POINT, linewidth=1.0, zorder=4)
+    axis.plot(*set_point, "x", color=SET_POINT, markersize=6, zorder=5)
+
+
+def name_arrows(axis: Any, n_per_m: float) -> None:
+    """The legend's word on the length of force arrows."""
+    said = f"peak force, 0.1 m: {0.1 * n_per_m:.0f} N"
+    axis.plot([], [], color=FORCE, linewidth=1.6, marker=">", markersize=4, label=said)
+
+
+def name_recoveries(axis: Any) -> None:
+    """The legend's word on `draw_recovery`."""
+    axis.plot([], [], "x--", color=SET_POINT, linewidth=1.0, markersize=5, label="recovery set-point")
+
+
+def along(line: Array, step_m: float = 0.03) -> Array:
+    """Points every few centimetres on a polyline (n, 2)."""
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    at = np.arange(0.0, way[-1] + step_m, step_m)
+    return np.stack([np.interp(at, way, line[:, i]) for i in (0, 1)], axis=1)
+
+
+def fit_map(figure: Any, axis: Any, *, below: Any = None, note: str = "") -> None:
+    """Give the figure the height that its map's aspect asks for, with the map's legend in columns below.
+
+    Args:
+        figure: with constrained layout.
+        axis: the map.
+        below: another axis with an equal aspect, of the same width.
+        note: lines of text under the legend.
+    """
+    unique = legend_entries(axis)
+    width = figure.get_size_inches()[0]
+    columns = 2 if width < _WIDE_IN else 3
+    rows = -(-len(unique) // columns) + (note.count("\n") + 2 if note else 0)
+    letter = float(axis.xaxis.label.get_size()) / 72.0
+    height = 0.55 + 1.35 * letter * rows
+    for one in (axis, below) if below is not None else (axis,):
+        (x0, x1), (y0, y1) = axis.get_xlim(), one.get_ylim()
+        height += (width - 0.6) * (y1 - y0) / (x1 - x0) + (0.25 if one is below else 0.0)
+    figure.set_size_inches(width, height)
+    legend = figure.legend(
+        unique.values(), unique.keys(), loc="outside lower left", ncols=columns, borderaxespad=0.1,
+        columnspacing=1.2, handlelength=2.2, labelspacing=0.3, alignment="left",
+        title=note or None, title_fontsize=72.0 * letter,
+    )  # fmt: skip
+    legend.get_title().set_multialignment("left")

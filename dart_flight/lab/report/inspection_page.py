@@ -1,0 +1,54 @@
+"""What PX4 logs felt (`dart-flight feel`), as a page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dart_flight.lab.inspect import FeltFlight, SpecificThrust
+from dart_flight.lab.report.figures.forces import felt_force
+from dart_flight.lab.report.markup import page, section, shown, table
+
+
+def felt_page(flights: Sequence[FeltFlight]) -> str:
+    """The page of some logs: force over the flight, impacts, what is unknown."""
+    parts = [section(flight.log, _flight(flight)) for flight in flights]
+    impacts = sum(i.kind == "impact" for flight in flights for i in flight.impacts)
+    return page(f"{_counted(len(flights), 'flight')} felt, {_counted(impacts, 'impact')}", parts)
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}" + ("" if count == 1 else "s")
+
+
+def _flight(flight: FeltFlight) -> str:
+    body = ""
+    series = flight.series
+    if series is not None and len(series.time_s):
+        force = np.hypot(series.force_m_s2[:, 0], series.force_m_s2[:, 1])
+        figure = felt_force(series.time_s, force, series.threshold_m_s2, [i.t_s for i in flight.impacts])
+        body += shown((figure, "Horizontal force over mass, and the threshold in force. Vertical: impacts."))
+    rows = [
+        (i.t_s, i.acceleration_m_s2, i.acceleration_sd_m_s2, i.force_n, i.direction_deg, i.speed_m_s, i.kind)
+        for i in flight.impacts
+    ]
+    heads = ("at s", "peak m/s²", "± m/s²", "peak N", "direction °", "speed before m/s", "")
+    body += table(heads, rows) if rows else "<p>No impact.</p>"
+    thrust = flight.thrust
+    facts: list[tuple[str, str]] = [
+        ("PX4", flight.px4_version or "unknown"),
+        ("in the air", f"{flight.flight_s:.0f} s of {flight.duration_s:.0f} s"),
+        ("thrust", "unknown" if thrust is None else _curve(thrust)),
+        ("noise of a sample", f"{flight.noise_m_s2:.2f} m/s²"),
+        ("noise of the means", f"{flight.noise_short_m_s2:.2f} and {flight.noise_long_m_s2:.2f} m/s²"),
+        ("felt for certain, rigid", f"{flight.floor_rigid_m_s2:.1f} m/s²"),
+        ("felt for certain, flexible", f"{flight.floor_flexible_m_s2:.1f} m/s²"),
+        *(("unknown", what) for what in flight.unknown),
+    ]
+    return body + table(("", ""), facts)
+
+
+def _curve(thrust: SpecificThrust) -> str:
+    held_out = f"held-out residual {thrust.held_out_percent:.1f} %"
+    return f"{thrust.full_m_s2:.1f} m/s² at full command, {held_out}, from {thrust.said}"

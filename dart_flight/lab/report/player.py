@@ -1,0 +1,229 @@
+"""The animation of a flight in its page: what is drawn, as numbers, and what draws it (`player.js`).
+
+Everything is in the page. A reader without scripts sees the map instead; nothing moves until it is asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from importlib import resources
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from dart_flight.base.geometry import Vec2
+from dart_flight.base.records import Mode, PhaseChange
+from dart_flight.config.mission import Mission
+from dart_flight.lab.flight_arrays import Array, Force, Motion
+from dart_flight.lab.report.flight import Flight
+from dart_flight.lab.report.hits import (
+    Hit,
+    airborne,
+    guard_acts,
+    hits_of,
+    lock_stretches,
+    shown_span,
+    stretches,
+)
+from dart_flight.lab.report.shape import arms_m
+from dart_flight.lab.report.tracks import Angles, angles, in_force, set_points
+
+_STEP_S, _FINE_S = 0.04, 0.01  # between pictures; near a hit
+_FINE_BEFORE_S, _FINE_AFTER_S = 0.2, 0.5
+_FORCE_BEFORE_S, _FORCE_AFTER_S = 0.1, 0.35  # every sample is kept there
+_FORCE_STEP_S = 0.05
+_PLANNED_STEP_M = 0.03
+DATA_ID = "flight-data"
+
+
+def player(flight: Flight) -> str:
+    """The animation as HTML, "" of a flight that never was in the air.
+
+    The element is hidden until the page's script shows it (`script`).
+    """
+    data = player_data(flight)
+    if data is None:
+        return ""
+    # A name could hold the end of the element: JSON has another way to write these letters.
+    text = msgspec.json.encode(data).decode()
+    for letter in "<>&\u2028\u2029":
+        text = text.replace(letter, f"\\u{ord(letter):04x}")
+    return (
+        '<section class=player id=player hidden aria-label="Animation of the flight">'
+        "<h2>Play it</h2></section>"
+        f'<script type="application/json" id="{DATA_ID}">{text}</script>'
+    )
+
+
+def script() -> str:
+    """The program that plays, the same for every page."""
+    return resources.files("dart_flight.lab.report").joinpath("player.js").read_text(encoding="utf-8")
+
+
+def player_data(flight: Flight) -> dict[str, Any] | None:
+    """What the animation shows; times ms, lengths mm, angles mrad, speeds cm/s, forces 0.1 N, mission frame.
+
+    None where there is no motion in the air.
+    """
+    course, mission = flight.course, flight.mission
+    span = shown_span(flight)
+    motion = course.true if course.true.time_s.size else course.estimated
+    if airborne(flight) is None or motion.time_s.size < 2 or span[1] - span[0] < _STEP_S:
+        return None
+    span = (max(span[0], float(motion.time_s[0])), min(span[1], float(motion.time_s[-1])))
+    hits = hits_of(flight)
+    moments = [hit.impact.at_s for hit in hits]
+    times = _grid(span, moments)
+    return {
+        "truth": bool(course.true.time_s.size),
+        "vehicle": {
+            "outline": _mm(mission.vehicle.airframe.outline_m),
+            "arms": [_mm(arm) for arm in arms_m(mission.vehicle.airframe)],
+        },
+        "room": _room(mission),
+        "planned": [_mm(_thinned(line)) for line in flight.planned_lines()],
+        "hits": [_hit(hit) for hit in hits],
+        "guard": [
+            {"t": _ms(act.at_s), "rule": act.rule, "action": act.action}
+            for act in guard_acts(flight)
+            if span[0] <= act.at_s <= span[1]
+        ],
+        "lock": _lock(flight, span),
+        "hasLock": mission.vehicle.has_lock,
+        "phases": [
+            [_ms(since), name]
+            for since, _, name in stretches(
+                [(course.time_of(c.t_us), c.after.value) for c in course.all(PhaseChange)], span[1]
+            )
+        ],
+        **_motion(motion, times, angles(course, true=motion is course.true)),
+        "setpoints": _set_points(flight, times[::2]),
+        "force": _forces(flight, span, moments),
+        "threshold": round(10.0 * mission.vehicle.detection.force_threshold_n),
+    }
+
+
+def _lock(flight: Flight, span: tuple[float, float]) -> list[list[Any]]:
+    """Since when the arms are what; of a vehicle without a lock they are rigid all the time."""
+    if not flight.mission.vehicle.has_lock:
+        return [[_ms(span[0]), Mode.RIGID.value]]
+    return [[_ms(since), name] for since, _, name in lock_stretches(flight.course, span[1])]
+
+
+def _grid(span: tuple[float, float], hits: list[float]) -> Array:
+    """The moments of the pictures: closer together near a hit."""
+    parts = [np.arange(span[0], span[1], _STEP_S), np.array([span[1]])]
+    for at in hits:
+        fine = np.arange(at - _FINE_BEFORE_S, at + _FINE_AFTER_S, _FINE_S)
+        parts.append(fine[(fine > span[0]) & (fine < span[1])])
+    return np.unique(np.round(np.concatenate(parts), 3))
+
+
+def _motion(motion: Motion, times: Array, attitude: Angles) -> dict[str, list[int]]:
+    found = {"t": _ints(times, 1e3)}
+    for i, name in enumerate("xyz"):
+        found[name] = _ints(np.interp(times, motion.time_s, motion.position[:, i]), 1e3)
+    speed = np.linalg.norm(motion.velocity, axis=1)
+    found["speed"] = _ints(np.interp(times, motion.time_s, speed), 1e2)
+    for name in ("yaw", "pitch", "roll"):
+        values = getattr(attitude, name)
+        known = np.interp(times, attitude.time_s, values) if values.size else np.zeros(times.size)
+        found[name] = _ints(known, 1e3)
+    return found
+
+
+def _set_points(flight: Flight, times: Array) -> list[list[int]]:
+    """[time, x, y, z] of the set-point in force, wherever it is another one than a picture before."""
+    sent = set_points(flight.course)
+    if not sent.time_s.size:
+        return []
+    index, known = in_force(sent.time_s, times)
+    found: list[list[int]] = []
+    for at_s, i in zip(times[known], index[known], strict=True):
+        place = [int(v) for v in np.rint(1e3 * sent.position[i])]
+        if not found or found[-1][1:] != place:
+            found.append([_ms(float(at_s)), *place])
+    return found
+
+
+def _forces(flight: Flight, span: tuple[float, float], hits: list[float]) -> dict[str, list[int]]:
+    """Horizontal force, estimated as a vector and true as a size."""
+    estimated, true = flight.course.estimated_force, flight.course.true_force
+    if not estimated.time_s.size:
+        return {"t": [], "x": [], "y": [], "true": []}
+    times = estimated.time_s
+    keep = np.zeros(times.size, dtype=bool)
+    index = np.searchsorted(times, np.arange(span[0], span[1], _FORCE_STEP_S))
+    keep[index[index < times.size]] = True
+    for at in hits:
+        keep |= (times > at - _FORCE_BEFORE_S) & (times < at + _FORCE_AFTER_S)
+    keep &= (times >= span[0]) & (times <= span[1])
+    shown = times[keep]
+    return {
+        "t": _ints(shown, 1e3),
+        "x": _ints(estimated.force[keep, 0], 10.0),
+        "y": _ints(estimated.force[keep, 1], 10.0),
+        "true": _ints(_size_at(true, shown), 10.0) if true.time_s.size else [],
+    }
+
+
+def _size_at(force: Force, times: Array) -> Array:
+    size = np.hypot(force.force[:, 0], force.force[:, 1])
+    return np.interp(times, force.time_s, size)
+
+
+def _hit(hit: Hit) -> dict[str, Any]:
+    verdict = hit.impact.verdict
+    return {
+        "t": _ms(hit.impact.at_s),
+        "n": verdict.index,
+        "wall": verdict.wall,
+        "mode": verdict.mode,
+        "at": _mm([(hit.position[0], hit.position[1])])[0],
+        "z": round(1e3 * hit.position[2]),
+        "force": None if hit.force_n is None else round(10.0 * math.hypot(*hit.force_n)),
+    }
+
+
+def _room(mission: Mission) -> dict[str, Any]:
+    b = mission.bounds
+    return {
+        "bounds": [[round(1e3 * v) for v in axis] for axis in (b.x, b.y, b.z)],
+        "start": _mm([mission.start])[0],
+        "goal": _mm([mission.goal.position_m])[0],
+        "capture": round(1e3 * mission.goal.capture_radius_m),
+        "walls": [
+            {
+                "name": wall.name,
+                "material": wall.material,
+                "surface": _mm([mission.vehicle.airframe.surface_of(wall).point])[0],
+                "plane": _mm([wall.point])[0],
+                "normal": [round(v, 5) for v in wall.normal],
+                "length": round(1e3 * wall.length_m),
+            }
+            for wall in mission.walls
+        ],
+    }
+
+
+def _thinned(line: Array) -> list[Vec2]:
+    """Points some centimetres apart, both ends kept."""
+    kept = [line[0]]
+    for point in line[1:-1]:
+        if math.dist(point[:2], kept[-1][:2]) > _PLANNED_STEP_M:
+            kept.append(point)
+    return [(float(p[0]), float(p[1])) for p in [*kept, line[-1]]]
+
+
+def _mm(points: Iterable[Vec2]) -> list[list[int]]:
+    return [[round(1e3 * x), round(1e3 * y)] for x, y in points]
+
+
+def _ms(time_s: float) -> int:
+    return round(1e3 * time_s)
+
+
+def _ints(values: Array, scale: float) -> list[int]:
+    return [int(v) for v in np.rint(scale * values)]

@@ -1,0 +1,263 @@
+"""Rooms, vehicles and forces as primitives of foxglove.SceneUpdate. Everything in the mission frame (x along
+its heading, y left, z up) or the vehicle's (forward, left, up), metres."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from itertools import combinations
+
+from foxglove.messages import (
+    ArrowPrimitive,
+    Color,
+    CubePrimitive,
+    CylinderPrimitive,
+    LinePrimitive,
+    LinePrimitiveLineType,
+    Point3,
+    Pose,
+    Quaternion,
+    SceneEntity,
+    SpherePrimitive,
+    TextPrimitive,
+    Timestamp,
+    Vector3,
+)
+
+from dart_flight.base.geometry import IDENTITY, Vec2, Vec3, Wall
+from dart_flight.base.geometry import Quaternion as Rotation
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import Airframe
+from dart_flight.core.mission.approach import legs_of
+from dart_flight.planning.planned import PlannedFlight
+
+MISSION, VEHICLE = "mission", "vehicle"  # names of the frames
+
+# Okabe and Ito's colours where a colour carries meaning: told apart by everyone.
+BLUE, ORANGE = Color(r=0.0, g=0.45, b=0.70, a=1.0), Color(r=0.90, g=0.60, b=0.0, a=1.0)
+RED, GREEN = Color(r=0.84, g=0.15, b=0.10, a=1.0), Color(r=0.0, g=0.62, b=0.45, a=1.0)
+PURPLE, GREY = Color(r=0.80, g=0.47, b=0.65, a=1.0), Color(r=0.55, g=0.55, b=0.55, a=1.0)
+YELLOW = Color(r=0.94, g=0.89, b=0.26, a=1.0)
+_WALL = Color(r=0.62, g=0.62, b=0.66, a=0.45)
+_DARK = Color(r=0.20, g=0.20, b=0.22, a=1.0)
+_PROPELLER = Color(r=0.6, g=0.6, b=0.6, a=0.35)
+ARMS = {"rigid": BLUE, "flexible": ORANGE, "travelling": YELLOW, "fault": RED, "unknown": GREY}
+
+FORCE_SCALE_M_PER_N = 0.012  # 50 N: as long as the vehicle is wide and half of that again
+_WALL_THICKNESS_M = 0.05
+_OVER_BOUNDS_M = 0.2
+_TEXT_PX = 14.0
+_LABEL_M = 0.12  # a label above what it names
+
+
+def timestamp(t_us: int) -> Timestamp:
+    """The autopilot's time, which may be before its zero only where its clock is broken."""
+    seconds, rest_us = divmod(max(0, t_us), 1_000_000)
+    return Timestamp(seconds, rest_us * 1000)
+
+
+def pose(at: Vec3, q: Rotation = IDENTITY) -> Pose:
+    """Place and attitude."""
+    x, y, z = at
+    return Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(w=q[0], x=q[1], y=q[2], z=q[3]))
+
+
+def line(
+    points: Iterable[Vec3], colour: Color, width_px: float = 2.0, *, closed: bool = False
+) -> LinePrimitive:
+    """A line of a width on the screen."""
+    return LinePrimitive(
+        type=LinePrimitiveLineType.LineLoop if closed else LinePrimitiveLineType.LineStrip,
+        pose=pose((0.0, 0.0, 0.0)),
+        thickness=width_px,
+        scale_invariant=True,
+        points=[Point3(x=x, y=y, z=z) for x, y, z in points],
+        color=colour,
+    )
+
+
+def text(at: Vec3, words: str) -> TextPrimitive:
+    """Words that face the viewer, as large from everywhere."""
+    return TextPrimitive(
+        pose=pose(at), billboard=True, font_size=_TEXT_PX, scale_invariant=True, color=_DARK, text=words
+    )
+
+
+def ball(at: Vec3, diameter_m: float, colour: Color) -> SpherePrimitive:
+    """A sphere."""
+    return SpherePrimitive(
+        pose=pose(at), size=Vector3(x=diameter_m, y=diameter_m, z=diameter_m), color=colour
+    )
+
+
+def arrow(at: Vec3, force_n: Vec3, colour: Color) -> ArrowPrimitive:
+    """A force at a place, as long as it is strong."""
+    x, y, z = force_n
+    length = FORCE_SCALE_M_PER_N * math.sqrt(x * x + y * y + z * z)
+    head = min(0.08, 0.5 * length)
+    return ArrowPrimitive(
+        pose=pose(at, _turned_to(force_n)),
+        shaft_length=length - head,
+        shaft_diameter=0.03,
+        head_length=head,
+        head_diameter=0.07,
+        color=colour,
+    )
+
+
+def _turned_to(v: Vec3) -> Rotation:
+    """The rotation that turns x to a direction: yaw, then pitch."""
+    yaw, pitch = math.atan2(v[1], v[0]), -math.atan2(v[2], math.hypot(v[0], v[1]))
+    cy, sy, cp, sp = math.cos(yaw / 2), math.sin(yaw / 2), math.cos(pitch / 2), math.sin(pitch / 2)
+    return (cy * cp, -sy * sp, cy * sp, sy * cp)
+
+
+def entity(t_us: int, name: str, frame: str = MISSION, **primitives: Sequence[object]) -> SceneEntity:
+    """Primitives under one name; the next entity of that name takes its place."""
+    return SceneEntity(
+        timestamp=timestamp(t_us),
+        frame_id=frame,
+        id=name,
+        frame_locked=True,
+        **primitives,  # type: ignore[arg-type]
+    )
+
+
+# --- the room ----------------------------------------------------------------------------------------------
+
+
+def room(mission: Mission, t_us: int) -> list[SceneEntity]:
+    """Bounds, walls at their surface, start and goal."""
+    return [
+        _bounds(mission, t_us),
+        *(_wall(mission, wall, t_us) for wall in mission.walls),
+        _goal(mission, t_us),
+    ]
+
+
+def _bounds(mission: Mission, t_us: int) -> SceneEntity:
+    (x0, x1), (y0, y1), (z0, z1) = mission.bounds.x, mission.bounds.y, mission.bounds.z
+    corners: list[Vec2] = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+    loops = [line([(x, y, z) for x, y in corners], GREY, 1.0, closed=True) for z in (z0, z1)]
+    posts = [line([(x, y, z0), (x, y, z1)], GREY, 1.0) for x, y in corners]
+    return entity(t_us, "bounds", lines=[*loops, *posts])
+
+
+def height_over(mission: Mission) -> float:
+    """How high walls are drawn, metres: none is given one, a vehicle within the bounds is never above it."""
+    return mission.bounds.z[1] + _OVER_BOUNDS_M
+
+
+def _wall(mission: Mission, wall: Wall, t_us: int) -> SceneEntity:
+    (px, py), (nx, ny) = mission.vehicle.airframe.surface_of(wall).point, wall.normal
+    back = 0.5 * _WALL_THICKNESS_M
+    height = height_over(mission)
+    yaw = math.atan2(ny, nx)
+    upright = pose(
+        (px - back * nx, py - back * ny, 0.5 * height), (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
+    )
+    size = Vector3(x=_WALL_THICKNESS_M, y=wall.length_m, z=height)
+    label = wall.name if wall.name == wall.material else f"{wall.name} ({wall.material})"
+    return entity(
+        t_us,
+        f"wall {wall.name}",
+        cubes=[CubePrimitive(pose=upright, size=size, color=_WALL)],
+        texts=[text((px - back * nx, py - back * ny, height + _LABEL_M), label)],
+    )
+
+
+def _goal(mission: Mission, t_us: int) -> SceneEntity:
+    (gx, gy), radius, z = mission.goal.position_m, mission.goal.capture_radius_m, goal_altitude_m(mission)
+    size = Vector3(x=2.0 * radius, y=2.0 * radius, z=0.01)
+    capture = CylinderPrimitive(
+        pose=pose((gx, gy, z)),
+        size=size,
+        bottom_scale=1.0,
+        top_scale=1.0,
+        color=Color(r=0.0, g=0.62, b=0.45, a=0.4),
+    )
+    (sx, sy), above = mission.start, mission.altitude_m
+    if (sx, sy, above) == (gx, gy, z):
+        texts = [text((gx, gy, z + _LABEL_M), "start and goal")]  # two labels in one place cannot be read
+    else:
+        texts = [text((gx, gy, z + _LABEL_M), "goal"), text((sx, sy, above + _LABEL_M), "start")]
+    return entity(
+        t_us,
+        "start and goal",
+        cylinders=[capture],
+        spheres=[ball((gx, gy, z), 0.04, GREEN), ball((sx, sy, above), 0.04, GREY)],
+        texts=texts,
+    )
+
+
+def goal_altitude_m(mission: Mission) -> float:
+    """Where the flight ends: way-points may have changed the altitude of its start."""
+    return mission.altitude_at(len(mission.collisions))
+
+
+def planned(flight: PlannedFlight, mission: Mission, t_us: int) -> SceneEntity:
+    """The way that the mission says and the flight model predicts: a ball at every hit, a small one at every
+    way-point."""
+    lines = [[leg.begin, leg.end] for leg in legs_of(mission) if leg.begin is not None]
+    for index, approach in flight.approaches.items():
+        z = mission.altitude_at(index - 1)
+        lines.append([(x, y, z) for x, y in approach])
+    for index, leg in flight.legs.items():
+        z = mission.altitude_at(index - 1)
+        lines.append([(float(x), float(y), z) for x, y, *_ in leg])
+    hits = [(*hit.position, mission.altitude_at(index - 1)) for index, hit in flight.hits.items()]
+    stops = [w.position for w in mission.waypoints if w.position is not None]
+    return entity(
+        t_us,
+        "planned way",
+        lines=[line(points, ORANGE, 2.0) for points in lines],
+        spheres=[*(ball(at, 0.05, ORANGE) for at in hits), *(ball(at, 0.03, ORANGE) for at in stops)],
+    )
+
+
+# --- the vehicle -------------------------------------------------------------------------------------------
+
+
+def vehicle(airframe: Airframe, arms: str, t_us: int) -> SceneEntity:
+    """Body, propellers and guards in the vehicle's frame; arms in the colour of what is known of the lock."""
+    # The airframe's axes are forward, right, down.
+    motors = [(m.x_m, -m.y_m) for m in airframe.motors]
+    # No airframe says how large its propellers are: as large as fits within the guards and between them.
+    inside = airframe.contact_distance_m - max(max(abs(x), abs(y)) for x, y in motors)
+    apart = [math.dist(a, b) for a, b in combinations(motors, 2)]
+    radius = max(0.02, min(inside, *(0.5 * d for d in apart if d > 0.01)))  # coaxial ones share a place
+    size = Vector3(x=2.0 * radius, y=2.0 * radius, z=0.008)
+    propellers = [
+        CylinderPrimitive(
+            pose=pose((x, y, 0.03)), size=size, bottom_scale=1.0, top_scale=1.0, color=_PROPELLER
+        )
+        for x, y in motors
+    ]
+    return entity(
+        t_us,
+        "vehicle",
+        VEHICLE,
+        cubes=[
+            CubePrimitive(pose=pose((0.0, 0.0, 0.0)), size=Vector3(x=0.11, y=0.07, z=0.05), color=_DARK),
+            CubePrimitive(pose=pose((0.065, 0.0, 0.0)), size=Vector3(x=0.03, y=0.03, z=0.03), color=GREEN),
+        ],
+        cylinders=[*propellers, *(_arm(x, y, ARMS[arms]) for x, y in motors)],
+        lines=[line([(x, y, 0.0) for x, y in airframe.outline_m], ARMS[arms], 3.0, closed=True)],
+    )
+
+
+def _arm(x: float, y: float, colour: Color) -> CylinderPrimitive:
+    """A rod from the middle to a motor; a cylinder's axis is z."""
+    length, yaw = math.hypot(x, y), math.atan2(y, x)
+    half = math.sqrt(0.5)
+    # Pitched by a quarter turn, then turned to the motor.
+    q = (
+        math.cos(yaw / 2) * half,
+        -math.sin(yaw / 2) * half,
+        math.cos(yaw / 2) * half,
+        math.sin(yaw / 2) * half,
+    )
+    size = Vector3(x=0.022, y=0.022, z=length)
+    return CylinderPrimitive(
+        pose=pose((0.5 * x, 0.5 * y, 0.0), q), size=size, bottom_scale=1.0, top_scale=1.0, color=colour
+    )

@@ -1,0 +1,50 @@
+"""What plots of a flight draw: small records of numbers, JSON with a schema, as in the flight log."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from dart_flight.base.records import Record
+
+
+class VehicleState(Record, frozen=True, gc=False):
+    """Where the vehicle is and what it does, by PX4's estimate."""
+
+    topic: ClassVar[str] = "/flight/state"
+    t_us: int
+    x_m: float  # along the mission's heading
+    y_m: float  # left of it
+    height_m: float  # above the take-off point
+    speed_m_s: float
+    tilt_deg: float
+    phase: str
+    arms: str  # rigid, flexible, travelling, fault or unknown: what the program knows of the lock
+    horn_share: float  # of the lock servo's way: 0 at the flexible end, 1 at the rigid end or without a lock
+    battery_v: float | None
+    battery_remaining: float | None
+
+
+class ForceState(Record, frozen=True, gc=False):
+    """External force on the vehicle as the flight core estimates it, newton: the strongest of 20 ms."""
+
+    topic: ClassVar[str] = "/flight/force"
+    t_us: int
+    force_n: float  # magnitude
+    normal_n: float  # out of the nearest wall
+    along_n: float  # along it, to the right when looking out of it
+    up_n: float
+    clipped: bool
+
+
+class TrueForce(Record, frozen=True, gc=False):
+    """Force of the walls on the simulated vehicle, newton: the strongest of 20 ms."""
+
+    topic: ClassVar[str] = "/flight/true_force"
+    t_us: int
+    force_n: float  # magnitude
+    normal_n: float  # out of the nearest wall
+    along_n: float  # along it, to the right when looking out of it
+    up_n: float
+
+
+SCALARS: tuple[type[Record], ...] = (VehicleState, ForceState, TrueForce)

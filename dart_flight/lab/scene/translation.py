@@ -1,0 +1,363 @@
+"""The one translation of our records to standard schemas, for the live view and for the export of a log.
+
+Frames: `mission` (x along its heading, y left, z up) and in it `vehicle` (forward, left, up). What PX4 says
+in NED and FRD is converted by `MissionFrame`, here and nowhere else in the room.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from foxglove.messages import (
+    FrameTransform,
+    FrameTransforms,
+    Log,
+    LogLevel,
+    Quaternion,
+    SceneEntity,
+    SceneUpdate,
+    Vector3,
+)
+
+from dart_flight.base.geometry import IDENTITY, MissionFrame, Vec3, norm, subtract, tilt_of
+from dart_flight.base.geometry import Quaternion as Rotation
+from dart_flight.base.records import (
+    AttitudeSample,
+    ForceEstimate,
+    ImpactPeak,
+    LockPhase,
+    LockState,
+    Mode,
+    OdometrySample,
+    PhaseChange,
+    Record,
+    SetPoint,
+    StatusSample,
+    TruthContact,
+    TruthSample,
+)
+from dart_flight.config.mission import Mission
+from dart_flight.lab.scene import drawing, outlines
+from dart_flight.lab.scene.scalars import ForceState, TrueForce, VehicleState
+from dart_flight.lab.scene.thinning import SCENE_US
+from dart_flight.lock.servo import ServoModel, locked_fraction
+from dart_flight.planning.planned import planned_flight
+from dart_flight.recording.anchor import Anchor
+from dart_flight.recording.events import Event, Events, Level
+
+TRANSFORMS, LOG = "/tf", "/log"
+ROOM, PLAN, VEHICLE, PATH = "/scene/room", "/scene/plan", "/scene/vehicle", "/scene/path"
+FORCES, SET_POINT, HITS = "/scene/forces", "/scene/setpoint", "/scene/hits"
+OUTLINES = ("/points/room", "/points/vehicle", "/points/path")
+SCENES = (ROOM, PLAN, VEHICLE, PATH, FORCES, SET_POINT, HITS)
+# Each message of these says all that there is to say: the newest is enough for a viewer that comes later.
+LASTING = frozenset((*SCENES, *OUTLINES))
+
+_LEAST_ARROW_N = 3.0  # an estimate's noise is no force to draw
+_PATH_STEP_M = 0.03
+_PATH_US = 250_000
+_MOST_PATH = 500  # points; then every other one goes and the step doubles
+_LEVELS = {
+    Level.DEBUG: LogLevel.Debug,
+    Level.INFO: LogLevel.Info,
+    Level.WARNING: LogLevel.Warning,
+    Level.ERROR: LogLevel.Error,
+    Level.FATAL: LogLevel.Fatal,
+}
+
+
+class Message(NamedTuple):
+    """A message for a channel: one of foxglove.messages, or one of `scalars`; time is the autopilot's."""
+
+    topic: str
+    t_us: int
+    content: Any
+
+
+class Path:
+    """The way flown so far: points at least a step apart; where they become too many, half of them go."""
+
+    def __init__(self) -> None:
+        self.points: list[Vec3] = []
+        self._step_m = _PATH_STEP_M
+
+    def add(self, point: Vec3) -> None:
+        """The vehicle is here now."""
+        if self.points and norm(subtract(point, self.points[-1])) < self._step_m:
+            return
+        self.points.append(point)
+        if len(self.points) > _MOST_PATH:
+            self.points = self.points[::2]
+            self._step_m *= 2.0
+
+
+class Translation:
+    """Takes the records of a flight in order and gives the messages that follow from each.
+
+    Args:
+        mission: what is flown.
+        frame: where the mission frame lies in local NED, if that is known beforehand; otherwise as the flight
+            anchors it, until then as if the vehicle stood at its take-off point.
+        furnished: whether the mission's room and plan are to be seen; not where only its vehicle is meant.
+        from_truth: of a simulated vehicle that nothing flies here: what it really does is all there is.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        frame: MissionFrame | None = None,
+        furnished: bool = True,
+        from_truth: bool = False,
+    ) -> None:
+        self._mission, self._given, self._furnished = mission, frame, furnished
+        self._from_truth = from_truth
+        self._anchor, self._events = Anchor(mission), Events()
+        self._provisional: MissionFrame | None = None
+        lock = mission.vehicle.lock
+        self._servo = None if lock is None else lock.servo
+        self._horn = None if self._servo is None else ServoModel(self._servo, self._servo.flexible_pulse_us)
+        self._q: Rotation | None = None
+        self._position: Vec3 | None = None
+        self._status: StatusSample | None = None
+        self._phase, self._arms = "", "unknown" if mission.vehicle.has_lock else Mode.RIGID.value
+        self._estimated_n: Vec3 = (0.0, 0.0, 0.0)
+        self._true_n: Vec3 = (0.0, 0.0, 0.0)
+        self._drawn_forces = False
+        self._true_us = -SCENE_US
+        self._path, self._path_us = Path(), -_PATH_US
+        self._hits: list[tuple[Vec3, str]] = []
+        self._begun = False
+        self._takers: dict[type[Record], Callable[[Any], list[Message]]] = {
+            OdometrySample: self._take_odometry,
+            AttitudeSample: self._take_attitude,
+            ForceEstimate: self._take_force,
+            TruthSample: self._take_truth,
+            TruthContact: self._take_truth_contact,
+            SetPoint: self._take_set_point,
+            LockState: self._take_lock,
+            StatusSample: self._take_status,
+            PhaseChange: self._take_phase,
+            ImpactPeak: self._take_peak,
+        }
+
+    def take(self, record: Record) -> list[Message]:
+        """The messages that follow from a record; of `Thinning`'s records every one may matter."""
+        t_us = getattr(record, "t_us", 0)
+        messages = [] if self._begun else self._begin(t_us)
+        self._anchor.take(record)
+        taker = self._takers.get(type(record))
+        if taker is not None:
+            messages += taker(record)
+        event = self._events.take(record)
+        if event is not None:
+            messages.append(_log(t_us, event))
+        return messages
+
+    @property
+    def _frame(self) -> MissionFrame | None:
+        return self._given or self._anchor.frame or self._provisional
+
+    def _begin(self, t_us: int) -> list[Message]:
+        """What does not change."""
+        self._begun = True
+        # Viewers draw nothing, or complain, until they know how the frames lie: at the start, level.
+        (x, y) = self._mission.start if self._furnished else (0.0, 0.0)
+        messages = [_transform(t_us, (x, y, 0.0), IDENTITY), *self._vehicle(t_us)]
+        if self._furnished:
+            messages.append(_scene(ROOM, t_us, *drawing.room(self._mission, t_us)))
+            plan = drawing.planned(planned_flight(self._mission), self._mission, t_us)
+            messages.append(_scene(PLAN, t_us, plan))
+            points = outlines.cloud(t_us, drawing.MISSION, outlines.room(self._mission))
+            messages.append(Message(OUTLINES[0], t_us, points))
+        return messages
+
+    # -- where the vehicle is --
+
+    def _take_attitude(self, sample: AttitudeSample) -> list[Message]:
+        self._q = sample.q_frd_to_ned
+        return []
+
+    def _take_odometry(self, sample: OdometrySample) -> list[Message]:
+        if self._given is None and self._anchor.frame is None:
+            self._provisional = self._mission.frame_at(sample.position_ned)
+        frame = self._frame
+        if self._q is None or frame is None:
+            return []
+        position = frame.point_from_ned(sample.position_ned)
+        return self._moved(sample.t_us, position, frame.vector_from_ned(sample.velocity_ned), self._q, frame)
+
+    def _moved(
+        self, t_us: int, position: Vec3, velocity: Vec3, q_frd_to_ned: Rotation, frame: MissionFrame
+    ) -> list[Message]:
+        self._position = position
+        self._path.add(position)
+        messages = [
+            _transform(t_us, position, frame.attitude_from_ned(q_frd_to_ned)),
+            self._state(t_us, position, velocity, q_frd_to_ned),
+            *self._forces(t_us, position),
+        ]
+        if not 0 <= t_us - self._path_us < _PATH_US:
+            self._path_us = t_us
+            way = drawing.line([*self._path.points, position], drawing.BLUE, 3.0)
+            messages.append(_scene(PATH, t_us, drawing.entity(t_us, "flown", lines=[way])))
+            points = outlines.cloud(t_us, drawing.MISSION, [(self._path.points, outlines.BLUE)])
+            messages.append(Message(OUTLINES[2], t_us, points))
+        return messages
+
+    def _state(self, t_us: int, position: Vec3, velocity: Vec3, q: Rotation) -> Message:
+        status = self._status
+        state = VehicleState(
+            t_us=t_us,
+            x_m=position[0],
+            y_m=position[1],
+            height_m=position[2],
+            speed_m_s=norm(velocity),
+            tilt_deg=math.degrees(tilt_of(q)),
+            phase=self._phase,
+            arms=self._arms,
+            horn_share=self._horn_share(t_us),
+            battery_v=None if status is None else status.battery_v,
+            battery_remaining=None if status is None else status.battery_remaining,
+        )
+        return Message(VehicleState.topic, t_us, state)
+
+    def _horn_share(self, t_us: int) -> float:
+        """How far the rods are in; all of the way where the vehicle has no lock."""
+        if self._horn is None or self._servo is None:
+            return 1.0
+        return locked_fraction(self._servo, self._horn.pulse_at(t_us))
+
+    def _take_truth(self, truth: TruthSample) -> list[Message]:
+        force, t_us = truth.contact_force_mission, truth.t_us
+        self._true_n = _stronger(self._true_n, force)
+        messages = [
+            Message(TrueForce.topic, t_us, TrueForce(t_us, *self._along_wall(force, truth.position_mission)))
+        ]
+        if not self._from_truth or 0 <= t_us - self._true_us < SCENE_US:
+            return messages
+        self._true_us = t_us
+        messages += self._arms_are(truth.mode.value, t_us)
+        frame = MissionFrame(heading_rad=math.radians(self._mission.frame.heading_deg))
+        return messages + self._moved(
+            t_us, truth.position_mission, truth.velocity_mission, truth.q_frd_to_ned, frame
+        )
+
+    # -- forces and hits --
+
+    def _take_force(self, estimate: ForceEstimate) -> list[Message]:
+        force, t_us = estimate.force_mission, estimate.t_us
+        self._estimated_n = _stronger(self._estimated_n, force)
+        parts = self._along_wall(force, self._position)
+        return [Message(ForceState.topic, t_us, ForceState(t_us, *parts, estimate.clipped))]
+
+    def _along_wall(self, force: Vec3, position: Vec3 | None) -> tuple[float, float, float, float]:
+        """Magnitude, along the nearest wall's normal, along that wall, up; without any wall along x and y."""
+        walls = self._mission.walls if self._furnished and position is not None else ()
+        if not walls or position is None:
+            return (norm(force), *force)
+        nearest = min(walls, key=lambda wall: math.dist(wall.foot(position), position[:2]))
+        normal, along, down = nearest.to_collision(force)
+        return (norm(force), normal, along, -down)
+
+    def _forces(self, t_us: int, position: Vec3) -> list[Message]:
+        """Arrows of the strongest forces since the last picture; one empty picture once they are gone."""
+        pairs = ((self._true_n, drawing.GREY), (self._estimated_n, drawing.RED))
+        self._true_n = self._estimated_n = (0.0, 0.0, 0.0)
+        arrows = [drawing.arrow(position, n, colour) for n, colour in pairs if norm(n) >= _LEAST_ARROW_N]
+        if not arrows and not self._drawn_forces:
+            return []
+        self._drawn_forces = bool(arrows)
+        return [_scene(FORCES, t_us, drawing.entity(t_us, "force", arrows=arrows))]
+
+    def _take_peak(self, peak: ImpactPeak) -> list[Message]:
+        x, y, z = peak.position_mission
+        self._hits.append(((x, y, z), f"{len(self._hits) + 1}: {peak.normal_force_n:.0f} N"))
+        return [self._hit_marks(peak.t_us)]
+
+    def _take_truth_contact(self, contact: TruthContact) -> list[Message]:
+        if not self._from_truth:
+            return []  # what the flight measured is shown, and the true force beside it
+        words = f"hit {contact.wall} {contact.mode}: {contact.peak_normal_force_n:.1f} N normal"
+        at = contact.position_mission
+        self._hits.append((at, f"{len(self._hits) + 1}: {contact.peak_normal_force_n:.0f} N"))
+        return [self._hit_marks(contact.t_us), _log(contact.t_us, Event(Level.INFO, "contact", words))]
+
+    def _hit_marks(self, t_us: int) -> Message:
+        marks = drawing.entity(
+            t_us,
+            "hits",
+            spheres=[drawing.ball(at, 0.06, drawing.RED) for at, _ in self._hits],
+            texts=[drawing.text((at[0], at[1], at[2] + 0.3), words) for at, words in self._hits],
+        )
+        return _scene(HITS, t_us, marks)
+
+    # -- set-point, lock, status, phase --
+
+    def _take_set_point(self, point: SetPoint) -> list[Message]:
+        frame = self._frame
+        if frame is None:
+            return []
+        at = frame.point_from_ned(point.position_ned)
+        colour = drawing.RED if point.recovery else drawing.PURPLE
+        lines = [] if self._position is None else [drawing.line([self._position, at], drawing.PURPLE, 1.0)]
+        marks = drawing.entity(point.t_us, "set-point", spheres=[drawing.ball(at, 0.05, colour)], lines=lines)
+        return [_scene(SET_POINT, point.t_us, marks)]
+
+    def _take_lock(self, state: LockState) -> list[Message]:
+        if state.phase is LockPhase.SETTLED and state.mode is not None:
+            arms = state.mode.value
+        else:
+            arms = state.phase.value
+        moved = state.mode is not None and state.phase in (LockPhase.TRAVELLING, LockPhase.SETTLED)
+        if moved and self._horn is not None and self._servo is not None and state.mode is not None:
+            self._horn.command(state.commanded_us or state.t_us, self._servo.pulse_us(state.mode))
+        return self._arms_are(arms, state.t_us)
+
+    def _arms_are(self, arms: str, t_us: int) -> list[Message]:
+        changed, self._arms = arms != self._arms, arms
+        return self._vehicle(t_us) if changed else []
+
+    def _vehicle(self, t_us: int) -> list[Message]:
+        airframe = self._mission.vehicle.airframe
+        points = outlines.cloud(t_us, drawing.VEHICLE, outlines.vehicle(airframe, self._arms))
+        return [
+            _scene(VEHICLE, t_us, drawing.vehicle(airframe, self._arms, t_us)),
+            Message(OUTLINES[1], t_us, points),
+        ]
+
+    def _take_status(self, status: StatusSample) -> list[Message]:
+        self._status = status
+        return []
+
+    def _take_phase(self, change: PhaseChange) -> list[Message]:
+        self._phase = change.after.value
+        return []
+
+
+def _stronger(a: Vec3, b: Vec3) -> Vec3:
+    return b if norm(b) > norm(a) else a
+
+
+def _scene(topic: str, t_us: int, *entities: SceneEntity) -> Message:
+    return Message(topic, t_us, SceneUpdate(entities=list(entities)))
+
+
+def _transform(t_us: int, position: Vec3, q: Rotation) -> Message:
+    x, y, z = position
+    one = FrameTransform(
+        timestamp=drawing.timestamp(t_us),
+        parent_frame_id=drawing.MISSION,
+        child_frame_id=drawing.VEHICLE,
+        translation=Vector3(x=x, y=y, z=z),
+        rotation=Quaternion(w=q[0], x=q[1], y=q[2], z=q[3]),
+    )
+    return Message(TRANSFORMS, t_us, FrameTransforms(transforms=[one]))
+
+
+def _log(t_us: int, event: Event) -> Message:
+    line = Log(
+        timestamp=drawing.timestamp(t_us), level=_LEVELS[event.level], message=event.text, name=event.source
+    )
+    return Message(LOG, t_us, line)

@@ -1,0 +1,435 @@
+"""Exhaustive search: every approach velocity and mode sequence, what is refused and why, and the best plans.
+
+`search` is the planner: scenario in, ranked plans and counts out. What it computes a candidate with is
+`trajectories`, what it refuses is `constraints`.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.base.geometry import Vec2, distance2
+from dart_flight.base.records import Mode
+from dart_flight.config.document import InputError
+from dart_flight.config.scenario import Objective, Scenario
+from dart_flight.core.mission.approach import Transit
+from dart_flight.planning.approach_grid import ApproachGrid, straight_is_blocked
+from dart_flight.planning.constraints import ADVICE, REFUSALS, Constraints, Refusal
+from dart_flight.planning.flight_model import Array, FreeFlight, Rows
+from dart_flight.planning.rollout import (
+    LEAST_FACTOR,
+    Arrivals,
+    Draw,
+    Rollout,
+    drawn_wall,
+    new_flight,
+    stages_for,
+)
+
+Progress = Callable[[int, int], None]  # trajectories done, of how many
+
+_LEAST_LOSS_M = 1.0
+
+
+class PlannedCollision(msgspec.Struct, frozen=True):
+    """A collision as predicted.
+
+    Attributes:
+        wall, mode: which.
+        t_s: onset of the contact, since the start of the run-up.
+        position_m: of the vehicle's centre then, mission frame.
+        normal_m_s, tangential_m_s: velocity then, collision frame.
+        peak_force_n: of the normal force.
+        peak_friction_n: of the friction force.
+        contact_time_s: how long the wall is touched.
+        setpoint_m: recovery set-point, mission frame.
+    """
+
+    wall: str
+    mode: Mode
+    t_s: float
+    position_m: Vec2
+    normal_m_s: float
+    tangential_m_s: float
+    peak_force_n: float
+    peak_friction_n: float
+    contact_time_s: float
+    setpoint_m: Vec2
+
+
+class Plan(msgspec.Struct, frozen=True):
+    """A feasible candidate.
+
+    Attributes:
+        rank: 1 is the best.
+        score: what it was ranked by, smaller is better: m (nearest, robust), s (fastest) or N (gentlest).
+        normal_m_s, tangential_m_s: approach of the first collision.
+        goal_miss_m: closest approach to the goal after the last contact, at nominal values.
+        time_to_goal_s: from `start`: transit, run-up, flight to the closest approach, and the rest of the way
+            to the goal at transit speed.
+        peak_force_n: largest force of any contact, normal and friction together.
+        closest_m: where the closest approach is, mission frame.
+        expected_miss_m, worst_miss_m: over the draws, `robust` only; a draw in which the plan fails counts
+            as the way from start to goal, at least 1 m.
+        failed_draws: share of the draws in which a constraint stops the plan.
+    """
+
+    rank: int
+    score: float
+    normal_m_s: float
+    tangential_m_s: float
+    goal_miss_m: float
+    time_to_goal_s: float
+    peak_force_n: float
+    closest_m: Vec2
+    collisions: tuple[PlannedCollision, ...]
+    expected_miss_m: float | None = None
+    worst_miss_m: float | None = None
+    failed_draws: float | None = None
+
+    @property
+    def sequence(self) -> tuple[str, ...]:
+        """Walls in the order of the hits."""
+        return tuple(c.wall for c in self.collisions)
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """Modes of the collisions."""
+        return tuple(c.mode for c in self.collisions)
+
+
+class DirectFlight(msgspec.Struct, frozen=True):
+    """Flying from start to goal without any collision."""
+
+    blocked_by: str | None
+    time_to_goal_s: float
+    goal_miss_m: float = 0.0
+
+
+class Candidates(NamedTuple):
+    """All feasible candidates of one sequence and mode sequence, as arrays (n,); for ranking and pictures."""
+
+    sequence: tuple[str, ...]
+    modes: tuple[Mode, ...]
+    rows: Rows  # index into the grid of approaches, normal first
+    normal_m_s: Array
+    tangential_m_s: Array
+    miss_m: Array
+    time_s: Array
+    force_n: Array
+    x: Array
+    y: Array
+    score: Array
+    expected_m: Array | None
+    worst_m: Array | None
+    failed: Array | None
+
+
+class Search(msgspec.Struct, frozen=True):
+    """The result of `search`.
+
+    Attributes:
+        plans: the best ones, in order.
+        candidates: how many were tried; `feasible` of them got through.
+        refused: the others by reason.
+        trajectories: how many were simulated, with the draws of `robust`.
+        elapsed_s: time used, preparation included.
+        baseline: no collision at all, where the planner may choose that.
+        maps: everything feasible.
+    """
+
+    scenario: Scenario
+    plans: tuple[Plan, ...]
+    candidates: int
+    feasible: int
+    trajectories: int
+    refused: dict[Refusal, int]
+    elapsed_s: float
+    baseline: DirectFlight | None
+    maps: tuple[Candidates, ...]
+
+
+def search(scenario: Scenario, top: int = 10, seed: int = 1, progress: Progress | None = None) -> Search:
+    """Try every candidate of a scenario and rank those that are feasible.
+
+    Args:
+        scenario: what to search.
+        top: how many plans to return.
+        seed: of the draws of `robust`.
+        progress: called with trajectories done and in all.
+
+    Raises:
+        InputError: nothing is feasible; the message says what stands in the way most and how to relax it.
+    """
+    began = time.perf_counter()
+    planner = Planner(scenario, seed, progress or (lambda done, of: None))
+    maps = planner.run()
+    feasible = sum(m.rows.size for m in maps)
+    if feasible == 0:
+        raise InputError(planner.why_infeasible(), source=scenario.source, key=("search",))
+    best = _ranked(maps, scenario, top)
+    plans = planner.explain(list(_spread(maps, best)))
+    return Search(
+        scenario=scenario,
+        plans=plans,
+        candidates=planner.candidates,
+        feasible=feasible,
+        trajectories=planner.flown,
+        refused={r: int(n) for r, n in zip(REFUSALS, planner.refused[1:], strict=True) if n},
+        elapsed_s=time.perf_counter() - began,
+        baseline=_baseline(scenario) if scenario.chosen_by_planner else None,
+        maps=tuple(maps),
+    )
+
+
+class Planner:
+    """One scenario's search."""
+
+    def __init__(self, scenario: Scenario, seed: int = 1, progress: Progress = lambda done, of: None) -> None:
+        self.scenario, self._seed, self._progress = scenario, seed, progress
+        self.flight: FreeFlight = new_flight(scenario)
+        self.nominal = stages_for(scenario, [None])[0]
+        self.normal = np.array(scenario.normal_m_s)[:, None]
+        self.tangential = np.array(scenario.tangential_m_s)[None, :]
+        self.approaches = self.normal.size * self.tangential.size
+        self.candidates = sum(self.approaches * len(scenario.modes) ** len(s) for s in scenario.sequences)
+        self.refused = np.zeros(len(REFUSALS) + 1, dtype=np.int64)
+        self.flown = 0
+
+    def run(self) -> list[Candidates]:
+        """All feasible candidates, scored."""
+        found: list[Candidates] = []
+        for sequence, arrivals, grid in self._nominal(frozenset()):
+            found.extend(self._candidates(sequence, a, grid) for a in arrivals)
+        if self.scenario.objective is Objective.ROBUST:
+            found = self._robust(found)
+        return [self._scored(c, found) for c in found]
+
+    def _nominal(
+        self, ignored: frozenset[Refusal]
+    ) -> Iterator[tuple[tuple[str, ...], list[Arrivals], ApproachGrid]]:
+        for sequence in self.scenario.sequences:
+            rollout = Rollout(self.scenario, sequence, self.flight, Constraints(self.scenario, ignored))
+            grid = rollout.approach(self.normal, self.tangential)
+            arrivals = rollout.fly(self.nominal, self.normal, self.tangential, grid)
+            if not ignored:
+                self.refused += rollout.refused
+                self.flown += self.approaches * len(self.scenario.modes) ** len(sequence)
+                self._progress(self.flown, self.candidates)
+            yield sequence, arrivals, grid
+
+    def _candidates(self, sequence: tuple[str, ...], a: Arrivals, grid: ApproachGrid) -> Candidates:
+        normal, tangential = np.divmod(a.rows, self.tangential.size)
+        speed = self.scenario.vehicle.flying.transit_speed_m_s
+        return Candidates(
+            sequence,
+            a.modes,
+            a.rows,
+            self.normal[normal, 0],
+            self.tangential[0, tangential],
+            a.miss_m,
+            grid.transit_s.ravel()[a.rows] + a.t_s + a.miss_m / speed,
+            a.force_n,
+            a.x,
+            a.y,
+            a.miss_m,
+            None,
+            None,
+            None,
+        )
+
+    def _scored(self, c: Candidates, all_found: list[Candidates]) -> Candidates:
+        objective = self.scenario.objective
+        if objective is Objective.FASTEST:
+            return c._replace(score=c.time_s)
+        if objective is Objective.GENTLEST:
+            # The gentlest of those that serve the purpose: within the capture radius of the goal, or, where
+            # none is, within that of the best.
+            radius = self.scenario.goal.capture_radius_m
+            least = min(float(m.miss_m.min()) for m in all_found if m.rows.size)
+            allowed = radius if least <= radius else least + radius
+            return c._replace(score=np.where(c.miss_m <= allowed, c.force_n, math.inf))
+        if objective is Objective.ROBUST:
+            assert c.expected_m is not None
+            assert c.worst_m is not None
+            return c._replace(score=0.5 * (c.expected_m + c.worst_m))
+        return c
+
+    # -- robust --
+
+    def _robust(self, found: list[Candidates]) -> list[Candidates]:
+        """Expected and worst miss of what is feasible at nominal values."""
+        draws = draws_of(self.scenario, self._seed)
+        stages = stages_for(self.scenario, draws)
+        by_sequence: dict[tuple[str, ...], list[Candidates]] = {}
+        for c in found:
+            by_sequence.setdefault(c.sequence, []).append(c)
+        total = self.candidates + len(draws) * sum(c.rows.size for c in found)
+        out: list[Candidates] = []
+        for sequence, group in by_sequence.items():
+            rows = np.unique(np.concatenate([c.rows for c in group]))
+            normal, tangential = np.divmod(rows, self.tangential.size)
+            vn, vt = self.normal[normal, 0], self.tangential[0, tangential]
+            rollout = Rollout(self.scenario, sequence, self.flight, Constraints(self.scenario))
+            grid = rollout.approach(vn, vt)
+            misses = {c.modes: np.full((len(draws), rows.size), math.nan) for c in group}
+            for i, (draw, of_draw) in enumerate(zip(draws, stages, strict=True)):
+                really = self._where_walls_are(rollout, sequence, draw)
+                for a in really.fly(of_draw, vn, vt, grid, draw):
+                    if a.modes in misses:
+                        misses[a.modes][i, a.rows] = a.miss_m
+                self.flown += sum(c.rows.size for c in group)
+                self._progress(self.flown, total)
+            out.extend(self._judged(c, misses[c.modes][:, np.searchsorted(rows, c.rows)]) for c in group)
+        return out
+
+    def _where_walls_are(self, planned: Rollout, sequence: tuple[str, ...], draw: Draw) -> Rollout:
+        """The rollout among the walls of a draw; the planned one where they stand as planned."""
+        if not draw.walls:
+            return planned
+        there = msgspec.structs.replace(self.scenario, walls=self.scenario.walls | draw.walls)
+        return Rollout(there, sequence, self.flight, Constraints(there), approached=planned.walls[0])
+
+    def _judged(self, c: Candidates, misses: Array) -> Candidates:
+        loss = max(_LEAST_LOSS_M, distance2(self.scenario.start, self.scenario.goal.position_m))
+        failed = np.isnan(misses)
+        filled = np.where(failed, loss, misses)
+        return c._replace(
+            expected_m=filled.mean(axis=0), worst_m=filled.max(axis=0), failed=failed.mean(axis=0)
+        )
+
+    # -- words --
+
+    def explain(self, chosen: list[tuple[Candidates, int]]) -> tuple[Plan, ...]:
+        """Candidates, in order of their rank, flown once more with their collisions kept."""
+        plans: dict[int, Plan] = {}
+        groups: dict[int, list[tuple[int, Candidates, int]]] = {}
+        for rank, (c, i) in enumerate(chosen, start=1):
+            groups.setdefault(id(c), []).append((rank, c, i))
+        for group in groups.values():
+            c = group[0][1]
+            arrivals = self.trace(c, np.array([i for _, _, i in group]))
+            place = {int(row): k for k, row in enumerate(arrivals.rows)}
+            for j, (rank, _, i) in enumerate(group):
+                plans[rank] = _plan(c, i, rank, arrivals, place[j])
+        return tuple(plans[rank] for rank in sorted(plans))
+
+    def trace(self, c: Candidates, chosen: NDArray[np.intp]) -> Arrivals:
+        """Some candidates of a map flown once more, with their collisions and legs kept."""
+        rollout = Rollout(self.scenario, c.sequence, self.flight, Constraints(self.scenario), keep_hits=True)
+        vn, vt = c.normal_m_s[chosen], c.tangential_m_s[chosen]
+        arrivals = rollout.fly(self.nominal, vn, vt, rollout.approach(vn, vt))
+        return next(a for a in arrivals if a.modes == c.modes)
+
+    def why_infeasible(self) -> str:
+        """The reasons by their weight, and which one of them alone, relaxed, would let candidates through."""
+        counts = sorted(
+            ((int(n), r) for r, n in zip(REFUSALS, self.refused[1:], strict=True) if n), reverse=True
+        )
+        text = f"none of {self.candidates} candidates is feasible: " + ", ".join(
+            f"{n} {r.value}" for n, r in counts
+        )
+        freed = sorted(((self._freed(r), r) for _, r in counts), reverse=True)
+        if freed and freed[0][0]:
+            count, reason = freed[0]
+            return f"{text}; without {reason.value} {count} would be: {ADVICE[reason]}"
+        return f"{text}; no single constraint frees one; first {ADVICE[counts[0][1]]}"
+
+    def _freed(self, reason: Refusal) -> int:
+        return sum(a.rows.size for _, found, _ in self._nominal(frozenset({reason})) for a in found)
+
+
+def _plan(c: Candidates, i: int, rank: int, arrivals: Arrivals, k: int) -> Plan:
+    """Candidate `i` of a map, its collisions from row `k` of the arrivals."""
+    collisions = tuple(
+        PlannedCollision(
+            wall=h.wall.name,
+            mode=mode,
+            t_s=float(h.t_s[k]),
+            position_m=(float(h.x[k]), float(h.y[k])),
+            normal_m_s=float(h.normal_m_s[k]),
+            tangential_m_s=float(h.tangential_m_s[k]),
+            peak_force_n=float(h.normal_n[k]),
+            peak_friction_n=abs(float(h.tangential_n[k])),
+            contact_time_s=float(h.duration_s[k]),
+            setpoint_m=(float(h.leg.goal_x[k]), float(h.leg.goal_y[k])),
+        )
+        for h, mode in zip(arrivals.hits, arrivals.modes, strict=True)
+    )
+    return Plan(
+        rank=rank,
+        score=float(c.score[i]),
+        normal_m_s=float(c.normal_m_s[i]),
+        tangential_m_s=float(c.tangential_m_s[i]),
+        goal_miss_m=float(c.miss_m[i]),
+        time_to_goal_s=float(c.time_s[i]),
+        peak_force_n=float(c.force_n[i]),
+        closest_m=(float(c.x[i]), float(c.y[i])),
+        collisions=collisions,
+        expected_miss_m=_at(c.expected_m, i),
+        worst_miss_m=_at(c.worst_m, i),
+        failed_draws=_at(c.failed, i),
+    )
+
+
+def draws_of(scenario: Scenario, seed: int) -> list[Draw]:
+    """The draws of `robust`, the same for all candidates; coefficients independent per wall and mode."""
+    u = scenario.uncertainty
+    rng = np.random.default_rng(seed)
+    draws = []
+    for _ in range(u.samples):
+        factors = {}
+        for name in scenario.alphas:
+            for mode in scenario.modes:
+                k, f, mu = np.maximum(1.0 + np.array([u.k, u.f, u.mu]) * rng.standard_normal(3), LEAST_FACTOR)
+                factors[name, mode] = (float(k), float(f), float(mu))
+        shift = rng.standard_normal(3)
+        walls = {name: drawn_wall(wall, rng) for name, wall in scenario.walls.items() if wall.is_uncertain}
+        draws.append(
+            Draw(
+                factors,
+                u.approach_m_s * float(shift[0]),
+                u.approach_m_s * float(shift[1]),
+                u.detection_delay_s * float(shift[2]),
+                walls,
+            )
+        )
+    return draws
+
+
+def _at(values: Array | None, i: int) -> float | None:
+    return None if values is None else float(values[i])
+
+
+def _ranked(maps: list[Candidates], scenario: Scenario, top: int) -> Rows:
+    """Indices into all candidates, best first; ties by miss, then by force."""
+    score = np.concatenate([m.score for m in maps])
+    miss = np.concatenate([m.miss_m for m in maps])
+    force = np.concatenate([m.force_n for m in maps])
+    usable = np.flatnonzero(np.isfinite(score))
+    order = np.lexsort((force[usable], miss[usable], score[usable]))
+    return usable[order[:top]]
+
+
+def _spread(maps: list[Candidates], indices: Rows) -> Iterator[tuple[Candidates, int]]:
+    ends = np.cumsum([m.rows.size for m in maps])
+    for index in indices:
+        which = int(np.searchsorted(ends, index, side="right"))
+        yield maps[which], int(index - (ends[which] - maps[which].rows.size))
+
+
+def _baseline(scenario: Scenario) -> DirectFlight:
+    goal = scenario.goal.position_m
+    z = scenario.altitude_m
+    start = (scenario.start[0], scenario.start[1], z)
+    flying = scenario.vehicle.flying
+    end = (goal[0], goal[1], z)
+    transit = Transit.between(start, end, flying.transit_speed_m_s, flying.acceleration_m_s2)
+    return DirectFlight(straight_is_blocked(scenario, scenario.start, goal), transit.duration_s)

@@ -1,0 +1,479 @@
+"""What a flight amounted to: pure, from the records of the flight (decisions, samples, truth).
+
+The one source for every world, for `--json`, for the terminal and for the report. Feed every record to
+`VerdictBuilder.take`, in order, then `build`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from dart_flight.base.geometry import Vec2, Vec3, tilt_of
+from dart_flight.base.records import (
+    AttitudeSample,
+    ContactEnd,
+    ContactSide,
+    GoalPassed,
+    GuardEvent,
+    ImpactBody,
+    ImpactOnset,
+    ImpactPeak,
+    LockPhase,
+    LockState,
+    MissionEnd,
+    Mode,
+    OdometrySample,
+    Outcome,
+    Override,
+    Phase,
+    PhaseChange,
+    SetPointSent,
+    Tick,
+    TruthContact,
+    TruthSample,
+    WallFelt,
+    World,
+)
+from dart_flight.config.mission import Collision, Mission
+from dart_flight.config.provenance import VehicleSource
+from dart_flight.contact.contact_map import collide
+from dart_flight.contact.law import Onset
+from dart_flight.core.mission.phases import ON_GROUND
+from dart_flight.core.sense.body import side_of
+from dart_flight.recording.anchor import Anchor
+from dart_flight.recording.deviations import Deviation, FlownImpact, deviations, predict_flight
+
+_TICK_US = 20_000
+_KEPT = 1024  # samples of estimate and truth until they have met: 8 s at 125 Hz
+_TRUTH_MATCH_US = 60_000  # an impact and its truth lie this near in time
+
+
+class Velocities(msgspec.Struct):
+    """Velocity before the contact in the collision frame, peaks, and how the body met the wall.
+
+    Attributes:
+        normal_m_s, tangential_m_s: the last before the contact.
+        peak_force_n: of the normal force.
+        contact_side: which point of the side came first, seen when flying into the wall: left, right, both.
+        incidence_deg: leading edge against the wall at the first touch, positive turned left.
+        peak_torque_nm: largest external torque about the centre of mass.
+    """
+
+    normal_m_s: float | None = None
+    tangential_m_s: float | None = None
+    peak_force_n: float | None = None
+    contact_side: ContactSide | None = None
+    incidence_deg: float | None = None
+    peak_torque_nm: float | None = None
+
+
+class LockTimes(msgspec.Struct):
+    """The lock's switch that follows a collision, autopilot time."""
+
+    contact_end_us: int | None = None
+    relaxed_us: int | None = None
+    commanded_us: int | None = None
+    settled_us: int | None = None
+
+
+class CollisionVerdict(msgspec.Struct):
+    """One collision, planned against measured against true."""
+
+    index: int
+    wall: str
+    mode: str
+    t_us: int
+    clipped: bool
+    planned: Velocities
+    measured: Velocities
+    truth: Velocities | None
+    lock: LockTimes | None  # None: the vehicle has no lock
+    detection_latency_ms: float | None
+    setpoint_latency_ms: float | None
+    contact_time_ms: float | None = None
+    mode_by_contact_time: str | None = None  # what the duration says, whatever the lock reported
+    mode_felt: Mode | None = None  # what the whole contact says (docs/felt.md); None: undecided, or not told
+    mode_log_odds: float | None = None  # of rigid against flexible; None: not told
+    mode_true: Mode | None = None  # of the simulated arms
+
+
+class GuardVerdict(msgspec.Struct):
+    """A rule of the guard that fired."""
+
+    t_us: int
+    rule: str
+    action: Override
+    detail: str
+
+
+class Px4Figures(msgspec.Struct):
+    """A flight by PX4's log, while armed.
+
+    Attributes:
+        version: of PX4, as it told; None where it did not.
+        ekf_resets: of position and velocity.
+        clipped_samples: accelerometer samples at full scale, sum of the three axes.
+        failsafe: whether PX4 was in a failsafe.
+        attitude_failure: whether its failure detector saw one.
+    """
+
+    version: str | None = None
+    ekf_resets: int | None = None
+    clipped_samples: int | None = None
+    failsafe: bool | None = None
+    attitude_failure: bool | None = None
+
+
+class Verdict(msgspec.Struct):
+    """A flight in one object (`docs/interfaces.md`); what is unknown is null."""
+
+    mission: str
+    world: World | None
+    seed: int | None
+    outcome: Outcome
+    reason: str | None
+    collisions: list[CollisionVerdict]
+    guard: list[GuardVerdict]
+    goal_miss_m: float | None
+    final_error_m: float | None
+    max_tilt_deg: float | None
+    flight_time_s: float | None
+    log: str | None = None
+    log_failure: str | None = None  # what is missing in the log, and why
+    own_lateness_ms: float | None = None  # how late the program itself ran at worst; none: not told
+    px4_log: str | None = None
+    ekf_error_m: float | None = (
+        None  # largest distance of the estimated position from the true one, in the air
+    )
+    px4: Px4Figures | None = None
+    drawn: dict[str, float | str] = msgspec.field(default_factory=dict)  # of the simulated world (`--vary`)
+    vehicle: VehicleSource | None = None
+    plan_followed: bool | None = None  # it did what was predicted; None: nothing was, as of a rehearsal
+    goal_reached: bool | None = None  # within the capture radius; None: the flight has no end
+    goal_miss_planned_m: float | None = None  # as predicted; None: not known, or flown to from rest
+    deviations: list[Deviation] = msgspec.field(default_factory=list)
+    arms_moved: bool | None = None  # whether simulated arms ever followed the lock; None: it never moved
+
+
+class PositionError:
+    """Largest distance between estimate and truth at the same stamp, truth interpolated.
+
+    The two come on threads of their own, either of them first: what has not met yet waits, and all else is
+    forgotten, however long the flight.
+
+    Attributes:
+        worst_m: so far, metres; None: the two have not met.
+    """
+
+    def __init__(self) -> None:
+        self.worst_m: float | None = None
+        self._estimates: deque[tuple[int, Vec3]] = deque(maxlen=_KEPT)
+        self._truths: deque[tuple[int, Vec3]] = deque(maxlen=_KEPT)
+
+    def take_estimate(self, t_us: int, position: Vec3) -> None:
+        """An estimated position, mission frame."""
+        self._estimates.append((t_us, position))
+
+    def take_truth(self, t_us: int, position: Vec3) -> None:
+        """The true position, mission frame; compares it with what has been estimated meanwhile."""
+        truths, estimates = self._truths, self._estimates
+        if truths and t_us <= truths[-1][0]:
+            truths.clear()  # the clock went back
+        truths.append((t_us, position))
+        while estimates and estimates[0][0] <= t_us:
+            self._compare(*estimates.popleft())
+
+    def _compare(self, t_us: int, estimated: Vec3) -> None:
+        after = None
+        for before in reversed(self._truths):
+            if after is not None and before[0] <= t_us <= after[0]:
+                (t0, a), (t1, b) = before, after
+                share = (t_us - t0) / (t1 - t0)
+                x, y, z = (p + share * (q - p) for p, q in zip(a, b, strict=True))
+                error = math.dist(estimated, (x, y, z))
+                self.worst_m = error if self.worst_m is None else max(self.worst_m, error)
+                return
+            after = before
+
+
+class VerdictBuilder:
+    """Takes the records of one flight in order.
+
+    Attributes:
+        takers: what takes a record, by its kind; other kinds do not matter here.
+    """
+
+    def __init__(self, mission: Mission) -> None:
+        self._mission = mission
+        lock = mission.vehicle.lock
+        self._relaxation_us = None if lock is None else round(lock.relaxation_s * 1e6)
+        self._collisions: list[CollisionVerdict] = []
+        self._places: dict[int, Vec2] = {}  # of the impacts, by index of the collision
+        self._truths: list[TruthContact] = []
+        self._guard: list[GuardVerdict] = []
+        self._onset: ImpactOnset | None = None
+        self._end: MissionEnd | None = None
+        self._phase = Phase.READYING
+        self._miss_m: float | None = None
+        self._tilt_rad: float | None = None
+        self._airborne_us: int | None = None
+        self._landed_us: int | None = None
+        self._anchor = Anchor(mission)
+        self._position_error = PositionError()
+        self._ticked_us: int | None = None
+        self._late_us: int | None = None  # at worst, between ticks
+        self._settled: set[Mode] = set()
+        self._true_modes: set[Mode] = set()
+        # By kind: most records matter to nothing here, and are passed over by one look-up.
+        self.takers: dict[type, Callable[[Any], None]] = {
+            AttitudeSample: self._take_attitude,
+            OdometrySample: self._take_odometry,
+            TruthSample: self._take_truth,
+            PhaseChange: self._take_phase,
+            ImpactOnset: self._take_onset,
+            ImpactPeak: self._take_peak,
+            ImpactBody: self._take_body,
+            ContactEnd: self._take_contact_end,
+            WallFelt: self._take_felt,
+            SetPointSent: self._take_sent,
+            LockState: self._take_lock,
+            GuardEvent: self._take_guard,
+            GoalPassed: self._take_passed,
+            TruthContact: self._truths.append,
+            MissionEnd: self._take_end,
+            Tick: self._take_tick,
+        }
+
+    @property
+    def end(self) -> MissionEnd | None:
+        """How the flight ended, once it has."""
+        return self._end
+
+    def take(self, record: Any) -> None:
+        """Take the next record; kinds that do not matter here are passed over."""
+        take = self.takers.get(type(record))
+        if take is not None:
+            take(record)
+
+    def _take_attitude(self, record: AttitudeSample) -> None:
+        if self._airborne_us is not None and self._landed_us is None:
+            self._tilt_rad = max(self._tilt_rad or 0.0, tilt_of(record.q_frd_to_ned))
+
+    def _take_tick(self, record: Tick) -> None:
+        if self._ticked_us is not None and self._end is None:
+            late_us = max(0, record.host_us - self._ticked_us - _TICK_US)
+            self._late_us = max(self._late_us or 0, late_us)
+        self._ticked_us = record.host_us
+
+    def _take_truth(self, record: TruthSample) -> None:
+        self._position_error.take_truth(record.t_us, record.position_mission)
+        self._true_modes.add(record.mode)
+
+    def _take_onset(self, record: ImpactOnset) -> None:
+        self._onset = record
+
+    def _take_sent(self, record: SetPointSent) -> None:
+        if self._collisions and self._collisions[-1].setpoint_latency_ms is None:
+            self._collisions[-1].setpoint_latency_ms = record.latency_us * 1e-3
+
+    def _take_guard(self, record: GuardEvent) -> None:
+        self._guard.append(GuardVerdict(record.t_us, record.rule, record.action, record.detail))
+
+    def _take_passed(self, record: GoalPassed) -> None:
+        self._miss_m = record.miss_m
+
+    def _take_end(self, record: MissionEnd) -> None:
+        self._end = record
+        if self._airborne_us is not None:
+            self._landed_us = record.t_us
+
+    def _take_odometry(self, record: OdometrySample) -> None:
+        self._anchor.take(record)
+        frame = self._anchor.frame
+        if frame is not None and self._airborne_us is not None and self._landed_us is None:
+            self._position_error.take_estimate(record.t_us, frame.point_from_ned(record.position_ned))
+
+    def _take_phase(self, record: PhaseChange) -> None:
+        self._anchor.take(record)
+        if self._phase in ON_GROUND and record.after is Phase.CLIMB:
+            self._airborne_us = record.t_us
+        if record.after is Phase.CONTACT and record.collision is not None and self._onset is not None:
+            self._open(self._mission.collisions[record.collision - 1], self._onset)
+        self._phase = record.after
+
+    def _open(self, collision: Collision, onset: ImpactOnset) -> None:
+        measured = collision.wall.to_collision(onset.velocity_mission)
+        self._places[collision.index] = onset.position_mission[:2]
+        self._collisions.append(
+            CollisionVerdict(
+                index=collision.index,
+                wall=collision.wall.name,
+                mode=collision.mode.value,
+                t_us=onset.t_us,
+                clipped=False,
+                planned=Velocities(),  # at the end: it may take the planner's model
+                measured=Velocities(measured[0], measured[1], None),
+                truth=None,
+                lock=None if self._relaxation_us is None else LockTimes(),
+                detection_latency_ms=(onset.t_us - onset.first_us) * 1e-3,
+                setpoint_latency_ms=None,
+            )
+        )
+
+    def _take_peak(self, record: ImpactPeak) -> None:
+        # A peak belongs to the collision whose onset came last; an unplanned hit has none.
+        if self._collisions and self._onset and self._collisions[-1].t_us == self._onset.t_us:
+            self._collisions[-1].measured.peak_force_n = record.normal_force_n
+            self._collisions[-1].clipped = record.clipped
+
+    def _take_body(self, record: ImpactBody) -> None:
+        if self._collisions and self._onset and self._collisions[-1].t_us == self._onset.t_us:
+            measured = self._collisions[-1].measured
+            measured.contact_side = record.side
+            measured.incidence_deg = math.degrees(record.incidence_rad)
+            measured.peak_torque_nm = record.peak_torque_nm
+
+    def _take_contact_end(self, record: ContactEnd) -> None:
+        if not self._collisions or self._collisions[-1].contact_time_ms is not None:
+            return
+        last = self._collisions[-1]
+        last.contact_time_ms = (record.t_us - record.first_us) * 1e-3
+        if last.lock is not None and self._relaxation_us is not None:
+            last.lock.contact_end_us = record.t_us
+            last.lock.relaxed_us = record.t_us + self._relaxation_us
+            last.mode_by_contact_time = self._mode_by_time(
+                self._mission.collisions[last.index - 1], last.contact_time_ms
+            )
+
+    def _take_felt(self, record: WallFelt) -> None:
+        if self._relaxation_us is None:
+            return  # one mode: nothing to tell apart
+        # As of a peak: what is felt of an unplanned hit says nothing of the collision before it.
+        of_last = self._collisions and self._onset and self._collisions[-1].t_us == self._onset.t_us
+        if of_last and self._onset is not None and self._onset.first_us == record.first_us:
+            self._collisions[-1].mode_felt = record.mode_felt
+            self._collisions[-1].mode_log_odds = record.log_odds
+
+    def _mode_by_time(self, collision: Collision, contact_ms: float) -> str:
+        """The mode whose contact with this material lasts nearest to what was measured.
+
+        A servo without feedback cannot tell that it is stuck; the contact can (on acrylic 56 ms rigid, 102 ms
+        flexible).
+        """
+        vehicle = self._mission.vehicle
+        material = vehicle.materials[collision.wall.material]
+
+        def unlikeness(mode: Mode) -> float:
+            hit = collide(material.of(mode), vehicle.airframe.mass_kg, -1.0, 0.0, Onset(vehicle.onset))
+            return abs(math.log(max(contact_ms, 1.0) * 1e-3 / hit.contact_time_s))
+
+        return min(Mode, key=unlikeness).value
+
+    def _take_lock(self, record: LockState) -> None:
+        if record.phase is LockPhase.SETTLED and record.mode is not None:
+            self._settled.add(record.mode)
+        if not self._collisions:
+            return
+        times = self._collisions[-1].lock
+        if times is None or times.contact_end_us is None or (record.commanded_us or 0) < times.contact_end_us:
+            return
+        if times.commanded_us is None:
+            times.commanded_us = record.commanded_us
+        if record.phase is LockPhase.SETTLED and times.settled_us is None:
+            times.settled_us = record.settled_us
+
+    def build(
+        self, world: World | None, seed: int | None, log: str | None = None, px4_log: str | None = None
+    ) -> Verdict:
+        """The verdict of what has been taken so far; without an end the flight counts as aborted."""
+        planned = predict_flight(self._mission)
+        for collision in self._collisions:
+            self._match_truth(collision)
+            of_plan = planned.impacts[collision.index]
+            collision.planned = Velocities(of_plan.normal_m_s, of_plan.tangential_m_s, of_plan.peak_force_n)
+        differ = deviations(self._mission, planned, self._flown(), self._miss_m)
+        end = self._end
+        time_s = None
+        if self._airborne_us is not None and self._landed_us is not None:
+            time_s = (self._landed_us - self._airborne_us) * 1e-6
+        return Verdict(
+            mission=self._mission.name,
+            world=world,
+            seed=seed,
+            outcome=end.outcome if end else Outcome.ABORTED,
+            reason=end.reason if end else "the program ended before the flight did",
+            collisions=self._collisions,
+            guard=self._guard,
+            goal_miss_m=self._miss_m,
+            final_error_m=end.final_error_m if end else None,
+            max_tilt_deg=math.degrees(self._tilt_rad) if self._tilt_rad is not None else None,
+            flight_time_s=time_s,
+            log=log,
+            px4_log=px4_log,
+            own_lateness_ms=None if self._late_us is None else self._late_us * 1e-3,
+            ekf_error_m=self._position_error.worst_m,
+            vehicle=self._mission.flown_vehicle(),
+            plan_followed=all(one.within for one in differ) if differ else None,
+            deviations=differ,
+            arms_moved=self._arms_moved(),
+            goal_reached=self._goal_reached(),
+            goal_miss_planned_m=planned.goal_miss_m if self._mission.standoff_m is None else None,
+        )
+
+    def _goal_reached(self) -> bool | None:
+        """Whether the goal was passed, or arrived at from rest, within its capture radius."""
+        if self._end is None:
+            return None
+        nearest_m = self._miss_m
+        if nearest_m is None and self._end.outcome is Outcome.COMPLETED:
+            nearest_m = self._end.final_error_m
+        return nearest_m is not None and nearest_m <= self._mission.goal.capture_radius_m
+
+    def _arms_moved(self) -> bool | None:
+        if len(self._settled) < len(Mode) or not self._true_modes:
+            return None
+        return len(self._true_modes) == len(Mode)
+
+    def _flown(self) -> list[FlownImpact]:
+        return [
+            FlownImpact(
+                c.index,
+                c.measured.normal_m_s,
+                c.measured.tangential_m_s,
+                c.measured.peak_force_n,
+                self._places.get(c.index),
+                _felt_mode(c),
+            )
+            for c in self._collisions
+        ]
+
+    def _match_truth(self, collision: CollisionVerdict) -> None:
+        near = [
+            t
+            for t in self._truths
+            if t.wall == collision.wall
+            and t.t_us - _TRUTH_MATCH_US <= collision.t_us <= t.end_us + _TRUTH_MATCH_US
+        ]
+        if not near:
+            return
+        truth = min(near, key=lambda t: abs(t.t_us - collision.t_us))
+        collision.mode_true = truth.mode
+        collision.truth = Velocities(
+            truth.normal_in_m_s,
+            truth.tangential_in_m_s,
+            truth.peak_normal_force_n,
+            side_of(truth.lead_m),
+            math.degrees(truth.incidence_rad),
+            truth.peak_torque_nm,
+        )
+        collision.detection_latency_ms = (collision.t_us - truth.t_us) * 1e-3
+
+
+def _felt_mode(c: CollisionVerdict) -> str | None:
+    """The mode by the contact itself; logs from before it was felt have its duration only."""
+    return c.mode_by_contact_time if c.mode_log_odds is None else c.mode_felt

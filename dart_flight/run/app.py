@@ -1,0 +1,423 @@
+"""The shell around the core for worlds with a clock: streams -> queue -> core -> vehicle, lock, log.
+
+Threads: MAVSDK's own builds records and queues them; the core is stepped and set-points are sent by its own
+thread, and near a wall by MAVSDK's (`core_thread`); the lock thread, where there is a lock, steps its state
+machine and may block on its driver; the log thread encodes and writes; asyncio owns connecting, arming and
+mode changes, signals and the terminal.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import os
+import queue
+import signal
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+from dart_flight.base.records import (
+    AfterImpact,
+    CommandResult,
+    LockCommand,
+    LockPermission,
+    LockPhase,
+    LockState,
+    MissionEnd,
+    OperatorRequest,
+    Output,
+    PhaseChange,
+    PlanRequest,
+    Record,
+    Request,
+    SetPoint,
+    Silence,
+    VehicleAction,
+    VehicleCommand,
+    WallFelt,
+)
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import LockConfig
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.lock.drivers import Driver, make_driver
+from dart_flight.lock.drivers.mock import MockDriver, MockFaults
+from dart_flight.lock.session import LockSession
+from dart_flight.lock.state_machine import status_text
+from dart_flight.run.core_thread import CoreThread
+from dart_flight.run.deadman import CORE, FEED_PERIOD_S, LOOP, Deadman, SystemdNotice
+from dart_flight.run.replanner_process import PlannerProcess
+from dart_flight.run.runner import CoreRunner, Observe
+from dart_flight.vehicle.clock import Clock, host_us
+from dart_flight.vehicle.session import NoAnswerError, VehicleSession, connect
+
+_SHOW_PERIOD_S = 0.2  # as often as the live line changes
+_LOCK_PERIOD_S, _LOCK_REST_S = 0.01, 0.1  # while it travels, and otherwise
+_SWITCH_INTERVAL_S = 0.001  # a thread that computes gives way to MAVSDK's callbacks after a millisecond
+_KEY_PAUSE_S = 0.5
+_LOOK_PERIOD_S = 0.5  # for other vehicles, and for the end of the world
+_END_GRACE_S = 0.3  # for the last truth and the log
+
+Progress = Callable[[Record], None]
+
+
+class SimulatedWorld(Protocol):
+    """What a simulated world offers the app beside MAVLink."""
+
+    @property
+    def died(self) -> bool:
+        """Whether it has ended by itself."""
+
+    @property
+    def cause(self) -> str:
+        """What died, in words."""
+
+    def send_horn(self, pulse_us: float) -> None:
+        """Tell the plant where the mock servo's horn is."""
+
+
+class LockThread:
+    """The lock's state machine on the core's time base, with a driver that may block.
+
+    Args:
+        make_session: makes machine and driver's session, once the clock is known: a stamp from before would
+            be the host's, and whatever remembers it would wait for the autopilot's clock to get there.
+        states: what the session says, in order.
+        clock_known: whether the autopilot's time is known.
+        deliver: takes every state of the lock.
+        after_poll: called after every look at the driver.
+    """
+
+    def __init__(
+        self,
+        make_session: Callable[[], LockSession],
+        states: queue.SimpleQueue[LockState],
+        clock_known: Callable[[], bool],
+        deliver: Callable[[LockState], None],
+        after_poll: Callable[[], None],
+    ) -> None:
+        self._make_session, self._states, self._deliver = make_session, states, deliver
+        self._clock_known, self._after_poll = clock_known, after_poll
+        self._orders: queue.SimpleQueue[LockCommand | LockPermission] = queue.SimpleQueue()
+        self._stop = threading.Event()
+        self.thread = threading.Thread(target=self._run, name="lock", daemon=True)
+
+    def put(self, order: LockCommand | LockPermission) -> None:
+        """Queue an order of the core; any thread, never blocks."""
+        self._orders.put(order)
+
+    def stop(self) -> None:
+        """End the thread."""
+        self._stop.set()
+        self.thread.join(timeout=2.0)
+
+    def _run(self) -> None:
+        # The lock lives on the autopilot's clock: it begins to exist once that is known.
+        while not self._clock_known():
+            if self._stop.wait(_LOCK_PERIOD_S):
+                return
+        session = self._make_session()
+        session.start()
+        while not self._stop.is_set():
+            travels = session.state.phase is LockPhase.TRAVELLING
+            try:
+                order = self._orders.get(timeout=_LOCK_PERIOD_S if travels else _LOCK_REST_S)
+                if isinstance(order, LockCommand):
+                    session.command(order.mode)
+                else:
+                    session.permit(order.permitted)
+            except queue.Empty:
+                pass
+            session.poll()
+            self._after_poll()
+            while True:
+                try:
+                    self._deliver(self._states.get_nowait())
+                except queue.Empty:
+                    break
+
+
+class FlightApp:
+    """One flight over MAVSDK.
+
+    Args:
+        mission: what to fly.
+        url: MAVSDK connection URL.
+        observe: takes every record with its number, on the core thread.
+        world: the simulated world, where there is one.
+        progress: sees every record, on a thread of its own: a terminal may block.
+        clock: the autopilot's; that of a real-time vehicle by default.
+        deadman_note: start a deadman, which writes here why it killed the program; None: no deadman.
+        lock_faults: of the mock servo from the start on.
+        opened: called once the link is open.
+
+    Attributes:
+        loop: the event loop, while it flies.
+        mock: the driver of the mock servo, where the lock is driven by that.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        url: str,
+        observe: Observe,
+        world: SimulatedWorld | None = None,
+        progress: Progress = lambda record: None,
+        clock: Clock | None = None,
+        deadman_note: Path | None = None,
+        lock_faults: MockFaults | None = None,
+        opened: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._mission, self._url, self._observe = mission, url, observe
+        self._world, self._progress, self._clock = world, progress, clock
+        self._shown: deque[Record] = deque()
+        self._deadman_note, self._lock_faults, self._opened = deadman_note, lock_faults, opened
+        self._deadman: Deadman | None = None
+        self.mock: MockDriver | None = None
+        self._session: VehicleSession | None = None
+        self._done = asyncio.Event()
+        self._ended = threading.Event()
+        self.loop: asyncio.AbstractEventLoop | None = None
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._stops = 0
+        self._core = CoreThread(
+            CoreRunner(FlightCore(mission), self, self._see, host_us), lambda: self._feed(CORE)
+        )
+        self._lock: LockThread | None = None
+        self._planner: PlannerProcess | None = None
+
+    async def run(self) -> None:
+        """Fly; returns when the flight has ended.
+
+        Raises:
+            VehicleError: no autopilot at the URL.
+            NoAnswerError: it does not answer what it is asked.
+        """
+        self.loop = asyncio.get_running_loop()
+        timeout_s = self._mission.vehicle.connection.timeout_s
+        async with connect(
+            self._url, timeout_s, self._core.arrive, clock=self._clock, opened=self._opened
+        ) as session:
+            self._session = session
+            unanswered = await session.measure_link(timeout_s)
+            if unanswered:
+                says = f"the vehicle sends, but answers no request: {', '.join(unanswered)}"
+                raise NoAnswerError(says, source=self._url)
+            if self._mission.vehicle.lock is not None:
+                self._lock = self._make_lock(session, self._mission.vehicle.lock)
+            if self._mission.after_impact is AfterImpact.REPLAN:
+                self._planner = PlannerProcess(self._mission, self._core.put)
+            sys.setswitchinterval(_SWITCH_INTERVAL_S)
+            # What is loaded by now stays: the collector need not walk it in flight.
+            gc.collect()
+            gc.freeze()
+            terminal = threading.Thread(target=self._show, name="terminal", daemon=True)
+            terminal.start()
+            self._core.thread.start()
+            if self._lock is not None:
+                self._lock.thread.start()
+            vehicle = self._mission.vehicle
+            session.subscribe(vehicle.estimation, len(vehicle.airframe.motors))
+            self._listen_for_signals()
+            keeper = asyncio.create_task(self._keep_alive())
+            measuring = asyncio.create_task(session.keep_measuring())
+            try:
+                await session.set_rates()
+                await self._watch(session)
+            finally:
+                keeper.cancel()
+                measuring.cancel()
+                if self._deadman is not None:
+                    self._deadman.let_go()
+                self._core.stop()
+                if self._lock is not None:
+                    self._lock.stop()
+                if self._planner is not None:
+                    self._planner.stop()
+                self._ended.set()
+                terminal.join(timeout=1.0)
+                for task in list(self._tasks):
+                    task.cancel()
+
+    def show(self, record: Record) -> None:
+        """Have a record shown that is none of the core's; any thread."""
+        self._shown.append(record)
+
+    def stop(self) -> None:
+        """The operator wants out: the first time leave the wall and land, the second time release."""
+        self._stops += 1
+        request = Request.LAND if self._stops == 1 else Request.RELEASE
+        self._core.put(OperatorRequest(host_us(), request))
+
+    def go_on(self) -> None:
+        """The operator's word that ends a pause; at any other time it means nothing."""
+        self._core.put(OperatorRequest(host_us(), Request.CONTINUE))
+
+    # -- deadman and terminal --
+
+    def _feed(self, part: bytes) -> None:
+        if self._deadman is not None:
+            self._deadman.feed(part)
+
+    async def _keep_alive(self) -> None:
+        """The event loop's own pulse: feeds the deadman, and systemd while the core thread is alive too."""
+        systemd = SystemdNotice()
+        systemd.ready(f"flying {self._mission.name}")
+        starve_s = self._mission.vehicle.guard.deadman_s
+        if self._deadman_note is not None:
+            self._deadman = Deadman(starve_s, self._deadman_note)
+            self._feed(LOOP)
+            self._deadman.arm()
+        try:
+            while True:
+                if self._deadman is not None:
+                    self._deadman.feed(LOOP)
+                    self._deadman.mend()
+                if self._core.age_s() < starve_s:
+                    systemd.alive()
+                await asyncio.sleep(FEED_PERIOD_S if self._deadman is None else self._deadman.feed_period_s)
+        finally:
+            systemd.stopping()
+
+    def _show(self) -> None:
+        """Looks now and then: waking up for every record would cost the core thread its latency."""
+        while not (self._ended.wait(_SHOW_PERIOD_S) and not self._shown):
+            while self._shown:
+                with contextlib.suppress(OSError):
+                    while self._shown:
+                        self._progress(self._shown.popleft())
+
+    async def _watch(self, session: VehicleSession) -> None:
+        while not self._done.is_set():
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._done.wait(), _LOOK_PERIOD_S)
+            await session.look_for_others()
+            if self._world is not None and self._world.died and not self._done.is_set():
+                self._core.put(OperatorRequest(host_us(), Request.WORLD_DIED, self._world.cause))
+        await asyncio.sleep(_END_GRACE_S)
+
+    def _listen_for_signals(self) -> None:
+        assert self.loop is not None
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):  # not the main thread
+                self.loop.add_signal_handler(number, self.stop)
+        with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):
+            self.loop.add_signal_handler(signal.SIGUSR1, self.go_on)
+        self._listen_for_key()
+
+    def _listen_for_key(self) -> None:
+        if self.loop is not None and sys.stdin is not None and sys.stdin.isatty():
+            self.loop.add_reader(sys.stdin.fileno(), self._take_key)
+
+    def _take_key(self) -> None:
+        """Something was typed; Enter is the operator's word."""
+        assert self.loop is not None
+        terminal = sys.stdin.fileno()
+        if _in_background(terminal):
+            # A program that reads its terminal from there is stopped, and that must not happen in flight.
+            self.loop.remove_reader(terminal)
+            self.loop.call_later(_KEY_PAUSE_S, self._listen_for_key)
+            return
+        try:
+            typed = os.read(terminal, 1024)
+        except OSError:
+            typed = b""
+        if not typed:  # the terminal has gone
+            self.loop.remove_reader(terminal)
+        elif b"\n" in typed:
+            self.go_on()
+
+    # -- lock --
+
+    def _make_lock(self, session: VehicleSession, config: LockConfig) -> LockThread:
+        def clock_us() -> int:
+            return session.clock.to_autopilot(host_us())
+
+        driver: Driver = make_driver(
+            config, clock_us=clock_us, set_actuator=session.set_actuator, mock_faults=self._lock_faults
+        )
+        self.mock = driver if isinstance(driver, MockDriver) else None
+        states: queue.SimpleQueue[LockState] = queue.SimpleQueue()
+        sent: list[float] = []
+
+        def after_poll() -> None:
+            # In a dry-run the mock servo is part of the harness: its horn moves the simulated arms.
+            if self._world is not None and isinstance(driver, MockDriver):
+                pulse = driver.horn_pulse_us(clock_us())
+                if not sent or sent[-1] != pulse:
+                    sent[:] = [pulse]
+                    self._world.send_horn(pulse)
+
+        return LockThread(
+            lambda: LockSession(config, driver, clock_us, states.put),
+            states,
+            lambda: session.clock.offset_us is not None,
+            self._take_lock_state,
+            after_poll,
+        )
+
+    def _take_lock_state(self, state: LockState) -> None:
+        self._core.put(state)
+        if state.phase is not LockPhase.TRAVELLING and self._session is not None:
+            self._session.tell_ground(status_text(state))
+
+    # -- what the core wants, on the core thread (`runner.Hands`) --
+
+    def send(self, setpoint: SetPoint) -> None:
+        """A set-point, at once."""
+        assert self._session is not None
+        # A refused set-point is not a fault of the core: PX4 keeps the last one, then its failsafe.
+        with contextlib.suppress(Exception):
+            self._session.send(setpoint)
+
+    def carry_out(self, output: Output) -> None:
+        """Every other command, without waiting for it."""
+        assert self._session is not None
+        assert self.loop is not None
+        if isinstance(output, VehicleCommand):
+            self.loop.call_soon_threadsafe(self._start_action, output.action)
+        elif isinstance(output, LockCommand | LockPermission):
+            if self._lock is not None:
+                self._lock.put(output)
+        elif isinstance(output, PlanRequest):
+            if self._planner is not None:
+                self._planner.ask(output)
+        elif isinstance(output, WallFelt):
+            if self._planner is not None:
+                self._planner.feel(output)
+        elif isinstance(output, PhaseChange):
+            # For `monitor`; not on this thread, whose set-points must not wait for it.
+            self.loop.call_soon_threadsafe(self._session.tell_ground, f"phase {output.after}")
+        elif isinstance(output, Silence):
+            self._session.silence()
+        elif isinstance(output, MissionEnd):
+            self._session.silence()
+            self.loop.call_soon_threadsafe(self._done.set)
+
+    def _start_action(self, action: VehicleAction) -> None:
+        assert self.loop is not None
+        task = self.loop.create_task(self._perform(action))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _perform(self, action: VehicleAction) -> None:
+        assert self._session is not None
+        problem = await self._session.perform(action)
+        t_us = self._session.clock.to_autopilot(host_us())
+        self._core.put(CommandResult(t_us, action.value, not problem, problem))
+
+    def _see(self, record: Record, number: int) -> None:
+        self._observe(record, number)
+        self._shown.append(record)
+
+
+def _in_background(terminal: int) -> bool:
+    """Whether the terminal is at present another job's."""
+    try:
+        return os.tcgetpgrp(terminal) != os.getpgrp()
+    except OSError:  # not the terminal of this session: no rule of jobs applies
+        return False

@@ -1,0 +1,118 @@
+"""What owns the core in real time: one queue in, steps one after the other, set-points out at once.
+
+There is one queue, and at any time one thread steps the core: it holds `_owner`. Which one that is goes by
+the core's own word (`core.pace`): its own thread, or near a wall MAVSDK's, on which a sample arrives. A hop
+from that to another thread would cost a waking up and the interpreter's lock handed over, on a busy machine a
+slice of the scheduler each (docs/latency.md).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+from collections.abc import Callable
+from typing import Final
+
+from dart_flight.base.records import ActuatorSample, AttitudeSample, Input, OdometrySample, Tick
+from dart_flight.core.pace import PATIENCE_S, Pace
+from dart_flight.run.runner import CoreRunner
+from dart_flight.vehicle.clock import host_us
+
+_TICK_S: Final = 0.02
+_STOP_S: Final = 2.0
+_BACKLOG: Final = 64  # inputs; beyond it only the newest of the state streams is stepped
+_PROMPT: Final = Pace.PROMPT  # looking it up in the enumeration takes longer than asking for it
+_STATE_STREAMS: Final = (AttitudeSample, OdometrySample, ActuatorSample)
+
+
+class CoreThread:
+    """Takes inputs from one queue and steps the core.
+
+    Args:
+        runner: steps the core and hands out what follows.
+        alive: called at every turn, at least every 20 ms, as long as steps come to an end; feeds the deadman.
+    """
+
+    def __init__(self, runner: CoreRunner, alive: Callable[[], None] = lambda: None) -> None:
+        self._runner, self._alive = runner, alive
+        self._queue: queue.SimpleQueue[Input] = queue.SimpleQueue()
+        self._owner = threading.Lock()  # whoever holds it steps
+        self._pace = Pace.TOGETHER  # changed by the owner
+        self._called = threading.Event()  # the core's own thread is to come round now
+        self._fault: BaseException | None = None
+        self._stopping = False
+        self._ticked_us = 0
+        self._turned_us = host_us()
+        self.thread = threading.Thread(target=self._run, name="core", daemon=True)
+
+    def age_s(self) -> float:
+        """How long ago the thread last came round, seconds."""
+        return (host_us() - self._turned_us) * 1e-6
+
+    def put(self, item: Input) -> None:
+        """Queue an input; any thread, never blocks."""
+        self._queue.put(item)
+
+    def arrive(self, item: Input) -> None:
+        """Take an input of the stream: queue it, and step at once where the core is in haste; any thread."""
+        self._queue.put(item)
+        # Whoever steps looks into the queue again afterwards: what finds it owned is not forgotten.
+        while self._pace is _PROMPT and not self._queue.empty() and self._owner.acquire(blocking=False):
+            try:
+                self._step_queued([])
+            except BaseException as fault:
+                # MAVSDK's thread would swallow it: the core's own ends by it, and then the deadman acts.
+                self._fault, self._pace = fault, Pace.TOGETHER
+            finally:
+                self._owner.release()
+            if self._pace is not _PROMPT:
+                self._called.set()
+
+    def stop(self) -> None:
+        """End the thread; what is queued is not stepped any more once this returns."""
+        self._stopping = True
+        self._called.set()
+        self.thread.join(timeout=_STOP_S)
+        self._owner.acquire(timeout=_STOP_S)  # for good
+
+    def _run(self) -> None:
+        while not self._stopping:
+            self._turned_us = host_us()
+            self._alive()
+            first = self._wait()
+            with self._owner:
+                if self._fault is not None:
+                    raise self._fault
+                self._step_queued(first)
+                now = host_us()
+                if now - self._ticked_us >= _TICK_S * 1e6:
+                    self._ticked_us = now
+                    self._runner.take(Tick(now))
+
+    def _wait(self) -> list[Input]:
+        """Until it is time for a turn; returns the input that ended the wait, where there is one."""
+        if self._pace is Pace.LONG:
+            with contextlib.suppress(queue.Empty):
+                return [self._queue.get(timeout=_TICK_S)]
+        elif self._called.wait(PATIENCE_S):
+            self._called.clear()
+        return []
+
+    def _step_queued(self, items: list[Input]) -> None:
+        """Step what is queued, after `items`; a backlog is coalesced, newest wins. Owner only."""
+        queued = self._queue
+        while not queued.empty():  # nobody else takes from it
+            items.append(queued.get_nowait())
+        if len(items) > _BACKLOG:
+            newest = {type(item): i for i, item in enumerate(items)}
+            items = [
+                item
+                for i, item in enumerate(items)
+                if not isinstance(item, _STATE_STREAMS) or newest[type(item)] == i
+            ]
+        left = len(items)
+        for item in items:
+            left -= 1
+            self._runner.take(item, more=left > 0)
+        self._pace = self._runner.core.pace

@@ -1,0 +1,48 @@
+"""The drone: whatever answers at a connection URL, through MAVSDK, with a deadman."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+from dart_flight.base.records import World
+from dart_flight.config.mission import Mission
+from dart_flight.recording.verdict import Verdict
+from dart_flight.run.app import FlightApp
+from dart_flight.run.embedded import DEADMAN_NOTE
+from dart_flight.run.flight_record import FlightRecord, Onlooker
+from dart_flight.vehicle.link import LinkLease
+
+
+def fly_vehicle(
+    mission: Mission,
+    url: str,
+    log_dir: Path,
+    progress: Onlooker = lambda record: None,
+    lease: LinkLease | None = None,
+    viewer: Onlooker | None = None,
+) -> Verdict:
+    """Fly on whatever answers at a connection URL.
+
+    `lease` is the link's, held by the caller; it is told where the log is. None: one is taken for the flight.
+    `viewer` sees every record, on the thread that took it.
+
+    Raises:
+        InputError: the log cannot be written.
+        LinkTakenError: another program has the link.
+        VehicleError: nothing answers.
+    """
+    if lease is None:
+        with LinkLease(url, "fly") as own:
+            return fly_vehicle(mission, url, log_dir, progress, own, viewer)
+    record = FlightRecord(mission, World.DRONE, None, log_dir)
+    record.viewers += [viewer] if viewer is not None else []
+    try:
+        note = record.folder / DEADMAN_NOTE
+        lease.note_log(record.path)
+        app = FlightApp(mission, url, record, None, progress, deadman_note=note, opened=lease.close_device)
+        record.notice = app.show
+        asyncio.run(app.run())
+    finally:
+        record.close()
+    return record.build()

@@ -1,0 +1,423 @@
+"""The fast world: core, lock and simulated vehicle in one process and one thread, in simulated time.
+
+The same decisions as everywhere else, as fast as the machine goes, the same for the same seed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from dart_flight.base.records import (
+    ActuatorSample,
+    AfterImpact,
+    AttitudeSample,
+    ClockOffset,
+    CommandResult,
+    EstimatorSample,
+    FlightMode,
+    ImuSample,
+    Input,
+    LockCommand,
+    LockPermission,
+    LockState,
+    OdometrySample,
+    OperatorRequest,
+    Output,
+    Phase,
+    PhaseChange,
+    PlanAnswer,
+    PlanRequest,
+    Record,
+    Request,
+    RoundTrip,
+    SetPoint,
+    Silence,
+    StatusSample,
+    StatusText,
+    Tick,
+    VehicleAction,
+    VehicleCommand,
+    WallFelt,
+    World,
+)
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import LockConfig, LockDriver
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.lock.drivers import Driver
+from dart_flight.lock.drivers.mock import MockDriver, MockFaults
+from dart_flight.lock.drivers.px4 import Px4Driver
+from dart_flight.lock.session import LockSession
+from dart_flight.planning.replanning import Replanner
+from dart_flight.recording.verdict import Verdict
+from dart_flight.run.faulted import FaultedFlight, Order, Telemetry, TimeRequest
+from dart_flight.run.flight_record import FlightRecord, Onlooker
+from dart_flight.run.runner import CoreRunner, Observe
+from dart_flight.sim.cascade import TrajectorySetPoint
+from dart_flight.sim.draws import DrawnWorld, draw_world
+from dart_flight.sim.faults.kinds import Fault
+from dart_flight.sim.vehicle import SimulatedVehicle
+
+# The host reads its own clock; and a message takes 1 ms, the median of MAVSDK's callback over UDP.
+_HOST_OFFSET_US: Final = 7_001_000
+_HALF_RATE: Final = 2  # ticks: attitude, odometry, actuator outputs at 125 Hz
+_TRUTH_EVERY: Final = 2
+_STATUS_EVERY: Final = 50  # 5 Hz, and at once when something changes
+_HOST_EVERY: Final = 5  # ticks of 4 ms: lock polled and host time reported at 50 Hz
+_ASK_EVERY: Final = 25  # ticks: as often as the app measures the round trip
+_REPEAT_US: Final = 50_000  # MAVSDK repeats the last set-point at 20 Hz
+_NAN3 = (math.nan, math.nan, math.nan)
+# Looked up once: a class is asked for with every record.
+_PHASE_CHANGE: Final = PhaseChange
+_SET_POINT: Final = SetPoint
+FLIGHT_MODES: Final = {
+    VehicleAction.OFFBOARD: FlightMode.OFFBOARD,
+    VehicleAction.HOLD: FlightMode.HOLD,
+    VehicleAction.LAND: FlightMode.LAND,
+}
+
+
+class TelemetrySender:
+    """What one simulated vehicle sends, at the rates of the stream table.
+
+    Args:
+        vehicle: the sender.
+        begins: it has only now been switched on, and says its state at once.
+    """
+
+    def __init__(self, vehicle: SimulatedVehicle, begins: bool = True) -> None:
+        self._autopilot = a = vehicle.autopilot
+        self._status: tuple[object, ...] = () if begins else (a.armed, a.mode, a.landed, a.estimator.ok)
+        self._resets = -1
+
+    def due(self, ticks: int, received: int) -> Iterator[Telemetry]:
+        """The samples of a tick, received at a host time."""
+        a, t_us = self._autopilot, self._autopilot.time_us
+        e = a.estimator
+        if ticks % _HALF_RATE == 0:
+            # Stamped in milliseconds, as the MAVLink message is.
+            yield AttitudeSample(t_us // 1000 * 1000, received, e.q)
+            if e.ok:
+                yield OdometrySample(t_us, received, e.position, e.velocity)
+            yield ActuatorSample(t_us, received, a.motors)
+        yield ImuSample(a.imu.t_us, received, a.imu.specific_force_frd, a.imu.rate_frd)
+        if e.resets != self._resets:
+            self._resets = e.resets
+            yield EstimatorSample(t_us, received, e.resets)
+        status = (a.armed, a.mode, a.landed, e.ok)
+        if status != self._status or ticks % _STATUS_EVERY == 0:
+            self._status = status
+            volts = a.vehicle.simulation.battery_v
+            yield StatusSample(t_us, received, *status, volts, a.battery_remaining)
+
+
+class FastFlight:
+    """One simulated flight.
+
+    Args:
+        mission: what to fly.
+        seed: of every sensor's noise.
+        driver: `mock` or `px4`; the real servo controllers have no place in simulated time. A vehicle
+            without a lock has none.
+        faults: of the mock servo.
+        observe: sees every input with its number, every output and note with the number of its input.
+        fault: what goes wrong, and when.
+        world: what is drawn (`sim.draws`), where it differs from the mission.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        seed: int,
+        driver: LockDriver = LockDriver.MOCK,
+        faults: MockFaults | None = None,
+        observe: Observe | None = None,
+        fault: Fault | None = None,
+        world: DrawnWorld | None = None,
+    ) -> None:
+        self.mission = mission
+        true = mission if world is None else world.mission
+        self.vehicle = SimulatedVehicle(true, seed, driver)
+        self.autopilot = self.vehicle.autopilot
+        self.autopilot.say = self._on_text
+        self.deadman_s = mission.vehicle.guard.deadman_s
+        self._observe = observe
+        self.core = FlightCore(mission)
+        self._runner = CoreRunner(self.core, self, self._see, lambda: self.host_us)
+        self._ticks = 0
+        self._connected = False  # as the app: no telemetry is taken before the first request is answered
+        self._sender = TelemetrySender(self.vehicle)
+        self._twin_sender: TelemetrySender | None = None
+        self._texts: list[tuple[str, str]] = []
+        self._last_setpoint: SetPoint | None = None
+        self._repeated_us = 0
+        self._lock_states: list[LockState] = []
+        replans = mission.after_impact is AfterImpact.REPLAN
+        self._replanner = Replanner(mission) if replans else None
+        # Of the simulated computer: the answer comes after this time, however long it took here.
+        self._plan_us = round(true.vehicle.simulation.replan_latency_s * 1e6)
+        self._answers: list[tuple[int, PlanAnswer]] = []
+        operator_s = true.vehicle.simulation.operator_s
+        self._operator_us = None if operator_s is None else round(operator_s * 1e6)
+        self._word_us: int | None = None
+        self.mock: MockDriver | None = None
+        self.lock: LockSession | None = None
+        if mission.vehicle.lock is not None:
+            self.lock = self._make_lock(mission.vehicle.lock, driver, faults)
+        self.faulted = None if fault is None else FaultedFlight(self, fault, seed)
+
+    def _make_lock(self, lock: LockConfig, driver: LockDriver, faults: MockFaults | None) -> LockSession:
+        hardware: Driver
+        if driver is LockDriver.PX4:
+            hardware = Px4Driver(lock, self.autopilot.set_actuator)
+        else:
+            hardware = self.mock = MockDriver(lock, lambda: self.autopilot.time_us, faults=faults)
+        return LockSession(lock, hardware, lambda: self.autopilot.time_us, self._lock_states.append)
+
+    def run(self, limit_s: float = 180.0) -> None:
+        """Fly until the core says that it is over, or for `limit_s` seconds of simulated time."""
+        self.take(ClockOffset(self.host_us, 0))
+        if self.lock is not None:
+            self.lock.start()
+        while self.core.end is None and self.autopilot.now_s < limit_s and not self._orphaned:
+            self.tick()
+
+    @property
+    def _orphaned(self) -> bool:
+        return self.faulted is not None and self.faulted.app_dead and not self.autopilot.armed
+
+    @property
+    def host_us(self) -> int:
+        """The host's monotonic time as the app would read it, microseconds."""
+        # Of its own: the autopilot's clock may jump.
+        return round(self.autopilot.now_s * 1e6) + _HOST_OFFSET_US
+
+    def tick(self) -> None:
+        """4 ms: the vehicle, its telemetry, the lock."""
+        if self.faulted is not None:
+            self.faulted.tick()
+        if self.mock is not None:
+            self.vehicle.set_horn(self.mock.horn_pulse_us(self.autopilot.time_us))
+        self.vehicle.advance()
+        self._ticks += 1
+        self._truth()
+        if self._ticks % _ASK_EVERY == 1:
+            self._ask_time()
+        if self.faulted is not None and self.faulted.app_silent:
+            self._repeat()  # MAVSDK's own thread goes on
+            return
+        if self._ticks % _HOST_EVERY == 0:
+            if self.lock is not None:
+                self.lock.poll()
+            self.take(Tick(self.host_us))
+        while self._lock_states:
+            self.take(self._lock_states.pop(0))
+        while self._answers and self._answers[0][0] <= self.host_us:
+            self.take(self._answers.pop(0)[1])
+        if self._word_us is not None and self._word_us <= self.host_us:
+            self._word_us = None
+            self.take(OperatorRequest(self.host_us, Request.CONTINUE))
+        self._telemetry()
+        if self.faulted is not None:
+            for item in self.faulted.arrived():
+                self._arrive(item)
+        self._repeat()
+
+    def _truth(self) -> None:
+        plant = self.autopilot.plant
+        if self._ticks % _TRUTH_EVERY == 0:
+            self._runner.note(plant.truth())
+        while plant.finished:
+            self._runner.note(plant.finished.pop(0))
+
+    def _telemetry(self) -> None:
+        for item in self._sender.due(self._ticks, self.host_us):
+            self._receive(item)
+        if self.faulted is not None and self.faulted.twin is not None:
+            if self._twin_sender is None:
+                self._twin_sender = TelemetrySender(self.faulted.twin, begins=False)
+            for item in self._twin_sender.due(self._ticks, self.host_us):
+                self._receive(item)
+        while self._texts:
+            severity, text = self._texts.pop(0)
+            self._receive(StatusText(self.autopilot.time_us, self.host_us, severity, text))
+
+    def _receive(self, item: Telemetry) -> None:
+        if self.faulted is None:
+            self._arrive(item)
+        else:
+            self.faulted.send_in(item)
+
+    def _arrive(self, item: Telemetry) -> None:
+        self._connected = self._connected or isinstance(item, RoundTrip)
+        if self._connected:
+            self.take(item)
+
+    def _ask_time(self) -> None:
+        """TIMESYNC, as the app sends it."""
+        if self.faulted is None:
+            self.deliver(TimeRequest(self.host_us))
+        else:
+            self.faulted.send_out(TimeRequest(self.host_us))
+
+    def _on_text(self, severity: str, text: str) -> None:
+        self._texts.append((severity, text))
+
+    # -- the core and what it wants (`runner.Hands`) --
+
+    def take(self, item: Input) -> None:
+        """Give the core an input; from outside an operator's request or a fault's sample."""
+        self._runner.take(item)
+
+    def _see(self, record: Record, number: int) -> None:
+        if self._observe is not None:
+            self._observe(record, number)
+        if isinstance(record, _PHASE_CHANGE):
+            # Of the simulated operator, who ends every pause.
+            waits = record.after is Phase.PAUSE and self._operator_us is not None
+            self._word_us = self.host_us + (self._operator_us or 0) if waits else None
+        if self.faulted is not None:
+            self.faulted.sees(record)
+
+    def send(self, setpoint: SetPoint) -> None:
+        """A set-point leaves the app; it is repeated from now on."""
+        self._last_setpoint = setpoint
+        self._transmit(setpoint)
+
+    def carry_out(self, output: Output) -> None:
+        """Every other command of the core."""
+        if isinstance(output, VehicleCommand):
+            self._transmit(output.action)
+        elif isinstance(output, LockCommand | LockPermission):
+            self._order(output)
+        elif isinstance(output, PlanRequest) and self._replanner is not None:
+            due_us = self.host_us + self._plan_us
+            self._answers.append((due_us, self._replanner.answer(output, due_us)))
+        elif isinstance(output, WallFelt) and self._replanner is not None:
+            self._replanner.feel(output)
+        elif isinstance(output, Silence):
+            self._last_setpoint = None
+
+    def _order(self, order: LockCommand | LockPermission) -> None:
+        if self.lock is None:
+            return
+        if isinstance(order, LockCommand):
+            self.lock.command(order.mode)
+        else:
+            self.lock.permit(order.permitted)
+
+    def forget_setpoint(self) -> None:
+        """MAVSDK has gone with the process: nothing repeats the last set-point."""
+        self._last_setpoint = None
+
+    def _repeat(self) -> None:
+        if self._last_setpoint is not None and self.host_us - self._repeated_us >= _REPEAT_US:
+            self._transmit(self._last_setpoint)
+
+    def _transmit(self, order: SetPoint | VehicleAction) -> None:
+        """To the autopilot, over the link where that is faulty."""
+        self._repeated_us = self.host_us
+        if self.faulted is not None:
+            self.faulted.send_out(order)
+        else:
+            self.deliver(order)
+
+    def deliver(self, order: Order) -> None:
+        """A set-point, an action or a request arrives at the autopilot."""
+        if isinstance(order, _SET_POINT):
+            self.autopilot.set_trajectory(
+                TrajectorySetPoint(
+                    order.position_ned,
+                    order.velocity_ned or _NAN3,
+                    order.acceleration_ned or _NAN3,
+                    order.yaw_ned_rad,
+                )
+            )
+        elif isinstance(order, TimeRequest):
+            self._receive(RoundTrip(self.host_us, order.sent_us, self.autopilot.time_us))
+        else:
+            self._perform(order)
+
+    def _perform(self, action: VehicleAction) -> None:
+        a = self.autopilot
+        if action is VehicleAction.ARM:
+            ok = a.arm()
+        elif action in (VehicleAction.DISARM, VehicleAction.KILL):
+            ok = a.disarm(force=action is VehicleAction.KILL)
+        else:
+            ok = a.set_mode(FLIGHT_MODES[action])
+            if action is not VehicleAction.OFFBOARD:
+                self._last_setpoint = None
+        self.take(CommandResult(a.time_us, action.value, ok, "" if ok else "denied"))
+
+
+class FlownFast(NamedTuple):
+    """A fast flight with everything that was recorded of it."""
+
+    verdict: Verdict
+    record: FlightRecord
+
+
+def fly_fast(
+    mission: Mission,
+    seed: int,
+    log_dir: Path | None,
+    progress: Onlooker | None = None,
+    lock_faults: MockFaults | None = None,
+    fault: Fault | None = None,
+    spreads: Mapping[str, float] | None = None,
+) -> Verdict:
+    """Fly in process in simulated time; `log_dir` None leaves no log (campaigns).
+
+    `lock_faults` are those of the mock servo from the start on; `fault` is what goes wrong, and when;
+    `spreads` says what is drawn anew by the seed (`sim.draws`).
+
+    Raises:
+        InputError: the log cannot be written, or the lock driver has no place in simulated time.
+    """
+    return fly_recorded(
+        mission, seed, log_dir, progress, lock_faults, fault, spreads, in_memory=False
+    ).verdict
+
+
+def simulated_driver(mission: Mission) -> LockDriver:
+    """The mission's lock driver; without a lock it does not matter.
+
+    Raises:
+        InputError: it has no place in simulated time.
+    """
+    driver = mission.vehicle.lock_driver or LockDriver.MOCK
+    if driver not in (LockDriver.MOCK, LockDriver.PX4):
+        raise InputError(f"the lock driver {driver.value} cannot be simulated, only mock and px4")
+    return driver
+
+
+def fly_recorded(
+    mission: Mission,
+    seed: int,
+    log_dir: Path | None,
+    progress: Onlooker | None = None,
+    lock_faults: MockFaults | None = None,
+    fault: Fault | None = None,
+    spreads: Mapping[str, float] | None = None,
+    *,
+    in_memory: bool = True,
+) -> FlownFast:
+    """As `fly_fast`, with the log: where none goes to disk it is kept in memory.
+
+    Raises:
+        InputError: as `fly_fast`.
+    """
+    driver = simulated_driver(mission)
+    world = draw_world(mission, seed, spreads or {})
+    faults = lock_faults or world.lock_faults
+    record = FlightRecord(mission, World.FAST, seed, log_dir, world.drawn, in_memory=in_memory)
+    if progress is not None:
+        record.onlookers.append(progress)
+        record.notice = progress
+    FastFlight(mission, seed, driver, faults=faults, observe=record, fault=fault, world=world).run()
+    record.close()
+    return FlownFast(record.build(), record)

@@ -1,0 +1,140 @@
+"""What is kept of one flight: its log, its verdict, and its onlookers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import msgspec
+
+from dart_flight.base.records import LogFailure, Record, World
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission
+from dart_flight.config.provenance import shown_path
+from dart_flight.recording.about import describe_flight
+from dart_flight.recording.found import LOG_NAME
+from dart_flight.recording.memory import MemoryLog
+from dart_flight.recording.reader import Log, read_log
+from dart_flight.recording.verdict import Verdict, VerdictBuilder
+from dart_flight.recording.writer import FlightLog, new_flight_folder
+
+Onlooker = Callable[[Record], None]
+
+
+class FlightRecord:
+    """Takes every record of one flight, in order; call it with a record and its number.
+
+    Args:
+        mission: what is flown.
+        world: in which world.
+        seed: of a simulated flight.
+        log_dir: where the flight's folder goes; None: no log on disk (campaigns).
+        drawn: what the simulated world was drawn as, name -> value.
+        in_memory: keep the log in memory where none goes to disk.
+
+    Attributes:
+        onlookers: called with every record, on the thread that took it.
+        viewers: likewise, and with the truth of a simulated vehicle on its own thread; must not block.
+        notice: told once that the log has failed, on the thread that took a record.
+
+    Raises:
+        InputError: the log cannot be written.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        world: World,
+        seed: int | None,
+        log_dir: Path | None,
+        drawn: Mapping[str, float | str] | None = None,
+        *,
+        in_memory: bool = False,
+    ) -> None:
+        self._world, self._seed, self._drawn = world, seed, dict(drawn or {})
+        self.verdict = VerdictBuilder(mission)
+        # Asked here, not by `verdict.take`: most kinds of records matter to it nothing, and are passed over.
+        self._takers = self.verdict.takers
+        self.onlookers: list[Onlooker] = []
+        self.viewers: list[Onlooker] = []
+        self.notice: Onlooker = lambda record: None
+        self._fails = False
+        self._log: FlightLog | MemoryLog | None = None
+        if log_dir is not None or in_memory:
+            about = _describe(mission, world, seed, self._drawn)
+            self._log = MemoryLog(about) if log_dir is None else _open_log(mission.name, log_dir, about)
+
+    @property
+    def path(self) -> Path:
+        """The log's file."""
+        assert isinstance(self._log, FlightLog)
+        return self._log.path
+
+    @property
+    def log(self) -> Log:
+        """The log: that in memory, or read from its file."""
+        return self._log.log if isinstance(self._log, MemoryLog) else read_log(self.path)
+
+    @property
+    def folder(self) -> Path:
+        """The flight's folder."""
+        return self.path.parent
+
+    def __call__(self, record: Record, number: int) -> None:
+        """Take a record with the number of the input that it is or follows from."""
+        log = self._log
+        if log is not None:
+            log.put(record, number)
+            if not self._fails and log.shortfall is not None:
+                self._tell_failure(log.shortfall, getattr(record, "t_us", 0))
+        take = self._takers.get(type(record))
+        if take is not None:
+            take(record)
+        for onlooker in self.onlookers:
+            onlooker(record)
+        for viewer in self.viewers:
+            viewer(record)
+
+    def _tell_failure(self, why: str, t_us: int) -> None:
+        self._fails = True
+        failure = LogFailure(t_us, why.partition(",")[0])
+        for tell in (self.notice, *self.viewers):
+            tell(failure)
+
+    def truth(self, record: Record) -> None:
+        """Take a record of the simulated vehicle that comes beside the core's inputs."""
+        if self._log is not None:
+            self._log.put(record, 0)
+        self.verdict.take(record)
+        for viewer in self.viewers:
+            viewer(record)
+
+    def close(self) -> None:
+        """End the log."""
+        if self._log is not None:
+            self._log.close()
+
+    def build(self, px4_log: Path | None = None) -> Verdict:
+        """The verdict so far; `px4_log` is PX4's own log, where there is one."""
+        log = shown_path(self.path) if isinstance(self._log, FlightLog) else None
+        kept = shown_path(px4_log) if px4_log is not None and px4_log.exists() else None
+        built = self.verdict.build(self._world, self._seed, log, kept)
+        built.drawn = self._drawn
+        built.log_failure = self._log.shortfall if self._log is not None else None
+        return built
+
+
+def _describe(
+    mission: Mission, world: World, seed: int | None, drawn: Mapping[str, float | str]
+) -> dict[str, str]:
+    about = describe_flight(mission, world, seed)
+    if drawn:
+        about["drawn"] = msgspec.json.encode(drawn).decode()
+    return about
+
+
+def _open_log(name: str, log_dir: Path, about: dict[str, str]) -> FlightLog:
+    try:
+        return FlightLog(new_flight_folder(log_dir, name) / LOG_NAME, about)
+    except OSError as error:
+        raise InputError(f"cannot write the flight log: {error.strerror}", source=str(log_dir)) from None

@@ -1,0 +1,330 @@
+"""What a vehicle's telemetry shows of force and contact, without flying it: the core's senses alone.
+
+`Watcher` is handed every record by MAVSDK's thread; estimator and detector work through them a few times a
+second on another, which takes a third of what it takes one by one as they come. `view` is what a screen shows
+of it. Nothing is ever sent to the vehicle beside requests for streams that come too slowly: on a link shared
+with a flying `dart-flight` none is slowed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import get_args
+
+import msgspec
+
+from dart_flight.base.geometry import MissionFrame, Vec3
+from dart_flight.base.records import (
+    ActuatorSample,
+    AttitudeSample,
+    ForceEstimate,
+    ImpactPeak,
+    ImuSample,
+    Input,
+    LandedState,
+    LockState,
+    OdometrySample,
+    PhaseChange,
+    PlanTaken,
+    Record,
+    StatusText,
+    WallFelt,
+)
+from dart_flight.base.streams import STREAMS
+from dart_flight.config.mission import Mission
+from dart_flight.core.sense.detector import Expected
+from dart_flight.core.sense.senses import Senses
+from dart_flight.lock.state_machine import status_text
+from dart_flight.recording.follow import LogFollower
+from dart_flight.vehicle.clock import host_us
+from dart_flight.vehicle.session import VehicleSession, connect
+
+_STREAM_OF = {
+    ImuSample: "imu",
+    AttitudeSample: "attitude",
+    OdometrySample: "odometry",
+    ActuatorSample: "actuator",
+}
+_RATE_WINDOW_S = 1.0
+_WORK_S = 0.05  # nobody sees more pictures a second; a log's writer hands over as often
+_INPUTS = get_args(Input)
+
+
+class StreamView(msgspec.Struct):
+    """One stream: measured rate, what a mission needs, age of the newest sample; null before the first."""
+
+    name: str
+    rate_hz: float
+    expected_hz: float
+    age_ms: float | None
+
+
+class WallView(msgspec.Struct):
+    """What a contact has taught of a wall: k, f, mu as believed before (prior) and since (posterior), with
+    the relative standard deviation of the latter; the mode felt is null where undecided."""
+
+    wall: str
+    mode_felt: str | None
+    prior: Vec3
+    posterior: Vec3
+    posterior_sd: Vec3
+
+
+class Screen(msgspec.Struct):
+    """What a screen shows; forces in newton, along the axes of the frame named."""
+
+    time_s: float
+    frame: str
+    force_n: Vec3 | None
+    filtered_n: Vec3 | None
+    sigma_n: float | None
+    clipped: bool
+    detection: str
+    peaks: list[tuple[float, float, float]]  # age in s, normal and tangential force in newton
+    thrust_source: str | None
+    noise_m_s2: float
+    thrust_scale: float
+    bias_m_s2: tuple[float, float]
+    streams: list[StreamView]
+    armed: bool
+    flight_mode: str
+    landed: str
+    battery_v: float | None
+    phase: str | None
+    lock: str | None  # none: the vehicle has no lock
+    cpu_percent: float
+    walls: list[WallView] = msgspec.field(default_factory=list)  # only of a flight of ours
+    plan: str | None = None  # what became of the newest plan made in flight
+
+
+class Watcher:
+    """Estimator and detector on live telemetry.
+
+    Args:
+        mission: where the frame and the vehicle's configuration come from.
+        placed: the mission's frame lies where the mission says; otherwise forces are shown in NED.
+        viewer: sees every record that comes, and what the senses make of it; must not block.
+    """
+
+    def __init__(
+        self, mission: Mission, placed: bool, viewer: Callable[[Record], None] = lambda record: None
+    ) -> None:
+        self._came: deque[Input] = deque()  # and not yet worked through
+        self._viewer = viewer
+        self._senses = Senses(mission)
+        self._placed = placed
+        # North, west, up: the mission frame with heading 0 is what is shown where no mission is given.
+        self._senses.state.anchor(mission.frame_at((0.0, 0.0, 0.0)) if placed else MissionFrame())
+        self.estimation, self.motors = mission.vehicle.estimation, len(mission.vehicle.airframe.motors)
+        self._estimate: ForceEstimate | None = None
+        self._peaks: deque[ImpactPeak] = deque(maxlen=5)
+        self._counts: dict[str, deque[int]] = {s.name: deque() for s in STREAMS}
+        self._phase: str | None = None
+        self._lock: str | None = None if mission.vehicle.has_lock else "none"
+        self._materials = {w.name: mission.vehicle.materials[w.material] for w in mission.walls}
+        self._walls: dict[str, WallView] = {}
+        self._plan: str | None = None
+        self._began_us = host_us()
+        self._cpu = (time.monotonic(), time.process_time())
+
+    def take_record(self, record: Record) -> None:
+        """A record of a flight's log: inputs as from telemetry, and the phase."""
+        if isinstance(record, PhaseChange):
+            self._phase = record.after.value
+        elif isinstance(record, WallFelt):
+            self._take_wall(record)
+        elif isinstance(record, PlanTaken):
+            self._plan = "flown" if record.taken else f"not flown: {record.reason}"
+        elif isinstance(record, _INPUTS):
+            self._work_through(record)
+
+    def _take_wall(self, felt: WallFelt) -> None:
+        mode = felt.mode_felt or felt.mode_reported
+        if mode is None or felt.wall not in self._materials:
+            return
+        prior = self._materials[felt.wall].of(mode)
+        self._walls[felt.wall] = WallView(
+            felt.wall,
+            None if felt.mode_felt is None else felt.mode_felt.value,
+            (prior.k, prior.f, prior.mu),
+            (felt.k_n_per_m, felt.f_ns_per_m, felt.mu_s_per_m),
+            (felt.k_sd, felt.f_sd, felt.mu_sd),
+        )
+
+    def take(self, item: Input) -> None:
+        """A record of the telemetry, for `work`; any thread, never blocks."""
+        self._came.append(item)
+
+    def work(self) -> None:
+        """Work through what came, in its order."""
+        while self._came:
+            self._work_through(self._came.popleft())
+
+    def _work_through(self, item: Input) -> None:
+        self._viewer(item)
+        for record in self._take(item):
+            self._viewer(record)
+
+    def _take(self, item: Input) -> list[Record]:
+        """What the senses make of it: an estimate, and the impacts found in it."""
+        name = _STREAM_OF.get(type(item))
+        if name is not None:
+            # The host's clock is the machine's: for a log that a flight here is writing, too.
+            self._counts[name].append(getattr(item, "received_us", 0))
+        if isinstance(item, StatusText):
+            self._read_text(item.text)
+            return []
+        if isinstance(item, LockState):
+            self._lock = status_text(item).removeprefix("lock ")
+        sensed = self._senses.take(item, Expected(self._in_air))
+        if sensed.estimate is None:
+            return []
+        self._estimate = sensed.estimate
+        self._peaks.extend(event for event in sensed.impacts if isinstance(event, ImpactPeak))
+        return [sensed.estimate, *sensed.impacts]
+
+    @property
+    def _in_air(self) -> bool:
+        return self._senses.state.status.landed is LandedState.IN_AIR
+
+    def _read_text(self, text: str) -> None:
+        # A flying `dart-flight` tells the ground of its lock and its phase in STATUSTEXT.
+        if text.startswith("lock "):
+            self._lock = text.removeprefix("lock ")
+        elif text.startswith("phase "):
+            self._phase = text.removeprefix("phase ")
+
+    def view(self) -> Screen:
+        """The present state for a screen."""
+        self.work()
+        now, state, e = host_us(), self._senses.state, self._estimate
+        newest = state.imu.t_us if state.imu else 0
+        source = self._senses.estimator.thrust.source
+        hover = self._senses.estimator.hover
+        return Screen(
+            time_s=(now - self._began_us) * 1e-6,
+            frame="mission" if self._placed else "north, west, up",
+            force_n=e.force_mission if e else None,
+            filtered_n=e.filtered_mission if e else None,
+            sigma_n=math.sqrt(max(0.0, 0.5 * (e.variance_n2[0] + e.variance_n2[1]))) if e else None,
+            clipped=e.clipped if e else False,
+            detection=self._senses.detector.stage if self._in_air else "not watching: on the ground",
+            peaks=[
+                ((newest - p.t_us) * 1e-6, p.normal_force_n, p.tangential_force_n)
+                for p in reversed(self._peaks)
+            ],
+            thrust_source=source.value if source else None,
+            noise_m_s2=hover.noise_m_s2,
+            thrust_scale=hover.scale,
+            bias_m_s2=(hover.bias_x, hover.bias_y),
+            streams=[
+                self._stream(s.name, s.expected_hz, now) for s in STREAMS if s.name in _STREAM_OF.values()
+            ],
+            armed=state.status.armed,
+            flight_mode=state.status.flight_mode.value,
+            landed=state.status.landed.value,
+            battery_v=state.status.battery_v,
+            phase=self._phase,
+            lock=self._lock,
+            cpu_percent=self._cpu_percent(),
+            walls=list(self._walls.values()),
+            plan=self._plan,
+        )
+
+    def _stream(self, name: str, expected_hz: float, now: int) -> StreamView:
+        seen = self._counts[name]
+        newest = seen[-1] if seen else None
+        while seen and seen[0] < now - _RATE_WINDOW_S * 1e6:
+            seen.popleft()
+        age = (now - newest) * 1e-3 if newest is not None else None
+        return StreamView(name, len(seen) / _RATE_WINDOW_S, expected_hz, age)
+
+    def _cpu_percent(self) -> float:
+        wall, busy = time.monotonic(), time.process_time()
+        share = 100.0 * (busy - self._cpu[1]) / max(1e-3, wall - self._cpu[0])
+        self._cpu = (wall, busy)
+        return share
+
+
+async def _raise_rates(watcher: Watcher, session: VehicleSession) -> None:
+    """Ask for the streams that come at less than a mission needs."""
+    await asyncio.sleep(1.5 * _RATE_WINDOW_S)
+    slow = [s.name for s in watcher.view().streams if s.rate_hz < s.expected_hz]
+    await session.set_rates(slow, watching=True)
+
+
+async def watch(
+    watcher: Watcher,
+    url: str,
+    timeout_s: float,
+    show: Callable[[Screen], None],
+    period_s: float,
+    seconds: float | None,
+    opened: Callable[[], None] = lambda: None,
+) -> None:
+    """Connect as a ground station, run the watcher, show a view every period, until cancelled or time is up.
+
+    Where nothing answers that time is not waited for in vain: it ends after `seconds`, too.
+
+    Raises:
+        VehicleError: no autopilot at the URL.
+    """
+    wait_s = timeout_s if seconds is None else min(timeout_s, seconds)
+    async with connect(url, wait_s, watcher.take, ground=True, opened=opened) as session:
+        session.subscribe(watcher.estimation, watcher.motors, guarded=False)
+        rates = asyncio.create_task(_raise_rates(watcher, session))
+        end = None if seconds is None else time.monotonic() + seconds
+        shown_s = time.monotonic()
+        try:
+            while end is None or time.monotonic() < end:
+                await asyncio.sleep(_WORK_S)
+                watcher.work()
+                if time.monotonic() - shown_s >= period_s:
+                    shown_s = time.monotonic()
+                    show(watcher.view())
+        finally:
+            rates.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await rates
+
+
+def follow(
+    watcher: Watcher,
+    log: LogFollower,
+    show: Callable[[Screen], None],
+    period_s: float,
+    seconds: float | None,
+    flying: Callable[[], bool],
+    viewer: Callable[[Record], None] = lambda record: None,
+) -> None:
+    """Run the watcher on the log of a flight under way, show a view every period; `viewer` sees every record.
+
+    Neither link nor flight take part. Ends when time is up, the log is finished, or the flight's process is
+    gone.
+
+    Raises:
+        OSError: the log cannot be read.
+        ValueError: it is damaged.
+    """
+    end = None if seconds is None else time.monotonic() + seconds
+    shown_s = -math.inf
+    while end is None or time.monotonic() < end:
+        alive = flying()  # before reading: what it wrote last is still read
+        entries = log.read()
+        for entry in entries:
+            watcher.take_record(entry.record)
+            viewer(entry.record)
+        now = time.monotonic()
+        if now - shown_s >= period_s:
+            shown_s = now
+            show(watcher.view())
+        if log.ended or (not alive and not entries):
+            break
+        if not entries:
+            time.sleep(_WORK_S)
+    show(watcher.view())

@@ -1,0 +1,101 @@
+"""The planner of a flight in real time: a process of its own, so that its computing costs the core nothing.
+
+Requests, and what was felt before them, go in and answers come out as lines of JSON. A planner that dies or
+hangs is a planner that does not answer: the flight goes on by the paper's set-point.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from typing import BinaryIO
+
+import msgspec
+
+from dart_flight.base.processes import end_of_input
+from dart_flight.base.records import PlanAnswer, PlanRequest, WallFelt
+from dart_flight.config.mission import Mission
+from dart_flight.planning.replanning import Replanner
+from dart_flight.vehicle.clock import host_us
+
+_NICE = 5  # below the flight: set-points go first
+_END_S = 1.0
+_FELT, _ASKED = b"w", b"p"  # what a line holds
+
+
+class PlannerProcess:
+    """Planner of one mission.
+
+    Args:
+        mission: what is flown.
+        deliver: takes every answer, on a thread of the planner's; must not block.
+
+    Raises:
+        OSError: the process cannot be started.
+    """
+
+    def __init__(self, mission: Mission, deliver: Callable[[PlanAnswer], None]) -> None:
+        self._deliver = deliver
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "dart_flight.run.replanner_process"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            start_new_session=True,  # Ctrl-C is the app's business
+        )
+        assert self.process.stdin is not None
+        self._write(msgspec.json.encode(mission))
+        os.set_blocking(self.process.stdin.fileno(), False)
+        threading.Thread(target=self._read, name="planner", daemon=True).start()
+
+    def feel(self, felt: WallFelt) -> None:
+        """Pass on what a contact has taught; never blocks."""
+        self._write(_FELT + msgspec.json.encode(felt))
+
+    def ask(self, request: PlanRequest) -> None:
+        """Send a request; never blocks. Where there is no planner any more the answer says so at once."""
+        if self.process.poll() is None and self._write(_ASKED + msgspec.json.encode(request)):
+            return
+        self._deliver(PlanAnswer(host_us(), request.number, request.begin_us, problem="the planner has died"))
+
+    def stop(self) -> None:
+        """End it."""
+        end_of_input(self.process, _END_S)
+
+    def _write(self, line: bytes) -> bool:
+        assert self.process.stdin is not None
+        try:
+            self.process.stdin.write(line + b"\n")
+            self.process.stdin.flush()
+        except (OSError, ValueError):
+            return False
+        return True
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        decode = msgspec.json.Decoder(PlanAnswer).decode
+        for line in self.process.stdout:
+            with contextlib.suppress(msgspec.MsgspecError):
+                self._deliver(msgspec.structs.replace(decode(line), received_us=host_us()))
+
+
+def serve(requests: BinaryIO, answers: BinaryIO) -> None:
+    """Answer requests until there are no more; the first line is the mission."""
+    replanner = Replanner(msgspec.json.decode(requests.readline(), type=Mission))
+    for line in requests:
+        if line.startswith(_FELT):
+            replanner.feel(msgspec.json.decode(line[1:], type=WallFelt))
+        else:
+            request = msgspec.json.decode(line[1:], type=PlanRequest)
+            answers.write(msgspec.json.encode(replanner.answer(request, 0)) + b"\n")
+            answers.flush()
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.nice(_NICE)
+    serve(sys.stdin.buffer, sys.stdout.buffer)

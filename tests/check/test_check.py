@@ -1,0 +1,379 @@
+"""`check`: what is wrong with a mission or a vehicle is a no-go with a name, which alone overrules it."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from dart_flight.base.records import Record, TruthContact, TruthSample
+from dart_flight.check.findings import Finding, decide
+from dart_flight.check.mission import check_mission
+from dart_flight.check.parameters import (
+    IMU_POSITION,
+    PARAMETERS,
+    judge_claim,
+    judge_parameters,
+    judge_position,
+    names_to_read,
+    position_source,
+)
+from dart_flight.check.vehicle import judge_lock, judge_observation
+from dart_flight.cli import main
+from dart_flight.config.document import Document, InputError
+from dart_flight.config.mission import BoundsSpec, CollisionPrediction, Mission, parse_mission
+from dart_flight.config.parameters import PositionSource, vehicle_parameters
+from dart_flight.config.vehicle import LockDriver
+from dart_flight.lock.drivers.px4 import required_parameters
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.prepare import load_flyable, with_driver, with_standoff
+from dart_flight.vehicle.ground_link import Observation
+from tests.flights.test_embedded_flights import simulated_vehicle
+
+ROOT = Path(__file__).parents[2]
+DUAL = (ROOT / "missions/paper_dual_collision.yaml").read_text()
+
+
+def mission(old: str = "", new: str = "") -> Mission:
+    assert old in DUAL
+    return parse_mission(Document(DUAL.replace(old, new, 1), str(ROOT / "missions/x.yaml")))
+
+
+def no_goes(findings: list[Finding]) -> list[str]:
+    return [f.item for f in findings if not f.go]
+
+
+def test_the_missions_in_the_repository_are_go() -> None:
+    for path in sorted((ROOT / "missions").glob("*.yaml")):
+        assert main(["check", str(path)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "item"),
+    [
+        ("peak_force_n: 150.0", "peak_force_n: 12.0", "force_1"),
+        ("normal_m_s: -0.6, tangential_m_s: 0.5", "normal_m_s: -0.15, tangential_m_s: 0.125", "force_1"),
+        ("goal: {position_m: [1.0, -0.5]", "goal: {position_m: [1.0, -1.0]", "goal_clearance"),
+        ("y: [-1.6, 2.0]", "y: [-1.05, 2.0]", "wall_bounds"),
+        ("alpha_m_per_n: [0.12, 0.025]", "alpha_m_per_n: [0.01, 0.025]", "recovery_1"),
+    ],
+)
+def test_what_is_wrong_is_a_no_go(old: str, new: str, item: str) -> None:
+    assert item in no_goes(check_mission(mission(old, new)))
+
+
+def test_a_run_up_without_room_is_a_no_go() -> None:
+    tight = msgspec.structs.replace(
+        mission(), start=(0.9, -0.9), bounds=BoundsSpec((0.85, 2.2), (-1.6, 2), (0.3, 2))
+    )
+    assert "approach_1" in no_goes(check_mission(tight))
+
+
+def test_a_lock_that_cannot_be_in_time_is_a_no_go() -> None:
+    plain = mission()
+    first, second = plain.collisions
+    predicted = {"normal_m_s": -0.6, "tangential_m_s": 0.5, "peak_force_n": 20.0, "contact_time_s": 0.12}
+    one = {"t_s": 2.0, "position_m": (0.9, -1.1), **predicted}
+    two = {"t_s": 2.3, "position_m": (1.65, -0.8), **predicted}
+    with_times = [
+        msgspec.structs.replace(c, predicted=msgspec.convert(p, CollisionPrediction))
+        for c, p in ((first, one), (second, two))
+    ]
+    rushed = msgspec.structs.replace(plain, collisions=tuple(with_times))
+    assert "servo_2" in no_goes(check_mission(rushed))
+
+
+def test_only_a_no_go_can_be_overruled() -> None:
+    weak = mission("peak_force_n: 150.0", "peak_force_n: 12.0")
+    findings = check_mission(weak)
+    assert not decide(weak, findings).go
+    report = decide(weak, findings, ["force_1"])
+    assert report.go
+    assert [f.item for f in report.findings if f.overruled] == ["force_1"]
+    with pytest.raises(InputError, match="force_1"):
+        decide(weak, findings, ["places"])
+
+
+def test_the_command_says_no_go_with_exit_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "m.yaml"
+    text = DUAL.replace("../configs", str(ROOT / "configs")).replace(
+        "peak_force_n: 150.0", "peak_force_n: 12"
+    )
+    path.write_text(text)
+    assert main(["check", str(path), "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["go"] is False
+    assert "force_1" in [f["item"] for f in told["findings"] if not f["go"]]
+    assert main(["check", str(path), "--overrule", "force_1"]) == 0
+    assert main(["check", str(path), "--overrule", "force_9"]) == 2
+
+
+V1_16, V1_18 = (1, 16), (1, 18)
+
+
+def shipped(version: tuple[int, int]) -> dict[str, float]:
+    """What our files set on a vehicle of a version."""
+    wanted = vehicle_parameters(PositionSource.MOCAP).values()
+    return {p.name: float(p.value) for p in wanted if not p.is_absent_in(version)}
+
+
+GOOD = {
+    **shipped(V1_16),
+    "COM_OF_LOSS_T": 1.0,
+    "COM_LKDOWN_TKO": 3.0,
+    "COM_DISARM_LAND": 2.0,
+}
+
+
+def remarks(findings: list[Finding]) -> list[str]:
+    return [f.item for f in findings if f.remark]
+
+
+def test_a_vehicle_set_up_by_our_files_is_go_without_a_remark() -> None:
+    findings = judge_parameters(mission(), GOOD, PositionSource.MOCAP)
+    assert not no_goes(findings)
+    assert not remarks(findings)
+    assert set(PARAMETERS) - {"MAN_OVERRIDE_SPD"} == {f.item for f in findings}
+    assert all(len(f.says.split()) >= 3 for f in findings)
+
+
+NEWER = GOOD | shipped(V1_18)
+for went in ("COM_RC_OVERRIDE", "COM_IMB_PROP_ACT", "COM_LKDOWN_TKO"):
+    NEWER.pop(went)
+
+
+@pytest.mark.parametrize("version", [V1_18, None])
+def test_a_vehicle_of_a_version_that_has_renamed_and_dropped_parameters_is_go(
+    version: tuple[int, int] | None,
+) -> None:
+    """v1.18 has MAN_OVERRIDE_SPD instead of COM_RC_OVERRIDE, no COM_IMB_PROP_ACT, no COM_LKDOWN_TKO."""
+    findings = judge_parameters(mission(), NEWER, PositionSource.MOCAP, version)
+    assert not no_goes(findings)
+    assert not remarks(findings)
+    assert {"MAN_OVERRIDE_SPD"} == {f.item for f in findings} - set(GOOD)
+    assert not {"COM_RC_OVERRIDE", "COM_IMB_PROP_ACT"} & {f.item for f in findings}
+    unable = judge_parameters(mission(), {**NEWER, "MAN_OVERRIDE_SPD": -1.0}, PositionSource.MOCAP, version)
+    assert no_goes(unable) == ["MAN_OVERRIDE_SPD"]
+
+
+@pytest.mark.parametrize("name", ["COM_RC_OVERRIDE", "COM_IMB_PROP_ACT"])
+def test_a_parameter_that_the_version_has_and_that_was_not_read_is_a_no_go(name: str) -> None:
+    missing = {n: value for n, value in GOOD.items() if n != name}
+    assert no_goes(judge_parameters(mission(), missing, PositionSource.MOCAP, V1_16)) == [name]
+    without_both = {n: v for n, v in missing.items() if n not in ("COM_RC_OVERRIDE", "COM_IMB_PROP_ACT")}
+    assert set(no_goes(judge_parameters(mission(), without_both, PositionSource.MOCAP))) == {
+        "COM_RC_OVERRIDE",
+        "COM_IMB_PROP_ACT",
+        "MAN_OVERRIDE_SPD",
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("COM_OF_LOSS_T", 10.0),
+        ("COM_OBL_RC_ACT", 3.0),
+        ("COM_OBL_RC_ACT", 7.0),
+        ("COM_RC_OVERRIDE", 1.0),
+        ("NAV_RCL_ACT", 2.0),
+        ("COM_IMB_PROP_ACT", 1.0),
+        ("FD_FAIL_R", 30.0),
+        ("IMU_GYRO_RATEMAX", 100.0),
+        ("MPC_XY_P", 1.5),
+    ],
+)
+def test_a_dangerous_parameter_is_a_no_go(name: str, value: float) -> None:
+    findings = judge_parameters(mission(), {**GOOD, name: value}, PositionSource.MOCAP)
+    assert no_goes(findings) == [name]
+    assert [f.item for f in findings].count(name) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("COM_FAIL_ACT_T", 5.0, "COM_FAIL_ACT_T is 5, wanted 0: Land at once"),
+        ("EKF2_EV_DELAY", 40.0, "wanted 10: Measure yours"),
+        ("EKF2_GPS_CTRL", 7.0, "wanted 0: No GPS in the room"),
+        (
+            "COM_OBL_RC_ACT",
+            5.0,
+            "when set-points are lost: hold; recommended 4, not 5: Companion computer lost",
+        ),
+        ("COM_RC_OVERRIDE", 2.0, "sticks take over in offboard; recommended 3, not 2"),
+        ("IMU_GYRO_RATEMAX", 400.0, "at up to 400 Hz; recommended 800"),
+    ],
+)
+def test_another_difference_is_a_remark_with_the_files_reason(name: str, value: float, words: str) -> None:
+    findings = judge_parameters(mission(), {**GOOD, name: value}, PositionSource.MOCAP)
+    assert not no_goes(findings)
+    assert remarks(findings) == [name]
+    says = next(f.says for f in findings if f.item == name)
+    assert words in says
+    assert vehicle_parameters(PositionSource.MOCAP)[name].reason in says
+
+
+def test_the_imus_place_is_compared_with_the_configuration() -> None:
+    """PX4's own and `imu.position_m` mean the same three metres; a difference is a remark, and names both."""
+    names = dict.fromkeys(IMU_POSITION, 0.0)
+    assert set(IMU_POSITION) <= set(names_to_read())
+    as_configured = judge_parameters(mission(), {**GOOD, **names}, PositionSource.MOCAP)
+    assert not [f for f in as_configured if f.item in IMU_POSITION]
+    assert not no_goes(as_configured)
+    moved = judge_parameters(mission(), {**GOOD, **names, "EKF2_IMU_POS_Y": 0.03}, PositionSource.MOCAP)
+    (found,) = [f for f in moved if f.item in IMU_POSITION]
+    assert (found.item, found.remark) == ("EKF2_IMU_POS_Y", True)
+    assert "0.03 m on the vehicle, 0 m in imu.position_m" in found.says
+    assert not no_goes(moved)
+
+
+def test_what_cannot_be_read_is_no_go_where_it_can_hurt_and_a_remark_elsewhere() -> None:
+    silent = judge_parameters(mission(), {}, PositionSource.RTK)
+    assert set(no_goes(silent)) == set(PARAMETERS)
+    assert set(remarks(silent)) == set(vehicle_parameters(PositionSource.RTK)) - set(no_goes(silent))
+
+
+def test_every_compared_parameter_is_read() -> None:
+    names = names_to_read()
+    assert len(names) == len(set(names))
+    for source in PositionSource:
+        assert set(vehicle_parameters(source)) <= set(names)
+
+
+@pytest.mark.parametrize(
+    ("values", "fix", "source"),
+    [
+        ({"EKF2_EV_CTRL": 11.0, "EKF2_GPS_CTRL": 0.0}, None, PositionSource.MOCAP),
+        ({"EKF2_EV_CTRL": 11.0, "EKF2_GPS_CTRL": 7.0}, "fix_3d", PositionSource.MOCAP),
+        ({"EKF2_EV_CTRL": 0.0, "EKF2_GPS_CTRL": 7.0}, "rtk_fixed", PositionSource.RTK),
+        ({"EKF2_EV_CTRL": 0.0, "EKF2_GPS_CTRL": 7.0}, "rtk_float", PositionSource.PLAIN),
+        ({"EKF2_EV_CTRL": 0.0, "EKF2_GPS_CTRL": 7.0}, None, PositionSource.PLAIN),
+        ({"EKF2_EV_CTRL": 8.0, "EKF2_GPS_CTRL": 2.0}, "rtk_fixed", None),  # yaw and height only
+        ({}, None, None),
+    ],
+)
+def test_where_the_position_comes_from(
+    values: dict[str, float], fix: str | None, source: PositionSource | None
+) -> None:
+    assert position_source(values, fix) is source
+
+
+@pytest.mark.parametrize(
+    ("found", "fix", "claimed", "go", "words"),
+    [
+        (PositionSource.MOCAP, None, None, True, "motion capture"),
+        (PositionSource.MOCAP, None, PositionSource.RTK, False, "not rtk, as said"),
+        (PositionSource.RTK, "rtk_fixed", None, True, "GPS, rtk fixed"),
+        (PositionSource.RTK, "rtk_fixed", PositionSource.MOCAP, False, "comes from GPS (rtk fixed)"),
+        (PositionSource.PLAIN, "fix_3d", None, False, "a wall mission needs RTK or motion capture"),
+        (PositionSource.PLAIN, "rtk_float", PositionSource.RTK, False, "comes from GPS (rtk float)"),
+        (None, None, None, False, "neither motion capture"),
+    ],
+)
+def test_the_position_must_be_good_enough_for_a_wall(
+    found: PositionSource | None, fix: str | None, claimed: PositionSource | None, go: bool, words: str
+) -> None:
+    (finding,) = judge_position(mission(), found, fix, claimed)
+    assert (finding.item, finding.go) == ("position_source", go)
+    assert words in finding.says
+
+
+def test_a_surveyed_room_means_nothing_to_gps() -> None:
+    moved = msgspec.structs.replace(mission(), start=(0.5, 0.0))
+    assert no_goes(judge_claim(moved, PositionSource.RTK)) == ["frame"]
+    assert no_goes(judge_claim(moved, PositionSource.MOCAP)) == []
+
+
+def test_plain_gps_is_refused_without_a_vehicle_too(capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(ROOT / "missions/paper_single_wall.yaml")
+    assert main(["check", path, "--position-from", "plain"]) == 1
+    assert "needs RTK or motion capture" in capsys.readouterr().err
+    assert main(["check", path, "--position-from", "plain", "--overrule", "position_source"]) == 0
+    assert main(["check", path, "--position-from", "rtk"]) == 0
+
+
+def test_what_is_observed_is_judged() -> None:
+    rates = {"imu": 240.0, "attitude": 120.0, "odometry": 120.0, "actuator": 120.0}
+    good = Observation("1.16.0", rates, 15.6, 0.9, True)
+    assert not no_goes(judge_observation(mission(), good))
+    for changes, item in (
+        ({"rates_hz": {**rates, "imu": 49.0}}, "rate_imu"),
+        ({"battery_v": 12.5}, "battery"),
+        ({"battery_remaining": 0.2}, "battery"),
+        ({"local_position_ok": False}, "estimator"),
+    ):
+        assert no_goes(judge_observation(mission(), msgspec.structs.replace(good, **changes))) == [item]
+
+
+def test_a_lock_that_would_not_move_is_a_no_go() -> None:
+    plain = mission()
+    assert no_goes(judge_lock(plain, {})) == ["lock_driver"]  # mock: nothing real moves
+    by_px4 = with_driver(plain, LockDriver.PX4)
+    assert no_goes(judge_lock(by_px4, {})) == ["lock_driver"]
+    assert by_px4.vehicle.lock is not None
+    values = {required.name: float(required.value) for required in required_parameters(by_px4.vehicle.lock)}
+    assert not no_goes(judge_lock(by_px4, values))
+
+
+@pytest.mark.mavlink
+def test_check_and_fly_with_a_vehicle(tmp_path: Path) -> None:
+    """`check` reads a vehicle; `fly` refuses on the same no-go."""
+    with simulated_vehicle("missions/single_wall.yaml") as url:
+
+        def command(*arguments: str) -> subprocess.CompletedProcess[str]:
+            return subprocess.run(
+                [sys.executable, "-m", "dart_flight", *arguments, "missions/single_wall.yaml"],
+                cwd=ROOT,
+                env=dict(os.environ),
+                capture_output=True,
+                text=True,
+                timeout=60,
+                check=False,
+            )
+
+        good = command("check", "--connection", url, "--driver", "px4", "--json")
+        assert good.returncode == 0, good.stdout + good.stderr
+        findings = json.loads(good.stdout)["findings"]
+        items = {f["item"]: f["says"] for f in findings}
+        assert items["position_source"] == "motion capture"
+        # The embedded autopilot holds before it lands, and has no sticks: told, with our files' reasons.
+        assert {f["item"] for f in findings if f["remark"]} == {
+            "COM_OBL_RC_ACT",
+            "COM_FAIL_ACT_T",
+            "COM_RCL_EXCEPT",
+        }
+        assert items["version"] == "PX4 1.16.0"
+        assert float(items["rate_imu"].split()[0]) > 150.0
+        elsewhere = command("check", "--connection", url, "--driver", "px4", "--position-from", "rtk")
+        assert elsewhere.returncode == 1
+        assert "position_source: not rtk, as said" in elsewhere.stderr
+        refused = command("fly", "--yes", "--connection", url, "--log-dir", str(tmp_path / "none"))
+        assert refused.returncode == 1
+        assert "lock_driver" in refused.stderr
+        assert not (tmp_path / "none").exists()  # nothing flew
+
+
+# --- the rehearsal ---
+
+
+@pytest.mark.parametrize(
+    ("name", "standoff"),
+    [("paper_dual_collision", 0.3), ("paper_dual_collision", 0.6), ("paper_single_wall", 0.4)],
+)
+def test_a_rehearsal_stops_before_every_wall(name: str, standoff: float) -> None:
+    plain = load_flyable(ROOT / f"missions/{name}.yaml")
+    records: list[Record] = []
+    verdict = fly_fast(with_standoff(plain, standoff), 1, None, records.append)
+    assert (verdict.outcome, verdict.reason) == ("completed", None)
+    assert not [r for r in records if isinstance(r, TruthContact)]
+    for collision in plain.collisions:
+        nearest = min(
+            collision.wall.signed_distance(r.position_mission) for r in records if isinstance(r, TruthSample)
+        )
+        assert standoff - 0.1 < nearest < standoff + 0.1
+
+
+def test_a_standoff_of_nothing_is_refused() -> None:
+    assert main(["dry-run", str(ROOT / "missions/paper_single_wall.yaml"), "--fast", "--standoff", "0"]) == 2

@@ -1,0 +1,504 @@
+"""The package as a library: `import dart_flight`, and nothing else of it."""
+
+from __future__ import annotations
+
+import asyncio
+import builtins
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+import dart_flight
+from dart_flight.base.records import Outcome
+from dart_flight.cli import main
+from dart_flight.config.mission import CollisionSpec, GoalSpec, MissionFile, WallSpec
+from dart_flight.lab import api
+from dart_flight.recording.schema import RECORD_TYPES
+
+SINGLE = dart_flight.packaged("missions", "paper_single_wall.yaml")
+DUAL = dart_flight.packaged("missions", "paper_dual_collision.yaml")
+
+
+@pytest.fixture(scope="module")
+def flight() -> dart_flight.Flight:
+    return dart_flight.simulate(SINGLE, seed=5)
+
+
+# --- names ----------------------------------------------------------------------------------------------
+
+
+def test_the_names_are_those_of_the_api() -> None:
+    assert dart_flight.__all__ == api.__all__
+    assert all(getattr(dart_flight, name) is getattr(api, name) for name in dart_flight.__all__)
+    assert set(dart_flight.__all__) <= set(dir(dart_flight))
+    with pytest.raises(AttributeError, match="simulat"):
+        dart_flight.simulat  # noqa: B018
+
+
+def test_no_module_hides_a_name() -> None:
+    """`import dart_flight.plan` would put the module in the function's place."""
+    folder = Path(dart_flight.__file__).parent
+    modules = {path.stem for path in folder.glob("*.py")} | {
+        path.name for path in folder.iterdir() if path.is_dir()
+    }
+    assert not modules & set(dart_flight.__all__)
+
+
+def test_importing_costs_nothing() -> None:
+    code = "import sys, dart_flight; print(sorted({'numpy', 'msgspec', 'yaml', 'rich'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_flying_takes_no_extra() -> None:
+    code = (
+        "import sys, dart_flight as d; d.simulate(d.packaged('missions', 'single_wall.yaml')).log.topics;"
+        "heavy = {'scipy', 'matplotlib', 'pymavlink', 'mavsdk', 'asyncio', 'pandas'};"
+        "print(sorted(heavy & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+# --- missions and vehicles without a file ---------------------------------------------------------------
+
+
+def unsourced(mission: dart_flight.Mission) -> dart_flight.Mission:
+    """A mission without the files that it came from."""
+    return msgspec.structs.replace(mission, source="", vehicle_source=None)
+
+
+MISSIONS = sorted(path for path in SINGLE.parent.glob("**/*.yaml") if path.parent.name != "scenarios")
+
+
+@pytest.mark.parametrize("path", MISSIONS, ids=lambda path: path.stem)
+def test_a_mission_comes_back_from_its_dictionary(path: Path) -> None:
+    mission = dart_flight.load_mission(path)
+    tree = json.loads(json.dumps(mission.to_dict()))
+    assert unsourced(dart_flight.load_mission(tree)) == unsourced(mission)
+    assert dart_flight.load_vehicle(mission.vehicle.to_dict()) == mission.vehicle
+
+
+def every_key() -> dict[str, Any]:
+    """A mission that sets every key, each to another value than its default."""
+    vehicle = dart_flight.load_vehicle(dart_flight.packaged("configs", "rigid_cage.yaml")).to_dict()
+    vehicle["airframe"]["mass_kg"] = 0.93
+    prediction = {
+        "t_s": 1.5,
+        "position_m": [0.4, -1.1],
+        "normal_m_s": -0.6,
+        "tangential_m_s": 0.4,
+        "peak_force_n": 31.0,
+        "contact_time_s": 0.06,
+    }
+    first = {
+        "wall": "near",
+        "mode": "rigid",
+        "approach": {"normal_m_s": -0.6, "tangential_m_s": 0.4},
+        "impact_point_m": [0.25, -1.1],
+        "alpha_m_per_n": [0.03, 0.04],
+        "predicted": prediction,
+    }
+    far = {
+        "point_m": [1.65, 0.0],
+        "normal": [-1.0, 0.02],
+        "length_m": 3.0,
+        "material": sorted(vehicle["materials"])[0],
+        "given_at": "surface",
+        "position_sd_m": 0.13,
+        "yaw_sd_deg": 4.3,
+    }
+    return {
+        "version": 1,
+        "name": "every key",
+        "vehicle": vehicle,
+        "frame": {"origin": "takeoff", "north_m": 1.0, "east_m": -2.0, "heading_deg": 30.0},
+        "start": {"position_m": [0.1, 0.2], "altitude_m": 1.1},
+        "goal": {"position_m": [1.0, -0.5], "capture_radius_m": 0.2, "hold_s": 3.0},
+        "bounds_m": {"x": [-2.0, 2.2], "y": [-1.6, 2.0], "z": [0.3, 2.1]},
+        "walls": {
+            "near": far | {"point_m": [0.8, -1.1], "normal": [0.0, 1.0], "given_at": "centre"},
+            "far": far,
+        },
+        "transit_mode": "rigid",
+        "collisions": [
+            first,
+            first
+            | {"wall": "far", "impact_point_m": None, "impact_along_m": 0.1}
+            | {"alpha_m_per_n": None, "alpha_wall_m_per_n": [0.02, 0.03]},
+        ],
+        "waypoints": [
+            {"position_m": [0.2, 0.4], "altitude_m": 1.4, "speed_m_s": 0.4, "hold_s": 1.0},
+            {"pause": "operator", "timeout_s": 33.0},
+            {"position_m": [0.2, 0.1], "after": 2},
+        ],
+        "limits": {"speed_m_s": 2.5, "peak_force_n": 120.0, "collision_timeout_s": 7.0},
+        "predicted": {"goal_miss_m": 0.31},
+        "after_impact": "replan",
+        "tolerance": {"impact_m_s": 0.2, "peak_force_share": 0.3, "place_m": 0.3},
+        "mode_mismatch": "land",
+        "standoff_m": 0.4,
+    }
+
+
+def keys_unset(kind: Any, trees: list[Any], above: str) -> list[str]:
+    """Keys of a section that none of the trees sets, or that only have their defaults."""
+    out = []
+    for field in msgspec.structs.fields(kind):
+        name = field.encode_name
+        values = [tree[name] for tree in trees if name in tree]
+        plain = msgspec.to_builtins(field.default) if field.default is not msgspec.NODEFAULT else None
+        if not values or (all(value == plain for value in values) and name != "transit_mode"):
+            out.append(f"{above}{name}")
+        below = [
+            v
+            for v in (getattr(field.type, "__args__", None) or (field.type,))
+            if hasattr(v, "__struct_fields__")
+        ]
+        nested = [
+            v
+            for value in values
+            for v in (value.values() if name == "walls" else value if isinstance(value, list) else [value])
+        ]
+        for section in below:
+            out += keys_unset(section, nested, f"{above}{name}.")
+    return out
+
+
+def test_a_mission_that_sets_every_key_comes_back_with_its_vehicle() -> None:
+    tree = every_key()
+    assert keys_unset(MissionFile, [tree], "") == []
+    mission = dart_flight.load_mission(tree)
+    again = dart_flight.load_mission(json.loads(json.dumps(mission.to_dict())))
+    assert again == mission
+    assert (again.vehicle.has_lock, again.vehicle.airframe.mass_kg) == (False, 0.93)
+    assert again.standoff_m == 0.4
+
+
+def test_the_vehicle_of_a_mission_file_may_stand_in_it(tmp_path: Path) -> None:
+    text = SINGLE.read_text(encoding="utf-8")
+    inline = "vehicle:\n  extends: dart.yaml\n  airframe:\n    mass_kg: 1.4\n"
+    path = tmp_path / "mission.yaml"
+    (tmp_path / "dart.yaml").write_bytes(dart_flight.packaged("configs", "dart.yaml").read_bytes())
+    path.write_text(text.replace("vehicle: ../configs/dart.yaml\n", inline), encoding="utf-8")
+    mission = dart_flight.load_mission(path, settings=["airframe.contact_distance_m=0.3"])
+    assert mission.vehicle.airframe.mass_kg == 1.4
+    assert mission.flown_vehicle().set == ("airframe.contact_distance_m=0.3",)
+    path.write_text(path.read_text().replace("mass_kg: 1.4", "mas_kg: 1.4"), encoding="utf-8")
+    line = next(i for i, said in enumerate(path.read_text().splitlines(), 1) if "mas_kg" in said)
+    with pytest.raises(
+        dart_flight.InputError, match=rf"mission.yaml:{line}: vehicle.airframe.mas_kg: unknown key"
+    ):
+        dart_flight.load_mission(path)
+
+
+def test_a_dictionary_has_every_key_of_the_file() -> None:
+    tree = dart_flight.load_mission(DUAL).to_dict()
+    for node, kind in (
+        (tree, MissionFile),
+        (tree["walls"]["wood"], WallSpec),
+        (tree["collisions"][0], CollisionSpec),
+        (tree["goal"], GoalSpec),
+    ):
+        assert set(node) == {field.encode_name for field in msgspec.structs.fields(kind)}
+
+
+def test_a_wall_comes_back_to_the_bit() -> None:
+    tree = dart_flight.load_mission(SINGLE).to_dict()
+    tree["walls"]["acrylic"] |= {"normal": [-3.0, 0.7], "position_sd_m": 0.13, "yaw_sd_deg": 4.3}
+    first = dart_flight.load_mission(tree)
+    assert dart_flight.load_mission(first.to_dict()).walls == first.walls
+
+
+def test_what_hangs_on_a_change_changes_with_it() -> None:
+    mission = dart_flight.load_mission(SINGLE)
+    other = mission.replace({"collisions[0].approach.tangential_m_s": -0.5, "vehicle.airframe.mass_kg": 1.5})
+    assert mission.collisions[0].impact_point != other.collisions[0].impact_point
+    assert (mission.vehicle.airframe.mass_kg, other.vehicle.airframe.mass_kg) == (1.3, 1.5)
+    said = other.flown_vehicle()
+    assert said.mass_kg == 1.5
+    assert said.set == ("airframe.mass_kg=1.5",)
+    whole = mission.replace({"vehicle": other.vehicle})
+    assert whole.vehicle == other.vehicle
+    assert whole.flown_vehicle().source is None, "it is of no file"
+    assert dart_flight.load_mission(SINGLE, settings=["airframe.mass_kg=1.5"]).vehicle == other.vehicle
+    assert dart_flight.load_mission(mission, settings=["airframe.mass_kg=1.5"]).vehicle == other.vehicle
+
+
+def test_numpy_numbers_are_numbers() -> None:
+    vehicle = dart_flight.load_vehicle().replace({"airframe.mass_kg": np.float64(1.4)})
+    assert vehicle.airframe.mass_kg == 1.4
+    goal = dart_flight.load_mission(SINGLE).replace({"goal.position_m": np.array([0.5, 0.9])}).goal
+    assert goal.position_m == (0.5, 0.9)
+
+
+def wrong(key: str, value: Any) -> dict[str, Any]:
+    tree = dart_flight.load_mission(SINGLE).to_dict()
+    node = tree
+    for part in key.split(".")[:-1]:
+        node = node[part]
+    node[key.rpartition(".")[2]] = value
+    return tree
+
+
+def replaced(key: str, value: Any) -> dart_flight.Mission:
+    return dart_flight.load_mission(SINGLE).replace({key: value})
+
+
+def vehicle_with(key: str, value: Any) -> dart_flight.VehicleConfig:
+    return dart_flight.load_vehicle().replace({key: value})
+
+
+def predicted(mode: str, normal_m_s: list[float]) -> Any:
+    return dart_flight.predict(dart_flight.load_vehicle(), "acrylic", mode, normal_m_s)
+
+
+WRONG: list[tuple[Callable[[], Any], str]] = [
+    (
+        lambda: dart_flight.load_mission(wrong("limits.sped", 1)),
+        "<dict>: limits.sped: unknown key, did you mean speed_m_s?",
+    ),
+    (
+        lambda: dart_flight.load_mission(wrong("goal.position_m", [9.0, 9.0])),
+        "<dict>: goal.position_m: (9, 9) is outside",
+    ),
+    (
+        lambda: dart_flight.load_mission(wrong("goal.hold_s", float("nan"))),
+        "<dict>: goal.hold_s: numbers must be finite, not nan",
+    ),
+    (
+        lambda: dart_flight.load_mission(wrong("name", object())),
+        "<dict>: name: object is not a value that a file can hold",
+    ),
+    (lambda: dart_flight.load_mission({"sequence": ["wood"]}), "<dict>: this is a scenario"),
+    (lambda: dart_flight.load_mission("nothing.yaml"), "nothing.yaml: cannot read"),
+    (lambda: vehicle_with("airframe.mass_kg", -1), "airframe.mass_kg=-1: expected a number"),
+    (lambda: vehicle_with("airframe.mas_kg", 1), "airframe.mas_kg=1: unknown key, did you mean mass_kg?"),
+    (lambda: vehicle_with("airframe.mass_kg", 8.0), "hover 8 kg at"),
+    (lambda: replaced("collisions[3].mode", "rigid"), "unknown key 3"),
+    (lambda: replaced("vehicle", "dart.yaml"), "vehicle: expected a vehicle configuration"),
+    (lambda: dart_flight.simulate(replaced("limits.peak_force_n", 20.0)), "peak_force_n"),
+    (lambda: dart_flight.simulate(SINGLE, vary=["mas"]), "unknown mas, did you mean mass?"),
+    (lambda: dart_flight.simulate(SINGLE, fault="wall-mising"), "did you mean wall-missing?"),
+    (lambda: predicted("rigit", [-1.0]), "'rigit' is not allowed"),
+    (lambda: predicted("rigid", [-1.0, 0.5]), "does not approach"),
+    (
+        lambda: dart_flight.predict_drop(dart_flight.load_vehicle(), "concrete", "rigid", 0.0),
+        "expected a height above 0",
+    ),
+    (lambda: dart_flight.plan(SINGLE), "this is a mission"),
+    (lambda: dart_flight.identify([], mode="rigit"), "'rigit' is not allowed"),
+]
+
+
+@pytest.mark.parametrize(("call", "said"), WRONG, ids=[said for _, said in WRONG])
+def test_wrong_input_is_one_line_and_a_value_error(call: Any, said: str) -> None:
+    with pytest.raises(dart_flight.InputError) as caught:
+        call()
+    assert isinstance(caught.value, ValueError)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+# --- flights --------------------------------------------------------------------------------------------
+
+
+def test_memory_and_file_hold_the_same(flight: dart_flight.Flight, tmp_path: Path) -> None:
+    on_disk = dart_flight.simulate(SINGLE, seed=5, log_dir=tmp_path)
+    (path,) = tmp_path.glob("*/flight.mcap")
+    assert on_disk.verdict.log is not None
+    assert flight.verdict.log is None
+    assert msgspec.structs.replace(on_disk.verdict, log=None) == flight.verdict
+    read = dart_flight.read_log(path)
+    assert type(read) is type(flight.log)
+    assert read.entries == flight.log.entries
+    assert on_disk.log.entries == read.entries
+    assert read.topics == flight.log.topics
+    kept = {key: text for key, text in flight.log.about.items() if not key.startswith("started_")}
+    assert kept.items() <= read.about.items()
+
+
+def test_it_is_what_the_command_flies(flight: dart_flight.Flight, tmp_path: Path) -> None:
+    assert main(["dry-run", str(SINGLE), "--fast", "--seed", "5", "--log-dir", str(tmp_path)]) == 0
+    (path,) = tmp_path.glob("*/flight.mcap")
+    assert dart_flight.read_log(path).entries == flight.log.entries
+
+
+def test_a_changed_mission_is_in_its_log(tmp_path: Path) -> None:
+    mission = dart_flight.load_mission(SINGLE).replace({"goal.hold_s": 0.5, "name": "changed"})
+    flown = dart_flight.simulate(mission, log_dir=tmp_path)
+    (path,) = tmp_path.glob("*/flight.mcap")
+    assert "changed" in dart_flight.read_log(path).about["mission_text"]
+    assert flown.verdict.outcome is Outcome.COMPLETED
+    assert main(["replay", str(path)]) == 0
+    assert main(["replay", str(path), "--set", "goal.hold_s=0.5"]) == 0, "the text is that of the change"
+
+
+def test_a_drawn_world_and_a_fault() -> None:
+    drawn = dart_flight.simulate(SINGLE, seed=7, vary={"mass": 0.1, "wind_m_s": 0.2}).verdict.drawn
+    assert set(drawn) == {"mass", "wind_north_m_s", "wind_east_m_s"}
+    assert dart_flight.simulate(SINGLE, seed=7, vary=["mass=0.1", "wind_m_s=0.2"]).verdict.drawn == drawn
+    lost = dart_flight.simulate(SINGLE, fault="wall-missing")
+    assert lost.verdict.outcome is Outcome.ABORTED
+    assert "aborted" in repr(lost)
+
+
+def test_it_runs_inside_an_event_loop(flight: dart_flight.Flight) -> None:
+    async def notebook() -> dart_flight.Flight:
+        return dart_flight.simulate(SINGLE, seed=5)
+
+    assert asyncio.run(notebook()).verdict == flight.verdict
+
+
+# --- arrays ---------------------------------------------------------------------------------------------
+
+
+def test_arrays_have_the_fields_of_the_records(flight: dart_flight.Flight) -> None:
+    log = flight.log
+    assert "/estimate/force" in log
+    assert list(log) == list(log.topics)
+    for name in log:
+        topic = log[name]
+        assert len(topic) == len(topic.t_s) == sum(e.record.topic == name for e in log.entries)
+        for field in topic.fields:
+            array = topic[field]
+            assert len(array) == len(topic)
+            for i in {0, len(topic) // 2, len(topic) - 1}:
+                value, there = getattr(topic.records[i], field), array[i]
+                if value is None:
+                    assert there is None or np.isnan(there).all()
+                elif isinstance(value, tuple):
+                    assert tuple(there) == value
+                else:
+                    assert there == value
+
+
+def test_times_count_from_the_first_imu_sample(flight: dart_flight.Flight) -> None:
+    log = flight.log
+    assert log["/in/imu"].t_s[0] == 0.0
+    force = log["/estimate/force"]
+    assert force.t_s.shape == (len(force),)
+    assert force.force_mission.shape == (len(force), 3)
+    assert np.allclose(np.diff(force.t_s), 0.004)
+    ticks = log["/in/tick"]  # without a stamp: that of the record before
+    assert (np.diff(ticks.t_s) >= 0.0).all()
+    assert ticks.t_s[-1] > 10.0
+
+
+def test_a_channel_without_records_is_empty(flight: dart_flight.Flight) -> None:
+    for kind in RECORD_TYPES:
+        topic = flight.log[kind.topic]
+        for name in topic.fields:
+            assert len(topic[name]) == len(topic)
+    assert flight.log["/in/actuator"].motors.shape[1] == 4
+    esc = flight.log["/in/esc"]
+    assert (len(esc), esc.rpm.shape) == (0, (0, 0))
+
+
+def test_unknown_names_are_told_with_the_nearest(flight: dart_flight.Flight) -> None:
+    with pytest.raises(KeyError, match="did you mean /estimate/force"):
+        flight.log["/estimate/forces"]
+    with pytest.raises(AttributeError, match="did you mean force_mission"):
+        flight.log["/estimate/force"].force_misson  # noqa: B018
+
+
+def test_a_data_frame(flight: dart_flight.Flight) -> None:
+    pytest.importorskip("pandas", reason="pandas is not installed: pip install 'dart-flight[pandas]'")
+    force = flight.log["/estimate/force"]
+    frame = force.to_pandas()
+    assert frame.index.name == "t_s"
+    assert list(frame.columns[:4]) == ["t_us", "force_mission_x", "force_mission_y", "force_mission_z"]
+    assert (frame["force_mission_y"].to_numpy() == force.force_mission[:, 1]).all()
+    for name in flight.log:
+        assert len(flight.log[name].to_pandas()) == len(flight.log[name])
+
+
+def test_without_pandas_the_extra_is_named(
+    flight: dart_flight.Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = builtins.__import__
+
+    def missing(name: str, *rest: Any, **more: Any) -> Any:
+        if name == "pandas":
+            raise ImportError(name)
+        return real(name, *rest, **more)
+
+    monkeypatch.setattr(builtins, "__import__", missing)
+    with pytest.raises(ImportError, match=r"pip install 'dart-flight\[pandas\]'"):
+        flight.log["/in/imu"].to_pandas()
+
+
+# --- prediction, plans, identification ------------------------------------------------------------------
+
+
+def test_a_prediction_is_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    vehicle = dart_flight.load_vehicle()
+    hit = dart_flight.predict(vehicle, "acrylic", "flexible", -1.0, 0.5)
+    words = ["predict", "--surface", "acrylic", "--mode", "flexible", "--velocity", "-1.0", "0.5", "--json"]
+    assert main(words) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert hit._asdict() == {name: printed[name] for name in hit._fields}
+    drop = dart_flight.predict_drop(vehicle, "concrete", "rigid", 0.2)
+    assert main(["predict", "--surface", "concrete", "--mode", "rigid", "--drop", "0.2", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert drop._asdict() == {name: printed[name] for name in drop._fields}
+
+
+def test_arrays_of_velocities_give_arrays() -> None:
+    vehicle = dart_flight.load_vehicle()
+    normal = np.linspace(-2.0, -0.2, 7)
+    many = dart_flight.predict(vehicle, "wood", "rigid", normal, 0.3)
+    assert many.peak_normal_force_n.shape == (7,)
+    for i, speed in enumerate(normal):
+        one = dart_flight.predict(vehicle, "wood", "rigid", float(speed), 0.3)
+        assert one == pytest.approx([part[i] for part in many], rel=1e-9)
+    grid = dart_flight.predict(vehicle, "wood", "rigid", normal[:, None], [0.0, 0.5])
+    assert grid.tangential_out_m_s.shape == (7, 2)
+
+
+def test_a_plan_flies(tmp_path: Path) -> None:
+    found = dart_flight.plan(SINGLE.parent / "scenarios" / "one_wall.yaml", top=3)
+    assert len(found.plans) == 3
+    first = found.mission.collisions[0].approach_m_s
+    assert first == (found.plans[0].normal_m_s, found.plans[0].tangential_m_s)
+    assert dart_flight.simulate(found.mission).verdict.outcome is Outcome.COMPLETED
+    written = dart_flight.load_mission(found.write(tmp_path / "second.yaml", rank=2))
+    assert written.collisions == found.mission_of(2).collisions
+    with pytest.raises(dart_flight.InputError, match="plans 1 to 3"):
+        found.mission_of(4)
+
+
+def test_a_plan_for_another_vehicle_or_objective() -> None:
+    path = SINGLE.parent / "scenarios" / "one_wall.yaml"
+    vehicle = dart_flight.load_vehicle().replace({"airframe.mass_kg": 1.5})
+    heavy = dart_flight.plan(dart_flight.load_scenario(path, vehicle), top=1)
+    assert heavy.mission.vehicle == vehicle
+    gentle, near = (dart_flight.plan(path, objective=o, top=1).plans[0] for o in ("gentlest", "nearest"))
+    assert gentle.peak_force_n < near.peak_force_n
+
+
+def test_identification_takes_flights_and_arrays(flight: dart_flight.Flight, tmp_path: Path) -> None:
+    pytest.importorskip("scipy")
+    flown = [flight, dart_flight.simulate(SINGLE, seed=6, log_dir=tmp_path)]
+    found = dart_flight.identify([flown[0], flown[1].log], surface="acrylic")
+    assert [len(found.trials), list(found.coefficients)] == [2, ["flexible"]]
+    (path,) = tmp_path.glob("*/flight.mcap")
+    of_file = dart_flight.identify([flight.log, path], surface="acrylic")
+    assert of_file.coefficients == found.coefficients
+    with pytest.raises(dart_flight.InputError, match="no collision with wood"):
+        dart_flight.identify(flight, surface="wood")
+
+
+def test_way_points_follow_what_they_hang_on() -> None:
+    mission = dart_flight.load_mission(SINGLE.parent / "square.yaml")
+    lower = mission.replace({"start.altitude_m": 0.8, "vehicle.flying.transit_speed_m_s": 0.3})
+    assert [w.position[2] for w in lower.waypoints[:3] if w.position] == [0.8, 0.8, 1.4]
+    assert lower.waypoints[0].speed_m_s == 0.3
+    assert lower.waypoints[-1].speed_m_s == 1.0, "its own"

@@ -1,0 +1,138 @@
+"""What a campaign is asked: grids, identities, and when it is another one."""
+
+from __future__ import annotations
+
+import math
+import random
+import shutil
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from dart_flight.config.document import InputError
+from dart_flight.config.vehicle import packaged
+from dart_flight.lab.campaign.asked import Asked, campaign_of, difference, items_of, parse_grid, points_of
+from dart_flight.lab.campaign.run import open_campaign
+from dart_flight.lab.campaign.statistics import bin_edges, bin_of, separation, share
+
+SINGLE, DUAL = (
+    str(packaged("missions", f"{name}.yaml")) for name in ("paper_single_wall", "paper_dual_collision")
+)
+
+
+def test_values_are_parted_at_commas_outside_brackets_and_quotes() -> None:
+    grid = parse_grid(
+        ["airframe.mass_kg=1.2, 1.4", "lock.driver=mock", "imu.position_m=[0, 0, 0],[0.1, 0, 0]"]
+    )
+    assert grid == {
+        "airframe.mass_kg": ("1.2", "1.4"),
+        "lock.driver": ("mock",),
+        "imu.position_m": ("[0, 0, 0]", "[0.1, 0, 0]"),
+    }
+    assert parse_grid(["a='x,y',z"]) == {"a": ("'x,y'", "z")}
+
+
+@pytest.mark.parametrize("setting", ["airframe.mass_kg", "=1", "a=", "a=1,", "a=1,1"])
+def test_what_is_no_grid_is_refused(setting: str) -> None:
+    with pytest.raises(InputError, match="--set"):
+        parse_grid([setting])
+
+
+def test_every_mission_with_every_combination_and_every_seed() -> None:
+    asked = Asked(
+        (SINGLE, DUAL), settings=parse_grid(["airframe.mass_kg=1.2,1.4", "onset=lcp,touch"]), runs=3, seed=5
+    )
+    points = points_of(asked)
+    assert [(p.number, p.path, p.values) for p in points][:5] == [
+        (1, SINGLE, ("1.2", "lcp")),
+        (2, SINGLE, ("1.2", "touch")),
+        (3, SINGLE, ("1.4", "lcp")),
+        (4, SINGLE, ("1.4", "touch")),
+        (5, DUAL, ("1.2", "lcp")),
+    ]
+    assert points[2].mission.vehicle.airframe.mass_kg == 1.4
+    assert len({p.digest for p in points}) == 8
+    items = list(items_of(asked, points))
+    assert len(items) == len(set(items)) == 24
+    assert [item.seed for item in items[:8]] == [5] * 8, "all of the grid first"
+    columns = campaign_of(asked, points).columns
+    assert columns[:4] == ("mission", "airframe.mass_kg", "onset", "seed")
+    assert columns[-4:] == ("c1_normal_m_s", "c1_peak_force_n", "c2_normal_m_s", "c2_peak_force_n")
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (Asked((SINGLE, SINGLE)), "twice"),
+        (Asked((SINGLE,), settings={"airframe.mas_kg": ("1",)}), "did you mean"),
+        (Asked((SINGLE,), settings={"lock.driver": ("maestro",)}), "cannot be simulated"),
+        (Asked((SINGLE,), vary=("mas",)), "did you mean mass"),
+        (Asked(("none.yaml",)), "cannot read"),
+    ],
+)
+def test_wrong_input_is_found_before_the_first_flight(asked: Asked, said: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=said):
+        open_campaign(asked, tmp_path / "new", resume=False)
+    assert not (tmp_path / "new").exists()
+
+
+def test_another_campaign_is_told_by_what_differs(tmp_path: Path) -> None:
+    shutil.copytree(packaged("missions"), tmp_path / "missions")
+    shutil.copytree(packaged("configs"), tmp_path / "configs")
+    mission = tmp_path / "missions" / "paper_single_wall.yaml"
+    asked = Asked((str(mission),), vary=("mass",), runs=4, seed=3)
+
+    def differs(**changes: object) -> str | None:
+        other = msgspec.structs.replace(asked, **changes)
+        return difference(kept, campaign_of(other, points_of(other)))
+
+    kept = campaign_of(asked, points_of(asked))
+    assert differs() is None
+    assert differs(runs=9) is None, "more seeds are the same campaign"
+    for changes, said in (
+        ({"runs": 2}, "--runs: it has 4"),
+        ({"seed": 4}, "--seed: it has 3, not 4"),
+        ({"vary": ("mass=0.2",)}, "--vary: it has mass, not mass=0.2"),
+        ({"settings": {"airframe.mass_kg": ("1.2",)}}, "--set: it has none, not airframe.mass_kg=1.2"),
+        ({"missions": (SINGLE,)}, "the missions"),
+    ):
+        found = differs(**changes)
+        assert found is not None
+        assert found.startswith(said)
+    mission.write_text(mission.read_text().replace("hold_s: 2.0", "hold_s: 1.0"))
+    assert differs() == "a mission or configuration file has changed since"
+
+
+# --- statistics -----------------------------------------------------------------------------------------
+
+
+def test_the_interval_is_wilsons() -> None:
+    rate = share(8, 10)  # Agresti and Coull 1998, and any table of the score interval
+    assert rate.low == pytest.approx(0.4902, abs=1e-4)
+    assert rate.high == pytest.approx(0.9433, abs=1e-4)
+    assert share(0, 0).share is None
+    assert share(5, 5).high == 1.0
+
+
+def test_bins_hold_about_the_same_number() -> None:
+    rng = random.Random(1)
+    values = [rng.gauss(0.0, 1.0) for _ in range(400)]
+    edges = bin_edges(values)
+    counts = [sum(bin_of(v, edges) == i for v in values) for i in range(len(edges) - 1)]
+    assert len(counts) == 8
+    assert sum(counts) == 400
+    assert max(counts) - min(counts) <= 2
+    assert len(bin_edges([2.0] * 100)) == 2
+    assert bin_of(2.0, bin_edges([2.0] * 100)) == 0
+
+
+def test_separation_is_the_share_of_pairs() -> None:
+    rng = random.Random(2)
+    first = [rng.choice([1.0, 2.0, 3.0]) for _ in range(30)]
+    second = [rng.choice([2.0, 3.0, 4.0]) for _ in range(40)]
+    pairs = [(a > b) + 0.5 * (a == b) for a in first for b in second]
+    found = separation(first, second)
+    assert found.chance == pytest.approx(sum(pairs) / len(pairs))
+    assert found.z < 0.0
+    assert math.isclose(separation(first, first).chance, 0.5)

@@ -1,0 +1,301 @@
+"""`dart-flight campaign`: the table, going on, what is kept, and the way back to a failed flight."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.lab.campaign import run as campaigns
+from dart_flight.lab.campaign.asked import Asked, Item
+from dart_flight.lab.campaign.flight import Flown, Flyer
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.prepare import load_flyable
+from dart_flight.run.workers import Done, Failure, Interrupt
+from dart_flight.sim.draws import parse_vary
+from tests.shared_flights import SharedFlights
+
+ROOT = Path(__file__).parents[3]
+MISSION = str(ROOT / "tests" / "data" / "near_wall.yaml")
+# Short flights; some of these worlds have their wall where the mission does not believe it.
+VARY = ["--vary", "wall_offset_m=0.4", "--vary", "mass"]
+
+
+RUNS = 5  # one of them completed, so that both outcomes are in the table
+
+
+def words(out: Path, runs: int, *more: str) -> list[str]:
+    return ["campaign", MISSION, "--runs", str(runs), "--out", str(out), *VARY, *more]
+
+
+def rows(out: Path) -> list[dict[str, str]]:
+    with open(out / "flights.csv", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def flown(flown: SharedFlights) -> Path:
+    """`RUNS` flights in one go, by whichever worker comes first; some of them fail."""
+
+    def fly(folder: Path) -> None:
+        assert main(words(folder / "whole", RUNS)) == 0
+
+    return flown.once("campaign", fly) / "whole"
+
+
+def test_a_row_is_the_flight(flown: Path) -> None:
+    mission = load_flyable(MISSION)
+    spreads = parse_vary(VARY[1::2], mission.vehicle)
+    found = {int(row["seed"]): row for row in rows(flown)}
+    assert sorted(found) == list(range(1, RUNS + 1))
+    assert {row["outcome"] for row in found.values()} == {"completed", "aborted"}
+    for seed in (1, 2):  # without a contact, and with one
+        verdict = fly_fast(mission, seed, None, spreads=spreads)
+        row = found[seed]
+        assert row["mission"] == MISSION
+        assert float(row["wall_offset_m.acrylic"]) == verdict.drawn["wall_offset_m.acrylic"]
+        assert row["outcome"] == verdict.outcome.value
+        assert row["reason"] == (verdict.reason or "")
+        for name in ("goal_miss_m", "final_error_m", "max_tilt_deg", "flight_time_s"):
+            assert row[name] == ("" if getattr(verdict, name) is None else repr(getattr(verdict, name)))
+        if verdict.collisions:
+            assert row["c1_normal_m_s"] == repr(verdict.collisions[0].measured.normal_m_s)
+            assert row["c1_peak_force_n"] == repr(verdict.collisions[0].measured.peak_force_n)
+        else:
+            assert row["c1_normal_m_s"] == ""
+
+
+def test_the_summary_counts_the_rows(flown: Path) -> None:
+    summary = json.loads((flown / "summary.json").read_text())
+    completed = sum(row["outcome"] == "completed" for row in rows(flown))
+    assert summary["completed"]["count"] == completed
+    assert (summary["flights"], summary["asked"], summary["errors"]) == (RUNS, RUNS, 0)
+    assert sum(rule["flights"] for rule in summary["rules"]) == RUNS - completed == len(summary["failed"])
+    (drawn,) = (d for d in summary["drawn"] if d["name"] == "wall_offset_m.acrylic")
+    assert sum(one["completed"]["of"] for one in drawn["bins"]) == RUNS
+    assert summary["vehicle"]["mass_kg"] == 1.3
+
+
+def test_a_failed_flight_is_kept_and_replays(flown: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    failed = json.loads((flown / "summary.json").read_text())["failed"]
+    logs = sorted(str(path.relative_to(flown)) for path in flown.glob("logs/*/flight.mcap"))
+    assert logs == sorted(one["log"] for one in failed)
+    command = shlex.split(failed[0]["command"])
+    assert command[:2] == ["dart-flight", "replay"]
+    assert main(command[1:]) == 0
+
+
+def test_a_failed_flight_is_flown_again_by_its_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    grid = ["--set", "airframe.mass_kg=1.25,1.35", "--keep", "none", "--jobs", "1"]
+    assert main(words(tmp_path / "bare", 2, "--seed", "2", *grid)) == 0
+    summary = json.loads((tmp_path / "bare" / "summary.json").read_text())
+    assert not (tmp_path / "bare" / "logs").exists()
+    assert [point["settings"] for point in summary["points"]] == [
+        {"airframe.mass_kg": "1.25"},
+        {"airframe.mass_kg": "1.35"},
+    ]
+    one = summary["failed"][0]
+    capsys.readouterr()
+    assert main([*shlex.split(one["command"])[1:], "--json", "--log-dir", str(tmp_path / "again")]) == 1
+    verdict = json.loads(capsys.readouterr().out)
+    assert (verdict["outcome"], verdict["reason"]) == (one["outcome"], one["reason"])
+    assert verdict["drawn"]["wall_offset_m.acrylic"] == next(
+        float(row["wall_offset_m.acrylic"])
+        for row in rows(tmp_path / "bare")
+        if row["seed"] == str(one["seed"]) and row["airframe.mass_kg"] == one["settings"]["airframe.mass_kg"]
+    )
+
+
+def test_the_page_is_one_file(flown: Path) -> None:
+    page = (flown / "index.html").read_text()
+    assert not re.search(r"<script|https?://(?!www\.w3\.org)|<link", page)
+    assert "wall_not_met" in page or "wall_met_early" in page
+    for link in re.findall(r'<a href="([^"]+)"', page):
+        assert (flown / link).exists()
+    assert page.count("data:image/svg+xml") == 2
+
+
+# --- going on -------------------------------------------------------------------------------------------
+
+
+def test_more_seeds_go_on_with_the_table(
+    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "two"
+    assert main(words(out, 2)) == 0
+    assert main(words(out, 2)) == 2
+    assert "there is a campaign already: --resume goes on with it" in capsys.readouterr().err
+    assert main([*words(out, RUNS), "--resume"]) == 0
+    assert f"2 of {RUNS} flights are in the table already" in capsys.readouterr().err
+    assert sorted((out / "flights.csv").read_bytes().splitlines()) == sorted(
+        (flown / "flights.csv").read_bytes().splitlines()
+    )
+    before = (out / "flights.csv").read_bytes()
+    assert main(["campaign", "--resume", "--out", str(out), "--json"]) == 0, "nothing is left"
+    assert json.loads(capsys.readouterr().out)["flights"] == RUNS
+    assert (out / "flights.csv").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--seed", "2"], "is another campaign: --seed: it has 1, not 2"),
+        (["--vary", "battery"], "is another campaign: --vary"),
+        (["--set", "airframe.mass_kg=1.2"], "is another campaign: --set"),
+        (["--keep", "all"], "is another campaign: --keep: it has failed, not all"),
+    ],
+)
+def test_another_campaign_is_refused_in_one_line(
+    more: list[str], said: str, flown: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = (flown / "flights.csv").read_bytes()
+    assert main([*words(flown, RUNS), "--resume", *more]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert said in lines[0]
+    assert (flown / "flights.csv").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--runs", "3"], "MISSION: no mission given"),
+        (["--resume"], "no campaign to go on with here"),
+        (["--resume", "--runs", "3"], "--runs needs the missions, too"),
+        ([MISSION], "--runs: how many seeds?"),
+        (
+            [MISSION, "--runs", "1", "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"],
+            "--jobs is for this machine",
+        ),
+    ],
+)
+def test_half_a_command_is_refused(
+    more: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["campaign", "--out", str(tmp_path / "none"), *more]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
+
+
+def started(out: Path, runs: int) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "dart_flight", *words(out, runs), "--resume"],
+        env=os.environ | {"PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
+    )  # fmt: skip
+
+
+def until_rows(out: Path, count: int, process: subprocess.Popen[str]) -> None:
+    until = time.monotonic() + 120.0
+    table = out / "flights.csv"
+    while time.monotonic() < until and process.poll() is None:
+        if table.exists() and table.read_bytes().count(b"\n") > count:
+            return
+        time.sleep(0.02)
+
+
+def test_killed_again_and_again_no_row_is_lost_or_doubled(flown: Path, tmp_path: Path) -> None:
+    out = tmp_path / "killed"
+    for count in (1, 3):
+        process = started(out, RUNS)
+        until_rows(out, count, process)
+        process.kill()
+        process.wait()
+        with open(out / "flights.csv", "ab") as file:
+            file.write(b"torn,by,the,last")  # as a disk may leave it
+    process = started(out, RUNS)
+    _, said = process.communicate(timeout=300.0)
+    assert process.returncode == 0, said
+    assert sorted((out / "flights.csv").read_bytes().splitlines()) == sorted(
+        (flown / "flights.csv").read_bytes().splitlines()
+    )
+    assert {path.parent.name for path in out.glob("logs/*/flight.mcap")} == {
+        path.parent.name for path in flown.glob("logs/*/flight.mcap")
+    }
+
+
+def test_ctrl_c_keeps_what_is_flown(tmp_path: Path) -> None:
+    out = tmp_path / "interrupted"
+    process = started(out, 200)
+    until_rows(out, 1, process)
+    os.killpg(process.pid, signal.SIGINT)
+    _, said = process.communicate(timeout=120.0)
+    assert process.returncode == 130, said
+    there = len(rows(out))
+    assert 1 <= there < 200
+    assert f"{there} of 200 flights are in the table" in said
+    assert json.loads((out / "summary.json").read_text())["flights"] == there
+    assert "flights are not flown yet" in (out / "index.html").read_text()
+
+
+# --- what goes wrong ------------------------------------------------------------------------------------
+
+
+def opened(out: Path, runs: int = 6) -> campaigns.Opened:
+    return campaigns.open_campaign(Asked((MISSION,), runs=runs), out, resume=True)
+
+
+def engine_of(flights: Mapping[int, Flown | Failure]) -> campaigns.Engine:
+    def engine(flyer: Flyer, items: Iterable[Item], interrupt: Interrupt) -> campaigns.Landings:
+        for item in items:
+            line = flyer.failed(item, "stands in").line
+            yield Done(item, flights.get(item.seed, Flown(line, completed=True, log=None)))
+
+    return engine
+
+
+def test_a_fault_of_the_program_is_a_row_and_not_the_end(tmp_path: Path) -> None:
+    here = opened(tmp_path / "faulty")
+    faults = {3: Failure("ValueError: no (plant.py:7)"), 5: Failure("its process died 2 times (SIGKILL)")}
+    assert campaigns.fly(here, engine_of(faults), Interrupt()) == 6
+    found = {row["seed"]: row for row in rows(here.folder)}
+    assert (found["3"]["outcome"], found["3"]["reason"]) == ("error", "ValueError: no (plant.py:7)")
+    assert found["5"]["reason"] == "its process died 2 times (SIGKILL)"
+    assert len(found) == 6
+
+
+def test_a_full_disk_ends_it_with_a_line_and_it_goes_on_later(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The kernel's limit of a file's size stands in for the disk, in the process that writes."""
+    out = tmp_path / "full"
+    limited = (
+        "import resource, sys\n"
+        "from dart_flight.cli import main\n"
+        "from dart_flight.recording.about import software_version\n"
+        "if __name__ == '__main__':\n"
+        "    software_version()\n"  # git writes its index: cut, that would leave a lock behind
+        "    resource.setrlimit(resource.RLIMIT_FSIZE, (1200, 1200))\n"
+        "    sys.exit(main(sys.argv[1:]))\n"
+    )
+    script = tmp_path / "limited.py"
+    script.write_text(limited)
+    command = ["campaign", MISSION, "--runs", "9", "--out", str(out), "--keep", "none", "--jobs", "2"]
+    done = subprocess.run(
+        [sys.executable, "-B", str(script), *command],  # -B: bytecode would be cut, too, and stay
+        env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 1, done.stderr
+    assert done.stderr.splitlines()[-1] == (
+        f"cannot write {out}/flights.csv: File too large; its rows are kept, --resume goes on with them"
+    )
+    there = len(rows(out))
+    assert 1 <= there < 9
+    assert main([*command, "--resume"]) == 0
+    assert [int(row["seed"]) for row in sorted(rows(out), key=lambda row: int(row["seed"]))] == list(
+        range(1, 10)
+    )

@@ -1,0 +1,125 @@
+"""What a table amounts to, on rows that are made so that the answer is known."""
+
+from __future__ import annotations
+
+import random
+import re
+from pathlib import Path
+
+import pytest
+
+from dart_flight.config.vehicle import packaged
+from dart_flight.lab.campaign import run as campaigns
+from dart_flight.lab.campaign.asked import Asked
+from dart_flight.lab.campaign.flight import line_of
+from dart_flight.lab.campaign.summary import CampaignSummary, summarise
+from dart_flight.lab.campaign.table import Table
+from dart_flight.lab.report.campaign_page import campaign_page
+
+SINGLE = str(packaged("missions", "paper_single_wall.yaml"))
+FLIGHTS = 400
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> campaigns.Opened:
+    """Flights that fail where the vehicle is heavy, and where the lock is stuck; nothing else matters."""
+    asked = Asked((SINGLE,), vary=("mass", "battery", "lock_true_mode", "contact_scatter"), runs=FLIGHTS)
+    opened = campaigns.open_campaign(asked, tmp_path_factory.mktemp("made") / "out", resume=False)
+    rng = random.Random(3)
+    with Table(opened.folder / campaigns.TABLE, opened.campaign.columns) as table:
+        for seed in range(1, FLIGHTS + 1):
+            mass, stuck = rng.gauss(1.0, 0.1), rng.random() < 0.1
+            rule = "lock_fault" if stuck else "too_heavy" if mass > 1.1 else ""
+            cells: dict[str, str | float | int | bool | None] = {
+                "mission": SINGLE,
+                "seed": seed,
+                "mass": mass,
+                "battery": rng.gauss(1.0, 0.1),
+                "lock_true_mode": "stuck" if stuck else "as commanded",
+                "contact_scatter": 0.05,
+                "outcome": "aborted" if rule else "completed",
+                "reason": f"{rule}: in words, and <more>" if rule else None,
+                "plan_followed": seed % 2 == 0,
+                "goal_miss_m": None if rule else seed / FLIGHTS,
+            }
+            if seed == FLIGHTS:
+                cells |= {"outcome": "error", "reason": "ValueError: no (plant.py:3)", "plan_followed": None}
+            table.append(line_of([cells.get(name) for name in opened.campaign.columns]))
+    return opened
+
+
+@pytest.fixture(scope="module")
+def summary(opened: campaigns.Opened) -> CampaignSummary:
+    return summarise(opened)
+
+
+def test_an_error_counts_in_no_rate(summary: CampaignSummary) -> None:
+    assert (summary.flights, summary.errors, summary.completed.of) == (FLIGHTS, 1, FLIGHTS - 1)
+    failed = sum(rule.flights for rule in summary.rules if rule.rule != "ValueError")
+    assert summary.completed.count == FLIGHTS - 1 - failed
+    assert (summary.plan_followed.count, summary.plan_followed.of) == (FLIGHTS // 2 - 1, FLIGHTS - 1)
+    assert summary.figures["goal_miss_m"].flights == summary.completed.count
+
+
+def test_a_rule_is_told_by_what_made_it_fire(summary: CampaignSummary) -> None:
+    rules = {rule.rule: rule for rule in summary.rules}
+    assert set(rules) == {"too_heavy", "lock_fault", "ValueError"}
+    (heavy,) = rules["too_heavy"].telling
+    assert heavy.name == "mass"
+    assert heavy.failed > 1.1 > heavy.completed
+    assert heavy.chance == 1.0
+    assert rules["lock_fault"].telling[0].name == "share of lock_true_mode stuck"
+    assert (rules["lock_fault"].telling[0].failed, rules["lock_fault"].telling[0].completed) == (1.0, 0.0)
+    assert rules["ValueError"].telling == []
+
+
+def test_what_matters_comes_first_and_what_never_varied_not_at_all(summary: CampaignSummary) -> None:
+    names = [drawn.name for drawn in summary.drawn]
+    assert set(names[:2]) == {"mass", "lock_true_mode"}
+    assert names[2:] == ["battery"]
+    (mass,) = (drawn.bins for drawn in summary.drawn if drawn.name == "mass")
+    assert mass[-1].completed.count < mass[0].completed.count
+    assert sum(one.completed.of for one in mass) == FLIGHTS - 1
+    (words,) = (drawn.bins for drawn in summary.drawn if drawn.name == "lock_true_mode")
+    assert {one.value: one.completed.count for one in words}["stuck"] == 0
+
+
+def test_the_page_shows_it(summary: CampaignSummary) -> None:
+    page = campaign_page(summary)
+    assert "1 flights ended by a fault of the program" in page
+    assert "&lt;more&gt;" in page
+    assert page.count("<code>dart-flight dry-run") == len(summary.failed)
+    assert re.search(r"<details><summary>\d+ more", page), "many failed flights are folded away"
+    assert "--vary lock_true_mode" in summary.failed[0].command
+
+
+def test_where_everything_completed_the_page_shows_what_varied(tmp_path: Path) -> None:
+    """Of one-point plots of the rate none; the miss over what it follows."""
+    asked = Asked((SINGLE,), vary=("mass", "battery"), runs=40)
+    opened = campaigns.open_campaign(asked, tmp_path / "out", resume=False)
+    rng = random.Random(4)
+    with Table(opened.folder / campaigns.TABLE, opened.campaign.columns) as table:
+        for seed in range(1, 41):
+            mass = rng.gauss(1.0, 0.1)
+            cells: dict[str, str | float | int | bool | None] = {
+                "mission": SINGLE, "seed": seed, "mass": mass, "battery": rng.gauss(1.0, 0.1),
+                "outcome": "completed", "goal_miss_m": mass**3, "c1_peak_force_n": -mass,
+            }  # fmt: skip
+            table.append(line_of([cells.get(name) for name in opened.campaign.columns]))
+    summary = summarise(opened)
+    assert summary.drawn == []
+    assert [(v.figure, v.name) for v in summary.varied if abs(v.correlation) > 0.99] == [
+        ("goal_miss_m", "mass"),
+        ("c1_peak_force_n", "mass"),
+    ]
+    assert all(len(v.points) == 40 for v in summary.varied)
+    page = campaign_page(summary)
+    assert "goal miss, m over mass: rank correlation 1.00" in page
+    assert "Success over what was drawn" not in page
+
+
+def test_a_campaign_without_a_row_has_a_page(tmp_path: Path) -> None:
+    empty = campaigns.open_campaign(Asked((SINGLE,), vary=("mass",), runs=2), tmp_path, resume=False)
+    summary = summarise(empty)
+    assert summary.completed.share is None
+    assert "2 of 2 flights are not flown yet" in campaign_page(summary)

@@ -1,0 +1,106 @@
+"""`dart-flight calibrate thrust`: the plant's curve back from flights of it."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.config.document import InputError
+from dart_flight.config.vehicle.configuration import load_vehicle
+from dart_flight.lab.calibrate.thrust_curve import calibrate_thrust, quiet_points, read_track
+from tests.shared_flights import SharedFlights
+
+ROOT = Path(__file__).parents[3]
+VEHICLE = load_vehicle(ROOT / "configs" / "dart.yaml")
+
+
+@pytest.fixture(scope="module")
+def flight(flown: SharedFlights) -> Path:
+    return flown("paper_single_wall", 2).log
+
+
+def test_own_log_gives_the_plants_curve(flight: Path) -> None:
+    result = calibrate_thrust([read_track(flight)], VEHICLE)
+    assert result.segments >= 10
+    assert result.hover_command == pytest.approx(0.5547, rel=0.01)
+    assert result.residual_percent < 1.5
+    assert result.full_n == pytest.approx(7.0, rel=0.04)
+    assert result.reference_v == pytest.approx(15.6)
+    assert result.battery_exponent_error is None
+
+
+def test_contacts_and_the_ground_are_left_out(flight: Path) -> None:
+    track = read_track(flight)
+    points = quiet_points(track, VEHICLE.airframe.mass_kg, VEHICLE.thrust.motor_lag_s)
+    assert len(points.force) < (track.imu_s[-1] - track.imu_s[0]) / 0.5
+    assert (np.abs(points.force - 12.75) < 1.5).all()
+
+
+def test_command_line_writes_the_configuration(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "mine.yaml"
+    text = (ROOT / "configs" / "dart.yaml").read_text()
+    config.write_text(text.replace("full_n: 7.0", "full_n: 6.0"))
+    assert main(["calibrate", "thrust", str(flight), "--config", str(config), "--write", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert load_vehicle(config).thrust.full_n == pytest.approx(said["full_n"], abs=1e-3)
+    assert said["full_n"] == pytest.approx(7.0, rel=0.04)
+    assert "# at full command, at the voltage estimation.battery.reference_v\n" in config.read_text()
+
+
+def ulog(path: Path, volts: float, factor: float, full_n: float) -> None:
+    """A PX4 log of slow climbs and descents on a given curve at a voltage (16 V, exponent 1)."""
+
+    def message(kind: bytes, content: bytes) -> bytes:
+        return struct.pack("<Hc", len(content), kind) + content
+
+    fields = {
+        "sensor_combined": "float[3] gyro_rad;float[3] accelerometer_m_s2;",
+        "actuator_motors": "float[4] control;",
+        "battery_status": "float voltage_v;",
+    }
+    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message(b"B", bytes(40))
+    for name, text in fields.items():
+        out += message(b"F", f"{name}:uint64_t timestamp;{text}".encode())
+    for i, name in enumerate(fields):
+        out += message(b"A", struct.pack("<BH", 0, i) + name.encode())
+    rng = np.random.default_rng(4)
+    for i in range(5000):
+        t = 10_000_000 + 4000 * i
+        u = 0.55 + 0.1 * np.sin(0.3 * i * 0.004)
+        force = 4.0 * full_n * (factor * u * u + (1.0 - factor) * u) * volts / 16.0
+        f = rng.normal((0.0, 0.0, -force / 1.3), 0.2)
+        for index, values in enumerate(((0.0, 0.0, 0.0, *f), (u,) * 4, (volts,))):
+            if index == 2 and i % 50:
+                continue
+            out += message(b"D", struct.pack(f"<HQ{len(values)}f", index, t, *values))
+    path.write_bytes(out)
+
+
+def test_px4_logs_give_curve_and_battery(tmp_path: Path) -> None:
+    pytest.importorskip("pyulog")
+    paths = [tmp_path / "full.ulg", tmp_path / "low.ulg"]
+    ulog(paths[0], 16.6, 0.4, 8.0)
+    ulog(paths[1], 14.6, 0.4, 8.0)
+    result = calibrate_thrust([read_track(p) for p in paths], VEHICLE)
+    assert result.battery_exponent_error is not None
+    assert result.battery_exponent == pytest.approx(1.0, abs=0.05)
+    assert result.reference_v == pytest.approx(15.6, abs=0.05)
+    assert result.full_n == pytest.approx(8.0 * 15.6 / 16.0, rel=0.02)
+    assert result.model_factor_error is not None
+    assert result.model_factor == pytest.approx(0.4, abs=0.06)
+
+
+def test_what_cannot_be_used_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bad = tmp_path / "bad.ulg"
+    bad.write_bytes(b"no log")
+    with pytest.raises(InputError, match="not a readable ULog"):
+        read_track(bad)
+    assert main(["calibrate", "thrust", str(tmp_path / "none.mcap")]) == 2
+    assert "cannot read" in capsys.readouterr().err

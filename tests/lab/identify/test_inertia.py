@@ -1,0 +1,201 @@
+"""`dart-flight calibrate inertia`: the inertia back from turning that is known."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.config.document import InputError
+from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.config.vehicle.configuration import load_vehicle
+from dart_flight.lab.calibrate.inertia import calibrate_inertia
+from dart_flight.lab.calibrate.thrust_curve import Track, read_track
+from tests.shared_flights import SharedFlights
+
+ROOT = Path(__file__).parents[3]
+VEHICLE = load_vehicle(ROOT / "configs" / "dart.yaml")
+INERTIA = (0.016, 0.011, 0.027)  # not the configured one
+HOVER = VEHICLE.thrust.command_for(VEHICLE.airframe.mass_kg * 9.80665 / 4.0)
+
+
+def turning(
+    shakes: tuple[float, float, float],
+    seconds: float = 20.0,
+    lag_s: float = 0.025,
+    wind_nm: float = 0.0,
+    vehicle: VehicleConfig = VEHICLE,
+) -> Track:
+    """A track of `INERTIA` whose motors shake it about the three axes, commands by `shakes`."""
+    rng = np.random.default_rng(3)
+    tick, fine = 0.004, 4
+    motors = vehicle.airframe.motors
+    mix = np.array([(-np.sign(m.y_m), np.sign(m.x_m), np.sign(m.yaw_torque_per_thrust_m)) for m in motors])
+    arms = np.array([(-m.y_m, m.x_m, m.yaw_torque_per_thrust_m) for m in motors])
+    j, w, u = np.array(INERTIA), np.zeros(3), np.full(4, HOVER)
+    keep = math.exp(-tick / fine / lag_s)
+    gyro, sent, stamps = [], [], []
+    for i in range(round(seconds / tick)):
+        t = i * tick
+        # Two tones an axis, of its own, so that the vehicle turns to and fro.
+        wave = [math.sin(2 * math.pi * (1.1 + 0.7 * k) * t) + math.sin(19.0 * t + k) for k in range(3)]
+        command = HOVER + mix @ (np.array(shakes) * wave) + 0.002 * rng.normal(size=4)
+        if i % 2 == 0:
+            stamps.append(t)
+            sent.append(command)
+        for _ in range(fine):
+            u = command + (u - command) * keep
+            torque = np.array([vehicle.thrust.force_n(x) for x in u]) @ arms + wind_nm * rng.normal(size=3)
+            w = w + tick / fine * (torque - np.cross(w, j * w)) / j
+        gyro.append(w + 0.01 * rng.normal(size=3))
+    n = len(gyro)
+    return Track(
+        source="made",
+        imu_s=tick * np.arange(1, n + 1, dtype=float),
+        specific_force=np.tile((0.0, 0.0, -9.81), (n, 1)),
+        rate=np.array(gyro),
+        motor_s=np.array(stamps),
+        motors=np.array(sent),
+        velocity_s=np.empty(0),
+        velocity=np.empty((0, 3)),
+        voltage_s=np.empty(0),
+        voltage=np.empty(0),
+        ground=[],
+    )
+
+
+def test_what_shakes_about_all_axes_tells_all_three() -> None:
+    result = calibrate_inertia([turning((0.02, 0.02, 0.05))], VEHICLE)
+    for axis, true in zip(result.axes, INERTIA, strict=True):
+        assert axis.value == pytest.approx(true, rel=0.04), axis
+        assert axis.low is not None
+        assert axis.high is not None
+        assert axis.low < true < axis.high
+        assert axis.high < 1.25 * axis.low
+    assert result.motor_lag_s == pytest.approx(0.025, rel=0.25)
+
+
+def test_another_lag_is_found() -> None:
+    result = calibrate_inertia([turning((0.02, 0.02, 0.05), lag_s=0.05)], VEHICLE)
+    assert result.motor_lag_s == pytest.approx(0.05, rel=0.25)
+    assert result.axes[0].value == pytest.approx(INERTIA[0], rel=0.06)
+
+
+def test_yaw_scales_with_the_propellers_torque() -> None:
+    """Only the ratio of inertia and propeller torque shows: half the one is half the other."""
+    track = turning((0.02, 0.02, 0.05))
+    airframe = msgspec.structs.replace(VEHICLE.airframe, yaw_torque_per_thrust_m=0.008)
+    half = calibrate_inertia([track], msgspec.structs.replace(VEHICLE, airframe=airframe))
+    # But for the gyroscopic terms, which do not scale with it.
+    assert half.axes[2].value == pytest.approx(0.5 * INERTIA[2], rel=0.15)
+    assert half.axes[1].value == pytest.approx(INERTIA[1], rel=0.04)
+
+
+def test_an_axis_without_excitation_is_refused_by_name() -> None:
+    result = calibrate_inertia([turning((0.02, 0.0, 0.0))], VEHICLE)
+    roll, _, yaw = result.axes
+    assert roll.value == pytest.approx(INERTIA[0], rel=0.06)
+    assert (yaw.axis, yaw.value) == ("yaw", None)
+    assert "excitation" in yaw.refused
+    assert result.inertia_kg_m2[2] is None
+
+
+def test_without_any_excitation_nothing_is_told() -> None:
+    track = turning((0.0, 0.0, 0.0))
+    track.motors[:] = HOVER
+    with pytest.raises(InputError, match=r"no axis is excited: roll: .*pitch: .*yaw: "):
+        calibrate_inertia([track], VEHICLE)
+
+
+def test_motors_in_another_order_are_noticed() -> None:
+    """Left and right exchanged: rates in roll and yaw go against the torques, pitch is as it was."""
+    track = turning((0.02, 0.02, 0.05))
+    track.motors[:] = track.motors[:, (2, 3, 0, 1)]
+    roll, pitch, yaw = calibrate_inertia([track], VEHICLE).axes
+    assert (roll.value, yaw.value) == (None, None)
+    assert "no turning that follows" in roll.refused
+    assert pitch.value == pytest.approx(INERTIA[1], rel=0.1)
+
+
+def test_slow_commands_and_other_vehicles_are_refused() -> None:
+    track = turning((0.02, 0.02, 0.05), seconds=6.0)
+    slow = msgspec.structs.replace(track, motor_s=track.motor_s[::20], motors=track.motors[::20])
+    with pytest.raises(InputError, match="motor commands at 6 Hz, at least 50"):
+        calibrate_inertia([slow], VEHICLE)
+    six = msgspec.structs.replace(track, motors=np.hstack([track.motors, track.motors[:, :2]]))
+    with pytest.raises(InputError, match="6 motors, the configuration's airframe 4"):
+        calibrate_inertia([six], VEHICLE)
+    with pytest.raises(InputError, match=r"windows of 0\.1 s"):
+        calibrate_inertia([turning((0.02, 0.02, 0.05), seconds=2.0)], VEHICLE)
+
+
+def test_contacts_and_the_ground_are_left_out() -> None:
+    """A torque from outside, in a contact and on the ground, changes nothing."""
+    track = turning((0.02, 0.02, 0.05))
+    hit = (track.imu_s > 8.0) & (track.imu_s < 8.4)
+    track.specific_force[hit] = (20.0, 0.0, -9.81)
+    track.rate[hit] += 5.0 * np.sin(30.0 * track.imu_s[hit])[:, None]
+    track.rate[track.imu_s < 3.0] = 0.0
+    track.ground.append((0.0, 3.0))
+    result = calibrate_inertia([track], VEHICLE)
+    assert result.axes[0].value == pytest.approx(INERTIA[0], rel=0.05)
+
+
+def test_own_log_and_the_configuration(
+    flown: SharedFlights, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An ordinary flight tells pitch, the axis of its approach; `--write` changes that and nothing else."""
+    config = tmp_path / "mine.yaml"
+    text = (ROOT / "configs" / "dart.yaml").read_text()
+    config.write_text(text.replace("[0.0125, 0.0125, 0.022]", "[0.02, 0.02, 0.03]"))
+    log = str(flown("paper_single_wall", 2).log)
+    assert main(["calibrate", "inertia", log, "--config", str(config), "--write", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    pitch = said["axes"][1]
+    assert pitch["low"] < 0.0125 < pitch["high"]
+    found = load_vehicle(config).airframe.inertia_kg_m2
+    kept = (0.02, 0.02, 0.03)
+    for value, axis, old in zip(found, said["axes"], kept, strict=True):
+        assert value == pytest.approx(axis["value"] or old, abs=1e-6)
+    changed = [a for a, b in zip(text.splitlines(), config.read_text().splitlines(), strict=True) if a != b]
+    assert len(changed) == 1
+    assert main(["calibrate", "inertia", log, "--config", str(config)]) == 0
+    assert "about" in capsys.readouterr().out
+
+
+def write_ulog(path: Path, track: Track) -> None:
+    """The track as PX4 would have logged it."""
+
+    def message(kind: bytes, content: bytes) -> bytes:
+        return struct.pack("<Hc", len(content), kind) + content
+
+    fields = {
+        "sensor_combined": "float[3] gyro_rad;float[3] accelerometer_m_s2;",
+        "actuator_motors": "float[4] control;",
+    }
+    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message(b"B", bytes(40))
+    for name, text in fields.items():
+        out += message(b"F", f"{name}:uint64_t timestamp;{text}".encode())
+    for i, name in enumerate(fields):
+        out += message(b"A", struct.pack("<BH", 0, i) + name.encode())
+    rows = [(t, 0, (*w, *f)) for t, w, f in zip(track.imu_s, track.rate, track.specific_force, strict=True)]
+    rows += [(t, 1, tuple(u)) for t, u in zip(track.motor_s, track.motors, strict=True)]
+    for t, index, values in sorted(rows, key=lambda row: row[0]):
+        stamp = 10_000_000 + round(1e6 * float(t))
+        out += message(b"D", struct.pack(f"<HQ{len(values)}f", index, stamp, *values))
+    path.write_bytes(out)
+
+
+def test_px4_logs_tell_it_too(tmp_path: Path) -> None:
+    pytest.importorskip("pyulog")
+    write_ulog(tmp_path / "flight.ulg", turning((0.02, 0.02, 0.05)))
+    result = calibrate_inertia([read_track(tmp_path / "flight.ulg")], VEHICLE)
+    for axis, true in zip(result.axes, INERTIA, strict=True):
+        assert axis.value == pytest.approx(true, rel=0.04)
+    assert any("actuator_motors" in note for note in result.notes)

@@ -1,0 +1,63 @@
+"""Recorded flights for all tests of this folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.lab.report.flight import Flight
+from dart_flight.lab.report.page import comparison_page, flight_page
+from dart_flight.run.prepare import load_flyable
+from tests.shared_flights import SharedFlights
+
+
+@pytest.fixture(scope="session")
+def dual() -> Mission:
+    return load_flyable(packaged("missions", "paper_dual_collision.yaml"), packaged("configs", "dart.yaml"))
+
+
+@pytest.fixture(scope="session")
+def trials(flown: SharedFlights) -> list[Path]:
+    """Three flights of the dual collision."""
+    return [flown("paper_dual_collision", seed).log for seed in (1, 2, 3)]
+
+
+@pytest.fixture(scope="session")
+def flights(trials: list[Path]) -> list[Flight]:
+    """The three, read."""
+    return [Flight.read(path) for path in trials]
+
+
+@pytest.fixture(scope="session")
+def flight(flights: list[Flight]) -> Flight:
+    return flights[0]
+
+
+def kept(flown: SharedFlights, name: str, make: Callable[[], str]) -> str:
+    """A page that is made once for all workers."""
+    folder = flown.once(name, lambda there: (there / "page.html").write_text(make(), encoding="utf-8"))
+    return (folder / "page.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="session")
+def page(flown: SharedFlights, request: pytest.FixtureRequest) -> str:
+    """The page of the first flight."""
+    return kept(flown, "page", lambda: flight_page(request.getfixturevalue("flight")))
+
+
+@pytest.fixture(scope="session")
+def compared(flown: SharedFlights, request: pytest.FixtureRequest) -> str:
+    """The page that compares the three, given out of order."""
+    return kept(flown, "compared", lambda: comparison_page(request.getfixturevalue("flights")[::-1]))
+
+
+@pytest.fixture(scope="session")
+def aborted(flown: SharedFlights) -> Path:
+    """A flight into a wall that is not there."""
+    verdict, log = flown("paper_dual_collision", 1, "wall-missing@approach")
+    assert verdict.outcome == "aborted"
+    return log

@@ -1,0 +1,128 @@
+"""The picture of a mission before it flies: what it says is what the flight model says."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.lab.report.figures.mission import in_words, mission_figure
+from dart_flight.lab.report.figures.style import as_svg
+from dart_flight.planning.planned import drawn_flights, planned_flight
+from tests.lab.report.svg import texts_of
+
+DUAL = str(packaged("missions", "paper_dual_collision.yaml"))
+
+
+def test_every_hit_is_named_with_its_figures(dual: Mission) -> None:
+    planned = planned_flight(dual)
+    words = " ".join(texts_of(as_svg(mission_figure(dual, planned))))
+    for index, hit in planned.hits.items():
+        speed = np.hypot(hit.normal_m_s, hit.tangential_m_s)
+        force = np.hypot(hit.normal_n, hit.tangential_n)
+        assert f"{index} {dual.collisions[index - 1].mode.value}" in words
+        assert f"{speed:.2f} m/s, {force:.0f} N" in words
+    assert {"wood", "acrylic", "run-up begins", "recovery set-point"} <= set(
+        texts_of(as_svg(mission_figure(dual, planned)))
+    )
+    assert f"Passes the goal at {planned.goal_miss_m:.2f} m" in words
+
+
+def test_draws_of_walls_without_spread_are_the_plan(dual: Mission) -> None:
+    estimation = dual.vehicle.estimation
+    sure = msgspec.structs.replace(estimation, walls=msgspec.structs.replace(estimation.walls, spread=1e-9))
+    mission = msgspec.structs.replace(dual, vehicle=msgspec.structs.replace(dual.vehicle, estimation=sure))
+    nominal = planned_flight(mission).goal_miss_m
+    assert [f.goal_miss_m for f in drawn_flights(mission, 3)] == pytest.approx([nominal] * 3, abs=1e-6)
+    spread = [f.goal_miss_m for f in drawn_flights(dual, 20)]
+    assert np.std([miss for miss in spread if miss is not None]) > 0.01
+
+
+def test_draws_have_their_walls_where_these_may_stand(dual: Mission) -> None:
+    known = drawn_flights(dual, 60)
+    assert all(not flight.walls for flight in known)
+    for sd_m, yaw_deg in ((0.05, 0.0), (0.0, 3.0)):
+        unsure = dual.replace({"walls.wood.position_sd_m": sd_m, "walls.wood.yaw_sd_deg": yaw_deg})
+        drawn = drawn_flights(unsure, 60)
+        assert {wall.name for flight in drawn for wall in flight.walls} == {"wood"}
+        met = [(a, b) for a, b in zip(known, drawn, strict=True) if 1 in a.hits and 1 in b.hits]
+        assert len(met) > 40
+        # The same coefficients, so as far before or behind the plane: the drawn one, not the mission's.
+        wood = next(wall for wall in dual.walls if wall.name == "wood")
+        before = [wood.signed_distance(a.hits[1].position) for a, _ in met]
+        really = [b.walls[0].signed_distance(b.hits[1].position) for _, b in met]
+        assert really == pytest.approx(before, abs=1e-6 if yaw_deg == 0.0 else 0.005)
+        assert np.std([b.hits[1].position[1] - a.hits[1].position[1] for a, b in met]) > 0.3 * sd_m
+        directions = [b.walls[0].normal[0] for _, b in met]
+        assert np.std(directions) == pytest.approx(np.radians(yaw_deg), rel=0.3, abs=1e-9)
+    told = dual.replace({"walls.wood.position_sd_m": 0.05})
+    words = in_words(told, planned_flight(told), drawn_flights(told, 20))
+    assert any("Where wood may stand" in line for line in words)
+
+
+def heights_in_the_side_view(mission: Mission) -> tuple[dict[str, float], list[float]]:
+    """Numbers of hits -> the height they are written at, and that of every star (the goal)."""
+    side = mission_figure(mission, planned_flight(mission)).axes[1]
+    stars = [float(line.get_ydata()[0]) for line in side.lines if line.get_marker() == "*"]
+    return {text.get_text(): float(text.xy[1]) for text in side.texts}, stars
+
+
+def test_the_side_view_is_as_high_as_the_way_points_say(dual: Mission) -> None:
+    higher = dual.replace({"waypoints": [{"position_m": [0.0, 0.0], "altitude_m": 1.5}]})
+    assert heights_in_the_side_view(dual) == ({"1": 1.0, "2": 1.0}, [1.0])
+    assert heights_in_the_side_view(higher) == ({"1": 1.5, "2": 1.5}, [1.5])
+
+
+def test_the_words_give_the_quantiles_of_the_draws(dual: Mission) -> None:
+    drawn = drawn_flights(dual, 20)
+    low, high = np.quantile([f.goal_miss_m for f in drawn if f.goal_miss_m is not None], (0.05, 0.95))
+    line = in_words(dual, planned_flight(dual), drawn)[-1]
+    assert [float(v) for v in re.findall(r"\d\.\d\d", line)] == pytest.approx([low, high], abs=0.006)
+    assert "± 30 %" in line
+
+
+def test_a_mission_that_cannot_be_flown_has_its_room_drawn(dual: Mission) -> None:
+    words = texts_of(as_svg(mission_figure(dual, None)))
+    assert {"wood", "acrylic", "goal"} <= set(words)
+    assert any("cannot be flown" in word for word in words)
+
+
+@pytest.mark.parametrize(("ending", "begin"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")])
+def test_check_draws_by_the_ending(ending: str, begin: bytes, tmp_path: Path) -> None:
+    path = tmp_path / f"mission.{ending}"
+    assert main(["check", DUAL, "--plot", str(path)]) == 0
+    assert path.read_bytes().startswith(begin)
+
+
+def test_check_says_what_a_picture_needs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert main(["check", DUAL, "--plot", str(tmp_path / "mission.gif")]) == 2
+    assert "mission.gif: a picture is a file .png, .svg or .pdf" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert main(["check", DUAL, "--plot", str(tmp_path / "mission.png")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "pip install 'dart-flight[report]'" in error
+
+
+def test_a_mission_of_way_points_shows_its_ways() -> None:
+    mission = load_mission(packaged("missions", "square.yaml"))
+    figure = mission_figure(mission, planned_flight(mission))
+    assert {"1", "2, 6: 1 m high", "3: 1.4 m high"} <= set(texts_of(as_svg(figure)))
+    assert {"way-point", "predicted way", "goal"} <= set(texts_of(as_svg(figure)))
+    plan, side = figure.axes[:2]
+    (x0, x1), (y0, y1), (_, z1) = plan.get_xlim(), plan.get_ylim(), side.get_ylim()
+    for waypoint in mission.waypoints:
+        if waypoint.position is not None:
+            x, y, z = waypoint.position
+            assert x0 < x < x1
+            assert y0 < y < y1
+            assert z < z1

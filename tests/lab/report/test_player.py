@@ -1,0 +1,279 @@
+"""The animation of a page: its numbers, and its behaviour in a real browser where there is one."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dart_flight.config.document import InputError
+from dart_flight.lab.report.figures.flight_map import flight_map
+from dart_flight.lab.report.flight import Flight
+from dart_flight.lab.report.page import flight_page
+from dart_flight.lab.report.player import player_data
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.replay import Replay
+from tests.lab.report.ten_hits import many_hits
+from tests.shared_flights import SharedFlights
+from tools.docs.browser import Browser, find_browser
+
+DATA = re.compile(r'<script type="application/json" id="flight-data">(.*?)</script>', re.DOTALL)
+
+
+@pytest.fixture(scope="session")
+def ten(flown: SharedFlights) -> Flight:
+    """A flight with ten hits."""
+    mission = many_hits(10)
+    folder = flown.once("ten-hits", lambda there: fly_fast(mission, 1, there))
+    return Flight.read(next(folder.glob("*/flight.mcap")))
+
+
+def not_now(*_: object, **__: object) -> None:
+    raise InputError("not identified in this test")
+
+
+@pytest.fixture(scope="session")
+def ten_page(ten: Flight) -> str:
+    """Its page without the coefficients of ten hits, whose few table rows it lacks, and not replayed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dart_flight.lab.report.proposal.identify", not_now)
+        patch.setattr(
+            "dart_flight.lab.report.flight.replay",
+            lambda _: Replay(0, 0, True, [], [], [], 0, "not in this test"),
+        )
+        return flight_page(ten)
+
+
+# --- numbers -------------------------------------------------------------------------------------------
+
+
+def numbers(page: str) -> dict[str, Any]:
+    found = DATA.search(page)
+    assert found is not None
+    data: dict[str, Any] = json.loads(found[1])
+    return data
+
+
+def test_the_numbers_are_complete_and_in_order(flight: Flight, page: str) -> None:
+    data = numbers(page)
+    times = np.array(data["t"])
+    assert (np.diff(times) > 0).all()
+    for name in ("x", "y", "z", "speed", "yaw", "pitch", "roll"):
+        assert len(data[name]) == times.size
+    for name in ("x", "y", "true"):
+        assert len(data["force"][name]) == len(data["force"]["t"])
+    assert (np.diff(data["force"]["t"]) > 0).all()
+    for name in ("setpoints", "lock", "phases"):
+        moments = [row[0] for row in data[name]]
+        assert moments == sorted(moments)
+        assert moments
+    assert [hit["n"] for hit in data["hits"]] == [i.verdict.index for i in flight.impacts]
+    true = flight.course.true
+    for hit, impact in zip(data["hits"], flight.impacts, strict=True):
+        assert hit["t"] == pytest.approx(1e3 * impact.at_s, abs=1.0)
+        shown = [np.interp(hit["t"], times, data[axis]) * 1e-3 for axis in "xyz"]
+        there = [np.interp(impact.at_s, true.time_s, true.position[:, i]) for i in range(3)]
+        assert shown == pytest.approx(there, abs=0.005)
+        near = np.abs(np.array(data["force"]["t"]) - hit["t"]) < 150
+        nx, ny = impact.collision.wall.normal
+        force = 0.1 * (nx * np.array(data["force"]["x"]) + ny * np.array(data["force"]["y"]))[near].max()
+        assert force == pytest.approx(impact.verdict.measured.peak_force_n, rel=0.15)
+
+
+def test_pictures_are_closer_together_at_a_hit(page: str) -> None:
+    data = numbers(page)
+    times = np.array(data["t"])
+    at = data["hits"][0]["t"]
+    near = np.diff(times[np.abs(times - at) < 150])
+    assert near.max() <= 10
+    assert np.diff(times).max() <= 40
+
+
+def test_the_page_of_ten_hits_is_small(ten: Flight, ten_page: str) -> None:
+    assert len(ten.impacts) == 10
+    assert len(ten_page.encode()) < 1_000_000
+    assert len(numbers(ten_page)["hits"]) == 10
+
+
+@pytest.mark.parametrize("count", [5, 10])
+def test_labels_of_many_hits_do_not_overlap(ten: Flight, count: int) -> None:
+    flight = ten if count == 10 else _first_hits(ten, count)
+    figure = flight_map([flight])
+    figure.draw_without_rendering()
+    axis = figure.axes[0]
+    boxes = {text.get_text(): text.get_window_extent() for text in axis.texts if text.get_text()}
+    hits = [name for name in boxes if re.match(r"\d+: \d+ N", name)]
+    assert len(hits) == count
+    names = [name for name in boxes if "acrylic" in name or "wood" in name]
+    assert len(names) == 4
+    page = axis.get_window_extent()
+    for one, other in itertools.combinations([*hits, *names], 2):
+        a, b = boxes[one], boxes[other]
+        width = min(a.x1, b.x1) - max(a.x0, b.x0)
+        height = min(a.y1, b.y1) - max(a.y0, b.y0)
+        assert width <= 1.0 or height <= 1.0, f"{one} lies over {other}"
+    for name in hits:
+        assert boxes[name].x0 > page.x0 - 2
+        assert boxes[name].x1 < page.x1 + 2
+
+
+def _first_hits(flight: Flight, count: int) -> Flight:
+    """The same flight as if it had ended behind a hit."""
+    other = Flight(flight.log)
+    other.impacts = other.impacts[:count]
+    return other
+
+
+def test_a_flight_that_never_flew_has_no_animation(trials: list[Path], tmp_path: Path) -> None:
+    cut = tmp_path / "flight.mcap"
+    whole = trials[0].read_bytes()
+    cut.write_bytes(whole[: len(whole) // 50])
+    flight = Flight.read(cut)
+    assert player_data(flight) is None
+    assert "<script" not in flight_page(flight)
+
+
+def test_the_page_forbids_itself_to_load_anything(page: str, compared: str) -> None:
+    for text, scripts in ((page, "'sha256-"), (compared, "'none'")):
+        policy = re.search(r'Content-Security-Policy" content="([^"]+)"', text)
+        assert policy is not None
+        rules = dict(rule.strip().split(" ", 1) for rule in policy[1].split(";"))
+        assert rules["default-src"] == "'none'"
+        assert rules["img-src"] == "data:"
+        assert rules["script-src"].startswith(scripts)
+
+
+# --- in a browser --------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    executable = find_browser()
+    if executable is None:
+        pytest.skip("no Chromium found: install one, or name it in DART_BROWSER")
+    with Browser(executable) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def file(page: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("pages") / "flight.html"
+    path.write_text(page, encoding="utf-8")
+    return path
+
+
+FRAMES = "new Promise(done => { let n = %d; const f = () => --n ? requestAnimationFrame(f) : done(1); f(); })"
+WHERE = "document.querySelector('.vehicle').getAttribute('transform')"
+NOW = "Number(document.getElementById('time').value)"
+
+
+def test_nothing_moves_before_it_is_asked_for(browser: Browser, file: Path) -> None:
+    for reduced in (False, True):
+        browser.emulate(1280, reduced_motion=reduced)
+        browser.open(file)
+        begin = browser.evaluate(WHERE)
+        browser.evaluate(FRAMES % 20)
+        assert browser.evaluate(WHERE) == begin
+        assert browser.evaluate("document.getAnimations().length") == 0
+        assert browser.evaluate("document.getElementById('player').hidden") is False
+        assert browser.problems() == []
+        assert browser.requested() == []
+        browser.evaluate("document.getElementById('time').focus()")
+        browser.press("End", 35)
+        assert browser.evaluate(WHERE) != begin
+
+
+def test_the_slider_and_its_keys(browser: Browser, file: Path, flight: Flight) -> None:
+    browser.emulate(1280)
+    browser.open(file)
+    browser.evaluate("document.getElementById('time').focus()")
+    begin = browser.evaluate(NOW)
+    browser.press("ArrowRight", 39)
+    assert browser.evaluate(NOW) == pytest.approx(begin + 0.01, abs=1e-6)
+    for impact in flight.impacts:
+        browser.press("PageDown", 34)
+        assert browser.evaluate(NOW) == pytest.approx(impact.at_s, abs=0.006)
+        said = browser.evaluate("document.querySelector('.said').textContent")
+        assert said.startswith(f"hit {impact.verdict.index}: {impact.verdict.wall}, {impact.verdict.mode}")
+        lock = browser.evaluate("document.querySelector('.vehicle').getAttribute('class')")
+        assert lock == f"vehicle {impact.verdict.mode}"
+    browser.press("PageUp", 33)
+    assert browser.evaluate(NOW) == pytest.approx(flight.impacts[0].at_s, abs=0.006)
+    browser.press("Home", 36)
+    assert browser.evaluate(NOW) == begin
+
+
+def test_it_plays_at_the_chosen_speed_and_stops(browser: Browser, file: Path) -> None:
+    browser.emulate(1280)
+    browser.open(file)
+    browser.evaluate("document.getElementById('time').focus()")
+    for rate in ("1", "0.1"):
+        browser.evaluate(f"document.getElementById('rate').value = '{rate}'")
+        browser.press(" ", 32)
+        browser.evaluate(FRAMES % 4)
+        went, took = browser.evaluate(
+            f"new Promise(done => {{ const begin = performance.now(), from = {NOW}; const f = () =>"
+            f" performance.now() - begin > 400 ? done([{NOW} - from, (performance.now() - begin) / 1000])"
+            " : requestAnimationFrame(f); f(); })"
+        )
+        browser.press(" ", 32)
+        assert went == pytest.approx(float(rate) * took, abs=0.04 + 0.1 * float(rate))
+        still = browser.evaluate(NOW)
+        browser.evaluate(FRAMES % 5)
+        assert browser.evaluate(NOW) == still
+        assert browser.evaluate("document.getElementById('play').getAttribute('aria-pressed')") == "false"
+
+
+def test_a_finger_on_a_phone(browser: Browser, file: Path, flight: Flight) -> None:
+    browser.emulate(390, 844, touch=True)
+    browser.open(file)
+    assert browser.evaluate("document.documentElement.scrollWidth") <= 390
+    sizes = browser.evaluate(
+        "[...document.querySelectorAll('#player button, #player select, #time')]"
+        ".map(e => e.getBoundingClientRect().height)"
+    )
+    assert min(sizes) >= 44
+    browser.tap("[data-hit='2']")
+    assert browser.evaluate(NOW) == pytest.approx(flight.impacts[1].at_s, abs=0.006)
+    before = browser.evaluate(NOW)
+    browser.tap("#play")
+    browser.evaluate(FRAMES % 20)
+    browser.tap("#play")
+    assert browser.evaluate(NOW) > before
+    browser.tap(".whole")
+    span = browser.evaluate(
+        "[Number(document.getElementById('time').min), Number(document.getElementById('time').max)]"
+    )
+    assert browser.evaluate(NOW) == pytest.approx(sum(span) / 2, rel=0.1)
+
+
+def test_light_and_dark(browser: Browser, file: Path) -> None:
+    def brightness(expression: str) -> float:
+        colour = browser.evaluate(expression)
+        return float(np.mean([float(v) for v in re.findall(r"[\d.]+", colour)][:3]))
+
+    paper = "getComputedStyle(document.body).backgroundColor"
+    path = "getComputedStyle(document.querySelector('.flown')).stroke"
+    for dark in (False, True):
+        browser.emulate(1280, dark=dark)
+        browser.open(file)
+        assert (brightness(paper) < 60) is dark
+        assert (brightness(path) > 180) is dark
+
+
+def test_without_scripts_the_page_lacks_nothing_else(browser: Browser, file: Path) -> None:
+    browser.emulate(1280, scripts=False)
+    try:
+        browser.open(file)
+        assert browser.evaluate("document.getElementById('player').getBoundingClientRect().height") == 0
+        widths = browser.evaluate("[...document.images].map(i => i.complete && i.naturalWidth)")
+        assert len(widths) >= 6
+        assert min(widths) > 0
+    finally:
+        browser.emulate(1280)

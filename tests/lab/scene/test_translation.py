@@ -1,0 +1,266 @@
+"""A flight in standard schemas: what a viewer that knows nothing of this program makes of it."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from foxglove.messages import SceneEntity, SceneUpdate
+from mcap.reader import make_reader
+
+from dart_flight.base.geometry import Quaternion, Vec3, rotate
+from dart_flight.base.records import ForceEstimate, ImpactPeak, LockPhase, LockState, Record
+from dart_flight.cli import main
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.lab.flight_arrays import FlightArrays
+from dart_flight.lab.scene import drawing
+from dart_flight.lab.scene.drawing import FORCE_SCALE_M_PER_N
+from dart_flight.lab.scene.export import export_foxglove
+from dart_flight.lab.scene.thinning import SCALARS_US, SCENE_US, Thinning
+from dart_flight.planning.planned import planned_flight
+from dart_flight.recording.about import flown_mission
+from dart_flight.recording.reader import Log, read_log
+from tests.doubles.viewer import Decoder
+from tests.shared_flights import SharedFlights
+
+Messages = dict[str, list[tuple[int, dict[str, Any]]]]
+
+
+@pytest.fixture(scope="module")
+def log(flown: SharedFlights) -> Log:
+    return read_log(flown("paper_dual_collision", 1).log)
+
+
+@pytest.fixture(scope="module")
+def exported(log: Log, tmp_path_factory: pytest.TempPathFactory) -> Messages:
+    path = tmp_path_factory.mktemp("scene") / "flight.mcap"
+    assert export_foxglove(log, path) > 1000
+    return read(path)
+
+
+def read(path: Path) -> Messages:
+    """Topic -> (log time in us, message)."""
+    messages: Messages = {}
+    decoders: dict[int, Decoder] = {}
+    with open(path, "rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages():
+            assert schema is not None
+            if channel.id not in decoders:
+                decoders[channel.id] = Decoder(channel.message_encoding, schema.name, schema.data)
+            decoded = decoders[channel.id](message.data)
+            messages.setdefault(channel.topic, []).append((message.log_time // 1000, decoded))
+    return messages
+
+
+def vector(value: dict[str, float]) -> Vec3:
+    return (value["x"], value["y"], value["z"])
+
+
+def rotation(value: dict[str, float]) -> Quaternion:
+    return (value["w"], value["x"], value["y"], value["z"])
+
+
+def entities(messages: Messages, topic: str) -> list[dict[str, Any]]:
+    return [entity for _, update in messages[topic] for entity in update["entities"]]
+
+
+def test_the_vehicle_moves_as_the_log_has_it(log: Log, exported: Messages) -> None:
+    arrays = FlightArrays(log, flown_mission(log.about, log.source))
+    moves = exported["/tf"]
+    assert len(moves) > 100
+    for t_us, message in moves[::10]:
+        [one] = message["transforms"]
+        assert (one["parent_frame_id"], one["child_frame_id"]) == ("mission", "vehicle")
+        at_s = arrays.time_of(t_us)
+        motion = arrays.estimated
+        expected = [float(np.interp(at_s, motion.time_s, motion.position[:, i])) for i in range(3)]
+        if one["translation"]["z"] > 0.3:  # before, the frame is not anchored yet
+            assert vector(one["translation"]) == pytest.approx(expected, abs=1e-6)
+    start = flown_mission(log.about, log.source).start
+    assert vector(moves[0][1]["transforms"][0]["translation"]) == (*start, 0.0)  # before anything is known
+    ground, air = moves[1][1]["transforms"][0], max(m["transforms"][0]["translation"]["z"] for _, m in moves)
+    assert abs(ground["translation"]["z"]) < 0.05
+    assert air == pytest.approx(1.0, abs=0.2)
+
+
+def test_the_vehicle_stands_upright_and_leans_into_its_acceleration(log: Log, exported: Messages) -> None:
+    """Up of the body is up of the mission, and horizontal thrust points where the estimate accelerates to."""
+    for _, message in exported["/tf"]:
+        up = rotate(rotation(message["transforms"][0]["rotation"]), (0.0, 0.0, 1.0))
+        assert up[2] > 0.5
+    states = exported["/flight/state"]
+    leaning = [
+        (rotate(rotation(m["transforms"][0]["rotation"]), (0.0, 0.0, 1.0)), s["tilt_deg"])
+        for (_, m), (_, s) in zip(exported["/tf"][1:], states, strict=True)  # the first is the start
+    ]
+    assert max(tilt for _, tilt in leaning) > 10.0
+    for up, tilt in leaning:
+        assert math.degrees(math.acos(min(1.0, up[2]))) == pytest.approx(tilt, abs=1e-3)
+
+
+def test_the_rates_are_bounded(exported: Messages) -> None:
+    for topic, period in (("/tf", SCENE_US), ("/flight/state", SCENE_US), ("/flight/force", SCALARS_US)):
+        times = [t for t, _ in exported[topic]]
+        assert 0.8 * (times[-1] - times[0]) / period < len(times) <= (times[-1] - times[0]) / period + 1
+
+
+def test_walls_stand_at_their_surface(log: Log, exported: Messages) -> None:
+    mission = flown_mission(log.about, log.source)
+    reach = mission.vehicle.airframe.contact_distance_m
+    room = {entity["id"]: entity for entity in entities(exported, "/scene/room")}
+    for wall in mission.walls:
+        [cube] = room[f"wall {wall.name}"]["cubes"]
+        axis = rotate(rotation(cube["pose"]["orientation"]), (1.0, 0.0, 0.0))
+        assert axis == pytest.approx((*wall.normal, 0.0), abs=1e-9)
+        middle = vector(cube["pose"]["position"])
+        face = wall.signed_distance(middle) + 0.5 * cube["size"]["x"]
+        assert face == pytest.approx(-reach)
+        assert cube["size"]["y"] == wall.length_m
+        [label] = room[f"wall {wall.name}"]["texts"]
+        assert wall.material in label["text"]
+    [capture] = room["start and goal"]["cylinders"]
+    assert capture["size"]["x"] == 2.0 * mission.goal.capture_radius_m
+
+
+def decoded(entity: SceneEntity) -> dict[str, Any]:
+    """An entity as a viewer gets it."""
+    schema = SceneUpdate.get_schema()
+    [one] = Decoder("protobuf", schema.name, schema.data)(SceneUpdate(entities=[entity]).encode())["entities"]
+    found: dict[str, Any] = one
+    return found
+
+
+def test_the_plan_and_the_goal_are_as_high_as_the_way_points_say() -> None:
+    dual = load_mission(packaged("missions", "paper_dual_collision.yaml"))
+    higher = dual.replace({"waypoints": [{"position_m": [0.0, 0.0], "altitude_m": 1.5}]})
+    for mission, z in ((dual, 1.0), (higher, 1.5)):
+        flight = planned_flight(mission)
+        way = decoded(drawing.planned(flight, mission, 0))
+        hits = way["spheres"][: len(flight.hits)]
+        assert [ball["pose"]["position"]["z"] for ball in hits] == [z] * 2
+        assert {line["points"][-1]["z"] for line in way["lines"]} == {z}
+        marks = decoded(drawing.room(mission, 0)[-1])
+        said = {one["text"]: one["pose"]["position"]["z"] for one in marks["texts"]}
+        assert said["goal"] - said["start"] == pytest.approx(z - 1.0)
+
+
+def test_the_arms_are_drawn_by_the_state_of_the_lock(log: Log, exported: Messages) -> None:
+    states = [e.record for e in log.entries if isinstance(e.record, LockState)]
+    known = ["unknown"] + [
+        s.mode.value if s.phase is LockPhase.SETTLED and s.mode else s.phase.value for s in states
+    ]
+    changes = [b for a, b in pairwise(["", *known]) if a != b]
+    drawn = entities(exported, "/scene/vehicle")
+    assert len(drawn) == len(changes)
+    colours = {name: set() for name in changes}  # type: dict[str, set[tuple[float, ...]]]
+    for name, entity in zip(changes, drawn, strict=True):
+        arms = entity["cylinders"][4:]
+        assert len(arms) == 4
+        colours[name] |= {tuple(arm["color"].values()) for arm in arms}
+    assert {"rigid", "flexible", "travelling"} <= colours.keys()
+    assert all(len(colour) == 1 for colour in colours.values())
+    assert len(set.union(*colours.values())) == len(colours)
+
+
+def test_a_motor_is_where_the_airframe_has_it(log: Log, exported: Messages) -> None:
+    airframe = flown_mission(log.about, log.source).vehicle.airframe
+    body = entities(exported, "/scene/vehicle")[-1]
+    assert body["frame_id"] == "vehicle"
+    propellers = [vector(one["pose"]["position"])[:2] for one in body["cylinders"][:4]]
+    assert propellers == [(m.x_m, -m.y_m) for m in airframe.motors]  # left of the vehicle is positive
+
+
+def test_forces_point_where_they_point_and_none_is_lost(log: Log, exported: Messages) -> None:
+    strongest = max(
+        (e.record for e in log.entries if isinstance(e.record, ForceEstimate)),
+        key=lambda f: sum(x * x for x in f.force_mission),
+    )
+    force = np.array(strongest.force_mission)
+    drawn = max(state["force_n"] for _, state in exported["/flight/force"])
+    assert drawn == pytest.approx(float(np.linalg.norm(force)))
+    arrows = [a for e in entities(exported, "/scene/forces") for a in e["arrows"]]
+    longest = max(arrows, key=lambda a: a["shaft_length"] if a["color"]["r"] > 0.8 else 0.0)
+    length = longest["shaft_length"] + longest["head_length"]
+    assert length == pytest.approx(FORCE_SCALE_M_PER_N * float(np.linalg.norm(force)))
+    axis = rotate(rotation(longest["pose"]["orientation"]), (1.0, 0.0, 0.0))
+    assert axis == pytest.approx(tuple(force / np.linalg.norm(force)), abs=1e-6)
+    assert any(not e["arrows"] for e in entities(exported, "/scene/forces"))  # gone once there is none
+
+
+def test_hits_and_events_are_told(log: Log, exported: Messages) -> None:
+    peaks = [e.record for e in log.entries if isinstance(e.record, ImpactPeak)]
+    marks = entities(exported, "/scene/hits")[-1]
+    assert [t["text"] for t in marks["texts"]] == [
+        f"{i}: {peak.normal_force_n:.0f} N" for i, peak in enumerate(peaks, 1)
+    ]
+    lines = [message for _, message in exported["/log"]]
+    assert any(line["message"].startswith("approach (collision 1)") for line in lines)
+    assert {line["level"] for line in lines} <= {"DEBUG", "INFO", "WARNING", "ERROR"}
+    assert lines[-1]["message"].startswith("completed") or "done" in lines[-1]["message"]
+
+
+def test_a_guards_action_is_an_error_in_the_log(flown: SharedFlights, tmp_path: Path) -> None:
+    path = tmp_path / "fault.mcap"
+    export_foxglove(read_log(flown("paper_single_wall", 1, "imu-dropout@approach").log), path)
+    errors = [m["message"] for _, m in read(path)["/log"] if m["level"] in ("ERROR", "FATAL")]
+    assert any(line.startswith("guard: ") for line in errors)
+
+
+def test_the_newest_message_of_every_scene_says_all(exported: Messages) -> None:
+    """A viewer that seeks, or comes later, is given the newest message of each topic and no more."""
+    for topic, names in (
+        ("/scene/room", {"bounds", "start and goal", "wall wood", "wall acrylic"}),
+        ("/scene/vehicle", {"vehicle"}),
+        ("/scene/path", {"flown"}),
+    ):
+        assert {entity["id"] for entity in exported[topic][-1][1]["entities"]} == names
+    way = exported["/scene/path"][-1][1]["entities"][0]["lines"][0]["points"]
+    assert len(way) > 50
+
+
+def test_viewers_without_scenes_get_points(exported: Messages) -> None:
+    [room] = [m for _, m in exported["/points/room"]]
+    assert room["frame_id"] == "mission"
+    assert room["point_stride"] == 16
+    assert {m["frame_id"] for _, m in exported["/points/vehicle"]} == {"vehicle"}
+
+
+def test_a_peak_of_one_sample_gets_through_the_thinning() -> None:
+    thinning = Thinning()
+    kept: list[Record] = []
+    for i in range(200):
+        force = 50.0 if i == 77 else 0.1
+        kept += thinning.take(ForceEstimate(4000 * i, (force, 0.0, 0.0), False))
+    assert 38 <= len(kept) <= 40
+    assert max(r.force_mission[0] for r in kept if isinstance(r, ForceEstimate)) == 50.0
+
+
+def test_the_command_writes_beside_the_log_or_where_told(
+    flown: SharedFlights, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = flown("paper_single_wall", 1).log
+    there = tmp_path / "one" / "flight.mcap"
+    there.parent.mkdir()
+    there.write_bytes(source.read_bytes())
+    assert main(["export", str(there), "--foxglove", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["files"] == [str(there.with_name("foxglove.mcap"))]
+    assert sum(map(len, read(there.with_name("foxglove.mcap")).values())) == said["messages"]
+    assert main(["export", str(there), str(source), "--foxglove", "-o", str(tmp_path / "both")]) == 0
+    assert len(list((tmp_path / "both").glob("*.mcap"))) == 2
+    assert main(["export", str(there.with_name("foxglove.mcap")), "--foxglove"]) == 2
+    assert "not a flight log" in capsys.readouterr().err
+
+
+def test_without_the_library_one_line_says_what_to_install(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    with pytest.raises(InputError, match=r"dart-flight\[live\]"):
+        export_foxglove(log, Path("never.mcap"))

@@ -1,0 +1,204 @@
+"""The search: what it finds for the paper's cases, what it counts, what the objectives choose."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from dart_flight.base.records import Mode
+from dart_flight.cli import main
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.scenario import Objective, Scenario, load_scenario
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.lab.search.mission_writer import write_mission
+from dart_flight.lab.search.search import Search, search
+from dart_flight.lab.search.summary import with_objective
+from dart_flight.planning.approach_grid import approach_grid
+from dart_flight.planning.constraints import CODE, Constraints, Refusal
+
+SCENARIOS = Path(__file__).parents[3] / "missions" / "scenarios"
+
+
+def load(name: str) -> Scenario:
+    return load_scenario(SCENARIOS / f"{name}.yaml")
+
+
+@pytest.fixture(scope="module")
+def dual() -> Search:
+    return search(load("dual_collision"), top=400)
+
+
+def test_every_candidate_is_counted_once(dual: Search) -> None:
+    assert dual.candidates == 14_884
+    assert dual.feasible + sum(dual.refused.values()) == dual.candidates
+    assert dual.feasible > 1000
+
+
+def test_the_papers_plan_is_among_the_good_ones(dual: Search) -> None:
+    """Flexible at (-0.6, 0.5), then rigid: the published optimum."""
+    paper = next(m for m in dual.maps if m.modes == (Mode.FLEXIBLE, Mode.RIGID))
+    row = np.flatnonzero((paper.normal_m_s == -0.6) & (paper.tangential_m_s == 0.5))
+    assert row.size == 1
+    # The paper's own point-mass model passes the goal at about 0.27 m.
+    assert paper.miss_m[row[0]] == pytest.approx(0.3, abs=0.06)
+    best_here = np.sort(paper.miss_m)
+    assert np.searchsorted(best_here, paper.miss_m[row[0]]) < 0.9 * best_here.size
+
+
+def test_plans_are_in_order_and_keep_the_limits(dual: Search) -> None:
+    scores = [plan.score for plan in dual.plans]
+    assert scores == sorted(scores)
+    limits = dual.scenario.limits
+    for plan in dual.plans:
+        assert plan.peak_force_n <= limits.peak_force_n
+        assert plan.collisions[0].normal_m_s == pytest.approx(plan.normal_m_s)
+        for c in plan.collisions:
+            wall = dual.scenario.walls[c.wall]
+            assert abs(wall.signed_distance(c.position_m)) < 0.03
+            assert wall.spans(c.position_m)
+            assert c.peak_force_n >= dual.scenario.vehicle.detection.force_threshold_n
+
+
+def test_objectives() -> None:
+    scenario = load("dual_collision")
+    best = {o: search(with_objective(scenario, o), top=1).plans[0] for o in Objective if o != "robust"}
+    fastest, gentlest = best[Objective.FASTEST], best[Objective.GENTLEST]
+    assert fastest.time_to_goal_s <= min(p.time_to_goal_s for p in best.values())
+    assert gentlest.peak_force_n <= min(best[Objective.NEAREST].peak_force_n, 60.0)
+    assert gentlest.goal_miss_m <= scenario.goal.capture_radius_m
+    assert best[Objective.NEAREST].goal_miss_m <= 0.005
+
+
+def small(name: str, objective: Objective) -> Scenario:
+    scenario = with_objective(load(name), objective)
+    return msgspec.structs.replace(
+        scenario, normal_m_s=scenario.normal_m_s[::4], tangential_m_s=scenario.tangential_m_s[::3]
+    )
+
+
+def test_robust_prefers_what_misses_little_whatever_is_drawn() -> None:
+    scenario = small("dual_collision", Objective.ROBUST)
+    result = search(scenario, top=1000, seed=3)
+    again = search(scenario, top=1000, seed=3)
+    assert [p.score for p in again.plans] == [p.score for p in result.plans]
+    best = result.plans[0]
+    nearest = min(result.plans, key=lambda p: p.goal_miss_m)
+    assert best.expected_miss_m is not None
+    assert nearest.expected_miss_m is not None
+    assert best.worst_miss_m is not None
+    assert nearest.worst_miss_m is not None
+    assert best.expected_miss_m + best.worst_miss_m <= nearest.expected_miss_m + nearest.worst_miss_m
+    assert best.worst_miss_m >= best.expected_miss_m
+    assert result.trajectories > 64 * len(result.plans)
+
+
+def test_any_chooses_walls_and_names_the_flight_without_a_collision() -> None:
+    scenario = small("any_walls", Objective.NEAREST)
+    result = search(scenario, top=5)
+    assert {len(m.sequence) for m in result.maps} >= {1, 2}
+    assert result.baseline is not None
+    assert result.baseline.blocked_by is None
+    assert result.baseline.time_to_goal_s > 1.0
+
+
+def test_no_run_up_is_blocked_by_the_wall_it_leads_to() -> None:
+    """The impact lies on the plane but for rounding, at any velocity and any direction of the wall."""
+    for heading in np.linspace(0.0, 2.0 * math.pi, 40):
+        normal = (-math.cos(heading), -math.sin(heading))
+        scenario = load_scenario(SCENARIOS / "one_wall.yaml")
+        old = scenario.walls["acrylic"]
+        point = (-1.65 * normal[0], -1.65 * normal[1])
+        wall = msgspec.structs.replace(old, point=point, normal=normal, length_m=100.0)
+        scenario = msgspec.structs.replace(
+            scenario,
+            walls={"acrylic": wall},
+            bounds=msgspec.structs.replace(scenario.bounds, x=(-50.0, 50.0), y=(-50.0, 50.0)),
+        )
+        grid = approach_grid(
+            scenario,
+            wall,
+            np.array(scenario.normal_m_s)[:, None],
+            np.array(scenario.tangential_m_s)[None, :],
+            Constraints(scenario),
+        )
+        assert not (grid.codes == CODE[Refusal.RUN_UP_BLOCKED]).any(), heading
+
+
+def test_a_wall_in_the_way_is_an_obstacle(tmp_path: Path) -> None:
+    text = (SCENARIOS / "dual_collision.yaml").read_text()
+    text = text.replace("../../configs", str(SCENARIOS.parents[1] / "configs"))
+    text = text.replace(
+        "walls:\n", "walls:\n  post: {point_m: [1.2, -0.8], normal: [-1, 0], length_m: 0.5, material: wood}\n"
+    )
+    path = tmp_path / "scenario.yaml"
+    path.write_text(text)
+    result = search(load_scenario(path), top=1)
+    assert result.refused[Refusal.OBSTACLE] > 50
+    assert result.feasible < 1554
+
+
+def test_a_wall_on_the_last_straight_to_the_goal_is_an_obstacle() -> None:
+    scenario = load_scenario(SCENARIOS / "one_wall.yaml")  # acrylic at x = 1.65 from y = -1 to 2
+    constraints = Constraints(scenario)
+    x, y = np.array([1.0, 1.66, 2.3, 2.3]), np.array([0.0, 1.0, 1.0, 40.0])
+    obstacle = CODE[Refusal.OBSTACLE]
+    # In front; just released, a little behind the plane; from behind the wall; from behind, past its end.
+    assert constraints.to_goal(x, y, (0.6, 1.0)).tolist() == [0, 0, obstacle, 0]
+    assert constraints.to_goal(x, y, (3.0, 1.0)).tolist() == [obstacle, 0, 0, 0]
+
+
+@pytest.mark.parametrize("name", ["dual_collision", "one_wall", "any_walls"])
+def test_the_mission_file_flies_unchanged(name: str, tmp_path: Path) -> None:
+    scenario = small(name, Objective.NEAREST) if name == "any_walls" else load(name)
+    plan = search(scenario, top=1).plans[0]
+    target = tmp_path / "sub" / "mission.yaml"
+    target.parent.mkdir()
+    write_mission(scenario, plan, target)
+    mission: Mission = load_mission(target)
+    FlightCore(mission)  # refuses an approach without room
+    assert mission.predicted is not None
+    assert mission.predicted.goal_miss_m == pytest.approx(plan.goal_miss_m, abs=1e-4)
+    for flown, planned in zip(mission.collisions, plan.collisions, strict=True):
+        assert flown.predicted is not None
+        assert flown.predicted.normal_m_s == pytest.approx(planned.normal_m_s, abs=1e-4)
+        assert flown.predicted.position_m == pytest.approx(planned.position_m, abs=1e-4)
+        assert flown.mode is planned.mode
+
+
+def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target, picture, candidates = (tmp_path / name for name in ("mission.yaml", "mission.png", "map.png"))
+    arguments = [
+        "plan",
+        str(SCENARIOS / "one_wall.yaml"),
+        "-o",
+        str(target),
+        "--plot",
+        str(picture),
+        "--plot-search",
+        str(candidates),
+        "--json",
+    ]
+    assert main([*arguments, "--top", "3"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert len(result["plans"]) == 3
+    assert result["feasible"] + sum(r["count"] for r in result["refused"].values()) == result["candidates"]
+    assert result["elapsed_s"] > 0.0
+    assert load_mission(target).collisions[0].wall.name == "acrylic"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert candidates.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("option", "says"), [("--plot-search", "is not supported"), ("--plot", ".png, .svg or .pdf")]
+)
+def test_command_refuses_a_picture_format_it_does_not_know(
+    option: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["plan", str(SCENARIOS / "one_wall.yaml"), option, str(tmp_path / "map.abc")]
+    assert main(arguments) == 2
+    assert says in capsys.readouterr().err

@@ -1,0 +1,302 @@
+"""The shell's own decisions, without a link: what an operator asks, what the core's outputs become."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import os
+import queue
+import signal
+import sys
+import threading
+from collections.abc import AsyncIterator, Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dart_flight.base.records import (
+    CommandResult,
+    Input,
+    LockCommand,
+    LockPermission,
+    LockPhase,
+    LockState,
+    MissionEnd,
+    Mode,
+    OperatorRequest,
+    Outcome,
+    Output,
+    Record,
+    Request,
+    SetPoint,
+    Silence,
+    VehicleAction,
+    VehicleCommand,
+)
+from dart_flight.run import app as module
+from dart_flight.run.app import FlightApp, LockThread
+from dart_flight.run.prepare import load_flyable
+from dart_flight.vehicle.clock import ClockEstimate, host_us
+
+ROOT = Path(__file__).parents[2]
+
+
+class Session:
+    """In the place of a vehicle: what was asked of it, in order."""
+
+    def __init__(self, problem: str = "") -> None:
+        self.asked: list[object] = []
+        self.problem = problem
+        self.clock = ClockEstimate()
+
+    def send(self, setpoint: SetPoint) -> None:
+        self.asked.append(setpoint)
+
+    def silence(self) -> None:
+        self.asked.append("silence")
+
+    def set_actuator(self, index: int, value: float) -> None:
+        self.asked.append((index, value))
+
+    def tell_ground(self, text: str) -> None:
+        self.asked.append(text)
+
+    async def perform(self, action: VehicleAction) -> str:
+        self.asked.append(action)
+        return self.problem
+
+
+def app_with(
+    monkeypatch: pytest.MonkeyPatch, session: Session | None = None
+) -> tuple[FlightApp, list[Input]]:
+    """An app, and what it hands to its core."""
+    app = FlightApp(load_flyable(ROOT / "missions/dual_collision.yaml"), "udpin://nowhere:1", lambda *_: None)
+    told: list[Input] = []
+    monkeypatch.setattr(app._core, "put", told.append)
+    monkeypatch.setattr(app, "_session", session)
+    return app, told
+
+
+def requests(told: list[Input]) -> list[Request]:
+    return [item.request for item in told if isinstance(item, OperatorRequest)]
+
+
+def test_the_first_stop_lands_and_only_the_next_one_releases(monkeypatch: pytest.MonkeyPatch) -> None:
+    app, told = app_with(monkeypatch)
+    for _ in range(3):
+        app.stop()
+    assert requests(told) == [Request.LAND, Request.RELEASE, Request.RELEASE]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_every_signal_that_ends_a_program_stops_the_flight(
+    monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    app, told = app_with(monkeypatch)
+
+    async def signalled() -> None:
+        monkeypatch.setattr(app, "loop", asyncio.get_running_loop())
+        app._listen_for_signals()
+        signal.raise_signal(number)
+        for _ in range(100):  # until the loop has heard of it
+            if told:
+                break
+            await asyncio.sleep(0.01)
+        signal.raise_signal(signal.SIGUSR1)
+        for _ in range(100):
+            if len(told) == 2:
+                break
+            await asyncio.sleep(0.01)
+
+    asyncio.run(signalled())
+    assert requests(told) == [Request.LAND, Request.CONTINUE]
+
+
+def carry_out(app: FlightApp, monkeypatch: pytest.MonkeyPatch, *outputs: Output) -> None:
+    """Hand outputs to the app as its core thread does, and let its event loop do what they start."""
+
+    async def hand_over() -> None:
+        monkeypatch.setattr(app, "loop", asyncio.get_running_loop())
+        for output in outputs:
+            app.carry_out(output)
+        for _ in range(5):
+            await asyncio.sleep(0)
+
+    asyncio.run(hand_over())
+
+
+@pytest.mark.parametrize("problem", ["", "DENIED"])
+def test_an_action_is_performed_and_its_result_is_an_input(
+    monkeypatch: pytest.MonkeyPatch, problem: str
+) -> None:
+    session = Session(problem)
+    app, told = app_with(monkeypatch, session)
+    carry_out(app, monkeypatch, VehicleCommand(1, VehicleAction.LAND))
+    assert session.asked == [VehicleAction.LAND]
+    assert [(r.command, r.ok, r.detail) for r in told if isinstance(r, CommandResult)] == [
+        ("land", not problem, problem)
+    ]
+
+
+@pytest.mark.parametrize("last", [Silence(1, ""), MissionEnd(1, Outcome.COMPLETED, None, None)])
+def test_with_silence_and_at_the_end_the_session_falls_silent(
+    monkeypatch: pytest.MonkeyPatch, last: Output
+) -> None:
+    session = Session()
+    app, _ = app_with(monkeypatch, session)
+    carry_out(app, monkeypatch, last)
+    assert session.asked == ["silence"]
+    assert app._done.is_set() is isinstance(last, MissionEnd)
+
+
+def test_orders_of_the_lock_go_to_its_thread_and_nowhere_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    session = Session()
+    app, _ = app_with(monkeypatch, session)
+    orders: list[object] = []
+    monkeypatch.setattr(app, "_lock", type("Orders", (), {"put": staticmethod(orders.append)}))
+    command, permission = LockCommand(1, Mode.RIGID), LockPermission(2, False)
+    carry_out(app, monkeypatch, command, permission)
+    assert (orders, session.asked) == ([command, permission], [])
+
+
+class Lock:
+    """In the place of a lock's session: what it was asked, in order."""
+
+    def __init__(self, states: queue.SimpleQueue[LockState]) -> None:
+        self.asked: list[object] = []
+        self.state = LockState(0, LockPhase.UNKNOWN, None)
+        self._states = states
+
+    def start(self) -> None:
+        self.asked.append("start")
+
+    def command(self, mode: Mode) -> None:
+        self.asked.append(mode)
+        self._states.put(LockState(1, LockPhase.SETTLED, mode))
+
+    def permit(self, permitted: bool) -> None:
+        self.asked.append(permitted)
+
+    def poll(self) -> None:
+        self.asked.append("poll")
+
+
+def test_the_lock_is_not_made_before_the_autopilots_clock_is_known() -> None:
+    """Whatever remembers a stamp of the host's would wait for the autopilot's clock to get there."""
+    states: queue.SimpleQueue[LockState] = queue.SimpleQueue()
+    known, made, delivered = threading.Event(), list[Lock](), list[LockState]()
+    polled = threading.Event()
+
+    def make() -> Any:
+        assert known.is_set()
+        made.append(Lock(states))
+        return made[0]
+
+    def after_poll() -> None:
+        if Mode.RIGID in made[0].asked and False in made[0].asked:
+            polled.set()
+
+    thread = LockThread(make, states, known.is_set, delivered.append, after_poll)
+    thread.thread.start()
+    thread.put(LockCommand(1, Mode.RIGID))
+    thread.put(LockPermission(2, False))
+    assert not made
+    known.set()
+    assert polled.wait(5.0)
+    thread.stop()
+    assert not thread.thread.is_alive()
+    assert [a for a in made[0].asked if a != "poll"] == ["start", Mode.RIGID, False]
+    assert [state.mode for state in delivered] == [Mode.RIGID]
+
+
+class Flight(Session):
+    """A session for a whole run of the app; the flight is over as soon as the app's threads have shown up."""
+
+    def __init__(self, end: Callable[[], None]) -> None:
+        super().__init__()
+        self.end = end
+        self.motors = 0
+
+    async def measure_link(self, timeout_s: float) -> list[str]:
+        return []
+
+    async def keep_measuring(self) -> None:
+        await asyncio.sleep(60.0)
+
+    def subscribe(self, estimation: object, motors: int) -> None:
+        self.motors = motors
+        self.clock.update(5_000_000, host_us())  # the autopilot has been up for five seconds
+
+    async def set_rates(self) -> list[str]:
+        return []
+
+    async def look_for_others(self) -> None:
+        self.end()
+
+
+class World:
+    """A simulated world that notes where the servo's horn is told to be."""
+
+    died, cause = False, ""
+
+    def __init__(self) -> None:
+        self.horns: list[float] = []
+
+    def send_horn(self, pulse_us: float) -> None:
+        self.horns.append(pulse_us)
+
+
+def test_a_run_starts_lock_terminal_and_deadman_and_ends_them(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    mission = load_flyable(ROOT / "missions/paper_single_wall.yaml")
+    assert mission.vehicle.lock is not None
+    world, shown, looks = World(), list[Record](), list[bool]()
+    app = FlightApp(
+        mission, "udpin://nowhere:1", lambda *_: None, world, shown.append, deadman_note=tmp_path / "note"
+    )
+
+    def end() -> None:
+        """Once the horn has moved as ordered, and the deadman was there meanwhile."""
+        looks.append(app._deadman is not None)
+        if len(looks) == 2:  # half a second after the first one was shown
+            app.show(OperatorRequest(2, Request.CONTINUE))
+        app.carry_out(LockPermission(1, True))
+        app.carry_out(LockCommand(2, Mode.RIGID))
+        if (len(world.horns) > 1 and len(looks) > 2) or len(looks) > 40:
+            app.carry_out(MissionEnd(1, Outcome.COMPLETED, None, None))
+
+    session = Flight(end)
+
+    @contextlib.asynccontextmanager
+    async def connected(*_: object, **__: object) -> AsyncIterator[Flight]:
+        yield session
+
+    monkeypatch.setattr(module, "connect", connected)
+    # What it does to its process is not for a process of tests.
+    monkeypatch.setattr(gc, "freeze", lambda: None)
+    monkeypatch.setattr(sys, "setswitchinterval", lambda _: None)
+    app.show(OperatorRequest(1, Request.CONTINUE))
+    asyncio.run(app.run())
+    assert session.motors == len(mission.vehicle.airframe.motors)
+    assert {OperatorRequest(1, Request.CONTINUE), OperatorRequest(2, Request.CONTINUE)} <= set(shown)
+    assert all(looks)
+    flexible, rigid = (mission.vehicle.lock.servo.pulse_us(mode) for mode in (Mode.FLEXIBLE, Mode.RIGID))
+    assert world.horns[0] == flexible
+    assert min(flexible, rigid) <= min(world.horns)
+    assert max(world.horns) <= max(flexible, rigid)
+    assert all(a != b for a, b in pairwise(world.horns))  # told only what has changed
+    assert not (tmp_path / "note").exists()  # the deadman was let go
+    running = {thread.name for thread in threading.enumerate()}
+    assert not running & {"lock", "terminal"}
+
+
+@pytest.mark.parametrize(("theirs", "expected"), [(0, False), (1, True)])
+def test_a_terminal_of_another_job_is_not_read(
+    monkeypatch: pytest.MonkeyPatch, theirs: int, expected: bool
+) -> None:
+    monkeypatch.setattr(os, "tcgetpgrp", lambda _: os.getpgrp() + theirs)
+    assert module._in_background(0) is expected

@@ -1,0 +1,52 @@
+"""The lock of a drawn world: it moves in every world, and one that does not is noticed."""
+
+from pathlib import Path
+
+import pytest
+
+from dart_flight.base.records import World
+from dart_flight.lock.drivers.mock import MockFaults
+from dart_flight.lock.servo import ServoFaults
+from dart_flight.run.embedded import fly_embedded
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.many_flights import summarise, unexplained_modes
+from dart_flight.run.prepare import load_flyable
+from dart_flight.sim.draws import LOCK_TRUE_MODE, parse_vary
+from tests.shared_flights import PATIENT
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.mavlink
+def test_a_drawn_servo_locks_the_arms_before_the_second_hit(tmp_path: Path) -> None:
+    """Its faults used to be set before the autopilot's clock was known, which froze its model's time."""
+    mission = load_flyable(ROOT / "missions/paper_dual_collision.yaml", settings=PATIENT)
+    spreads = parse_vary(["servo"], mission.vehicle)
+    embedded = fly_embedded(mission, 4, tmp_path, spreads=spreads, speed=2.0)
+    fast = fly_fast(mission, 4, None, spreads=spreads)
+    assert embedded.world is World.EMBEDDED
+    assert [c.mode_felt for c in embedded.collisions] == [c.mode_felt for c in fast.collisions]
+    peaks = [c.truth.peak_force_n for v in (embedded, fast) for c in v.collisions[1:] if c.truth is not None]
+    assert peaks == pytest.approx([69.0, 69.0], rel=0.1)
+
+
+def test_arms_that_never_follow_the_lock_are_named_where_no_fault_was_drawn() -> None:
+    mission = load_flyable(ROOT / "missions/paper_dual_collision.yaml")
+    verdict = fly_fast(mission, 4, None, lock_faults=MockFaults(servo=ServoFaults(stuck=True)))
+    assert unexplained_modes(verdict) == [
+        "the arms never followed the lock",
+        "collision 2: the arms were flexible, the lock rigid",
+        "collision 2: felt flexible, the lock rigid, truly flexible",
+    ]
+    assert summarise([verdict]).unexplained_modes == {"4": unexplained_modes(verdict)}
+    verdict.drawn = {LOCK_TRUE_MODE: "stuck"}
+    assert unexplained_modes(verdict) == []
+    assert unexplained_modes(fly_fast(mission, 4, None)) == []
+
+
+def test_what_is_felt_of_an_unplanned_hit_is_not_taken_for_the_planned_one_before_it() -> None:
+    """The acrylic wall is met behind its place, after the approach to it was broken off."""
+    mission = load_flyable(ROOT / "missions/paper_dual_collision.yaml")
+    verdict = fly_fast(mission, 7238, None, spreads=parse_vary(["all"], mission.vehicle))
+    assert [(c.wall, c.mode_felt) for c in verdict.collisions] == [("wood", "flexible")]
+    assert unexplained_modes(verdict) == []

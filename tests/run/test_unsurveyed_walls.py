@@ -1,0 +1,296 @@
+"""Walls that stand elsewhere than the mission says: met where their standard deviations allow for it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from dart_flight.base.geometry import Wall
+from dart_flight.base.records import Mode, Record, WallFelt
+from dart_flight.check.findings import Finding
+from dart_flight.check.mission import check_mission
+from dart_flight.config.document import Document
+from dart_flight.config.mission import Mission, load_mission, parse_mission
+from dart_flight.config.scenario import Objective, Scenario, load_scenario
+from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle.configuration import load_vehicle
+from dart_flight.core.mission.approach import plan_approach, stop_before
+from dart_flight.core.mission.survey import Survey, early_m, late_s, overrun_m, slack_m
+from dart_flight.lab.search.mission_writer import write_mission
+from dart_flight.lab.search.search import draws_of, search
+from dart_flight.lab.search.summary import with_objective
+from dart_flight.planning.constraints import Constraints
+from dart_flight.planning.rollout import Rollout, new_flight, stages_for
+from dart_flight.recording.about import flown_mission
+from dart_flight.recording.reader import read_log
+from dart_flight.run.prepare import with_standoff
+from dart_flight.sim.draws import draw_world
+from tools.campaigns.walls import Row, fly, mission_of
+
+ROOT = Path(__file__).parents[2]
+SINGLE = (ROOT / "missions/paper_single_wall.yaml").read_text()
+WALL = Wall("board", (1.0, 0.0), (-1.0, 0.0), 4.0, "wood")
+POINT = "point_m: [1.65, 0.5]"
+
+
+def known(place_m: float | None = None, yaw_deg: float | None = None) -> Wall:
+    yaw = None if yaw_deg is None else math.radians(yaw_deg)
+    return msgspec.structs.replace(WALL, position_sd_m=place_m, yaw_sd_rad=yaw)
+
+
+def single(*changes: tuple[str, str]) -> Mission:
+    text = SINGLE
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    return parse_mission(Document(text, str(ROOT / "missions/x.yaml")))
+
+
+# --- one rule ---------------------------------------------------------------------------------------------
+
+
+def test_a_wall_without_figures_keeps_the_guard_s_tolerances() -> None:
+    guard = load_vehicle(ROOT / "configs/dart.yaml").guard
+    assert slack_m(WALL, (0.0, 1.5)) == 0.0
+    assert overrun_m(guard, WALL, (0.0, 1.5)) == guard.wall_overrun_m
+    assert early_m(guard, WALL, (0.0, 1.5)) == guard.wall_early_m
+    assert late_s(guard, WALL, (0.0, 1.5), 0.5) == guard.wall_late_s
+
+
+def test_three_standard_deviations_come_on_top_the_more_the_further_from_the_middle() -> None:
+    guard = load_vehicle(ROOT / "configs/dart.yaml").guard
+    assert slack_m(known(0.06), (0.0, 1.5)) == pytest.approx(0.18)
+    assert slack_m(known(None, 4.0), (0.0, 0.0)) == 0.0
+    assert slack_m(known(None, 4.0), (0.0, 1.5)) == pytest.approx(3.0 * 1.5 * math.tan(math.radians(4.0)))
+    assert slack_m(known(0.03, 4.0), (0.0, -1.0)) == pytest.approx(3.0 * math.hypot(0.03, 0.0699), rel=1e-3)
+    both = slack_m(known(0.03, 4.0), (np.zeros(2), np.array([0.0, -1.0])))
+    assert both == pytest.approx([0.09, slack_m(known(0.03, 4.0), (0.0, -1.0))])
+    assert overrun_m(guard, known(0.06), (0.0, 0.0)) == pytest.approx(guard.wall_overrun_m + 0.18)
+    assert late_s(guard, known(0.06), (0.0, 0.0), 0.6) == pytest.approx(guard.wall_late_s + 0.3)
+
+
+def test_a_contact_tells_where_the_plane_is_and_how_surely() -> None:
+    survey = Survey()
+    assert survey.seen(known(0.1)) == known(0.1)
+    felt = WallFelt(0, 0, "board", Mode.RIGID, None, 0.0, *(1.0,) * 8, 0.0, 0.1, 0.07, 0.02)
+    survey.feel(felt)
+    seen = survey.seen(known(0.1))
+    assert seen.point == pytest.approx((0.93, 0.0))
+    assert seen.position_sd_m == 0.02
+    assert survey.seen(known(0.01)).position_sd_m == 0.01
+    assert survey.seen(WALL).position_sd_m is None
+
+
+def test_the_run_up_is_steady_before_where_the_wall_may_stand_nearest() -> None:
+    # From a start that is too near the run-up begins further back.
+    near = ("start: {position_m: [0.0, 0.0]", "start: {position_m: [0.8, 0.4]")
+    room = ("bounds_m: {x: [-1.5", "bounds_m: {x: [-3.5")
+    one = single(near, room)
+    other = single(near, room, (POINT, f"{POINT}, position_sd_m: 0.06"))
+    lengths = [plan_approach(m, m.collisions[0]).length_m for m in (one, other)]
+    assert lengths[1] - lengths[0] == pytest.approx(0.18 * math.hypot(1.0, 0.5))
+
+
+# --- flights ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("away_m", [-0.12, 0.12, -0.27, 0.27])
+def test_a_wall_nearer_or_further_away_is_met_where_it_stands(away_m: float) -> None:
+    sd = 0.06 if abs(away_m) < 0.2 else 0.1
+    verdict = fly(Row("paper_single_wall", "acrylic", away_m, 0.0, f"position_sd_m: {sd}"), 5)
+    assert verdict.outcome == "completed", verdict.reason
+    (hit,) = verdict.collisions
+    assert hit.truth is not None
+    assert hit.truth.normal_m_s == pytest.approx(-1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("away_m", "yaw_deg", "rule"),
+    [(-0.27, 0.0, "wall_not_met"), (0.27, 0.0, "wall_met_early"), (0.0, -8.0, "wall_not_met")],
+)
+def test_without_its_figures_it_is_broken_off_as_ever(away_m: float, yaw_deg: float, rule: str) -> None:
+    mission = "single_wall beside" if yaw_deg else "paper_single_wall"
+    verdict = fly(Row(mission, "acrylic", away_m, yaw_deg, ""), 5)
+    assert verdict.outcome == "aborted"
+    assert (verdict.reason or "").startswith(rule)
+
+
+@pytest.mark.parametrize("yaw_deg", [-8.0, 8.0, 12.0])
+def test_a_wall_turned_about_its_middle_is_met_beside_it(yaw_deg: float) -> None:
+    verdict = fly(Row("single_wall beside", "acrylic", 0.0, yaw_deg, "yaw_sd_deg: 4.0"), 5)
+    assert verdict.outcome == "completed", verdict.reason
+
+
+@pytest.mark.parametrize("away_m", [-0.25, 0.27])
+def test_a_way_planned_in_flight_leads_to_an_uncertain_wall(away_m: float) -> None:
+    row = Row("dual_collision_replan", "acrylic", away_m, 0.0, "position_sd_m: 0.1")
+    verdict = fly(row, 5)
+    assert verdict.outcome == "completed", verdict.reason
+    second = verdict.collisions[1]
+    assert second.truth is not None
+    assert second.truth.normal_m_s == pytest.approx(second.planned.normal_m_s, abs=0.1)
+
+
+@pytest.mark.parametrize("away_m", [-0.27, 0.27])
+def test_where_the_plane_is_is_felt(away_m: float) -> None:
+    records: list[Record] = []
+    fly(Row("paper_single_wall", "acrylic", away_m, 0.0, "position_sd_m: 0.1"), 5, records.append)
+    (felt,) = [r for r in records if isinstance(r, WallFelt)]
+    assert felt.plane_offset_m == pytest.approx(away_m, abs=max(0.03, 3.0 * felt.plane_offset_sigma_m))
+    assert felt.plane_offset_sigma_m < 0.05
+
+
+def test_a_rehearsal_stops_before_where_the_wall_may_stand_nearest() -> None:
+    for figures, wanted in (("length_m: 3.0", 0.5), ("length_m: 3.0, position_sd_m: 0.06", 0.68)):
+        mission = with_standoff(single(("length_m: 3.0", figures)), 0.5)
+        (collision,) = mission.collisions
+        approach = plan_approach(mission, collision)
+        stop = stop_before(mission, collision, approach.begin, approach.impact)
+        assert collision.wall.signed_distance(stop) == pytest.approx(wanted)
+
+
+# --- draws ------------------------------------------------------------------------------------------------
+
+
+def test_a_wall_s_own_figures_win_over_the_general_ones() -> None:
+    own = single((POINT, f"{POINT}, position_sd_m: 0.2, yaw_sd_deg: 1.0"))
+    spreads = {"wall_offset_m": 0.05, "wall_yaw_deg": 4.0}
+    for seed in range(3):
+        general, drawn = (draw_world(m, seed, spreads).drawn for m in (single(), own))
+        for name, factor in (("wall_offset_m.acrylic", 4.0), ("wall_yaw_deg.acrylic", 0.25)):
+            assert drawn[name] == pytest.approx(factor * float(general[name]))
+    assert draw_world(own, 1, {"mass": 0.1}).mission.walls == own.walls  # what is not varied stays
+
+
+def uncertain(name: str, **figures: float) -> Scenario:
+    scenario = with_objective(load_scenario(ROOT / f"missions/scenarios/{name}.yaml"), Objective.ROBUST)
+    walls = {n: msgspec.structs.replace(w, **figures) for n, w in scenario.walls.items()}
+    return msgspec.structs.replace(
+        scenario,
+        walls=walls,
+        normal_m_s=scenario.normal_m_s[::4],
+        tangential_m_s=scenario.tangential_m_s[::3],
+    )
+
+
+def test_robust_reckons_with_where_walls_may_stand() -> None:
+    sure, unsure = (
+        search(uncertain("one_wall", **f), top=1, seed=3).plans[0] for f in ({}, {"position_sd_m": 0.1})
+    )
+    assert sure.worst_miss_m is not None
+    assert unsure.worst_miss_m is not None
+    assert unsure.worst_miss_m > sure.worst_miss_m + 0.05
+    assert all(draw.walls for draw in draws_of(uncertain("one_wall", yaw_sd_rad=0.05), 1))
+    assert not any(draw.walls for draw in draws_of(uncertain("one_wall"), 1))
+
+
+@pytest.mark.parametrize("away_m", [-0.1, 0.1])
+def test_a_moved_wall_of_a_draw_is_met_like_one_planned_there(away_m: float) -> None:
+    scenario = uncertain("one_wall")
+    (sequence, *_) = scenario.sequences
+    name = sequence[0]
+    there = msgspec.structs.replace(
+        scenario, walls=scenario.walls | {name: scenario.walls[name].moved(away_m)}
+    )
+    vn, vt = np.array([-0.8, -1.0]), np.array([0.2, 0.0])
+    flight, stages = new_flight(scenario), stages_for(there, [None])[0]
+    planned = Rollout(scenario, sequence, flight, Constraints(scenario)).approach(vn, vt)
+    drawn = Rollout(there, sequence, flight, Constraints(there), True, scenario.walls[name])
+    direct = Rollout(there, sequence, flight, Constraints(there), True)
+    found = drawn.fly(stages, vn, vt, planned)
+    wanted = direct.fly(stages, vn, vt, direct.approach(vn, vt))
+    assert found
+    for a, b in zip(found, wanted, strict=True):
+        assert a.modes == b.modes
+        assert a.miss_m == pytest.approx(b.miss_m)
+        assert a.hits[0].x == pytest.approx(b.hits[0].x)
+        assert a.hits[0].normal_m_s == pytest.approx(b.hits[0].normal_m_s)
+
+
+def test_a_plan_hands_the_figures_on(tmp_path: Path) -> None:
+    path = ROOT / "missions/scenarios/one_wall.yaml"
+    scenario = load_scenario(path)
+    name = scenario.sequences[0][0]
+    spec = msgspec.structs.replace(
+        scenario.spec,
+        walls=scenario.spec.walls
+        | {name: msgspec.structs.replace(scenario.spec.walls[name], position_sd_m=0.04)},
+    )
+    found = search(msgspec.structs.replace(scenario, spec=spec), top=1)
+    write_mission(found.scenario, found.plans[0], tmp_path / "planned.yaml")
+    planned = load_mission(tmp_path / "planned.yaml")
+    assert [(w.name, w.position_sd_m, w.yaw_sd_rad) for w in planned.walls if w.name == name] == [
+        (name, 0.04, None)
+    ]
+
+
+# --- check ------------------------------------------------------------------------------------------------
+
+
+def no_goes(findings: list[Finding]) -> dict[str, str]:
+    return {f.item: f.says for f in findings if not f.go}
+
+
+@pytest.mark.parametrize(
+    ("figures", "item", "says"),
+    [
+        ("position_sd_m: 0.2", "survey_1", "outside bounds_m"),
+        ("position_sd_m: 0.5", "goal_clearance", "nearer"),
+        ("yaw_sd_deg: 8.0", "incidence_1", "16 degrees off parallel (2 sd)"),
+    ],
+)
+def test_check_says_what_the_figures_leave_open(figures: str, item: str, says: str) -> None:
+    findings = no_goes(check_mission(single((POINT, f"{POINT}, {figures}"))))
+    assert says in findings[item]
+
+
+def test_check_says_where_another_wall_may_be_in_the_way() -> None:
+    wide = ("bounds_m: {x: [-1.5, 2.2], y: [-1.5, 2.5]", "bounds_m: {x: [-3.5, 4.2], y: [-3.5, 3.5]")
+    behind = (
+        "  screen: {point_m: [1.9, 0.5], normal: [-1.0, 0.0], length_m: 3.0, material: wood}\ncollisions:"
+    )
+    near = single(wide, (POINT, f"{POINT}, position_sd_m: 0.1"), ("collisions:", behind))
+    assert "beyond wall screen" in no_goes(check_mission(near))["survey_1"]
+    side = "  side: {point_m: [1.2, 0.05], normal: [0.0, 1.0], length_m: 0.4, material: wood"
+    side += ", position_sd_m: 0.12}\ncollisions:"
+    beside = no_goes(check_mission(single(wide, ("collisions:", side))))
+    assert "wall side may stand in the way of the run-up to wall acrylic" in beside["survey_1"]
+
+
+def test_figures_that_are_borne_are_a_go() -> None:
+    findings = check_mission(single((POINT, f"{POINT}, position_sd_m: 0.05, yaw_sd_deg: 2.0")))
+    assert not no_goes(findings)
+    assert any("within 0.15 m (3 sd)" in f.says or "3 sd" in f.says for f in findings)
+
+
+# --- what there was before --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "missions").glob("*.yaml")), ids=lambda p: p.stem)
+def test_a_mission_of_before_says_no_more_than_it_did(path: Path) -> None:
+    mission = load_mission(path)
+    assert all(not w.is_uncertain and w.position_sd_m is None for w in mission.walls)
+    assert len(mission.vehicle.airframe.motors) == 4
+    assert not [f for f in check_mission(mission) if f.item.startswith(("survey", "incidence"))]
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "tests/data/flights").glob("*.mcap")), ids=lambda p: p.stem)
+def test_a_recorded_flight_of_before_is_read_with_its_configuration(path: Path) -> None:
+    log = read_log(path)
+    mission = flown_mission(log.about, log.source)
+    assert mission.vehicle.airframe.listed is None
+    assert len(mission.vehicle.airframe.motors) == 4
+    assert mission.vehicle.thrust.table is None
+    assert all(not wall.is_uncertain for wall in mission.walls)
+
+
+def test_the_campaign_s_rows_are_of_missions_that_load() -> None:
+    row = Row("single_wall beside", "acrylic", 0.0, 8.0, "yaw_sd_deg: 4.0")
+    (wall,) = mission_of(row).walls
+    assert wall.point == (1.65, -0.5)
+    assert wall.yaw_sd_rad == pytest.approx(math.radians(4.0))
+    assert packaged("missions", "paper_single_wall.yaml").exists()

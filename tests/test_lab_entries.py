@@ -1,0 +1,98 @@
+"""What flies loads nothing of the lab, and no failure of the lab ends a flight."""
+
+import argparse
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dart_flight import lab_entries, load_mission
+from dart_flight.base.records import StatusText
+from dart_flight.cli import COMMANDS, main
+from dart_flight.cli.live_options import live_view
+
+ROOT = Path(__file__).parents[1]
+MISSION = str(ROOT / "missions" / "single_wall.yaml")
+LOG = str(next((ROOT / "tests" / "data" / "flights").rglob("*.mcap")))
+LOADED = """
+import sys
+from dart_flight.cli import main
+status = main(sys.argv[1:])
+print("loaded:", *[m for m in sys.modules if m.startswith("dart_flight.lab.")], file=sys.stderr)
+sys.exit(status)
+"""
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["dry-run", MISSION, "--fast", "--json"],
+        ["dry-run", MISSION, "--fast", "--runs", "2", "--json"],
+        ["check", MISSION, "--json"],
+        ["replay", LOG, "--json"],
+        ["lock", "status", "--driver", "mock", "--json"],
+        ["init", "here", "--json"],
+        *([name, "--help"] for name in COMMANDS if name not in lab_entries.COMMANDS),
+    ],
+    ids=lambda arguments: " ".join(Path(word).name for word in arguments),
+)
+def test_a_flight_loads_no_lab(arguments: list[str], tmp_path: Path) -> None:
+    answer = subprocess.run(
+        [sys.executable, "-c", LOADED, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    if "--help" not in arguments:  # which exits before the line is printed, having loaded its command only
+        assert answer.stderr.splitlines()[-1] == "loaded:", answer.stderr
+    assert answer.returncode == 0, answer.stderr
+
+
+@pytest.mark.parametrize("name", [n for n in vars(lab_entries) if n.isupper() and n != "COMMANDS"])
+def test_every_entry_leads_somewhere(name: str) -> None:
+    assert lab_entries.load_entry(getattr(lab_entries, name)) is not None
+
+
+class BrokenView:
+    """A view that opens, and fails with the first record."""
+
+    port = 1
+
+    def __call__(self, record: object) -> None:
+        raise RuntimeError("no more colours")
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("failing", ["opens", "draws"])
+def test_a_live_view_that_fails_ends_no_flight(
+    failing: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def entry(_: str) -> object:
+        if failing == "opens":
+            raise ImportError("half an installation")
+        return lambda *_: BrokenView()
+
+    monkeypatch.setattr("dart_flight.cli.live_options.load_entry", entry)
+    asked = argparse.Namespace(live=True, live_host=None, live_port=None)
+    with live_view(asked, load_mission(MISSION)) as view:
+        assert (view is None) == (failing == "opens")
+        for t_us in range(3):
+            if view is not None:
+                view(StatusText(t_us, 0, "info", "a record"))
+    said = capsys.readouterr().err
+    assert said.count("the flight goes on without it") == 1
+
+
+def test_a_picture_that_fails_ends_no_check(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr("dart_flight.cli.mission_picture.load_entry", lambda _: 1 / 0)
+    assert main(["check", MISSION, "--plot", str(tmp_path / "picture.png")]) == 0
+    assert "no picture (ZeroDivisionError" in capsys.readouterr().err
+
+
+def test_the_old_name_of_a_command_goes_on_working(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["feel", "missing.ulg"]) == 2
+    said = capsys.readouterr().err
+    assert "`feel` is now `inspect`" in said
+    assert "missing.ulg" in said
