@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -246,12 +245,3 @@ def test_one_height_can_be_met_but_not_both() -> None:
             fitted = [e for row, e in zip(rows, refit.errors, strict=True) if row.height_m in refit.fitted]
             worst = max(abs(x) for pair in fitted for x in pair)
             assert (worst < 1e-3) == (len(refit.fitted) == 1)
-
-
-def test_the_figures_are_all_written_and_shown_on_the_page(tmp_path: Path) -> None:
-    assert main(["tables", "--figures", str(tmp_path)]) == 0
-    page = (tmp_path / "paper_tables.md").read_text()
-    figures = {path.name for path in tmp_path.glob("*.svg")}
-    assert len(figures) == 10
-    assert figures == set(re.findall(r"\]\((\S+\.svg)\)", page))
-    assert "## Drop tests" in page
