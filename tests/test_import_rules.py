@@ -27,7 +27,7 @@ FLOORS = {
 }
 # Inside the lab likewise.
 LAB = (
-    "figure_panels",
+    "figure_style",
     "flight_arrays",
     "predict",
     "search",

@@ -8,6 +8,19 @@ from typing import Any
 
 import numpy as np
 
+from dart_flight.lab.figure_style import (
+    ESTIMATED,
+    FORCE,
+    GREY,
+    GUARD,
+    PAGE,
+    PREDICTED,
+    REPLANNED,
+    TRUE,
+    Look,
+    in_style,
+    new_figure,
+)
 from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.report.figures.labels import Label, place_labels
 from dart_flight.lab.report.figures.scene import (
@@ -23,19 +36,6 @@ from dart_flight.lab.report.figures.scene import (
     placed,
     set_view,
     view_of,
-)
-from dart_flight.lab.report.figures.style import (
-    ESTIMATED,
-    FORCE,
-    GREY,
-    GUARD,
-    PAGE,
-    PREDICTED,
-    REPLANNED,
-    TRUE,
-    Look,
-    in_style,
-    new_figure,
 )
 from dart_flight.lab.report.flight import Flight
 from dart_flight.lab.report.hits import Hit, airborne, guard_acts, hits_of

@@ -12,6 +12,15 @@ import numpy as np
 from dart_flight.base.geometry import Vec2
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import legs_of
+from dart_flight.lab.figure_style import (
+    FORCE,
+    GREY,
+    PREDICTED,
+    Look,
+    in_style,
+    new_figure,
+    save_figure,
+)
 from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.report.figures.labels import Label, place_labels
 from dart_flight.lab.report.figures.scene import (
@@ -28,15 +37,6 @@ from dart_flight.lab.report.figures.scene import (
     placed,
     set_view,
     view_of,
-)
-from dart_flight.lab.report.figures.style import (
-    FORCE,
-    GREY,
-    PREDICTED,
-    Look,
-    in_style,
-    new_figure,
-    save_figure,
 )
 from dart_flight.planning.planned import PlannedFlight, describe_passing, drawn_flights
 

@@ -11,9 +11,8 @@ from dart_flight.base.geometry import Vec2, Wall
 from dart_flight.base.records import Mode
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Airframe
-from dart_flight.lab.figure_panels import legend_entries
+from dart_flight.lab.figure_style import FORCE, GREY, SET_POINT
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.report.figures.style import FORCE, GREY, SET_POINT
 from dart_flight.lab.report.shape import arms_m
 
 _WIDE_IN = 6.0  # from this width on a legend has three columns
@@ -193,7 +192,7 @@ def fit_map(figure: Any, axis: Any, *, below: Any = None, note: str = "") -> Non
         below: another axis with an equal aspect, of the same width.
         note: lines of text under the legend.
     """
-    unique = legend_entries(axis)
+    unique = {label: line for line, label in zip(*axis.get_legend_handles_labels(), strict=True)}
     width = figure.get_size_inches()[0]
     columns = 2 if width < _WIDE_IN else 3
     rows = -(-len(unique) // columns) + (note.count("\n") + 2 if note else 0)
