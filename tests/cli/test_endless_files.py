@@ -31,7 +31,7 @@ COMMANDS = {
     "airframe": ["calibrate", "airframe", "FILE"],
     "inspect": ["inspect", "FILE"],
     "trial": ["identify", "FILE.csv"],
-    "trial of a ULog": ["identify", "FILE.ulg", "--bump"],
+    "trial of a ULog": ["identify", "FILE.ulg", "--drop"],
     "trial of a flight": ["identify", "FILE.mcap"],
 }
 
