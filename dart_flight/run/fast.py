@@ -75,7 +75,6 @@ _PHASE_CHANGE: Final = PhaseChange
 _SET_POINT: Final = SetPoint
 FLIGHT_MODES: Final = {
     VehicleAction.OFFBOARD: FlightMode.OFFBOARD,
-    VehicleAction.HOLD: FlightMode.HOLD,
     VehicleAction.LAND: FlightMode.LAND,
 }
 
