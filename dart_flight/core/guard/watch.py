@@ -32,7 +32,6 @@ from dart_flight.base.records import (
 from dart_flight.config.mission import Mission
 from dart_flight.core.guard.lateness import Lateness
 from dart_flight.core.guard.sources import TwoClocks, TwoPlaces
-from dart_flight.core.mission.arithmetic import SCALARS
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
@@ -260,7 +259,7 @@ class Watch:
         bounds = self.mission.bounds
         if bounds.excess2((x + STOP_TIME_S * vx, y + STOP_TIME_S * vy)) <= 0.0:
             return 0.0  # the bounds are convex: then no earlier point lies outside either
-        way_s = STOP_TIME_S * stop_share(SCALARS, self.mission.walls, (x, y), (vx, vy))
+        way_s = STOP_TIME_S * stop_share(self.mission.walls, (x, y), (vx, vy))
         return bounds.excess2((x + way_s * vx, y + way_s * vy))
 
     @property
