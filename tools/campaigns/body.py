@@ -22,7 +22,7 @@ import math
 import statistics
 import sys
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +48,7 @@ from dart_flight.core.mission.approach import NoApproachError
 from dart_flight.lab.campaign.statistics import wilson
 from dart_flight.recording.verdict import VerdictBuilder
 from dart_flight.run.fast import FastFlight
-from dart_flight.sim.draws import DrawnWorld, draw_world, parse_vary, place_walls
+from dart_flight.sim.draws import DrawnWorld, draw_world, parse_vary, with_walls
 from tools.campaigns.faults import Watch, judge, run_out
 from tools.campaigns.kept import fly_missing
 
@@ -269,6 +269,17 @@ def _mission(job: Job) -> Mission:
     except NoApproachError as error:
         raise InputError(str(error)) from None
     return mission
+
+
+def place_walls(
+    world: DrawnWorld, away_m: Mapping[str, float], angles_deg: Mapping[str, float]
+) -> DrawnWorld:
+    """The world with walls moved out and turned by so much, by name (`Wall.moved`, `Wall.turned`)."""
+    walls = {
+        w.name: w.moved(away_m.get(w.name, 0.0)).turned(math.radians(angles_deg.get(w.name, 0.0)))
+        for w in world.mission.walls
+    }
+    return with_walls(world, walls)
 
 
 def fly(job: Job) -> Flown:
