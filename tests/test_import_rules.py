@@ -28,6 +28,7 @@ FLOORS = {
 # Inside the lab likewise.
 LAB = (
     "figure_style",
+    "statistics",
     "flight_arrays",
     "predict",
     "search",

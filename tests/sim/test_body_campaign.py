@@ -2,7 +2,7 @@
 
 import pytest
 
-from dart_flight.lab.campaign.statistics import wilson
+from dart_flight.lab.statistics import wilson
 from tools.campaigns.body import (
     MIDDLE,
     RANGES,

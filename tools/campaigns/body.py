@@ -38,7 +38,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import LockDriver, load_vehicle
-from dart_flight.lab.campaign.statistics import wilson
+from dart_flight.lab.statistics import wilson
 from dart_flight.recording.verdict import VerdictBuilder
 from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import DrawnWorld, draw_world, parse_vary, with_walls

@@ -35,7 +35,7 @@ from dart_flight.config.vehicle import BodyModel, Coefficients, LockDriver, load
 from dart_flight.contact.contact_map import collide
 from dart_flight.contact.law import Onset
 from dart_flight.core.mission.approach import NoApproachError
-from dart_flight.lab.campaign.statistics import wilson
+from dart_flight.lab.statistics import wilson
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
 from dart_flight.recording.verdict import CollisionVerdict, VerdictBuilder

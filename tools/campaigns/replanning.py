@@ -42,7 +42,7 @@ from dart_flight.core.mission.executive import Executive
 from dart_flight.core.mission.phases import Cue
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.state import FlightState
-from dart_flight.lab.campaign.statistics import wilson
+from dart_flight.lab.statistics import wilson
 from dart_flight.planning.planned import planned_flight
 from dart_flight.recording.verdict import VerdictBuilder
 from dart_flight.run.fast import FastFlight

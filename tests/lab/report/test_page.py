@@ -19,11 +19,11 @@ from dart_flight.cli import main
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.figure_style import as_svg
-from dart_flight.lab.identify.estimates import mean_half_width
 from dart_flight.lab.report.figures import forces, lock, motion
 from dart_flight.lab.report.figures.flight_map import flight_map
 from dart_flight.lab.report.flight import Compared, Flight
 from dart_flight.lab.report.page import flight_page
+from dart_flight.lab.statistics import mean_half_width
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.reader import Log, LogEntry, read_log
 from dart_flight.recording.writer import FlightLog
