@@ -1,6 +1,6 @@
 """Published flight recordings that are no ULogs, in the shape of one, as `feel` takes them.
 
-Four data sets (docs/real_data.md), told apart by their columns:
+Four data sets (docs/results/real_data.md), told apart by their columns:
 
 - NanoBench: Crazyflie 2.1, one CSV a flight;
 - nanodrone-sysid-benchmark: Crazyflie 2.1 Brushless, one CSV or parquet file a flight; its accelerometer is

@@ -5,7 +5,7 @@
 Every flight is a `dry-run` of the single wall in the embedded world, in a process of its own; in every second
 one `monitor` attaches as the approach begins. From its log: the intervals between the receipts of the samples
 that led to set-points, from the approach to the goal, and the time from a sample to the recovery set-point.
-docs/link.md has the figures; they mean something where nothing else runs.
+docs/results/observers.md has the figures; they mean something where nothing else runs.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""False impacts in the air, on flight recordings that are no ULogs (docs/real_data.md).
+"""False impacts in the air, on flight recordings that are no ULogs (docs/results/real_data.md).
 
     python -m tools.campaigns.hours FILE_OR_FOLDER... [--json FILE]
 

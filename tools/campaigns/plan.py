@@ -1,6 +1,6 @@
 """Ten generated scenarios: plan each, fly the plan with many seeds, compare prediction and flight.
 
-python -m tools.campaigns.plan            (writes docs/planning_campaign.md; also part of `make campaign`)
+python -m tools.campaigns.plan     (writes docs/results/planning_campaign.md; part of `make campaign`)
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from dart_flight.lab.search.search import Plan, search
 from dart_flight.lab.search.summary import with_objective
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.many_flights import fly_fast_many
+from tools.campaigns.results import RESULTS, measured_by
 
 ROOT = Path(__file__).parents[2]
 SCENARIOS = 10
@@ -106,11 +107,11 @@ def fly_all(folder: Path, objectives: tuple[Objective, ...] = OBJECTIVES) -> tup
 
 
 def report(flown: list[Flown], infeasible: int, elapsed_s: float, objectives: tuple[Objective, ...]) -> str:
-    """The page `docs/planning_campaign.md`."""
+    """The page `docs/results/planning_campaign.md`."""
     lines = [
         "# Plans flown: generated scenarios",
         "",
-        "Written by `python -m tools.campaigns.plan` (part of `make campaign`); do not edit.",
+        measured_by("tools.campaigns.plan"),
         "",
         f"{SCENARIOS} scenarios with random start, goal, walls (one to three, any direction), materials and "
         f"gains, seed {_SEED}; {infeasible} more had no feasible plan and were passed over. Each was "
@@ -182,4 +183,4 @@ def run(report_dir: Path, objectives: tuple[Objective, ...] = OBJECTIVES) -> Non
 
 
 if __name__ == "__main__":
-    run(ROOT / "docs", tuple(Objective(name) for name in sys.argv[1:]) or OBJECTIVES)
+    run(RESULTS, tuple(Objective(name) for name in sys.argv[1:]) or OBJECTIVES)

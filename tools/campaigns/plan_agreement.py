@@ -1,6 +1,6 @@
 """How well the planner's flight model predicts the plant: plans of the dual collision, predicted and flown.
 
-python -m tools.campaigns.plan_agreement     (writes docs/planning_agreement.md; part of `make campaign`)
+python -m tools.campaigns.plan_agreement  (writes docs/results/planning_agreement.md; part of `make campaign`)
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from dart_flight.lab.search.mission_writer import write_mission
 from dart_flight.lab.search.search import Plan, search
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import fly_fast
+from tools.campaigns.results import RESULTS, measured_by
 
 ROOT = Path(__file__).parents[2]
 FLIGHTS = 10
@@ -99,8 +100,9 @@ def run(report_dir: Path) -> None:
     lines = [
         "# The flight model against the plant",
         "",
-        "Written by `python -m tools.campaigns.plan_agreement` (`make campaign`); do not edit. Plans of",
-        "`missions/scenarios/dual_collision.yaml`, predicted and flown in the fast world, "
+        measured_by("tools.campaigns.plan_agreement"),
+        "",
+        "Plans of `missions/scenarios/dual_collision.yaml`, predicted and flown in the fast world, "
         f"seeds 1 to {FLIGHTS}, mean ± standard deviation, truth of the plant. Time counts from the first",
         "impact; `away` is the distance between predicted and flown place of the onset.",
         f"{result.feasible} of {result.candidates} candidates are feasible; the paper's plan has rank "
@@ -126,4 +128,4 @@ def _rank(plans: tuple[Plan, ...]) -> int:
 
 
 if __name__ == "__main__":
-    run(ROOT / "docs")
+    run(RESULTS)

@@ -35,7 +35,7 @@ _SEEDS = (6001,)  # not those of `tools.campaigns.body`: a candidate may be chos
 
 
 class _AfterPeak(Executive):
-    """An executive whose set-points change for a while after each peak.
+    """An executive whose setpoints change for a while after each peak.
 
     Attributes:
         lasts_s: for how long.
@@ -67,12 +67,12 @@ class _AfterPeak(Executive):
                 p.outputs[-1] = self.changed(last, item, state, since_s)
 
     def changed(self, setpoint: SetPoint, sample: OdometrySample, state: FlightState, s: float) -> SetPoint:
-        """Another set-point in its place."""
+        """Another setpoint in its place."""
         raise NotImplementedError
 
 
 class _Level(_AfterPeak):
-    """Level first: the velocity that the vehicle has, no acceleration; then the paper's set-point."""
+    """Level first: the velocity that the vehicle has, no acceleration; then the paper's setpoint."""
 
     def changed(self, setpoint: SetPoint, sample: OdometrySample, state: FlightState, s: float) -> SetPoint:
         if s >= self.lasts_s:
@@ -89,7 +89,7 @@ class _Level(_AfterPeak):
 
 
 class _Soft(_AfterPeak):
-    """The set-point moves from where the vehicle was at the peak to the paper's in a smooth way."""
+    """The setpoint moves from where the vehicle was at the peak to the paper's in a smooth way."""
 
     _from: tuple[float, float] | None = None
 
@@ -174,10 +174,10 @@ def _lasting(kind: type[_AfterPeak], seconds: float) -> type[Executive]:
 
 
 CANDIDATES: dict[str, tuple[str, type[Executive]]] = {
-    "paper": ("the paper's set-point at once", Executive),
+    "paper": ("the paper's setpoint at once", Executive),
     "level-0.15": ("level for 0.15 s, then the paper's", _lasting(_Level, 0.15)),
     "level-0.3": ("level for 0.3 s, then the paper's", _lasting(_Level, 0.3)),
-    "soft-0.3": ("the set-point moves there in 0.3 s", _lasting(_Soft, 0.3)),
+    "soft-0.3": ("the setpoint moves there in 0.3 s", _lasting(_Soft, 0.3)),
     "heading-0.3": ("the heading follows the vehicle for 0.3 s", _lasting(_Heading, 0.3)),
     "onset": ("from the onset on what the vehicle does anyway", _FromOnset),
     "yield": ("from the onset on what the vehicle does anyway, PX4's D term taken out", Executive),

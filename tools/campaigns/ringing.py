@@ -1,4 +1,4 @@
-"""The shipped missions with a ringing IMU: hits found, false ones, latency (docs/real_data.md).
+"""The shipped missions with a ringing IMU: hits found, false ones, latency (docs/results/ringing.md).
 
     python -m tools.campaigns.ringing --runs 50 [--first-seed 1001] [--only KIND]... [--json FILE]
 

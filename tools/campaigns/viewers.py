@@ -1,10 +1,10 @@
-"""Campaign: what ten viewers of the live view cost a flight's set-points, in alternating pairs of flights.
+"""Campaign: what ten viewers of the live view cost a flight's setpoints, in alternating pairs of flights.
 
     python -m tools.campaigns.viewers [--pairs N]
 
 Every flight is a `dry-run` of the single wall in the embedded world, in a process of its own; the second of a
 pair, in every other pair the first, is flown with `--live` and ten viewers: seven read all that comes, three
-subscribe to everything and never read. Measured is every set-point from approach to goal: the time from the
+subscribe to everything and never read. Measured is every setpoint from approach to goal: the time from the
 receipt of the sample that led to it until it has left the program. A pair counts by the difference of its two
 99th percentiles; the one-sided 95 % bound of the mean difference (Student) must not exceed 0.5 ms.
 
@@ -52,7 +52,7 @@ class Flown(msgspec.Struct):
     """What a flight with or without viewers has left.
 
     Attributes:
-        latencies_ms: of every set-point.
+        latencies_ms: of every setpoint.
         messages: that the reading viewers got, all together.
         left_out: what the live view said of records that it had no room for.
     """
@@ -71,7 +71,7 @@ class Flown(msgspec.Struct):
 
 
 def fly(folder: Path, port: int | None) -> int:
-    """The flight's process: `dry-run` as it is, with a clock at the door by which set-points leave."""
+    """The flight's process: `dry-run` as it is, with a clock at the door by which setpoints leave."""
     latencies: list[float] = []
     send = FlightApp.send
 
