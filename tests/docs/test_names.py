@@ -15,7 +15,7 @@ from tests.docs.snippets import PAGES, ROOT, name_of
 SOURCES = ("dart_flight", "tools", "tests", "configs", "missions", "deploy", "docs/schemas")
 _TEXT = {".py", ".yaml", ".json", ".params", ".service", ".rules", ".conf", ".sh", ".c", ".csv"}
 _FENCED = re.compile(r"^ *```.*?^ *```\s*$", re.MULTILINE | re.DOTALL)
-_QUOTED = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
+_QUOTED = re.compile(r"(?<!`)`([^`\n]+)`(?!`)(?!\s+at\s+commit)")
 _FILE = re.compile(
     r"[\w./-]+\.(?:py|md|c|yaml|json|csv|toml|params|service|txt|html|js)|[\w.-]+(?:/[\w.-]+)*/"
 )
