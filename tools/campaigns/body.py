@@ -106,7 +106,7 @@ def default_case() -> Case:
 
 
 MIDDLE = Case("mid-range", *((low + high) / 2.0 for low, high in RANGES.values()))
-WORST = Case("worst corner", 1.0, 0.0, -0.03, 0.10, 0.7)  # of all corners, docs/body.md
+WORST = Case("worst corner", 1.0, 0.0, -0.03, 0.10, 0.7)  # of all corners, docs/results/body.md
 
 
 class Job(msgspec.Struct, frozen=True):
