@@ -44,8 +44,8 @@ from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import DrawnWorld, draw_world, parse_vary, with_walls
 from tools.campaigns.faults import Watch, judge, run_out
 from tools.campaigns.kept import fly_missing
+from tools.campaigns.results import ROOT, markdown
 
-ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "build" / "body"
 MISSIONS = ("paper_single_wall", "paper_dual_collision")
 PARTS = ("yaw", "vary")
@@ -281,7 +281,7 @@ def fly(job: Job) -> Flown:
 
 def fly_all(part: str, jobs: Sequence[Job], processes: int, fresh: bool = False) -> list[Flown]:
     """Fly what build/body/ does not have yet; results in the order of the jobs."""
-    return fly_missing(KEPT / f"{part}.jsonl", jobs, fly, Flown, processes, fresh)
+    return fly_missing(KEPT / f"{part}.jsonl", jobs, fly, tuple[Job, Flown], processes, fresh)
 
 
 # --- what is flown -----------------------------------------------------------------------------------------
@@ -323,12 +323,12 @@ def _middle_and_worst(values: Iterable[float], digits: int = 0) -> str:
 
 def yaw_table(flights: Sequence[Flown]) -> str:
     """Markdown: a row a case, mission and yaw; figures are median, worst."""
-    lines = [
-        "| body | mission | wall yaw | completed | broken off | uncontrolled | tilt after first hit, deg | "
-        "rate after it, deg/s | motors at a limit, ms | second hit, m/s | its force, N | "
-        "tilt after it, deg |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
+    heads = (
+        "body", "mission", "wall yaw", "completed", "broken off", "uncontrolled", "tilt after first hit, deg",
+        "rate after it, deg/s", "motors at a limit, ms", "second hit, m/s", "its force, N",
+        "tilt after it, deg",
+    )  # fmt: skip
+    rows = []
     groups: dict[tuple[str, str, float], list[Flown]] = {}
     for f in flights:
         groups.setdefault((f.job.case.name, f.job.mission, f.job.yaw_deg), []).append(f)
@@ -350,8 +350,8 @@ def yaw_table(flights: Sequence[Flown]) -> str:
             _middle_and_worst(h.peak_n for h in second),
             _middle_and_worst(h.tilt_deg for h in second),
         ]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+        rows.append(cells)
+    return markdown(heads, rows)
 
 
 def vary_table(flights: Sequence[Flown]) -> str:

@@ -28,9 +28,8 @@ from tools.campaigns.force_quiet import Quiet, fly_quiet
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-from tools.campaigns.results import RESULTS, measured_by
+from tools.campaigns.results import RESULTS, ROOT, measured_by
 
-ROOT = Path(__file__).parents[2]
 SPEEDS = (0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0)
 CLIPPED_SPEEDS = (3.25, 3.5, 4.0, 4.5)
 ORIENTATIONS = tuple(45.0 * i for i in range(8))

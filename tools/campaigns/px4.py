@@ -40,7 +40,7 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.px4 import fly_px4
 from dart_flight.sim.px4.launch import find_install
-from tools.campaigns.results import RESULTS, measured_by
+from tools.campaigns.results import RESULTS, markdown, measured_by
 
 SEEDS = range(1, 11)
 EMBEDDED_SEEDS = range(1, 4)  # real time: few
@@ -251,14 +251,6 @@ def _text(value: float | None, digits: int) -> str:
     return "–" if value is None else f"{value:.{digits}f}"
 
 
-def _row(cells: list[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
-
-
-def _table(head: list[str], rows: list[list[str]]) -> list[str]:
-    return [_row(head), _row(["---"] * len(head)), *map(_row, rows), ""]
-
-
 def _hits(flight: Flight, show: Callable[[Hit], str]) -> str:
     return " / ".join(show(hit) for hit in flight.hits) or "–"
 
@@ -309,7 +301,7 @@ def _seeds_table(flights: list[Flight], mission: str) -> list[str]:
     rows.append(line("estimator resets", lambda f: f.resets, 0))
     rows.append(line("goal miss, m", lambda f: f.miss_m, 3))
     rows.append(line("final error, m", lambda f: f.final_m, 3))
-    return _table(head, rows)
+    return [markdown(head, rows)]
 
 
 def _ended_by(flights: list[Flight]) -> str:
@@ -348,7 +340,7 @@ def versions_table(flights: list[Flight]) -> str:
                     str(sum(bool(f.failsafe) for f in group)),
                 ]
             )
-    return "\n".join(_table(head, rows))
+    return markdown(head, rows)
 
 
 def body_table(flights: list[Flight]) -> str:
@@ -375,7 +367,7 @@ def body_table(flights: list[Flight]) -> str:
                 _text(f.final_m, 3),
             ]
         )
-    return "\n".join(_table(head, rows))
+    return markdown(head, rows)
 
 
 def with_table(page: str, name: str, table: str) -> str:
