@@ -22,6 +22,7 @@ from dart_flight.base.records import World
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
+from dart_flight.config.vehicle.configuration import drop_removed_keys
 from dart_flight.recording.reader import NothingInItError
 from dart_flight.recording.schema import OUTPUTS
 
@@ -117,7 +118,8 @@ def written_mission(about: dict[str, str], source: str) -> tuple[Document, Docum
 
 
 def _complete(vehicle: dict[str, Any]) -> None:
-    """Put what a log's configuration could not know yet into it."""
+    """Put what a log's configuration could not know yet into it, and take out what is known no more."""
+    drop_removed_keys(vehicle)
     known = msgspec.to_builtins(load_vehicle(packaged("configs", "dart.yaml")))
     # Where a key changes what is decided, a log without it was flown without it.
     known["detection"]["noise_sigma"] = 0.0

@@ -10,10 +10,15 @@ from typing import Any
 import msgspec
 import pytest
 
+from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import load_vehicle
 from dart_flight.run.prepare import load_flyable
 
 OLDER = sorted((Path(__file__).parents[1] / "data" / "older").glob("*/missions/*.yaml"))
+
+
+REMOVED = {".vehicle.estimation.observer", ".vehicle.estimation.momentum_gain_per_s"}
 
 
 def as_json(mission: Mission) -> Any:
@@ -30,7 +35,7 @@ def differing(then: Any, now: Any, key: str = "") -> list[str]:
             for i, (a, b) in enumerate(zip(then, now, strict=True))
             for at in differing(a, b, f"{key}[{i}]")
         ]
-    return [] if then == now else [f"{key}: {then!r} became {now!r}"]
+    return [] if then == now or key in REMOVED else [f"{key}: {then!r} became {now!r}"]
 
 
 @pytest.mark.parametrize("path", OLDER, ids=lambda path: f"{path.parts[-3]} {path.stem}")
@@ -40,6 +45,13 @@ def test_an_older_mission_is_the_same_mission(path: Path) -> None:
     assert differing(then, as_json(mission)) == []
     assert mission.waypoints == ()
     assert mission.vehicle.has_lock
+
+
+def test_a_removed_observer_is_refused_where_it_would_mean_something() -> None:
+    path = OLDER[0].parents[1] / "configs" / "dart.yaml"
+    document = Document(path.read_text().replace("observer: acceleration", "observer: momentum"), "dart.yaml")
+    with pytest.raises(InputError, match=r"estimation\.observer.*delete this key and momentum_gain_per_s"):
+        load_vehicle(document)
 
 
 def test_there_are_older_files_and_a_change_is_seen() -> None:

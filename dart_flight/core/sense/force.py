@@ -6,8 +6,7 @@ with f the specific force at the centre of mass (gravity is not in it; what an I
 of turning is taken off, `core/sense/turning.py`), T the thrust vector, R body to mission, b the air
 drag along the mission's axes. Streams are aligned by the autopilot's stamps: a reading is the mean over the
 tick that ends at its stamp, later by the anti-alias filter's delay; attitude is carried to the middle of that
-time with the gyro, thrust is averaged over the tick. With `estimation.observer: momentum` the force comes
-from `core/sense/momentum.py` instead, from the same thrust, attitude and drag.
+time with the gyro, thrust is averaged over the tick.
 """
 
 from __future__ import annotations
@@ -16,12 +15,11 @@ import math
 from collections import deque
 from typing import Final
 
-from dart_flight.base.geometry import GRAVITY_M_S2, MissionFrame, Quaternion, Vec3, advance_attitude
+from dart_flight.base.geometry import MissionFrame, Quaternion, Vec3, advance_attitude
 from dart_flight.base.records import AttitudeSample, ForceEstimate, ImuSample, Mode
-from dart_flight.config.vehicle import Observer, VehicleConfig
+from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.arm_vibration import ArmFilter
 from dart_flight.core.sense.bias import HoverBias
-from dart_flight.core.sense.momentum import MomentumObserver
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.thrust import ThrustModel
 from dart_flight.core.sense.turning import Turning
@@ -61,9 +59,6 @@ class ForceEstimator:
         self._attitude_variance = e.attitude_error_rad**2
         self._filter_s = e.filter_s
         self._arms = ArmFilter(e.arm_vibration, vehicle.imu.tick_s) if e.arm_vibration else None
-        self._momentum = (
-            MomentumObserver(self._mass, e.momentum_gain_per_s) if e.observer is Observer.MOMENTUM else None
-        )
         self._attitudes: deque[AttitudeSample] = deque(maxlen=_HISTORY)
         self._last_us: int | None = None
         self._filtered: Vec3 = (0.0, 0.0, 0.0)
@@ -121,17 +116,12 @@ class ForceEstimator:
         drag = (m * b[0] * v[0], m * b[1] * v[1], m * b[2] * v[2])
         up = (-(down_n * c + down_e * s), -(down_n * s - down_e * c), down_d)
         push = (thrust_n * up[0] - drag[0], thrust_n * up[1] - drag[1])
-        if self._momentum is not None:
-            known = (push[0], push[1], thrust_n * up[2] - drag[2] - m * GRAVITY_M_S2)
-            force = self._momentum.update(imu.t_us, dt_s, known, state.odometry, v)
-            clipped, noise = False, 0.1 * m * hover.noise_m_s2
-        else:
-            force = (n * c + e * s + drag[0], n * s - e * c + drag[1], -d + drag[2])
-            if self._arms is not None:
-                force = self._still(self._arms, force, state, dt_s)
-            clip, noise = self._clip, m * hover.noise_m_s2
-            rx, ry, rz = imu.specific_force_frd
-            clipped = abs(rx) >= clip or abs(ry) >= clip or abs(rz) >= clip
+        force = (n * c + e * s + drag[0], n * s - e * c + drag[1], -d + drag[2])
+        if self._arms is not None:
+            force = self._still(self._arms, force, state, dt_s)
+        clip, noise = self._clip, m * hover.noise_m_s2
+        rx, ry, rz = imu.specific_force_frd
+        clipped = abs(rx) >= clip or abs(ry) >= clip or abs(rz) >= clip
         keep = math.exp(-dt_s / self._filter_s) if self._filter_s > 0.0 else 0.0
         old = self._filtered
         self._filtered = (
