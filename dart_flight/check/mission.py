@@ -180,7 +180,7 @@ def _check_noise(mission: Mission, collision: Collision) -> list[Finding]:
     says = (
         f"{collision.mode.value}, {hit.peak_normal_force_n:.1f} N at wall {collision.wall.name}: with "
         f"vibration of {vehicle.estimation.imu_noise_m_s2:g} m/s2 only {floor:.1f} N is sure to be felt; "
-        "`feel` says what yours is"
+        "`inspect` says what yours is"
     )
     return [Finding(f"noise_{collision.index}", True, says, remark=True)]
 

@@ -378,7 +378,7 @@ class Mission(msgspec.Struct, frozen=True):
     limits: Limits
     predicted: MissPrediction | None
     standoff_m: float | None = None  # a rehearsal: every contact replaced by stopping so far before the wall
-    vehicle_source: VehicleSource | None = None  # where the configuration came from; old logs do not say
+    vehicle_source: VehicleSource | None = None  # where the configuration came from; None: built in Python
     after_impact: AfterImpact = AfterImpact.SETPOINT
     tolerance: Tolerance = Tolerance()
     mode_mismatch: ModeMismatch = ModeMismatch.GO_ON

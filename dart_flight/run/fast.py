@@ -72,7 +72,6 @@ _REPEAT_US: Final = 50_000  # MAVSDK repeats the last set-point at 20 Hz
 _NAN3 = (math.nan, math.nan, math.nan)
 FLIGHT_MODES: Final = {
     VehicleAction.OFFBOARD: FlightMode.OFFBOARD,
-    VehicleAction.HOLD: FlightMode.HOLD,
     VehicleAction.LAND: FlightMode.LAND,
 }
 

@@ -62,12 +62,10 @@ class Expected(NamedTuple):
 class _Sample:
     """A sample of the contact; forces less the baseline, mission frame."""
 
-    __slots__ = ("clipped", "dt_us", "fx", "fy", "fz", "push", "t_us")
+    __slots__ = ("clipped", "dt_us", "fx", "fy", "push", "t_us")
 
-    def __init__(
-        self, t_us: int, dt_us: int, fx: float, fy: float, fz: float, push: Vec2, clipped: bool
-    ) -> None:
-        self.t_us, self.dt_us, self.fx, self.fy, self.fz = t_us, dt_us, fx, fy, fz
+    def __init__(self, t_us: int, dt_us: int, fx: float, fy: float, push: Vec2, clipped: bool) -> None:
+        self.t_us, self.dt_us, self.fx, self.fy = t_us, dt_us, fx, fy
         self.push, self.clipped = push, clipped
 
 
@@ -168,9 +166,7 @@ class ImpactDetector:
             return told + self._watch(estimate, fx, fy, dt_us, received_us, state)
         events: Events = told
         if stage is _Stage.RISING:
-            self._samples.append(
-                _Sample(t_us, dt_us, fx, fy, force[2], estimate.push_mission, estimate.clipped)
-            )
+            self._samples.append(_Sample(t_us, dt_us, fx, fy, estimate.push_mission, estimate.clipped))
             if self._peak_is_past(t_us):
                 self._stage = _Stage.FALLING
                 events.append(self._peak(t_us, received_us, state))
@@ -192,7 +188,7 @@ class ImpactDetector:
         # A tone that turns about in the plane never is below the release level in any sample.
         if size < release or (drowned and self._size_of(2) < release):
             self._armed = True
-        sample = _Sample(self._last_us, dt_us, fx, fy, force[2], estimate.push_mission, estimate.clipped)
+        sample = _Sample(self._last_us, dt_us, fx, fy, estimate.push_mission, estimate.clipped)
         watching = self._expected.watching and self._armed and self._stage is _Stage.WATCHING
         if watching and self._is_contact(fx, fy, size, over):
             return [self._begin(estimate, sample, received_us, state)]
@@ -391,7 +387,6 @@ class ImpactDetector:
             clipped=clipped,
             normal_sigma_n=self._noise if pulse is None or not fits else pulse.sigma_n,
             fitted=fits,
-            vertical_mean_n=sum(s.fz for s in inside) / len(inside),
         )
 
     def _direction(self) -> Vec2:
