@@ -198,9 +198,9 @@ def _drop_observer(document: Document) -> None:
         raise document.error(("estimation", "observer"), says)
 
 
-def drop_removed_keys(vehicle: dict[str, Any]) -> dict[str, Any]:
-    """Take out of a configuration what was a key of `estimation` once; returns what it said."""
-    estimation = vehicle.get("estimation")
+def drop_removed_keys(vehicle: Any) -> dict[str, Any]:
+    """Take out of a configuration's tree what was a key of `estimation` once; returns what it said."""
+    estimation = vehicle.get("estimation") if isinstance(vehicle, dict) else None
     if not isinstance(estimation, dict):
         return {}
     return {key: estimation.pop(key) for key in ("observer", "momentum_gain_per_s") if key in estimation}

@@ -15,6 +15,7 @@ import math
 from collections import deque
 from typing import Final
 
+from dart_flight.base.filters import LowPass
 from dart_flight.base.geometry import MissionFrame, Quaternion, Vec3, advance_attitude
 from dart_flight.base.records import AttitudeSample, ForceEstimate, ImuSample, Mode
 from dart_flight.config.vehicle import VehicleConfig
@@ -57,11 +58,10 @@ class ForceEstimator:
         self._imu_at = at if any(at) else None
         self._thrust_variance = e.thrust_error_n**2
         self._attitude_variance = e.attitude_error_rad**2
-        self._filter_s = e.filter_s
+        self._filter = LowPass(e.filter_s)
         self._arms = ArmFilter(e.arm_vibration, vehicle.imu.tick_s) if e.arm_vibration else None
         self._attitudes: deque[AttitudeSample] = deque(maxlen=_HISTORY)
         self._last_us: int | None = None
-        self._filtered: Vec3 = (0.0, 0.0, 0.0)
         self._frame: MissionFrame | None = None
         self._heading = (1.0, 0.0)
 
@@ -122,15 +122,9 @@ class ForceEstimator:
         clip, noise = self._clip, m * hover.noise_m_s2
         rx, ry, rz = imu.specific_force_frd
         clipped = abs(rx) >= clip or abs(ry) >= clip or abs(rz) >= clip
-        keep = math.exp(-dt_s / self._filter_s) if self._filter_s > 0.0 else 0.0
-        old = self._filtered
-        self._filtered = (
-            force[0] + (old[0] - force[0]) * keep,
-            force[1] + (old[1] - force[1]) * keep,
-            force[2] + (old[2] - force[2]) * keep,
-        )
         variance = self._variance(force, up, noise * noise)
-        return ForceEstimate(imu.t_us, force, clipped, self._filtered, variance, noise, push)
+        filtered = self._filter.follow(force, dt_s)
+        return ForceEstimate(imu.t_us, force, clipped, filtered, variance, noise, push)
 
     def _still(self, arms: ArmFilter, force: Vec3, state: FlightState, dt_s: float) -> Vec3:
         """The force with the swinging of unlocked arms taken out."""
