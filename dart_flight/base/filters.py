@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from dart_flight.base.rotations import Vec3
+from dart_flight.base.geometry import Vec3
 
 _MOST_STEP_S: Final = 0.05  # after a gap in the stream one sample counts for this long at most
 _OUTLIER: Final = 9.0  # a square counts at most this many times the present variance
