@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from dart_flight.base.geometry import MissionFrame, Vec2, Vec3, Wall
+from dart_flight.base.geometry import MissionFrame, Vec2, Vec3
 from dart_flight.base.records import AfterImpact, Mode, ModeMismatch
+from dart_flight.base.walls import Wall
 from dart_flight.config.document import IN_PYTHON, Document, InputError, Key, unknown_name
 from dart_flight.config.kinds import FileKind, load_document, refuse_other_keys
 from dart_flight.config.provenance import FoundVehicle, VehicleSource, find_vehicle, shown_path

@@ -849,7 +849,7 @@ def test_what_is_known_of_link_and_computer_is_said_where_a_stream_fails() -> No
     c.silent.add("imu")
     c.run(0.1)
     assert [(e.rule, e.detail) for e in fired(c)] == [
-        ("imu_silent", "for 84 ms; system 7 sends on the same link")
+        ("imu_silent", "for 100 ms; system 7 sends on the same link")
     ]
     c = HandFedCore()
     c.to_flight()
@@ -875,7 +875,7 @@ def test_a_program_that_did_not_run_is_named_as_the_cause_of_silence() -> None:
     c.to_flight()
     c.silent.add("attitude")
     c.run(0.3)
-    assert [(e.rule, e.detail) for e in fired(c)] == [("attitude_silent", "for 204 ms")]
+    assert [(e.rule, e.detail) for e in fired(c)] == [("attitude_silent", "for 220 ms")]
 
 
 @pytest.mark.parametrize(

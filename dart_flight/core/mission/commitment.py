@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 
-from dart_flight.base.geometry import GRAVITY_M_S2, Wall
+from dart_flight.base.geometry import GRAVITY_M_S2
+from dart_flight.base.walls import Wall
 from dart_flight.config.mission import BoundsSpec, Collision, Limits, Mission
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.coefficients import CoefficientArrays
