@@ -56,16 +56,19 @@ class LearntVariance:
 
     Args:
         value: to begin with.
+        time_s: time constant.
         least: it does not fall below.
         added: with every square.
     """
 
-    def __init__(self, value: float, least: float = 0.0, added: float = 0.0) -> None:
+    def __init__(self, value: float, time_s: float, least: float = 0.0, added: float = 0.0) -> None:
         self.value = value
-        self._least, self._added = least, added
+        self._time_s, self._least, self._added = time_s, least, added
 
-    def learn(self, square: float, share: float) -> float:
-        """Take a square by its share, 0 to 1; returns the new value."""
+    def learn(self, square: float, dt_s: float, least_share: float = 0.0) -> float:
+        """Take a square, `dt_s` after the one before, by this share at least; returns the new value."""
+        share = (dt_s if dt_s < _MOST_STEP_S else _MOST_STEP_S) / self._time_s
+        share = share if share > least_share else least_share
         value = self.value
         most = _OUTLIER * value
         # Comparisons, where `min` and `max` would do: twelve learn from every sample, and a call costs more.

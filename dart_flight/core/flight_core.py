@@ -80,7 +80,7 @@ class FlightCore:
         sensed, proposal, state = _NOTHING, Proposal(), self._senses.state
         try:
             sensed = self._senses.take(item, self._expected)
-            if self._guard.action is Override.NONE:
+            if not self._guard.overrules:
                 self._executive.propose(item, state, sensed, proposal)
                 self._expected = proposal.expected
         except Exception:
@@ -112,7 +112,7 @@ class FlightCore:
             self._fault = None
         guard, executive, state = self._guard, self._executive, self._senses.state
         kept = guard.review(item, state, sensed, executive.phase, proposal)
-        if guard.action is not Override.NONE:
+        if guard.overrules:
             kept += executive.overruled(state.now_us, guard.reason or "")
             # A wall met while the guard holds or backs off is an impact, the ground at the end is none.
             if guard.landing:
@@ -120,7 +120,7 @@ class FlightCore:
         if guard.end is not None:
             self.end = guard.end
             kept += executive.ended(guard.end)
-        elif proposal.end is not None and guard.action is Override.NONE:
+        elif proposal.end is not None and not guard.overrules:
             self.end = proposal.end
             kept.append(proposal.end)
         return kept

@@ -41,7 +41,7 @@ from dart_flight.core.mission.survey import early_m, slack_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-Causes = list[tuple[Rule, Callable[[Watch], str | None]]]
+Causes = list[tuple[Rule, int, Callable[[Watch], str | None]]]  # with the rank of its action
 
 _COMMANDS: Final = (SetPoint, VehicleCommand)
 _COMMANDS_AND_LOCK: Final = (SetPoint, VehicleCommand, LockCommand)
@@ -79,6 +79,7 @@ class Guard:
         # A landing is waited for until the motors would have been stopped.
         self._landing_us = max(_LANDING_US, round(2e6 * (self._watch.surely_down_s or 0.0)))
         self.action = Override.NONE
+        self.overrules = False  # a rule has fired: the mission is not heard any more
         self._rank = self.action.rank
         self.reason: str | None = None
         self._rule: Rule | None = None
@@ -111,9 +112,9 @@ class Guard:
         events: list[Output] = []
         for finding in proposal.findings:
             self._fire(finding.rule, finding.detail, state, events, finding.noted)
-        if phase is not Phase.DONE and self.end is None:
+        if self.end is None:
             self._judge(item, state, phase, events)
-        if self.action is Override.NONE:
+        if not self.overrules:
             if proposal.altitude_m is not None:
                 self._altitude_m = proposal.altitude_m
             outputs = proposal.outputs
@@ -145,9 +146,8 @@ class Guard:
             self._judged_us, due = state.host_us, judged.all
         else:
             due = judged.at_once.get(type(item), [])
-        for rule, cause in due:
+        for rule, rank, cause in due:
             # A rule whose action is in force already has nothing to add but, some of them, what explains it.
-            rank = rule.action.rank
             if rank > self._rank:
                 detail = cause(self._watch)
                 if detail is not None:
@@ -194,6 +194,7 @@ class Guard:
         if rule.action is not Override.KILL or self.reason is None:  # else it is what the landing began with
             self.reason = f"{rule.name}: {detail}" if detail else rule.name
         self.action, self._rule, self._rank = rule.action, rule, rule.action.rank
+        self.overrules = True
         self._since_us = state.now_us
         self._asked_us = None
         self._hold = None
@@ -304,6 +305,10 @@ class Guard:
 
 
 def _judged_in(phase: Phase, rules: tuple[Rule, ...]) -> _Judged:
-    causes = [(rule, rule.cause) for rule in rules if rule.cause is not None and in_scope(rule, phase)]
-    kinds = {kind for rule, _ in causes for kind in rule.at_once}
+    causes = [
+        (rule, rule.action.rank, rule.cause)
+        for rule in rules
+        if rule.cause is not None and in_scope(rule, phase)
+    ]
+    kinds = {kind for rule, _, _ in causes for kind in rule.at_once}
     return _Judged(causes, {kind: [one for one in causes if kind in one[0].at_once] for kind in kinds})

@@ -389,6 +389,8 @@ RULES_BY_NAME = {rule.name: rule for rule in RULES}
 
 def in_scope(rule: Rule, phase: Phase) -> bool:
     """Whether a rule is judged in a phase."""
+    if phase is Phase.DONE:
+        return False
     if rule.scope is Scope.ALWAYS:
         return True
     if rule.scope is Scope.GROUND or phase in ON_GROUND:  # else the mission's time-outs judge there

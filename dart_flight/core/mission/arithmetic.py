@@ -41,4 +41,4 @@ def where(condition: Number, yes: Number, no: Number) -> Number:
 
 
 def _has_array(*values: Number) -> bool:
-    return any(isinstance(value, np.ndarray) for value in values)
+    return any(isinstance(value, np.ndarray | np.generic) for value in values)

@@ -36,7 +36,7 @@ from dart_flight.config.mission import Collision, Mission, Waypoint
 from dart_flight.core.mission.approach import Approach, check_legs, plan_approach
 from dart_flight.core.mission.commitment import STOP_MARGIN_M, may_commit
 from dart_flight.core.mission.lock_orders import LockOrders
-from dart_flight.core.mission.phases import BETWEEN, DOWN_US, TRANSITIONS, WATCHING, Cue
+from dart_flight.core.mission.phases import AT_WALL, BETWEEN, DOWN_US, TO_IMPACT, TRANSITIONS, WATCHING, Cue
 from dart_flight.core.mission.planned import expected_hit
 from dart_flight.core.mission.position_loop import least_distance_m, meets_plane
 from dart_flight.core.mission.proposal import Proposal
@@ -227,10 +227,9 @@ class Executive:
 
     def _is_expected(self, collision: Collision) -> bool:
         """Whether the plan has the vehicle meet this wall in this phase."""
-        phase = self.phase
-        if phase is Phase.RECOVERY:
+        if self.phase is Phase.RECOVERY:
             return collision.approach_m_s is None
-        return phase is Phase.APPROACH or phase is Phase.CONTACT
+        return self.phase in AT_WALL
 
     def _is_due(self, collision: Collision) -> bool:
         """Whether an onset now is the plan's; a second one before the peak is not."""
@@ -620,7 +619,7 @@ class Executive:
 
     def _wanted_yaw(self, state: FlightState) -> float:
         collision = self._collision
-        if collision is None or self.phase not in (Phase.TRANSIT, Phase.PREPARE, Phase.APPROACH):
+        if collision is None or self.phase not in TO_IMPACT:
             return self._references.yaw
         return collision.wall.parallel_yaw(state.yaw)
 

@@ -72,6 +72,8 @@ DOWN_US = 200_000  # one report of landed and disarmed may be another vehicle's 
 ON_GROUND = frozenset({Phase.READYING, Phase.OFFBOARD, Phase.ARMING})
 ALTITUDE_EXEMPT = ON_GROUND | {Phase.CLIMB, Phase.LANDING, Phase.DONE}
 BETWEEN = frozenset({Phase.WAYPOINT, Phase.PAUSE})  # of no collision in particular
+TO_IMPACT = frozenset({Phase.TRANSIT, Phase.PREPARE, Phase.APPROACH})  # of the collision that is next
+AT_WALL = frozenset({Phase.APPROACH, Phase.CONTACT})
 WATCHING = BETWEEN | frozenset(
     {
         Phase.TRANSIT,

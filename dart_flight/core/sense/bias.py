@@ -38,7 +38,7 @@ class HoverBias:
         self.bias_x = self.bias_y = 0.0
         self.scale = 1.0
         self.noise_m_s2 = config.imu_noise_m_s2
-        self._variance = LearntVariance(config.imu_noise_m_s2**2, _LEAST_NOISE2)
+        self._variance = LearntVariance(config.imu_noise_m_s2**2, _NOISE_TIME_S, _LEAST_NOISE2)
         self._last: Vec3 | None = None
 
     def learn(self, f: Vec3, rate: Vec3, speed_m_s: float, curve_thrust_n: float, dt_s: float) -> None:
@@ -72,8 +72,7 @@ class HoverBias:
         if last is None:
             return
         dx, dy = f[0] - last[0], f[1] - last[1]
-        square = 0.25 * (dx * dx + dy * dy)
-        self.noise_m_s2 = math.sqrt(self._variance.learn(square, taken_share(dt_s, _NOISE_TIME_S)))
+        self.noise_m_s2 = math.sqrt(self._variance.learn(0.25 * (dx * dx + dy * dy), dt_s))
 
 
 def _bounded(value: float, most: float) -> float:

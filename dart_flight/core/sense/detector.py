@@ -15,8 +15,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from enum import Enum, auto
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import ContactEnd, DetectionFloor, ForceEstimate, ImpactOnset, ImpactPeak, Mode
@@ -70,13 +69,7 @@ class _Sample:
         self.push, self.clipped = push, clipped
 
 
-class _Stage(Enum):
-    WATCHING = auto()
-    RISING = auto()
-    FALLING = auto()
-    REFRACTORY = auto()
-
-
+Stage = Literal["watching", "rising", "falling", "refractory"]
 Event = ImpactOnset | ImpactPeak | ContactEnd | DetectionFloor
 Events = list[Event]
 
@@ -109,7 +102,7 @@ class ImpactDetector:
         self._sigma, self._refractory_us = c.noise_sigma, c.refractory_s * 1e6
         self._learns_noise = c.noise_sigma > 0.0
         self.slow_force = SlowForce(vehicle.estimation)
-        self._stage = _Stage.WATCHING
+        self.stage: Stage = "watching"
         tick_s, noise_n = vehicle.imu.tick_s, self._mass * vehicle.estimation.imu_noise_m_s2
         lengths = (0.0, 2.0 * tick_s, self._config.short_window_s, self._config.long_window_s)
         self._windows = [WindowMean(s, noise_n, round(s / tick_s)) for s in lengths]
@@ -133,17 +126,12 @@ class ImpactDetector:
     @property
     def in_contact(self) -> bool:
         """Between onset and end of contact."""
-        return self._stage is _Stage.RISING or self._stage is _Stage.FALLING
+        return self.stage in ("rising", "falling")
 
     @property
     def crossed_n(self) -> float:
         """The threshold that the newest onset crossed, newton."""
         return self._threshold
-
-    @property
-    def stage(self) -> str:
-        """For people: watching, rising, falling or refractory."""
-        return self._stage.name.lower()
 
     def update(
         self, estimate: ForceEstimate, received_us: int, state: FlightState, expected: Expected
@@ -154,22 +142,22 @@ class ImpactDetector:
         self._last_us = t_us
         force, base = estimate.force_mission, self.slow_force.value
         fx, fy = force[0] - base[0], force[1] - base[1]
-        stage = self._stage
-        if stage is _Stage.REFRACTORY and t_us - self._ended_us >= self._refractory_us:
-            stage = self._stage = _Stage.WATCHING
+        stage = self.stage
+        if stage == "refractory" and t_us - self._ended_us >= self._refractory_us:
+            stage = self.stage = "watching"
         told = self._tell_floor(t_us, expected)
         self._expected = expected
         if self._learns_noise:
             for window in self._windows:
                 window.add(t_us, fx, fy)
-        if stage is _Stage.WATCHING or stage is _Stage.REFRACTORY:
+        if stage in ("watching", "refractory"):
             self._noise = estimate.noise_n
             return told + self._watch(estimate, fx, fy, dt_us, received_us, state)
         events: Events = told
-        if stage is _Stage.RISING:
+        if stage == "rising":
             self._samples.append(_Sample(t_us, dt_us, fx, fy, estimate.push_mission, estimate.clipped))
             if self._peak_is_past(t_us):
-                self._stage = _Stage.FALLING
+                self.stage = "falling"
                 events.append(self._peak(t_us, received_us, state))
         else:
             end = self._end(t_us, fx, fy)
@@ -190,12 +178,12 @@ class ImpactDetector:
         if size < release or (drowned and self._size_of(2) < release):
             self._armed = True
         sample = _Sample(self._last_us, dt_us, fx, fy, estimate.push_mission, estimate.clipped)
-        watching = self._expected.watching and self._armed and self._stage is _Stage.WATCHING
+        watching = self._expected.watching and self._armed and self.stage == "watching"
         if watching and self._is_contact(fx, fy, size, over):
             return [self._begin(estimate, sample, received_us, state)]
         self._previous = ((fx, fy), self._previous[0])
         self._before.append(sample)
-        if self._learns_noise and self._stage is _Stage.WATCHING:
+        if self._learns_noise and self.stage == "watching":
             for window in self._windows:
                 window.learn(dt_us * 1e-6)
         if drowned:
@@ -316,7 +304,7 @@ class ImpactDetector:
             window.forget()
         self._quiet_since_us = None
         self._armed = False
-        self._stage = _Stage.RISING
+        self.stage = "rising"
         self.slow_force.settle()
         self._onset = ImpactOnset(
             t_us=sample.t_us,
@@ -468,7 +456,7 @@ class ImpactDetector:
             self._quiet_since_us = t_us
         if t_us - self._quiet_since_us < self._config.contact_end_s * 1e6:
             return None
-        self._stage = _Stage.REFRACTORY
+        self.stage = "refractory"
         self._ended_us = t_us
         return ContactEnd(t_us=self._quiet_since_us, first_us=self._onset.first_us)
 

@@ -56,6 +56,7 @@ class FlightState:
         self.odometry: OdometrySample | None = None
         self.actuator: ActuatorSample | None = None
         self.status = StatusSample(t_us=0, received_us=0)
+        self.in_offboard = self.on_ground = False  # as PX4 says
         self.position_sd_m: float | None = None  # of the horizontal position, by PX4 itself
         self.lock = LockState(t_us=0, phase=LockPhase.UNKNOWN, mode=None)
         if not has_lock:  # what cannot move is where it is, from the start and for ever
@@ -153,6 +154,8 @@ class FlightState:
     def take_status(self, sample: StatusSample) -> None:
         """The autopilot's slow state."""
         self.status = sample
+        self.in_offboard = sample.flight_mode is FlightMode.OFFBOARD
+        self.on_ground = sample.landed is LandedState.ON_GROUND
         self.host_us = max(self.host_us, sample.received_us)
 
     def take_estimator(self, sample: EstimatorSample) -> None:
@@ -297,16 +300,6 @@ class FlightState:
         if also:  # all that a PX4 without reports tells; it need not be the reason
             return f"{answered}; PX4 gives no reason, but finds: " + ", ".join(also)
         return answered
-
-    @property
-    def in_offboard(self) -> bool:
-        """Whether PX4 says that it flies our set-points."""
-        return self.status.flight_mode is FlightMode.OFFBOARD
-
-    @property
-    def on_ground(self) -> bool:
-        """Whether PX4's land detector says so."""
-        return self.status.landed is LandedState.ON_GROUND
 
     def lock_is_in(self, mode: Mode) -> bool:
         """Whether the lock is settled in a mode, as far as it can know."""

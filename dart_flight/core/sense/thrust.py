@@ -145,7 +145,7 @@ class ThrustModel:
                 return per_rpm2 * squares
         known = motors.newest_us > 0
         fresh = motors.newest_us >= oldest or collective.newest_us < motors.newest_us
-        if known and (wanted is ThrustSource.ACTUATOR or (auto and fresh)):
+        if known and ((auto and fresh) or wanted is ThrustSource.ACTUATOR):
             self.source = ThrustSource.ACTUATOR
             motors.advance(t_us)
             return self._by_curve(motors.value)

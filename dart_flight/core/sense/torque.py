@@ -39,7 +39,7 @@ class TorqueEstimator:
         self._before: Each | None = None
         self._slow: Vec3 = (0.0, 0.0, 0.0)
         self._last: Vec3 | None = None
-        self._variances = tuple([LearntVariance(1e-3, added=_ADDED) for _ in range(3)])
+        self._variances = tuple([LearntVariance(1e-3, _NOISE_TIME_S, added=_ADDED) for _ in range(3)])
         self._noise: Vec3 = (0.0316, 0.0316, 0.0316)
 
     def estimate(
@@ -90,10 +90,9 @@ class TorqueEstimator:
         last = self._last
         if last is None:
             return
-        share = taken_share(dt_s, _NOISE_TIME_S)
         roll, pitch, yaw = self._variances
         self._noise = (
-            math.sqrt(roll.learn(_THIRD * (x - last[0]) ** 2, share)),
-            math.sqrt(pitch.learn(_THIRD * (y - last[1]) ** 2, share)),
-            math.sqrt(yaw.learn(_THIRD * (z - last[2]) ** 2, share)),
+            math.sqrt(roll.learn(_THIRD * (x - last[0]) ** 2, dt_s)),
+            math.sqrt(pitch.learn(_THIRD * (y - last[1]) ** 2, dt_s)),
+            math.sqrt(yaw.learn(_THIRD * (z - last[2]) ** 2, dt_s)),
         )

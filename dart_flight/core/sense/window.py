@@ -11,7 +11,7 @@ import math
 from collections import deque
 from typing import Final
 
-from dart_flight.base.filters import LearntVariance, taken_share
+from dart_flight.base.filters import LearntVariance
 from dart_flight.base.geometry import Vec2
 
 _QUICK_S: Final = 0.5  # a manoeuvre counts at once, and its noise is not forgotten at once
@@ -42,7 +42,8 @@ class WindowMean:
         self._since_sum = 0
         self._seen = 0
         variance = noise_n * noise_n / max(1, samples)
-        self._quick, self._slow = LearntVariance(variance, _LEAST_N2), LearntVariance(variance, _LEAST_N2)
+        self._quick = LearntVariance(variance, _QUICK_S, _LEAST_N2)
+        self._slow = LearntVariance(variance, _SLOW_S, _LEAST_N2)
         self._pending: deque[float] = deque()
         # A force that is there all the time is no noise: two means are compared that share no sample. One
         # window apart they agree by chance only for a tone that the window itself takes out.
@@ -85,9 +86,8 @@ class WindowMean:
         self._seen += 1
         # At first a plain mean, so that what was assumed is forgotten once something is known.
         first = 1.0 / (_ASSUMED + self._seen)
-        quick = self._quick.learn(square, max(first, taken_share(dt_s, _QUICK_S)))
-        slow = self._slow.learn(square, max(first, taken_share(dt_s, _SLOW_S)))
-        self.noise_n = math.sqrt(max(quick, slow))
+        quick, slow = self._quick.learn(square, dt_s, first), self._slow.learn(square, dt_s, first)
+        self.noise_n = math.sqrt(quick if quick > slow else slow)
 
     def forget(self) -> None:
         """A contact has begun, or the stream broke off: what it has taught so far is thrown away."""
