@@ -345,7 +345,7 @@ def goal_not_reached(c: HandFedCore) -> None:
 def pause_timeout(c: HandFedCore) -> None:
     c.to_flight()
     executive = c.core._executive
-    pause = Waypoint(1, 0, None, 0.0, 5.0)
+    pause = Waypoint(index=1, position=None, speed_m_s=0.0, hold_s=5.0)
     executive.mission = msgspec.structs.replace(executive.mission, waypoints=(pause,))
     executive.phase = Phase.PAUSE
     c.run(6.0)

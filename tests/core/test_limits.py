@@ -157,7 +157,7 @@ def test_the_guard_holds_at_the_missions_altitude_or_where_it_is_above_it(up_m: 
 
 def test_after_a_change_of_altitude_the_guard_holds_at_the_new_one() -> None:
     c = HandFedCore()
-    higher = Waypoint(1, 0, (0.0, 0.0, 1.4), 0.5, 1.0)
+    higher = Waypoint(index=1, position=(0.0, 0.0, 1.4), speed_m_s=0.5, hold_s=1.0)
     c.core = FlightCore(msgspec.structs.replace(c.core.mission, waypoints=(higher,)), TELEPORTING)
     c.give(ClockOffset(c.t_us, 0))
     c.to_prepare()

@@ -26,7 +26,8 @@ from rich.progress import track
 from scipy.optimize import linprog
 
 from dart_flight.base.geometry import GRAVITY_M_S2, Wall
-from dart_flight.config.mission import BoundsSpec, Mission, load_mission
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.mission_file import BoundsSpec
 from dart_flight.planning.planned import planned_flight
 from dart_flight.sim.draws import draw_world, parse_vary
 from tools.campaigns.body import ROOT

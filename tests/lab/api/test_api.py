@@ -18,7 +18,7 @@ import pytest
 import dart_flight
 from dart_flight.base.records import Outcome
 from dart_flight.cli import main
-from dart_flight.config.mission import CollisionSpec, GoalSpec, MissionFile, WallSpec
+from dart_flight.config.mission_file import CollisionSpec, GoalSpec, MissionFile, WallSpec
 from dart_flight.lab import api
 from dart_flight.recording.schema import RECORD_TYPES
 
