@@ -4,6 +4,9 @@ A key's meaning stands once: under `Attributes:` in the docstring of its section
 there it goes into the JSON Schemas, the tables in docs/ and the comments of configs/dart.yaml (`make docs`).
 It says what the key's name does not: what is meant, sign and frame, what null does; the unit where the name
 has none. A key whose type is a section needs none where the section's own docstring says it.
+
+A key that comes later has a default: what files and logs without it mean. Where the key changes what is
+decided, that is the value with which nothing changes, and the shipped configurations say the better one.
 """
 
 from __future__ import annotations

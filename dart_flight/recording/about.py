@@ -13,7 +13,6 @@ import time
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
@@ -21,7 +20,7 @@ from dart_flight import __version__
 from dart_flight.base.records import World
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
-from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
+from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.recording.reader import NothingInItError
 from dart_flight.recording.schema import OUTPUTS
 
@@ -84,7 +83,7 @@ def software_version() -> str:
 def flown_mission(about: dict[str, str], source: str) -> Mission:
     """The mission as it was flown, from a log's description.
 
-    Keys of the vehicle's configuration that are younger than the log have the packaged values.
+    A key that is younger than the log has the default of its type, which so says what flights before it did.
 
     Raises:
         InputError: it is not there, or does not fit this version of the program.
@@ -93,12 +92,8 @@ def flown_mission(about: dict[str, str], source: str) -> Mission:
     if text is None:
         raise NothingInItError("the log does not hold its mission", source=source)
     try:
-        flown = msgspec.json.decode(text)
-        _complete(flown["vehicle"])
-        return msgspec.convert(flown, Mission)
-    except (KeyError, TypeError) as error:
-        raise InputError(f"the mission in it is damaged: {error}", source=source) from None
-    except msgspec.MsgspecError as error:
+        return msgspec.json.decode(text, type=Mission)
+    except msgspec.DecodeError as error:
         raise InputError(f"the mission in it does not fit this version: {error}", source=source) from None
 
 
@@ -110,29 +105,8 @@ def written_mission(about: dict[str, str], source: str) -> tuple[Document, Docum
     """
     if "mission_text" not in about or "vehicle" not in about:
         raise InputError("the log does not hold its mission's text", source=source)
-    vehicle = msgspec.json.decode(about["vehicle"])
-    _complete(vehicle)
-    text = msgspec.json.format(msgspec.json.encode(vehicle).decode(), indent=2)
+    text = msgspec.json.format(about["vehicle"], indent=2)
     return Document(about["mission_text"], f"{source}: mission"), Document(text, f"{source}: vehicle")
-
-
-def _complete(vehicle: dict[str, Any]) -> None:
-    """Put what a log's configuration could not know yet into it."""
-    known = msgspec.to_builtins(load_vehicle(packaged("configs", "dart.yaml")))
-    # Where a key changes what is decided, a log without it was flown without it.
-    known["detection"]["noise_sigma"] = 0.0
-    known["flying"]["yield_to_contacts"] = False
-    known["flying"]["arrive_mean_s"] = 0.0
-
-    def fill(section: dict[str, Any], like: dict[str, Any]) -> None:
-        for key, value in like.items():
-            if isinstance(value, dict) and isinstance(section.get(key), dict):
-                fill(section[key], value)
-            else:
-                section.setdefault(key, value)
-
-    # The materials are the laboratory's own: a log that lacks one did not need it.
-    fill(vehicle, {key: value for key, value in known.items() if key != "materials"})
 
 
 def parse_written(mission: Document, vehicle: Document) -> Mission:

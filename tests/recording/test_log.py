@@ -106,7 +106,7 @@ def test_a_log_from_before_a_key_takes_its_default(flight: Log, single_wall: Mis
     as_written = parse_written(*written_mission(about, "log"))
     assert as_written.vehicle == single_wall.vehicle
     damaged = {**about, "flown": "[]"}
-    with pytest.raises(InputError, match="damaged"):
+    with pytest.raises(InputError, match="does not fit"):
         flown_mission(damaged, "log")
 
 

@@ -9,7 +9,7 @@ from msgspec import Meta
 from dart_flight.config.section import Fraction, Metres, Seconds, SecondsOrZero, Section, Speed
 
 
-class GuardThresholds(Section, frozen=True):
+class GuardThresholds(Section, frozen=True, kw_only=True):
     """Thresholds of the guard's rules (docs/guard.md).
 
     Attributes:
@@ -56,14 +56,14 @@ class GuardThresholds(Section, frozen=True):
     imu_clipped_s: Seconds
     position_jump_m: Metres
     velocity_jump_m_s: Speed
-    reset_position_m: Metres
-    reset_velocity_m_s: Speed
+    reset_position_m: Metres = 0.05
+    reset_velocity_m_s: Speed = 0.2
     estimator_bad_s: SecondsOrZero
     impact_window_s: SecondsOrZero
     battery_remaining: Fraction
     battery_v: Annotated[float, Meta(ge=0.0, le=100.0)]
     battery_low_s: SecondsOrZero
-    kill_after_s: Seconds | None
+    kill_after_s: Seconds | None = 45.0
     force_margin: Annotated[float, Meta(ge=1.0, le=10.0)]
     wall_late_s: Seconds
     wall_early_m: Metres
