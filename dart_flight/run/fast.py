@@ -47,9 +47,8 @@ from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.core.flight_core import FlightCore
-from dart_flight.lock.drivers import Driver
+from dart_flight.lock.drivers import DRIVERS, driver_names, make_driver
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
-from dart_flight.lock.drivers.px4 import Px4Driver
 from dart_flight.lock.session import LockSession
 from dart_flight.planning.replanning import Replanner
 from dart_flight.recording.verdict import Verdict
@@ -170,12 +169,15 @@ class FastFlight:
         self.faulted = None if fault is None else FaultedFlight(self, fault, seed)
 
     def _make_lock(self, lock: LockConfig, driver: LockDriver, faults: MockFaults | None) -> LockSession:
-        hardware: Driver
-        if driver is LockDriver.PX4:
-            hardware = Px4Driver(lock, self.autopilot.set_actuator)
-        else:
-            hardware = self.mock = MockDriver(lock, lambda: self.autopilot.time_us, faults=faults)
-        return LockSession(lock, hardware, lambda: self.autopilot.time_us, self._lock_states.append)
+        def clock_us() -> int:
+            return self.autopilot.time_us
+
+        actuator = self.autopilot.set_actuator
+        hardware = make_driver(
+            lock, driver, clock_us=clock_us, set_actuator=actuator, faults=faults, gpio=False
+        )
+        self.mock = hardware if isinstance(hardware, MockDriver) else None
+        return LockSession(lock, hardware, clock_us, self._lock_states.append)
 
     def run(self, limit_s: float = 180.0) -> None:
         """Fly until the core says that it is over, or for `limit_s` seconds of simulated time."""
@@ -390,8 +392,9 @@ def simulated_driver(mission: Mission) -> LockDriver:
         InputError: it has no place in simulated time.
     """
     driver = mission.vehicle.lock_driver or LockDriver.MOCK
-    if driver not in (LockDriver.MOCK, LockDriver.PX4):
-        raise InputError(f"the lock driver {driver.value} cannot be simulated, only mock and px4")
+    if not DRIVERS[driver].simulated:
+        others = driver_names(lambda entry: entry.simulated)
+        raise InputError(f"the lock driver {driver.value} cannot be simulated, only {others}")
     return driver
 
 
