@@ -325,6 +325,10 @@ def test_memory_and_file_hold_the_same(flight: dart_flight.Flight, tmp_path: Pat
     assert kept.items() <= read.about.items()
 
 
+def test_the_verdict_of_the_log_is_that_of_the_flight(flight: dart_flight.Flight) -> None:
+    assert dart_flight.verdict_of(flight.log) == flight.verdict
+
+
 def test_it_is_what_the_command_flies(flight: dart_flight.Flight, tmp_path: Path) -> None:
     assert main(["dry-run", str(SINGLE), "--fast", "--seed", "5", "--log-dir", str(tmp_path)]) == 0
     (path,) = tmp_path.glob("*/flight.mcap")
