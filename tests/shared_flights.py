@@ -23,8 +23,8 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
-from dart_flight.run.world_process import free_udp_port
 from dart_flight.sim.faults.kinds import parse_fault
+from tests.doubles.ports import free_udp_port
 
 ROOT = Path(__file__).parents[1]
 VERDICT, SAID = "verdict.json", "said.json"

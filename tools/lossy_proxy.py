@@ -22,7 +22,7 @@ from typing import IO
 from dart_flight.sim.faults.impairment import Impairment, LossyLink
 
 SET_POSITION_TARGET_LOCAL_NED = 84
-_IDLE_S = 0.05
+_WAIT_S = 0.001  # so late may leave what is held back
 
 
 def message_id(datagram: bytes) -> int:
@@ -58,9 +58,7 @@ class Proxy:
         """Forward until `stopped`."""
         sockets = [self._vehicle_side, self._app_side]
         while not self.stopped:
-            due = [s for s in (self._down.next_s(), self._up.next_s()) if s is not None]
-            wait_s = max(0.0, min([_IDLE_S, *(s - time.monotonic() for s in due)]))
-            readable, _, _ = select.select(sockets, [], [], wait_s)
+            readable, _, _ = select.select(sockets, [], [], _WAIT_S)
             for one in readable:
                 self._receive(one)
             self._send()

@@ -387,7 +387,6 @@ class VehicleAction(StrEnum):
 
     OFFBOARD = "offboard"
     ARM = "arm"
-    HOLD = "hold"
     LAND = "land"
     DISARM = "disarm"
     KILL = "kill"  # disarms whether or not PX4 believes itself on the ground
@@ -502,7 +501,6 @@ class ImpactPeak(Record, frozen=True, gc=False):
     clipped: bool
     normal_sigma_n: float = 0.0  # standard error of the normal force
     fitted: bool = False  # from the contact model's pulse; otherwise from a parabola through the top
-    vertical_mean_n: float = 0.0  # mean vertical force since the onset, up
 
 
 class ContactEnd(Record, frozen=True, gc=False):

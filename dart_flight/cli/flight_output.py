@@ -171,10 +171,7 @@ def _plan_line(verdict: Verdict) -> Text:
 
 def _add_collision(table: Table, c: CollisionVerdict) -> None:
     head = f"[bold]{c.index} {c.wall}, {c.mode}[/]" + (" [red]clipped[/]" if c.clipped else "")
-    if c.mode_log_odds is None:
-        if c.mode_by_contact_time not in (None, c.mode):
-            head += f" [red]but {c.mode_by_contact_time} by its contact time[/]"
-    elif c.mode_felt not in (None, c.mode):
+    if c.mode_felt not in (None, c.mode):
         head += f" [red]but felt {c.mode_felt}[/]"
     table.add_row(head)
     rows: list[tuple[str, Velocities | None]] = [

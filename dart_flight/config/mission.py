@@ -120,7 +120,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
     Attributes:
         source: the file it came from.
         start: [x, y], mission frame; altitude_m is that of the start.
-        vehicle_source: where the vehicle's configuration came from; None: not told, as in old logs.
+        vehicle_source: where the vehicle's configuration came from; None: built in Python.
     """
 
     source: str

@@ -19,7 +19,7 @@ _MOST_LOOKED_AT = 100
 
 
 class VehicleSource(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The vehicle that numbers are for, in the words of `--json`; unknown is None (old flight logs).
+    """The vehicle that numbers are for, in the words of `--json`; None: built in Python.
 
     Attributes:
         source: the configuration's path, from the working directory where it lies below that.

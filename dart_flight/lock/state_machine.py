@@ -157,11 +157,6 @@ class LockStateMachine:
         return self._state
 
     @property
-    def permitted(self) -> bool:
-        """Whether locking is permitted at the moment."""
-        return self._permitted
-
-    @property
     def due_us(self) -> int | None:
         """When a travel is over by time: a reading taken then settles it. None when nothing travels."""
         if self._state.phase is not LockPhase.TRAVELLING or self._sent_us is None:

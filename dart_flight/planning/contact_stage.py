@@ -104,10 +104,9 @@ def expm(matrix: Array) -> Array:
 
 
 class NormalOut(NamedTuple):
-    """Along the normal, x from the plane: onset, then x and force at the peak, the rest at the release."""
+    """Along the normal, x from the plane: onset, then the force at the peak, the rest at the release."""
 
     onset_m: Array
-    peak_m: Array
     peak_force_n: Array
     release_m: Array
     velocity: Array
@@ -164,7 +163,7 @@ class ContactStage:
         self.alphas = alphas
         self.lead_s = coefficients.f / coefficients.k if onset is Onset.LCP else 0.0
         self.duration_s = self.peak_s = self.engaged_s = math.inf
-        self._normal: Array = np.zeros((7, 5))
+        self._normal: Array = np.zeros((6, 5))
         self._depths: Array = np.zeros(0)  # 1 + xi' at the nodes
         self._depth_end = 0.0
         self._by_speed: Array = np.zeros(
@@ -333,7 +332,7 @@ def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float, yields
     engaged = to_engaged @ start
     engaged[4], engaged[5] = setpoint, 0.0
     end = rest @ engaged
-    stage._normal = np.stack([at_peak[0], force, end[0], end[1], end[2], end[3], setpoint])
+    stage._normal = np.stack([force, end[0], end[1], end[2], end[3], setpoint])
 
 
 class _Phases:

@@ -22,9 +22,6 @@ from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.recording.reader import NothingInItError
-from dart_flight.recording.schema import OUTPUTS
-
-OUTPUT_KINDS = "output_kinds"  # those that the writing program has
 
 
 def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[str, str]:
@@ -32,7 +29,7 @@ def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[st
 
     Keys: `mission` (name), `mission_source`, `mission_text` (as written), `flown` (the resolved mission with
     its vehicle, JSON), `vehicle` (configuration, JSON), `world`, `seed`, `software`, `host`, `machine`,
-    `output_kinds`, `started_utc` and `started_monotonic_us`, which relate the host's clocks.
+    `started_utc` and `started_monotonic_us`, which relate the host's clocks.
     """
     about = {
         "mission": mission.name,
@@ -44,7 +41,6 @@ def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[st
         "software": software_version(),
         "host": f"{platform.node()}, Python {platform.python_version()}",
         "machine": machine(),
-        OUTPUT_KINDS: " ".join(kind.__name__ for kind in OUTPUTS),
         "started_utc": datetime.now(UTC).isoformat(timespec="microseconds"),
         "started_monotonic_us": str(time.monotonic_ns() // 1000),
     }
@@ -81,9 +77,7 @@ def software_version() -> str:
 
 
 def flown_mission(about: dict[str, str], source: str) -> Mission:
-    """The mission as it was flown, from a log's description.
-
-    A key that is younger than the log has the default of its type, which so says what flights before it did.
+    """The mission as it was flown, from a log's description; a younger key has the default of its type.
 
     Raises:
         InputError: it is not there, or does not fit this version of the program.
@@ -93,7 +87,7 @@ def flown_mission(about: dict[str, str], source: str) -> Mission:
         raise NothingInItError("the log does not hold its mission", source=source)
     try:
         return msgspec.json.decode(text, type=Mission)
-    except msgspec.DecodeError as error:
+    except msgspec.MsgspecError as error:
         raise InputError(f"the mission in it does not fit this version: {error}", source=source) from None
 
 

@@ -42,8 +42,6 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.provenance import VehicleSource
-from dart_flight.contact.contact_map import collide
-from dart_flight.contact.law import Onset
 from dart_flight.core.mission.phases import ON_GROUND
 from dart_flight.core.sense.body import side_of
 from dart_flight.recording.about import flown_mission
@@ -100,7 +98,6 @@ class CollisionVerdict(msgspec.Struct):
     detection_latency_ms: float | None
     setpoint_latency_ms: float | None
     contact_time_ms: float | None = None
-    mode_by_contact_time: str | None = None  # what the duration says, whatever the lock reported
     mode_felt: Mode | None = None  # what the whole contact says (docs/felt.md); None: undecided, or not told
     mode_log_odds: float | None = None  # of rigid against flexible; None: not told
     mode_true: Mode | None = None  # of the simulated arms
@@ -350,9 +347,6 @@ class VerdictBuilder:
         if last.lock is not None and self._relaxation_us is not None:
             last.lock.contact_end_us = record.t_us
             last.lock.relaxed_us = record.t_us + self._relaxation_us
-            last.mode_by_contact_time = self._mode_by_time(
-                self._mission.collisions[last.index - 1], last.contact_time_ms
-            )
 
     def _take_felt(self, record: WallFelt) -> None:
         if self._relaxation_us is None:
@@ -362,21 +356,6 @@ class VerdictBuilder:
         if of_last and self._onset is not None and self._onset.first_us == record.first_us:
             self._collisions[-1].mode_felt = record.mode_felt
             self._collisions[-1].mode_log_odds = record.log_odds
-
-    def _mode_by_time(self, collision: Collision, contact_ms: float) -> str:
-        """The mode whose contact with this material lasts nearest to what was measured.
-
-        A servo without feedback cannot tell that it is stuck; the contact can (on acrylic 56 ms rigid, 102 ms
-        flexible).
-        """
-        vehicle = self._mission.vehicle
-        material = vehicle.materials[collision.wall.material]
-
-        def unlikeness(mode: Mode) -> float:
-            hit = collide(material.of(mode), vehicle.airframe.mass_kg, -1.0, 0.0, Onset(vehicle.onset))
-            return abs(math.log(max(contact_ms, 1.0) * 1e-3 / hit.contact_time_s))
-
-        return min(Mode, key=unlikeness).value
 
     def _take_lock(self, record: LockState) -> None:
         if record.phase is LockPhase.SETTLED and record.mode is not None:
@@ -451,7 +430,7 @@ class VerdictBuilder:
                 c.measured.tangential_m_s,
                 c.measured.peak_force_n,
                 self._places.get(c.index),
-                _felt_mode(c),
+                c.mode_felt,
             )
             for c in self._collisions
         ]
@@ -476,11 +455,6 @@ class VerdictBuilder:
             truth.peak_torque_nm,
         )
         collision.detection_latency_ms = (collision.t_us - truth.t_us) * 1e-3
-
-
-def _felt_mode(c: CollisionVerdict) -> str | None:
-    """The mode by the contact itself; logs from before it was felt have its duration only."""
-    return c.mode_by_contact_time if c.mode_log_odds is None else c.mode_felt
 
 
 def verdict_of(log: Log) -> Verdict:

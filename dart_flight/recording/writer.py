@@ -20,11 +20,11 @@ from collections import deque
 from pathlib import Path
 
 import msgspec
+from mcap.writer import CompressionType, Writer
 
 from dart_flight import __version__
 from dart_flight.base.records import Record
 from dart_flight.recording.encoding import encode
-from dart_flight.recording.mcap_writer import McapWriter
 from dart_flight.recording.schema import RECORD_TYPES, STREAMS, schema
 
 FORMAT_VERSION = 1
@@ -44,7 +44,7 @@ class LogPart:
 
     def __init__(self, path: Path, about: dict[str, str], number: int) -> None:
         self._file = open(path, "xb")  # noqa: SIM115
-        self._writer = McapWriter(self._file)
+        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
         self._writer.start(profile=PROFILE, library=f"dart-flight {__version__}")
         self._writer.add_metadata(
             ABOUT, {**about, "format_version": str(FORMAT_VERSION), "part": str(number)}
@@ -123,8 +123,7 @@ class FlightLog:
         self.patience_s = 5.0
         self.lost = 0
         self.failure: str | None = None
-        self._about, self._end = about, dict[str, str]()
-        self._part_bytes, self._most_parts = part_bytes, most_parts
+        self._about, self._part_bytes, self._most_parts = about, part_bytes, most_parts
         self._parts = 1
         self._waiting: deque[tuple[Record, int]] = deque()
         self._part = LogPart(path, about, 1)
@@ -141,21 +140,12 @@ class FlightLog:
             return f"{self.failure}, {self.lost} records lost"
         return f"{self.lost} records lost" if self.lost else None
 
-    @property
-    def thread_id(self) -> int:
-        """Of the thread that writes, as the operating system knows it; for measuring what it costs."""
-        return self._thread.native_id or 0
-
     def put(self, record: Record, number: int) -> None:
         """Queue a record; `number` is that of the input it is or follows from."""
         if len(self._waiting) >= _MOST_WAITING:
             self.lost += 1
             return
         self._waiting.append((record, number))
-
-    def remark(self, key: str, text: str) -> None:
-        """Something about the flight that is known only at its end, such as where PX4's own log is."""
-        self._end[key] = text
 
     def close(self) -> None:
         """Write what is queued, finish the file with its index.
@@ -170,7 +160,7 @@ class FlightLog:
             return
         if self.failure is None:
             try:
-                self._part.finish({**self._end, "lost": str(self.lost)})
+                self._part.finish({"lost": str(self.lost)})
             except OSError as error:
                 self.failure = error.strerror or str(error)
         with contextlib.suppress(OSError):

@@ -41,7 +41,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.settings import apply_settings
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.mission.approach import NoApproachError
-from dart_flight.recording.about import OUTPUT_KINDS, flown_mission, machine, parse_written, written_mission
+from dart_flight.recording.about import flown_mission, machine, parse_written, written_mission
 from dart_flight.recording.encoding import encode
 from dart_flight.recording.flight_time import zero_of
 from dart_flight.recording.reader import Log
@@ -65,9 +65,6 @@ DECISIONS = (
 TOLERANCE = 1e-9
 # Of records that an iteration ends in: rounding may make it stop a step sooner, where the data hold little.
 _LOOSER: dict[type[Record], float] = {WallFelt: 0.02}
-WITHOUT = "without"  # key of a log's closing description: kinds of output that were left out of it
-# Kinds of output that came after the first logs, which do not say what kinds they know.
-_SINCE_FIRST_LOGS = {"DetectionFloor", "TorqueEstimate", "ImpactBody", "WallFelt"}
 _IN_FLIGHT = 3  # inputs at the end of a cut log whose outputs may be missing
 
 
@@ -146,7 +143,6 @@ def replay(log: Log, settings: Sequence[str] = (), *, exact: bool | None = None)
     for entry in log.entries:
         if isinstance(entry.record, OUTPUTS):
             recorded.setdefault(entry.number, []).append(entry.record)  # type: ignore[arg-type]
-    left_out = set(log.end.get(WITHOUT, "").split()) | _unknown_to(log)
     last = inputs[-1][0] if inputs else -1
     compared_to = last if log.complete else last - _IN_FLIGHT
     result = Replay(0, 0, exact, [], [], [], _missing([n for n, _ in inputs]), "")
@@ -154,7 +150,7 @@ def replay(log: Log, settings: Sequence[str] = (), *, exact: bool | None = None)
     t_us = 0
     for number, item in inputs:
         t_us = getattr(item, "t_us", t_us)
-        outputs = [o for o in core.step(item) if type(o).__name__ not in left_out]  # type: ignore[arg-type]
+        outputs = core.step(item)  # type: ignore[arg-type]
         if number > compared_to:
             break
         result.inputs += 1
@@ -165,14 +161,6 @@ def replay(log: Log, settings: Sequence[str] = (), *, exact: bool | None = None)
         result.replayed += [o for o in outputs if _decides(o)]
     result.note = _note(log, result)
     return result
-
-
-def _unknown_to(log: Log) -> set[str]:
-    """Kinds of output that the program which wrote the log did not have: they are not compared."""
-    known = log.about.get(OUTPUT_KINDS)
-    if known is None:
-        return _SINCE_FIRST_LOGS
-    return {kind.__name__ for kind in OUTPUTS} - set(known.split())
 
 
 def _decides(output: Record) -> bool:

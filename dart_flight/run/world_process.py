@@ -5,9 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import secrets
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -26,7 +24,6 @@ from dart_flight.sim.faults.kinds import Fault
 from dart_flight.sim.pipe import Died, FaultLine, Horn, Ready, Truth, WorldOutput, WorldSpec
 
 _LAST_WORDS_S = 0.2  # less than the deadman waits for an event loop
-_PORTS = range(20_000, 30_000)  # neither handed out by Linux nor PX4's
 
 
 class WorldError(FlightError):
@@ -186,19 +183,6 @@ def fly_in_world(
     finally:
         record.close()
     return world
-
-
-def free_udp_port() -> int:
-    """A UDP port on the loopback that is free at the moment.
-
-    Not one of those that the system hands out by itself: between this answer and its use another
-    socket could get it. Flights that start at the same moment do not meet either.
-    """
-    while True:
-        port = _PORTS.start + secrets.randbelow(len(_PORTS))
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
-            probe.bind(("127.0.0.1", port))
-            return port
 
 
 def world_log(folder: Path) -> str:

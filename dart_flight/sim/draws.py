@@ -128,12 +128,13 @@ def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
                 drawn[f"contact.{wall.name}.{mode.value}.{symbol}"] = factor
         materials[name] = Material(per_mode[Mode.RIGID], per_mode.get(Mode.FLEXIBLE), old.source)
         renamed[wall.name] = msgspec.structs.replace(wall, material=name)
-    world = _with_walls(world, renamed)
+    world = with_walls(world, renamed)
     vehicle = msgspec.structs.replace(mission.vehicle, materials=materials)
     return _with_vehicle(world, vehicle, **drawn)
 
 
-def _with_walls(world: DrawnWorld, walls: Mapping[str, Wall]) -> DrawnWorld:
+def with_walls(world: DrawnWorld, walls: Mapping[str, Wall]) -> DrawnWorld:
+    """The world with these walls, by name; all of the mission's."""
     mission = world.mission
     collisions = tuple(msgspec.structs.replace(c, wall=walls[c.wall.name]) for c in mission.collisions)
     changed = msgspec.structs.replace(
@@ -150,7 +151,7 @@ def _wall_offset(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld
         away = (sd if own is None else own) * rng.gauss(0.0, 1.0)
         walls[wall.name] = wall.moved(away)
         drawn[f"wall_offset_m.{wall.name}"] = away
-    return _with_walls(world, walls)._replace(drawn=world.drawn | drawn)
+    return with_walls(world, walls)._replace(drawn=world.drawn | drawn)
 
 
 def _wall_yaw(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
@@ -161,18 +162,7 @@ def _wall_yaw(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
         angle_deg = (sd if own is None else math.degrees(own)) * rng.gauss(0.0, 1.0)
         walls[wall.name] = wall.turned(math.radians(angle_deg))
         drawn[f"wall_yaw_deg.{wall.name}"] = angle_deg
-    return _with_walls(world, walls)._replace(drawn=world.drawn | drawn)
-
-
-def place_walls(
-    world: DrawnWorld, away_m: Mapping[str, float], angles_deg: Mapping[str, float]
-) -> DrawnWorld:
-    """The world with walls moved out and turned by so much, by name (`Wall.moved`, `Wall.turned`)."""
-    walls = {
-        w.name: w.moved(away_m.get(w.name, 0.0)).turned(math.radians(angles_deg.get(w.name, 0.0)))
-        for w in world.mission.walls
-    }
-    return _with_walls(world, walls)
+    return with_walls(world, walls)._replace(drawn=world.drawn | drawn)
 
 
 def _contact_scatter(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:

@@ -100,7 +100,6 @@ class MavlinkEndpoint:
         self._pack = mavlink.MAVLink(None, srcSystem=system, srcComponent=1)
         self._tick = 0
         self._texts: list[tuple[str, str]] = []
-        self._clips = [0, 0, 0]
         self._type = MAV_TYPES.get(len(autopilot.motors), MAV_TYPES[4])
         self._builders: dict[int, Callable[[], Any]] = {
             message: getattr(self, build.__name__)  # a subclass may say it otherwise
@@ -141,9 +140,6 @@ class MavlinkEndpoint:
         for link in self.links:
             self._receive(link)
         self._tick += 1
-        scale = self.autopilot.vehicle.imu.full_scale_m_s2
-        for i, f in enumerate(self.autopilot.imu.specific_force_frd):
-            self._clips[i] += abs(f) >= scale
         for severity, text in self._texts:
             message = mavlink.MAVLink_statustext_message(_SEVERITY.get(severity, 6), text.encode()[:50])
             for link in self.links:
@@ -213,11 +209,6 @@ class MavlinkEndpoint:
             self._param_set(link, message)
         elif kind == "TIMESYNC" and message.tc1 == 0:
             self._send(link, mavlink.MAVLink_timesync_message(self.autopilot.time_us * 1000, message.ts1))
-        elif kind == "PING" and message.target_system == 0:
-            reply = mavlink.MAVLink_ping_message(
-                message.time_usec, message.seq, message.get_srcSystem(), message.get_srcComponent()
-            )
-            self._send(link, reply)
         elif kind == "MISSION_REQUEST_LIST":
             reply = mavlink.MAVLink_mission_count_message(
                 message.get_srcSystem(), message.get_srcComponent(), 0, message.mission_type
@@ -416,14 +407,6 @@ class MavlinkEndpoint:
         e = self.autopilot.estimator
         return mavlink.MAVLink_attitude_quaternion_message(self._boot_ms, *e.q, *e.rate)
 
-    def _attitude(self) -> Any:
-        e = self.autopilot.estimator
-        w, x, y, z = e.q
-        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-        pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
-        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        return mavlink.MAVLink_attitude_message(self._boot_ms, roll, pitch, yaw, *e.rate)
-
     def _local_position(self) -> Any:
         e = self.autopilot.estimator
         return mavlink.MAVLink_local_position_ned_message(self._boot_ms, *e.position, *e.velocity)
@@ -494,34 +477,14 @@ class MavlinkEndpoint:
             *(0.0, 0.0, 0.0),
         )
 
-    def _altitude(self) -> Any:
-        alt = _HOME_ALT - self.autopilot.estimator.position[2]
-        local = alt - _HOME_ALT
-        return mavlink.MAVLink_altitude_message(
-            self.autopilot.time_us, alt, alt, local, local, math.nan, math.nan
-        )
-
-    def _vibration(self) -> Any:
-        return mavlink.MAVLink_vibration_message(self.autopilot.time_us, 0.0, 0.0, 0.0, *self._clips)
-
-    def _outputs(self) -> list[float]:
+    def _actuator_output_status(self) -> Any:
         """Motor and servo outputs as PWM, microseconds."""
         a = self.autopilot
         span = MOTOR_FULL_US - MOTOR_STOP_US
         outputs = [MOTOR_STOP_US + span * u for u in a.motors] if a.armed else [_DISARMED_US] * len(a.motors)
-        servo = a.lock_pulse_us()
-        return [*outputs, servo if servo is not None else 0.0]
-
-    def _actuator_output_status(self) -> Any:
-        outputs = self._outputs()
+        outputs.append(a.lock_pulse_us() or 0.0)
         return mavlink.MAVLink_actuator_output_status_message(
-            self.autopilot.time_us, len(outputs), outputs + [0.0] * (32 - len(outputs))
-        )
-
-    def _servo_output_raw(self) -> Any:
-        pulses = [round(p) for p in self._outputs()]
-        return mavlink.MAVLink_servo_output_raw_message(
-            self.autopilot.time_us & 0xFFFFFFFF, 0, *(pulses + [0] * (8 - len(pulses)))
+            a.time_us, len(outputs), outputs + [0.0] * (32 - len(outputs))
         )
 
     def _attitude_target(self) -> Any:
@@ -556,16 +519,12 @@ MESSAGES: dict[int, tuple[float, Callable[[MavlinkEndpoint], Any]]] = {
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: (0.5, MavlinkEndpoint._battery_status),
     mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: (50.0, MavlinkEndpoint._highres_imu),
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: (50.0, MavlinkEndpoint._attitude_quaternion),
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: (50.0, MavlinkEndpoint._attitude),
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: (30.0, MavlinkEndpoint._local_position),
     mavlink.MAVLINK_MSG_ID_ODOMETRY: (30.0, MavlinkEndpoint._odometry),
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: (10.0, MavlinkEndpoint._global_position),
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: (5.0, MavlinkEndpoint._gps_raw),
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: (0.5, MavlinkEndpoint._home_position),
-    mavlink.MAVLINK_MSG_ID_ALTITUDE: (10.0, MavlinkEndpoint._altitude),
-    mavlink.MAVLINK_MSG_ID_VIBRATION: (0.5, MavlinkEndpoint._vibration),
     mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: (0.0, MavlinkEndpoint._actuator_output_status),
-    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: (0.0, MavlinkEndpoint._servo_output_raw),
     mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: (10.0, MavlinkEndpoint._attitude_target),
     esc_status.MESSAGE_ID: (0.0, MavlinkEndpoint._esc_status),
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: (1.0, MavlinkEndpoint._estimator_status),

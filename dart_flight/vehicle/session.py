@@ -507,7 +507,6 @@ class VehicleSession:
         calls: dict[VehicleAction, Callable[..., Any]] = {
             VehicleAction.OFFBOARD: self._offboard.start_async,
             VehicleAction.ARM: self._action.arm_async,
-            VehicleAction.HOLD: self._action.hold_async,
             VehicleAction.LAND: self._action.land_async,
             VehicleAction.DISARM: self._action.disarm_async,
             VehicleAction.KILL: self._action.kill_async,

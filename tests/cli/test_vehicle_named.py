@@ -120,13 +120,9 @@ def test_wrong_input_is_still_one_line(folder: Path, capsys: pytest.CaptureFixtu
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_the_log_carries_it_and_old_logs_load_without(folder: Path) -> None:
+def test_the_log_carries_it(folder: Path) -> None:
     own(folder)
     mission = load_mission(MISSION, "configs/dart.yaml")
     assert mission.flown_vehicle() == find_vehicle("configs/dart.yaml").source
     about = describe_flight(mission, World.FAST, 1)
     assert flown_mission(about, "x").flown_vehicle() == mission.flown_vehicle()
-    flown = json.loads(about["flown"])
-    del flown["vehicle_source"]
-    old = flown_mission({"flown": json.dumps(flown)}, "x").flown_vehicle()
-    assert (old.source, old.packaged, old.mass_kg) == (None, None, 0.9)

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from dart_flight.run.deadman import SystemdNotice
-from dart_flight.run.world_process import free_udp_port
+from tests.doubles.ports import free_udp_port
 from tools.lossy_proxy import set_point_times
 
 ROOT = Path(__file__).parents[2]

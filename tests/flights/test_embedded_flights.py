@@ -25,7 +25,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.lab.report.flight import Flight
 from dart_flight.recording.reader import read_log
-from dart_flight.run.world_process import free_udp_port
+from tests.doubles.ports import free_udp_port
 from tests.shared_flights import LiveFlights, patient
 
 ROOT = Path(__file__).parents[2]

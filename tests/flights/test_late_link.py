@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.run.world_process import free_udp_port
+from tests.doubles.ports import free_udp_port
 
 ROOT = Path(__file__).parents[2]
 MISSION = "missions/single_wall.yaml"

@@ -79,13 +79,13 @@ def test_a_switch_that_falls_silent_in_flight_breaks_it_off() -> None:
 def test_a_stuck_servo_without_a_switch_is_revealed_by_the_contact(flown: SharedFlights) -> None:
     """The controller reports what it commands: `settled (no feedback)`. The wall tells the truth."""
     verdict = fly_fast(dual(), 1, None, lock_faults=MockFaults(servo=ServoFaults(stuck=True)))
-    assert [(c.mode, c.mode_by_contact_time, c.mode_felt) for c in verdict.collisions] == [
-        ("flexible", "flexible", "flexible"),
-        ("rigid", "flexible", "flexible"),
+    assert [(c.mode, c.mode_felt) for c in verdict.collisions] == [
+        ("flexible", "flexible"),
+        ("rigid", "flexible"),
     ]
     assert [(e.rule, e.action) for e in verdict.guard] == [("mode_felt", Override.NONE)]
     healthy = flown("paper_dual_collision", 1).verdict
-    assert [(c.mode, c.mode_by_contact_time, c.mode_felt) for c in healthy.collisions] == [
-        ("flexible", "flexible", "flexible"),
-        ("rigid", "rigid", "rigid"),
+    assert [(c.mode, c.mode_felt) for c in healthy.collisions] == [
+        ("flexible", "flexible"),
+        ("rigid", "rigid"),
     ]

@@ -16,8 +16,8 @@ from dart_flight.cli.monitor_command import screen
 from dart_flight.config.mission import load_mission
 from dart_flight.run.fast import FastFlight
 from dart_flight.run.monitor import Watcher
-from dart_flight.run.world_process import free_udp_port
 from tests.core.conftest import HandFedCore
+from tests.doubles.ports import free_udp_port
 
 ROOT = Path(__file__).parents[2]
 

@@ -115,7 +115,7 @@ def test_it_hits_a_wall_and_says_nothing_of_a_lock(mission: Mission) -> None:
     assert not verdict.guard
     (hit,) = verdict.collisions
     assert hit.mode == "rigid"
-    assert (hit.lock, hit.mode_felt, hit.mode_log_odds, hit.mode_by_contact_time) == (None, None, None, None)
+    assert (hit.lock, hit.mode_felt, hit.mode_log_odds) == (None, None, None)
     assert verdict.plan_followed
     assert hit.truth is not None
     assert hit.truth.peak_force_n == pytest.approx(66.3, rel=0.1)  # rigid: flexible arms would give 40 N

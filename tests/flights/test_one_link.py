@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from dart_flight.run.world_process import free_udp_port
+from tests.doubles.ports import free_udp_port
 from tests.shared_flights import patient
 
 ROOT = Path(__file__).parents[2]

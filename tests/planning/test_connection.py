@@ -16,8 +16,9 @@ SCENARIOS = Path(__file__).parents[2] / "missions" / "scenarios"
 @pytest.mark.mavlink
 def test_gains_come_from_the_vehicle(tmp_path: Path) -> None:
     from dart_flight.run.prepare import with_vehicle_parameters
-    from dart_flight.run.world_process import WorldProcess, free_udp_port
+    from dart_flight.run.world_process import WorldProcess
     from dart_flight.sim.pipe import WorldSpec
+    from tests.doubles.ports import free_udp_port
 
     scenario = load_scenario(SCENARIOS / "dual_collision.yaml")
     tuned = msgspec.structs.replace(scenario.vehicle.px4, mpc_xy_p=1.25, mpc_xy_vel_p_acc=2.5)

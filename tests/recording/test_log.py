@@ -96,18 +96,18 @@ def test_the_log_describes_itself(flight: Log, single_wall: Mission) -> None:
         assert about[key], key
 
 
-def test_a_log_from_before_a_key_takes_its_default(flight: Log, single_wall: Mission) -> None:
+def test_a_log_of_another_version_is_refused_by_the_key(flight: Log) -> None:
     about = dict(flight.about)
     for name in ("flown", "vehicle"):
-        older = msgspec.json.decode(about[name])
-        del (older["vehicle"] if name == "flown" else older)["guard"]["reset_position_m"]
-        about[name] = msgspec.json.encode(older).decode()
-    assert flown_mission(about, "log") == single_wall
-    as_written = parse_written(*written_mission(about, "log"))
-    assert as_written.vehicle == single_wall.vehicle
-    damaged = {**about, "flown": "[]"}
+        other = msgspec.json.decode(about[name])
+        del (other["vehicle"] if name == "flown" else other)["guard"]["reset_position_m"]
+        about[name] = msgspec.json.encode(other).decode()
+    with pytest.raises(InputError, match=r"does not fit this version: .*`reset_position_m`.*guard"):
+        flown_mission(about, "log")
+    with pytest.raises(InputError, match="reset_position_m"):
+        parse_written(*written_mission(about, "log"))
     with pytest.raises(InputError, match="does not fit"):
-        flown_mission(damaged, "log")
+        flown_mission({**about, "flown": "[]"}, "log")
 
 
 def test_nothing_is_read_from_the_disk_but_the_log(flight_path: Path, tmp_path: Path) -> None:

@@ -279,7 +279,7 @@ def test_a_mission_of_before_says_no_more_than_it_did(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "tests/data/flights").glob("*.mcap")), ids=lambda p: p.stem)
-def test_a_recorded_flight_of_before_is_read_with_its_configuration(path: Path) -> None:
+def test_a_recorded_flight_is_read_with_its_configuration(path: Path) -> None:
     log = read_log(path)
     mission = flown_mission(log.about, log.source)
     assert mission.vehicle.airframe.listed is None

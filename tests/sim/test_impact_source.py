@@ -7,8 +7,8 @@ import itertools
 import pytest
 
 from dart_flight.config.mission import load_mission
-from dart_flight.run.world_process import free_udp_port
 from dart_flight.sim.autopilot import make_autopilot
+from tests.doubles.ports import free_udp_port
 from tools.bench.impact_source import MISSION, _Endpoint
 
 

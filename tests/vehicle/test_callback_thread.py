@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from dart_flight.config.mission import load_mission
-from dart_flight.run.world_process import free_udp_port
 from dart_flight.vehicle.session import connect
+from tests.doubles.ports import free_udp_port
 
 ROOT = Path(__file__).parents[2]
 MISSION = ROOT / "missions" / "paper_single_wall.yaml"

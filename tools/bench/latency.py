@@ -47,8 +47,8 @@ from dart_flight.run.app import FlightApp
 from dart_flight.run.core_thread import CoreThread
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.runner import CoreRunner
-from dart_flight.run.world_process import free_udp_port
 from dart_flight.vehicle.clock import host_us
+from tests.doubles.ports import free_udp_port
 from tools.bench.alone import Echo, stay
 from tools.bench.impact_source import MISSION, Record
 

@@ -6,6 +6,7 @@ python -m tools.bench.log
 from __future__ import annotations
 
 import tempfile
+import threading
 import time
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -50,9 +51,14 @@ class _Cost(NamedTuple):
     records: int
 
 
+def _thread_of(name: str) -> int:
+    """The newest thread of this name, as the operating system knows it."""
+    return [t.native_id or 0 for t in threading.enumerate() if t.name == name][-1]
+
+
 def _put(slots: list[list[tuple[Record, int]]], log: FlightLog, paced: bool) -> _Cost:
     """Put the slots, in real time or at once, and wait until they are written."""
-    count, putting, writer = 0, 0.0, log.thread_id
+    count, putting, writer = 0, 0.0, _thread_of("flight log")
     written, begin = thread_seconds()[writer], time.monotonic()
     for i, slot in enumerate(slots):
         started = time.thread_time()

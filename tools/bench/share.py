@@ -34,9 +34,9 @@ from dart_flight.run.app import FlightApp
 from dart_flight.run.core_thread import CoreThread
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.runner import CoreRunner
-from dart_flight.run.world_process import free_udp_port
 from dart_flight.vehicle.clock import host_us
 from dart_flight.vehicle.session import connect
+from tests.doubles.ports import free_udp_port
 from tools.bench import alone
 from tools.bench.impact_source import MISSION
 from tools.bench.latency import RepeatingCore, rigid_mission

@@ -23,8 +23,8 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import FastFlight
 from dart_flight.run.flight_record import FlightRecord
-from dart_flight.sim.draws import DrawnWorld, place_walls
-from tools.campaigns.body import ROOT
+from dart_flight.sim.draws import DrawnWorld
+from tools.campaigns.body import ROOT, place_walls
 
 HELD_SEED = 16001
 # A wall is turned about its middle: the hit is to be 1.3 m beside it.

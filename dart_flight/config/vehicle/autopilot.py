@@ -95,4 +95,4 @@ class Px4Parameters(Section, frozen=True, rename="upper"):
     mis_takeoff_alt: Annotated[float, Meta(gt=0.0, le=100.0)]
     com_of_loss_t: Annotated[float, Meta(gt=0.0, le=60.0)]
     com_disarm_land: Annotated[float, Meta(ge=-1.0, le=600.0)]
-    mpc_veld_lp: Annotated[float, Meta(gt=0.0, le=100.0)] = 5.0  # configurations before it have PX4's default
+    mpc_veld_lp: Annotated[float, Meta(gt=0.0, le=100.0)] = 5.0  # PX4's default

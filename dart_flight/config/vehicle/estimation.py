@@ -172,8 +172,7 @@ class Detection(Section, frozen=True):
     contact_end_s: Annotated[float, Meta(gt=0.0, le=10.0)]
     refractory_s: Annotated[float, Meta(ge=0.0, le=10.0)]
     sure_sigma: Annotated[float, Meta(ge=0.0, le=100.0)]
-    # Flights from before these keys are replayed as they were flown: without a lifted threshold.
-    noise_sigma: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.0
+    noise_sigma: Annotated[float, Meta(ge=0.0, le=100.0)] = 5.0
     short_window_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.032
     long_window_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.1
-    pulse_misfit: Annotated[float, Meta(ge=0.0, le=1000.0)] = 0.0
+    pulse_misfit: Annotated[float, Meta(ge=0.0, le=1000.0)] = 3.0

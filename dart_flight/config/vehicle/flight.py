@@ -9,7 +9,7 @@ from msgspec import Meta
 from dart_flight.config.section import Fraction, Metres, Seconds, SecondsOrZero, Section, Speed
 
 
-class GuardThresholds(Section, frozen=True, kw_only=True):
+class GuardThresholds(Section, frozen=True):
     """Thresholds of the guard's rules (docs/guard.md).
 
     Attributes:
@@ -56,14 +56,14 @@ class GuardThresholds(Section, frozen=True, kw_only=True):
     imu_clipped_s: Seconds
     position_jump_m: Metres
     velocity_jump_m_s: Speed
-    reset_position_m: Metres = 0.05
-    reset_velocity_m_s: Speed = 0.2
+    reset_position_m: Metres
+    reset_velocity_m_s: Speed
     estimator_bad_s: SecondsOrZero
     impact_window_s: SecondsOrZero
     battery_remaining: Fraction
     battery_v: Annotated[float, Meta(ge=0.0, le=100.0)]
     battery_low_s: SecondsOrZero
-    kill_after_s: Seconds | None = 45.0
+    kill_after_s: Seconds | None
     force_margin: Annotated[float, Meta(ge=1.0, le=10.0)]
     wall_late_s: Seconds
     wall_early_m: Metres
@@ -84,10 +84,10 @@ class Flying(Section, frozen=True):
         arrive_speed_m_s: slow is below this speed.
         arrive_s: both have to hold for this long.
         arrive_mean_s: the speed is that of the mean velocity over this long, as PX4's estimate shakes with
-            the accelerometer; 0: of the newest sample, as older configurations did.
+            the accelerometer; 0: of the newest sample.
         ready_timeout_s: longest wait for telemetry, offboard mode, arming, the end of climb or transit.
         yield_to_contacts: in a contact ask for what the vehicle does anyway, and take out what PX4's D term
-            makes of the wall's push; false: keep still until the peak, as older configurations did.
+            makes of the wall's push; false: keep still until the peak.
         replan_within_s: from the end of a contact to the beginning of a way that is planned in flight; the
             planner has so long to answer.
     """
@@ -101,6 +101,6 @@ class Flying(Section, frozen=True):
     arrive_speed_m_s: Speed
     arrive_s: SecondsOrZero
     ready_timeout_s: Seconds
-    yield_to_contacts: bool = False
+    yield_to_contacts: bool = True
     replan_within_s: Annotated[float, Meta(gt=0.0, le=2.0)] = 0.1
-    arrive_mean_s: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+    arrive_mean_s: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.3

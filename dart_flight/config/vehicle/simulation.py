@@ -107,7 +107,6 @@ class Simulation(Section, frozen=True, kw_only=True):
     Attributes:
         imu_noise_m_s2: standard deviation of one accelerometer sample, per axis.
         imu_bias_m_s2: standard deviation of the accelerometer's bias, per axis.
-        imu_delay_s: without effect; kept so that older files load.
         gyro_noise_rad_s: standard deviation of one gyro sample, per axis.
         pose_rate_hz: of the motion capture.
         pose_noise_m: standard deviation of the motion capture's position, per axis.
@@ -151,4 +150,3 @@ class Simulation(Section, frozen=True, kw_only=True):
     imu_position_m: tuple[Lever, Lever, Lever] = (0.0, 0.0, 0.0)
     replan_latency_s: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.04
     operator_s: Annotated[float, Meta(ge=0.0, le=600.0)] | None = 2.0
-    imu_delay_s: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0

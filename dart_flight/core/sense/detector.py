@@ -62,12 +62,10 @@ class Expected(NamedTuple):
 class _Sample:
     """A sample of the contact; forces less the baseline, mission frame."""
 
-    __slots__ = ("clipped", "dt_us", "fx", "fy", "fz", "push", "t_us")
+    __slots__ = ("clipped", "dt_us", "fx", "fy", "push", "t_us")
 
-    def __init__(
-        self, t_us: int, dt_us: int, fx: float, fy: float, fz: float, push: Vec2, clipped: bool
-    ) -> None:
-        self.t_us, self.dt_us, self.fx, self.fy, self.fz = t_us, dt_us, fx, fy, fz
+    def __init__(self, t_us: int, dt_us: int, fx: float, fy: float, push: Vec2, clipped: bool) -> None:
+        self.t_us, self.dt_us, self.fx, self.fy = t_us, dt_us, fx, fy
         self.push, self.clipped = push, clipped
 
 
@@ -76,13 +74,6 @@ class _Stage(Enum):
     RISING = auto()
     FALLING = auto()
     REFRACTORY = auto()
-
-
-# Looked up once: what a class or an enumeration is asked for at every sample costs more than the sums.
-_WATCHING: Final = _Stage.WATCHING
-_RISING: Final = _Stage.RISING
-_FALLING: Final = _Stage.FALLING
-_REFRACTORY: Final = _Stage.REFRACTORY
 
 
 Event = ImpactOnset | ImpactPeak | ContactEnd | DetectionFloor
@@ -117,7 +108,7 @@ class ImpactDetector:
         self._sigma, self._refractory_us = c.noise_sigma, c.refractory_s * 1e6
         self._learns_noise = c.noise_sigma > 0.0
         self.slow_force = SlowForce(vehicle.estimation)
-        self._stage = _WATCHING
+        self._stage = _Stage.WATCHING
         tick_s, noise_n = vehicle.imu.tick_s, self._mass * vehicle.estimation.imu_noise_m_s2
         lengths = (0.0, 2.0 * tick_s, self._config.short_window_s, self._config.long_window_s)
         self._windows = [WindowMean(s, noise_n, round(s / tick_s)) for s in lengths]
@@ -141,7 +132,7 @@ class ImpactDetector:
     @property
     def in_contact(self) -> bool:
         """Between onset and end of contact."""
-        return self._stage is _RISING or self._stage is _FALLING
+        return self._stage is _Stage.RISING or self._stage is _Stage.FALLING
 
     @property
     def crossed_n(self) -> float:
@@ -163,23 +154,21 @@ class ImpactDetector:
         force, base = estimate.force_mission, self.slow_force.value
         fx, fy = force[0] - base[0], force[1] - base[1]
         stage = self._stage
-        if stage is _REFRACTORY and t_us - self._ended_us >= self._refractory_us:
-            stage = self._stage = _WATCHING
+        if stage is _Stage.REFRACTORY and t_us - self._ended_us >= self._refractory_us:
+            stage = self._stage = _Stage.WATCHING
         told = self._tell_floor(t_us, expected)
         self._expected = expected
         if self._learns_noise:
             for window in self._windows:
                 window.add(t_us, fx, fy)
-        if stage is _WATCHING or stage is _REFRACTORY:
+        if stage is _Stage.WATCHING or stage is _Stage.REFRACTORY:
             self._noise = estimate.noise_n
             return told + self._watch(estimate, fx, fy, dt_us, received_us, state)
         events: Events = told
-        if stage is _RISING:
-            self._samples.append(
-                _Sample(t_us, dt_us, fx, fy, force[2], estimate.push_mission, estimate.clipped)
-            )
+        if stage is _Stage.RISING:
+            self._samples.append(_Sample(t_us, dt_us, fx, fy, estimate.push_mission, estimate.clipped))
             if self._peak_is_past(t_us):
-                self._stage = _FALLING
+                self._stage = _Stage.FALLING
                 events.append(self._peak(t_us, received_us, state))
         else:
             end = self._end(t_us, fx, fy)
@@ -199,13 +188,13 @@ class ImpactDetector:
         # A tone that turns about in the plane never is below the release level in any sample.
         if size < release or (drowned and self._size_of(2) < release):
             self._armed = True
-        sample = _Sample(self._last_us, dt_us, fx, fy, force[2], estimate.push_mission, estimate.clipped)
-        watching = self._expected.watching and self._armed and self._stage is _WATCHING
+        sample = _Sample(self._last_us, dt_us, fx, fy, estimate.push_mission, estimate.clipped)
+        watching = self._expected.watching and self._armed and self._stage is _Stage.WATCHING
         if watching and self._is_contact(fx, fy, size, over):
             return [self._begin(estimate, sample, received_us, state)]
         self._previous = ((fx, fy), self._previous[0])
         self._before.append(sample)
-        if self._learns_noise and self._stage is _WATCHING:
+        if self._learns_noise and self._stage is _Stage.WATCHING:
             for window in self._windows:
                 window.learn(dt_us * 1e-6)
         if drowned:
@@ -326,7 +315,7 @@ class ImpactDetector:
             window.forget()
         self._quiet_since_us = None
         self._armed = False
-        self._stage = _RISING
+        self._stage = _Stage.RISING
         self.slow_force.settle()
         self._onset = ImpactOnset(
             t_us=sample.t_us,
@@ -398,7 +387,6 @@ class ImpactDetector:
             clipped=clipped,
             normal_sigma_n=self._noise if pulse is None or not fits else pulse.sigma_n,
             fitted=fits,
-            vertical_mean_n=sum(s.fz for s in inside) / len(inside),
         )
 
     def _direction(self) -> Vec2:
@@ -479,7 +467,7 @@ class ImpactDetector:
             self._quiet_since_us = t_us
         if t_us - self._quiet_since_us < self._config.contact_end_s * 1e6:
             return None
-        self._stage = _REFRACTORY
+        self._stage = _Stage.REFRACTORY
         self._ended_us = t_us
         return ContactEnd(t_us=self._quiet_since_us, first_us=self._onset.first_us)
 

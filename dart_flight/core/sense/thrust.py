@@ -22,9 +22,6 @@ Each = tuple[float, ...]  # of every motor
 # `auto` takes no slower telemetry: switching to and fro would look like forces
 _ESC_PERIOD_US: Final = 20_000
 _PENDING: Final = 16  # commands ahead of the IMU: a few ticks at most
-_ESC: Final = ThrustSource.ESC
-_ACTUATOR: Final = ThrustSource.ACTUATOR
-_ATTITUDE_TARGET: Final = ThrustSource.ATTITUDE_TARGET
 
 
 class LaggedCommands:
@@ -139,8 +136,8 @@ class ThrustModel:
         per_rpm2 = self._per_rpm2
         if esc is not None and per_rpm2 is not None:
             often = self._esc_period_us <= _ESC_PERIOD_US and esc.t_us >= t_us - _ESC_PERIOD_US
-            if wanted is _ESC or (auto and often):
-                self.source = _ESC
+            if wanted is ThrustSource.ESC or (auto and often):
+                self.source = ThrustSource.ESC
                 self.each_n = tuple([per_rpm2 * rpm * rpm for rpm in esc.rpm])
                 squares = 0.0
                 for rpm in esc.rpm:
@@ -148,13 +145,13 @@ class ThrustModel:
                 return per_rpm2 * squares
         known = motors.newest_us > 0
         fresh = motors.newest_us >= oldest or collective.newest_us < motors.newest_us
-        if known and (wanted is _ACTUATOR or (auto and fresh)):
-            self.source = _ACTUATOR
+        if known and (wanted is ThrustSource.ACTUATOR or (auto and fresh)):
+            self.source = ThrustSource.ACTUATOR
             motors.advance(t_us)
             return self._by_curve(motors.value)
         self.each_n = None
-        if collective.newest_us > 0 and (auto or wanted is _ATTITUDE_TARGET):
-            self.source = _ATTITUDE_TARGET
+        if collective.newest_us > 0 and (auto or wanted is ThrustSource.ATTITUDE_TARGET):
+            self.source = ThrustSource.ATTITUDE_TARGET
             collective.advance(t_us)
             return self._most_n * collective.value[0] * self._voltage_factor
         self.source = None

@@ -113,7 +113,7 @@ def without_derived(trials: Sequence[Trial]) -> tuple[list[Trial], list[str]]:
     kept, notes = [], []
     for trial in trials:
         series = dict(trial.series)
-        for name in [n for n, (_, value) in series.items() if float(np.ptp(value)) < _DEAD]:
+        for name in [n for n, (_, value) in series.items() if not value.size or float(np.ptp(value)) < _DEAD]:
             if name != "normal_m":
                 del series[name]
                 notes.append(f"{trial.name}: {name} never changes and was not used")

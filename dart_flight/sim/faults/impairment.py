@@ -61,7 +61,3 @@ class LossyLink(Generic[T]):
         while self._waiting and self._waiting[0][0] <= now_s:
             arrived.append(heapq.heappop(self._waiting)[2])
         return arrived
-
-    def next_s(self) -> float | None:
-        """When the next message is due; None where none is under way."""
-        return self._waiting[0][0] if self._waiting else None

@@ -25,8 +25,8 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.lab.scene.live import LiveView, Show
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import Log, read_log
-from dart_flight.run.world_process import free_udp_port
 from dart_flight.vehicle.link import LinkLease
+from tests.doubles.ports import free_udp_port
 from tests.doubles.viewer import Viewer
 from tests.shared_flights import SharedFlights
 
