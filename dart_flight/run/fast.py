@@ -52,7 +52,7 @@ from dart_flight.lock.drivers.mock import MockDriver, MockFaults
 from dart_flight.lock.session import LockSession
 from dart_flight.planning.replanning import Replanner
 from dart_flight.recording.verdict import Verdict
-from dart_flight.run.faulted import FaultedFlight, Order, Telemetry, TimeRequest
+from dart_flight.run.faulted import FaultedFlight, Order, TimeRequest
 from dart_flight.run.flight_record import FlightRecord, Onlooker
 from dart_flight.run.runner import CoreRunner, Observe
 from dart_flight.sim.cascade import TrajectorySetPoint
@@ -88,7 +88,7 @@ class TelemetrySender:
         self._status: tuple[object, ...] = () if begins else (a.armed, a.mode, a.landed, a.estimator.ok)
         self._resets = -1
 
-    def due(self, ticks: int, received: int) -> Iterator[Telemetry]:
+    def due(self, ticks: int, received: int) -> Iterator[Input]:
         """The samples of a tick, received at a host time."""
         a, t_us = self._autopilot, self._autopilot.time_us
         e = a.estimator
@@ -243,13 +243,13 @@ class FastFlight:
             severity, text = self._texts.pop(0)
             self._receive(StatusText(self.autopilot.time_us, self.host_us, severity, text))
 
-    def _receive(self, item: Telemetry) -> None:
+    def _receive(self, item: Input) -> None:
         if self.faulted is None:
             self._arrive(item)
         else:
             self.faulted.send_in(item)
 
-    def _arrive(self, item: Telemetry) -> None:
+    def _arrive(self, item: Input) -> None:
         self._connected = self._connected or isinstance(item, RoundTrip)
         if self._connected:
             self.take(item)
