@@ -8,7 +8,7 @@ import pytest
 
 from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.lock import drivers
-from dart_flight.lock.drivers import DRIVERS, Driver, DriverEntry, driver_names, make_driver
+from dart_flight.lock.drivers import DRIVERS, Driver, driver_names, make_driver
 
 Vary = Callable[..., LockConfig]
 
@@ -38,8 +38,6 @@ def test_a_kind_without_an_entry_is_told_and_drives_nothing(
 
 
 def test_names_are_told_in_words() -> None:
-    def moves(entry: DriverEntry) -> bool:
-        return entry.moves
-
-    assert driver_names(moves) == "maestro, pwm or px4"
     assert driver_names(lambda entry: not entry.moves) == "mock"
+    *first, last = [kind.value for kind in DRIVERS]
+    assert driver_names(lambda entry: True) == f"{', '.join(first)} or {last}"
