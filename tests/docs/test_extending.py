@@ -85,16 +85,37 @@ def test_the_page_has_the_six_recipes_and_counts_their_files() -> None:
     assert all(len(r.package_files) <= MOST_FILES for r in RECIPES)
 
 
-@pytest.mark.parametrize("recipe", RECIPES, ids=lambda recipe: recipe.title)
-def test_a_recipe_works_as_written(recipe: Recipe, tmp_path: Path) -> None:
+def copy_project(root: Path) -> None:
     for name in COPIED:
         ignored = shutil.ignore_patterns("__pycache__", "data" if name == "tests" else "results", "img")
-        shutil.copytree(ROOT / name, tmp_path / name, ignore=ignored)
-    (tmp_path / "tests" / "data").symlink_to(ROOT / "tests" / "data")
-    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+        shutil.copytree(ROOT / name, root / name, ignore=ignored)
+    (root / "tests" / "data").symlink_to(ROOT / "tests" / "data")
+    shutil.copy(ROOT / "pyproject.toml", root)
+
+
+def python(root: Path, *arguments: str) -> tuple[int, str]:
+    """Exit status and output."""
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+    done = subprocess.run(
+        [sys.executable, *arguments], cwd=root, env=environment, capture_output=True, text=True, check=False
+    )
+    return done.returncode, done.stdout[-4000:] + done.stderr[-2000:]
+
+
+@pytest.mark.parametrize("recipe", RECIPES, ids=lambda recipe: recipe.title)
+def test_a_recipe_works_as_written(recipe: Recipe, tmp_path: Path) -> None:
+    copy_project(tmp_path)
     for change in recipe.changes:
         apply(change, tmp_path)
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    check = [sys.executable, *recipe.check, "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
-    done = subprocess.run(check, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]
+    status, said = python(tmp_path, *recipe.check, "-q", "-p", "no:cacheprovider", "-p", "no:xdist")
+    assert status == 0, said
+
+
+def test_a_driver_without_its_entry_is_refused_on_import(tmp_path: Path) -> None:
+    copy_project(tmp_path)
+    for change in next(r for r in RECIPES if r.title == "A lock driver").changes:
+        if change.path != "dart_flight/lock/drivers/__init__.py":
+            apply(change, tmp_path)
+    status, said = python(tmp_path, "-c", "import dart_flight.cli.options")
+    assert status == 1
+    assert "lock drivers without an entry in DRIVERS" in said

@@ -27,16 +27,6 @@ def test_it_says_what_it_misses(kind: LockDriver, lock_config: LockConfig) -> No
         make_driver(lock_config, kind)
 
 
-def test_a_kind_without_an_entry_is_told_and_drives_nothing(
-    monkeypatch: pytest.MonkeyPatch, lock_config: LockConfig
-) -> None:
-    monkeypatch.delitem(DRIVERS, LockDriver.MOCK)
-    with pytest.raises(TypeError, match="without an entry in DRIVERS: mock"):
-        drivers.refuse_gaps()
-    with pytest.raises(KeyError):
-        make_driver(lock_config, LockDriver.MOCK, clock_us=lambda: 0)
-
-
 def test_names_are_told_in_words() -> None:
     assert driver_names(lambda entry: not entry.moves) == "mock"
     *first, last = [kind.value for kind in DRIVERS]

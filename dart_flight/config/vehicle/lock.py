@@ -111,17 +111,13 @@ class Servo(Section, frozen=True):
 class DriverSection(Section, frozen=True):
     """Base of the section that has a driver's name and is judged where that driver is chosen."""
 
-    def refuse_servo(self, servo: Servo) -> None:
-        """Make sure that the driver can move the servo to both ends.
-
-        Raises:
-            ValueError: it cannot.
-        """
-
     @property
     def ramp_us_s(self) -> float | None:
         """Speed limit of the pulse width itself in us/s, where the driver has one."""
         return None
+
+    def refuse_servo(self, servo: Servo) -> None:
+        """Raises ValueError: the driver cannot move the servo to both ends."""
 
 
 class Maestro(DriverSection, frozen=True):
