@@ -29,7 +29,7 @@ from tests.shared_flights import SharedFlights
 from tools.docs import animation, concept_figures, generated
 
 ALL = [block for page in PAGES for block in blocks(page)]
-LANGUAGES = {"", "sh", "yaml", "json", "ini", "mermaid", "python"}
+LANGUAGES = {"", "sh", "yaml", "json", "ini", "mermaid", "python", "diff"}
 
 
 def of(language: str) -> list[Block]:
