@@ -132,23 +132,17 @@ def resolve_alphas(
     """
     if (per_axis is None) == (per_wall is None):
         raise document.error(key, "give exactly one of alpha_m_per_n and alpha_wall_m_per_n")
-    if per_wall is not None:
-        alphas = per_wall
-    else:
-        assert per_axis is not None
+    alphas = per_wall or (0.0, 0.0)
+    if per_axis is not None:
         ax, ay = per_axis
-        if abs(wall.normal[1]) < _AXIS_TOLERANCE:
-            alphas = (ax, ay)
-        elif abs(wall.normal[0]) < _AXIS_TOLERANCE:
-            alphas = (ay, ax)
-        elif ax == ay:
-            alphas = (ax, ay)
-        else:
+        across = abs(wall.normal[0]) < _AXIS_TOLERANCE
+        if ax != ay and not across and abs(wall.normal[1]) >= _AXIS_TOLERANCE:
             raise document.error(
                 (*key, "alpha_m_per_n"),
                 "different gains per mission axis could point into a wall that is not along an axis; "
                 "use alpha_wall_m_per_n: [normal, tangential]",
             )
+        alphas = (ay, ax) if across else (ax, ay)
     if not alphas[0] > 0.0:
         raise document.error(key, "the gain along the wall's normal must be above 0")
     return alphas

@@ -36,19 +36,11 @@ from dart_flight.config.mission_file import (
     WaypointSpec,
 )
 from dart_flight.config.provenance import FoundVehicle, VehicleSource, find_vehicle, shown_path
-from dart_flight.config.section import Section
+from dart_flight.config.section import keys_of
 from dart_flight.config.settings import apply_changes
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle
 
 _PAUSE_S = 60.0
-
-
-def keys_of(section: Section, kind: type[Section]) -> dict[str, Any]:
-    """The values of the keys that a section shares with others of its kind, by name.
-
-    What file and flight share goes both ways through this, so that no key can be forgotten on one of them.
-    """
-    return {name: getattr(section, name) for name in kind.__struct_fields__}
 
 
 class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=False):
@@ -399,19 +391,6 @@ def _resolve_collision(
                 (*key, "approach"), f"{speed:.2f} m/s is over limits.speed_m_s {mission.limits.speed_m_s:g}"
             )
         impact = _impact_point(spec, mission.start.position_m, wall, approach, key, document)
-        if (
-            spec.impact_point_m is None
-            and spec.impact_along_m is None
-            and wall.signed_distance(mission.start.position_m) <= 0.0
-        ):
-            raise document.error((*key, "approach"), f"start is not in front of wall {wall.name}")
-        if spec.impact_point_m is not None and abs(wall.signed_distance(impact)) > 0.01:
-            x, y = wall.foot(impact)
-            raise document.error(
-                (*key, "impact_point_m"),
-                f"is {abs(wall.signed_distance(impact)):.3f} m off wall {wall.name}, whose nearest point is "
-                f"[{x:.3f}, {y:.3f}]; or give impact_along_m: {wall.along((x, y)):.3f}",
-            )
         if not wall.spans(impact):
             raise document.error(
                 (*key, "approach"),
@@ -438,16 +417,25 @@ def _impact_point(
     spec: CollisionSpec, start: Vec2, wall: Wall, approach_m_s: Vec2, key: Key, document: Document
 ) -> Vec2:
     """Where the wall is to be met, as given, or where the approach leads to from the start."""
-    if spec.impact_along_m is None:
-        return spec.impact_point_m or _ray_meets_wall(start, wall, approach_m_s)
-    if spec.impact_point_m is not None:
+    given, along = spec.impact_point_m, spec.impact_along_m
+    if given is not None and along is not None:
         raise document.error((*key, "impact_along_m"), "give this or impact_point_m, not both")
-    (x, y), (tx, ty), along = wall.point, wall.tangent, spec.impact_along_m
-    if abs(along) > 0.5 * wall.length_m:
-        reach = 0.5 * wall.length_m
-        raise document.error(
-            (*key, "impact_along_m"), f"{along:g}, the wall reaches from {-reach:g} to {reach:g}"
-        )
+    if given is not None:
+        off = abs(wall.signed_distance(given))
+        if off > 0.01:
+            x, y = wall.foot(given)
+            says = f"is {off:.3f} m off wall {wall.name}, whose nearest point is [{x:.3f}, {y:.3f}]; "
+            says += f"or give impact_along_m: {wall.along((x, y)):.3f}"
+            raise document.error((*key, "impact_point_m"), says)
+        return given
+    if along is None:
+        if wall.signed_distance(start) <= 0.0:
+            raise document.error((*key, "approach"), f"start is not in front of wall {wall.name}")
+        return _ray_meets_wall(start, wall, approach_m_s)
+    (x, y), (tx, ty), reach = wall.point, wall.tangent, 0.5 * wall.length_m
+    if abs(along) > reach:
+        says = f"{along:g}, the wall reaches from {-reach:g} to {reach:g}"
+        raise document.error((*key, "impact_along_m"), says)
     return (x + along * tx, y + along * ty)
 
 

@@ -24,15 +24,13 @@ from dart_flight.config.kinds import FileKind, load_document
 from dart_flight.config.mission_file import (
     Alpha,
     BoundsSpec,
-    GoalSpec,
-    Limits,
     Name,
     SpaceKeys,
     StartSpec,
     WallSpec,
 )
 from dart_flight.config.provenance import VehicleSource, find_vehicle
-from dart_flight.config.section import Section
+from dart_flight.config.section import Section, keys_of
 from dart_flight.config.vehicle import VehicleConfig
 
 _MOST_STEPS = 2001
@@ -124,7 +122,7 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
     uncertainty: Uncertainty = Uncertainty()
 
 
-class Scenario(msgspec.Struct, frozen=True):
+class Scenario(SpaceKeys, frozen=True, kw_only=True):
     """A checked scenario and the vehicle it is for.
 
     Attributes:
@@ -145,7 +143,6 @@ class Scenario(msgspec.Struct, frozen=True):
     vehicle_path: Path | None
     start: Vec2
     altitude_m: float
-    goal: GoalSpec
     bounds: BoundsSpec
     walls: dict[str, Wall]
     sequences: tuple[tuple[str, ...], ...]
@@ -154,7 +151,6 @@ class Scenario(msgspec.Struct, frozen=True):
     tangential_m_s: tuple[float, ...]
     modes: tuple[Mode, ...]
     alphas: dict[str, tuple[float, float]]
-    limits: Limits
     objective: Objective
     uncertainty: Uncertainty
     vehicle_source: VehicleSource | None = None
@@ -215,6 +211,7 @@ def resolve_scenario(
     if count > _MOST_CANDIDATES:
         raise document.error(("search",), f"{count} candidates, at most {_MOST_CANDIDATES}; widen the steps")
     return Scenario(
+        **keys_of(spec, SpaceKeys),
         name=spec.name or _name_from(document.source),
         source=document.source,
         spec=spec,
@@ -222,7 +219,6 @@ def resolve_scenario(
         vehicle_path=vehicle_path,
         start=spec.start.position_m,
         altitude_m=spec.start.altitude_m,
-        goal=spec.goal,
         bounds=spec.bounds_m,
         walls=walls,
         sequences=sequences,
@@ -231,7 +227,6 @@ def resolve_scenario(
         tangential_m_s=tangential,
         modes=modes,
         alphas=_alphas(spec, walls, sequences, document),
-        limits=spec.limits,
         objective=spec.objective,
         uncertainty=spec.uncertainty,
     )

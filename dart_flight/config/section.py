@@ -11,7 +11,7 @@ decided, that is the value with which nothing changes, and the shipped configura
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 from msgspec import Meta
@@ -28,3 +28,11 @@ Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Base of every part of a file: frozen, unknown keys refused."""
+
+
+def keys_of(section: Section, kind: type[Section]) -> dict[str, Any]:
+    """The values of the keys that a section shares with others of its kind, by name.
+
+    What a file and what is made of it share goes both ways through this, so that no key is forgotten on one.
+    """
+    return {name: getattr(section, name) for name in kind.__struct_fields__}
