@@ -354,7 +354,6 @@ def identify(
     columns: Mapping[str, str] | None = None,
     wall: tuple[float, float, float] | None = None,
     mass_kg: float | None = None,
-    law: str = "paper",
 ) -> Identification:
     """Contact coefficients from recorded trials at one wall; needs SciPy (the extra `identify`).
 
@@ -371,7 +370,6 @@ def identify(
         columns: our name -> header of CSV files.
         wall: of PX4 logs: north, east (m) of a point of the plane, heading of its normal (degrees).
         mass_kg: of the vehicle, instead of the configuration's.
-        law: `paper`, `preload`, `hertz`, `two-stage`, `baseline` or `best`.
 
     Raises:
         InputError: SciPy is missing, a trial or an option cannot be used, a collision is with another wall.
@@ -390,7 +388,6 @@ def identify(
         columns=",".join(f"{name}={header}" for name, header in (columns or {}).items()),
         wall=wall,
         mass_kg=mass_kg,
-        law=law,
     )
     own = [trial for one in given for trial in _trials_in(one, surface, mode or UNLABELLED)]
     return carry_out(job, vehicle, readers(surface), own).found

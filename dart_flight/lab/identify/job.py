@@ -16,7 +16,7 @@ from dart_flight.config.provenance import FoundVehicle
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Estimate, Identification
-from dart_flight.lab.identify.fit import PAPER, identify
+from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.held_out import HeldOut
 from dart_flight.lab.identify.trials import COLUMNS, UNLABELLED, Readers, Trial, TrialReading, read_trials
 from dart_flight.recording.found import from_each, logs_in
@@ -38,7 +38,6 @@ class Job:
     columns: str | None = None
     wall: tuple[float, float, float] | None = None
     mass_kg: float | None = None
-    law: str = PAPER
 
 
 class Identified(NamedTuple):
@@ -109,7 +108,7 @@ def carry_out(
     left_out += _said_of_mass(trials, mass_kg, at_hand if flown else None)
     _refuse_mode(job, vehicle)
     trials = _labelled(trials, vehicle)
-    found = identify(trials, mass_kg, onset, law=job.law)
+    found = identify(trials, mass_kg, onset)
     found.notes[:0] = left_out
     if job.height_m is not None:
         expected = math.sqrt(2.0 * GRAVITY_M_S2 * job.height_m)
@@ -222,11 +221,9 @@ def _compared(found: HeldOut) -> dict[str, Any]:
     return {
         "held_out": found.held_out,
         "hits": found.hits,
-        "laws": {name: errors._asdict() for name, errors in found.laws.items()},
+        "law": None if found.law is None else found.law._asdict(),
         "baselines": {name: errors._asdict() for name, errors in found.baselines.items()},
         "scatter": found.scatter._asdict(),
-        "best": found.best,
-        "better_by": found.better_by._asdict(),
         "earned": found.earned,
     }
 
@@ -240,13 +237,6 @@ def as_json(found: Identification) -> dict[str, Any]:
         },
         "restitution": {mode: _said(e) for mode, e in found.restitution.items()},
         "tangential_ratio": {mode: _said(e) for mode, e in found.tangential_ratio.items()},
-        "law": {
-            "name": found.law,
-            "parameters": {
-                mode: {name: _said(e) for name, e in parameters.items()}
-                for mode, parameters in found.law_parameters.items()
-            },
-        },
         "held_out": {mode: _compared(h) for mode, h in found.held_out.items()},
         "residuals": found.residuals,
         "plane_m": _said(found.plane_m),
