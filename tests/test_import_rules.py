@@ -29,6 +29,7 @@ FLOORS = {
 LAB = (
     "figure_panels",
     "flight_arrays",
+    "track",
     "predict",
     "search",
     "identify",
