@@ -6,13 +6,10 @@ from collections.abc import Callable
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.lab.calibrate.thrust_curve import Curve, Points, fit_curve, quiet_points, said_of
 from dart_flight.lab.track import Track
-
-Array = NDArray[np.float64]
 
 _LEAST_WINDOWS = 8
 _FOLDS = 4  # held-out parts
