@@ -18,6 +18,7 @@ from dart_flight.base.records import (
     StatusSample,
 )
 from dart_flight.config.document import InputError
+from dart_flight.lab.flight_arrays import Array, turned
 from dart_flight.recording.reader import Log, NothingInItError, read_log
 from dart_flight.recording.ulog import (
     MotorCommands,
@@ -28,8 +29,6 @@ from dart_flight.recording.ulog import (
     open_ulog,
     seconds,
 )
-
-Array = NDArray[np.float64]
 
 _TOPICS = (
     "sensor_combined",
@@ -80,10 +79,7 @@ class Track(msgspec.Struct):
         signs = np.where(np.sum(self.q[1:] * self.q[:-1], axis=1) < 0.0, -1.0, 1.0)
         course = self.q * np.cumprod([1.0, *signs])[:, None]
         q = np.stack([np.interp(self.imu_s, self.attitude_s, part) for part in course.T], axis=1)
-        q /= np.linalg.norm(q, axis=1, keepdims=True)
-        scalar, vector = q[:, :1], q[:, 1:]
-        turn: Array = 2.0 * np.cross(vector, body)
-        return body + scalar * turn + np.cross(vector, turn)
+        return turned(q / np.linalg.norm(q, axis=1, keepdims=True), body)
 
 
 def read_track(path: str | Path) -> Track:

@@ -24,10 +24,11 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.detector import Expected, ImpactDetector
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.state import FlightState
+from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.inspect.content import height_at, landings_of
 from dart_flight.lab.inspect.samples import Sample
 from dart_flight.lab.inspect.thrust import SpecificThrust, is_thrust_known
-from dart_flight.lab.track import Array, Track
+from dart_flight.lab.track import Track
 from dart_flight.recording.ulog import ULogFile
 
 _BEYOND_THRUST = 0.5  # of the impulse: what pushes against a vehicle tilted by up to 45 degrees has as much

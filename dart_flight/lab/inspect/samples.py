@@ -10,8 +10,9 @@ import numpy as np
 from dart_flight.base.geometry import GRAVITY_M_S2, Quaternion, advance_attitude
 from dart_flight.base.records import ActuatorSample, AttitudeSample, ImuSample, OdometrySample
 from dart_flight.config.vehicle import Thrust, ThrustSource, VehicleConfig
+from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.inspect.thrust import SpecificThrust
-from dart_flight.lab.track import Array, Track
+from dart_flight.lab.track import Track
 from dart_flight.recording.ulog import ULogFile
 
 _MOTOR_PERIOD_S = 0.01  # commands between the logged ones, on a straight line
