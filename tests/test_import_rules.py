@@ -27,7 +27,8 @@ FLOORS = {
 }
 # Inside the lab likewise.
 LAB = (
-    "figure_panels",
+    "figure_style",
+    "statistics",
     "flight_arrays",
     "track",
     "predict",

@@ -13,10 +13,10 @@ import numpy as np
 
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
-from dart_flight.lab.identify.estimates import Estimate, student_t
+from dart_flight.lab.identify.estimates import Estimate
 from dart_flight.lab.identify.hits import Hit
-from dart_flight.lab.identify.intervals import T95
 from dart_flight.lab.identify.whole_fit import HitTable, fit
+from dart_flight.lab.statistics import Z95, student_t
 
 _RESAMPLES = 60
 _SEED = 1  # the same trials give the same interval
@@ -35,7 +35,7 @@ def _ratio(
     if not n:
         return None
     value = float(np.median(shares))
-    half = T95 * float(np.sqrt(np.mean(deviations**2) / n))
+    half = Z95 * float(np.sqrt(np.mean(deviations**2) / n))
     if n >= 2:
         # The median of a normal sample spreads 1.25 times as much as its mean.
         spread = 1.25 * float(np.std(shares, ddof=1)) / math.sqrt(n)
@@ -103,7 +103,7 @@ def stiffness_and_damping(
         return found, []
     best = fit(table, mass_kg, onset)
     n = len(hits)
-    half = T95 * best.deviation
+    half = Z95 * best.deviation
     if n >= 3:
         random = np.random.default_rng(_SEED)
         times = random.multinomial(n, np.full(n, 1.0 / n), size=_RESAMPLES)

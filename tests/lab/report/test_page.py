@@ -18,11 +18,12 @@ from dart_flight.base.records import GuardEvent, Override, TruthContact, World
 from dart_flight.cli import main
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.lab.identify.estimates import mean_half_width
-from dart_flight.lab.report.figures import forces, lock, motion, style
+from dart_flight.lab.figure_style import as_svg
+from dart_flight.lab.report.figures import forces, lock, motion
 from dart_flight.lab.report.figures.flight_map import flight_map
 from dart_flight.lab.report.flight import Compared, Flight
 from dart_flight.lab.report.page import flight_page
+from dart_flight.lab.statistics import mean_half_width
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.reader import Log, LogEntry, read_log
 from dart_flight.recording.writer import FlightLog
@@ -103,7 +104,7 @@ def number(text: str) -> float | None:
 
 
 def texts(figure: Any) -> set[str]:
-    return set(texts_of(style.as_svg(figure)))
+    return set(texts_of(as_svg(figure)))
 
 
 # --- one flight ----------------------------------------------------------------------------------------
