@@ -37,7 +37,7 @@ from dart_flight.lab.search.mission_writer import mission_text, write_mission
 from dart_flight.lab.search.search import Plan, Search, search
 from dart_flight.lab.search.summary import with_objective
 from dart_flight.recording.reader import Log, read_log
-from dart_flight.recording.verdict import Verdict
+from dart_flight.recording.verdict import Verdict, verdict_of
 from dart_flight.run.fast import FlownFast, fly_recorded
 from dart_flight.run.prepare import refuse_unflyable
 from dart_flight.sim.draws import parse_vary
@@ -423,4 +423,5 @@ __all__ = [
     "predict_drop",
     "read_log",
     "simulate",
+    "verdict_of",
 ]

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.base.geometry import Vec2, Wall
+from dart_flight.base.geometry import Vec2
+from dart_flight.base.walls import Wall
 from dart_flight.core.mission.approach import (
     impact_time_s,
     is_blocked,

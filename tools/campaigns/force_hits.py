@@ -18,7 +18,6 @@ from dart_flight.base.geometry import (
     Quaternion,
     Vec2,
     Vec3,
-    Wall,
     add,
     quaternion_from_euler,
     quaternion_from_rotation_vector,
@@ -37,6 +36,7 @@ from dart_flight.base.records import (
     OdometrySample,
     StatusSample,
 )
+from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.detector import Expected, ImpactDetector, confirmed_force
 from dart_flight.core.sense.force import ForceEstimator

@@ -16,8 +16,9 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from dart_flight.base.geometry import MissionFrame, Vec2, Wall
+from dart_flight.base.geometry import MissionFrame, Vec2
 from dart_flight.base.records import ImpactPeak, Mode, SetPoint
+from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import Airframe, Cam
 from dart_flight.contact.law import Onset

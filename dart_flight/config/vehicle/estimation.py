@@ -10,13 +10,6 @@ from msgspec import Meta
 from dart_flight.config.section import Fraction, Seconds, Section, Speed, Volts
 
 
-class Observer(StrEnum):
-    """Which estimate of the external force the detector and the recovery use."""
-
-    ACCELERATION = "acceleration"
-    MOMENTUM = "momentum"
-
-
 class ThrustSource(StrEnum):
     """What the thrust is computed from; `auto` takes the best that is fresh, in this order from ESC on."""
 
@@ -89,8 +82,6 @@ class Estimation(Section, frozen=True, kw_only=True):
     """The estimate of the external force (docs/force.md).
 
     Attributes:
-        observer: acceleration (impacts) or momentum (slow, sustained contact).
-        momentum_gain_per_s: bandwidth of the momentum observer.
         thrust_source: where the thrust comes from; auto: esc, actuator, attitude_target, the first that is
             fresh.
         thrust_timeout_s: with auto, older motor commands are not fresh.
@@ -107,8 +98,6 @@ class Estimation(Section, frozen=True, kw_only=True):
         walls: what is believed of a wall before it is met.
     """
 
-    observer: Observer
-    momentum_gain_per_s: Annotated[float, Meta(gt=0.0, le=1000.0)]
     thrust_source: ThrustSource
     thrust_timeout_s: Seconds
     thrust_error_n: Annotated[float, Meta(ge=0.0, le=100.0)]

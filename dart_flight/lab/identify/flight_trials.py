@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dart_flight.base.geometry import Wall
 from dart_flight.base.records import ContactEnd, ImpactOnset, ImuSample, Phase, PhaseChange
+from dart_flight.base.walls import Wall
 from dart_flight.config.document import InputError
 from dart_flight.config.provenance import FoundVehicle
 from dart_flight.lab.flight_arrays import FlightArrays

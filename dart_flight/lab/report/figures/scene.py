@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from dart_flight.base.geometry import Vec2, Wall
+from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
+from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Airframe
 from dart_flight.lab.figure_style import FORCE, GREY, SET_POINT
