@@ -30,6 +30,7 @@ LAB = (
     "figure_style",
     "statistics",
     "flight_arrays",
+    "track",
     "predict",
     "search",
     "identify",
