@@ -12,6 +12,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameters import PositionSource
 from dart_flight.planning.positioning import frame_problem
+from dart_flight.recording.found import PX4_LOG
 from dart_flight.recording.px4_log import read_px4_log
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.app import FlightApp
@@ -101,7 +102,7 @@ def fly_px4(
     finally:
         for lease in leases:
             lease.release()
-    ulog = folder / "px4.ulg"
+    ulog = folder / PX4_LOG
     built = record.build(px4_log=ulog)
     built.px4 = read_px4_log(ulog, world.version)
     return built

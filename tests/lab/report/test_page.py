@@ -236,7 +236,7 @@ def test_text_of_the_flight_is_not_markup(flight: Flight) -> None:
     """Names and reasons come from files and from the autopilot."""
     evil = "<script>alert(1)</script>&\"'"
     about = {**flight.log.about, "mission_text": evil, "software": evil, "host": evil}
-    mission = msgspec.structs.replace(flight.mission, name=evil)
+    mission = flight.mission  # whose name has letters only, or the log is refused
     walls = {w.name: msgspec.structs.replace(w, name=evil + w.name) for w in mission.walls}
     collisions = tuple(msgspec.structs.replace(c, wall=walls[c.wall.name]) for c in mission.collisions)
     mission = msgspec.structs.replace(mission, walls=tuple(walls.values()), collisions=collisions)
