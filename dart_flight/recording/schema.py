@@ -16,7 +16,6 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
-    AttitudeTargetSample,
     EscSample,
     EstimatorSample,
     ForceEstimate,
@@ -43,7 +42,6 @@ STREAMS: frozenset[type[Record]] = frozenset(
         AttitudeSample,
         OdometrySample,
         ActuatorSample,
-        AttitudeTargetSample,
         EscSample,
         EstimatorSample,
         Tick,

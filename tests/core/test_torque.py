@@ -16,7 +16,6 @@ from dart_flight.base.geometry import IDENTITY, MissionFrame, Vec3, advance_atti
 from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
-    AttitudeTargetSample,
     ContactSide,
     ImpactBody,
     ImpactPeak,
@@ -294,17 +293,6 @@ def test_the_motors_are_not_external(difference: tuple[float, float, float, floa
             motors = max(motors, *(abs(j[k] * turning.acceleration[k]) for k in range(3)))
     assert motors > 0.01
     assert largest < 0.1 * motors
-
-
-def test_without_single_motors_their_torque_counts_as_external() -> None:
-    force, torque, turning = ForceEstimator(VEHICLE), TorqueEstimator(VEHICLE), Turning()
-    force.thrust.take_attitude_target(AttitudeTargetSample(1_000_000, 0, 0.4))
-    for t in (1_000_000, 1_004_000):
-        turning.take(ImuSample(t, t, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0)))
-        force.thrust.mean_over_tick(t)
-        found = torque.estimate(t, turning, force.thrust.each_n, 1.0, True)
-    assert found is not None
-    assert not found.motors_known
 
 
 def test_a_torque_that_is_always_there_is_taken_off() -> None:

@@ -18,12 +18,11 @@ class Observer(StrEnum):
 
 
 class ThrustSource(StrEnum):
-    """What the thrust is computed from; `auto` takes the best that is fresh, in this order from ESC on."""
+    """What the thrust is computed from; `auto` takes the motors' speed where it comes often enough."""
 
     AUTO = "auto"
     ESC = "esc"
     ACTUATOR = "actuator"
-    ATTITUDE_TARGET = "attitude_target"
 
 
 class Battery(Section, frozen=True):
@@ -91,9 +90,7 @@ class Estimation(Section, frozen=True, kw_only=True):
     Attributes:
         observer: acceleration (impacts) or momentum (slow, sustained contact).
         momentum_gain_per_s: bandwidth of the momentum observer.
-        thrust_source: where the thrust comes from; auto: esc, actuator, attitude_target, the first that is
-            fresh.
-        thrust_timeout_s: with auto, older motor commands are not fresh.
+        thrust_source: where the thrust comes from; auto: esc where it comes often enough, else actuator.
         thrust_error_n: standard deviation of the whole thrust after calibration.
         esc_thrust_n_per_rpm2: one motor's thrust over its speed squared, m g / (sum of rpm^2) at hover; null:
             motor speeds are not used.
@@ -110,7 +107,6 @@ class Estimation(Section, frozen=True, kw_only=True):
     observer: Observer
     momentum_gain_per_s: Annotated[float, Meta(gt=0.0, le=1000.0)]
     thrust_source: ThrustSource
-    thrust_timeout_s: Seconds
     thrust_error_n: Annotated[float, Meta(ge=0.0, le=100.0)]
     esc_thrust_n_per_rpm2: Annotated[float, Meta(gt=0.0, le=1e-3)] | None
     battery: Battery

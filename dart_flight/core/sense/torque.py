@@ -36,14 +36,11 @@ class TorqueEstimator:
         self._inertia = vehicle.airframe.inertia_kg_m2
         # What each newton of each motor turns: with its sign, because it is taken off.
         self._levers = tuple((m.y_m, -m.x_m, -m.yaw_torque_per_thrust_m) for m in vehicle.airframe.motors)
-        self._filter_s = vehicle.estimation.filter_s
         self._before: Each | None = None
         self._slow: Vec3 = (0.0, 0.0, 0.0)
         self._last: Vec3 | None = None
         self._variance: Vec3 = (1e-3, 1e-3, 1e-3)
         self._noise: Vec3 = (0.0316, 0.0316, 0.0316)
-        self._filtered: Vec3 = (0.0, 0.0, 0.0)
-        self._dt_s = self._keep = 0.0
 
     def estimate(
         self, t_us: int, turning: Turning, each_n: Each | None, scale: float, learns: bool
@@ -53,7 +50,7 @@ class TorqueEstimator:
         Args:
             t_us: stamp of the sample.
             turning: it has taken the sample.
-            each_n: thrust of each motor at the stamp by the curve; None where not known motor by motor.
+            each_n: thrust of each motor at the stamp by the curve; None: not known yet.
             scale: true thrust over the curve's.
             learns: in the air and without a contact: noise and slow torque are followed.
         """
@@ -80,13 +77,7 @@ class TorqueEstimator:
         self._last = raw
         u, v, w = self._slow
         x, y, z = x - u, y - v, z - w
-        if turning.dt_s != self._dt_s:
-            self._dt_s = turning.dt_s
-            self._keep = math.exp(-turning.dt_s / self._filter_s) if self._filter_s > 0.0 else 0.0
-        keep = self._keep
-        u, v, w = self._filtered
-        self._filtered = (x + (u - x) * keep, y + (v - y) * keep, z + (w - z) * keep)
-        return TorqueEstimate(t_us, (x, y, z), self._filtered, self._noise, each_n is not None)
+        return TorqueEstimate(t_us, (x, y, z), self._noise)
 
     def _learn(self, raw: Vec3, dt_s: float) -> None:
         step_s = dt_s if dt_s < _MOST_STEP_S else _MOST_STEP_S
