@@ -257,11 +257,9 @@ class Replanner:
         coefficients = self._felt.get((wall.name, collision.mode))
         if coefficients is None:
             coefficients = vehicle.materials[wall.material].of(collision.mode)
-        (stage,) = build_stages(
-            vehicle, [coefficients], [self._task.alphas[wall.name]], [(drag_n, drag_t)], [0.0]
-        )
-        out = stage.normal(vn, drag_n * vn, zero, -stage.lead_s * vn, vn)
-        slide = stage.tangential(stage.tangential_shape(vn), vt, drag_t * vt, zero, (0.0, vt))
+        (stage,) = build_stages(vehicle, [coefficients], [self._task.alphas[wall.name]], [drag_n], [0.0])
+        out = stage.normal(vn, drag_n * vn, zero)
+        slide = stage.tangential(stage.tangential_shape(vn), vt, drag_t * vt, zero)
         peak_n = float(out.peak_force_n[0])
         code = int(self._constraints.hit(out.peak_force_n, slide.friction_n, out.velocity)[0])
         if code:

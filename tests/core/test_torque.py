@@ -343,7 +343,7 @@ def test_a_body_is_not_fitted_as_a_point() -> None:
     # As learnt in a second of quiet flight.
     quiet = msgspec.structs.replace(vehicle.estimation, imu_noise_m_s2=0.2)
     vehicle = msgspec.structs.replace(vehicle, estimation=quiet)
-    detection = msgspec.structs.replace(vehicle.detection, pulse_misfit=0.0)
+    detection = msgspec.structs.replace(vehicle.detection, pulse_misfit=1000.0)
     always = msgspec.structs.replace(vehicle, detection=detection)
     plants = [before_the_wall(vehicle, Mode.RIGID, -1.2, 0.0, 0.1) for _ in range(2)]
     chosen, fitted = sense(plants[0], vehicle, (HOVER,) * 4), sense(plants[1], always, (HOVER,) * 4)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from unittest.mock import patch
 
-import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -23,9 +23,12 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import load_vehicle
+from dart_flight.core import flight_core
+from dart_flight.core.mission.executive import Executive
 from dart_flight.core.mission.yielding import Yielding
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.run.fast import FastFlight
+from tools.campaigns.recovery import KeepsStill
 
 ROOT = Path(__file__).parents[2]
 VEHICLE = load_vehicle(ROOT / "configs" / "dart.yaml")
@@ -76,13 +79,9 @@ def test_a_gap_in_the_samples_stays_bounded() -> None:
 
 
 def flown(mission: Mission, yields: bool) -> list[Record]:
-    vehicle = mission.vehicle
-    flying = msgspec.structs.replace(vehicle.flying, yield_to_contacts=yields)
-    vehicle = msgspec.structs.replace(vehicle, flying=flying)
     records: list[Record] = []
-    FastFlight(
-        msgspec.structs.replace(mission, vehicle=vehicle), 3, observe=lambda r, n: records.append(r)
-    ).run()
+    with patch.object(flight_core, "Executive", Executive if yields else KeepsStill):
+        FastFlight(mission, 3, observe=lambda r, n: records.append(r)).run()
     return records
 
 

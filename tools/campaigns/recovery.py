@@ -19,14 +19,15 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import NamedTuple
 from unittest.mock import patch
 
-import msgspec
 from rich.console import Console
 
 from dart_flight.base.geometry import distance2
 from dart_flight.base.records import ImpactPeak, Input, OdometrySample, Phase, SetPoint
+from dart_flight.config.mission import Mission
 from dart_flight.core import flight_core
 from dart_flight.core.mission.executive import Executive
 from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.mission.yielding import Yielding
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from tools.campaigns.body import MIDDLE, ROOT, WIDE_ROOM, WORST, Flown, Job, default_case, fly
@@ -34,7 +35,26 @@ from tools.campaigns.body import MIDDLE, ROOT, WIDE_ROOM, WORST, Flown, Job, def
 _SEEDS = (6001,)  # not those of `tools.campaigns.body`: a candidate may be chosen on these
 
 
-class _AfterPeak(Executive):
+class _Unmoved(Yielding):
+    """Feeds nothing forward."""
+
+    def take(self, sensed: Sensed) -> None:
+        pass
+
+
+class KeepsStill(Executive):
+    """Nothing is asked for in a contact until the peak, and nothing is fed forward."""
+
+    def __init__(self, mission: Mission) -> None:
+        super().__init__(mission)
+        self._yielding = _Unmoved(mission.vehicle)
+
+    def _send_reference(self, sample: OdometrySample, state: FlightState, p: Proposal) -> None:
+        if self.phase is not Phase.CONTACT:
+            super()._send_reference(sample, state, p)
+
+
+class _AfterPeak(KeepsStill):
     """An executive whose set-points change for a while after each peak.
 
     Attributes:
@@ -128,7 +148,7 @@ class _Heading(_AfterPeak):
         )
 
 
-class _FromOnset(Executive):
+class _FromOnset(KeepsStill):
     """From the onset to the peak what the vehicle does anyway is asked for; PX4's D term does as it likes."""
 
     def propose(self, item: Input, state: FlightState, sensed: Sensed, p: Proposal) -> None:
@@ -137,7 +157,7 @@ class _FromOnset(Executive):
             p.outputs.append(self._references.yielding_setpoint(state.frame, item, None))
 
 
-class _Tilted(Executive):
+class _Tilted(KeepsStill):
     """Anticipation: the last 0.25 s of an approach ask for the acceleration away from the wall.
 
     The vehicle meets the wall already leaning back, and slower.
@@ -174,7 +194,7 @@ def _lasting(kind: type[_AfterPeak], seconds: float) -> type[Executive]:
 
 
 CANDIDATES: dict[str, tuple[str, type[Executive]]] = {
-    "paper": ("the paper's set-point at once", Executive),
+    "paper": ("the paper's set-point at once", KeepsStill),
     "level-0.15": ("level for 0.15 s, then the paper's", _lasting(_Level, 0.15)),
     "level-0.3": ("level for 0.3 s, then the paper's", _lasting(_Level, 0.3)),
     "soft-0.3": ("the set-point moves there in 0.3 s", _lasting(_Soft, 0.3)),
@@ -225,9 +245,8 @@ class _Row(NamedTuple):
 
 
 def _fly(candidate: str, job: Job) -> Flown:
-    setting = f"flying.yield_to_contacts={str(candidate == 'yield').lower()}"
     with patch.object(flight_core, "Executive", CANDIDATES[candidate][1]):
-        return fly(msgspec.structs.replace(job, settings=(*job.settings, setting)))
+        return fly(job)
 
 
 HEAD = (

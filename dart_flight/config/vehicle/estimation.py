@@ -152,12 +152,11 @@ class Detection(Section, frozen=True):
         refractory_s: time after a contact in which no new impact is registered.
         sure_sigma: one sample over the threshold by this many times its noise is enough; else the mean of two
             or three in a row has to be over it.
-        noise_sigma: the threshold is at least this many times the learnt noise of what is compared with it;
-            0: noise does not lift it.
+        noise_sigma: the threshold is at least this many times the learnt noise of what is compared with it.
         short_window_s: mean over which a rigid contact is looked for in noise.
         long_window_s: mean over which a flexible contact is looked for in noise.
         pulse_misfit: the peak comes from the fitted pulse while the mean square of its residuals, over their
-            expected errors, is at most this; else from the top alone. 0: always from the fit.
+            expected errors, is at most this; else from the top alone.
     """
 
     force_threshold_n: Annotated[float, Meta(gt=0.0, le=1000.0)]
@@ -168,7 +167,7 @@ class Detection(Section, frozen=True):
     contact_end_s: Annotated[float, Meta(gt=0.0, le=10.0)]
     refractory_s: Annotated[float, Meta(ge=0.0, le=10.0)]
     sure_sigma: Annotated[float, Meta(ge=0.0, le=100.0)]
-    noise_sigma: Annotated[float, Meta(ge=0.0, le=100.0)] = 5.0
+    noise_sigma: Annotated[float, Meta(gt=0.0, le=100.0)] = 5.0
     short_window_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.032
     long_window_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.1
-    pulse_misfit: Annotated[float, Meta(ge=0.0, le=1000.0)] = 3.0
+    pulse_misfit: Annotated[float, Meta(gt=0.0, le=1000.0)] = 3.0
