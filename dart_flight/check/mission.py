@@ -19,7 +19,6 @@ from dart_flight.core.mission.approach import (
     plan_approach,
     transit_of,
 )
-from dart_flight.core.mission.arithmetic import SCALARS
 from dart_flight.core.mission.commitment import SETPOINT_OUTSIDE_M, setpoint_outside_m
 from dart_flight.core.mission.planned import expected_hit, impact_velocity
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
@@ -181,7 +180,7 @@ def _check_noise(mission: Mission, collision: Collision) -> list[Finding]:
     says = (
         f"{collision.mode.value}, {hit.peak_normal_force_n:.1f} N at wall {collision.wall.name}: with "
         f"vibration of {vehicle.estimation.imu_noise_m_s2:g} m/s2 only {floor:.1f} N is sure to be felt; "
-        "`feel` says what yours is"
+        "`inspect` says what yours is"
     )
     return [Finding(f"noise_{collision.index}", True, says, remark=True)]
 
@@ -204,7 +203,7 @@ def _check_path(mission: Mission, planned: PlannedFlight) -> list[Finding]:
     """Whether the vehicle stays within the bounds, and would if it were told to stop: as the guard judges."""
     worst, where, stops = 0.0, (0.0, 0.0), False
     for x, y, vx, vy in _states(mission, planned):
-        share = STOP_TIME_S * stop_share(SCALARS, mission.walls, (x, y), (vx, vy))
+        share = STOP_TIME_S * stop_share(mission.walls, (x, y), (vx, vy))
         for point, by_stopping in (((x, y), False), ((x + share * vx, y + share * vy), True)):
             excess = mission.bounds.excess2(point)
             if excess > worst + _SAME_M:
@@ -290,7 +289,7 @@ def _check_recovery(mission: Mission, collision: Collision, planned: PlannedFlig
     for wall in mission.walls:
         if wall is not collision.wall and leads_behind(wall, (place[0], place[1]), (target[0], target[1])):
             return [Finding(item, False, f"{says}: behind wall {wall.name}, which is not to be hit next")]
-        if leg is not None and is_blocked(SCALARS, wall, target[:2], leg.end[:2]):
+        if leg is not None and is_blocked(wall, target[:2], leg.end[:2]):
             says = f"{says}: from there wall {wall.name} is in the way to {leg.name}"
             return [Finding(item, False, says)]
     return [_outside(mission, item, target, says, "the goal" if leg is None else leg.name)]
@@ -306,7 +305,7 @@ def _begins_behind(mission: Mission, leg: Leg, collision: Collision) -> bool:
 
 def _outside(mission: Mission, item: str, target: Vec3, says: str, first: str) -> Finding:
     """A set-point outside of the bounds only pulls where something comes before it; far out it is a slip."""
-    outside = setpoint_outside_m(SCALARS, mission.bounds, target[0], target[1])
+    outside = setpoint_outside_m(mission.bounds, target[0], target[1])
     if outside > SETPOINT_OUTSIDE_M:
         far = f"{says}, {outside:.2f} m outside bounds_m, more than {SETPOINT_OUTSIDE_M:g} m"
         return Finding(item, False, far + ": is alpha meant so?")

@@ -9,7 +9,6 @@ from dart_flight.base.geometry import Vec2
 from dart_flight.check.findings import Finding
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import NoApproachError, is_blocked, legs_to_impact, plan_approach
-from dart_flight.core.mission.arithmetic import SCALARS
 from dart_flight.core.mission.survey import SURE_SD, end_margin_m, slack_m
 from dart_flight.planning.envelope import incidence_deg, most_incidence_deg
 from dart_flight.planning.planned import PlannedFlight
@@ -90,7 +89,7 @@ def _amiss(mission: Mission, collision: Collision, place: Vec2) -> Iterator[str]
     if excess > 0.0:
         yield f"wall {wall.name} may stand {excess:.2f} m outside bounds_m"
     for other in mission.walls:
-        if other.name != wall.name and is_blocked(SCALARS, other, nearest, furthest, 0.0):
+        if other.name != wall.name and is_blocked(other, nearest, furthest, 0.0):
             yield f"wall {wall.name} may stand beyond wall {other.name}"
 
 
@@ -107,7 +106,7 @@ def _in_the_way(mission: Mission, collision: Collision) -> Iterator[str]:
     for wall in mission.walls:
         if wall.is_uncertain and wall.name != collision.wall.name:
             nearest = wall.moved(float(slack_m(wall, approach.impact)))
-            if any(is_blocked(SCALARS, nearest, *leg) for leg in legs(nearest)):
+            if any(is_blocked(nearest, *leg) for leg in legs(nearest)):
                 yield f"wall {wall.name} may stand in the way of the run-up to wall {collision.wall.name}"
 
 

@@ -40,7 +40,7 @@ COMMANDS = {
     "calibrate": "thrust curve or inertia from flights",
     "inspect": "what PX4 logs of any multirotor felt: force, impacts, what is unknown",
     "identify": "contact coefficients from recorded trials",
-    "tables": "the paper's tables and figures beside the model's",
+    "tables": "the paper's tables beside the model's",
     "init": "copy the packaged configuration, missions and scenarios to start from",
     "completion": "what completes commands in bash, zsh or tcsh",
 }

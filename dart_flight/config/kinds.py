@@ -17,7 +17,7 @@ class FileKind(Enum):
     SCENARIO = "a scenario: `dart-flight plan` makes a mission of it"
     CONFIGURATION = "a vehicle configuration: --config takes it"
     FLIGHT_LOG = "a flight log: replay, report, export, identify and calibrate take it"
-    ULOG = "a PX4 ULog: feel, identify and calibrate take it"
+    ULOG = "a PX4 ULog: inspect, identify and calibrate take it"
     TRIAL = "a CSV file: identify takes trials, `predict --batch` wall hits"
 
 

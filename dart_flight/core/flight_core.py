@@ -26,7 +26,6 @@ from dart_flight.core.sense.senses import Sensed, Senses
 from dart_flight.core.sense.state import FlightState
 
 _NOTHING: Final = Sensed()
-_NONE: Final = Override.NONE
 
 
 class FlightCore:
@@ -81,7 +80,7 @@ class FlightCore:
         sensed, proposal, state = _NOTHING, Proposal(), self._senses.state
         try:
             sensed = self._senses.take(item, self._expected)
-            if self._guard.action is _NONE:
+            if self._guard.action is Override.NONE:
                 self._executive.propose(item, state, sensed, proposal)
                 self._expected = proposal.expected
         except Exception:
@@ -113,7 +112,7 @@ class FlightCore:
             self._fault = None
         guard, executive, state = self._guard, self._executive, self._senses.state
         kept = guard.review(item, state, sensed, executive.phase, proposal)
-        if guard.action is not _NONE:
+        if guard.action is not Override.NONE:
             kept += executive.overruled(state.now_us, guard.reason or "")
             # A wall met while the guard holds or backs off is an impact, the ground at the end is none.
             if guard.landing:
@@ -121,7 +120,7 @@ class FlightCore:
         if guard.end is not None:
             self.end = guard.end
             kept += executive.ended(guard.end)
-        elif proposal.end is not None and guard.action is _NONE:
+        elif proposal.end is not None and guard.action is Override.NONE:
             self.end = proposal.end
             kept.append(proposal.end)
         return kept

@@ -17,7 +17,6 @@ from dart_flight.core.sense.state import FlightState
 
 PATIENCE_S: Final = 0.02  # as often as a tick; a quarter of the silence of the IMU on which the guard acts
 _LEAD_S: Final = 0.2  # so long before a wall may be met patience ends: ten times what it holds back
-_CONTACT: Final = Phase.CONTACT
 
 
 class Pace(Enum):
@@ -34,7 +33,7 @@ def pace_near_walls(mission: Mission, state: FlightState, phase: Phase) -> Pace:
     `PROMPT` in a contact, and wherever within 0.2 s a wall of the mission may be met, by the guard's own
     words for how early and how late that may be, whatever the phase.
     """
-    if phase is _CONTACT:
+    if phase is Phase.CONTACT:
         return Pace.PROMPT
     place, velocity, guard = state.position, state.velocity, mission.vehicle.guard
     for wall in mission.walls:

@@ -353,7 +353,6 @@ def identify(
     contact_distance_m: float = 0.0,
     columns: Mapping[str, str] | None = None,
     wall: tuple[float, float, float] | None = None,
-    bump: bool = False,
     mass_kg: float | None = None,
     law: str = "paper",
 ) -> Identification:
@@ -371,7 +370,6 @@ def identify(
         contact_distance_m: is subtracted from `normal_m` of files.
         columns: our name -> header of CSV files.
         wall: of PX4 logs: north, east (m) of a point of the plane, heading of its normal (degrees).
-        bump: of PX4 logs: the strongest horizontal acceleration is the hit.
         mass_kg: of the vehicle, instead of the configuration's.
         law: `paper`, `preload`, `hertz`, `two-stage`, `baseline` or `best`.
 
@@ -392,7 +390,6 @@ def identify(
         columns=",".join(f"{name}={header}" for name, header in (columns or {}).items()),
         wall=wall,
         mass_kg=mass_kg,
-        bump=bump,
         law=law,
     )
     own = [trial for one in given for trial in _trials_in(one, surface, mode or UNLABELLED)]

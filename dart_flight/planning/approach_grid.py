@@ -17,7 +17,7 @@ from dart_flight.core.mission.approach import (
 )
 from dart_flight.core.mission.arithmetic import Number
 from dart_flight.core.mission.survey import end_margin_m
-from dart_flight.planning.constraints import ARRAYS, Constraints, Refusal
+from dart_flight.planning.constraints import Constraints, Refusal
 from dart_flight.planning.task import Task
 
 Array = NDArray[np.float64]
@@ -56,10 +56,10 @@ def approach_grid(
     vx, vy = nx * normal + tx * tangential, ny * normal + ty * tangential
     until = wall.signed_distance(task.start) / -normal
     impact: tuple[Number, Number] = (sx + vx * until, sy + vy * until)
-    begin, _, speed, ramp = run_up(ARRAYS, task.start, impact, (vx, vy), flying, wall)
+    begin, _, speed, ramp = run_up(task.start, impact, (vx, vy), flying, wall)
     length = np.hypot(begin[0] - impact[0], begin[1] - impact[1])
     way = np.hypot(begin[0] - sx, begin[1] - sy)
-    transit = transit_time_s(ARRAYS, way, flying.transit_speed_m_s, flying.acceleration_m_s2)
+    transit = transit_time_s(way, flying.transit_speed_m_s, flying.acceleration_m_s2)
     codes = np.zeros(speed.shape, dtype=np.int8)
     grid = ApproachGrid(codes, *impact, *begin, impact_time_s(length, speed, ramp), transit)
     if constraints is None:
@@ -68,7 +68,7 @@ def approach_grid(
     legs = legs_to_impact(task.start, begin, impact, wall, first=True)
     for other in task.walls.values():
         for leg in legs(other):
-            mark(codes, is_blocked(ARRAYS, other, *leg), Refusal.RUN_UP_BLOCKED)
+            mark(codes, is_blocked(other, *leg), Refusal.RUN_UP_BLOCKED)
     b = task.bounds
     for x, y in (impact, begin):
         outside = (x < b.x[0]) | (x > b.x[1]) | (y < b.y[0]) | (y > b.y[1])

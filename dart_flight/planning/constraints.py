@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec2, Wall
-from dart_flight.core.mission.arithmetic import Arithmetic, Number
+from dart_flight.core.mission.arithmetic import Number
 from dart_flight.core.mission.commitment import (
     SETPOINT_OUTSIDE_M,
     SETTLED_BEFORE_S,
@@ -28,7 +28,6 @@ from dart_flight.planning.flight_model import Leg, Window
 from dart_flight.planning.task import Task
 
 Array = NDArray[np.float64]
-ARRAYS = Arithmetic(np.hypot, np.sqrt, np.maximum, np.minimum, np.where)
 Codes = NDArray[np.int8]
 
 LEAST_REBOUND_M_S = 0.05
@@ -129,7 +128,7 @@ class Constraints:
         ay = kv * (-kp * leg.y[0] - leg.y[1]) + leg.y[3] - kd * leg.y[2]
         codes = np.zeros(leg.size, dtype=np.int8)
         self.mark(codes, ax * ax + ay * ay > self.most_acceleration**2, Refusal.ACCELERATION)
-        outside_m = setpoint_outside_m(ARRAYS, self.bounds, leg.goal_x, leg.goal_y)
+        outside_m = setpoint_outside_m(self.bounds, leg.goal_x, leg.goal_y)
         self.mark(codes, outside_m > SETPOINT_OUTSIDE_M, Refusal.SETPOINT)
         return codes
 
@@ -178,7 +177,7 @@ class Constraints:
 
     def _leaves(self, w: Window) -> NDArray[np.bool_]:
         """Where the bounds are left or would be before stopping; a wall in the way stops earlier (guard)."""
-        share = stop_share(ARRAYS, self.walls, (w.x, w.y), (w.vx, w.vy))
+        share = stop_share(self.walls, (w.x, w.y), (w.vx, w.vy))
         leaves = _outside(self.bounds.x, w.x, share * w.vx)
         leaves |= _outside(self.bounds.y, w.y, share * w.vy)
         return leaves
@@ -237,7 +236,6 @@ class Constraints:
             at = impact.take(rows)
             (nx, ny), (tx, ty) = wall.normal, wall.tangent
             bearable = bearable_in_either_mode(
-                ARRAYS,
                 self._vehicle,
                 self.limits,
                 self.bounds,

@@ -1,7 +1,7 @@
 """What impacts a mission may plan: its own force limit, and what flights have shown.
 
 The sweep of docs/px4.md (acrylic and wood, both modes, 0.5 to 4 m/s) and its hits with guards set the figures
-of speed and force here, `tools.campaigns.envelope` those of incidence and height (docs/body.md).
+of speed and force here, the flights of docs/body.md those of incidence and height.
 """
 
 from __future__ import annotations

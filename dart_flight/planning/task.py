@@ -16,7 +16,6 @@ from dart_flight.config.mission import BoundsSpec, Collision, GoalSpec, Limits, 
 from dart_flight.config.scenario import Scenario
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.mission.approach import run_up
-from dart_flight.core.mission.arithmetic import SCALARS
 
 
 class MissionTask(NamedTuple):
@@ -48,7 +47,7 @@ def task_of(mission: Mission, group: Sequence[Collision]) -> MissionTask:
     # A rollout meets the wall on the ray from the start: from where the flight begins its run-up.
     vx, vy, _ = first.approach_velocity()
     flying = mission.vehicle.flying
-    start = run_up(SCALARS, mission.start, first.impact_point, (vx, vy), flying, first.wall).begin
+    start = run_up(mission.start, first.impact_point, (vx, vy), flying, first.wall).begin
     return MissionTask(
         mission.vehicle,
         start,

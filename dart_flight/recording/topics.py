@@ -6,17 +6,14 @@ import difflib
 import types
 from collections.abc import Iterable, Iterator
 from enum import Enum
-from typing import TYPE_CHECKING, Any, NamedTuple, Union, get_args, get_origin, get_type_hints
+from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.base.records import Record
 from dart_flight.recording.flight_time import zero_of
-from dart_flight.recording.schema import RECORD_TYPES, axes_of
-
-if TYPE_CHECKING:
-    import pandas as pd
+from dart_flight.recording.schema import RECORD_TYPES
 
 _BY_TOPIC = {kind.topic: kind for kind in RECORD_TYPES}
 
@@ -67,26 +64,6 @@ class Topic:
 
     def __repr__(self) -> str:
         return f"<{self.kind.topic}: {len(self)} records of {', '.join(self.fields)}>"
-
-    def to_pandas(self) -> pd.DataFrame:
-        """A data frame over `t_s`, vectors spread into columns as in the CSV export (`force_mission_x`).
-
-        Raises:
-            ImportError: pandas is not installed.
-        """
-        try:
-            import pandas  # noqa: PLC0415
-        except ImportError:
-            raise ImportError("data frames need pandas: pip install 'dart-flight[pandas]'") from None
-        columns: dict[str, NDArray[Any]] = {}
-        for name in self.fields:
-            values = self[name]
-            if values.ndim == 1:
-                columns[name] = values
-                continue
-            for i, axis in enumerate(axes_of(name, values.shape[1])):
-                columns[f"{name}_{axis}"] = values[:, i]
-        return pandas.DataFrame(columns, index=pandas.Index(self.t_s, name="t_s"))
 
 
 class Topics:

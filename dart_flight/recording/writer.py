@@ -20,11 +20,11 @@ from collections import deque
 from pathlib import Path
 
 import msgspec
+from mcap.writer import CompressionType, Writer
 
 from dart_flight import __version__
 from dart_flight.base.records import Record
 from dart_flight.recording.encoding import encode
-from dart_flight.recording.mcap_writer import McapWriter
 from dart_flight.recording.schema import RECORD_TYPES, STREAMS, schema
 
 FORMAT_VERSION = 1
@@ -44,7 +44,7 @@ class LogPart:
 
     def __init__(self, path: Path, about: dict[str, str], number: int) -> None:
         self._file = open(path, "xb")  # noqa: SIM115
-        self._writer = McapWriter(self._file)
+        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
         self._writer.start(profile=PROFILE, library=f"dart-flight {__version__}")
         self._writer.add_metadata(
             ABOUT, {**about, "format_version": str(FORMAT_VERSION), "part": str(number)}

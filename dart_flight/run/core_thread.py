@@ -22,7 +22,6 @@ from dart_flight.vehicle.clock import host_us
 _TICK_S: Final = 0.02
 _STOP_S: Final = 2.0
 _BACKLOG: Final = 64  # inputs; beyond it only the newest of the state streams is stepped
-_PROMPT: Final = Pace.PROMPT  # looking it up in the enumeration takes longer than asking for it
 _STATE_STREAMS: Final = (AttitudeSample, OdometrySample, ActuatorSample)
 
 
@@ -58,7 +57,7 @@ class CoreThread:
         """Take an input of the stream: queue it, and step at once where the core is in haste; any thread."""
         self._queue.put(item)
         # Whoever steps looks into the queue again afterwards: what finds it owned is not forgotten.
-        while self._pace is _PROMPT and not self._queue.empty() and self._owner.acquire(blocking=False):
+        while self._pace is Pace.PROMPT and not self._queue.empty() and self._owner.acquire(blocking=False):
             try:
                 self._step_queued([])
             except BaseException as fault:
@@ -66,7 +65,7 @@ class CoreThread:
                 self._fault, self._pace = fault, Pace.TOGETHER
             finally:
                 self._owner.release()
-            if self._pace is not _PROMPT:
+            if self._pace is not Pace.PROMPT:
                 self._called.set()
 
     def stop(self) -> None:

@@ -70,9 +70,6 @@ _HOST_EVERY: Final = 5  # ticks of 4 ms: lock polled and host time reported at 5
 _ASK_EVERY: Final = 25  # ticks: as often as the app measures the round trip
 _REPEAT_US: Final = 50_000  # MAVSDK repeats the last set-point at 20 Hz
 _NAN3 = (math.nan, math.nan, math.nan)
-# Looked up once: a class is asked for with every record.
-_PHASE_CHANGE: Final = PhaseChange
-_SET_POINT: Final = SetPoint
 FLIGHT_MODES: Final = {
     VehicleAction.OFFBOARD: FlightMode.OFFBOARD,
     VehicleAction.LAND: FlightMode.LAND,
@@ -274,7 +271,7 @@ class FastFlight:
     def _see(self, record: Record, number: int) -> None:
         if self._observe is not None:
             self._observe(record, number)
-        if isinstance(record, _PHASE_CHANGE):
+        if isinstance(record, PhaseChange):
             # Of the simulated operator, who ends every pause.
             waits = record.after is Phase.PAUSE and self._operator_us is not None
             self._word_us = self.host_us + (self._operator_us or 0) if waits else None
@@ -326,7 +323,7 @@ class FastFlight:
 
     def deliver(self, order: Order) -> None:
         """A set-point, an action or a request arrives at the autopilot."""
-        if isinstance(order, _SET_POINT):
+        if isinstance(order, SetPoint):
             self.autopilot.set_trajectory(
                 TrajectorySetPoint(
                     order.position_ned,

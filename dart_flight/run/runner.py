@@ -23,8 +23,6 @@ from dart_flight.core.pace import Pace
 
 Observe = Callable[[Record, int], None]
 # Set-points have left already; the estimates come with every IMU sample and are no commands.
-_SET_POINT: Final = SetPoint
-_SILENCE: Final = Silence
 _NOT_CARRIED: Final = (SetPoint, ForceEstimate, TorqueEstimate)
 
 
@@ -76,8 +74,8 @@ class CoreRunner:
         number = self._number
         self._number += 1
         outputs = self.core.step(item)
-        sent = [self._send(output) for output in outputs if isinstance(output, _SET_POINT)]
-        if any(isinstance(output, _SILENCE) for output in outputs):
+        sent = [self._send(output) for output in outputs if isinstance(output, SetPoint)]
+        if any(isinstance(output, Silence) for output in outputs):
             self._held = None  # nothing leaves once that is decided
         elif not more:
             self._let_go()

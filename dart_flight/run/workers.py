@@ -1,13 +1,11 @@
-"""Processes that fly one flight after another; one that dies costs its own flight a retry, and no other.
+"""Flights side by side in a pool of processes; one that dies costs its own flight a retry, and no other.
 
-Every process has a pipe of its own, so that the flight of a dead one is known. They come from a fork server:
-a thread of the parent's (a progress bar's) cannot leave a lock behind in them, and when the parent is killed
-their pipes end and they with them.
+The processes come from a fork server: a thread of the parent's (a progress bar's) cannot leave a lock behind
+in them.
 """
 
 from __future__ import annotations
 
-import contextlib
 import multiprocessing
 import os
 import pickle
@@ -15,21 +13,20 @@ import signal
 import threading
 import traceback
 from collections import deque
-from collections.abc import Callable, Generator, Iterable
-from multiprocessing.connection import Connection, wait
+from collections.abc import Callable, Generator, Hashable, Iterable
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from dart_flight.base.errors import FlightError
 
-I = TypeVar("I")  # noqa: E741
+I = TypeVar("I", bound=Hashable)  # noqa: E741
 R = TypeVar("R")
 
 _POLL_S = 0.2  # for an interrupt
-_END_S = 5.0
 _RETRIES = 1
-_READY = "ready"
 # What a flight imports, once for all processes.
 _PRELOADED = ["dart_flight.run.fast", "dart_flight.recording.verdict"]
 
@@ -101,65 +98,78 @@ def attempt(fly: Callable[[I], R], item: I) -> R | Failure:
         return Failure(what, error)
 
 
-class _Worker(Generic[I, R]):
-    """A process and what it is flying."""
+class _Pool(Generic[I, R]):
+    """A process pool that has the function that flies, and is made anew where a process of it died."""
 
-    def __init__(self, fly: Callable[[I], R]) -> None:
+    def __init__(self, fly: Callable[[I], R], processes: int) -> None:
+        self._fly, self._processes = fly, processes
+        self._executor = self._make()
+
+    def _make(self) -> ProcessPoolExecutor:
         methods = multiprocessing.get_all_start_methods()
         context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
         if "forkserver" in methods:
             context.set_forkserver_preload(_PRELOADED)
-        self.pipe: Connection
-        self.pipe, there = context.Pipe()
-        self.process = context.Process(target=_serve, args=(there, fly), daemon=True)
-        self.process.start()
-        there.close()
-        self.is_ready = False
-        self.item: I | None = None
-        self.is_busy = False
+        return ProcessPoolExecutor(self._processes, context, initializer=_begin, initargs=(self._fly,))
 
-    def give(self, item: I) -> None:
-        """Let it fly; where it has died that shows when its result is awaited."""
-        self.item, self.is_busy = item, True
-        with contextlib.suppress(OSError):
-            self.pipe.send(item)
-
-    def receive(self) -> R | Failure | str | None:
-        """What it sends; None where it has died."""
+    def submit(self, item: I) -> Future[R | Failure]:
+        """Let one fly; where the pool is broken the future says so."""
         try:
-            received: R | Failure | str = self.pipe.recv()
-            return received
-        except (EOFError, OSError):
-            self.process.join(_END_S)
-            return None
+            return self._executor.submit(_fly_one, item)
+        except BrokenProcessPool as error:
+            future: Future[R | Failure] = Future()
+            future.set_exception(error)
+            return future
 
-    def end(self) -> None:
-        """Let it go; what it is flying is lost."""
-        self.pipe.close()
-        if self.is_busy or not self.is_ready:
-            self.process.terminate()
-        self.process.join(_END_S)
-        if self.process.is_alive():
-            self.process.kill()
-            self.process.join()
+    def renew(self) -> None:
+        """Take new processes.
+
+        Raises:
+            FlightError: they end before they could fly anything.
+        """
+        self.close()
+        self._executor = self._make()
+        try:
+            self._executor.submit(int).result()
+        except BrokenProcessPool:
+            raise FlightError("a process for flights ended before it flew anything") from None
+
+    def close(self) -> None:
+        """Begin nothing more; what is under way ends by itself, and nobody looks at it."""
+        self._executor.shutdown(wait=False, cancel_futures=True)
 
 
-def _serve(pipe: Connection, fly: Callable[[Any], Any]) -> None:
-    """In the process: fly what comes until there is no more."""
-    # The parent decides what an interrupt means.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+_fly: Callable[[Any], Any]  # in a process of the pool: what it was given to fly with
+
+
+def _begin(fly: Callable[[Any], Any]) -> None:
+    global _fly  # noqa: PLW0603  a pool hands its processes nothing else for good
+    _fly = fly
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what an interrupt means
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
-    with contextlib.suppress(EOFError, OSError):
-        pipe.send(_READY)
-        while True:
-            pipe.send(attempt(fly, pipe.recv()))
+    threading.Thread(target=_end_with_the_parent, daemon=True).start()
+
+
+def _end_with_the_parent() -> None:
+    """A pool's processes live on when their parent is killed: they would fly for nobody."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _fly_one(item: Any) -> Any:
+    return attempt(_fly, item)
 
 
 def work(
     fly: Callable[[I], R], items: Iterable[I], processes: int, interrupt: Interrupt
 ) -> Generator[Done[I, R], None, None]:
     """Fly items side by side, as they come; results in the order they land.
+
+    A pool breaks as a whole where one of its processes dies. Those under way then fly one at a time,
+    so that the one that dies again is known.
 
     Args:
         fly: flies one; goes to the processes by pickle, once.
@@ -171,66 +181,36 @@ def work(
     Raises:
         FlightError: a process ends before it could fly anything.
     """
-    waiting, again = iter(items), deque[tuple[I, int]]()
-    died: dict[int, int] = {}  # deaths of the item that a worker has, by the worker
-    crew: list[_Worker[I, R]] = []
-    exhausted = False
-
-    def begin(worker: _Worker[I, R]) -> bool:
-        nonlocal exhausted
-        if again:
-            item, deaths = again.popleft()
-        else:
-            try:
-                item, deaths = next(waiting), 0
-            except StopIteration:
-                exhausted = True
-                return False
-        died[id(worker)] = deaths
-        worker.give(item)
-        return True
-
+    waiting, suspects = iter(items), deque[I]()
+    deaths: dict[I, int] = {}
+    under_way: dict[Future[R | Failure], I] = {}
+    pool: _Pool[I, R] = _Pool(fly, processes)
+    alone = False
     try:
         while interrupt.count < 2:
-            for worker in crew:
-                if worker.is_busy or interrupt.count or (exhausted and not again):
-                    continue
-                begin(worker)
-            while len(crew) < processes and not interrupt.count and (again or not exhausted):
-                crew.append(_Worker(fly))
-                if not begin(crew[-1]):
-                    crew.pop().end()
-            busy = {worker.pipe: worker for worker in crew if worker.is_busy}
-            if not busy:
+            if not under_way:
+                alone = bool(suspects)
+            while not interrupt.count and len(under_way) < (1 if alone else processes):
+                try:
+                    item = suspects.popleft() if alone else next(waiting)
+                except StopIteration:
+                    break
+                under_way[pool.submit(item)] = item
+            if not under_way:
                 return
-            for pipe in wait(list(busy), timeout=_POLL_S):
-                worker = busy[pipe]  # type: ignore[index]
-                received = worker.receive()
-                if received == _READY:
-                    worker.is_ready = True
-                    continue
-                item, worker.is_busy = worker.item, False
-                assert item is not None
-                if received is not None and not isinstance(received, str):
-                    yield Done(item, received)
-                    continue
-                crew.remove(worker)
-                worker.end()
-                ended = _how_ended(worker.process.exitcode)
-                if not worker.is_ready:
-                    raise FlightError(f"a process for flights ended before it flew anything ({ended})")
-                deaths = died.pop(id(worker)) + 1
-                if deaths > _RETRIES:
-                    yield Done(item, Failure(f"its process died {deaths} times ({ended})"))
-                else:
-                    again.append((item, deaths))
+            landed, _ = wait(under_way, timeout=_POLL_S, return_when=FIRST_COMPLETED)
+            for future in landed:
+                if not isinstance(future.exception(), BrokenProcessPool):
+                    yield Done(under_way.pop(future), future.result())
+            if any(isinstance(future.exception(), BrokenProcessPool) for future in landed):
+                lost = list(under_way.values())
+                under_way.clear()
+                pool.renew()
+                for item in lost:
+                    deaths[item] = deaths.get(item, 0) + alone
+                    if deaths[item] > _RETRIES:
+                        yield Done(item, Failure(f"its process died {deaths[item]} times"))
+                    else:
+                        suspects.append(item)
     finally:
-        for worker in crew:
-            worker.end()
-
-
-def _how_ended(code: int | None) -> str:
-    if code is not None and code < 0:
-        with contextlib.suppress(ValueError):
-            return signal.Signals(-code).name
-    return f"exit code {code}"
+        pool.close()

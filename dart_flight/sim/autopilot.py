@@ -34,11 +34,6 @@ _FAILSAFE_HOLD_S: Final = 5.0
 _IDLE: Final = 0.05
 _KILL_DISARM_S: Final = 5.0  # PX4's COM_KILL_DISARM
 _OFFBOARD_PROOF_S: Final = 0.5  # set-points must be this fresh for the mode to be accepted
-# Looked up once: asked of the enumeration at every tick they cost more than the comparison.
-_ON_GROUND: Final = LandedState.ON_GROUND
-_OFFBOARD: Final = FlightMode.OFFBOARD
-_LAND: Final = FlightMode.LAND
-_TAKEOFF: Final = FlightMode.TAKEOFF
 
 
 class ImuReading:
@@ -223,13 +218,13 @@ class Autopilot:
         self.motors = self.cascade.update_attitude(e.q, e.rate, TICK_S)
 
     def _setpoint(self) -> TrajectorySetPoint:
-        if self.mode is _OFFBOARD and self._offboard is not None:
+        if self.mode is FlightMode.OFFBOARD and self._offboard is not None:
             return self._offboard
-        if self.mode is _LAND:
+        if self.mode is FlightMode.LAND:
             p = self._hold.position
             down = self.parameters["MPC_LAND_SPEED"]
             return TrajectorySetPoint((p[0], p[1], math.nan), (math.nan, math.nan, down), yaw=self._hold.yaw)
-        if self.mode is _TAKEOFF:
+        if self.mode is FlightMode.TAKEOFF:
             e = self.estimator
             if abs(e.position[2] - self._hold.position[2]) < 0.1 and abs(e.velocity[2]) < 0.2:
                 self.say("info", "Takeoff finished")
@@ -243,7 +238,7 @@ class Autopilot:
         """Hold where the vehicle would come to rest, at the present heading."""
         e = self.estimator
         # PX4 brakes before it holds; its stopping distance at 0.95 1/s and 1.8 1/s is about 0.5 s of flight.
-        ahead = 0.5 if self.armed and self.landed is not _ON_GROUND else 0.0
+        ahead = 0.5 if self.armed and self.landed is not LandedState.ON_GROUND else 0.0
         self._hold = TrajectorySetPoint(
             (
                 e.position[0] + ahead * e.velocity[0],
@@ -255,7 +250,7 @@ class Autopilot:
 
     def _resting(self, setpoint: TrajectorySetPoint) -> bool:
         """On the ground with nothing that asks to leave it: motors idle."""
-        if self.landed is not _ON_GROUND:
+        if self.landed is not LandedState.ON_GROUND:
             return False
         wants_up = setpoint.position[2] < self.estimator.position[2] - 0.05 or setpoint.velocity[2] < -0.05
         return not wants_up
@@ -263,14 +258,14 @@ class Autopilot:
     def _check_offboard(self) -> None:
         now = self.now_s
         lost = now - self._offboard_at_s > self.parameters["COM_OF_LOSS_T"]
-        if self.mode is _OFFBOARD and lost:
+        if self.mode is FlightMode.OFFBOARD and lost:
             self.say("critical", "Failsafe: offboard lost, holding")
             self.set_mode(FlightMode.HOLD)
             self.failsafe = "offboard lost"
             self._failsafe_since_s = now
         elif self._failsafe_since_s is not None and now - self._failsafe_since_s > _FAILSAFE_HOLD_S:
             self.say("critical", "Failsafe: offboard lost, landing")
-            self.set_mode(_LAND)
+            self.set_mode(FlightMode.LAND)
             self.failsafe = "offboard lost"
             self._failsafe_since_s = None
 
@@ -279,17 +274,17 @@ class Autopilot:
         if not (self.plant.on_ground and still):
             self._quiet_since_s = self.now_s
         quiet = self.now_s - self._quiet_since_s
-        if self.landed is _ON_GROUND:
+        if self.landed is LandedState.ON_GROUND:
             if self.armed and not self.plant.on_ground:
                 self.landed = LandedState.IN_AIR
         elif quiet > 0.5:
-            self.landed = _ON_GROUND
+            self.landed = LandedState.ON_GROUND
             self.say("info", "Landing detected")
         disarm_after = self.parameters["COM_DISARM_LAND"]
         if (
             self.armed
-            and self.landed is _ON_GROUND
-            and self.mode is _LAND
+            and self.landed is LandedState.ON_GROUND
+            and self.mode is FlightMode.LAND
             and disarm_after > 0.0
             and quiet > disarm_after
         ):

@@ -52,7 +52,6 @@ _REBOUND_S: Final = 0.01  # a guard that comes back within this time belongs to 
 _HALF_ENGAGED: Final = 0.5  # how free arms are with half-engaged rods
 _GROUND_M: Final = 0.01  # above it the landing gear touches nothing
 _UNTOUCHED: Final = UNTOUCHED
-_FLEXIBLE: Final = Mode.FLEXIBLE
 _NO_FORCE = (0.0, 0.0, 0.0)
 _AT_REST = (0.0, 0.0, 0.0, 0.0)  # arms: displacement north, east in m; its speed in m/s
 _GAIN_M_S: Final = 0.5  # more than this no thrust adds to the speed within a tick
@@ -372,7 +371,7 @@ class Plant:
 
     def _freedom(self) -> float:
         """1 with free arms, 0 with locked ones; half-engaged rods are neither."""
-        if self.mode is _FLEXIBLE:
+        if self.mode is Mode.FLEXIBLE:
             return 1.0
         return _HALF_ENGAGED if self._half_engaged else 0.0
 

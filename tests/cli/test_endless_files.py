@@ -29,9 +29,9 @@ COMMANDS = {
     "thrust of a ULog": ["calibrate", "thrust", "FILE.ulg"],
     "inertia": ["calibrate", "inertia", "FILE"],
     "airframe": ["calibrate", "airframe", "FILE"],
-    "feel": ["feel", "FILE"],
+    "inspect": ["inspect", "FILE"],
     "trial": ["identify", "FILE.csv"],
-    "trial of a ULog": ["identify", "FILE.ulg", "--bump"],
+    "trial of a ULog": ["identify", "FILE.ulg", "--drop"],
     "trial of a flight": ["identify", "FILE.mcap"],
 }
 

@@ -19,6 +19,7 @@ from dart_flight.config.mission import load_mission
 from dart_flight.config.provenance import find_vehicle
 from dart_flight.lab.report.flight import Flight
 from dart_flight.lab.report.player import player_data
+from dart_flight.lab_entries import COMMANDS as LAB_COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
 SINGLE = dart_flight.packaged("missions", "single_wall.yaml")
@@ -72,7 +73,8 @@ def test_an_interrupt_is_said_and_130(
     def interrupted(arguments: object) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(f"dart_flight.cli.{command}_command.run", interrupted)
+    module = LAB_COMMANDS.get(command, f"dart_flight.cli.{command}_command")
+    monkeypatch.setattr(f"{module}.run", interrupted)
     assert main([command, *(["x.mcap"] if command != "tables" else [])]) == 130
     assert capsys.readouterr().err == "interrupted\n"
 
@@ -188,6 +190,6 @@ def test_the_animation_of_a_vehicle_without_a_lock_shows_none(
     data = player_data(Flight.read(next(tmp_path.glob("*/flight.mcap"))))
     assert data is not None
     assert data["hasLock"] is has_lock
-    player = (ROOT / "dart_flight" / "report" / "player.js").read_text(encoding="utf-8")
+    player = (ROOT / "dart_flight" / "lab" / "report" / "player.js").read_text(encoding="utf-8")
     shows = [line for line in player.splitlines() if '"lock' in line and "setAttribute" not in line]
     assert all("D.hasLock" in line for line in shows)

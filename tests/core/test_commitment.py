@@ -8,11 +8,9 @@ import pytest
 
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.arithmetic import SCALARS
 from dart_flight.core.mission.commitment import SETTLED_BEFORE_S, bearable_in_either_mode, may_commit
 from dart_flight.core.mission.position_loop import PlaneMet, least_distance_m, meets_plane
 from dart_flight.core.sense.state import FlightState
-from dart_flight.planning.constraints import ARRAYS
 from dart_flight.planning.planned import planned_flight
 from dart_flight.run.fast import fly_fast
 
@@ -60,11 +58,9 @@ def test_numbers_and_arrays_are_judged_alike() -> None:
     place = rng.uniform((1.6, -1.5), (1.7, 1.5), (200, 2))
     velocity = rng.uniform((-4.0, -1.5), (-0.1, 1.5), (200, 2))
     args = (STIFF.vehicle, STIFF.limits, STIFF.bounds, ACRYLIC.wall, (0.025, 0.025))
-    together = bearable_in_either_mode(
-        ARRAYS, *args, (place[:, 0], place[:, 1]), (velocity[:, 0], velocity[:, 1])
-    )
+    together = bearable_in_either_mode(*args, (place[:, 0], place[:, 1]), (velocity[:, 0], velocity[:, 1]))
     single = [
-        bool(bearable_in_either_mode(SCALARS, *args, (float(p[0]), float(p[1])), (float(v[0]), float(v[1]))))
+        bool(bearable_in_either_mode(*args, (float(p[0]), float(p[1])), (float(v[0]), float(v[1]))))
         for p, v in zip(place, velocity, strict=True)
     ]
     assert together.tolist() == single

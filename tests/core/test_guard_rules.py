@@ -16,7 +16,6 @@ from dart_flight.base.records import (
     FlightMode,
     GuardEvent,
     ImuSample,
-    Input,
     LandedState,
     LockPhase,
     MissionEnd,
@@ -33,6 +32,7 @@ from dart_flight.base.records import (
     SetPoint,
     Silence,
     StatusText,
+    Tick,
     VehicleAction,
     VehicleCommand,
 )
@@ -42,7 +42,6 @@ from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.guard.guard import Guard
 from dart_flight.core.guard.rules import RULES, Rule
 from dart_flight.core.mission import executive, rehearsal
-from dart_flight.core.sense.state import FlightState
 from tests.core.conftest import ROOT, TELEPORTING, HandFedCore
 
 CAUSES: dict[str, Callable[[HandFedCore], object]] = {}
@@ -159,6 +158,7 @@ def stamps_backwards(c: HandFedCore) -> None:
     c.to_flight()
     for i in range(5):
         c.give(AttitudeSample(c.t_us - 1_000_000 + 8000 * i, c.t_us, c.q))
+    c.give(Tick(c.t_us + 20_000))
 
 
 @cause
@@ -483,24 +483,6 @@ def test_without_the_rule_nobody_says_it(rule: Rule) -> None:
     assert rule.name not in [e.rule for e in fired(c)]
 
 
-@pytest.mark.parametrize("name", CAUSES)
-def test_while_calm_no_rule_marked_so_has_a_cause(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The guard does not ask them then: on the way to every rule's cause it would hear of none."""
-    judge, steps = Guard._judge, [0, 0]
-
-    def judged(guard: Guard, item: Input, state: FlightState, phase: Phase, events: list[Output]) -> None:
-        watch = guard._watch
-        steps[watch.calm] += 1
-        if watch.calm:
-            causes = {r.name: r.cause(watch) for r in RULES if r.calm and r.cause is not None}
-            assert not {rule: cause for rule, cause in causes.items() if cause is not None}
-        judge(guard, item, state, phase, events)
-
-    monkeypatch.setattr(Guard, "_judge", judged)
-    CAUSES[name](HandFedCore(rules=RULES if name == "estimator_jump" else TELEPORTING))
-    assert steps[1] > 20 or name.endswith("_ground"), steps
-
-
 def test_nothing_fires_in_a_quiet_flight() -> None:
     c = HandFedCore()
     c.to_flight()
@@ -770,7 +752,7 @@ def test_a_kill_switch_shows_by_the_fall_before_px4_disarms() -> None:
     c.motors, c.falling = (0.0,) * 4, True
     c.run(0.1)
     assert not fired(c)
-    c.run(0.02)
+    c.run(0.04)
     assert [e.rule for e in fired(c)] == ["disarmed"]
     assert c.core.end is not None
     assert c.core.end.reason is not None
@@ -837,6 +819,7 @@ def test_a_clock_that_jumps_once_stays_one_that_runs_backwards(back_s: float) ->
         c.give(AttitudeSample(t, received, c.q))
         c.give(ImuSample(t, received, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)))
         c.give(OdometrySample(t, received, c.position_ned, c.velocity_ned))
+        c.give(Tick(received))
     assert [e.rule for e in fired(c)] == ["stamps_backwards"]
 
 

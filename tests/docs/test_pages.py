@@ -25,7 +25,7 @@ from dart_flight.config.vehicle import Material, VehicleConfig, load_vehicle
 from dart_flight.lab.report.flight import Flight
 from tests.docs.snippets import PAGES, ROOT, Block, blocks
 from tests.shared_flights import SharedFlights
-from tools.docs import animation, concept_figures, generated, wiring_drawing
+from tools.docs import animation, concept_figures, generated
 
 ALL = [block for page in PAGES for block in blocks(page)]
 LANGUAGES = {"", "sh", "yaml", "json", "ini", "mermaid", "python"}
@@ -89,15 +89,6 @@ def test_the_moving_picture_of_the_readme(tmp_path: Path, flown: SharedFlights) 
         assert getattr(small, "n_frames", 1) == 3
         assert small.size == shipped.size
         assert getattr(shipped, "n_frames", 1) >= len(times)
-
-
-def test_the_wiring_is_drawn_from_its_table(tmp_path: Path) -> None:
-    wiring_drawing.draw(tmp_path / "wiring.svg")
-    for text in ((tmp_path / "wiring.svg").read_text(), wiring_drawing.FILE.read_text()):
-        for label in [box.name for box in wiring_drawing.BOXES] + [
-            wire.end for wire in wiring_drawing.SERIAL
-        ]:
-            assert label in text
 
 
 # --- snippets --------------------------------------------------------------------------------------------

@@ -14,7 +14,6 @@ from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.scenario import load_scenario
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import is_blocked
-from dart_flight.core.mission.arithmetic import SCALARS
 from dart_flight.core.mission.survey import SURE_SD, end_margin_m
 from dart_flight.lab.search.search import search
 
@@ -68,4 +67,4 @@ def test_a_path_keeps_the_margin_from_the_end_that_it_passes(y: float, sd: float
     wall = Wall("door", (1.0, 0.0), (-1.0, 0.0), 1.6, "wood", sd, None, HALF_M)
     beside = abs(y) - 0.8 - HALF_M - SURE_SD * sd
     if abs(beside) > 1e-9:
-        assert is_blocked(SCALARS, wall, (0.0, y), (2.0, y)) == (beside < 0.0)
+        assert is_blocked(wall, (0.0, y), (2.0, y)) == (beside < 0.0)

@@ -77,7 +77,7 @@ def test_items_are_taken_as_they_are_flown() -> None:
 
 def test_a_process_that_dies_costs_its_own_flight_a_retry(tmp_path: Path) -> None:
     found = flown(work(partial(moody, tmp_path), range(10), 2, Interrupt()))
-    assert found[5] == Failure("its process died 2 times (SIGKILL)")
+    assert found[5] == Failure("its process died 2 times")
     seven = found[7]
     assert isinstance(seven, Failure)
     assert isinstance(seven.error, InputError)
@@ -95,7 +95,7 @@ def test_an_exception_that_cannot_travel_is_told_in_words() -> None:
 
 
 def test_processes_that_cannot_begin_end_it() -> None:
-    with pytest.raises(FlightError, match=r"ended before it flew anything \(exit code 3\)"):
+    with pytest.raises(FlightError, match=r"ended before it flew anything"):
         list(work(Dead(), range(5), 2, Interrupt()))
 
 

@@ -15,8 +15,6 @@ MODULES = {
     "identify": "tools.campaigns.identify",
     "flight-identify": "tools.campaigns.flight_identify",
     "replay": "tools.campaigns.replay",
-    "plan": "tools.campaigns.plan",
-    "agreement": "tools.campaigns.plan_agreement",
     "force": "tools.campaigns.force",
     "body": "tools.campaigns.body",
     "felt": "tools.campaigns.felt",

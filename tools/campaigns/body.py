@@ -56,7 +56,6 @@ ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "build" / "body"
 PICTURE = ROOT / "build" / "body.png"
 MISSIONS = ("paper_single_wall", "paper_dual_collision")
-WIDE_ROOM = "wide_room"
 PARTS = ("corners", "yaw", "map", "vary")
 FIRST_SEED = 7001
 YAWS_DEG = (0.0, 5.0, -5.0, 10.0, -10.0)
@@ -135,12 +134,11 @@ class Job(msgspec.Struct, frozen=True):
     """One flight.
 
     Attributes:
-        mission: name of a shipped one, or `wide_room` beside this file.
+        mission: name of a shipped one.
         seed: of sensors, scatter and draws.
         case: the body.
         yaw_deg: every wall turned by so much, counter-clockwise seen from above.
-        normal_m_s, tangential_m_s: of the first approach; None: as the mission has it.
-        mode: of the first collision; None: as the mission has it.
+        normal_m_s: of the first approach; None: as the mission has it.
         vary: as `--vary` takes it.
         settings: beyond the case's, as `--set` takes them.
     """
@@ -150,8 +148,6 @@ class Job(msgspec.Struct, frozen=True):
     case: Case
     yaw_deg: float = 0.0
     normal_m_s: float | None = None
-    mode: str | None = None
-    tangential_m_s: float | None = None
     vary: tuple[str, ...] = ()
     settings: tuple[str, ...] = ()
 
@@ -263,15 +259,10 @@ def _mission(job: Job) -> Mission:
     Raises:
         InputError: it cannot be flown with this approach.
     """
-    folder = Path(__file__).parent if job.mission == WIDE_ROOM else ROOT / "missions"
-    document = load_document(folder / f"{job.mission}.yaml", FileKind.MISSION)
+    document = load_document(ROOT / "missions" / f"{job.mission}.yaml", FileKind.MISSION)
     if job.normal_m_s is not None:
         document.tree["collisions"][0]["approach"]["normal_m_s"] = job.normal_m_s
         document.tree["limits"] = {"speed_m_s": 4.0, "peak_force_n": 250.0}
-    if job.tangential_m_s is not None:
-        document.tree["collisions"][0]["approach"]["tangential_m_s"] = job.tangential_m_s
-    if job.mode is not None:
-        document.tree["collisions"][0]["mode"] = job.mode
     mission = parse_mission(document, None, (*job.case.settings(), *job.settings))
     try:
         FlightCore(mission)

@@ -26,7 +26,7 @@ from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.flight_trials import ALLOWANCE, trials_of
 from dart_flight.lab.report.flight import Flight
-from dart_flight.lab.report.proposal import AGREES, propose
+from dart_flight.lab.report.page import AGREES, beyond, disagreements
 from dart_flight.recording.reader import read_log
 from dart_flight.run.prepare import load_flyable
 from tools.bench.other_wall import fly_against, with_walls
@@ -64,7 +64,9 @@ class Found(msgspec.Struct):
     high: float | None
     body: str
     turned_deg_s: float  # the most about the vertical in these contacts
-    proposed: bool  # whether the report of these flights proposes an entry for the material
+    proposed: (
+        bool  # the report disagrees, and an interval of the material's does not hold the configured value
+    )
 
     @property
     def inside(self) -> bool:
@@ -104,12 +106,18 @@ def run_case(name: str, factors: dict[str, float], first_seed: int, keep: Path) 
     folder = folder_of(keep, name, factors)
     folder.mkdir(parents=True, exist_ok=True)
     paths = [_flown(mission, real, seed, folder) for seed in range(first_seed, first_seed + FLIGHTS)]
-    proposals = {p.material: bool(p.entry) for p in propose([Flight.read(path) for path in paths])}
+    disagreement = disagreements([Flight.read(path) for path in paths])
     logs = [read_log(path) for path in paths]
     for material in dict.fromkeys(c.wall.material for c in mission.collisions):
         trials = [t for log in logs for t in trials_of(log, material).get(material, [])]
         result = identify(
             trials, mission.vehicle.airframe.mass_kg, Onset(mission.vehicle.onset), compare_laws=False
+        )
+        configured = mission.vehicle.materials[material]
+        proposed = beyond(disagreement[material]) and any(
+            e is not None and not e.low <= getattr(getattr(configured, mode), name) <= e.high
+            for mode, coefficients in result.coefficients.items()
+            for name, e in coefficients.items()
         )
         for mode, coefficients in result.coefficients.items():
             truth = getattr(real.vehicle.materials[material], mode)
@@ -119,7 +127,7 @@ def run_case(name: str, factors: dict[str, float], first_seed: int, keep: Path) 
                 found.append(
                     Found(
                         file, words, material, mode, coefficient, getattr(truth, coefficient), value, low,
-                        high, body, turned, proposals[material],
+                        high, body, turned, proposed,
                     )
                 )  # fmt: skip
     (folder / _FOUND).write_bytes(msgspec.json.encode(found))
@@ -188,10 +196,10 @@ however many there are ({allowed} of the value): PX4's velocity loop brakes
 the vehicle while the wall does, which looks like damping of the wall, and it holds the height against
 the vertical force. Where the vehicle turned, mu's interval is wider by that too.
 
-`proposed`: the report of these flights proposes a new entry for the material. It does so where the mean
-of measured over predicted peak, of the normal force or of friction above 5 N, is off by more than
-{100 * AGREES:.0f} % and by more than its own 95 % interval, and a coefficient's interval does not hold
-the configured value. A wrong nu alone is found with `report --identify`.
+`proposed`: the report of these flights says to identify the material, and a coefficient's interval does
+not hold the configured value. The report says so where the mean of measured over predicted peak, of the
+normal force or of friction above 5 N, is off by more than {100 * AGREES:.0f} % and by more than its own 95 %
+interval. A wrong nu alone is found with `identify`.
 
 {left_out}## A point, as the law has it
 

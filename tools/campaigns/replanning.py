@@ -27,8 +27,6 @@ from dart_flight.base.geometry import distance2
 from dart_flight.base.records import (
     AfterImpact,
     GoalPassed,
-    LockPhase,
-    LockState,
     Outcome,
     Override,
     PlanTaken,
@@ -76,19 +74,6 @@ WAYS = {
 }
 
 
-class AfterFirst(msgspec.Struct):
-    """Truth at the end of the first contact: what there was to plan from.
-
-    Attributes:
-        position_mission, velocity_mission: horizontal, m and m/s.
-        settled_s: from then on until the lock was settled for the next collision; None: it never was.
-    """
-
-    position_mission: tuple[float, float]
-    velocity_mission: tuple[float, float]
-    settled_s: float | None
-
-
 class Flown(msgspec.Struct):
     """One flight.
 
@@ -101,7 +86,6 @@ class Flown(msgspec.Struct):
         miss_m: distance to the goal at the first closest approach after the last contact.
         capture_s: from the last contact's end until the goal is held.
         taken: plans that were flown, and why others were not.
-        after_first: the vehicle when it had left the first wall; None: it never met one.
     """
 
     way: str
@@ -113,7 +97,6 @@ class Flown(msgspec.Struct):
     miss_m: float | None
     capture_s: float | None
     taken: list[str]
-    after_first: AfterFirst | None = None
 
 
 def _goal_figures(
@@ -149,19 +132,13 @@ def fly(way: str, seed: int, vary: Sequence[str], settings: Sequence[str], path:
     contacts: list[TruthContact] = []
     way_to_goal: list[tuple[int, float]] = []
     taken: list[str] = []
-    truths: list[TruthSample] = []
-    settled: list[LockState] = []
-    following = mission.collisions[1].mode
 
     def observe(record: Record, number: int) -> None:
         builder.take(record)
         watch.take(record)
         if isinstance(record, TruthContact):
             contacts.append(record)
-        elif isinstance(record, LockState) and record.phase is LockPhase.SETTLED and record.mode is following:
-            settled.append(record)
         elif isinstance(record, TruthSample):
-            truths.append(record)
             way_to_goal.append((record.t_us, distance2(record.position_mission, mission.goal.position_m)))
         elif isinstance(record, PlanTaken):
             taken.append("" if record.taken else record.reason)
@@ -188,23 +165,7 @@ def fly(way: str, seed: int, vary: Sequence[str], settings: Sequence[str], path:
         miss,
         capture,
         taken,
-        _after_first(contacts, truths, settled),
     )
-
-
-def _after_first(
-    contacts: Sequence[TruthContact], truths: Sequence[TruthSample], settled: Sequence[LockState]
-) -> AfterFirst | None:
-    if not contacts:
-        return None
-    end_us = contacts[0].end_us
-    truth = next((t for t in truths if t.t_us >= end_us), None)
-    if truth is None:
-        return None
-    ready_us = next((lock.t_us for lock in settled if lock.t_us > end_us), None)
-    settled_s = None if ready_us is None else (ready_us - end_us) * 1e-6
-    (x, y, _), (vx, vy, _) = truth.position_mission, truth.velocity_mission
-    return AfterFirst((x, y), (vx, vy), settled_s)
 
 
 def summary(name: str, flights: list[Flown], planned: tuple[float, float]) -> str:

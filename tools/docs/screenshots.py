@@ -20,17 +20,16 @@ from dart_flight.lab.report.page import comparison_page, flight_page
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.faults.kinds import parse_fault
-from tools.bench.other_wall import fly_against, with_walls
 from tools.docs.browser import Browser, find_browser
 
 FOLDER = Path(__file__).resolve().parents[2] / "docs" / "img"
-_TRIALS, _PROPOSED_FROM = 10, 3
+_TRIALS = 10
 # Where there was no such hit: what the guard did.
 _AT_HIT = "document.querySelector('#player [data-hit=\"{}\"], #player .jumps button')?.click()"
 
 
-def _mission(name: str, *settings: str) -> Mission:
-    return load_flyable(packaged("missions", f"{name}.yaml"), packaged("configs", "dart.yaml"), settings)
+def _mission(name: str) -> Mission:
+    return load_flyable(packaged("missions", f"{name}.yaml"), packaged("configs", "dart.yaml"))
 
 
 def _flown(mission: Mission, folder: Path, seed: int = 1, fault: str | None = None) -> Flight:
@@ -55,17 +54,6 @@ def _aborted(folder: Path) -> str:
 def _ten_trials(folder: Path) -> str:
     mission = _mission("paper_dual_collision")
     return comparison_page([_flown(mission, folder, seed) for seed in range(1, _TRIALS + 1)])
-
-
-def _proposal(folder: Path) -> str:
-    # What is identified is the law of a point: a body's friction, off its centre, would come out as another.
-    mission = _mission("paper_single_wall", "simulation.contact.body=point")
-    flights = []
-    for seed in range(1, _PROPOSED_FROM + 1):
-        log = folder / str(seed) / "flight.mcap"
-        fly_against(mission, with_walls(mission, k=1.2), seed, log)
-        flights.append(Flight.read(log))
-    return comparison_page(flights)
 
 
 class Shot(NamedTuple):
@@ -98,7 +86,6 @@ SHOTS = {
     "report_dual_grey": Shot(_dual, height=1500, section="Force of each impact", css="filter: grayscale(1)"),
     "report_aborted": Shot(_aborted),
     "report_ten": Shot(_ten_trials, height=2400),
-    "report_proposal": Shot(_proposal, height=900, section="Contact coefficients"),
 }
 
 

@@ -1,15 +1,15 @@
 """The guard: sees the same state as the mission and disposes of what it proposes.
 
-`review` is the last stage of every step. It judges the rules of `rules` at every step, and what the mission
-has found that only the mission can know. An override latches, in the order release > kill > land > hold >
-break off; from then on the mission's set-points and commands go nowhere and the guard flies: it needs nothing
-of the mission.
+`review` is the last stage of every step. It judges the rules of `rules`, all of them every 20 ms and those
+that name an input after it at once, and takes what the mission has found that only the mission can know. An
+override latches, in the order release > kill > land > hold > break off; from then on the mission's set-points
+and commands go nowhere and the guard flies: it needs nothing of the mission.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from dart_flight.base.geometry import Vec2, Vec3, norm
@@ -31,7 +31,7 @@ from dart_flight.base.records import (
     VehicleCommand,
 )
 from dart_flight.config.mission import Mission
-from dart_flight.core.guard.rules import RULES, RULES_BY_NAME, Rule, Scope, in_scope
+from dart_flight.core.guard.rules import RULES, RULES_BY_NAME, Rule, in_scope
 from dart_flight.core.guard.watch import Watch
 from dart_flight.core.mission.phases import DOWN_US
 from dart_flight.core.mission.position_loop import STOP_TIME_S
@@ -40,15 +40,11 @@ from dart_flight.core.mission.survey import early_m, slack_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-Causes = list[tuple[int, Callable[[Watch], str | None], str]]  # rank of the action, cause, name of the rule
+Causes = list[tuple[Rule, Callable[[Watch], str | None]]]
 
-# Looked up once: a class or a member of an enumeration is asked for at every step.
 _COMMANDS: Final = (SetPoint, VehicleCommand)
 _COMMANDS_AND_LOCK: Final = (SetPoint, VehicleCommand, LockCommand)
-_NONE: Final = Override.NONE
-_RELEASE: Final = Override.RELEASE
-_DONE: Final = Phase.DONE
-
+_JUDGED_EVERY_US: Final = 20_000  # host time: as often as a tick comes
 _HOLD_US: Final = 3_000_000
 _RETRY_US: Final = 1_000_000
 # PX4 disarms by itself after landing; the command is for when it does not
@@ -58,22 +54,10 @@ _LANDING_US: Final = 60_000_000  # from 2 m at 0.7 m/s a landing takes 5 s
 
 
 class _Judged(NamedTuple):
-    """What is judged in a phase.
+    """The rules that are judged in a phase: `every` 20 ms, and `at_once` after an input of a kind."""
 
-    Attributes:
-        asked: where there is a request.
-        all: at the first step of the phase.
-        after: an input of a kind that some rules wait for.
-        always: after any other.
-        calm_after, calm_always: likewise while `Watch.calm`.
-    """
-
-    asked: Causes
-    all: Causes
-    after: dict[type, Causes]
-    always: Causes
-    calm_after: dict[type, Causes]
-    calm_always: Causes
+    every: Causes
+    at_once: dict[type, Causes]
 
 
 class Guard:
@@ -88,10 +72,8 @@ class Guard:
         self._mission = mission
         self._config = mission.vehicle.guard
         self._rules = {rule.name: rule for rule in rules}
-        # What is judged in which phase, sorted out once: this runs at every step of the flight.
-        self._judged = {phase: _sorted_out(rules, phase) for phase in Phase}
-        self._judged_phase: Phase | None = None  # at the step before
-        self._explaining = {rule.name for rule in rules if rule.explains}
+        self._judged = {phase: _judged_in(phase, rules) for phase in Phase}
+        self._judged_us = 0  # when all were, host time
         self._watch = Watch(mission)
         # A landing is waited for until the motors would have been stopped.
         self._landing_us = max(_LANDING_US, round(2e6 * (self._watch.surely_down_s or 0.0)))
@@ -128,9 +110,9 @@ class Guard:
         events: list[Output] = []
         for finding in proposal.findings:
             self._fire(finding.rule, finding.detail, state, events, finding.noted)
-        if phase is not _DONE and self.end is None:
+        if phase is not Phase.DONE and self.end is None:
             self._judge(item, state, phase, events)
-        if self.action is _NONE:
+        if self.action is Override.NONE:
             if proposal.altitude_m is not None:
                 self._altitude_m = proposal.altitude_m
             outputs = proposal.outputs
@@ -142,7 +124,7 @@ class Guard:
             return outputs + events
         kept: list[Output] = [o for o in proposal.outputs if not isinstance(o, _COMMANDS_AND_LOCK)]
         kept += events
-        if self.end is None and (self.action is _RELEASE or not self._watch.doubtful):
+        if self.end is None and (self.action is Override.RELEASE or not self._watch.doubtful):
             self._fly(item, state, kept)
         return kept
 
@@ -157,30 +139,23 @@ class Guard:
         return self._watch.land_asked
 
     def _judge(self, item: Input, state: FlightState, phase: Phase, events: list[Output]) -> None:
-        watch, rank = self._watch, self._rank
         judged = self._judged[phase]
-        if watch.request is not None:
-            due = judged.asked
-        elif phase is not self._judged_phase:  # some of the rules have not been in their scope before
-            due = judged.all
-        elif watch.calm:
-            due = judged.calm_after.get(type(item), judged.calm_always)
+        if state.host_us - self._judged_us >= _JUDGED_EVERY_US:
+            self._judged_us, due = state.host_us, judged.every
         else:
-            due = judged.after.get(type(item), judged.always)
-        self._judged_phase = phase
-        for action, cause, name in due:
-            # A rule whose action is in force already has nothing to add.
-            if action > rank:
-                detail = cause(watch)
+            due = judged.at_once.get(type(item), [])
+        for rule, cause in due:
+            # A rule whose action is in force already has nothing to add but, some of them, what explains it.
+            rank = rule.action.rank
+            if rank > self._rank:
+                detail = cause(self._watch)
                 if detail is not None:
-                    self._fire(name, detail, state, events)
-                    rank = self._rank
-            elif action == rank and name in self._explaining:
-                self._explain(name, cause(watch), state, events)
+                    self._fire(rule.name, detail, state, events)
+            elif rank == self._rank and rule.explains:
+                self._explain(rule, cause(self._watch), state, events)
 
-    def _explain(self, name: str, detail: str | None, state: FlightState, events: list[Output]) -> None:
+    def _explain(self, rule: Rule, detail: str | None, state: FlightState, events: list[Output]) -> None:
         """The cause of what is in force already shows: its rule is named, and is the reason from now on."""
-        rule = self._rules[name]
         if detail is not None and self._rule is not None and self._rule.name in rule.explains:
             if rule.of_streams:
                 detail += self._watch.circumstances
@@ -329,23 +304,7 @@ class Guard:
             out.append(VehicleCommand(state.now_us, action))
 
 
-def _sorted_out(rules: tuple[Rule, ...], phase: Phase) -> _Judged:
-    asked = [rule for rule in rules if rule.cause is not None and in_scope(rule, phase)]
-    unasked = [rule for rule in asked if rule.scope is not Scope.ASKED]
-    restless = [rule for rule in unasked if not rule.calm]
-    return _Judged(
-        _causes(asked), _causes(unasked), *_by_input(unasked, unasked), *_by_input(restless, unasked)
-    )
-
-
-def _by_input(rules: list[Rule], every: list[Rule]) -> tuple[dict[type, Causes], Causes]:
-    """Causes by the kind of input that some of all rules wait for, and those after any other."""
-    kinds = {rule.after for rule in every if rule.after is not None}
-    return (
-        {kind: _causes(r for r in rules if r.after in (None, kind)) for kind in kinds},
-        _causes(rule for rule in rules if rule.after is None),
-    )
-
-
-def _causes(rules: Iterable[Rule]) -> Causes:
-    return [(rule.action.rank, rule.cause, rule.name) for rule in rules if rule.cause is not None]
+def _judged_in(phase: Phase, rules: tuple[Rule, ...]) -> _Judged:
+    every = [(rule, rule.cause) for rule in rules if rule.cause is not None and in_scope(rule, phase)]
+    kinds = {kind for rule, _ in every for kind in rule.at_once}
+    return _Judged(every, {kind: [one for one in every if kind in one[0].at_once] for kind in kinds})

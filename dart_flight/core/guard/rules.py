@@ -1,8 +1,8 @@
 """The one table of the guard's rules: name, what it says, threshold, action, scope, cause.
 
 `guard` iterates over it; `docs/guard.md` is generated from it (`make docs`). A rule with a `cause` is judged
-at every step of its `scope`, or after one kind of input only; one without comes as a finding in the mission's
-proposal. Nothing outside of this table can overrule the mission.
+every 20 ms in its `scope`, and after the inputs that it names at once; one without comes as a finding in the
+mission's proposal. Nothing outside of this table can overrule the mission.
 """
 
 from __future__ import annotations
@@ -18,17 +18,23 @@ from dart_flight.base.records import (
     FlightMode,
     ImuSample,
     OdometrySample,
+    OperatorRequest,
+    OtherVehicle,
     Override,
     Phase,
     Request,
+    StatusSample,
+    StatusText,
 )
-from dart_flight.core.guard.watch import ALTITUDE_SLACK_M, Stamped, Watch, low_rate
+from dart_flight.base.streams import BY_NAME
+from dart_flight.core.guard.watch import Stamped, Watch
 from dart_flight.core.mission.phases import ALTITUDE_EXEMPT, ON_GROUND
 
 _SPEED_TOLERANCE: Final = 1.1
 _STALE_SAMPLES: Final = 5  # in a row; one late datagram is no clock that runs backwards
 _FALL_S: Final = 0.1
 _OTHERS_SINCE: Final = 12  # a tenth of a second of one other stream
+_ALTITUDE_SLACK_M: Final = 0.05
 
 
 class Scope(StrEnum):
@@ -38,7 +44,6 @@ class Scope(StrEnum):
     GROUND = "before take-off"
     AIR = "in the air"
     FLYING = "while the mission flies"  # not while landing or once overruled
-    ASKED = "on a request"  # of the operator or the shell
 
 
 class Rule(NamedTuple):
@@ -52,10 +57,10 @@ class Rule(NamedTuple):
         scope: when it is judged.
         cause: says what is wrong now, or None; a rule without one comes as a finding of the mission.
         by_person: a person took over: the flight counts as released, not as aborted.
-        after: the one kind of input that can bring the cause about; None: any, as time goes by.
+        at_once: inputs after which it is judged without waiting: modes, arming and requests must not wait,
+            and what is known only of one sample cannot.
         explains: rules that may have fired for the same cause before it could be told: where their action is
             in force and no weaker, the reason becomes this rule's.
-        calm: it has no cause while `Watch.calm`, and is not asked then.
         of_streams: telemetry fails; what else is known of link and computer is said with it.
     """
 
@@ -66,9 +71,8 @@ class Rule(NamedTuple):
     scope: Scope = Scope.ALWAYS
     cause: Callable[[Watch], str | None] | None = None
     by_person: bool = False
-    after: type | None = None
+    at_once: tuple[type, ...] = ()
     explains: frozenset[str] = frozenset()
-    calm: bool = False
     of_streams: bool = False
 
 
@@ -133,12 +137,17 @@ def _status_silent(v: Watch) -> str | None:
 
 
 def _link_lost(v: Watch) -> str | None:
-    if v.age_s(v.state.imu) <= v.config.link_lost_s:  # as nearly always
-        return None
     age = min(
         v.status_age_s, *(v.age_s(newest) for newest in (v.state.imu, v.state.attitude, v.state.odometry))
     )
     return f"nothing from the vehicle for {age:.1f} s" if age > v.config.link_lost_s else None
+
+
+def _stream_rate(v: Watch) -> str | None:
+    for name, rate_hz in v.rates_hz.items():
+        if rate_hz < BY_NAME[name].expected_hz:
+            return f"{name} at {rate_hz:.0f} Hz, needs {BY_NAME[name].expected_hz:.0f}"
+    return None
 
 
 def _telemetry_late(v: Watch) -> str | None:
@@ -215,7 +224,7 @@ def _altitude(v: Watch) -> str | None:
     if v.phase in ALTITUDE_EXEMPT:
         return None
     low, high = v.mission.bounds.z
-    tolerance = v.config.altitude_tolerance_m if v.shaken else ALTITUDE_SLACK_M
+    tolerance = v.config.altitude_tolerance_m if v.shaken else _ALTITUDE_SLACK_M
     z = v.state.position[2]
     return None if low - tolerance <= z <= high + tolerance else f"{z:.2f} m"
 
@@ -254,83 +263,86 @@ def _world_died(v: Watch) -> str | None:
 
 # --- the table ---------------------------------------------------------------------------------------------
 
-_ALWAYS, _AIR, _FLYING, _ASKED = Scope.ALWAYS, Scope.AIR, Scope.FLYING, Scope.ASKED
-_GROUND = Scope.GROUND
+_ALWAYS, _GROUND, _AIR, _FLYING = Scope.ALWAYS, Scope.GROUND, Scope.AIR, Scope.FLYING
 _GIVE_UP, _BREAK_OFF, _HOLD = Override.GIVE_UP, Override.BREAK_OFF, Override.HOLD
 _LAND, _KILL, _RELEASE = Override.LAND, Override.KILL, Override.RELEASE
+_MODE = (StatusSample, StatusText)  # PX4's own words say whose doing a change of mode is
+_REQUEST = (OperatorRequest,)
 
 # fmt: off
 RULES: tuple[Rule, ...] = (
-    # judged here, at every step of the scope
+    # judged here
     Rule("px4_failsafe", "PX4 has left offboard by itself: its failsafe flies", "",
-         _RELEASE, _ALWAYS, _px4_failsafe, calm=True),
+         _RELEASE, _ALWAYS, _px4_failsafe, at_once=_MODE),
     Rule("pilot", "PX4 was taken out of offboard: the pilot flies", "",
-         _RELEASE, _ALWAYS, _pilot, by_person=True, calm=True),
+         _RELEASE, _ALWAYS, _pilot, by_person=True, at_once=_MODE),
     Rule("disarmed", "disarmed in the air: PX4 says so, or the motors stand still and the vehicle falls", "",
-         _RELEASE, _AIR, _disarmed, calm=True),
+         _RELEASE, _AIR, _disarmed, at_once=(StatusSample,)),
     Rule("link_lost", "nothing at all comes from the vehicle: PX4's own failsafe must act",
-         "guard.link_lost_s", _RELEASE, _AIR, _link_lost, calm=True, of_streams=True),
+         "guard.link_lost_s", _RELEASE, _AIR, _link_lost, of_streams=True),
     Rule("imu_silent", "no IMU sample for too long: impacts cannot be felt",
-         "guard.imu_timeout_s, guard.stream_timeout_s", _LAND, _AIR, _imu_silent, calm=True, of_streams=True),
+         "guard.imu_timeout_s, guard.stream_timeout_s", _LAND, _AIR, _imu_silent, of_streams=True),
     Rule("attitude_silent", "no attitude for too long: forces have no direction", "guard.stream_timeout_s",
-         _LAND, _AIR, _attitude_silent, calm=True, of_streams=True),
+         _LAND, _AIR, _attitude_silent, of_streams=True),
     Rule("odometry_silent", "no position for too long", "guard.stream_timeout_s",
-         _LAND, _AIR, _odometry_silent, calm=True, of_streams=True),
+         _LAND, _AIR, _odometry_silent, of_streams=True),
     Rule("actuator_silent", "no motor outputs for too long: thrust cannot be told from contact",
-         "guard.actuator_timeout_s", _HOLD, _FLYING, _actuator_silent, calm=True, of_streams=True),
+         "guard.actuator_timeout_s", _HOLD, _FLYING, _actuator_silent, of_streams=True),
     Rule("status_silent", "no heartbeat for too long", "guard.status_timeout_s",
-         _LAND, _AIR, _status_silent, calm=True, of_streams=True),
+         _LAND, _AIR, _status_silent, of_streams=True),
     Rule("stream_rate", "a stream comes at less than the rate that a mission needs (`base/streams.py`)",
-         "streams: expected_hz", _HOLD, _FLYING, low_rate, calm=True, of_streams=True),
+         "streams: expected_hz", _HOLD, _FLYING, _stream_rate, of_streams=True),
     Rule("telemetry_late_ground", "samples are old when they come: what they show is over",
-         "guard.telemetry_late_s", _GIVE_UP, _GROUND, _telemetry_late, calm=True, of_streams=True),
+         "guard.telemetry_late_s", _GIVE_UP, _GROUND, _telemetry_late, of_streams=True),
     Rule("telemetry_late", "samples are old when they come, for more than a moment",
          "guard.telemetry_late_s", _LAND, _AIR, _telemetry_late,
          explains=frozenset({"imu_silent", "attitude_silent", "odometry_silent", "status_silent"}),
-         calm=True, of_streams=True),
+         of_streams=True),
     Rule("second_vehicle_ground", "a second vehicle sends on the link, whatever its system id",
          "guard.stamp_tolerance_s, guard.position_jump_m", _GIVE_UP, _GROUND, _second_vehicle_ground,
-         calm=True),
+         at_once=(OtherVehicle,)),
     Rule("second_vehicle", "two vehicles come in turn under one system id: two clocks, or two positions",
          "guard.stamp_tolerance_s, guard.position_jump_m", _LAND, _AIR, _second_vehicle,
          explains=frozenset({"stamps_backwards", "odometry_silent", "attitude_silent", "imu_silent",
-                             "status_silent", "estimator_flags", "tilt", "altitude"}), calm=True),
+                             "status_silent", "estimator_flags", "tilt", "altitude"})),
     Rule("stamps_backwards", "the autopilot's time stamps have gone back: it has restarted, or its clock has",
-         "guard.stamp_tolerance_s", _LAND, _AIR, _stamps_backwards, calm=True, of_streams=True),
+         "guard.stamp_tolerance_s", _LAND, _AIR, _stamps_backwards, of_streams=True),
     Rule("imu_stuck", "the IMU repeats one reading: no sensor is that quiet", "guard.imu_stuck_s",
-         _LAND, _AIR, _imu_stuck, calm=True),
+         _LAND, _AIR, _imu_stuck),
     Rule("imu_clipped", "the IMU stays at full scale longer than any contact lasts", "guard.imu_clipped_s",
-         _LAND, _AIR, _imu_clipped, calm=True),
+         _LAND, _AIR, _imu_clipped),
     Rule("estimator_jump", "position or velocity has jumped, other than shortly after an impact",
          "guard.position_jump_m, guard.velocity_jump_m_s, guard.impact_window_s",
-         _HOLD, _FLYING, _estimator_jump, after=OdometrySample),
+         _HOLD, _FLYING, _estimator_jump, at_once=(OdometrySample,)),
     Rule("estimator_reset",
          "PX4's estimator counts a reset and position or velocity step, other than shortly after an impact",
          "guard.reset_position_m, guard.reset_velocity_m_s, guard.impact_window_s",
-         _HOLD, _FLYING, _estimator_reset, calm=True),
+         _HOLD, _FLYING, _estimator_reset),
     Rule("estimator_flags", "PX4's estimator says that its position is not valid, and the impact is over",
-         "guard.estimator_bad_s, guard.impact_window_s", _LAND, _AIR, _estimator_flags, calm=True),
+         "guard.estimator_bad_s, guard.impact_window_s", _LAND, _AIR, _estimator_flags),
     Rule("battery", "the battery is low", "guard.battery_remaining, guard.battery_v, guard.battery_low_s",
-         _LAND, _AIR, _battery, calm=True),
+         _LAND, _AIR, _battery),
     Rule("still_armed", "in PX4's land mode and still armed long after a landing must have ended",
-         "guard.kill_after_s, bounds_m.z", _KILL, _AIR, _still_armed, calm=True),
+         "guard.kill_after_s, bounds_m.z", _KILL, _AIR, _still_armed),
     Rule("tilt", "tilted further than PX4 can be trusted to right", "guard.tilt_deg", _LAND, _AIR, _tilt,
-         after=AttitudeSample),
+         at_once=(AttitudeSample,)),
     Rule("altitude", "outside of the flight space vertically; more is allowed after an impact",
          "bounds_m.z, guard.altitude_tolerance_m, guard.impact_window_s", _LAND, _FLYING, _altitude,
-         calm=True),
+         at_once=(OdometrySample,)),
     Rule("bounds", "outside of the flight space horizontally, or would stop there", "bounds_m.x, bounds_m.y",
-         _HOLD, _FLYING, _bounds, after=OdometrySample),
+         _HOLD, _FLYING, _bounds, at_once=(OdometrySample,)),
     Rule("speed", "faster than the mission allows", "limits.speed_m_s", _HOLD, _FLYING, _speed,
-         after=OdometrySample),
+         at_once=(OdometrySample,)),
     Rule("force_over_limit", "the contact force goes well over the limit while it lasts",
-         "limits.peak_force_n, guard.force_margin", _BREAK_OFF, _FLYING, _force, after=ImuSample),
+         "limits.peak_force_n, guard.force_margin", _BREAK_OFF, _FLYING, _force, at_once=(ImuSample,)),
     Rule("operator_ground", "the operator stops the flight before take-off", "",
-         _LAND, _ASKED, _operator_stops),
-    Rule("operator", "the operator asks to land (Ctrl-C)", "", _BREAK_OFF, _ASKED, _operator_lands),
+         _LAND, _ALWAYS, _operator_stops, at_once=_REQUEST),
+    Rule("operator", "the operator asks to land (Ctrl-C)", "", _BREAK_OFF, _ALWAYS, _operator_lands,
+         at_once=_REQUEST),
     Rule("operator_release", "the operator lets go of the vehicle (second Ctrl-C)", "",
-         _RELEASE, _ASKED, _operator_releases, by_person=True),
-    Rule("world_died", "the simulated vehicle is gone", "", _RELEASE, _ASKED, _world_died),
+         _RELEASE, _ALWAYS, _operator_releases, by_person=True, at_once=_REQUEST),
+    Rule("world_died", "the simulated vehicle is gone", "", _RELEASE, _ALWAYS, _world_died,
+         at_once=_REQUEST),
     # found by the mission, which alone knows the plan
     Rule("peak_force", "an impact's peak was over the limit", "limits.peak_force_n", _BREAK_OFF),
     Rule("wall_not_met", "the wall was not met where or when it should have been",
@@ -366,8 +378,8 @@ RULES_BY_NAME = {rule.name: rule for rule in RULES}
 
 
 def in_scope(rule: Rule, phase: Phase) -> bool:
-    """Whether a rule is judged in a phase, at every step of it or when there is a request."""
-    if rule.scope in (Scope.ALWAYS, Scope.ASKED):
+    """Whether a rule is judged in a phase."""
+    if rule.scope is Scope.ALWAYS:
         return True
     if rule.scope is Scope.GROUND or phase in ON_GROUND:  # else the mission's time-outs judge there
         return rule.scope is Scope.GROUND and phase in ON_GROUND
@@ -379,6 +391,8 @@ def table() -> str:
     rows = ["| rule | fires when | threshold | action | judged by |", "|---|---|---|---|---|"]
     for rule in RULES:
         judge = f"guard, {rule.scope.value}" if rule.cause is not None else "mission"
+        if rule.at_once:
+            judge += ", at once after " + ", ".join(f"`{kind.__name__}`" for kind in rule.at_once)
         keys = ", ".join(f"`{key}`" for key in rule.threshold.split(", ") if key) or "-"
         action = rule.action.value.replace("_", " ")
         rows.append(f"| `{rule.name}` | {rule.says} | {keys} | {action} | {judge} |")

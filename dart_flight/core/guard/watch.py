@@ -29,12 +29,9 @@ from dart_flight.base.records import (
     StatusSample,
     StatusText,
 )
-from dart_flight.base.streams import BY_NAME
 from dart_flight.config.mission import Mission
 from dart_flight.core.guard.lateness import Lateness
 from dart_flight.core.guard.sources import TwoClocks, TwoPlaces
-from dart_flight.core.mission.arithmetic import SCALARS
-from dart_flight.core.mission.phases import ALTITUDE_EXEMPT
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
@@ -54,11 +51,6 @@ _SURELY_DOWN: Final = 3.0  # times the way down from the top of the flight space
 _PAUSE_US: Final = 40_000  # host time goes on by 20 ms at most, by ticks: after more this program did not run
 _PAUSE_MEMORY_US: Final = 3_000_000
 _STEPS: Final = 16  # odometry of more than twice that reach
-ALTITUDE_SLACK_M: Final = 0.05
-# Looked up once: a member of an enumeration is asked for at every step.
-_ANY_ALTITUDE: Final = ALTITUDE_EXEMPT
-_OFFBOARD: Final = FlightMode.OFFBOARD
-_UNKNOWN: Final = FlightMode.UNKNOWN
 _NEVER_S = float(1 << 60) * 1e-6
 Stamped = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 
@@ -122,14 +114,6 @@ class Watch:
         self._seen_us = 0  # host time at the step before
         self._pause_us = self._paused_us = 0  # longest pause of this program lately, and its end
         self.surely_down_s = self._surely_down_s()
-        c, (low_m, high_m) = self.config, mission.bounds.z
-        # Younger than the shortest limit, to the microsecond below: then no stream is silent by any rule.
-        least_s = min(c.imu_timeout_s, c.stream_timeout_s, c.actuator_timeout_s, c.link_lost_s)
-        self._fresh_us = math.floor(least_s * 1e6) - 1
-        self._status_fresh_us = math.floor(c.status_timeout_s * 1e6) - 1
-        slack_m = min(ALTITUDE_SLACK_M, c.altitude_tolerance_m)
-        self._low_m, self._high_m = low_m - slack_m, high_m + slack_m
-        self._rate_is_low = False
         self._full_scale = _CLIP_SHARE * mission.vehicle.imu.full_scale_m_s2
         self._imu: ImuSample | None = None
         self._odometry: OdometrySample | None = None
@@ -178,41 +162,6 @@ class Watch:
         elif isinstance(item, StatusText) and any(w in item.text.lower() for w in _FAILSAFE_WORDS):
             self._failsafe_us = state.now_us
         self._see_flags()
-
-    @property
-    def calm(self) -> bool:
-        """Whether nothing is there that any rule marked `calm` could fire for, as at nearly every step.
-
-        One look at what all of them rest on: to ask each of them would be a third of the guard's work.
-        """
-        state = self.state
-        status, host_us = state.status, state.host_us
-        imu, attitude, odometry, actuator = state.imu, state.attitude, state.odometry, state.actuator
-        if imu is None or attitude is None or odometry is None or actuator is None:
-            return False
-        fresh_us = host_us - self._fresh_us
-        return (
-            imu.received_us > fresh_us
-            and attitude.received_us > fresh_us
-            and odometry.received_us > fresh_us
-            and actuator.received_us > fresh_us
-            and status.received_us > host_us - self._status_fresh_us
-            and (self._low_m <= state.position[2] <= self._high_m or self.phase in _ANY_ALTITUDE)
-            and (status.flight_mode is _OFFBOARD or not self.was_offboard)
-            and (status.armed or not self.was_armed)
-            and self.second_vehicle is None
-            and self._other_system is None
-            and not self.stale
-            and not self._rate_is_low
-            and not self.lateness.late
-            and self.stuck_since_us is None
-            and self.clipped_since_us is None
-            and self.battery_low_since_us is None
-            and self.falling_since_us is None
-            and self.flags_bad_since_us is None
-            and self._landing_since_us is None
-            and self._reset_us is None
-        )
 
     # -- what rules ask --
 
@@ -274,7 +223,7 @@ class Watch:
     @property
     def _mode_left_to(self) -> FlightMode | None:
         mode = self.state.status.flight_mode
-        if not self.was_offboard or mode is _OFFBOARD or mode is _UNKNOWN:
+        if not self.was_offboard or mode in (FlightMode.OFFBOARD, FlightMode.UNKNOWN):
             return None
         if self.land_asked and (mode is FlightMode.LAND or self.state.on_ground):
             return None
@@ -310,7 +259,7 @@ class Watch:
         bounds = self.mission.bounds
         if bounds.excess2((x + STOP_TIME_S * vx, y + STOP_TIME_S * vy)) <= 0.0:
             return 0.0  # the bounds are convex: then no earlier point lies outside either
-        way_s = STOP_TIME_S * stop_share(SCALARS, self.mission.walls, (x, y), (vx, vy))
+        way_s = STOP_TIME_S * stop_share(self.mission.walls, (x, y), (vx, vy))
         return bounds.excess2((x + way_s * vx, y + way_s * vy))
 
     @property
@@ -373,7 +322,6 @@ class Watch:
         span_us = t_us - stream.first_us
         if span_us >= _RATE_WINDOW_US:
             self.rates_hz[stream.name] = stream.count * 1e6 / span_us
-            self._rate_is_low = low_rate(self) is not None
             stream.first_us, stream.count = t_us, 0
         stream.count += 1
 
@@ -436,10 +384,10 @@ class Watch:
             self._estimator_bad = not item.healthy
 
     def _see_status(self, item: StatusSample) -> None:
-        if item.flight_mode is _OFFBOARD:
+        if item.flight_mode is FlightMode.OFFBOARD:
             self.was_offboard = True
             self._left_since_us = None
-        elif self._left_since_us is None and item.flight_mode is not _UNKNOWN:
+        elif self._left_since_us is None and item.flight_mode is not FlightMode.UNKNOWN:
             self._left_since_us = item.received_us
         self.was_armed = self.was_armed or item.armed
         if not (item.armed and item.flight_mode is FlightMode.LAND):
@@ -466,11 +414,3 @@ def _carried(before: OdometrySample, after: OdometrySample, dt: float) -> Vec3:
         p[1] + 0.5 * dt * (v[1] + w[1]),
         p[2] + 0.5 * dt * (v[2] + w[2]),
     )
-
-
-def low_rate(watch: Watch) -> str | None:
-    """The first stream that comes at less than what a mission needs, in words."""
-    for name, rate_hz in watch.rates_hz.items():
-        if rate_hz < BY_NAME[name].expected_hz:
-            return f"{name} at {rate_hz:.0f} Hz, needs {BY_NAME[name].expected_hz:.0f}"
-    return None

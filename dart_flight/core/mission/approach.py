@@ -15,7 +15,7 @@ import msgspec
 from dart_flight.base.geometry import Vec2, Vec3, Wall, distance2
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import Flying
-from dart_flight.core.mission.arithmetic import SCALARS, Arithmetic, Number
+from dart_flight.core.mission.arithmetic import Number, hypot, maximum, sqrt, where
 from dart_flight.core.mission.survey import end_margin_m, slack_m
 
 # Speed follows 3 s^2 - 2 s^3: the peak acceleration is 1.5 times the mean, the way half of speed times time.
@@ -95,7 +95,6 @@ class RunUp(NamedTuple):
 
 
 def run_up(
-    m: Arithmetic,
     start: Vec2,
     impact: tuple[Number, Number],
     velocity: tuple[Number, Number],
@@ -109,7 +108,6 @@ def run_up(
     the wall may stand nearest.
 
     Args:
-        m: for numbers or for arrays.
         start: of the mission.
         impact: where the vehicle's centre meets the plane.
         velocity: at the impact, mission frame, m/s.
@@ -117,19 +115,19 @@ def run_up(
         wall: that is flown at.
     """
     vx, vy = velocity
-    speed = m.hypot(vx, vy)
+    speed = hypot(vx, vy)
     direction = (vx / speed, vy / speed)
     ramp_s = PEAK_OVER_MEAN * speed / flying.acceleration_m_s2
     closing = -(vx * wall.normal[0] + vy * wall.normal[1])
     nearer_m = slack_m(wall, impact) * speed / closing
     needed = 0.5 * speed * ramp_s + speed * flying.steady_run_s + nearer_m
-    from_start = m.hypot(start[0] - impact[0], start[1] - impact[1])
+    from_start = hypot(start[0] - impact[0], start[1] - impact[1])
     ray_end = (start[0] + direction[0] * from_start, start[1] + direction[1] * from_start)
-    on_ray = m.hypot(ray_end[0] - impact[0], ray_end[1] - impact[1]) < _ON_RAY_M
+    on_ray = hypot(ray_end[0] - impact[0], ray_end[1] - impact[1]) < _ON_RAY_M
     from_there = (from_start >= needed) & on_ray
     begin = (
-        m.where(from_there, start[0], impact[0] - direction[0] * needed),
-        m.where(from_there, start[1], impact[1] - direction[1] * needed),
+        where(from_there, start[0], impact[0] - direction[0] * needed),
+        where(from_there, start[1], impact[1] - direction[1] * needed),
     )
     return RunUp(begin, direction, speed, ramp_s)
 
@@ -140,7 +138,6 @@ def impact_time_s(length_m: Number, speed_m_s: Number, ramp_s: Number) -> Number
 
 
 def is_blocked(
-    m: Arithmetic,
     wall: Wall,
     a: tuple[Number, Number],
     b: tuple[Number, Number],
@@ -151,7 +148,6 @@ def is_blocked(
     What passes its end keeps `end_margin_m` from it.
 
     Args:
-        m: for numbers or for arrays.
         wall: the obstacle.
         a, b: ends of the way, mission frame.
         end_clearance_m: that `b` must keep from the plane; `a` keeps `CLEARANCE_M`.
@@ -160,7 +156,7 @@ def is_blocked(
     da, db = here - CLEARANCE_M, wall.signed_distance(b) - end_clearance_m
     crosses = (da * db < 0.0) | ((da < 0.0) & (here > -CLEARANCE_M))
     gap = da - db
-    share = m.where(gap != 0.0, da / m.where(gap != 0.0, gap, 1.0), 0.0)
+    share = where(gap != 0.0, da / where(gap != 0.0, gap, 1.0), 0.0)
     crossing = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
     return crosses & (wall.end_distance_m(crossing) >= -end_margin_m(wall, crossing))
 
@@ -195,7 +191,7 @@ def plan_approach(mission: Mission, collision: Collision) -> Approach:
     vx, vy, _ = collision.approach_velocity()
     impact = collision.impact_point
     flying = mission.vehicle.flying
-    begin, direction, speed, ramp_s = run_up(SCALARS, mission.start, impact, (vx, vy), flying, collision.wall)
+    begin, direction, speed, ramp_s = run_up(mission.start, impact, (vx, vy), flying, collision.wall)
     altitude_m = mission.altitude_at(collision.index - 1)
     approach = Approach(begin, impact, direction, speed, ramp_s, altitude_m)
     _check_room(mission, collision, approach)
@@ -219,7 +215,7 @@ def _check_room(mission: Mission, collision: Collision, approach: Approach) -> N
     before = mission.place_before(collision.index - 1)
     legs = legs_to_impact(before or mission.start, begin, impact, collision.wall, before is not None)
     for wall in mission.walls:
-        if any(is_blocked(SCALARS, wall, *leg) for leg in legs(wall)):
+        if any(is_blocked(wall, *leg) for leg in legs(wall)):
             raise NoApproachError(f"wall {wall.name} is in the way of the run-up")
 
 
@@ -271,7 +267,7 @@ def check_legs(mission: Mission) -> None:
     """
     for leg in legs_of(mission):
         for wall in mission.walls:
-            if leg.begin is not None and is_blocked(SCALARS, wall, leg.begin[:2], leg.end[:2]):
+            if leg.begin is not None and is_blocked(wall, leg.begin[:2], leg.end[:2]):
                 raise NoApproachError(f"wall {wall.name} is in the way to {leg.name}")
 
 
@@ -288,12 +284,12 @@ def stop_before(mission: Mission, collision: Collision, begin: Vec2, impact: Vec
     return (begin[0] + share * (impact[0] - begin[0]), begin[1] + share * (impact[1] - begin[1]))
 
 
-def transit_time_s(m: Arithmetic, way_m: Number, speed_m_s: float, acceleration_m_s2: float) -> Number:
+def transit_time_s(way_m: Number, speed_m_s: float, acceleration_m_s2: float) -> Number:
     """Of the quickest smooth flight from rest to rest over a way within the limits.
 
     Quintic: peak speed 1.875 way/T, peak acceleration 5.774 way/T^2.
     """
-    return m.maximum(1.875 * way_m / speed_m_s, m.sqrt(5.774 * way_m / acceleration_m_s2))
+    return maximum(1.875 * way_m / speed_m_s, sqrt(5.774 * way_m / acceleration_m_s2))
 
 
 class Transit(msgspec.Struct, frozen=True):
@@ -314,10 +310,10 @@ class Transit(msgspec.Struct, frozen=True):
     ) -> Transit:
         """The quickest smooth transit within the limits, of which one is on its vertical part."""
         way = math.dist(begin, end)
-        duration = transit_time_s(SCALARS, way, speed_m_s, acceleration_m_s2)
+        duration = transit_time_s(way, speed_m_s, acceleration_m_s2)
         climb = abs(end[2] - begin[2])
         if climb > 0.0:
-            duration = max(duration, transit_time_s(SCALARS, climb, climb_speed_m_s, acceleration_m_s2))
+            duration = max(duration, transit_time_s(climb, climb_speed_m_s, acceleration_m_s2))
         return cls(begin, end, max(duration, _LEAST_TRANSIT_S))
 
     def at(self, t_s: float) -> ReferencePoint:

@@ -1,32 +1,44 @@
-"""Arithmetic that a rule is written in once, for the core's numbers and for the planner's arrays.
+"""What differs between numbers and arrays of them, for a rule that is written once for both.
 
 The core decides with `float` and `math` (deterministic, bit-equal in replay), the planner judges thousands of
-candidates with NumPy. A rule that both need takes an `Arithmetic` and otherwise plain operators; conditions
-are joined with `&` and `|`, which mean the same for `bool` and for arrays of it.
+candidates with NumPy. A rule that both need takes either: floats give floats, and where an argument is an
+array the answer is one. Conditions are joined with `&` and `|`, which mean the same for `bool` and arrays.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
+
+import numpy as np
 
 Number = Any  # float, or an array of floats: the same for all arguments of one call
 
 
-class Arithmetic(NamedTuple):
-    """The functions that differ between numbers and arrays.
-
-    Attributes:
-        hypot, sqrt, maximum, minimum: of numbers.
-        where: (condition, value if true, value if false).
-    """
-
-    hypot: Callable[[Number, Number], Number]
-    sqrt: Callable[[Number], Number]
-    maximum: Callable[[Number, Number], Number]
-    minimum: Callable[[Number, Number], Number]
-    where: Callable[[Number, Number, Number], Number]
+def hypot(x: Number, y: Number) -> Number:
+    """Length of a vector."""
+    return np.hypot(x, y) if _has_array(x, y) else math.hypot(x, y)
 
 
-SCALARS = Arithmetic(math.hypot, math.sqrt, max, min, lambda condition, yes, no: yes if condition else no)
+def sqrt(x: Number) -> Number:
+    """Square root."""
+    return np.sqrt(x) if _has_array(x) else math.sqrt(x)
+
+
+def maximum(x: Number, y: Number) -> Number:
+    """The larger one of each pair."""
+    return np.maximum(x, y) if _has_array(x, y) else max(x, y)
+
+
+def minimum(x: Number, y: Number) -> Number:
+    """The smaller one of each pair."""
+    return np.minimum(x, y) if _has_array(x, y) else min(x, y)
+
+
+def where(condition: Number, yes: Number, no: Number) -> Number:
+    """One or the other, by a condition."""
+    return np.where(condition, yes, no) if _has_array(condition, yes, no) else (yes if condition else no)
+
+
+def _has_array(*values: Number) -> bool:
+    return any(isinstance(value, np.ndarray) for value in values)

@@ -16,7 +16,7 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import contact_map
 from dart_flight.contact.law import Onset
-from dart_flight.core.mission.arithmetic import SCALARS, Arithmetic, Number
+from dart_flight.core.mission.arithmetic import Number, hypot, maximum, where
 from dart_flight.core.mission.position_loop import PlaneMet
 from dart_flight.core.sense.state import FlightState
 
@@ -28,10 +28,10 @@ SETTLED_BEFORE_S = 0.05
 SETPOINT_OUTSIDE_M = 2.0
 
 
-def setpoint_outside_m(m: Arithmetic, bounds: BoundsSpec, x: Number, y: Number) -> Number:
+def setpoint_outside_m(bounds: BoundsSpec, x: Number, y: Number) -> Number:
     """How far a set-point lies outside of the bounds horizontally, metres; 0 inside."""
-    beside = m.maximum(bounds.x[0] - x, x - bounds.x[1])
-    return m.maximum(m.maximum(beside, m.maximum(bounds.y[0] - y, y - bounds.y[1])), 0.0)
+    beside = maximum(bounds.x[0] - x, x - bounds.x[1])
+    return maximum(maximum(beside, maximum(bounds.y[0] - y, y - bounds.y[1])), 0.0)
 
 
 def may_commit(
@@ -53,7 +53,6 @@ def may_commit(
     place = wall.foot((state.position[0] + vx * met.after_s, state.position[1] + vy * met.after_s))
     return bool(
         bearable_in_either_mode(
-            SCALARS,
             mission.vehicle,
             mission.limits,
             mission.bounds,
@@ -66,7 +65,6 @@ def may_commit(
 
 
 def bearable_in_either_mode(
-    m: Arithmetic,
     vehicle: VehicleConfig,
     limits: Limits,
     bounds: BoundsSpec,
@@ -78,7 +76,6 @@ def bearable_in_either_mode(
     """Whether a hit stays within force, tilt and bounds whatever state the arms are in.
 
     Args:
-        m: for numbers or for arrays.
         vehicle: materials, mass, gains.
         limits: of the force.
         bounds: that the recovery set-point may leave by `SETPOINT_OUTSIDE_M`.
@@ -94,18 +91,18 @@ def bearable_in_either_mode(
     for mode in vehicle.modes:
         c = CoefficientArrays.of(vehicle.materials[wall.material].of(mode))
         hit = contact_map(c, vehicle.airframe.mass_kg, normal, tangential, Onset(vehicle.onset))
-        friction = m.where(tangential < 0.0, -1.0, 1.0) * hit.peak_friction_force_n
+        friction = where(tangential < 0.0, -1.0, 1.0) * hit.peak_friction_force_n
         away = alphas_m_per_n[0] * hit.peak_normal_force_n
         onward = alphas_m_per_n[1] * friction
-        force = m.hypot(hit.peak_normal_force_n, hit.peak_friction_force_n)
+        force = hypot(hit.peak_normal_force_n, hit.peak_friction_force_n)
         push_n = px4.mpc_xy_p * away - hit.normal_out_m_s
         push_t = px4.mpc_xy_p * onward - hit.tangential_out_m_s
-        command = px4.mpc_xy_vel_p_acc * m.hypot(push_n, push_t)
+        command = px4.mpc_xy_vel_p_acc * hypot(push_n, push_t)
         x, y = place[0] + nx * away + tx * onward, place[1] + ny * away + ty * onward
         bearable = (
             bearable
             & (force <= limits.peak_force_n)
             & (command <= most_m_s2)
-            & (setpoint_outside_m(m, bounds, x, y) <= SETPOINT_OUTSIDE_M)
+            & (setpoint_outside_m(bounds, x, y) <= SETPOINT_OUTSIDE_M)
         )
     return bearable

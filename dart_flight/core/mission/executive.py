@@ -59,11 +59,6 @@ _REST_AFTER_US: Final = 500_000
 _DISARM_AFTER_US: Final = 8_000_000
 # The wall stops the vehicle in a contact (but for `yielding`), PX4 lands it.
 _SILENT: Final = frozenset({Phase.READYING, Phase.CONTACT, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
-# Looked up once: asked for at every step.
-_WATCHING: Final = WATCHING
-_APPROACH: Final = Phase.APPROACH
-_CONTACT: Final = Phase.CONTACT
-_RECOVERY: Final = Phase.RECOVERY
 _WORDS: Final = frozenset({PlanAnswer, OperatorRequest})
 _ANY_WALL: Final = Expected(watching=True)
 _NO_WALL: Final = Expected()
@@ -224,8 +219,8 @@ class Executive:
     def _expect(self) -> Expected:
         collision = self._collision
         if collision is None or not self._is_expected(collision):
-            return _ANY_WALL if self.phase in _WATCHING else _NO_WALL
-        wall, watching = collision.wall, self.phase in _WATCHING
+            return _ANY_WALL if self.phase in WATCHING else _NO_WALL
+        wall, watching = collision.wall, self.phase in WATCHING
         if self._expected.wall is not wall or self._expected.watching is not watching:
             self._expected = Expected(watching, wall.normal, wall.material, wall)
         return self._expected
@@ -233,9 +228,9 @@ class Executive:
     def _is_expected(self, collision: Collision) -> bool:
         """Whether the plan has the vehicle meet this wall in this phase."""
         phase = self.phase
-        if phase is _RECOVERY:
+        if phase is Phase.RECOVERY:
             return collision.approach_m_s is None
-        return phase is _APPROACH or phase is _CONTACT
+        return phase is Phase.APPROACH or phase is Phase.CONTACT
 
     def _is_due(self, collision: Collision) -> bool:
         """Whether an onset now is the plan's; a second one before the peak is not."""
@@ -630,7 +625,7 @@ class Executive:
         frame = p.frame or state.frame
         if frame is None:
             return
-        if self.phase is _CONTACT:
+        if self.phase is Phase.CONTACT:
             if not self._takes_longer_than(LONGEST_S, state):
                 p.outputs.append(
                     self._references.yielding_setpoint(frame, sample, self._yielding.feed_forward)
@@ -639,7 +634,7 @@ class Executive:
         if self.phase in _SILENT:
             return
         self._references.slew_yaw(self._wanted_yaw(state), state.now_us)
-        forward = self._yielding.feed_forward if self.phase is _RECOVERY else None
+        forward = self._yielding.feed_forward if self.phase is Phase.RECOVERY else None
         p.outputs.append(
             self._references.setpoint(frame, sample.t_us, sample.received_us, self._way_us, forward)
         )

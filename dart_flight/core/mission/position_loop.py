@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from dart_flight.base.geometry import Wall
 from dart_flight.config.vehicle import Px4Parameters
-from dart_flight.core.mission.arithmetic import Arithmetic, Number
+from dart_flight.core.mission.arithmetic import Number, maximum, minimum, where
 from dart_flight.core.mission.survey import slack_m
 
 # Attitude loop (MC_ROLL_P 6.5) and motors; held to the plant in tests/planning/test_against_plant.py.
@@ -29,14 +29,13 @@ _BEHIND_M = 0.3  # further behind where a plane may stand is the other side of t
 
 
 def stop_share(
-    m: Arithmetic, walls: Iterable[Wall], position: tuple[Number, Number], velocity: tuple[Number, Number]
+    walls: Iterable[Wall], position: tuple[Number, Number], velocity: tuple[Number, Number]
 ) -> Number:
     """The share of `STOP_TIME_S` times velocity after which the vehicle would stand if told so now.
 
     1 in the open; less where a wall in the way stops it earlier.
 
     Args:
-        m: for numbers or for arrays.
         walls: of the room.
         position, velocity: horizontal, mission frame.
     """
@@ -48,8 +47,8 @@ def stop_share(
         within = abs(wall.along(position)) <= 0.5 * wall.length_m
         behind_m = _BEHIND_M + slack_m(wall, position) if wall.is_uncertain else _BEHIND_M
         stops = (here > there) & (there < 0.0) & (here > -behind_m) & within
-        way = m.where(stops, here - there, 1.0)
-        share = m.minimum(share, m.where(stops, m.maximum(here / way, 0.0), 1.0))
+        way = where(stops, here - there, 1.0)
+        share = minimum(share, where(stops, maximum(here / way, 0.0), 1.0))
     return share
 
 

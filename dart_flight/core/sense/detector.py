@@ -76,13 +76,6 @@ class _Stage(Enum):
     REFRACTORY = auto()
 
 
-# Looked up once: what a class or an enumeration is asked for at every sample costs more than the sums.
-_WATCHING: Final = _Stage.WATCHING
-_RISING: Final = _Stage.RISING
-_FALLING: Final = _Stage.FALLING
-_REFRACTORY: Final = _Stage.REFRACTORY
-
-
 Event = ImpactOnset | ImpactPeak | ContactEnd | DetectionFloor
 Events = list[Event]
 
@@ -114,7 +107,7 @@ class ImpactDetector:
         self._threshold_n, self._release_n = c.force_threshold_n, c.release_fraction * c.force_threshold_n
         self._sigma, self._refractory_us = c.noise_sigma, c.refractory_s * 1e6
         self.slow_force = SlowForce(vehicle.estimation)
-        self._stage = _WATCHING
+        self._stage = _Stage.WATCHING
         tick_s, noise_n = vehicle.imu.tick_s, self._mass * vehicle.estimation.imu_noise_m_s2
         lengths = (0.0, 2.0 * tick_s, self._config.short_window_s, self._config.long_window_s)
         self._windows = [WindowMean(s, noise_n, round(s / tick_s)) for s in lengths]
@@ -138,7 +131,7 @@ class ImpactDetector:
     @property
     def in_contact(self) -> bool:
         """Between onset and end of contact."""
-        return self._stage is _RISING or self._stage is _FALLING
+        return self._stage is _Stage.RISING or self._stage is _Stage.FALLING
 
     @property
     def crossed_n(self) -> float:
@@ -160,20 +153,20 @@ class ImpactDetector:
         force, base = estimate.force_mission, self.slow_force.value
         fx, fy = force[0] - base[0], force[1] - base[1]
         stage = self._stage
-        if stage is _REFRACTORY and t_us - self._ended_us >= self._refractory_us:
-            stage = self._stage = _WATCHING
+        if stage is _Stage.REFRACTORY and t_us - self._ended_us >= self._refractory_us:
+            stage = self._stage = _Stage.WATCHING
         told = self._tell_floor(t_us, expected)
         self._expected = expected
         for window in self._windows:
             window.add(t_us, fx, fy)
-        if stage is _WATCHING or stage is _REFRACTORY:
+        if stage is _Stage.WATCHING or stage is _Stage.REFRACTORY:
             self._noise = estimate.noise_n
             return told + self._watch(estimate, fx, fy, dt_us, received_us, state)
         events: Events = told
-        if stage is _RISING:
+        if stage is _Stage.RISING:
             self._samples.append(_Sample(t_us, dt_us, fx, fy, estimate.push_mission, estimate.clipped))
             if self._peak_is_past(t_us):
-                self._stage = _FALLING
+                self._stage = _Stage.FALLING
                 events.append(self._peak(t_us, received_us, state))
         else:
             end = self._end(t_us, fx, fy)
@@ -194,12 +187,12 @@ class ImpactDetector:
         if size < release or (drowned and self._size_of(2) < release):
             self._armed = True
         sample = _Sample(self._last_us, dt_us, fx, fy, estimate.push_mission, estimate.clipped)
-        watching = self._expected.watching and self._armed and self._stage is _WATCHING
+        watching = self._expected.watching and self._armed and self._stage is _Stage.WATCHING
         if watching and self._is_contact(fx, fy, size, over):
             return [self._begin(estimate, sample, received_us, state)]
         self._previous = ((fx, fy), self._previous[0])
         self._before.append(sample)
-        if self._stage is _WATCHING:
+        if self._stage is _Stage.WATCHING:
             for window in self._windows:
                 window.learn(dt_us * 1e-6)
         if drowned:
@@ -320,7 +313,7 @@ class ImpactDetector:
             window.forget()
         self._quiet_since_us = None
         self._armed = False
-        self._stage = _RISING
+        self._stage = _Stage.RISING
         self.slow_force.settle()
         self._onset = ImpactOnset(
             t_us=sample.t_us,
@@ -472,7 +465,7 @@ class ImpactDetector:
             self._quiet_since_us = t_us
         if t_us - self._quiet_since_us < self._config.contact_end_s * 1e6:
             return None
-        self._stage = _REFRACTORY
+        self._stage = _Stage.REFRACTORY
         self._ended_us = t_us
         return ContactEnd(t_us=self._quiet_since_us, first_us=self._onset.first_us)
 

@@ -34,10 +34,6 @@ _FASTEST_M_S: Final = 1e3
 _FASTEST: Final = 20  # simulated seconds per second
 _LEAPS_BELIEVED: Final = 25
 _VELOCITIES_KEPT_US: Final = 1_000_000
-# Looked up once: asked of the enumeration at every sample they cost more than the comparison.
-_OFFBOARD: Final = FlightMode.OFFBOARD
-_ON_GROUND: Final = LandedState.ON_GROUND
-_SETTLED: Final = LockPhase.SETTLED
 
 
 class FlightState:
@@ -302,13 +298,13 @@ class FlightState:
     @property
     def in_offboard(self) -> bool:
         """Whether PX4 says that it flies our set-points."""
-        return self.status.flight_mode is _OFFBOARD
+        return self.status.flight_mode is FlightMode.OFFBOARD
 
     @property
     def on_ground(self) -> bool:
         """Whether PX4's land detector says so."""
-        return self.status.landed is _ON_GROUND
+        return self.status.landed is LandedState.ON_GROUND
 
     def lock_is_in(self, mode: Mode) -> bool:
         """Whether the lock is settled in a mode, as far as it can know."""
-        return self.lock.phase is _SETTLED and self.lock.mode is mode
+        return self.lock.phase is LockPhase.SETTLED and self.lock.mode is mode

@@ -21,8 +21,6 @@ Each = tuple[float, ...]  # of every motor
 # `auto` takes no slower telemetry: switching to and fro would look like forces
 _ESC_PERIOD_US: Final = 20_000
 _PENDING: Final = 16  # commands ahead of the IMU: a few ticks at most
-_ESC: Final = ThrustSource.ESC
-_ACTUATOR: Final = ThrustSource.ACTUATOR
 
 
 class LaggedCommands:
@@ -130,15 +128,15 @@ class ThrustModel:
         per_rpm2 = self._per_rpm2
         if esc is not None and per_rpm2 is not None:
             often = self._esc_period_us <= _ESC_PERIOD_US and esc.t_us >= t_us - _ESC_PERIOD_US
-            if wanted is _ESC or (auto and often):
-                self.source = _ESC
+            if wanted is ThrustSource.ESC or (auto and often):
+                self.source = ThrustSource.ESC
                 self.each_n = tuple([per_rpm2 * rpm * rpm for rpm in esc.rpm])
                 squares = 0.0
                 for rpm in esc.rpm:
                     squares += rpm * rpm
                 return per_rpm2 * squares
-        if motors.newest_us > 0 and (auto or wanted is _ACTUATOR):
-            self.source = _ACTUATOR
+        if motors.newest_us > 0 and (auto or wanted is ThrustSource.ACTUATOR):
+            self.source = ThrustSource.ACTUATOR
             motors.advance(t_us)
             return self._by_curve(motors.value)
         self.each_n = None

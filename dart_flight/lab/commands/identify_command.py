@@ -66,9 +66,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="for PX4 logs: a point of the plane of first touch in local NED (m), and the heading of its "
         "outward normal (degrees)",
     )
-    parser.add_argument(
-        "--bump", action="store_true", help="for PX4 logs: the strongest horizontal acceleration is the hit"
-    )
     parser.add_argument("--mass", type=float, metavar="KG", help="of the vehicle (the configuration's)")
     parser.add_argument(
         "--law",
@@ -106,7 +103,6 @@ def run(arguments: argparse.Namespace) -> int:
         columns=arguments.columns,
         wall=tuple(arguments.wall) if arguments.wall else None,
         mass_kg=arguments.mass,
-        bump=arguments.bump,
         law=arguments.law,
     )
     if arguments.output and not arguments.surface:

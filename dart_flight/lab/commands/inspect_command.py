@@ -1,4 +1,4 @@
-"""`dart-flight feel LOG...`: what PX4's own logs felt."""
+"""`dart-flight inspect LOG...`: what PX4's own logs felt."""
 
 from __future__ import annotations
 

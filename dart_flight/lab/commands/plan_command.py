@@ -9,7 +9,7 @@ from rich.progress import Progress
 
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import add_set_option, link_of, whole_number
-from dart_flight.cli.terminal import emit_json, messages, say, tables
+from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.scenario import Objective, load_scenario
 from dart_flight.lab.search.mission_writer import planned_mission, write_mission
@@ -39,9 +39,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--seed", type=whole_number(0, 2**31 - 1), default=1, help="of the draws of robust (1)"
     )
     add_plot_option(parser)
-    parser.add_argument(
-        "--plot-search", type=Path, metavar="FILE", help="picture of all candidates: png, svg or pdf"
-    )
     parser.add_argument(
         "--connection",
         metavar="URL",
@@ -82,11 +79,6 @@ def run(arguments: argparse.Namespace) -> int:
             )
     if arguments.plot is not None:
         write_picture(planned_mission(scenario, plan), arguments.plot)
-    if arguments.plot_search is not None:
-        from dart_flight.lab.search.plots import plot_search
-
-        plot_search(result, plan, arguments.plot_search)
-        say(f"picture: {arguments.plot_search}")
     if arguments.json:
         emit_json(plan_summary(result))
     else:

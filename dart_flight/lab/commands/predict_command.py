@@ -81,7 +81,6 @@ def run(arguments: argparse.Namespace) -> int:
     what = prediction.condition(vehicle, where[0], mode, where[1], where[2])
     if arguments.drop is None:
         numbers = prediction.predict_wall(what, *arguments.velocity)
-        numbers["turning_deg_s"] = _turning(vehicle, what, arguments.velocity)
     else:
         numbers = prediction.predict_drop(what, arguments.drop)
     if arguments.plot:
@@ -96,17 +95,6 @@ def run(arguments: argparse.Namespace) -> int:
             event = f"drop from {arguments.drop:g} m"
         _print(f"{what.surface}, {what.mode.value}, onset {what.onset.value}: {event}", numbers)
     return 0
-
-
-def _turning(vehicle: Any, what: Any, velocity: list[float]) -> float:
-    """How fast the body turns after the hit, degrees per second (`contact.body_hit`)."""
-    from math import radians
-
-    from dart_flight.lab.predict.body_hit import body_hit
-
-    askew = radians(what.incidence_deg)
-    normal, along = velocity
-    return body_hit(vehicle, what.surface, what.mode, normal, along, askew, what.onset).turning_deg_s
 
 
 def _from_ratios(arguments: argparse.Namespace) -> int:

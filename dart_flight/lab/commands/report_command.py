@@ -36,11 +36,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="also the figures alone, a paper's column wide, one on each page",
     )
     parser.add_argument("--svg", type=Path, metavar="DIR", help="likewise, one SVG file for each figure")
-    parser.add_argument(
-        "--identify",
-        action="store_true",
-        help="identify contact coefficients also where prediction and measurement agree",
-    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -51,12 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     paths = logs_in(arguments.logs)
     flights = from_each(paths, Flight.read, say)
     output = arguments.output or _beside(paths)
-    identify = arguments.identify
-    if len(flights) == 1:
-        page = flight_page(flights[0], identify=identify)
-    else:
-        page = comparison_page(flights, identify=identify)
-    write_text(output, page)
+    write_text(output, flight_page(flights[0]) if len(flights) == 1 else comparison_page(flights))
     _write_figures(arguments, flights)
     if arguments.json:
         emit_json({"page": str(output), "verdicts": [flight.verdict for flight in flights]})

@@ -1,26 +1,19 @@
-"""`dart-flight tables`: the paper's tables and figures beside the model's."""
+"""`dart-flight tables`: the paper's tables beside the model's."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from dart_flight.cli.terminal import emit_json, say, tables, write_text
+from dart_flight.cli.terminal import emit_json, tables, write_text
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError, writing
-from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.law import Onset
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("-o", "--output", metavar="FILE", help="write the page (docs/paper_tables.md)")
-    parser.add_argument(
-        "--figures",
-        type=Path,
-        metavar="DIR",
-        help="write the page, and every figure of the paper that there is data for, into this folder",
-    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -40,8 +33,6 @@ def run(arguments: argparse.Namespace) -> int:
         with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, paper.page(vehicle))
-    if arguments.figures is not None:
-        _write_all(arguments.figures, vehicle)
     if arguments.json:
         emit_json(
             {
@@ -60,22 +51,8 @@ def run(arguments: argparse.Namespace) -> int:
                 "vehicle": source,
             }
         )
-    elif not arguments.output and arguments.figures is None:
+    elif not arguments.output:
         from rich.markdown import Markdown
 
         tables().print(Markdown(paper.page(vehicle)))
     return 0
-
-
-def _write_all(folder: Path, vehicle: VehicleConfig) -> None:
-    """The page with its figures below it."""
-    from dart_flight.lab.paper import figures as paper_figures
-    from dart_flight.lab.paper import tables as paper
-
-    page = [paper.page(vehicle), "## Figures\n"]
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    for figure in paper_figures.write(folder, vehicle):
-        say(f"wrote {folder / figure.file}")
-        page.append(f"**{figure.title}.** {figure.says}\n\n![{figure.title}]({figure.file})\n")
-    write_text(folder / "paper_tables.md", "\n".join(page))

@@ -10,7 +10,6 @@ more than chance.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,18 +21,6 @@ T95 = 1.959964
 _ENOUGH_TRIALS = 5  # of a call, from which whole trials are drawn
 _STRETCH = 12  # samples of free flight drawn together; a contact is drawn in thirds
 _BY_CHANCE = 1.3
-
-
-class Deviation(NamedTuple):
-    """Half widths of 95 % intervals.
-
-    Attributes:
-        half: per parameter.
-        resampled: which of them follow the resampled deviation.
-    """
-
-    half: Array
-    resampled: Array
 
 
 def correlation(fit: SampleFit, theta: Array) -> float:
@@ -82,8 +69,8 @@ def _stretches(fit: SampleFit, theta: Array) -> list[tuple[Array, Array]]:
     return found
 
 
-def deviations(fit: SampleFit, theta: Array) -> Deviation:
-    """Half widths for all parameters of a fit."""
+def half_widths(fit: SampleFit, theta: Array) -> Array:
+    """Half widths of the 95 % intervals of all parameters of a fit."""
     data = sum(int(sum((c > 0.0).sum() for c in window.counts.values())) for window in fit.windows)
     squares = sum(float(np.sum(fit.block(theta, i) ** 2)) for i in range(len(fit.trials)))
     freedom = max(data - fit.parameters.size, 1)
@@ -98,5 +85,4 @@ def deviations(fit: SampleFit, theta: Array) -> Deviation:
     moved = (scores - scores.mean(axis=0)) @ inverse
     drawn = np.sqrt(np.sum(moved**2, axis=0) * n / max(n - 1, 1))
     half = student_t(max(n - 1, 1)) * drawn
-    wider = half > _BY_CHANCE * statistical
-    return Deviation(np.where(wider, half, statistical), wider)
+    return np.where(half > _BY_CHANCE * statistical, half, statistical)

@@ -38,7 +38,6 @@ class Job:
     columns: str | None = None
     wall: tuple[float, float, float] | None = None
     mass_kg: float | None = None
-    bump: bool = False
     law: str = PAPER
 
 
@@ -95,7 +94,6 @@ def carry_out(
         wall=job.wall,
         mass_kg=mass_kg,
         height_m=job.height_m,
-        bump=job.bump,
     )
     left_out: list[str] = []
     paths = logs_in(job.paths)
@@ -187,7 +185,7 @@ def _said_of_mass(trials: Sequence[Trial], mass_kg: float, passed_over: VehicleC
 def _refuse_idle_options(job: Job, paths: Sequence[Path]) -> None:
     """Raises InputError: an option tells how to read a kind of file that is not among them."""
     csv, ulogs = (".csv",), (".ulg", ".ulog")
-    idle = {"columns": (job.columns, csv), "wall": (job.wall, ulogs), "bump": (job.bump, ulogs)}
+    idle = {"columns": (job.columns, csv), "wall": (job.wall, ulogs)}
     given = {path.suffix.lower() for path in paths}
     for option, (value, suffixes) in idle.items():
         if value and given.isdisjoint(suffixes):

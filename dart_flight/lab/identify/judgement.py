@@ -19,7 +19,7 @@ from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Estimate, Identification, SetAside
 from dart_flight.lab.identify.hits import Hit, hit_of
-from dart_flight.lab.identify.intervals import Deviation, deviations
+from dart_flight.lab.identify.intervals import half_widths
 from dart_flight.lab.identify.law_fit import HitTable, predict
 from dart_flight.lab.identify.laws import ContactLaw, candidate_laws
 from dart_flight.lab.identify.sample_fit import HIGHEST_F, HIGHEST_K, LOWEST_F, LOWEST_K, PUSHES, SampleFit
@@ -71,7 +71,7 @@ class SampleResult(NamedTuple):
 
 def conclude(fit: SampleFit, theta: Array) -> SampleResult:
     """Coefficients with intervals, what became of each trial, and what a reader should know."""
-    deviation = deviations(fit, theta)
+    halves = half_widths(fit, theta)
     notes: list[str] = []
     trials = _trials(fit, theta)
     bad = set()
@@ -89,23 +89,23 @@ def conclude(fit: SampleFit, theta: Array) -> SampleResult:
     side: int | None = None
     for mode in fit.parameters.modes:
         members = [i for i, trial in enumerate(fit.trials) if trial.mode == mode]
-        found = _stiffness(fit, theta, deviation, mode, notes)
-        found["mu"] = _friction(fit, theta, deviation.half, members)
-        found["nu"], up = _vertical(fit, theta, deviation.half, members)
+        found = _stiffness(fit, theta, halves, mode, notes)
+        found["mu"] = _friction(fit, theta, halves, members)
+        found["nu"], up = _vertical(fit, theta, halves, members)
         side = up if up is not None else side
         coefficients[mode] = found
-    half = float(deviation.half[0])
+    half = float(halves[0])
     plane = Estimate(float(theta[0]), float(theta[0]) - half, float(theta[0]) + half)
     return SampleResult(coefficients, plane, _residuals(fit, theta), trials, side, bad, notes)
 
 
 def _stiffness(
-    fit: SampleFit, theta: Array, deviation: Deviation, mode: str, notes: list[str]
+    fit: SampleFit, theta: Array, halves: Array, mode: str, notes: list[str]
 ) -> dict[str, Estimate | None]:
     at = fit.parameters.of_mode(mode)
     found: dict[str, Estimate | None] = {}
     for name, lowest, highest in (("k", LOWEST_K, HIGHEST_K), ("f", LOWEST_F, HIGHEST_F)):
-        half, value = float(deviation.half[at[name]]), float(theta[at[name]])
+        half, value = float(halves[at[name]]), float(theta[at[name]])
         found[name] = None
         if value < math.log(lowest) + 1e-3 or value > math.log(highest) - 1e-3:
             notes.append(f"{mode}: {name} is at a bound of the search ({math.exp(value):.3g}) and not known")
@@ -116,30 +116,30 @@ def _stiffness(
     return found
 
 
-def _friction(fit: SampleFit, theta: Array, deviation: Array, members: list[int]) -> Estimate | None:
+def _friction(fit: SampleFit, theta: Array, halves: Array, members: list[int]) -> Estimate | None:
     at = fit.parameters.of_mode(fit.trials[members[0]].mode)["mu"]
     moving = False
     change = 0.0  # exponent of the slowing per s/m of mu: how strongly mu acts at all
     for i in members:
         own = fit.parameters.own[i]
         if "vy" in own:
-            moving |= abs(theta[own["vy"]]) > max(5.0 * float(deviation[own["vy"]]), 0.02)
+            moving |= abs(theta[own["vy"]]) > max(5.0 * float(halves[own["vy"]]), 0.02)
             _, end, contact = fit.span(theta, i)
             change = max(change, float(contact.impulse(end)) / fit.mass_kg)
-    value, half = float(theta[at]), float(deviation[at])
+    value, half = float(theta[at]), float(halves[at])
     if not moving or (half > value and half * change > 0.3):
         return None
     return Estimate(value, max(value - half, 0.0), value + half)
 
 
 def _vertical(
-    fit: SampleFit, theta: Array, deviation: Array, members: list[int]
+    fit: SampleFit, theta: Array, halves: Array, members: list[int]
 ) -> tuple[Estimate | None, int | None]:
     """Nu by its size, and the side on which the force acts."""
     at = fit.parameters.of_mode(fit.trials[members[0]].mode)["nu"]
     if not any("z0" in fit.parameters.own[i] for i in members):
         return None, None
-    value, half = abs(float(theta[at])), float(deviation[at])
+    value, half = abs(float(theta[at])), float(halves[at])
     if half > max(value, 1.0):
         return None, None
     side = None if half > value else 1 if theta[at] > 0.0 else -1

@@ -109,7 +109,6 @@ class TrialReading:
             outward normal in degrees.
         mass_kg: turns measured acceleration into force.
         height_m: of drops, where it is known.
-        bump: take a log's strongest horizontal acceleration for a wall hit.
     """
 
     mode: str = UNLABELLED
@@ -119,7 +118,6 @@ class TrialReading:
     wall: tuple[float, float, float] | None = None
     mass_kg: float = 1.3
     height_m: float | None = None
-    bump: bool = False
 
 
 Readers = dict[str, Callable[[Path, TrialReading], list[Trial]]]
@@ -265,17 +263,15 @@ def read_ulog(path: Path, how: TrialReading) -> list[Trial]:
         InputError: pyulog is missing, the file is not a ULog, or topics are missing; no wall was given.
     """
     source = str(path)
-    if how.wall is None and not how.drop and not how.bump:
+    if how.wall is None and not how.drop:
         raise InputError(
-            "a flight log does not say where the wall is: give --wall NORTH EAST HEADING, or --bump to take "
-            "the strongest horizontal acceleration for the hit",
+            "a flight log does not say where the wall is: give --wall NORTH EAST HEADING, or have inspect -o "
+            "write every impact as a trial",
             source=source,
         )
     log = open_ulog(path, ("vehicle_local_position", "vehicle_attitude", "sensor_combined"))
     topics = {name: instances[0] for name, instances in log.topics.items() if 0 in instances}
     felt = "sensor_combined" in topics and "vehicle_attitude" in topics
-    if how.wall is None and not how.drop:
-        how = replace(how, wall=_bump(topics, felt, source))
     series: dict[str, Series] = {}
     if "vehicle_local_position" in topics:
         series = _from_local_position(topics["vehicle_local_position"], how)
@@ -287,27 +283,6 @@ def read_ulog(path: Path, how: TrialReading) -> list[Trial]:
             time, force = series.pop("normal_force_n")
             series = {"specific_force_m_s2": Series(time, force / how.mass_kg)}
     return [_trial(source, series, how)]
-
-
-def _bump(topics: Any, felt: bool, source: str) -> tuple[float, float, float]:
-    """Where the strongest horizontal acceleration was, and its heading: the outward normal of a wall."""
-    if not felt or "vehicle_local_position" not in topics:
-        raise InputError(
-            "--bump needs vehicle_local_position, vehicle_attitude and sensor_combined", source=source
-        )
-    time, ned = _specific_force_ned(topics["sensor_combined"], topics["vehicle_attitude"])
-    level = ned - np.median(ned, axis=0)
-    at = int(np.argmax(np.hypot(level[:, 0], level[:, 1])))
-    near = np.abs(time - time[at]) < 0.02
-    north, east = level[near, 0].mean(), level[near, 1].mean()
-    place = topics["vehicle_local_position"]
-    stamps = seconds(place)
-    about = np.abs(stamps - time[at]) < 0.15
-    if about.sum() < 3:
-        raise InputError("no position about the strongest acceleration", source=source)
-    x, y = (np.asarray(place[name], dtype=float)[about] for name in ("x", "y"))
-    deepest = int(np.argmin(x * north + y * east))
-    return float(x[deepest]), float(y[deepest]), math.degrees(math.atan2(east, north))
 
 
 def _axes(how: TrialReading) -> tuple[Array, Array]:

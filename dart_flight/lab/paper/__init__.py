@@ -1,1 +1,1 @@
-"""The paper's tables and figures beside the model's."""
+"""The paper's tables beside the model's."""

@@ -288,7 +288,7 @@ def _read_batch(path: str | Path, modes: list[str]) -> tuple[Rows, Array, Array]
     return np.array(which, dtype=np.intp), values[:, 0], values[:, 1]
 
 
-_UNITS = {"m_s": "m/s", "s": "s", "m": "m", "n": "N", "n_s": "N s", "deg_s": "deg/s"}
+_UNITS = {"m_s": "m/s", "s": "s", "m": "m", "n": "N", "n_s": "N s"}
 
 
 def described(name: str, value: float | None) -> tuple[str, str, str]:

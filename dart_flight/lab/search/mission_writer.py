@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,27 +17,8 @@ from dart_flight.lab.search.search import Plan, PlannedCollision
 _DIGITS = 4
 
 
-class _Dumper(yaml.SafeDumper):
-    """Block style as a person writes it: what is in a list is indented, a vector stands in one line."""
-
-    def increase_indent(self, flow: bool = False, indentless: bool = False) -> None:
-        super().increase_indent(flow, False)
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
-
-
-def _represent(dumper: yaml.SafeDumper, values: Sequence[Any]) -> yaml.Node:
-    in_line = not any(isinstance(value, dict) for value in values)
-    return dumper.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=in_line)
-
-
-_Dumper.add_representer(list, _represent)
-_Dumper.add_representer(tuple, _represent)
-
-
 def mission_text(scenario: Scenario, plan: Plan, target: Path) -> str:
-    """The mission file, block style.
+    """The mission file.
 
     Args:
         scenario: what was planned.
@@ -65,7 +45,8 @@ def mission_text(scenario: Scenario, plan: Plan, target: Path) -> str:
         f"# Planned by `dart-flight plan` from {Path(scenario.source).name}, objective "
         f"{scenario.objective.value}. `predicted` is what the flight model expects.\n"
     )
-    return head + yaml.dump(msgspec.to_builtins(tree), Dumper=_Dumper, sort_keys=False, width=1 << 16)
+    # None: what holds nothing but figures stands in one line, all else in block style.
+    return head + yaml.safe_dump(msgspec.to_builtins(tree), sort_keys=False, default_flow_style=None)
 
 
 def _collision(scenario: Scenario, plan: Plan, c: PlannedCollision) -> dict[str, Any]:

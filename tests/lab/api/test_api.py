@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import builtins
 import json
 import subprocess
 import sys
@@ -407,32 +406,6 @@ def test_unknown_names_are_told_with_the_nearest(flight: dart_flight.Flight) -> 
         flight.log["/estimate/forces"]
     with pytest.raises(AttributeError, match="did you mean force_mission"):
         flight.log["/estimate/force"].force_misson  # noqa: B018
-
-
-def test_a_data_frame(flight: dart_flight.Flight) -> None:
-    pytest.importorskip("pandas", reason="pandas is not installed: pip install 'dart-flight[pandas]'")
-    force = flight.log["/estimate/force"]
-    frame = force.to_pandas()
-    assert frame.index.name == "t_s"
-    assert list(frame.columns[:4]) == ["t_us", "force_mission_x", "force_mission_y", "force_mission_z"]
-    assert (frame["force_mission_y"].to_numpy() == force.force_mission[:, 1]).all()
-    for name in flight.log:
-        assert len(flight.log[name].to_pandas()) == len(flight.log[name])
-
-
-def test_without_pandas_the_extra_is_named(
-    flight: dart_flight.Flight, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    real = builtins.__import__
-
-    def missing(name: str, *rest: Any, **more: Any) -> Any:
-        if name == "pandas":
-            raise ImportError(name)
-        return real(name, *rest, **more)
-
-    monkeypatch.setattr(builtins, "__import__", missing)
-    with pytest.raises(ImportError, match=r"pip install 'dart-flight\[pandas\]'"):
-        flight.log["/in/imu"].to_pandas()
 
 
 # --- prediction, plans, identification ------------------------------------------------------------------

@@ -161,7 +161,7 @@ def test_a_flight_log_has_no_drops(
 
 
 @pytest.mark.parametrize(
-    "option", [["--wall", "3", "2", "225"], ["--bump"], ["--columns", "time_s=t"]], ids=lambda words: words[0]
+    "option", [["--wall", "3", "2", "225"], ["--columns", "time_s=t"]], ids=lambda words: words[0]
 )
 def test_an_option_for_files_of_another_kind_is_refused(
     flown: SharedFlights, option: list[str], capsys: pytest.CaptureFixture[str]

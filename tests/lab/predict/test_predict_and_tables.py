@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -85,8 +84,6 @@ def test_incidence_makes_an_unlocked_vehicle_rigid(capsys: pytest.CaptureFixture
     stiff = as_json(capsys, "predict", "--surface", "acrylic", "--mode", "rigid", "--velocity", "-1", "0")
     assert soft["peak_normal_force_n"] < 0.6 * stiff["peak_normal_force_n"]
     almost = as_json(capsys, *hit, "--incidence-deg", "14.9")
-    for numbers in (soft, stiff, turned, almost):
-        del numbers["turning_deg_s"]  # of the body, which is askew
     assert turned == stiff
     assert almost == soft
 
@@ -246,12 +243,3 @@ def test_one_height_can_be_met_but_not_both() -> None:
             fitted = [e for row, e in zip(rows, refit.errors, strict=True) if row.height_m in refit.fitted]
             worst = max(abs(x) for pair in fitted for x in pair)
             assert (worst < 1e-3) == (len(refit.fitted) == 1)
-
-
-def test_the_figures_are_all_written_and_shown_on_the_page(tmp_path: Path) -> None:
-    assert main(["tables", "--figures", str(tmp_path)]) == 0
-    page = (tmp_path / "paper_tables.md").read_text()
-    figures = {path.name for path in tmp_path.glob("*.svg")}
-    assert len(figures) == 10
-    assert figures == set(re.findall(r"\]\((\S+\.svg)\)", page))
-    assert "## Drop tests" in page

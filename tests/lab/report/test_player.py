@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dart_flight.config.document import InputError
 from dart_flight.lab.report.figures.flight_map import flight_map
 from dart_flight.lab.report.flight import Flight
 from dart_flight.lab.report.page import flight_page
@@ -34,15 +33,10 @@ def ten(flown: SharedFlights) -> Flight:
     return Flight.read(next(folder.glob("*/flight.mcap")))
 
 
-def not_now(*_: object, **__: object) -> None:
-    raise InputError("not identified in this test")
-
-
 @pytest.fixture(scope="session")
 def ten_page(ten: Flight) -> str:
-    """Its page without the coefficients of ten hits, whose few table rows it lacks, and not replayed."""
+    """Its page, not replayed."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dart_flight.lab.report.proposal.identify", not_now)
         patch.setattr(
             "dart_flight.lab.report.flight.replay",
             lambda _: Replay(0, 0, True, [], [], [], 0, "not in this test"),

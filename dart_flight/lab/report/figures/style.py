@@ -21,7 +21,7 @@ ESTIMATED = {"color": "#1f6fd0", "linestyle": (0, (5, 1.5)), "linewidth": 1.6}
 PREDICTED = {"color": "#e8871e", "linestyle": (0, (1, 1.2)), "linewidth": 2.2}
 REPLANNED = {"color": "#8a3fb5", "linestyle": (0, (4, 1.2, 1, 1.2)), "linewidth": 1.8}
 FORCE, GUARD, SET_POINT = "#c2261d", "#b00020", "#1b7a3d"
-GREY, LIGHT = "#666666", "#d9d9d9"
+GREY = "#666666"
 _STYLE = {
     "svg.fonttype": "none",
     "svg.hashsalt": "dart-flight",

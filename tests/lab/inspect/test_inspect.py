@@ -1,4 +1,4 @@
-"""`dart-flight feel`: a log made of known forces."""
+"""`dart-flight inspect`: a log made of known forces."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def topics(motor_hz: float = 100.0, motors: bool = True, north_m_s: float = 0.0)
 
 
 def felt(path: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:
-    assert main(["feel", str(path), "--json", *more]) == 0
+    assert main(["inspect", str(path), "--json", *more]) == 0
     flights: list[dict[str, Any]] = json.loads(capsys.readouterr().out)
     return flights[0]
 
@@ -115,7 +115,7 @@ def test_without_motor_outputs_only_a_vehicle_that_hovers_is_believed(
     fast_log = write_ulog(tmp_path / "fast.ulg", topics(motors=False, north_m_s=6.0))
     fast = felt(fast_log, capsys)
     assert ([i["kind"] for i in fast["impacts"]], fast["untold"]) == (["untold"], 1)
-    assert main(["feel", str(fast_log)]) == 0
+    assert main(["inspect", str(fast_log)]) == 0
     assert "a contact or a manoeuvre" in " ".join(capsys.readouterr().out.split())
     known = felt(write_ulog(tmp_path / "known.ulg", topics(north_m_s=6.0)), capsys)
     assert (len(known["impacts"]), known["untold"]) == (1, 0)
@@ -123,14 +123,14 @@ def test_without_motor_outputs_only_a_vehicle_that_hovers_is_believed(
 
 def test_a_log_without_attitude_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     some = {key: value for key, value in topics().items() if key[0] != "vehicle_attitude"}
-    assert main(["feel", str(write_ulog(tmp_path / "a.ulg", some))]) == 2
+    assert main(["inspect", str(write_ulog(tmp_path / "a.ulg", some))]) == 2
     assert "has no vehicle_attitude" in capsys.readouterr().err
 
 
 def test_trials_and_page_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
     path, page = write_ulog(tmp_path / "a.ulg", topics()), tmp_path / "page.html"
-    status = main(["feel", str(path), "--mass", "1.3", "-o", str(tmp_path / "t"), "--report", str(page)])
+    status = main(["inspect", str(path), "--mass", "1.3", "-o", str(tmp_path / "t"), "--report", str(page)])
     assert status == 0
     (trial,) = read_trials(tmp_path / "t" / "a_impact1.csv", TrialReading())
     force = trial.series["normal_force_n"]

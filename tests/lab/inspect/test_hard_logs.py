@@ -1,4 +1,4 @@
-"""`dart-flight feel` on logs that are not what it wants: fast, crashed, of others, damaged."""
+"""`dart-flight inspect` on logs that are not what it wants: fast, crashed, of others, damaged."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 
 from dart_flight.cli import main
 from tests.doubles.ulog_file import Topics, write_ulog
-from tests.lab.identify.test_feel import HIT_S, felt, topics
+from tests.lab.inspect.test_inspect import HIT_S, felt, topics
 
 pytest.importorskip("pyulog")
 
@@ -52,7 +52,7 @@ def crashed() -> Topics:
 
 
 def refused(path: Path, capsys: pytest.CaptureFixture[str]) -> str:
-    assert main(["feel", str(path), "--json"]) == 2
+    assert main(["inspect", str(path), "--json"]) == 2
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
     return err
@@ -226,7 +226,7 @@ def test_a_refused_log_does_not_end_the_batch(tmp_path: Path, capsys: pytest.Cap
     plane = write_ulog(tmp_path / "plane.ulg", with_status(topics(motor_hz=10.0), kind=1))
     nothing = tmp_path / "nothing.ulg"
     nothing.write_bytes(struct.pack("<Q", 0))
-    assert main(["feel", str(plane), str(good), str(nothing), "--json"]) == 2
+    assert main(["inspect", str(plane), str(good), str(nothing), "--json"]) == 2
     out, err = capsys.readouterr()
     assert [flight["log"] for flight in json.loads(out)] == [str(good)]
     assert [line.partition(":")[0] for line in err.splitlines()] == [str(plane), str(nothing)]
@@ -238,7 +238,7 @@ def test_a_ulog_is_sent_to_the_commands_that_take_it(
 ) -> None:
     path = write_ulog(tmp_path / "a.ulg", {})
     assert main([command, str(path)]) == 2
-    assert "this is a PX4 ULog: feel, identify and calibrate take it" in capsys.readouterr().err
+    assert "this is a PX4 ULog: inspect, identify and calibrate take it" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

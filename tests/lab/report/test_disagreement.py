@@ -1,4 +1,4 @@
-"""Closing the loop: coefficients out of flights, and when the report proposes them."""
+"""Closing the loop: coefficients out of flights, and when the report says to identify them."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from dart_flight.cli import main
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 from dart_flight.lab.report.flight import Flight
-from dart_flight.lab.report.page import comparison_page
-from dart_flight.lab.report.proposal import Proposal, propose
+from dart_flight.lab.report.page import beyond, comparison_page, disagreements
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import read_log
 from dart_flight.run.prepare import load_flyable
@@ -45,7 +44,7 @@ def stiffer(single: Mission, flown: SharedFlights) -> list[Path]:
 
 
 def with_entry(text: str, path: Path) -> VehicleConfig:
-    """The shipped configuration with a proposed entry in its place, loaded as a user would."""
+    """The shipped configuration with an identified entry in its place, loaded as a user would."""
     config = yaml.safe_load(Path(CONFIG).read_text(encoding="utf-8"))
     config["materials"].update(yaml.safe_load(text)["materials"])
     path.write_text(yaml.safe_dump(config), encoding="utf-8")
@@ -65,56 +64,36 @@ def test_the_flights_know_only_the_mission(stiffer: list[Path], single: Mission)
     assert contact.peak_normal_force_n > 1.05 * impact.predicted_n
 
 
-def test_flights_that_agree_propose_nothing(single: Mission, flown: SharedFlights) -> None:
+def test_flights_that_agree_teach_nothing(single: Mission, flown: SharedFlights) -> None:
     def fly(folder: Path) -> None:
         for seed in (1, 2):
             fly_against(single, single, seed, folder / str(seed) / "flight.mcap")
 
     flights = [Flight.read(path) for path in sorted(flown.once("believed", fly).glob("*/flight.mcap"))]
-    (proposal,) = propose(flights)
-    assert proposal.material == "acrylic"
-    assert proposal.entry == ""
-    assert proposal.suggestions == []
-    assert "agree" in proposal.note
+    ((material, found),) = disagreements(flights).items()
+    assert material == "acrylic"
+    assert set(found) == {"flexible, normal", "flexible, friction"}
+    assert not beyond(found)
 
 
-def test_the_page_of_a_flight_that_agrees_proposes_nothing(flight: Flight, page: str) -> None:
-    assert [proposal.entry for proposal in propose([flight])] == ["", ""]
+def test_the_page_of_a_flight_that_agrees_asks_for_nothing(page: str) -> None:
     assert "Contact coefficients" in page
-    assert "Proposed entry" not in page
+    assert page.count("Prediction and measurement agree.") == 2
+    assert "dart-flight identify" not in page
 
 
-def test_a_stiffer_wall_is_proposed_and_the_entry_loads(
-    stiffer: list[Path], single: Mission, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stiffer_wall_is_noticed_and_the_page_says_what_to_run(stiffer: list[Path]) -> None:
     flights = [Flight.read(path) for path in stiffer]
-    (proposal,) = propose(flights)
-    mean, _ = proposal.disagreement["flexible, normal"]
+    found = disagreements(flights)["acrylic"]
+    mean, _ = found["flexible, normal"]
     assert mean == pytest.approx(1.2**0.5 - 1.0, abs=0.03)  # peaks grow with the root of k
-    assert proposal.entry
-    changed = {s.name for s in proposal.suggestions if s.change}
-    assert changed == {"k"}
-    vehicle = with_entry(proposal.entry, tmp_path / "dart.yaml")
-    flexible = vehicle.materials["acrylic"].of(Mode.FLEXIBLE)
-    assert flexible.k == pytest.approx(1.2 * 1250.0, rel=0.03)
-    # The mode that was not flown stays.
-    assert vehicle.materials["acrylic"].rigid == single.vehicle.materials["acrylic"].rigid
-    # The page shows what is proposed; not identified a second time, which takes seconds.
-    asked: list[object] = []
-
-    def already(*given: object) -> list[Proposal]:
-        asked.append(given)
-        return [proposal]
-
-    monkeypatch.setattr("dart_flight.lab.report.page.propose", already)
+    assert beyond(found)
     page = comparison_page(flights)
-    assert asked == [(flights, False)]
-    assert "Proposed entry" in page
-    assert "materials:\n  acrylic:" in page
+    assert "<pre>dart-flight identify LOG... --surface acrylic -o acrylic.yaml</pre>" in page
 
 
 def test_identify_takes_flight_logs_and_writes_the_entry(
-    stiffer: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    stiffer: list[Path], single: Mission, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "acrylic.yaml"
     logs = [str(path) for path in stiffer]
@@ -125,15 +104,19 @@ def test_identify_takes_flight_logs_and_writes_the_entry(
         assert found["flexible"][name]["low"] <= truth <= found["flexible"][name]["high"], name
     # The configured value is refuted: the interval is narrow enough to tell.
     assert found["flexible"]["k"]["low"] > 1250.0
-    assert with_entry(out.read_text(encoding="utf-8"), tmp_path / "dart.yaml").materials["acrylic"].source
+    acrylic = with_entry(out.read_text(encoding="utf-8"), tmp_path / "dart.yaml").materials["acrylic"]
+    assert acrylic.source
+    assert acrylic.of(Mode.FLEXIBLE).k == pytest.approx(1.2 * 1250.0, rel=0.03)
+    # The mode that was not flown stays.
+    assert acrylic.rigid == single.vehicle.materials["acrylic"].rigid
 
 
 def test_a_slippery_wall_is_noticed_by_its_friction(single: Mission, tmp_path: Path) -> None:
     path = fly_against(single, with_walls(single, mu=0.5), 1, tmp_path / "flight.mcap")
-    (proposal,) = propose([Flight.read(path)])
-    assert abs(proposal.disagreement["flexible, normal"][0]) < 0.05
-    assert proposal.disagreement["flexible, friction"][0] < -0.2
-    assert {s.name for s in proposal.suggestions if s.change} == {"mu"}
+    found = disagreements([Flight.read(path)])["acrylic"]
+    assert abs(found["flexible, normal"][0]) < 0.05
+    assert found["flexible, friction"][0] < -0.2
+    assert beyond(found)
 
 
 def test_flights_at_two_walls_need_the_name_of_one(
