@@ -71,6 +71,16 @@ class PlannedFlight(msgspec.Struct):
     walls: tuple[Wall, ...] = ()
 
 
+def impact_place(collision: Collision, hits: Mapping[int, PlannedHit]) -> Vec2:
+    """Where a wall is to be met, mission frame: as the mission says, else by the model, else its middle."""
+    if collision.impact_point is not None:
+        return collision.impact_point
+    if collision.predicted is not None:
+        return collision.predicted.position_m
+    hit = hits.get(collision.index)
+    return hit.position if hit is not None else collision.wall.point
+
+
 def describe_passing(miss_m: float, goal: GoalSpec, after_impact: AfterImpact = AfterImpact.SETPOINT) -> str:
     """In words how near the goal is passed, and from where on that counts as reached."""
     says = f"passes the goal at {miss_m:.2f} m, captured within {goal.capture_radius_m:g} m"
