@@ -1,4 +1,6 @@
-"""Published recordings of real hits, read as trials, and what `identify` makes of them (docs/real_data.md).
+"""Published recordings of real hits, read as trials, and what `identify` makes of them.
+
+What came of it: docs/results/real_data.md.
 
 The recordings have no licence and are not part of this repository: fetch them by name and give the folder.
 

@@ -213,6 +213,7 @@ class EstimatorSample(Record, frozen=True, gc=False):
     received_us: int
     reset_counter: int | None = None  # counts up to 255, then from 0
     healthy: bool | None = None  # attitude, horizontal velocity and a horizontal position are valid
+    position_sd_m: float | None = None  # of the horizontal position, by PX4 itself
 
 
 class StatusText(Record, frozen=True, gc=False):

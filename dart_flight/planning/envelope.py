@@ -1,7 +1,7 @@
 """What impacts a mission may plan: its own force limit, and what flights have shown.
 
 The sweep of docs/px4.md (acrylic and wood, both modes, 0.5 to 4 m/s) and its hits with guards set the figures
-of speed and force here, the flights of docs/body.md those of incidence and height.
+of speed and force here, the flights of docs/results/body.md those of incidence and height.
 """
 
 from __future__ import annotations
@@ -125,7 +125,8 @@ def height_warning(mission: Mission, collision: Collision) -> str | None:
     where = "below" if height < 0.0 else "above"
     return (
         f"{_name(collision)} at {-velocity[0]:.2g} m/s with guards {abs(height):g} m {where} the centre of "
-        f"mass may turn the vehicle over: {below:g} m below to {above:g} m above it was flown (docs/body.md)"
+        f"mass may turn the vehicle over: {below:g} m below to {above:g} m above it was flown "
+        "(docs/results/body.md)"
     )
 
 

@@ -23,7 +23,7 @@ from dart_flight.lock.servo import ServoFaults
 
 Drawn = dict[str, float | str]
 
-_RINGING_M_S2 = (2.0, 3.0)  # of one sample in hover, per axis, in recordings (docs/real_data.md)
+_RINGING_M_S2 = (2.0, 3.0)  # of one sample in hover, per axis, in recordings (docs/results/real_data.md)
 _RINGING_WHITE_M_S2 = 0.8  # of that without colour: what a mean over 32 ms of those recordings leaves
 _LEAST_FACTOR = 0.1  # no quantity shrinks below this share of its nominal value
 NAMES = tuple(field.encode_name for field in msgspec.structs.fields(Spreads))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 
 _FLAGS = re.compile(r'"flags":\s*(\d+)')
+_ACCURACY = re.compile(r'"pos_horiz_accuracy":\s*([0-9.eE+-]+)')
 _NEEDED = 1 | 2  # ESTIMATOR_STATUS_FLAGS: attitude, horizontal velocity
 _PLACED = 8 | 16  # horizontal position, relative or absolute
 
@@ -20,6 +21,12 @@ def is_healthy(fields_json: str) -> bool | None:
         return None
     flags = int(found[1])
     return flags & _NEEDED == _NEEDED and bool(flags & _PLACED)
+
+
+def position_sd_m(fields_json: str) -> float | None:
+    """Standard deviation of the horizontal position by PX4's own estimator, metres; None: not said."""
+    found = _ACCURACY.search(fields_json)
+    return float(found[1]) if found is not None else None
 
 
 class LocalPosition:

@@ -55,7 +55,7 @@ from dart_flight.config.vehicle import Estimation
 from dart_flight.vehicle import reasons, sdk_log
 from dart_flight.vehicle.callback_thread import stay_known
 from dart_flight.vehicle.clock import Clock, ClockEstimate, host_us
-from dart_flight.vehicle.local_position import LocalPosition, is_healthy
+from dart_flight.vehicle.local_position import LocalPosition, is_healthy, position_sd_m
 from dart_flight.vehicle.timesync import answer_of, request
 
 _MODES = {
@@ -354,7 +354,7 @@ class VehicleSession:
         healthy = is_healthy(message.fields_json)
         if healthy is not None:
             self._place.healthy = healthy
-            self._deliver_estimator(healthy=healthy)
+            self._deliver_estimator(healthy=healthy, position_sd_m=position_sd_m(message.fields_json))
             if self._status.local_position_ok is not self._place.ok:
                 self._on_status(local_position_ok=self._place.ok)
 

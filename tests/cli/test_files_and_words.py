@@ -80,7 +80,7 @@ def test_an_interrupt_is_said_and_130(
 
 
 def test_extras_are_named_as_every_shell_takes_them() -> None:
-    files = [*ROOT.glob("dart_flight/**/*.py"), *ROOT.glob("docs/*.md"), ROOT / "README.md"]
+    files = [*ROOT.glob("dart_flight/**/*.py"), *ROOT.glob("docs/**/*.md"), ROOT / "README.md"]
     wrong = [
         f"{path.name}: {found[0]}"
         for path in files

@@ -325,6 +325,14 @@ def test_what_is_wrong_for_other_modes_is_told_where_nothing_else_is(hand_fed: H
     assert reason(hand_fed.run(25.0)).endswith("; PX4 gives no reason, but finds: No offboard signal")
 
 
+def test_no_flight_at_a_wall_begins_where_px4_is_not_sure_of_its_position(hand_fed: HandFedCore) -> None:
+    hand_fed.set_status(landed=LandedState.ON_GROUND)
+    hand_fed.set_lock(Mode.RIGID)
+    hand_fed.give(EstimatorSample(hand_fed.t_us, hand_fed.t_us, healthy=True, position_sd_m=0.23))
+    why = "not_ready: no position to 0.10 m (its standard deviation by PX4 is 0.23 m)"
+    assert reason(hand_fed.run(25.0)) == why
+
+
 def test_a_lock_that_is_not_ready_is_not_px4s_affair(hand_fed: HandFedCore) -> None:
     hand_fed.run(1.0)
     hand_fed.give(HealthReport(hand_fed.t_us, hand_fed.t_us, False, ("Battery low",), ()))

@@ -200,6 +200,13 @@ def estimator_flags(c: HandFedCore) -> None:
 
 
 @cause
+def position_uncertain(c: HandFedCore) -> None:
+    c.to_flight()
+    c.give(EstimatorSample(c.t_us, c.t_us, healthy=True, position_sd_m=0.23))
+    c.run(0.1)
+
+
+@cause
 def still_armed(c: HandFedCore) -> None:
     c.to_flight()
     c.set_status(battery_v=12.9)

@@ -9,7 +9,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+MANUAL = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+RESULTS = sorted((ROOT / "docs" / "results").glob("*.md"))
+PAGES = MANUAL + RESULTS
+
+
+def name_of(page: Path) -> str:
+    """A page as it is called in test ids and messages: its path below the repository."""
+    return page.relative_to(ROOT).as_posix()
+
 
 _FENCE = re.compile(r"^(?P<indent> *)```(?P<language>\w*)\s*$")
 _COMMENT = re.compile(r"\s+#\s(?P<text>.*)$")

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from dart_flight.cli import COMMANDS, build_parser, main
-from tests.docs.snippets import PAGES, ROOT, Command, commands
+from tests.docs.snippets import PAGES, ROOT, Command, commands, name_of
 from tests.shared_flights import LiveFlights, SharedFlights
 
 # What is not run here, and why. What calls dart-flight is still parsed.
@@ -165,8 +165,8 @@ def _repeated() -> set[tuple[str, str]]:
         for command in commands(page):
             text = as_run(command)
             runs_here = why_not_run(command) is None and ONCE.match(text)
-            if runs_here and runs.setdefault(_essence(text), page.name) != page.name:
-                repeated.add((page.name, text))
+            if runs_here and runs.setdefault(_essence(text), name_of(page)) != name_of(page):
+                repeated.add((name_of(page), text))
     return repeated
 
 
@@ -179,7 +179,7 @@ def to_run(page: Path, laboratory: Path) -> Iterator[tuple[Command, str]]:
         if why_not_run(command) is not None or is_real_time(command):
             continue
         text = as_run(command)
-        if (page.name, text) in REPEATED:
+        if (name_of(page), text) in REPEATED:
             flight = ITS_FLIGHT.match(text)
             if flight is None:
                 assert "--log-dir" not in text, "later commands want its flight"
@@ -220,18 +220,20 @@ def _main(text: str) -> int:
 
 def _has_something_to_run(page: Path) -> bool:
     run = [c for c in commands(page) if why_not_run(c) is None and not is_real_time(c)]
-    return any((page.name, as_run(command)) not in REPEATED for command in run)
+    return any((name_of(page), as_run(command)) not in REPEATED for command in run)
 
 
 RUNNABLE = [page for page in PAGES if _has_something_to_run(page)]
 
 
 def test_what_is_run_once_is_run_somewhere() -> None:
-    run = {_essence(as_run(c)) for p in RUNNABLE for c in commands(p) if (p.name, as_run(c)) not in REPEATED}
+    run = {
+        _essence(as_run(c)) for p in RUNNABLE for c in commands(p) if (name_of(p), as_run(c)) not in REPEATED
+    }
     assert {_essence(text) for _, text in REPEATED} <= run
 
 
-@pytest.mark.parametrize("page", RUNNABLE, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", RUNNABLE, ids=name_of)
 def test_what_is_quick_runs_as_it_stands(
     page: Path, laboratory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

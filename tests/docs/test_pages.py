@@ -23,7 +23,7 @@ from dart_flight.config.mission import WallSpec, parse_mission
 from dart_flight.config.scenario import load_scenario
 from dart_flight.config.vehicle import Material, VehicleConfig, load_vehicle
 from dart_flight.lab.report.flight import Flight
-from tests.docs.snippets import PAGES, ROOT, Block, blocks
+from tests.docs.snippets import MANUAL, PAGES, RESULTS, ROOT, Block, blocks, name_of
 from tests.shared_flights import SharedFlights
 from tools.docs import animation, concept_figures, generated
 
@@ -238,26 +238,37 @@ def _anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_every_link_leads_somewhere(page: Path) -> None:
     for target in _LINK.findall(page.read_text(encoding="utf-8")):
         if re.match(r"https?:|mailto:", target):
             continue
         name, _, anchor = target.partition("#")
         path = (page.parent / name).resolve() if name else page
-        assert path.exists(), f"{page.name}: {target}"
-        assert not anchor or anchor in _anchors(path), f"{page.name}: {target}"
+        assert path.exists(), f"{name_of(page)}: {target}"
+        assert not anchor or anchor in _anchors(path), f"{name_of(page)}: {target}"
 
 
 def test_every_page_is_reached_from_the_index() -> None:
     index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
     linked = {target.partition("#")[0] for target in _LINK.findall(index)}
-    assert {page.name for page in PAGES if page.parent == ROOT / "docs"} - {"index.md"} <= linked
+    pages = {page.relative_to(ROOT / "docs").as_posix() for page in [*MANUAL[1:], *RESULTS]}
+    assert pages - {"index.md"} <= linked
+
+
+@pytest.mark.parametrize("page", RESULTS, ids=name_of)
+def test_every_result_says_when_and_by_which_command(page: Path) -> None:
+    """Below its title; a page that is computed and never measured says by what alone."""
+    said = page.read_text(encoding="utf-8").partition("\n\n")[2]
+    assert re.match(r"(Measured on \d{4}-\d{2}-\d{2}|Computed) by\s`[^`]+`", said), (
+        f"{name_of(page)}: {said[:80]}"
+    )
 
 
 def test_every_page_that_is_named_exists() -> None:
     files = [path for folder in SOURCES for path in (ROOT / folder).rglob("*") if path.suffix in _TEXT]
-    files += [ROOT / name for name in ("README.md", "CHANGELOG.md", "Makefile", "pyproject.toml")]
+    files = [path for path in files if ROOT / "tests" / "data" not in path.parents]  # as they were flown
+    files += [ROOT / name for name in ("README.md", "Makefile", "pyproject.toml")]
     missing = {
         f"{path.relative_to(ROOT)}: {name}"
         for path in files

@@ -1,4 +1,4 @@
-"""A sample of the campaign of malformed input (`tools/campaigns/fuzz.py`, `docs/fuzz.md`)."""
+"""A sample of the campaign of malformed input (`tools/campaigns/fuzz.py`, `docs/results/fuzz.md`)."""
 
 import pytest
 

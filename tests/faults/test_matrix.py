@@ -1,6 +1,6 @@
 """Faults in the fast world: each cell of the matrix is what the table says, and none is uncontrolled.
 
-`make campaign` flies all of it and thousands of random ones (`docs/fault_matrix.md`); here a sample.
+`make campaign` flies all of it and thousands of random ones (`docs/results/fault_matrix.md`); here a sample.
 """
 
 import itertools
@@ -38,7 +38,7 @@ def test_a_cell_is_what_the_table_says(fault: str, phase: str) -> None:
 
 
 def test_one_row_is_put_into_the_page_and_the_rest_left() -> None:
-    page = (ROOT / "docs/fault_matrix.md").read_text()
+    page = (ROOT / "docs/results/fault_matrix.md").read_text()
     lines = page.splitlines()
     own = next(line for line in lines if line.startswith("| second-vehicle "))  # the matrix comes first
     assert with_row(page, own) == page

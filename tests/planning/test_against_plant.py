@@ -1,7 +1,7 @@
 """The flight model against the plant: fast flights of plans, predicted against flown.
 
 Planner and flight model know a point: so does the plant here. The bounds are about twice what
-`docs/planning.md` measured over its table.
+`docs/results/planning_agreement.md` measured over its table.
 """
 
 from __future__ import annotations

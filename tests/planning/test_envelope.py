@@ -1,4 +1,4 @@
-"""What of body and incidence `check`, planner and warnings know, from docs/body.md's flights."""
+"""What of body and incidence `check`, planner and warnings know, from docs/results/body.md's flights."""
 
 import math
 

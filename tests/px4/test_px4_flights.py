@@ -99,6 +99,14 @@ def test_single_wall_outdoors_with_rtk(px4_dir: Path, tmp_path: Path) -> None:
     accept(fly_px4(mission, px4_dir, 1, tmp_path, position_from=PositionSource.RTK, speed=FAST))
 
 
+def test_plain_gps_does_not_fly_at_a_wall(px4_dir: Path, tmp_path: Path) -> None:
+    mission = load_flyable(MISSIONS / "paper_single_wall.yaml")
+    verdict = fly_px4(mission, px4_dir, 1, tmp_path, position_from=PositionSource.PLAIN, speed=FAST)
+    assert verdict.reason is not None
+    assert verdict.reason.startswith("not_ready: no position to 0.10 m")
+    assert verdict.flight_time_s is None
+
+
 def test_lock_servo_on_px4s_own_output(px4_dir: Path, tmp_path: Path) -> None:
     from dart_flight.config.vehicle import LockDriver
     from dart_flight.run.prepare import with_driver

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from dart_flight.vehicle.local_position import LocalPosition, is_healthy
+from dart_flight.vehicle.local_position import LocalPosition, is_healthy, position_sd_m
 
 ATTITUDE, VELOCITY, RELATIVE, ABSOLUTE, ASSUMED = 1, 2, 8, 16, 128
 
@@ -40,3 +40,9 @@ def test_a_position_counts_until_the_estimator_says_that_it_has_none() -> None:
     assert not place.ok
     place.healthy = None  # a vehicle that does not send ESTIMATOR_STATUS
     assert place.ok
+
+
+def test_how_sure_px4_is_of_its_position() -> None:
+    assert position_sd_m(json.dumps({"flags": 831, "pos_horiz_accuracy": 0.2298})) == 0.2298
+    assert position_sd_m('{"pos_horiz_accuracy":4e-3}') == 0.004
+    assert position_sd_m('{"pos_horiz_accuracy": null}') is None

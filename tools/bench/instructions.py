@@ -3,9 +3,9 @@
     python -m tools.bench.instructions [--count FILE] [--passes N] [--apart S] [FLIGHT]
 
 Runs as the guest of QEMU's user-mode emulation, whose plugin `instructions.c` keeps in FILE how many
-instructions have been executed; docs/latency.md has the commands. Without FILE the same work takes processor
-time, in nanoseconds; `--apart 0.003` sleeps before each item, as the app does between two messages, so that
-it meets cold memory.
+instructions have been executed; docs/results/raspberry_pi.md has the commands. Without FILE the same work
+takes processor time, in nanoseconds; `--apart 0.003` sleeps before each item, as the app does between two
+messages, so that it meets cold memory.
 """
 
 from __future__ import annotations

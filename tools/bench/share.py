@@ -4,8 +4,8 @@
 
 Each client is a process of its own against `impact_source` (a contact every three seconds); clients take
 turns. Parts are threads, by the processor time that Linux counts for each: what is neither Python's nor the
-app's own is MAVSDK's, whose callbacks build the records. The deadman is a process. docs/latency.md has the
-figures.
+app's own is MAVSDK's, whose callbacks build the records. The deadman is a process.
+Figures: docs/results/latency.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`make campaign`: the bulk runs, one after the other; each prints or writes its report (docs/).
+"""`make campaign`: the bulk runs, one after the other; each prints its report or writes it to docs/results.
 
 python -m tools.campaigns.__main__ [NAME ...]      only these, e.g. `faults fuzz`
 """

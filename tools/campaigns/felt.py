@@ -1,4 +1,4 @@
-"""What was felt: mode and coefficients after a contact, against the world that was drawn (docs/felt.md).
+"""Mode and coefficients after a contact, against the world that was drawn (docs/results/felt.md).
 
     python -m tools.campaigns.felt                        # every set, point and guards, build/felt.md
     python -m tools.campaigns.felt wood headon --runs 1000 --body guards --processes 2

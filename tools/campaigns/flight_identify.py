@@ -1,6 +1,6 @@
 """How well coefficients come out of flight logs: fast flights against walls whose coefficients are known.
 
-    python -m tools.campaigns.flight_identify           (writes docs/flight_identification.md)
+    python -m tools.campaigns.flight_identify           (writes docs/results/flight_identification.md)
     python -m tools.campaigns.flight_identify --body guards     this kind of vehicle anew, the other as kept
     python -m tools.campaigns.flight_identify --resume          what an interrupted run has not done yet
 
@@ -10,6 +10,7 @@ Flights and what was found are kept below `--keep`.
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import shutil
 import statistics
@@ -30,6 +31,7 @@ from dart_flight.lab.report.page import AGREES, beyond, disagreements
 from dart_flight.recording.reader import read_log
 from dart_flight.run.prepare import load_flyable
 from tools.bench.other_wall import fly_against, with_walls
+from tools.campaigns.results import RESULTS, measured_by
 
 ROOT = Path(__file__).parents[2]
 # The law is a point's. A point shows what the fit is worth; a body with guards, which turns, what
@@ -145,18 +147,24 @@ def folder_of(keep: Path, name: str, factors: dict[str, float]) -> Path:
 
 
 def _rows(found: Sequence[Found]) -> Iterator[str]:
-    for f in found:
-        if f.value is None:
-            result = "– | – | –"
-        else:
-            error = f"{100.0 * (f.value / f.truth - 1.0):+.1f}"
-            result = f"{f.value:.4g} | {error} | {f.low:.4g} to {f.high:.4g}"
+    """A row for each case: its coefficients as found, bold where the interval does not hold the truth."""
+    for (mission, walls, material, mode), case in itertools.groupby(
+        found, key=lambda f: (f.mission, f.walls, f.material, f.mode)
+    ):
+        named = {f.name: f for f in case}
+        first = next(iter(named.values()))
+        cells = [_cell(named[name]) for name in ALLOWANCE]
         yield (
-            f"| {f.mission} | {f.walls} | {f.material}, {f.mode} | {f.turned_deg_s:.0f} | {f.name} "
-            f"| {f.truth:.4g} | {result} "
-            f"| {'yes' if f.inside else 'no' if f.value is not None else 'unknown'} "
-            f"| {'yes' if f.proposed else 'no'} |"
+            f"| {mission} | {walls} | {material}, {mode} | {first.turned_deg_s:.0f} | {' | '.join(cells)} "
+            f"| {'yes' if first.proposed else 'no'} |"
         )
+
+
+def _cell(f: Found) -> str:
+    if f.value is None:
+        return "unknown"
+    shown = f"{f.value:.4g}, {100.0 * (f.value / f.truth - 1.0):+.1f} %"
+    return shown if f.inside else f"**{shown}**"
 
 
 def _errors(found: Sequence[Found]) -> str:
@@ -174,8 +182,9 @@ def _errors(found: Sequence[Found]) -> str:
 
 
 _HEAD = (
-    "| mission | walls | material, mode | turned, deg/s | | truth | found | error % | 95 % interval "
-    "| holds truth | proposed |\n|---|---|---|---|---|---|---|---|---|---|---|"
+    f"| mission | walls | material, mode | turned, deg/s | {' | '.join(ALLOWANCE)} | proposed |\n"
+    + "|---" * (5 + len(ALLOWANCE))
+    + "|"
 )
 
 
@@ -187,14 +196,17 @@ def page(found: Sequence[Found], missing: Sequence[str], first_seed: int = 1) ->
     left_out = f"Not run: {'; '.join(missing)}.\n\n" if missing else ""
     return f"""# Coefficients from flight logs
 
-Written by `python -m tools.campaigns.flight_identify`; do not edit. Fast flights, seeds {first_seed} to
+{measured_by("tools.campaigns.flight_identify")}
+
+Fast flights, seeds {first_seed} to
 {last}, against walls whose coefficients differ from the configuration's as said; `identify` and `report`
 see only the logs.
 
 The intervals are the statistical 95 % interval and an allowance for what such recordings are off by,
 however many there are ({allowed} of the value): PX4's velocity loop brakes
 the vehicle while the wall does, which looks like damping of the wall, and it holds the height against
-the vertical force. Where the vehicle turned, mu's interval is wider by that too.
+the vertical force. Where the vehicle turned, mu's interval is wider by that too. Each coefficient is given as
+found, with its error; bold where the interval does not hold the truth.
 
 `proposed`: the report of these flights says to identify the material, and a coefficient's interval does
 not hold the configured value. The report says so where the mean of measured over predicted peak, of the
@@ -221,7 +233,7 @@ The friction turns it, which a point's law does not know.
 def main() -> None:
     """Run the campaign and write its report."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "flight_identification.md")
+    parser.add_argument("-o", "--output", type=Path, default=RESULTS / "flight_identification.md")
     parser.add_argument("--workers", type=int)
     parser.add_argument("--first-seed", type=int, default=1)
     parser.add_argument("--body", choices=(POINT, GUARDS), help="only these anew, the others as kept")

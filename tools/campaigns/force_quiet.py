@@ -97,7 +97,7 @@ class _Weather:
 
 
 class _Pilot:
-    """Set-points that change hard every second or so, within a box of 12 m."""
+    """Setpoints that change hard every second or so, within a box of 12 m."""
 
     def __init__(self, rng: random.Random) -> None:
         self._rng = rng

@@ -8,9 +8,10 @@ guards do in a hit, with walls as planned and askew.
     python -m tools.campaigns.px4 --part body --px4 NAME=DIR [--px4 NAME=DIR ...]
 
 Every flight's figures go to `px4_flights.jsonl` in the report folder as they come; a part that is flown again
-replaces its lines. The tables (`px4_tables.md`) are written from that file alone, so parts can be flown one
-by one. docs/px4_tables.md is such a report; docs/px4.md explains it. The tables of versions and of the body
-with guards go into docs/px4.md itself; a version that is flown again replaces its lines there, others stay.
+replaces its lines. The tables (`px4.md`) are written from that file alone, so parts can be flown one
+by one. docs/results/px4.md is such a report; docs/px4.md explains it. The tables of versions and of the body
+with guards go into docs/results/px4_versions.md; a version that is flown again replaces its lines there,
+others stay.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import math
 import re
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -40,6 +42,7 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.px4 import fly_px4
 from dart_flight.sim.px4.launch import find_install
+from tools.campaigns.results import RESULTS, measured_by
 
 SEEDS = range(1, 11)
 EMBEDDED_SEEDS = range(1, 4)  # real time: few
@@ -49,7 +52,7 @@ APPROACHES_M_S = (-0.6, -0.9, -1.2, -1.5)  # normal velocity; along the wall as 
 SPEED = 3.0  # times real time, what lockstep sustains with room to spare where nothing else runs
 MISSIONS = {"single": "paper_single_wall.yaml", "dual": "paper_dual_collision.yaml"}
 SWEEP = Path(__file__).with_name("px4_sweep_mission.yaml")
-FLIGHTS, TABLES = "px4_flights.jsonl", "px4_tables.md"
+FLIGHTS, TABLES = "px4_flights.jsonl", "px4.md"
 VERSIONS = "version "  # begins the names of the parts that compare versions; then NAME
 VERSION_SEEDS = range(1, 3)
 VERSION_FLIGHTS = (("dual", "mocap"), ("single", "mocap"), ("single", "rtk"))
@@ -58,7 +61,7 @@ BODY_SEEDS = range(1, 6)
 WALL_YAW_DEG = 5.0  # standard deviation
 BODY_FLIGHTS = (("single", 0.0), ("dual", 0.0), ("single", WALL_YAW_DEG))  # mission, spread of the wall's yaw
 _AFTER_US = 600_000  # what a hit does to tilt and rate shows within this time
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "px4.md"
+PAGE = RESULTS / "px4_versions.md"
 
 
 class Hit(msgspec.Struct):
@@ -348,31 +351,6 @@ def _hits(flight: Flight, show: Callable[[Hit], str]) -> str:
     return " / ".join(show(hit) for hit in flight.hits) or "–"
 
 
-def _acceptance(flights: list[Flight]) -> list[str]:
-    head = ["seed", "outcome", "failsafe", "normal m/s true", "measured", "peak N true", "measured"]
-    head += ["detected ms", "set-point ms", "tilt °", "EKF m", "resets", "miss m", "final m"]
-    rows = [
-        [
-            str(f.seed),
-            f.outcome + (f" ({f.reason})" if f.reason else ""),
-            _yes(f.failsafe),
-            _hits(f, lambda h: _text(h.normal_true_m_s, 2)),
-            _hits(f, lambda h: _text(h.normal_m_s, 2)),
-            _hits(f, lambda h: _text(h.force_true_n, 1)),
-            _hits(f, lambda h: _text(h.force_n, 1)),
-            _hits(f, lambda h: _text(h.detection_ms, 1)),
-            _hits(f, lambda h: _text(h.setpoint_ms, 1)),
-            _text(f.tilt_deg, 1),
-            _text(f.ekf_m, 3),
-            "–" if f.resets is None else str(f.resets),
-            _text(f.miss_m, 2),
-            _text(f.final_m, 3),
-        ]
-        for f in flights
-    ]
-    return _table(head, rows)
-
-
 def _sweep_table(flights: list[Flight]) -> list[str]:
     head = ["m/s", "outcome", "failsafe", "peak N true", "measured", "clipped", "samples at full scale"]
     head += ["velocity error after it m/s", "EKF m", "resets", "tilt °", "final m"]
@@ -404,20 +382,27 @@ def _spread(values: list[float | None], digits: int) -> str:
     return f"{middle:.{digits}f} ({known[0]:.{digits}f} to {known[-1]:.{digits}f})"
 
 
-def _worlds(flights: list[Flight], mission: str) -> list[str]:
-    groups = {
-        world: [f for f in flights if f.world == world and f.mission == mission and f.sensor == "mocap"]
-        for world in ("fast", "embedded", "px4")
+def _seeds_table(flights: list[Flight], mission: str) -> list[str]:
+    """Every figure of a mission, a column for each world and source of the position."""
+    columns = {
+        "fast, mocap": f"fast-{mission}",
+        "embedded, mocap": f"embedded-{mission}",
+        "px4, mocap": f"{mission}-mocap",
+        "px4, rtk": f"{mission}-rtk",
+        "px4, plain": f"{mission}-plain",
     }
-    head = ["", *(f"{world} ({len(group)} flights)" for world, group in groups.items())]
+    groups = [[f for f in flights if f.part == part] for part in columns.values()]
+    head = ["", *(f"{name}: {len(group)} flights" for name, group in zip(columns, groups, strict=True))]
 
     def line(name: str, of: Callable[[Flight], float | None], digits: int) -> list[str]:
-        return [name, *(_spread([of(f) for f in group], digits) for group in groups.values())]
+        return [name, *(_spread([of(f) for f in group], digits) for group in groups)]
 
     rows = [
-        ["completed", *(f"{sum(f.outcome == 'completed' for f in g)} of {len(g)}" for g in groups.values())]
+        ["completed", *(str(sum(f.outcome == "completed" for f in g)) for g in groups)],
+        ["ended by", *(_ended_by(g) for g in groups)],
+        ["failsafes", *(str(sum(bool(f.failsafe) for f in g)) for g in groups)],
     ]
-    walls = max((len(f.hits) for f in flights if f.mission == mission), default=0)
+    walls = max((len(f.hits) for group in groups for f in group), default=0)
     for i in range(walls):
 
         def of(pick: Callable[[Hit], float | None], i: int = i) -> Callable[[Flight], float | None]:
@@ -429,13 +414,18 @@ def _worlds(flights: list[Flight], mission: str) -> list[str]:
         rows.append(line(n + "peak force, true, N", of(lambda h: h.force_true_n), 1))
         rows.append(line(n + "peak force measured / true", of(_force_ratio), 3))
         rows.append(line(n + "detection, ms", of(lambda h: h.detection_ms), 1))
-        rows.append(line(n + "set-point, ms", of(lambda h: h.setpoint_ms), 2))
+        rows.append(line(n + "setpoint, ms", of(lambda h: h.setpoint_ms), 2))
     rows.append(line("tilt up to, °", lambda f: f.tilt_deg, 1))
     rows.append(line("position estimate off by up to, m", lambda f: f.ekf_m, 3))
     rows.append(line("estimator resets", lambda f: f.resets, 0))
     rows.append(line("goal miss, m", lambda f: f.miss_m, 3))
     rows.append(line("final error, m", lambda f: f.final_m, 3))
     return _table(head, rows)
+
+
+def _ended_by(flights: list[Flight]) -> str:
+    rules = Counter((f.reason or "").partition(":")[0] for f in flights if f.outcome != "completed")
+    return ", ".join(f"{rule} {count}" for rule, count in rules.most_common()) or "–"
 
 
 def _approach_table(flights: list[Flight]) -> list[str]:
@@ -549,23 +539,18 @@ def report(flights: list[Flight]) -> str:
     lines = ["# Flights with a real PX4: the tables", ""]
     paces = " and ".join(f"{pace:g}" for pace in sorted({f.speed for f in flights if f.world == "px4"}))
     lines += [
-        f"Generated by `python -m tools.campaigns.px4` at {paces} times real time; docs/px4.md explains."
+        measured_by("tools.campaigns.px4", f"under PX4 SITL at {paces} times real time"),
+        "",
     ]
-    lines += ["Two hits of a flight are given as first / second.", ""]
-    for sensor, name in (("mocap", "motion capture"), ("rtk", "RTK-like GPS"), ("plain", "plain GPS")):
-        for mission, title in (("single", "Single wall"), ("dual", "Dual collision")):
-            group = [f for f in flights if f.part == f"{mission}-{sensor}"]
-            if group:
-                good = sum(f.outcome == "completed" for f in group)
-                lines += [f"## {title}, {name}: {good} of {len(group)} completed", "", *_acceptance(group)]
+    lines += ["[px4.md](../px4.md) explains.", ""]
+    for mission, title in (("single", "Single wall"), ("dual", "Dual collision")):
+        if any(f.part == f"{mission}-mocap" for f in flights):
+            lines += [f"## {title}: median (least to most)", "", *_seeds_table(flights, mission)]
     for part in sorted({f.part for f in flights if f.part.startswith("sweep")}):
         group = [f for f in flights if f.part == part]
         surface, mode = group[0].mission.split()[:2]
         sensor = {"mocap": "motion capture", "rtk": "RTK-like GPS"}[group[0].sensor]
         lines += [f"## Speed sweep, {surface}, {mode}, {sensor}", "", *_sweep_table(group)]
-    for mission, title in (("single", "Single wall"), ("dual", "Dual collision")):
-        if any(f.part == f"fast-{mission}" for f in flights):
-            lines += [f"## {title} in three worlds: median (least to most)", "", *_worlds(flights, mission)]
     if any(f.part.startswith("approach") for f in flights):
         lines += ["## Velocity at the wall, true less planned: mean ± standard deviation over five seeds", ""]
         lines += ["Single wall, motion capture; `share` is the mean of the normal error over the plan.", ""]
@@ -586,7 +571,7 @@ def run(report_dir: Path, pace: float) -> None:
     (report_dir / TABLES).write_text(report(load(report_dir)), encoding="utf-8")
 
 
-# Parts that fly named versions of PX4, and whose table goes into docs/px4.md.
+# Parts that fly named versions of PX4, and whose table goes into docs/results/px4_versions.md.
 BY_VERSION = {"versions": (fly_version, versions_table), "body": (fly_body, body_table)}
 
 

@@ -1,4 +1,4 @@
-"""Force estimate and detection on real PX4 logs (docs/real_data.md).
+"""Force estimate and detection on real PX4 logs (docs/results/real_data.md).
 
     python -m tools.campaigns.real LOG_OR_FOLDER... [--json FILE]
 

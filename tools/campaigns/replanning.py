@@ -1,4 +1,4 @@
-"""Three ways to go on after a hit, on the same seeds: the set-point, then straight to the goal, replan.
+"""Three ways to go on after a hit, on the same seeds: the setpoint, then straight to the goal, replan.
 
     python -m tools.campaigns.replanning             # 200 flights each, contact 0.3; build/replanning.md
     python -m tools.campaigns.replanning --vary all --runs 200 --ways setpoint replan
@@ -55,7 +55,7 @@ HELD_SEED, TUNING_SEED = 12001, 1  # rules were tuned on the seeds from the seco
 
 
 class _Straight(Executive):
-    """The paper's set-point until the last contact is over, then straight to the goal."""
+    """The paper's setpoint until the last contact is over, then straight to the goal."""
 
     def _watch_goal(self, state: FlightState, p: Proposal, timed_out: bool) -> None:
         if self._lock.contact_end_us is None and not timed_out:
@@ -68,7 +68,7 @@ class _Straight(Executive):
 
 
 WAYS = {
-    "setpoint": "the paper's set-point",
+    "setpoint": "the paper's setpoint",
     "straight": "the paper's, then straight to the goal",
     "replan": "replan",
 }

@@ -3,7 +3,7 @@
 python -m tools.campaigns.replay                      20 fast and 5 embedded flights (these in real time)
 python -m tools.campaigns.replay --px4 2              and two of PX4, named by DART_PX4_DIR
 
-Writes docs/replay.md. What was measured of a world before is kept where this run does not fly it.
+Writes docs/results/replay.md. What was measured of a world before is kept where this run does not fly it.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.px4 import fly_px4
 from dart_flight.run.replay import replay
+from tools.campaigns.results import RESULTS, measured_by
 
 ROOT = Path(__file__).parents[2]
 MISSIONS = ("paper_dual_collision", "paper_single_wall")
@@ -112,9 +113,10 @@ def report(results: Sequence[Result], kept: Sequence[str]) -> Iterator[str]:
     yield from (
         "# Replays",
         "",
-        "Written by `python -m tools.campaigns.replay`; do not edit. Every flight is recorded, read back and",
-        "replayed through a fresh core; every output (set-points, commands, estimates, decisions) is",
-        "compared bit for bit.",
+        measured_by("tools.campaigns.replay"),
+        "",
+        "Every flight is recorded, read back and replayed through a fresh core; every output (setpoints,",
+        "commands, estimates, decisions) is compared bit for bit.",
         "",
     )
     for world in WORLDS:
@@ -135,7 +137,7 @@ def main() -> int:
     parser.add_argument("--fast", type=int, default=20, metavar="N")
     parser.add_argument("--embedded", type=int, default=5, metavar="N")
     parser.add_argument("--px4", type=int, default=0, metavar="N")
-    parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "replay.md")
+    parser.add_argument("-o", "--output", type=Path, default=RESULTS / "replay.md")
     given = parser.parse_args()
     results = []
     for world in WORLDS:

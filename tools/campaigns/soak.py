@@ -4,7 +4,7 @@
     python -m tools.campaigns.soak --minutes 10
     python -m tools.campaigns.soak --speed 3          # the same hour in twenty minutes, where the machine can
 
-`dry-run` flies a mission that holds a way-point, in a process of its own; this one looks at it once in a
+`dry-run` flies a mission that holds a waypoint, in a process of its own; this one looks at it once in a
 minute of flight, through /proc. It fails where memory grows by more than 8 MB from the third minute to the
 last (the index of one part of the log, and what Python keeps in reserve), or where descriptors or threads
 become more. The simulated battery lasts 13 minutes and ends nothing here. `--set KEY=VALUE` is for `dry-run`:
@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import yaml
 
-_HOLD_MOST_S = 600.0  # of one way-point
+_HOLD_MOST_S = 600.0  # of one waypoint
 _SETTLED_MINUTES = 3
 _GROWTH_MB = 8.0
 _LANDING_S = 90.0

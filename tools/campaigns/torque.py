@@ -5,7 +5,7 @@
 
 Flies the single wall in the fast world with guards (`simulation.contact.body: guards`), mode and approach
 drawn anew for every seed, up to the end of the contact. Rows go to build/torque.jsonl as they come and are
-taken from there when it is started again; the page is docs/torque_results.md. `make test` takes a sample.
+taken from there when it is started again; the page is docs/results/torque.md. `make test` takes a sample.
 """
 
 from __future__ import annotations
@@ -40,9 +40,10 @@ from dart_flight.core.mission.approach import NoApproachError
 from dart_flight.core.sense.body import side_of
 from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import draw_world
+from tools.campaigns.results import RESULTS, measured_by
 
 ROOT = Path(__file__).parents[2]
-ROWS, PAGE = ROOT / "build" / "torque.jsonl", ROOT / "docs" / "torque_results.md"
+ROWS, PAGE = ROOT / "build" / "torque.jsonl", RESULTS / "torque.md"
 _AFTER_US = 60_000
 _LONGEST_S = 30.0
 _ALL = {
@@ -347,7 +348,7 @@ def _degrees(values: Sequence[float]) -> str:
 
 
 def page(rows: Sequence[Row]) -> str:
-    """docs/torque_results.md."""
+    """docs/results/torque.md."""
     worst = sorted(rows, key=lambda r: abs(r.torque - r.true_torque) / max(0.15, 0.1 * r.true_torque))[-3:]
     wrong = [r for r in clear(rows) if not side_is(r, r.side)]
     listed = [
@@ -359,7 +360,9 @@ def page(rows: Sequence[Row]) -> str:
         [
             "# Torque, side and incidence: results",
             "",
-            "By `python -m tools.campaigns.torque`; what is estimated, and how: [torque.md](torque.md).",
+            measured_by("tools.campaigns.torque"),
+            "",
+            "What is estimated, and how: [torque.md](../torque.md).",
             "Single wall in the fast world, guards, mode and approach (0.4 to 1.5 m/s, up to 0.6 m/s along",
             "the wall) drawn for every seed. Force and friction are judged as force over mass; the core",
             "believes the configuration, whatever is drawn.",

@@ -1,6 +1,6 @@
 """Walls that stand elsewhere than the mission says, with and without their standard deviations in it.
 
-    python -m tools.campaigns.walls --runs 20          # build/walls.md, the table of docs/walls.md
+    python -m tools.campaigns.walls --runs 20          # build/walls.md, for docs/results/walls.md
 
 Every row is flown on the same seeds, in the fast world: a wall stands so far out along its normal, or is
 turned about its middle, and nothing else is drawn.

@@ -40,6 +40,8 @@ class GuardThresholds(Section, frozen=True):
         wall_early_m: a contact further before the wall's plane is not the planned wall: break off.
         deadman_s: core thread or event loop hang for longer: the program is killed.
         telemetry_late_s: samples older than this when they come: do not take off, or land.
+        position_sd_m: standard deviation of the horizontal position by PX4's own estimator: with more a
+            mission with walls does not take off, or lands.
     """
 
     stream_timeout_s: Seconds
@@ -69,6 +71,7 @@ class GuardThresholds(Section, frozen=True):
     wall_early_m: Metres
     deadman_s: Annotated[float, Meta(ge=0.1, le=2.0)]
     telemetry_late_s: Seconds = 0.075
+    position_sd_m: Metres = 0.1
 
 
 class Flying(Section, frozen=True):

@@ -187,6 +187,13 @@ def _estimator_reset(v: Watch) -> str | None:
     return v.reset_step()
 
 
+def _position_uncertain(v: Watch) -> str | None:
+    sd, limit = v.state.position_sd_m, v.config.position_sd_m
+    if sd is None or sd <= limit or not v.mission.collisions or v.shaken:
+        return None
+    return f"standard deviation {sd:.2f} m, allowed {limit:.2f}"
+
+
 def _estimator_flags(v: Watch) -> str | None:
     lasting = v.lasting_s(v.flags_bad_since_us)
     return f"no valid estimate for {lasting:.1f} s" if lasting > v.config.estimator_bad_s else None
@@ -320,6 +327,8 @@ RULES: tuple[Rule, ...] = (
          _HOLD, _FLYING, _estimator_reset),
     Rule("estimator_flags", "PX4's estimator says that its position is not valid, and the impact is over",
          "guard.estimator_bad_s, guard.impact_window_s", _LAND, _AIR, _estimator_flags),
+    Rule("position_uncertain", "PX4 itself is not sure enough of its position to fly at walls",
+         "guard.position_sd_m", _LAND, _FLYING, _position_uncertain),
     Rule("battery", "the battery is low", "guard.battery_remaining, guard.battery_v, guard.battery_low_s",
          _LAND, _AIR, _battery),
     Rule("still_armed", "in PX4's land mode and still armed long after a landing must have ended",

@@ -253,11 +253,15 @@ class Executive:
 
     def _readying(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         locked = self._lock_to(self.mission.transit_mode, state, p)
+        sd = state.position_sd_m or 0.0  # what is not told is not judged
+        limit = self.mission.vehicle.guard.position_sd_m if self.mission.collisions else math.inf
+        sure = f"position to {limit:.2f} m (its standard deviation by PX4 is {sd:.2f} m)"
         there = {
             "imu": state.imu is not None,
             "attitude": state.attitude is not None,
             "odometry": state.odometry is not None,
             "local position": state.status.local_position_ok,
+            sure: sd <= limit,
             _lock_name(self.mission): locked,
         }
         if all(there.values()):
@@ -271,8 +275,8 @@ class Executive:
             self._go(Cue.READY, state, p)
         elif self._is_late(state):
             missing = [name for name, yes in there.items() if not yes]
-            # What keeps the lock is not PX4's to say.
-            why = "" if missing == [_lock_name(self.mission)] else state.reasons()
+            # What keeps the lock is not PX4's to say, and of its uncertainty it says nothing more.
+            why = "" if {*missing} <= {_lock_name(self.mission), sure} else state.reasons()
             p.find("not_ready", "no " + ", no ".join(missing) + why)
 
     def _offboard(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:

@@ -2,8 +2,8 @@
 
 While a wall stops the vehicle PX4 goes on with its last set-point. It sees the speed that is gone and leans
 into the wall, and its D term, which opposes acceleration, leans further the harder the wall pushes back: at
-1 m/s and `MPC_XY_VEL_D_ACC` 0.2 by more than half of the tilt that follows a hit (docs/body.md). So from
-the onset to the peak the set-point is what the vehicle does anyway, and what the D term makes of the
+1 m/s and `MPC_XY_VEL_D_ACC` 0.2 by more than half of the tilt that follows a hit (docs/results/body.md). So
+from the onset to the peak the set-point is what the vehicle does anyway, and what the D term makes of the
 contact is fed forward with the opposite sign, also with the recovery set-point, until PX4's filter has
 forgotten the contact.
 """

@@ -56,6 +56,7 @@ class FlightState:
         self.odometry: OdometrySample | None = None
         self.actuator: ActuatorSample | None = None
         self.status = StatusSample(t_us=0, received_us=0)
+        self.position_sd_m: float | None = None  # of the horizontal position, by PX4 itself
         self.lock = LockState(t_us=0, phase=LockPhase.UNKNOWN, mode=None)
         if not has_lock:  # what cannot move is where it is, from the start and for ever
             self.lock = LockState(t_us=0, phase=LockPhase.SETTLED, mode=Mode.RIGID)
@@ -155,7 +156,9 @@ class FlightState:
         self.host_us = max(self.host_us, sample.received_us)
 
     def take_estimator(self, sample: EstimatorSample) -> None:
-        """What PX4 says of its estimator: a sign of life; the guard judges the rest."""
+        """What PX4 says of its estimator: how sure it is of its position; the guard judges the rest."""
+        if sample.position_sd_m is not None:
+            self.position_sd_m = sample.position_sd_m
         self.host_us = max(self.host_us, sample.received_us)
 
     def take_lock(self, sample: LockState) -> None:

@@ -2,7 +2,7 @@
 
 A vehicle that turns while it touches slides at its guards faster or slower than at its centre. The law is a
 point's, its friction goes with the centre's velocity, and flights of one speed cannot tell a lever
-(docs/real_data.md); so the coefficient is said with what turning may make of it.
+(docs/results/real_data.md); so the coefficient is said with what turning may make of it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dart_flight.lab.identify.hits import Hit
 from dart_flight.lab.identify.trials import Trial
 
 # Of what turning at its largest rate makes the vehicle's edge slide, over the centre's velocity: by so much
-# the guards slide otherwise, at most (in simulated flights of known friction, docs/flight_identification.md).
+# the guards slide otherwise, at most (docs/results/flight_identification.md).
 _OF_TURNING = 0.75
 _MOST = 0.8
 _K_OF_TURNING = 0.03  # turning presses one guard deeper than the other: k is lower there, by up to 6 %

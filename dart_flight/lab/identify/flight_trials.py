@@ -20,7 +20,7 @@ from dart_flight.recording.reader import Log, NothingInItError, read_log
 _BEFORE_S, _AFTER_S = 0.5, 0.4
 _LONGEST_S = 0.15  # of a contact whose end was not noticed
 # What flight logs of the simulated vehicle, whose coefficients are known, are off by themselves
-# (docs/flight_identification.md): PX4's velocity loop brakes too while the wall does.
+# (docs/results/flight_identification.md): PX4's velocity loop brakes too while the wall does.
 ALLOWANCE = {"k": 0.03, "f": 0.15, "mu": 0.08, "nu": 0.6}
 
 

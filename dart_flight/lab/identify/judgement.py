@@ -35,7 +35,7 @@ _LEAST_JUDGED = 4  # samples in contact
 _NOISES = 3.0
 _SHARE = 0.06
 _CONTACT_S = 0.1  # to either side of the turn: the contact is in there
-# Of whole hits, in the median: twice what repeats of real drops scatter (docs/real_data.md).
+# Of whole hits, in the median: twice what repeats of real drops scatter (docs/results/real_data.md).
 _PEAK_SHARE, _SPEED_SHARE = 0.25, 0.1
 
 

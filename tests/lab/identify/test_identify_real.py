@@ -1,6 +1,6 @@
 """Identification on what real recordings are like: the contact is never lost, and what is unknown is said.
 
-The published recordings themselves (docs/real_data.md) have no licence; these are replicas with their
+The published recordings themselves (docs/results/real_data.md) have no licence; these are replicas with their
 sampling, noise and faults.
 """
 

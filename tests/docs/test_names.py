@@ -1,0 +1,108 @@
+"""What a page names between backticks exists: files and folders, modules, classes, functions, keys."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.docs.snippets import PAGES, ROOT, name_of
+
+SOURCES = ("dart_flight", "tools", "tests", "configs", "missions", "deploy", "docs/schemas")
+_TEXT = {".py", ".yaml", ".json", ".params", ".service", ".rules", ".conf", ".sh", ".c", ".csv"}
+_FENCED = re.compile(r"^ *```.*?^ *```\s*$", re.MULTILINE | re.DOTALL)
+_QUOTED = re.compile(r"(?<!`)`([^`\n]+)`(?!`)(?!\s+at\s+commit)")
+_FILE = re.compile(
+    r"[\w./-]+\.(?:py|md|c|yaml|json|csv|toml|params|service|txt|html|js)|[\w.-]+(?:/[\w.-]+)*/"
+)
+_PYTHON = re.compile(r"(?:dart_flight|tools|tests)(?:\.\w+)+")
+_NAME = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*(?:\(\))?")
+_RECORDING = re.compile(r".*\.(?:ulg|mcap|bin|log)")
+_ITEM = re.compile(r"\w+_(?:N|NAME)|rate_\w+|\w+_clearance")  # of `check`, which puts these names together
+
+
+def quoted(page: Path) -> Iterator[str]:
+    """What stands between backticks in the text of a page."""
+    yield from _QUOTED.findall(_FENCED.sub("", page.read_text(encoding="utf-8")))
+
+
+@functools.cache
+def paths() -> tuple[str, ...]:
+    """Every file and folder of the repository, each below a slash."""
+    tops = [ROOT / name for name in (*SOURCES, "docs", "flights")]
+    below = [path for top in tops for path in (top, *top.rglob("*")) if "__pycache__" not in path.parts]
+    found = [path.relative_to(ROOT).as_posix() for path in (*below, *ROOT.glob("*"))]
+    return tuple(f"/{path}" for path in found)
+
+
+@functools.cache
+def source() -> str:
+    """All sources."""
+    files = [path for top in SOURCES for path in (ROOT / top).rglob("*") if path.suffix in _TEXT]
+    files = [
+        path for path in files if not {ROOT / "tests" / "docs", ROOT / "tests" / "data"} & {*path.parents}
+    ]
+    return "\n".join(path.read_text(encoding="utf-8") for path in (*files, ROOT / "pyproject.toml"))
+
+
+@functools.cache
+def words() -> frozenset[str]:
+    """Every word of the sources."""
+    return frozenset(re.findall(r"[A-Za-z_]\w*", source()))
+
+
+@functools.cache
+def written() -> frozenset[str]:
+    """What the program writes: names that stand in quotation marks, without their endings."""
+    return frozenset(re.findall(r"\"([\w-]+)(?:\.\w+)?\"", source()))
+
+
+def is_python(name: str) -> bool:
+    """Whether a dotted name leads to a module, or to something in one."""
+    parts = name.split(".")
+    for end in range(len(parts), 0, -1):
+        try:
+            found: object = importlib.import_module(".".join(parts[:end]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[end:]:
+            found = getattr(found, part, None) or getattr(found, "__annotations__", {}).get(part)
+        return found is not None
+    return False
+
+
+def exists(name: str) -> bool:
+    """Whether what is named exists; true of what does not look like a name of ours."""
+    if name.startswith("/") or _RECORDING.fullmatch(name) or _ITEM.fullmatch(name):
+        return True
+    if _PYTHON.fullmatch(name):
+        return is_python(name)
+    if _FILE.fullmatch(name):
+        path = name.strip("/").removeprefix("./")
+        is_stored = any(stored.endswith(f"/{path}") for stored in paths())
+        last = path if name.endswith("/") else path.rpartition("/")[2].partition(".")[0]
+        return is_stored or (not name.endswith((".py", ".md")) and last in written())
+    if _NAME.fullmatch(name):
+        return all(part in words() or part.isupper() for part in name.removesuffix("()").split("."))
+    return True
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_whatever_is_named_exists(page: Path) -> None:
+    assert sorted({name for name in quoted(page) if not exists(name)}) == []
+
+
+def test_names_that_have_gone_are_seen() -> None:
+    gone = [
+        "config/vehicle.py",
+        "tests/flight/",
+        "dart_flight.recording.read_log",
+        "closed_loop.ATTITUDE_LAG_S",
+    ]
+    assert [name for name in gone if exists(name)] == []
+    there = ["core/pace.py", "tests/core/", "dart_flight.read_log", "ImuSample", "guard.deadman_s"]
+    assert [name for name in there if not exists(name)] == []
