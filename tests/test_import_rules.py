@@ -27,6 +27,7 @@ FLOORS = {
 }
 # Inside the lab likewise.
 LAB = (
+    "ulog",
     "figure_panels",
     "flight_arrays",
     "predict",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from dart_flight.base.rotations import Quaternion, Vec3, quaternion_multiply, wrap_angle
+from dart_flight.base.rotations import Vec3, wrap_angle
 
 
 class MissionFrame:
@@ -50,16 +50,6 @@ class MissionFrame:
         c, s = self.cos, self.sin
         x, y, z = p_mission
         return (x * c + y * s + self.north_m, x * s - y * c + self.east_m, -z + self.down_m)
-
-    def attitude_from_ned(self, q_frd_to_ned: Quaternion) -> Quaternion:
-        """Attitude as viewers draw it: body forward, left, up to the mission frame.
-
-        Both flips, of the body's axes and of the world's, are half turns about x; then the heading about z.
-        """
-        half = 0.5 * self.heading_rad
-        flip = (0.0, 1.0, 0.0, 0.0)
-        turn = quaternion_multiply((math.cos(half), 0.0, 0.0, math.sin(half)), flip)
-        return quaternion_multiply(quaternion_multiply(turn, q_frd_to_ned), flip)
 
     def yaw_from_ned(self, yaw_ned_rad: float) -> float:
         """Heading clockwise from north to mission yaw, counter-clockwise from the mission's x axis."""

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -23,9 +23,6 @@ from dart_flight.config.provenance import FoundVehicle, VehicleSource, find_vehi
 from dart_flight.config.section import Section
 from dart_flight.config.settings import apply_changes
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle
-
-if TYPE_CHECKING:
-    from dart_flight.config.scenario import ScenarioFile
 
 Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
 Velocity = Annotated[float, Meta(ge=-20.0, le=20.0)]
@@ -617,10 +614,8 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
     )
 
 
-def resolve_space(
-    spec: MissionFile | ScenarioFile, vehicle: VehicleConfig, document: Document
-) -> dict[str, Wall]:
-    """Check start, goal, bounds and walls against each other; returns the walls by name.
+def resolve_space(spec: Any, vehicle: VehicleConfig, document: Document) -> dict[str, Wall]:
+    """Check what missions and scenarios share: start, goal, bounds, walls; returns the walls by name.
 
     Raises:
         InputError: bounds are empty, start or goal lies outside them or in a wall, or as `resolve_walls`.
@@ -665,7 +660,7 @@ def resolve_walls(specs: dict[str, WallSpec], vehicle: VehicleConfig, document: 
     return walls
 
 
-def _check_space(spec: MissionFile | ScenarioFile, document: Document) -> None:
+def _check_space(spec: Any, document: Document) -> None:
     for axis in ("x", "y", "z"):
         low, high = getattr(spec.bounds_m, axis)
         if not low < high:

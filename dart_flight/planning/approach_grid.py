@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.base.geometry import Vec2, Wall
+from dart_flight.base.geometry import Wall
 from dart_flight.core.mission.approach import (
     impact_time_s,
     is_blocked,
@@ -77,14 +77,3 @@ def approach_grid(
     mark(codes, beyond, Refusal.BEYOND_WALL)
     mark(codes, speed > task.limits.speed_m_s, Refusal.APPROACH_SPEED)
     return grid
-
-
-def straight_is_blocked(task: Task, a: Vec2, b: Vec2) -> str | None:
-    """Name of a wall that stands between two points, or None."""
-    for wall in task.walls.values():
-        da, db = wall.signed_distance(a), wall.signed_distance(b)
-        if da * db < 0.0:
-            share = da / (da - db)
-            if wall.spans((a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))):
-                return wall.name
-    return None

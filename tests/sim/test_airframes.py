@@ -18,9 +18,10 @@ from dart_flight.check.airframe import judge_airframe
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
-from dart_flight.config.rotors import motors_block, motors_of, rotor_parameters
+from dart_flight.config.rotors import motors_of, rotor_parameters
 from dart_flight.config.vehicle import Thrust, effectiveness
 from dart_flight.config.vehicle.configuration import load_vehicle
+from dart_flight.lab.calibrate.airframe import motors_block
 from dart_flight.run.fast import fly_fast
 from dart_flight.sim.allocation import Allocation
 from dart_flight.sim.plant import Plant

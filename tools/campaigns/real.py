@@ -31,7 +31,7 @@ from dart_flight.core.sense.detector import Expected, ImpactDetector
 from dart_flight.core.sense.state import FlightState
 from dart_flight.lab.inspect import TOPICS, FeltFlight, feel_log
 from dart_flight.lab.inspect.impacts import REMEMBERED, Crossing, Estimated, short_samples
-from dart_flight.recording.ulog import ULogFile, open_ulog
+from dart_flight.lab.ulog import ULogFile, open_ulog
 
 _EVERY_S = 1.6  # a pulse, in flight
 _AFTER_S = 3.0  # from the beginning of a flight

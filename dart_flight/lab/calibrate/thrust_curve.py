@@ -31,8 +31,8 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.lab.ulog import ULogFile, battery, columns, motor_commands, open_ulog, seconds
 from dart_flight.recording.reader import NothingInItError, read_log
-from dart_flight.recording.ulog import ULogFile, battery, columns, motor_commands, open_ulog, seconds
 
 Array = NDArray[np.float64]
 

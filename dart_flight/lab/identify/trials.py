@@ -21,7 +21,7 @@ from dart_flight.config.document import InputError, read_text
 from dart_flight.config.kinds import FileKind, refuse_other_kind
 from dart_flight.config.provenance import FoundVehicle
 from dart_flight.contact.coefficients import Array
-from dart_flight.recording.ulog import columns, open_ulog, seconds
+from dart_flight.lab.ulog import columns, open_ulog, seconds
 
 UNLABELLED = "unlabelled"
 # Columns of a trial, in the collision frame; `vertical_m` is a height (against Z at a wall). Required first.

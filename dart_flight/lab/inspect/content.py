@@ -9,7 +9,7 @@ import numpy as np
 
 from dart_flight.config.document import InputError
 from dart_flight.lab.calibrate.thrust_curve import Track, ground_of
-from dart_flight.recording.ulog import ULogFile, columns
+from dart_flight.lab.ulog import ULogFile, columns
 
 TOPICS = (
     "sensor_combined",

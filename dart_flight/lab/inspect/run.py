@@ -23,7 +23,7 @@ from dart_flight.lab.inspect.thrust import (
     fit_drag,
     fit_specific_thrust,
 )
-from dart_flight.recording.ulog import ULogFile, open_ulog
+from dart_flight.lab.ulog import ULogFile, open_ulog
 
 
 def feel(path: str | Path, vehicle: VehicleConfig, mass_kg: float | None = None) -> FeltFlight:

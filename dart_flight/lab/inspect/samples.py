@@ -13,7 +13,7 @@ from dart_flight.base.records import ActuatorSample, AttitudeSample, ImuSample, 
 from dart_flight.config.vehicle import Thrust, ThrustSource, VehicleConfig
 from dart_flight.lab.calibrate.thrust_curve import Track
 from dart_flight.lab.inspect.thrust import SpecificThrust
-from dart_flight.recording.ulog import ULogFile, columns
+from dart_flight.lab.ulog import ULogFile, columns
 
 _MOTOR_PERIOD_S = 0.01  # commands between the logged ones, on a straight line
 

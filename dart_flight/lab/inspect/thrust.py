@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.lab.calibrate.thrust_curve import Points, Track, quiet_points, said_of
-from dart_flight.recording.ulog import ULogFile, columns
+from dart_flight.lab.ulog import ULogFile, columns
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from dart_flight.base.geometry import Vec2, Wall
 from dart_flight.base.records import Mode
-from dart_flight.config.document import Document, Key, unknown_name
+from dart_flight.config.document import Document, InputError, Key, unknown_name
 from dart_flight.config.kinds import FileKind, load_document
 from dart_flight.config.mission import (
     Alpha,
@@ -34,7 +34,9 @@ from dart_flight.config.mission import (
 )
 from dart_flight.config.provenance import VehicleSource, find_vehicle
 from dart_flight.config.section import Section
-from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
+from dart_flight.vehicle.ground_link import GroundLink
+from dart_flight.vehicle.session import VehicleError
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$"
 _MOST_STEPS = 2001
@@ -195,6 +197,26 @@ def load_scenario(
     found = find_vehicle(config, settings)
     scenario = resolve_scenario(spec, found.config, path_taken, document)
     return msgspec.structs.replace(scenario, vehicle_source=found.source)
+
+
+def with_vehicle_parameters(scenario: Scenario, url: str) -> Scenario:
+    """The scenario with the PX4 parameters that the vehicle at a connection really has.
+
+    Raises:
+        VehicleError: nothing answers, or it has none of the parameters.
+        InputError: one of them is out of the range that the flight model can take.
+    """
+    vehicle = scenario.vehicle
+    own = msgspec.to_builtins(vehicle.px4)
+    with GroundLink(url, vehicle.connection.timeout_s) as link:
+        found = link.read_parameters(own)
+    if not found:
+        raise VehicleError(f"the vehicle on {url} tells none of its parameters")
+    try:
+        px4 = msgspec.convert({**own, **found}, Px4Parameters)
+    except msgspec.ValidationError as error:
+        raise InputError(f"the vehicle's parameters: {error}", source=url) from None
+    return msgspec.structs.replace(scenario, vehicle=msgspec.structs.replace(vehicle, px4=px4))
 
 
 def resolve_scenario(
