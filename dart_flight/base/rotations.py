@@ -133,7 +133,7 @@ def advance_attitude(q_frd_to_ned: Quaternion, rate_frd_rad_s: Vec3, dt_s: float
     """Attitude after `dt_s` seconds (either sign) at a constant body rate.
 
     The Hamilton product with `quaternion_from_rotation_vector(rate * dt)`, written out: it runs for every
-    sample of the core and every millisecond of the plant, where calls and tuples cost more than the numbers.
+    sample of the core and every millisecond of the plant.
     """
     rx, ry, rz = rate_frd_rad_s
     rx, ry, rz = rx * dt_s, ry * dt_s, rz * dt_s

@@ -41,8 +41,7 @@ from dart_flight.planning.task import MissionTask, drag_along
 _DURATIONS_S = np.arange(0.3, 4.01, 0.05)
 _ALONG_M = np.arange(-0.8, 0.81, 0.05)  # places along the wall, about the planned one
 _SPEED_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of the planned velocity, where that cannot be reached
-# At constant velocity before the plane: the attitude has caught up. With 0.1 s impacts were 0.045 m/s too
-# fast in the median, with 0.3 s 0.023; where there is no room for that, less is better than none.
+# At constant velocity before the plane, so that the attitude has caught up; less where there is no room.
 _STRAIGHT_S = (0.3, 0.1)
 _SAMPLES = 24  # of a way, for the constraints
 _PUSH_SAMPLES = 12  # for acceleration and jerk, which come first

@@ -298,11 +298,7 @@ class Plant:
         ]
 
     def _may_touch(self, planes: list[tuple[_WallPlane, Coefficients]]) -> bool:
-        """Whether guards can be pressed within the next step: the law's onset is at k x + f vx = 0.
-
-        They cannot for most of the time near a wall; to find that out once is cheaper than in every small
-        step.
-        """
+        """Whether guards can be pressed within the next step: the law's onset is at k x + f vx = 0."""
         if self._open:
             return True
         v = self.velocity
