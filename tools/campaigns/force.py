@@ -28,9 +28,10 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
-from dart_flight.contact.law import Onset, contact_force
+from dart_flight.contact.law import Onset
 from dart_flight.core.sense.state import FlightState
 from dart_flight.run.fast import FastFlight
+from tests.oracles.point_law import contact_force
 from tools.campaigns.force_hits import Hit, direction_error_deg, fly_hit, grid, judge_hit
 from tools.campaigns.force_quiet import Quiet, fly_quiet
 
