@@ -37,6 +37,7 @@ __all__ = [
     "predict_drop",
     "read_log",
     "simulate",
+    "verdict_of",
 ]
 
 

@@ -28,7 +28,8 @@ FLOORS = {
 # Inside the lab likewise.
 LAB = (
     "ulog",
-    "figure_panels",
+    "figure_style",
+    "statistics",
     "flight_arrays",
     "predict",
     "search",
@@ -47,7 +48,7 @@ CORE_FLOORS = {"sense": 0, "mission": 1, "guard": 2, "flight_core": 3}
 # Where a package from outside may be imported.
 DOORS = {
     "mavsdk": ("vehicle/",),
-    "serial": ("lock/drivers/maestro.py",),
+    "serial": ("lock/drivers/",),
     "pymavlink": ("sim/",),
     "asyncio": ("vehicle/", "run/", "cli/"),
     "mcap": ("recording/",),

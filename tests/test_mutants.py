@@ -10,6 +10,7 @@ import pytest
 
 from tools.campaigns import mutants
 from tools.campaigns.mutants import Mutant, Result, all_mutants, draw, judged, mutants_of, report
+from tools.campaigns.results import ROOT
 
 SOURCE = '''"""A module."""
 
@@ -30,7 +31,7 @@ def everything() -> list[Mutant]:
 
 
 def test_every_mutant_is_another_program_that_compiles(everything: list[Mutant]) -> None:
-    sources = {m.path: (mutants.ROOT / m.path).read_bytes() for m in everything}
+    sources = {m.path: (ROOT / m.path).read_bytes() for m in everything}
     trees = {path: ast.dump(ast.parse(source)) for path, source in sources.items()}
     assert len(everything) > 1000
     for mutant in everything[::40]:

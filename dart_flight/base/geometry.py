@@ -8,186 +8,246 @@ Frames (`docs/concepts.md`):
 * collision frame of a wall: X outward normal, Y to the right when looking along X in a z-up frame,
   Z = X x Y (it points down at a wall).
 
-Vectors and quaternions, which are plain tuples, and the arithmetic on them come from `rotations`; the frame
-of a mission from `mission_frame`.
+Vectors are plain tuples of floats and quaternions are (w, x, y, z): scalar arithmetic is deterministic and,
+for three numbers, faster than small arrays. Walls, with their collision frame, are in `walls`.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Final
 
-import msgspec
+Vec2 = tuple[float, float]
+Vec3 = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
 
-from dart_flight.base.mission_frame import MissionFrame
-from dart_flight.base.rotations import (
-    GRAVITY_M_S2,
-    IDENTITY,
-    Quaternion,
-    Vec2,
-    Vec3,
-    add,
-    advance_attitude,
-    body_up,
-    distance2,
-    gyroscopic_torque,
-    horizontal,
-    norm,
-    quaternion_conjugate,
-    quaternion_from_euler,
-    quaternion_from_rotation_vector,
-    quaternion_multiply,
-    quaternion_normalise,
-    rotate,
-    rotate_back,
-    scale,
-    subtract,
-    tilt_of,
-    wrap_angle,
-    yaw_ned_of,
-)
-
-__all__ = [
-    "GRAVITY_M_S2",
-    "IDENTITY",
-    "MissionFrame",
-    "Quaternion",
-    "Vec2",
-    "Vec3",
-    "Wall",
-    "add",
-    "advance_attitude",
-    "body_up",
-    "distance2",
-    "gyroscopic_torque",
-    "horizontal",
-    "norm",
-    "quaternion_conjugate",
-    "quaternion_from_euler",
-    "quaternion_from_rotation_vector",
-    "quaternion_multiply",
-    "quaternion_normalise",
-    "rotate",
-    "rotate_back",
-    "scale",
-    "subtract",
-    "tilt_of",
-    "wrap_angle",
-    "yaw_ned_of",
-]
+IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
+GRAVITY_M_S2: Final = 9.81
+_SMALL_RAD: Final = 1e-9  # below it the sine is the angle
 
 
-# --- walls and the collision frame -----------------------------------------------------------------
+# --- vectors ---------------------------------------------------------------------------------------
 
 
-class Wall(msgspec.Struct, frozen=True):
-    """A finite vertical wall, as the plane where the vehicle's *centre* is at first touch.
+def add(a: Vec3, b: Vec3) -> Vec3:
+    """Sum of two vectors of the same frame."""
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+def subtract(a: Vec3, b: Vec3) -> Vec3:
+    """Difference a - b of two vectors of the same frame."""
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+def scale(a: Vec3, factor: float) -> Vec3:
+    """Vector times a number."""
+    return (a[0] * factor, a[1] * factor, a[2] * factor)
+
+
+def norm(a: Vec3) -> float:
+    """Euclidean length."""
+    return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+
+
+def horizontal(a: Vec3) -> float:
+    """Length of the horizontal part of a mission-frame or NED vector."""
+    return math.hypot(a[0], a[1])
+
+
+def distance2(a: Vec2 | Vec3, b: Vec2 | Vec3) -> float:
+    """Horizontal distance between two points of the same frame."""
+    return math.hypot(a[0] - b[0], a[1] - b[1])
+
+
+# --- rotations -------------------------------------------------------------------------------------
+
+
+def quaternion_multiply(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Hamilton product a b: rotate by b first, then by a."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+def quaternion_conjugate(q: Quaternion) -> Quaternion:
+    """Inverse rotation of a unit quaternion."""
+    return (q[0], -q[1], -q[2], -q[3])
+
+
+def quaternion_normalise(q: Quaternion) -> Quaternion:
+    """Unit quaternion of the same direction.
+
+    Raises:
+        ValueError: the quaternion is zero or not finite.
+    """
+    w, x, y, z = q
+    length = math.sqrt(w * w + x * x + y * y + z * z)
+    if not 0.0 < length < math.inf:
+        raise ValueError(f"not a rotation: {q}")
+    return (w / length, x / length, y / length, z / length)
+
+
+def rotate(q: Quaternion, v: Vec3) -> Vec3:
+    """Rotate `v` by the unit quaternion `q` (for q = body to world: body vector in, world vector out)."""
+    w, x, y, z = q
+    vx, vy, vz = v
+    tx = 2.0 * (y * vz - z * vy)
+    ty = 2.0 * (z * vx - x * vz)
+    tz = 2.0 * (x * vy - y * vx)
+    return (
+        vx + w * tx + (y * tz - z * ty),
+        vy + w * ty + (z * tx - x * tz),
+        vz + w * tz + (x * ty - y * tx),
+    )
+
+
+def rotate_back(q: Quaternion, v: Vec3) -> Vec3:
+    """The inverse of `rotate`: for q = body to world, world vector in, body vector out."""
+    w, x, y, z = q
+    vx, vy, vz = v
+    tx = 2.0 * (z * vy - y * vz)
+    ty = 2.0 * (x * vz - z * vx)
+    tz = 2.0 * (y * vx - x * vy)
+    return (
+        vx + w * tx + (z * ty - y * tz),
+        vy + w * ty + (x * tz - z * tx),
+        vz + w * tz + (y * tx - x * ty),
+    )
+
+
+def body_up(q_frd_to_ned: Quaternion) -> Vec3:
+    """The body's upward axis in NED, `rotate(q, (0, 0, -1))` without the zeros: where the thrust points."""
+    w, x, y, z = q_frd_to_ned
+    x2, y2 = 2.0 * x, 2.0 * y
+    return (-w * y2 - z * x2, w * x2 - z * y2, (x * x2 + y * y2) - 1.0)
+
+
+def quaternion_from_rotation_vector(v: Vec3) -> Quaternion:
+    """Unit quaternion of a rotation by |v| radians about v."""
+    angle = norm(v)
+    if angle < _SMALL_RAD:
+        return quaternion_normalise((1.0, 0.5 * v[0], 0.5 * v[1], 0.5 * v[2]))
+    s = math.sin(0.5 * angle) / angle
+    return (math.cos(0.5 * angle), v[0] * s, v[1] * s, v[2] * s)
+
+
+def advance_attitude(q_frd_to_ned: Quaternion, rate_frd_rad_s: Vec3, dt_s: float) -> Quaternion:
+    """Attitude after `dt_s` seconds (either sign) at a constant body rate.
+
+    The Hamilton product with `quaternion_from_rotation_vector(rate * dt)`, written out: it runs for every
+    sample of the core and every millisecond of the plant.
+    """
+    rx, ry, rz = rate_frd_rad_s
+    rx, ry, rz = rx * dt_s, ry * dt_s, rz * dt_s
+    angle = math.sqrt(rx * rx + ry * ry + rz * rz)
+    if angle < _SMALL_RAD:
+        turn = quaternion_from_rotation_vector((rx, ry, rz))
+        return quaternion_multiply(q_frd_to_ned, turn)
+    half = 0.5 * angle
+    s, bw = math.sin(half) / angle, math.cos(half)
+    bx, by, bz = rx * s, ry * s, rz * s
+    aw, ax, ay, az = q_frd_to_ned
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+def gyroscopic_torque(inertia_kg_m2: Vec3, rate_rad_s: Vec3) -> Vec3:
+    """w x J w about the principal axes, N m: Euler's equation is J alpha = torque - w x J w."""
+    jx, jy, jz = inertia_kg_m2
+    x, y, z = rate_rad_s
+    return ((jz - jy) * y * z, (jx - jz) * z * x, (jy - jx) * x * y)
+
+
+def quaternion_from_euler(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:
+    """FRD to NED quaternion of aerospace Euler angles (yaw, then pitch, then roll)."""
+    cr, sr = math.cos(0.5 * roll_rad), math.sin(0.5 * roll_rad)
+    cp, sp = math.cos(0.5 * pitch_rad), math.sin(0.5 * pitch_rad)
+    cy, sy = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+def yaw_ned_of(q_frd_to_ned: Quaternion) -> float:
+    """Heading in radians, clockwise from north, of an FRD to NED quaternion."""
+    w, x, y, z = q_frd_to_ned
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def tilt_of(q_frd_to_ned: Quaternion) -> float:
+    """Angle in radians between the body's and the world's vertical."""
+    _, x, y, _ = q_frd_to_ned
+    return math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (x * x + y * y))))
+
+
+def wrap_angle(angle_rad: float) -> float:
+    """The same angle in [-pi, pi)."""
+    wrapped = math.fmod(angle_rad + math.pi, 2.0 * math.pi)
+    if wrapped < 0.0:
+        wrapped += 2.0 * math.pi
+    # Adding 2 pi to a tiny negative number can round up to 2 pi itself.
+    return -math.pi if wrapped >= 2.0 * math.pi else wrapped - math.pi
+
+
+# --- the frame of a mission ---------------------------------------------------------------------------
+
+
+class MissionFrame:
+    """Where the mission frame lies in PX4's local NED frame; not to be changed.
 
     Attributes:
-        name: as in the mission file.
-        point: a point of that plane, the middle of the wall, mission frame, metres.
-        normal: outward unit normal, from the wall into free space, mission frame.
-        length_m: extent along the tangent, centred on `point`.
-        material: key of the materials table.
-        position_sd_m: standard deviation of the plane's place along the normal; None: not told.
-        yaw_sd_rad: of its direction, about `point`; None: not told.
-        half_vehicle_m: from the vehicle's centre to its side, which must fit on the wall, or past its end.
+        north_m, east_m: the mission's origin in local NED.
+        down_m: local NED height of the mission's z = 0 (the ground under the take-off point).
+        heading_rad: direction of the mission's x axis, clockwise from north.
+        cos, sin: of the heading: every vector that is converted needs them.
     """
 
-    name: str
-    point: Vec2
-    normal: Vec2
-    length_m: float
-    material: str
-    position_sd_m: float | None = None
-    yaw_sd_rad: float | None = None
-    half_vehicle_m: float = 0.0
+    def __init__(
+        self, north_m: float = 0.0, east_m: float = 0.0, down_m: float = 0.0, heading_rad: float = 0.0
+    ) -> None:
+        self.north_m, self.east_m, self.down_m, self.heading_rad = north_m, east_m, down_m, heading_rad
+        self.cos, self.sin = math.cos(heading_rad), math.sin(heading_rad)
 
-    @property
-    def tangent(self) -> Vec2:
-        """Y of the collision frame: to the right when looking along the normal, z up."""
-        return (self.normal[1], -self.normal[0])
+    def vector_from_ned(self, v_ned: Vec3) -> Vec3:
+        """A direction (velocity, force, acceleration) from NED to the mission frame."""
+        c, s = self.cos, self.sin
+        n, e, d = v_ned
+        return (n * c + e * s, n * s - e * c, -d)
 
-    @property
-    def ends(self) -> tuple[Vec2, Vec2]:
-        """The left and the right end, looking along the normal."""
-        (x, y), (tx, ty), half = self.point, self.tangent, 0.5 * self.length_m
-        return (x - half * tx, y - half * ty), (x + half * tx, y + half * ty)
+    def vector_to_ned(self, v_mission: Vec3) -> Vec3:
+        """A direction from the mission frame to NED."""
+        c, s = self.cos, self.sin
+        x, y, z = v_mission
+        return (x * c + y * s, x * s - y * c, -z)
 
-    def signed_distance(self, position: Vec2 | Vec3) -> float:
-        """Signed distance in metres of the vehicle's centre to the plane; negative is compression."""
-        return (position[0] - self.point[0]) * self.normal[0] + (position[1] - self.point[1]) * self.normal[1]
+    def point_from_ned(self, p_ned: Vec3) -> Vec3:
+        """A position from local NED to the mission frame."""
+        c, s = self.cos, self.sin
+        n, e = p_ned[0] - self.north_m, p_ned[1] - self.east_m
+        return (n * c + e * s, n * s - e * c, -(p_ned[2] - self.down_m))
 
-    def along(self, position: Vec2 | Vec3) -> float:
-        """Distance in metres along the tangent from the middle of the wall."""
-        tx, ty = self.tangent
-        return (position[0] - self.point[0]) * tx + (position[1] - self.point[1]) * ty
+    def point_to_ned(self, p_mission: Vec3) -> Vec3:
+        """A position from the mission frame to local NED."""
+        c, s = self.cos, self.sin
+        x, y, z = p_mission
+        return (x * c + y * s + self.north_m, x * s - y * c + self.east_m, -z + self.down_m)
 
-    @property
-    def is_uncertain(self) -> bool:
-        """Whether it may stand elsewhere than it is said to."""
-        return bool(self.position_sd_m or self.yaw_sd_rad)
+    def yaw_from_ned(self, yaw_ned_rad: float) -> float:
+        """Heading clockwise from north to mission yaw, counter-clockwise from the mission's x axis."""
+        return wrap_angle(self.heading_rad - yaw_ned_rad)
 
-    def moved(self, away_m: float) -> Wall:
-        """The wall so far out along its normal."""
-        (x, y), (nx, ny) = self.point, self.normal
-        return msgspec.structs.replace(self, point=(x + away_m * nx, y + away_m * ny))
-
-    def turned(self, angle_rad: float) -> Wall:
-        """The wall turned about its middle, counter-clockwise seen from above."""
-        c, s = math.cos(angle_rad), math.sin(angle_rad)
-        nx, ny = self.normal
-        return msgspec.structs.replace(self, normal=(c * nx - s * ny, s * nx + c * ny))
-
-    def plane_sd_m(self, position: tuple[Any, ...]) -> Any:
-        """Standard deviation of the plane's place before a position: the further from the middle, the more.
-
-        Numbers, or arrays of them.
-        """
-        turned = self.along(position) * math.tan(self.yaw_sd_rad or 0.0)
-        return ((self.position_sd_m or 0.0) ** 2 + turned * turned) ** 0.5
-
-    def foot(self, position: Vec2 | Vec3) -> Vec2:
-        """The nearest point of the wall's plane within its length."""
-        reach = 0.5 * self.length_m
-        along = max(-reach, min(reach, self.along(position)))
-        return (self.point[0] + along * self.tangent[0], self.point[1] + along * self.tangent[1])
-
-    def end_distance_m(self, position: tuple[Any, ...]) -> Any:
-        """How far inside the nearer end a point lies along the wall, metres; negative beyond it.
-
-        Numbers, or arrays of them.
-        """
-        return 0.5 * self.length_m - abs(self.along(position))
-
-    def spans(self, position: Vec2 | Vec3) -> bool:
-        """Whether the point lies before the wall's finite length."""
-        return abs(self.along(position)) <= 0.5 * self.length_m
-
-    def to_collision(self, v_mission: Vec3) -> Vec3:
-        """A direction from the mission frame to the wall's collision frame (R dagger transposed)."""
-        nx, ny = self.normal
-        return (v_mission[0] * nx + v_mission[1] * ny, v_mission[0] * ny - v_mission[1] * nx, -v_mission[2])
-
-    def from_collision(self, v_collision: Vec3) -> Vec3:
-        """A direction from the wall's collision frame to the mission frame (R dagger)."""
-        nx, ny = self.normal
-        return (
-            v_collision[0] * nx + v_collision[1] * ny,
-            v_collision[0] * ny - v_collision[1] * nx,
-            -v_collision[2],
-        )
-
-    def parallel_yaw(self, yaw_mission_rad: float) -> float:
-        """The heading nearest to the given one at which the leading edge is parallel to the wall.
-
-        The vehicle is four-fold symmetric, so every quarter turn will do; two perpendicular walls need
-        no turn between them (`docs/concepts.md`, yaw).
-        """
-        facing = math.atan2(-self.normal[1], -self.normal[0])
-        quarter = 0.5 * math.pi
-        return wrap_angle(facing + quarter * round((yaw_mission_rad - facing) / quarter))
-
-    def incidence(self, yaw_mission_rad: float) -> float:
-        """Angle of incidence in radians, 0 to pi/4: leading edge against the wall's plane."""
-        return abs(wrap_angle(yaw_mission_rad - self.parallel_yaw(yaw_mission_rad)))
+    def yaw_to_ned(self, yaw_mission_rad: float) -> float:
+        """Mission yaw, counter-clockwise from x, to heading clockwise from north."""
+        return wrap_angle(self.heading_rad - yaw_mission_rad)

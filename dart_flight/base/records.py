@@ -135,9 +135,15 @@ _RANKS = {override: rank for rank, override in enumerate(Override)}
 
 
 class Record(msgspec.Struct, frozen=True, gc=False):
-    """Base of everything that flows and is logged; `topic` names its channel in the log."""
+    """Base of everything that flows and is logged.
+
+    Attributes:
+        topic: names its channel in the log.
+        frequent: it comes many times a second and decides nothing: what goes first where room is short.
+    """
 
     topic: ClassVar[str] = ""
+    frequent: ClassVar[bool] = False
 
 
 # --- inputs: telemetry -----------------------------------------------------------------------------
@@ -147,6 +153,7 @@ class ImuSample(Record, frozen=True, gc=False):
     """HIGHRES_IMU: specific force (bias-corrected, gravity not in it) and body rate, FRD."""
 
     topic: ClassVar[str] = "/in/imu"
+    frequent: ClassVar[bool] = True
     t_us: int
     received_us: int
     specific_force_frd: Vec3  # m/s2
@@ -157,6 +164,7 @@ class AttitudeSample(Record, frozen=True, gc=False):
     """ATTITUDE_QUATERNION: body FRD to world NED."""
 
     topic: ClassVar[str] = "/in/attitude"
+    frequent: ClassVar[bool] = True
     t_us: int
     received_us: int
     q_frd_to_ned: Quaternion
@@ -166,6 +174,7 @@ class OdometrySample(Record, frozen=True, gc=False):
     """ODOMETRY: PX4's position (m) and velocity (m/s) estimate in local NED."""
 
     topic: ClassVar[str] = "/in/odometry"
+    frequent: ClassVar[bool] = True
     t_us: int
     received_us: int
     position_ned: Vec3
@@ -176,6 +185,7 @@ class ActuatorSample(Record, frozen=True, gc=False):
     """ACTUATOR_OUTPUT_STATUS: what PX4 sends to the motors, 0 (stopped) to 1."""
 
     topic: ClassVar[str] = "/in/actuator"
+    frequent: ClassVar[bool] = True
     t_us: int
     received_us: int
     motors: tuple[float, ...]  # in PX4's order
@@ -186,6 +196,7 @@ class EscSample(Record, frozen=True, gc=False):
     """ESC_STATUS: measured speed of the motors, revolutions per minute."""
 
     topic: ClassVar[str] = "/in/esc"
+    frequent: ClassVar[bool] = True
     t_us: int
     received_us: int
     rpm: tuple[float, ...]  # revolutions per minute, in PX4's order
@@ -209,6 +220,7 @@ class EstimatorSample(Record, frozen=True, gc=False):
     """What PX4 says of its estimator: ODOMETRY's reset counter, ESTIMATOR_STATUS's flags; None: not said."""
 
     topic: ClassVar[str] = "/in/estimator"
+    frequent: ClassVar[bool] = True
     t_us: int
     received_us: int
     reset_counter: int | None = None  # counts up to 255, then from 0
@@ -333,6 +345,7 @@ class Tick(Record, frozen=True, gc=False):
     """Host time goes by, at least every 20 ms, so that silence can be judged."""
 
     topic: ClassVar[str] = "/in/tick"
+    frequent: ClassVar[bool] = True
     host_us: int
 
 
@@ -364,6 +377,7 @@ class SetPoint(Record, frozen=True, gc=False):
     """Offboard set-point in local NED; velocity and acceleration are feed-forward where present."""
 
     topic: ClassVar[str] = "/out/setpoint"
+    frequent: ClassVar[bool] = True
     t_us: int
     trigger_received_us: int  # receipt of the sample that led to it
     position_ned: Vec3
@@ -440,6 +454,7 @@ class ForceEstimate(Record, frozen=True, gc=False):
     """
 
     topic: ClassVar[str] = "/estimate/force"
+    frequent: ClassVar[bool] = True
     t_us: int
     force_mission: Vec3
     clipped: bool
@@ -458,6 +473,7 @@ class TorqueEstimate(Record, frozen=True, gc=False):
     """
 
     topic: ClassVar[str] = "/estimate/torque"
+    frequent: ClassVar[bool] = True
     t_us: int
     torque_frd: Vec3
     noise_frd_nm: Vec3 = (0.0, 0.0, 0.0)  # white part of each component's error, standard deviation
@@ -642,6 +658,7 @@ class TruthSample(Record, frozen=True, gc=False):
     """What the simulated vehicle really did, mission frame."""
 
     topic: ClassVar[str] = "/truth/state"
+    frequent: ClassVar[bool] = True
     t_us: int
     position_mission: Vec3
     velocity_mission: Vec3

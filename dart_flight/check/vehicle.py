@@ -18,6 +18,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.parameters import PositionSource, Version
 from dart_flight.config.rotors import COUNT, rotor_names
 from dart_flight.config.vehicle import LockDriver
+from dart_flight.lock.drivers import DRIVERS, driver_names
 from dart_flight.lock.drivers.px4 import parameter_problems, required_parameters
 from dart_flight.vehicle.ground_link import GroundLink, Observation
 
@@ -116,8 +117,9 @@ def judge_lock(mission: Mission, values: Mapping[str, float]) -> list[Finding]:
     lock = mission.vehicle.lock
     if lock is None:
         return []
-    if lock.driver is LockDriver.MOCK:
-        says = "lock.driver is mock: nothing real moves; choose maestro, pwm or px4 (--driver)"
+    if not DRIVERS[lock.driver].moves:
+        real = driver_names(lambda entry: entry.moves)
+        says = f"lock.driver is {lock.driver.value}: nothing real moves; choose {real} (--driver)"
         return [Finding("lock_driver", False, says)]
     if lock.driver is not LockDriver.PX4:
         return [Finding("lock_driver", True, f"{lock.driver.value}; try it with `dart-flight lock toggle`")]

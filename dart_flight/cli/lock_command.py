@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from dart_flight.base.records import LockPhase, LockState, Mode
-from dart_flight.cli.options import link_of, refuse_unwritable
+from dart_flight.cli.options import add_driver_option, link_of, refuse_unwritable
 from dart_flight.cli.terminal import emit_json, messages, say, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import Document, InputError
@@ -35,9 +35,7 @@ EXIT_OK, EXIT_INCOMPLETE = 0, 1
 def configure(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("action", choices=("rigid", "flexible", "toggle", "status", "calibrate"))
-    parser.add_argument(
-        "--driver", choices=[str(kind) for kind in LockDriver], help="instead of the configured one"
-    )
+    add_driver_option(parser)
     parser.add_argument("--connection", metavar="URL", help="autopilot, for the px4 driver")
     parser.add_argument(
         "--release", action="store_true", help="switch the pulses off once settled (else they hold the rods)"
@@ -91,11 +89,11 @@ def _owned(
         return EXIT_INCOMPLETE
 
 
-def _with_driver(config: LockConfig, driver: str | None, path: Path) -> LockConfig:
+def _with_driver(config: LockConfig, driver: LockDriver | None, path: Path) -> LockConfig:
     if driver is None:
         return config
     try:
-        return msgspec.structs.replace(config, driver=LockDriver(driver))
+        return msgspec.structs.replace(config, driver=driver)
     except ValueError as error:
         raise Document.load(path).error(("lock",), str(error)) from None
 

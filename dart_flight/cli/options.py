@@ -12,6 +12,7 @@ from dart_flight.config.link_url import usable_link
 from dart_flight.config.parameters import PositionSource
 from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.config.vehicle.autopilot import ConnectionConfig
+from dart_flight.lock.drivers import DRIVERS
 
 
 def add_flight_options(parser: argparse.ArgumentParser) -> None:
@@ -36,12 +37,13 @@ def add_log_dir_option(parser: argparse.ArgumentParser) -> None:
 
 def add_driver_option(parser: argparse.ArgumentParser) -> None:
     """What moves the lock."""
+    known = ", ".join(f"{kind.value} ({entry.words})" for kind, entry in DRIVERS.items())
     parser.add_argument(
         "--driver",
         type=LockDriver,
         choices=list(LockDriver),
         metavar="DRIVER",
-        help="what moves the lock: " + ", ".join(LockDriver) + " (default: lock.driver of the configuration)",
+        help=f"what moves the lock: {known} (default: lock.driver of the configuration)",
     )
 
 

@@ -390,14 +390,12 @@ def _field_names(type_: Any) -> list[str]:
 
 
 def _allowed(type_: Any) -> list[Any]:
+    """The values of an enum or a Literal, also in a union."""
     if get_origin(type_) is Literal:
         return list(get_args(type_))
-    return [
-        member.value
-        for option in _options(type_)
-        if isinstance(option, type) and issubclass(option, Enum)
-        for member in option
-    ]
+    if isinstance(type_, type) and issubclass(type_, Enum):
+        return [member.value for member in type_]
+    return [value for part in get_args(type_) for value in _allowed(part)]
 
 
 _WORDS = {

@@ -4,11 +4,14 @@ A key's meaning stands once: under `Attributes:` in the docstring of its section
 there it goes into the JSON Schemas, the tables in docs/ and the comments of configs/dart.yaml (`make docs`).
 It says what the key's name does not: what is meant, sign and frame, what null does; the unit where the name
 has none. A key whose type is a section needs none where the section's own docstring says it.
+
+A key that comes later has a default: what files and logs without it mean. Where the key changes what is
+decided, that is the value with which nothing changes, and the shipped configurations say the better one.
 """
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 from msgspec import Meta
@@ -25,3 +28,11 @@ Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Base of every part of a file: frozen, unknown keys refused."""
+
+
+def keys_of(section: Section, kind: type[Section]) -> dict[str, Any]:
+    """The values of the keys that a section shares with others of its kind, by name.
+
+    What a file and what is made of it share goes both ways through this, so that no key is forgotten on one.
+    """
+    return {name: getattr(section, name) for name in kind.__struct_fields__}

@@ -2,8 +2,8 @@
 
 The places are kept because the files name each other by relative paths: a mission its configuration, and the
 first line of each its schema for the editor. What is called as a vehicle (`configs/rigid_cage.yaml`, the
-folder `missions/rigid_cage`) is that vehicle's; what is called as none is DART's, PX4's parameters and the
-schemas are everybody's.
+folder `missions/rigid_cage`) is that vehicle's, and so is what its configuration extends; what is called as
+none is DART's, PX4's parameters and the schemas are everybody's.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ from pathlib import Path
 
 from dart_flight.config.document import InputError, unknown_name, writing
 from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle.configuration import base_of
 
 DART = "dart"
-# Complete configurations beside DART's, with missions of their own.
+# DART, and those that have missions of their own.
 VEHICLES = (DART, "rigid_cage", "ring_guard_250g")
 
 _PARTS = (("configs", ".yaml"), ("configs", ".params"), ("missions", ".yaml"), ("docs/schemas", ".json"))
@@ -36,6 +37,10 @@ def starter_files(vehicle: str = DART) -> dict[Path, Path]:
             relative = path.relative_to(root)
             if suffix in _SHARED or _owner(relative) == vehicle:
                 files[Path(folder) / relative] = path
+    own = packaged("configs", f"{vehicle}.yaml")
+    while (base := base_of(own)) is not None:
+        own = own.parent / base
+        files[Path("configs") / base] = own
     return files
 
 

@@ -22,7 +22,7 @@ w = sqrt(1 - zeta^2) and A = theta / w,
 time is infinite, its exit speed 0. The peak of the friction force and, with a, the release have no elementary
 form; both are found by a safeguarded Newton iteration to machine precision.
 
-All arrays are float64. Frame: the wall's collision frame (`base/geometry.py`); normal < 0 approaches.
+All arrays are float64. Frame: the wall's collision frame (`base/walls.py`); normal < 0 approaches.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The contact law (paper, Sec. IV-B) as a force: the one definition that plant and predictions share.
 
-All quantities are in the wall's collision frame (`base/geometry.py`): x is the signed distance of the
+All quantities are in the wall's collision frame (`base/walls.py`): x is the signed distance of the
 vehicle's centre to its plane of first touch, negative in compression.
 
     0 <= lx  complementary to  w = lx + k x + f vx >= 0      ->  lx = max(0, -(k x + f vx))

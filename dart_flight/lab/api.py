@@ -27,9 +27,9 @@ from dart_flight.config.vehicle.configuration import vehicle_of
 from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import Drop, WallHit, collide, contact_map, drop
 from dart_flight.lab.identify.estimates import Identification
-from dart_flight.lab.identify.flight_trials import readers, trials_at_one
-from dart_flight.lab.identify.job import Job, carry_out
-from dart_flight.lab.identify.trials import UNLABELLED, Trial
+from dart_flight.lab.identify.flight_trials import trials_at_one
+from dart_flight.lab.identify.job import carry_out, columns_of
+from dart_flight.lab.identify.trials import UNLABELLED, Trial, TrialReading
 from dart_flight.lab.predict import prediction
 from dart_flight.lab.search import scenario as scenario_files
 from dart_flight.lab.search.mission_writer import mission_text, write_mission
@@ -37,7 +37,7 @@ from dart_flight.lab.search.scenario import Objective, Scenario
 from dart_flight.lab.search.search import Plan, Search, search
 from dart_flight.lab.search.summary import with_objective
 from dart_flight.recording.reader import Log, read_log
-from dart_flight.recording.verdict import Verdict
+from dart_flight.recording.verdict import Verdict, verdict_of
 from dart_flight.run.fast import FlownFast, fly_recorded
 from dart_flight.run.prepare import refuse_unflyable
 from dart_flight.sim.draws import parse_vary
@@ -380,20 +380,20 @@ def identify(
     vehicle = vehicle or load_vehicle()
     if mode not in (None, "rigid", "flexible"):
         raise InputError(f"{mode!r} is not allowed, only: rigid, flexible", key=("mode",))
-    job = Job(
-        paths=[str(one) for one in given if isinstance(one, str | Path)],
-        onset=None if onset is None else prediction.onset_rule(vehicle, onset),
-        mode=mode,
+    how = TrialReading(
+        mode=mode or UNLABELLED,
+        surface=surface,
         drop=drop is not False,
         height_m=None if isinstance(drop, bool) else drop,
         contact_distance_m=contact_distance_m,
-        columns=",".join(f"{name}={header}" for name, header in (columns or {}).items()),
+        columns=columns_of(",".join(f"{name}={header}" for name, header in (columns or {}).items())),
         wall=wall,
         mass_kg=mass_kg,
-        law=law,
     )
-    own = [trial for one in given for trial in _trials_in(one, surface, mode or UNLABELLED)]
-    return carry_out(job, vehicle, readers(surface), own).found
+    own = [trial for one in given for trial in _trials_in(one, surface, how.mode)]
+    paths = [str(one) for one in given if isinstance(one, str | Path)]
+    rule = None if onset is None else prediction.onset_rule(vehicle, onset)
+    return carry_out(paths, how, vehicle, onset=rule, law=law, given=own).found
 
 
 def _trials_in(source: Source, surface: str | None, mode: str) -> list[Trial]:
@@ -425,4 +425,5 @@ __all__ = [
     "predict_drop",
     "read_log",
     "simulate",
+    "verdict_of",
 ]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.base.geometry import Wall
+from dart_flight.base.walls import Wall
 from dart_flight.core.mission.approach import (
     impact_time_s,
     is_blocked,

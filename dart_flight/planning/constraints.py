@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.base.geometry import GRAVITY_M_S2, Vec2, Wall
+from dart_flight.base.geometry import GRAVITY_M_S2, Vec2
+from dart_flight.base.walls import Wall
 from dart_flight.core.mission.arithmetic import Number
 from dart_flight.core.mission.commitment import (
     SETPOINT_OUTSIDE_M,

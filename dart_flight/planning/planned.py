@@ -14,9 +14,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.base.geometry import Vec2, Wall
+from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import AfterImpact
-from dart_flight.config.mission import Collision, GoalSpec, Mission
+from dart_flight.base.walls import Wall
+from dart_flight.config.mission import Collision, Mission
+from dart_flight.config.mission_file import GoalSpec
 from dart_flight.planning.flight_model import FreeFlight
 from dart_flight.planning.rollout import (
     Arrivals,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dart_flight.config.mission import FrameOrigin, Mission
+from dart_flight.config.mission import Mission
 from dart_flight.config.parameters import PositionSource
 
 PLAIN_GPS = (
@@ -18,7 +18,7 @@ def frame_problem(mission: Mission, source: PositionSource) -> str | None:
     mission that begins at its own origin, has a meaning.
     """
     spec = mission.frame
-    surveyed = spec.origin is FrameOrigin.LOCAL and (
+    surveyed = spec.origin == "local" and (
         mission.start != (0.0, 0.0) or spec.north_m != 0.0 or spec.east_m != 0.0
     )
     if source is PositionSource.MOCAP or not surveyed:

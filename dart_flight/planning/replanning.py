@@ -24,8 +24,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.base.geometry import GRAVITY_M_S2, Vec2, Wall
+from dart_flight.base.geometry import GRAVITY_M_S2, Vec2
 from dart_flight.base.records import Mode, PlanAnswer, PlanRequest, WallFelt
+from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.core.mission.commitment import SETTLED_BEFORE_S

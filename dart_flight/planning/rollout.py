@@ -15,8 +15,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.base.geometry import Vec2, Wall
+from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
+from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.core.mission.executive import PASSED_AFTER_S, PASSED_RISE_M
 from dart_flight.core.mission.survey import end_margin_m

@@ -10,9 +10,11 @@ from typing import NamedTuple, Protocol
 
 import msgspec
 
-from dart_flight.base.geometry import Vec2, Wall
+from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
-from dart_flight.config.mission import BoundsSpec, Collision, GoalSpec, Limits, Mission
+from dart_flight.base.walls import Wall
+from dart_flight.config.mission import Collision, Mission
+from dart_flight.config.mission_file import BoundsSpec, GoalSpec, Limits
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.mission.approach import run_up
 

@@ -77,7 +77,7 @@ def software_version() -> str:
 
 
 def flown_mission(about: dict[str, str], source: str) -> Mission:
-    """The mission as it was flown, from a log's description.
+    """The mission as it was flown, from a log's description; a younger key has the default of its type.
 
     Raises:
         InputError: it is not there, or does not fit this version of the program.

@@ -22,7 +22,6 @@ from dart_flight.base.records import (
     Record,
     StatusText,
 )
-from dart_flight.recording.schema import STREAMS
 
 
 class Level(IntEnum):
@@ -78,7 +77,7 @@ class Events:
 
     def take(self, record: Record) -> Event | None:
         """The event that a record is, or None."""
-        if type(record) in STREAMS:  # as most are
+        if record.frequent:  # as most are
             return None
         if isinstance(record, PhaseChange):
             which = f" (collision {record.collision})" if record.collision else ""

@@ -10,6 +10,7 @@ from dart_flight.config.document import InputError
 from dart_flight.recording.reader import NothingInItError
 
 LOG_NAME = "flight.mcap"
+PX4_LOG = "px4.ulg"  # beside it, where PX4 flew: its own log
 T = TypeVar("T")
 
 

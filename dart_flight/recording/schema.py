@@ -12,44 +12,12 @@ import types
 from functools import cache
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
-from dart_flight.base.records import (
-    ActuatorSample,
-    AttitudeSample,
-    EscSample,
-    EstimatorSample,
-    ForceEstimate,
-    ImuSample,
-    Input,
-    Note,
-    OdometrySample,
-    Output,
-    Record,
-    SetPoint,
-    Tick,
-    TorqueEstimate,
-    TruthSample,
-)
+from dart_flight.base.records import Input, Note, Output, Record
 
 INPUTS: tuple[type[Record], ...] = get_args(Input)
 OUTPUTS: tuple[type[Record], ...] = get_args(Output)
 NOTES: tuple[type[Record], ...] = get_args(Note)
 RECORD_TYPES: tuple[type[Record], ...] = (*INPUTS, *OUTPUTS, *NOTES)
-# What comes many times a second and decides nothing.
-STREAMS: frozenset[type[Record]] = frozenset(
-    {
-        ImuSample,
-        AttitudeSample,
-        OdometrySample,
-        ActuatorSample,
-        EscSample,
-        EstimatorSample,
-        Tick,
-        SetPoint,
-        ForceEstimate,
-        TorqueEstimate,
-        TruthSample,
-    }
-)
 
 # Endings of names that say the frame, then those that say the unit; the longest that fits counts.
 FRAMES = {

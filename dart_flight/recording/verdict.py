@@ -1,7 +1,7 @@
 """What a flight amounted to: pure, from the records of the flight (decisions, samples, truth).
 
-The one source for every world, for `--json`, for the terminal and for the report. Feed every record to
-`VerdictBuilder.take`, in order, then `build`.
+The one source for every world, for `--json`, for the terminal and for the report. A recorded flight has
+`verdict_of`; while one is flown, feed every record to `VerdictBuilder.take`, in order, then `build`.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -43,8 +44,11 @@ from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.provenance import VehicleSource
 from dart_flight.core.mission.phases import ON_GROUND
 from dart_flight.core.sense.body import side_of
+from dart_flight.recording.about import flown_mission
 from dart_flight.recording.anchor import Anchor
 from dart_flight.recording.deviations import Deviation, FlownImpact, deviations, predict_flight
+from dart_flight.recording.found import PX4_LOG
+from dart_flight.recording.reader import IN_MEMORY, Log
 
 _TICK_US = 20_000
 _KEPT = 1024  # samples of estimate and truth until they have met: 8 s at 125 Hz
@@ -451,3 +455,22 @@ class VerdictBuilder:
             truth.peak_torque_nm,
         )
         collision.detection_latency_ms = (collision.t_us - truth.t_us) * 1e-3
+
+
+def verdict_of(log: Log) -> Verdict:
+    """The verdict on a recorded flight.
+
+    It is what the flight's own was, but for what stands elsewhere: `px4`, and why records are missing.
+
+    Raises:
+        InputError: the log does not hold its mission.
+    """
+    builder = VerdictBuilder(flown_mission(log.about, log.source))
+    for entry in log.entries:
+        builder.take(entry.record)
+    beside = Path(log.source).with_name(PX4_LOG)
+    source = None if log.source == IN_MEMORY else log.source
+    verdict = builder.build(log.world, log.seed, source, str(beside) if beside.exists() else None)
+    if "drawn" in log.about:
+        verdict.drawn = msgspec.json.decode(log.about["drawn"])
+    return verdict

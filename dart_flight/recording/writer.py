@@ -25,7 +25,7 @@ from mcap.writer import CompressionType, Writer
 from dart_flight import __version__
 from dart_flight.base.records import Record
 from dart_flight.recording.encoding import encode
-from dart_flight.recording.schema import RECORD_TYPES, STREAMS, schema
+from dart_flight.recording.schema import RECORD_TYPES, schema
 
 FORMAT_VERSION = 1
 PROFILE = "dart-flight"
@@ -195,7 +195,7 @@ class FlightLog:
             self.lost += 1
 
     def _write(self, record: Record, number: int) -> None:
-        if self._parts > self._most_parts and type(record) in STREAMS:
+        if self._parts > self._most_parts and record.frequent:
             self.lost += 1
             return
         t_us = getattr(record, "t_us", 0)

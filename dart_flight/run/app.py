@@ -338,7 +338,7 @@ class FlightApp:
             return session.clock.to_autopilot(host_us())
 
         driver: Driver = make_driver(
-            config, clock_us=clock_us, set_actuator=session.set_actuator, mock_faults=self._lock_faults
+            config, clock_us=clock_us, set_actuator=session.set_actuator, faults=self._lock_faults
         )
         self.mock = driver if isinstance(driver, MockDriver) else None
         states: queue.SimpleQueue[LockState] = queue.SimpleQueue()

@@ -47,13 +47,12 @@ from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.core.flight_core import FlightCore
-from dart_flight.lock.drivers import Driver
+from dart_flight.lock.drivers import DRIVERS, driver_names, make_driver
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
-from dart_flight.lock.drivers.px4 import Px4Driver
 from dart_flight.lock.session import LockSession
 from dart_flight.planning.replanning import Replanner
 from dart_flight.recording.verdict import Verdict
-from dart_flight.run.faulted import FaultedFlight, Order, Telemetry, TimeRequest
+from dart_flight.run.faulted import FaultedFlight, Order, TimeRequest
 from dart_flight.run.flight_record import FlightRecord, Onlooker
 from dart_flight.run.runner import CoreRunner, Observe
 from dart_flight.sim.cascade import TrajectorySetPoint
@@ -89,7 +88,7 @@ class TelemetrySender:
         self._status: tuple[object, ...] = () if begins else (a.armed, a.mode, a.landed, a.estimator.ok)
         self._resets = -1
 
-    def due(self, ticks: int, received: int) -> Iterator[Telemetry]:
+    def due(self, ticks: int, received: int) -> Iterator[Input]:
         """The samples of a tick, received at a host time."""
         a, t_us = self._autopilot, self._autopilot.time_us
         e = a.estimator
@@ -166,12 +165,15 @@ class FastFlight:
         self.faulted = None if fault is None else FaultedFlight(self, fault, seed)
 
     def _make_lock(self, lock: LockConfig, driver: LockDriver, faults: MockFaults | None) -> LockSession:
-        hardware: Driver
-        if driver is LockDriver.PX4:
-            hardware = Px4Driver(lock, self.autopilot.set_actuator)
-        else:
-            hardware = self.mock = MockDriver(lock, lambda: self.autopilot.time_us, faults=faults)
-        return LockSession(lock, hardware, lambda: self.autopilot.time_us, self._lock_states.append)
+        def clock_us() -> int:
+            return self.autopilot.time_us
+
+        actuator = self.autopilot.set_actuator
+        hardware = make_driver(
+            lock, driver, clock_us=clock_us, set_actuator=actuator, faults=faults, gpio=False
+        )
+        self.mock = hardware if isinstance(hardware, MockDriver) else None
+        return LockSession(lock, hardware, clock_us, self._lock_states.append)
 
     def run(self, limit_s: float = 180.0) -> None:
         """Fly until the core says that it is over, or for `limit_s` seconds of simulated time."""
@@ -241,13 +243,13 @@ class FastFlight:
             severity, text = self._texts.pop(0)
             self._receive(StatusText(self.autopilot.time_us, self.host_us, severity, text))
 
-    def _receive(self, item: Telemetry) -> None:
+    def _receive(self, item: Input) -> None:
         if self.faulted is None:
             self._arrive(item)
         else:
             self.faulted.send_in(item)
 
-    def _arrive(self, item: Telemetry) -> None:
+    def _arrive(self, item: Input) -> None:
         self._connected = self._connected or isinstance(item, RoundTrip)
         if self._connected:
             self.take(item)
@@ -386,8 +388,9 @@ def simulated_driver(mission: Mission) -> LockDriver:
         InputError: it has no place in simulated time.
     """
     driver = mission.vehicle.lock_driver or LockDriver.MOCK
-    if driver not in (LockDriver.MOCK, LockDriver.PX4):
-        raise InputError(f"the lock driver {driver.value} cannot be simulated, only mock and px4")
+    if not DRIVERS[driver].simulated:
+        others = driver_names(lambda entry: entry.simulated)
+        raise InputError(f"the lock driver {driver.value} cannot be simulated, only {others}")
     return driver
 
 

@@ -7,16 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from dart_flight.base.records import (
-    ActuatorSample,
-    AttitudeSample,
-    EstimatorSample,
     ImuSample,
-    OdometrySample,
+    Input,
     Record,
-    RoundTrip,
     SetPoint,
-    StatusSample,
-    StatusText,
     VehicleAction,
 )
 from dart_flight.sim.faults.impairment import Impairment, LossyLink
@@ -26,17 +20,6 @@ from dart_flight.sim.vehicle import SimulatedVehicle
 
 if TYPE_CHECKING:
     from dart_flight.run.fast import FastFlight
-
-Telemetry = (
-    ImuSample
-    | AttitudeSample
-    | OdometrySample
-    | ActuatorSample
-    | StatusSample
-    | EstimatorSample
-    | StatusText
-    | RoundTrip
-)
 
 
 class TimeRequest(NamedTuple):
@@ -58,7 +41,7 @@ class FaultedFlight:
         self._flight, self.fault = flight, fault
         self._trigger = Trigger(fault)
         self.began_us: int | None = None  # host time
-        self._in: LossyLink[Telemetry] = LossyLink(seed)
+        self._in: LossyLink[Input] = LossyLink(seed)
         self._out: LossyLink[Order] = LossyLink(seed + 1)
         self._vehicle: VehicleFault | None = None
         self._seed = seed
@@ -116,13 +99,13 @@ class FaultedFlight:
         elif place is not Place.APP:
             self._vehicle = VehicleFault(flight.vehicle, fault)
 
-    def send_in(self, item: Telemetry) -> None:
+    def send_in(self, item: Input) -> None:
         """A sample on its way to the app."""
         dropped = self.began_us is not None and self.fault.name == "imu-dropout"
         if not (dropped and isinstance(item, ImuSample)):
             self._in.push(self._flight.autopilot.now_s, item)
 
-    def arrived(self) -> list[Telemetry]:
+    def arrived(self) -> list[Input]:
         """What reaches the app now, with the time at which it does."""
         received = self._flight.host_us
         return [

@@ -11,8 +11,9 @@ from dart_flight.base.records import World
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameters import PositionSource
-from dart_flight.lab_entries import PX4_LOG, load_entry
+from dart_flight.lab_entries import PX4_FIGURES, load_entry
 from dart_flight.planning.positioning import frame_problem
+from dart_flight.recording.found import PX4_LOG
 from dart_flight.recording.verdict import Px4Figures, Verdict
 from dart_flight.run.app import FlightApp
 from dart_flight.run.flight_record import FlightRecord, Onlooker
@@ -101,7 +102,7 @@ def fly_px4(
     finally:
         for lease in leases:
             lease.release()
-    ulog = folder / "px4.ulg"
+    ulog = folder / PX4_LOG
     built = record.build(px4_log=ulog)
     built.px4 = _px4_figures(ulog, world.version)
     return built
@@ -110,7 +111,7 @@ def fly_px4(
 def _px4_figures(ulog: Path, version: str | None) -> Px4Figures:
     """What PX4's own log says; reading it is the lab's, and a failure there is not the flight's."""
     try:
-        figures: Px4Figures = load_entry(PX4_LOG)(ulog, version)
+        figures: Px4Figures = load_entry(PX4_FIGURES)(ulog, version)
     except Exception:
         return Px4Figures(version)
     return figures

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import msgspec
 
-from dart_flight.base.geometry import Wall
 from dart_flight.base.records import Mode
+from dart_flight.base.walls import Wall
 from dart_flight.config.document import InputError, unknown_name
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Coefficients, ImuRinging, Material, Spreads, VehicleConfig

@@ -22,7 +22,6 @@ from dart_flight.base.geometry import (
     Quaternion,
     Vec2,
     Vec3,
-    Wall,
     add,
     advance_attitude,
     body_up,
@@ -39,6 +38,7 @@ from dart_flight.base.geometry import (
     yaw_ned_of,
 )
 from dart_flight.base.records import Mode, TruthContact, TruthSample
+from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import BodyModel, Coefficients, Motor, VehicleConfig
 from dart_flight.contact.body import UNTOUCHED, Plane, Touch, arm_of, clearance_m, folds, guards_of, touch

@@ -10,7 +10,6 @@ from dart_flight.base.geometry import (
     MissionFrame,
     Quaternion,
     Vec3,
-    Wall,
     advance_attitude,
     norm,
     quaternion_conjugate,
@@ -22,6 +21,7 @@ from dart_flight.base.geometry import (
     wrap_angle,
     yaw_ned_of,
 )
+from dart_flight.base.walls import Wall
 
 metres = st.floats(-1e3, 1e3)
 angles = st.floats(-10.0, 10.0)

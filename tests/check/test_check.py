@@ -24,7 +24,8 @@ from dart_flight.check.parameters import (
 from dart_flight.check.vehicle import judge_lock, judge_observation
 from dart_flight.cli import main
 from dart_flight.config.document import Document, InputError
-from dart_flight.config.mission import BoundsSpec, CollisionPrediction, Mission, parse_mission
+from dart_flight.config.mission import Mission, parse_mission
+from dart_flight.config.mission_file import BoundsSpec, CollisionPrediction
 from dart_flight.config.parameters import PositionSource, vehicle_parameters
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.drivers.px4 import required_parameters

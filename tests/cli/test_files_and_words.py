@@ -31,7 +31,7 @@ NO_LOCK = dart_flight.packaged("missions", "rigid_cage", "single_wall.yaml")
 
 def two_configurations(folder: Path) -> None:
     (folder / "configs").mkdir()
-    text = dart_flight.packaged("configs", "rigid_cage.yaml").read_text(encoding="utf-8")
+    text = dart_flight.packaged("configs", "dart.yaml").read_text(encoding="utf-8")
     (folder / "configs" / "base.yaml").write_text(text, encoding="utf-8")
     mine = "extends: base.yaml\nairframe:\n  mass_kg: 1.05\n"
     (folder / "configs" / "mine.yaml").write_text(mine, encoding="utf-8")

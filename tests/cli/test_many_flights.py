@@ -150,16 +150,12 @@ def test_an_abort_shows_its_reason(folder: Path, capsys: pytest.CaptureFixture[s
 
 def test_truth_is_null_where_there_is_none(folder: Path) -> None:
     from dart_flight.base.records import TruthContact, TruthSample
-    from dart_flight.recording.about import flown_mission
     from dart_flight.recording.reader import read_log
-    from dart_flight.recording.verdict import VerdictBuilder
+    from dart_flight.recording.verdict import verdict_of
 
     log = read_log(logs(folder)[0])
-    builder = VerdictBuilder(flown_mission(log.about, log.source))
-    for entry in log.entries:
-        if not isinstance(entry.record, TruthSample | TruthContact):
-            builder.take(entry.record)
-    verdict = builder.build(World.DRONE, None)
+    log.entries = [e for e in log.entries if not isinstance(e.record, TruthSample | TruthContact)]
+    verdict = verdict_of(log)
     assert [c.truth for c in verdict.collisions] == [None]
     assert verdict.ekf_error_m is None
 

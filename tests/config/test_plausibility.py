@@ -9,7 +9,8 @@ import msgspec
 import pytest
 
 from dart_flight.cli import main
-from dart_flight.config.mission import MissionFile, load_mission
+from dart_flight.config.mission import load_mission
+from dart_flight.config.mission_file import MissionFile
 from dart_flight.config.units import unit_of
 from dart_flight.config.vehicle import VehicleConfig, packaged
 from dart_flight.lab.search.scenario import ScenarioFile

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -26,6 +28,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.mission import load_mission
 from dart_flight.core.flight_core import FlightCore
+from dart_flight.core.guard.guard import Guard
 from dart_flight.core.guard.rules import RULES, Rule
 
 ROOT = Path(__file__).parents[2]
@@ -36,13 +39,27 @@ HOVER = 0.5547  # command at which four motors of the configuration carry 1.3 kg
 TELEPORTING = tuple(rule for rule in RULES if rule.name != "estimator_jump")
 
 
+NOTHING_SET: Mapping[str, Any] = {}
+
+
 class HandFedCore:
-    """Feeds hovering telemetry at 250 Hz; position, velocity and force are set by the test."""
+    """Feeds hovering telemetry at 250 Hz; position, velocity and force are set by the test.
+
+    Args:
+        mission: file.
+        rules: of the guard.
+        settings: keys of the mission that differ from the file, `vehicle.KEY` of its vehicle, as in
+            `Mission.replace`.
+    """
 
     def __init__(
-        self, mission: str = "missions/paper_dual_collision.yaml", rules: tuple[Rule, ...] = TELEPORTING
+        self,
+        mission: str = "missions/paper_dual_collision.yaml",
+        rules: tuple[Rule, ...] = TELEPORTING,
+        settings: Mapping[str, Any] = NOTHING_SET,
     ) -> None:
-        self.core = FlightCore(load_mission(ROOT / mission), rules)
+        loaded = load_mission(ROOT / mission)
+        self.core = FlightCore(loaded.replace(settings) if settings else loaded, rules)
         self.noise_m_s2 = 1e-4  # a real IMU never repeats itself
         self.odometry_every = 2
         self.t_us = 10_000_000
@@ -115,8 +132,8 @@ class HandFedCore:
     def set_lock(self, mode: Mode | None, phase: LockPhase = LockPhase.SETTLED) -> None:
         self.give(LockState(self.t_us, phase, mode))
 
-    def to_prepare(self) -> None:
-        """Through the phases up to the run-up point, where the lock is to move."""
+    def to_climb(self) -> None:
+        """Through the phases up to the climb."""
         self.set_lock(Mode.RIGID)
         self.run(0.5)
         self.set_status(flight_mode=FlightMode.OFFBOARD)
@@ -124,8 +141,16 @@ class HandFedCore:
         self.set_status(armed=True)
         self.run(0.1)
         self.set_status(landed=LandedState.IN_AIR)
+
+    def climbed(self) -> None:
+        """Through the climb, to what the mission begins with: run-up, way-point, pause, goal."""
+        self.to_climb()
         self.position_ned = (0.0, 0.0, -1.0)
-        self.run(0.5)  # arrived in the climb
+        self.run(0.5)
+
+    def to_prepare(self) -> None:
+        """Through the phases up to the run-up point, where the lock is to move."""
+        self.climbed()
         self.run(0.5)  # arrived at the run-up
 
     def to_flight(self) -> None:
@@ -133,6 +158,23 @@ class HandFedCore:
         self.to_prepare()
         self.set_lock(Mode.FLEXIBLE)
         self.run(0.02)
+
+    def break_mission(self) -> None:
+        """From now on the mission code raises."""
+
+        def broken(*_: object) -> None:
+            raise ZeroDivisionError("mission")
+
+        self.core._executive.propose = broken  # type: ignore[method-assign, assignment]
+
+    def hide_peaks(self) -> None:
+        """From now on the detector sees no peak, however long it waits."""
+        self.core._senses.detector._peak_is_past = lambda now_us: False  # type: ignore[method-assign]
+
+    def judge_by(self, rules: tuple[Rule, ...]) -> None:
+        """From now on the guard has these rules; what it has seen stays."""
+        guard, whole = self.core._guard, Guard(self.core.mission, rules)
+        guard._rules, guard._judged = whole._rules, whole._judged
 
 
 @pytest.fixture

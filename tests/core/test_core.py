@@ -208,15 +208,9 @@ def test_a_stronger_action_replaces_a_weaker_one_and_never_the_other_way(hand_fe
     assert actions == ["break_off", "land"]
 
 
-def test_a_fault_in_the_mission_code_becomes_a_landing(
-    hand_fed: HandFedCore, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fault_in_the_mission_code_becomes_a_landing(hand_fed: HandFedCore) -> None:
     hand_fed.to_flight()
-
-    def broken(*_: object) -> None:
-        raise ZeroDivisionError("mission")
-
-    monkeypatch.setattr(hand_fed.core._executive, "propose", broken)
+    hand_fed.break_mission()
     out = hand_fed.run(0.1)
     events = of(GuardEvent, out)
     assert [(e.rule, e.action) for e in events] == [("mission_fault", "land")]

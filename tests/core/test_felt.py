@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dart_flight.base.geometry import IDENTITY, Wall
+from dart_flight.base.geometry import IDENTITY
 from dart_flight.base.records import ForceEstimate, Mode, TorqueEstimate
+from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import ArmVibration, BodyModel, Coefficients
 from dart_flight.contact.law import Onset
 from dart_flight.core.sense.arm_vibration import ArmFilter

@@ -24,11 +24,10 @@ from dart_flight.base.records import (
     StatusSample,
 )
 from dart_flight.config.mission import load_mission
-from dart_flight.config.vehicle import Observer, ThrustSource, VehicleConfig
+from dart_flight.config.vehicle import ThrustSource, VehicleConfig
 from dart_flight.core.sense.arm_vibration import ArmFilter
 from dart_flight.core.sense.detector import Expected, ImpactDetector, _top_of
 from dart_flight.core.sense.force import ForceEstimator
-from dart_flight.core.sense.momentum import MomentumObserver
 from dart_flight.core.sense.pulse import Prior, TickReading, fit_friction, fit_normal
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.thrust import LaggedCommands, ThrustModel
@@ -284,33 +283,6 @@ def test_a_reading_at_full_scale_is_a_lower_bound() -> None:
     vehicle.run(0.1)
     vehicle.force = (-VEHICLE.imu.full_scale_m_s2 * MASS, 0.0, 0.0)
     assert all(e.clipped for e in vehicle.run(0.02))
-
-
-def test_the_momentum_observer_follows_a_slow_force_and_needs_no_accelerometer() -> None:
-    momentum = with_estimation(observer=Observer.MOMENTUM)
-    still_air = msgspec.structs.replace(momentum.airframe, drag_per_s=(0.0, 0.0, 0.0))
-    vehicle = Hovering(msgspec.structs.replace(momentum, airframe=still_air))
-    assert not any(e.clipped for e in vehicle.run(1.0))
-    vehicle.force = (2.0, -1.0, 0.0)
-    vehicle.bias = (1.0, 1.0, 0.0)  # of the accelerometer: of no effect
-    estimates = vehicle.run(1.0)
-    gain = VEHICLE.estimation.momentum_gain_per_s
-    # First order with time constant 1/K: 63 % after it, all of it in the end; y of the mission is west.
-    at_lag = estimates[round(1.0 / gain / 0.004)].force_mission
-    assert at_lag[0] == pytest.approx(2.0 * (1.0 - math.exp(-1.0)), abs=0.2)
-    assert estimates[-1].force_mission[0] == pytest.approx(2.0, abs=0.25)
-    assert estimates[-1].force_mission[1] == pytest.approx(1.0, abs=0.15)
-
-
-def test_the_momentum_observer_takes_late_odometry_at_its_stamp() -> None:
-    observer = MomentumObserver(1.0, 20.0)
-    velocities = [(0.004 * i * 3.0, 0.0, 0.0) for i in range(400)]
-    force: Vec3 = (0.0, 0.0, 0.0)
-    for i in range(400):
-        late = max(0, i - 5)
-        sample = OdometrySample(late * 4000 + 1, 0, (0.0, 0.0, 0.0), velocities[late])
-        force = observer.update(i * 4000 + 1, 0.004, (0.0, 0.0, 0.0), sample, velocities[late])
-    assert force[0] == pytest.approx(3.0, rel=0.02)
 
 
 @pytest.mark.parametrize("first_us", [4000, 8000])

@@ -26,7 +26,6 @@ from dart_flight.base.records import (
     VehicleAction,
     VehicleCommand,
 )
-from dart_flight.config.mission import Waypoint
 from dart_flight.core.flight_core import FlightCore
 from tests.core.conftest import TELEPORTING, HandFedCore
 
@@ -156,10 +155,8 @@ def test_the_guard_holds_at_the_missions_altitude_or_where_it_is_above_it(up_m: 
 
 
 def test_after_a_change_of_altitude_the_guard_holds_at_the_new_one() -> None:
-    c = HandFedCore()
-    higher = Waypoint(1, 0, (0.0, 0.0, 1.4), 0.5, 1.0)
-    c.core = FlightCore(msgspec.structs.replace(c.core.mission, waypoints=(higher,)), TELEPORTING)
-    c.give(ClockOffset(c.t_us, 0))
+    higher = {"position_m": [0.0, 0.0], "altitude_m": 1.4, "speed_m_s": 0.5, "hold_s": 1.0}
+    c = HandFedCore(settings={"waypoints": [higher]})
     c.to_prepare()
     assert c.core.phase is Phase.WAYPOINT
     c.give(OperatorRequest(c.t_us, Request.LAND))

@@ -19,7 +19,8 @@ from dart_flight.base.records import Phase
 from dart_flight.cli import COMMANDS, build_parser, main
 from dart_flight.config.document import Document
 from dart_flight.config.kinds import EXTENDS
-from dart_flight.config.mission import WallSpec, parse_mission
+from dart_flight.config.mission import parse_mission
+from dart_flight.config.mission_file import WallSpec
 from dart_flight.config.vehicle import Material, VehicleConfig, load_vehicle
 from dart_flight.lab.report.flight import Flight
 from dart_flight.lab.search.scenario import load_scenario
@@ -28,7 +29,7 @@ from tests.shared_flights import SharedFlights
 from tools.docs import animation, concept_figures, generated
 
 ALL = [block for page in PAGES for block in blocks(page)]
-LANGUAGES = {"", "sh", "yaml", "json", "ini", "mermaid", "python"}
+LANGUAGES = {"", "sh", "yaml", "json", "ini", "mermaid", "python", "diff"}
 
 
 def of(language: str) -> list[Block]:

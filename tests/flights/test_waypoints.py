@@ -30,7 +30,7 @@ from dart_flight.core.mission.approach import NoApproachError, legs_of, transit_
 from dart_flight.lab.report.flight import Flight
 from dart_flight.lab.report.page import flight_page
 from dart_flight.recording.reader import Log, read_log
-from dart_flight.recording.verdict import VerdictBuilder
+from dart_flight.recording.verdict import VerdictBuilder, verdict_of
 from dart_flight.run.fast import FastFlight, fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.replay import replay
@@ -147,10 +147,7 @@ def test_way_points_between_hits_are_flown_from_rest_and_later_hits_at_their_alt
     # The paper's set-points after the two hits, at the altitude of each.
     recoveries = [s for s in all_of(log, SetPoint) if isinstance(s, SetPoint) and s.recovery]
     assert [-s.position_ned[2] for s in recoveries] == pytest.approx([1.0, 1.3], abs=0.01)
-    builder = VerdictBuilder(one)
-    for entry in log.entries:
-        builder.take(entry.record)
-    verdict = builder.build(None, None)
+    verdict = verdict_of(log)
     assert verdict.outcome is Outcome.COMPLETED
     assert (verdict.goal_miss_m, verdict.plan_followed) == (None, True)
     assert "goal miss, m" not in [d.what for d in verdict.deviations]

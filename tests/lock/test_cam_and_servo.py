@@ -160,7 +160,7 @@ def test_horn_never_leaves_its_stops_nor_outruns_the_motor(
             "lock.limit_switch",
             "must differ",
         ),
-        ("driver: mock", "driver: hand", "lock.driver", "only: maestro, pwm, px4, mock"),
+        ("driver: mock", "driver: hand", "lock.driver", "only: " + ", ".join(LockDriver)),
         ("min_pulse_us: 900.0 ", "min_pulse_us: 700.0 ", "lock.px4.min_pulse_us", ">= 800"),
         ("startup: home", "startup: guess", "lock.startup", "only: home, adopt"),
     ],

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from dart_flight.cli import build_parser
-from dart_flight.config.vehicle import LockConfig, packaged
+from dart_flight.config.vehicle import LockConfig, LockDriver, packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lock.drivers.px4 import required_parameters
 
@@ -36,3 +36,9 @@ def test_the_parameters_on_the_page_are_those_that_are_checked(lock_config: Lock
     page = PAGE.read_text()
     for required in required_parameters(lock_config):
         assert f"`{required.name}`" in page
+
+
+def test_every_driver_is_on_the_page() -> None:
+    page = PAGE.read_text()
+    for kind in LockDriver:
+        assert f"**{kind.value}**" in page

@@ -94,10 +94,3 @@ def test_parameter_problems(vary: Vary, name: str, value: float, expected: str) 
 
 def test_the_output_of_another_pin_may_be_reversed(vary: Vary) -> None:
     assert parameter_problems(vary(), {**RIGHT, "PWM_AUX_REV": 6.0}) == []
-
-
-def test_make_driver_says_what_it_misses(vary: Vary) -> None:
-    with pytest.raises(ValueError, match="set_actuator"):
-        make_driver(vary(), LockDriver.PX4)
-    with pytest.raises(ValueError, match="clock_us"):
-        make_driver(vary(), LockDriver.MOCK)

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from dart_flight.base.geometry import Wall
 from dart_flight.base.records import Mode
+from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.core.mission.executive import PASSED_AFTER_S, PASSED_RISE_M
 from dart_flight.core.mission.position_loop import PositionLoop

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.base.geometry import Wall
 from dart_flight.base.records import Mode
+from dart_flight.base.walls import Wall
 from dart_flight.core.mission.executive import PASSED_AFTER_S, PASSED_RISE_M
 from dart_flight.core.mission.position_loop import PositionLoop
 from dart_flight.lab.search.scenario import Scenario

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dart_flight.base.geometry import Wall
+from dart_flight.base.walls import Wall
 from dart_flight.check.findings import Finding
 from dart_flight.check.mission import check_mission
 from dart_flight.config.mission import Mission, load_mission

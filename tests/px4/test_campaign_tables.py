@@ -6,9 +6,9 @@ from tools.campaigns.px4 import PAGE, Flight, Hit, body_table, versions_table, w
 
 
 def flight(part: str, seed: int, drawn: dict[str, float | str], final_m: float) -> Flight:
-    hit = Hit("acrylic", "flexible", -1.0, -1.01, 0.5, 34.0, 34.6, 108.0, 9.0, 1.0, False, 5.25, 8.5, 140.2)
+    hit = Hit("acrylic", "flexible", -1.0, -1.01, 0.5, 34.0, 34.6, 9.0, 1.0, 5.25, 8.5, 140.2)
     return Flight(
-        part, "px4", 1.0, "mocap", "single", seed, "completed", None, False, 0, 0, 9.0, 0.02, 0.1, 0.5,
+        part, "px4", 1.0, "mocap", "single", seed, "completed", None, False, 0, 9.0, 0.02, 0.5,
         final_m, [hit], [], "1.16.0", drawn,
     )  # fmt: skip
 

@@ -9,8 +9,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from dart_flight.base.geometry import Wall
 from dart_flight.base.records import Mode, Record, WallFelt
+from dart_flight.base.walls import Wall
 from dart_flight.check.findings import Finding
 from dart_flight.check.mission import check_mission
 from dart_flight.config.document import Document

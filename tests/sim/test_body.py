@@ -9,8 +9,9 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from dart_flight.base.geometry import GRAVITY_M_S2, MissionFrame, Vec3, Wall, quaternion_from_euler, rotate
+from dart_flight.base.geometry import GRAVITY_M_S2, MissionFrame, Vec3, quaternion_from_euler, rotate
 from dart_flight.base.records import Mode, TruthContact
+from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import BodyModel, Coefficients, ContactBody, VehicleConfig
 from dart_flight.contact.body import Plane, guards_of, touch
 from dart_flight.contact.law import Onset

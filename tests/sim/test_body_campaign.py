@@ -2,16 +2,14 @@
 
 import pytest
 
-from dart_flight.lab.campaign.statistics import wilson
+from dart_flight.lab.statistics import wilson
 from tools.campaigns.body import (
     MIDDLE,
-    PANELS,
     RANGES,
     WORST,
     Flown,
     HitFigures,
     Job,
-    corners,
     default_case,
     fly,
     vary_table,
@@ -23,16 +21,7 @@ def test_defaults_and_cases_lie_in_the_ranges() -> None:
     for case in (default_case(), MIDDLE, WORST):
         for name, (low, high) in RANGES.items():
             assert low <= getattr(case, name) <= high
-    values = {tuple(getattr(case, name) for name in RANGES) for case in corners()}
-    assert len(values) == 2 ** len(RANGES)
-    assert tuple(getattr(WORST, name) for name in RANGES) in values
-
-
-def test_the_maps_hold_the_default() -> None:
-    for panel in PANELS:
-        for name, values in ((panel.x, panel.xs), (panel.y, panel.ys)):
-            if name in RANGES:
-                assert min(values) <= getattr(default_case(), name) <= max(values)
+    assert all(getattr(WORST, name) in limits for name, limits in RANGES.items()), "a corner"
 
 
 def test_the_interval_is_wilsons() -> None:
@@ -68,7 +57,3 @@ def test_a_flight_tells_what_its_hits_did() -> None:
     assert found.kind == "completed"
     assert found.hits[0].incidence_deg == pytest.approx(-10.0, abs=1.5)
     assert found.hits[0].rate_deg_s >= 0.9 * found.hits[0].rate_out_deg_s > 30.0
-
-
-def test_an_approach_that_has_no_room_is_refused_not_flown() -> None:
-    assert fly(Job("paper_single_wall", 1, default_case(), normal_m_s=-9.0)).kind == "refused"

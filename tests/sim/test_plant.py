@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dart_flight.base.geometry import GRAVITY_M_S2, MissionFrame, Wall, quaternion_from_euler, tilt_of
+from dart_flight.base.geometry import GRAVITY_M_S2, MissionFrame, quaternion_from_euler, tilt_of
 from dart_flight.base.records import Mode, TruthContact
+from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.sim.plant import Plant
 

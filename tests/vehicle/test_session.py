@@ -111,14 +111,14 @@ def test_every_stream_is_asked_for_and_a_refusal_is_named(
     }
 
 
-@pytest.mark.parametrize(("result", "refused"), [(0, []), (4, ["esc"])])
+@pytest.mark.parametrize(("result", "refused"), [(0, False), (4, True)])
 def test_a_further_stream_is_asked_for_by_its_message(
-    monkeypatch: pytest.MonkeyPatch, result: int, refused: list[str]
+    monkeypatch: pytest.MonkeyPatch, result: int, refused: bool
 ) -> None:
     rig = Rig(monkeypatch, {"send_command": lambda _: message(command=511, result=result)})
     estimation = SimpleNamespace(uses_esc=True, thrust_source=None)
     rig.session.subscribe(estimation, 4)  # type: ignore[arg-type]
-    assert asyncio.run(rig.session.set_rates([])) == refused
+    assert ("esc" in asyncio.run(rig.session.set_rates([]))) is refused
 
 
 def test_a_local_position_is_one_that_is_sent_and_is_well(

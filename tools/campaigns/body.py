@@ -1,13 +1,12 @@
 """Hits of a body: the shipped missions against walls that stand askew, over what the body may be like.
 
-    python -m tools.campaigns.body                 # everything, build/body.png, build/body.md
-    python -m tools.campaigns.body yaw vary        # only these parts; also: corners, map
+    python -m tools.campaigns.body                 # everything, build/body.md
+    python -m tools.campaigns.body vary            # only this part
     python -m tools.campaigns.body yaw --runs 5 --case default --mission dual_collision --fresh
 
 Fast world, guards. What the paper does not tell of the body are the ranges of `RANGES`; a `Case` is a point
-in them. `yaw` flies both missions over seeds with every wall turned by the same angle; `corners` finds the
-worst corner of the ranges; `map` goes over the ranges and beyond, to where it stops being flyable; `vary`
-draws everything (`--vary all`). A flight is kept under build/body/ as soon as it has landed: an interrupted
+in them. `yaw` flies both missions over seeds with every wall turned by the same angle; `vary` draws
+everything (`--vary all`). A flight is kept under build/body/ as soon as it has landed: an interrupted
 campaign goes on where it was; `--fresh` forgets what was flown (after a change of the software).
 
 No decision of the software may be tuned on the seeds from `FIRST_SEED` on.
@@ -17,14 +16,12 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
 import math
 import statistics
 import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
@@ -39,24 +36,19 @@ from dart_flight.base.records import (
     TruthSample,
     World,
 )
-from dart_flight.config.document import InputError
-from dart_flight.config.kinds import FileKind, load_document
-from dart_flight.config.mission import Mission, parse_mission
+from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import LockDriver, load_vehicle
-from dart_flight.core.flight_core import FlightCore
-from dart_flight.core.mission.approach import NoApproachError
-from dart_flight.lab.campaign.statistics import wilson
+from dart_flight.lab.statistics import wilson
 from dart_flight.recording.verdict import VerdictBuilder
 from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import DrawnWorld, draw_world, parse_vary, with_walls
 from tools.campaigns.faults import Watch, judge, run_out
 from tools.campaigns.kept import fly_missing
+from tools.campaigns.results import ROOT, markdown
 
-ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "build" / "body"
-PICTURE = ROOT / "build" / "body.png"
 MISSIONS = ("paper_single_wall", "paper_dual_collision")
-PARTS = ("corners", "yaw", "map", "vary")
+PARTS = ("yaw", "vary")
 FIRST_SEED = 7001
 YAWS_DEG = (0.0, 5.0, -5.0, 10.0, -10.0)
 _AFTER_US = 600_000  # what a hit does to tilt and rate shows within this time
@@ -70,7 +62,6 @@ class Case(msgspec.Struct, frozen=True):
         name: for tables.
         friction_lever_share, vertical_lever_m, guard_height_m, guard_along_m: as in `simulation.contact`.
         inertia: factor of the configured one.
-        fold_share: as in `simulation.contact`; None: as configured.
     """
 
     name: str
@@ -79,7 +70,6 @@ class Case(msgspec.Struct, frozen=True):
     guard_height_m: float
     guard_along_m: float
     inertia: float
-    fold_share: float | None = None
 
     def settings(self) -> tuple[str, ...]:
         """As `--set` takes them."""
@@ -88,8 +78,6 @@ class Case(msgspec.Struct, frozen=True):
             f"simulation.contact.{key}={getattr(self, key):g}"
             for key in ("friction_lever_share", "vertical_lever_m", "guard_height_m", "guard_along_m")
         ]
-        if self.fold_share is not None:
-            contact.append(f"simulation.contact.fold_share={self.fold_share:g}")
         inertia = ", ".join(f"{self.inertia * moment:g}" for moment in moments)
         return ("simulation.contact.body=guards", *contact, f"airframe.inertia_kg_m2=[{inertia}]")
 
@@ -117,17 +105,8 @@ def default_case() -> Case:
     )
 
 
-def corners() -> list[Case]:
-    """Every corner of the ranges, named by low (-) and high (+) in the order of `RANGES`."""
-    found = []
-    for ends in itertools.product((0, 1), repeat=len(RANGES)):
-        values = [limits[end] for limits, end in zip(RANGES.values(), ends, strict=True)]
-        found.append(Case("".join("-+"[end] for end in ends), *values))
-    return found
-
-
 MIDDLE = Case("mid-range", *((low + high) / 2.0 for low, high in RANGES.values()))
-WORST = Case("worst corner", 1.0, 0.0, -0.03, 0.10, 0.7)  # by the part `corners`, before work on recovery
+WORST = Case("worst corner", 1.0, 0.0, -0.03, 0.10, 0.7)  # of all corners, docs/results/body.md
 
 
 class Job(msgspec.Struct, frozen=True):
@@ -138,18 +117,14 @@ class Job(msgspec.Struct, frozen=True):
         seed: of sensors, scatter and draws.
         case: the body.
         yaw_deg: every wall turned by so much, counter-clockwise seen from above.
-        normal_m_s: of the first approach; None: as the mission has it.
         vary: as `--vary` takes it.
-        settings: beyond the case's, as `--set` takes them.
     """
 
     mission: str
     seed: int
     case: Case
     yaw_deg: float = 0.0
-    normal_m_s: float | None = None
     vary: tuple[str, ...] = ()
-    settings: tuple[str, ...] = ()
 
 
 class HitFigures(msgspec.Struct):
@@ -173,7 +148,7 @@ class Flown(msgspec.Struct):
 
     Attributes:
         job: what was flown.
-        outcome: of the verdict, or `refused` where the mission cannot be flown at all.
+        outcome: of the verdict.
         rule: what broke it off; empty where it completed.
         problems: why it counts as uncontrolled (`tools.campaigns.faults`); empty where it does not.
         tilt_deg: largest of the flight.
@@ -193,11 +168,9 @@ class Flown(msgspec.Struct):
 
     @property
     def kind(self) -> str:
-        """completed, broken off, uncontrolled or refused."""
+        """completed, broken off or uncontrolled."""
         if self.problems:
             return "uncontrolled"
-        if self.outcome == "refused":
-            return "refused"
         return "completed" if self.outcome == Outcome.COMPLETED else "broken off"
 
     def second(self) -> HitFigures | None:
@@ -253,24 +226,6 @@ class _HitWatch:
         return found
 
 
-def _mission(job: Job) -> Mission:
-    """The mission as believed.
-
-    Raises:
-        InputError: it cannot be flown with this approach.
-    """
-    document = load_document(ROOT / "missions" / f"{job.mission}.yaml", FileKind.MISSION)
-    if job.normal_m_s is not None:
-        document.tree["collisions"][0]["approach"]["normal_m_s"] = job.normal_m_s
-        document.tree["limits"] = {"speed_m_s": 4.0, "peak_force_n": 250.0}
-    mission = parse_mission(document, None, (*job.case.settings(), *job.settings))
-    try:
-        FlightCore(mission)
-    except NoApproachError as error:
-        raise InputError(str(error)) from None
-    return mission
-
-
 def place_walls(
     world: DrawnWorld, away_m: Mapping[str, float], angles_deg: Mapping[str, float]
 ) -> DrawnWorld:
@@ -284,10 +239,8 @@ def place_walls(
 
 def fly(job: Job) -> Flown:
     """One flight, on to the ground."""
-    try:
-        mission = _mission(job)
-    except InputError as error:
-        return Flown(job, "refused", str(error), [], 0.0, None, [], {})
+    path = ROOT / "missions" / f"{job.mission}.yaml"
+    mission = load_mission(path, settings=job.case.settings())
     if job.vary:
         spreads = parse_vary(job.vary, mission.vehicle)
         world = draw_world(mission, job.seed, spreads)
@@ -328,7 +281,7 @@ def fly(job: Job) -> Flown:
 
 def fly_all(part: str, jobs: Sequence[Job], processes: int, fresh: bool = False) -> list[Flown]:
     """Fly what build/body/ does not have yet; results in the order of the jobs."""
-    return fly_missing(KEPT / f"{part}.jsonl", jobs, fly, Flown, processes, fresh)
+    return fly_missing(KEPT / f"{part}.jsonl", jobs, fly, tuple[Job, Flown], processes, fresh)
 
 
 # --- what is flown -----------------------------------------------------------------------------------------
@@ -342,91 +295,12 @@ def yaw_jobs(case: Case, missions: Iterable[str], runs: int) -> list[Job]:
     ]
 
 
-def corner_jobs() -> list[Job]:
-    """Every corner once, with walls askew to the side that is the harder one at the default."""
-    return [Job("paper_dual_collision", FIRST_SEED, case, 10.0) for case in corners()]
-
-
 def vary_jobs(runs: int) -> list[Job]:
     """Dual flights with everything drawn."""
     return [
         Job("paper_dual_collision", seed, default_case(), vary=("all",))
         for seed in range(FIRST_SEED, FIRST_SEED + runs)
     ]
-
-
-class Panel(msgspec.Struct, frozen=True):
-    """One map: two quantities over and beyond their ranges, everything else at its default.
-
-    Attributes:
-        title: above it.
-        mission: flown.
-        x, y: names of `Case`'s fields, `yaw_deg` or `normal_m_s`.
-        xs, ys: values.
-        yaw_deg: of the walls, where it is not an axis.
-    """
-
-    title: str
-    mission: str
-    x: str
-    y: str
-    xs: tuple[float, ...]
-    ys: tuple[float, ...]
-    yaw_deg: float = 0.0
-
-    def job(self, x: float, y: float) -> Job:
-        """One cell of it."""
-        given = {self.x: x, self.y: y}
-        changes = {name: value for name, value in given.items() if name in Case.__struct_fields__}
-        case = msgspec.structs.replace(default_case(), name="map", **changes)
-        return Job(
-            self.mission,
-            FIRST_SEED,
-            case,
-            given.get("yaw_deg", self.yaw_deg),
-            given.get("normal_m_s"),
-        )
-
-
-_ANGLES = (-30.0, -20.0, -10.0, 0.0, 10.0, 20.0, 30.0)
-PANELS = (
-    Panel(
-        "Dual collision, walls 5 degrees askew",
-        "paper_dual_collision",
-        "friction_lever_share",
-        "vertical_lever_m",
-        (0.0, 0.3, 0.6, 1.0),
-        (0.0, 0.02, 0.04, 0.08, 0.12, 0.2),
-        5.0,
-    ),
-    Panel(
-        "Dual collision",
-        "paper_dual_collision",
-        "yaw_deg",
-        "guard_height_m",
-        _ANGLES,
-        (-0.1, -0.03, 0.0, 0.03, 0.1),
-    ),
-    Panel("Single wall", "paper_single_wall", "yaw_deg", "normal_m_s", _ANGLES, (-0.5, -1.0, -1.5, -2.0)),
-    Panel(
-        "Dual collision, walls 5 degrees askew",
-        "paper_dual_collision",
-        "fold_share",
-        "inertia",
-        (0.0, 0.35, 0.7, 1.0),
-        (0.4, 0.7, 1.0, 1.4),
-        5.0,
-    ),
-)
-_LABELS = {
-    "friction_lever_share": "share of the guards' lever at which friction acts",
-    "vertical_lever_m": "lever of the vertical force, m",
-    "guard_height_m": "guards above the centre of mass, m",
-    "fold_share": "share of a guard's penetration that its arm takes up",
-    "inertia": "inertia, times the configured one",
-    "yaw_deg": "walls turned against the mission, degrees",
-    "normal_m_s": "approach, m/s",
-}
 
 
 # --- what came of it ---------------------------------------------------------------------------------------
@@ -449,12 +323,12 @@ def _middle_and_worst(values: Iterable[float], digits: int = 0) -> str:
 
 def yaw_table(flights: Sequence[Flown]) -> str:
     """Markdown: a row a case, mission and yaw; figures are median, worst."""
-    lines = [
-        "| body | mission | wall yaw | completed | broken off | uncontrolled | tilt after first hit, deg | "
-        "rate after it, deg/s | motors at a limit, ms | second hit, m/s | its force, N | "
-        "tilt after it, deg |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
+    heads = (
+        "body", "mission", "wall yaw", "completed", "broken off", "uncontrolled", "tilt after first hit, deg",
+        "rate after it, deg/s", "motors at a limit, ms", "second hit, m/s", "its force, N",
+        "tilt after it, deg",
+    )  # fmt: skip
+    rows = []
     groups: dict[tuple[str, str, float], list[Flown]] = {}
     for f in flights:
         groups.setdefault((f.job.case.name, f.job.mission, f.job.yaw_deg), []).append(f)
@@ -476,37 +350,8 @@ def yaw_table(flights: Sequence[Flown]) -> str:
             _middle_and_worst(h.peak_n for h in second),
             _middle_and_worst(h.tilt_deg for h in second),
         ]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
-
-
-def badness(flights: Sequence[Flown]) -> tuple[float, ...]:
-    """How bad a corner is: uncontrolled, then not completed, then tilt and rate after hits."""
-    hits = [hit for f in flights for hit in f.hits]
-    return (
-        sum(f.kind == "uncontrolled" for f in flights),
-        sum(f.kind != "completed" for f in flights),
-        max((hit.tilt_deg for hit in hits), default=0.0),
-        max((hit.rate_deg_s for hit in hits), default=0.0),
-    )
-
-
-def corner_table(flights: Sequence[Flown]) -> str:
-    """Markdown: corners, worst first."""
-    groups: dict[Case, list[Flown]] = {}
-    for f in flights:
-        groups.setdefault(f.job.case, []).append(f)
-    lines = [
-        f"| {' | '.join(RANGES)} | completed | broken off | uncontrolled | tilt, deg | rate, deg/s |",
-        "|" + "---|" * (len(RANGES) + 5),
-    ]
-    for case, mine in sorted(groups.items(), key=lambda group: badness(group[1]), reverse=True):
-        lost, _, tilt, rate = badness(mine)
-        values = [f"{getattr(case, name):g}" for name in RANGES]
-        done = f"{sum(f.kind == 'completed' for f in mine)} of {len(mine)}"
-        off = _counts([f for f in mine if f.kind == "broken off"])
-        lines.append(f"| {' | '.join(values)} | {done} | {off} | {lost:.0f} | {tilt:.0f} | {rate:.0f} |")
-    return "\n".join(lines) + "\n"
+        rows.append(cells)
+    return markdown(heads, rows)
 
 
 def vary_table(flights: Sequence[Flown]) -> str:
@@ -542,57 +387,6 @@ def vary_table(flights: Sequence[Flown]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _plausible(name: str, value: float) -> bool:
-    low, high = RANGES.get(name, (-math.inf, math.inf))
-    return low <= value <= high
-
-
-def draw_map(flights: Sequence[Flown], path: Path) -> None:
-    """The map as a picture; needs the extra `report`."""
-    from matplotlib.figure import Figure  # noqa: PLC0415
-    from matplotlib.patches import Rectangle  # noqa: PLC0415
-
-    found = {f.job: f for f in flights}
-    figure = Figure(figsize=(11.0, 9.0), layout="constrained")
-    marks = {"broken off": ("x", "white"), "uncontrolled": ("X", "red"), "refused": ("_", "0.5")}
-    mesh: Any = None
-    for panel, axes in zip(PANELS, figure.subplots(2, 2).flat, strict=True):
-        cells = [[found[panel.job(x, y)] for x in panel.xs] for y in panel.ys]
-        tilt = [[math.nan if f.kind == "refused" else f.tilt_deg for f in row] for row in cells]
-        mesh = axes.imshow(tilt, origin="lower", aspect="auto", cmap="viridis", vmin=0.0, vmax=80.0)
-        for j, row in enumerate(cells):
-            for i, f in enumerate(row):
-                if f.kind in marks:
-                    marker, colour = marks[f.kind]
-                    axes.plot(i, j, marker=marker, color=colour, markersize=8, linestyle="none")
-                if f.kind == "broken off":
-                    axes.annotate(
-                        f.rule,
-                        (i, j),
-                        xytext=(0, -9),
-                        textcoords="offset points",
-                        ha="center",
-                        fontsize=5,
-                        color="white",
-                    )
-        ends = [
-            [k for k, v in enumerate(values) if _plausible(name, v)]
-            for name, values in ((panel.x, panel.xs), (panel.y, panel.ys))
-        ]
-        (left, right), (low, high) = ((at[0] - 0.5, at[-1] + 0.5) for at in ends)
-        axes.add_patch(
-            Rectangle((left, low), right - left, high - low, fill=False, edgecolor="white", linestyle="--")
-        )
-        axes.set_xticks(range(len(panel.xs)), [f"{v:g}" for v in panel.xs])
-        axes.set_yticks(range(len(panel.ys)), [f"{v:g}" for v in panel.ys])
-        axes.set_xlabel(_LABELS[panel.x])
-        axes.set_ylabel(_LABELS[panel.y])
-        axes.set_title(panel.title, fontsize=10)
-    figure.colorbar(mesh, ax=figure.axes, label="largest tilt of the flight, degrees", shrink=0.6)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Fly what is asked for; 1 where a flight was uncontrolled."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -605,7 +399,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--fresh", action="store_true", help="forget what was flown")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "body.md")
-    parser.add_argument("--picture", type=Path, default=PICTURE)
     options = parser.parse_args(arguments)
     unknown = [part for part in options.part if part not in PARTS]
     if unknown:
@@ -621,20 +414,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     case, options.mission or MISSIONS, options.runs or (20 if case.name == "default" else 5)
                 )
             ]
-        elif part == "corners":
-            jobs = corner_jobs()
-        elif part == "vary":
-            jobs = vary_jobs(options.runs or 200)
         else:
-            jobs = [panel.job(x, y) for panel in PANELS for x in panel.xs for y in panel.ys]
+            jobs = vary_jobs(options.runs or 200)
         flights = fly_all(part, list(dict.fromkeys(jobs)), options.processes, options.fresh)
         lost += sum(f.kind == "uncontrolled" for f in flights)
-        if part == "map":
-            draw_map(flights, options.picture)
-            text = json.dumps(Counter(f.kind for f in flights)) + "\n"
-        else:
-            text = {"yaw": yaw_table, "corners": corner_table, "vary": vary_table}[part](flights)
-        said.append(f"## {part}\n\n{text}")
+        table = yaw_table if part == "yaw" else vary_table
+        said.append(f"## {part}\n\n{table(flights)}")
         sys.stdout.write(said[-1] + "\n")
         sys.stdout.flush()
     options.out.parent.mkdir(parents=True, exist_ok=True)

@@ -26,7 +26,6 @@ import re
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import msgspec
@@ -44,6 +43,7 @@ from dart_flight.run.fast import FastFlight
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.sabotage import fill_disk_of
 from dart_flight.sim.faults.kinds import KINDS, Fault, parse_fault
+from tools.campaigns.kept import fly_missing
 from tools.campaigns.results import RESULTS, measured_by
 
 EXPECTED = Path(__file__).resolve().parents[2] / "tests" / "faults" / "expected.csv"
@@ -77,6 +77,9 @@ class Flown(msgspec.Struct):
     landing_m_s: float
     tilt_deg: float
     problems: list[str]
+
+
+_KEPT = tuple[tuple[str, str] | int, Flown]  # a cell of the matrix or the number of a random flight
 
 
 class Watch:
@@ -302,23 +305,6 @@ def _flight(job: tuple[str, str] | int) -> Flown:
     return random_flight(job) if isinstance(job, int) else cell(*job)
 
 
-def fly_all(jobs: list[tuple[str, str] | int], kept: Path) -> list[Flown]:
-    """Cells of the matrix and numbered random flights, two at a time; results are kept as they come.
-
-    `kept` has a line of JSON for every flight flown: what is there already is not flown again.
-    """
-    decode, results = msgspec.json.Decoder(tuple[tuple[str, str] | int, Flown]).decode, {}
-    if kept.exists():
-        results = dict(decode(line) for line in kept.read_bytes().splitlines())
-    missing = [job for job in jobs if job not in results]
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(2) as pool, open(kept, "ab", buffering=0) as file:
-        for job, flown in zip(missing, pool.map(_flight, missing), strict=True):
-            results[job] = flown
-            file.write(msgspec.json.encode((job, flown)) + b"\n")
-    return [results[job] for job in jobs]
-
-
 # --- the report --------------------------------------------------------------------------------------------
 
 
@@ -437,8 +423,8 @@ def run(report_dir: Path, runs: int = 2000) -> None:
         RuntimeError: a flight was uncontrolled.
     """
     keys: list[tuple[str, str] | int] = [(row, phase) for row in ROWS for phase in PHASES]
-    cells = fly_all(keys, Path("build/faults_matrix.jsonl"))
-    flights = fly_all(list(range(runs)), Path("build/faults_random.jsonl"))
+    cells = fly_missing(Path("build/faults_matrix.jsonl"), keys, _flight, _KEPT)
+    flights = fly_missing(Path("build/faults_random.jsonl"), range(runs), _flight, _KEPT)
     (report_dir / "fault_matrix.md").write_text(report(cells, flights))
     bad = [f for f in (*cells, *flights) if f.problems]
     if bad:
@@ -486,7 +472,6 @@ __all__ = [
     "cell",
     "expected",
     "fly",
-    "fly_all",
     "random_flight",
     "run",
     "with_row",

@@ -35,15 +35,15 @@ from dart_flight.config.vehicle import BodyModel, Coefficients, LockDriver, load
 from dart_flight.contact.contact_map import collide
 from dart_flight.contact.law import Onset
 from dart_flight.core.mission.approach import NoApproachError
-from dart_flight.lab.campaign.statistics import wilson
+from dart_flight.lab.statistics import wilson
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
 from dart_flight.recording.verdict import CollisionVerdict, VerdictBuilder
 from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import draw_world
 from tools.campaigns.kept import fly_missing
+from tools.campaigns.results import ROOT, markdown
 
-ROOT = Path(__file__).resolve().parents[2]
 KEPT, PAGE = ROOT / "build" / "felt", ROOT / "build" / "felt.md"
 FIRST_SEED = 9001
 _LONGEST_S = 40.0
@@ -222,7 +222,7 @@ def _mode_by_time(material: str, mission: Mission, hits: Sequence[CollisionVerdi
 
 def fly_all(name: str, jobs: Sequence[Job], processes: int, fresh: bool = False) -> list[Flown]:
     """Fly what build/felt/ does not have yet; results in the order of the jobs."""
-    return fly_missing(KEPT / f"{name}.jsonl", jobs, fly, Flown, processes, fresh)
+    return fly_missing(KEPT / f"{name}.jsonl", jobs, fly, tuple[Job, Flown], processes, fresh)
 
 
 # --- what came of it -------------------------------------------------------------------------------------
@@ -281,11 +281,11 @@ def _rate(count: int, of: int) -> str:
 
 def mode_table(groups: dict[str, list[Judged]]) -> str:
     """Markdown: a row a group: wrong, undecided, moment at which it was known."""
-    lines = [
-        "| set | body | contacts | wrong (95 % interval) | undecided (95 % interval) | known after the "
-        "contact's end, median, latest | within 60 ms | wrong by its duration |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+    heads = (
+        "set", "body", "contacts", "wrong (95 % interval)", "undecided (95 % interval)",
+        "known after the contact's end, median, latest", "within 60 ms", "wrong by its duration",
+    )  # fmt: skip
+    rows = []
     for name, mine in groups.items():
         late = [j.flown.after_ms for j in mine]
         kind, body = name.rsplit(" ", 1)
@@ -299,17 +299,16 @@ def mode_table(groups: dict[str, list[Judged]]) -> str:
             f"{sum(ms <= _DEADLINE_MS for ms in late)} of {len(mine)}",
             _rate(sum(j.flown.by_time is not j.true_mode for j in mine), len(mine)),
         ]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+        rows.append(cells)
+    return markdown(heads, rows)
 
 
 def coefficient_table(groups: dict[str, list[Judged]], prior_sd: float) -> str:
     """Markdown: coverage of the 95 % intervals, posterior over prior deviation; the true mode told only."""
-    head = " | ".join(f"{name} covered | {name} posterior over prior" for name in _COEFFICIENTS)
-    lines = [
-        f"| set | body | contacts | {head} | plane, mm, mean and deviation of the error |",
-        "|" + "---|" * (4 + 2 * len(_COEFFICIENTS)),
-    ]
+    heads = ["set", "body", "contacts"]
+    heads += [f"{name} {what}" for name in _COEFFICIENTS for what in ("covered", "posterior over prior")]
+    heads.append("plane, mm, mean and deviation of the error")
+    rows = []
     for name, mine in groups.items():
         right = [j for j in mine if told_mode(j.felt) is j.true_mode]
         if not right:
@@ -321,8 +320,8 @@ def coefficient_table(groups: dict[str, list[Judged]], prior_sd: float) -> str:
             cells.append(f"{statistics.median(read(j.felt)[1] for j in right) / prior_sd:.2f}")
         off = [1e3 * (j.felt.plane_offset_m - j.flown.plane_offset_m) for j in right]
         cells.append(f"{statistics.fmean(off):+.1f}, {statistics.pstdev(off):.1f}")
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+        rows.append(cells)
+    return markdown(heads, rows)
 
 
 def wrong_list(groups: dict[str, list[Judged]]) -> str:
@@ -351,7 +350,7 @@ def theory(material: str = "acrylic", draws: int = 1_000_000) -> str:
     spread = math.hypot(_CONTACT["contact"], _CONTACT["contact_scatter"])
     rigid = rng.random(draws) < 0.5
     odds = np.zeros(draws)
-    lines = ["| read | sure from odds of | wrong | undecided |", "|---|---|---|---|"]
+    rows = []
     readings = (("k", "k", 0.01, 0.0), ("k, f", "f", 0.0, 1.5), ("k, f, nu", "nu", 0.0, 1.0))
     for said, name, share, error in readings:
         means = {mode: float(getattr(table.of(mode), name)) for mode in Mode}
@@ -366,8 +365,8 @@ def theory(material: str = "acrylic", draws: int = 1_000_000) -> str:
         for level in (100.0, 200.0, 1000.0):
             decided = np.abs(odds) >= math.log(level)
             wrong = float(np.mean(decided & ((odds > 0.0) != rigid)))
-            lines.append(f"| {said} | {level:.0f} | {100 * wrong:.2f} % | {100 * np.mean(~decided):.0f} % |")
-    return "\n".join(lines) + "\n"
+            rows.append((said, f"{level:.0f}", f"{100 * wrong:.2f} %", f"{100 * np.mean(~decided):.0f} %"))
+    return markdown(("read", "sure from odds of", "wrong", "undecided"), rows)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -31,9 +31,8 @@ from dart_flight.lab.report.page import AGREES, beyond, disagreements
 from dart_flight.recording.reader import read_log
 from dart_flight.run.prepare import load_flyable
 from tools.bench.other_wall import fly_against, with_walls
-from tools.campaigns.results import RESULTS, measured_by
+from tools.campaigns.results import RESULTS, ROOT, measured_by
 
-ROOT = Path(__file__).parents[2]
 # The law is a point's. A point shows what the fit is worth; a body with guards, which turns, what
 # it makes of the vehicle that missions fly with by default.
 POINT, GUARDS = "point", "guards"

@@ -1,4 +1,4 @@
-"""Force campaign: estimate against the plant's truth, the detector's operating curve, the paper's check.
+"""Force campaign: estimate against the plant's truth, and the detector's operating curve.
 
     python -m tools.campaigns.force
 
@@ -18,31 +18,19 @@ import matplotlib as mpl
 import msgspec
 
 from dart_flight.base.records import (
-    ContactEnd,
-    ForceEstimate,
-    ImpactOnset,
-    ImpactPeak,
     Mode,
-    TruthContact,
-    TruthSample,
 )
 from dart_flight.config.mission import Mission, load_mission
-from dart_flight.config.vehicle import Coefficients, VehicleConfig
-from dart_flight.contact.law import Onset
 from dart_flight.core.sense.state import FlightState
-from dart_flight.run.fast import FastFlight
-from tests.oracles.point_law import contact_force
 from tools.campaigns.force_hits import Hit, direction_error_deg, fly_hit, grid, judge_hit
 from tools.campaigns.force_quiet import Quiet, fly_quiet
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-from tools.campaigns.results import RESULTS, measured_by
+from tools.campaigns.results import RESULTS, ROOT, measured_by
 
-ROOT = Path(__file__).parents[2]
 SPEEDS = (0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0)
-WRONG_SPEEDS = (0.3, 0.75, 1.5, 3.0)
 CLIPPED_SPEEDS = (3.25, 3.5, 4.0, 4.5)
 ORIENTATIONS = tuple(45.0 * i for i in range(8))
 TILTS = (0.0, 15.0, 30.0)
@@ -70,27 +58,19 @@ class Row(msgspec.Struct):
     raw_error: float  # of the largest tick mean without noise: what averaging and sampling take away
 
 
-def missions() -> tuple[Mission, Mission]:
-    """Dual collision and single wall."""
-    return (
-        load_mission(
-            ROOT / "missions" / "paper_dual_collision.yaml", settings=["simulation.contact.body=point"]
-        ),
-        load_mission(
-            ROOT / "missions" / "paper_single_wall.yaml", settings=["simulation.contact.body=point"]
-        ),
-    )
+def mission() -> Mission:
+    """The dual collision, of a point."""
+    path = ROOT / "missions" / "paper_dual_collision.yaml"
+    return load_mission(path, settings=["simulation.contact.body=point"])
 
 
-def judge(
-    mission: Mission, hit: Hit, sigmas: Sequence[float], seed: int, believed: VehicleConfig | None = None
-) -> list[Row]:
-    """Fly one hit and estimate it under each noise; `believed` is the estimator's, where not the plant's."""
+def judge(mission: Mission, hit: Hit, sigmas: Sequence[float], seed: int) -> list[Row]:
+    """Fly one hit and estimate it under each noise."""
     vehicle = mission.vehicle
     flown = fly_hit(vehicle, hit)
     rows = []
     for sigma in sigmas:
-        judged = judge_hit(vehicle, FlightState(), flown, sigma, seed, believed)
+        judged = judge_hit(vehicle, FlightState(), flown, sigma, seed)
         peak, nan = judged.peak, math.nan
         delay = None
         if judged.onsets and flown.cross_us is not None:
@@ -121,7 +101,7 @@ def judge(
 
 def _job(arguments: tuple[int, Hit]) -> list[Row]:
     number, hit = arguments
-    return judge(missions()[0], hit, SIGMAS, 1000 + number)
+    return judge(mission(), hit, SIGMAS, 1000 + number)
 
 
 def fly_grid() -> list[Row]:
@@ -133,7 +113,7 @@ def fly_grid() -> list[Row]:
 
 
 def _quiet(arguments: tuple[float, int, bool]) -> Quiet:
-    return fly_quiet(missions()[0], QUIET_S, *arguments)
+    return fly_quiet(mission(), QUIET_S, *arguments)
 
 
 def fly_hour(rough: bool = False) -> list[Quiet]:
@@ -147,138 +127,6 @@ def percentile(values: Sequence[float], share: float) -> float:
     """The value below which a share of the finite ones lies; nan without any."""
     ordered = sorted(v for v in values if math.isfinite(v))
     return ordered[min(len(ordered) - 1, round(share * (len(ordered) - 1)))] if ordered else math.nan
-
-
-# --- an estimator that is wrong about the vehicle ------------------------------------------------------
-
-
-def wrong_beliefs(v: VehicleConfig) -> dict[str, VehicleConfig]:
-    """What the estimator may be wrong about, by name."""
-    replace = msgspec.structs.replace
-    arms = v.estimation.arm_vibration
-    assert arms is not None
-
-    def of_arms(**what: float) -> VehicleConfig:
-        return replace(v, estimation=replace(v.estimation, arm_vibration=replace(arms, **what)))
-
-    def of_drag(factor: float) -> VehicleConfig:
-        x, y, z = v.airframe.drag_per_s
-        return replace(v, airframe=replace(v.airframe, drag_per_s=(factor * x, factor * y, factor * z)))
-
-    found = {"nothing": v}
-    for sign, part in (("+", 1.0), ("−", -1.0)):
-        lag = v.thrust.motor_lag_s * (1.0 + 0.3 * part)
-        found[f"motor lag {sign}30 %"] = replace(v, thrust=replace(v.thrust, motor_lag_s=lag))
-        hz = v.imu.antialias_hz * (1.0 + 0.3 * part)
-        found[f"anti-alias filter {sign}30 %"] = replace(v, imu=replace(v.imu, antialias_hz=hz))
-        found[f"arms' frequency {sign}20 %"] = of_arms(frequency_hz=arms.frequency_hz * (1.0 + 0.2 * part))
-        found[f"arms' damping {sign}50 %"] = of_arms(damping_ratio=arms.damping_ratio * (1.0 + 0.5 * part))
-        found[f"arms' mass {sign}30 %"] = of_arms(mass_fraction=arms.mass_fraction * (1.0 + 0.3 * part))
-        mass = v.airframe.mass_kg * (1.0 + 0.03 * part)
-        found[f"mass {sign}3 %"] = replace(v, airframe=replace(v.airframe, mass_kg=mass))
-        found[f"drag {sign}30 %"] = of_drag(1.0 + 0.3 * part)
-    return found
-
-
-def _wrong_job(arguments: tuple[int, Hit]) -> list[tuple[str, Row]]:
-    number, hit = arguments
-    mission = missions()[0]
-    return [
-        (name, judge(mission, hit, SIGMAS[:1], 5000 + number, believed)[0])
-        for name, believed in wrong_beliefs(mission.vehicle).items()
-    ]
-
-
-def fly_wrong() -> list[tuple[str, Row]]:
-    """A part of the grid under the least noise, for every wrong belief."""
-    hits = list(grid(WRONG_SPEEDS, ORIENTATIONS[:2], TILTS))
-    with ProcessPoolExecutor(2) as pool:
-        return [row for rows in pool.map(_wrong_job, enumerate(hits), chunksize=8) for row in rows]
-
-
-# --- the paper's check ---------------------------------------------------------------------------------
-
-
-class InFlight(msgspec.Struct):
-    """One simulated flight into acrylic at (-1, 0.5) m/s: peaks in newton, vertical means in newton."""
-
-    mode: Mode
-    seed: int
-    plant: str
-    predicted: float
-    estimated: float
-    true: float
-    predicted_z: float
-    estimated_z: float
-    true_z: float
-
-
-def predict(vehicle: VehicleConfig, c: Coefficients, normal: float, tangential: float) -> tuple[float, float]:
-    """Peak normal force and mean vertical force of a contact by the law alone, stepped at 10 us."""
-    x, vx, vy, h = 0.0, normal, tangential, 1e-5
-    onset, mass = Onset(vehicle.onset), vehicle.airframe.mass_kg
-    x = -c.f * normal / c.k if onset is Onset.LCP else 0.0
-    peak = vertical = 0.0
-    steps = 0
-    for _ in range(100_000):
-        x += h * vx
-        force = contact_force(c, onset, x, (vx, vy, 0.0), vehicle.vertical_force_sign)
-        if force[0] <= 0.0 and vx > 0.0:
-            break
-        vx, vy = vx + h * force[0] / mass, vy + h * force[1] / mass
-        peak, vertical, steps = max(peak, force[0]), vertical - force[2], steps + 1
-    return peak, vertical / max(1, steps)
-
-
-def fly_check(mode: Mode, seed: int, factors: tuple[float, float, float], name: str) -> InFlight:
-    """Fly the single wall with the plant's k, f, mu multiplied; prediction and core keep theirs."""
-    mission = missions()[1]
-    collision = msgspec.structs.replace(mission.collisions[0], mode=mode)
-    mission = msgspec.structs.replace(mission, collisions=(collision,))
-    records: list[object] = []
-    flight = FastFlight(mission, seed, observe=lambda record, number: records.append(record))
-    plant = flight.autopilot.plant
-    acrylic = plant.vehicle.materials["acrylic"]
-    c = acrylic.of(mode)
-    other = msgspec.structs.replace(c, k=c.k * factors[0], f=c.f * factors[1], mu=c.mu * factors[2])
-    changed = msgspec.structs.replace(acrylic, **{mode.value: other})
-    plant.vehicle = msgspec.structs.replace(
-        plant.vehicle, materials={**plant.vehicle.materials, "acrylic": changed}
-    )
-    flight.run()
-    onset = next(r for r in records if isinstance(r, ImpactOnset))
-    peak = next(r for r in records if isinstance(r, ImpactPeak))
-    end = next(r for r in records if isinstance(r, ContactEnd))
-    truth = next(r for r in records if isinstance(r, TruthContact))
-    v = collision.wall.to_collision(onset.velocity_mission)
-    predicted, predicted_z = predict(mission.vehicle, c, v[0], v[1])
-    found = [
-        r.force_mission[2]
-        for r in records
-        if isinstance(r, ForceEstimate) and end.first_us <= r.t_us < end.t_us
-    ]
-    real = [
-        r.contact_force_mission[2]
-        for r in records
-        if isinstance(r, TruthSample) and truth.t_us <= r.t_us <= truth.end_us
-    ]
-    return InFlight(
-        mode, seed, name, predicted, peak.normal_force_n, truth.peak_normal_force_n,
-        predicted_z, statistics.mean(found), statistics.mean(real),
-    )  # fmt: skip
-
-
-def fly_checks() -> list[InFlight]:
-    """Three seeds a mode with the plant as predicted, and with k, f, mu off by 20 % one at a time and all."""
-    plants = {"as predicted": (1.0, 1.0, 1.0)}
-    for sign, factor in (("+", 1.2), ("-", 0.8)):
-        plants[f"k {sign}20 %"] = (factor, 1.0, 1.0)
-        plants[f"f {sign}20 %"] = (1.0, factor, 1.0)
-        plants[f"mu {sign}20 %"] = (1.0, 1.0, factor)
-        plants[f"all {sign}20 %"] = (factor, factor, factor)
-    jobs = [(mode, seed, f, name) for name, f in plants.items() for mode in Mode for seed in (1, 2, 3)]
-    with ProcessPoolExecutor(2) as pool:
-        return list(pool.map(fly_check, *zip(*jobs, strict=True)))
 
 
 # --- report --------------------------------------------------------------------------------------------
@@ -329,25 +177,6 @@ def _detection_table(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
-def _wrong_table(wrong: list[tuple[str, Row]]) -> str:
-    lines = [
-        "| the estimator is wrong about | arms | hits | detected | peak error median | 95th | mean (bias) "
-        "| direction 95th |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for name in dict.fromkeys(name for name, _ in wrong):
-        for mode in Mode:
-            some = [r for n, r in wrong if n == name and r.hit.mode is mode and r.reached]
-            errors = [r.peak_error for r in some if math.isfinite(r.peak_error)]
-            lines.append(
-                f"| {name} | {mode.value} | {len(some)} | {sum(r.onsets > 0 for r in some)} "
-                f"| {percentile([abs(e) for e in errors], 0.5):.1%} "
-                f"| {percentile([abs(e) for e in errors], 0.95):.1%} | {statistics.mean(errors):+.1%} "
-                f"| {percentile([r.direction_deg for r in some], 0.95):.1f}° |"
-            )
-    return "\n".join(lines)
-
-
 def _roc(rows: list[Row], hour: list[Quiet]) -> list[tuple[float, float, list[float], list[float]]]:
     """(threshold, sigma) -> detected share and false hits per hour, by the detection statistic."""
     out = []
@@ -388,33 +217,6 @@ def _hour_table(hour: list[Quiet], rough: list[Quiet]) -> str:
             f"| {max(max(q.maxima) for q in some):.2f} N | {max(q.max_tilt_deg for q in some):.0f}° "
             f"| {sum(q.landings for q in some)} | {max(q.wind_force_n for q in some):.1f} N |"
         )
-    return "\n".join(lines)
-
-
-def _agreement(a: float, b: float) -> float:
-    """The paper's figure: one less the relative difference to the measured."""
-    return 1.0 - abs(a - b) / abs(b)
-
-
-def _check_table(checks: list[InFlight]) -> str:
-    lines = [
-        "| plant | mode | predicted peak | estimated peak (3 seeds) | prediction agrees "
-        "| estimate against truth "
-        "| vertical mean: predicted, estimated, true | prediction against estimate |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for name in dict.fromkeys(c.plant for c in checks):
-        for mode in Mode:
-            some = [c for c in checks if c.plant == name and c.mode is mode]
-            mean = statistics.mean
-            errors = ", ".join(f"{c.estimated / c.true - 1.0:+.1%}" for c in some)
-            pz, ez, tz = (mean(getattr(c, n) for c in some) for n in ("predicted_z", "estimated_z", "true_z"))
-            lines.append(
-                f"| {name} | {mode.value} | {mean(c.predicted for c in some) / 1.3:.1f} m/s² "
-                f"| {', '.join(f'{c.estimated / 1.3:.1f}' for c in some)} m/s² "
-                f"| {mean(_agreement(c.predicted, c.estimated) for c in some):.0%} | {errors} "
-                f"| {pz:.2f}, {ez:.2f}, {tz:.2f} N | {pz / ez - 1.0:+.0%} |"
-            )
     return "\n".join(lines)
 
 
@@ -477,10 +279,8 @@ def _plot_roc(rows: list[Row], hour: list[Quiet], path: Path) -> None:
 
 def report(
     rows: list[Row],
-    wrong: list[tuple[str, Row]],
     hour: list[Quiet],
     rough: list[Quiet],
-    checks: list[InFlight],
 ) -> str:
     """The results page."""
     averaging = [r.raw_error for r in rows if r.sigma == SIGMAS[0] and r.hit.mode is Mode.RIGID and r.reached]
@@ -510,15 +310,6 @@ The largest tick mean of a rigid contact, without any noise, lies {-percentile(a
 and at most {-min(v for v in averaging if math.isfinite(v)):.2%} below its true peak: what averaging over the
 tick and the sampling's phase take away. The fit puts it back.
 
-### With wrong values
-
-The simulated vehicle and the estimator above share mass, drag, motor lag, filter and arms. Here the
-estimator's differ, one at a time; noise {SIGMAS[0]} m/s², a part of the grid (speeds
-{", ".join(f"{v:g}" for v in WRONG_SPEEDS)} m/s, two orientations). A wrong mass makes the force wrong by as
-much; a wrong curve of the motors is in the hour without contact below.
-
-{_wrong_table(wrong)}
-
 ## Detection
 
 {_detection_table(rows)}
@@ -538,28 +329,17 @@ second instead of 2 to 4, and twice the turbulence, beyond what the threshold wa
 ![Receiver operating curve](../img/force_roc.png)
 
 False hits here are crossings of the threshold by the detection statistic, counted once in 0.4 s.
-
-## The paper's check, in flight
-
-Acrylic at (-1, 0.5) m/s, fast world, whole missions, three seeds a mode. Published agreement of predicted
-with measured peak acceleration: 88 % flexible, 82 % rigid; vertical force within 10 %. Here plant and
-prediction share the contact law: with the plant as predicted this tests the estimator, not the law. With the
-plant's coefficients off, it shows how far the prediction then is off and that the estimate is not.
-
-{_check_table(checks)}
 """
 
 
 def run(docs: Path) -> None:
     """Everything, into `docs`/results/force.md and `docs`/img."""
     (docs / "img").mkdir(parents=True, exist_ok=True)
-    checks = fly_checks()
     rows = fly_grid()
-    wrong = fly_wrong()
     hour, rough = fly_hour(), fly_hour(rough=True)
     _plot_errors(rows, docs / "img" / "force_errors.png")
     _plot_roc(rows, hour, docs / "img" / "force_roc.png")
-    (docs / "results" / "force.md").write_text(report(rows, wrong, hour, rough, checks), encoding="utf-8")
+    (docs / "results" / "force.md").write_text(report(rows, hour, rough), encoding="utf-8")
 
 
 if __name__ == "__main__":

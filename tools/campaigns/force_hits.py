@@ -18,7 +18,6 @@ from dart_flight.base.geometry import (
     Quaternion,
     Vec2,
     Vec3,
-    Wall,
     add,
     quaternion_from_euler,
     quaternion_from_rotation_vector,
@@ -37,6 +36,7 @@ from dart_flight.base.records import (
     OdometrySample,
     StatusSample,
 )
+from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.detector import Expected, ImpactDetector, confirmed_force
 from dart_flight.core.sense.force import ForceEstimator
@@ -222,7 +222,6 @@ def judge_hit(
     flown: Flown,
     sigma: float,
     seed: int,
-    believed: VehicleConfig | None = None,
 ) -> Judged:
     """Estimate a flown hit under IMU noise of `sigma` m/s2 a sample.
 
@@ -232,7 +231,6 @@ def judge_hit(
         flown: the hit.
         sigma: noise.
         seed: of it.
-        believed: the estimator's vehicle, where it is not the plant's.
     """
     noise = Normal(random.Random(seed))
     noisy = msgspec.structs.replace(vehicle.simulation, imu_noise_m_s2=sigma)
@@ -241,7 +239,7 @@ def judge_hit(
     state.lock = LockState(_START_US, LockPhase.SETTLED, flown.hit.mode)
     state.status = StatusSample(_START_US, _START_US, landed=LandedState.IN_AIR)
     hover = vehicle.thrust.command_for(vehicle.airframe.mass_kg * GRAVITY_M_S2 / 4.0)
-    judge = Judge(state, believed or vehicle, (flown.normal, flown.hit.material))
+    judge = Judge(state, vehicle, (flown.normal, flown.hit.material))
     onsets: list[ImpactOnset] = []
     peak: ImpactPeak | None = None
     statistic = 0.0

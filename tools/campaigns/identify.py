@@ -33,10 +33,9 @@ from dart_flight.lab.identify.hits import hit_of
 from dart_flight.lab.identify.intervals import covariance
 from dart_flight.lab.identify.solver import solve
 from dart_flight.lab.identify.trials import Trial
-from tools.campaigns.results import measured_by
+from tools.campaigns.results import ROOT, markdown, measured_by
 from tools.synthetic_trials import MASS_KG, drop_trial, wall_trial
 
-ROOT = Path(__file__).parents[2]
 # A normal error is at most 0.674 deviations in half of all cases.
 MEDIAN_OF_NORMAL = 0.6745
 SPEED_SPREAD = 0.03  # relative: no wall is hit at exactly the intended speed
@@ -222,7 +221,7 @@ def page(results: list[tuple[Case, Outcome]]) -> str:
         "case", "sets", "", "truth", "bound σ", "bound / truth", "median error", "median / bound",
         "rms / bound", "bias / bound", "half 95 % interval", "coverage",
     ]  # fmt: skip
-    lines = ["| " + " | ".join(head) + " |", "| " + " | ".join(["---", "---:", "---"] + ["---:"] * 9) + " |"]
+    rows = []
     for case, out in results:
         for name in case.wanted:
             true, errors = getattr(case.truth, name), np.array(out.errors[name])
@@ -242,7 +241,7 @@ def page(results: list[tuple[Case, Outcome]]) -> str:
                 f"{np.median(out.widths[name]) / true:.2%}",
                 f"{np.mean(out.covered[name]):.1%}",
             ]
-            lines.append("| " + " | ".join(cells) + " |")
+            rows.append(cells)
     missing = [case.name for case in cases() if case.name not in {c.name for c, _ in results}]
     left_out = f"Not run: {', '.join(missing)}.\n\n" if missing else ""
     checks = []
@@ -266,8 +265,7 @@ the plane, the onset times and the approach velocities unknown too. Of a normal 
 median size is {MEDIAN_OF_NORMAL:.2f} bounds and the root mean square one bound. Coverage is how often the
 95 % interval holds the truth.
 
-{chr(10).join(lines)}
-
+{markdown(head, rows)}
 {left_out}Sets without a result: {failures}. One set takes {seconds:.1f} s of one core on average.
 
 ## Validated on drops from 0.2 m

@@ -10,34 +10,34 @@ from typing import Any, TypeVar
 import msgspec
 from rich.console import Console
 
+J = TypeVar("J")
 T = TypeVar("T")
 
 
 def fly_missing(
-    path: Path, jobs: Sequence[Any], fly: Callable[[Any], T], kind: type[T], processes: int, fresh: bool
+    path: Path, jobs: Sequence[J], fly: Callable[[J], T], kinds: Any, processes: int = 2, fresh: bool = False
 ) -> list[T]:
     """Fly what a file does not have yet; results in the order of the jobs.
 
     Args:
-        path: of the file, a result in each line; made if need be.
+        path: of the file, a job with its result in each line; made if need be.
         jobs: hashable.
-        fly: flies one, in a process of its own; the result names its `job`.
-        kind: of the results.
+        fly: flies one, in a process of its own.
+        kinds: type of a job with its result, `tuple[Job, Result]`.
         processes: side by side.
         fresh: forget what was flown.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     if fresh:
         path.unlink(missing_ok=True)
-    decode = msgspec.json.Decoder(kind).decode
     lines = path.read_bytes().splitlines() if path.exists() else []
-    have: dict[Any, T] = {getattr(flown, "job"): flown for flown in map(decode, lines)}  # noqa: B009
+    have: dict[J, T] = dict(map(msgspec.json.Decoder(kinds).decode, lines))
     missing = [job for job in jobs if job not in have]
     console = Console(stderr=True)
     with ProcessPoolExecutor(processes) as pool, open(path, "ab", buffering=0) as file:
         for count, (job, flown) in enumerate(zip(missing, pool.map(fly, missing), strict=True), 1):
             have[job] = flown
-            file.write(msgspec.json.encode(flown) + b"\n")
+            file.write(msgspec.json.encode((job, flown)) + b"\n")
             if count % 20 == 0:
                 console.print(f"{path.stem}: {count} of {len(missing)}")
     return [have[job] for job in jobs]

@@ -33,9 +33,8 @@ from pathlib import Path
 
 import msgspec
 
-from tools.campaigns.results import RESULTS, measured_by
+from tools.campaigns.results import RESULTS, ROOT, measured_by
 
-ROOT = Path(__file__).resolve().parents[2]
 JUDGED = Path(__file__).with_name("mutants_judged.csv")
 KEPT = ROOT / "build" / "mutants.jsonl"
 # What is mutated: whole files, or the named classes of one.

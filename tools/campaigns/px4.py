@@ -1,4 +1,4 @@
-"""Flights with a real PX4: acceptance, speed sweep, three worlds, velocity at the wall, versions, body.
+"""Flights with a real PX4: acceptance, three worlds, versions, body.
 
 Acceptance flies ten seeds; the versions are both missions on every version of PX4 at hand; body is what the
 guards do in a hit, with walls as planned and askew.
@@ -25,14 +25,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from statistics import fmean, stdev
 
 import msgspec
 
 from dart_flight.base.geometry import norm, tilt_of
-from dart_flight.base.records import ImuSample, OdometrySample, TruthSample
-from dart_flight.config.document import Document, InputError
-from dart_flight.config.mission import parse_mission
+from dart_flight.base.records import ImuSample, TruthSample
+from dart_flight.config.document import InputError
 from dart_flight.config.parameters import PositionSource
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.reader import read_log
@@ -42,16 +40,12 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.px4 import fly_px4
 from dart_flight.sim.px4.launch import find_install
-from tools.campaigns.results import RESULTS, measured_by
+from tools.campaigns.results import RESULTS, markdown, measured_by
 
 SEEDS = range(1, 11)
 EMBEDDED_SEEDS = range(1, 4)  # real time: few
-SPEEDS_M_S = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
-APPROACH_SEEDS = range(1, 6)
-APPROACHES_M_S = (-0.6, -0.9, -1.2, -1.5)  # normal velocity; along the wall as in the mission
 SPEED = 3.0  # times real time, what lockstep sustains with room to spare where nothing else runs
 MISSIONS = {"single": "paper_single_wall.yaml", "dual": "paper_dual_collision.yaml"}
-SWEEP = Path(__file__).with_name("px4_sweep_mission.yaml")
 FLIGHTS, TABLES = "px4_flights.jsonl", "px4.md"
 VERSIONS = "version "  # begins the names of the parts that compare versions; then NAME
 VERSION_SEEDS = range(1, 3)
@@ -74,10 +68,8 @@ class Hit(msgspec.Struct):
     tangential_true_m_s: float | None
     force_n: float | None
     force_true_n: float | None
-    contact_ms: float | None
     detection_ms: float | None
     setpoint_ms: float | None
-    clipped: bool
     incidence_deg: float | None = None  # true
     tilt_deg: float | None = None  # largest in the 0.6 s from it on, as is the rate
     rate_deg_s: float | None = None
@@ -96,10 +88,8 @@ class Flight(msgspec.Struct):
     reason: str | None
     failsafe: bool | None
     resets: int | None
-    clipped_samples: int | None
     tilt_deg: float | None
     ekf_m: float | None
-    velocity_error_m_s: float | None
     miss_m: float | None
     final_m: float | None
     hits: list[Hit]
@@ -119,10 +109,8 @@ def figures(part: str, sensor: str, mission: str, verdict: Verdict, pace: float 
             c.truth.tangential_m_s if c.truth else None,
             c.measured.peak_force_n,
             c.truth.peak_force_n if c.truth else None,
-            c.contact_time_ms,
             c.detection_latency_ms,
             c.setpoint_latency_ms,
-            c.clipped,
         )
         for c in verdict.collisions
     ]
@@ -138,47 +126,14 @@ def figures(part: str, sensor: str, mission: str, verdict: Verdict, pace: float 
         reason=verdict.reason,
         failsafe=px4.failsafe if px4 else None,
         resets=px4.ekf_resets if px4 else None,
-        clipped_samples=px4.clipped_samples if px4 else None,
         tilt_deg=verdict.max_tilt_deg,
         ekf_m=verdict.ekf_error_m,
-        velocity_error_m_s=_velocity_error(verdict),
         miss_m=verdict.goal_miss_m,
         final_m=verdict.final_error_m,
         hits=hits,
         guard=[f"{g.rule}: {g.detail}" for g in verdict.guard],
         told=px4.version if px4 else None,
     )
-
-
-def _velocity_error(verdict: Verdict) -> float | None:
-    """Largest horizontal velocity error of the estimate in the second after a contact, from the flight's log.
-
-    From 20 ms after its end on: within the contact a lag of a tick shows as an error of force times lag.
-    Speeds are compared by magnitude along both axes, so the frames need not be turned into each other when
-    the mission's heading is north, as it is in all missions of this campaign.
-    """
-    if verdict.log is None or not verdict.collisions:
-        return None
-    true: list[TruthSample] = []
-    estimated: list[OdometrySample] = []
-    for entry in read_log(verdict.log).entries:
-        if isinstance(entry.record, TruthSample):
-            true.append(entry.record)
-        elif isinstance(entry.record, OdometrySample):
-            estimated.append(entry.record)
-    true.sort(key=lambda sample: sample.t_us)
-    ends = [c.t_us + round((c.contact_time_ms or 0.0) * 1e3) + 20_000 for c in verdict.collisions]
-    worst: float | None = None
-    i = 0
-    for sample in estimated:
-        if not any(0 <= sample.t_us - end_us < 1_000_000 for end_us in ends):
-            continue
-        while i + 1 < len(true) and true[i + 1].t_us <= sample.t_us:
-            i += 1
-        north, west = true[i].velocity_mission[0], true[i].velocity_mission[1]
-        error = max(abs(sample.velocity_ned[0] - north), abs(sample.velocity_ned[1] + west))
-        worst = error if worst is None else max(worst, error)
-    return worst
 
 
 # --- flying ------------------------------------------------------------------------------------------
@@ -194,20 +149,6 @@ def _accept(part: str, pace: float, mission: str, sensor: str) -> Iterator[Fligh
             yield figures(part, sensor, mission, verdict, pace)
 
 
-def _sweep(
-    part: str, pace: float, mode: str, material: str, sensor: str, speeds: tuple[float, ...]
-) -> Iterator[Flight]:
-    text = SWEEP.read_text(encoding="utf-8").replace("MODE", mode).replace("MATERIAL", material)
-    for speed in speeds:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "sweep.yaml"
-            path.write_text(text.replace("SPEED", f"{speed:g}"), encoding="utf-8")
-            verdict = fly_px4(
-                load_flyable(path), None, 1, Path(folder), position_from=PositionSource(sensor), speed=pace
-            )
-            yield figures(part, sensor, f"{material} {mode} {speed:g}", verdict, pace)
-
-
 def _other_world(part: str, _pace: float, world: str, mission: str) -> Iterator[Flight]:
     loaded = load_flyable(packaged("missions", MISSIONS[mission]))
     fly, seeds = (fly_fast, SEEDS) if world == "fast" else (fly_embedded, EMBEDDED_SEEDS)
@@ -216,40 +157,15 @@ def _other_world(part: str, _pace: float, world: str, mission: str) -> Iterator[
             yield figures(part, "mocap", mission, fly(loaded, seed, Path(folder)))
 
 
-def _approach(part: str, pace: float, world: str) -> Iterator[Flight]:
-    path = packaged("missions", MISSIONS["single"])
-    text = path.read_text(encoding="utf-8")
-    for normal in APPROACHES_M_S:
-        changed = text.replace("normal_m_s: -1.0", f"normal_m_s: {normal:g}")
-        mission = parse_mission(Document(changed, str(path)))
-        for seed in APPROACH_SEEDS:
-            with tempfile.TemporaryDirectory() as folder:
-                if world == "fast":
-                    verdict = fly_fast(mission, seed, Path(folder))
-                else:
-                    verdict = fly_px4(mission, None, seed, Path(folder), speed=pace)
-                yield figures(part, "mocap", f"approach {normal:g}", verdict, pace)
-
-
 def parts() -> dict[str, Callable[[str, float], Iterator[Flight]]]:
     """Name of every part -> what flies it, given the name and the pace in times real time."""
     table: dict[str, Callable[[str, float], Iterator[Flight]]] = {}
     for sensor in ("mocap", "rtk", "plain"):
         for mission in MISSIONS:
             table[f"{mission}-{sensor}"] = partial(_accept, mission=mission, sensor=sensor)
-    for sensor in ("mocap", "rtk"):
-        for mode in ("rigid", "flexible"):
-            table[f"sweep-{mode}-{sensor}"] = partial(
-                _sweep, mode=mode, material="acrylic", sensor=sensor, speeds=SPEEDS_M_S
-            )
-    table["sweep-wood-mocap"] = partial(
-        _sweep, mode="rigid", material="wood", sensor="mocap", speeds=(2.5, 3.0, 3.5, 4.0)
-    )
     for world in ("fast", "embedded"):
         for mission in MISSIONS:
             table[f"{world}-{mission}"] = partial(_other_world, world=world, mission=mission)
-    for world in ("fast", "px4"):
-        table[f"approach-{world}"] = partial(_approach, world=world)
     return table
 
 
@@ -335,43 +251,8 @@ def _text(value: float | None, digits: int) -> str:
     return "–" if value is None else f"{value:.{digits}f}"
 
 
-def _yes(value: bool | None) -> str:
-    return "–" if value is None else "yes" if value else "no"
-
-
-def _row(cells: list[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
-
-
-def _table(head: list[str], rows: list[list[str]]) -> list[str]:
-    return [_row(head), _row(["---"] * len(head)), *map(_row, rows), ""]
-
-
 def _hits(flight: Flight, show: Callable[[Hit], str]) -> str:
     return " / ".join(show(hit) for hit in flight.hits) or "–"
-
-
-def _sweep_table(flights: list[Flight]) -> list[str]:
-    head = ["m/s", "outcome", "failsafe", "peak N true", "measured", "clipped", "samples at full scale"]
-    head += ["velocity error after it m/s", "EKF m", "resets", "tilt °", "final m"]
-    rows = [
-        [
-            f.mission.split()[-1],
-            f.outcome + (f" ({f.reason})" if f.reason else ""),
-            _yes(f.failsafe),
-            _hits(f, lambda h: _text(h.force_true_n, 1)),
-            _hits(f, lambda h: _text(h.force_n, 1)),
-            _hits(f, lambda h: _yes(h.clipped)),
-            "–" if f.clipped_samples is None else str(f.clipped_samples),
-            _text(f.velocity_error_m_s, 2),
-            _text(f.ekf_m, 3),
-            "–" if f.resets is None else str(f.resets),
-            _text(f.tilt_deg, 1),
-            _text(f.final_m, 3),
-        ]
-        for f in flights
-    ]
-    return _table(head, rows)
 
 
 def _spread(values: list[float | None], digits: int) -> str:
@@ -420,40 +301,12 @@ def _seeds_table(flights: list[Flight], mission: str) -> list[str]:
     rows.append(line("estimator resets", lambda f: f.resets, 0))
     rows.append(line("goal miss, m", lambda f: f.miss_m, 3))
     rows.append(line("final error, m", lambda f: f.final_m, 3))
-    return _table(head, rows)
+    return [markdown(head, rows)]
 
 
 def _ended_by(flights: list[Flight]) -> str:
     rules = Counter((f.reason or "").partition(":")[0] for f in flights if f.outcome != "completed")
     return ", ".join(f"{rule} {count}" for rule, count in rules.most_common()) or "–"
-
-
-def _approach_table(flights: list[Flight]) -> list[str]:
-    """Velocity at the impact, true less planned: mean and standard deviation over the seeds."""
-    planned = load_flyable(packaged("missions", MISSIONS["single"])).collisions[0].approach_m_s
-    assert planned is not None
-    along = planned[1]
-    head = ["planned m/s"]
-    for world in ("fast", "px4"):
-        head += [f"{world}: met", "normal m/s", "share", "along m/s"]
-    rows = []
-    for normal in APPROACHES_M_S:
-        row = [f"{normal:g}"]
-        for world in ("fast", "px4"):
-            group = [
-                f for f in flights if f.part == f"approach-{world}" and f.mission == f"approach {normal:g}"
-            ]
-            hits = [f.hits[0] for f in group if f.hits]
-            across = [h.normal_true_m_s - normal for h in hits if h.normal_true_m_s is not None]
-            beside = [h.tangential_true_m_s - along for h in hits if h.tangential_true_m_s is not None]
-            share = f"{100.0 * fmean(across) / normal:+.1f} %" if across else "–"
-            row += [f"{len(hits)} of {len(group)}", _mean(across), share, _mean(beside)]
-        rows.append(row)
-    return _table(head, rows)
-
-
-def _mean(values: list[float]) -> str:
-    return f"{fmean(values):+.3f} ± {stdev(values):.3f}" if len(values) > 1 else "–"
 
 
 def _force_ratio(hit: Hit) -> float | None:
@@ -487,7 +340,7 @@ def versions_table(flights: list[Flight]) -> str:
                     str(sum(bool(f.failsafe) for f in group)),
                 ]
             )
-    return "\n".join(_table(head, rows))
+    return markdown(head, rows)
 
 
 def body_table(flights: list[Flight]) -> str:
@@ -514,7 +367,7 @@ def body_table(flights: list[Flight]) -> str:
                 _text(f.final_m, 3),
             ]
         )
-    return "\n".join(_table(head, rows))
+    return markdown(head, rows)
 
 
 def with_table(page: str, name: str, table: str) -> str:
@@ -546,15 +399,6 @@ def report(flights: list[Flight]) -> str:
     for mission, title in (("single", "Single wall"), ("dual", "Dual collision")):
         if any(f.part == f"{mission}-mocap" for f in flights):
             lines += [f"## {title}: median (least to most)", "", *_seeds_table(flights, mission)]
-    for part in sorted({f.part for f in flights if f.part.startswith("sweep")}):
-        group = [f for f in flights if f.part == part]
-        surface, mode = group[0].mission.split()[:2]
-        sensor = {"mocap": "motion capture", "rtk": "RTK-like GPS"}[group[0].sensor]
-        lines += [f"## Speed sweep, {surface}, {mode}, {sensor}", "", *_sweep_table(group)]
-    if any(f.part.startswith("approach") for f in flights):
-        lines += ["## Velocity at the wall, true less planned: mean ± standard deviation over five seeds", ""]
-        lines += ["Single wall, motion capture; `share` is the mean of the normal error over the plan.", ""]
-        lines += _approach_table(flights)
     return "\n".join(lines)
 
 

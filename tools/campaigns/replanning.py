@@ -15,7 +15,6 @@ import sys
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 from unittest.mock import patch
 
 import msgspec
@@ -42,13 +41,13 @@ from dart_flight.core.mission.executive import Executive
 from dart_flight.core.mission.phases import Cue
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.state import FlightState
-from dart_flight.lab.campaign.statistics import wilson
+from dart_flight.lab.statistics import wilson
 from dart_flight.planning.planned import planned_flight
 from dart_flight.recording.verdict import VerdictBuilder
 from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import draw_world, parse_vary
-from tools.campaigns.body import ROOT
 from tools.campaigns.faults import Watch, judge, run_out
+from tools.campaigns.results import ROOT, markdown
 
 _RISE_M = 0.03  # by which the distance to the goal has risen after a closest approach
 HELD_SEED, TUNING_SEED = 12001, 1  # rules were tuned on the seeds from the second one on only
@@ -168,7 +167,7 @@ def fly(way: str, seed: int, vary: Sequence[str], settings: Sequence[str], path:
     )
 
 
-def summary(name: str, flights: list[Flown], planned: tuple[float, float]) -> str:
+def summary(name: str, flights: list[Flown], planned: tuple[float, float]) -> list[str]:
     """One row."""
     completed = sum(f.outcome == Outcome.COMPLETED for f in flights)
     low, high = wilson(completed, len(flights))
@@ -176,7 +175,7 @@ def summary(name: str, flights: list[Flown], planned: tuple[float, float]) -> st
     misses = sorted(math.inf if f.miss_m is None else f.miss_m for f in flights)
     captures = [f.capture_s for f in flights if f.capture_s is not None]
     broken = Counter(f.rule for f in flights if f.outcome != Outcome.COMPLETED)
-    cells = (
+    return [
         name,
         f"{completed} of {len(flights)} ({100 * low:.0f} to {100 * high:.0f} %)",
         str(sum(bool(f.problems) for f in flights)),
@@ -185,15 +184,13 @@ def summary(name: str, flights: list[Flown], planned: tuple[float, float]) -> st
         f"{np.median(misses):.3f}, {np.quantile(misses, 0.95, method='lower'):.3f}",
         f"{np.median(captures):.1f}" if captures else "-",
         ", ".join(f"`{rule}` {count}" for rule, count in broken.most_common()) or "-",
-    )
-    return "| " + " | ".join(cells) + " |"
+    ]
 
 
-HEAD = (
-    "| after an impact | completed (95 %) | uncontrolled | second impact off by, m/s (median, 95th) | "
-    "within 0.1 | goal missed by, m (median, 95th) | held after, s | broken off by |"
-    "\n|---|---|---:|---|---:|---|---:|---|"
-)
+HEADS = (
+    "after an impact", "completed (95 %)", "uncontrolled", "second impact off by, m/s (median, 95th)",
+    "within 0.1", "goal missed by, m (median, 95th)", "held after, s", "broken off by",
+)  # fmt: skip
 
 
 def main() -> int:
@@ -207,13 +204,13 @@ def main() -> int:
     parser.add_argument("--set", nargs="*", default=[])
     parser.add_argument("--mission", default=str(ROOT / "missions" / "paper_dual_collision.yaml"))
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--keep", type=Path, help="append every flight to this file, a line of JSON each")
     options = parser.parse_args()
     settings = [f"simulation.contact.body={options.body}", *options.set]
     mission = load_mission(options.mission, settings=settings)
     hit = planned_flight(mission).hits[mission.collisions[-1].index]
     planned = (hit.normal_m_s, hit.tangential_m_s)
-    lines, console = [HEAD], Console(stderr=True)
+    rows: list[list[str]] = []
+    console = Console(stderr=True)
     seeds = range(options.seed, options.seed + options.runs)
     for way in options.ways:
         count = len(seeds)
@@ -226,16 +223,13 @@ def main() -> int:
         )
         with ProcessPoolExecutor(options.workers) as pool:
             flights = list(track(pool.map(fly, *arguments), way, total=count, console=console))
-        lines.append(summary(WAYS[way], flights, planned))
-        print(lines[-1], flush=True)
+        rows.append(summary(WAYS[way], flights, planned))
+        print(*rows[-1], sep=" | ", flush=True)
         reasons = Counter(reason for f in flights for reason in f.taken)
         print("plans:", dict(reasons), flush=True)
-        if options.keep is not None:
-            with options.keep.open("ab") as file:
-                file.writelines(msgspec.json.encode(f) + b"\n" for f in flights)
     path = ROOT / "build" / "replanning.md"
     path.parent.mkdir(exist_ok=True)
-    path.write_text("\n".join(lines) + "\n")
+    path.write_text(markdown(HEADS, rows))
     return 0
 
 

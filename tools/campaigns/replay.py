@@ -27,7 +27,6 @@ from dart_flight.run.px4 import fly_px4
 from dart_flight.run.replay import replay
 from tools.campaigns.results import RESULTS, measured_by
 
-ROOT = Path(__file__).parents[2]
 MISSIONS = ("paper_dual_collision", "paper_single_wall")
 WORLDS = ("fast", "embedded", "px4")
 _HEAD = "| world | mission | seed | outcome | MB/min | inputs | outputs | decisions | differ | replay s |"

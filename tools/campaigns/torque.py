@@ -14,7 +14,6 @@ import math
 import random
 import sys
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
@@ -40,9 +39,8 @@ from dart_flight.core.mission.approach import NoApproachError
 from dart_flight.core.sense.body import side_of
 from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import draw_world
-from tools.campaigns.results import RESULTS, measured_by
+from tools.campaigns.results import RESULTS, ROOT, measured_by
 
-ROOT = Path(__file__).parents[2]
 ROWS, PAGE = ROOT / "build" / "torque.jsonl", RESULTS / "torque.md"
 _AFTER_US = 60_000
 _LONGEST_S = 30.0

@@ -24,7 +24,8 @@ from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import FastFlight
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.sim.draws import DrawnWorld
-from tools.campaigns.body import ROOT, place_walls
+from tools.campaigns.body import place_walls
+from tools.campaigns.results import ROOT, markdown
 
 HELD_SEED = 16001
 # A wall is turned about its middle: the hit is to be 1.3 m beside it.
@@ -83,7 +84,7 @@ def fly(row: Row, seed: int, onlooker: Callable[[Record], None] | None = None) -
     return record.build()
 
 
-def line(row: Row, verdicts: list[Verdict]) -> str:
+def cells(row: Row, verdicts: list[Verdict]) -> tuple[str, ...]:
     """One line of the table."""
     good = [v for v in verdicts if v.outcome == "completed"]
     reasons = collections.Counter((v.reason or "").partition(":")[0] for v in verdicts if v not in good)
@@ -94,7 +95,7 @@ def line(row: Row, verdicts: list[Verdict]) -> str:
         if c.wall == row.wall and c.truth and c.truth.normal_m_s and c.planned.normal_m_s
     ]
     miss = [v.goal_miss_m for v in good if v.goal_miss_m is not None]
-    cells = (
+    return (
         f"`{row.mission}`",
         f"{row.away_m:+.2f} m" if row.away_m else f"{row.yaw_deg:+.0f} deg",
         f"`{row.known}`" if row.known else "-",
@@ -103,7 +104,12 @@ def line(row: Row, verdicts: list[Verdict]) -> str:
         f"{statistics.median(miss):.2f}" if miss else "-",
         ", ".join(f"`{name}` {count}" for name, count in reasons.items()) or "-",
     )
-    return f"| {' | '.join(cells)} |"
+
+
+HEADS = (
+    "mission", "the wall really stands", "the mission says", "completed", "its impact off by, m/s (median)",
+    "goal missed by, m (median)", "broken off by",
+)  # fmt: skip
 
 
 def main() -> int:
@@ -113,19 +119,15 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=HELD_SEED)
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
-    lines = [
-        "| mission | the wall really stands | the mission says | completed | its impact off by, m/s (median) "
-        "| goal missed by, m (median) | broken off by |",
-        "|---|---|---|---|---:|---:|---|",
-    ]
+    rows = []
     seeds = range(options.seed, options.seed + options.runs)
     with ProcessPoolExecutor(options.workers) as pool:
         for row in ROWS:
-            lines.append(line(row, list(pool.map(fly, [row] * options.runs, seeds))))
-            print(lines[-1], flush=True)
+            rows.append(cells(row, list(pool.map(fly, [row] * options.runs, seeds))))
+            print(*rows[-1], sep=" | ", flush=True)
     path = ROOT / "build" / "walls.md"
     path.parent.mkdir(exist_ok=True)
-    path.write_text("\n".join(lines) + "\n")
+    path.write_text(markdown(HEADS, rows))
     return 0
 
 

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from dart_flight.config.mission import load_mission
+from dart_flight.lab.figure_style import FORCE, SET_POINT, Look, in_style, new_figure
 from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.report.figures.scene import draw_arrow, draw_room, draw_vehicle, name_walls
-from dart_flight.lab.report.figures.style import FORCE, SET_POINT, Look, in_style, new_figure
 from dart_flight.lab.report.flight import Flight
 from dart_flight.lab.report.hits import hits_of, lock_mode, shown_span
 from dart_flight.lab.report.tracks import angles, in_force, set_points

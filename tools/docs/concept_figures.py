@@ -16,15 +16,16 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from dart_flight.base.geometry import MissionFrame, Vec2, Wall
+from dart_flight.base.geometry import MissionFrame, Vec2
 from dart_flight.base.records import ImpactPeak, Mode, SetPoint
+from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import Airframe, Cam
 from dart_flight.contact.law import Onset
 from dart_flight.lab.flight_arrays import FlightArrays
 from dart_flight.lab.predict.path import trajectory
 from dart_flight.lab.predict.prediction import condition, wall_contact
-from dart_flight.lab.report.figures.scene import draw_vehicle
+from dart_flight.lab.report.figures.scene import draw_arrow, draw_vehicle, draw_wall
 from dart_flight.recording.reader import read_log
 from dart_flight.run.fast import fly_fast
 from tools.docs.cam import limits_deg, rod_mm
@@ -35,8 +36,8 @@ FOLDER = ROOT / "docs" / "img"
 DARK, MIDDLE, LIGHT = "#000000", "#0072B2", "#999999"
 SOLID, DASHED, DOTTED = "-", (0, (5, 2)), (0, (1, 1.5))
 # Where there is room in the figure of the dual collision.
-_WALL_LABELS = {"wood": (-0.4, -1.35), "acrylic": (2.05, 0.5)}
-_IMPACT_LABELS = ((0.05, -0.3), (0.17, 0.35))
+_WALL_LABELS = {"wood": (-0.5, -1.52), "acrylic": (2.2, 0.5)}
+_IMPACT_LABELS = ((-0.75, -0.12), (0.4, 0.37))
 _STYLE = {
     "font.size": 9.0,
     "svg.hashsalt": "dart-flight",
@@ -54,37 +55,10 @@ def _figure(width_in: float, height_in: float, columns: int = 1) -> tuple[Any, A
 
 def _arrow(axis: Any, begin: Vec2, way: Vec2, text: str, colour: str, style: Any = SOLID) -> None:
     end = (begin[0] + way[0], begin[1] + way[1])
-    axis.annotate(
-        "",
-        end,
-        begin,
-        arrowprops={"arrowstyle": "-|>", "color": colour, "linestyle": style, "linewidth": 1.6},
-    )
+    draw_arrow(axis, begin, end, colour, linestyle=style)
     length = math.hypot(*way)
     place = (end[0] + 0.13 * way[0] / length, end[1] + 0.13 * way[1] / length)
     axis.text(*place, text, color=colour, ha="center", va="center")
-
-
-def _draw_wall(axis: Any, wall: Wall) -> None:
-    """The plane of first touch as a line, hatched on the far side."""
-    reach = 0.5 * wall.length_m
-    (px, py), (tx, ty), (nx, ny) = wall.point, wall.tangent, wall.normal
-    ends = np.array([(px - reach * tx, py - reach * ty), (px + reach * tx, py + reach * ty)])
-    depth = -0.12 * np.array([nx, ny])
-    outline = np.vstack([ends, ends[::-1] + depth])
-    axis.fill(*outline.T, facecolor="white", edgecolor=LIGHT, hatch="////", linewidth=0.0)
-    axis.plot(*ends.T, color=DARK, linewidth=2.2)
-
-
-def _draw_vehicle(axis: Any, at: Vec2, yaw_mission_rad: float, size_m: float = 0.28) -> None:
-    """The frame as a square with its leading edge drawn heavily, seen from above."""
-    c, s = math.cos(yaw_mission_rad), math.sin(yaw_mission_rad)
-    corners = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
-    points = np.array(
-        [(at[0] + size_m * (c * x - s * y), at[1] + size_m * (s * x + c * y)) for x, y in corners]
-    )
-    axis.fill(*points.T, facecolor="#eeeeee", edgecolor=DARK, linewidth=1.0)
-    axis.plot(*points[[3, 0]].T, color=DARK, linewidth=3.0)
 
 
 def _plain(axis: Any) -> None:
@@ -120,25 +94,26 @@ def frames(folder: Path) -> None:
     left.set(xlim=(-0.5, 2.1), ylim=(-0.5, 2.3))
 
     wall = Wall("wall", (0.0, 0.0), (0.0, 1.0), 3.0, "acrylic")
-    _draw_wall(right, wall)
-    right.text(-1.5, -0.3, "wall", ha="left", va="center")
+    airframe = _mission("paper_single_wall.yaml").vehicle.airframe
+    draw_wall(right, wall, airframe)
+    right.text(-1.5, -0.42, "wall", ha="left", va="center")
     impact = (-0.5, 0.0)
     for name, axis_vector in (("X†", (1.0, 0.0, 0.0)), ("Y†", (0.0, 1.0, 0.0))):
         way = wall.from_collision(axis_vector)
         lifted = (impact[0], impact[1] + 0.04)  # beside the line of the wall, not on it
         _arrow(right, lifted, (0.65 * way[0], 0.65 * way[1]), "", DARK)
         right.text(lifted[0] + 0.65 * way[0] + 0.06, lifted[1] + 0.65 * way[1] + 0.1, name)
-    right.text(impact[0] - 0.1, -0.3, "Z† into the page", ha="left", va="center")
+    right.text(impact[0] - 0.1, -0.42, "Z† into the page", ha="left", va="center")
     velocity = wall.from_collision((-1.0, 0.5, 0.0))
     begin = (impact[0] - 0.95 * velocity[0], impact[1] - 0.95 * velocity[1])
     _arrow(right, begin, (0.88 * velocity[0], 0.88 * velocity[1]), "", MIDDLE, DASHED)
     right.text(begin[0], begin[1] + 0.06, "velocity: normal −, tangential +", color=MIDDLE, ha="center")
     turned = wall.parallel_yaw(-0.5 * math.pi) + math.radians(20.0)
     at = (0.95, 0.85)
-    _draw_vehicle(right, at, turned)
-    right.plot([0.45, 1.5], [0.44, 0.44], color=LIGHT, linestyle=DOTTED)
+    draw_vehicle(right, airframe, at, turned, None)
+    right.plot([0.55, 1.35], [0.6, 0.6], color=LIGHT, linestyle=DOTTED)
     incidence = f"angle of incidence {math.degrees(wall.incidence(turned)):.0f}°"
-    right.text(0.95, 1.32, f"leading edge heavy,\n{incidence}", ha="center", va="bottom")
+    right.text(0.95, 1.15, f"triangle at the leading edge,\n{incidence}", ha="center", va="bottom")
     right.set(xlim=(-1.6, 1.7), ylim=(-0.6, 1.7))
     for axis in (left, right):
         _plain(axis)
@@ -288,7 +263,7 @@ def recovery(folder: Path) -> None:
     assert course.frame is not None
     figure, axis = _figure(6.8, 4.4)
     for wall in mission.walls:
-        _draw_wall(axis, wall)
+        draw_wall(axis, wall, mission.vehicle.airframe)
         axis.text(*_WALL_LABELS[wall.name], wall.name, ha="center", va="center")
     peaks = course.all(ImpactPeak)
     flown = course.true.time_s > course.time_of(peaks[0].t_us) - 2.5
@@ -300,7 +275,7 @@ def recovery(folder: Path) -> None:
         at = (peak.position_mission[0], peak.position_mission[1])
         axis.plot(*at, "o", color=DARK, markersize=5)
         tip = (at[0] + 0.008 * force[0], at[1] + 0.008 * force[1])
-        axis.annotate("", tip, at, arrowprops={"arrowstyle": "-|>", "color": DARK, "linewidth": 2.5})
+        draw_arrow(axis, at, tip, DARK, linewidth=2.5)
         shift = _IMPACT_LABELS[number - 1]
         axis.text(at[0] + shift[0], at[1] + shift[1], f"impact {number}: {math.hypot(*force):.0f} N")
         target = course.frame.point_from_ned(next(s for s in set_points if s.t_us >= peak.t_us).position_ned)
@@ -312,7 +287,7 @@ def recovery(folder: Path) -> None:
         axis.text(target[0], target[1] + 0.07, f"p_ref {number}", color=MIDDLE, ha="center")
     axis.plot(*mission.goal.position_m, "*", color=DARK, markersize=12)
     axis.text(mission.goal.position_m[0] - 0.08, mission.goal.position_m[1] + 0.03, "goal", ha="right")
-    axis.set(xlabel="x, m", ylabel="y, m", aspect="equal", ylim=(-1.55, 0.75))
+    axis.set(xlabel="x, m", ylabel="y, m", aspect="equal", ylim=(-1.62, 0.75))
     axis.legend(frameon=False, loc="upper left")
     figure.savefig(folder / "concept_recovery.png", dpi=150)
 

@@ -1,4 +1,4 @@
-"""The comments of `configs/dart.yaml` and other whole configurations: what every key means, and its source.
+"""The comments of `configs/dart.yaml`: what every key means, and its source.
 
 A comment is `MEANING [tag] source`: the meaning is written by `make docs`; what begins with the tag is
 written by hand and stays. Names that the user chooses (materials) and keys below them have no comment.
@@ -11,11 +11,9 @@ import textwrap
 from typing import NamedTuple
 
 from dart_flight.config.document import Document, Key
-from dart_flight.config.starter import DART, VEHICLES
 from tools.docs.schemas import ROOT, Schema, lookup, meaning, schemas
 
 CONFIGURATION = ROOT / "configs" / "dart.yaml"
-OTHERS = [ROOT / "configs" / f"{name}.yaml" for name in VEHICLES if name != DART]
 _SOURCE = re.compile(r"\[(?:paper|maker|px4|ours|example)\].*")
 _COLUMN, _WIDTH = 40, 110
 
@@ -52,9 +50,8 @@ def current(text: str) -> str:
 
 
 def write() -> None:
-    """Write the files."""
-    for path in (CONFIGURATION, *OTHERS):
-        path.write_text(current(path.read_text("utf-8")), "utf-8")
+    """Write the file."""
+    CONFIGURATION.write_text(current(CONFIGURATION.read_text("utf-8")), "utf-8")
 
 
 def _lines(text: str) -> dict[Key, _Line]:

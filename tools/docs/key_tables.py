@@ -53,7 +53,7 @@ def _section(definition: Schema, place: str) -> str:
         "| key | value | default | meaning |",
         "|---|---|---|---|",
     ]
-    for name, value in definition["properties"].items():
+    for name, value in sorted(definition["properties"].items(), key=lambda item: item[0] not in required):
         default = "required" if name in required else _default(value)
         rows.append(f"| `{name}` | {_kind(value)} | {default} | {_cell(value.get('description', ''))} |")
     return "\n".join(rows) + "\n\n"

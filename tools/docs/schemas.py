@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 
 from dart_flight.config.document import Key
-from dart_flight.config.mission import MissionFile
+from dart_flight.config.mission_file import MissionFile
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.config.vehicle.lock import NO_LOCK
 from dart_flight.lab.search.scenario import ScenarioFile
@@ -73,8 +73,10 @@ def _schema(type_: type[msgspec.Struct], title: str) -> Schema:
     schema = _draft_7(msgspec.json.schema(type_))
     for struct in _structs(type_):
         definition = schema["$defs"][struct.__name__]
-        summary, attributes = _docstring(struct)
-        definition["description"] = summary
+        definition["description"] = _docstring(struct)[0]
+        attributes: dict[str, str] = {}
+        for base in reversed(struct.__mro__):  # keys that sections share stand in a class above them
+            attributes |= _docstring(base)[1]
         keys = {field.name: field.encode_name for field in msgspec.structs.fields(struct)}
         for name, text in attributes.items():
             definition["properties"][keys[name]]["description"] = text
@@ -126,7 +128,7 @@ def _structs(type_: type[msgspec.Struct]) -> Iterator[type[msgspec.Struct]]:
             waiting.append(info.item_type)
 
 
-def _docstring(struct: type[msgspec.Struct]) -> tuple[str, dict[str, str]]:
+def _docstring(struct: type) -> tuple[str, dict[str, str]]:
     """What is said before `Attributes:`, and the text of every attribute in it."""
     summary, _, listed = inspect.cleandoc(struct.__doc__ or "").partition("\nAttributes:\n")
     attributes: dict[str, str] = {}

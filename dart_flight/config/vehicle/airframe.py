@@ -12,8 +12,9 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from dart_flight.base.geometry import Vec2, Wall
+from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
+from dart_flight.base.walls import Wall
 from dart_flight.config.section import Fraction, Section
 from dart_flight.config.vehicle.motor_curve import MotorCurve
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -12,7 +13,7 @@ import msgspec
 
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import Mode
-from dart_flight.config.document import Document, InputError, unknown_name
+from dart_flight.config.document import Document, InputError, read_text, unknown_name
 from dart_flight.config.kinds import EXTENDS
 from dart_flight.config.section import Section
 from dart_flight.config.settings import apply_changes, apply_settings
@@ -118,29 +119,30 @@ def packaged(*parts: str) -> Path:
 
 
 def default_config_path() -> Path:
-    """$DART_FLIGHT_CONFIG, else ./configs/dart.yaml or the only one there is, else the packaged default.
+    """$DART_FLIGHT_CONFIG, else the one of ./configs that is meant, else the packaged default.
 
-    What another one there extends is not counted.
+    That is the only one there that no other extends, as `init --vehicle` leaves a vehicle beside dart.yaml;
+    where there are several, dart.yaml.
     """
     named = os.environ.get("DART_FLIGHT_CONFIG")
     if named:
         return Path(named)
     local = Path("configs/dart.yaml")
-    if local.exists():
-        return local
-    others = sorted(local.parent.glob("*.yaml"))  # as `init --vehicle` leaves them
-    bases = {path.parent / base for path in others if (base := _base_of(path)) is not None}
-    others = [path for path in others if path not in bases]
-    return others[0] if len(others) == 1 else packaged("configs", "dart.yaml")
+    there = sorted(local.parent.glob("*.yaml"))
+    bases = {path.parent / base for path in there if (base := base_of(path)) is not None}
+    last = [path for path in there if path not in bases]
+    if len(last) == 1:
+        return last[0]
+    return local if local.exists() else packaged("configs", "dart.yaml")
 
 
-def _base_of(path: Path) -> str | None:
-    """What a configuration extends; None: nothing, or it cannot be read."""
+def base_of(path: Path) -> str | None:
+    """What a configuration extends, as it says it; None: nothing, or it cannot be read."""
     try:
-        base = Document.load(path).tree.get(EXTENDS)
+        found = re.search(rf"^{EXTENDS}:\s*([^\s#]+)", read_text(path), re.MULTILINE)
     except InputError:
         return None
-    return base if isinstance(base, str) else None
+    return found[1].strip("'\"") if found else None
 
 
 def load_vehicle(
@@ -180,6 +182,7 @@ def vehicle_of(document: Document) -> VehicleConfig:
     lock = document.tree.get("lock")
     if isinstance(lock, dict) and lock.get("driver") == NO_LOCK:
         document.tree["lock"] = None
+    _drop_observer(document)
     config = document.convert(VehicleConfig)
     for name, material in config.materials.items():
         if config.has_lock and material.flexible is None:
@@ -187,6 +190,18 @@ def vehicle_of(document: Document) -> VehicleConfig:
             raise document.error(("materials", name), says)
     _refuse_unflyable(config, document)
     return config
+
+
+def _drop_observer(document: Document) -> None:
+    """Files of before 0.1.0 name an observer of the force: there is one left, and its key is not needed."""
+    estimation = document.tree.get("estimation") if isinstance(document.tree, dict) else None
+    if not isinstance(estimation, dict):
+        return
+    estimation.pop("momentum_gain_per_s", None)
+    observer = estimation.pop("observer", "acceleration")
+    if observer != "acceleration":
+        says = "there is no such observer any more: delete this key and momentum_gain_per_s"
+        raise document.error(("estimation", "observer"), says)
 
 
 def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:

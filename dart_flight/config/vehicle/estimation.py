@@ -10,13 +10,6 @@ from msgspec import Meta
 from dart_flight.config.section import Fraction, Seconds, Section, Speed, Volts
 
 
-class Observer(StrEnum):
-    """Which estimate of the external force the detector and the recovery use."""
-
-    ACCELERATION = "acceleration"
-    MOMENTUM = "momentum"
-
-
 class ThrustSource(StrEnum):
     """What the thrust is computed from; `auto` takes the motors' speed where it comes often enough."""
 
@@ -88,8 +81,6 @@ class Estimation(Section, frozen=True, kw_only=True):
     """The estimate of the external force (docs/force.md).
 
     Attributes:
-        observer: acceleration (impacts) or momentum (slow, sustained contact).
-        momentum_gain_per_s: bandwidth of the momentum observer.
         thrust_source: where the thrust comes from; auto: esc where it comes often enough, else actuator.
         thrust_error_n: standard deviation of the whole thrust after calibration.
         esc_thrust_n_per_rpm2: one motor's thrust over its speed squared, m g / (sum of rpm^2) at hover; null:
@@ -104,8 +95,6 @@ class Estimation(Section, frozen=True, kw_only=True):
         walls: what is believed of a wall before it is met.
     """
 
-    observer: Observer
-    momentum_gain_per_s: Annotated[float, Meta(gt=0.0, le=1000.0)]
     thrust_source: ThrustSource
     thrust_error_n: Annotated[float, Meta(ge=0.0, le=100.0)]
     esc_thrust_n_per_rpm2: Annotated[float, Meta(gt=0.0, le=1e-3)] | None

@@ -108,7 +108,19 @@ class Servo(Section, frozen=True):
         return self.s_per_deg * abs(self.rigid_deg - self.flexible_deg)
 
 
-class Maestro(Section, frozen=True):
+class DriverSection(Section, frozen=True):
+    """Base of the section that has a driver's name and is judged where that driver is chosen."""
+
+    @property
+    def ramp_us_s(self) -> float | None:
+        """Speed limit of the pulse width itself in us/s, where the driver has one."""
+        return None
+
+    def refuse_servo(self, servo: Servo) -> None:
+        """Raises ValueError: the driver cannot move the servo to both ends."""
+
+
+class Maestro(DriverSection, frozen=True):
     """Serial servo controller (Pololu Maestro), for the driver maestro.
 
     Attributes:
@@ -131,8 +143,13 @@ class Maestro(Section, frozen=True):
         if self.speed_limit_us_s % 25.0 != 0.0:
             raise ValueError(f"speed_limit_us_s {self.speed_limit_us_s:g} must be a multiple of 25")
 
+    @property
+    def ramp_us_s(self) -> float | None:
+        """Speed limit of the pulse width in us/s, where there is one."""
+        return self.speed_limit_us_s or None
 
-class Pwm(Section, frozen=True):
+
+class Pwm(DriverSection, frozen=True):
     """Hardware PWM of the Raspberry Pi through sysfs, for the driver pwm.
 
     Attributes:
@@ -147,8 +164,15 @@ class Pwm(Section, frozen=True):
     channel: Annotated[int, Meta(ge=0)]
     period_us: Annotated[float, Meta(ge=2_500.0, le=50_000.0)]
 
+    def refuse_servo(self, servo: Servo) -> None:
+        """Raises ValueError: the longest pulse is longer than the servo's frame."""
+        if servo.max_pulse_us >= self.period_us:
+            raise ValueError(
+                f"servo.max_pulse_us must be below pwm.period_us {self.period_us:g}, the servo's frame"
+            )
 
-class Px4Output(Section, frozen=True):
+
+class Px4Output(DriverSection, frozen=True):
     """PX4's own servo output through `set_actuator`, for the driver px4.
 
     Attributes:
@@ -167,6 +191,15 @@ class Px4Output(Section, frozen=True):
     # The ranges are what PX4 allows for the two parameters.
     min_pulse_us: Annotated[float, Meta(ge=800.0, le=1400.0)]
     max_pulse_us: Annotated[float, Meta(ge=1600.0, le=2200.0)]
+
+    def refuse_servo(self, servo: Servo) -> None:
+        """Raises ValueError: an end is outside PX4's output range."""
+        for name in ("rigid_pulse_us", "flexible_pulse_us"):
+            if not self.min_pulse_us <= getattr(servo, name) <= self.max_pulse_us:
+                raise ValueError(
+                    f"servo.{name} must be within px4.min_pulse_us {self.min_pulse_us:g} and "
+                    f"px4.max_pulse_us {self.max_pulse_us:g}"
+                )
 
 
 class LimitSwitch(Section, frozen=True):
@@ -260,23 +293,19 @@ class LockConfig(Section, frozen=True):
                 f"timeout_s {self.timeout_s:g} must be longer than the travel with its margin, "
                 f"{self.switch_time_s:.3f} s"
             )
-        if self.driver is LockDriver.PX4:
-            for name in ("rigid_pulse_us", "flexible_pulse_us"):
-                if not self.px4.min_pulse_us <= getattr(servo, name) <= self.px4.max_pulse_us:
-                    raise ValueError(
-                        f"servo.{name} must be within px4.min_pulse_us {self.px4.min_pulse_us:g} and "
-                        f"px4.max_pulse_us {self.px4.max_pulse_us:g}"
-                    )
-        if self.driver is LockDriver.PWM and servo.max_pulse_us >= self.pwm.period_us:
-            raise ValueError(
-                f"servo.max_pulse_us must be below pwm.period_us {self.pwm.period_us:g}, the servo's frame"
-            )
+        if self.driver_section is not None:
+            self.driver_section.refuse_servo(servo)
+
+    @property
+    def driver_section(self) -> DriverSection | None:
+        """The section of the chosen driver, where it has one."""
+        section: DriverSection | None = getattr(self, self.driver.value, None)
+        return section
 
     @property
     def ramp_us_s(self) -> float | None:
         """Speed limit of the pulse width itself in us/s, where the driver has one."""
-        limit = self.maestro.speed_limit_us_s
-        return limit if self.driver is LockDriver.MAESTRO and limit > 0.0 else None
+        return None if self.driver_section is None else self.driver_section.ramp_us_s
 
     @property
     def switch_time_s(self) -> float:

@@ -27,6 +27,7 @@ from dart_flight.base.records import (
     Phase,
     SetPoint,
     Silence,
+    Tick,
     VehicleAction,
     VehicleCommand,
 )
@@ -44,7 +45,7 @@ Causes = list[tuple[Rule, Callable[[Watch], str | None]]]
 
 _COMMANDS: Final = (SetPoint, VehicleCommand)
 _COMMANDS_AND_LOCK: Final = (SetPoint, VehicleCommand, LockCommand)
-_JUDGED_EVERY_US: Final = 20_000  # host time: as often as a tick comes
+_JUDGED_EVERY_US: Final = 20_000  # host time: at every tick, and where none comes in time
 _HOLD_US: Final = 3_000_000
 _RETRY_US: Final = 1_000_000
 # PX4 disarms by itself after landing; the command is for when it does not
@@ -140,7 +141,7 @@ class Guard:
 
     def _judge(self, item: Input, state: FlightState, phase: Phase, events: list[Output]) -> None:
         judged = self._judged[phase]
-        if state.host_us - self._judged_us >= _JUDGED_EVERY_US:
+        if isinstance(item, Tick) or state.host_us - self._judged_us > _JUDGED_EVERY_US:
             self._judged_us, due = state.host_us, judged.every
         else:
             due = judged.at_once.get(type(item), [])

@@ -8,10 +8,10 @@ receipt.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from typing import Final
 
+from dart_flight.base.filters import kept_share
 from dart_flight.base.records import RoundTrip
 
 _SHARE: Final = 0.15  # of about the last second; what comes at one go after a pause takes no time
@@ -66,7 +66,7 @@ class Lateness:
             self.age_us = received_us + self._offset_us - t_us
         step_us = min(max(received_us - self._received_us, 0), _STEP_MOST_US)
         self._received_us = received_us
-        kept = math.exp(-step_us / _SHARE_US)
+        kept = kept_share(step_us, _SHARE_US)
         self._share = kept * self._share + (1.0 - kept if self.age_us > self._limit_us else 0.0)
         self.late = self._share > _SHARE
 

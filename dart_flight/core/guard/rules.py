@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 
 from dart_flight.base.geometry import horizontal, norm
 from dart_flight.base.records import (
+    ActuatorSample,
     AttitudeSample,
     FlightMode,
     ImuSample,
@@ -284,7 +285,7 @@ RULES: tuple[Rule, ...] = (
     Rule("pilot", "PX4 was taken out of offboard: the pilot flies", "",
          _RELEASE, _ALWAYS, _pilot, by_person=True, at_once=_MODE),
     Rule("disarmed", "disarmed in the air: PX4 says so, or the motors stand still and the vehicle falls", "",
-         _RELEASE, _AIR, _disarmed, at_once=(StatusSample,)),
+         _RELEASE, _AIR, _disarmed, at_once=(StatusSample, ActuatorSample)),
     Rule("link_lost", "nothing at all comes from the vehicle: PX4's own failsafe must act",
          "guard.link_lost_s", _RELEASE, _AIR, _link_lost, of_streams=True),
     Rule("imu_silent", "no IMU sample for too long: impacts cannot be felt",

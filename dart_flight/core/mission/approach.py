@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import msgspec
 
-from dart_flight.base.geometry import Vec2, Vec3, Wall, distance2
+from dart_flight.base.geometry import Vec2, Vec3, distance2
+from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.arithmetic import Number, hypot, maximum, sqrt, where

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from dart_flight.base.geometry import Wall
+from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import Px4Parameters
 from dart_flight.core.mission.arithmetic import Number, maximum, minimum, where
 from dart_flight.core.mission.survey import slack_m

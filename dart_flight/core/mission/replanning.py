@@ -12,8 +12,9 @@ import math
 
 import msgspec
 
-from dart_flight.base.geometry import Vec3, Wall
+from dart_flight.base.geometry import Vec3
 from dart_flight.base.records import AfterImpact, PlanAnswer, PlanRequest, PlanTaken
+from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import Approach, NoApproachError, Way, plan_approach
 from dart_flight.core.mission.lock_orders import LockOrders

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import msgspec
 
-from dart_flight.base.geometry import Vec2, Vec3, Wall
+from dart_flight.base.geometry import Vec2, Vec3
 from dart_flight.base.records import WallFelt
+from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle.flight import GuardThresholds
 from dart_flight.core.mission.arithmetic import Number
 

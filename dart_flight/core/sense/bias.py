@@ -12,13 +12,13 @@ import math
 from collections import deque
 from typing import Final
 
+from dart_flight.base.filters import LearntVariance, taken_share
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec2, Vec3
 from dart_flight.config.vehicle import Estimation
 
 _NOISE_TIME_S: Final = 0.5
-_NOISE_OUTLIER: Final = 9.0  # a squared difference counts at most this many times the present one
+_LEAST_NOISE2: Final = 1e-4  # m2/s4
 _SCALE_STEP: Final = 0.25
-_MOST_STEP_S: Final = 0.05  # after a gap in the stream one sample counts for this long at most
 _BASELINE_DELAY: Final = 10  # samples: 40 ms, in which even a slow contact reaches the threshold
 _BASELINE_STEP_N: Final = 2.0  # further than this from the baseline it is not followed any faster
 
@@ -38,7 +38,7 @@ class HoverBias:
         self.bias_x = self.bias_y = 0.0
         self.scale = 1.0
         self.noise_m_s2 = config.imu_noise_m_s2
-        self._variance = config.imu_noise_m_s2**2
+        self._variance = LearntVariance(config.imu_noise_m_s2**2, _LEAST_NOISE2)
         self._last: Vec3 | None = None
 
     def learn(self, f: Vec3, rate: Vec3, speed_m_s: float, curve_thrust_n: float, dt_s: float) -> None:
@@ -51,12 +51,11 @@ class HoverBias:
             curve_thrust_n: mean thrust over the tick by the curve alone.
             dt_s: since the sample before.
         """
-        step = min(dt_s, _MOST_STEP_S)
-        self._learn_noise(f, step)
+        self._learn_noise(f, dt_s)
         c = self._config
         if curve_thrust_n < 0.5 * self._mass * GRAVITY_M_S2:
             return
-        share = step / c.time_constant_s
+        share = taken_share(dt_s, c.time_constant_s)
         most = c.thrust_scale_limit
         seen = -f[2] * self._mass / curve_thrust_n
         # A seen scale far off is a bump and no thrust: it counts only as far as the limit.
@@ -67,17 +66,14 @@ class HoverBias:
             self.bias_x = _bounded(self.bias_x + share * (f[0] - self.bias_x), most)
             self.bias_y = _bounded(self.bias_y + share * (f[1] - self.bias_y), most)
 
-    def _learn_noise(self, f: Vec3, step_s: float) -> None:
+    def _learn_noise(self, f: Vec3, dt_s: float) -> None:
         # Half the mean square of successive differences: blind to everything slower than two samples.
         last, self._last = self._last, f
         if last is None:
             return
         dx, dy = f[0] - last[0], f[1] - last[1]
-        square = min(0.25 * (dx * dx + dy * dy), _NOISE_OUTLIER * self._variance)
-        self._variance += step_s / _NOISE_TIME_S * (square - self._variance)
-        # A sensor without any noise does not exist: never let certainty become absolute.
-        self._variance = max(self._variance, 1e-4)
-        self.noise_m_s2 = math.sqrt(self._variance)
+        square = 0.25 * (dx * dx + dy * dy)
+        self.noise_m_s2 = math.sqrt(self._variance.learn(square, taken_share(dt_s, _NOISE_TIME_S)))
 
 
 def _bounded(value: float, most: float) -> float:
@@ -98,7 +94,7 @@ class SlowForce:
 
     def follow(self, fx: float, fy: float, dt_s: float) -> None:
         """A sample outside of contacts, `dt_s` after the one before."""
-        share = min(dt_s, _MOST_STEP_S) / self._time_s
+        share = taken_share(dt_s, self._time_s)
         x, y = self._now
         x += share * _bounded(fx - x, _BASELINE_STEP_N)
         y += share * _bounded(fy - y, _BASELINE_STEP_N)

@@ -27,6 +27,7 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from dart_flight.base.geometry import Vec2
+from dart_flight.base.linear_algebra import cholesky, inverse_diagonal, solve
 from dart_flight.contact.law import Onset
 
 PLACE_M: Final = 0.1  # at least: how far off the plan a wall may stand: loosely held, the force tells
@@ -249,7 +250,7 @@ class _Fit:
         gradient = [-sum(map(operator.mul, column, residuals)) for column in columns]
         self.steps += 1
         while self._damping < _MOST_DAMPING:
-            tried = _moved(theta, _solve(curvature, gradient, self._damping))
+            tried = _moved(theta, solve(curvature, gradient, self._damping))
             new = self._residuals_at(tried)
             cost = sum(r * r for r in new)
             if cost <= self._cost:
@@ -395,11 +396,10 @@ class _Fit:
         # Where the model is off by more than it should be, the readings say less.
         worse = max(1.0, misfit)
         spread = [
-            min(worse * s, sd * sd)
-            for s, sd in zip(_inverse_diagonal(self._curvature), self._sd, strict=True)
+            min(worse * s, sd * sd) for s, sd in zip(inverse_diagonal(self._curvature), self._sd, strict=True)
         ]
         b, theta = self._before, self.theta
-        log_det = sum(2.0 * math.log(row[i]) for i, row in enumerate(_cholesky(self._curvature)))
+        log_det = sum(2.0 * math.log(row[i]) for i, row in enumerate(cholesky(self._curvature)))
         evidence = -0.5 * (self._cost + log_det) - sum(math.log(sd) for sd in self._sd)
         k, k_sd = self._wall(theta[_K], spread[_K], b.k_sd)
         f, f_sd = self._wall(theta[_F], spread[_F], b.f_sd)
@@ -487,56 +487,4 @@ def _merged(ticks: list[Tick]) -> list[Tick]:
             p * last.torque + q * t.torque,
             last.samples + 1,
         )
-    return out
-
-
-def _cholesky(h: list[list[float]], damping: float = 0.0) -> list[list[float]]:
-    """Lower triangle L of L L' = H + damping diag(H), from the lower triangle of H.
-
-    Raises:
-        ValueError: H is not positive definite.
-    """
-    n = len(h)
-    low = [[0.0] * n for _ in range(n)]
-    for i in range(n):
-        row = low[i]
-        for j in range(i + 1):
-            other = low[j]
-            s = h[i][j]
-            if i == j:
-                s += damping * s
-            for p in range(j):
-                s -= row[p] * other[p]
-            if i == j:
-                if not s > 0.0:
-                    raise ValueError("not positive definite")
-                row[i] = math.sqrt(s)
-            else:
-                row[j] = s / other[j]
-    return low
-
-
-def _solve(h: list[list[float]], g: list[float], damping: float) -> list[float]:
-    """(H + damping diag(H))^-1 g."""
-    low = _cholesky(h, damping)
-    n = len(g)
-    y = [0.0] * n
-    for i in range(n):
-        y[i] = (g[i] - sum(low[i][p] * y[p] for p in range(i))) / low[i][i]
-    for i in range(n - 1, -1, -1):
-        y[i] = (y[i] - sum(low[p][i] * y[p] for p in range(i + 1, n))) / low[i][i]
-    return y
-
-
-def _inverse_diagonal(h: list[list[float]]) -> list[float]:
-    """Diagonal of H^-1."""
-    low = _cholesky(h)
-    n = len(h)
-    out = []
-    for j in range(n):
-        y = [0.0] * n
-        for i in range(j, n):
-            start = 1.0 if i == j else 0.0
-            y[i] = (start - sum(low[i][p] * y[p] for p in range(j, i))) / low[i][i]
-        out.append(sum(value * value for value in y))
     return out

@@ -18,8 +18,9 @@ from collections import deque
 from enum import Enum, auto
 from typing import Final, NamedTuple
 
-from dart_flight.base.geometry import Vec2, Wall
+from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import ContactEnd, DetectionFloor, ForceEstimate, ImpactOnset, ImpactPeak, Mode
+from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import Coefficients, Detection, ThresholdTest, VehicleConfig
 from dart_flight.core.sense.bias import SlowForce
 from dart_flight.core.sense.pulse import NormalPulse, Prior, TickReading, fit_friction, fit_normal

@@ -15,8 +15,9 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from dart_flight.base.geometry import Vec2, Wall, rotate
+from dart_flight.base.geometry import Vec2, rotate
 from dart_flight.base.records import ContactEnd, ImpactOnset, LockPhase, Mode, WallFelt
+from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.law import Onset
 from dart_flight.core.sense.arm_vibration import ArmFilter

@@ -6,8 +6,7 @@ with f the specific force at the centre of mass (gravity is not in it; what an I
 of turning is taken off, `core/sense/turning.py`), T the thrust vector, R body to mission, b the air
 drag along the mission's axes. Streams are aligned by the autopilot's stamps: a reading is the mean over the
 tick that ends at its stamp, later by the anti-alias filter's delay; attitude is carried to the middle of that
-time with the gyro, thrust is averaged over the tick. With `estimation.observer: momentum` the force comes
-from `core/sense/momentum.py` instead, from the same thrust, attitude and drag.
+time with the gyro, thrust is averaged over the tick.
 """
 
 from __future__ import annotations
@@ -16,12 +15,12 @@ import math
 from collections import deque
 from typing import Final
 
-from dart_flight.base.geometry import GRAVITY_M_S2, MissionFrame, Quaternion, Vec3, advance_attitude
+from dart_flight.base.filters import LowPass
+from dart_flight.base.geometry import MissionFrame, Quaternion, Vec3, advance_attitude
 from dart_flight.base.records import AttitudeSample, ForceEstimate, ImuSample, Mode
-from dart_flight.config.vehicle import Observer, VehicleConfig
+from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.arm_vibration import ArmFilter
 from dart_flight.core.sense.bias import HoverBias
-from dart_flight.core.sense.momentum import MomentumObserver
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.thrust import ThrustModel
 from dart_flight.core.sense.turning import Turning
@@ -59,14 +58,10 @@ class ForceEstimator:
         self._imu_at = at if any(at) else None
         self._thrust_variance = e.thrust_error_n**2
         self._attitude_variance = e.attitude_error_rad**2
-        self._filter_s = e.filter_s
+        self._filter = LowPass(e.filter_s)
         self._arms = ArmFilter(e.arm_vibration, vehicle.imu.tick_s) if e.arm_vibration else None
-        self._momentum = (
-            MomentumObserver(self._mass, e.momentum_gain_per_s) if e.observer is Observer.MOMENTUM else None
-        )
         self._attitudes: deque[AttitudeSample] = deque(maxlen=_HISTORY)
         self._last_us: int | None = None
-        self._filtered: Vec3 = (0.0, 0.0, 0.0)
         self._frame: MissionFrame | None = None
         self._heading = (1.0, 0.0)
 
@@ -121,26 +116,15 @@ class ForceEstimator:
         drag = (m * b[0] * v[0], m * b[1] * v[1], m * b[2] * v[2])
         up = (-(down_n * c + down_e * s), -(down_n * s - down_e * c), down_d)
         push = (thrust_n * up[0] - drag[0], thrust_n * up[1] - drag[1])
-        if self._momentum is not None:
-            known = (push[0], push[1], thrust_n * up[2] - drag[2] - m * GRAVITY_M_S2)
-            force = self._momentum.update(imu.t_us, dt_s, known, state.odometry, v)
-            clipped, noise = False, 0.1 * m * hover.noise_m_s2
-        else:
-            force = (n * c + e * s + drag[0], n * s - e * c + drag[1], -d + drag[2])
-            if self._arms is not None:
-                force = self._still(self._arms, force, state, dt_s)
-            clip, noise = self._clip, m * hover.noise_m_s2
-            rx, ry, rz = imu.specific_force_frd
-            clipped = abs(rx) >= clip or abs(ry) >= clip or abs(rz) >= clip
-        keep = math.exp(-dt_s / self._filter_s) if self._filter_s > 0.0 else 0.0
-        old = self._filtered
-        self._filtered = (
-            force[0] + (old[0] - force[0]) * keep,
-            force[1] + (old[1] - force[1]) * keep,
-            force[2] + (old[2] - force[2]) * keep,
-        )
+        force = (n * c + e * s + drag[0], n * s - e * c + drag[1], -d + drag[2])
+        if self._arms is not None:
+            force = self._still(self._arms, force, state, dt_s)
+        clip, noise = self._clip, m * hover.noise_m_s2
+        rx, ry, rz = imu.specific_force_frd
+        clipped = abs(rx) >= clip or abs(ry) >= clip or abs(rz) >= clip
         variance = self._variance(force, up, noise * noise)
-        return ForceEstimate(imu.t_us, force, clipped, self._filtered, variance, noise, push)
+        filtered = self._filter.follow(force, dt_s)
+        return ForceEstimate(imu.t_us, force, clipped, filtered, variance, noise, push)
 
     def _still(self, arms: ArmFilter, force: Vec3, state: FlightState, dt_s: float) -> Vec3:
         """The force with the swinging of unlocked arms taken out."""

@@ -19,6 +19,8 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
+from dart_flight.base.linear_algebra import Rows, solve
+
 _MOST_BINS: Final = 13
 _STEPS: Final = 8
 # of the top: what the model itself may be off by, so that a quiet sensor is not overtrusted
@@ -149,7 +151,8 @@ class _Fit:
         self.slope = 0.0
         self.omega = min(_MOST_OMEGA, max(_LEAST_OMEGA, prior.omega))
         self.sigma = min(prior.sigma, 0.7 * self.omega)
-        self._normal: list[float] = []
+        self._curvature: Rows = []  # lower triangle of the normal equations
+        self._gradient: list[float] = []
 
     def run(self, onset_s: float) -> bool:
         """Iterate to the least squares; False where it leads nowhere."""
@@ -159,8 +162,9 @@ class _Fit:
             return False
         cost = self._linearise()
         for _ in range(_STEPS):
-            step = _solve3(self._normal)
-            if step is None:
+            try:
+                step = solve(self._curvature, self._gradient)
+            except ValueError:
                 return False
             before = (self.start, self.slope, self.omega)
             share = 1.0
@@ -196,7 +200,7 @@ class _Fit:
         return p, c
 
     def _linearise(self) -> float:
-        """Cost at the present parameters; leaves the normal equations in `_normal`."""
+        """Cost at the present parameters; leaves the normal equations."""
         start, slope, omega, sigma, push = self.start, self.slope, self.omega, self.sigma, self._push
         up = omega * 1.0001
         cost = 0.0
@@ -230,7 +234,8 @@ class _Fit:
         off = math.log(self._prior.omega / omega) / _PRIOR_LOG_OMEGA
         h22 += 1.0 / _PRIOR_LOG_OMEGA**2
         g2 += off / _PRIOR_LOG_OMEGA
-        self._normal = [h00, h01, h02, h11, h12, h22, g0, g1, g2]
+        self._curvature = [[h00], [h01, h11], [h02, h12, h22]]
+        self._gradient = [g0, g1, g2]
         return cost + off * off
 
     @staticmethod
@@ -255,7 +260,11 @@ class _Fit:
         gp, _, gs, _ = _terms(at, omega * 1.0001, sigma)
         dw = (push * gp + slope * gs - peak) / 1e-4
         freedom, squares = self._misfit()
-        variance = _quadratic_of_inverse(self._normal, fs, dw) * max(1.0, self._cost / max(1, freedom - 3))
+        try:
+            _, x, y = solve(self._curvature, [0.0, fs, dw])
+        except ValueError:
+            x = y = 0.0
+        variance = (fs * x + dw * y) * max(1.0, self._cost / max(1, freedom - 3))
         top = peak * (1.0 + 0.5 * (omega * lag_s) ** 2)
         misfit = math.sqrt(squares / max(1, freedom)) / peak
         if misfit > _MOST_MISFIT + 3.0 / math.sqrt(self._weights[0]) / peak:
@@ -283,31 +292,6 @@ class _Fit:
                 count += 1
                 squares += (r.normal - model) ** 2
         return count, squares
-
-
-def _solve3(n: list[float]) -> tuple[float, float, float] | None:
-    """Solve the symmetric 3 x 3 normal equations [h00 h01 h02 h11 h12 h22 g0 g1 g2] by Cramer's rule."""
-    a, b, c, d, e, f, x, y, z = n
-    a += 1e-12 * a
-    ca, cb, cc = d * f - e * e, c * e - b * f, b * e - c * d
-    det = a * ca + b * cb + c * cc
-    if not math.isfinite(det) or det <= 0.0:
-        return None
-    cd, ce, cf = a * f - c * c, b * c - a * e, a * d - b * b
-    return (
-        (ca * x + cb * y + cc * z) / det,
-        (cb * x + cd * y + ce * z) / det,
-        (cc * x + ce * y + cf * z) / det,
-    )
-
-
-def _quadratic_of_inverse(n: list[float], g1: float, g2: float) -> float:
-    """(0, g1, g2) H^-1 (0, g1, g2)'."""
-    a, b, c, d, e, f, _, _, _ = n
-    det = a * (d * f - e * e) + b * (c * e - b * f) + c * (b * e - c * d)
-    if det <= 0.0:
-        return 0.0
-    return (g1 * g1 * (a * f - c * c) + 2.0 * g1 * g2 * (b * c - a * e) + g2 * g2 * (a * d - b * b)) / det
 
 
 # --- friction --------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from dart_flight.base.filters import LearntVariance, taken_share
 from dart_flight.base.geometry import Vec3, gyroscopic_torque
 from dart_flight.base.records import TorqueEstimate
 from dart_flight.config.vehicle import VehicleConfig
@@ -21,12 +22,10 @@ from dart_flight.core.sense.thrust import Each
 from dart_flight.core.sense.turning import Turning
 
 _NOISE_TIME_S: Final = 0.5
-_OUTLIER: Final = 9.0  # a squared difference counts at most this many times the present one
 _THIRD: Final = 1.0 / 3.0  # a change of the rate's white noise, of variance 2: successive ones differ by 6
-_LEAST_STEP: Final = 1e-10  # N2 m2, added with every sample: never let certainty become absolute
+_ADDED: Final = 1e-10  # N2 m2, with every sample
 _SLOW_S: Final = 1.0  # time constant of the torque that is always there ...
 _MOST_SLOW_NM: Final = 0.3  # ... which is not followed further than this
-_MOST_STEP_S: Final = 0.05  # after a gap in the stream one sample counts for this long at most
 
 
 class TorqueEstimator:
@@ -39,7 +38,7 @@ class TorqueEstimator:
         self._before: Each | None = None
         self._slow: Vec3 = (0.0, 0.0, 0.0)
         self._last: Vec3 | None = None
-        self._variance: Vec3 = (1e-3, 1e-3, 1e-3)
+        self._variances = tuple([LearntVariance(1e-3, added=_ADDED) for _ in range(3)])
         self._noise: Vec3 = (0.0316, 0.0316, 0.0316)
 
     def estimate(
@@ -80,8 +79,7 @@ class TorqueEstimator:
         return TorqueEstimate(t_us, (x, y, z), self._noise)
 
     def _learn(self, raw: Vec3, dt_s: float) -> None:
-        step_s = dt_s if dt_s < _MOST_STEP_S else _MOST_STEP_S
-        share, most = step_s / _SLOW_S, _MOST_SLOW_NM
+        share, most = taken_share(dt_s, _SLOW_S), _MOST_SLOW_NM
         x, y, z = raw
         u, v, w = self._slow
         u, v, w = u + share * (x - u), v + share * (y - v), w + share * (z - w)
@@ -90,12 +88,10 @@ class TorqueEstimator:
         last = self._last
         if last is None:
             return
-        share = step_s / _NOISE_TIME_S
-        u, v, w = self._variance
-        x, y, z = (x - last[0]) ** 2, (y - last[1]) ** 2, (z - last[2]) ** 2
-        x, y, z = _THIRD * x, _THIRD * y, _THIRD * z
-        u += share * ((x if x < _OUTLIER * u else _OUTLIER * u) - u) + _LEAST_STEP
-        v += share * ((y if y < _OUTLIER * v else _OUTLIER * v) - v) + _LEAST_STEP
-        w += share * ((z if z < _OUTLIER * w else _OUTLIER * w) - w) + _LEAST_STEP
-        self._variance = (u, v, w)
-        self._noise = (math.sqrt(u), math.sqrt(v), math.sqrt(w))
+        share = taken_share(dt_s, _NOISE_TIME_S)
+        roll, pitch, yaw = self._variances
+        self._noise = (
+            math.sqrt(roll.learn(_THIRD * (x - last[0]) ** 2, share)),
+            math.sqrt(pitch.learn(_THIRD * (y - last[1]) ** 2, share)),
+            math.sqrt(yaw.learn(_THIRD * (z - last[2]) ** 2, share)),
+        )

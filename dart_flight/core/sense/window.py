@@ -11,15 +11,14 @@ import math
 from collections import deque
 from typing import Final
 
+from dart_flight.base.filters import LearntVariance, taken_share
 from dart_flight.base.geometry import Vec2
 
 _QUICK_S: Final = 0.5  # a manoeuvre counts at once, and its noise is not forgotten at once
 _SLOW_S: Final = 5.0
 _LEAST_N2: Final = 1e-4
-_OUTLIER: Final = 9.0  # a square counts at most this many times the present variance
 _ASSUMED: Final = 5  # samples that the noise to begin with counts for
 _DELAY: Final = 10  # samples: what a contact's foot teaches is thrown away at its onset
-_MOST_STEP_S: Final = 0.05  # after a gap in the stream one sample counts for this long at most
 
 
 class WindowMean:
@@ -42,14 +41,15 @@ class WindowMean:
         self._x = self._y = 0.0
         self._since_sum = 0
         self._seen = 0
-        self._quick = self._slow = noise_n * noise_n / max(1, samples)
+        variance = noise_n * noise_n / max(1, samples)
+        self._quick, self._slow = LearntVariance(variance, _LEAST_N2), LearntVariance(variance, _LEAST_N2)
         self._pending: deque[float] = deque()
         # A force that is there all the time is no noise: two means are compared that share no sample. One
         # window apart they agree by chance only for a tone that the window itself takes out.
         self._past: deque[Vec2] = deque(maxlen=max(1, samples))
         self.mean: Vec2 = (0.0, 0.0)
         self.full = False
-        self.noise_n = math.sqrt(self._slow)
+        self.noise_n = math.sqrt(variance)
 
     def add(self, t_us: int, fx: float, fy: float) -> None:
         """Take a sample."""
@@ -82,21 +82,12 @@ class WindowMean:
         if len(pending) <= _DELAY:
             return
         square = pending.popleft()
-        step, self._seen = dt_s if dt_s < _MOST_STEP_S else _MOST_STEP_S, self._seen + 1
+        self._seen += 1
         # At first a plain mean, so that what was assumed is forgotten once something is known.
         first = 1.0 / (_ASSUMED + self._seen)
-        quick, slow = step / _QUICK_S, step / _SLOW_S
-        # Comparisons, where `min` and `max` would do: four windows learn from every sample, and a call costs
-        # more than all of the arithmetic.
-        q, s = self._quick, self._slow
-        most = _OUTLIER * q
-        q += (quick if quick > first else first) * ((square if square < most else most) - q)
-        most = _OUTLIER * s
-        s += (slow if slow > first else first) * ((square if square < most else most) - s)
-        # A force without any noise does not exist: never let certainty become absolute.
-        self._quick = q = q if q > _LEAST_N2 else _LEAST_N2
-        self._slow = s = s if s > _LEAST_N2 else _LEAST_N2
-        self.noise_n = math.sqrt(q if q > s else s)
+        quick = self._quick.learn(square, max(first, taken_share(dt_s, _QUICK_S)))
+        slow = self._slow.learn(square, max(first, taken_share(dt_s, _SLOW_S)))
+        self.noise_n = math.sqrt(max(quick, slow))
 
     def forget(self) -> None:
         """A contact has begun, or the stream broke off: what it has taught so far is thrown away."""

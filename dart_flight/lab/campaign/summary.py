@@ -17,7 +17,8 @@ from dart_flight.config.provenance import VehicleSource
 from dart_flight.lab.campaign.asked import Item, Point, command_of
 from dart_flight.lab.campaign.flight import ERROR
 from dart_flight.lab.campaign.run import TABLE, Opened
-from dart_flight.lab.campaign.statistics import (
+from dart_flight.lab.campaign.table import rows_in
+from dart_flight.lab.statistics import (
     Separation,
     Share,
     bin_edges,
@@ -26,7 +27,6 @@ from dart_flight.lab.campaign.statistics import (
     separation,
     share,
 )
-from dart_flight.lab.campaign.table import rows_in
 
 _MOST_FAILED = 1000  # that are listed; the table has them all
 _CLEAR_Z = 4.0  # from here on a quantity tells failed flights from others, also among fifty looked at

@@ -84,6 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
     from dart_flight.config.provenance import find_vehicle
     from dart_flight.contact.law import Onset
     from dart_flight.lab.identify import job as identification
+    from dart_flight.lab.identify.trials import UNLABELLED, TrialReading
 
     paths = list(arguments.trials)
     drop = arguments.drop
@@ -93,23 +94,20 @@ def run(arguments: argparse.Namespace) -> int:
     if not paths:
         raise InputError("no trials given", key=("TRIAL",))
     vehicle, source = find_vehicle(arguments.config, arguments.set)
-    job = identification.Job(
-        paths=paths,
-        mode=arguments.mode,
+    how = TrialReading(
+        mode=arguments.mode or UNLABELLED,
+        surface=arguments.surface,
         drop=drop is not None,
         height_m=drop if isinstance(drop, float) else None,
-        onset=Onset(arguments.onset) if arguments.onset else None,
         contact_distance_m=arguments.contact_distance,
-        columns=arguments.columns,
+        columns=identification.columns_of(arguments.columns),
         wall=tuple(arguments.wall) if arguments.wall else None,
         mass_kg=arguments.mass,
-        law=arguments.law,
     )
     if arguments.output and not arguments.surface:
         raise InputError("-o needs --surface, the name of the entry", key=("output",))
-    from dart_flight.lab.identify.flight_trials import readers
-
-    done = identification.carry_out(job, vehicle, readers(arguments.surface))
+    onset = Onset(arguments.onset) if arguments.onset else None
+    done = identification.carry_out(paths, how, vehicle, onset=onset, law=arguments.law)
     trials, found = done.trials, done.found
     if done.flown is not None:
         source = done.flown.source

@@ -2,34 +2,10 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.lab.identify.held_out import HeldOut
-
-_T_FEW = (12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.2622, 2.2281)
-
-
-def student_t(freedom: int) -> float:
-    """97.5 % point of Student's t: tabulated where the expansion about the normal quantile is not close."""
-    if freedom <= len(_T_FEW):
-        return _T_FEW[freedom - 1]
-    z = 1.959964
-    g1, g2 = (z**3 + z) / 4.0, (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / 96.0
-    g3 = (3.0 * z**7 + 19.0 * z**5 + 17.0 * z**3 - 15.0 * z) / 384.0
-    return z + g1 / freedom + g2 / freedom**2 + g3 / freedom**3
-
-
-def mean_half_width(values: Sequence[float]) -> float | None:
-    """Half the 95 % interval of the mean by Student's t; None from fewer than two values."""
-    n = len(values)
-    if n < 2:
-        return None
-    mean = sum(values) / n
-    deviation = math.sqrt(sum((v - mean) ** 2 for v in values) / (n - 1))
-    return student_t(n - 1) * deviation / math.sqrt(n)
 
 
 class Estimate(NamedTuple):

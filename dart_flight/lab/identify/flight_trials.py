@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 
-from dart_flight.base.geometry import Wall
 from dart_flight.base.records import ContactEnd, ImpactOnset, ImuSample, Phase, PhaseChange
+from dart_flight.base.walls import Wall
 from dart_flight.config.document import InputError
 from dart_flight.config.provenance import FoundVehicle
 from dart_flight.lab.flight_arrays import FlightArrays
-from dart_flight.lab.identify.trials import READERS as FILE_READERS
-from dart_flight.lab.identify.trials import UNLABELLED, Readers, Series, Trial, TrialReading
+from dart_flight.lab.identify.trials import UNLABELLED, Series, Trial
 from dart_flight.recording.about import flown_mission
-from dart_flight.recording.reader import Log, NothingInItError, read_log
+from dart_flight.recording.reader import Log, NothingInItError
 
 _BEFORE_S, _AFTER_S = 0.5, 0.4
 _LONGEST_S = 0.15  # of a contact whose end was not noticed
@@ -101,27 +97,3 @@ def trials_at_one(log: Log, material: str | None, mode: str = UNLABELLED) -> lis
         raise InputError(f"collisions with {names}: say which with --surface", source=log.source)
     (trials,) = by_material.values()
     return trials
-
-
-def reader_for(material: str | None) -> Callable[[Path, TrialReading], list[Trial]]:
-    """A reader of flight logs for `identify.trials.read_trials`; it refuses drops, which no mission has.
-
-    Args:
-        material: take the collisions with this material; None: there must be only one.
-    """
-
-    def read(path: Path, how: TrialReading) -> list[Trial]:
-        if how.drop:
-            raise InputError(
-                "a flight log has wall collisions and no drops: leave --drop away",
-                source=str(path),
-                key=("drop",),
-            )
-        return trials_at_one(read_log(path), material, how.mode)
-
-    return read
-
-
-def readers(material: str | None) -> Readers:
-    """All readers: those of files, and that of flight logs."""
-    return {**FILE_READERS, ".mcap": reader_for(material)}

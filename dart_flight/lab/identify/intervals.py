@@ -14,10 +14,9 @@ import math
 import numpy as np
 
 from dart_flight.contact.coefficients import Array
-from dart_flight.lab.identify.estimates import student_t
 from dart_flight.lab.identify.sample_fit import SampleFit
+from dart_flight.lab.statistics import Z95, student_t
 
-T95 = 1.959964
 _ENOUGH_TRIALS = 5  # of a call, from which whole trials are drawn
 _STRETCH = 12  # samples of free flight drawn together; a contact is drawn in thirds
 _BY_CHANCE = 1.3
@@ -76,7 +75,7 @@ def half_widths(fit: SampleFit, theta: Array) -> Array:
     freedom = max(data - fit.parameters.size, 1)
     spread = max(squares / freedom, 1e-12) * correlation(fit, theta)
     inverse = covariance(fit, theta)
-    statistical = T95 * np.sqrt(np.diag(inverse) * spread)
+    statistical = Z95 * np.sqrt(np.diag(inverse) * spread)
     blocks = _stretches(fit, theta)
     n = len(blocks)
     # Drawing blocks with replacement moves the estimate by the sum of their scores times the inverse

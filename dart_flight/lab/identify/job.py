@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,30 +15,13 @@ from dart_flight.config.document import InputError
 from dart_flight.config.provenance import FoundVehicle
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.law import Onset
-from dart_flight.lab.identify.estimates import Estimate, Identification
+from dart_flight.lab.identify.estimates import Identification
 from dart_flight.lab.identify.fit import PAPER, identify
-from dart_flight.lab.identify.held_out import HeldOut
-from dart_flight.lab.identify.trials import COLUMNS, UNLABELLED, Readers, Trial, TrialReading, read_trials
+from dart_flight.lab.identify.trials import COLUMNS, UNLABELLED, Trial, TrialReading, read_trials
 from dart_flight.recording.found import from_each, logs_in
 
 FLIGHT_LOG = ".mcap"
 UNITS = {"k": "N/m", "f": "N s/m", "mu": "s/m", "nu": "N"}
-
-
-@dataclass(frozen=True)
-class Job:
-    """What was asked for; as the options of the command."""
-
-    paths: Sequence[str]
-    onset: Onset | None = None
-    mode: str | None = None
-    drop: bool = False
-    height_m: float | None = None
-    contact_distance_m: float = 0.0
-    columns: str | None = None
-    wall: tuple[float, float, float] | None = None
-    mass_kg: float | None = None
-    law: str = PAPER
 
 
 class Identified(NamedTuple):
@@ -61,7 +44,13 @@ class Identified(NamedTuple):
 
 
 def carry_out(
-    job: Job, vehicle: VehicleConfig, readers: Readers | None = None, given: Sequence[Trial] = ()
+    paths: Sequence[str],
+    how: TrialReading,
+    vehicle: VehicleConfig,
+    *,
+    onset: Onset | None = None,
+    law: str = PAPER,
+    given: Sequence[Trial] = (),
 ) -> Identified:
     """Read the trials and fit them.
 
@@ -69,9 +58,11 @@ def carry_out(
     forces were worked out with them.
 
     Args:
-        job: what was asked for.
+        paths: files, folders of flight logs.
+        how: to read them.
         vehicle: of trials that do not say theirs.
-        readers: file suffix -> reader, `trials.READERS` by default.
+        onset: instead of the vehicle's.
+        law: whose parameters to give beside the paper's.
         given: trials that are read already; they count with those of the files.
 
     Raises:
@@ -79,56 +70,48 @@ def carry_out(
             them, or the trials are of different vehicles; of several logs those without a collision are left
             out with a note.
     """
-    if not 0.0 <= job.contact_distance_m <= 1.0:
-        raise InputError(f"{job.contact_distance_m:g} m, expected 0 to 1", key=("contact-distance",))
-    if job.height_m is not None and not 0.0 < job.height_m <= 10.0:
-        raise InputError(f"{job.height_m:g} m, expected a height above 0 and up to 10", key=("drop",))
-    mass_kg = _mass(job, vehicle)
+    if not 0.0 <= how.contact_distance_m <= 1.0:
+        raise InputError(f"{how.contact_distance_m:g} m, expected 0 to 1", key=("contact-distance",))
+    if how.height_m is not None and not 0.0 < how.height_m <= 10.0:
+        raise InputError(f"{how.height_m:g} m, expected a height above 0 and up to 10", key=("drop",))
+    mass_kg = _mass(how, vehicle)
     if not 0.01 <= mass_kg <= 100.0:
         raise InputError(f"{mass_kg:g} kg, expected 0.01 to 100", key=("mass",))
-    how = TrialReading(
-        mode=job.mode or UNLABELLED,
-        drop=job.drop,
-        contact_distance_m=job.contact_distance_m,
-        columns=_columns(job.columns),
-        wall=job.wall,
-        mass_kg=mass_kg,
-        height_m=job.height_m,
-    )
     left_out: list[str] = []
-    paths = logs_in(job.paths)
-    _refuse_idle_options(job, paths)
-    if not given and not any(path.suffix.lower() == FLIGHT_LOG for path in paths):
-        _refuse_mode(job, vehicle)  # no trial will say another vehicle
+    files = logs_in(paths)
+    _refuse_idle_options(how, files)
+    if not given and not any(path.suffix.lower() == FLIGHT_LOG for path in files):
+        _refuse_mode(how, vehicle)  # no trial will say another vehicle
+    weighed = replace(how, mass_kg=mass_kg)
     trials = list(given) + list(
-        chain.from_iterable(from_each(paths, lambda path: read_trials(path, how, readers), left_out.append))
+        chain.from_iterable(from_each(files, lambda path: read_trials(path, weighed), left_out.append))
     )
     flown, at_hand = _flown(trials, vehicle), vehicle
     vehicle = flown.config if flown else at_hand
-    mass_kg, onset = _mass(job, vehicle), job.onset or Onset(vehicle.onset)
+    mass_kg, onset = _mass(how, vehicle), onset or Onset(vehicle.onset)
     left_out += _said_of_mass(trials, mass_kg, at_hand if flown else None)
-    _refuse_mode(job, vehicle)
+    _refuse_mode(how, vehicle)
     trials = _labelled(trials, vehicle)
-    found = identify(trials, mass_kg, onset, law=job.law)
+    found = identify(trials, mass_kg, onset, law=law)
     found.notes[:0] = left_out
-    if job.height_m is not None:
-        expected = math.sqrt(2.0 * GRAVITY_M_S2 * job.height_m)
+    if how.height_m is not None:
+        expected = math.sqrt(2.0 * GRAVITY_M_S2 * how.height_m)
         for trial, read in zip(found.trials, trials, strict=True):
             if "normal_m" in read.series and abs(-trial.normal_m_s / expected - 1.0) > 0.2:
                 found.notes.append(
-                    f"{trial.name}: arrives at {-trial.normal_m_s:.2f} m/s; a drop from {job.height_m:g} m "
+                    f"{trial.name}: arrives at {-trial.normal_m_s:.2f} m/s; a drop from {how.height_m:g} m "
                     f"arrives at {expected:.2f} m/s"
                 )
     return Identified(trials, found, vehicle, flown, mass_kg, onset)
 
 
-def _mass(job: Job, vehicle: VehicleConfig) -> float:
-    return vehicle.airframe.mass_kg if job.mass_kg is None else job.mass_kg
+def _mass(how: TrialReading, vehicle: VehicleConfig) -> float:
+    return vehicle.airframe.mass_kg if how.mass_kg is None else how.mass_kg
 
 
-def _refuse_mode(job: Job, vehicle: VehicleConfig) -> None:
+def _refuse_mode(how: TrialReading, vehicle: VehicleConfig) -> None:
     """Raises InputError: the mode that was asked for is none of the vehicle's."""
-    problem = None if job.mode is None else vehicle.mode_problem(Mode(job.mode))
+    problem = None if how.mode == UNLABELLED else vehicle.mode_problem(Mode(how.mode))
     if problem is not None:
         raise InputError(problem, key=("mode",))
 
@@ -182,10 +165,10 @@ def _said_of_mass(trials: Sequence[Trial], mass_kg: float, passed_over: VehicleC
     ]
 
 
-def _refuse_idle_options(job: Job, paths: Sequence[Path]) -> None:
+def _refuse_idle_options(how: TrialReading, paths: Sequence[Path]) -> None:
     """Raises InputError: an option tells how to read a kind of file that is not among them."""
     csv, ulogs = (".csv",), (".ulg", ".ulog")
-    idle = {"columns": (job.columns, csv), "wall": (job.wall, ulogs)}
+    idle = {"columns": (how.columns, csv), "wall": (how.wall, ulogs)}
     given = {path.suffix.lower() for path in paths}
     for option, (value, suffixes) in idle.items():
         if value and given.isdisjoint(suffixes):
@@ -194,7 +177,7 @@ def _refuse_idle_options(job: Job, paths: Sequence[Path]) -> None:
             )
 
 
-def _columns(text: str | None) -> dict[str, str]:
+def columns_of(text: str | None) -> dict[str, str]:
     """`time_s=t,normal_m=x` as a dictionary.
 
     Raises:
@@ -214,43 +197,18 @@ def _columns(text: str | None) -> dict[str, str]:
     return columns
 
 
-def _said(estimate: Estimate | None) -> dict[str, float] | None:
-    return None if estimate is None else estimate._asdict()
-
-
-def _compared(found: HeldOut) -> dict[str, Any]:
-    return {
-        "held_out": found.held_out,
-        "hits": found.hits,
-        "laws": {name: errors._asdict() for name, errors in found.laws.items()},
-        "baselines": {name: errors._asdict() for name, errors in found.baselines.items()},
-        "scatter": found.scatter._asdict(),
-        "best": found.best,
-        "better_by": found.better_by._asdict(),
-        "earned": found.earned,
-    }
+def _plain(value: Any) -> Any:
+    """A value with its named tuples as objects."""
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        value = value._asdict()
+    if isinstance(value, dict):
+        return {key: _plain(one) for key, one in value.items()}
+    return [_plain(one) for one in value] if isinstance(value, list) else value
 
 
 def as_json(found: Identification) -> dict[str, Any]:
     """The result as the object `--json` prints."""
-    return {
-        "coefficients": {
-            mode: {name: _said(e) for name, e in coefficients.items()}
-            for mode, coefficients in found.coefficients.items()
-        },
-        "restitution": {mode: _said(e) for mode, e in found.restitution.items()},
-        "tangential_ratio": {mode: _said(e) for mode, e in found.tangential_ratio.items()},
-        "law": {
-            "name": found.law,
-            "parameters": {
-                mode: {name: _said(e) for name, e in parameters.items()}
-                for mode, parameters in found.law_parameters.items()
-            },
-        },
-        "held_out": {mode: _compared(h) for mode, h in found.held_out.items()},
-        "residuals": found.residuals,
-        "plane_m": _said(found.plane_m),
-        "vertical_side": found.vertical_side,
-        "trials": [trial._asdict() | {"set_aside": trial.set_aside._asdict()} for trial in found.trials],
-        "notes": found.notes,
-    }
+    said: dict[str, Any] = _plain(found)
+    for compared in said["held_out"].values():
+        del compared["mode"], compared["sentence"]
+    return said | {"law": {"name": said["law"], "parameters": said.pop("law_parameters")}}

@@ -22,6 +22,7 @@ from dart_flight.config.kinds import FileKind, refuse_other_kind
 from dart_flight.config.provenance import FoundVehicle
 from dart_flight.contact.coefficients import Array
 from dart_flight.lab.ulog import columns, open_ulog, seconds
+from dart_flight.recording.reader import read_log
 
 UNLABELLED = "unlabelled"
 # Columns of a trial, in the collision frame; `vertical_m` is a height (against Z at a wall). Required first.
@@ -97,51 +98,53 @@ class Trial:
 
 @dataclass(frozen=True)
 class TrialReading:
-    """How files are to be read.
+    """How files are to be read: the options of `identify`.
 
     Attributes:
-        mode: label for what has none itself.
+        mode: label for what has none itself; of a flight, its collisions in it.
+        surface: of a flight, its collisions with this material; None: there must be only one.
         drop: gravity along the normal.
         contact_distance_m: subtracted from the normal position, for recordings of the centre's height or
             distance from the surface itself.
         columns: our column name -> the header in the file.
         wall: for logs in local NED: north and east of the plane of first touch, and the heading of its
             outward normal in degrees.
-        mass_kg: turns measured acceleration into force.
+        mass_kg: of the vehicle, instead of the configuration's.
         height_m: of drops, where it is known.
     """
 
     mode: str = UNLABELLED
+    surface: str | None = None
     drop: bool = False
     contact_distance_m: float = 0.0
     columns: dict[str, str] = field(default_factory=dict)
     wall: tuple[float, float, float] | None = None
-    mass_kg: float = 1.3
+    mass_kg: float | None = None
     height_m: float | None = None
 
-
-Readers = dict[str, Callable[[Path, TrialReading], list[Trial]]]
+    @property
+    def kg(self) -> float:
+        """What turns measured acceleration into force; DART's mass where none is given."""
+        return 1.3 if self.mass_kg is None else self.mass_kg
 
 
 # --- reading --------------------------------------------------------------------------------------------
 
 
-def read_trials(path: str | Path, how: TrialReading, readers: Readers | None = None) -> list[Trial]:
+def read_trials(path: str | Path, how: TrialReading) -> list[Trial]:
     """The trials of a file.
 
     Args:
         path: the file; its suffix chooses the reader.
         how: how to read it.
-        readers: suffix -> reader; `READERS` by default. Rooms above this one bring readers of their own.
 
     Raises:
         InputError: the file cannot be read, its kind is unknown, or its content cannot be used.
     """
-    known = READERS if readers is None else readers
-    reader = known.get(Path(path).suffix.lower())
+    reader = READERS.get(Path(path).suffix.lower())
     if reader is None:
         refuse_other_kind(path, FileKind.TRIAL, FileKind.ULOG, FileKind.FLIGHT_LOG)
-        raise InputError(f"unknown kind of trial, known: {', '.join(known)}", source=str(path))
+        raise InputError(f"unknown kind of trial, known: {', '.join(READERS)}", source=str(path))
     trials = reader(Path(path), how)
     for trial in trials:
         _check(trial)
@@ -236,7 +239,7 @@ def _trial(source: str, series: dict[str, Series], how: TrialReading) -> Trial:
             series["normal_m"] = Series(time, way - way[turns[int(np.argmax(jumps))]])
     if "normal_m" in series and "specific_force_m_s2" in series and "normal_force_n" not in series:
         time, felt = series.pop("specific_force_m_s2")
-        series["normal_force_n"] = Series(time, how.mass_kg * felt)
+        series["normal_force_n"] = Series(time, how.kg * felt)
     height = how.height_m if how.drop else None
     return Trial(source, series, how.mode, _acceleration(how), height, measured or "normal_m" not in series)
 
@@ -281,7 +284,7 @@ def read_ulog(path: Path, how: TrialReading) -> list[Trial]:
         series |= _from_imu(topics["sensor_combined"], topics["vehicle_attitude"], how)
         if "normal_m" not in series:
             time, force = series.pop("normal_force_n")
-            series = {"specific_force_m_s2": Series(time, force / how.mass_kg)}
+            series = {"specific_force_m_s2": Series(time, force / how.kg)}
     return [_trial(source, series, how)]
 
 
@@ -330,18 +333,35 @@ def _specific_force_ned(imu: Any, attitude: Any) -> tuple[Array, Array]:
 def _from_imu(imu: Any, attitude: Any, how: TrialReading) -> dict[str, Series]:
     time, ned = _specific_force_ned(imu, attitude)
     normal, tangent = _axes(how)
-    series = {"normal_force_n": _increasing(time, how.mass_kg * (ned @ normal))}
+    series = {"normal_force_n": _increasing(time, how.kg * (ned @ normal))}
     if how.wall is not None:
-        series["tangential_force_n"] = _increasing(time, how.mass_kg * (ned @ tangent))
+        series["tangential_force_n"] = _increasing(time, how.kg * (ned @ tangent))
     return series
 
 
-# Suffix -> reader. A further kind of recording is one function more: here, or given to `read_trials` by a
-# room above this one (the flight log has its own reader).
-READERS: Readers = {
+def read_flight(path: Path, how: TrialReading) -> list[Trial]:
+    """The collisions of a flight log.
+
+    Raises:
+        InputError: as `trials_at_one`, or a drop is wanted, which no mission has.
+    """
+    from dart_flight.lab.identify.flight_trials import trials_at_one  # noqa: PLC0415  stands on this module
+
+    if how.drop:
+        raise InputError(
+            "a flight log has wall collisions and no drops: leave --drop away",
+            source=str(path),
+            key=("drop",),
+        )
+    return trials_at_one(read_log(path), how.surface, how.mode)
+
+
+# Suffix -> reader. A further kind of recording is one function more.
+READERS: dict[str, Callable[[Path, TrialReading], list[Trial]]] = {
     ".csv": read_csv,
     ".ulg": read_ulog,
     ".ulog": read_ulog,
+    ".mcap": read_flight,
 }
 
 

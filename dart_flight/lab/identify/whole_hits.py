@@ -12,11 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from dart_flight.contact.coefficients import Array
-from dart_flight.lab.identify.estimates import Estimate, student_t
+from dart_flight.lab.identify.estimates import Estimate
 from dart_flight.lab.identify.hits import Hit
-from dart_flight.lab.identify.intervals import T95
 from dart_flight.lab.identify.law_fit import HitTable, best_fit, fit_law
 from dart_flight.lab.identify.laws import ContactLaw
+from dart_flight.lab.statistics import Z95, student_t
 
 _RESAMPLES = 60
 _SEED = 1  # the same trials give the same interval
@@ -35,7 +35,7 @@ def _ratio(
     if not n:
         return None
     value = float(np.median(shares))
-    half = T95 * float(np.sqrt(np.mean(deviations**2) / n))
+    half = Z95 * float(np.sqrt(np.mean(deviations**2) / n))
     if n >= 2:
         # The median of a normal sample spreads 1.25 times as much as its mean.
         spread = 1.25 * float(np.std(shares, ddof=1)) / math.sqrt(n)
@@ -104,7 +104,7 @@ def law_parameters(
     fit = best_fit(law, table, mass_kg)
     n = len(hits)
     logs = np.log(fit.values[0])
-    half = T95 * fit.deviation[0]
+    half = Z95 * fit.deviation[0]
     if n >= 3:
         random = np.random.default_rng(_SEED)
         weights = random.multinomial(n, np.full(n, 1.0 / n), size=_RESAMPLES).astype(float)

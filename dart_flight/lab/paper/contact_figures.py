@@ -8,12 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from dart_flight.lab.figure_panels import BLUE, GREEN, ORANGE, panels, save, shade
+from dart_flight.lab.figure_style import (
+    FORCE,
+    LINES,
+    PAGE,
+    in_style,
+    legend_above,
+    panels,
+    save_figure,
+    shade,
+)
 from dart_flight.lab.paper.tables import PublishedDrop
-from dart_flight.lab.predict.path import Contact, Trajectory, trajectory
+from dart_flight.lab.predict.path import Contact, trajectory
 from dart_flight.lab.predict.prediction import Condition
 
 _SETTLED_S = 0.5  # how much is drawn of a contact that never ends
+_NORMAL, _ALONG, _VERTICAL = LINES
 
 
 def _title(what: Condition, text: str) -> str:
@@ -21,49 +31,43 @@ def _title(what: Condition, text: str) -> str:
     return f"{what.surface.capitalize()}, {what.mode.value}{turned}, onset {what.onset.value}: {text}"
 
 
-def _forces(axis: Any, t_ms: Any, path: Trajectory, drawn: Sequence[str]) -> None:
-    styles = {"normal": (BLUE, "-"), "friction": (ORANGE, "-"), "vertical": (GREEN, "--")}
-    values = {
-        "normal": path.normal_force_n,
-        "friction": path.tangential_force_n,
-        "vertical": path.vertical_force_n,
-    }
-    for name in drawn:
-        colour, line = styles[name]
-        axis.plot(t_ms, values[name], line, color=colour, label=name)
-    axis.set_ylabel("force, N")
-    axis.set_xlabel("time, ms")
+def _finish(figure: Any, axes: Sequence[Any], contact_ms: tuple[float, float], path: str | Path) -> None:
+    """Labels of the force's panel, legends, the contact's stretch of time; then the file."""
+    axes[-1].set(xlabel="time, ms", ylabel="force, N")
+    for axis in axes:
+        shade(axis, *contact_ms)
+        legend_above(axis)
+    figure.align_ylabels()
+    save_figure(figure, Path(path))
 
 
+@in_style
 def plot_wall(path: str | Path, what: Condition, contact: Contact, tangential_m_s: float) -> None:
     """Position, velocity and force of a wall hit over time, written to `path`.
 
     Raises:
         InputError: matplotlib is missing, or the file cannot be written.
     """
-    figure, (position, velocity, force) = panels(3)
+    figure, (position, velocity, force) = panels(PAGE, 3)
     span = contact.end_s if np.isfinite(contact.end_s) else _SETTLED_S
     t = np.linspace(-0.25 * span, 1.35 * span, 1601)
     way = trajectory(contact, t, tangential_m_s, what.vertical_sign)
     ms = 1e3 * t
-    shade((position, velocity, force), 0.0, 1e3 * span)
-    position.plot(ms, 1e3 * way.normal_m, color=BLUE, label="normal, from the plane of first touch")
-    position.plot(ms, 1e3 * way.tangential_m, color=ORANGE, label="along the wall, from the onset")
+    position.plot(ms, 1e3 * way.normal_m, label="from the plane of first touch", **_NORMAL)
+    position.plot(ms, 1e3 * way.tangential_m, label="along the wall", **_ALONG)
     position.set_ylabel("position, mm")
-    velocity.plot(ms, way.normal_m_s, color=BLUE, label="normal")
-    velocity.plot(ms, way.tangential_m_s, color=ORANGE, label="along the wall")
+    velocity.plot(ms, way.normal_m_s, label="normal", **_NORMAL)
+    velocity.plot(ms, way.tangential_m_s, label="along the wall", **_ALONG)
     velocity.set_ylabel("velocity, m/s")
-    _forces(force, ms, way, ("normal", "friction", "vertical"))
-    for axis in (position, velocity, force):
-        axis.legend(loc="best", fontsize=8, frameon=False)
-    position.set_title(
-        _title(what, f"{contact.normal_m_s:g} m/s normal, {tangential_m_s:g} m/s along"), fontsize=10
-    )
+    force.plot(ms, way.normal_force_n, label="normal", **_NORMAL)
+    force.plot(ms, way.tangential_force_n, label="friction", **_ALONG)
+    force.plot(ms, way.vertical_force_n, label="vertical", **_VERTICAL)
+    figure.suptitle(_title(what, f"{contact.normal_m_s:g} m/s normal, {tangential_m_s:g} m/s along"))
     force.set_xlim(ms[0], ms[-1])
-    figure.align_ylabels()
-    save(figure, path)
+    _finish(figure, (position, velocity, force), (0.0, 1e3 * span), path)
 
 
+@in_style
 def plot_drop(
     path: str | Path, what: Condition, contact: Contact, height_m: float, published: PublishedDrop | None
 ) -> None:
@@ -74,7 +78,7 @@ def plot_drop(
     Raises:
         InputError: matplotlib is missing, or the file cannot be written.
     """
-    figure, (position, velocity, force) = panels(3)
+    figure, (position, velocity, force) = panels(PAGE, 3)
     fallen = -contact.normal_m_s / -contact.acceleration_m_s2
     span = contact.end_s if np.isfinite(contact.end_s) else _SETTLED_S
     rise = float(contact.normal(span)[1]) / -contact.acceleration_m_s2
@@ -82,18 +86,17 @@ def plot_drop(
     way = trajectory(contact, t)
     ms = 1e3 * (t + fallen)
     begin, end = 1e3 * fallen, 1e3 * (fallen + span)
-    shade((position, velocity, force), begin, end)
-    position.plot(ms, 1e3 * way.normal_m, color=BLUE, label="centre above its plane of first touch")
+    position.plot(ms, 1e3 * way.normal_m, label="centre above its plane of first touch", **_NORMAL)
     position.set_ylabel("height, mm")
-    velocity.plot(ms, way.normal_m_s, color=BLUE, label="model")
+    velocity.plot(ms, way.normal_m_s, label="model", **_NORMAL)
     velocity.set_ylabel("velocity, m/s")
-    _forces(force, ms, way, ("normal",))
+    force.plot(ms, way.normal_force_n, label="normal", **_NORMAL)
     if published is not None:
         velocity.plot(
             1e3 * (fallen + contact.turn_s),
             published.max_rebound_speed_m_s,
             "o",
-            color=ORANGE,
+            color=FORCE,
             label=f"paper: largest rebound {published.max_rebound_speed_m_s:.2f} m/s",
         )
         level = 0.5 * float(way.normal_force_n.max())
@@ -102,13 +105,10 @@ def plot_drop(
             0.5 * (begin + last),
             level,
             xerr=0.5 * (last - begin),
-            color=ORANGE,
+            color=FORCE,
             capsize=4,
             label=f"paper: contact {1e3 * published.contact_time_s:.0f} ms",
         )
-    for axis in (position, velocity, force):
-        axis.legend(loc="best", fontsize=8, frameon=False)
-    position.set_title(_title(what, f"drop from {height_m:g} m"), fontsize=10)
+    figure.suptitle(_title(what, f"drop from {height_m:g} m"))
     force.set_xlim(0.0, ms[-1])
-    figure.align_ylabels()
-    save(figure, path)
+    _finish(figure, (position, velocity, force), (begin, end), path)

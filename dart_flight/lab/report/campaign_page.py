@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Iterable
+from typing import Any
 
-from dart_flight.lab.campaign.statistics import Share
-from dart_flight.lab.campaign.summary import Bin, CampaignSummary, Drawn, Failed, Varied
+from dart_flight.config.document import InputError
+from dart_flight.lab.campaign.summary import CampaignSummary, Failed
+from dart_flight.lab.report.figures.success import success_figure, varied_figure
 from dart_flight.lab.report.markup import Markup, Row, details, page, section, shown, table
 
 _SHOWN = 12  # figures, failed flights; the others are folded away
-_WIDTH, _HEIGHT = 360, 190
-_LEFT, _RIGHT, _TOP, _BOTTOM = 56, 8, 10, 34
-_BLUE, _INK, _LINE = "#0072B2", "#1a1a1a", "#d0d0d0"
 
 
 def campaign_page(summary: CampaignSummary) -> str:
@@ -32,31 +31,38 @@ def campaign_page(summary: CampaignSummary) -> str:
 
 
 def _over_draws(summary: CampaignSummary) -> str:
-    drawn = [
-        (success_figure(one), f"{one.name}: share of flights that completed, over what was drawn")
-        for one in summary.drawn
-    ]
     note = (
         "<p class=note>What tells most comes first. Bins of about equal numbers of flights; bars are 95 % "
         "intervals (Wilson).</p>"
     )
-    first, others = drawn[:_SHOWN], drawn[_SHOWN:]
-    return note + shown(*first) + (details(f"{len(others)} more", shown(*others)) if others else "")
+    return note + _pictures(
+        (success_figure(one), f"{one.name}: share of flights that completed, over what was drawn")
+        for one in summary.drawn
+    )
 
 
 def _varied(summary: CampaignSummary) -> str:
-    figures = [
-        (
-            varied_figure(one),
-            f"{_words(one.figure)} over {one.name}: rank correlation {one.correlation:.2f}",
-        )
-        for one in summary.varied
-    ]
     note = (
         "<p class=note>Flights that completed, a point each; for every figure the two drawn quantities that "
         "it follows most.</p>"
     )
-    return note + shown(*figures)
+    return note + _pictures(
+        (
+            varied_figure(one, _words(one.figure)),
+            f"{_words(one.figure)} over {one.name}: rank correlation {one.correlation:.2f}",
+        )
+        for one in summary.varied
+    )
+
+
+def _pictures(figures: Iterable[tuple[Any, str]]) -> str:
+    """Figures with their captions; in their place what is missing to draw them: a campaign does without."""
+    try:
+        drawn = list(figures)
+    except InputError as error:
+        return f"<p class=note>Not drawn: {html.escape(error.message)}.</p>"
+    first, others = drawn[:_SHOWN], drawn[_SHOWN:]
+    return shown(*first) + (details(f"{len(others)} more", shown(*others)) if others else "")
 
 
 def _words(figure: str) -> str:
@@ -138,102 +144,3 @@ def _again(one: Failed) -> Markup:
     command = f"<code>{html.escape(one.command)}</code>"
     link = f' <a href="{html.escape(one.log)}">log</a>' if one.log else ""
     return Markup(command + link)
-
-
-# --- the figure of one quantity --------------------------------------------------------------------------
-
-
-def success_figure(drawn: Drawn) -> str:
-    """Success over one drawn quantity, as SVG text."""
-    numbers = [one for one in drawn.bins if one.low is not None and one.high is not None]
-    return _svg(_axis() + (_over_numbers(numbers) if numbers else _over_words(drawn.bins)))
-
-
-def varied_figure(varied: Varied) -> str:
-    """A figure of the flights over one drawn quantity, as SVG text."""
-    xs, ys = zip(*varied.points, strict=True)
-    low_x, low_y = min(xs), min(ys)
-    width, height = max(xs) - low_x or 1.0, max(ys) - low_y or 1.0
-    parts = []
-    for share in (0.0, 0.5, 1.0):
-        y = _y(share)
-        parts.append(f'<path d="M{_LEFT} {y:.1f}H{_WIDTH - _RIGHT}" stroke="{_LINE}"/>')
-        parts.append(
-            f'<text x="{_LEFT - 5}" y="{y + 4:.1f}" text-anchor="end">{low_y + share * height:.2g}</text>'
-        )
-    for x, y in varied.points:
-        at = _LEFT + (x - low_x) / width * (_WIDTH - _LEFT - _RIGHT)
-        parts.append(f'<circle cx="{at:.1f}" cy="{_y((y - low_y) / height):.1f}" r="2" fill="{_BLUE}"/>')
-    below = _HEIGHT - _BOTTOM + 16
-    for share, anchor in ((0.0, "start"), (0.5, "middle"), (1.0, "end")):
-        at = _LEFT + share * (_WIDTH - _LEFT - _RIGHT)
-        parts.append(
-            f'<text x="{at:.1f}" y="{below}" text-anchor="{anchor}">{low_x + share * width:.3g}</text>'
-        )
-    return _svg("".join(parts))
-
-
-def _svg(inside: str) -> str:
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" font-size="11" '
-        f'font-family="DejaVu Sans, Arial, sans-serif" fill="{_INK}">{inside}</svg>'
-    )
-
-
-def _y(value: float) -> float:
-    return _TOP + (1.0 - value) * (_HEIGHT - _TOP - _BOTTOM)
-
-
-def _axis() -> str:
-    parts = []
-    for value in (0.0, 0.5, 1.0):
-        y = _y(value)
-        parts.append(f'<path d="M{_LEFT} {y:.1f}H{_WIDTH - _RIGHT}" stroke="{_LINE}"/>')
-        parts.append(f'<text x="{_LEFT - 5}" y="{y + 4:.1f}" text-anchor="end">{100 * value:.0f} %</text>')
-    return "".join(parts)
-
-
-def _over_numbers(bins: Sequence[Bin]) -> str:
-    low, high = bins[0].low or 0.0, bins[-1].high or 0.0
-    span = (high - low) or 1.0
-
-    def x(value: float) -> float:
-        return _LEFT + (value - low) / span * (_WIDTH - _LEFT - _RIGHT)
-
-    parts, middles = [], []
-    for one in bins:
-        left, right = x(one.low or 0.0), x(one.high or 0.0)
-        if one.completed.share is not None:
-            middles.append(f"{(left + right) / 2:.1f} {_y(one.completed.share):.1f}")
-            parts.append(_mark((left + right) / 2, one.completed))
-    if len(middles) > 1:
-        parts.insert(
-            0, f'<path d="M{" L".join(middles)}" fill="none" stroke="{_BLUE}" stroke-opacity="0.4"/>'
-        )
-    below = _HEIGHT - _BOTTOM + 16
-    for value, anchor in ((low, "start"), (low + span / 2, "middle"), (high, "end")):
-        parts.append(f'<text x="{x(value):.1f}" y="{below}" text-anchor="{anchor}">{value:.3g}</text>')
-    return "".join(parts)
-
-
-def _over_words(bins: Sequence[Bin]) -> str:
-    width = (_WIDTH - _LEFT - _RIGHT) / max(1, len(bins))
-    parts = []
-    for i, one in enumerate(bins):
-        middle = _LEFT + (i + 0.5) * width
-        parts.append(_mark(middle, one.completed))
-        text = html.escape(f"{one.value} ({one.completed.of})")
-        parts.append(
-            f'<text x="{middle:.1f}" y="{_HEIGHT - _BOTTOM + 16}" text-anchor="middle">{text}</text>'
-        )
-    return "".join(parts)
-
-
-def _mark(x: float, rate: Share) -> str:
-    """A point with its interval."""
-    if rate.share is None or rate.low is None or rate.high is None:
-        return ""
-    return (
-        f'<path d="M{x:.1f} {_y(rate.low):.1f}V{_y(rate.high):.1f}" stroke="{_BLUE}" stroke-width="2"/>'
-        f'<circle cx="{x:.1f}" cy="{_y(rate.share):.1f}" r="3.5" fill="{_BLUE}"/>'
-    )

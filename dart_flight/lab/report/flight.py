@@ -33,7 +33,7 @@ from dart_flight.lab.predict.path import Contact, Trajectory, trajectory
 from dart_flight.planning.planned import PlannedFlight, planned_flight
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import Log, read_log
-from dart_flight.recording.verdict import CollisionVerdict, Velocities, Verdict, VerdictBuilder
+from dart_flight.recording.verdict import CollisionVerdict, Velocities, Verdict, verdict_of
 from dart_flight.run.replay import Replay, replay
 
 _STEP_S = 0.0005
@@ -41,7 +41,6 @@ _SHOWN_BEFORE_S, _SHOWN_AFTER_S = 0.05, 0.2
 _LEAST_M_S = 0.05
 _LEAST_FRICTION_N = 5.0
 _FRICTION = "peak friction force"
-PX4_LOG = "px4.ulg"
 _WAY_POINTS = 60
 
 
@@ -245,12 +244,7 @@ class Flight:
         self.log = log
         self.mission = flown_mission(log.about, log.source)
         self.course = FlightArrays(log, self.mission)
-        builder = VerdictBuilder(self.mission)
-        for record in self.course.records:
-            builder.take(record)
-        beside = Path(log.source).with_name(PX4_LOG)
-        px4_log = str(beside) if beside.exists() else None
-        self.verdict: Verdict = builder.build(log.world, log.seed, log.source, px4_log)
+        self.verdict: Verdict = verdict_of(log)
         self.planned: PlannedFlight = planned_flight(self.mission)
         self.impacts = [Impact(v, self) for v in self.verdict.collisions]
         self.timing = _timing(self.course)

@@ -11,6 +11,8 @@ from importlib import resources
 from itertools import zip_longest
 from typing import Any
 
+from dart_flight.lab.figure_style import as_svg
+
 Cell = str | float | int | None
 Row = Sequence[Cell] | str  # text alone: a heading over the rows that follow
 
@@ -29,25 +31,18 @@ def shown(*figures_and_captions: tuple[Any, str], wide: bool = False) -> str:
     """Figures, each with its caption.
 
     Args:
-        figures_and_captions: from `dart_flight.lab.report.figures`, or SVG text.
+        figures_and_captions: from `dart_flight.lab.report.figures`.
         wide: larger than the others.
     """
     parts = []
     for figure, caption in figures_and_captions:
-        svg = figure if isinstance(figure, str) else _svg_of(figure)
-        data = base64.b64encode(svg.encode()).decode()
+        data = base64.b64encode(as_svg(figure).encode()).decode()
         text = html.escape(caption)
         parts.append(
             f'<figure><img alt="{text}" src="data:image/svg+xml;base64,{data}">'
             f"<figcaption>{text}</figcaption></figure>"
         )
     return f'<div class="figures{" wide" if wide else ""}">{"".join(parts)}</div>'
-
-
-def _svg_of(figure: Any) -> str:
-    from dart_flight.lab.report.figures.style import as_svg  # noqa: PLC0415  campaigns do without matplotlib
-
-    return as_svg(figure)
 
 
 def table(heads: Sequence[str], rows: Sequence[Row]) -> str:

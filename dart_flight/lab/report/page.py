@@ -23,12 +23,12 @@ from dart_flight.base.records import (
     World,
 )
 from dart_flight.config.document import InputError
-from dart_flight.lab.identify.estimates import mean_half_width
 from dart_flight.lab.report.figures import forces, lock, motion
 from dart_flight.lab.report.figures.flight_map import flight_map
 from dart_flight.lab.report.flight import Flight, Impact, percentile
 from dart_flight.lab.report.markup import Cell, Number, Row, details, page, section, shown, signed, table
 from dart_flight.lab.report.player import player, script
+from dart_flight.lab.statistics import mean_half_width
 from dart_flight.recording.deviations import departures
 from dart_flight.recording.verdict import Verdict
 

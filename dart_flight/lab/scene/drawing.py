@@ -24,8 +24,9 @@ from foxglove.messages import (
     Vector3,
 )
 
-from dart_flight.base.geometry import IDENTITY, Vec2, Vec3, Wall
+from dart_flight.base.geometry import IDENTITY, Vec2, Vec3
 from dart_flight.base.geometry import Quaternion as Rotation
+from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Airframe
 from dart_flight.core.mission.approach import legs_of

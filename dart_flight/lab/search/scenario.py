@@ -16,29 +16,26 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from dart_flight.base.geometry import Vec2, Wall
+from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
+from dart_flight.base.walls import Wall
 from dart_flight.config.document import Document, InputError, Key, unknown_name
+from dart_flight.config.flight_space import refuse_mode, resolve_alphas, resolve_space
 from dart_flight.config.kinds import FileKind, load_document
-from dart_flight.config.mission import (
+from dart_flight.config.mission_file import (
     Alpha,
     BoundsSpec,
-    FrameSpec,
-    GoalSpec,
-    Limits,
+    Name,
+    SpaceKeys,
     StartSpec,
     WallSpec,
-    refuse_mode,
-    resolve_alphas,
-    resolve_space,
 )
 from dart_flight.config.provenance import VehicleSource, find_vehicle
-from dart_flight.config.section import Section
+from dart_flight.config.section import Section, keys_of
 from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
 from dart_flight.vehicle.ground_link import GroundLink
 from dart_flight.vehicle.session import VehicleError
 
-NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$"
 _MOST_STEPS = 2001
 _MOST_CANDIDATES = 20_000_000
 _MOST_COLLISIONS = 4
@@ -98,7 +95,7 @@ class Uncertainty(Section, frozen=True):
     detection_delay_s: Annotated[float, Meta(ge=0.0, le=0.1)] = 0.004
 
 
-class ScenarioFile(Section, frozen=True):
+class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
     """A scenario as written in YAML.
 
     Attributes:
@@ -107,7 +104,6 @@ class ScenarioFile(Section, frozen=True):
         sequence: walls in the order of the hits, one to four; any: the planner chooses walls and order.
         name: of the mission that is written; without it, the file's name.
         vehicle: vehicle configuration, relative to this file; without it, the default one.
-        transit_mode: state of the arms in take-off, transit and landing.
         alpha_m_per_n: wall -> recovery gains along the mission's x and y axes, as in a mission.
         alpha_wall_m_per_n: wall -> recovery gains [normal, tangential], as in a mission.
         objective: nearest: smallest miss of the goal; fastest; gentlest: smallest peak force; robust:
@@ -117,23 +113,19 @@ class ScenarioFile(Section, frozen=True):
 
     version: Literal[1]
     start: StartSpec
-    goal: GoalSpec
     bounds_m: BoundsSpec
     walls: dict[str, WallSpec]
     sequence: list[str] | Literal["any"]
     search: SearchSpec
-    name: Annotated[str, Meta(pattern=NAME_PATTERN)] | None = None
+    name: Name | None = None
     vehicle: str | None = None
-    frame: FrameSpec = FrameSpec()
-    transit_mode: Mode = Mode.RIGID
-    limits: Limits = Limits()
     alpha_m_per_n: dict[str, tuple[Alpha, Alpha]] = msgspec.field(default_factory=dict)
     alpha_wall_m_per_n: dict[str, tuple[Alpha, Alpha]] = msgspec.field(default_factory=dict)
     objective: Objective = Objective.NEAREST
     uncertainty: Uncertainty = Uncertainty()
 
 
-class Scenario(msgspec.Struct, frozen=True):
+class Scenario(SpaceKeys, frozen=True, kw_only=True):
     """A checked scenario and the vehicle it is for.
 
     Attributes:
@@ -154,7 +146,6 @@ class Scenario(msgspec.Struct, frozen=True):
     vehicle_path: Path | None
     start: Vec2
     altitude_m: float
-    goal: GoalSpec
     bounds: BoundsSpec
     walls: dict[str, Wall]
     sequences: tuple[tuple[str, ...], ...]
@@ -163,7 +154,6 @@ class Scenario(msgspec.Struct, frozen=True):
     tangential_m_s: tuple[float, ...]
     modes: tuple[Mode, ...]
     alphas: dict[str, tuple[float, float]]
-    limits: Limits
     objective: Objective
     uncertainty: Uncertainty
     vehicle_source: VehicleSource | None = None
@@ -227,7 +217,7 @@ def resolve_scenario(
     Raises:
         InputError: the parts of the scenario contradict each other, or the search is empty or too large.
     """
-    walls = resolve_space(spec, vehicle, document)
+    walls = resolve_space(spec.start, spec.goal, spec.bounds_m, spec.walls, vehicle, document)
     sequences = _sequences(spec, document)
     normal = _grid(spec.search.normal_m_s, ("search", "normal_m_s"), document)
     if not normal[-1] < 0.0:
@@ -244,6 +234,7 @@ def resolve_scenario(
     if count > _MOST_CANDIDATES:
         raise document.error(("search",), f"{count} candidates, at most {_MOST_CANDIDATES}; widen the steps")
     return Scenario(
+        **keys_of(spec, SpaceKeys),
         name=spec.name or _name_from(document.source),
         source=document.source,
         spec=spec,
@@ -251,7 +242,6 @@ def resolve_scenario(
         vehicle_path=vehicle_path,
         start=spec.start.position_m,
         altitude_m=spec.start.altitude_m,
-        goal=spec.goal,
         bounds=spec.bounds_m,
         walls=walls,
         sequences=sequences,
@@ -260,7 +250,6 @@ def resolve_scenario(
         tangential_m_s=tangential,
         modes=modes,
         alphas=_alphas(spec, walls, sequences, document),
-        limits=spec.limits,
         objective=spec.objective,
         uncertainty=spec.uncertainty,
     )
@@ -268,7 +257,7 @@ def resolve_scenario(
 
 def _name_from(source: str) -> str:
     name = re.sub(r"[^A-Za-z0-9 _.-]", "-", Path(source).stem)[:64]
-    return name if re.match(NAME_PATTERN, name) else "plan"
+    return name if name[:1].isascii() and name[:1].isalnum() else "plan"
 
 
 def _sequences(spec: ScenarioFile, document: Document) -> tuple[tuple[str, ...], ...]:

@@ -17,7 +17,7 @@ import pytest
 import dart_flight
 from dart_flight.base.records import Outcome
 from dart_flight.cli import main
-from dart_flight.config.mission import CollisionSpec, GoalSpec, MissionFile, WallSpec
+from dart_flight.config.mission_file import CollisionSpec, GoalSpec, MissionFile, WallSpec
 from dart_flight.lab import api
 from dart_flight.recording.schema import RECORD_TYPES
 
@@ -322,6 +322,10 @@ def test_memory_and_file_hold_the_same(flight: dart_flight.Flight, tmp_path: Pat
     assert read.topics == flight.log.topics
     kept = {key: text for key, text in flight.log.about.items() if not key.startswith("started_")}
     assert kept.items() <= read.about.items()
+
+
+def test_the_verdict_of_the_log_is_that_of_the_flight(flight: dart_flight.Flight) -> None:
+    assert dart_flight.verdict_of(flight.log) == flight.verdict
 
 
 def test_it_is_what_the_command_flies(flight: dart_flight.Flight, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.campaign.asked import Asked, campaign_of, difference, items_of, parse_grid, points_of
 from dart_flight.lab.campaign.run import open_campaign
-from dart_flight.lab.campaign.statistics import bin_edges, bin_of, separation, share
+from dart_flight.lab.statistics import bin_edges, bin_of, separation, share
 
 SINGLE, DUAL = (
     str(packaged("missions", f"{name}.yaml")) for name in ("paper_single_wall", "paper_dual_collision")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -91,6 +92,15 @@ def test_the_page_shows_it(summary: CampaignSummary) -> None:
     assert page.count("<code>dart-flight dry-run") == len(summary.failed)
     assert re.search(r"<details><summary>\d+ more", page), "many failed flights are folded away"
     assert "--vary lock_true_mode" in summary.failed[0].command
+
+
+def test_without_matplotlib_the_page_says_what_is_missing(
+    summary: CampaignSummary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    page = campaign_page(summary)
+    assert "Not drawn: a picture needs matplotlib: pip install &#x27;dart-flight[report]&#x27;." in page
+    assert "<img" not in page
 
 
 def test_where_everything_completed_the_page_shows_what_varied(tmp_path: Path) -> None:

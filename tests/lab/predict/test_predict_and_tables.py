@@ -190,7 +190,7 @@ def test_numbers_need_neither_scipy_nor_matplotlib() -> None:
 def test_plot_without_matplotlib_says_what_to_install(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert "pip install 'dart-flight[report]'" in refused(capsys, *WALL, "--plot", "x.png")
 
 

@@ -18,11 +18,12 @@ from dart_flight.base.records import GuardEvent, Override, TruthContact, World
 from dart_flight.cli import main
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.lab.identify.estimates import mean_half_width
-from dart_flight.lab.report.figures import forces, lock, motion, style
+from dart_flight.lab.figure_style import as_svg
+from dart_flight.lab.report.figures import forces, lock, motion
 from dart_flight.lab.report.figures.flight_map import flight_map
 from dart_flight.lab.report.flight import Compared, Flight
 from dart_flight.lab.report.page import flight_page
+from dart_flight.lab.statistics import mean_half_width
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.reader import Log, LogEntry, read_log
 from dart_flight.recording.writer import FlightLog
@@ -103,7 +104,7 @@ def number(text: str) -> float | None:
 
 
 def texts(figure: Any) -> set[str]:
-    return set(texts_of(style.as_svg(figure)))
+    return set(texts_of(as_svg(figure)))
 
 
 # --- one flight ----------------------------------------------------------------------------------------
@@ -235,7 +236,7 @@ def test_text_of_the_flight_is_not_markup(flight: Flight) -> None:
     """Names and reasons come from files and from the autopilot."""
     evil = "<script>alert(1)</script>&\"'"
     about = {**flight.log.about, "mission_text": evil, "software": evil, "host": evil}
-    mission = msgspec.structs.replace(flight.mission, name=evil)
+    mission = flight.mission  # whose name has letters only, or the log is refused
     walls = {w.name: msgspec.structs.replace(w, name=evil + w.name) for w in mission.walls}
     collisions = tuple(msgspec.structs.replace(c, wall=walls[c.wall.name]) for c in mission.collisions)
     mission = msgspec.structs.replace(mission, walls=tuple(walls.values()), collisions=collisions)

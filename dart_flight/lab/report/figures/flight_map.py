@@ -8,23 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.report.figures.labels import Label, place_labels
-from dart_flight.lab.report.figures.scene import (
-    along,
-    draw_arrow,
-    draw_recovery,
-    draw_room,
-    draw_vehicle,
-    fit_map,
-    name_arrows,
-    name_recoveries,
-    name_walls,
-    placed,
-    set_view,
-    view_of,
-)
-from dart_flight.lab.report.figures.style import (
+from dart_flight.lab.figure_style import (
     ESTIMATED,
     FORCE,
     GREY,
@@ -37,10 +21,23 @@ from dart_flight.lab.report.figures.style import (
     in_style,
     new_figure,
 )
+from dart_flight.lab.flight_arrays import Array
+from dart_flight.lab.report.figures.labels import Label, place_labels
+from dart_flight.lab.report.figures.scene import (
+    LONGEST_ARROW_M,
+    along,
+    draw_arrow,
+    draw_hit,
+    draw_room,
+    fit_map,
+    name_hits,
+    name_walls,
+    set_view,
+    view_of,
+)
 from dart_flight.lab.report.flight import Flight
-from dart_flight.lab.report.hits import Hit, airborne, guard_acts, hits_of
+from dart_flight.lab.report.hits import airborne, guard_acts, hits_of
 
-_LONGEST_ARROW_M = 0.45  # of the largest force
 _FEW_LABELS = 14
 _STEPS_S = (1, 2, 5, 10, 20, 50, 100)
 _ARROW_EVERY_M = 0.9
@@ -63,7 +60,7 @@ def flight_map(flights: Sequence[Flight], *, look: Look = PAGE) -> Any:
     set_view(axis, view_of(mission, np.vstack(shown)))
     draw_room(axis, mission)
     if len(flights) == 1:
-        _draw_one(axis, flights[0])
+        labels, lines = _draw_one(axis, flights[0])
     else:
         _draw_many(axis, flights)
     axis.grid(visible=False)
@@ -72,44 +69,54 @@ def flight_map(flights: Sequence[Flight], *, look: Look = PAGE) -> Any:
     fit_map(figure, axis)
     names = name_walls(axis, mission, look.small_pt)
     if len(flights) == 1:
-        _write_labels(axis, flights[0], names, look)
+        place_labels(axis, labels, lines, names, look.small_pt)
     return figure
 
 
 # --- one flight ----------------------------------------------------------------------------------------
 
 
-def _draw_one(axis: Any, flight: Flight) -> None:
+def _draw_one(axis: Any, flight: Flight) -> tuple[list[Label], list[Array]]:
+    """All of it but the labels, and what these had better not cover.
+
+    Numbers of the hits come first, then guard, then seconds: what is more important finds its place first.
+    """
     paths = _paths(flight)
     for line in flight.planned_lines():
         axis.plot(line[:, 0], line[:, 1], label="planned", **PREDICTED)
     for (_, place), style, label in paths:
         thin = {**style, "linewidth": 0.75 * float(style["linewidth"])}
         axis.plot(place[:, 0], place[:, 1], label=label, **thin)
-    for waypoint in flight.mission.waypoints:
-        if waypoint.position is not None:
-            axis.plot(
-                *waypoint.position[:2], "s", color="black", markersize=4, markerfacecolor="white",
-                label="way-point", linestyle="none",
-            )  # fmt: skip
     for way in flight.ways():
         axis.plot(way[:, 0], way[:, 1], label="planned in flight", **REPLANNED)
-    if paths:
-        _direction(axis, paths[0][0][1])
-        _seconds(axis, paths[0][0])
+    labels: list[Label] = []
+    lines: list[Array] = []
     hits = hits_of(flight)
     largest = max((math.hypot(*hit.force_n) for hit in hits if hit.force_n is not None), default=0.0)
     for hit in hits:
-        _draw_hit(axis, flight, hit, largest)
+        (x, y, _), (nx, ny), size = hit.position, hit.impact.collision.wall.normal, ""
+        set_point = None if hit.set_point is None else (hit.set_point[0], hit.set_point[1])
+        lines += draw_hit(axis, flight.mission.vehicle.airframe, (x, y), hit.yaw_rad, hit.mode, set_point)
+        if hit.force_n is not None:
+            draw_arrow(axis, (x, y), (x, y) + LONGEST_ARROW_M / largest * np.array(hit.force_n), FORCE)
+            size = f": {math.hypot(*hit.force_n):.0f} N"
+        labels.append(Label(f"{hit.impact.verdict.index}{size}", (x, y), (-nx, -ny), FORCE))
     if largest > 0.0:
-        name_arrows(axis, largest / _LONGEST_ARROW_M)
-    if any(hit.set_point is not None for hit in hits):
-        name_recoveries(axis)
-    acts = [act for act in guard_acts(flight) if act.place is not None]
-    for act in acts:
-        axis.plot(
-            *(act.place or ()), "D", color=GUARD, markersize=6, label="guard", linestyle="none", zorder=6
-        )
+        name_hits(axis, largest)
+    for act in guard_acts(flight):
+        if act.place is not None:
+            axis.plot(*act.place, "D", color=GUARD, markersize=6, label="guard", linestyle="none", zorder=6)
+            labels.append(Label(f"{act.rule}:\n{act.action}", act.place, colour=GUARD))
+    if paths:
+        (times, place), _, _ = paths[0]
+        _direction(axis, place)
+        _seconds(axis, (times, place))
+        lines.append(along(place))
+        seconds = _second_labels(times, place)
+        for one in seconds:
+            axis.plot(*one.at, "o", markersize=3.2, color="black", zorder=4.5)
+        labels += seconds
+    return labels, lines
 
 
 def _paths(flight: Flight) -> list[tuple[tuple[Array, Array], dict[str, Any], str]]:
@@ -145,43 +152,6 @@ def _seconds(axis: Any, path: tuple[Array, Array]) -> None:
         dots[:, 0], dots[:, 1], "o", markersize=2.6, color="black", markerfacecolor="white",
         markeredgewidth=0.7, label="every second", linestyle="none", zorder=4,
     )  # fmt: skip
-
-
-def _draw_hit(axis: Any, flight: Flight, hit: Hit, largest_n: float) -> None:
-    at = np.array(hit.position[:2])
-    draw_vehicle(axis, flight.mission.vehicle.airframe, (float(at[0]), float(at[1])), hit.yaw_rad, hit.mode)
-    if hit.set_point is not None:
-        draw_recovery(axis, at, np.array(hit.set_point[:2]))
-    if hit.force_n is not None and largest_n > 0.0:
-        draw_arrow(axis, at, at + _LONGEST_ARROW_M / largest_n * np.array(hit.force_n), FORCE)
-
-
-def _write_labels(axis: Any, flight: Flight, names: list[Array], look: Look) -> None:
-    """Numbers of the hits first, then guard, then seconds: what is more important finds its place first."""
-    airframe = flight.mission.vehicle.airframe
-    labels, lines = [], []
-    for hit in hits_of(flight):
-        impact, force = hit.impact, hit.force_n
-        size = "" if force is None else f": {math.hypot(*force):.0f} N"
-        nx, ny = impact.collision.wall.normal
-        at = (hit.position[0], hit.position[1])
-        labels.append(Label(f"{impact.verdict.index}{size}", at, (-nx, -ny), FORCE))
-        outline = placed(airframe.outline_m, at, hit.yaw_rad)
-        lines += [along(np.array(at) + share * (outline - at)) for share in (1.0, 0.7, 0.4)]
-        if hit.set_point is not None:
-            lines.append(along(np.array([at, hit.set_point[:2]])))
-    for act in guard_acts(flight):
-        if act.place is not None:
-            labels.append(Label(f"{act.rule}:\n{act.action}", act.place, colour=GUARD))
-    paths = _paths(flight)
-    if paths:
-        (times, place), _, _ = paths[0]
-        lines.append(along(place))
-        seconds = _second_labels(times, place)
-        for one in seconds:
-            axis.plot(*one.at, "o", markersize=3.2, color="black", zorder=4.5)
-        labels += seconds
-    place_labels(axis, labels, lines, names, look.small_pt)
 
 
 def _second_labels(times: Array, place: Array) -> list[Label]:

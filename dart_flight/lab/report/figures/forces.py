@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.report.figures.style import (
+from dart_flight.lab.figure_style import (
     ESTIMATED,
     GREY,
     PAGE,
@@ -19,6 +18,7 @@ from dart_flight.lab.report.figures.style import (
     legend_above,
     new_figure,
 )
+from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.report.flight import Flight, Impact
 
 _SHOWN_MS = (-60.0, 175.0)

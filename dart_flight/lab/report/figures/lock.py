@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from dart_flight.base.records import ContactEnd, ImpactOnset, LockPermission, PhaseChange
-from dart_flight.lab.report.figures.style import PAGE, Look, in_style, new_figure
+from dart_flight.lab.figure_style import PAGE, Look, in_style, new_figure
 from dart_flight.lab.report.flight import Flight
 from dart_flight.lab.report.hits import lock_stretches, shown_span, stretches
 

@@ -12,24 +12,7 @@ import numpy as np
 from dart_flight.base.geometry import Vec2
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import legs_of
-from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.report.figures.labels import Label, place_labels
-from dart_flight.lab.report.figures.scene import (
-    THICKNESS_M,
-    along,
-    draw_arrow,
-    draw_recovery,
-    draw_room,
-    draw_vehicle,
-    fit_map,
-    name_arrows,
-    name_recoveries,
-    name_walls,
-    placed,
-    set_view,
-    view_of,
-)
-from dart_flight.lab.report.figures.style import (
+from dart_flight.lab.figure_style import (
     FORCE,
     GREY,
     PREDICTED,
@@ -38,13 +21,27 @@ from dart_flight.lab.report.figures.style import (
     new_figure,
     save_figure,
 )
+from dart_flight.lab.flight_arrays import Array
+from dart_flight.lab.report.figures.labels import Label, place_labels
+from dart_flight.lab.report.figures.scene import (
+    LONGEST_ARROW_M,
+    THICKNESS_M,
+    along,
+    draw_arrow,
+    draw_hit,
+    draw_room,
+    fit_map,
+    name_hits,
+    name_walls,
+    set_view,
+    view_of,
+)
 from dart_flight.lab.search.drawn import drawn_flights
 from dart_flight.planning.planned import PlannedFlight, describe_passing
 
 SHEET = Look(7.2, 9.0)
 _ABOVE_M, _BELOW_M = 0.35, 0.05  # what the side view shows above the flight's height and below the ground
 _SAME_M = 0.12  # hits that stand nearer together share a label in the side view
-_LONGEST_ARROW_M = 0.4
 _DRAWN = "#8db4e2"
 _EDGE_ON = 0.26  # sine of the angle up to which a wall is seen from its side: 15 degrees
 
@@ -70,7 +67,7 @@ def mission_figure(mission: Mission, planned: PlannedFlight | None, *, look: Loo
     _draw_draws(plan, mission, drawn)
     if planned is not None:
         _draw_way(plan, mission, planned)
-        _draw_hits(plan, mission, planned)
+        labels, lines = _draw_hits(plan, mission, planned)
     _draw_side(side, mission, planned, top)
     for axis in (plan, side):
         axis.grid(visible=False)
@@ -81,7 +78,11 @@ def mission_figure(mission: Mission, planned: PlannedFlight | None, *, look: Loo
     fit_map(figure, plan, below=side, note=words)
     names = name_walls(plan, mission, look.small_pt)
     if planned is not None:
-        _write_labels(plan, mission, planned, names, look)
+        labels += [Label(text, place, (1.0, 1.0), "#000000") for text, place in _stops(mission)]
+        lines += [along(np.array(line)) for line in planned.approaches.values()]
+        lines += [along(leg[:, :2]) for leg in planned.legs.values()]
+        lines += [along(way[:, :2]) for way in _from_rest(mission)]
+        place_labels(plan, labels, lines, names, look.small_pt)
     return figure
 
 
@@ -154,10 +155,6 @@ def _draw_draws(axis: Any, mission: Mission, drawn: Sequence[PlannedFlight]) -> 
 def _draw_way(axis: Any, mission: Mission, planned: PlannedFlight) -> None:
     for way in _from_rest(mission):
         axis.plot(way[:, 0], way[:, 1], label="predicted way", **PREDICTED)
-    for waypoint in mission.waypoints:
-        if waypoint.position is not None:
-            axis.plot(*waypoint.position[:2], "s", color="#000000", markersize=5, label="way-point",
-                      linestyle="none", zorder=4)  # fmt: skip
     for line in planned.approaches.values():
         way = np.array(line)
         axis.plot(way[:, 0], way[:, 1], label="predicted way", **PREDICTED)
@@ -169,47 +166,33 @@ def _draw_way(axis: Any, mission: Mission, planned: PlannedFlight) -> None:
         axis.plot(leg[:, 0], leg[:, 1], label="predicted way", **PREDICTED)
 
 
-def _draw_hits(axis: Any, mission: Mission, planned: PlannedFlight) -> None:
+def _draw_hits(axis: Any, mission: Mission, planned: PlannedFlight) -> tuple[list[Label], list[Array]]:
+    """The hits; their labels, and what these had better not cover."""
     largest = max((math.hypot(h.normal_n, h.tangential_n) for h in planned.hits.values()), default=0.0)
+    labels: list[Label] = []
+    lines: list[Array] = []
     for collision in mission.collisions:
-        hit = planned.hits.get(collision.index)
+        hit, wall = planned.hits.get(collision.index), collision.wall
         at = hit.position if hit is not None else collision.impact_point
         if at is None:
             continue
-        yaw = collision.wall.parallel_yaw(0.0)
-        draw_vehicle(axis, mission.vehicle.airframe, at, yaw, collision.mode)
-        if hit is None or mission.standoff_m is not None:
-            continue
-        draw_recovery(axis, np.array(at), np.array(hit.set_point))
-        x, y, _ = collision.wall.from_collision((hit.normal_n, hit.tangential_n, 0.0))
-        tip = np.array(at) + _LONGEST_ARROW_M / largest * np.array([x, y])
-        draw_arrow(axis, np.array(at), tip, FORCE)
-    if planned.hits:
-        name_arrows(axis, largest / _LONGEST_ARROW_M)
-        name_recoveries(axis)
-
-
-def _write_labels(
-    axis: Any, mission: Mission, planned: PlannedFlight, names: list[Array], look: Look
-) -> None:
-    labels, lines = [], []
-    for collision in mission.collisions:
-        hit = planned.hits.get(collision.index)
+        stops = hit is None or mission.standoff_m is not None
+        set_point = None if hit is None or stops else hit.set_point
+        lines += draw_hit(
+            axis, mission.vehicle.airframe, at, wall.parallel_yaw(0.0), collision.mode, set_point
+        )
         if hit is None:
             continue
+        if not stops:
+            x, y, _ = wall.from_collision((hit.normal_n, hit.tangential_n, 0.0))
+            draw_arrow(axis, at, at + LONGEST_ARROW_M / largest * np.array([x, y]), FORCE)
         speed = math.hypot(hit.normal_m_s, hit.tangential_m_s)
         size = math.hypot(hit.normal_n, hit.tangential_n)
-        nx, ny = collision.wall.normal
         text = f"{collision.index} {collision.mode.value}\n{speed:.2f} m/s, {size:.0f} N"
-        labels.append(Label(text, hit.position, (-nx, -ny), FORCE))
-        outline = placed(mission.vehicle.airframe.outline_m, hit.position, collision.wall.parallel_yaw(0.0))
-        lines += [along(np.array(hit.position) + s * (outline - hit.position)) for s in (1.0, 0.7, 0.4)]
-        lines.append(along(np.array([hit.position, hit.set_point])))
-    labels += [Label(text, place, (1.0, 1.0), "#000000") for text, place in _stops(mission)]
-    lines += [along(np.array(line)) for line in planned.approaches.values()]
-    lines += [along(leg[:, :2]) for leg in planned.legs.values()]
-    lines += [along(way[:, :2]) for way in _from_rest(mission)]
-    place_labels(axis, labels, lines, names, look.small_pt)
+        labels.append(Label(text, hit.position, (-wall.normal[0], -wall.normal[1]), FORCE))
+    if planned.hits and mission.standoff_m is None:
+        name_hits(axis, largest)
+    return labels, lines
 
 
 def _draw_side(axis: Any, mission: Mission, planned: PlannedFlight | None, top: float) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dart_flight.lab.report.figures.style import (
+from dart_flight.lab.figure_style import (
     ESTIMATED,
     GREY,
     PAGE,

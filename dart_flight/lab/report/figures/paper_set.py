@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from dart_flight.config.document import InputError
+from dart_flight.lab.figure_style import COLUMN, save_figure, save_pages
 from dart_flight.lab.report.figures import forces, lock, motion
 from dart_flight.lab.report.figures.flight_map import flight_map
-from dart_flight.lab.report.figures.style import COLUMN, save_figure, save_pages
 from dart_flight.lab.report.flight import Flight
 
 

@@ -7,27 +7,32 @@ from typing import Any
 
 import numpy as np
 
-from dart_flight.base.geometry import Vec2, Wall
+from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
+from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Airframe
-from dart_flight.lab.figure_panels import legend_entries
+from dart_flight.lab.figure_style import FORCE, GREY, SET_POINT
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.report.figures.style import FORCE, GREY, SET_POINT
 from dart_flight.lab.report.shape import arms_m
 
 _WIDE_IN = 6.0  # from this width on a legend has three columns
+LONGEST_ARROW_M = 0.45  # of the largest force
 THICKNESS_M = 0.12  # of a drawn wall; what is behind the surface is not known
 
 
 def draw_room(axis: Any, mission: Mission) -> None:
-    """Bounds, walls, start and goal from above."""
+    """Bounds, walls, way-points, start and goal from above."""
     (x0, x1), (y0, y1) = mission.bounds.x, mission.bounds.y
     axis.plot(
         [x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color="#999999", linewidth=0.8, linestyle=(0, (1, 2))
     )
     for wall in mission.walls:
         draw_wall(axis, wall, mission.vehicle.airframe)
+    for waypoint in mission.waypoints:
+        if waypoint.position is not None:
+            x, y, _ = waypoint.position
+            axis.plot(x, y, "s", color="black", markersize=5, label="way-point", linestyle="none")
     axis.plot(*mission.start, "o", color="black", markersize=5, label="start", linestyle="none")
     radius = mission.goal.capture_radius_m
     angle = np.linspace(0.0, 2.0 * math.pi, 49)
@@ -151,7 +156,7 @@ def draw_vehicle(
     axis.plot(*front, marker=(3, 0, math.degrees(yaw_rad) - 90.0), color=colour, markersize=4.0, zorder=3.3)
 
 
-def draw_arrow(axis: Any, begin: Array, end: Array, colour: str, **style: Any) -> None:
+def draw_arrow(axis: Any, begin: Array | Vec2, end: Array | Vec2, colour: str, **style: Any) -> None:
     """An arrow between two points of the map."""
     axis.annotate(
         "", end, begin, zorder=5,
@@ -160,20 +165,29 @@ def draw_arrow(axis: Any, begin: Array, end: Array, colour: str, **style: Any) -
     )  # fmt: skip
 
 
-def draw_recovery(axis: Any, at: Array, set_point: Array) -> None:
-    """The set-point that follows a hit, and a line to it."""
-    axis.plot(*np.stack([at, set_point]).T, "--", color=SET_POINT, linewidth=1.0, zorder=4)
-    axis.plot(*set_point, "x", color=SET_POINT, markersize=6, zorder=5)
+def draw_hit(
+    axis: Any, airframe: Airframe, at: Vec2, yaw_rad: float, mode: Mode | None, set_point: Vec2 | None
+) -> list[Array]:
+    """The vehicle where it hits, and a line to the set-point that follows.
+
+    Returns:
+        Its lines (n, 2), that labels had better not cover.
+    """
+    draw_vehicle(axis, airframe, at, yaw_rad, mode)
+    outline = placed(airframe.outline_m, at, yaw_rad)
+    lines = [along(at + share * (outline - at)) for share in (1.0, 0.7, 0.4)]
+    if set_point is not None:
+        line = np.array([at, set_point])
+        axis.plot(*line.T, "--", color=SET_POINT, linewidth=1.0, zorder=4)
+        axis.plot(*set_point, "x", color=SET_POINT, markersize=6, zorder=5)
+        lines.append(along(line))
+    return lines
 
 
-def name_arrows(axis: Any, n_per_m: float) -> None:
-    """The legend's word on the length of force arrows."""
-    said = f"peak force, 0.1 m: {0.1 * n_per_m:.0f} N"
-    axis.plot([], [], color=FORCE, linewidth=1.6, marker=">", markersize=4, label=said)
-
-
-def name_recoveries(axis: Any) -> None:
-    """The legend's word on `draw_recovery`."""
+def name_hits(axis: Any, largest_n: float) -> None:
+    """The legend's words on force arrows, the largest of which is known, and on `draw_hit`'s set-points."""
+    words = f"peak force, 0.1 m: {0.1 * largest_n / LONGEST_ARROW_M:.0f} N"
+    axis.plot([], [], color=FORCE, linewidth=1.6, marker=">", markersize=4, label=words)
     axis.plot([], [], "x--", color=SET_POINT, linewidth=1.0, markersize=5, label="recovery set-point")
 
 
@@ -193,7 +207,7 @@ def fit_map(figure: Any, axis: Any, *, below: Any = None, note: str = "") -> Non
         below: another axis with an equal aspect, of the same width.
         note: lines of text under the legend.
     """
-    unique = legend_entries(axis)
+    unique = {label: line for line, label in zip(*axis.get_legend_handles_labels(), strict=True)}
     width = figure.get_size_inches()[0]
     columns = 2 if width < _WIDE_IN else 3
     rows = -(-len(unique) // columns) + (note.count("\n") + 2 if note else 0)

@@ -1,4 +1,4 @@
-"""Shares with their intervals, bins of equal counts, and whether a quantity tells two groups apart."""
+"""Intervals of shares and of means, bins of equal counts, and whether a quantity tells two groups apart."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import msgspec
 
-_Z95 = 1.959964
+Z95 = 1.959964  # 97.5 % point of the normal distribution
+_T_FEW = (12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.2622, 2.2281)
 
 
 class Share(msgspec.Struct, frozen=True):
@@ -43,7 +44,7 @@ def share(successes: int, flights: int) -> Share:
 
 def wilson(successes: int, flights: int) -> tuple[float, float]:
     """95 % interval of a success rate (Wilson's score interval)."""
-    z, p = _Z95, successes / flights
+    z, p = Z95, successes / flights
     middle = (p + z * z / (2 * flights)) / (1 + z * z / flights)
     half = z * math.sqrt(p * (1 - p) / flights + z * z / (4 * flights**2)) / (1 + z * z / flights)
     return max(0.0, middle - half), min(1.0, middle + half)
@@ -92,3 +93,21 @@ def rank_correlation(pairs: Sequence[tuple[float, float]]) -> float:
         return [bisect.bisect_left(ordered, v) + bisect.bisect_right(ordered, v) for v in values]
 
     return statistics.correlation(ranks([x for x, _ in pairs]), ranks([y for _, y in pairs]))
+
+
+def student_t(freedom: int) -> float:
+    """97.5 % point of Student's t: tabulated where the expansion about the normal quantile is not close."""
+    if freedom <= len(_T_FEW):
+        return _T_FEW[freedom - 1]
+    z = Z95
+    g1, g2 = (z**3 + z) / 4.0, (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / 96.0
+    g3 = (3.0 * z**7 + 19.0 * z**5 + 17.0 * z**3 - 15.0 * z) / 384.0
+    return z + g1 / freedom + g2 / freedom**2 + g3 / freedom**3
+
+
+def mean_half_width(values: Sequence[float]) -> float | None:
+    """Half the 95 % interval of the mean by Student's t; None from fewer than two values."""
+    n = len(values)
+    if n < 2:
+        return None
+    return student_t(n - 1) * statistics.stdev(values) / math.sqrt(n)

@@ -22,6 +22,7 @@ PREDICTED = {"color": "#e8871e", "linestyle": (0, (1, 1.2)), "linewidth": 2.2}
 REPLANNED = {"color": "#8a3fb5", "linestyle": (0, (4, 1.2, 1, 1.2)), "linewidth": 1.8}
 FORCE, GUARD, SET_POINT = "#c2261d", "#b00020", "#1b7a3d"
 GREY = "#666666"
+LINES = (TRUE, ESTIMATED, PREDICTED)  # where they are quantities of one source
 _STYLE = {
     "svg.fonttype": "none",
     "svg.hashsalt": "dart-flight",
@@ -78,6 +79,19 @@ def new_figure(look: Look, height: float, rows: int = 1, columns: int = 1, **opt
     return figure, figure.subplots(rows, columns, **options)
 
 
+def panels(look: Look, rows: int) -> tuple[Any, Any]:
+    """A figure of panels above each other that share the time axis, each with a line at zero."""
+    figure, axes = new_figure(look, 1.4 * rows + 0.6, rows, 1, sharex=True, squeeze=False)
+    for axis in axes[:, 0]:
+        axis.axhline(0.0, color=GREY, linewidth=0.8)
+    return figure, axes[:, 0]
+
+
+def shade(axis: Any, begin: float, end: float) -> None:
+    """Mark a stretch of time, such as a contact."""
+    axis.axvspan(begin, end, color=ESTIMATED["color"], alpha=0.08, linewidth=0)
+
+
 def in_style(draw: Callable[P, Any]) -> Callable[P, Any]:
     """A drawing function whose letters and lines are those of its keyword `look` (`PAGE` where not given).
 
@@ -102,6 +116,8 @@ def _styled(look: Look) -> Iterator[None]:
         raise InputError(f"a picture needs {error.name}: pip install 'dart-flight[report]'") from None
     sizes = {
         "font.size": look.font_pt,
+        "axes.titlesize": look.font_pt,
+        "figure.titlesize": look.font_pt,
         "axes.labelsize": look.font_pt,
         "xtick.labelsize": look.font_pt,
         "ytick.labelsize": look.font_pt,

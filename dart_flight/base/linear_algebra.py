@@ -1,0 +1,70 @@
+"""Symmetric, positive definite systems of a few unknowns, by Cholesky's factors in scalar arithmetic.
+
+A matrix H is given by its lower triangle: row i holds at least its first i + 1 numbers.
+"""
+
+from __future__ import annotations
+
+import math
+
+Rows = list[list[float]]
+
+
+def cholesky(h: Rows, damping: float = 0.0) -> Rows:
+    """Lower triangle L of L L' = H + damping diag(H).
+
+    Raises:
+        ValueError: H is not positive definite.
+    """
+    n = len(h)
+    low = [[0.0] * n for _ in range(n)]
+    for i in range(n):
+        row = low[i]
+        for j in range(i + 1):
+            other = low[j]
+            s = h[i][j]
+            if i == j:
+                s += damping * s
+            for p in range(j):
+                s -= row[p] * other[p]
+            if i == j:
+                if not s > 0.0:
+                    raise ValueError("not positive definite")
+                row[i] = math.sqrt(s)
+            else:
+                row[j] = s / other[j]
+    return low
+
+
+def solve(h: Rows, g: list[float], damping: float = 0.0) -> list[float]:
+    """(H + damping diag(H))^-1 g.
+
+    Raises:
+        ValueError: H is not positive definite.
+    """
+    low = cholesky(h, damping)
+    n = len(g)
+    y = [0.0] * n
+    for i in range(n):
+        y[i] = (g[i] - sum(low[i][p] * y[p] for p in range(i))) / low[i][i]
+    for i in range(n - 1, -1, -1):
+        y[i] = (y[i] - sum(low[p][i] * y[p] for p in range(i + 1, n))) / low[i][i]
+    return y
+
+
+def inverse_diagonal(h: Rows) -> list[float]:
+    """Diagonal of H^-1.
+
+    Raises:
+        ValueError: H is not positive definite.
+    """
+    low = cholesky(h)
+    n = len(h)
+    out = []
+    for j in range(n):
+        y = [0.0] * n
+        for i in range(j, n):
+            start = 1.0 if i == j else 0.0
+            y[i] = (start - sum(low[i][p] * y[p] for p in range(j, i))) / low[i][i]
+        out.append(sum(value * value for value in y))
+    return out

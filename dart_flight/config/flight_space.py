@@ -1,0 +1,149 @@
+"""What missions and scenarios say of walls, places and modes, checked against each other and the vehicle."""
+
+from __future__ import annotations
+
+import math
+
+from dart_flight.base.geometry import Vec2
+from dart_flight.base.records import Mode
+from dart_flight.base.walls import Wall
+from dart_flight.config.document import Document, Key, unknown_name
+from dart_flight.config.mission_file import BoundsSpec, GoalSpec, StartSpec, WallSpec
+from dart_flight.config.vehicle import VehicleConfig
+
+_AXIS_TOLERANCE = 1e-6
+_UNIT_TOLERANCE = 1e-15
+
+
+def resolve_space(
+    start: StartSpec,
+    goal: GoalSpec,
+    bounds: BoundsSpec,
+    walls: dict[str, WallSpec],
+    vehicle: VehicleConfig,
+    document: Document,
+) -> dict[str, Wall]:
+    """Check start, goal, bounds and walls against each other; returns the walls by name.
+
+    Raises:
+        InputError: bounds are empty, start or goal lies outside them or in a wall, or as `resolve_walls`.
+    """
+    for axis in ("x", "y", "z"):
+        low, high = getattr(bounds, axis)
+        if not low < high:
+            raise document.error(("bounds_m", axis), f"[low, high] needs low < high, not [{low:g}, {high:g}]")
+    planes = resolve_walls(walls, vehicle, document)
+    check_place(bounds, planes, start.position_m, start.altitude_m, ("start",), document)
+    check_place(bounds, planes, goal.position_m, None, ("goal",), document)
+    return planes
+
+
+def resolve_walls(specs: dict[str, WallSpec], vehicle: VehicleConfig, document: Document) -> dict[str, Wall]:
+    """Walls as planes of the vehicle's centre, by name.
+
+    Raises:
+        InputError: a normal has no length, a material is not in the vehicle's table.
+    """
+    walls = {}
+    for name, spec in specs.items():
+        key: Key = ("walls", name)
+        length = math.hypot(*spec.normal)
+        if not length > 1e-9:
+            raise document.error((*key, "normal"), "the normal has no length")
+        normal = spec.normal
+        if abs(length - 1.0) > _UNIT_TOLERANCE:  # else it stays what it is, to the bit
+            normal = (spec.normal[0] / length, spec.normal[1] / length)
+        if spec.material not in vehicle.materials:
+            raise document.error((*key, "material"), unknown_name(spec.material, list(vehicle.materials)))
+        offset = vehicle.airframe.contact_distance_m if spec.given_at == "surface" else 0.0
+        point = (spec.point_m[0] + offset * normal[0], spec.point_m[1] + offset * normal[1])
+        yaw_sd_rad = None if spec.yaw_sd_deg is None else math.radians(spec.yaw_sd_deg)
+        half_m = vehicle.airframe.contact_distance_m
+        walls[name] = Wall(
+            name, point, normal, spec.length_m, spec.material, spec.position_sd_m, yaw_sd_rad, half_m
+        )
+    return walls
+
+
+def wall_as_written(wall: Wall) -> WallSpec:
+    """A resolved wall as a file says it."""
+    # Rounded, so that the angle that was written comes back.
+    yaw_sd_deg = None if wall.yaw_sd_rad is None else round(math.degrees(wall.yaw_sd_rad), 12)
+    return WallSpec(
+        point_m=wall.point,
+        normal=wall.normal,
+        length_m=wall.length_m,
+        material=wall.material,
+        position_sd_m=wall.position_sd_m,
+        yaw_sd_deg=yaw_sd_deg,
+    )
+
+
+def check_place(
+    bounds: BoundsSpec,
+    walls: dict[str, Wall],
+    point: Vec2,
+    altitude_m: float | None,
+    key: Key,
+    document: Document,
+) -> None:
+    """Make sure that a place, and an altitude given there, is within the bounds and in front of the walls.
+
+    Raises:
+        InputError: it is not.
+    """
+    if bounds.excess2(point) > 0.0:
+        raise document.error(
+            (*key, "position_m"),
+            f"({point[0]:g}, {point[1]:g}) is outside bounds_m x [{bounds.x[0]:g}, {bounds.x[1]:g}], "
+            f"y [{bounds.y[0]:g}, {bounds.y[1]:g}]",
+        )
+    if altitude_m is not None and not bounds.z[0] <= altitude_m <= bounds.z[1]:
+        raise document.error(
+            (*key, "altitude_m"), f"must be within bounds_m z [{bounds.z[0]:g}, {bounds.z[1]:g}]"
+        )
+    for name, wall in walls.items():
+        if wall.spans(point) and -0.5 < wall.signed_distance(point) <= 0.0:
+            raise document.error((*key, "position_m"), f"lies in or behind wall {name}")
+
+
+def refuse_mode(mode: Mode, vehicle: VehicleConfig, key: Key, document: Document) -> None:
+    """Make sure that the vehicle has a mode.
+
+    Raises:
+        InputError: it does not.
+    """
+    problem = vehicle.mode_problem(mode)
+    if problem is not None:
+        raise document.error(key, problem)
+
+
+def resolve_alphas(
+    per_axis: tuple[float, float] | None,
+    per_wall: tuple[float, float] | None,
+    wall: Wall,
+    key: Key,
+    document: Document,
+) -> tuple[float, float]:
+    """Gains (A_n, A_t) in the wall's axes, m/N, from either form (`alpha_m_per_n`, `alpha_wall_m_per_n`).
+
+    Raises:
+        InputError: both or neither is given, gains per mission axis differ at an oblique wall, or the gain
+            along the normal is 0.
+    """
+    if (per_axis is None) == (per_wall is None):
+        raise document.error(key, "give exactly one of alpha_m_per_n and alpha_wall_m_per_n")
+    alphas = per_wall or (0.0, 0.0)
+    if per_axis is not None:
+        ax, ay = per_axis
+        across = abs(wall.normal[0]) < _AXIS_TOLERANCE
+        if ax != ay and not across and abs(wall.normal[1]) >= _AXIS_TOLERANCE:
+            raise document.error(
+                (*key, "alpha_m_per_n"),
+                "different gains per mission axis could point into a wall that is not along an axis; "
+                "use alpha_wall_m_per_n: [normal, tangential]",
+            )
+        alphas = (ay, ax) if across else (ax, ay)
+    if not alphas[0] > 0.0:
+        raise document.error(key, "the gain along the wall's normal must be above 0")
+    return alphas

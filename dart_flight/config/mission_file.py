@@ -1,0 +1,310 @@
+"""Mission files (version 1) as written in YAML: the types are the keys. `docs/missions.md` explains them.
+
+A key is one field of one class: type, bounds and default in the field, meaning (and unit, where the name has
+none) under `Attributes:`. What the flight reads as it is written stands in `MissionKeys`, `CollisionKeys` or
+`WaypointKeys`, which file and flight share; a key whose meaning has to be worked out stands in the file's
+class, and `config.mission` translates it in both directions (docs/extending.md).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from dart_flight.base.geometry import Vec2, Vec3
+from dart_flight.base.records import AfterImpact, Mode, ModeMismatch
+from dart_flight.config.section import Section
+
+Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
+Velocity = Annotated[float, Meta(ge=-20.0, le=20.0)]
+Direction = Annotated[float, Meta(ge=-1e6, le=1e6)]
+# Metres of set-point per newton: the paper's largest is 0.12. At 1 a weak hit already leads across a room.
+Alpha = Annotated[float, Meta(ge=0.0, le=1.0)]
+Point2 = tuple[Coordinate, Coordinate]
+Range = tuple[Coordinate, Coordinate]
+Standoff = Annotated[float, Meta(ge=0.1, le=2.0)]
+Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$")]
+
+
+class FrameSpec(Section, frozen=True):
+    """Mission frame (x along the heading, y left, z up) relative to PX4's local NED.
+
+    Attributes:
+        origin: local: PX4's local origin, moved by north_m and east_m (motion capture, surveyed room);
+            takeoff: as if the vehicle had taken off below start, moved likewise.
+        north_m, east_m: the frame's origin from there, m.
+        heading_deg: direction of the mission's x axis, clockwise from north.
+    """
+
+    origin: Literal["local", "takeoff"] = "local"
+    north_m: Coordinate = 0.0
+    east_m: Coordinate = 0.0
+    heading_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
+
+
+class StartSpec(Section, frozen=True):
+    """Where the mission starts, in the air.
+
+    Attributes:
+        position_m: [x, y], mission frame; take-off is below it in simulation.
+        altitude_m: above the take-off point; kept until a way-point has another one.
+    """
+
+    position_m: Point2
+    altitude_m: Annotated[float, Meta(gt=0.0, le=100.0)]
+
+
+class GoalSpec(Section, frozen=True):
+    """Where it ends.
+
+    Attributes:
+        position_m: [x, y], mission frame.
+        capture_radius_m: the goal counts as held while the vehicle is this near.
+        hold_s: how long the goal is held before landing.
+    """
+
+    position_m: Point2
+    capture_radius_m: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.15
+    hold_s: Annotated[float, Meta(ge=0.0, le=600.0)] = 2.0
+
+
+class BoundsSpec(Section, frozen=True):
+    """The flight space, mission frame: [low, high] per axis.
+
+    Attributes:
+        x, y: judged by the measured position and by where the vehicle would stop, m.
+        z: likewise, above the take-off point, m; take-off and landing are exempt.
+    """
+
+    x: Range
+    y: Range
+    z: Range
+
+    def excess2(self, p: Vec2 | Vec3) -> float:
+        """How far a point lies outside horizontally, metres; 0 inside."""
+        return max(self.x[0] - p[0], p[0] - self.x[1], self.y[0] - p[1], p[1] - self.y[1], 0.0)
+
+
+class WallSpec(Section, frozen=True):
+    """A finite, upright wall.
+
+    Attributes:
+        point_m: [x, y] of its middle, mission frame; what of the vehicle is there at first touch: given_at.
+        normal: [x, y], points into free space; any length.
+        length_m: along the wall, half of it to each side of the middle.
+        material: a key of materials in the vehicle configuration.
+        given_at: centre: point_m is where the vehicle's centre is at first touch, as in the paper; surface:
+            it is on the wall itself, and airframe.contact_distance_m is added.
+        position_sd_m: how well the place along the normal is known, standard deviation; null: to a few
+            centimetres, as `guard` tolerates.
+        yaw_sd_deg: how well the direction is known, standard deviation, about the middle; null: likewise.
+    """
+
+    point_m: Point2
+    normal: tuple[Direction, Direction]
+    length_m: Annotated[float, Meta(gt=0.0, le=1000.0)]
+    material: str
+    given_at: Literal["centre", "surface"] = "centre"
+    position_sd_m: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+    yaw_sd_deg: Annotated[float, Meta(ge=0.0, le=30.0)] | None = None
+
+
+class Limits(Section, frozen=True):
+    """Limits of the mission, judged before and during the flight.
+
+    The defaults stay below the accelerometer's full scale on every surface that was flown with a real PX4
+    (docs/px4.md): 150 N of 204 N; a rigid hit on acrylic at 3 m/s, the speed limit, is 191 N.
+
+    Attributes:
+        speed_m_s: largest speed of an approach and of the flight.
+        peak_force_n: largest contact force, normal and friction together.
+        collision_timeout_s: longest recovery; then the goal is flown to, or the next wall given up.
+    """
+
+    speed_m_s: Annotated[float, Meta(gt=0.0, le=20.0)] = 3.0
+    peak_force_n: Annotated[float, Meta(gt=0.0, le=2000.0)] = 150.0
+    collision_timeout_s: Annotated[float, Meta(gt=0.0, le=120.0)] = 8.0
+
+
+class SpaceKeys(Section, frozen=True, kw_only=True):
+    """Keys that missions and scenarios share and that mean what they say.
+
+    Attributes:
+        transit_mode: state of the arms in take-off, transit and landing.
+    """
+
+    goal: GoalSpec
+    frame: FrameSpec = FrameSpec()
+    transit_mode: Mode = Mode.RIGID
+    limits: Limits = Limits()
+
+
+class ApproachSpec(Section, frozen=True):
+    """Velocity at the impact in the wall's collision frame.
+
+    Attributes:
+        normal_m_s: along the wall's normal; negative, towards the wall.
+        tangential_m_s: along the wall, positive to the right when looking along the normal.
+    """
+
+    normal_m_s: Annotated[float, Meta(lt=0.0, ge=-20.0)]
+    tangential_m_s: Velocity = 0.0
+
+
+class CollisionPrediction(Section, frozen=True):
+    """What the planner predicted for a collision; written by `plan`, for flight and report to compare.
+
+    Attributes:
+        t_s: onset of the contact, from the start of the run-up.
+        position_m: [x, y] of the impact, mission frame.
+        normal_m_s, tangential_m_s: velocity at the impact, collision frame.
+        peak_force_n: largest normal force.
+        contact_time_s: how long the contact lasts.
+    """
+
+    t_s: Annotated[float, Meta(ge=0.0, le=3600.0)]
+    position_m: Point2
+    normal_m_s: Velocity
+    tangential_m_s: Velocity
+    peak_force_n: Annotated[float, Meta(ge=0.0, le=10_000.0)]
+    contact_time_s: Annotated[float, Meta(ge=0.0, le=10.0)]
+
+
+class MissPrediction(Section, frozen=True):
+    """What the planner predicted for the whole mission.
+
+    Attributes:
+        goal_miss_m: smallest distance to the goal after the last contact.
+    """
+
+    goal_miss_m: Annotated[float, Meta(ge=0.0, le=10_000.0)]
+
+
+class CollisionKeys(Section, frozen=True, kw_only=True):
+    """Keys of a collision that the flight reads as they are written.
+
+    Attributes:
+        mode: state of the arms at the impact; to be left out only of a vehicle without a lock: it is rigid.
+        predicted: written by plan.
+    """
+
+    mode: Mode | None = None
+    predicted: CollisionPrediction | None = None
+
+
+class CollisionSpec(CollisionKeys, frozen=True, kw_only=True):
+    """One planned collision.
+
+    Attributes:
+        wall: a key of walls.
+        approach: velocity to meet the wall with; required for the first collision. Without it the recovery of
+            the collision before leads to this wall.
+        impact_point_m: [x, y] on the wall's plane; without it, where the ray from start along the approach
+            meets the wall.
+        impact_along_m: the same as a distance along the wall from its middle, positive to the right when
+            looking along the normal; at most one of the two is given.
+        alpha_m_per_n: recovery gains along the mission's x and y axes (the paper's form), m of set-point per
+            N of peak force; for walls along an axis, or both the same.
+        alpha_wall_m_per_n: the same as [normal, tangential] of the wall, for any wall; exactly one of the
+            two is given.
+    """
+
+    wall: str
+    approach: ApproachSpec | None = None
+    impact_point_m: Point2 | None = None
+    impact_along_m: Coordinate | None = None
+    alpha_m_per_n: tuple[Alpha, Alpha] | None = None
+    alpha_wall_m_per_n: tuple[Alpha, Alpha] | None = None
+
+
+class WaypointKeys(Section, frozen=True, kw_only=True):
+    """Keys of a way-point or a pause that the flight reads as they are written.
+
+    Attributes:
+        after: how many collisions are flown before it; it never falls from one to the next.
+    """
+
+    after: Annotated[int, Meta(ge=0, le=1000)] = 0
+
+
+class WaypointSpec(WaypointKeys, frozen=True, kw_only=True):
+    """A way-point, flown to from rest to rest, or a pause where the vehicle is; exactly one of the two.
+
+    Attributes:
+        position_m: [x, y] of a way-point, mission frame.
+        altitude_m: of a way-point, above the take-off point, and of what comes after it; without it the
+            altitude stays as it is.
+        speed_m_s: largest speed on the way there; by default flying.transit_speed_m_s. The vertical part of
+            the way is flown at flying.climb_speed_m_s at most.
+        hold_s: how long a way-point is held.
+        pause: operator: hold until the operator says to go on (Enter, or SIGUSR1).
+        timeout_s: of a pause; without a word the vehicle lands.
+    """
+
+    position_m: Point2 | None = None
+    altitude_m: Annotated[float, Meta(gt=0.0, le=100.0)] | None = None
+    speed_m_s: Annotated[float, Meta(ge=0.05, le=20.0)] | None = None
+    hold_s: Annotated[float, Meta(ge=0.0, le=600.0)] | None = None
+    pause: Literal["operator"] | None = None
+    timeout_s: Annotated[float, Meta(ge=1.0, le=600.0)] | None = None
+
+
+class Tolerance(Section, frozen=True):
+    """By how much a flight may differ from the plan and still have followed it (`plan_followed`).
+
+    Attributes:
+        impact_m_s: of each component of the velocity at an impact.
+        peak_force_share: of the planned peak force.
+        place_m: from the planned place of an impact.
+    """
+
+    impact_m_s: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.15
+    peak_force_share: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.25
+    place_m: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.25
+
+
+class MissionKeys(SpaceKeys, frozen=True, kw_only=True):
+    """Keys of a mission that the flight reads as they are written.
+
+    Attributes:
+        name: letters, digits and ' _.-', at most 64; names the flight's folder.
+        predicted: written by plan.
+        after_impact: setpoint: the paper's recovery set-point leads on; replan: a way that is planned in
+            flight, from what was felt, takes over from it.
+        tolerance: by how much a flight may differ from the plan; for the goal that is its capture radius.
+        mode_mismatch: where a contact was felt in the other mode than the lock reports; go_on: it is noted
+            in log and verdict; land: the guard lands.
+        standoff_m: a rehearsal: every contact is replaced by stopping so far before its wall, as with
+            --standoff; null: the contacts are flown.
+    """
+
+    name: Name
+    predicted: MissPrediction | None = None
+    after_impact: AfterImpact = AfterImpact.SETPOINT
+    tolerance: Tolerance = Tolerance()
+    mode_mismatch: ModeMismatch = ModeMismatch.GO_ON
+    standoff_m: Standoff | None = None
+
+
+class MissionFile(MissionKeys, frozen=True, kw_only=True):
+    """A mission as written in YAML.
+
+    Attributes:
+        version: of the format.
+        walls: by name.
+        collisions: in the order of the hits; none: a flight without one.
+        waypoints: way-points and pauses before, between and after the collisions, in the order in which they
+            are flown.
+        vehicle: vehicle configuration: a file, relative to this one, or its keys and values themselves;
+            without it, the default one.
+    """
+
+    version: Literal[1]
+    start: StartSpec
+    bounds_m: BoundsSpec
+    walls: dict[str, WallSpec] = msgspec.field(default_factory=dict)
+    collisions: list[CollisionSpec] = msgspec.field(default_factory=list)
+    waypoints: list[WaypointSpec] = msgspec.field(default_factory=list)
+    vehicle: str | dict[str, Any] | None = None

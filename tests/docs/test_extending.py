@@ -1,0 +1,121 @@
+"""Every recipe of docs/extending.md as it is written: applied to a copy of the project, its check run."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+COPIED = ("dart_flight", "tests", "configs", "missions", "docs", "tools")
+MOST_FILES = 6
+
+
+class Change(NamedTuple):
+    """A place in a file (lines that stand there), and what stands there afterwards; no place: a new file."""
+
+    path: str
+    before: str
+    after: str
+
+
+class Recipe(NamedTuple):
+    """One section of the page."""
+
+    title: str
+    changes: list[Change]
+    check: list[str]
+
+    @property
+    def package_files(self) -> set[str]:
+        return {change.path for change in self.changes if change.path.startswith("dart_flight/")}
+
+
+def changes_in(diff: str) -> list[Change]:
+    found = []
+    for part in re.split(r"^\+\+\+ ", diff, flags=re.MULTILINE)[1:]:
+        path, _, body = part.partition("\n")
+        for hunk in re.split(r"^@@\n", body, flags=re.MULTILINE) if body.startswith("@@") else [body]:
+            lines = hunk.splitlines(keepends=True)
+            before = "".join(line[1:] or "\n" for line in lines if not line.startswith("+"))
+            after = "".join(line[1:] or "\n" for line in lines if not line.startswith("-"))
+            if after or before:
+                found.append(Change(path, before, after))
+    return found
+
+
+def recipes() -> list[Recipe]:
+    found = []
+    for section in re.split(r"^## ", PAGE, flags=re.MULTILINE)[1:]:
+        diffs = re.findall(r"^```diff\n(.*?)^```$", section, re.MULTILINE | re.DOTALL)
+        check = re.search(r"^Check: `python (.+)`$", section, re.MULTILINE)
+        assert check, section.splitlines()[0]
+        changes = [change for diff in diffs for change in changes_in(diff)]
+        found.append(Recipe(section.splitlines()[0], changes, shlex.split(check[1])))
+    return found
+
+
+RECIPES = recipes()
+
+
+def apply(change: Change, root: Path) -> None:
+    path = root / change.path
+    if not change.before:
+        assert not path.exists(), f"{change.path} is there already"
+        path.write_text(change.after, encoding="utf-8")
+        return
+    text = "\n" + path.read_text(encoding="utf-8")
+    count = text.count("\n" + change.before)
+    assert count == 1, f"{change.path} has this {count} times, the recipe means one place:\n{change.before}"
+    path.write_text(text.replace("\n" + change.before, "\n" + change.after)[1:], encoding="utf-8")
+
+
+def test_the_page_has_the_six_recipes_and_counts_their_files() -> None:
+    rows = re.findall(r"^\| \[(.+?)\]\(#.+?\) \| (\d+) \|$", PAGE, re.MULTILINE)
+    assert [(r.title.lower(), str(len(r.package_files))) for r in RECIPES] == rows
+    assert len(RECIPES) == 6
+    assert all(len(r.package_files) <= MOST_FILES for r in RECIPES)
+
+
+def copy_project(root: Path) -> None:
+    for name in COPIED:
+        ignored = shutil.ignore_patterns("__pycache__", "data" if name == "tests" else "results", "img")
+        shutil.copytree(ROOT / name, root / name, ignore=ignored)
+    (root / "tests" / "data").symlink_to(ROOT / "tests" / "data")
+    shutil.copy(ROOT / "pyproject.toml", root)
+
+
+def python(root: Path, *arguments: str) -> tuple[int, str]:
+    """Exit status and output."""
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+    done = subprocess.run(
+        [sys.executable, *arguments], cwd=root, env=environment, capture_output=True, text=True, check=False
+    )
+    return done.returncode, done.stdout[-4000:] + done.stderr[-2000:]
+
+
+@pytest.mark.parametrize("recipe", RECIPES, ids=lambda recipe: recipe.title)
+def test_a_recipe_works_as_written(recipe: Recipe, tmp_path: Path) -> None:
+    copy_project(tmp_path)
+    for change in recipe.changes:
+        apply(change, tmp_path)
+    status, said = python(tmp_path, *recipe.check, "-q", "-p", "no:cacheprovider", "-p", "no:xdist")
+    assert status == 0, said
+
+
+def test_a_driver_without_its_entry_is_refused_on_import(tmp_path: Path) -> None:
+    copy_project(tmp_path)
+    for change in next(r for r in RECIPES if r.title == "A lock driver").changes:
+        if change.path != "dart_flight/lock/drivers/__init__.py":
+            apply(change, tmp_path)
+    status, said = python(tmp_path, "-c", "import dart_flight.cli.options")
+    assert status == 1
+    assert "lock drivers without an entry in DRIVERS" in said

@@ -1,0 +1,33 @@
+"""The table of lock drivers: every kind has an entry, and every entry makes its driver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from dart_flight.config.vehicle import LockConfig, LockDriver
+from dart_flight.lock import drivers
+from dart_flight.lock.drivers import DRIVERS, Driver, driver_names, make_driver
+
+Vary = Callable[..., LockConfig]
+
+
+@pytest.mark.parametrize("kind", list(LockDriver))
+def test_every_kind_makes_a_driver_of_its_own(kind: LockDriver, lock_config: LockConfig) -> None:
+    module, _, name = DRIVERS[kind].path.partition(":")
+    driver = make_driver(lock_config, kind, clock_us=lambda: 0, set_actuator=lambda index, value: None)
+    assert isinstance(driver, Driver)
+    assert (type(driver).__module__, type(driver).__name__) == (f"{drivers.__name__}.{module}", name)
+
+
+@pytest.mark.parametrize("kind", [kind for kind, entry in DRIVERS.items() if entry.needs])
+def test_it_says_what_it_misses(kind: LockDriver, lock_config: LockConfig) -> None:
+    with pytest.raises(ValueError, match=f"the {kind.value} driver needs {DRIVERS[kind].needs[0]}"):
+        make_driver(lock_config, kind)
+
+
+def test_names_are_told_in_words() -> None:
+    assert driver_names(lambda entry: not entry.moves) == "mock"
+    *first, last = [kind.value for kind in DRIVERS]
+    assert driver_names(lambda entry: True) == f"{', '.join(first)} or {last}"
