@@ -31,6 +31,7 @@ LAB = (
     "figure_style",
     "statistics",
     "flight_arrays",
+    "track",
     "predict",
     "search",
     "identify",

@@ -354,7 +354,6 @@ def identify(
     columns: Mapping[str, str] | None = None,
     wall: tuple[float, float, float] | None = None,
     mass_kg: float | None = None,
-    law: str = "paper",
 ) -> Identification:
     """Contact coefficients from recorded trials at one wall; needs SciPy (the extra `identify`).
 
@@ -371,7 +370,6 @@ def identify(
         columns: our name -> header of CSV files.
         wall: of PX4 logs: north, east (m) of a point of the plane, heading of its normal (degrees).
         mass_kg: of the vehicle, instead of the configuration's.
-        law: `paper`, `preload`, `hertz`, `two-stage`, `baseline` or `best`.
 
     Raises:
         InputError: SciPy is missing, a trial or an option cannot be used, a collision is with another wall.
@@ -393,7 +391,7 @@ def identify(
     own = [trial for one in given for trial in _trials_in(one, surface, how.mode)]
     paths = [str(one) for one in given if isinstance(one, str | Path)]
     rule = None if onset is None else prediction.onset_rule(vehicle, onset)
-    return carry_out(paths, how, vehicle, onset=rule, law=law, given=own).found
+    return carry_out(paths, how, vehicle, onset=rule, given=own).found
 
 
 def _trials_in(source: Source, surface: str | None, mode: str) -> list[Trial]:

@@ -30,11 +30,10 @@ from dart_flight.lab.calibrate.airframe import motors_block, read_airframe, refu
 from dart_flight.lab.calibrate.inertia import WINDOW_S, InertiaCalibration, calibrate_inertia
 from dart_flight.lab.calibrate.thrust_curve import (
     ThrustCalibration,
-    Track,
     calibrate_thrust,
-    read_track,
     said_of,
 )
+from dart_flight.lab.track import Track, read_track
 from dart_flight.recording.found import from_each, logs_in
 from dart_flight.vehicle.ground_link import GroundLink
 from dart_flight.vehicle.link import LinkLease
