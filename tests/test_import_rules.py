@@ -27,6 +27,7 @@ FLOORS = {
 }
 # Inside the lab likewise.
 LAB = (
+    "ulog",
     "figure_style",
     "statistics",
     "flight_arrays",

@@ -17,11 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.config import mission as mission_files
-from dart_flight.config import scenario as scenario_files
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import find_vehicle
-from dart_flight.config.scenario import Objective, Scenario
 from dart_flight.config.settings import apply_settings
 from dart_flight.config.vehicle import VehicleConfig, packaged
 from dart_flight.config.vehicle import load_vehicle as load_vehicle_file
@@ -33,7 +31,9 @@ from dart_flight.lab.identify.flight_trials import trials_at_one
 from dart_flight.lab.identify.job import carry_out, columns_of
 from dart_flight.lab.identify.trials import UNLABELLED, Trial, TrialReading
 from dart_flight.lab.predict import prediction
+from dart_flight.lab.search import scenario as scenario_files
 from dart_flight.lab.search.mission_writer import mission_text, write_mission
+from dart_flight.lab.search.scenario import Objective, Scenario
 from dart_flight.lab.search.search import Plan, Search, search
 from dart_flight.lab.search.summary import with_objective
 from dart_flight.recording.reader import Log, read_log

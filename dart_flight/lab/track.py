@@ -19,8 +19,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.document import InputError
 from dart_flight.lab.flight_arrays import Array, turned
-from dart_flight.recording.reader import Log, NothingInItError, read_log
-from dart_flight.recording.ulog import (
+from dart_flight.lab.ulog import (
     MotorCommands,
     ULogFile,
     battery,
@@ -29,6 +28,7 @@ from dart_flight.recording.ulog import (
     open_ulog,
     seconds,
 )
+from dart_flight.recording.reader import Log, NothingInItError, read_log
 
 _TOPICS = (
     "sensor_combined",

@@ -22,8 +22,8 @@ from dart_flight.config.kinds import FileKind, refuse_other_kind
 from dart_flight.config.provenance import FoundVehicle
 from dart_flight.contact.coefficients import Array
 from dart_flight.lab.track import track_of
+from dart_flight.lab.ulog import open_ulog
 from dart_flight.recording.reader import read_log
-from dart_flight.recording.ulog import open_ulog
 
 UNLABELLED = "unlabelled"
 # Columns of a trial, in the collision frame; `vertical_m` is a height (against Z at a wall). Required first.

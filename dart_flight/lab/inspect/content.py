@@ -9,7 +9,7 @@ import numpy as np
 
 from dart_flight.config.document import InputError
 from dart_flight.lab.track import Track
-from dart_flight.recording.ulog import ULogFile, seconds
+from dart_flight.lab.ulog import ULogFile, seconds
 
 TOPICS = (
     "sensor_combined",

@@ -29,7 +29,7 @@ from dart_flight.lab.inspect.content import height_at, landings_of
 from dart_flight.lab.inspect.samples import Sample
 from dart_flight.lab.inspect.thrust import SpecificThrust, is_thrust_known
 from dart_flight.lab.track import Track
-from dart_flight.recording.ulog import ULogFile
+from dart_flight.lab.ulog import ULogFile
 
 _BEYOND_THRUST = 0.5  # of the impulse: what pushes against a vehicle tilted by up to 45 degrees has as much
 REMEMBERED = 256  # samples: as long as the detector waits for a peak

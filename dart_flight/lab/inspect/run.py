@@ -17,7 +17,7 @@ from dart_flight.lab.inspect.thrust import (
     fit_specific_thrust,
 )
 from dart_flight.lab.track import track_of
-from dart_flight.recording.ulog import ULogFile, motor_commands, open_ulog
+from dart_flight.lab.ulog import ULogFile, motor_commands, open_ulog
 
 
 def feel(path: str | Path, vehicle: VehicleConfig, mass_kg: float | None = None) -> FeltFlight:

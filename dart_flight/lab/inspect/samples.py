@@ -13,7 +13,7 @@ from dart_flight.config.vehicle import Thrust, ThrustSource, VehicleConfig
 from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.inspect.thrust import SpecificThrust
 from dart_flight.lab.track import Track
-from dart_flight.recording.ulog import ULogFile
+from dart_flight.lab.ulog import ULogFile
 
 _MOTOR_PERIOD_S = 0.01  # commands between the logged ones, on a straight line
 

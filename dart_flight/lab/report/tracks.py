@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
-    AttitudeTargetSample,
     EscSample,
     ForceEstimate,
     Record,
@@ -159,8 +158,6 @@ def power(course: FlightArrays, mission: Mission) -> Power:
 def _feed(model: ThrustModel, record: Record) -> None:
     if isinstance(record, ActuatorSample):
         model.take_actuator(record)
-    elif isinstance(record, AttitudeTargetSample):
-        model.take_attitude_target(record)
     elif isinstance(record, EscSample):
         model.take_esc(record)
     elif isinstance(record, StatusSample):
