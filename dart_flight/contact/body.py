@@ -208,6 +208,6 @@ def arm_of(x: float, y: float) -> int:
     return (0 if x >= 0.0 else 2) + (0 if y >= 0.0 else 1)
 
 
-_CENTRE: Final = (0.0, 0.0, 0.0)
+_CENTRE = (0.0, 0.0, 0.0)
 _LEAST_ARM_M: Final = 0.05  # guards nearer to the middle than this would swing an arm without end
 _NEAR_M: Final = 0.08  # below 5 m/s no contact begins further away
