@@ -38,9 +38,9 @@ STREAMS: tuple[Stream, ...] = (
     Stream("landed", "EXTENDED_SYS_STATE", 5.0, 1.0),
 )
 
-# Asked for only where `estimation.thrust_source` uses it. The telemetry plugin has no rate for it: the number
-# of the MAVLink message, for SET_MESSAGE_INTERVAL.
+# Beside the table, asked for only where the configuration uses it. The telemetry plugin has no rate for it:
+# the number of the MAVLink message, for SET_MESSAGE_INTERVAL.
 ESC = Stream("esc", "ESC_STATUS", 125.0, 45.0)
-ESC_MESSAGE_ID = 291
+MESSAGE_ID = {ESC.message: 291}
 
 BY_NAME = {stream.name: stream for stream in STREAMS}

@@ -49,7 +49,7 @@ from dart_flight.base.records import (
     StatusText,
     VehicleAction,
 )
-from dart_flight.base.streams import ESC, ESC_MESSAGE_ID, STREAMS
+from dart_flight.base.streams import ESC, MESSAGE_ID, STREAMS, Stream
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Estimation
 from dart_flight.vehicle import reasons, sdk_log
@@ -162,7 +162,7 @@ class VehicleSession:
         self._action = Action(self._raw)
         self._utility = ServerUtility(self._raw)
         self._direct = MavlinkDirect(self._raw)
-        self._uses_esc = False
+        self._extra: list[Stream] = []  # beside the table, as the configuration asks
         self._motors = 0
         self._rpm: list[float] = []  # of one stamp; a message has four motors
         self._rpm_us = -1
@@ -211,7 +211,7 @@ class VehicleSession:
         d.subscribe_message("ACTUATOR_OUTPUT_STATUS", self._on_actuator)
         d.subscribe_message("ODOMETRY", self._on_odometry)
         if estimation.uses_esc:
-            self._uses_esc = True
+            self._extra.append(ESC)
             d.subscribe_message(ESC.message, self._on_esc)
         if guarded:
             d.subscribe_message("ESTIMATOR_STATUS", self._on_estimator_status)
@@ -240,8 +240,9 @@ class VehicleSession:
                 await asyncio.to_thread(calls[stream.name], rate_hz)
             except Exception:
                 refused.append(stream.name)
-        if self._uses_esc and not await asyncio.to_thread(self._ask_esc_rate):
-            refused.append(ESC.name)
+        for stream in self._extra:
+            if not await asyncio.to_thread(self._ask_rate, stream):
+                refused.append(stream.name)
         return refused
 
     async def measure_link(self, timeout_s: float) -> list[str]:
@@ -296,15 +297,15 @@ class VehicleSession:
         self._deliver(RoundTrip(received, answer.sent_us, own))
         return True
 
-    def _ask_esc_rate(self) -> bool:
-        """SET_MESSAGE_INTERVAL: the telemetry plugin has no rate for this stream; blocking."""
+    def _ask_rate(self, stream: Stream) -> bool:
+        """SET_MESSAGE_INTERVAL for a stream without a rate in the telemetry plugin; blocking."""
         fields = {
             "target_system": self._raw.get_system_id(),
             "target_component": 1,
             "command": _SET_MESSAGE_INTERVAL,
             "confirmation": 0,
-            "param1": ESC_MESSAGE_ID,
-            "param2": round(1e6 / ESC.rate_hz),
+            "param1": MESSAGE_ID[stream.message],
+            "param2": round(1e6 / stream.rate_hz),
             **{f"param{i}": 0 for i in range(3, 8)},
         }
         command = MavlinkMessage("COMMAND_LONG", 0, 0, 0, 0, msgspec.json.encode(fields).decode())

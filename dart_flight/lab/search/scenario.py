@@ -33,8 +33,6 @@ from dart_flight.config.mission_file import (
 from dart_flight.config.provenance import VehicleSource, find_vehicle
 from dart_flight.config.section import Section, keys_of
 from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
-from dart_flight.vehicle.ground_link import GroundLink
-from dart_flight.vehicle.session import VehicleError
 
 _MOST_STEPS = 2001
 _MOST_CANDIDATES = 20_000_000
@@ -196,6 +194,9 @@ def with_vehicle_parameters(scenario: Scenario, url: str) -> Scenario:
         VehicleError: nothing answers, or it has none of the parameters.
         InputError: one of them is out of the range that the flight model can take.
     """
+    from dart_flight.vehicle.ground_link import GroundLink  # noqa: PLC0415  (an extra, slow to import)
+    from dart_flight.vehicle.session import VehicleError  # noqa: PLC0415
+
     vehicle = scenario.vehicle
     own = msgspec.to_builtins(vehicle.px4)
     with GroundLink(url, vehicle.connection.timeout_s) as link:
