@@ -340,7 +340,7 @@ class PlanAnswer(Record, frozen=True, gc=False):
     received_us: int
     number: int  # of the request
     begin_us: int  # autopilot's time at which the way begins
-    duration_s: float = 0.0  # of the polynomials, s
+    duration_s: float = 0.0  # of the polynomials
     x_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...
     y_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...
     collision: int | None = None  # 1-based index of the collision that it leads to; none: to the goal
