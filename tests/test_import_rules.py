@@ -27,9 +27,11 @@ FLOORS = {
 }
 # Inside the lab likewise.
 LAB = (
+    "ulog",
     "figure_style",
     "statistics",
     "flight_arrays",
+    "track",
     "predict",
     "search",
     "identify",

@@ -27,11 +27,10 @@ from dart_flight.contact.coefficients import Array
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.fit import identify
-from dart_flight.lab.identify.held_out import compare
+from dart_flight.lab.identify.held_out import hold_out
 from dart_flight.lab.identify.hits import Hit, hit_of
-from dart_flight.lab.identify.law_fit import HitTable, best_fit, fit_law, predict
-from dart_flight.lab.identify.laws import candidate_laws
 from dart_flight.lab.identify.trials import Series, Trial
+from dart_flight.lab.identify.whole_fit import HitTable, fit, predict
 
 DROP_MASS_KG = 0.241
 WALL_MASS_KG = 1.234
@@ -198,7 +197,7 @@ def judge_drops(by_height: dict[str, list[Trial]]) -> None:
             f"{len(members) - outs.size} unknown)"
         )
     for training, trials in by_height.items():
-        found = identify(trials, DROP_MASS_KG, Onset.LCP, compare_laws=False)
+        found = identify(trials, DROP_MASS_KG, Onset.LCP)
         fitted = found.coefficients[trials[0].mode]
         k, f = fitted["k"], fitted["f"]
         own = hits[training]
@@ -229,9 +228,9 @@ def judge_drops(by_height: dict[str, list[Trial]]) -> None:
 
 
 def _compared(hits: Sequence[Hit], mass_kg: float) -> str:
-    found = compare(list(candidate_laws(Onset.LCP).values()), hits, mass_kg)
-    rows = {**found.laws, **found.baselines, "scatter": found.scatter}
-    cells = [f"  {name}: peak {e.peak_force}, out {e.outgoing_speed}" for name, e in rows.items()]
+    found = hold_out(hits, mass_kg, Onset.LCP)
+    rows = {"law": found.law, **found.baselines, "scatter": found.scatter}
+    cells = [f"  {name}: peak {e.peak_force}, out {e.outgoing_speed}" for name, e in rows.items() if e]
     return "\n".join([found.sentence, *cells])
 
 
@@ -251,13 +250,13 @@ def judge_walls(trials: Sequence[Trial]) -> None:
         weights[row, list(half)] = 1.0
     rest = weights == 0.0
     errors: dict[str, tuple[Array, Array]] = {}
-    for name, law in candidate_laws(Onset.LCP).items():
-        if not table.shows_size:
-            break
-        start = best_fit(law, table, WALL_MASS_KG).values[0]
-        values = fit_law(law, table, WALL_MASS_KG, weights, start).values
-        outcome = predict(law, values, table, WALL_MASS_KG)
-        errors[name] = outcome.peak_force_n / table.peak - 1.0, outcome.normal_out_m_s - table.speed_out
+    if table.is_enough:
+        fits = [np.exp(fit(table.only(row > 0.0), WALL_MASS_KG, Onset.LCP).logs) for row in weights]
+        outcomes = [predict(k, f, table, WALL_MASS_KG, Onset.LCP) for k, f in fits]
+        errors["law"] = (
+            np.array([one.peak_normal_force_n for one in outcomes]) / table.peak - 1.0,
+            np.array([one.normal_out_m_s for one in outcomes]) - table.speed_out,
+        )
     share = np.array([np.median((table.speed_out / table.speed_in)[row > 0.0]) for row in weights])
     slope = np.array([np.median((table.peak / table.speed_in)[row > 0.0]) for row in weights])
     errors["baselines"] = (
@@ -272,7 +271,7 @@ def judge_walls(trials: Sequence[Trial]) -> None:
             f"outgoing speed by {np.median(np.abs(out[rest])):.3f} m/s in the median"
         )
     print(_compared(hits, WALL_MASS_KG))
-    found = identify(trials, WALL_MASS_KG, Onset.LCP, compare_laws=False)
+    found = identify(trials, WALL_MASS_KG, Onset.LCP)
     print({name: found.coefficients["rigid"][name] for name in ("k", "f", "mu")})
     print(f"restitution {found.restitution['rigid']}, tangential ratio {found.tangential_ratio['rigid']}")
 

@@ -140,7 +140,7 @@ def advance_attitude(q_frd_to_ned: Quaternion, rate_frd_rad_s: Vec3, dt_s: float
     """Attitude after `dt_s` seconds (either sign) at a constant body rate.
 
     The Hamilton product with `quaternion_from_rotation_vector(rate * dt)`, written out: it runs for every
-    sample of the core and every millisecond of the plant, where calls and tuples cost more than the numbers.
+    sample of the core and every millisecond of the plant.
     """
     rx, ry, rz = rate_frd_rad_s
     rx, ry, rz = rx * dt_s, ry * dt_s, rz * dt_s
@@ -243,16 +243,6 @@ class MissionFrame:
         c, s = self.cos, self.sin
         x, y, z = p_mission
         return (x * c + y * s + self.north_m, x * s - y * c + self.east_m, -z + self.down_m)
-
-    def attitude_from_ned(self, q_frd_to_ned: Quaternion) -> Quaternion:
-        """Attitude as viewers draw it: body forward, left, up to the mission frame.
-
-        Both flips, of the body's axes and of the world's, are half turns about x; then the heading about z.
-        """
-        half = 0.5 * self.heading_rad
-        flip = (0.0, 1.0, 0.0, 0.0)
-        turn = quaternion_multiply((math.cos(half), 0.0, 0.0, math.sin(half)), flip)
-        return quaternion_multiply(quaternion_multiply(turn, q_frd_to_ned), flip)
 
     def yaw_from_ned(self, yaw_ned_rad: float) -> float:
         """Heading clockwise from north to mission yaw, counter-clockwise from the mission's x axis."""

@@ -192,16 +192,6 @@ class ActuatorSample(Record, frozen=True, gc=False):
     stamp_is_estimated: bool = True  # the stream has no stamp: mapped host time
 
 
-class AttitudeTargetSample(Record, frozen=True, gc=False):
-    """ATTITUDE_TARGET: the collective thrust that PX4's controller asks for, 0 to 1 of full thrust."""
-
-    topic: ClassVar[str] = "/in/attitude_target"
-    frequent: ClassVar[bool] = True
-    t_us: int
-    received_us: int
-    thrust: float  # 0 to 1 of full thrust
-
-
 class EscSample(Record, frozen=True, gc=False):
     """ESC_STATUS: measured speed of the motors, revolutions per minute."""
 
@@ -344,7 +334,7 @@ class PlanAnswer(Record, frozen=True, gc=False):
     x_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...
     y_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...
     collision: int | None = None  # 1-based index of the collision that it leads to; none: to the goal
-    impact_s: float | None = None  # from its beginning to the wall's plane, s
+    impact_s: float | None = None  # from its beginning to the wall's plane
     normal_m_s: float | None = None  # velocity there, collision frame
     tangential_m_s: float | None = None  # velocity there, collision frame
     peak_force_n: float | None = None  # of the normal force, by the coefficients felt so far
@@ -364,7 +354,6 @@ Input = (
     | AttitudeSample
     | OdometrySample
     | ActuatorSample
-    | AttitudeTargetSample
     | EscSample
     | StatusSample
     | EstimatorSample
@@ -487,9 +476,7 @@ class TorqueEstimate(Record, frozen=True, gc=False):
     frequent: ClassVar[bool] = True
     t_us: int
     torque_frd: Vec3
-    torque_filtered_frd: Vec3 = (0.0, 0.0, 0.0)  # first-order low-pass of the torque
     noise_frd_nm: Vec3 = (0.0, 0.0, 0.0)  # white part of each component's error, standard deviation
-    motors_known: bool = True  # else the motors' torque is not in it: it counts as external
 
 
 class ImpactOnset(Record, frozen=True, gc=False):

@@ -38,10 +38,9 @@ STREAMS: tuple[Stream, ...] = (
     Stream("landed", "EXTENDED_SYS_STATE", 5.0, 1.0),
 )
 
-# Other sources of thrust, asked for only where `estimation.thrust_source` uses them. The telemetry plugin has
-# no rates for them: the number of the MAVLink message, for SET_MESSAGE_INTERVAL.
+# Asked for only where `estimation.thrust_source` uses it. The telemetry plugin has no rate for it: the number
+# of the MAVLink message, for SET_MESSAGE_INTERVAL.
 ESC = Stream("esc", "ESC_STATUS", 125.0, 45.0)
-ATTITUDE_TARGET = Stream("attitude_target", "ATTITUDE_TARGET", 125.0, 45.0)
-MESSAGE_ID = {ESC.message: 291, ATTITUDE_TARGET.message: 83}
+ESC_MESSAGE_ID = 291
 
 BY_NAME = {stream.name: stream for stream in STREAMS}

@@ -172,7 +172,7 @@ def _check_force(mission: Mission, collision: Collision) -> list[Finding]:
 def _check_noise(mission: Mission, collision: Collision) -> list[Finding]:
     """Whether the hit could be told from the vibration that is assumed until one is measured in flight."""
     hit, vehicle = expected_hit(mission, collision), mission.vehicle
-    if hit is None or vehicle.detection.noise_sigma <= 0.0:
+    if hit is None:
         return []
     floor = ImpactDetector(vehicle).floor_n(hit.contact_time_s)
     if hit.peak_normal_force_n >= floor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from dart_flight.base.geometry import Vec2
 from dart_flight.check.findings import Finding
@@ -11,7 +11,7 @@ from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import NoApproachError, is_blocked, legs_to_impact, plan_approach
 from dart_flight.core.mission.survey import SURE_SD, end_margin_m, slack_m
 from dart_flight.planning.envelope import incidence_deg, most_incidence_deg
-from dart_flight.planning.planned import PlannedFlight
+from dart_flight.planning.planned import PlannedFlight, PlannedHit, impact_place
 
 _INCIDENCE_SD = 2.0
 
@@ -23,15 +23,16 @@ def check_walls(mission: Mission, planned: PlannedFlight | None) -> list[Finding
         mission: whose walls they are.
         planned: its flight by the planner's model, for the places of hits that a recovery leads to.
     """
-    found = [finding for c in mission.collisions for finding in _check_collision(mission, c, planned)]
-    return [*_check_ends(mission, planned), *found]
+    hits = {} if planned is None else planned.hits
+    found = [finding for c in mission.collisions for finding in _check_collision(mission, c, hits)]
+    return [*_check_ends(mission, hits), *found]
 
 
-def _check_ends(mission: Mission, planned: PlannedFlight | None) -> Iterator[Finding]:
+def _check_ends(mission: Mission, hits: Mapping[int, PlannedHit]) -> Iterator[Finding]:
     """Whether every wall is met far enough from its end for the whole vehicle to meet it."""
     if not mission.collisions:
         return
-    places = [(c, _place(c, planned)) for c in mission.collisions]
+    places = [(c, impact_place(c, hits)) for c in mission.collisions]
 
     def room_m(one: tuple[Collision, Vec2]) -> float:
         wall, place = one[0].wall, one[1]
@@ -52,14 +53,14 @@ def _check_ends(mission: Mission, planned: PlannedFlight | None) -> Iterator[Fin
 
 
 def _check_collision(
-    mission: Mission, collision: Collision, planned: PlannedFlight | None
+    mission: Mission, collision: Collision, hits: Mapping[int, PlannedHit]
 ) -> Iterator[Finding]:
     wall, item = collision.wall, f"survey_{collision.index}"
-    problems = [*_amiss(mission, collision, _place(collision, planned)), *_in_the_way(mission, collision)]
+    problems = [*_amiss(mission, collision, impact_place(collision, hits)), *_in_the_way(mission, collision)]
     if problems:
         yield Finding(item, False, f"by {SURE_SD:g} standard deviations {', '.join(problems)}")
     elif wall.is_uncertain:
-        slack = float(slack_m(wall, _place(collision, planned)))
+        slack = float(slack_m(wall, impact_place(collision, hits)))
         says = f"wall {wall.name} is met within {slack:.2f} m ({SURE_SD:g} sd) of where the mission has it"
         yield Finding(item, True, says)
     planned_deg, most_deg = (
@@ -108,13 +109,3 @@ def _in_the_way(mission: Mission, collision: Collision) -> Iterator[str]:
             nearest = wall.moved(float(slack_m(wall, approach.impact)))
             if any(is_blocked(nearest, *leg) for leg in legs(nearest)):
                 yield f"wall {wall.name} may stand in the way of the run-up to wall {collision.wall.name}"
-
-
-def _place(collision: Collision, planned: PlannedFlight | None) -> Vec2:
-    """Where a wall is to be met: as the mission says, else by the planner's model, else its middle."""
-    if collision.impact_point is not None:
-        return collision.impact_point
-    if collision.predicted is not None:
-        return collision.predicted.position_m
-    hit = planned.hits.get(collision.index) if planned is not None else None
-    return hit.position if hit is not None else collision.wall.point

@@ -8,7 +8,6 @@ logic. `InputError` becomes one line and exit status 2 here, for all of them.
 from __future__ import annotations
 
 import argparse
-import difflib
 import logging
 import os
 import re
@@ -19,7 +18,7 @@ from typing import Any
 from dart_flight import __version__
 from dart_flight.base.errors import FlightError
 from dart_flight.base.processes import stand_back
-from dart_flight.config.document import InputError
+from dart_flight.config.document import InputError, did_you_mean, or_known
 from dart_flight.lab_entries import COMMANDS as LAB_COMMANDS
 from dart_flight.lab_entries import load_entry
 
@@ -71,7 +70,7 @@ class _Parser(argparse.ArgumentParser):
                 command.error(f"unexpected argument {unknown[0]!r}")
             else:
                 known = [name for action in command._actions for name in action.option_strings]
-                command.error(f"unknown option {option}{_near(option, known)}")
+                command.error(f"unknown option {option}{did_you_mean(option, known)}")
         return parsed
 
     def _command(self, parsed: argparse.Namespace) -> _Parser:
@@ -91,19 +90,14 @@ class _Parser(argparse.ArgumentParser):
         if action is None or action.choices is None:
             return message
         known = [str(choice) for choice in action.choices]
-        near = _near(wrong["value"].strip("'"), known)
+        near = or_known(wrong["value"].strip("'"), known)
         what = "command" if action.dest == "command" else wrong["name"]
-        return f"unknown {what} {wrong['value']}{near or ', known: ' + ', '.join(known)}"
+        return f"unknown {what} {wrong['value']}{near}"
 
 
 def _names(action: argparse.Action) -> list[str]:
     """What argparse may call an argument in its messages."""
     return ["/".join(action.option_strings), str(action.metavar), action.dest]
-
-
-def _near(word: str, known: list[str]) -> str:
-    near = difflib.get_close_matches(word, known, n=1)
-    return f", did you mean {near[0]}?" if near else ""
 
 
 def build_parser(wanted: Collection[str]) -> argparse.ArgumentParser:

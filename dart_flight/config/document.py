@@ -13,7 +13,7 @@ import math
 import os
 import re
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from enum import Enum
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, TypeVar, get_args, get_origin
@@ -344,9 +344,7 @@ def _innermost(value: Any, type_: Any, key: Key, text: str) -> tuple[Key, str]:
     text = text.split(" - at `", maxsplit=1)[0]
     for part_key, part, part_type in _parts(value, type_):
         if part_type is None:
-            near = difflib.get_close_matches(str(part_key), _field_names(type_), n=1)
-            hint = f"did you mean {near[0]}?" if near else "known: " + ", ".join(_field_names(type_))
-            return (*key, part_key), f"unknown key, {hint}"
+            return (*key, part_key), f"unknown key{or_known(str(part_key), _field_names(type_))}"
         try:
             msgspec.convert(part, part_type)
         except msgspec.ValidationError as error:
@@ -451,6 +449,17 @@ def _explain(text: str, type_: Any) -> str:
 
 def unknown_name(name: str, known: list[str], what: str = "") -> str:
     """Words for a name that is not among the known ones; `what` it is the name of."""
-    near = difflib.get_close_matches(name, known, n=1)
     shown = f"{what} {name!r}" if what else name
-    return f"unknown {shown}, " + (f"did you mean {near[0]}?" if near else "known: " + ", ".join(known))
+    return f"unknown {shown}{or_known(name, known)}"
+
+
+def or_known(name: str, known: Iterable[str]) -> str:
+    """Words that follow an unknown name: the nearest that is known, or all of them."""
+    names = list(known)
+    return did_you_mean(name, names) or f", known: {', '.join(names)}"
+
+
+def did_you_mean(name: str, known: list[str]) -> str:
+    """ ", did you mean ...?" with the nearest known name; "" where none is near."""
+    near = difflib.get_close_matches(name, known, n=1)
+    return f", did you mean {near[0]}?" if near else ""

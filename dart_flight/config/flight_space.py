@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
 from dart_flight.config.document import Document, Key, unknown_name
-from dart_flight.config.mission_file import MissionFile, WallSpec
+from dart_flight.config.mission_file import BoundsSpec, GoalSpec, StartSpec, WallSpec
 from dart_flight.config.vehicle import VehicleConfig
-
-if TYPE_CHECKING:
-    from dart_flight.config.scenario import ScenarioFile
 
 _AXIS_TOLERANCE = 1e-6
 _UNIT_TOLERANCE = 1e-15
 
 
 def resolve_space(
-    spec: MissionFile | ScenarioFile, vehicle: VehicleConfig, document: Document
+    start: StartSpec,
+    goal: GoalSpec,
+    bounds: BoundsSpec,
+    walls: dict[str, WallSpec],
+    vehicle: VehicleConfig,
+    document: Document,
 ) -> dict[str, Wall]:
     """Check start, goal, bounds and walls against each other; returns the walls by name.
 
@@ -28,13 +29,13 @@ def resolve_space(
         InputError: bounds are empty, start or goal lies outside them or in a wall, or as `resolve_walls`.
     """
     for axis in ("x", "y", "z"):
-        low, high = getattr(spec.bounds_m, axis)
+        low, high = getattr(bounds, axis)
         if not low < high:
             raise document.error(("bounds_m", axis), f"[low, high] needs low < high, not [{low:g}, {high:g}]")
-    walls = resolve_walls(spec.walls, vehicle, document)
-    check_place(spec, walls, spec.start.position_m, spec.start.altitude_m, ("start",), document)
-    check_place(spec, walls, spec.goal.position_m, None, ("goal",), document)
-    return walls
+    planes = resolve_walls(walls, vehicle, document)
+    check_place(bounds, planes, start.position_m, start.altitude_m, ("start",), document)
+    check_place(bounds, planes, goal.position_m, None, ("goal",), document)
+    return planes
 
 
 def resolve_walls(specs: dict[str, WallSpec], vehicle: VehicleConfig, document: Document) -> dict[str, Wall]:
@@ -79,7 +80,7 @@ def wall_as_written(wall: Wall) -> WallSpec:
 
 
 def check_place(
-    spec: MissionFile | ScenarioFile,
+    bounds: BoundsSpec,
     walls: dict[str, Wall],
     point: Vec2,
     altitude_m: float | None,
@@ -91,7 +92,6 @@ def check_place(
     Raises:
         InputError: it is not.
     """
-    bounds = spec.bounds_m
     if bounds.excess2(point) > 0.0:
         raise document.error(
             (*key, "position_m"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 from dart_flight.config.document import InputError
 
@@ -11,23 +12,38 @@ FORMS = (
     "serial:///dev/ttyAMA0:921600, udpin://0.0.0.0:14540 (listens), udpout://192.168.1.2:14540, "
     "tcpout://192.168.1.2:5760, tcpin://0.0.0.0:5760"
 )
-_SERIAL = re.compile(r"serial(_flowcontrol)?://(?P<device>/[^:\s]+):(?P<baud>\d+)")
+_SERIAL = re.compile(r"serial(?:_flowcontrol)?://(?P<device>/[^:\s]+):(?P<baud>\d+)")
 # udp:// and tcp:// are MAVSDK's older names, in which the host may be left out.
 _NETWORK = re.compile(
-    r"((udp|tcp)://(\[[\da-fA-F:.]+\]|[\w.-]*)|(udp|tcp)(in|out)://(\[[\da-fA-F:.]+\]|[\w.-]+)):(?P<port>\d+)"
+    r"(?P<kind>udp|tcp|(?:udp|tcp)(?:in|out)(?!://:))://(?P<host>\[[\da-fA-F:.]+\]|[\w.-]*):(?P<port>\d+)"
 )
 _MOST_SHOWN = 4
 
 
-def link_problem(url: str) -> str | None:
-    """What is wrong with the form of a URL, and what is allowed; None where nothing is."""
+class LinkAddress(NamedTuple):
+    """What a connection URL says."""
+
+    kind: str  # its scheme
+    place: str  # host, or the serial device
+    number: int  # port, or baud rate
+
+
+def parse_link(url: str) -> LinkAddress | None:
+    """A connection URL in its parts; None: it is none."""
     serial, network = _SERIAL.fullmatch(url), _NETWORK.fullmatch(url)
     if serial is not None:
-        return None if int(serial["baud"]) > 0 else "a baud rate is above 0, such as 921600"
-    if network is not None:
-        port = int(network["port"])
-        return None if 0 < port < 65536 else f"port {port} is not one from 1 to 65535"
-    return f"{url!r} is not a connection URL, allowed are: {FORMS}"
+        return LinkAddress("serial", serial["device"], int(serial["baud"]))
+    return None if network is None else LinkAddress(network["kind"], network["host"], int(network["port"]))
+
+
+def link_problem(url: str) -> str | None:
+    """What is wrong with the form of a URL, and what is allowed; None where nothing is."""
+    link = parse_link(url)
+    if link is None:
+        return f"{url!r} is not a connection URL, allowed are: {FORMS}"
+    if link.kind == "serial":
+        return None if link.number > 0 else "a baud rate is above 0, such as 921600"
+    return None if 0 < link.number < 65536 else f"port {link.number} is not one from 1 to 65535"
 
 
 def usable_link(url: str, key: str = "--connection") -> str:
@@ -39,11 +55,11 @@ def usable_link(url: str, key: str = "--connection") -> str:
     problem = link_problem(url)
     if problem is not None:
         raise InputError(problem, key=(key,))
-    serial = _SERIAL.fullmatch(url)
-    if serial is not None and not Path(serial["device"]).exists():
+    link = parse_link(url)
+    if link is not None and link.kind == "serial" and not Path(link.place).exists():
         there = [str(p) for pattern in ("ttyA*", "ttyU*") for p in sorted(Path("/dev").glob(pattern))]
         known = ", ".join(there[:_MOST_SHOWN]) or "none"
         raise InputError(
-            f"there is no serial port {serial['device']} (here: {known}); allowed are: {FORMS}", key=(key,)
+            f"there is no serial port {link.place} (here: {known}); allowed are: {FORMS}", key=(key,)
         )
     return url

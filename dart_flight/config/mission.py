@@ -293,7 +293,7 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
     Raises:
         InputError: the parts of the mission contradict each other.
     """
-    walls = resolve_space(spec, vehicle, document)
+    walls = resolve_space(spec.start, spec.goal, spec.bounds_m, spec.walls, vehicle, document)
     refuse_mode(spec.transit_mode, vehicle, ("transit_mode",), document)
     collisions = tuple(
         _resolve_collision(i, one, spec, vehicle, walls, document) for i, one in enumerate(spec.collisions)
@@ -323,7 +323,7 @@ def _resolve_waypoints(
         if one.pause is None:
             assert one.position_m is not None
             altitude_m = altitude_m if one.altitude_m is None else one.altitude_m
-            check_place(spec, walls, one.position_m, one.altitude_m, key, document)
+            check_place(spec.bounds_m, walls, one.position_m, one.altitude_m, key, document)
             speed = one.speed_m_s or vehicle.flying.transit_speed_m_s
             if speed > spec.limits.speed_m_s:
                 raise document.error(

@@ -10,7 +10,6 @@ from dart_flight.config.vehicle import Motor
 COUNT = "CA_ROTOR_COUNT"
 MAV_TYPES = {4: 2, 6: 13, 8: 14}  # motors: quadrotor, hexarotor, octorotor
 _AXES = ("PX", "PY", "KM")
-_PLACEHOLDERS = (0.0, 1.0)
 _MOST = 12  # of PX4
 _PLACE_TOLERANCE_M = 0.03
 _KM_TOLERANCE = 0.5  # share: PX4 ships one value for every propeller
@@ -44,31 +43,6 @@ def motors_of(parameters: Mapping[str, float], source: str) -> tuple[Motor, ...]
         raise InputError(f"has no {', '.join(missing)}", source=source)
     values = [float(parameters[name]) for name in names]
     return tuple(Motor(*values[i : i + 3]) for i in range(0, len(values), 3))
-
-
-def refuse_unmeasured(motors: Sequence[Motor], source: str) -> None:
-    """Make sure that motors are a multicopter's, and where somebody measured them.
-
-    Raises:
-        InputError: they are not.
-    """
-    if len(motors) < 3:
-        raise InputError(f"{COUNT} is {len(motors)}: not a multicopter", source=source)
-    if all(abs(m.x_m) in _PLACEHOLDERS and abs(m.y_m) in _PLACEHOLDERS for m in motors):
-        raise InputError(
-            "the motors are at 0 and 1 m, PX4's placeholders for a frame that nobody measured: set "
-            "CA_ROTOR0_PX, CA_ROTOR0_PY and the others to what you measure",
-            source=source,
-        )
-
-
-def motors_block(motors: Sequence[Motor]) -> str:
-    """`airframe.motors` as YAML, ready to be pasted below `airframe:`."""
-    lines = ["  motors:"]
-    for m in motors:
-        x, y, yaw = m.x_m, m.y_m, m.yaw_torque_per_thrust_m
-        lines.append(f"    - {{x_m: {x:.4g}, y_m: {y:.4g}, yaw_torque_per_thrust_m: {yaw:.4g}}}")
-    return "\n".join(lines)
 
 
 def rotor_differences(motors: Sequence[Motor], actual: Sequence[Motor]) -> tuple[list[str], list[str]]:

@@ -23,7 +23,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from dart_flight.base.geometry import Quaternion, Vec3, rotate_back
-from dart_flight.config.vehicle import Coefficients, ContactBody
+from dart_flight.config.vehicle import BodyModel, Coefficients, ContactBody
 from dart_flight.contact.law import Onset, normal_force
 
 
@@ -70,7 +70,12 @@ UNTOUCHED = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
 
 
 def guards_of(body: ContactBody) -> tuple[Guard, ...]:
-    """The eight guards of a four-fold symmetric vehicle: front, right, back, left, two each."""
+    """The eight guards of a four-fold symmetric vehicle: front, right, back, left, two each.
+
+    Of a point the two that a wall meets, in the centre of mass: the point law.
+    """
+    if body.body is BodyModel.POINT:
+        return (Guard(_CENTRE, _CENTRE),) * 2
     out, along, z = body.guard_out_m, body.guard_along_m, -body.guard_height_m
     share = body.friction_lever_share
     guards = []
@@ -106,7 +111,7 @@ def touch(
         plane: the surface.
         position, velocity: of the centre of mass, world frame.
         rate_frd: angular velocity, rad/s.
-        vertical_sign: as in `law.contact_force`.
+        vertical_sign: -1 as the paper writes lz (against Z of the collision frame: up at a wall), or 1.
         vertical_lever_m: how far outside of the centre of mass the vertical force acts.
     """
     world = plane.normal
@@ -203,5 +208,6 @@ def arm_of(x: float, y: float) -> int:
     return (0 if x >= 0.0 else 2) + (0 if y >= 0.0 else 1)
 
 
+_CENTRE: Final = (0.0, 0.0, 0.0)
 _LEAST_ARM_M: Final = 0.05  # guards nearer to the middle than this would swing an arm without end
 _NEAR_M: Final = 0.08  # below 5 m/s no contact begins further away

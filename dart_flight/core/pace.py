@@ -1,8 +1,7 @@
 """How soon the next inputs have to be stepped: near a wall as they arrive, elsewhere several together.
 
-A companion computer that wakes for every sample finds its memory cold every time: most of what the core
-then takes is waiting for memory (docs/latency.md). Where no contact can come several samples share one
-waking. What is decided does not depend on it, only when: the core sees stamps and no clock.
+Waking for every sample costs more than the samples (docs/latency.md). What is decided does not depend on it,
+only when: the core sees stamps and no clock.
 """
 
 from __future__ import annotations

@@ -17,11 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.config import mission as mission_files
-from dart_flight.config import scenario as scenario_files
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import find_vehicle
-from dart_flight.config.scenario import Objective, Scenario
 from dart_flight.config.settings import apply_settings
 from dart_flight.config.vehicle import VehicleConfig, packaged
 from dart_flight.config.vehicle import load_vehicle as load_vehicle_file
@@ -33,7 +31,9 @@ from dart_flight.lab.identify.flight_trials import trials_at_one
 from dart_flight.lab.identify.job import carry_out, columns_of
 from dart_flight.lab.identify.trials import UNLABELLED, Trial, TrialReading
 from dart_flight.lab.predict import prediction
+from dart_flight.lab.search import scenario as scenario_files
 from dart_flight.lab.search.mission_writer import mission_text, write_mission
+from dart_flight.lab.search.scenario import Objective, Scenario
 from dart_flight.lab.search.search import Plan, Search, search
 from dart_flight.lab.search.summary import with_objective
 from dart_flight.recording.reader import Log, read_log
@@ -358,7 +358,6 @@ def identify(
     columns: Mapping[str, str] | None = None,
     wall: tuple[float, float, float] | None = None,
     mass_kg: float | None = None,
-    law: str = "paper",
 ) -> Identification:
     """Contact coefficients from recorded trials at one wall; needs SciPy (the extra `identify`).
 
@@ -375,7 +374,6 @@ def identify(
         columns: our name -> header of CSV files.
         wall: of PX4 logs: north, east (m) of a point of the plane, heading of its normal (degrees).
         mass_kg: of the vehicle, instead of the configuration's.
-        law: `paper`, `preload`, `hertz`, `two-stage`, `baseline` or `best`.
 
     Raises:
         InputError: SciPy is missing, a trial or an option cannot be used, a collision is with another wall.
@@ -397,7 +395,7 @@ def identify(
     own = [trial for one in given for trial in _trials_in(one, surface, how.mode)]
     paths = [str(one) for one in given if isinstance(one, str | Path)]
     rule = None if onset is None else prediction.onset_rule(vehicle, onset)
-    return carry_out(paths, how, vehicle, onset=rule, law=law, given=own).found
+    return carry_out(paths, how, vehicle, onset=rule, given=own).found
 
 
 def _trials_in(source: Source, surface: str | None, mode: str) -> list[Trial]:

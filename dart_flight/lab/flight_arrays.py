@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.base.geometry import MissionFrame
+from dart_flight.base.geometry import MissionFrame, Vec3
 from dart_flight.base.records import ForceEstimate, OdometrySample, Record, TruthSample
 from dart_flight.config.mission import Mission
 from dart_flight.recording.anchor import Anchor
 from dart_flight.recording.flight_time import zero_of
 from dart_flight.recording.reader import Log
+from dart_flight.recording.topics import Topic
 
 Array = NDArray[np.float64]
 R = TypeVar("R", bound=Record)
+_AXES: tuple[Vec3, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class Motion(NamedTuple):
@@ -41,6 +43,7 @@ class FlightArrays:
     stamps.
 
     Attributes:
+        log, records: where they come from.
         start_us: the autopilot's time that is 0 s here.
         frame: the mission frame in local NED; None where the flight did not get ready.
         estimated: by PX4's estimator; empty without a frame.
@@ -50,50 +53,51 @@ class FlightArrays:
     """
 
     def __init__(self, log: Log, mission: Mission) -> None:
+        self.log = log
         self.records: list[Record] = [entry.record for entry in log.entries]
-        self._by_kind: dict[type[Record], list[Record]] = {}
-        for record in self.records:
-            self._by_kind.setdefault(type(record), []).append(record)
         self.start_us = zero_of(self.records)
         self.frame = _frame(self.records, mission)
-        self.estimated = self._estimated()
-        truth = self.all(TruthSample)
-        time_s = self._times(truth)
-        self.true = Motion(
-            time_s,
-            _rows(r.position_mission for r in truth),
-            _rows(r.velocity_mission for r in truth),
+        odometry = self.topic_in_ned(OdometrySample)
+        self.estimated = Motion(
+            odometry.t_s,
+            self.from_ned(odometry["position_ned"], places=True),
+            self.from_ned(odometry["velocity_ned"]),
         )
-        self.true_force = Force(time_s, _rows(r.contact_force_mission for r in truth))
-        estimates = self.all(ForceEstimate)
-        middle_s = self._times(estimates) - mission.vehicle.imu.reading_lag_s
-        self.estimated_force = Force(middle_s, _rows(r.force_mission for r in estimates))
+        truth, force = self.topic(TruthSample), self.topic(ForceEstimate)
+        self.true = Motion(truth.t_s, truth["position_mission"], truth["velocity_mission"])
+        self.true_force = Force(truth.t_s, truth["contact_force_mission"])
+        middle_s = force.t_s - mission.vehicle.imu.reading_lag_s
+        self.estimated_force = Force(middle_s, force["force_mission"])
+
+    def topic(self, kind: type[Record]) -> Topic:
+        """The records of a kind, field by field."""
+        return self.log[kind.topic]
 
     def all(self, kind: type[R]) -> list[R]:
         """Every record of a kind, in the order written."""
-        return list(self._by_kind.get(kind, ()))  # type: ignore[arg-type]
+        return list(self.topic(kind).records)  # type: ignore[arg-type]
 
     def time_of(self, t_us: int) -> float:
         """Seconds since the start."""
         return (t_us - self.start_us) * 1e-6
 
-    def _times(self, records: Sequence[Any]) -> Array:
-        return np.array([self.time_of(r.t_us) for r in records], dtype=float)
+    def topic_in_ned(self, kind: type[Record]) -> Topic:
+        """As `topic`, of records that are of use with a frame: none without."""
+        return self.topic(kind) if self.frame is not None else Topic(kind, [], np.empty(0))
 
-    def _estimated(self) -> Motion:
-        frame = self.frame
-        samples = self.all(OdometrySample) if frame is not None else []
-        assert frame is not None or not samples
-        return Motion(
-            self._times(samples),
-            _rows(frame.point_from_ned(s.position_ned) for s in samples if frame),
-            _rows(frame.vector_from_ned(s.velocity_ned) for s in samples if frame),
-        )
+    def from_ned(self, vectors: Array, *, places: bool = False) -> Array:
+        """Directions or places (n, 3) from local NED, in the mission frame."""
+        frame = self.frame or MissionFrame()
+        axes = np.array([frame.vector_from_ned(axis) for axis in _AXES])
+        origin = frame.point_from_ned((0.0, 0.0, 0.0)) if places else (0.0, 0.0, 0.0)
+        return np.asarray(vectors @ axes + origin)
 
 
-def _rows(vectors: Any) -> Array:
-    rows = list(vectors)
-    return np.array(rows, dtype=float) if rows else np.empty((0, 3))
+def turned(q_frd_to_ned: Array, body: Array) -> Array:
+    """Vectors (n, 3), or one for all, from FRD to NED by attitudes (n, 4)."""
+    scalar, vector = q_frd_to_ned[:, :1], q_frd_to_ned[:, 1:]
+    turn = 2.0 * np.cross(vector, body)
+    return np.asarray(body + scalar * turn + np.cross(vector, turn))
 
 
 def _frame(records: Sequence[Record], mission: Mission) -> MissionFrame | None:

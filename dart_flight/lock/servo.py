@@ -21,12 +21,6 @@ def mode_of(servo: Servo, horn_pulse_us: float) -> Mode | None:
     return None
 
 
-def locked_fraction(servo: Servo, horn_pulse_us: float) -> float:
-    """How far the horn is from the flexible end (0) to the rigid end (1), bounded to that range."""
-    share = (horn_pulse_us - servo.flexible_pulse_us) / (servo.rigid_pulse_us - servo.flexible_pulse_us)
-    return max(0.0, min(1.0, share))
-
-
 class ServoFaults(msgspec.Struct, frozen=True):
     """What can be wrong with a servo.
 

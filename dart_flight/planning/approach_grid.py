@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.base.geometry import Vec2
 from dart_flight.base.walls import Wall
 from dart_flight.core.mission.approach import (
     impact_time_s,
@@ -61,7 +60,7 @@ def approach_grid(
     length = np.hypot(begin[0] - impact[0], begin[1] - impact[1])
     way = np.hypot(begin[0] - sx, begin[1] - sy)
     transit = transit_time_s(way, flying.transit_speed_m_s, flying.acceleration_m_s2)
-    codes = np.zeros(speed.shape, dtype=np.int8)
+    codes = np.zeros(np.shape(speed), dtype=np.int8)
     grid = ApproachGrid(codes, *impact, *begin, impact_time_s(length, speed, ramp), transit)
     if constraints is None:
         return grid
@@ -78,14 +77,3 @@ def approach_grid(
     mark(codes, beyond, Refusal.BEYOND_WALL)
     mark(codes, speed > task.limits.speed_m_s, Refusal.APPROACH_SPEED)
     return grid
-
-
-def straight_is_blocked(task: Task, a: Vec2, b: Vec2) -> str | None:
-    """Name of a wall that stands between two points, or None."""
-    for wall in task.walls.values():
-        da, db = wall.signed_distance(a), wall.signed_distance(b)
-        if da * db < 0.0:
-            share = da / (da - db)
-            if wall.spans((a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))):
-                return wall.name
-    return None

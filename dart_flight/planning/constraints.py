@@ -62,25 +62,6 @@ class Refusal(StrEnum):
 REFUSALS = tuple(Refusal)
 CODE = {reason: i + 1 for i, reason in enumerate(REFUSALS)}
 
-ADVICE = {
-    Refusal.APPROACH_SPEED: "raise limits.speed_m_s or search slower approaches",
-    Refusal.BEYOND_WALL: "lengthen the wall, move start, or search less tangential velocity",
-    Refusal.RUN_UP_ROOM: "widen bounds_m, move start back, or search slower approaches",
-    Refusal.RUN_UP_BLOCKED: "move the wall that stands in the way of the run-up, or start",
-    Refusal.NOT_DETECTED: "lower detection.force_threshold_n or search faster approaches",
-    Refusal.PEAK_FORCE: "raise limits.peak_force_n, search slower approaches or the flexible mode",
-    Refusal.NO_REBOUND: "search faster approaches or the rigid mode",
-    Refusal.SETPOINT: "lower the wall's alpha, widen bounds_m or search slower approaches",
-    Refusal.ACCELERATION: "lower the wall's alpha or raise MPC_TILTMAX_AIR",
-    Refusal.SPEED: "raise limits.speed_m_s or lower the wall's alpha",
-    Refusal.BOUNDS: "widen bounds_m or lower the wall's alpha",
-    Refusal.OBSTACLE: "move or shorten the wall in the way, or put it into sequence",
-    Refusal.WALL_NOT_REACHED: "raise the alpha of the wall before it, move the wall nearer, or lengthen it",
-    Refusal.INCIDENCE: "turn the wall: a recovery meets it in the heading of the first approach",
-    Refusal.TOO_SOON: "move the walls apart or lower detection.refractory_s",
-    Refusal.SERVO_TRAVEL: "allow the same mode at both walls, a faster servo, or more way between the walls",
-}
-
 
 class Constraints:
     """The tests of one task, vectorised over candidates.

@@ -1,28 +1,23 @@
 """A planned contact together with the controller that goes on working in it.
 
 The contact law alone (paper, Sec. IV-B) fixes the duration T, the moment t_p of the force peak and, with
-the detector's rule, the moment t_e at which the recovery set-point replaces the old reference: all three
-depend on coefficients and mass, not on the speed. Between the onset and T:
-
-along the normal, with PX4's loop of `dart_flight.core.mission.position_loop` acting on the same motion,
+the detector's rule, the moment t_e of the recovery set-point: all three depend on coefficients and mass, not
+on the speed. The vehicle yields to the contact (`core/mission/yielding.py`): before t_e it has no reference,
+e = 0, and at no time PX4's D term makes anything of the wall's push. From t_e on e = kp (s - x) - x' with the
+recovery set-point s. Along the normal, with PX4's loop of `dart_flight.core.mission.position_loop`,
 
     x'' = -(k x + f x')/m + a - b x'
-    a'  = (kv (kp (r - x) + w - x') + i + b w - kd x'' - a) / tau,      i' = ki (kp (r - x) + w - x')
+    a'  = (kv e + i - kd (a - b x') - a) / tau,      i' = ki e
 
 along the wall, where friction rules: u' = -(mu/m) lx u is the motion by the contact law, q its way, and the
-controller, which sees u, adds its push d to it:
+controller, which sees u (e = kp (s - q) - u), adds its push d to it:
 
-    a' = (kv (kp (r - q) + w - u) + i + b w - kd (u' + a) - a) / tau,   i' = ki (kp (r - q) + w - u)
-    d' = -(mu/m) lx d + a,                                              velocity u + d
-
-That is a vehicle which keeps still in a contact. One that yields to contacts (`flying.yield_to_contacts`,
-`core/mission/yielding.py`) has no reference before t_e, so a' = (i - kd a - a) / tau there, and at no time a
-D term on the wall's push: kd (x'' + (k x + f x')/m) in the place of kd x'', kd a in that of kd (u' + a).
+    a' = (kv e + i - kd a - a) / tau,      i' = ki e
+    d' = -(mu/m) lx d + a,                 velocity u + d
 
 lx along the wall, and so the peak of the friction force, is that of the contact law alone at the speed of the
-onset. Until t_e the reference is the old one (r, moving at w), from then on the recovery set-point
-(`core/mission/recovery.py`), which is a sum of the peaks. So the normal part is a constant matrix per
-material and mode, exact by the matrix exponential, and the part along the wall needs integrals of
+onset; the set-point (`core/mission/recovery.py`) is a sum of the peaks. So the normal part is a constant
+matrix per material and mode, exact by the matrix exponential, and the part along the wall needs integrals of
 exp(-c (1 + xi')) only, by Gauss quadrature to about 1e-10.
 """
 
@@ -129,8 +124,7 @@ class TangentialOut(NamedTuple):
 class TangentialShape(NamedTuple):
     """What of the motion along the wall depends on the normal speed: per unit of each input, arrays (...,).
 
-    Inputs: velocity at the onset (v), acceleration a, integral i, speed of the old reference w, its place r,
-    the recovery set-point s.
+    Inputs: velocity at the onset (v), acceleration a, integral i, the recovery set-point s.
     """
 
     way_to_peak: Array
@@ -141,8 +135,6 @@ class TangentialShape(NamedTuple):
     friction_v: Array
     push_a: Array
     push_i: Array
-    push_w: Array
-    push_r: Array
     push_s: Array
 
 
@@ -163,32 +155,26 @@ class ContactStage:
         self.alphas = alphas
         self.lead_s = coefficients.f / coefficients.k if onset is Onset.LCP else 0.0
         self.duration_s = self.peak_s = self.engaged_s = math.inf
-        self._normal: Array = np.zeros((6, 5))
+        self._normal: Array = np.zeros((6, 3))
         self._depths: Array = np.zeros(0)  # 1 + xi' at the nodes
         self._depth_end = 0.0
-        self._by_speed: Array = np.zeros(
-            (0, 0)
-        )  # way to peak, way, integral, acceleration per E at the nodes
-        self._by_speed_end: Array = np.zeros(4)  # their share of E(T)
-        self._by_speed_one: Array = np.zeros(4)  # and of 1
+        # Way to the peak, way, integral, acceleration per E at the nodes.
+        self._by_speed: Array = np.zeros((0, 0))
         self._push: Array = np.zeros((0, 0))  # weights times acceleration per input at the nodes
         self._push_speed: Array = np.zeros((0, 0))
-        self._push_one: Array = np.zeros(0)
-        self._ends: Array = np.zeros((2, 5))  # acceleration and integral at T per input a, i, w, r, s
+        self._ends: Array = np.zeros((2, 3))  # acceleration and integral at T per input a, i, s
         self._friction = friction_per_speed(CoefficientArrays.of(coefficients), mass_kg, onset)
 
     # -- hits --
 
-    def normal(self, speed: Array, acceleration: Array, integral: Array, place: Array, w: Array) -> NormalOut:
+    def normal(self, speed: Array, acceleration: Array, integral: Array) -> NormalOut:
         """Motion along the normal.
 
         Args:
             speed: normal velocity at the onset, m/s, < 0.
             acceleration, integral: the controller's states then, m/s2.
-            place: the old reference relative to the plane, m; it moves at `w` m/s.
-            w: see place.
         """
-        inputs = (speed, acceleration, integral, place, w)
+        inputs = (speed, acceleration, integral)
         rows = [sum(c * v for c, v in zip(row, inputs, strict=True) if c != 0.0) for row in self._normal]
         return NormalOut(-self.lead_s * speed, *(np.asarray(row) for row in rows))
 
@@ -199,9 +185,9 @@ class ContactStage:
         slip = np.exp(-flat * self._depths)  # u at the nodes per unit of u at the onset
         slip_end = np.exp(-flat * self._depth_end)
         kept = np.exp(-flat * (self._depth_end - self._depths))  # what is left at T of a push at the nodes
-        values = slip @ self._by_speed.T + slip_end * self._by_speed_end + self._by_speed_one
+        values = slip @ self._by_speed.T
         push = kept @ self._push
-        push_v = np.einsum("nj,nj->n", kept, slip @ self._push_speed.T + self._push_one)
+        push_v = np.einsum("nj,nj->n", kept, slip @ self._push_speed.T)
         shape = c.shape
         return TangentialShape(
             values[:, 0].reshape(shape),
@@ -210,34 +196,25 @@ class ContactStage:
             values[:, 3].reshape(shape),
             values[:, 2].reshape(shape),
             self._friction(speed_m_s),
-            *(push[:, i].reshape(shape) for i in range(5)),
+            *(push[:, i].reshape(shape) for i in range(3)),
         )
 
-    def tangential(
-        self, s: TangentialShape, v: Array, a: Array, i: Array, reference: tuple[Array | float, Array | float]
-    ) -> TangentialOut:
+    def tangential(self, s: TangentialShape, v: Array, a: Array, i: Array) -> TangentialOut:
         """Motion along the wall.
 
         Args:
             s: from `tangential_shape`; broadcasts with the rest.
             v: velocity along the wall at the onset, m/s.
             a, i: acceleration and integral of the controller then, m/s2.
-            reference: place (m, from the onset) and speed (m/s) of the old reference.
         """
-        r, w = reference
         friction = -s.friction_v * v
         setpoint = s.way_to_peak * v - self.alphas[1] * friction
-        (aa, ai, aw, ar, a_s), (_, ii, iw, ir, i_s) = self._ends
+        (aa, ai, a_s), (_, ii, i_s) = self._ends
         return TangentialOut(
             s.way * v,
-            s.velocity_v * v
-            + s.push_a * a
-            + s.push_i * i
-            + s.push_w * w
-            + s.push_r * r
-            + s.push_s * setpoint,
-            s.acceleration_v * v + aa * a + ai * i + aw * w + ar * r + a_s * setpoint,
-            s.integral_v * v + ii * i + iw * w + ir * r + i_s * setpoint,
+            s.velocity_v * v + s.push_a * a + s.push_i * i + s.push_s * setpoint,
+            s.acceleration_v * v + aa * a + ai * i + a_s * setpoint,
+            s.integral_v * v + ii * i + i_s * setpoint,
             friction,
             setpoint,
         )
@@ -250,7 +227,7 @@ def build_stages(
     vehicle: VehicleConfig,
     table: Sequence[Coefficients],
     alphas: Sequence[tuple[float, float]],
-    drags: Sequence[tuple[float, float]],
+    drags: Sequence[float],
     extra_delay_s: Sequence[float],
 ) -> list[ContactStage]:
     """Stages for a table of (wall, mode, draw).
@@ -259,7 +236,7 @@ def build_stages(
         vehicle: mass, loop, detector.
         table: contact coefficients.
         alphas: gains (A_n, A_t), m/N.
-        drags: air drag along normal and tangent, 1/s.
+        drags: air drag along the normal, 1/s.
         extra_delay_s: added to the expected delay between peak and set-point.
     """
     onset, mass = Onset(vehicle.onset), vehicle.airframe.mass_kg
@@ -279,9 +256,8 @@ def build_stages(
         stage.peak_s = float(events.peak[i] / omega[i])
         stage.engaged_s = min(float(engaged[i]), stage.duration_s)
         one = Oscillation(*(np.asarray(v[i]) for v in course))
-        yields = vehicle.flying.yield_to_contacts
-        _prepare_normal(stage, loop, drags[i][0], yields)
-        _prepare_tangential(stage, loop, drags[i][1], one, yields)
+        _prepare_normal(stage, loop, drags[i])
+        _prepare_tangential(stage, loop, one)
     return stages
 
 
@@ -297,23 +273,19 @@ def _time_of_drop(course: Oscillation, peak: Array, end: Array, fraction: float)
     return falling_root(excess, peak, finite, 0.5 * (peak + finite))
 
 
-def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float, yields: bool) -> None:
-    """The matrix from (v, a, i, r, w) at the onset to the rows of `NormalOut` after the first."""
+def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float) -> None:
+    """The matrix from (v, a, i) at the onset to the rows of `NormalOut` after the first."""
     c, m = stage.coefficients, stage.mass_kg
     kp, kv, ki, kd, tau = loop
-    # States x, v, a, i, r, w.
-    system = np.zeros((6, 6))
-    system[0, 1] = 1.0
-    system[1, :3] = (-c.k / m, -c.f / m - drag, 1.0)
-    system[3, :6] = (-ki * kp, -ki, 0.0, 0.0, ki * kp, ki)
-    system[2, :6] = (-kv * kp, -kv, -1.0, 1.0, kv * kp, kv + drag)
-    system[2, :3] -= kd * (np.array([0.0, -drag, 1.0]) if yields else system[1, :3])
-    system[2] /= tau
-    system[4, 5] = 1.0
-    before = system.copy()
-    if yields:
-        before[2] = np.array([0.0, kd * drag, -1.0 - kd, 1.0, 0.0, 0.0]) / tau
-        before[3] = 0.0
+    # States x, v, a, i, s; before the set-point there is no e.
+    before = np.zeros((5, 5))
+    before[0, 1] = 1.0
+    before[1, :3] = (-c.k / m, -c.f / m - drag, 1.0)
+    before[2, :4] = np.array([0.0, kd * drag, -1.0 - kd, 1.0]) / tau
+    error = np.array([-kp, -1.0, 0.0, 0.0, kp])
+    system = before.copy()
+    system[2] += kv / tau * error
+    system[3] = ki * error
     to_peak, to_engaged, rest = expm(
         np.stack(
             [
@@ -323,14 +295,14 @@ def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float, yields
             ]
         )
     )
-    start = np.zeros((6, 5))
+    start = np.zeros((5, 3))
     start[0, 0] = -stage.lead_s
-    start[1, 0] = start[2, 1] = start[3, 2] = start[4, 3] = start[5, 4] = 1.0
+    start[1, 0] = start[2, 1] = start[3, 2] = 1.0
     at_peak = to_peak @ start
     force = -c.k * at_peak[0] - c.f * at_peak[1]
     setpoint = at_peak[0] + stage.alphas[0] * force
     engaged = to_engaged @ start
-    engaged[4], engaged[5] = setpoint, 0.0
+    engaged[4] = setpoint
     end = rest @ engaged
     stage._normal = np.stack([force, end[0], end[1], end[2], end[3], setpoint])
 
@@ -369,11 +341,8 @@ class _Phases:
         return np.concatenate((row, np.zeros(_NODES)))
 
 
-def _prepare_tangential(
-    stage: ContactStage, loop: PositionLoop, drag: float, course: Oscillation, yields: bool
-) -> None:
+def _prepare_tangential(stage: ContactStage, loop: PositionLoop, course: Oscillation) -> None:
     kp, kv, ki, kd, tau = loop
-    of_contact = 0.0 if yields else kd  # what the D term makes of u'
     phases = _Phases(stage.engaged_s, stage.duration_s - stage.engaged_s)
     times, weights = phases.times, phases.weights
     count = times.size
@@ -381,32 +350,25 @@ def _prepare_tangential(
     whole = phases.integral(0.0)
     fading = phases.integral(decay) / tau
     place = whole[:count]
-    first = (np.arange(count) < _NODES).astype(float)  # the nodes before the recovery set-point
-    early = 0.0 * first if yields else first  # ... where there is a reference
-    acts = (early + 1.0 - first)[:, None]
-    # Per unit of u at the nodes: way, integral, acceleration (the D term's u' integrated by parts).
-    to_integral = -ki * whole @ (acts * (kp * place + np.eye(count)))
-    drive = -kv * acts * (kp * place + np.eye(count)) + of_contact * decay * np.eye(count)
-    drive += to_integral[:count]
-    acceleration = fading @ drive
+    after = (np.arange(count) >= _NODES).astype(float)  # the nodes after the recovery set-point
+    # Per unit of u at the nodes: way, integral, acceleration.
+    error = after[:, None] * (kp * place + np.eye(count))
+    to_integral = -ki * whole @ error
+    acceleration = fading @ (to_integral[:count] - kv * error)
     faded = np.exp(-decay * np.append(times, stage.duration_s))
     stage._by_speed = np.stack(
         [phases.to_time(stage.peak_s), whole[count], to_integral[count], acceleration[count]]
     )
-    stage._by_speed_end = np.array([0.0, 0.0, 0.0, -of_contact / tau])
-    stage._by_speed_one = np.array([0.0, 0.0, 0.0, of_contact / tau * faded[count]])
-    stage._push_speed = weights[:, None] * (acceleration[:count] - of_contact / tau * np.eye(count))
-    stage._push_one = weights * of_contact / tau * faded[:count]
-    # Per unit of a, i, w, r and s: exact, because the drive is a polynomial in each phase.
-    zero, one = np.zeros(count), np.ones(count)
-    places = np.stack([zero, zero, times * early, early, 1.0 - first], axis=1)
-    speeds = np.stack([zero, zero, early, zero, zero], axis=1)
-    integral = ki * whole @ (kp * places + speeds)
+    stage._push_speed = weights[:, None] * acceleration[:count]
+    # Per unit of a, i and s: exact, because the drive is a polynomial in each phase.
+    places = np.zeros((count, 3))
+    places[:, 2] = after
+    integral = ki * kp * whole @ places
     integral[:, 1] += 1.0
-    pushed = fading @ (kv * kp * places + (kv + drag) * speeds + integral[:count])
+    pushed = fading @ (kv * kp * places + integral[:count])
     pushed[:, 0] += faded
     stage._push = weights[:, None] * pushed[:count]
     stage._ends = np.stack([pushed[count], integral[count]])
     tau_nodes = float(course.omega) * times
-    stage._depths = motion(course, tau_nodes)[2] + one
+    stage._depths = motion(course, tau_nodes)[2] + 1.0
     stage._depth_end = float(motion(course, np.asarray(float(course.omega) * stage.duration_s))[2]) + 1.0

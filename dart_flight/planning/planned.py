@@ -21,12 +21,10 @@ from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.mission_file import GoalSpec
 from dart_flight.planning.flight_model import FreeFlight
 from dart_flight.planning.rollout import (
-    LEAST_FACTOR,
     Arrivals,
     Draw,
     Hits,
     Rollout,
-    drawn_wall,
     new_flight,
     stages_for,
 )
@@ -73,6 +71,16 @@ class PlannedFlight(msgspec.Struct):
     walls: tuple[Wall, ...] = ()
 
 
+def impact_place(collision: Collision, hits: Mapping[int, PlannedHit]) -> Vec2:
+    """Where a wall is to be met, mission frame: as the mission says, else by the model, else its middle."""
+    if collision.impact_point is not None:
+        return collision.impact_point
+    if collision.predicted is not None:
+        return collision.predicted.position_m
+    hit = hits.get(collision.index)
+    return hit.position if hit is not None else collision.wall.point
+
+
 def describe_passing(miss_m: float, goal: GoalSpec, after_impact: AfterImpact = AfterImpact.SETPOINT) -> str:
     """In words how near the goal is passed, and from where on that counts as reached."""
     says = f"passes the goal at {miss_m:.2f} m, captured within {goal.capture_radius_m:g} m"
@@ -86,43 +94,11 @@ def planned_flight(mission: Mission) -> PlannedFlight:
 
     Where the model does not reach the next wall, the path ends; a rehearsal has approaches only.
     """
-    return _flights(mission, [None])[0]
+    return flights_with(mission, [None])[0]
 
 
-def drawn_flights(mission: Mission, count: int = 40, seed: int = 1) -> list[PlannedFlight]:
-    """The same with other walls: k, f and mu of every wall and mode, and where the walls stand.
-
-    The coefficients are drawn about the table's with the relative standard deviation
-    `estimation.walls.spread`, what is believed of a wall before it is met; places and directions with a
-    wall's own figures, where it has some. Approaches stay as planned.
-
-    Args:
-        mission: whose approaches, modes and gains are flown.
-        count: how many draws.
-        seed: of the draws.
-    """
-    rng, spread = np.random.default_rng(seed), mission.vehicle.estimation.walls.spread
-    of_places = np.random.default_rng([seed, 1])  # the coefficients are the same, whatever is known of places
-    draws: list[Draw | None] = []
-    for _ in range(count):
-        of_wall = {
-            (wall.name, mode): _factors(spread * rng.standard_normal(3))
-            for wall in mission.walls
-            for mode in mission.vehicle.modes
-        }
-        modes, hits = mission.vehicle.modes, mission.collisions
-        factors = {(str(c.index), mode): of_wall[c.wall.name, mode] for c in hits for mode in modes}
-        places = {wall.name: drawn_wall(wall, of_places) for wall in mission.walls if wall.is_uncertain}
-        draws.append(Draw(factors, 0.0, 0.0, 0.0, places))
-    return _flights(mission, draws)
-
-
-def _factors(relative: NDArray[np.float64]) -> tuple[float, float, float]:
-    k, f, mu = np.maximum(1.0 + relative, LEAST_FACTOR)
-    return float(k), float(f), float(mu)
-
-
-def _flights(mission: Mission, draws: Sequence[Draw | None]) -> list[PlannedFlight]:
+def flights_with(mission: Mission, draws: Sequence[Draw | None]) -> list[PlannedFlight]:
+    """The same with other walls; None: the nominal ones."""
     found = [PlannedFlight({}, {}, {}, walls=() if d is None else tuple(d.walls.values())) for d in draws]
     for group in _groups(mission.collisions):
         flight, begin, all_arrivals = _fly(mission, group, draws)

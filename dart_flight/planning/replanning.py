@@ -36,14 +36,13 @@ from dart_flight.core.mission.survey import Survey, end_margin_m, slack_m
 from dart_flight.planning.constraints import REFUSALS, Constraints
 from dart_flight.planning.contact_stage import build_stages, expm
 from dart_flight.planning.flight_model import Array, Rows, Window, loop_matrix
-from dart_flight.planning.planned import planned_flight
+from dart_flight.planning.planned import impact_place, planned_flight
 from dart_flight.planning.task import MissionTask, drag_along
 
 _DURATIONS_S = np.arange(0.3, 4.01, 0.05)
 _ALONG_M = np.arange(-0.8, 0.81, 0.05)  # places along the wall, about the planned one
 _SPEED_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of the planned velocity, where that cannot be reached
-# At constant velocity before the plane: the attitude has caught up. With 0.1 s impacts were 0.045 m/s too
-# fast in the median, with 0.3 s 0.023; where there is no room for that, less is better than none.
+# At constant velocity before the plane, so that the attitude has caught up; less where there is no room.
 _STRAIGHT_S = (0.3, 0.1)
 _SAMPLES = 24  # of a way, for the constraints
 _PUSH_SAMPLES = 12  # for acceleration and jerk, which come first
@@ -128,7 +127,7 @@ class Replanner:
         if collision.approach_m_s is not None:
             return self._from_rest(found, collision, velocity)
         wall = self._survey.seen(collision.wall)
-        slack = float(slack_m(wall, self._place(collision)))
+        slack = float(slack_m(wall, impact_place(collision, self._planned)))
         for share, (straight_s, slacks) in itertools.product(_SPEED_SHARES, _straights(slack)):
             wanted = (share * velocity[0], share * velocity[1])
             straight_s -= slacks * slack / wanted[0]
@@ -156,20 +155,13 @@ class Replanner:
             return (hit.normal_m_s, hit.tangential_m_s)
         return impact_velocity(collision)
 
-    def _place(self, collision: Collision) -> Vec2:
-        """Where the mission has planned an impact."""
-        if collision.predicted is not None:
-            return collision.predicted.position_m
-        hit = self._planned.get(collision.index)
-        return hit.position if hit is not None else collision.wall.point
-
     def _to_wall(
         self, request: PlanRequest, collision: Collision, velocity: Vec2, straight_s: float
     ) -> _Ends:
         """Ends from which it is `straight_s` to the wall, at a velocity in its collision frame."""
         wall = self._survey.seen(collision.wall)
         vx, vy, _ = wall.from_collision((*velocity, 0.0))
-        place = wall.foot(self._place(collision))
+        place = wall.foot(impact_place(collision, self._planned))
         along, duration = (v.ravel() for v in np.meshgrid(_ALONG_M, _DURATIONS_S))
         x = place[0] + wall.tangent[0] * along - vx * straight_s
         y = place[1] + wall.tangent[1] * along - vy * straight_s
@@ -258,11 +250,9 @@ class Replanner:
         coefficients = self._felt.get((wall.name, collision.mode))
         if coefficients is None:
             coefficients = vehicle.materials[wall.material].of(collision.mode)
-        (stage,) = build_stages(
-            vehicle, [coefficients], [self._task.alphas[wall.name]], [(drag_n, drag_t)], [0.0]
-        )
-        out = stage.normal(vn, drag_n * vn, zero, -stage.lead_s * vn, vn)
-        slide = stage.tangential(stage.tangential_shape(vn), vt, drag_t * vt, zero, (0.0, vt))
+        (stage,) = build_stages(vehicle, [coefficients], [self._task.alphas[wall.name]], [drag_n], [0.0])
+        out = stage.normal(vn, drag_n * vn, zero)
+        slide = stage.tangential(stage.tangential_shape(vn), vt, drag_t * vt, zero)
         peak_n = float(out.peak_force_n[0])
         code = int(self._constraints.hit(out.peak_force_n, slide.friction_n, out.velocity)[0])
         if code:

@@ -177,7 +177,7 @@ def stages_for(task: Task, draws: Sequence[Draw | None]) -> list[Stages]:
                 c = Coefficients(c.k * k, c.f * f, c.mu * mu, c.nu)
             table.append(c)
             alphas.append(task.alphas[name])
-            drags.append(drag_along(wall, task.vehicle.airframe.drag_per_s))
+            drags.append(drag_along(wall, task.vehicle.airframe.drag_per_s)[0])
             delays.append(draw.delay_s if draw is not None else 0.0)
     stages = build_stages(task.vehicle, table, alphas, drags, delays)
     n = len(keys)
@@ -271,12 +271,11 @@ class Rollout:
         bn, bt = drag_along(wall, self.task.vehicle.airframe.drag_per_s)
         vn = normal if draw is None else np.minimum(normal + shift_n, -1e-3)
         vt = tangential if draw is None else tangential + shift_t
-        zero = np.zeros_like(vn)
-        out = stage.normal(vn, bn * vn, zero, -stage.lead_s * vn, normal)
+        out = stage.normal(vn, bn * vn, np.zeros_like(vn))
         # Few different normal speeds among many candidates: what depends on them alone is computed once.
         speeds, which = np.unique(vn, return_inverse=True)
         slide = TangentialShape(*(v[which.reshape(vn.shape)] for v in stage.tangential_shape(speeds)))
-        along = stage.tangential(slide, vt, bt * vt, np.zeros_like(vt), (0.0, tangential))
+        along = stage.tangential(slide, vt, bt * vt, np.zeros_like(vt))
         shape = np.broadcast_shapes(normal.shape, tangential.shape)
         flat = _flatten(shape, out), _flatten(shape, along)
         codes = grid.codes
@@ -441,12 +440,9 @@ class Rollout:
         x, y = leg.x[0] + leg.goal_x, leg.y[0] + leg.goal_y
         vn, an, jn = (nx * leg.x[i] + ny * leg.y[i] for i in (1, 2, 3))
         vt, at, jt = (tx * leg.x[i] + ty * leg.y[i] for i in (1, 2, 3))
-        # The set-point of the leg, as seen from the plane and from the place of the onset.
-        away = nx * (leg.goal_x - wall.point[0]) + ny * (leg.goal_y - wall.point[1])
-        along = -(tx * leg.x[0] + ty * leg.y[0])
-        out = stage.normal(vn, an, jn, away, np.zeros_like(vn))
+        out = stage.normal(vn, an, jn)
         shape = stage.tangential_shape(vn)
-        slide = stage.tangential(shape, vt, at, jt, (along, 0.0))
+        slide = stage.tangential(shape, vt, at, jt)
         time = front.t_s + after
         if self.constraints is not None:
             codes = self.constraints.hit(out.peak_force_n, slide.friction_n, out.velocity)

@@ -1,12 +1,12 @@
 """What a rollout needs to know: vehicle, room, and what may be tried at which wall.
 
-A checked `Scenario` is one; a part of a mission is made one by `task_of`.
+A part of a mission is made one by `task_of`; a scenario of the planner is one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import msgspec
 
@@ -15,18 +15,12 @@ from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.mission_file import BoundsSpec, GoalSpec, Limits
-from dart_flight.config.scenario import Scenario
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.mission.approach import run_up
 
 
 class MissionTask(NamedTuple):
-    """Collisions of a mission that follow from one approach; every one has a wall of its own name.
-
-    Attributes:
-        modes: that may be tried.
-        alphas: gains (A_n, A_t) of the recovery set-point per wall, m/N.
-    """
+    """Collisions of a mission that follow from one approach; every one has a wall of its own name."""
 
     vehicle: VehicleConfig
     start: Vec2
@@ -38,7 +32,40 @@ class MissionTask(NamedTuple):
     alphas: dict[str, tuple[float, float]]
 
 
-Task = Scenario | MissionTask
+class Task(Protocol):
+    """What a rollout needs to know of what is asked: a part of a mission, or a scenario; as `MissionTask`."""
+
+    @property
+    def vehicle(self) -> VehicleConfig:
+        """What flies."""
+
+    @property
+    def start(self) -> Vec2:
+        """Where the run-up begins, mission frame, metres."""
+
+    @property
+    def goal(self) -> GoalSpec:
+        """Where it leads."""
+
+    @property
+    def bounds(self) -> BoundsSpec:
+        """Of the room."""
+
+    @property
+    def walls(self) -> dict[str, Wall]:
+        """By name; each is hit once at most."""
+
+    @property
+    def limits(self) -> Limits:
+        """That no candidate may exceed."""
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """That may be tried."""
+
+    @property
+    def alphas(self) -> dict[str, tuple[float, float]]:
+        """Gains (A_n, A_t) of the recovery set-point per wall, m/N."""
 
 
 def task_of(mission: Mission, group: Sequence[Collision]) -> MissionTask:

@@ -21,7 +21,6 @@ from dart_flight.base.records import World
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.config.vehicle.configuration import drop_removed_keys
 from dart_flight.recording.reader import NothingInItError
 
 
@@ -87,10 +86,7 @@ def flown_mission(about: dict[str, str], source: str) -> Mission:
     if text is None:
         raise NothingInItError("the log does not hold its mission", source=source)
     try:
-        flown = msgspec.json.decode(text)
-        if isinstance(flown, dict):
-            drop_removed_keys(flown.get("vehicle"))
-        return msgspec.convert(flown, Mission)
+        return msgspec.json.decode(text, type=Mission)
     except msgspec.MsgspecError as error:
         raise InputError(f"the mission in it does not fit this version: {error}", source=source) from None
 
@@ -103,9 +99,7 @@ def written_mission(about: dict[str, str], source: str) -> tuple[Document, Docum
     """
     if "mission_text" not in about or "vehicle" not in about:
         raise InputError("the log does not hold its mission's text", source=source)
-    vehicle = msgspec.json.decode(about["vehicle"])
-    drop_removed_keys(vehicle)
-    text = msgspec.json.format(msgspec.json.encode(vehicle).decode(), indent=2)
+    text = msgspec.json.format(about["vehicle"], indent=2)
     return Document(about["mission_text"], f"{source}: mission"), Document(text, f"{source}: vehicle")
 
 

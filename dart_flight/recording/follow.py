@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import struct
 from pathlib import Path
 
 from mcap.exceptions import EndOfFile
-from mcap.records import Chunk, Metadata
-from mcap.stream_reader import StreamReader
 
-from dart_flight.recording.reader import MAGIC, MOST_BYTES, LogEntry, entries_in
-from dart_flight.recording.writer import ABOUT, END, part_path
+from dart_flight.recording.reader import MAGIC, MOST_BYTES, LogEntry, read_entries
+from dart_flight.recording.writer import part_path
 
 _HEAD = struct.Struct("<BQ")  # MCAP: kind and length of a record
 _READ_BYTES = 8 * 1024 * 1024  # at once
@@ -47,30 +46,16 @@ class LogFollower:
         Raises:
             OSError: the file cannot be read.
             ValueError: it is damaged.
+        InputError: written by a newer version.
         """
-        data = self._whole_records()
-        entries: list[LogEntry] = []
-        if data:
-            reader = StreamReader(
-                io.BytesIO(data), skip_magic=True, emit_chunks=True, record_size_limit=MOST_BYTES
-            )
-            try:
-                for record in reader.records:
-                    self._take(record, entries)
-            except EndOfFile:
-                pass
+        added, end, entries = io.BytesIO(self._whole_records()), dict[str, str](), list[LogEntry]()
+        with contextlib.suppress(EndOfFile):
+            for entry in read_entries(added, self.about, end, self._topics, str(self._path), begun=True):
+                entries.append(entry)
+        if end:
+            self._continued = end.get("continued") == "yes"
+            self.ended = not self._continued
         return entries
-
-    def _take(self, record: object, entries: list[LogEntry]) -> None:
-        if isinstance(record, Metadata) and record.name == ABOUT:
-            self.about.update(record.metadata)
-        elif isinstance(record, Metadata) and record.name == END:
-            if record.metadata.get("continued") == "yes":
-                self._continued = True
-            else:
-                self.ended = True
-        elif isinstance(record, Chunk):
-            entries += entries_in(record, self._topics)
 
     def _whole_records(self) -> bytes:
         """Bytes from where the last call ended to the end of the last whole record."""

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from dart_flight.base.records import Record
 from dart_flight.recording.reader import IN_MEMORY, Log, LogEntry
-from dart_flight.recording.writer import LogPart
 
 
 class MemoryLog:
@@ -30,18 +27,3 @@ class MemoryLog:
 
     def close(self) -> None:
         """Nothing is left to be done."""
-
-
-def write_log(log: Log, path: Path) -> None:
-    """Write a log as one file, which must not exist; `read_log` gives the same records back.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    part = LogPart(path, log.about, 1)
-    time_us = 0
-    for entry in log.entries:
-        time_us = getattr(entry.record, "t_us", 0) or time_us
-        part.write(entry.record, time_us, entry.number)
-    part.finish({**log.end, "lost": "0"})
-    part.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import IO, TYPE_CHECKING
 
 import msgspec
 from mcap.records import Channel, Chunk, Message, Metadata
@@ -129,37 +129,50 @@ def _read_part(path: Path, log: Log) -> None:
                 refuse_other_kind(path, FileKind.FLIGHT_LOG)
                 raise InputError("not a flight log (no MCAP file)", source=source)
             stream.seek(0)
-            for entry in _entries(stream, log, found, source):
+            for entry in read_entries(stream, found, log.end, {}, source):
                 log.entries.append(entry)
     except InputError:
         raise
     except OSError as error:
         raise InputError(f"cannot read: {error.strerror or error}", source=source) from None
     except Exception:
-        # Cut off or damaged here, for which the library raises many kinds of errors; the rest is good.
+        # Cut off or damaged here; the rest is good.
         log.complete = False
+    log.about.update(found)
     if not found and log.complete:
         raise InputError("an MCAP file, but not a flight log of dart-flight", source=source)
 
 
-def _entries(stream: BinaryIO, log: Log, found: dict[str, str], source: str) -> Iterator[LogEntry]:
-    topics: dict[int, str] = {}
-    for record in StreamReader(stream, emit_chunks=True, record_size_limit=MOST_BYTES).records:
+def read_entries(
+    stream: IO[bytes],
+    about: dict[str, str],
+    end: dict[str, str],
+    topics: dict[int, str],
+    source: str,
+    begun: bool = False,
+) -> Iterator[LogEntry]:
+    """The records of one part of a log, or, where it is `begun`, of what has been added to it.
+
+    `about` takes what describes the flight, `end` what was known only at its end, `topics` the channels by
+    number. For what is cut off or damaged the library raises many kinds of errors.
+
+    Raises:
+        InputError: written by a newer version.
+    """
+    reader = StreamReader(stream, skip_magic=begun, emit_chunks=True, record_size_limit=MOST_BYTES)
+    for record in reader.records:
         if isinstance(record, Metadata) and record.name == ABOUT:
-            found.update(record.metadata)
             _check_version(record.metadata, source)
-            log.about.update(record.metadata)
+            about.update(record.metadata)
         elif isinstance(record, Metadata) and record.name == END:
-            log.end.update(record.metadata)
-        if not isinstance(record, Chunk) or not found:
-            continue
-        if record.uncompressed_size > MOST_BYTES:
-            raise ValueError(f"a chunk of {record.uncompressed_size} bytes")
-        yield from entries_in(record, topics)
+            end.update(record.metadata)
+        elif isinstance(record, Chunk) and about:
+            if record.uncompressed_size > MOST_BYTES:
+                raise ValueError(f"a chunk of {record.uncompressed_size} bytes")
+            yield from _entries_in(record, topics)
 
 
-def entries_in(chunk: Chunk, topics: dict[int, str]) -> Iterator[LogEntry]:
-    """The records of a chunk; `topics` holds the channels by number, and learns new ones."""
+def _entries_in(chunk: Chunk, topics: dict[int, str]) -> Iterator[LogEntry]:
     for inner in breakup_chunk(chunk, validate_crc=True):
         if isinstance(inner, Channel):
             topics[inner.id] = inner.topic

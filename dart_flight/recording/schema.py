@@ -9,7 +9,6 @@ from __future__ import annotations
 import inspect
 import re
 import types
-from collections.abc import Sequence
 from functools import cache
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
@@ -54,17 +53,6 @@ CLOCKS = {
     "offset_us": "autopilot's clock minus the host's",
     "latency_us": "a duration",
 }
-
-
-_AXES = {2: "xy", 3: "xyz", 4: "wxyz"}
-_NUMBERED = frozenset({"motors", "rpm", "blocking", "others"})  # lists of something else than axes
-
-
-def axes_of(name: str, length: int) -> Sequence[str]:
-    """What the parts of a vector are called at the end of a column's name: `force_mission_x`, `motors_1`."""
-    if name in _NUMBERED or length not in _AXES:
-        return [str(i + 1) for i in range(length)]
-    return _AXES[length]
 
 
 def describe(name: str, comment: str = "") -> str:

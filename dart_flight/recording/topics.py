@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import types
 from collections.abc import Iterable, Iterator
 from enum import Enum
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.base.records import Record
+from dart_flight.config.document import or_known
 from dart_flight.recording.flight_time import zero_of
 from dart_flight.recording.schema import RECORD_TYPES
 
@@ -47,7 +47,7 @@ class Topic:
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name not in self.fields:
-            raise KeyError(f"{self.kind.topic} has no field {name}{_near(name, self.fields)}")
+            raise KeyError(f"{self.kind.topic} has no field {name}{or_known(name, self.fields)}")
         if name not in self._made:
             values = [getattr(record, name) for record in self.records]
             self._made[name] = _array(values, get_type_hints(self.kind)[name])
@@ -96,18 +96,13 @@ class Topics:
 
     def __getitem__(self, name: str) -> Topic:
         if name not in _BY_TOPIC:
-            raise KeyError(f"no channel {name}{_near(name, _BY_TOPIC)}")
+            raise KeyError(f"no channel {name}{or_known(name, _BY_TOPIC)}")
         if name not in self._topics:
             return Topic(_BY_TOPIC[name], [], np.empty(0))
         return self._topics[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.names)
-
-
-def _near(name: str, known: Iterable[str]) -> str:
-    near = difflib.get_close_matches(name, list(known), n=1)
-    return f", did you mean {near[0]}?" if near else f", known: {', '.join(known)}"
 
 
 class _Kind(NamedTuple):

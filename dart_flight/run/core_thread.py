@@ -1,9 +1,8 @@
 """What owns the core in real time: one queue in, steps one after the other, set-points out at once.
 
 There is one queue, and at any time one thread steps the core: it holds `_owner`. Which one that is goes by
-the core's own word (`core.pace`): its own thread, or near a wall MAVSDK's, on which a sample arrives. A hop
-from that to another thread would cost a waking up and the interpreter's lock handed over, on a busy machine a
-slice of the scheduler each (docs/latency.md).
+the core's own word (`core.pace`): its own thread, or near a wall MAVSDK's, on which a sample arrives, so that
+no other has to wake first (docs/latency.md).
 """
 
 from __future__ import annotations

@@ -1,12 +1,9 @@
 """The deadman: a small process beside the app that ends it when it hangs.
 
-MAVSDK repeats the last set-point from its own thread, 20 times a second, so PX4 never notices that the app
-behind it hangs and its offboard-loss failsafe never acts. A watching thread does not help either: a hang
-that holds the interpreter lock stops every Python thread. So the watcher is a process. The core thread and
-the event loop must both feed it through a pipe; when either starves, the app is killed (SIGKILL, which a
-stopped process cannot dodge either), the set-points stop on the wire, and PX4's failsafe acts.
-
-Only the monotonic clock is used: a jump of the host's time of day changes nothing.
+MAVSDK repeats the last set-point from its own thread, so PX4 would never notice that the app behind it hangs,
+and a hang that holds the interpreter lock stops every watching thread. The core thread and the event loop
+must both feed this process through a pipe; when either starves, the app is killed (SIGKILL), the set-points
+stop on the wire, and PX4's failsafe acts.
 
 `SystemdNotice` is the second line: systemd's watchdog (`Type=notify`, `WatchdogSec`), fed from the event loop
 only while the core thread is alive too.

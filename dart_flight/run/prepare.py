@@ -9,8 +9,7 @@ import msgspec
 
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
-from dart_flight.config.scenario import Scenario
-from dart_flight.config.vehicle import LockDriver, Px4Parameters
+from dart_flight.config.vehicle import LockDriver
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.mission.approach import NoApproachError
 from dart_flight.planning.envelope import impact_problem
@@ -68,26 +67,3 @@ def with_standoff(mission: Mission, standoff_m: float | None) -> Mission:
     if not 0.1 <= standoff_m <= 2.0:
         raise InputError(f"{standoff_m:g} m, allowed is 0.1 to 2 m", key=("--standoff",))
     return msgspec.structs.replace(mission, standoff_m=standoff_m)
-
-
-def with_vehicle_parameters(scenario: Scenario, url: str) -> Scenario:
-    """The scenario with the PX4 parameters that the vehicle at a connection really has.
-
-    Raises:
-        VehicleError: nothing answers, or it has none of the parameters.
-        InputError: one of them is out of the range that the flight model can take.
-    """
-    from dart_flight.vehicle.ground_link import GroundLink  # noqa: PLC0415
-    from dart_flight.vehicle.session import VehicleError  # noqa: PLC0415
-
-    vehicle = scenario.vehicle
-    own = msgspec.to_builtins(vehicle.px4)
-    with GroundLink(url, vehicle.connection.timeout_s) as link:
-        found = link.read_parameters(own)
-    if not found:
-        raise VehicleError(f"the vehicle on {url} tells none of its parameters")
-    try:
-        px4 = msgspec.convert({**own, **found}, Px4Parameters)
-    except msgspec.ValidationError as error:
-        raise InputError(f"the vehicle's parameters: {error}", source=url) from None
-    return msgspec.structs.replace(scenario, vehicle=msgspec.structs.replace(vehicle, px4=px4))

@@ -11,10 +11,10 @@ from dart_flight.base.records import World
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameters import PositionSource
+from dart_flight.lab_entries import PX4_FIGURES, load_entry
 from dart_flight.planning.positioning import frame_problem
 from dart_flight.recording.found import PX4_LOG
-from dart_flight.recording.px4_log import read_px4_log
-from dart_flight.recording.verdict import Verdict
+from dart_flight.recording.verdict import Px4Figures, Verdict
 from dart_flight.run.app import FlightApp
 from dart_flight.run.flight_record import FlightRecord, Onlooker
 from dart_flight.run.world_process import Px4World, WorldProcess, fly_in_world, world_log
@@ -102,8 +102,17 @@ def fly_px4(
             lease.release()
     ulog = folder / PX4_LOG
     built = record.build(px4_log=ulog)
-    built.px4 = read_px4_log(ulog, world.version)
+    built.px4 = _px4_figures(ulog, world.version)
     return built
+
+
+def _px4_figures(ulog: Path, version: str | None) -> Px4Figures:
+    """What PX4's own log says; reading it is the lab's, and a failure there is not the flight's."""
+    try:
+        figures: Px4Figures = load_entry(PX4_FIGURES)(ulog, version)
+    except Exception:
+        return Px4Figures(version)
+    return figures
 
 
 def _for_lockstep(mission: Mission, speed: float) -> Mission:

@@ -487,12 +487,6 @@ class MavlinkEndpoint:
             a.time_us, len(outputs), outputs + [0.0] * (32 - len(outputs))
         )
 
-    def _attitude_target(self) -> Any:
-        c = self.autopilot.cascade
-        return mavlink.MAVLink_attitude_target_message(
-            self._boot_ms, 0, c.attitude_setpoint, 0.0, 0.0, 0.0, c.thrust_setpoint
-        )
-
     def _esc_status(self) -> Any:
         a = self.autopilot
         per_rpm2 = a.vehicle.estimation.esc_thrust_n_per_rpm2 or _ESC_THRUST_N_PER_RPM2
@@ -525,7 +519,6 @@ MESSAGES: dict[int, tuple[float, Callable[[MavlinkEndpoint], Any]]] = {
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: (5.0, MavlinkEndpoint._gps_raw),
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: (0.5, MavlinkEndpoint._home_position),
     mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: (0.0, MavlinkEndpoint._actuator_output_status),
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: (10.0, MavlinkEndpoint._attitude_target),
     esc_status.MESSAGE_ID: (0.0, MavlinkEndpoint._esc_status),
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: (1.0, MavlinkEndpoint._estimator_status),
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: (0.0, MavlinkEndpoint._autopilot_version),

@@ -11,10 +11,7 @@ from dart_flight.base.geometry import Vec3
 class Normal:
     """Independent normal numbers, drawn in pairs from uniform ones (Box and Muller).
 
-    Written out, not asked of `random.Random.gauss`: a flight of twenty seconds takes 43,000 of them, and
-    an interpreted method each costs more than all else in compiled sensors (docs/speed.md). The numbers
-    are those of `gauss`, which has had this formula and this order in every Python so far
-    (`tests/sim/test_noise.py`); should it ever get another, flights of the same seed stay as they are.
+    Those of `random.Random.gauss`, written out because this is compiled and that is not (docs/speed.md).
 
     Args:
         rng: of the uniform numbers; who else draws from it changes the sequence.

@@ -42,7 +42,7 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import BodyModel, Coefficients, Motor, VehicleConfig
 from dart_flight.contact.body import UNTOUCHED, Plane, Touch, arm_of, clearance_m, folds, guards_of, touch
-from dart_flight.contact.law import Onset, coefficients_in_force, contact_force
+from dart_flight.contact.law import Onset, coefficients_in_force
 
 STEP_S: Final = 0.001
 CONTACT_STEPS: Final = 10  # of 0.1 ms in one step of 1 ms
@@ -62,10 +62,8 @@ _GROUND_SPEED_M_S: Final = 0.05  # regularisation of the ground's friction
 class _WallPlane:
     """A wall in NED with the axes of its collision frame; `surface` is the wall itself, for the guards."""
 
-    def __init__(
-        self, wall: Wall, point: Vec3, normal: Vec3, tangent: Vec3, down: Vec3, surface: Plane
-    ) -> None:
-        self.wall, self.point, self.normal, self.tangent, self.down = wall, point, normal, tangent, down
+    def __init__(self, wall: Wall, point: Vec3, normal: Vec3, tangent: Vec3, surface: Plane) -> None:
+        self.wall, self.point, self.normal, self.tangent = wall, point, normal, tangent
         self.surface = surface
 
     def move(self, away_m: float) -> None:
@@ -128,7 +126,6 @@ class Plant:
         self.vehicle, self.frame = vehicle, frame
         self.motors = motors if motors is not None else vehicle.airframe.motors
         self.onset = Onset(vehicle.onset)
-        self.planes = [_plane(wall, frame, vehicle.simulation.contact.guard_out_m) for wall in walls]
         self.mass = vehicle.airframe.mass_kg
         self.time_s = 0.0
         self.position: Vec3 = start_ned
@@ -142,11 +139,16 @@ class Plant:
         self.contact_force_ned: Vec3 = (0.0, 0.0, 0.0)  # of walls, at the end of the last step
         self.contact_torque_frd: Vec3 = (0.0, 0.0, 0.0)  # likewise, about the centre of mass
         self.body = vehicle.simulation.contact
+        if self.body.body is BodyModel.POINT:
+            self.body = msgspec.structs.replace(
+                self.body, guard_out_m=0.0, vertical_lever_m=0.0, fold_share=0.0
+            )
         self._half_engaged = self.body.half_engaged and vehicle.has_lock
         self._rng = random.Random(scatter_seed)
         self._scattered: dict[str, tuple[float, float, float]] = {}
-        self._guards = guards_of(self.body) if self.body.body is BodyModel.GUARDS else ()
-        self._reach_m = max((norm(guard.at) for guard in self._guards), default=0.0)
+        self.planes = [_plane(wall, frame, self.body.guard_out_m) for wall in walls]
+        self._guards = guards_of(self.body)
+        self._reach_m = max(norm(guard.at) for guard in self._guards)
         self.on_ground = True
         self.finished: list[TruthContact] = []
         self.time_offset_us = 0
@@ -212,17 +214,13 @@ class Plant:
         pushed = (ux * thrust_n / m + dx, uy * thrust_n / m + dy, uz * thrust_n / m + dz)
         planes = self._planes_near() if near else []
         near_ground = self.position[2] > self.ground_down - _GROUND_M
-        if not planes and not near_ground:
-            self._folded = None
-            self._fly(pushed)
-            self._turn(torque)
-            contact = _NO_FORCE
-        elif self._guards and planes and not near_ground:
-            contact = self._collide(pushed, torque, planes if self._may_touch(planes) else [])
+        if planes:
+            touchable = planes if self._may_touch(planes) else []
+            contact = self._collide(pushed, torque, touchable, near_ground)
             self._folded = self._fold()
         else:
             self._folded = None
-            contact = self._translate(pushed, planes)
+            contact = self._stand(pushed) if near_ground else self._fly(pushed)
             self._turn(torque)
         self.time_s += STEP_S
         sx, sy = self._shake(contact)
@@ -298,11 +296,7 @@ class Plant:
         ]
 
     def _may_touch(self, planes: list[tuple[_WallPlane, Coefficients]]) -> bool:
-        """Whether guards can be pressed within the next step: the law's onset is at k x + f vx = 0.
-
-        They cannot for most of the time near a wall; to find that out once is cheaper than in every small
-        step.
-        """
+        """Whether guards can be pressed within the next step: the law's onset is at k x + f vx = 0."""
         if self._open:
             return True
         v = self.velocity
@@ -315,8 +309,10 @@ class Plant:
                 return True
         return False
 
-    def _collide(self, pushed: Vec3, torque: Vec3, planes: list[tuple[_WallPlane, Coefficients]]) -> Vec3:
-        """Move and turn the body near walls, in the air; returns the mean acceleration by contact, NED.
+    def _collide(
+        self, pushed: Vec3, torque: Vec3, planes: list[tuple[_WallPlane, Coefficients]], near_ground: bool
+    ) -> Vec3:
+        """Move and turn the body near walls; returns the mean acceleration by contact, NED.
 
         Midpoint rule over position, velocity, attitude and rate, in steps of 0.1 ms; thrust and drag are
         constant over the millisecond.
@@ -325,21 +321,25 @@ class Plant:
         h = STEP_S / CONTACT_STEPS
         g = 0.5 * h
         before = self.velocity
+        if near_ground and self.on_ground:
+            torque = self._legs(torque)
         self.on_ground = False
         p, v, q, w = self.position, self.velocity, self.q, self.rate
-        a, b, felt = self._touching(p, v, q, w, free, torque, planes)
+        a, b, felt = self._touching(p, v, q, w, free, torque, planes, near_ground)
         for i in range(CONTACT_STEPS):
             mid_p = (p[0] + g * v[0], p[1] + g * v[1], p[2] + g * v[2])
             mid_v = (v[0] + g * a[0], v[1] + g * a[1], v[2] + g * a[2])
             mid_w = (w[0] + g * b[0], w[1] + g * b[1], w[2] + g * b[2])
-            a, b, _ = self._touching(mid_p, mid_v, advance_attitude(q, w, g), mid_w, free, torque, planes)
+            a, b, _ = self._touching(
+                mid_p, mid_v, advance_attitude(q, w, g), mid_w, free, torque, planes, near_ground
+            )
             v_before = v
             self.position = p = (p[0] + h * mid_v[0], p[1] + h * mid_v[1], p[2] + h * mid_v[2])
             self.velocity = v = (v[0] + h * a[0], v[1] + h * a[1], v[2] + h * a[2])
             self.rate = w = (w[0] + h * b[0], w[1] + h * b[1], w[2] + h * b[2])
             self.q = q = quaternion_normalise(advance_attitude(q, mid_w, h))
             # Felt at the end of this step, and at the beginning of the next.
-            a, b, felt = self._touching(p, v, q, w, free, torque, planes)
+            a, b, felt = self._touching(p, v, q, w, free, torque, planes, near_ground)
             for (plane, c), one in zip(planes, felt, strict=True):
                 self._note_contact(plane, c, one, self.time_s + i * h, v_before)
         return (
@@ -384,6 +384,7 @@ class Plant:
         free: Vec3,
         torque: Vec3,
         planes: list[tuple[_WallPlane, Coefficients]],
+        near_ground: bool,
     ) -> tuple[Vec3, Vec3, list[Touch]]:
         """Acceleration (NED), angular acceleration (FRD), and what the guards feel of each wall."""
         sign, lever = self.vehicle.vertical_force_sign, self.body.vertical_lever_m
@@ -395,27 +396,28 @@ class Plant:
             if one is not _UNTOUCHED:
                 force, turned = add(force, one.force), add(turned, one.torque)
         self.contact_force_ned, self.contact_torque_frd = force, turned
+        if near_ground:
+            force = add(force, self._ground_force(p, v))
         m, (ix, iy, iz) = self.mass, self._inertia
         acceleration = (free[0] + force[0] / m, free[1] + force[1] / m, free[2] + force[2] / m)
         roll, pitch, yaw = subtract(add(torque, turned), gyroscopic_torque(self._inertia, w))
         return acceleration, (roll / ix, pitch / iy, yaw / iz), felt
 
-    def _translate(self, pushed: Vec3, planes: list[tuple[_WallPlane, Coefficients]]) -> Vec3:
-        """Move the centre of mass; returns the mean acceleration by contact (walls and ground), NED."""
+    def _stand(self, pushed: Vec3) -> Vec3:
+        """Move the centre of mass where only the ground is near; returns the mean acceleration by it, NED."""
+        self.contact_force_ned = self.contact_torque_frd = _NO_FORCE
         free = (pushed[0], pushed[1], pushed[2] + GRAVITY_M_S2)
-        steps = CONTACT_STEPS if planes else _GROUND_STEPS
-        h = STEP_S / steps
+        h = STEP_S / _GROUND_STEPS
+        g = 0.5 * h
         before = self.velocity
-        for i in range(steps):
-            # Midpoint rule: at 0.1 ms its error is far below the 1 % asked of the truth.
-            a = self._acceleration(self.position, self.velocity, free, planes)
+        for _ in range(_GROUND_STEPS):
             p, v = self.position, self.velocity
-            mid_p = (p[0] + 0.5 * h * v[0], p[1] + 0.5 * h * v[1], p[2] + 0.5 * h * v[2])
-            mid_v = (v[0] + 0.5 * h * a[0], v[1] + 0.5 * h * a[1], v[2] + 0.5 * h * a[2])
-            a = self._acceleration(mid_p, mid_v, free, planes)
+            a = self._pushed_up(p, v, free)
+            mid_p = (p[0] + g * v[0], p[1] + g * v[1], p[2] + g * v[2])
+            mid_v = (v[0] + g * a[0], v[1] + g * a[1], v[2] + g * a[2])
+            a = self._pushed_up(mid_p, mid_v, free)
             self.position = (p[0] + h * mid_v[0], p[1] + h * mid_v[1], p[2] + h * mid_v[2])
             self.velocity = (v[0] + h * a[0], v[1] + h * a[1], v[2] + h * a[2])
-            self._note_contacts(planes, self.time_s + i * h, v)
         v = self.velocity
         return (
             (v[0] - before[0]) / STEP_S - free[0],
@@ -423,8 +425,13 @@ class Plant:
             (v[2] - before[2]) / STEP_S - free[2],
         )
 
-    def _fly(self, pushed: Vec3) -> None:
-        """Move the centre of mass where nothing touches."""
+    def _pushed_up(self, p: Vec3, v: Vec3, free: Vec3) -> Vec3:
+        x, y, z = self._ground_force(p, v)
+        m = self.mass
+        return (free[0] + x / m, free[1] + y / m, free[2] + z / m)
+
+    def _fly(self, pushed: Vec3) -> Vec3:
+        """Move the centre of mass where nothing touches; no acceleration by contact."""
         self.on_ground = False
         self.contact_force_ned = self.contact_torque_frd = _NO_FORCE
         if self._open:
@@ -434,6 +441,7 @@ class Plant:
         h, g = STEP_S, 0.5 * STEP_S
         self.position = (x + h * (vx + g * ax), y + h * (vy + g * ay), z + h * (vz + g * az))
         self.velocity = (vx + h * ax, vy + h * ay, vz + h * az)
+        return _NO_FORCE
 
     def _coefficients_near(self, plane: _WallPlane) -> Coefficients | None:
         position = self.frame.point_from_ned(self.position)
@@ -460,33 +468,6 @@ class Plant:
         factors = [max(0.1, 1.0 + self.body.scatter * self._rng.gauss(0.0, 1.0)) for _ in range(3)]
         return (factors[0], factors[1], factors[2])
 
-    def _wall_force(self, plane: _WallPlane, c: Coefficients, p: Vec3, v: Vec3) -> Vec3:
-        """Contact force in newton in the collision frame at a position and velocity in NED."""
-        n, t, d, o = plane.normal, plane.tangent, plane.down, plane.point
-        x = n[0] * (p[0] - o[0]) + n[1] * (p[1] - o[1])
-        velocity = (
-            n[0] * v[0] + n[1] * v[1],
-            t[0] * v[0] + t[1] * v[1],
-            d[2] * v[2],
-        )
-        return contact_force(c, self.onset, x, velocity, self.vehicle.vertical_force_sign)
-
-    def _acceleration(
-        self, p: Vec3, v: Vec3, free: Vec3, planes: list[tuple[_WallPlane, Coefficients]]
-    ) -> Vec3:
-        fx = fy = fz = 0.0
-        for plane, c in planes:
-            lx, ly, lz = self._wall_force(plane, c, p, v)
-            if lx > 0.0:
-                n, t, d = plane.normal, plane.tangent, plane.down
-                fx += lx * n[0] + ly * t[0]
-                fy += lx * n[1] + ly * t[1]
-                fz += lz * d[2]
-        self.contact_force_ned = (fx, fy, fz)
-        gx, gy, gz = self._ground_force(p, v)
-        m = self.mass
-        return (free[0] + (fx + gx) / m, free[1] + (fy + gy) / m, free[2] + (fz + gz) / m)
-
     def _ground_force(self, p: Vec3, v: Vec3) -> Vec3:
         """Ground under the landing gear: normal law without lz, regularised Coulomb friction."""
         s = self.vehicle.simulation
@@ -498,15 +479,6 @@ class Plant:
         speed = math.hypot(v[0], v[1])
         grip = s.ground_friction * normal / math.hypot(speed, _GROUND_SPEED_M_S)
         return (-grip * v[0], -grip * v[1], -normal)
-
-    def _note_contacts(
-        self, planes: list[tuple[_WallPlane, Coefficients]], t_s: float, velocity_before: Vec3
-    ) -> None:
-        """As a point: the whole force acts at the centre of mass."""
-        for plane, c in planes:
-            lx, ly, _ = self._wall_force(plane, c, self.position, self.velocity)
-            felt = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), lx, ly)
-            self._note_contact(plane, c, felt, t_s, velocity_before)
 
     def _note_contact(
         self, plane: _WallPlane, c: Coefficients, felt: Touch, t_s: float, velocity_before: Vec3
@@ -520,8 +492,8 @@ class Plant:
             current.peak_friction = max(current.peak_friction, abs(felt.friction_n))
             current.peak_torque = max(current.peak_torque, norm(felt.torque))
             current.last_s, current.velocity_out, current.rate_out = t_s, self.velocity, self.rate
-        elif current is not None and (not self._guards or t_s - current.last_s > _REBOUND_S):
-            self._end_contact(current, t_s)
+        elif current is not None and t_s - current.last_s > _REBOUND_S:
+            self._end_contact(current)
 
     def _begin_contact(
         self, plane: _WallPlane, c: Coefficients, t_s: float, velocity_before: Vec3
@@ -550,19 +522,18 @@ class Plant:
     def _let_go(self) -> None:
         """Away from every wall: what is still open has ended with its last force."""
         for current in list(self._open.values()):
-            self._end_contact(current, current.last_s)
+            self._end_contact(current)
 
-    def _end_contact(self, current: _OpenContact, t_s: float) -> None:
+    def _end_contact(self, current: _OpenContact) -> None:
         plane = current.plane
         del self._open[plane.wall.name]
         self._scattered.pop(plane.wall.name, None)
         n, t = plane.normal, plane.tangent
-        # The point's contact ends with the step that has no force any more, as it always did.
-        v, end_s = (self.velocity, t_s) if not self._guards else (current.velocity_out, current.last_s)
+        v = current.velocity_out
         self.finished.append(
             TruthContact(
                 t_us=self._stamp(current.start_s),
-                end_us=self._stamp(end_s),
+                end_us=self._stamp(current.last_s),
                 wall=plane.wall.name,
                 mode=current.mode,
                 normal_in_m_s=current.normal_in,
@@ -675,4 +646,4 @@ def _plane(wall: Wall, frame: MissionFrame, out_m: float) -> _WallPlane:
         point[1] - out_m * normal[1],
         point[2] - out_m * normal[2],
     )
-    return _WallPlane(wall, point, normal, tangent, down, Plane(on_surface, normal, tangent, down))
+    return _WallPlane(wall, point, normal, tangent, Plane(on_surface, normal, tangent, down))

@@ -23,13 +23,11 @@ from pathlib import Path
 import msgspec
 
 from dart_flight.config.document import InputError
+from dart_flight.config.link_url import parse_link
 from dart_flight.config.state_folder import HeldError, HeldFile, Lease, content_of_held, state_dir
 
-_SERIAL = re.compile(r"serial(?:_flowcontrol)?://(?P<device>[^:]+)(?::\d+)?$")
-_NETWORK = re.compile(r"(?P<kind>udpin|udpout|udp|tcpin|tcpout|tcp)://(?P<host>[^:]*)(?::(?P<port>\d+))?$")
 _PAUSE_S = 0.02
 _STARTING_S = 2.0
-_DEFAULT_PORT = {"udp": 14540, "tcp": 5760}
 
 
 class LinkTakenError(InputError):
@@ -73,16 +71,14 @@ class Place(msgspec.Struct, frozen=True):
 
 def place_of(url: str) -> Place:
     """Where a MAVSDK connection URL leads; what is no such URL gets a key all the same, MAVSDK refuses it."""
-    serial = _SERIAL.match(url)
-    if serial is not None:
-        # /dev/serial0, /dev/ttyAMA0 and /dev/serial/by-id/... may be one device.
-        device = Path(os.path.realpath(serial["device"]))
-        return Place("serial-" + str(device).strip("/").replace("/", "-"), device=device)
-    network = _NETWORK.match(url)
-    if network is None:
+    link = parse_link(url)
+    if link is None:
         return Place("url-" + re.sub(r"[^A-Za-z0-9.]+", "-", url)[:80])
-    kind, host = network["kind"], network["host"]
-    port = int(network["port"] or _DEFAULT_PORT[kind[:3]])
+    if link.kind == "serial":
+        # /dev/serial0, /dev/ttyAMA0 and /dev/serial/by-id/... may be one device.
+        device = Path(os.path.realpath(link.place))
+        return Place("serial-" + str(device).strip("/").replace("/", "-"), device=device)
+    kind, host, port = link
     if kind == "udpin" or (kind == "udp" and host in ("", "0.0.0.0", "127.0.0.1", "localhost")):
         return Place(f"udp-{port}", udp_port=port, host=host)
     return Place(f"{kind[:3]}-{'in' if kind.endswith('in') else 'out'}-{host}-{port}")

@@ -15,9 +15,8 @@ from typing import Any
 from mavsdk.logging import log_subscribe
 
 _LEVELS = {0: logging.DEBUG, 1: logging.INFO, 2: logging.WARNING, 3: logging.ERROR}
-# When a UDP connection is closed, MAVSDK 4.1 takes its socket away from under a receive that its other thread
-# is just about to repeat, seen once in 145 closings. Nothing is lost: there is no listener any more. The
-# same words while a connection is in use would be an error.
+# When a UDP connection is closed, MAVSDK 4.1 may take its socket away from under a receive. Nothing is lost:
+# there is no listener any more. The same words while a connection is in use would be an error.
 _SOCKET_CLOSED = "Bad file descriptor"
 
 _logger = logging.getLogger("dart_flight.mavsdk")

@@ -33,7 +33,6 @@ from dart_flight.base.records import (
     MOTOR_STOP_US,
     ActuatorSample,
     AttitudeSample,
-    AttitudeTargetSample,
     ClockOffset,
     EscSample,
     EstimatorSample,
@@ -50,9 +49,9 @@ from dart_flight.base.records import (
     StatusText,
     VehicleAction,
 )
-from dart_flight.base.streams import ATTITUDE_TARGET, ESC, MESSAGE_ID, STREAMS, Stream
+from dart_flight.base.streams import ESC, ESC_MESSAGE_ID, STREAMS
 from dart_flight.config.document import InputError
-from dart_flight.config.vehicle import Estimation, ThrustSource
+from dart_flight.config.vehicle import Estimation
 from dart_flight.vehicle import reasons, sdk_log
 from dart_flight.vehicle.callback_thread import stay_known
 from dart_flight.vehicle.clock import Clock, ClockEstimate, host_us
@@ -116,17 +115,9 @@ class _Odometry(msgspec.Struct):
     reset_counter: int = 0  # an extension of the message: older autopilots leave it out
 
 
-class _AttitudeTarget(msgspec.Struct):
-    """ATTITUDE_TARGET as JSON."""
-
-    time_boot_ms: int
-    thrust: float | None
-
-
 _decode_actuator = msgspec.json.Decoder(_ActuatorOutputs).decode
 _decode_odometry = msgspec.json.Decoder(_Odometry).decode
 _decode_esc = msgspec.json.Decoder(_EscStatus).decode
-_decode_attitude_target = msgspec.json.Decoder(_AttitudeTarget).decode
 
 
 def _said(s: SetPoint) -> tuple[object, ...]:
@@ -171,7 +162,7 @@ class VehicleSession:
         self._action = Action(self._raw)
         self._utility = ServerUtility(self._raw)
         self._direct = MavlinkDirect(self._raw)
-        self._extra: list[Stream] = []  # beside the table, as the configuration asks
+        self._uses_esc = False
         self._motors = 0
         self._rpm: list[float] = []  # of one stamp; a message has four motors
         self._rpm_us = -1
@@ -220,11 +211,8 @@ class VehicleSession:
         d.subscribe_message("ACTUATOR_OUTPUT_STATUS", self._on_actuator)
         d.subscribe_message("ODOMETRY", self._on_odometry)
         if estimation.uses_esc:
-            self._extra.append(ESC)
+            self._uses_esc = True
             d.subscribe_message(ESC.message, self._on_esc)
-        if estimation.thrust_source is ThrustSource.ATTITUDE_TARGET:
-            self._extra.append(ATTITUDE_TARGET)
-            d.subscribe_message(ATTITUDE_TARGET.message, self._on_attitude_target)
         if guarded:
             d.subscribe_message("ESTIMATOR_STATUS", self._on_estimator_status)
 
@@ -252,9 +240,8 @@ class VehicleSession:
                 await asyncio.to_thread(calls[stream.name], rate_hz)
             except Exception:
                 refused.append(stream.name)
-        for stream in self._extra:
-            if not await asyncio.to_thread(self._ask_rate, stream):
-                refused.append(stream.name)
+        if self._uses_esc and not await asyncio.to_thread(self._ask_esc_rate):
+            refused.append(ESC.name)
         return refused
 
     async def measure_link(self, timeout_s: float) -> list[str]:
@@ -309,15 +296,15 @@ class VehicleSession:
         self._deliver(RoundTrip(received, answer.sent_us, own))
         return True
 
-    def _ask_rate(self, stream: Stream) -> bool:
-        """SET_MESSAGE_INTERVAL for a stream without a rate in the telemetry plugin; blocking."""
+    def _ask_esc_rate(self) -> bool:
+        """SET_MESSAGE_INTERVAL: the telemetry plugin has no rate for this stream; blocking."""
         fields = {
             "target_system": self._raw.get_system_id(),
             "target_component": 1,
             "command": _SET_MESSAGE_INTERVAL,
             "confirmation": 0,
-            "param1": MESSAGE_ID[stream.message],
-            "param2": round(1e6 / stream.rate_hz),
+            "param1": ESC_MESSAGE_ID,
+            "param2": round(1e6 / ESC.rate_hz),
             **{f"param{i}": 0 for i in range(3, 8)},
         }
         command = MavlinkMessage("COMMAND_LONG", 0, 0, 0, 0, msgspec.json.encode(fields).decode())
@@ -398,12 +385,6 @@ class VehicleSession:
         if len(self._rpm) >= self._motors:
             self._deliver(EscSample(status.time_usec, received, tuple(self._rpm[: self._motors])))
             self._rpm_us = -1
-
-    def _on_attitude_target(self, message: Any, _: Any) -> None:
-        received = host_us()
-        target = _decode_attitude_target(message.fields_json)
-        if target.thrust is not None:
-            self._deliver(AttitudeTargetSample(1000 * target.time_boot_ms, received, target.thrust))
 
     def _on_status(self, **changes: Any) -> None:
         received = host_us()

@@ -146,12 +146,3 @@ def test_wrapped_angles(angle: float) -> None:
 def test_a_zero_quaternion_is_no_rotation() -> None:
     with pytest.raises(ValueError, match="not a rotation"):
         quaternion_normalise((0.0, 0.0, 0.0, 0.0))
-
-
-@given(frames, rotations(), vectors)
-def test_an_attitude_turns_a_body_vector_as_the_frames_do(
-    frame: MissionFrame, q: Quaternion, forward_left_up: Vec3
-) -> None:
-    x, y, z = forward_left_up
-    by_ned = frame.vector_from_ned(rotate(q, (x, -y, -z)))
-    assert rotate(frame.attitude_from_ned(q), forward_left_up) == pytest.approx(by_ned, rel=1e-9, abs=1e-6)

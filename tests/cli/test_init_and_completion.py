@@ -18,10 +18,10 @@ from dart_flight.config.document import Document
 from dart_flight.config.kinds import EXTENDS
 from dart_flight.config.mission import load_mission
 from dart_flight.config.parameters import load_parameters
-from dart_flight.config.scenario import load_scenario
 from dart_flight.config.starter import DART, VEHICLES
 from dart_flight.config.vehicle import default_config_path
 from dart_flight.config.vehicle.configuration import load_vehicle
+from dart_flight.lab.search.scenario import load_scenario
 from dart_flight.run.fast import fly_fast
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -11,9 +11,9 @@ import pytest
 from dart_flight.cli import main
 from dart_flight.config.mission import load_mission
 from dart_flight.config.mission_file import MissionFile
-from dart_flight.config.scenario import ScenarioFile
 from dart_flight.config.units import unit_of
 from dart_flight.config.vehicle import VehicleConfig, packaged
+from dart_flight.lab.search.scenario import ScenarioFile
 
 ROOT = Path(__file__).parents[2]
 DUAL = (ROOT / "missions/paper_dual_collision.yaml").read_text()

@@ -15,9 +15,9 @@ import pytest
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.kinds import EXTENDS
 from dart_flight.config.mission import load_mission
-from dart_flight.config.scenario import load_scenario
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.config.vehicle.configuration import load_vehicle
+from dart_flight.lab.search.scenario import load_scenario
 from tools.docs import configuration_comments
 from tools.docs.schemas import FOLDER, ROOT, meaning, schemas, text_of
 

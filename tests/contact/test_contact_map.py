@@ -17,8 +17,9 @@ from dart_flight.config.vehicle.airframe import Coefficients
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import WallHit, collide, contact_map, drop, drop_map
-from dart_flight.contact.law import Onset, contact_force
+from dart_flight.contact.law import Onset
 from dart_flight.lab.predict.path import Contact, trajectory
+from tests.oracles.point_law import contact_force
 
 DATA = Path(__file__).parents[1] / "data"
 MASS = 1.3

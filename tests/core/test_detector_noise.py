@@ -6,24 +6,17 @@ import math
 import random
 from typing import Any
 
-import msgspec
 import pytest
 
 from dart_flight.base.records import ContactEnd, DetectionFloor, ForceEstimate, ImpactOnset, ImpactPeak
-from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.detector import Expected, ImpactDetector
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
 from tests.core.test_force_estimate import VEHICLE, half_sine
+from tools.campaigns.real import FixedThreshold
 
 Forces = list[tuple[float, float]]
 LEARNT = 750  # samples, 3 s: as long as a climb, in which nothing is watched for
-
-
-def lifted(sigma: float = 5.0) -> VehicleConfig:
-    return msgspec.structs.replace(
-        VEHICLE, detection=msgspec.structs.replace(VEHICLE.detection, noise_sigma=sigma)
-    )
 
 
 def noisy(seconds: float, sigma_n: float, seed: int = 1, tone_hz: float | None = None) -> Forces:
@@ -41,9 +34,12 @@ def noisy(seconds: float, sigma_n: float, seed: int = 1, tone_hz: float | None =
 
 
 def run(
-    forces: Forces, vehicle: VehicleConfig = VEHICLE, watching: bool = True, noise_n: float = 3.0
+    forces: Forces,
+    watching: bool = True,
+    noise_n: float = 3.0,
+    kind: type[ImpactDetector] = ImpactDetector,
 ) -> tuple[ImpactDetector, list[Any]]:
-    detector, state = ImpactDetector(vehicle), FlightState()
+    detector, state = kind(VEHICLE), FlightState()
     events: list[Any] = []
     for i, (fx, fy) in enumerate(forces):
         t = 1_000_000 + 4000 * i
@@ -78,7 +74,7 @@ def test_noise_alone_is_no_impact_and_the_papers_first_hit_is_found(tone_hz: flo
 
 
 def test_without_it_noise_makes_impacts() -> None:
-    assert len(onsets(run(noisy(20.0, 3.9), lifted(0.0), noise_n=0.26)[1])) > 3
+    assert len(onsets(run(noisy(20.0, 3.9), noise_n=0.26, kind=FixedThreshold)[1])) > 3
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -159,7 +155,7 @@ def test_noise_does_not_drive_the_baseline_away(top_n: float) -> None:
 
 def test_a_quiet_vehicle_is_not_slower_for_it() -> None:
     forces = with_pulse(noisy(20.0, 0.26), 10.0, 15.4, 0.15)
-    with_it, without = run(forces, noise_n=0.26)[1], run(forces, lifted(0.0), noise_n=0.26)[1]
+    with_it, without = run(forces, noise_n=0.26)[1], run(forces, noise_n=0.26, kind=FixedThreshold)[1]
     assert with_it == without
     assert len(onsets(with_it)) == 1
 

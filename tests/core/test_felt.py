@@ -14,11 +14,12 @@ from dart_flight.base.geometry import IDENTITY
 from dart_flight.base.records import ForceEstimate, Mode, TorqueEstimate
 from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import ArmVibration, BodyModel, Coefficients
-from dart_flight.contact.law import Onset, contact_force
+from dart_flight.contact.law import Onset
 from dart_flight.core.sense.arm_vibration import ArmFilter
 from dart_flight.core.sense.body import ContactSamples, Felt
 from dart_flight.core.sense.contact_fit import Belief, Body, Contact, Fitting, Hypothesis, Tick
 from dart_flight.core.sense.felt import WallSense
+from tests.oracles.point_law import contact_force
 from tests.sim.test_plant import VEHICLE
 from tools.campaigns.felt import FIRST_SEED, Job, covered, fly, is_wrong, judged_of, plan_of
 

@@ -12,7 +12,6 @@ from dart_flight.base.geometry import IDENTITY, MissionFrame, Vec3, quaternion_f
 from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
-    AttitudeTargetSample,
     DetectionFloor,
     EscSample,
     ForceEstimate,
@@ -162,9 +161,6 @@ def test_the_best_fresh_thrust_source_is_taken() -> None:
     model = ThrustModel(with_estimation(esc_thrust_n_per_rpm2=1.1e-8))
     assert model.mean_over_tick(1_000_000) == pytest.approx(MASS * 9.81)
     assert model.source is None
-    model.take_attitude_target(AttitudeTargetSample(1_000_000, 0, 0.5))
-    assert model.mean_over_tick(1_004_000) == pytest.approx(0.5 * (MASS * 9.81 + 14.0))
-    assert model.source is ThrustSource.ATTITUDE_TARGET
     model.take_actuator(ActuatorSample(1_008_000, 0, (HOVER,) * 4))
     model.mean_over_tick(1_008_000)
     assert model.source is ThrustSource.ACTUATOR

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from unittest.mock import patch
 
-import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,6 +16,7 @@ from dart_flight.base.records import (
     ForceEstimate,
     ImpactOnset,
     ImpactPeak,
+    OdometrySample,
     Phase,
     PhaseChange,
     Record,
@@ -23,8 +24,12 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import load_vehicle
+from dart_flight.core import flight_core
+from dart_flight.core.mission.executive import Executive
+from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.yielding import Yielding
 from dart_flight.core.sense.senses import Sensed
+from dart_flight.core.sense.state import FlightState
 from dart_flight.run.fast import FastFlight
 
 ROOT = Path(__file__).parents[2]
@@ -75,14 +80,29 @@ def test_a_gap_in_the_samples_stays_bounded() -> None:
     assert norm(yielding.feed_forward or (0.0, 0.0, 0.0)) == pytest.approx(5.0)
 
 
+class _Unmoved(Yielding):
+    """Feeds nothing forward."""
+
+    def take(self, sensed: Sensed) -> None:
+        pass
+
+
+class KeepsStill(Executive):
+    """Nothing is asked for in a contact until the peak, and nothing is fed forward."""
+
+    def __init__(self, mission: Mission) -> None:
+        super().__init__(mission)
+        self._yielding = _Unmoved(mission.vehicle)
+
+    def _send_reference(self, sample: OdometrySample, state: FlightState, p: Proposal) -> None:
+        if self.phase is not Phase.CONTACT:
+            super()._send_reference(sample, state, p)
+
+
 def flown(mission: Mission, yields: bool) -> list[Record]:
-    vehicle = mission.vehicle
-    flying = msgspec.structs.replace(vehicle.flying, yield_to_contacts=yields)
-    vehicle = msgspec.structs.replace(vehicle, flying=flying)
     records: list[Record] = []
-    FastFlight(
-        msgspec.structs.replace(mission, vehicle=vehicle), 3, observe=lambda r, n: records.append(r)
-    ).run()
+    with patch.object(flight_core, "Executive", Executive if yields else KeepsStill):
+        FastFlight(mission, 3, observe=lambda r, n: records.append(r)).run()
     return records
 
 

@@ -21,9 +21,9 @@ from dart_flight.config.document import Document
 from dart_flight.config.kinds import EXTENDS
 from dart_flight.config.mission import parse_mission
 from dart_flight.config.mission_file import WallSpec
-from dart_flight.config.scenario import load_scenario
 from dart_flight.config.vehicle import Material, VehicleConfig, load_vehicle
 from dart_flight.lab.report.flight import Flight
+from dart_flight.lab.search.scenario import load_scenario
 from tests.docs.snippets import MANUAL, PAGES, RESULTS, ROOT, Block, blocks, name_of
 from tests.shared_flights import SharedFlights
 from tools.docs import animation, concept_figures, generated

@@ -64,7 +64,7 @@ def hand_fed_view() -> str:
 
 
 @pytest.mark.mavlink
-@pytest.mark.parametrize("source", ["auto", "esc", "attitude_target"])
+@pytest.mark.parametrize("source", ["auto", "esc"])
 def test_through_mavlink(source: str, tmp_path: Path) -> None:
     text = (ROOT / "configs" / "dart.yaml").read_text()
     text = re.sub("thrust_source: auto", f"thrust_source: {source}", text)

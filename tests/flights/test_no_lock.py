@@ -14,12 +14,12 @@ from dart_flight.check.vehicle import judge_lock
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
-from dart_flight.config.scenario import load_scenario
 from dart_flight.config.vehicle import LockDriver, VehicleConfig, packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.core.mission.phases import TRANSITIONS, Cue
 from dart_flight.lab.report.flight import Flight
 from dart_flight.lab.report.page import flight_page
+from dart_flight.lab.search.scenario import load_scenario
 from dart_flight.lab.search.search import search
 from dart_flight.recording.reader import read_log
 from dart_flight.run.fast import fly_fast

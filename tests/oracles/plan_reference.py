@@ -17,10 +17,10 @@ from scipy.optimize import brentq
 
 from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
-from dart_flight.config.scenario import Scenario
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.core.mission.executive import PASSED_AFTER_S, PASSED_RISE_M
 from dart_flight.core.mission.position_loop import PositionLoop
+from dart_flight.lab.search.scenario import Scenario
 from dart_flight.planning.approach_grid import ApproachGrid
 from dart_flight.planning.contact_stage import ContactStage
 from dart_flight.planning.rollout import Stages
@@ -76,48 +76,38 @@ def _friction_peak(c: Coefficients, mass: float, lead: float, vn: float) -> floa
 def _contact_ode(
     stage: ContactStage,
     loop: PositionLoop,
-    drag: tuple[float, float],
+    drag: float,
     normal: list[float],
     slide: list[float],
-    yields: bool,
 ) -> tuple[list[float], list[float], float, float]:
-    """A contact; `normal` is (v, a, i, r, w), `slide` (v, a, i, r, w) at the onset.
+    """A contact; `normal` is (v, a, i), `slide` (v, a, i) at the onset.
 
-    A vehicle that yields asks for its own motion until the set-point, and feeds forward what the D term makes
-    of the contact's push.
+    The vehicle asks for its own motion until the set-point, and feeds forward what the D term makes of the
+    contact's push.
 
     Returns:
         (x, v, a, i) and (q, v, a, i) at the release, and both set-points.
     """
     c, m = stage.coefficients, stage.mass_kg
     kp, kv, ki, kd, tau = loop
-    vn, an, jn, rn, wn = normal
-    vt, at, jt, rt, wt = slide
+    vn, an, jn = normal
+    vt, at, jt = slide
 
-    def control(
-        r: float | None, w: float, b: float, z: list[float], acceleration: float, push: float
-    ) -> tuple[float, float]:
+    def control(r: float | None, z: list[float], acceleration: float, push: float) -> tuple[float, float]:
         p, v, a, i = z
-        error = 0.0 if r is None else kp * (r - p) + w - v
-        fed = kd * push if yields else b * w
-        return (kv * error + i + fed - kd * acceleration - a) / tau, ki * error
-
-    def _reference(late: float | None, r: float, w: float, t: float) -> tuple[float | None, float]:
-        if late is not None:
-            return late, 0.0
-        return (None, 0.0) if yields else (r + w * t, w)
+        error = 0.0 if r is None else kp * (r - p) - v
+        return (kv * error + i + kd * push - kd * acceleration - a) / tau, ki * error
 
     def rates(late: tuple[float, float] | None) -> Any:
         def function(t: float, z: Array) -> list[float]:
             x, v, a, i, q, u, d, ta, ti, lx, lv = z
-            r, w = _reference(None if late is None else late[0], rn, wn, t)
+            r, s = (None, None) if late is None else late
             push = -(c.k * x + c.f * v) / m
-            acceleration = push + a - drag[0] * v
-            da, di = control(r, w, drag[0], [x, v, a, i], acceleration, push)
+            acceleration = push + a - drag * v
+            da, di = control(r, [x, v, a, i], acceleration, push)
             force = -(c.k * lx + c.f * lv)
-            s, ws = _reference(None if late is None else late[1], rt, wt, t)
             rub = -c.mu / m * force
-            dta, dti = control(s, ws, drag[1], [q, u, ta, ti], rub * u + ta, rub * u)
+            dta, dti = control(s, [q, u, ta, ti], rub * u + ta, rub * u)
             return [v, acceleration, da, di, u, rub * u, rub * d + ta, dta, dti, lv, force / m]
 
         return function
@@ -155,12 +145,10 @@ def solve_candidate(
     n, t = np.array(wall.normal), np.array(wall.tangent)
     onset = np.array([float(grid.impact_x), float(grid.impact_y)]) - stage.lead_s * (vn * n + vt * t)
     time = float(grid.impact_s) - stage.lead_s
-    normal = [vn, bn * vn, 0.0, -stage.lead_s * vn, vn]
-    slide = [vt, bt * vt, 0.0, 0.0, vt]
+    normal = [vn, bn * vn, 0.0]
+    slide = [vt, bt * vt, 0.0]
     for k in range(len(walls)):
-        out_n, out_t, set_n, set_t = _contact_ode(
-            stage, loop, (bn, bt), normal, slide, scenario.vehicle.flying.yield_to_contacts
-        )
+        out_n, out_t, set_n, set_t = _contact_ode(stage, loop, bn, normal, slide)
         x0 = -stage.lead_s * normal[0]
         goal = onset + (set_n - x0) * n + set_t * t
         start = onset + (out_n[0] - x0) * n + out_t[0] * t
@@ -175,8 +163,7 @@ def solve_candidate(
         time += after
         stage, onset = next_stage, z[:2]
         parts = [np.array([z[2 * i : 2 * i + 2] @ n, z[2 * i : 2 * i + 2] @ t]) for i in (1, 2, 3)]
-        normal = [parts[0][0], parts[1][0], parts[2][0], float((goal - np.array(wall.point)) @ n), 0.0]
-        slide = [parts[0][1], parts[1][1], parts[2][1], float((goal - onset) @ t), 0.0]
+        normal, slide = [part[0] for part in parts], [part[1] for part in parts]
     since = stage.duration_s - stage.engaged_s
     return _to_goal(z, goal, loop, b, np.array(scenario.goal.position_m), (time, since))
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
-from dart_flight.config.scenario import Scenario
 from dart_flight.core.mission.executive import PASSED_AFTER_S, PASSED_RISE_M
 from dart_flight.core.mission.position_loop import PositionLoop
+from dart_flight.lab.search.scenario import Scenario
 from dart_flight.planning.approach_grid import ApproachGrid
 from dart_flight.planning.contact_stage import ContactStage
 from dart_flight.planning.rollout import Stages
@@ -95,27 +95,23 @@ def _first(
         impact - stage.lead_s * v,
         grid.impact_s.ravel() - stage.lead_s,
     )
-    return _contact(scenario, stage, wall, onset, v, h)
+    return _contact(scenario, stage, wall, onset, h)
 
 
-def _contact(
-    scenario: Scenario, stage: ContactStage, wall: Wall, on: Flying, reference_speed: Array, h: float
-) -> Flying:
+def _contact(scenario: Scenario, stage: ContactStage, wall: Wall, on: Flying, h: float) -> Flying:
     """A contact of all candidates at once: it takes the same time for all."""
     kp, kv, ki, kd, tau = PositionLoop.of(scenario.vehicle.px4)
     c, m = stage.coefficients, stage.mass_kg
     n, t = _axes(wall)
     bx, by, _ = scenario.vehicle.airframe.drag_per_s
     n2 = wall.normal[0] ** 2
-    bn, bt = n2 * bx + (1.0 - n2) * by, n2 * by + (1.0 - n2) * bx
+    bn = n2 * bx + (1.0 - n2) * by
 
     def parts(value: Array) -> tuple[Array, Array]:
         return (n * value).sum(axis=0), (t * value).sum(axis=0)
 
     point = np.array(wall.point)[:, None]
     x, v = parts(on.p - point)[0], parts(on.v)[0]
-    rn, rt = parts(on.goal - point)[0], parts(on.goal - on.p)[1]
-    wn, wt = parts(reference_speed)
     u = parts(on.v)[1]
     (an, at), (jn, jt) = parts(on.a), parts(on.i)
     q, push = np.zeros_like(x), np.zeros_like(x)
@@ -126,8 +122,7 @@ def _contact(
     engaged = round(stage.engaged_s / h)
     for step in range(steps):
         if step == engaged:
-            rn, wn = peak_x + stage.alphas[0] * peak, np.zeros_like(x)
-            rt, wt = peak_q + stage.alphas[1] * friction, np.zeros_like(x)
+            rn, rt = peak_x + stage.alphas[0] * peak, peak_q + stage.alphas[1] * friction
         force = -(c.k * x + c.f * v)
         law_force = np.maximum(-(c.k * law_x + c.f * law_v), 0.0)
         better = force > peak
@@ -137,12 +132,10 @@ def _contact(
         friction = np.where(np.abs(rub) > np.abs(friction), rub, friction)
         slope_n = force / m + an - bn * v
         slope_t = -rub / m
-        en, et = kp * (rn - x) + wn - v, kp * (rt - q) + wt - u
-        fed_n, fed_t = bn * wn, bt * wt
-        if scenario.vehicle.flying.yield_to_contacts:  # the D term's share of the contact is fed forward
-            fed_n, fed_t = kd * force / m, kd * slope_t
-            if step < engaged:
-                en, et = np.zeros_like(x), np.zeros_like(x)
+        en = et = np.zeros_like(x)
+        if step >= engaged:
+            en, et = kp * (rn - x) - v, kp * (rt - q) - u
+        fed_n, fed_t = kd * force / m, kd * slope_t  # the D term's share of the contact is fed forward
         an = an + h * (kv * en + jn + fed_n - kd * slope_n - an) / tau
         at = at + h * (kv * et + jt + fed_t - kd * (slope_t + at) - at) / tau
         jn, jt = jn + h * ki * en, jt + h * ki * et
@@ -151,7 +144,6 @@ def _contact(
         x, q = x + h * v, q + h * u
         law_v = law_v + h * law_force / m
         law_x = law_x + h * law_v
-        rn, rt = rn + h * wn, rt + h * wt
     goal = on.p + n * (peak_x + stage.alphas[0] * peak - x0) + t * (peak_q + stage.alphas[1] * friction)
     return Flying(
         on.rows,
@@ -188,9 +180,9 @@ def _later(scenario: Scenario, stage: ContactStage, wall: Wall, flying: Flying, 
         if flying.rows.size == 0:
             break
     if not reached:
-        return _contact(scenario, stage, wall, flying.take(np.zeros(0, dtype=np.intp)), np.zeros((2, 0)), h)
+        return _contact(scenario, stage, wall, flying.take(np.zeros(0, dtype=np.intp)), h)
     joined = Flying(*(np.concatenate(v, axis=-1) for v in zip(*reached, strict=True)))
-    return _contact(scenario, stage, wall, joined, np.zeros_like(joined.v), h)
+    return _contact(scenario, stage, wall, joined, h)
 
 
 def _to_goal(scenario: Scenario, modes: tuple[Mode, ...], flying: Flying, since: float, h: float) -> Ends:

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from dart_flight.config.mission import load_mission
-from dart_flight.config.scenario import load_scenario
 from dart_flight.lab.search.mission_writer import write_mission
+from dart_flight.lab.search.scenario import load_scenario
 from dart_flight.lab.search.search import search
 from dart_flight.run.fast import fly_fast
 

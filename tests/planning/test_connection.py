@@ -8,14 +8,14 @@ import msgspec
 import pytest
 
 from dart_flight.config.mission import load_mission
-from dart_flight.config.scenario import load_scenario
+from dart_flight.lab.search.scenario import load_scenario
 
 SCENARIOS = Path(__file__).parents[2] / "missions" / "scenarios"
 
 
 @pytest.mark.mavlink
 def test_gains_come_from_the_vehicle(tmp_path: Path) -> None:
-    from dart_flight.run.prepare import with_vehicle_parameters
+    from dart_flight.lab.search.scenario import with_vehicle_parameters
     from dart_flight.run.world_process import WorldProcess
     from dart_flight.sim.pipe import WorldSpec
     from tests.doubles.ports import free_udp_port

@@ -11,10 +11,10 @@ from scipy.linalg import expm as scipy_expm
 
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Collision, Mission, parse_mission
-from dart_flight.config.scenario import Scenario, load_scenario
 from dart_flight.core.mission.approach import NoApproachError, plan_approach
 from dart_flight.core.mission.position_loop import PositionLoop, least_distance_m
 from dart_flight.core.mission.survey import end_margin_m
+from dart_flight.lab.search.scenario import Scenario, load_scenario
 from dart_flight.planning.constraints import REFUSALS, Constraints, Refusal
 from dart_flight.planning.contact_stage import expm
 from dart_flight.planning.flight_model import FreeFlight, Leg, loop_matrix

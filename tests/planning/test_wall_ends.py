@@ -11,10 +11,10 @@ from dart_flight.base.walls import Wall
 from dart_flight.check.findings import Finding
 from dart_flight.check.mission import check_mission
 from dart_flight.config.mission import Mission, load_mission
-from dart_flight.config.scenario import load_scenario
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import is_blocked
 from dart_flight.core.mission.survey import SURE_SD, end_margin_m
+from dart_flight.lab.search.scenario import load_scenario
 from dart_flight.lab.search.search import search
 
 HALF_M = 0.2  # of the packaged vehicle: its contact distance

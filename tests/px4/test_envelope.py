@@ -13,7 +13,7 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.planning.envelope import expected_force_n, impact_warnings
 from dart_flight.run.prepare import load_flyable
 
-SWEEP = Path(__file__).parents[2] / "tools" / "campaigns" / "px4_sweep_mission.yaml"
+SWEEP = Path(__file__).with_name("sweep_mission.yaml")
 
 
 def sweep(folder: Path, speed: float, mode: str = "rigid", material: str = "acrylic") -> Path:

@@ -41,7 +41,7 @@ from tests.doubles.ground_station import switch_to_position
 pytestmark = pytest.mark.px4
 
 MISSIONS = Path(__file__).parents[2] / "missions"
-SWEEP = Path(__file__).parents[2] / "tools" / "campaigns" / "px4_sweep_mission.yaml"
+SWEEP = Path(__file__).with_name("sweep_mission.yaml")
 # Times real time: what lockstep sustains on two idle cores with room to spare; a busy machine wants 1.
 FAST = float(os.environ.get("DART_PX4_SPEED", "3"))
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.recording.px4_log import read_px4_log
+from dart_flight.lab.inspect.px4_log import read_px4_log
 from dart_flight.recording.verdict import Px4Figures
 
 pytest.importorskip("pyulog")

@@ -15,12 +15,12 @@ from dart_flight.check.findings import Finding
 from dart_flight.check.mission import check_mission
 from dart_flight.config.document import Document
 from dart_flight.config.mission import Mission, load_mission, parse_mission
-from dart_flight.config.scenario import Objective, Scenario, load_scenario
 from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.core.mission.approach import plan_approach, stop_before
 from dart_flight.core.mission.survey import Survey, early_m, late_s, overrun_m, slack_m
 from dart_flight.lab.search.mission_writer import write_mission
+from dart_flight.lab.search.scenario import Objective, Scenario, load_scenario
 from dart_flight.lab.search.search import draws_of, search
 from dart_flight.lab.search.summary import with_objective
 from dart_flight.planning.constraints import Constraints

@@ -12,7 +12,6 @@ import pytest
 from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
-    AttitudeTargetSample,
     EscSample,
     EstimatorSample,
     ImuSample,
@@ -91,15 +90,6 @@ def test_speeds_of_six_motors_come_in_two_messages() -> None:
     found = decoder.last(EscSample)
     assert (found.t_us, found.rpm) == (8, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
     assert decoder.count(EscSample) == 1
-
-
-def test_a_thrust_target_is_stamped_in_milliseconds() -> None:
-    decoder = Decoder()
-    decoder.session._on_attitude_target(message(time_boot_ms=12, thrust=None), None)
-    assert decoder.seen == []
-    decoder.session._on_attitude_target(message(time_boot_ms=12, thrust=0.6), None)
-    found = decoder.last(AttitudeTargetSample)
-    assert (found.t_us, found.thrust) == (12_000, 0.6)
 
 
 def test_an_attitude_that_is_not_known_is_none() -> None:

@@ -71,7 +71,7 @@ def test_two_ways_to_write_one_place_are_one_place(tmp_path: Path) -> None:
     device = tmp_path / "ttyTest"
     device.touch()
     (tmp_path / "serial0").symlink_to(device)
-    assert place_of(f"serial://{device}:921600") == place_of(f"serial://{tmp_path}/serial0")
+    assert place_of(f"serial://{device}:921600") == place_of(f"serial://{tmp_path}/serial0:57600")
     assert place_of("udpin://0.0.0.0:14540").key == place_of("udpin://127.0.0.1:14540").key
     assert place_of("udp://:14540").udp_port == 14540
     assert place_of("udpin://0.0.0.0:14540").key != place_of("udpin://0.0.0.0:14541").key

@@ -13,7 +13,7 @@ from typing import TypedDict
 import msgspec
 import numpy as np
 
-from dart_flight.config.scenario import Scenario, load_scenario
+from dart_flight.lab.search.scenario import Scenario, load_scenario
 from dart_flight.lab.search.search import draws_of
 from dart_flight.planning.rollout import Arrivals, Rollout, Stages, new_flight, stages_for
 from tests.oracles.plan_reference import solve_candidate

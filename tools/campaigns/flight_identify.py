@@ -111,9 +111,7 @@ def run_case(name: str, factors: dict[str, float], first_seed: int, keep: Path) 
     logs = [read_log(path) for path in paths]
     for material in dict.fromkeys(c.wall.material for c in mission.collisions):
         trials = [t for log in logs for t in trials_of(log, material).get(material, [])]
-        result = identify(
-            trials, mission.vehicle.airframe.mass_kg, Onset(mission.vehicle.onset), compare_laws=False
-        )
+        result = identify(trials, mission.vehicle.airframe.mass_kg, Onset(mission.vehicle.onset))
         configured = mission.vehicle.materials[material]
         proposed = beyond(disagreement[material]) and any(
             e is not None and not e.low <= getattr(getattr(configured, mode), name) <= e.high

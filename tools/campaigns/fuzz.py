@@ -28,9 +28,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import parse_mission
-from dart_flight.config.scenario import load_scenario
 from dart_flight.config.vehicle import LockDriver, VehicleConfig, packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
+from dart_flight.lab.search.scenario import load_scenario
 from dart_flight.recording.reader import read_log
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable

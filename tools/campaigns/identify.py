@@ -144,7 +144,7 @@ def run(case: Case, sets: int, bound_sets: int, seed: int) -> Outcome:
         trials = case.make(np.random.default_rng((seed, i)), case.noise_m)
         mode = trials[0].mode
         try:
-            found = identify(trials, MASS_KG, Onset.LCP, compare_laws=False)
+            found = identify(trials, MASS_KG, Onset.LCP)
         except InputError:
             out.failed += 1
             continue

@@ -31,7 +31,7 @@ from dart_flight.core.sense.detector import Expected, ImpactDetector
 from dart_flight.core.sense.state import FlightState
 from dart_flight.lab.inspect import TOPICS, FeltFlight, feel_log
 from dart_flight.lab.inspect.impacts import REMEMBERED, Crossing, Estimated, short_samples
-from dart_flight.recording.ulog import ULogFile, open_ulog
+from dart_flight.lab.ulog import ULogFile, open_ulog
 
 _EVERY_S = 1.6  # a pulse, in flight
 _AFTER_S = 3.0  # from the beginning of a flight
@@ -79,12 +79,24 @@ def pushed(estimated: Estimated, push: Vec2) -> Estimated:
     return estimated._replace(force=force, along_n=along)
 
 
+class FixedThreshold(ImpactDetector):
+    """A detector whose threshold noise does not lift."""
+
+    def thresholds_n(self) -> tuple[float, float, float, float]:
+        """The configured one, whatever the mean."""
+        return (self._threshold_n,) * 4
+
+    def _drowned(self, release: float) -> bool:
+        return False
+
+
 def detect(
     vehicle: VehicleConfig,
     estimates: Sequence[Estimated],
     detection: Detection,
     pulses: Sequence[Pulse] = (),
     fixed_n: float | None = None,
+    kind: type[ImpactDetector] = ImpactDetector,
 ) -> Detected:
     """Run a detector over estimates.
 
@@ -95,7 +107,7 @@ def detect(
         pulses: to add, in order; their height is set when they begin.
         fixed_n: peak of every pulse; otherwise a multiple of the floor stated then.
     """
-    detector = ImpactDetector(msgspec.structs.replace(vehicle, detection=detection))
+    detector = kind(msgspec.structs.replace(vehicle, detection=detection))
     state = FlightState()
     state.anchor(MissionFrame())
     ahead = [msgspec.structs.replace(p) for p in pulses]
@@ -197,17 +209,17 @@ def judge(
     if not estimates or flight.flight_s <= 0.0:
         return row
     runs = {}
-    for name, detection in (
+    for name, detection, kind in (
         *(
-            (f"fixed {n:g} N", msgspec.structs.replace(d, force_threshold_n=n, noise_sigma=0.0))
+            (f"fixed {n:g} N", msgspec.structs.replace(d, force_threshold_n=n), FixedThreshold)
             for n in FIXED_N
         ),
-        *((f"learnt {s:g}", msgspec.structs.replace(d, noise_sigma=s)) for s in SIGMAS),
+        *((f"learnt {s:g}", msgspec.structs.replace(d, noise_sigma=s), ImpactDetector) for s in SIGMAS),
     ):
-        if only_shipped and detection != d:
+        if only_shipped and (detection != d or kind is FixedThreshold):
             continue
-        clean = detect(made, estimates, detection)
-        at_16 = detect(made, estimates, detection, pulses, fixed_n=15.4)
+        clean = detect(made, estimates, detection, kind=kind)
+        at_16 = detect(made, estimates, detection, pulses, fixed_n=15.4, kind=kind)
         runs[name] = {
             "onsets": [t - begin_s for t in clean.onsets],
             "weak": clean.weak,

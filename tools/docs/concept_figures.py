@@ -26,9 +26,9 @@ from dart_flight.lab.flight_arrays import FlightArrays
 from dart_flight.lab.predict.path import trajectory
 from dart_flight.lab.predict.prediction import condition, wall_contact
 from dart_flight.lab.report.figures.scene import draw_arrow, draw_vehicle, draw_wall
-from dart_flight.lock.cam import limits_deg, rod_mm
 from dart_flight.recording.reader import read_log
 from dart_flight.run.fast import fly_fast
+from tools.docs.cam import limits_deg, rod_mm
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "img"

@@ -194,18 +194,14 @@ def vehicle_of(document: Document) -> VehicleConfig:
 
 def _drop_observer(document: Document) -> None:
     """Files of before 0.1.0 name an observer of the force: there is one left, and its key is not needed."""
-    observer = drop_removed_keys(document.tree).get("observer", "acceleration")
+    estimation = document.tree.get("estimation") if isinstance(document.tree, dict) else None
+    if not isinstance(estimation, dict):
+        return
+    estimation.pop("momentum_gain_per_s", None)
+    observer = estimation.pop("observer", "acceleration")
     if observer != "acceleration":
         says = "there is no such observer any more: delete this key and momentum_gain_per_s"
         raise document.error(("estimation", "observer"), says)
-
-
-def drop_removed_keys(vehicle: Any) -> dict[str, Any]:
-    """Take out of a configuration's tree what was a key of `estimation` once; returns what it said."""
-    estimation = vehicle.get("estimation") if isinstance(vehicle, dict) else None
-    if not isinstance(estimation, dict):
-        return {}
-    return {key: estimation.pop(key) for key in ("observer", "momentum_gain_per_s") if key in estimation}
 
 
 def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:

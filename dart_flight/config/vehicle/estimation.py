@@ -11,12 +11,11 @@ from dart_flight.config.section import Fraction, Seconds, Section, Speed, Volts
 
 
 class ThrustSource(StrEnum):
-    """What the thrust is computed from; `auto` takes the best that is fresh, in this order from ESC on."""
+    """What the thrust is computed from; `auto` takes the motors' speed where it comes often enough."""
 
     AUTO = "auto"
     ESC = "esc"
     ACTUATOR = "actuator"
-    ATTITUDE_TARGET = "attitude_target"
 
 
 class Battery(Section, frozen=True):
@@ -82,9 +81,7 @@ class Estimation(Section, frozen=True, kw_only=True):
     """The estimate of the external force (docs/force.md).
 
     Attributes:
-        thrust_source: where the thrust comes from; auto: esc, actuator, attitude_target, the first that is
-            fresh.
-        thrust_timeout_s: with auto, older motor commands are not fresh.
+        thrust_source: where the thrust comes from; auto: esc where it comes often enough, else actuator.
         thrust_error_n: standard deviation of the whole thrust after calibration.
         esc_thrust_n_per_rpm2: one motor's thrust over its speed squared, m g / (sum of rpm^2) at hover; null:
             motor speeds are not used.
@@ -99,7 +96,6 @@ class Estimation(Section, frozen=True, kw_only=True):
     """
 
     thrust_source: ThrustSource
-    thrust_timeout_s: Seconds
     thrust_error_n: Annotated[float, Meta(ge=0.0, le=100.0)]
     esc_thrust_n_per_rpm2: Annotated[float, Meta(gt=0.0, le=1e-3)] | None
     battery: Battery
@@ -145,12 +141,11 @@ class Detection(Section, frozen=True):
         refractory_s: time after a contact in which no new impact is registered.
         sure_sigma: one sample over the threshold by this many times its noise is enough; else the mean of two
             or three in a row has to be over it.
-        noise_sigma: the threshold is at least this many times the learnt noise of what is compared with it;
-            0: noise does not lift it.
+        noise_sigma: the threshold is at least this many times the learnt noise of what is compared with it.
         short_window_s: mean over which a rigid contact is looked for in noise.
         long_window_s: mean over which a flexible contact is looked for in noise.
         pulse_misfit: the peak comes from the fitted pulse while the mean square of its residuals, over their
-            expected errors, is at most this; else from the top alone. 0: always from the fit.
+            expected errors, is at most this; else from the top alone.
     """
 
     force_threshold_n: Annotated[float, Meta(gt=0.0, le=1000.0)]
@@ -161,7 +156,7 @@ class Detection(Section, frozen=True):
     contact_end_s: Annotated[float, Meta(gt=0.0, le=10.0)]
     refractory_s: Annotated[float, Meta(ge=0.0, le=10.0)]
     sure_sigma: Annotated[float, Meta(ge=0.0, le=100.0)]
-    noise_sigma: Annotated[float, Meta(ge=0.0, le=100.0)] = 5.0
+    noise_sigma: Annotated[float, Meta(gt=0.0, le=100.0)] = 5.0
     short_window_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.032
     long_window_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.1
-    pulse_misfit: Annotated[float, Meta(ge=0.0, le=1000.0)] = 3.0
+    pulse_misfit: Annotated[float, Meta(gt=0.0, le=1000.0)] = 3.0

@@ -87,10 +87,8 @@ class Flying(Section, frozen=True):
         arrive_speed_m_s: slow is below this speed.
         arrive_s: both have to hold for this long.
         arrive_mean_s: the speed is that of the mean velocity over this long, as PX4's estimate shakes with
-            the accelerometer; 0: of the newest sample.
+            the accelerometer.
         ready_timeout_s: longest wait for telemetry, offboard mode, arming, the end of climb or transit.
-        yield_to_contacts: in a contact ask for what the vehicle does anyway, and take out what PX4's D term
-            makes of the wall's push; false: keep still until the peak.
         replan_within_s: from the end of a contact to the beginning of a way that is planned in flight; the
             planner has so long to answer.
     """
@@ -104,6 +102,5 @@ class Flying(Section, frozen=True):
     arrive_speed_m_s: Speed
     arrive_s: SecondsOrZero
     ready_timeout_s: Seconds
-    yield_to_contacts: bool = True
     replan_within_s: Annotated[float, Meta(gt=0.0, le=2.0)] = 0.1
-    arrive_mean_s: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.3
+    arrive_mean_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.3

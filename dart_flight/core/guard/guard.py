@@ -55,9 +55,9 @@ _LANDING_US: Final = 60_000_000  # from 2 m at 0.7 m/s a landing takes 5 s
 
 
 class _Judged(NamedTuple):
-    """The rules that are judged in a phase: `every` 20 ms, and `at_once` after an input of a kind."""
+    """The rules that are judged in a phase: `all` of them at a tick, some `at_once` after another input."""
 
-    every: Causes
+    all: Causes
     at_once: dict[type, Causes]
 
 
@@ -142,7 +142,7 @@ class Guard:
     def _judge(self, item: Input, state: FlightState, phase: Phase, events: list[Output]) -> None:
         judged = self._judged[phase]
         if isinstance(item, Tick) or state.host_us - self._judged_us > _JUDGED_EVERY_US:
-            self._judged_us, due = state.host_us, judged.every
+            self._judged_us, due = state.host_us, judged.all
         else:
             due = judged.at_once.get(type(item), [])
         for rule, cause in due:
@@ -191,9 +191,7 @@ class Guard:
                 events.append(VehicleCommand(state.now_us, VehicleAction.DISARM))
             self.end = MissionEnd(state.now_us, Outcome.ABORTED, f"{rule.name}: {detail}", None)
             return
-        if (
-            rule.action is not Override.KILL or self.reason is None
-        ):  # the reason is what the landing began with
+        if rule.action is not Override.KILL or self.reason is None:  # else it is what the landing began with
             self.reason = f"{rule.name}: {detail}" if detail else rule.name
         self.action, self._rule, self._rank = rule.action, rule, rule.action.rank
         self._since_us = state.now_us
@@ -306,6 +304,6 @@ class Guard:
 
 
 def _judged_in(phase: Phase, rules: tuple[Rule, ...]) -> _Judged:
-    every = [(rule, rule.cause) for rule in rules if rule.cause is not None and in_scope(rule, phase)]
-    kinds = {kind for rule, _ in every for kind in rule.at_once}
-    return _Judged(every, {kind: [one for one in every if kind in one[0].at_once] for kind in kinds})
+    causes = [(rule, rule.cause) for rule in rules if rule.cause is not None and in_scope(rule, phase)]
+    kinds = {kind for rule, _ in causes for kind in rule.at_once}
+    return _Judged(causes, {kind: [one for one in causes if kind in one[0].at_once] for kind in kinds})

@@ -86,9 +86,8 @@ class Watch:
         self.battery_low_since_us: int | None = None
         self.falling_since_us: int | None = None  # motors stopped, and next to nothing carries the vehicle
         self.flags_bad_since_us: int | None = None
-        self._landing_since_us: tuple[int, int] | None = (
-            None  # in land mode and armed: autopilot's, host's time
-        )
+        # In land mode and armed: autopilot's and host's time.
+        self._landing_since_us: tuple[int, int] | None = None
         self.jump: str = ""
         self._reset_us: int | None = None  # the estimator's last reset, outside of the window after an impact
         self._steps: deque[tuple[int, float, float]] = deque(maxlen=_STEPS)  # stamp, position m, velocity m/s

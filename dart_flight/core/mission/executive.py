@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from typing import ClassVar, Final
 
-from dart_flight.base.geometry import Vec3, distance2, yaw_ned_of
+from dart_flight.base.geometry import distance2, yaw_ned_of
 from dart_flight.base.records import (
     DetectionFloor,
     GoalPassed,
@@ -88,7 +88,7 @@ class Executive:
         self._references = References(mission)
         self._lock = LockOrders(mission.vehicle.lock)
         self._replanning = Replanning(mission)
-        self._yielding = Yielding(mission.vehicle) if mission.vehicle.flying.yield_to_contacts else None
+        self._yielding = Yielding(mission.vehicle)
         self._entered_us: int | None = None
         self._entered_host_us: int | None = None
         self._asked_us: int | None = None  # last time a vehicle command was sent
@@ -139,7 +139,7 @@ class Executive:
             self._entered_us = state.now_us
         if self._entered_host_us is None:
             self._entered_host_us = state.host_us
-        if sensed.estimate is not None and self._yielding is not None:
+        if sensed.estimate is not None:
             self._yielding.take(sensed)
         if type(item) in _WORDS:
             self._take_word(item, state, p)
@@ -475,7 +475,7 @@ class Executive:
         assert state.frame is not None
         p.outputs.append(
             self._references.recovery_setpoint(
-                state.frame, event.detected_us, event.received_us, self._feed_forward()
+                state.frame, event.detected_us, event.received_us, self._yielding.feed_forward
             )
         )
         force = math.hypot(event.normal_force_n, event.tangential_force_n)
@@ -629,21 +629,19 @@ class Executive:
         frame = p.frame or state.frame
         if frame is None:
             return
-        if self.phase is Phase.CONTACT and self._yielding is not None:
+        if self.phase is Phase.CONTACT:
             if not self._takes_longer_than(LONGEST_S, state):
-                p.outputs.append(self._references.yielding_setpoint(frame, sample, self._feed_forward()))
+                p.outputs.append(
+                    self._references.yielding_setpoint(frame, sample, self._yielding.feed_forward)
+                )
             return
         if self.phase in _SILENT:
             return
         self._references.slew_yaw(self._wanted_yaw(state), state.now_us)
-        forward = self._feed_forward() if self.phase is Phase.RECOVERY else None
+        forward = self._yielding.feed_forward if self.phase is Phase.RECOVERY else None
         p.outputs.append(
             self._references.setpoint(frame, sample.t_us, sample.received_us, self._way_us, forward)
         )
-
-    def _feed_forward(self) -> Vec3 | None:
-        """Against what PX4 makes of a contact; None where it is not asked for or there was none."""
-        return None if self._yielding is None else self._yielding.feed_forward
 
 
 def _lock_name(mission: Mission) -> str:

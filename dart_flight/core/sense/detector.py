@@ -107,7 +107,6 @@ class ImpactDetector:
         c = self._config
         self._threshold_n, self._release_n = c.force_threshold_n, c.release_fraction * c.force_threshold_n
         self._sigma, self._refractory_us = c.noise_sigma, c.refractory_s * 1e6
-        self._learns_noise = c.noise_sigma > 0.0
         self.slow_force = SlowForce(vehicle.estimation)
         self._stage = _Stage.WATCHING
         tick_s, noise_n = vehicle.imu.tick_s, self._mass * vehicle.estimation.imu_noise_m_s2
@@ -118,7 +117,7 @@ class ImpactDetector:
         self._by_mean: WindowMean | None = None  # the window that saw the contact under way, else samples
         self._threshold = self._config.force_threshold_n  # that saw it
         most = max(_BEFORE, round(self._config.long_window_s / tick_s) + _BEFORE)
-        self._before: deque[_Sample] = deque(maxlen=most if self._config.noise_sigma > 0.0 else _BEFORE)
+        self._before: deque[_Sample] = deque(maxlen=most)
         self._samples: list[_Sample] = []
         self._last_us = 0
         self._previous: tuple[Vec2, Vec2] = ((0.0, 0.0), (0.0, 0.0))  # forces of the two samples before
@@ -159,9 +158,8 @@ class ImpactDetector:
             stage = self._stage = _Stage.WATCHING
         told = self._tell_floor(t_us, expected)
         self._expected = expected
-        if self._learns_noise:
-            for window in self._windows:
-                window.add(t_us, fx, fy)
+        for window in self._windows:
+            window.add(t_us, fx, fy)
         if stage is _Stage.WATCHING or stage is _Stage.REFRACTORY:
             self._noise = estimate.noise_n
             return told + self._watch(estimate, fx, fy, dt_us, received_us, state)
@@ -195,7 +193,7 @@ class ImpactDetector:
             return [self._begin(estimate, sample, received_us, state)]
         self._previous = ((fx, fy), self._previous[0])
         self._before.append(sample)
-        if self._learns_noise and self._stage is _Stage.WATCHING:
+        if self._stage is _Stage.WATCHING:
             for window in self._windows:
                 window.learn(dt_us * 1e-6)
         if drowned:
@@ -263,7 +261,7 @@ class ImpactDetector:
 
     def _tell_floor(self, t_us: int, expected: Expected) -> Events:
         """What can be felt, once when a wall begins to be expected."""
-        if expected.normal is None or not self._learns_noise or self._expected.normal is not None:
+        if expected.normal is None or self._expected.normal is not None:
             return []
         thresholds = self.thresholds_n()
         floors = {m: self.floor_n(self._prior_of(expected, m).half_period_s) for m in self._vehicle.modes}
@@ -371,7 +369,7 @@ class ImpactDetector:
         clipped = any(s.clipped for s in inside)
         # Off its middle a body meets a wall with one point first: that pulse is not the model's.
         most = self._config.pulse_misfit
-        fits = pulse is not None and (most <= 0.0 or clipped or pulse.misfit <= most)
+        fits = pulse is not None and (clipped or pulse.misfit <= most)
         if pulse is None or not fits:
             normal_n, peak_us = _top_of([(s.t_us, s.fx * nx + s.fy * ny) for s in inside])
         else:
@@ -460,7 +458,7 @@ class ImpactDetector:
         if self._by_mean is not None or self._drowned(release):
             fx, fy = self._windows[2].mean
         assert self._onset is not None
-        lasts = t_us - self._onset.first_us < _LONGEST_CONTACT_S * 1e6 or self._config.noise_sigma <= 0.0
+        lasts = t_us - self._onset.first_us < _LONGEST_CONTACT_S * 1e6
         if lasts and fx * self._normal[0] + fy * self._normal[1] >= release:
             self._quiet_since_us = None
             return None
@@ -474,7 +472,7 @@ class ImpactDetector:
 
     def _drowned(self, release: float) -> bool:
         """Whether a sample's noise alone is often over the release level: then the short mean is asked."""
-        return self._learns_noise and _DROP_SIGMA * self._noise > release
+        return _DROP_SIGMA * self._noise > release
 
 
 def confirmed_force(

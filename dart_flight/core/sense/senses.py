@@ -7,7 +7,6 @@ from typing import Final
 from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
-    AttitudeTargetSample,
     ClockOffset,
     CommandResult,
     EscSample,
@@ -100,8 +99,6 @@ class Senses:
         elif isinstance(item, ActuatorSample):
             state.take_actuator(item)
             estimator.thrust.take_actuator(item)
-        elif isinstance(item, AttitudeTargetSample):
-            estimator.thrust.take_attitude_target(item)
         elif isinstance(item, EscSample):
             estimator.thrust.take_esc(item)
         elif isinstance(item, Tick):

@@ -261,7 +261,7 @@ class FlightState:
         PX4's estimate of the velocity shakes with the accelerometer; what is to be "slow" is asked of this.
 
         Args:
-            over_s: up to 1 s; 0 for the newest alone.
+            over_s: up to 1 s.
         """
         if not self._velocities:
             return self.velocity

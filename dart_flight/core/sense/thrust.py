@@ -1,8 +1,7 @@
 """Thrust from the best source at hand, through the calibrated curve, with motor lag and battery voltage.
 
 Sources (`estimation.thrust_source`): measured speed of the motors, thrust = c rpm^2, which needs neither lag
-nor voltage; commands to the motors, through the curve of `thrust:` and a first-order lag; the collective
-thrust that PX4's controller asks for, with the same lag. `auto` takes the first of them that is fresh; the
+nor voltage; commands to the motors, through the curve of `thrust:` and a first-order lag. `auto` takes the
 motors' speed only where it comes often enough to show what a controller does in a contact. Whatever the
 source, hovering corrects it (`core/sense/bias.py`). Equations: docs/force.md.
 """
@@ -14,7 +13,7 @@ from typing import Final
 
 from dart_flight.base.filters import kept_share
 from dart_flight.base.geometry import GRAVITY_M_S2
-from dart_flight.base.records import ActuatorSample, AttitudeTargetSample, EscSample
+from dart_flight.base.records import ActuatorSample, EscSample
 from dart_flight.config.vehicle import ThrustSource, VehicleConfig
 
 Each = tuple[float, ...]  # of every motor
@@ -78,7 +77,7 @@ class ThrustModel:
 
     Attributes:
         source: what the last answer came from; None: nothing known yet, hover assumed.
-        each_n: thrust of each motor at the last answer's stamp; None where its source has only the sum.
+        each_n: thrust of each motor at the last answer's stamp; None: nothing known yet.
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:
@@ -87,11 +86,9 @@ class ThrustModel:
         self._auto = self._wanted is ThrustSource.AUTO
         self._per_rpm2 = self._config.esc_thrust_n_per_rpm2
         self._curve, self._full_n = vehicle.thrust, vehicle.thrust.most_n
-        self._square, self._most_n = vehicle.thrust.model_factor, len(vehicle.airframe.motors) * self._full_n
+        self._square = vehicle.thrust.model_factor
         self._hover_n = vehicle.airframe.mass_kg * GRAVITY_M_S2
-        self._timeout_us = round(self._config.thrust_timeout_s * 1e6)
         self._motors = LaggedCommands(vehicle.thrust.motor_lag_s)
-        self._collective = LaggedCommands(vehicle.thrust.motor_lag_s)
         self._esc: EscSample | None = None
         self._esc_period_us = 1 << 60
         self._voltage_factor = 1.0
@@ -102,11 +99,6 @@ class ThrustModel:
     def take_actuator(self, sample: ActuatorSample) -> None:
         """Commands to the motors."""
         self._motors.take(sample.t_us, sample.motors)
-
-    def take_attitude_target(self, sample: AttitudeTargetSample) -> None:
-        """The controller's collective thrust."""
-        thrust = max(0.0, sample.thrust)
-        self._collective.take(sample.t_us, (thrust,))
 
     def take_esc(self, sample: EscSample) -> None:
         """Measured motor speeds."""
@@ -130,8 +122,8 @@ class ThrustModel:
         return 0.5 * (before + raw)
 
     def _at(self, t_us: int) -> float:
-        wanted, auto, oldest = self._wanted, self._auto, t_us - self._timeout_us
-        esc, motors, collective = self._esc, self._motors, self._collective
+        wanted, auto = self._wanted, self._auto
+        esc, motors = self._esc, self._motors
         # A single choice does not time out: an old value of the right source beats none.
         per_rpm2 = self._per_rpm2
         if esc is not None and per_rpm2 is not None:
@@ -143,17 +135,11 @@ class ThrustModel:
                 for rpm in esc.rpm:
                     squares += rpm * rpm
                 return per_rpm2 * squares
-        known = motors.newest_us > 0
-        fresh = motors.newest_us >= oldest or collective.newest_us < motors.newest_us
-        if known and (wanted is ThrustSource.ACTUATOR or (auto and fresh)):
+        if motors.newest_us > 0 and (auto or wanted is ThrustSource.ACTUATOR):
             self.source = ThrustSource.ACTUATOR
             motors.advance(t_us)
             return self._by_curve(motors.value)
         self.each_n = None
-        if collective.newest_us > 0 and (auto or wanted is ThrustSource.ATTITUDE_TARGET):
-            self.source = ThrustSource.ATTITUDE_TARGET
-            collective.advance(t_us)
-            return self._most_n * collective.value[0] * self._voltage_factor
         self.source = None
         return self._hover_n
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from dart_flight.base.filters import LearntVariance, LowPass, taken_share
+from dart_flight.base.filters import LearntVariance, taken_share
 from dart_flight.base.geometry import Vec3, gyroscopic_torque
 from dart_flight.base.records import TorqueEstimate
 from dart_flight.config.vehicle import VehicleConfig
@@ -35,7 +35,6 @@ class TorqueEstimator:
         self._inertia = vehicle.airframe.inertia_kg_m2
         # What each newton of each motor turns: with its sign, because it is taken off.
         self._levers = tuple((m.y_m, -m.x_m, -m.yaw_torque_per_thrust_m) for m in vehicle.airframe.motors)
-        self._filter = LowPass(vehicle.estimation.filter_s)
         self._before: Each | None = None
         self._slow: Vec3 = (0.0, 0.0, 0.0)
         self._last: Vec3 | None = None
@@ -50,7 +49,7 @@ class TorqueEstimator:
         Args:
             t_us: stamp of the sample.
             turning: it has taken the sample.
-            each_n: thrust of each motor at the stamp by the curve; None where not known motor by motor.
+            each_n: thrust of each motor at the stamp by the curve; None: not known yet.
             scale: true thrust over the curve's.
             learns: in the air and without a contact: noise and slow torque are followed.
         """
@@ -77,8 +76,7 @@ class TorqueEstimator:
         self._last = raw
         u, v, w = self._slow
         x, y, z = x - u, y - v, z - w
-        filtered = self._filter.follow((x, y, z), turning.dt_s)
-        return TorqueEstimate(t_us, (x, y, z), filtered, self._noise, each_n is not None)
+        return TorqueEstimate(t_us, (x, y, z), self._noise)
 
     def _learn(self, raw: Vec3, dt_s: float) -> None:
         share, most = taken_share(dt_s, _SLOW_S), _MOST_SLOW_NM

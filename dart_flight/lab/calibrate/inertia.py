@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.lab.calibrate.thrust_curve import Track
+from dart_flight.lab.track import Track
 
 Array = NDArray[np.float64]
 

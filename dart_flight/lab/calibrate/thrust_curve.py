@@ -14,25 +14,15 @@ and says nothing of the factor, which is fitted only where climbs, descents or p
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.base.geometry import GRAVITY_M_S2
-from dart_flight.base.records import (
-    ActuatorSample,
-    FlightMode,
-    ImuSample,
-    LandedState,
-    OdometrySample,
-    StatusSample,
-)
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.recording.reader import NothingInItError, read_log
-from dart_flight.recording.ulog import ULogFile, battery, columns, motor_commands, open_ulog, seconds
+from dart_flight.lab.track import Track
 
 Array = NDArray[np.float64]
 
@@ -50,14 +40,8 @@ _MOST_SPEED_M_S = 1.5
 _LEAST_POINTS = 6
 _FACTOR_ERROR = 0.1  # a factor less certain than this is not taken from the flight
 _LEAST_VOLTAGE_SPREAD = 0.02  # relative standard deviation
-_TOPICS = (
-    "sensor_combined",
-    "actuator_motors",
-    "actuator_outputs",
-    "vehicle_local_position",
-    "battery_status",
-    "vehicle_land_detected",
-)
+_LEAST_SPREAD_V = 1e-6  # below it all voltages are one
+_MOST_EXPONENT = 3.0  # of the voltage
 
 # Tests of a window, in the order in which they are made, with what they mean.
 TESTS = {
@@ -71,23 +55,6 @@ TESTS = {
     "unsteady": "commands change",
     "limit": "a motor near standstill or full",
 }
-
-
-class Track(msgspec.Struct):
-    """What the calibration needs of one flight, arrays over time in seconds; empty where not recorded."""
-
-    source: str
-    imu_s: Array
-    specific_force: Array  # (n, 3), FRD, m/s2
-    rate: Array  # (n, 3), rad/s
-    motor_s: Array
-    motors: Array  # (m, motors), 0 to 1
-    velocity_s: Array
-    velocity: Array  # (k, 3), m/s, NED
-    voltage_s: Array
-    voltage: Array
-    ground: list[tuple[float, float]]  # from, to: on the ground
-    notes: tuple[str, ...] = ()  # how it was read, what was left out
 
 
 class Points(msgspec.Struct):
@@ -136,104 +103,6 @@ class ThrustCalibration(msgspec.Struct):
     residuals: list[tuple[float, float, float]]  # command, force, force less curve
 
 
-def read_track(path: str | Path) -> Track:
-    """One flight: our own log (`.mcap`) or a PX4 ULog (`.ulg`).
-
-    Raises:
-        InputError: it cannot be read or lacks what is needed.
-    """
-    return _read_ulog(Path(path)) if Path(path).suffix.lower() == ".ulg" else _read_own(path)
-
-
-def _read_own(path: str | Path) -> Track:
-    records = [entry.record for entry in read_log(path).entries]
-    imu = [r for r in records if isinstance(r, ImuSample)]
-    motors = [r for r in records if isinstance(r, ActuatorSample)]
-    odometry = [r for r in records if isinstance(r, OdometrySample)]
-    status = [r for r in records if isinstance(r, StatusSample)]
-    if not imu or not motors:
-        raise NothingInItError("has no IMU samples or no motor commands", source=str(path))
-    volts = [(r.t_us, r.battery_v) for r in status if r.battery_v is not None]
-    # A landing may touch the ground half a second before PX4's land detector says so: leave it out whole.
-    grounded = [
-        (r.t_us * 1e-6, r.landed is LandedState.ON_GROUND or r.flight_mode is FlightMode.LAND) for r in status
-    ]
-    return Track(
-        source=str(path),
-        imu_s=np.array([r.t_us * 1e-6 for r in imu]),
-        specific_force=np.array([r.specific_force_frd for r in imu]),
-        rate=np.array([r.rate_frd for r in imu]),
-        motor_s=np.array([r.t_us * 1e-6 for r in motors]),
-        motors=np.array([r.motors for r in motors]),
-        velocity_s=np.array([r.t_us * 1e-6 for r in odometry]),
-        velocity=np.array([r.velocity_ned for r in odometry]).reshape(-1, 3),
-        voltage_s=np.array([t * 1e-6 for t, _ in volts]),
-        voltage=np.array([v for _, v in volts], dtype=float),
-        ground=_intervals(grounded),
-    )
-
-
-def _intervals(states: list[tuple[float, bool]]) -> list[tuple[float, float]]:
-    """Stretches in which a state holds; it holds until the next is reported."""
-    out = []
-    for (begin, holds), end in zip(states, [*(t for t, _ in states[1:]), np.inf], strict=True):
-        if holds:
-            out.append((begin, float(end)))
-    return out
-
-
-def _read_ulog(path: Path) -> Track:
-    return track_of(open_ulog(path, _TOPICS))
-
-
-def track_of(log: ULogFile) -> Track:
-    """What the calibration needs, of an opened ULog.
-
-    Raises:
-        InputError: it has no IMU or no motor commands.
-    """
-    imu = log.first("sensor_combined")
-    if imu is None:
-        raise InputError("has no sensor_combined", source=log.source)
-    motors, volts = motor_commands(log), battery(log)
-    position, landed = log.first("vehicle_local_position"), log.first("vehicle_land_detected")
-    moving = np.empty((0, 3))
-    if position is not None:
-        moving = np.stack([np.asarray(position[n], dtype=float) for n in ("vx", "vy", "vz")], axis=1)
-    known = np.isfinite(moving).all(axis=1)
-    return Track(
-        source=log.source,
-        imu_s=np.asarray(imu["timestamp"], dtype=float) * 1e-6,
-        specific_force=columns(imu, "accelerometer_m_s2", 3),
-        rate=columns(imu, "gyro_rad", 3),
-        motor_s=motors.time_s,
-        motors=motors.values,
-        velocity_s=seconds(position)[known] if position is not None else np.empty(0),
-        velocity=moving[known],
-        voltage_s=volts.time_s,
-        voltage=volts.volts,
-        ground=ground_of(log),
-        notes=tuple(
-            [motors.said]
-            + [volts.said] * bool(volts.said)
-            + ["no vehicle_land_detected: what is on the ground is not known"] * (landed is None)
-        ),
-    )
-
-
-def ground_of(log: ULogFile) -> list[tuple[float, float]]:
-    """From, to in seconds: PX4's land detector says landed, or close to it."""
-    landed = log.first("vehicle_land_detected")
-    if landed is None:
-        return []
-    near = np.asarray(landed["landed"], dtype=bool)
-    for name in ("maybe_landed", "ground_contact"):
-        if name in landed:
-            near = near | np.asarray(landed[name], dtype=bool)
-    stamps = np.asarray(landed["timestamp"], dtype=float) * 1e-6
-    return _intervals([(float(t), bool(g)) for t, g in zip(stamps, near, strict=True)])
-
-
 def quiet_points(
     track: Track, mass_kg: float, lag_s: float, most_speed_m_s: float = _MOST_SPEED_M_S
 ) -> Points:
@@ -279,7 +148,8 @@ def _point(
     parts = np.array_split(f, round(WINDOW_S / _PART_S))
     if max(float(np.linalg.norm(part.mean(axis=0) - mean)) for part in parts) > _MOST_JOLT_M_S2:
         return "jolt"
-    moving = track.velocity[slice(*np.searchsorted(track.velocity_s, (start, stop)))]
+    moving = track.velocity[slice(*np.searchsorted(track.position_s, (start, stop)))]
+    moving = moving[np.isfinite(moving).all(axis=1)]
     if len(moving):
         if np.linalg.norm(moving.mean(axis=0)) > most_speed_m_s:
             return "fast"
@@ -309,6 +179,78 @@ def _joined(parts: list[Points]) -> Points:
     return Points(**arrays, motors=parts[0].motors, rejected=rejected)
 
 
+class Curve(msgspec.Struct):
+    """full (factor u^2 + (1 - factor) u) (volts / reference) ** exponent, summed over the motors.
+
+    Standard errors are of what was fitted, None for what was given. Without a reference voltage the last part
+    is 1.
+    """
+
+    full: float
+    full_error: float
+    factor: float
+    factor_error: float | None
+    exponent: float
+    exponent_error: float | None
+    reference: float | None
+
+    def by_volts(self, p: Points) -> Array:
+        """What the voltage makes of the force."""
+        return (
+            np.ones(len(p.force)) if self.reference is None else (p.volts / self.reference) ** self.exponent
+        )
+
+    def of(self, p: Points) -> Array:
+        """Force at some points."""
+        shape: Array = self.factor * p.square + (1.0 - self.factor) * p.linear
+        return self.full * shape * self.by_volts(p)
+
+
+def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: bool = False) -> Curve:
+    """Least squares: of the exponent with the given factor, then of the curve at the points' mean voltage.
+
+    Args:
+        p: the points.
+        factor: where it is not to be fitted, or the points cannot tell it.
+        exponent: of the voltage; None: fitted where the voltage changes. Not used where it is not known.
+        fit_factor: whether to fit it. One outside 0 to 1 is taken as 0 or 1, without an error.
+    """
+    reference = float(p.volts.mean()) if np.isfinite(p.volts).all() else None
+    exponent_error = None
+    if exponent is None:
+        exponent = 0.0
+        if reference is not None and p.volts.std() > _LEAST_SPREAD_V:
+            shape = factor * p.square + (1.0 - factor) * p.linear
+            x, y = np.log(p.volts / reference), np.log(np.maximum(p.force, 1e-3) / np.maximum(shape, 1e-6))
+            dx = x - x.mean()
+            exponent = float((dx * y).sum() / (dx * dx).sum())
+            rest = y - y.mean() - exponent * dx
+            exponent_error = float(np.sqrt((rest @ rest) / max(1, len(x) - 2) / (dx @ dx)))
+            exponent = min(max(exponent, 0.0), _MOST_EXPONENT)
+    curve = Curve(1.0, 0.0, factor, None, exponent, exponent_error, reference)
+    force = p.force / curve.by_volts(p)
+    if fit_factor:
+        design = np.stack([p.square, p.linear], axis=1)
+        solution, _, rank, _ = np.linalg.lstsq(design, force, rcond=None)
+        full = float(solution.sum())
+        if rank == 2 and full > 0.0:
+            found = float(solution[0] / full)
+            curve.factor = min(max(found, 0.0), 1.0)
+            if curve.factor == found:
+                rest = force - design @ solution
+                covariance = np.linalg.inv(design.T @ design) * (rest @ rest) / max(1, len(force) - 2)
+                # d(factor) = (1 - factor, -factor) / full of the two.
+                g = np.array([1.0 - found, -found]) / full
+                curve.full, curve.full_error = full, float(np.sqrt(covariance.sum()))
+                curve.factor_error = float(np.sqrt(g @ covariance @ g))
+                return curve
+    shape = curve.factor * p.square + (1.0 - curve.factor) * p.linear
+    curve.full = float((shape * force).sum() / (shape * shape).sum())
+    rest = force - curve.full * shape
+    curve.full_error = float(np.sqrt((rest @ rest) / max(1, len(force) - 1) / (shape @ shape)))
+    return curve
+
+
 def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustCalibration:
     """Fit the thrust curve to the quiet stretches of some flights.
 
@@ -327,26 +269,25 @@ def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustC
             f"{said_of(p.rejected) or 'none'}",
             source=_sources(tracks),
         )
-    exponent, exponent_error, reference = _battery(p, vehicle)
-    scaled = p.force
-    if reference is not None and exponent > 0.0:
-        scaled = p.force / (p.volts / reference) ** exponent
-    full, full_error, factor, factor_error = _curve(p, scaled, vehicle)
-    shape = factor * p.square + (1.0 - factor) * p.linear
-    residual = scaled - full * shape
+    share, kept = vehicle.thrust.square_share, vehicle.estimation.battery.exponent
+    flat = not p.volts.std() >= _LEAST_VOLTAGE_SPREAD * p.volts.mean()
+    curve = fit_curve(p, share, kept if flat else None, fit_factor=True)
+    if curve.factor_error is None or curve.factor_error >= _FACTOR_ERROR:  # the flights cannot tell
+        curve = fit_curve(p, share, kept if flat else None)
+    residual = (p.force - curve.of(p)) / curve.by_volts(p)
     command = p.linear / p.motors
     return ThrustCalibration(
         segments=len(p.force),
         rejected={name: count for name, count in p.rejected.items() if count},
         notes=[note for track in tracks for note in track.notes],
-        full_n=full,
-        full_n_error=full_error,
-        model_factor=factor,
-        model_factor_error=factor_error,
-        battery_exponent=exponent,
-        battery_exponent_error=exponent_error,
-        reference_v=reference,
-        hover_command=_hover_command(full, factor, mass, p.motors),
+        full_n=curve.full,
+        full_n_error=curve.full_error,
+        model_factor=curve.factor,
+        model_factor_error=curve.factor_error,
+        battery_exponent=curve.exponent,
+        battery_exponent_error=curve.exponent_error,
+        reference_v=curve.reference,
+        hover_command=_hover_command(curve.full, curve.factor, mass, p.motors),
         command_range=(float(command.min()), float(command.max())),
         residual_rms_n=float(np.sqrt(np.mean(residual**2))),
         residual_worst_n=float(np.abs(residual).max()),
@@ -367,46 +308,3 @@ def _hover_command(full_n: float, factor: float, mass_kg: float, motors: int) ->
         return relative
     b = 1.0 - factor
     return float((-b + np.sqrt(b * b + 4.0 * factor * relative)) / (2.0 * factor))
-
-
-def _battery(p: Points, vehicle: VehicleConfig) -> tuple[float, float | None, float | None]:
-    """Exponent of the voltage with its error, and the reference voltage: the mean over the flights."""
-    kept = vehicle.estimation.battery.exponent
-    if not np.isfinite(p.volts).all():
-        return kept, None, None
-    reference = float(p.volts.mean())
-    if p.volts.std() < _LEAST_VOLTAGE_SPREAD * reference:
-        return kept, None, reference
-    a = vehicle.thrust.square_share
-    ratio = np.log(p.force / (a * p.square + (1.0 - a) * p.linear))
-    slope, error = _line(np.log(p.volts / reference), ratio)
-    return max(0.0, slope), error, reference
-
-
-def _line(x: Array, y: Array) -> tuple[float, float]:
-    """Slope of the least-squares line and its standard error."""
-    dx = x - x.mean()
-    slope = float((dx * y).sum() / (dx * dx).sum())
-    rest = y - y.mean() - slope * dx
-    return slope, float(np.sqrt((rest**2).sum() / max(1, len(x) - 2) / (dx * dx).sum()))
-
-
-def _curve(p: Points, force: Array, vehicle: VehicleConfig) -> tuple[float, float, float, float | None]:
-    """full_n and factor with their errors; the configured factor where the flights cannot tell."""
-    design = np.stack([p.square, p.linear], axis=1)
-    solution, _, rank, _ = np.linalg.lstsq(design, force, rcond=None)
-    full = float(solution.sum())
-    if rank == 2 and full > 0.0:
-        rest = force - design @ solution
-        covariance = np.linalg.inv(design.T @ design) * (rest @ rest) / max(1, len(force) - 2)
-        factor = float(solution[0] / full)
-        # d(factor) = (1 - factor, -factor) / full of the two.
-        g = np.array([1.0 - factor, -factor]) / full
-        factor_error = float(np.sqrt(g @ covariance @ g))
-        if factor_error < _FACTOR_ERROR and 0.0 <= factor <= 1.0:
-            return full, float(np.sqrt(covariance.sum())), factor, factor_error
-    factor = vehicle.thrust.square_share
-    shape = factor * p.square + (1.0 - factor) * p.linear
-    full = float((shape * force).sum() / (shape * shape).sum())
-    rest = force - full * shape
-    return full, float(np.sqrt((rest @ rest) / max(1, len(force) - 1) / (shape @ shape))), factor, None

@@ -12,9 +12,9 @@ from typing import NamedTuple
 from dart_flight.base.records import Outcome, Override
 from dart_flight.lab.campaign.asked import Campaign, Item, Keep, Point
 from dart_flight.recording.found import LOG_NAME
-from dart_flight.recording.memory import write_log
 from dart_flight.recording.reader import Log
 from dart_flight.recording.verdict import Verdict
+from dart_flight.recording.writer import LogPart
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.many_flights import unexplained_modes
@@ -105,5 +105,11 @@ def _text(cell: Cell) -> str:
 def _file_of(log: Log) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / LOG_NAME
-        write_log(log, path)
+        part = LogPart(path, log.about, 1)
+        time_us = 0
+        for entry in log.entries:
+            time_us = getattr(entry.record, "t_us", 0) or time_us
+            part.write(entry.record, time_us, entry.number)
+        part.finish({**log.end, "lost": "0"})
+        part.close()
         return path.read_bytes()

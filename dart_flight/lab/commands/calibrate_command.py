@@ -20,23 +20,20 @@ from dart_flight.config.edit import write_values
 from dart_flight.config.provenance import find_vehicle
 from dart_flight.config.rotors import (
     COUNT,
-    motors_block,
     motors_of,
-    refuse_unmeasured,
     rotor_differences,
     rotor_names,
 )
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.config.vehicle.configuration import default_config_path
-from dart_flight.lab.calibrate.airframe import read_airframe
+from dart_flight.lab.calibrate.airframe import motors_block, read_airframe, refuse_unmeasured
 from dart_flight.lab.calibrate.inertia import WINDOW_S, InertiaCalibration, calibrate_inertia
 from dart_flight.lab.calibrate.thrust_curve import (
     ThrustCalibration,
-    Track,
     calibrate_thrust,
-    read_track,
     said_of,
 )
+from dart_flight.lab.track import Track, read_track
 from dart_flight.recording.found import from_each, logs_in
 from dart_flight.vehicle.ground_link import GroundLink
 from dart_flight.vehicle.link import LinkLease

@@ -20,9 +20,6 @@ def _height_or_trial(text: str) -> float | str:
         return text
 
 
-# As `dart_flight.lab.identify.fit.LAWS`, which needs numpy: --help does without.
-LAWS = ("paper", "preload", "hertz", "two-stage", "baseline", "best")
-
 _FIT = {True: "[green]fit: good[/]", False: "[red]fit: poor[/]", None: "fit: nothing to judge it by"}
 
 
@@ -67,13 +64,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "outward normal (degrees)",
     )
     parser.add_argument("--mass", type=float, metavar="KG", help="of the vehicle (the configuration's)")
-    parser.add_argument(
-        "--law",
-        choices=LAWS,
-        default="paper",
-        help="whose parameters to give beside the paper's coefficients; baseline: none, restitution only; "
-        "best: what predicts held-out hits best",
-    )
     parser.add_argument("-o", "--output", metavar="FILE", help="write a materials entry (YAML)")
     parser.add_argument("--plot", metavar="FILE", help="recordings and fit (PNG, PDF, SVG)")
     add_set_option(parser)
@@ -107,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output and not arguments.surface:
         raise InputError("-o needs --surface, the name of the entry", key=("output",))
     onset = Onset(arguments.onset) if arguments.onset else None
-    done = identification.carry_out(paths, how, vehicle, onset=onset, law=arguments.law)
+    done = identification.carry_out(paths, how, vehicle, onset=onset)
     trials, found = done.trials, done.found
     if done.flown is not None:
         source = done.flown.source
@@ -169,10 +159,7 @@ def _print(found: Any) -> None:
     from rich.table import Table
 
     from dart_flight.config.units import COEFFICIENTS
-    from dart_flight.contact.law import Onset
-    from dart_flight.lab.identify.laws import candidate_laws
 
-    units = {law.name: {p.name: p.unit for p in law.parameters} for law in candidate_laws(Onset.LCP).values()}
     for mode, coefficients in found.coefficients.items():
         rows = [(name, estimate, COEFFICIENTS[name]) for name, estimate in coefficients.items()]
         rows += [
@@ -180,12 +167,7 @@ def _print(found: Any) -> None:
             ("tangential ratio", found.tangential_ratio[mode], ""),
         ]
         _estimates(f"{mode}: coefficients with 95 % intervals", rows)
-        parameters = found.law_parameters[mode]
-        if parameters and found.law != "paper":
-            name = found.law if found.law in units else found.held_out[mode].best
-            rows = [(n, e, units[name].get(n, "")) for n, e in parameters.items()]
-            _estimates(f"{mode}: law {name}", rows)
-        if mode in found.held_out and found.held_out[mode].laws:
+        if found.held_out[mode].law is not None:
             _print_held_out(found.held_out[mode])
     table = Table(title="trials")
     columns = (
@@ -223,7 +205,7 @@ def _print_held_out(compared: Any) -> None:
     table = Table(title=f"{compared.mode}: median error on held-out {what}")
     for name in ("", "peak force", "outgoing speed"):
         table.add_column(name, justify="right" if name else "left")
-    rows = {**compared.laws, **compared.baselines, "scatter of repeats": compared.scatter}
+    rows = {"the law": compared.law, **compared.baselines, "scatter of repeats": compared.scatter}
     for name, errors in rows.items():
         table.add_row(name, *("" if v is None else f"{100.0 * v:.1f} %" for v in errors))
     tables().print(table)

@@ -11,8 +11,8 @@ from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import add_set_option, link_of, whole_number
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
-from dart_flight.config.scenario import Objective, load_scenario
 from dart_flight.lab.search.mission_writer import planned_mission, write_mission
+from dart_flight.lab.search.scenario import Objective, load_scenario
 from dart_flight.lab.search.search import search
 from dart_flight.lab.search.summary import plan_summary, plan_table, refusal_table, with_objective
 from dart_flight.planning.planned import describe_passing
@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     console = messages()
     scenario = load_scenario(arguments.scenario, arguments.config, settings=arguments.set)
     if arguments.connection is not None:
-        from dart_flight.run.prepare import with_vehicle_parameters
+        from dart_flight.lab.search.scenario import with_vehicle_parameters
         from dart_flight.vehicle.link import LinkLease
 
         url = link_of(arguments, scenario.vehicle.connection)

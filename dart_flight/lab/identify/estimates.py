@@ -76,9 +76,7 @@ class Identification(NamedTuple):
         notes: what a reader should know, in sentences.
         restitution: mode -> speed out over speed in, along the normal.
         tangential_ratio: mode -> the same along the wall.
-        law: whose parameters `law_parameters` are.
-        law_parameters: mode -> parameter -> estimate; those of the paper's law are `coefficients`.
-        held_out: mode -> which law predicts hits it has not seen; empty where that was not asked for.
+        held_out: mode -> how well the law predicts hits it has not seen.
     """
 
     coefficients: dict[str, dict[str, Estimate | None]]
@@ -89,8 +87,6 @@ class Identification(NamedTuple):
     notes: list[str]
     restitution: dict[str, Estimate | None]
     tangential_ratio: dict[str, Estimate | None]
-    law: str
-    law_parameters: dict[str, dict[str, Estimate | None]]
     held_out: dict[str, HeldOut]
 
     def is_known(self, mode: str) -> bool:

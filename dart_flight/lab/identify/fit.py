@@ -1,4 +1,4 @@
-"""`identify`: contact coefficients, restitution and the law that predicts, from recorded trials.
+"""`identify`: contact coefficients and restitution from recorded trials.
 
 Every trial is first read as a whole (`hits`): speeds in and out, peak, duration, without a law. Where its
 positions show the contact in enough samples, the paper's law is fitted to them jointly (`sample_fit`,
@@ -9,7 +9,7 @@ whole. What the data cannot tell comes back as None.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -17,40 +17,31 @@ from dart_flight.config.document import InputError
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.allowance import allow
 from dart_flight.lab.identify.estimates import Estimate, Identification, SetAside, TrialFit
-from dart_flight.lab.identify.held_out import HeldOut, compare
+from dart_flight.lab.identify.held_out import hold_out
 from dart_flight.lab.identify.hits import Hit, hit_of
 from dart_flight.lab.identify.judgement import SampleResult, SampleTrial, conclude, errors_of_hits
-from dart_flight.lab.identify.laws import ContactLaw, candidate_laws
 from dart_flight.lab.identify.solver import solve, without_derived
 from dart_flight.lab.identify.trials import Trial
-from dart_flight.lab.identify.whole_hits import friction, law_parameters, restitution, tangential_ratio
+from dart_flight.lab.identify.whole_hits import (
+    friction,
+    restitution,
+    stiffness_and_damping,
+    tangential_ratio,
+)
 
-PAPER = "paper"
-BASELINE = "baseline"  # no law: restitution and force per speed
-BEST = "best"  # what predicts held-out hits best
-LAWS = (PAPER, "preload", "hertz", "two-stage", BASELINE, BEST)
 _LEAST_IN_CONTACT = 4
 _SLOW_SAMPLING_S = 0.006
 _PREDICTS = 0.1  # error of peak and speed out up to which a fit of samples stands although it is off
 _COEFFICIENTS = ("k", "f", "mu", "nu")
 
 
-def identify(
-    trials: Sequence[Trial],
-    mass_kg: float,
-    onset: Onset,
-    *,
-    law: str = PAPER,
-    compare_laws: bool = True,
-) -> Identification:
+def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identification:
     """Coefficients per mode from trials at one plane (paper, Sec. IV-B and V-A).
 
     Args:
         trials: recordings; all share the plane, those of one mode its coefficients.
         mass_kg: vehicle mass.
         onset: onset rule of the model that is fitted; k and f depend on it a little.
-        law: whose parameters to give beside the paper's coefficients, of `LAWS`.
-        compare_laws: whether to try every law on held-out hits.
 
     Raises:
         InputError: SciPy is missing, or a trial cannot be used (its name and why).
@@ -61,21 +52,14 @@ def identify(
     hits = [hit_of(trial, mass_kg) for trial in usable]
     notes += [note for hit in hits for note in hit.notes]
     sampled, result = _fit_samples(usable, hits, mass_kg, onset, notes)
-    laws = candidate_laws(onset)
     members = {hit.mode: [other for other in hits if other.mode == hit.mode] for hit in hits}
-    held_out = {}
-    if compare_laws or law == BEST:
-        held_out = {mode: compare(list(laws.values()), own, mass_kg) for mode, own in members.items()}
-        notes += [found.sentence for found in held_out.values() if found.hits]
-    coefficients, parameters = {}, {}
+    held_out = {mode: hold_out(own, mass_kg, onset) for mode, own in members.items()}
+    notes += [found.sentence for found in held_out.values() if found.hits]
+    coefficients = {}
     for mode, own in members.items():
-        found = _coefficients(mode, result, own, laws[PAPER], mass_kg, notes)
+        found = _coefficients(mode, result, own, mass_kg, onset, notes)
         coefficients[mode], more = allow(found, [trial for trial in usable if trial.mode == mode], own)
         notes += [f"{mode}: {note}" for note in more]
-        chosen = _chosen(law, held_out.get(mode))
-        parameters[mode] = _parameters(mode, chosen, coefficients[mode], laws, own, mass_kg, notes)
-        if law == BEST:
-            notes.append(f"{mode}: chosen by held-out hits: {chosen}")
     return Identification(
         coefficients=coefficients,
         plane_m=result.plane_m if result else None,
@@ -85,35 +69,8 @@ def identify(
         notes=notes,
         restitution={mode: restitution(own) for mode, own in members.items()},
         tangential_ratio={mode: tangential_ratio(own) for mode, own in members.items()},
-        law=law,
-        law_parameters=parameters,
         held_out=held_out,
     )
-
-
-def _chosen(law: str, held_out: HeldOut | None) -> str:
-    if law != BEST:
-        return law
-    return held_out.best if held_out and held_out.best and held_out.earned else BASELINE
-
-
-def _parameters(
-    mode: str,
-    law: str,
-    coefficients: Mapping[str, Estimate | None],
-    laws: Mapping[str, ContactLaw],
-    hits: Sequence[Hit],
-    mass_kg: float,
-    notes: list[str],
-) -> dict[str, Estimate | None]:
-    """Those of the chosen law; a baseline has none."""
-    if law == PAPER:
-        return {name: coefficients[name] for name in ("k", "f")}
-    if law == BASELINE:
-        return {}
-    found, more = law_parameters(laws[law], hits, mass_kg)
-    notes += [f"{mode}: {note}" for note in more]
-    return found
 
 
 def _fit_samples(
@@ -160,17 +117,17 @@ def _coefficients(
     mode: str,
     result: SampleResult | None,
     hits: Sequence[Hit],
-    paper: ContactLaw,
     mass_kg: float,
+    onset: Onset,
     notes: list[str],
 ) -> dict[str, Estimate | None]:
     """From samples where the law fits them, from whole hits elsewhere."""
     found = dict(result.coefficients[mode]) if result and mode in result.coefficients else None
     bad = result is not None and mode in result.bad
-    if bad and found is not None and _predicts(found, paper, hits, mass_kg):
+    if bad and found is not None and _predicts(found, hits, mass_kg, onset):
         bad = False  # off at the samples by more than noise, but right in what is asked of it
     if found is None or bad:
-        whole, more = law_parameters(paper, hits, mass_kg)
+        whole, more = stiffness_and_damping(hits, mass_kg, onset)
         notes += [f"{mode}: {note}" for note in more]
         if found is None:
             found = dict.fromkeys(_COEFFICIENTS)
@@ -191,11 +148,9 @@ def _coefficients(
     return found
 
 
-def _predicts(
-    found: dict[str, Estimate | None], paper: ContactLaw, hits: Sequence[Hit], mass_kg: float
-) -> bool:
+def _predicts(found: dict[str, Estimate | None], hits: Sequence[Hit], mass_kg: float, onset: Onset) -> bool:
     """Whether coefficients give peak and speed out of their own hits to a tenth, in the median."""
-    known = [e for e in errors_of_hits(found, paper, hits, mass_kg) if e is not None]
+    known = [e for e in errors_of_hits(found, hits, mass_kg, onset) if e is not None]
     return bool(known) and max(known) < _PREDICTS
 
 

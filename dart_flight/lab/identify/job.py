@@ -16,7 +16,7 @@ from dart_flight.config.provenance import FoundVehicle
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Identification
-from dart_flight.lab.identify.fit import PAPER, identify
+from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.trials import COLUMNS, UNLABELLED, Trial, TrialReading, read_trials
 from dart_flight.recording.found import from_each, logs_in
 
@@ -48,7 +48,6 @@ def carry_out(
     vehicle: VehicleConfig,
     *,
     onset: Onset | None = None,
-    law: str = PAPER,
     given: Sequence[Trial] = (),
 ) -> Identified:
     """Read the trials and fit them.
@@ -61,7 +60,6 @@ def carry_out(
         how: to read them.
         vehicle: of trials that do not say theirs.
         onset: instead of the vehicle's.
-        law: whose parameters to give beside the paper's.
         given: trials that are read already; they count with those of the files.
 
     Raises:
@@ -91,7 +89,7 @@ def carry_out(
     left_out += _said_of_mass(trials, mass_kg, at_hand if flown else None)
     _refuse_mode(how, vehicle)
     trials = _labelled(trials, vehicle)
-    found = identify(trials, mass_kg, onset, law=law)
+    found = identify(trials, mass_kg, onset)
     found.notes[:0] = left_out
     if how.height_m is not None:
         expected = math.sqrt(2.0 * GRAVITY_M_S2 * how.height_m)
@@ -210,4 +208,4 @@ def as_json(found: Identification) -> dict[str, Any]:
     said: dict[str, Any] = _plain(found)
     for compared in said["held_out"].values():
         del compared["mode"], compared["sentence"]
-    return said | {"law": {"name": said["law"], "parameters": said.pop("law_parameters")}}
+    return said

@@ -20,10 +20,9 @@ from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Estimate, Identification, SetAside
 from dart_flight.lab.identify.hits import Hit, hit_of
 from dart_flight.lab.identify.intervals import half_widths
-from dart_flight.lab.identify.law_fit import HitTable, predict
-from dart_flight.lab.identify.laws import ContactLaw, candidate_laws
 from dart_flight.lab.identify.sample_fit import HIGHEST_F, HIGHEST_K, LOWEST_F, LOWEST_K, PUSHES, SampleFit
 from dart_flight.lab.identify.trials import Trial, find_impact, noise_of
+from dart_flight.lab.identify.whole_fit import HitTable, predict
 
 # Rates of change this small in the model make a coefficient unknown rather than zero.
 _WIDEST_LOG = math.log(10.0)
@@ -229,12 +228,11 @@ def judge_fit(found: Identification, trials: Sequence[Trial], mass_kg: float, on
     """
     off, expected = dict(found.residuals), expected_residuals(trials)
     whole = {trial.name for trial in found.trials if trial.used == "whole"}
-    paper = candidate_laws(onset)["paper"]
     for mode, coefficients in found.coefficients.items():
         own = [t for t in trials if t.mode == mode and t.name in whole]
         if not own or not found.is_known(mode):
             continue
-        peak, out = errors_of_hits(coefficients, paper, [hit_of(t, mass_kg) for t in own], mass_kg)
+        peak, out = errors_of_hits(coefficients, [hit_of(t, mass_kg) for t in own], mass_kg, onset)
         for name, error, most in (("peak", peak, _PEAK_SHARE), ("speed out", out, _SPEED_SHARE)):
             if error is not None:
                 off[f"{mode} {name}"], expected[f"{mode} {name}"] = error, most
@@ -254,7 +252,7 @@ def judge(off: Mapping[str, float], expected: Mapping[str, float]) -> FitJudgeme
 
 
 def errors_of_hits(
-    coefficients: Mapping[str, Estimate | None], paper: ContactLaw, hits: Sequence[Hit], mass_kg: float
+    coefficients: Mapping[str, Estimate | None], hits: Sequence[Hit], mass_kg: float, onset: Onset
 ) -> tuple[float | None, float | None]:
     """By how much coefficients miss their own hits, in the median: share of the peak, and of the speed in.
 
@@ -264,9 +262,9 @@ def errors_of_hits(
     if k is None or f is None:
         return None, None
     table = HitTable.of(hits)
-    said = predict(paper, np.array([[k.value, f.value]]), table, mass_kg)
-    peak = np.abs(said.peak_force_n[0] / table.peak - 1.0)
-    out = np.abs(said.normal_out_m_s[0] - table.speed_out) / table.speed_in
+    said = predict(k.value, f.value, table, mass_kg, onset)
+    peak = np.abs(said.peak_normal_force_n / table.peak - 1.0)
+    out = np.abs(said.normal_out_m_s - table.speed_out) / table.speed_in
     peak, out = (values[np.isfinite(values)] for values in (peak, out))
     return (float(np.median(peak)) if peak.size else None, float(np.median(out)) if out.size else None)
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +18,19 @@ from dart_flight.lab.identify.windows import AFTER_S, BEFORE_S
 
 _DEAD = 1e-6  # in any unit: a recording that changes by less is not one
 _CURVED = 4.5  # deviations of a curvature in free flight that is not noise
+
+
+def least_squares(residuals: Callable[[Array], Array], start: Array, **how: Any) -> Any:
+    """SciPy's function of this name.
+
+    Raises:
+        InputError: SciPy is missing.
+    """
+    try:
+        from scipy.optimize import least_squares as of_scipy  # noqa: PLC0415
+    except ImportError:
+        raise InputError("needs SciPy: pip install 'dart-flight[identify]'") from None
+    return of_scipy(residuals, start, **how)
 
 
 def solve(
@@ -43,18 +57,14 @@ def solve(
     Raises:
         InputError: SciPy is missing, or a trial cannot be used.
     """
-    try:
-        from scipy.optimize import least_squares  # noqa: PLC0415
-    except ImportError:
-        raise InputError("needs SciPy: pip install 'dart-flight[identify]'") from None
     notes: list[str] = []
 
     def descend(fit: SampleFit, theta: Array, losses: Sequence[str]) -> Array:
         low, high = fit.bounds()
         for turn, loss in enumerate(losses, 1):
             result = least_squares(
-                fit.residuals, np.clip(theta, low, high), fit.jacobian, bounds=(low, high), x_scale="jac",
-                loss=loss, f_scale=2.0, max_nfev=80,
+                fit.residuals, np.clip(theta, low, high), jac=fit.jacobian, bounds=(low, high),
+                x_scale="jac", loss=loss, f_scale=2.0, max_nfev=80,
             )  # fmt: skip
             theta = result.x
             if turn < len(losses):

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +21,9 @@ from dart_flight.config.document import InputError, read_text
 from dart_flight.config.kinds import FileKind, refuse_other_kind
 from dart_flight.config.provenance import FoundVehicle
 from dart_flight.contact.coefficients import Array
+from dart_flight.lab.track import track_of
+from dart_flight.lab.ulog import open_ulog
 from dart_flight.recording.reader import read_log
-from dart_flight.recording.ulog import columns, open_ulog, seconds
 
 UNLABELLED = "unlabelled"
 # Columns of a trial, in the collision frame; `vertical_m` is a height (against Z at a wall). Required first.
@@ -40,6 +41,8 @@ COLUMNS = (
 # One of these says that there is an impact at all.
 _ANY_OF = ("normal_m", "normal_m_s", "specific_force_m_s2", "normal_acceleration_m_s2")
 _TIME = "time_s"
+_AT_A_WALL = ("vertical_m", "tangential_force_n")  # of a drop not used
+_UP = np.array([0.0, 0.0, -1.0])  # in NED
 
 _LONGEST_STEP_S = 0.03  # of sampling: the shortest contacts take 0.05 s
 _FARTHEST_M = 50.0
@@ -272,26 +275,34 @@ def read_ulog(path: Path, how: TrialReading) -> list[Trial]:
             "write every impact as a trial",
             source=source,
         )
-    log = open_ulog(path, ("vehicle_local_position", "vehicle_attitude", "sensor_combined"))
-    topics = {name: instances[0] for name, instances in log.topics.items() if 0 in instances}
-    felt = "sensor_combined" in topics and "vehicle_attitude" in topics
+    track = track_of(open_ulog(path, ("vehicle_local_position", "vehicle_attitude", "sensor_combined")))
+    felt = track.imu_s.size > 0 and track.attitude_s.size > 0
+    normal, tangent = _axes(how)
     series: dict[str, Series] = {}
-    if "vehicle_local_position" in topics:
-        series = _from_local_position(topics["vehicle_local_position"], how)
+    if track.position_s.size:
+        origin = np.array([how.wall[0], how.wall[1], 0.0]) if how.wall else np.zeros(3)
+        moved = track.position - origin
+        # The estimator's velocity is not used: it filters the same measurements as its position.
+        for name, axis in (("normal_m", normal), ("tangential_m", tangent), ("vertical_m", _UP)):
+            series[name] = _increasing(track.position_s, moved @ axis)
     elif not how.drop or not felt:
         raise InputError("has no vehicle_local_position", source=source)
     if felt:
-        series |= _from_imu(topics["sensor_combined"], topics["vehicle_attitude"], how)
+        force = how.kg * track.to_ned(track.specific_force)
+        series["normal_force_n"] = _increasing(track.imu_s, force @ normal)
+        series["tangential_force_n"] = _increasing(track.imu_s, force @ tangent)
         if "normal_m" not in series:
-            time, force = series.pop("normal_force_n")
-            series = {"specific_force_m_s2": Series(time, force / how.kg)}
+            time, along = series["normal_force_n"]
+            series = {"specific_force_m_s2": Series(time, along / how.kg)}
+    if how.wall is None:
+        series = {name: one for name, one in series.items() if name not in _AT_A_WALL}
     return [_trial(source, series, how)]
 
 
 def _axes(how: TrialReading) -> tuple[Array, Array]:
     """Outward normal and tangent (Y of the collision frame) in NED."""
     if how.wall is None:
-        return np.array([0.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0])
+        return _UP, np.array([0.0, 1.0, 0.0])
     heading = math.radians(how.wall[2])
     normal = np.array([math.cos(heading), math.sin(heading), 0.0])
     # To the right when looking along the normal: clockwise seen from above, as headings turn.
@@ -301,42 +312,6 @@ def _axes(how: TrialReading) -> tuple[Array, Array]:
 def _increasing(time: Array, value: Array) -> Series:
     keep = np.concatenate(([True], np.diff(np.maximum.accumulate(time)) > 0.0)) & np.isfinite(value)
     return Series(time[keep], value[keep])
-
-
-def _from_local_position(data: Any, how: TrialReading) -> dict[str, Series]:
-    time = seconds(data)
-    position = np.stack([np.asarray(data[name], dtype=float) for name in ("x", "y", "z")], axis=1)
-    normal, tangent = _axes(how)
-    origin = np.array([how.wall[0], how.wall[1], 0.0]) if how.wall else np.zeros(3)
-    series = {
-        "normal_m": _increasing(time, (position - origin) @ normal),
-        "tangential_m": _increasing(time, (position - origin) @ tangent),
-    }
-    if how.wall is not None:
-        series["vertical_m"] = _increasing(time, -position[:, 2])
-    # The estimator's velocity is not used: it filters the same measurements as its position.
-    return series
-
-
-def _specific_force_ned(imu: Any, attitude: Any) -> tuple[Array, Array]:
-    """Times (n,) and specific force in NED (n, 3)."""
-    time = seconds(imu)
-    specific = columns(imu, "accelerometer_m_s2", 3)
-    stamps, turned = seconds(attitude), columns(attitude, "q", 4).T
-    q = np.stack([np.interp(time, stamps, np.unwrap(part)) for part in turned], axis=1)
-    q /= np.linalg.norm(q, axis=1, keepdims=True)
-    scalar, vector = q[:, :1], q[:, 1:]
-    turn: Array = 2.0 * np.cross(vector, specific)
-    return time, specific + scalar * turn + np.cross(vector, turn)
-
-
-def _from_imu(imu: Any, attitude: Any, how: TrialReading) -> dict[str, Series]:
-    time, ned = _specific_force_ned(imu, attitude)
-    normal, tangent = _axes(how)
-    series = {"normal_force_n": _increasing(time, how.kg * (ned @ normal))}
-    if how.wall is not None:
-        series["tangential_force_n"] = _increasing(time, how.kg * (ned @ tangent))
-    return series
 
 
 def read_flight(path: Path, how: TrialReading) -> list[Trial]:

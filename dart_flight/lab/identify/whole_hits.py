@@ -12,16 +12,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from dart_flight.contact.coefficients import Array
+from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Estimate
 from dart_flight.lab.identify.hits import Hit
-from dart_flight.lab.identify.law_fit import HitTable, best_fit, fit_law
-from dart_flight.lab.identify.laws import ContactLaw
+from dart_flight.lab.identify.whole_fit import HitTable, fit
 from dart_flight.lab.statistics import Z95, student_t
 
 _RESAMPLES = 60
 _SEED = 1  # the same trials give the same interval
 _LEAST_ALONG_M_S = 0.1  # along the wall, below which a ratio says nothing
-_WIDEST_LOG = math.log(3.0)  # a parameter known less well than to a factor of three is not known
+_WIDEST_LOG = math.log(3.0)  # a coefficient known less well than to a factor of three is not known
 
 
 def _ratio(
@@ -89,34 +89,32 @@ def friction(hits: Sequence[Hit]) -> Estimate | None:
     return estimate
 
 
-def law_parameters(
-    law: ContactLaw, hits: Sequence[Hit], mass_kg: float
+def stiffness_and_damping(
+    hits: Sequence[Hit], mass_kg: float, onset: Onset
 ) -> tuple[dict[str, Estimate | None], list[str]]:
-    """Parameters of a law from hits as a whole, with intervals from drawing the hits anew.
+    """k and f from hits as a whole, with intervals from drawing the hits anew.
 
     Returns:
-        Parameter -> estimate, None where it is not known; and notes.
+        `k` and `f` -> estimate, None where it is not known; and notes.
     """
     table = HitTable.of(hits)
-    nothing: dict[str, Estimate | None] = {p.name: None for p in law.parameters}
-    if not table.shows_size or table.equations < len(law.parameters):
-        return nothing, []
-    fit = best_fit(law, table, mass_kg)
+    found: dict[str, Estimate | None] = {"k": None, "f": None}
+    if not table.is_enough:
+        return found, []
+    best = fit(table, mass_kg, onset)
     n = len(hits)
-    logs = np.log(fit.values[0])
-    half = Z95 * fit.deviation[0]
+    half = Z95 * best.deviation
     if n >= 3:
         random = np.random.default_rng(_SEED)
-        weights = random.multinomial(n, np.full(n, 1.0 / n), size=_RESAMPLES).astype(float)
-        drawn = np.log(fit_law(law, table, mass_kg, weights, fit.values[0]).values)
-        spread = 1.4826 * np.median(np.abs(drawn - np.median(drawn, axis=0)), axis=0)
-        half = np.maximum(half / math.sqrt(max(n, 1)), student_t(n - 1) * spread * math.sqrt(n / (n - 1)))
+        times = random.multinomial(n, np.full(n, 1.0 / n), size=_RESAMPLES)
+        again = (table.only(np.repeat(np.arange(n), drawn)) for drawn in times)
+        logs = np.array([fit(drawn, mass_kg, onset, best.logs).logs for drawn in again])
+        spread = 1.4826 * np.median(np.abs(logs - np.median(logs, axis=0)), axis=0)
+        half = np.maximum(half / math.sqrt(n), student_t(n - 1) * spread * math.sqrt(n / (n - 1)))
     notes = []
-    for j, parameter in enumerate(law.parameters):
-        if fit.at_bound[0, j]:
-            notes.append(f"{parameter.name} of law {law.name} is at a bound of the search and not known")
-        elif half[j] < _WIDEST_LOG:
-            nothing[parameter.name] = Estimate(
-                *(math.exp(v) for v in (logs[j], logs[j] - half[j], logs[j] + half[j]))
-            )
-    return nothing, notes
+    for name, log, off, at_bound in zip(found, best.logs, half, best.at_bound, strict=True):
+        if at_bound:
+            notes.append(f"{name} is at a bound of the search and not known")
+        elif off < _WIDEST_LOG:
+            found[name] = Estimate(*(math.exp(v) for v in (log, log - off, log + off)))
+    return found, notes

@@ -8,8 +8,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from dart_flight.config.document import InputError
-from dart_flight.lab.calibrate.thrust_curve import Track, ground_of
-from dart_flight.recording.ulog import ULogFile, columns
+from dart_flight.lab.track import Track
+from dart_flight.lab.ulog import ULogFile, seconds
 
 TOPICS = (
     "sensor_combined",
@@ -119,46 +119,25 @@ def missing(log: ULogFile) -> list[str]:
     return [*out, *[f"what would help: {_PROFILE}"] * slow, *log.damage]
 
 
-def track_without_motors(log: ULogFile) -> Track:
-    """The track of a log whose motor commands cannot be read."""
-    imu = log.first("sensor_combined")
-    assert imu is not None
-    empty = np.empty(0)
-    return Track(
-        source=log.source,
-        imu_s=np.asarray(imu["timestamp"], dtype=float) * 1e-6,
-        specific_force=columns(imu, "accelerometer_m_s2", 3),
-        rate=columns(imu, "gyro_rad", 3),
-        motor_s=empty,
-        motors=np.empty((0, 4)),
-        velocity_s=empty,
-        velocity=np.empty((0, 3)),
-        voltage_s=empty,
-        voltage=empty,
-        ground=ground_of(log),
-    )
-
-
-def landings_of(log: ULogFile) -> list[tuple[float, float]]:
+def landings_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
     """From, to in seconds: on the ground, begun where PX4 was close to saying so; or close to it, and low."""
-    close = ground_of(log)
-    landed = [(min([a, *(x for x, y in close if x <= a <= y)]), b) for a, b in _landed(log)]
-    return landed + [(a, b) for a, b in close if _height_at(log, a) < _LOW_M]
+    close = track.ground
+    landed = [(min([a, *(x for x, y in close if x <= a <= y)]), b) for a, b in _landed(log, track)]
+    return landed + [(a, b) for a, b in close if height_at(track, a) < _LOW_M]
 
 
-def _landed(log: ULogFile) -> list[tuple[float, float]]:
+def _landed(log: ULogFile, track: Track) -> list[tuple[float, float]]:
     """From, to in seconds: PX4 says landed. Motors cut in the air look like that: for a moment, high up."""
     found = _stretches(log, "vehicle_land_detected", "landed")
-    return [(a, b) for a, b in found if b - a >= _LANDED_S or not _height_at(log, a) > _HIGH_M]
+    return [(a, b) for a, b in found if b - a >= _LANDED_S or not height_at(track, a) > _HIGH_M]
 
 
-def _height_at(log: ULogFile, t_s: float) -> float:
+def height_at(track: Track, t_s: float) -> float:
     """Above where the log begins, metres; NaN where PX4 has no estimate."""
-    position = log.first("vehicle_local_position")
-    if position is None:
+    if not track.position_s.size:
         return math.nan
-    height = -np.asarray(position["z"], dtype=float)
-    return float(np.interp(t_s, np.asarray(position["timestamp"], dtype=float) * 1e-6, height) - height[0])
+    down = track.position[:, 2]
+    return float(down[0] - np.interp(t_s, track.position_s, down))
 
 
 def flights_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
@@ -168,15 +147,15 @@ def flights_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
     detected = log.first("vehicle_land_detected")
     if detected is None:
         return _clipped(armed, begin, end) if log.first("vehicle_status") is not None else [(begin, end)]
-    first = float(detected["timestamp"][0]) * 1e-6
-    edges = [min(first, end), *(t for stretch in _landed(log) for t in stretch), end]
+    first = float(seconds(detected)[0])
+    edges = [min(first, end), *(t for stretch in _landed(log, track) for t in stretch), end]
     air = _clipped(zip(edges[::2], edges[1::2], strict=True), begin, end)
     if log.first("vehicle_status") is not None:
         # Not cut where it was disarmed: what was stopped in the air still has to come down.
         air = [(a, b) for a, b in air if any(x < b and y > a for x, y in armed)]
     # What is in the air when the log begins, or when PX4 first says where it is, has taken off before.
     known = max(first, begin + 0.1)
-    taken_off = [(begin if a <= known else _off_the_ground(log, a, b), b) for a, b in air]
+    taken_off = [(begin if a <= known else _off_the_ground(track, a, b), b) for a, b in air]
     return [(a, b) for a, b in taken_off if b > a]
 
 
@@ -191,20 +170,16 @@ def _stretches(log: ULogFile, topic: str, field: str, value: int = 1) -> list[tu
     if data is None:
         return []
     holds = np.asarray(data[field]).astype(int) == value
-    stamps = [*(np.asarray(data["timestamp"], dtype=float) * 1e-6), math.inf]
+    stamps = [*seconds(data), math.inf]
     turns = np.flatnonzero(np.diff(np.concatenate(([False], holds, [False])).astype(int)))
     return [(float(stamps[a]), float(stamps[b])) for a, b in zip(turns[::2], turns[1::2], strict=True)]
 
 
-def _off_the_ground(log: ULogFile, begin: float, end: float) -> float:
+def _off_the_ground(track: Track, begin: float, end: float) -> float:
     """When a flight has risen a little: PX4's land detector says "in the air" at the first thrust."""
-    position = log.first("vehicle_local_position")
-    if position is None:
-        return begin + _TAKEOFF_S
-    t = np.asarray(position["timestamp"], dtype=float) * 1e-6
-    inside = (t >= begin) & (t <= end)
-    height = -np.asarray(position["z"], dtype=float)[inside]
+    inside = (track.position_s >= begin) & (track.position_s <= end)
+    height = -track.position[inside, 2]
     if not len(height):
         return begin + _TAKEOFF_S
     risen = np.flatnonzero(height > height[0] + _RISEN_M)
-    return float(t[inside][risen[0]]) if len(risen) else end
+    return float(track.position_s[inside][risen[0]]) if len(risen) else end

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from dart_flight.base.geometry import GRAVITY_M_S2, MissionFrame, Vec2, Vec3, rotate
 from dart_flight.base.records import (
@@ -25,13 +24,13 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.detector import Expected, ImpactDetector
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.state import FlightState
-from dart_flight.lab.calibrate.thrust_curve import Track
-from dart_flight.lab.inspect.content import landings_of
+from dart_flight.lab.flight_arrays import Array
+from dart_flight.lab.inspect.content import height_at, landings_of
 from dart_flight.lab.inspect.samples import Sample
 from dart_flight.lab.inspect.thrust import SpecificThrust, is_thrust_known
-from dart_flight.recording.ulog import ULogFile
+from dart_flight.lab.track import Track
+from dart_flight.lab.ulog import ULogFile
 
-Array = NDArray[np.float64]
 _BEYOND_THRUST = 0.5  # of the impulse: what pushes against a vehicle tilted by up to 45 degrees has as much
 REMEMBERED = 256  # samples: as long as the detector waits for a peak
 _BORNE_OUT = 0.3  # of the threshold: a short pulse just over it is fitted too low, to about a third at worst
@@ -312,26 +311,17 @@ class Pass:
             np.median(np.array(self._noise).reshape(-1, 5), axis=0) if self._noise else np.full(5, math.nan)
         )
         threshold = float(np.median(table[:, 4])) if len(table) else math.nan
-        position = log.first("vehicle_local_position")
-        where = np.empty((0, 3)), np.empty(0)
-        if position is not None:
-            where = (
-                np.stack([np.asarray(position[n], dtype=float) for n in ("x", "y", "z")], axis=1),
-                np.asarray(position["timestamp"], dtype=float) * 1e-6 - begin,
-            )
-        landings = landings_of(log)
+        landings = landings_of(log, track)
         found = [
-            self._impact(c, begin, where, _thrust_sd(track, curve, c.onset.first_us * 1e-6), landings)
+            self._impact(c, track, _thrust_sd(track, curve, c.onset.first_us * 1e-6), landings)
             for c in self.crossings
             if c.is_impact
         ]
-        crashes = [
-            self._crash(t, begin, where, track, table, float(noise[0])) for t in falls(track, self._flying)
-        ]
+        crashes = [self._crash(t, track, table, float(noise[0])) for t in falls(track, self._flying)]
         impacts = _with_crashes(found, crashes)
         for one in impacts:
             known = is_thrust_known(track, curve, begin + one.t_s)
-            if one.kind == "impact" and not _is_told(one, known, where[1]):
+            if one.kind == "impact" and not _is_told(one, known, track.position_s):
                 one.kind = "untold"
         for one in impacts:
             if mass_kg is not None:
@@ -357,14 +347,15 @@ class Pass:
             weak=sum(not c.is_impact for c in self.crossings),
             untold=sum(i.kind == "untold" for i in impacts),
             unknown=unknown,
-            series=FeltSeries(table[:, 0] - begin, table[:, 1:4], table[:, 4], where[1], where[0]),
+            series=FeltSeries(
+                table[:, 0] - begin, table[:, 1:4], table[:, 4], track.position_s - begin, track.position
+            ),
         )
 
     def _impact(
         self,
         crossing: Crossing,
-        begin: float,
-        where: tuple[Array, Array],
+        track: Track,
         thrust_sd: float,
         landings: list[tuple[float, float]],
     ) -> Felt:
@@ -375,7 +366,7 @@ class Pass:
         t = onset.first_us * 1e-6
         down = any(a - _TOUCHDOWN_S <= t <= b for a, b in landings)
         return Felt(
-            t_s=t - begin,
+            t_s=t - float(track.imu_s[0]),
             acceleration_m_s2=size / self._mass,
             acceleration_sd_m_s2=math.hypot(noise / self._mass, thrust_sd * GRAVITY_M_S2 * crossing.level),
             force_n=None,
@@ -384,14 +375,12 @@ class Pass:
             clipped=peak is not None and peak.clipped,
             kind="touch-down" if down else "impact",
             speed_m_s=math.hypot(onset.velocity_mission[0], onset.velocity_mission[1]),
-            height_m=_height(where, t - begin),
+            height_m=_height(track, t),
         )
 
     def _crash(
         self,
         t_s: float,
-        begin: float,
-        where: tuple[Array, Array],
         track: Track,
         table: Array,
         noise_m_s2: float,
@@ -402,7 +391,7 @@ class Pass:
         rows = table[slice(*np.searchsorted(table[:, 0], (t_s, t_s + _FALLING_S)))]
         north, east = rows[np.argmax(np.hypot(rows[:, 1], rows[:, 2])), 1:3] if len(rows) else (0.0, 0.0)
         return Felt(
-            t_s=t_s - begin,
+            t_s=t_s - float(track.imu_s[0]),
             acceleration_m_s2=float(np.nanmax(felt)),
             acceleration_sd_m_s2=noise_m_s2,
             force_n=None,
@@ -411,7 +400,7 @@ class Pass:
             clipped=False,
             kind="crash",
             speed_m_s=_speed(track, t_s),
-            height_m=_height(where, t_s - begin),
+            height_m=_height(track, t_s),
         )
 
 
@@ -461,16 +450,16 @@ def _with_crashes(impacts: list[Felt], crashes: list[Felt]) -> list[Felt]:
 
 def _speed(track: Track, t_s: float) -> float:
     """Horizontal, by PX4's estimate; NaN where it has none."""
-    if not len(track.velocity_s):
+    known = np.isfinite(track.velocity[:, :2]).all(axis=1)
+    if not known.any():
         return math.nan
-    north, east = (float(np.interp(t_s, track.velocity_s, track.velocity[:, k])) for k in (0, 1))
+    time, velocity = track.position_s[known], track.velocity[known]
+    north, east = (float(np.interp(t_s, time, velocity[:, k])) for k in (0, 1))
     return math.hypot(north, east)
 
 
-def _height(where: tuple[Array, Array], t_s: float) -> float | None:
-    """Above where the log begins, by PX4's estimate."""
-    down_m = where[0][:, 2]
-    height = float(down_m[0] - np.interp(t_s, where[1], down_m)) if len(down_m) else math.nan
+def _height(track: Track, t_s: float) -> float | None:
+    height = height_at(track, t_s)
     return height if math.isfinite(height) else None
 
 

@@ -7,14 +7,7 @@ from pathlib import Path
 
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.lab.calibrate.thrust_curve import track_of
-from dart_flight.lab.inspect.content import (
-    TOPICS,
-    flights_of,
-    missing,
-    refuse_other_vehicles,
-    track_without_motors,
-)
+from dart_flight.lab.inspect.content import TOPICS, flights_of, missing, refuse_other_vehicles
 from dart_flight.lab.inspect.impacts import FeltFlight, Listener, Pass
 from dart_flight.lab.inspect.samples import samples_of, vehicle_for
 from dart_flight.lab.inspect.thrust import (
@@ -23,7 +16,8 @@ from dart_flight.lab.inspect.thrust import (
     fit_drag,
     fit_specific_thrust,
 )
-from dart_flight.recording.ulog import ULogFile, open_ulog
+from dart_flight.lab.track import track_of
+from dart_flight.lab.ulog import ULogFile, motor_commands, open_ulog
 
 
 def feel(path: str | Path, vehicle: VehicleConfig, mass_kg: float | None = None) -> FeltFlight:
@@ -54,14 +48,12 @@ def feel_log(
     refuse_other_vehicles(log)
     unknown = missing(log)
     try:
-        track = track_of(log)
+        track = track_of(log, motor_commands(log))
         fitted = fit_specific_thrust(track, vehicle)
     except InputError as error:
-        if log.first("sensor_combined") is None:
-            raise
-        track, fitted = track_without_motors(log), error.message
+        track, fitted = track_of(log), error.message
     unknown += [f"thrust: {fitted}; hover is assumed"] if isinstance(fitted, str) else []
-    unknown += track.notes[1:]
+    unknown += track.notes[1:]  # the first is of the motors
     curve = None if isinstance(fitted, str) else fitted
     if curve is not None and are_motors_slow(track):
         unknown.append(
@@ -69,7 +61,7 @@ def feel_log(
             "hovers is believed"
         )
     flying = flights_of(log, track)
-    drag = fit_drag(log, flying)
+    drag = fit_drag(track, flying)
     if not drag:
         unknown.append("drag: too slow a flight to tell it")
     unknown.append("wind, and the accelerometer's bias where the vehicle does not hover")
@@ -77,6 +69,6 @@ def feel_log(
         unknown.append("mass: forces are in m/s2, with --mass also in newton")
     made = vehicle_for(vehicle, log, curve, drag)
     pass_ = Pass(made, flying, listen(made, flying) if listen is not None else None)
-    for sample in samples_of(log, track, curve, len(made.airframe.motors)):
+    for sample in samples_of(track, curve, len(made.airframe.motors)):
         pass_.take(sample)
     return pass_.felt(log, track, curve, drag, mass_kg, unknown)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
 import msgspec
@@ -11,32 +10,29 @@ import numpy as np
 from dart_flight.base.geometry import GRAVITY_M_S2, Quaternion, advance_attitude
 from dart_flight.base.records import ActuatorSample, AttitudeSample, ImuSample, OdometrySample
 from dart_flight.config.vehicle import Thrust, ThrustSource, VehicleConfig
-from dart_flight.lab.calibrate.thrust_curve import Track
+from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.inspect.thrust import SpecificThrust
-from dart_flight.recording.ulog import ULogFile, columns
+from dart_flight.lab.track import Track
+from dart_flight.lab.ulog import ULogFile
 
 _MOTOR_PERIOD_S = 0.01  # commands between the logged ones, on a straight line
 
 Sample = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 
 
-def samples_of(log: ULogFile, track: Track, curve: SpecificThrust | None, motors: int) -> Iterator[Sample]:
+def samples_of(track: Track, curve: SpecificThrust | None, motors: int) -> Iterator[Sample]:
     """The log as the core takes it, in the order of the stamps.
 
     Attitude comes at the IMU's rate: the logged one, carried on by the gyro. Commands are collective, already
     through the curve, on a straight line between the logged ones, the same for all `motors`.
     """
-    imu, attitude = log.first("sensor_combined"), log.first("vehicle_attitude")
-    assert imu is not None
-    assert attitude is not None
-    stamps = np.asarray(imu["timestamp"]).astype(np.int64)
-    f, rate = columns(imu, "accelerometer_m_s2", 3), columns(imu, "gyro_rad", 3)
-    attitude_us, q = np.asarray(attitude["timestamp"]).astype(np.int64), columns(attitude, "q", 4)
-    others: list[tuple[int, Sample]] = [*_odometry(log), *_collective(track, curve, motors)]
+    stamps, attitude_us = _us(track.imu_s), _us(track.attitude_s)
+    f, rate, q = track.specific_force, track.rate, track.q
+    others: list[tuple[int, Sample]] = [*_odometry(track), *_collective(track, curve, motors)]
     others.sort(key=lambda pair: pair[0])
     now: Quaternion | None = None
-    behind, last, place = 0, int(stamps[0]), 0
-    for i, t in enumerate(stamps.tolist()):
+    behind, last, place = 0, stamps[0], 0
+    for i, t in enumerate(stamps):
         if t <= last and i:
             continue
         while place < len(others) and others[place][0] <= t:
@@ -47,8 +43,7 @@ def samples_of(log: ULogFile, track: Track, curve: SpecificThrust | None, motors
             now = advance_attitude(now, turning, (t - last) * 1e-6)
         while behind < len(attitude_us) and attitude_us[behind] <= t:
             w, x, y, z = (float(v) for v in q[behind])
-            if math.isfinite(w + x + y + z):
-                now = advance_attitude((w, x, y, z), turning, (t - int(attitude_us[behind])) * 1e-6)
+            now = advance_attitude((w, x, y, z), turning, (t - attitude_us[behind]) * 1e-6)
             behind += 1
         last = t
         if now is not None:
@@ -57,17 +52,16 @@ def samples_of(log: ULogFile, track: Track, curve: SpecificThrust | None, motors
             yield ImuSample(t, t, (float(f[i, 0]), float(f[i, 1]), float(f[i, 2])), turning)
 
 
-def _odometry(log: ULogFile) -> Iterator[tuple[int, Sample]]:
-    position = log.first("vehicle_local_position")
-    if position is None:
-        return
-    names = ("x", "y", "z", "vx", "vy", "vz")
-    table = np.stack([np.asarray(position[n], dtype=float) for n in names], axis=1)
-    for t, row in zip(
-        np.asarray(position["timestamp"]).astype(np.int64).tolist(), table.tolist(), strict=True
-    ):
-        if all(math.isfinite(v) for v in row):
-            yield t, OdometrySample(t, t, (row[0], row[1], row[2]), (row[3], row[4], row[5]))
+def _us(time_s: Array) -> list[int]:
+    stamps: list[int] = np.rint(time_s * 1e6).astype(np.int64).tolist()
+    return stamps
+
+
+def _odometry(track: Track) -> Iterator[tuple[int, Sample]]:
+    known = np.isfinite(track.position).all(axis=1) & np.isfinite(track.velocity).all(axis=1)
+    rows = (track.position[known].tolist(), track.velocity[known].tolist())
+    for t, place, velocity in zip(_us(track.position_s[known]), *rows, strict=True):
+        yield t, OdometrySample(t, t, tuple(place), tuple(velocity))
 
 
 def _collective(track: Track, curve: SpecificThrust | None, motors: int) -> Iterator[tuple[int, Sample]]:

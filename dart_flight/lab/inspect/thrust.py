@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.lab.calibrate.thrust_curve import Points, Track, quiet_points, said_of
-from dart_flight.recording.ulog import ULogFile, columns
-
-Array = NDArray[np.float64]
+from dart_flight.lab.calibrate.thrust_curve import Curve, Points, fit_curve, quiet_points, said_of
+from dart_flight.lab.track import Track
 
 _LEAST_WINDOWS = 8
 _FOLDS = 4  # held-out parts
@@ -62,12 +58,11 @@ def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust 
                 f"{said_of(slow.rejected) or 'none'}"
             )
     known = bool(np.isfinite(points.volts).all())
-    reference = float(points.volts.mean()) if known else None
     # Without or with the voltage, with the configured factor or a fitted one: what predicts best.
     choices: list[Callable[[Points], Curve]] = []
     for by_volts in (False, True) if known else (False,):
         for fitted in (False, True):
-            choices.append(_fitter(vehicle.thrust.square_share, fitted, by_volts, reference or 1.0))
+            choices.append(_fitter(vehicle.thrust.square_share, fitted, by_volts))
     scored = [(_held_out(points, fit), fit) for fit in choices]
     error, best = min(scored, key=lambda s: s[0])
     if not error <= _MOST_HELD_OUT:
@@ -80,46 +75,19 @@ def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust 
         full_m_s2=curve.full * points.motors,
         model_factor=curve.factor,
         battery_exponent=curve.exponent,
-        reference_v=reference,
+        reference_v=curve.reference,
         windows=len(points.force),
         held_out_percent=100.0 * error,
         said=said,
     )
 
 
-class Curve(msgspec.Struct):
-    """full (factor u^2 + (1 - factor) u) (volts / reference) ** exponent, summed over the motors."""
-
-    full: float
-    factor: float
-    exponent: float
-    reference: float
-
-    def of(self, p: Points) -> Array:
-        """Specific thrust at some points."""
-        shape = self.factor * p.square + (1.0 - self.factor) * p.linear
-        by_volts = (p.volts / self.reference) ** self.exponent if self.exponent else 1.0
-        return np.asarray(self.full * shape * by_volts)
-
-
-def _fitter(factor: float, fitted: bool, by_volts: bool, reference: float) -> Callable[[Points], Curve]:
+def _fitter(factor: float, fitted: bool, by_volts: bool) -> Callable[[Points], Curve]:
     def fit(p: Points) -> Curve:
-        a = factor
-        if fitted:
-            solution, _, rank, _ = np.linalg.lstsq(
-                np.stack([p.square, p.linear], axis=1), p.force, rcond=None
-            )
-            total = float(solution.sum())
-            a = float(np.clip(solution[0] / total, 0.0, 1.0)) if rank == 2 and total > 0.0 else factor
-        shape = a * p.square + (1.0 - a) * p.linear
-        exponent = 0.0
-        if by_volts and float(p.volts.std()) > 1e-6:
-            x = np.log(p.volts / reference)
-            y = np.log(np.maximum(p.force, 1e-3) / np.maximum(shape, 1e-6))
-            exponent = float(np.clip(np.polyfit(x, y, 1)[0], 0.0, 3.0))
-            shape = shape * (p.volts / reference) ** exponent
+        curve = fit_curve(p, factor, None if by_volts else 0.0, fit_factor=fitted)
         # The median: a bump that no test has seen is one window.
-        return Curve(float(np.median(p.force / np.maximum(shape, 1e-6))), a, exponent, reference)
+        curve.full *= float(np.median(p.force / np.maximum(curve.of(p), 1e-6)))
+        return curve
 
     return fit
 
@@ -159,36 +127,25 @@ def _is_too_far(apart_s: float) -> bool:
     return apart_s * THRUST_KNOWN_HZ >= _JITTER
 
 
-def fit_drag(log: ULogFile, flying: list[tuple[float, float]]) -> float:
+def fit_drag(track: Track, flying: list[tuple[float, float]]) -> float:
     """Drag in 1/s: horizontal specific force across the thrust against the velocity; wind is not known.
 
     Half-second means over the whole flight, robust; 0 where the flight is too slow to tell.
     """
-    imu, attitude = log.first("sensor_combined"), log.first("vehicle_attitude")
-    position = log.first("vehicle_local_position")
-    if imu is None or attitude is None or position is None:
+    if not track.attitude_s.size or not track.position_s.size:
         return 0.0
-    t = np.asarray(imu["timestamp"], dtype=float) * 1e-6
-    f = columns(imu, "accelerometer_m_s2", 3)
-    stamps = np.asarray(attitude["timestamp"], dtype=float) * 1e-6
-    q = columns(attitude, "q", 4)
-    at = np.asarray(position["timestamp"], dtype=float) * 1e-6
-    velocity = np.stack([np.asarray(position[n], dtype=float) for n in ("vx", "vy")], axis=1)
+    across = track.to_ned(track.specific_force * (1.0, 1.0, 0.0))[:, :2]
     pairs = []
     for begin, end in flying:
         for start in np.arange(begin, end - 0.5, 0.5):
-            inside = slice(*np.searchsorted(t, (start, start + 0.5)))
-            near, moving = np.searchsorted(stamps, start + 0.25), np.searchsorted(at, start + 0.25)
-            if inside.stop - inside.start < 10 or near >= len(stamps) or moving >= len(at):
+            inside = slice(*np.searchsorted(track.imu_s, (start, start + 0.5)))
+            moving = np.searchsorted(track.position_s, start + 0.25)
+            if inside.stop - inside.start < 10 or moving >= len(track.position_s):
                 continue
-            fx, fy = f[inside, 0].mean(), f[inside, 1].mean()
-            w, x, y, z = q[near]
-            north = (1.0 - 2.0 * (y * y + z * z)) * fx + 2.0 * (x * y - w * z) * fy
-            east = 2.0 * (x * y + w * z) * fx + (1.0 - 2.0 * (x * x + z * z)) * fy
-            vn, ve = velocity[moving]
-            speed = math.hypot(vn, ve)
-            if math.isfinite(speed) and speed > 1.0:
-                pairs.append((-(north * vn + east * ve) / speed, speed))
+            velocity = track.velocity[moving, :2]
+            speed = float(np.hypot(*velocity))
+            if speed > 1.0:
+                pairs.append((-float(across[inside].mean(axis=0) @ velocity) / speed, speed))
     if len(pairs) < _LEAST_WINDOWS:
         return 0.0
     table = np.array(pairs)

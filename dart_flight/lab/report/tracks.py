@@ -5,18 +5,14 @@ Times are seconds of the flight's `FlightArrays`; a signal that the log does not
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.base.geometry import MissionFrame, Quaternion, rotate
 from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
-    AttitudeTargetSample,
     EscSample,
     ForceEstimate,
     Record,
@@ -26,7 +22,10 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.mission import Mission
 from dart_flight.core.sense.thrust import ThrustModel
-from dart_flight.lab.flight_arrays import Array, FlightArrays
+from dart_flight.lab.flight_arrays import Array, FlightArrays, turned
+
+# Of the body, in FRD.
+_FORWARD_LEFT_UP = np.array([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)])
 
 
 class Angles(NamedTuple):
@@ -93,42 +92,26 @@ class Power(NamedTuple):
 
 
 def angles(course: FlightArrays, *, true: bool = False) -> Angles:
-    """The estimated attitude, or the simulated vehicle's."""
-    frame = course.frame
-    samples: Iterable[AttitudeSample | TruthSample] = (
-        course.all(TruthSample) if true else course.all(AttitudeSample)
+    """The estimated attitude, or the simulated vehicle's: of the body's forward and left axes."""
+    samples = course.topic_in_ned(TruthSample if true else AttitudeSample)
+    q = samples["q_frd_to_ned"]
+    forward, left, up = (course.from_ned(turned(q, axis)) for axis in _FORWARD_LEFT_UP)
+    return Angles(
+        samples.t_s,
+        np.unwrap(np.arctan2(forward[:, 1], forward[:, 0])),
+        np.arcsin(np.clip(forward[:, 2], -1.0, 1.0)),
+        np.arctan2(left[:, 2], up[:, 2]),
     )
-    if frame is None:
-        samples = ()
-    rows = [(course.time_of(s.t_us), *_angles(frame, s.q_frd_to_ned)) for s in samples if frame]
-    table = np.array(rows, dtype=float) if rows else np.empty((0, 4))
-    return Angles(table[:, 0], np.unwrap(table[:, 1]), table[:, 2], table[:, 3])
-
-
-def _angles(frame: MissionFrame, q: Quaternion) -> tuple[float, float, float]:
-    """Yaw, pitch and roll of the body's forward and left axes seen in the mission frame."""
-    fx, fy, fz = frame.vector_from_ned(rotate(q, (1.0, 0.0, 0.0)))
-    left = frame.vector_from_ned(rotate(q, (0.0, -1.0, 0.0)))
-    up = frame.vector_from_ned(rotate(q, (0.0, 0.0, -1.0)))
-    return math.atan2(fy, fx), math.asin(max(-1.0, min(1.0, fz))), math.atan2(left[2], up[2])
 
 
 def set_points(course: FlightArrays) -> SetPoints:
     """Every set-point that was sent."""
-    frame = course.frame
-    records = course.all(SetPoint) if frame is not None else []
-    none = (math.nan, math.nan, math.nan)
-    position, velocity = [], []
-    for r in records:
-        assert frame is not None
-        position.append(frame.point_from_ned(r.position_ned))
-        velocity.append(none if r.velocity_ned is None else frame.vector_from_ned(r.velocity_ned))
-    return SetPoints(
-        np.array([course.time_of(r.t_us) for r in records], dtype=float),
-        np.array(position, dtype=float).reshape(-1, 3),
-        np.array(velocity, dtype=float).reshape(-1, 3),
-        np.array([r.recovery for r in records], dtype=bool),
+    sent = course.topic_in_ned(SetPoint)
+    position, velocity = (
+        course.from_ned(sent["position_ned"], places=True),
+        course.from_ned(sent["velocity_ned"]),
     )
+    return SetPoints(sent.t_s, position, velocity, sent["recovery"])
 
 
 def in_force(times: Array, at_s: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
@@ -158,24 +141,24 @@ def power(course: FlightArrays, mission: Mission) -> Power:
             n = model.mean_over_tick(record.t_us)
             if model.source is not None:
                 thrust.append((course.time_of(record.t_us), n))
-    motors = [(course.time_of(s.t_us), min(s.motors), max(s.motors)) for s in course.all(ActuatorSample)]
-    battery = [
-        (course.time_of(s.t_us), s.battery_v) for s in course.all(StatusSample) if s.battery_v is not None
-    ]
-    return Power(*_columns(thrust, 2), *_columns(motors, 3), *_columns(battery, 2))
+    times, values = np.array(thrust, dtype=float).reshape(-1, 2).T
+    sent, status = course.topic(ActuatorSample), course.topic(StatusSample)
+    told = np.isfinite(status["battery_v"])
+    return Power(
+        times,
+        values,
+        sent.t_s,
+        sent["motors"].min(axis=1, initial=1.0),
+        sent["motors"].max(axis=1, initial=0.0),
+        status.t_s[told],
+        status["battery_v"][told],
+    )
 
 
 def _feed(model: ThrustModel, record: Record) -> None:
     if isinstance(record, ActuatorSample):
         model.take_actuator(record)
-    elif isinstance(record, AttitudeTargetSample):
-        model.take_attitude_target(record)
     elif isinstance(record, EscSample):
         model.take_esc(record)
     elif isinstance(record, StatusSample):
         model.take_voltage(record.battery_v)
-
-
-def _columns(rows: Sequence[tuple[float, ...]], count: int) -> Iterable[Array]:
-    table = np.array(rows, dtype=float).reshape(-1, count)
-    return (table[:, i] for i in range(count))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -12,7 +13,10 @@ from dart_flight.base.records import Record
 from dart_flight.config.document import writing
 from dart_flight.recording.flight_time import zero_of
 from dart_flight.recording.reader import Log
-from dart_flight.recording.schema import axes_of, schema
+from dart_flight.recording.schema import schema
+
+_AXES = {2: "xy", 3: "xyz", 4: "wxyz"}
+_NUMBERED = frozenset({"motors", "rpm", "blocking", "others"})  # lists of something else than axes
 
 
 def export_csv(log: Log, folder: Path) -> list[Path]:
@@ -66,8 +70,15 @@ def _spread(record: Record) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for name, value in msgspec.structs.asdict(record).items():
         if isinstance(value, tuple):
-            axes = axes_of(name, len(value))
+            axes = _axes_of(name, len(value))
             values |= {f"{name}_{axis}": part for axis, part in zip(axes, value, strict=True)}
         else:
             values[name] = value
     return values
+
+
+def _axes_of(name: str, length: int) -> Sequence[str]:
+    """What the parts of a vector are called at the end of a column's name: `force_mission_x`, `motors_1`."""
+    if name in _NUMBERED or length not in _AXES:
+        return [str(i + 1) for i in range(length)]
+    return _AXES[length]

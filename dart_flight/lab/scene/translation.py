@@ -21,7 +21,15 @@ from foxglove.messages import (
     Vector3,
 )
 
-from dart_flight.base.geometry import IDENTITY, MissionFrame, Vec3, norm, subtract, tilt_of
+from dart_flight.base.geometry import (
+    IDENTITY,
+    MissionFrame,
+    Vec3,
+    norm,
+    quaternion_multiply,
+    subtract,
+    tilt_of,
+)
 from dart_flight.base.geometry import Quaternion as Rotation
 from dart_flight.base.records import (
     AttitudeSample,
@@ -39,10 +47,11 @@ from dart_flight.base.records import (
     TruthSample,
 )
 from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import Servo
 from dart_flight.lab.scene import drawing, outlines
 from dart_flight.lab.scene.scalars import ForceState, TrueForce, VehicleState
 from dart_flight.lab.scene.thinning import SCENE_US
-from dart_flight.lock.servo import ServoModel, locked_fraction
+from dart_flight.lock.servo import ServoModel
 from dart_flight.planning.planned import planned_flight
 from dart_flight.recording.anchor import Anchor
 from dart_flight.recording.events import Event, Events, Level
@@ -194,7 +203,7 @@ class Translation:
         self._position = position
         self._path.add(position)
         messages = [
-            _transform(t_us, position, frame.attitude_from_ned(q_frd_to_ned)),
+            _transform(t_us, position, attitude_in(frame, q_frd_to_ned)),
             self._state(t_us, position, velocity, q_frd_to_ned),
             *self._forces(t_us, position),
         ]
@@ -361,3 +370,20 @@ def _log(t_us: int, event: Event) -> Message:
         timestamp=drawing.timestamp(t_us), level=_LEVELS[event.level], message=event.text, name=event.source
     )
     return Message(LOG, t_us, line)
+
+
+def attitude_in(frame: MissionFrame, q_frd_to_ned: Rotation) -> Rotation:
+    """Attitude as viewers draw it: body forward, left, up to the mission frame.
+
+    Both flips, of the body's axes and of the world's, are half turns about x; then the heading about z.
+    """
+    half = 0.5 * frame.heading_rad
+    flip = (0.0, 1.0, 0.0, 0.0)
+    turn = quaternion_multiply((math.cos(half), 0.0, 0.0, math.sin(half)), flip)
+    return quaternion_multiply(quaternion_multiply(turn, q_frd_to_ned), flip)
+
+
+def locked_fraction(servo: Servo, horn_pulse_us: float) -> float:
+    """How far the horn is from the flexible end (0) to the rigid end (1), bounded to that range."""
+    share = (horn_pulse_us - servo.flexible_pulse_us) / (servo.rigid_pulse_us - servo.flexible_pulse_us)
+    return max(0.0, min(1.0, share))

@@ -12,7 +12,7 @@ import yaml
 from dart_flight.config.document import Document, writing
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.mission_file import WallSpec
-from dart_flight.config.scenario import Scenario
+from dart_flight.lab.search.scenario import Scenario
 from dart_flight.lab.search.search import Plan, PlannedCollision
 
 _DIGITS = 4

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from dart_flight.base.geometry import Vec2, distance2
 from dart_flight.base.records import Mode
 from dart_flight.config.document import InputError
-from dart_flight.config.scenario import Objective, Scenario
 from dart_flight.core.mission.approach import Transit
-from dart_flight.planning.approach_grid import ApproachGrid, straight_is_blocked
-from dart_flight.planning.constraints import ADVICE, REFUSALS, Constraints, Refusal
+from dart_flight.lab.search.scenario import Objective, Scenario
+from dart_flight.planning.approach_grid import ApproachGrid
+from dart_flight.planning.constraints import REFUSALS, Constraints, Refusal
 from dart_flight.planning.flight_model import Array, FreeFlight, Rows
 from dart_flight.planning.rollout import (
     LEAST_FACTOR,
@@ -36,6 +36,25 @@ from dart_flight.planning.rollout import (
 Progress = Callable[[int, int], None]  # trajectories done, of how many
 
 _LEAST_LOSS_M = 1.0
+
+ADVICE = {
+    Refusal.APPROACH_SPEED: "raise limits.speed_m_s or search slower approaches",
+    Refusal.BEYOND_WALL: "lengthen the wall, move start, or search less tangential velocity",
+    Refusal.RUN_UP_ROOM: "widen bounds_m, move start back, or search slower approaches",
+    Refusal.RUN_UP_BLOCKED: "move the wall that stands in the way of the run-up, or start",
+    Refusal.NOT_DETECTED: "lower detection.force_threshold_n or search faster approaches",
+    Refusal.PEAK_FORCE: "raise limits.peak_force_n, search slower approaches or the flexible mode",
+    Refusal.NO_REBOUND: "search faster approaches or the rigid mode",
+    Refusal.SETPOINT: "lower the wall's alpha, widen bounds_m or search slower approaches",
+    Refusal.ACCELERATION: "lower the wall's alpha or raise MPC_TILTMAX_AIR",
+    Refusal.SPEED: "raise limits.speed_m_s or lower the wall's alpha",
+    Refusal.BOUNDS: "widen bounds_m or lower the wall's alpha",
+    Refusal.OBSTACLE: "move or shorten the wall in the way, or put it into sequence",
+    Refusal.WALL_NOT_REACHED: "raise the alpha of the wall before it, move the wall nearer, or lengthen it",
+    Refusal.INCIDENCE: "turn the wall: a recovery meets it in the heading of the first approach",
+    Refusal.TOO_SOON: "move the walls apart or lower detection.refractory_s",
+    Refusal.SERVO_TRAVEL: "allow the same mode at both walls, a faster servo, or more way between the walls",
+}
 
 
 class PlannedCollision(msgspec.Struct, frozen=True):
@@ -432,4 +451,15 @@ def _baseline(scenario: Scenario) -> DirectFlight:
     flying = scenario.vehicle.flying
     end = (goal[0], goal[1], z)
     transit = Transit.between(start, end, flying.transit_speed_m_s, flying.acceleration_m_s2)
-    return DirectFlight(straight_is_blocked(scenario, scenario.start, goal), transit.duration_s)
+    return DirectFlight(_blocking_wall(scenario, scenario.start, goal), transit.duration_s)
+
+
+def _blocking_wall(scenario: Scenario, a: Vec2, b: Vec2) -> str | None:
+    """Name of a wall that stands between two points, or None."""
+    for wall in scenario.walls.values():
+        da, db = wall.signed_distance(a), wall.signed_distance(b)
+        if da * db < 0.0:
+            share = da / (da - db)
+            if wall.spans((a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))):
+                return wall.name
+    return None

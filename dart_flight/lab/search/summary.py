@@ -7,9 +7,8 @@ from typing import Any
 import msgspec
 from rich.table import Table
 
-from dart_flight.config.scenario import Objective, Scenario
-from dart_flight.lab.search.search import Plan, Search
-from dart_flight.planning.constraints import ADVICE
+from dart_flight.lab.search.scenario import Objective, Scenario
+from dart_flight.lab.search.search import ADVICE, Plan, Search
 
 _UNITS = {
     Objective.NEAREST: "m",

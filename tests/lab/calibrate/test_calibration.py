@@ -12,7 +12,8 @@ import pytest
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle.configuration import load_vehicle
-from dart_flight.lab.calibrate.thrust_curve import calibrate_thrust, quiet_points, read_track
+from dart_flight.lab.calibrate.thrust_curve import calibrate_thrust, quiet_points
+from dart_flight.lab.track import read_track
 from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[3]

@@ -16,7 +16,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lab.calibrate.inertia import calibrate_inertia
-from dart_flight.lab.calibrate.thrust_curve import Track, read_track
+from dart_flight.lab.track import Track, read_track
 from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[3]
@@ -62,11 +62,6 @@ def turning(
         rate=np.array(gyro),
         motor_s=np.array(stamps),
         motors=np.array(sent),
-        velocity_s=np.empty(0),
-        velocity=np.empty((0, 3)),
-        voltage_s=np.empty(0),
-        voltage=np.empty(0),
-        ground=[],
     )
 
 

@@ -430,14 +430,14 @@ def test_a_px4_log(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
         path,
         {
             "vehicle_local_position": (
-                "float x;float y;float z;",
-                [(t, n, e, -1.0) for t, (n, e) in zip(time, place, strict=True)],
+                "float x;float y;float z;float vx;float vy;float vz;",
+                [(t, n, e, -1.0, 0.0, 0.0, 0.0) for t, (n, e) in zip(time, place, strict=True)],
             ),
             "vehicle_attitude": ("float[4] q;", [(t, quarter, 0.0, 0.0, quarter) for t in time[::2]]),
             "sensor_combined": (
-                "float[3] accelerometer_m_s2;",
+                "float[3] accelerometer_m_s2;float[3] gyro_rad;",
                 # FRD of a vehicle heading east: forward is east, right is south.
-                [(t, e, -n, -9.81) for t, (n, e) in zip(time, force, strict=True)],
+                [(t, e, -n, -9.81, 0.0, 0.0, 0.0) for t, (n, e) in zip(time, force, strict=True)],
             ),
         },
     )

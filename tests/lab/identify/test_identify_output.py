@@ -223,7 +223,7 @@ def test_a_vehicle_that_turns_widens_what_is_said_of_friction(flown: SharedFligh
     truth = VEHICLE.materials["acrylic"].of(Mode.FLEXIBLE).mu
     for turns in (True, False):
         given = trial if turns else replace(trial, turn_rad_s=0.0)
-        found = identify([given], VEHICLE.airframe.mass_kg, Onset(VEHICLE.onset), compare_laws=False)
+        found = identify([given], VEHICLE.airframe.mass_kg, Onset(VEHICLE.onset))
         mu = found.coefficients["flexible"]["mu"]
         assert mu is not None
         assert any("the vehicle turned by up to" in note for note in found.notes) == turns

@@ -24,11 +24,11 @@ from dart_flight.contact.contact_map import collide as exact
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.fit import identify
-from dart_flight.lab.identify.held_out import compare
+from dart_flight.lab.identify.held_out import hold_out
 from dart_flight.lab.identify.hits import Hit, hit_of
-from dart_flight.lab.identify.laws import candidate_laws, collide
 from dart_flight.lab.identify.trials import Series, Trial
-from dart_flight.lab.identify.whole_hits import law_parameters
+from dart_flight.lab.identify.whole_fit import HitTable, predict
+from dart_flight.lab.identify.whole_hits import stiffness_and_damping
 from dart_flight.lab.identify.windows import MOST_SET_ASIDE, weigh
 from dart_flight.lab.predict.path import Contact
 from tools.synthetic_trials import MASS_KG, wall_trial
@@ -108,15 +108,13 @@ def test_one_bad_sample_in_a_contact_is_set_aside() -> None:
 
 def two_stage_hits() -> list[Trial]:
     """Hits whose force has a second stage ten times as stiff: the paper's law cannot follow it."""
-    law = candidate_laws(Onset.LCP)["two-stage"]
-    p = np.array([[600.0], [8.0], [30_000.0], [0.015]])
     random = np.random.default_rng(3)
     trials = []
     for speed in (0.6, 0.9, 1.2, 1.5):
         dt, x, v, samples = 2e-5, 0.0, speed, []
         t = 0.0
         while t < 0.3:
-            f = max(float(law.force(p, np.array([x]), np.array([v]))[0]), 0.0) if x > 0.0 or v > 0.0 else 0.0
+            f = max(600.0 * x + 8.0 * v + 30_000.0 * max(x - 0.015, 0.0), 0.0) if x >= 0.0 else 0.0
             samples.append((t, -x, f))
             v -= dt * f / MASS_KG
             x += dt * v
@@ -157,9 +155,8 @@ def test_a_wrong_law_is_named_and_the_peak_is_kept() -> None:
     assert len(errors) == 4
     assert abs(float(np.median(errors))) < 0.12
     compared = found.held_out["rigid"]
-    assert compared.best == "two-stage"
-    assert compared.earned
-    assert "better than both baselines" in compared.sentence
+    assert not compared.earned
+    assert "no better than the baselines" in compared.sentence
 
 
 def test_clocks_that_differ() -> None:
@@ -172,7 +169,7 @@ def test_clocks_that_differ() -> None:
         trial.series["normal_force_n"] = Series(
             trial.series["normal_force_n"].time_s + 0.008, trial.series["normal_force_n"].value
         )
-    found = identify(trials, MASS_KG, Onset.LCP, compare_laws=False)
+    found = identify(trials, MASS_KG, Onset.LCP)
     k = found.coefficients["flexible"]["k"]
     assert k is not None
     assert k.value == pytest.approx(1250.0, rel=0.03)
@@ -235,7 +232,7 @@ def test_drops_felt_by_an_accelerometer(known: bool) -> None:
         assert hit.normal_in_m_s == pytest.approx(np.sqrt(2.0 * G * height), rel=0.04)
         assert hit.peak_force_n == pytest.approx(truth.peak_force_n, rel=0.05)
         assert hit.normal_out_m_s == pytest.approx(truth.max_rebound_speed_m_s, abs=0.08)
-    found = identify(trials[:2], LIGHT_KG, Onset.LCP, compare_laws=False)
+    found = identify(trials[:2], LIGHT_KG, Onset.LCP)
     k, f = (found.coefficients["flexible"][name] for name in ("k", "f"))
     assert k is not None
     assert f is not None
@@ -269,87 +266,58 @@ def test_an_accelerometer_needs_a_drop(capsys: pytest.CaptureFixture[str], tmp_p
         hit_of(late, LIGHT_KG)
 
 
-# --- laws -----------------------------------------------------------------------------------------------
+# --- whole hits -----------------------------------------------------------------------------------------
 
 
-@settings(max_examples=40, deadline=None)
-@given(
-    st.sampled_from(sorted(candidate_laws(Onset.LCP))),
-    st.floats(20.0, 300.0),
-    st.floats(0.05, 0.95),
-    st.floats(0.2, 4.0),
-)
-def test_no_law_creates_energy(name: str, per_speed: float, e: float, speed: float) -> None:
-    law = candidate_laws(Onset.LCP)[name]
-    p = np.array(law.start(per_speed, e, MASS_KG, speed))[:, None]
-    outcome = collide(law, p, MASS_KG, np.array([speed]), np.zeros(1))
-    assert 0.0 <= outcome.normal_out_m_s[0] <= speed * (1.0 + 1e-6)
-    assert outcome.peak_force_n[0] > 0.0
-
-
-@pytest.mark.parametrize("onset", list(Onset))
-def test_the_stepped_paper_law_is_the_closed_form(onset: Onset) -> None:
-    law = candidate_laws(onset)["paper"]
-    for c in (ACRYLIC.rigid, ACRYLIC.of(Mode.FLEXIBLE)):
-        said = collide(law, np.array([[c.k], [c.f]]), MASS_KG, np.array([1.0]), np.zeros(1))
-        true = exact(c, MASS_KG, -1.0, 0.0, onset)
-        assert said.normal_out_m_s[0] == pytest.approx(true.normal_out_m_s, rel=2e-3)
-        assert said.peak_force_n[0] == pytest.approx(true.peak_normal_force_n, rel=2e-3)
-        assert said.contact_s[0] == pytest.approx(true.contact_time_s, rel=2e-3)
-
-
-def hit(speed: float, out: float | None, peak: float | None, contact: float | None = None) -> Hit:
+def hit(
+    speed: float, out: float | None, peak: float | None, contact: float | None = None, push: float = 0.0
+) -> Hit:
     return Hit(
-        "hit", "rigid", speed, out, None, None, 0.001, 0.001, 0.0, peak, contact, None, 0.0, 0.0, 0.05, 10,
+        "hit", "rigid", speed, out, None, None, 0.001, 0.001, 0.0, peak, contact, None, push, 0.0, 0.05, 10,
         False, False,
     )  # fmt: skip
 
 
-def made_by(name: str, p: list[float], speeds: np.ndarray) -> list[Hit]:
-    law = candidate_laws(Onset.TOUCH)[name]
-    said = collide(
-        law, np.repeat(np.array(p)[:, None], speeds.size, 1), MASS_KG, speeds, np.zeros(speeds.size)
-    )
-    return [
-        hit(float(v), float(o), float(f), float(t))
-        for v, o, f, t in zip(speeds, said.normal_out_m_s, said.peak_force_n, said.contact_s, strict=True)
-    ]
+def made_by(k: float, f: float, speeds: list[float], onset: Onset, push: float = 0.0) -> list[Hit]:
+    said = predict(k, f, HitTable.of([hit(v, None, None, push=push) for v in speeds]), MASS_KG, onset)
+    told = zip(speeds, said.normal_out_m_s, said.peak_normal_force_n, said.contact_time_s, strict=True)
+    return [hit(v, float(out), float(peak), float(time), push) for v, out, peak, time in told]
 
 
-@pytest.mark.parametrize(
-    ("name", "p"),
-    [("paper", [4200.0, 15.0]), ("preload", [2000.0, 10.0, 25.0]), ("hertz", [3e5, 0.3, 1.8])],
-)
-def test_parameters_come_back_from_whole_hits(name: str, p: list[float]) -> None:
-    hits = made_by(name, p, np.array([0.4, 0.6, 0.9, 1.2, 1.6, 2.0]))
-    found, _ = law_parameters(candidate_laws(Onset.TOUCH)[name], hits, MASS_KG)
-    for (parameter, estimate), true in zip(found.items(), p, strict=True):
-        assert estimate is not None, parameter
-        assert estimate.value == pytest.approx(true, rel=0.25)
+@pytest.mark.parametrize("onset", list(Onset))
+@pytest.mark.parametrize("push", [0.0, -G])
+def test_coefficients_come_back_from_whole_hits(onset: Onset, push: float) -> None:
+    hits = made_by(4200.0, 15.0, [0.4, 0.6, 0.9, 1.2, 1.6, 2.0], onset, push)
+    found, notes = stiffness_and_damping(hits, MASS_KG, onset)
+    for name, true in (("k", 4200.0), ("f", 15.0)):
+        estimate = found[name]
+        assert estimate is not None
+        assert estimate.value == pytest.approx(true, rel=0.01)
+        assert estimate.low < true < estimate.high
+    assert not notes
 
 
 def test_the_law_that_made_the_hits_predicts_them() -> None:
-    laws = list(candidate_laws(Onset.TOUCH).values())
-    random = np.random.default_rng(11)
-    stiffening = made_by("hertz", [3e5, 0.3, 1.8], np.array([0.4, 0.6, 0.9, 1.3, 1.8, 2.5]))
-    said = compare(laws, stiffening, MASS_KG)
-    assert said.best == "hertz"
+    # Drops: the weight of a soft vehicle is in the peak, so that it is not in proportion to the speed.
+    soft = made_by(1250.0, 8.5, [0.9, 1.3, 1.8, 2.5], Onset.LCP, -G)
+    said = hold_out(soft, MASS_KG, Onset.LCP)
     assert said.earned
+    assert "better than both baselines" in said.sentence
     # Scatter of a quarter, as real drops have: nothing is learnt beyond the baselines, and that is said.
+    random = np.random.default_rng(11)
     noisy = [
         hit(v, 0.4 * v * random.uniform(0.7, 1.3), 90.0 * v * random.uniform(0.7, 1.3))
         for v in np.repeat([0.5, 1.0, 1.5], 8)
     ]
-    said = compare(laws, noisy, MASS_KG)
+    said = hold_out(noisy, MASS_KG, Onset.TOUCH)
     assert not said.earned
-    assert "no law predicts" in said.sentence
+    assert "no better than the baselines" in said.sentence
     assert said.baselines["force-proportional"].outgoing_speed is None
 
 
 def test_two_hits_tell_no_law() -> None:
     two = [hit(1.0, 0.4, 80.0), hit(2.0, 0.8, 160.0)]
-    said = compare(list(candidate_laws(Onset.TOUCH).values()), two, MASS_KG)
-    assert said.best is None
+    assert hold_out(two, MASS_KG, Onset.TOUCH).law is None
 
 
 # --- prediction from ratios -----------------------------------------------------------------------------

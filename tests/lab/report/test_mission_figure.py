@@ -15,7 +15,8 @@ from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.figure_style import as_svg
 from dart_flight.lab.report.figures.mission import in_words, mission_figure
-from dart_flight.planning.planned import drawn_flights, planned_flight
+from dart_flight.lab.search.drawn import drawn_flights
+from dart_flight.planning.planned import planned_flight
 from tests.lab.report.svg import texts_of
 
 DUAL = str(packaged("missions", "paper_dual_collision.yaml"))

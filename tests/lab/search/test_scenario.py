@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dart_flight.cli import main
-from dart_flight.config.scenario import load_scenario
+from dart_flight.lab.search.scenario import load_scenario
 
 SCENARIOS = Path(__file__).parents[3] / "missions" / "scenarios"
 DUAL = SCENARIOS / "dual_collision.yaml"

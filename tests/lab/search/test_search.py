@@ -13,9 +13,9 @@ import pytest
 from dart_flight.base.records import Mode
 from dart_flight.cli import main
 from dart_flight.config.mission import Mission, load_mission
-from dart_flight.config.scenario import Objective, Scenario, load_scenario
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.lab.search.mission_writer import write_mission
+from dart_flight.lab.search.scenario import Objective, Scenario, load_scenario
 from dart_flight.lab.search.search import Search, search
 from dart_flight.lab.search.summary import with_objective
 from dart_flight.planning.approach_grid import approach_grid

@@ -36,7 +36,8 @@ from dart_flight.lab.report.figures.scene import (
     set_view,
     view_of,
 )
-from dart_flight.planning.planned import PlannedFlight, describe_passing, drawn_flights
+from dart_flight.lab.search.drawn import drawn_flights
+from dart_flight.planning.planned import PlannedFlight, describe_passing
 
 SHEET = Look(7.2, 9.0)
 _ABOVE_M, _BELOW_M = 0.35, 0.05  # what the side view shows above the flight's height and below the ground

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dart_flight.config.document import InputError
-from dart_flight.recording.ulog import battery, motor_commands, open_ulog
+from dart_flight.lab.ulog import battery, motor_commands, open_ulog
 from tests.doubles.ulog_file import Topics, write_ulog
 
 pytest.importorskip("pyulog")

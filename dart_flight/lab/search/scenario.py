@@ -19,7 +19,7 @@ from msgspec import Meta
 from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
-from dart_flight.config.document import Document, Key, unknown_name
+from dart_flight.config.document import Document, InputError, Key, unknown_name
 from dart_flight.config.flight_space import refuse_mode, resolve_alphas, resolve_space
 from dart_flight.config.kinds import FileKind, load_document
 from dart_flight.config.mission_file import (
@@ -32,7 +32,9 @@ from dart_flight.config.mission_file import (
 )
 from dart_flight.config.provenance import VehicleSource, find_vehicle
 from dart_flight.config.section import Section, keys_of
-from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
+from dart_flight.vehicle.ground_link import GroundLink
+from dart_flight.vehicle.session import VehicleError
 
 _MOST_STEPS = 2001
 _MOST_CANDIDATES = 20_000_000
@@ -187,6 +189,26 @@ def load_scenario(
     return msgspec.structs.replace(scenario, vehicle_source=found.source)
 
 
+def with_vehicle_parameters(scenario: Scenario, url: str) -> Scenario:
+    """The scenario with the PX4 parameters that the vehicle at a connection really has.
+
+    Raises:
+        VehicleError: nothing answers, or it has none of the parameters.
+        InputError: one of them is out of the range that the flight model can take.
+    """
+    vehicle = scenario.vehicle
+    own = msgspec.to_builtins(vehicle.px4)
+    with GroundLink(url, vehicle.connection.timeout_s) as link:
+        found = link.read_parameters(own)
+    if not found:
+        raise VehicleError(f"the vehicle on {url} tells none of its parameters")
+    try:
+        px4 = msgspec.convert({**own, **found}, Px4Parameters)
+    except msgspec.ValidationError as error:
+        raise InputError(f"the vehicle's parameters: {error}", source=url) from None
+    return msgspec.structs.replace(scenario, vehicle=msgspec.structs.replace(vehicle, px4=px4))
+
+
 def resolve_scenario(
     spec: ScenarioFile, vehicle: VehicleConfig, vehicle_path: Path | None, document: Document
 ) -> Scenario:
@@ -195,7 +217,7 @@ def resolve_scenario(
     Raises:
         InputError: the parts of the scenario contradict each other, or the search is empty or too large.
     """
-    walls = resolve_space(spec, vehicle, document)
+    walls = resolve_space(spec.start, spec.goal, spec.bounds_m, spec.walls, vehicle, document)
     sequences = _sequences(spec, document)
     normal = _grid(spec.search.normal_m_s, ("search", "normal_m_s"), document)
     if not normal[-1] < 0.0:

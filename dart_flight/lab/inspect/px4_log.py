@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dart_flight.config.document import InputError
-from dart_flight.recording.ulog import open_ulog
+from dart_flight.lab.ulog import open_ulog
 from dart_flight.recording.verdict import Px4Figures
 
 _ARMED = 2  # vehicle_status.arming_state

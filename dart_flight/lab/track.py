@@ -1,0 +1,171 @@
+"""One flight's measurements as arrays, in local NED, from our own log or PX4's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.base.records import (
+    ActuatorSample,
+    AttitudeSample,
+    FlightMode,
+    ImuSample,
+    LandedState,
+    OdometrySample,
+    StatusSample,
+)
+from dart_flight.config.document import InputError
+from dart_flight.lab.flight_arrays import Array, turned
+from dart_flight.lab.ulog import (
+    MotorCommands,
+    ULogFile,
+    battery,
+    columns,
+    motor_commands,
+    open_ulog,
+    seconds,
+)
+from dart_flight.recording.reader import Log, NothingInItError, read_log
+
+_TOPICS = (
+    "sensor_combined",
+    "vehicle_attitude",
+    "actuator_motors",
+    "actuator_outputs",
+    "vehicle_local_position",
+    "battery_status",
+    "vehicle_land_detected",
+)
+_NONE, _NO_ROWS, _NO_FOURS = np.empty(0), np.empty((0, 3)), np.empty((0, 4))
+NO_MOTORS = MotorCommands(_NONE, _NO_FOURS, "")
+
+
+class Track(msgspec.Struct):
+    """Measurements of one flight over time in seconds of the autopilot's clock; empty where not recorded.
+
+    Attributes:
+        source: the file, for messages.
+        imu_s: (n,); `specific_force` (m/s2) and `rate` (rad/s) are (n, 3), FRD.
+        motor_s: (m,); `motors` are commands 0 to 1, (m, motors).
+        attitude_s: (a,); `q` is FRD to NED, (a, 4).
+        position_s: (k,); `position` (m) and `velocity` (m/s) are (k, 3), NaN where PX4 had none.
+        voltage_s: (v,); `voltage` in volts.
+        ground: from, to: on the ground.
+        notes: how it was read, what was left out.
+    """
+
+    source: str
+    imu_s: Array
+    specific_force: Array
+    rate: Array
+    motor_s: Array
+    motors: Array
+    attitude_s: Array = _NONE
+    q: Array = _NO_FOURS
+    position_s: Array = _NONE
+    position: Array = _NO_ROWS
+    velocity: Array = _NO_ROWS
+    voltage_s: Array = _NONE
+    voltage: Array = _NONE
+    ground: list[tuple[float, float]] = msgspec.field(default_factory=list)
+    notes: tuple[str, ...] = ()
+
+    def to_ned(self, body: Array) -> Array:
+        """Vectors (n, 3) at the IMU's stamps, from FRD; the attitude is taken between its samples."""
+        # A quaternion and its negative are the same attitude: of two neighbours those that are closer.
+        signs = np.where(np.sum(self.q[1:] * self.q[:-1], axis=1) < 0.0, -1.0, 1.0)
+        course = self.q * np.cumprod([1.0, *signs])[:, None]
+        q = np.stack([np.interp(self.imu_s, self.attitude_s, part) for part in course.T], axis=1)
+        return turned(q / np.linalg.norm(q, axis=1, keepdims=True), body)
+
+
+def read_track(path: str | Path) -> Track:
+    """One flight with its motor commands: our own log (`.mcap`) or a PX4 ULog (`.ulg`).
+
+    Raises:
+        InputError: it cannot be read, or has no IMU or no motor commands.
+    """
+    if Path(path).suffix.lower() != ".ulg":
+        return _of_own(read_log(path))
+    log = open_ulog(path, _TOPICS)
+    if log.first("sensor_combined") is None:
+        raise InputError("has no sensor_combined", source=log.source)
+    return track_of(log, motor_commands(log))
+
+
+def _of_own(log: Log) -> Track:
+    kinds = (ImuSample, ActuatorSample, AttitudeSample, OdometrySample, StatusSample)
+    imu, sent, attitude, moved, status = (log[kind.topic] for kind in kinds)
+    if not len(imu) or not len(sent):
+        raise NothingInItError("has no IMU samples or no motor commands", source=log.source)
+    # A landing may touch the ground half a second before PX4's land detector says so: leave it out whole.
+    landing = status["flight_mode"] == FlightMode.LAND
+    known = np.isfinite(status["battery_v"])
+    return Track(
+        source=log.source,
+        imu_s=imu["t_us"] * 1e-6,
+        specific_force=imu["specific_force_frd"],
+        rate=imu["rate_frd"],
+        motor_s=sent["t_us"] * 1e-6,
+        motors=sent["motors"],
+        attitude_s=attitude["t_us"] * 1e-6,
+        q=attitude["q_frd_to_ned"],
+        position_s=moved["t_us"] * 1e-6,
+        position=moved["position_ned"],
+        velocity=moved["velocity_ned"],
+        voltage_s=status["t_us"][known] * 1e-6,
+        voltage=status["battery_v"][known],
+        ground=_while(status["t_us"] * 1e-6, landing | (status["landed"] == LandedState.ON_GROUND)),
+    )
+
+
+def track_of(log: ULogFile, motors: MotorCommands = NO_MOTORS) -> Track:
+    """What an opened ULog has, with motor commands that were read from it."""
+    imu, attitude = log.first("sensor_combined"), log.first("vehicle_attitude")
+    moved, volts = log.first("vehicle_local_position"), battery(log)
+    notes = [motors.said, volts.said]
+    if log.first("vehicle_land_detected") is None:
+        notes.append("no vehicle_land_detected: what is on the ground is not known")
+    track = Track(
+        source=log.source,
+        imu_s=_NONE,
+        specific_force=_NO_ROWS,
+        rate=_NO_ROWS,
+        motor_s=motors.time_s,
+        motors=motors.values,
+        voltage_s=volts.time_s,
+        voltage=volts.volts,
+        ground=_ground(log),
+        notes=tuple(note for note in notes if note),
+    )
+    if imu is not None:
+        track.imu_s = seconds(imu)
+        track.specific_force, track.rate = columns(imu, "accelerometer_m_s2", 3), columns(imu, "gyro_rad", 3)
+    if attitude is not None:
+        q = columns(attitude, "q", 4)
+        known = np.isfinite(q).all(axis=1)
+        track.attitude_s, track.q = seconds(attitude)[known], q[known]
+    if moved is not None:
+        table = np.stack(
+            [np.asarray(moved[n], dtype=float) for n in ("x", "y", "z", "vx", "vy", "vz")], axis=1
+        )
+        track.position_s, track.position, track.velocity = seconds(moved), table[:, :3], table[:, 3:]
+    return track
+
+
+def _ground(log: ULogFile) -> list[tuple[float, float]]:
+    """PX4's land detector says landed, or close to it."""
+    landed = log.first("vehicle_land_detected")
+    if landed is None:
+        return []
+    says = [landed[n] for n in ("landed", "maybe_landed", "ground_contact") if n in landed]
+    return _while(seconds(landed), np.any(says, axis=0))
+
+
+def _while(times: Array, holds: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """From, to in seconds: one stretch per sample at which a state holds, until the next is reported."""
+    ends = np.append(times, np.inf)[1:]
+    return list(zip(times[holds].tolist(), ends[holds].tolist(), strict=True))
