@@ -6,7 +6,10 @@ import contextlib
 import os
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Callable
+from typing import IO
 
 _WATCHING_NICE = 19
 _NAP_S, _MEASURE_S = 0.005, 0.5
@@ -35,13 +38,60 @@ def measure_lateness_s() -> float:
     return worst_s
 
 
-def end_of_input(process: subprocess.Popen[bytes], patience_s: float) -> None:
-    """End a process that lives by its standard input: close that, wait, kill it if it stays; never raises."""
-    assert process.stdin is not None
-    with contextlib.suppress(OSError):
-        process.stdin.close()
-    try:
-        process.wait(patience_s)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+class ChildProcess(subprocess.Popen[bytes]):
+    """A module of ours in a process and session of its own: lines in, lines out. Ctrl-C is not its business.
+
+    Args:
+        module: what it runs; it must end when its standard input does.
+        first: line that it is told first, however long.
+        take: gets every line that it says, on a thread of its own; an empty one when it says no more.
+        errors: where its standard error goes; None: where this process's goes.
+
+    Raises:
+        OSError: it cannot be started.
+    """
+
+    def __init__(
+        self, module: str, first: bytes, take: Callable[[bytes], None], errors: IO[bytes] | int | None = None
+    ) -> None:
+        super().__init__(
+            [sys.executable, "-m", module],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            start_new_session=True,
+        )
+        assert self.stdin is not None
+        self._take = take
+        self.pipe = self.stdin.fileno()
+        self.send(first)
+        os.set_blocking(self.pipe, False)
+        self.listener = threading.Thread(target=self._listen, name=module, daemon=True)
+        self.listener.start()
+
+    def send(self, line: bytes) -> bool:
+        """Tell it a line; any thread, never blocks. False: it does not take it, or is gone."""
+        assert self.stdin is not None
+        try:
+            self.stdin.write(line + b"\n")
+            self.stdin.flush()
+        except (OSError, ValueError):
+            return False
+        return True
+
+    def end(self, patience_s: float) -> None:
+        """Close its standard input, wait, kill it if it stays; never raises."""
+        assert self.stdin is not None
+        with contextlib.suppress(OSError):
+            self.stdin.close()
+        try:
+            self.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            self.kill()
+            self.wait()
+
+    def _listen(self) -> None:
+        assert self.stdout is not None
+        for line in self.stdout:
+            self._take(line)
+        self._take(b"")

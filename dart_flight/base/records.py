@@ -330,11 +330,11 @@ class PlanAnswer(Record, frozen=True, gc=False):
     received_us: int
     number: int  # of the request
     begin_us: int  # autopilot's time at which the way begins
-    duration_s: float = 0.0  # of the polynomials, s
+    duration_s: float = 0.0  # of the polynomials
     x_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...
     y_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...
     collision: int | None = None  # 1-based index of the collision that it leads to; none: to the goal
-    impact_s: float | None = None  # from its beginning to the wall's plane, s
+    impact_s: float | None = None  # from its beginning to the wall's plane
     normal_m_s: float | None = None  # velocity there, collision frame
     tangential_m_s: float | None = None  # velocity there, collision frame
     peak_force_n: float | None = None  # of the normal force, by the coefficients felt so far

@@ -42,7 +42,7 @@ def check_vehicle(mission: Mission, url: str, position_from: PositionSource | No
         late = judge_round_trip(mission, link.round_trip_s())
         if not late.go:
             return [late]  # over such a link the rest would take minutes, and tell nothing
-        observed = link.observe(_MEASURE_S)
+        observed = link.observe(mission.vehicle, _MEASURE_S)
         version = _release_of(observed.version)
         names = [*names_to_read(version), COUNT]
         if lock is not None and lock.driver is LockDriver.PX4:

@@ -1,4 +1,4 @@
-"""The unit that a key's name says."""
+"""The unit that a name says: of a key, of a record's field, of a figure."""
 
 from __future__ import annotations
 
@@ -7,10 +7,15 @@ _ENDINGS = {
     "_m_per_n": "m/N",
     "_n_per_rpm2": "N/rpm²",
     "_n_s_m": "N s/m",
+    "_ns_per_m": "N s/m",
+    "_n_per_m": "N/m",
+    "_s_per_m": "s/m",
     "_kg_m2": "kg m²",
     "_m_s2": "m/s²",
     "_n_m": "N/m",
     "_m_s": "m/s",
+    "_n_s": "N s",
+    "_nm": "N m",
     "_rad_s": "rad/s",
     "_deg_s": "degrees/s",
     "_us_s": "us/s",
@@ -27,13 +32,15 @@ _ENDINGS = {
     "_v": "V",
 }
 # Coefficients go by the paper's letters.
-_LETTERS = {"k": "N/m", "f": "N s/m", "mu": "s/m", "nu": "N"}
+COEFFICIENTS = {"k": "N/m", "f": "N s/m", "mu": "s/m", "nu": "N"}
+
+
+def parted(name: str) -> tuple[str, str]:
+    """A name without the ending that says its unit, and the unit; empty where the name says none."""
+    end = max((end for end in _ENDINGS if name.endswith(end)), key=len, default="")
+    return name.removesuffix(end), _ENDINGS.get(end, "")
 
 
 def unit_of(name: str) -> str:
     """The unit of a number by the name of its key; empty where the name says none."""
-    if name in _LETTERS:
-        return _LETTERS[name]
-    return next(
-        (unit for end, unit in sorted(_ENDINGS.items(), key=lambda e: -len(e[0])) if name.endswith(end)), ""
-    )
+    return COEFFICIENTS.get(name) or parted(name)[1]

@@ -38,7 +38,8 @@ from dart_flight.lab.search.search import Plan, Search, search
 from dart_flight.lab.search.summary import with_objective
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.recording.verdict import Verdict, verdict_of
-from dart_flight.run.fast import FlownFast, fly_recorded
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.prepare import refuse_unflyable
 from dart_flight.sim.draws import parse_vary
 from dart_flight.sim.faults.kinds import Fault, parse_fault
@@ -113,8 +114,8 @@ class Flight:
         verdict: what it amounted to, as `dry-run --json` has it.
     """
 
-    def __init__(self, mission: Mission, flown: FlownFast) -> None:
-        self.mission, self.verdict, self._record = mission, flown.verdict, flown.record
+    def __init__(self, mission: Mission, verdict: Verdict, record: FlightRecord) -> None:
+        self.mission, self.verdict, self._record = mission, verdict, record
 
     @cached_property
     def log(self) -> Log:
@@ -157,7 +158,10 @@ def simulate(
     spreads = parse_vary(_settings_of(vary), mission.vehicle)
     broken = parse_fault(fault, mission.vehicle.has_lock) if isinstance(fault, str) else fault
     folder = None if log_dir is None else Path(log_dir)
-    return Flight(mission, fly_recorded(mission, int(seed), folder, fault=broken, spreads=spreads))
+    records: list[FlightRecord] = []
+    take = records.append
+    verdict = fly_fast(mission, int(seed), folder, fault=broken, spreads=spreads, take_record=take)
+    return Flight(mission, verdict, records[0])
 
 
 def _settings_of(vary: str | Iterable[str] | Mapping[str, float] | None) -> list[str]:

@@ -13,13 +13,14 @@ from functools import cache
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from dart_flight.base.records import Input, Note, Output, Record
+from dart_flight.config.units import unit_of
 
 INPUTS: tuple[type[Record], ...] = get_args(Input)
 OUTPUTS: tuple[type[Record], ...] = get_args(Output)
 NOTES: tuple[type[Record], ...] = get_args(Note)
 RECORD_TYPES: tuple[type[Record], ...] = (*INPUTS, *OUTPUTS, *NOTES)
 
-# Endings of names that say the frame, then those that say the unit; the longest that fits counts.
+# Endings of names that say the frame; the longest that fits counts.
 FRAMES = {
     "_frd_to_ned": "rotation body FRD to world NED, (w, x, y, z)",
     "_ned": "local NED: north, east, down",
@@ -27,18 +28,6 @@ FRAMES = {
     "_frd_nm": "body FRD: forward, right, down",
     "_mission": "mission frame: x along its heading, y left, z up",
     "_ned_rad": "heading, clockwise from north",
-}
-UNITS = {
-    "_us": "microseconds",
-    "_m_s": "m/s",
-    "_m": "m",
-    "_n": "N",
-    "_v": "V",
-    "_rad": "rad",
-    "_nm": "N m",
-    "_n_per_m": "N/m",
-    "_ns_per_m": "N s/m",
-    "_s_per_m": "s/m",
 }
 # First words that say the unit where the name says none.
 QUANTITIES = {
@@ -78,10 +67,9 @@ def _longest(name: str, table: dict[str, str], ends: bool) -> str:
 
 
 def _unit(name: str) -> str:
-    unit = _longest(name, QUANTITIES, ends=False) or _longest(name, UNITS, ends=True)
     if name.endswith("_us"):
-        return f"{unit}, {CLOCKS.get(name, 'autopilot clock')}"
-    return unit
+        return f"microseconds, {CLOCKS.get(name, 'autopilot clock')}"
+    return _longest(name, QUANTITIES, ends=False) or unit_of(name)
 
 
 def _frame(name: str) -> str:

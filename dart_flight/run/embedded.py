@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import msgspec
-
 from dart_flight.base.records import World
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
@@ -58,11 +56,9 @@ def fly_embedded(
         record.close()
         raise
     spec = WorldSpec(
-        mission.source,
-        msgspec.json.encode(mission.vehicle).decode(),
+        mission,
         seed,
         [port],
-        mission.vehicle.lock_driver,
         world_log(record.folder),
         spreads=dict(spreads or {}),
         speed=speed,

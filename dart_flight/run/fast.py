@@ -6,9 +6,9 @@ The same decisions as everywhere else, as fast as the machine goes, the same for
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 from dart_flight.base.records import (
     ActuatorSample,
@@ -352,35 +352,6 @@ class FastFlight:
         self.take(CommandResult(a.time_us, action.value, ok, "" if ok else "denied"))
 
 
-class FlownFast(NamedTuple):
-    """A fast flight with everything that was recorded of it."""
-
-    verdict: Verdict
-    record: FlightRecord
-
-
-def fly_fast(
-    mission: Mission,
-    seed: int,
-    log_dir: Path | None,
-    progress: Onlooker | None = None,
-    lock_faults: MockFaults | None = None,
-    fault: Fault | None = None,
-    spreads: Mapping[str, float] | None = None,
-) -> Verdict:
-    """Fly in process in simulated time; `log_dir` None leaves no log (campaigns).
-
-    `lock_faults` are those of the mock servo from the start on; `fault` is what goes wrong, and when;
-    `spreads` says what is drawn anew by the seed (`sim.draws`).
-
-    Raises:
-        InputError: the log cannot be written, or the lock driver has no place in simulated time.
-    """
-    return fly_recorded(
-        mission, seed, log_dir, progress, lock_faults, fault, spreads, in_memory=False
-    ).verdict
-
-
 def simulated_driver(mission: Mission) -> LockDriver:
     """The mission's lock driver; without a lock it does not matter.
 
@@ -394,7 +365,7 @@ def simulated_driver(mission: Mission) -> LockDriver:
     return driver
 
 
-def fly_recorded(
+def fly_fast(
     mission: Mission,
     seed: int,
     log_dir: Path | None,
@@ -402,21 +373,26 @@ def fly_recorded(
     lock_faults: MockFaults | None = None,
     fault: Fault | None = None,
     spreads: Mapping[str, float] | None = None,
-    *,
-    in_memory: bool = True,
-) -> FlownFast:
-    """As `fly_fast`, with the log: where none goes to disk it is kept in memory.
+    take_record: Callable[[FlightRecord], None] | None = None,
+) -> Verdict:
+    """Fly in process in simulated time; `log_dir` None leaves no log (campaigns).
+
+    `lock_faults` are those of the mock servo from the start on; `fault` is what goes wrong, and when;
+    `spreads` says what is drawn anew by the seed (`sim.draws`); `take_record` gets the record once it is
+    complete, with its log in memory where none goes to disk.
 
     Raises:
-        InputError: as `fly_fast`.
+        InputError: the log cannot be written, or the lock driver has no place in simulated time.
     """
     driver = simulated_driver(mission)
     world = draw_world(mission, seed, spreads or {})
     faults = lock_faults or world.lock_faults
-    record = FlightRecord(mission, World.FAST, seed, log_dir, world.drawn, in_memory=in_memory)
+    record = FlightRecord(mission, World.FAST, seed, log_dir, world.drawn, in_memory=take_record is not None)
     if progress is not None:
         record.onlookers.append(progress)
         record.notice = progress
     FastFlight(mission, seed, driver, faults=faults, observe=record, fault=fault, world=world).run()
     record.close()
-    return FlownFast(record.build(), record)
+    if take_record is not None:
+        take_record(record)
+    return record.build()

@@ -72,11 +72,9 @@ def fly_px4(
     record.viewers += [viewer] if viewer is not None else []
     folder = record.folder
     spec = WorldSpec(
-        mission.source,
-        msgspec.json.encode(mission.vehicle).decode(),
+        mission,
         seed,
         [],
-        mission.vehicle.lock_driver,
         world_log(folder),
         Px4Spec(str(install.program.parents[1]), str(folder.resolve()), parameters, position_from),
         spreads=dict(spreads or {}),

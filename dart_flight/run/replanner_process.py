@@ -9,15 +9,13 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import subprocess
 import sys
-import threading
 from collections.abc import Callable
 from typing import BinaryIO
 
 import msgspec
 
-from dart_flight.base.processes import end_of_input
+from dart_flight.base.processes import ChildProcess
 from dart_flight.base.records import PlanAnswer, PlanRequest, WallFelt
 from dart_flight.config.mission import Mission
 from dart_flight.planning.replanning import Replanner
@@ -41,46 +39,26 @@ class PlannerProcess:
 
     def __init__(self, mission: Mission, deliver: Callable[[PlanAnswer], None]) -> None:
         self._deliver = deliver
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "dart_flight.run.replanner_process"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C is the app's business
-        )
-        assert self.process.stdin is not None
-        self._write(msgspec.json.encode(mission))
-        os.set_blocking(self.process.stdin.fileno(), False)
-        threading.Thread(target=self._read, name="planner", daemon=True).start()
+        self.process = ChildProcess(__name__, msgspec.json.encode(mission), self._take)
 
     def feel(self, felt: WallFelt) -> None:
         """Pass on what a contact has taught; never blocks."""
-        self._write(_FELT + msgspec.json.encode(felt))
+        self.process.send(_FELT + msgspec.json.encode(felt))
 
     def ask(self, request: PlanRequest) -> None:
         """Send a request; never blocks. Where there is no planner any more the answer says so at once."""
-        if self.process.poll() is None and self._write(_ASKED + msgspec.json.encode(request)):
+        if self.process.poll() is None and self.process.send(_ASKED + msgspec.json.encode(request)):
             return
         self._deliver(PlanAnswer(host_us(), request.number, request.begin_us, problem="the planner has died"))
 
     def stop(self) -> None:
         """End it."""
-        end_of_input(self.process, _END_S)
+        self.process.end(_END_S)
 
-    def _write(self, line: bytes) -> bool:
-        assert self.process.stdin is not None
-        try:
-            self.process.stdin.write(line + b"\n")
-            self.process.stdin.flush()
-        except (OSError, ValueError):
-            return False
-        return True
-
-    def _read(self) -> None:
-        assert self.process.stdout is not None
-        decode = msgspec.json.Decoder(PlanAnswer).decode
-        for line in self.process.stdout:
-            with contextlib.suppress(msgspec.MsgspecError):
-                self._deliver(msgspec.structs.replace(decode(line), received_us=host_us()))
+    def _take(self, line: bytes) -> None:
+        with contextlib.suppress(msgspec.MsgspecError):
+            answer = msgspec.json.decode(line, type=PlanAnswer)
+            self._deliver(msgspec.structs.replace(answer, received_us=host_us()))
 
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:

@@ -6,17 +6,14 @@ import asyncio
 import contextlib
 import os
 import signal
-import subprocess
-import sys
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 
 from dart_flight.base.errors import FlightError
-from dart_flight.base.processes import end_of_input
+from dart_flight.base.processes import ChildProcess
 from dart_flight.base.records import Record, TruthContact, TruthSample
 from dart_flight.run.app import FlightApp
 from dart_flight.run.flight_record import FlightRecord
@@ -44,41 +41,28 @@ class WorldProcess:
     def __init__(self, spec: WorldSpec, on_truth: Callable[[TruthSample | TruthContact], None]) -> None:
         self._on_truth = on_truth
         self._told = threading.Event()
-        self._lock = threading.Lock()
         self._log = spec.log
         self.ready: Ready | None = None
         self._cause: str | None = None
+        self._decoder = msgspec.json.Decoder(WorldOutput)
         # What goes wrong over there belongs beside what it says, not into the app's terminal.
         with open(spec.log or os.devnull, "ab") as errors:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "dart_flight.sim.process"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=errors,
-                start_new_session=True,
-            )
-        self._send_line(msgspec.json.encode(spec))
-        self._reader = threading.Thread(target=self._read, name="truth", daemon=True)
-        self._reader.start()
-
-    @property
-    def pid(self) -> int:
-        """Process id, for tests that break things."""
-        return self._process.pid
+            first = msgspec.json.encode(spec)
+            self.process = ChildProcess("dart_flight.sim.process", first, self._take, errors)
 
     @property
     def died(self) -> bool:
         """Whether the vehicle is gone: it said so, or its process has ended."""
-        return self._cause is not None or self._process.poll() is not None
+        return self._cause is not None or self.process.poll() is not None
 
     @property
     def cause(self) -> str:
         """What died, in words, once `died`."""
         if self._cause is None:
-            self._reader.join(_LAST_WORDS_S)  # it may have said why, and not have been read yet
+            self.process.listener.join(_LAST_WORDS_S)  # it may have said why, and not have been read yet
         if self._cause is not None:
             return self._cause
-        code = self._process.poll()
+        code = self.process.poll()
         how = f"was killed by {signal.Signals(-code).name}" if code and code < 0 else "has ended"
         return f"the process of {self.what} {how}"
 
@@ -100,47 +84,38 @@ class WorldProcess:
         Raises:
             WorldError: it does not in time; says why where that is known.
         """
-        deadline = time.monotonic() + self.ready_timeout_s
-        while not self._told.wait(0.05) and not self.died and time.monotonic() < deadline:
-            pass
+        self._told.wait(self.ready_timeout_s)
         if self.ready is None:
             where = f", see {self._log}" if self._log else ""
             raise WorldError((self._cause or f"{self.what} did not start") + where)
 
     def send_horn(self, pulse_us: float) -> None:
         """Tell the plant where the mock servo's horn is."""
-        self._send_line(msgspec.json.encode(Horn(pulse_us)))
+        self.process.send(msgspec.json.encode(Horn(pulse_us)))
 
     def send_fault(self, fault: Fault) -> None:
         """A fault begins over there."""
-        self._send_line(msgspec.json.encode(FaultLine(fault)))
+        self.process.send(msgspec.json.encode(FaultLine(fault)))
 
     def close(self, timeout_s: float = 30.0) -> None:
         """Let go of the vehicle: it flies on to its failsafe if it is in the air, then the process ends."""
-        end_of_input(self._process, timeout_s)
+        self.process.end(timeout_s)
 
-    def _send_line(self, line: bytes) -> None:
-        assert self._process.stdin is not None
-        with self._lock, contextlib.suppress(OSError, ValueError):  # it has died: the streams will show it
-            self._process.stdin.write(line + b"\n")
-            self._process.stdin.flush()
-
-    def _read(self) -> None:
-        assert self._process.stdout is not None
-        decoder = msgspec.json.Decoder(WorldOutput)
-        for line in self._process.stdout:
-            with contextlib.suppress(msgspec.DecodeError):
-                item = decoder.decode(line)
-                if isinstance(item, Ready):
-                    self.ready = item
-                    self._told.set()
-                elif isinstance(item, Died):
-                    self._cause = item.cause
-                    self._told.set()
-                elif isinstance(item, Truth):
-                    record = item.state or item.contact
-                    if record is not None:
-                        self._on_truth(record)
+    def _take(self, line: bytes) -> None:
+        if not line:
+            self._told.set()  # it has ended, and there is nothing to wait for
+        with contextlib.suppress(msgspec.DecodeError):
+            item = self._decoder.decode(line)
+            if isinstance(item, Ready):
+                self.ready = item
+                self._told.set()
+            elif isinstance(item, Died):
+                self._cause = item.cause
+                self._told.set()
+            elif isinstance(item, Truth):
+                record = item.state or item.contact
+                if record is not None:
+                    self._on_truth(record)
 
 
 class Px4World(WorldProcess):
@@ -152,7 +127,7 @@ class Px4World(WorldProcess):
     def close(self, timeout_s: float = 30.0) -> None:
         """As for every world; should the process have been killed, PX4's session goes with it."""
         super().close(timeout_s)
-        killed = self._process.returncode < 0  # in every other case it has ended PX4 itself
+        killed = self.process.returncode < 0  # in every other case it has ended PX4 itself
         if killed and self.ready is not None and self.ready.pid is not None:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.ready.pid, signal.SIGKILL)

@@ -14,8 +14,8 @@ from typing import IO
 import msgspec
 
 from dart_flight.base.records import TruthContact, TruthSample
+from dart_flight.config.mission import Mission
 from dart_flight.config.parameters import Parameter, PositionSource
-from dart_flight.config.vehicle import LockDriver
 from dart_flight.sim.faults.kinds import Fault
 
 
@@ -38,11 +38,9 @@ class Px4Spec(msgspec.Struct):
 class WorldSpec(msgspec.Struct):
     """What the process is told on its first line of input; `ports` is the embedded autopilot's."""
 
-    mission: str
-    vehicle: str  # configuration as JSON: what the app has, whatever file it came from
+    mission: Mission  # what the app has, whatever file it came from
     seed: int
     ports: list[int]
-    driver: LockDriver | None  # none: there is no lock
     log: str | None = None
     px4: Px4Spec | None = None
     spreads: dict[str, float] = msgspec.field(default_factory=dict)  # what differs from the mission (`draws`)

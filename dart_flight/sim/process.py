@@ -8,19 +8,18 @@ its text log, and the process ends once it has landed, 30 s later at the latest;
 from __future__ import annotations
 
 import gc
+import itertools
+import math
 import os
 import signal
 import sys
 import time
-from collections.abc import Callable
-from typing import IO
+from collections.abc import Iterator
+from typing import IO, Protocol
 
 import msgspec
 
 from dart_flight.base.records import FlightMode
-from dart_flight.config.document import Document
-from dart_flight.config.mission import parse_mission
-from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.sim.autopilot import TICK_S
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.faults.impairment import Impairment
@@ -28,6 +27,7 @@ from dart_flight.sim.faults.kinds import Fault, Place, VehicleFault, impairment_
 from dart_flight.sim.faults.twin import second_vehicle
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 from dart_flight.sim.pipe import FaultLine, Horn, LineReader, LineWriter, Ready, Truth, WorldSpec
+from dart_flight.sim.plant import Plant
 from dart_flight.sim.vehicle import SimulatedVehicle
 
 _TRUTH_EVERY = 2  # ticks
@@ -36,14 +36,14 @@ _PILOT_S = 3.0  # likewise in a pilot's hands, where it only has to hold still
 _LATE_S = 0.25  # a stall longer than this is not caught up with: the world pauses instead
 
 
-def run_in_real_time(step: Callable[[], None], until: Callable[[], bool], period_s: float = TICK_S) -> None:
-    """Call `step` every period until `until` says so; after a long stall the world pauses rather than races.
+def ticks_in_real_time(period_s: float = TICK_S) -> Iterator[int]:
+    """Numbers of ticks, one every period; after a long stall the world pauses rather than races.
 
     With a period of 4 ms a tick takes the time it simulates; a shorter one is a world at higher speed.
     """
     due = time.monotonic()
-    while not until():
-        step()
+    for tick in itertools.count():
+        yield tick
         due += period_s
         now = time.monotonic()
         if due > now:
@@ -52,52 +52,95 @@ def run_in_real_time(step: Callable[[], None], until: Callable[[], bool], period
             due = now
 
 
-class VehicleProcess:
-    """The simulated vehicle between its pipe and its sockets."""
+class World(Protocol):
+    """What is served to the app, whichever autopilot flies in it."""
 
-    def __init__(self, spec: WorldSpec, commands: IO[bytes], truth: IO[bytes]) -> None:
-        vehicle = msgspec.json.decode(spec.vehicle, type=VehicleConfig)
-        mission = parse_mission(Document.load(spec.mission), vehicle)
-        true = draw_world(mission, spec.seed, spec.spreads).mission
-        self._vehicle = SimulatedVehicle(true, spec.seed, spec.driver)
+    def set_horn(self, pulse_us: float) -> None:
+        """Where the mock servo's horn is."""
+
+    def begin_fault(self, fault: Fault) -> None:
+        """A fault begins."""
+
+    def advance(self) -> Plant:
+        """Go on by one tick; returns the plant."""
+        ...
+
+    def is_over(self, alone_s: float) -> bool:
+        """Whether it may end, without the app for so long; 0: the app has gone this moment."""
+        ...
+
+
+def serve(world: World, writer: LineWriter, commands: IO[bytes], period_s: float) -> int:
+    """Take the app's lines and tell the truth, a tick every period, until the app is gone and the world over.
+
+    Returns how many ticks that took.
+    """
+    reader, gone_s = LineReader(commands), math.inf
+    # What has been loaded by now stays: the collector need not walk it in flight.
+    gc.freeze()
+    for tick in ticks_in_real_time(period_s):
+        while reader.items:
+            item = reader.items.popleft()
+            if isinstance(item, Horn):
+                world.set_horn(item.pulse_us)
+            elif isinstance(item, FaultLine):
+                world.begin_fault(item.fault)
+        plant = world.advance()
+        if tick % _TRUTH_EVERY == 0:
+            writer.put(Truth(state=plant.truth()))
+        while plant.finished:
+            writer.put(Truth(contact=plant.finished.pop(0)))
+        if reader.closed:
+            now_s = time.monotonic()
+            gone_s = min(gone_s, now_s)
+            if world.is_over(now_s - gone_s):
+                break
+    return tick
+
+
+class WorldLog:
+    """The world's text log: times in its own seconds; nothing where the app wants none."""
+
+    def __init__(self, path: str | None) -> None:
+        self._file = None if path is None else open(path, "a", encoding="utf-8", buffering=1)  # noqa: SIM115
+
+    def write(self, now_s: float, text: str) -> None:
+        """Add a line."""
+        if self._file is not None:
+            self._file.write(f"{now_s:9.3f} s  {text}\n")
+
+
+class VehicleProcess:
+    """The simulated vehicle with the embedded autopilot, between the app's pipe and its sockets."""
+
+    def __init__(self, spec: WorldSpec) -> None:
+        self._spec = spec
+        true = draw_world(spec.mission, spec.seed, spec.spreads).mission
+        self._vehicle = SimulatedVehicle(true, spec.seed, true.vehicle.lock_driver)
+        self.set_horn = self._vehicle.set_horn
         self._autopilot = self._vehicle.autopilot
         self._endpoint = MavlinkEndpoint(self._autopilot, tuple(spec.ports))
-        self._log: IO[str] | None = None
-        if spec.log is not None:
-            self._log = open(spec.log, "a", encoding="utf-8", buffering=1)  # noqa: SIM115
+        self._log = WorldLog(spec.log)
         self._to_link = self._autopilot.say
         self._autopilot.say = self._say
-        self._writer, self._reader = LineWriter(truth), LineReader(commands)
-        self._period_s = TICK_S / spec.speed
-        self._ticks = 0
-        self._orphan_since_s: float | None = None
-        self._over = False
         self._fault: VehicleFault | None = None
         self._link_back_s: float | None = None
-        self._mission, self._seed, self._ports = mission, spec.seed, tuple(spec.ports)
         self._twin: tuple[SimulatedVehicle, MavlinkEndpoint] | None = None
 
-    def run(self) -> None:
+    def run(self, commands: IO[bytes], truth: IO[bytes]) -> None:
         """Fly at the wanted pace until the app is gone and the vehicle is down."""
-        self._writer.put(Ready(self._autopilot.time_us))
-        # What has been loaded by now stays: the collector need not walk it in flight.
-        gc.freeze()
-        run_in_real_time(self._step, lambda: self._over, self._period_s)
+        writer = LineWriter(truth)
+        writer.put(Ready(self._autopilot.time_us))
+        serve(self, writer, commands, TICK_S / self._spec.speed)
         self._say("info", "simulated vehicle stops")
         self._endpoint.close()
 
     def _say(self, severity: str, text: str) -> None:
         self._to_link(severity, text)
-        if self._log is not None:
-            self._log.write(f"{self._autopilot.now_s:9.3f} s {severity}: {text}\n")
+        self._log.write(self._autopilot.now_s, f"{severity}: {text}")
 
-    def _step(self) -> None:
-        while self._reader.items:
-            item = self._reader.items.popleft()
-            if isinstance(item, Horn):
-                self._vehicle.set_horn(item.pulse_us)
-            elif isinstance(item, FaultLine):
-                self._break(item.fault)
+    def advance(self) -> Plant:
+        """As `World`."""
         if self._fault is not None:
             self._fault.tick()
         if self._link_back_s is not None and self._autopilot.now_s >= self._link_back_s:
@@ -109,40 +152,30 @@ class VehicleProcess:
             twin, endpoint = self._twin
             twin.advance()
             endpoint.exchange()
-        plant = self._autopilot.plant
-        if self._ticks % _TRUTH_EVERY == 0:
-            self._writer.put(Truth(state=plant.truth()))
-        while plant.finished:
-            self._writer.put(Truth(contact=plant.finished.pop(0)))
-        self._ticks += 1
-        if self._reader.closed:
-            self._fly_on_alone()
+        return self._autopilot.plant
 
-    def _break(self, fault: Fault) -> None:
+    def begin_fault(self, fault: Fault) -> None:
+        """As `World`."""
         self._say("warning", f"fault {fault.name} {fault.value:g}")
         if fault.kind.place is not Place.LINK:
             self._fault = VehicleFault(self._vehicle, fault)
         elif fault.name == "imu-dropout":
             self._endpoint.stop_imu()
         elif fault.name == "second-vehicle":
-            twin = second_vehicle(self._mission, self._seed, fault.value, self._autopilot.time_us)
-            self._twin = (twin, MavlinkEndpoint(twin.autopilot, self._ports))
+            spec = self._spec
+            twin = second_vehicle(spec.mission, spec.seed, fault.value, self._autopilot.time_us)
+            self._twin = (twin, MavlinkEndpoint(twin.autopilot, tuple(spec.ports)))
         else:
             self._endpoint.impair(impairment_of(fault))
             if fault.name == "link-loss" and fault.value > 0.0:
                 self._link_back_s = self._autopilot.now_s + fault.value
 
-    def _fly_on_alone(self) -> None:
-        """The app is gone: fly on to the failsafe, end when landed."""
-        now = self._autopilot.now_s
-        if self._orphan_since_s is None:
-            self._orphan_since_s = now
-            if self._autopilot.armed:
-                self._say("warning", "the app is gone, flying on to the failsafe")
-            return
+    def is_over(self, alone_s: float) -> bool:
+        """As `World`: it flies on to its failsafe, and ends when it has landed."""
+        if not alone_s and self._autopilot.armed:
+            self._say("warning", "the app is gone, flying on to the failsafe")
         most_s = _PILOT_S if self._autopilot.mode is FlightMode.MANUAL else _ORPHAN_S
-        if not self._autopilot.armed or now - self._orphan_since_s > most_s:
-            self._over = True
+        return not self._autopilot.armed or alone_s > most_s
 
 
 def main() -> int:
@@ -153,8 +186,8 @@ def main() -> int:
     if spec.px4 is not None:
         from dart_flight.sim.px4.process import Px4Process  # noqa: PLC0415  (only where PX4 flies)
 
-        return Px4Process(spec, spec.px4, sys.stdin.buffer, sys.stdout.buffer).run()
-    VehicleProcess(spec, sys.stdin.buffer, sys.stdout.buffer).run()
+        return Px4Process(spec, spec.px4).run(sys.stdin.buffer, sys.stdout.buffer)
+    VehicleProcess(spec).run(sys.stdin.buffer, sys.stdout.buffer)
     return 0
 
 

@@ -16,7 +16,7 @@ from dart_flight.base.records import Record
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
-from dart_flight.sim.process import run_in_real_time
+from dart_flight.sim.process import ticks_in_real_time
 from dart_flight.sim.vehicle import SimulatedVehicle
 from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of, owner_of_udp_port, udp_port_is_free
 
@@ -137,5 +137,8 @@ def run_vehicle(
         with contextlib.suppress(ValueError):  # not the main thread
             signal.signal(number, lambda signum, _frame: stopped.append(signum))
     gc.freeze()
-    run_in_real_time(step, lambda: bool(stopped))
+    for _ in ticks_in_real_time():
+        step()
+        if stopped:
+            break
     endpoint.close()

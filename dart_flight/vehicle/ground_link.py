@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
-import math
-import threading
 import time
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -14,20 +13,26 @@ from typing import Any
 import msgspec
 from mavsdk.component_type import ComponentType
 from mavsdk.mavsdk import Configuration, Mavsdk
-from mavsdk.plugins.action import Action
-from mavsdk.plugins.events import Events
 from mavsdk.plugins.info import Info
 from mavsdk.plugins.mavlink_direct import MavlinkDirect
 from mavsdk.plugins.param import Param, ParamResult
 from mavsdk.plugins.telemetry import Telemetry
 
-from dart_flight.base.streams import BY_NAME
+from dart_flight.base.records import (
+    ActuatorSample,
+    AttitudeSample,
+    HealthReport,
+    ImuSample,
+    Input,
+    Record,
+    RoundTrip,
+    StatusSample,
+    StatusText,
+)
+from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.guard.sources import TwoClocks
 from dart_flight.vehicle import reasons, sdk_log
-from dart_flight.vehicle.clock import host_us
-from dart_flight.vehicle.local_position import LocalPosition, is_healthy
-from dart_flight.vehicle.session import NoAnswerError, VehicleError
-from dart_flight.vehicle.timesync import answer_of, request
+from dart_flight.vehicle.session import NoAnswerError, VehicleError, VehicleSession
 
 
 class Observation(msgspec.Struct):
@@ -47,9 +52,41 @@ class Observation(msgspec.Struct):
 
 _STAMP_TOLERANCE_US = 500_000
 _REPORT_S = 5.0  # on top, where something is amiss: until MAVSDK has fetched the words for it
-_ROUND_TRIPS, _ASK_PERIOD_S, _ROUND_TRIP_MOST_S = 10, 0.1, 5.0
+_ROUND_TRIPS_S, _ROUND_TRIP_MOST_S = 1.0, 5.0
 _MOST_UNANSWERED = 2  # requests, where none has been answered; MAVSDK asks for each of them for seconds
 _PARAMETERS_S = 90.0  # for all parameters; a few that a build does not have take 3 s each
+_COUNTED: dict[type[Record], str] = {ImuSample: "imu", AttitudeSample: "attitude", ActuatorSample: "actuator"}
+
+
+class _Listener:
+    """Takes the records of a session, as the core does in flight, and keeps what tells about the vehicle."""
+
+    def __init__(self) -> None:
+        self.seen = Observation()
+        self.counts = dict.fromkeys(("imu", "attitude", "odometry", "actuator"), 0)
+        self.round_trips_us: list[int] = []
+        self._clocks = TwoClocks(_STAMP_TOLERANCE_US)
+
+    def take(self, record: Input) -> None:
+        """Take a record; on MAVSDK's thread."""
+        seen, counted = self.seen, _COUNTED.get(type(record))
+        if counted is not None:
+            self.counts[counted] += 1
+        if isinstance(record, ImuSample):
+            self._clocks.take(record.t_us, record.received_us)
+            apart_s = self._clocks.apart_s(record.received_us)
+            if apart_s is not None:
+                seen.other_vehicle = f"two clocks in turn under one system id, {apart_s:.1f} s apart"
+        elif isinstance(record, StatusSample):
+            seen.battery_v, seen.battery_remaining = record.battery_v, record.battery_remaining
+            seen.local_position_ok = record.local_position_ok
+        elif isinstance(record, HealthReport):
+            seen.blocking, seen.problems = record.blocking, record.others
+        elif isinstance(record, StatusText):
+            if record.severity in reasons.SEVERE and record.text not in seen.said:
+                seen.said.append(record.text)
+        elif isinstance(record, RoundTrip) and record.autopilot_us is not None:
+            self.round_trips_us.append(record.received_us - record.sent_us)
 
 
 class GroundLink:
@@ -79,9 +116,9 @@ class GroundLink:
             self._close()
             raise VehicleError(f"no autopilot on {self._url} within {self._timeout_s:g} s")
         self._system, self._system_id = system, system.get_system_id()
-        self._action, self._param = Action(system), Param(system)
-        self._telemetry, self._info = Telemetry(system), Info(system)
-        self._events, self._direct = Events(system), MavlinkDirect(system)
+        self._param, self._info = Param(system), Info(system)
+        self._heard = _Listener()
+        self._session = VehicleSession(self._mavsdk, system, self._heard.take)
         return self
 
     def __exit__(
@@ -94,23 +131,23 @@ class GroundLink:
             self._mavsdk.destroy()
 
     def round_trip_s(self) -> float | None:
-        """The shortest of some TIMESYNC requests with their answers, seconds; None: no answer within 5 s."""
-        found: list[int] = []
-        asked: set[int] = set()
+        """The shortest of some TIMESYNC requests with their answers, seconds; None: no answer within 5 s.
 
-        def take(message: Any, _: Any) -> None:
-            received, answer = host_us(), answer_of(message)
-            if answer is not None and answer.sent_us in asked and message.system_id == self._system_id:
-                found.append(received - answer.sent_us)
+        Raises:
+            NoAnswerError: no other request was answered either.
+        """
+        return asyncio.run(self._round_trip_s())
 
-        handle = self._direct.subscribe_message("TIMESYNC", take)
-        end_s = time.monotonic() + _ROUND_TRIP_MOST_S
-        while len(found) < _ROUND_TRIPS and time.monotonic() < end_s:
-            now = host_us()
-            asked.add(now)
-            self._direct.send_message(request(now))
-            time.sleep(_ASK_PERIOD_S)
-        self._direct.unsubscribe_message(handle)
+    async def _round_trip_s(self) -> float | None:
+        unanswered = await self._session.measure_link(_ROUND_TRIP_MOST_S)
+        if unanswered:
+            says = (
+                "sends, but answers no request" if self._system.is_connected() else "has fallen silent after"
+            )
+            raise NoAnswerError(f"the vehicle {says}: {', '.join(unanswered)}", source=self._url)
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._session.keep_measuring(), _ROUND_TRIPS_S)
+        found = self._heard.round_trips_us
         return min(found) * 1e-6 if found else None
 
     def _ask(self, what: str, request: Callable[[], Any]) -> Any:
@@ -139,7 +176,7 @@ class GroundLink:
 
     def set_actuator(self, index: int, value: float) -> None:
         """Command a peripheral output, -1 to 1; an acknowledgement says nothing about movement."""
-        self._action.set_actuator(index, value)
+        self._session.set_actuator(index, value)
 
     def read_parameters(self, names: Iterable[str]) -> dict[str, float]:
         """Values of the parameters that the vehicle has, whole numbers or not; others are left out."""
@@ -161,105 +198,35 @@ class GroundLink:
                 break
         return values
 
-    def observe(self, seconds: float) -> Observation:
-        """Ask for the rates of the stream table, then listen; blocks for that long.
+    def observe(self, vehicle: VehicleConfig, seconds: float) -> Observation:
+        """Ask for the rates of the stream table and listen, as in a flight; blocks for that long.
 
         Where PX4 has no position or would not arm, up to 5 s more until it has said why.
         """
-        t, seen, place = self._telemetry, Observation(), LocalPosition()
-        counts: dict[str, int] = {}
+        seen, counts = self._heard.seen, self._heard.counts
 
-        def count(name: str) -> Callable[[Any, Any], None]:
-            counts[name] = 0
-
-            def one(_sample: Any, _: Any) -> None:
-                counts[name] += 1
-
-            return one
-
-        def battery(b: Any, _: Any) -> None:
-            seen.battery_v = float(b.voltage_v) if math.isfinite(b.voltage_v) else None
-            share = 0.01 * float(b.remaining_percent)
-            seen.battery_remaining = share if math.isfinite(share) else None
+        def count_odometry(_message: Any, _: Any) -> None:
+            counts["odometry"] += 1  # those without a position, which are no samples, too
 
         def gps(info: Any, _: Any) -> None:
             seen.gps_fix = str(info.fix_type.name).lower()
 
-        def health(h: Any, _: Any) -> None:
-            place.sent = bool(h.is_local_position_ok)
-
-        def estimator_status(message: Any, _: Any) -> None:
-            place.healthy = is_healthy(message.fields_json)
-
-        for set_rate, name in (
-            (t.set_rate_imu, "imu"),
-            (t.set_rate_attitude_quaternion, "attitude"),
-            (t.set_rate_odometry, "odometry"),
-            (t.set_rate_actuator_output_status, "actuator"),
-        ):
-            stream = BY_NAME[name]
-            try:
-                self._ask(f"rate of {stream.message}", partial(set_rate, stream.rate_hz))
-            except NoAnswerError:
-                raise
-            except Exception:  # refused: the count shows what comes anyway
-                continue
-        count_imu, clocks = count("imu"), TwoClocks(_STAMP_TOLERANCE_US)
-
-        def imu(sample: Any, _: Any) -> None:
-            count_imu(sample, _)
-            received = host_us()
-            clocks.take(int(sample.timestamp_us), received)
-            apart_s = clocks.apart_s(received)
-            if apart_s is not None:
-                seen.other_vehicle = f"two clocks in turn under one system id, {apart_s:.1f} s apart"
-
-        t.subscribe_imu(imu)
-        t.subscribe_attitude_quaternion(count("attitude"))
-        t.subscribe_odometry(count("odometry"))
-        t.subscribe_actuator_output_status(count("actuator"))
-        t.subscribe_battery(battery)
-        t.subscribe_health(health)
-        t.subscribe_gps_info(gps)
-        self._direct.subscribe_message("ESTIMATOR_STATUS", estimator_status)
-        reported = self._listen_for_reasons(seen)
+        asyncio.run(self._session.set_rates(counts))  # refused: the count shows what comes anyway
+        self._session.subscribe(vehicle.estimation, len(vehicle.airframe.motors))
+        Telemetry(self._system).subscribe_gps_info(gps)
+        MavlinkDirect(self._system).subscribe_message("ODOMETRY", count_odometry)
         began = time.monotonic()
         before = dict(counts)
         time.sleep(seconds)
         elapsed = time.monotonic() - began
         seen.rates_hz = {name: (counts[name] - before[name]) / elapsed for name in counts}
         for system in self._mavsdk.get_systems():
-            if system.has_autopilot() and system.get_system_id() != self._system_id:
+            if system.has_autopilot() and system.get_system_id() != self._system.get_system_id():
                 seen.other_vehicle = f"system {system.get_system_id()} sends on the same link"
-        seen.local_position_ok = place.ok
-        amiss = not place.ok or seen.blocking
-        while amiss and not reported.is_set() and time.monotonic() - began < seconds + _REPORT_S:
-            reported.wait(0.1)
+        amiss = not seen.local_position_ok or seen.blocking
+        while amiss and not self._session.checked and time.monotonic() - began < seconds + _REPORT_S:
+            time.sleep(0.1)
         with contextlib.suppress(Exception):
             v = self._info.get_version()
             seen.version = f"{v.flight_sw_major}.{v.flight_sw_minor}.{v.flight_sw_patch}"
         return seen
-
-    def _listen_for_reasons(self, seen: Observation) -> threading.Event:
-        """Collect why PX4 does not arm; the event is set once its own report has come."""
-        reported = threading.Event()
-
-        def say(severity: str, text: str) -> None:
-            if severity in reasons.SEVERE and text not in seen.said:
-                seen.said.append(text)
-
-        def checks(report: Any, _: Any) -> None:
-            reported.set()
-            _, seen.blocking, seen.problems = reasons.of_checks(report)
-
-        def sys_status(message: Any, _: Any) -> None:
-            found = None if reported.is_set() else reasons.of_sys_status(message.fields_json)
-            if found is not None:
-                _, seen.blocking, seen.problems = found
-
-        self._telemetry.subscribe_status_text(lambda t, _: say(t.type.name.lower(), t.text))
-        self._direct.subscribe_message("SYS_STATUS", sys_status)
-        with contextlib.suppress(Exception):
-            self._events.subscribe_events(lambda e, _: say(reasons.severity(e.log_level), e.message))
-            self._events.subscribe_health_and_arming_checks(checks)
-        return reported

@@ -176,7 +176,7 @@ class VehicleSession:
         self._events = Events(self._raw)
         self._asked: deque[int] = deque(maxlen=_MOST_ASKED)  # host time of TIMESYNC requests, microseconds
         self._other: int | None = None  # system id of another autopilot on the link
-        self._checked = False  # whether PX4 has sent a report of its checks
+        self.checked = False  # whether PX4 has sent a report of its checks
         self._health: tuple[bool, tuple[str, ...], tuple[str, ...]] | None = None
 
     # -- telemetry --
@@ -439,11 +439,11 @@ class VehicleSession:
         self._deliver(text)
 
     def _on_checks(self, report: Any, _: Any) -> None:
-        self._checked = True
+        self.checked = True
         self._deliver_health(*reasons.of_checks(report))
 
     def _on_sys_status(self, message: Any, _: Any) -> None:
-        found = None if self._checked else reasons.of_sys_status(message.fields_json)
+        found = None if self.checked else reasons.of_sys_status(message.fields_json)
         if found is not None:
             self._deliver_health(*found)
 

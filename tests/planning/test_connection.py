@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dart_flight.config.vehicle import LockDriver
+from dart_flight.config.mission import load_mission
 from dart_flight.lab.search.scenario import load_scenario
 
 SCENARIOS = Path(__file__).parents[2] / "missions" / "scenarios"
@@ -24,15 +24,9 @@ def test_gains_come_from_the_vehicle(tmp_path: Path) -> None:
     tuned = msgspec.structs.replace(scenario.vehicle.px4, mpc_xy_p=1.25, mpc_xy_vel_p_acc=2.5)
     vehicle = msgspec.structs.replace(scenario.vehicle, px4=tuned)
     port = free_udp_port()
-    mission = str(SCENARIOS.parent / "paper_dual_collision.yaml")
-    spec = WorldSpec(
-        mission,
-        msgspec.json.encode(vehicle).decode(),
-        1,
-        [port],
-        LockDriver.MOCK,
-        str(tmp_path / "world.txt"),
-    )
+    flown = load_mission(SCENARIOS.parent / "paper_dual_collision.yaml")
+    flown = msgspec.structs.replace(flown, vehicle=vehicle, source="no file")
+    spec = WorldSpec(flown, 1, [port], str(tmp_path / "world.txt"))
     world = WorldProcess(spec, lambda record: None)
     try:
         world.wait_ready()

@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -24,7 +23,7 @@ from dart_flight.cli.px4_options import position_warnings
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
 from dart_flight.config.parameters import PositionSource
-from dart_flight.config.vehicle import LockDriver, packaged
+from dart_flight.config.vehicle import packaged
 from dart_flight.run.world_process import Px4World, WorldError
 from dart_flight.sim.pipe import Px4Spec, WorldSpec
 from dart_flight.sim.px4 import launch
@@ -192,22 +191,20 @@ class Watched:
     """A world and what it reports."""
 
     def __init__(self, folder: Path, px4: Path, speed: float = 10.0) -> None:
-        vehicle = load_mission(MISSION).vehicle
+        mission = load_mission(MISSION)
         self.folder = folder
         folder.mkdir()
         self.truths: list[TruthSample | TruthContact] = []
         self.log = folder / "autopilot.log"
         spec = WorldSpec(
-            str(MISSION),
-            msgspec.json.encode(vehicle).decode(),
+            mission,
             1,
             [],
-            LockDriver.MOCK,
             str(self.log),
             Px4Spec(
                 str(px4),
                 str(folder),
-                flight_parameters(vehicle, PositionSource.MOCAP),
+                flight_parameters(mission.vehicle, PositionSource.MOCAP),
                 PositionSource.MOCAP,
             ),
             speed=speed,
@@ -339,7 +336,7 @@ def test_killing_the_world_kills_px4(tmp_path: Path, launched: list[Watched]) ->
     launched.append(watched)
     watched.world.wait_ready()
     assert watched.world.ready is not None
-    os.kill(watched.world.pid, 9)
+    os.kill(watched.world.process.pid, 9)
     deadline = time.monotonic() + 5.0
     while (_lives(watched.world.ready.pid) or not watched.world.died) and time.monotonic() < deadline:
         time.sleep(0.02)

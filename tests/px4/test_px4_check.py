@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import msgspec
 import pytest
 
 from dart_flight.check.findings import Finding
 from dart_flight.check.vehicle import check_vehicle
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameters import Parameter, PositionSource
-from dart_flight.config.vehicle import LockDriver
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.world_process import Px4World
 from dart_flight.sim.pipe import Px4Spec, WorldSpec
@@ -33,11 +30,9 @@ def waiting_px4(
     own = {name: Parameter(name, value, "") for name, value in changes.items()}
     parameters = {**flight_parameters(mission.vehicle, source), **own}
     spec = WorldSpec(
-        mission.source,
-        json.dumps(msgspec.to_builtins(mission.vehicle)),
+        mission,
         1,
         [],
-        LockDriver.MOCK,
         None,
         Px4Spec(str(px4_dir), str(folder), parameters, source),
     )

@@ -15,7 +15,8 @@ from dart_flight.recording.found import LOG_NAME
 from dart_flight.recording.reader import Log
 from dart_flight.recording.verdict import Verdict
 from dart_flight.recording.writer import LogPart
-from dart_flight.run.fast import fly_recorded
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.many_flights import unexplained_modes
 
 ERROR = "error"  # the outcome of a flight without a verdict: a fault of the program, not of the flight
@@ -46,12 +47,13 @@ class Flyer:
     def __call__(self, item: Item) -> Flown:
         """Fly one."""
         point = self._points[item.point]
-        in_memory = self._keep is not Keep.NONE
-        flown = fly_recorded(point.mission, item.seed, None, spreads=point.spreads, in_memory=in_memory)
-        completed = flown.verdict.outcome is Outcome.COMPLETED
+        records: list[FlightRecord] = []
+        take = None if self._keep is Keep.NONE else records.append
+        verdict = fly_fast(point.mission, item.seed, None, spreads=point.spreads, take_record=take)
+        completed = verdict.outcome is Outcome.COMPLETED
         wanted = self._keep is Keep.ALL or (self._keep is Keep.FAILED and not completed)
-        line = self._line(item, cells_of(flown.verdict))
-        return Flown(line, completed, _file_of(flown.record.log) if wanted else None)
+        line = self._line(item, cells_of(verdict))
+        return Flown(line, completed, _file_of(records[0].log) if wanted else None)
 
     def failed(self, item: Item, why: str) -> Flown:
         """The row of a flight that has no verdict."""

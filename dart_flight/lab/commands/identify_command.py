@@ -158,10 +158,10 @@ def _estimates(title: str, rows: Any) -> None:
 def _print(found: Any) -> None:
     from rich.table import Table
 
-    from dart_flight.lab.identify.job import UNITS
+    from dart_flight.config.units import COEFFICIENTS
 
     for mode, coefficients in found.coefficients.items():
-        rows = [(name, estimate, UNITS[name]) for name, estimate in coefficients.items()]
+        rows = [(name, estimate, COEFFICIENTS[name]) for name, estimate in coefficients.items()]
         rows += [
             ("restitution", found.restitution[mode], ""),
             ("tangential ratio", found.tangential_ratio[mode], ""),

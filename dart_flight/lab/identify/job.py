@@ -21,7 +21,6 @@ from dart_flight.lab.identify.trials import COLUMNS, UNLABELLED, Trial, TrialRea
 from dart_flight.recording.found import from_each, logs_in
 
 FLIGHT_LOG = ".mcap"
-UNITS = {"k": "N/m", "f": "N s/m", "mu": "s/m", "nu": "N"}
 
 
 class Identified(NamedTuple):

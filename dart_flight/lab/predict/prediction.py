@@ -14,6 +14,7 @@ from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import Mode
 from dart_flight.config.document import InputError, read_text, unknown_name
 from dart_flight.config.kinds import FileKind, refuse_other_kind
+from dart_flight.config.units import parted
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
 from dart_flight.contact.contact_map import Drop, collide, contact_map, drop
@@ -288,13 +289,10 @@ def _read_batch(path: str | Path, modes: list[str]) -> tuple[Rows, Array, Array]
     return np.array(which, dtype=np.intp), values[:, 0], values[:, 1]
 
 
-_UNITS = {"m_s": "m/s", "s": "s", "m": "m", "n": "N", "n_s": "N s"}
-
-
 def described(name: str, value: float | None) -> tuple[str, str, str]:
     """Quantity, value and unit as a person reads them, from a name that ends in its unit."""
-    unit = next(u for u in sorted(_UNITS, key=len, reverse=True) if name.endswith("_" + u))
-    words = name[: -len(unit) - 1].replace("_", " ")
+    stem, unit = parted(name)
+    words = stem.replace("_", " ")
     if value is None or math.isnan(value):
         return words, "unknown", ""
     if unit == "s" and 0.0 < abs(value) < 1.0:
@@ -302,4 +300,4 @@ def described(name: str, value: float | None) -> tuple[str, str, str]:
     if unit == "m" and 0.0 < abs(value) < 1.0:
         return words, f"{1e3 * value:.2f}", "mm"
     text = "never ends" if math.isinf(value) else f"{value:.4f}"
-    return words, text, "" if math.isinf(value) else _UNITS[unit]
+    return words, text, "" if math.isinf(value) else unit

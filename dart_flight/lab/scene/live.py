@@ -10,9 +10,8 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import os
-import select
+import queue
 import subprocess
-import sys
 import threading
 import time
 from collections import deque
@@ -20,7 +19,7 @@ from collections.abc import Callable
 
 import msgspec
 
-from dart_flight.base.processes import end_of_input
+from dart_flight.base.processes import ChildProcess
 from dart_flight.base.records import Record
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
@@ -84,30 +83,20 @@ class LiveView:
         self._thinning = Thinning()
         self._unsent = bytearray()
         self._closing = threading.Event()
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "dart_flight.lab.scene.server"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C is the flight's business
-        )
-        assert self.process.stdin is not None
-        self._pipe = self.process.stdin.fileno()
-        with contextlib.suppress(OSError):
-            os.write(self._pipe, msgspec.json.encode(show) + b"\n")
-        self.port = self._await_port(show)
-        os.set_blocking(self._pipe, False)
+        said: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        first = msgspec.json.encode(show)
+        self.process = ChildProcess("dart_flight.lab.scene.server", first, said.put, subprocess.DEVNULL)
+        self.port = self._await_port(show, said)
         self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
         self._thread.start()
 
-    def _await_port(self, show: Show) -> int:
-        assert self.process.stdout is not None
+    def _await_port(self, show: Show, said: queue.SimpleQueue[bytes]) -> int:
         line = b""
-        if select.select([self.process.stdout], [], [], _START_S)[0]:
-            line = self.process.stdout.readline()
+        with contextlib.suppress(queue.Empty):
+            line = said.get(timeout=_START_S)
         opened = msgspec.json.decode(line, type=Opened) if line else Opened(problem="it did not start")
         if opened.port is None:
-            end_of_input(self.process, _END_S)
+            self.process.end(_END_S)
             where = f"{show.host}:{show.port}"
             if "in use" in opened.problem:
                 raise InputError(f"port {show.port} is in use, choose another with --live-port", source=where)
@@ -132,7 +121,7 @@ class LiveView:
         """The flight is over; says how much was left out."""
         self._closing.set()
         self._thread.join(_END_S)
-        end_of_input(self.process, _END_S)
+        self.process.end(_END_S)
         if self.dropped:
             self._say(f"live view: {self.dropped} records were left out, it did not keep up")
 
@@ -150,7 +139,7 @@ class LiveView:
                 self._unsent += record.topic.encode() + b" " + encode(record) + b"\n"
         try:
             while self._unsent:
-                del self._unsent[: os.write(self._pipe, self._unsent)]
+                del self._unsent[: os.write(self.process.pipe, self._unsent)]
         except BlockingIOError:
             pass
         except OSError:

@@ -7,24 +7,21 @@ failsafe); when it is killed itself, the kernel kills PX4.
 
 from __future__ import annotations
 
-import gc
+import math
 import signal
 import time
 from pathlib import Path
 from typing import IO
 
-import msgspec
-
 from dart_flight.base.errors import FlightError
 from dart_flight.base.records import TruthSample
-from dart_flight.config.document import Document
-from dart_flight.config.mission import parse_mission
 from dart_flight.config.parameters import PositionSource, Value, parse_listing
-from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.sim.autopilot import TICK_S
 from dart_flight.sim.draws import draw_world
-from dart_flight.sim.pipe import Died, Horn, LineReader, LineWriter, Px4Spec, Ready, Truth, WorldSpec
-from dart_flight.sim.process import run_in_real_time
+from dart_flight.sim.faults.kinds import Fault
+from dart_flight.sim.pipe import Died, LineWriter, Px4Spec, Ready, WorldSpec
+from dart_flight.sim.plant import Plant
+from dart_flight.sim.process import WorldLog, serve
 from dart_flight.sim.px4.bridge import HilLink, Px4LostError, Px4Vehicle
 from dart_flight.sim.px4.launch import (
     ONBOARD_PORT,
@@ -38,7 +35,6 @@ from dart_flight.sim.px4.launch import (
     values_of,
 )
 
-_TRUTH_EVERY = 2  # ticks
 _BOOT_TIMEOUT_S = 15.0
 # Simulated time after booting in which the EKF aligns: it runs as fast as the machine goes.
 _WARM_UP_S = {PositionSource.MOCAP: 6.0, PositionSource.RTK: 15.0, PositionSource.PLAIN: 15.0}
@@ -56,27 +52,19 @@ class Px4Process:
     Args:
         spec: of the world.
         px4: its PX4 part.
-        commands, truth: the pipe.
     """
 
-    def __init__(self, spec: WorldSpec, px4: Px4Spec, commands: IO[bytes], truth: IO[bytes]) -> None:
-        vehicle = msgspec.json.decode(spec.vehicle, type=VehicleConfig)
-        believed = parse_mission(Document.load(spec.mission), vehicle)
-        self._mission = draw_world(believed, spec.seed, spec.spreads).mission
+    def __init__(self, spec: WorldSpec, px4: Px4Spec) -> None:
+        self._mission = draw_world(spec.mission, spec.seed, spec.spreads).mission
         self._spec, self._px4_spec = spec, px4
-        self._commands, self._truth_stream = commands, truth
-        self._log: IO[str] | None = None
-        if spec.log is not None:
-            self._log = open(spec.log, "a", encoding="utf-8", buffering=1)  # noqa: SIM115
+        self._log = WorldLog(spec.log)
         self._ticks = 0
         self._armed = False
         self._version: tuple[int, int, int] | None = None
         self._set: dict[str, Value] = {}
-        self._orphan_since_s: float | None = None
         self._disarmed_at_s: float | None = None
-        self._over = False
 
-    def run(self) -> int:
+    def run(self, commands: IO[bytes], truth: IO[bytes]) -> int:
         """Start PX4, fly until the app is gone and the vehicle is down, stop PX4; returns the exit status."""
         signal.signal(signal.SIGTERM, _stop)
         px4: Px4 | None = None
@@ -89,15 +77,15 @@ class Px4Process:
             px4 = Px4(find_install(self._px4_spec.directory), instance.number, Path(self._px4_spec.folder))
             self._say(f"PX4 instance {instance.number}, process {px4.pid}")
             self._prepare(px4)
-            writer = LineWriter(self._truth_stream)
-            self._fly(px4, HilLink(px4.wait_connected(instance.listen())), writer)
+            writer = LineWriter(truth)
+            self._fly(px4, HilLink(px4.wait_connected(instance.listen())), writer, commands)
         except _StoppedError:
             self._say("terminated")
         except FlightError as error:
             status = 1
             cause = self._cause(px4, error)
             self._say(cause)
-            writer = writer or LineWriter(self._truth_stream)
+            writer = writer or LineWriter(truth)
             writer.put(Died(cause))
         finally:
             signal.signal(signal.SIGTERM, signal.SIG_IGN)
@@ -120,8 +108,7 @@ class Px4Process:
         return str(error)
 
     def _say(self, text: str) -> None:
-        if self._log is not None:
-            self._log.write(f"{self._ticks * TICK_S:9.3f} s  {text}\n")
+        self._log.write(self._ticks * TICK_S, text)
 
     def _prepare(self, px4: Px4) -> None:
         """While PX4 waits for its simulator: judge its version, set its parameters.
@@ -143,9 +130,7 @@ class Px4Process:
 
     # -- flight --
 
-    def _fly(self, px4: Px4, link: HilLink, writer: LineWriter) -> None:
-        self._writer = writer
-        self._reader = LineReader(self._commands)
+    def _fly(self, px4: Px4, link: HilLink, writer: LineWriter, commands: IO[bytes]) -> None:
         self._vehicle = Px4Vehicle(
             self._mission,
             self._spec.seed,
@@ -158,10 +143,9 @@ class Px4Process:
         self._free_run(_WARM_UP_S[self._px4_spec.position_from])
         self._say("ready")
         writer.put(Ready(self._vehicle.time_us, ONBOARD_PORT + px4.instance, text, px4.pid))
-        gc.freeze()
-        begun, ticks = time.monotonic(), self._ticks
-        run_in_real_time(self._step, lambda: self._over, TICK_S / self._spec.speed)
-        factor = (self._ticks - ticks) * TICK_S / (time.monotonic() - begun)
+        begun = time.monotonic()
+        ticks = serve(self, writer, commands, TICK_S / self._spec.speed)
+        factor = ticks * TICK_S / (time.monotonic() - begun)
         self._say(f"flown at {factor:.2f} times real time, {self._vehicle.clipped} clipped ticks")
 
     def _boot(self, px4: Px4) -> None:
@@ -191,38 +175,33 @@ class Px4Process:
             self._vehicle.step()
             self._ticks += 1
 
-    def _step(self) -> None:
-        while self._reader.items:
-            item = self._reader.items.popleft()
-            if isinstance(item, Horn):
-                self._vehicle.set_horn(item.pulse_us)
+    def set_horn(self, pulse_us: float) -> None:
+        """As `World`."""
+        self._vehicle.set_horn(pulse_us)
+
+    def begin_fault(self, fault: Fault) -> None:
+        """Not with PX4."""
+
+    def advance(self) -> Plant:
+        """As `World`."""
         self._vehicle.step()
-        plant = self._vehicle.plant
-        if self._ticks % _TRUTH_EVERY == 0:
-            self._writer.put(Truth(state=plant.truth()))
-        while plant.finished:
-            self._writer.put(Truth(contact=plant.finished.pop(0)))
         self._ticks += 1
+        plant = self._vehicle.plant
         if self._vehicle.armed is not self._armed:
             self._armed = self._vehicle.armed
             self._disarmed_at_s = None if self._armed else time.monotonic()
             self._say("PX4 armed" if self._armed else f"PX4 disarmed at {_where(plant.truth())}")
-        if self._reader.closed:
-            self._fly_on_alone()
+        return plant
 
-    def _fly_on_alone(self) -> None:
-        """The app is gone: PX4 flies on to its failsafe; the end once it has disarmed."""
-        now = time.monotonic()
-        if self._orphan_since_s is None:
-            self._orphan_since_s = now
-            if self._armed:
-                self._say("the app is gone, PX4 flies on to its failsafe")
-        landed = not self._armed and (self._disarmed_at_s is None or now - self._disarmed_at_s > _LANDED_S)
-        if landed:
-            self._over = True
-        elif now - self._orphan_since_s > _ORPHAN_S:
+    def is_over(self, alone_s: float) -> bool:
+        """As `World`: PX4 flies on to its failsafe; the end once it has disarmed."""
+        if not alone_s and self._armed:
+            self._say("the app is gone, PX4 flies on to its failsafe")
+        if alone_s > _ORPHAN_S:
             self._say(f"PX4 has not landed within {_ORPHAN_S:g} s")
-            self._over = True
+            return True
+        down_s = math.inf if self._disarmed_at_s is None else time.monotonic() - self._disarmed_at_s
+        return not self._armed and down_s > _LANDED_S
 
 
 def _where(truth: TruthSample) -> str:
