@@ -23,7 +23,7 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
-from dart_flight.sim.faults.kinds import parse_fault
+from dart_flight.sim.faults.fault_table import parse_fault
 from tests.doubles.ports import free_udp_port
 
 ROOT = Path(__file__).parents[1]

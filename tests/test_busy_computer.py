@@ -9,7 +9,7 @@ import pytest
 
 from dart_flight.base.processes import measure_lateness_s
 from dart_flight.base.records import GuardEvent, MissionEnd, Outcome, Override, Tick, World
-from dart_flight.check import lateness
+from dart_flight.check import computer_load as lateness
 from dart_flight.cli import dry_run_command, main
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.verdict import Verdict, VerdictBuilder

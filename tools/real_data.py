@@ -28,7 +28,7 @@ from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.held_out import hold_out
-from dart_flight.lab.identify.hits import Hit, hit_of
+from dart_flight.lab.identify.measured_impacts import MeasuredImpact, measure_impact
 from dart_flight.lab.identify.trials import Series, Trial
 from dart_flight.lab.identify.whole_fit import HitTable, fit, predict
 
@@ -185,7 +185,9 @@ def _percent(value: float) -> str:
 
 def judge_drops(by_height: dict[str, list[Trial]]) -> None:
     """Each height as the training one: peak force and rebound at the others, with law and baselines."""
-    hits = {name: [hit_of(trial, DROP_MASS_KG) for trial in trials] for name, trials in by_height.items()}
+    hits = {
+        name: [measure_impact(trial, DROP_MASS_KG) for trial in trials] for name, trials in by_height.items()
+    }
     for name, members in hits.items():
         peaks = np.array([h.peak_force_n for h in members if h.peak_force_n is not None])
         outs = np.array([h.normal_out_m_s for h in members if h.normal_out_m_s is not None])
@@ -227,7 +229,7 @@ def judge_drops(by_height: dict[str, list[Trial]]) -> None:
     print(_compared([h for members in hits.values() for h in members], DROP_MASS_KG))
 
 
-def _compared(hits: Sequence[Hit], mass_kg: float) -> str:
+def _compared(hits: Sequence[MeasuredImpact], mass_kg: float) -> str:
     found = hold_out(hits, mass_kg, Onset.LCP)
     rows = {"law": found.law, **found.baselines, "scatter": found.scatter}
     cells = [f"  {name}: peak {e.peak_force}, out {e.outgoing_speed}" for name, e in rows.items() if e]
@@ -236,7 +238,7 @@ def _compared(hits: Sequence[Hit], mass_kg: float) -> str:
 
 def judge_walls(trials: Sequence[Trial]) -> None:
     """Every half of the hits as the training one: outgoing speed and peak of the other half."""
-    hits = [hit_of(trial, WALL_MASS_KG) for trial in trials]
+    hits = [measure_impact(trial, WALL_MASS_KG) for trial in trials]
     for h in hits:
         print(
             f"{h.name}: in {h.normal_in_m_s:.3f}, out {h.normal_out_m_s:.3f} m/s, along "

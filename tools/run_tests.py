@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import IO
 
-from dart_flight.base.processes import stand_back
+from dart_flight.base.processes import use_idle_priority
 
 BEHIND = "--behind"
 _PATIENCE_S = 20.0
@@ -105,7 +105,7 @@ def main(arguments: Sequence[str]) -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     try:
         if arguments[:1] == [BEHIND]:
-            stand_back()
+            use_idle_priority()
             good = run(arguments[1:])
         else:
             good = run(LINT) and run_both(REAL_TIME, OTHERS)

@@ -22,7 +22,7 @@ from dart_flight.contact.coefficients import Array
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.trials import Series, Trial
-from dart_flight.lab.predict.path import Contact, trajectory
+from dart_flight.lab.predict.path import ContactMotion, trajectory
 
 MASS_KG = 1.3
 
@@ -64,7 +64,7 @@ def wall_trial(
         mode, name: of the trial.
         before_s, after_s: recorded before and after the contact.
     """
-    contact = Contact(c, MASS_KG, normal_m_s, onset)
+    contact = ContactMotion(c, MASS_KG, normal_m_s, onset)
     t = _sampled(-before_s, contact.end_s + after_s, rate_hz, random)
     path = trajectory(contact, t, tangential_m_s or 0.0)
     start = random.uniform(5.0, 20.0)  # the recording began earlier
@@ -101,7 +101,7 @@ def drop_trial(
     Arguments as `wall_trial`; `held_s` is how long the recording shows it held before the release.
     """
     numbers = drop(c, MASS_KG, height_m, onset)
-    contact = Contact(c, MASS_KG, -numbers.onset_speed_m_s, onset, acceleration_m_s2=-GRAVITY_M_S2)
+    contact = ContactMotion(c, MASS_KG, -numbers.onset_speed_m_s, onset, acceleration_m_s2=-GRAVITY_M_S2)
     if not math.isfinite(contact.end_s):
         raise ValueError("this drop does not rebound")
     apex = float(contact.normal(contact.end_s)[1]) / GRAVITY_M_S2

@@ -16,7 +16,7 @@ _NAP_S, _MEASURE_S = 0.005, 0.5
 LATE_S = 0.05  # from here on a flight in real time is in doubt
 
 
-def stand_back() -> None:
+def use_idle_priority() -> None:
     """Run only where a processor is idle, from now on, with every thread that is started from here.
 
     A higher nice value alone still has a share, and once it runs a time slice of milliseconds; a process of

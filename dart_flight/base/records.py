@@ -90,7 +90,7 @@ class Request(StrEnum):
 class ModeMismatch(StrEnum):
     """What follows where a contact was felt in the other mode than the lock reports."""
 
-    GO_ON = "go_on"  # noted in log and verdict
+    NOTE_ONLY = "go_on"  # noted in log and verdict
     LAND = "land"
 
 
@@ -373,7 +373,7 @@ Input = (
 # --- outputs: commands -----------------------------------------------------------------------------
 
 
-class SetPoint(Record, frozen=True, gc=False):
+class Setpoint(Record, frozen=True, gc=False):
     """Offboard set-point in local NED; velocity and acceleration are feed-forward where present."""
 
     topic: ClassVar[str] = "/out/setpoint"
@@ -539,7 +539,7 @@ class ImpactBody(Record, frozen=True, gc=False):
     peak_torque_nm: float  # its magnitude
 
 
-class WallFelt(Record, frozen=True, gc=False):
+class WallEstimate(Record, frozen=True, gc=False):
     """What a planned contact says of its wall and of the arms, at its end (docs/felt.md).
 
     Coefficients are posterior means of the wall in the mode felt; in the reported one where undecided.
@@ -629,7 +629,7 @@ class MissionEnd(Record, frozen=True, gc=False):
 
 
 Output = (
-    SetPoint
+    Setpoint
     | VehicleCommand
     | LockCommand
     | LockPermission
@@ -642,7 +642,7 @@ Output = (
     | ContactEnd
     | DetectionFloor
     | ImpactBody
-    | WallFelt
+    | WallEstimate
     | PhaseChange
     | GuardEvent
     | GoalPassed
@@ -690,7 +690,7 @@ class TruthContact(Record, frozen=True, gc=False):
     peak_torque_nm: float = 0.0  # largest torque of the wall about the centre of mass
 
 
-class SetPointSent(Record, frozen=True, gc=False):
+class SetpointSent(Record, frozen=True, gc=False):
     """A recovery set-point left the program."""
 
     topic: ClassVar[str] = "/shell/setpoint_sent"
@@ -707,4 +707,4 @@ class LogFailure(Record, frozen=True, gc=False):
     reason: str
 
 
-Note = TruthSample | TruthContact | SetPointSent | LogFailure
+Note = TruthSample | TruthContact | SetpointSent | LogFailure

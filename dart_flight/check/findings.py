@@ -11,7 +11,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import VehicleSource
 
 
-class Finding(msgspec.Struct, frozen=True):
+class CheckFinding(msgspec.Struct, frozen=True):
     """One thing that was looked at.
 
     Attributes:
@@ -36,11 +36,11 @@ class CheckReport(msgspec.Struct, frozen=True):
 
     mission: str
     go: bool
-    findings: list[Finding]
+    findings: list[CheckFinding]
     vehicle: VehicleSource
 
 
-def decide(mission: Mission, findings: Iterable[Finding], overrule: Iterable[str] = ()) -> CheckReport:
+def decide(mission: Mission, findings: Iterable[CheckFinding], overrule: Iterable[str] = ()) -> CheckReport:
     """Go or no-go.
 
     Raises:

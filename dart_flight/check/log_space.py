@@ -5,29 +5,29 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from dart_flight.check.findings import Finding
+from dart_flight.check.findings import CheckFinding
 from dart_flight.config.mission import Mission
-from dart_flight.core.mission.approach import legs_of, transit_of
+from dart_flight.core.mission.approach import transit_of, transit_segments
 from dart_flight.recording.writer import BYTES_PER_S
 
 _WAITS_FIRST = 4  # telemetry, offboard mode, arming, climb
 _LANDING_S = 60.0
 
 
-def check_log_space(mission: Mission, log_dir: Path) -> Finding:
+def check_log_space(mission: Mission, log_dir: Path) -> CheckFinding:
     """Compare the room left where the log goes with the log of the longest flight."""
     there = next(folder for folder in (log_dir.absolute(), *log_dir.absolute().parents) if folder.exists())
     try:
         left = shutil.disk_usage(there).free
     except OSError as error:
-        return Finding("log_space", False, f"{log_dir}: {error.strerror}")
+        return CheckFinding("log_space", False, f"{log_dir}: {error.strerror}")
     longest_s = longest_flight_s(mission)
     needed = BYTES_PER_S * longest_s
     says = (
         f"{_megabytes(left)} left for the log in {log_dir}, "
         f"{longest_s / 60.0:.1f} minutes, the longest that this can take, need {_megabytes(needed)}"
     )
-    return Finding("log_space", left >= needed, says)
+    return CheckFinding("log_space", left >= needed, says)
 
 
 def longest_flight_s(mission: Mission) -> float:
@@ -36,7 +36,9 @@ def longest_flight_s(mission: Mission) -> float:
     wait_s = vehicle.flying.ready_timeout_s
     lock_s = 0.0 if vehicle.lock is None else vehicle.lock.timeout_s
     ways_s = sum(
-        transit_of(mission, leg, leg.begin).duration_s for leg in legs_of(mission) if leg.begin is not None
+        transit_of(mission, leg, leg.begin).duration_s
+        for leg in transit_segments(mission)
+        if leg.begin is not None
     )
     stops_s = sum(w.hold_s + (wait_s if w.position is not None else 0.0) for w in mission.waypoints)
     hits_s = len(mission.collisions) * (wait_s + lock_s + limits.collision_timeout_s)

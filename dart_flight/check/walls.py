@@ -6,17 +6,17 @@ import math
 from collections.abc import Iterator, Mapping
 
 from dart_flight.base.geometry import Vec2
-from dart_flight.check.findings import Finding
+from dart_flight.check.findings import CheckFinding
 from dart_flight.config.mission import Collision, Mission
-from dart_flight.core.mission.approach import NoApproachError, is_blocked, legs_to_impact, plan_approach
-from dart_flight.core.mission.survey import SURE_SD, end_margin_m, slack_m
-from dart_flight.planning.envelope import incidence_deg, most_incidence_deg
-from dart_flight.planning.planned import PlannedFlight, PlannedHit, impact_place
+from dart_flight.core.mission.approach import NoApproachError, is_blocked, plan_approach, segments_to_impact
+from dart_flight.core.mission.wall_uncertainty import SURE_SD, end_margin_m, position_margin_m
+from dart_flight.planning.envelope import incidence_deg, max_incidence_deg
+from dart_flight.planning.predicted_flight import PredictedFlight, PredictedImpact, impact_place
 
 _INCIDENCE_SD = 2.0
 
 
-def check_walls(mission: Mission, planned: PlannedFlight | None) -> list[Finding]:
+def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
     """What the walls' own standard deviations lead to; nothing for walls that have none.
 
     Args:
@@ -28,7 +28,7 @@ def check_walls(mission: Mission, planned: PlannedFlight | None) -> list[Finding
     return [*_check_ends(mission, hits), *found]
 
 
-def _check_ends(mission: Mission, hits: Mapping[int, PlannedHit]) -> Iterator[Finding]:
+def _check_ends(mission: Mission, hits: Mapping[int, PredictedImpact]) -> Iterator[CheckFinding]:
     """Whether every wall is met far enough from its end for the whole vehicle to meet it."""
     if not mission.collisions:
         return
@@ -40,7 +40,7 @@ def _check_ends(mission: Mission, hits: Mapping[int, PlannedHit]) -> Iterator[Fi
 
     nearest, place = min(places, key=room_m)
     wall = nearest.wall
-    distance_m, slack = float(wall.end_distance_m(place)), float(slack_m(wall, place))
+    distance_m, slack = float(wall.end_distance_m(place)), float(position_margin_m(wall, place))
     side = "from" if distance_m >= 0.0 else "beyond"
     says = f"wall {wall.name} is met {abs(distance_m):.2f} m {side} its end"
     needed = f"half a vehicle ({wall.half_vehicle_m:.2f} m)"
@@ -49,29 +49,29 @@ def _check_ends(mission: Mission, hits: Mapping[int, PlannedHit]) -> Iterator[Fi
     figures = {"distance_m": distance_m, "margin_m": wall.half_vehicle_m + slack}
     if room_m((nearest, place)) < 0.0:
         says += f", nearer than {needed}: move the hit along the wall"
-    yield Finding("wall_end", room_m((nearest, place)) >= 0.0, says, figures=figures)
+    yield CheckFinding("wall_end", room_m((nearest, place)) >= 0.0, says, figures=figures)
 
 
 def _check_collision(
-    mission: Mission, collision: Collision, hits: Mapping[int, PlannedHit]
-) -> Iterator[Finding]:
+    mission: Mission, collision: Collision, hits: Mapping[int, PredictedImpact]
+) -> Iterator[CheckFinding]:
     wall, item = collision.wall, f"survey_{collision.index}"
     problems = [*_amiss(mission, collision, impact_place(collision, hits)), *_in_the_way(mission, collision)]
     if problems:
-        yield Finding(item, False, f"by {SURE_SD:g} standard deviations {', '.join(problems)}")
+        yield CheckFinding(item, False, f"by {SURE_SD:g} standard deviations {', '.join(problems)}")
     elif wall.is_uncertain:
-        slack = float(slack_m(wall, impact_place(collision, hits)))
+        slack = float(position_margin_m(wall, impact_place(collision, hits)))
         says = f"wall {wall.name} is met within {slack:.2f} m ({SURE_SD:g} sd) of where the mission has it"
-        yield Finding(item, True, says)
+        yield CheckFinding(item, True, says)
     planned_deg, most_deg = (
         incidence_deg(mission, collision),
-        most_incidence_deg(mission.vehicle, collision.mode),
+        max_incidence_deg(mission.vehicle, collision.mode),
     )
     off_deg = planned_deg + _INCIDENCE_SD * math.degrees(wall.yaw_sd_rad or 0.0)
     if (
         planned_deg <= most_deg < off_deg
     ):  # what is planned beyond it is a finding without the wall's own deviation
-        yield Finding(
+        yield CheckFinding(
             f"incidence_{collision.index}",
             False,
             f"wall {wall.name} may be {off_deg:.0f} degrees off parallel ({_INCIDENCE_SD:g} sd), more than "
@@ -84,7 +84,7 @@ def _amiss(mission: Mission, collision: Collision, place: Vec2) -> Iterator[str]
     wall = collision.wall
     if not wall.is_uncertain:
         return
-    slack, (x, y), (nx, ny) = float(slack_m(wall, place)), place, wall.normal
+    slack, (x, y), (nx, ny) = float(position_margin_m(wall, place)), place, wall.normal
     nearest, furthest = (x + slack * nx, y + slack * ny), (x - slack * nx, y - slack * ny)
     excess = mission.bounds.excess2(furthest)
     if excess > 0.0:
@@ -103,9 +103,9 @@ def _in_the_way(mission: Mission, collision: Collision) -> Iterator[str]:
     except NoApproachError:
         return  # a finding of its own
     first = collision.index == 1
-    legs = legs_to_impact(mission.start, approach.begin, approach.impact, collision.wall, first)
+    legs = segments_to_impact(mission.start, approach.begin, approach.impact, collision.wall, first)
     for wall in mission.walls:
         if wall.is_uncertain and wall.name != collision.wall.name:
-            nearest = wall.moved(float(slack_m(wall, approach.impact)))
+            nearest = wall.moved(float(position_margin_m(wall, approach.impact)))
             if any(is_blocked(nearest, *leg) for leg in legs(nearest)):
                 yield f"wall {wall.name} may stand in the way of the run-up to wall {collision.wall.name}"

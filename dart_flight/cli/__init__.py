@@ -17,7 +17,7 @@ from typing import Any
 
 from dart_flight import __version__
 from dart_flight.base.errors import FlightError
-from dart_flight.base.processes import stand_back
+from dart_flight.base.processes import use_idle_priority
 from dart_flight.config.document import InputError, did_you_mean, or_known
 from dart_flight.lab_entries import COMMANDS as LAB_COMMANDS
 from dart_flight.lab_entries import load_entry
@@ -58,7 +58,7 @@ class _Parser(argparse.ArgumentParser):
     """Errors of usage in one line, like every other wrong input, with the nearest word that is known."""
 
     def error(self, message: str) -> None:  # type: ignore[override]
-        self.exit(EXIT_INPUT, f"{self.prog}: {self._in_words(message)} (see `{self.prog} --help`)\n")
+        self.exit(EXIT_INPUT, f"{self.prog}: {self._suggest_choice(message)} (see `{self.prog} --help`)\n")
 
     def parse_args(self, args=None, namespace=None):  # type: ignore[no-untyped-def]
         """As argparse has it, but an option that does not exist is told with the nearest that does."""
@@ -81,7 +81,7 @@ class _Parser(argparse.ArgumentParser):
                 return found if isinstance(found, _Parser) else self
         return self
 
-    def _in_words(self, message: str) -> str:
+    def _suggest_choice(self, message: str) -> str:
         """A wrong value with the nearest of those that are allowed."""
         wrong = _WRONG_VALUE.match(message)
         if wrong is None:
@@ -139,7 +139,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     command = next((a for a in arguments if a in COMMANDS), None)
     # For good, and so only in a process of its own: not where another program, or a test, calls this in its.
     if argv is None and command == "monitor" and not any(a.startswith("--connection") for a in arguments):
-        stand_back()
+        use_idle_priority()
     try:
         parser = build_parser([command] if command else [])
         if not arguments:

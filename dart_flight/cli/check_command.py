@@ -7,12 +7,12 @@ import argparse
 from rich.console import Console
 from rich.markup import escape
 
+from dart_flight.check.computer_load import check_lateness
 from dart_flight.check.findings import CheckReport, decide
-from dart_flight.check.lateness import check_lateness
 from dart_flight.check.log_space import check_log_space
-from dart_flight.check.mission import check_mission
-from dart_flight.check.parameters import judge_claim
-from dart_flight.check.vehicle import check_vehicle
+from dart_flight.check.mission_check import check_mission
+from dart_flight.check.px4_parameters import judge_claim
+from dart_flight.check.vehicle_check import check_vehicle
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import (
     add_driver_option,

@@ -26,17 +26,17 @@ from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
-from dart_flight.config.provenance import shown_path
+from dart_flight.config.provenance import display_path
 from dart_flight.planning.envelope import impact_warnings
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.embedded import fly_embedded
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.many_flights import RunsInterruptedError, fly_fast_many, fly_one_by_one, summarise
-from dart_flight.run.prepare import load_flyable, with_driver, with_standoff
-from dart_flight.run.px4 import fly_px4
+from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver
+from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.draws import parse_vary
 from dart_flight.sim.extras import need_mavlink
-from dart_flight.sim.faults.kinds import parse_fault
+from dart_flight.sim.faults.fault_table import parse_fault
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -100,7 +100,7 @@ def _flight(arguments: argparse.Namespace, mission: Mission) -> Callable[..., Ve
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     mission = load_flyable(arguments.mission, arguments.config, arguments.set)
-    mission = with_standoff(with_driver(mission, arguments.driver), arguments.standoff)
+    mission = as_rehearsal(with_driver(mission, arguments.driver), arguments.standoff)
     fly = _flight(arguments, mission)
     console = messages()
     say_vehicle(mission.flown_vehicle(), arguments)
@@ -147,14 +147,14 @@ def run(arguments: argparse.Namespace) -> int:
                 "runs": verdicts,
                 "summary": summary,
                 "interrupted": interrupted,
-                "log_dir": shown_path(arguments.log_dir),
+                "log_dir": display_path(arguments.log_dir),
                 "vehicle": mission.flown_vehicle(),
             }
         )
     else:
         tables().print(summary_table(summary))
     if verdicts:
-        console.print(f"logs: {len(verdicts)} flights in {shown_path(arguments.log_dir)}", soft_wrap=True)
+        console.print(f"logs: {len(verdicts)} flights in {display_path(arguments.log_dir)}", soft_wrap=True)
     cut = [verdict for verdict in verdicts if verdict.log_failure is not None]
     if cut:
         console.print(f"[red]{len(cut)} logs are not complete[/]: {cut[0].log_failure}", soft_wrap=True)

@@ -15,11 +15,11 @@ from dart_flight.base.records import GuardEvent, MissionEnd, Outcome, PhaseChang
 from dart_flight.cli.live_line import LiveLine
 from dart_flight.cli.terminal import emit_json, tables
 from dart_flight.config.mission import Mission
-from dart_flight.recording.deviations import departures
-from dart_flight.recording.events import Event, Events, Level
+from dart_flight.recording.events import Event, EventFormatter, Level
 from dart_flight.recording.flight_time import FlightTime
+from dart_flight.recording.plan_versus_flight import format_departures
 from dart_flight.recording.verdict import CollisionVerdict, Velocities, Verdict
-from dart_flight.run.many_flights import Summary
+from dart_flight.run.many_flights import RunsSummary
 
 TOO_BUSY = "the computer is too busy for this pace; --fast has none, --speed 0.5 half of it"
 
@@ -37,14 +37,14 @@ class FlightLines:
         self._console, self._verbose, self._live_line = console, verbose, live_line
         self._time = FlightTime()
         self._newest_us = 0
-        self._events = Events(every_problem=verbose)
+        self._events = EventFormatter(every_problem=verbose)
 
     def __call__(self, record: Record) -> None:
         """Print a record if it is a decision."""
         self._time.take(record)
         if self._live_line is not None:
             self._live_line(record)
-        event = self._events.take(record)
+        event = self._events.event_of(record)
         if event is None or (event.level is Level.DEBUG and not self._verbose):
             return
         self.close()
@@ -166,7 +166,7 @@ def _plan_line(verdict: Verdict) -> Text:
     """Whether the plan was followed, and where it was left most."""
     if verdict.plan_followed:
         return Text("plan followed")
-    return Text(f"plan not followed: {departures(verdict.deviations)}", style="yellow")
+    return Text(f"plan not followed: {format_departures(verdict.deviations)}", style="yellow")
 
 
 def _add_collision(table: Table, c: CollisionVerdict) -> None:
@@ -198,7 +198,7 @@ def _number(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 
 
-def summary_table(summary: Summary) -> Table:
+def summary_table(summary: RunsSummary) -> Table:
     """Many flights in a few rows."""
     table = Table(title=f"{summary.completed} of {summary.runs} completed", title_justify="left")
     for column in ("", "median", "least", "most"):

@@ -9,22 +9,22 @@ import sys
 import tempfile
 from pathlib import Path
 
+from dart_flight.check.computer_load import check_lateness
 from dart_flight.check.findings import decide
-from dart_flight.check.lateness import check_lateness
 from dart_flight.check.log_space import check_log_space
-from dart_flight.check.mission import check_mission
-from dart_flight.check.vehicle import check_vehicle
+from dart_flight.check.mission_check import check_mission
+from dart_flight.check.vehicle_check import check_vehicle
 from dart_flight.cli.check_command import show
 from dart_flight.cli.flight_output import FlightLines, exit_status, live_line_for, show_end
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import add_flight_options, add_position_option, link_of
-from dart_flight.cli.terminal import messages, say
+from dart_flight.cli.terminal import messages, print_status
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, Waypoint
 from dart_flight.run.drone import fly_vehicle
-from dart_flight.run.prepare import load_flyable, with_driver, with_standoff
+from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver
 from dart_flight.vehicle.link import LinkLease
 
 
@@ -48,7 +48,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     mission = load_flyable(arguments.mission, arguments.config)
-    mission = with_standoff(with_driver(mission, arguments.driver), arguments.standoff)
+    mission = as_rehearsal(with_driver(mission, arguments.driver), arguments.standoff)
     url = link_of(arguments, mission.vehicle.connection)
     with LinkLease(url, "fly") as lease:
         return _fly(arguments, mission, url, lease)
@@ -60,9 +60,9 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
         write_picture(mission, arguments.plot)
     else:
         see = f"to see it first: dart-flight check {shlex.quote(arguments.mission)} --plot mission.png"
-        say(see)
+        print_status(see)
     say_vehicle(mission.flown_vehicle(), arguments)
-    console.print(_intention(mission, url), soft_wrap=True)
+    console.print(_flight_summary(mission, url), soft_wrap=True)
     findings = [*check_mission(mission), check_log_space(mission, arguments.log_dir)]
     findings.append(check_lateness(mission))
     findings += check_vehicle(mission, url, arguments.position_from)
@@ -70,7 +70,7 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     show(report, console)
     if not report.go:
         return 1
-    if not arguments.yes and not confirmed(mission):
+    if not arguments.yes and not confirm_flight(mission):
         console.print("not flown")
         return 1
     lines = FlightLines(console, arguments.verbose > 0, live_line_for(mission, console))
@@ -80,7 +80,7 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     return exit_status(verdict)
 
 
-def _intention(mission: Mission, url: str) -> str:
+def _flight_summary(mission: Mission, url: str) -> str:
     """What is about to happen, in words."""
     lock = mission.vehicle.lock
     by = "" if lock is None else f", lock by {lock.driver.value}"
@@ -110,7 +110,7 @@ def _stop(w: Waypoint) -> str:
     return f"  fly to ({x:g}, {y:g}) at {z:g} m at up to {w.speed_m_s:g} m/s{held}"
 
 
-def confirmed(mission: Mission) -> bool:
+def confirm_flight(mission: Mission) -> bool:
     """Ask on the terminal; `p` writes a picture of the mission, and the question is asked again."""
     while sys.stdin.isatty():
         sys.stderr.write("Fly? [y/N, p: picture] ")
@@ -121,5 +121,5 @@ def confirmed(mission: Mission) -> bool:
         try:
             write_picture(mission, Path(tempfile.mkdtemp(prefix="dart-flight-")) / "mission.png")
         except InputError as error:
-            say(str(error))  # a missing extra does not end the flight
+            print_status(str(error))  # a missing extra does not end the flight
     return False

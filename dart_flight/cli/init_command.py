@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dart_flight.cli.terminal import emit_json, say
+from dart_flight.cli.terminal import emit_json, print_status
 from dart_flight.config.starter import DART, VEHICLES, first_mission, write_starter
 
 
@@ -28,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
         emit_json({"directory": str(arguments.directory), "vehicle_name": arguments.vehicle, "files": files})
     else:
         mission = first_mission(arguments.vehicle)
-        say(
+        print_status(
             f"{len(written)} files in {arguments.directory}; try:",
             f"  cd {arguments.directory}",
             f"  dart-flight check {mission}",

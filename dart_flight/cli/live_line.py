@@ -19,7 +19,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.mission import Mission
 from dart_flight.lock.state_machine import describe
-from dart_flight.recording.anchor import Anchor
+from dart_flight.recording.anchor import MissionFrameReader
 
 _PERIOD_S = 0.2
 _CLEAR = "\r\x1b[K"
@@ -40,7 +40,7 @@ class LiveLine:
         self, mission: Mission, terminal: IO[str], now_s: Callable[[], float] = time.monotonic
     ) -> None:
         self._terminal, self._now_s = terminal, now_s
-        self._anchor = Anchor(mission)
+        self._anchor = MissionFrameReader(mission)
         self._shown = False
         self._due_s = -math.inf
         self._phase, self._lock, self._battery, self._force_n = "", "", "", 0.0

@@ -9,10 +9,10 @@ from typing import Any
 
 from dart_flight.base.records import Record
 from dart_flight.cli.options import whole_number
-from dart_flight.cli.terminal import say
+from dart_flight.cli.terminal import print_status
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
-from dart_flight.config.provenance import shown_path
+from dart_flight.config.provenance import display_path
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab_entries import LIVE_VIEW, load_entry
 
@@ -53,7 +53,7 @@ class LiveView:
             action(*arguments)
         except Exception as error:
             self._failed = True
-            say(f"the live view failed ({error!r}); the flight goes on without it")
+            print_status(f"the live view failed ({error!r}); the flight goes on without it")
 
 
 def add_live_options(parser: argparse.ArgumentParser) -> None:
@@ -103,10 +103,12 @@ def live_view(
         yield None
         return
     try:
-        layout = shown_path(packaged("docs", "foxglove_layout.json"))
-        say(f"live: in Foxglove or Lichtblick open the connection ws://{host}:{view.port}; layout {layout}")
+        layout = display_path(packaged("docs", "foxglove_layout.json"))
+        print_status(
+            f"live: in Foxglove or Lichtblick open the connection ws://{host}:{view.port}; layout {layout}"
+        )
         if host not in _LOCAL:
-            say(f"live: whoever reaches {host} may watch; nobody can publish")
+            print_status(f"live: whoever reaches {host} may watch; nobody can publish")
         yield view
     finally:
         view.close()
@@ -115,9 +117,9 @@ def live_view(
 def _open(mission: Mission, host: str, port: int, *shown: bool) -> LiveView | None:
     """None where the lab fails; what the operator can mend is raised, nothing has moved yet."""
     try:
-        return LiveView(load_entry(LIVE_VIEW)(mission, host, port, *shown, say))
+        return LiveView(load_entry(LIVE_VIEW)(mission, host, port, *shown, print_status))
     except InputError:
         raise
     except Exception as error:
-        say(f"no live view ({error!r}); the flight goes on without it")
+        print_status(f"no live view ({error!r}); the flight goes on without it")
         return None

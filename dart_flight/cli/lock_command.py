@@ -11,7 +11,7 @@ import msgspec
 
 from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.cli.options import add_driver_option, link_of, refuse_unwritable
-from dart_flight.cli.terminal import emit_json, messages, say, tables
+from dart_flight.cli.terminal import emit_json, messages, print_status, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.edit import write_values
@@ -20,7 +20,7 @@ from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.config.vehicle.configuration import default_config_path
 from dart_flight.lock.calibration import HELP, Calibration, CalibrationError
 from dart_flight.lock.drivers import Driver, DriverError, SetActuator
-from dart_flight.lock.drivers.px4 import parameter_problems, required_parameters
+from dart_flight.lock.drivers.px4_output import parameter_problems, required_parameters
 from dart_flight.lock.ground import GroundLock, calibration, ground_driver
 from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTakenError, forget_last, load_last
 from dart_flight.lock.state_machine import describe
@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
             config, link.read_parameters(required.name for required in required_parameters(config))
         )
         for problem in problems:
-            say(f"PX4 would not move the servo: {problem}")
+            print_status(f"PX4 would not move the servo: {problem}")
         if problems and arguments.action != "status":
             return EXIT_INCOMPLETE
         return _owned(arguments, config, path, link.set_actuator)
@@ -85,7 +85,7 @@ def _owned(
     except DriverError as error:
         if error.key:
             raise Document.load(path).error(("lock", *error.key), str(error)) from None
-        say(f"lock: {error}")
+        print_status(f"lock: {error}")
         return EXIT_INCOMPLETE
 
 
@@ -125,7 +125,7 @@ def _with_servo(
                 )
             state = lock.move(wanted, release=arguments.release)
             if store.problem is not None:
-                say(store.problem)
+                print_status(store.problem)
     finally:
         driver.close()
     reached = wanted is None or (state.phase is LockPhase.SETTLED and state.mode is wanted)
@@ -167,7 +167,7 @@ def _report(
 
 def _taken(arguments: argparse.Namespace, config: LockConfig, error: ServoTakenError) -> int:
     """The servo is another process's: `status` reports what that wrote down, all else is refused."""
-    say(f"lock: {error}")
+    print_status(f"lock: {error}")
     status = arguments.action == "status"
     if status or arguments.json:
         _report(arguments, config, None, ok=status, owner_pid=error.pid)
@@ -180,19 +180,19 @@ def _taken(arguments: argparse.Namespace, config: LockConfig, error: ServoTakenE
 def _calibrate(arguments: argparse.Namespace, config: LockConfig, path: Path, driver: Driver) -> int:
     steps = calibration(config, driver)
     if driver.read().pulse_us is None:
-        say(f"The servo will go to {steps.pulse_us:g} us at once. Are the rods free to move? [y/N]")
+        print_status(f"The servo will go to {steps.pulse_us:g} us at once. Are the rods free to move? [y/N]")
         if not _yes(arguments):
             return _unchanged(arguments, config, "nothing moved")
     forget_last()
     driver.set_pulse(steps.pulse_us)
-    say(HELP)
+    print_status(HELP)
     if not _seek(steps):
         return _unchanged(arguments, config, "left as it was; nothing written")
     found = steps.result()
     for key, value in steps.values().items():
         before = getattr(config.servo, str(key[-1]))
-        say(f"{key[-1]}: {before:g} -> {value:g}")
-    say(f"Write this to {path}? [y/N]")
+        print_status(f"{key[-1]}: {before:g} -> {value:g}")
+    print_status(f"Write this to {path}? [y/N]")
     if not _yes(arguments):
         return _unchanged(arguments, config, "nothing written")
     write_values(path, steps.values())
@@ -214,14 +214,14 @@ def _unchanged(arguments: argparse.Namespace, config: LockConfig, why: str) -> i
 def _seek(steps: Calibration) -> bool:
     """Lines from standard input until both ends are known; False: the operator quits."""
     while steps.seeking is not None:
-        say(f"{steps.seeking} end, now {steps.pulse_us:g} us:")
+        print_status(f"{steps.seeking} end, now {steps.pulse_us:g} us:")
         line = sys.stdin.readline()
         if not line or line.strip().lower() in ("quit", "q"):
             return False
         try:
             steps.enter(line)
         except CalibrationError as error:
-            say(str(error))
+            print_status(str(error))
     return True
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dart_flight.check.mission import modelled
-from dart_flight.cli.terminal import say
+from dart_flight.check.mission_check import predict_flight_path
+from dart_flight.cli.terminal import print_status
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.lab_entries import MISSION_PICTURE, load_entry
@@ -30,10 +30,10 @@ def write_picture(mission: Mission, path: Path) -> None:
         InputError: matplotlib is missing, or the file has an unknown ending or cannot be written.
     """
     try:
-        load_entry(MISSION_PICTURE)(mission, modelled(mission), path)
+        load_entry(MISSION_PICTURE)(mission, predict_flight_path(mission), path)
     except InputError:
         raise
     except Exception as error:
-        say(f"no picture ({error!r})")
+        print_status(f"no picture ({error!r})")
         return
-    say(f"picture: {path}")
+    print_status(f"picture: {path}")

@@ -15,15 +15,15 @@ from rich.table import Table
 from dart_flight.base.records import Record
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import link_of, number
-from dart_flight.cli.terminal import emit_json, say, tables
+from dart_flight.cli.terminal import emit_json, print_status, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import default_config_path, packaged
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.follow import LogFollower
-from dart_flight.run.monitor import Screen, Watcher, follow, watch
-from dart_flight.vehicle.link import Holder, LinkLease, LinkTakenError, held_links, holder_of, place_of
+from dart_flight.run.monitor import MonitorView, TelemetryMonitor, monitor_log, monitor_vehicle
+from dart_flight.vehicle.link import Holder, LinkLease, LinkTakenError, endpoint_of, held_links, holder_of
 
 _PERIOD_S = 0.2
 _BAR_N, _BAR_WIDTH = 40.0, 24
@@ -44,9 +44,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status. With --json: the last view, at the end."""
-    views: list[Screen] = []
+    views: list[MonitorView] = []
 
-    def keep(view: Screen) -> None:
+    def keep(view: MonitorView) -> None:
         views[:] = [view]
 
     if arguments.json:
@@ -56,14 +56,14 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     with Live(console=tables(), auto_refresh=False, transient=False) as live:
 
-        def show(view: Screen) -> None:
+        def show(view: MonitorView) -> None:
             live.update(screen(view), refresh=True)
 
         _watch(arguments, show)
     return 0
 
 
-def _watch(arguments: argparse.Namespace, show: Callable[[Screen], None]) -> Mission:
+def _watch(arguments: argparse.Namespace, show: Callable[[MonitorView], None]) -> Mission:
     """Watch a flight by its log, or the vehicle on the link; returns whose configuration was used."""
     placed = arguments.mission is not None
     # Without a mission of its own the vehicle is this folder's, not that of the packaged mission.
@@ -86,8 +86,10 @@ def _watch(arguments: argparse.Namespace, show: Callable[[Screen], None]) -> Mis
     seconds, timeout_s = arguments.seconds, connection.timeout_s
     try:
         with live_view(arguments, mission, furnished=placed, placed=True) as live:
-            watcher = Watcher(mission, placed, live or _nobody)
-            asyncio.run(watch(watcher, url, timeout_s, show, _PERIOD_S, seconds, lease.close_device))
+            watcher = TelemetryMonitor(mission, placed, live or _nobody)
+            asyncio.run(
+                monitor_vehicle(watcher, url, timeout_s, show, _PERIOD_S, seconds, lease.close_device)
+            )
     finally:
         lease.release()
     return mission
@@ -103,14 +105,14 @@ def _flight(log: Path | None, url: str) -> tuple[Path, Callable[[], bool]] | Non
         held = [holder for holder in held_links() if holder.log == str(log.resolve())]
         return log, _still_held(held[0]) if held else lambda: False
     flights = [holder for holder in held_links() if holder.log is not None]
-    here = [holder for holder in flights if place_of(holder.url) == place_of(url)]
+    here = [holder for holder in flights if endpoint_of(holder.url) == endpoint_of(url)]
     if not flights:
         return None
     if len(flights) > 1 and len(here) != 1:
-        several = "; ".join(f"{holder.words()}: {holder.log}" for holder in flights)
+        several = "; ".join(f"{holder.describe()}: {holder.log}" for holder in flights)
         raise InputError(f"several flights are under way, say which with --log: {several}")
     flight = here[0] if here else flights[0]
-    say(f"watching {flight.words()} by its log {flight.log}")
+    print_status(f"watching {flight.describe()} by its log {flight.log}")
     return Path(flight.log or ""), _still_held(flight)
 
 
@@ -123,20 +125,20 @@ def _nobody(record: Record) -> None:
 
 
 def _follow(
-    log: Path, flying: Callable[[], bool], show: Callable[[Screen], None], arguments: argparse.Namespace
+    log: Path, flying: Callable[[], bool], show: Callable[[MonitorView], None], arguments: argparse.Namespace
 ) -> Mission:
     """Raises InputError: the log cannot be read."""
     try:
         follower = LogFollower(log)
         first = follower.read()
         mission = flown_mission(follower.about, str(log))
-        watcher = Watcher(mission, placed=True)
+        watcher = TelemetryMonitor(mission, placed=True)
         with live_view(arguments, mission) as live:
             viewer = live.feed if live is not None else _nobody
             for entry in first:
                 watcher.take_record(entry.record)
                 viewer(entry.record)
-            follow(watcher, follower, show, _PERIOD_S, arguments.seconds, flying, viewer)
+            monitor_log(watcher, follower, show, _PERIOD_S, arguments.seconds, flying, viewer)
         return mission
     except InputError:
         raise
@@ -144,12 +146,12 @@ def _follow(
         raise InputError(f"cannot follow: {error}", source=str(log)) from None
 
 
-def screen(view: Screen) -> Group:
+def screen(view: MonitorView) -> Group:
     """A view as tables."""
     return Group(_force(view), _streams(view))
 
 
-def _force(view: Screen) -> Table:
+def _force(view: MonitorView) -> Table:
     table = Table(title=f"force, N ({view.frame})", title_justify="left", show_header=False, min_width=60)
     table.add_column()
     table.add_column(justify="right", min_width=8)
@@ -184,7 +186,7 @@ def _force(view: Screen) -> Table:
     return table
 
 
-def _streams(view: Screen) -> Table:
+def _streams(view: MonitorView) -> Table:
     battery = f"{view.battery_v:.1f} V" if view.battery_v is not None else "battery unknown"
     state = f"{'armed' if view.armed else 'disarmed'}, {view.flight_mode}, {view.landed}, {battery}"
     table = Table(title=state, title_justify="left", min_width=60)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from dart_flight.config.document import InputError
 from dart_flight.config.link_url import usable_link
-from dart_flight.config.parameters import PositionSource
+from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.config.vehicle.autopilot import ConnectionConfig
 from dart_flight.lock.drivers import DRIVERS

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from dart_flight.config.document import InputError
-from dart_flight.config.parameters import PositionSource
+from dart_flight.config.parameter_file import PositionSource
 from dart_flight.planning.positioning import PLAIN_GPS
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
-from dart_flight.cli.terminal import emit_json, say, tables
+from dart_flight.cli.terminal import emit_json, print_status, tables
 from dart_flight.config.mission import Mission
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.found import from_each, logs_in
@@ -49,14 +49,14 @@ def run(arguments: argparse.Namespace) -> int:
         result = replay(log, arguments.settings)
         name = f"{path}: " if len(paths) > 1 else ""
         if result.note:
-            say(f"{name}{result.note}")
+            print_status(f"{name}{result.note}")
         if arguments.json:
             summaries.append(_summary(path, mission, result))
         else:
             _print(name, result)
         return result.equal
 
-    equal = all(from_each(paths, one, say))
+    equal = all(from_each(paths, one, print_status))
     if arguments.json:
         emit_json(summaries[0] if len(paths) == 1 else {"equal": equal, "replays": summaries})
     return 0 if equal else 1

@@ -40,7 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     need_mavlink()
-    from dart_flight.sim.standalone import Feed
+    from dart_flight.sim.standalone import VehiclePortLease
 
     path = arguments.mission or packaged("missions", "dual_collision.yaml")
     # Without a mission of its own the vehicle is this folder's, not that of the packaged mission.
@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     mission = load_mission(path, config, arguments.set)
     console = messages()
     say_vehicle(mission.flown_vehicle(), arguments)
-    feed = Feed(arguments.port)
+    feed = VehiclePortLease(arguments.port)
     try:
         station = LinkLease(feed_of(GROUND_STATION_PORT), "simulate")
         ports = [arguments.port]

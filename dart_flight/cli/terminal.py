@@ -17,7 +17,7 @@ def messages() -> Console:
     return Console(stderr=True, highlight=False)
 
 
-def say(*lines: object) -> None:
+def print_status(*lines: object) -> None:
     """Lines on standard error as they are: square brackets are no markup, and the terminal may break them."""
     for line in lines:
         messages().print(line, markup=False, soft_wrap=True)
@@ -31,7 +31,7 @@ def write_text(path: Path, text: str) -> None:
     """
     with writing(path):
         path.write_text(text, encoding="utf-8")
-    say(f"wrote {path}")
+    print_status(f"wrote {path}")
 
 
 def tables() -> Console:

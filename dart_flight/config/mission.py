@@ -17,6 +17,7 @@ from dart_flight.base.geometry import MissionFrame, Vec2, Vec3
 from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
 from dart_flight.config.document import IN_PYTHON, Document, InputError, Key, unknown_name
+from dart_flight.config.file_kinds import FileKind, load_document, refuse_other_keys
 from dart_flight.config.flight_space import (
     check_place,
     refuse_mode,
@@ -24,7 +25,6 @@ from dart_flight.config.flight_space import (
     resolve_space,
     wall_as_written,
 )
-from dart_flight.config.kinds import FileKind, load_document, refuse_other_keys
 from dart_flight.config.mission_file import (
     ApproachSpec,
     BoundsSpec,
@@ -36,7 +36,7 @@ from dart_flight.config.mission_file import (
     WaypointKeys,
     WaypointSpec,
 )
-from dart_flight.config.provenance import FoundVehicle, VehicleSource, find_vehicle, shown_path
+from dart_flight.config.provenance import FoundVehicle, VehicleSource, display_path, find_vehicle
 from dart_flight.config.section import keys_of
 from dart_flight.config.settings import apply_changes
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle
@@ -280,7 +280,7 @@ def _find_vehicle(
     """The vehicle of a mission: `config`, else what the mission has or names, else the default one."""
     if config is None and isinstance(spec.vehicle, dict):
         vehicle = load_vehicle(document.part("vehicle"), settings)
-        source = None if document.source == IN_PYTHON else shown_path(document.source)
+        source = None if document.source == IN_PYTHON else display_path(document.source)
         return FoundVehicle(vehicle, VehicleSource(source, False, vehicle.airframe.mass_kg, tuple(settings)))
     if config is None and isinstance(spec.vehicle, str):
         config = Path(document.source).parent / spec.vehicle

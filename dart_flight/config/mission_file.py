@@ -284,7 +284,7 @@ class MissionKeys(SpaceKeys, frozen=True, kw_only=True):
     predicted: MissPrediction | None = None
     after_impact: AfterImpact = AfterImpact.SETPOINT
     tolerance: Tolerance = Tolerance()
-    mode_mismatch: ModeMismatch = ModeMismatch.GO_ON
+    mode_mismatch: ModeMismatch = ModeMismatch.NOTE_ONLY
     standoff_m: Standoff | None = None
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import msgspec
 
 from dart_flight.config.document import Document, InputError
-from dart_flight.config.kinds import FileKind, kind_of_tree, refuse_other_kind
+from dart_flight.config.file_kinds import FileKind, kind_of_tree, refuse_other_kind
 from dart_flight.config.vehicle import VehicleConfig, default_config_path, load_vehicle, packaged
 
 _LOCAL = Path("configs/dart.yaml")
@@ -59,11 +59,11 @@ def find_vehicle(path: str | Path | None = None, settings: Sequence[str] = ()) -
         raise
     mass_kg = config.airframe.mass_kg
     return FoundVehicle(
-        config, VehicleSource(shown_path(taken), _is_packaged(taken), mass_kg, tuple(settings))
+        config, VehicleSource(display_path(taken), _is_packaged(taken), mass_kg, tuple(settings))
     )
 
 
-def shown_path(path: str | Path) -> str:
+def display_path(path: str | Path) -> str:
     """A path as people name it: below the working directory without what leads there."""
     whole = Path(path).resolve()
     with contextlib.suppress(ValueError):
@@ -91,7 +91,7 @@ def passed_over(source: VehicleSource) -> list[str]:
     for folder in (Path("configs"), Path()):
         with contextlib.suppress(OSError):
             candidates += sorted(p for p in folder.iterdir() if p.suffix in (".yaml", ".yml"))
-    found = [shown_path(p) for p in candidates[:_MOST_LOOKED_AT] if not _is_packaged(p) and _is_vehicle(p)]
+    found = [display_path(p) for p in candidates[:_MOST_LOOKED_AT] if not _is_packaged(p) and _is_vehicle(p)]
     return list(dict.fromkeys(found))
 
 

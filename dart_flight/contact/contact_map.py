@@ -39,11 +39,11 @@ from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
 from dart_flight.contact.law import Onset
 from dart_flight.contact.oscillator import (
-    Events,
+    ContactTimes,
     Oscillation,
     enter,
     falling_root,
-    find_events,
+    find_contact_times,
     first_zero,
     motion,
     oscillator,
@@ -239,7 +239,7 @@ def _pushed(
     """
     normal, tangential, acceleration = state
     course = enter(c, mass, normal, onset, acceleration)
-    events = find_events(course)
+    events = find_contact_times(course)
     hits, zeta, v = course.hits, course.zeta, course.speed
     stays = ~np.isfinite(events.end)
 
@@ -272,7 +272,7 @@ def _pushed(
     ), fastest
 
 
-def _pushed_friction_peak(c: Oscillation, events: Events, rub: Array) -> Array:
+def _pushed_friction_peak(c: Oscillation, events: ContactTimes, rub: Array) -> Array:
     """Largest l exp(-rub P) with l = phi - alpha, P its integral: stationary where l' = rub l^2."""
 
     def excess(tau: Array) -> tuple[Array, Array]:

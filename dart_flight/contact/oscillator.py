@@ -162,7 +162,7 @@ def falling_root(
     return x
 
 
-class Events(NamedTuple):
+class ContactTimes(NamedTuple):
     """Times (in 1/omega) of what happens in a contact."""
 
     peak: Array  # largest force
@@ -170,7 +170,7 @@ class Events(NamedTuple):
     end: Array  # force back to zero; inf where never
 
 
-def find_events(c: Oscillation) -> Events:
+def find_contact_times(c: Oscillation) -> ContactTimes:
     """Peak, turn and end of a contact, exact to rounding."""
     curve0 = -(2.0 * c.zeta * c.slope0 + c.phi0)
     falls = (c.slope0 < 0.0) | ((c.slope0 == 0.0) & (c.phi0 > 0.0))
@@ -184,7 +184,7 @@ def find_events(c: Oscillation) -> Events:
     at_trough = motion(c, trough)[0]
     ends = pulled | (c.alpha == 0.0) | (np.isfinite(turn) & (at_trough <= c.alpha))
     if not np.any(c.alpha):
-        return Events(peak, turn, turn)
+        return ContactTimes(peak, turn, turn)
     low = np.where(pulled, peak, np.where(np.isfinite(turn), turn, 0.0))
     high = np.where(pulled, turn, np.where(np.isfinite(trough), trough, 0.0))
     # Overdamped and pulled away: the force falls below m a somewhere, but phi has no zero to bound it.
@@ -200,4 +200,4 @@ def find_events(c: Oscillation) -> Events:
 
     end = falling_root(force, low, high, np.where(pulled, high, low))
     end = np.where(c.alpha == 0.0, turn, np.where(ends, end, math.inf))
-    return Events(peak, turn, end)
+    return ContactTimes(peak, turn, end)

@@ -18,10 +18,10 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.guard.guard import Guard
 from dart_flight.core.guard.rules import RULES, Rule
 from dart_flight.core.mission.executive import Executive
-from dart_flight.core.mission.proposal import Finding, Proposal
+from dart_flight.core.mission.proposal import MissionFinding, Proposal
 from dart_flight.core.mission.rehearsal import Rehearsal
 from dart_flight.core.pace import Pace, pace_near_walls
-from dart_flight.core.sense.detector import Expected
+from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.senses import Sensed, Senses
 from dart_flight.core.sense.state import FlightState
 
@@ -44,8 +44,8 @@ class FlightCore:
         self._senses = Senses(mission)
         self._executive = Executive(mission) if mission.standoff_m is None else Rehearsal(mission)
         self._guard = Guard(mission, rules)
-        self._expected = Expected()  # by the mission, for the detector at the next step
-        self._fault: Finding | None = None  # of the guard's own code, for its next review
+        self._expected = ExpectedContact()  # by the mission, for the detector at the next step
+        self._fault: MissionFinding | None = None  # of the guard's own code, for its next review
         self.end: MissionEnd | None = None
 
     @property
@@ -68,9 +68,9 @@ class FlightCore:
         """How soon the next inputs have to be stepped."""
         senses, phase = self._senses, self._executive.phase
         if self._guard.telemetry_late:
-            return Pace.TOGETHER  # a backlog is emptied sooner where nobody steps what is old one by one
-        if senses.walls.due or (senses.detector.in_contact and phase is not Phase.CONTACT):
-            return Pace.LONG  # what the contact's end says of wall and arms is fitted then
+            return Pace.BATCHED  # a backlog is emptied sooner where nobody steps what is old one by one
+        if senses.walls.is_busy or (senses.detector.in_contact and phase is not Phase.CONTACT):
+            return Pace.DEFERRED  # what the contact's end says of wall and arms is fitted then
         return pace_near_walls(self.mission, senses.state, phase)
 
     def step(self, item: Input) -> list[Output]:
@@ -79,7 +79,7 @@ class FlightCore:
             return []
         sensed, proposal, state = _NOTHING, Proposal(), self._senses.state
         try:
-            sensed = self._senses.take(item, self._expected)
+            sensed = self._senses.update(item, self._expected)
             if not self._guard.overrules:
                 self._executive.propose(item, state, sensed, proposal)
                 self._expected = proposal.expected
@@ -116,7 +116,7 @@ class FlightCore:
             kept += executive.overruled(state.now_us, guard.reason or "")
             # A wall met while the guard holds or backs off is an impact, the ground at the end is none.
             if guard.landing:
-                self._expected = Expected()
+                self._expected = ExpectedContact()
         if guard.end is not None:
             self.end = guard.end
             kept += executive.ended(guard.end)
@@ -126,6 +126,6 @@ class FlightCore:
         return kept
 
 
-def _fault() -> Finding:
+def _fault() -> MissionFinding:
     """The exception under way as a finding: where it came from."""
-    return Finding("mission_fault", traceback.format_exc(limit=-2).strip().replace("\n", " | "))
+    return MissionFinding("mission_fault", traceback.format_exc(limit=-2).strip().replace("\n", " | "))

@@ -11,7 +11,7 @@ from typing import Final
 
 from dart_flight.base.records import Phase
 from dart_flight.config.mission import Mission
-from dart_flight.core.mission.survey import early_m, overrun_m
+from dart_flight.core.mission.wall_uncertainty import early_m, overrun_m
 from dart_flight.core.sense.state import FlightState
 
 PATIENCE_S: Final = 0.02  # as often as a tick; a quarter of the silence of the IMU on which the guard acts
@@ -21,9 +21,9 @@ _LEAD_S: Final = 0.2  # so long before a wall may be met patience ends: ten time
 class Pace(Enum):
     """How the shell should step the next inputs."""
 
-    TOGETHER = auto()  # what comes within `PATIENCE_S`, at one go
-    PROMPT = auto()  # each as it arrives, on the thread it arrives on; every step is short
-    LONG = auto()  # each as it arrives; a step may take long, and nobody else should wait for it
+    BATCHED = auto()  # what comes within `PATIENCE_S`, at one go
+    IMMEDIATE = auto()  # each as it arrives, on the thread it arrives on; every step is short
+    DEFERRED = auto()  # each as it arrives; a step may take long, and nobody else should wait for it
 
 
 def pace_near_walls(mission: Mission, state: FlightState, phase: Phase) -> Pace:
@@ -33,12 +33,12 @@ def pace_near_walls(mission: Mission, state: FlightState, phase: Phase) -> Pace:
     words for how early and how late that may be, whatever the phase.
     """
     if phase is Phase.CONTACT:
-        return Pace.PROMPT
+        return Pace.IMMEDIATE
     place, velocity, guard = state.position, state.velocity, mission.vehicle.guard
     for wall in mission.walls:
         n = wall.normal
         closing_m_s = max(0.0, -(velocity[0] * n[0] + velocity[1] * n[1]))
         ahead_m = early_m(guard, wall, place) + _LEAD_S * closing_m_s
         if -overrun_m(guard, wall, place) < wall.signed_distance(place) < ahead_m:
-            return Pace.PROMPT
-    return Pace.TOGETHER
+            return Pace.IMMEDIATE
+    return Pace.BATCHED

@@ -28,21 +28,21 @@ from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import Drop, WallHit, collide, contact_map, drop
 from dart_flight.lab.identify.estimates import Identification
 from dart_flight.lab.identify.flight_trials import trials_at_one
-from dart_flight.lab.identify.job import carry_out, columns_of
+from dart_flight.lab.identify.identify_trials import columns_of, identify_trials
 from dart_flight.lab.identify.trials import UNLABELLED, Trial, TrialReading
 from dart_flight.lab.predict import prediction
 from dart_flight.lab.search import scenario as scenario_files
 from dart_flight.lab.search.mission_writer import mission_text, write_mission
+from dart_flight.lab.search.plan_table import with_objective
 from dart_flight.lab.search.scenario import Objective, Scenario
-from dart_flight.lab.search.search import Plan, Search, search
-from dart_flight.lab.search.summary import with_objective
+from dart_flight.lab.search.search import Plan, SearchResult, search
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.recording.verdict import Verdict, verdict_of
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.prepare import refuse_unflyable
 from dart_flight.sim.draws import parse_vary
-from dart_flight.sim.faults.kinds import Fault, parse_fault
+from dart_flight.sim.faults.fault_table import Fault, parse_fault
 
 Written = str | Path | Mapping[str, Any]  # a file, or what it would hold
 Numbers = Sequence[float] | NDArray[Any]
@@ -253,7 +253,7 @@ class PlanResult:
         search: the whole of it: counts, refusals, maps.
     """
 
-    def __init__(self, result: Search) -> None:
+    def __init__(self, result: SearchResult) -> None:
         self.search = result
 
     @property
@@ -395,7 +395,7 @@ def identify(
     own = [trial for one in given for trial in _trials_in(one, surface, how.mode)]
     paths = [str(one) for one in given if isinstance(one, str | Path)]
     rule = None if onset is None else prediction.onset_rule(vehicle, onset)
-    return carry_out(paths, how, vehicle, onset=rule, given=own).found
+    return identify_trials(paths, how, vehicle, onset=rule, given=own).found
 
 
 def _trials_in(source: Source, surface: str | None, mode: str) -> list[Trial]:

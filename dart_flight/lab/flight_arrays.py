@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dart_flight.base.geometry import MissionFrame, Vec3
 from dart_flight.base.records import ForceEstimate, OdometrySample, Record, TruthSample
 from dart_flight.config.mission import Mission
-from dart_flight.recording.anchor import Anchor
+from dart_flight.recording.anchor import MissionFrameReader
 from dart_flight.recording.flight_time import zero_of
 from dart_flight.recording.reader import Log
 from dart_flight.recording.topics import Topic
@@ -21,7 +21,7 @@ R = TypeVar("R", bound=Record)
 _AXES: tuple[Vec3, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-class Motion(NamedTuple):
+class MotionArrays(NamedTuple):
     """Positions (m) and velocities (m/s) in the mission frame; times in s, arrays (n,), (n, 3), (n, 3)."""
 
     time_s: Array
@@ -29,7 +29,7 @@ class Motion(NamedTuple):
     velocity: Array
 
 
-class Force(NamedTuple):
+class ForceArrays(NamedTuple):
     """Force on the vehicle, newton, mission frame: times (n,) in s, force (n, 3)."""
 
     time_s: Array
@@ -58,16 +58,16 @@ class FlightArrays:
         self.start_us = zero_of(self.records)
         self.frame = _frame(self.records, mission)
         odometry = self.topic_in_ned(OdometrySample)
-        self.estimated = Motion(
+        self.estimated = MotionArrays(
             odometry.t_s,
             self.from_ned(odometry["position_ned"], places=True),
             self.from_ned(odometry["velocity_ned"]),
         )
         truth, force = self.topic(TruthSample), self.topic(ForceEstimate)
-        self.true = Motion(truth.t_s, truth["position_mission"], truth["velocity_mission"])
-        self.true_force = Force(truth.t_s, truth["contact_force_mission"])
+        self.true = MotionArrays(truth.t_s, truth["position_mission"], truth["velocity_mission"])
+        self.true_force = ForceArrays(truth.t_s, truth["contact_force_mission"])
         middle_s = force.t_s - mission.vehicle.imu.reading_lag_s
-        self.estimated_force = Force(middle_s, force["force_mission"])
+        self.estimated_force = ForceArrays(middle_s, force["force_mission"])
 
     def topic(self, kind: type[Record]) -> Topic:
         """The records of a kind, field by field."""
@@ -101,7 +101,7 @@ def turned(q_frd_to_ned: Array, body: Array) -> Array:
 
 
 def _frame(records: Sequence[Record], mission: Mission) -> MissionFrame | None:
-    anchor = Anchor(mission)
+    anchor = MissionFrameReader(mission)
     for record in records:
         anchor.take(record)
         if anchor.frame is not None:

@@ -82,7 +82,7 @@ class Track(msgspec.Struct):
         return turned(q / np.linalg.norm(q, axis=1, keepdims=True), body)
 
 
-def read_track(path: str | Path) -> Track:
+def read_calibration_series(path: str | Path) -> Track:
     """One flight with its motor commands: our own log (`.mcap`) or a PX4 ULog (`.ulg`).
 
     Raises:
@@ -93,7 +93,7 @@ def read_track(path: str | Path) -> Track:
     log = open_ulog(path, _TOPICS)
     if log.first("sensor_combined") is None:
         raise InputError("has no sensor_combined", source=log.source)
-    return track_of(log, motor_commands(log))
+    return calibration_series_of(log, motor_commands(log))
 
 
 def _of_own(log: Log) -> Track:
@@ -122,7 +122,7 @@ def _of_own(log: Log) -> Track:
     )
 
 
-def track_of(log: ULogFile, motors: MotorCommands = NO_MOTORS) -> Track:
+def calibration_series_of(log: ULogFile, motors: MotorCommands = NO_MOTORS) -> Track:
     """What an opened ULog has, with motor commands that were read from it."""
     imu, attitude = log.first("sensor_combined"), log.first("vehicle_attitude")
     moved, volts = log.first("vehicle_local_position"), battery(log)

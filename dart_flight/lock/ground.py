@@ -16,8 +16,8 @@ from dart_flight.config.vehicle import LockConfig, LockDriver, LockStartup
 from dart_flight.lock.calibration import Calibration
 from dart_flight.lock.drivers import Driver, SetActuator, make_driver
 from dart_flight.lock.drivers.mock import MockDriver
+from dart_flight.lock.lock_session import LockSession
 from dart_flight.lock.persistence import LastCommand
-from dart_flight.lock.session import LockSession
 
 POLL_S = 0.02
 CALIBRATION_STEP_S = 0.04  # two frames of the servo for every small step

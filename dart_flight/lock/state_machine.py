@@ -60,14 +60,14 @@ class PulsesOff(msgspec.Struct, frozen=True):
     """For the driver: switch the pulses off."""
 
 
-class Refused(msgspec.Struct, frozen=True):
+class CommandRefused(msgspec.Struct, frozen=True):
     """Not for the driver: what was asked is not done, and why."""
 
     what: str
     reason: str
 
 
-Action = SetPulse | PulsesOff | Refused
+Action = SetPulse | PulsesOff | CommandRefused
 
 # --- the table ---------------------------------------------------------------------------------------
 
@@ -384,7 +384,7 @@ class LockStateMachine:
 
     def _refuse(self, t_us: int, what: str, reason: str) -> list[Action]:
         self._replace(t_us, reason=f"refused {what}: {reason}")
-        return [Refused(str(what), reason)]
+        return [CommandRefused(str(what), reason)]
 
     def _replace(self, t_us: int, reason: str) -> None:
         if self._state.reason != reason:

@@ -11,12 +11,12 @@ from dart_flight.base.walls import Wall
 from dart_flight.core.mission.approach import (
     impact_time_s,
     is_blocked,
-    legs_to_impact,
     run_up,
+    segments_to_impact,
     transit_time_s,
 )
 from dart_flight.core.mission.arithmetic import Number
-from dart_flight.core.mission.survey import end_margin_m
+from dart_flight.core.mission.wall_uncertainty import end_margin_m
 from dart_flight.planning.constraints import Constraints, Refusal
 from dart_flight.planning.task import Task
 
@@ -65,7 +65,7 @@ def approach_grid(
     if constraints is None:
         return grid
     mark = constraints.mark
-    legs = legs_to_impact(task.start, begin, impact, wall, first=True)
+    legs = segments_to_impact(task.start, begin, impact, wall, first=True)
     for other in task.walls.values():
         for leg in legs(other):
             mark(codes, is_blocked(other, *leg), Refusal.RUN_UP_BLOCKED)

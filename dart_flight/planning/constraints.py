@@ -24,8 +24,8 @@ from dart_flight.core.mission.commitment import (
     setpoint_outside_m,
 )
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S, STOP_TIME_S, least_distance_m, stop_share
-from dart_flight.core.mission.survey import end_margin_m
-from dart_flight.planning.flight_model import Leg, Window
+from dart_flight.core.mission.wall_uncertainty import end_margin_m
+from dart_flight.planning.flight_model import GridWindow, SetpointResponse
 from dart_flight.planning.task import Task
 
 Array = NDArray[np.float64]
@@ -99,7 +99,7 @@ class Constraints:
         self.mark(codes, normal_n < self.threshold_n, Refusal.NOT_DETECTED)
         return codes
 
-    def command(self, leg: Leg, loop: tuple[float, float, float, float, float]) -> Codes:
+    def command(self, leg: SetpointResponse, loop: tuple[float, float, float, float, float]) -> Codes:
         """Codes for a recovery's set-point and its first command.
 
         The set-point may lie outside of the bounds, but not far; the command must be within PX4's tilt limit,
@@ -114,7 +114,7 @@ class Constraints:
         self.mark(codes, outside_m > SETPOINT_OUTSIDE_M, Refusal.SETPOINT)
         return codes
 
-    def path(self, window: Window, until: NDArray[np.intp], target: Wall | None, begins: bool) -> Codes:
+    def path(self, window: GridWindow, until: NDArray[np.intp], target: Wall | None, begins: bool) -> Codes:
         """What a piece of flight runs into before its grid index `until` (exclusive).
 
         Args:
@@ -134,11 +134,11 @@ class Constraints:
         codes = np.zeros(until.size, dtype=np.int8)
         rows = np.flatnonzero(bad.any(axis=1))
         if rows.size:  # few: only they are looked at closely
-            part = Window(w.times, *(v[rows] for v in (w.x, w.y, w.vx, w.vy)))
+            part = GridWindow(w.times, *(v[rows] for v in (w.x, w.y, w.vx, w.vy)))
             codes[rows] = self._why(part, until[rows], obstacles, begins)
         return codes
 
-    def _why(self, w: Window, until: NDArray[np.intp], obstacles: list[Wall], begins: bool) -> Codes:
+    def _why(self, w: GridWindow, until: NDArray[np.intp], obstacles: list[Wall], begins: bool) -> Codes:
         """Which of the rules is broken, if any."""
         codes = np.zeros(until.size, dtype=np.int8)
         alive = np.arange(w.times.size) < until[:, None]
@@ -157,14 +157,14 @@ class Constraints:
             self.mark(codes, (touched & alive).any(axis=1), Refusal.OBSTACLE)
         return codes
 
-    def _leaves(self, w: Window) -> NDArray[np.bool_]:
+    def _leaves(self, w: GridWindow) -> NDArray[np.bool_]:
         """Where the bounds are left or would be before stopping; a wall in the way stops earlier (guard)."""
         share = stop_share(self.walls, (w.x, w.y), (w.vx, w.vy))
         leaves = _outside(self.bounds.x, w.x, share * w.vx)
         leaves |= _outside(self.bounds.y, w.y, share * w.vy)
         return leaves
 
-    def last_setpoint(self, leg: Leg, hit: Wall) -> Codes:
+    def last_setpoint(self, leg: SetpointResponse, hit: Wall) -> Codes:
         """Whether the set-point after the last hit leads behind a wall that is not to be hit."""
         codes = np.zeros(leg.size, dtype=np.int8)
         place, target = (leg.x[0] + leg.goal_x, leg.y[0] + leg.goal_y), (leg.goal_x, leg.goal_y)
@@ -187,7 +187,7 @@ class Constraints:
             self.mark(codes, blocks, Refusal.OBSTACLE)
         return codes
 
-    def lock_in_time(self, leg: Leg, wall: Wall) -> NDArray[np.bool_]:
+    def lock_in_time(self, leg: SetpointResponse, wall: Wall) -> NDArray[np.bool_]:
         """Whether holding still at these states still stops short of the wall (executive)."""
         nx, ny = wall.normal
         distance = nx * (leg.x[0] + leg.goal_x - wall.point[0]) + ny * (leg.y[0] + leg.goal_y - wall.point[1])
@@ -203,7 +203,9 @@ class Constraints:
         in_time |= (closing <= 0.0) & (distance > 0.0)
         return in_time
 
-    def lock_too_late(self, ready: Leg, impact: Leg, after_s: Array, wall: Wall) -> NDArray[np.bool_]:
+    def lock_too_late(
+        self, ready: SetpointResponse, impact: SetpointResponse, after_s: Array, wall: Wall
+    ) -> NDArray[np.bool_]:
         """Whether the executive would break off because the lock is still on its way.
 
         Args:
@@ -244,7 +246,7 @@ def _outside(limits: tuple[float, float], x: NDArray[Any], v: NDArray[Any]) -> N
     return outside
 
 
-def _touches(wall: Wall, w: Window) -> NDArray[np.bool_]:
+def _touches(wall: Wall, w: GridWindow) -> NDArray[np.bool_]:
     """Whether the plane of a wall is behind the vehicle, or will be within a moment."""
     (nx, ny), (px, py) = wall.normal, wall.point
     soon, offset = np.float32(_TOUCH_S), np.float32(nx * px + ny * py)

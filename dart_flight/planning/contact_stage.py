@@ -2,9 +2,10 @@
 
 The contact law alone (paper, Sec. IV-B) fixes the duration T, the moment t_p of the force peak and, with
 the detector's rule, the moment t_e of the recovery set-point: all three depend on coefficients and mass, not
-on the speed. The vehicle yields to the contact (`core/mission/yielding.py`): before t_e it has no reference,
-e = 0, and at no time PX4's D term makes anything of the wall's push. From t_e on e = kp (s - x) - x' with the
-recovery set-point s. Along the normal, with PX4's loop of `dart_flight.core.mission.position_loop`,
+on the speed. The vehicle yields to the contact (`core/mission/contact_feedforward.py`): before t_e it has no
+reference, e = 0, and at no time PX4's D term makes anything of the wall's push. From t_e on
+e = kp (s - x) - x' with the recovery setpoint s. Along the normal, with PX4's loop
+of `core/mission/position_loop.py`,
 
     x'' = -(k x + f x')/m + a - b x'
     a'  = (kv e + i - kd (a - b x') - a) / tau,      i' = ki e
@@ -35,7 +36,7 @@ from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import friction_per_speed
 from dart_flight.contact.law import Onset
-from dart_flight.contact.oscillator import Oscillation, enter, falling_root, find_events, motion
+from dart_flight.contact.oscillator import Oscillation, enter, falling_root, find_contact_times, motion
 from dart_flight.core.mission.position_loop import PositionLoop
 
 Array = NDArray[np.float64]
@@ -48,7 +49,7 @@ _SETPOINT_USED_S = 0.004
 _LEAST_AFTER_PEAK_S = 0.008  # the detector wants two samples after the maximum
 
 
-class _Rule(NamedTuple):
+class _Quadrature(NamedTuple):
     """Gauss-Legendre on [0, 1] and integration of the interpolating polynomial up to each node and to 1."""
 
     nodes: Array  # (J,)
@@ -75,13 +76,13 @@ def _lagrange(nodes: Array, at: Array) -> Array:
 
 
 @lru_cache(maxsize=1)
-def _rule() -> _Rule:
+def _quadrature() -> _Quadrature:
     nodes, weights = _gauss(_NODES)
     sub_nodes, sub_weights = _gauss(_SUB)
     upper = np.append(nodes, 1.0)
     lagrange = _lagrange(nodes, upper[:, None] * sub_nodes)
     integral = upper[:, None] * np.einsum("l,jlk->jk", sub_weights, lagrange)
-    return _Rule(nodes, weights, sub_nodes, sub_weights, upper, lagrange, integral)
+    return _Quadrature(nodes, weights, sub_nodes, sub_weights, upper, lagrange, integral)
 
 
 def expm(matrix: Array) -> Array:
@@ -243,7 +244,7 @@ def build_stages(
     stages = [ContactStage(c, mass, onset, pair) for c, pair in zip(table, alphas, strict=True)]
     c = CoefficientArrays.of(list(table))
     course = enter(c, np.full(len(table), mass), np.full(len(table), -1.0), onset, np.zeros(len(table)))
-    events = find_events(course)
+    events = find_contact_times(course)
     omega = course.omega
     drop = _time_of_drop(course, events.peak, events.end, vehicle.detection.peak_drop_fraction)
     delay = np.maximum((drop - events.peak) / omega, _LEAST_AFTER_PEAK_S) + 1.0 / vehicle.imu.rate_hz
@@ -311,14 +312,14 @@ class _Phases:
     """Integration over the two phases of a contact, as matrices on the values at the nodes of both."""
 
     def __init__(self, first_s: float, second_s: float) -> None:
-        rule = _rule()
+        rule = _quadrature()
         self.lengths = (first_s, second_s)
         self.times = np.concatenate((first_s * rule.nodes, first_s + second_s * rule.nodes))
         self.weights = np.concatenate((first_s * rule.weights, second_s * rule.weights))
 
     def integral(self, decay: float) -> Array:
         """(2 J + 1, 2 J): the integral of exp(-decay (s - r)) f(r) up to every node and to the end."""
-        rule = _rule()
+        rule = _quadrature()
         parts = []
         for length in self.lengths:
             way = length * rule.upper[:, None] * (1.0 - rule.sub_nodes)
@@ -334,7 +335,7 @@ class _Phases:
 
     def to_time(self, t_s: float) -> Array:
         """(2 J,): the plain integral up to a moment of the first phase."""
-        rule = _rule()
+        rule = _quadrature()
         share = t_s / self.lengths[0] if self.lengths[0] > 0.0 else 0.0
         values = _lagrange(rule.nodes, share * rule.sub_nodes)
         row: Array = t_s * (rule.sub_weights @ values)

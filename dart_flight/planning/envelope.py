@@ -11,7 +11,7 @@ import math
 from dart_flight.base.records import Mode
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import BodyModel, VehicleConfig
-from dart_flight.core.mission.planned import expected_hit, impact_velocity
+from dart_flight.core.mission.planned_impact import expected_hit, impact_velocity
 
 # Normal speed; at 3.5 m/s a body with guards tilts over 60 degrees (docs/px4.md).
 FLOWN_UP_TO_M_S = 3.0
@@ -88,7 +88,7 @@ def incidence_deg(mission: Mission, collision: Collision) -> float:
     return math.degrees(collision.wall.incidence(yaw))
 
 
-def most_incidence_deg(vehicle: VehicleConfig, mode: Mode) -> float:
+def max_incidence_deg(vehicle: VehicleConfig, mode: Mode) -> float:
     """Up to which incidence a hit is what the mode promises, and was recovered from; degrees."""
     arms = vehicle.airframe.incidence_rigid_deg if mode is Mode.FLEXIBLE else INCIDENCE_FLOWN_DEG
     return min(arms, INCIDENCE_FLOWN_DEG)
@@ -96,7 +96,7 @@ def most_incidence_deg(vehicle: VehicleConfig, mode: Mode) -> float:
 
 def incidence_warning(mission: Mission, collision: Collision) -> str | None:
     """What to know of a hit that is planned further askew than its mode bears; None where it is not."""
-    planned, most = incidence_deg(mission, collision), most_incidence_deg(mission.vehicle, collision.mode)
+    planned, most = incidence_deg(mission, collision), max_incidence_deg(mission.vehicle, collision.mode)
     if planned <= most:
         return None
     return (

@@ -35,7 +35,7 @@ _NEWTON_STEPS = 6
 _SINGLE_M = 1e-4  # well above what single precision rounds
 
 
-class Leg(NamedTuple):
+class SetpointResponse(NamedTuple):
     """States at the start of a free flight to a constant set-point; arrays (4, n): p, v, a, i, and (n,)."""
 
     x: Array
@@ -43,9 +43,9 @@ class Leg(NamedTuple):
     goal_x: Array
     goal_y: Array
 
-    def take(self, rows: Rows | NDArray[np.bool_]) -> Leg:
+    def take(self, rows: Rows | NDArray[np.bool_]) -> SetpointResponse:
         """The chosen candidates."""
-        return Leg(self.x[:, rows], self.y[:, rows], self.goal_x[rows], self.goal_y[rows])
+        return SetpointResponse(self.x[:, rows], self.y[:, rows], self.goal_x[rows], self.goal_y[rows])
 
     @property
     def size(self) -> int:
@@ -53,7 +53,7 @@ class Leg(NamedTuple):
         return int(self.goal_x.size)
 
 
-class Window(NamedTuple):
+class GridWindow(NamedTuple):
     """Positions (mission frame, m) and velocities on a part of the time grid; arrays (n, times).
 
     In single precision (1e-6 m): they bracket events and are judged against constraints, nothing more.
@@ -117,18 +117,18 @@ class FreeFlight:
             _Axis(loop_matrix(self.loop, by), self.count),
         )
 
-    def grid(self, leg: Leg) -> Grid:
+    def grid(self, leg: SetpointResponse) -> Grid:
         """The leg on the time grid."""
         x, y = (np.ascontiguousarray(z.T, dtype=np.float32) for z in (leg.x, leg.y))
         goals = (leg.goal_x[:, None].astype(np.float32), leg.goal_y[:, None].astype(np.float32))
         return Grid(self, x, y, *goals)
 
-    def at(self, leg: Leg, t_s: float) -> Leg:
+    def at(self, leg: SetpointResponse, t_s: float) -> SetpointResponse:
         """States of every candidate at one time after the start of the leg."""
         x, y = (expm(axis.matrix * t_s) @ z for axis, z in zip(self.axes, (leg.x, leg.y), strict=True))
-        return Leg(x, y, leg.goal_x, leg.goal_y)
+        return SetpointResponse(x, y, leg.goal_x, leg.goal_y)
 
-    def along(self, leg: Leg, times_s: Array) -> tuple[Array, Array]:
+    def along(self, leg: SetpointResponse, times_s: Array) -> tuple[Array, Array]:
         """States (n, 4) of the first candidate, along x and along y, at times (n,) after the leg's start."""
         x, y = (
             expm(axis.matrix * times_s[:, None, None]) @ z[:, 0]
@@ -136,13 +136,13 @@ class FreeFlight:
         )
         return x, y
 
-    def near(self, leg: Leg, index: Rows) -> Near:
+    def near(self, leg: SetpointResponse, index: Rows) -> SeriesSolution:
         """The exact solutions about one grid point per candidate."""
         states: list[Array] = [
             np.einsum("njk,kn->jn", axis.at_grid[index], z)
             for axis, z in zip(self.axes, (leg.x, leg.y), strict=True)
         ]
-        return Near(self, leg, self.times[index], states[0], states[1])
+        return SeriesSolution(self, leg, self.times[index], states[0], states[1])
 
 
 class Grid(NamedTuple):
@@ -158,14 +158,14 @@ class Grid(NamedTuple):
         """The chosen candidates."""
         return Grid(self.flight, self.x[rows], self.y[rows], self.goal_x[rows], self.goal_y[rows])
 
-    def window(self, first: int) -> Window:
+    def window(self, first: int) -> GridWindow:
         """One window of grid points, both ends included."""
         ax, ay = self.flight.axes
         part = slice(first, first + WINDOW + 1)
         x, y = self.x @ ax.position[:, part], self.y @ ay.position[:, part]
         x += self.goal_x
         y += self.goal_y
-        return Window(
+        return GridWindow(
             self.flight.times[part], x, y, self.x @ ax.velocity[:, part], self.y @ ay.velocity[:, part]
         )
 
@@ -180,10 +180,10 @@ class Grid(NamedTuple):
         return np.asarray(nearest > _SINGLE_M)
 
 
-class Near:
+class SeriesSolution:
     """Solutions about a moment of each candidate, as power series in the time from it."""
 
-    def __init__(self, flight: FreeFlight, leg: Leg, times: Array, zx: Array, zy: Array) -> None:
+    def __init__(self, flight: FreeFlight, leg: SetpointResponse, times: Array, zx: Array, zy: Array) -> None:
         ax, ay = flight.axes
         self.times, self._flight, self._leg, self._zx, self._zy = times, flight, leg, zx, zy
         self.x = ax.position_series @ zx  # (order + 1, n)
@@ -199,13 +199,13 @@ class Near:
             return direction[1] * self.y
         return direction[0] * self.x + direction[1] * self.y
 
-    def leg_at(self, d: Array) -> Leg:
+    def leg_at(self, d: Array) -> SetpointResponse:
         """States at a time `d` from the grid point, towards the same set-points."""
         states = []
         for axis, z in zip(self._flight.axes, (self._zx, self._zy), strict=True):
             terms = (axis.series.reshape(-1, 4) @ z).reshape(_ORDER + 1, 4, -1)
             states.append(_horner(terms, d))
-        return Leg(states[0], states[1], self._leg.goal_x, self._leg.goal_y)
+        return SetpointResponse(states[0], states[1], self._leg.goal_x, self._leg.goal_y)
 
 
 def _horner(coefficients: Array, d: Array) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dart_flight.config.mission import Mission
-from dart_flight.config.parameters import PositionSource
+from dart_flight.config.parameter_file import PositionSource
 
 PLAIN_GPS = (
     "plain GPS wanders by a metre within a flight: the wall is not where the vehicle believes it; a wall "

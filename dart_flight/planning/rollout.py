@@ -20,7 +20,7 @@ from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.core.mission.executive import PASSED_AFTER_S, PASSED_RISE_M
-from dart_flight.core.mission.survey import end_margin_m
+from dart_flight.core.mission.wall_uncertainty import end_margin_m
 from dart_flight.planning.approach_grid import ApproachGrid, approach_grid
 from dart_flight.planning.constraints import CODE, REFUSALS, Constraints, Refusal
 from dart_flight.planning.contact_stage import (
@@ -30,14 +30,14 @@ from dart_flight.planning.contact_stage import (
     TangentialShape,
     build_stages,
 )
-from dart_flight.planning.envelope import most_incidence_deg
+from dart_flight.planning.envelope import max_incidence_deg
 from dart_flight.planning.flight_model import (
     GRID_S,
     WINDOW,
     Array,
     FreeFlight,
-    Leg,
     Rows,
+    SetpointResponse,
     closest,
     first_crossing,
 )
@@ -71,7 +71,7 @@ class Hits(NamedTuple):
     normal_n: Array
     tangential_n: Array
     duration_s: Array
-    leg: Leg
+    leg: SetpointResponse
 
     @property
     def peak_force_n(self) -> Array:
@@ -108,7 +108,7 @@ class Arrivals(NamedTuple):
     hits: tuple[Hits, ...]
 
 
-class _Front(NamedTuple):
+class _Released(NamedTuple):
     """Candidates released from a wall; arrays (n,)."""
 
     rows: Rows
@@ -116,16 +116,16 @@ class _Front(NamedTuple):
     t_s: Array  # release
     since_peak_s: Array  # from the recovery set-point to the release
     force_n: Array
-    leg: Leg
+    leg: SetpointResponse
     hits: tuple[Hits, ...]
 
-    def take(self, rows: Rows | NDArray[np.bool_]) -> _Front:
+    def take(self, rows: Rows | NDArray[np.bool_]) -> _Released:
         """The chosen candidates."""
         hits = tuple(hit.take(rows) for hit in self.hits)
-        return _Front._make((*(v[rows] for v in self[:5]), self.leg.take(rows), hits))
+        return _Released._make((*(v[rows] for v in self[:5]), self.leg.take(rows), hits))
 
 
-def _merged(fronts: list[_Front]) -> _Front:
+def _merged(fronts: list[_Released]) -> _Released:
     """The candidates of several fronts at the same wall as one."""
     if len(fronts) == 1:
         return fronts[0]
@@ -136,18 +136,18 @@ def _merged(fronts: list[_Front]) -> _Front:
         for same in zip(*(front.hits for front in fronts), strict=True)
     )
     legs = _joined_legs([front.leg for front in fronts])
-    return _Front._make((*_joined([front[:5] for front in fronts]), legs, hits))
+    return _Released._make((*_joined([front[:5] for front in fronts]), legs, hits))
 
 
 def _joined(columns: list[Any]) -> list[Any]:
     return [np.concatenate(same) for same in zip(*columns, strict=True)]
 
 
-def _joined_legs(legs: list[Leg]) -> Leg:
-    return Leg(*(np.concatenate(same, axis=-1) for same in zip(*legs, strict=True)))
+def _joined_legs(legs: list[SetpointResponse]) -> SetpointResponse:
+    return SetpointResponse(*(np.concatenate(same, axis=-1) for same in zip(*legs, strict=True)))
 
 
-class Draw(NamedTuple):
+class UncertaintyDraw(NamedTuple):
     """One draw of what is uncertain: factors per (wall, mode), shifts, and where walls really stand."""
 
     factors: dict[tuple[str, Mode], tuple[float, float, float]]  # of k, f, mu
@@ -164,7 +164,7 @@ def drawn_wall(wall: Wall, rng: np.random.Generator) -> Wall:
     return moved.turned(float(angle) * (wall.yaw_sd_rad or 0.0))
 
 
-def stages_for(task: Task, draws: Sequence[Draw | None]) -> list[Stages]:
+def stages_for(task: Task, draws: Sequence[UncertaintyDraw | None]) -> list[Stages]:
     """Contact stages of every wall with gains in every mode, for every draw (None: the nominal values)."""
     keys = [(name, mode) for name in task.alphas for mode in task.modes]
     table, alphas, drags, delays = [], [], [], []
@@ -216,7 +216,12 @@ class Rollout:
         return approach_grid(self.task, self.walls[0], normal, tangential, self.constraints)
 
     def fly(
-        self, stages: Stages, normal: Array, tangential: Array, grid: ApproachGrid, draw: Draw | None = None
+        self,
+        stages: Stages,
+        normal: Array,
+        tangential: Array,
+        grid: ApproachGrid,
+        draw: UncertaintyDraw | None = None,
     ) -> list[Arrivals]:
         """All mode sequences from the given approaches.
 
@@ -259,13 +264,13 @@ class Rollout:
         normal: Array,
         tangential: Array,
         grid: ApproachGrid,
-        draw: Draw | None,
-    ) -> _Front | None:
+        draw: UncertaintyDraw | None,
+    ) -> _Released | None:
         wall = self.walls[0]
         stage = stages[wall.name, self.task.modes[mode]]
         shift_n, shift_t = (0.0, 0.0) if draw is None else (draw.normal_m_s, draw.tangential_m_s)
         if self._approached is not None:
-            grid, normal, tangential, shift_n, shift_t = _really_met(
+            grid, normal, tangential, shift_n, shift_t = _actual_approach(
                 wall, self._approached, grid, normal, tangential, (shift_n, shift_t)
             )
         bn, bt = drag_along(wall, self.task.vehicle.airframe.drag_per_s)
@@ -310,7 +315,7 @@ class Rollout:
         velocity: tuple[Array, Array],
         out: tuple[NormalOut, TangentialOut],
         before: tuple[Rows, Rows, Array, Array, tuple[Hits, ...]],
-    ) -> _Front | None:
+    ) -> _Released | None:
         """From contact `number` into the next leg; candidates whose recovery is over the limits leave."""
         (n, t), (nx, ny), (tx, ty) = out, wall.normal, wall.tangent
         rows, modes, time, force, hits = before
@@ -323,7 +328,7 @@ class Rollout:
         vx, vy = mission(n.velocity, t.velocity)
         ax, ay = mission(n.acceleration, t.acceleration)
         ix, iy = mission(n.integral, t.integral)
-        leg = Leg(
+        leg = SetpointResponse(
             np.stack((px - sx, vx, ax, ix)),
             np.stack((py - sy, vy, ay, iy)),
             position[0] + sx,
@@ -331,7 +336,7 @@ class Rollout:
         )
         duration = np.full(rows.size, stage.duration_s)
         hit = Hits(wall, time, *position, *velocity, n.peak_force_n, t.friction_n, duration, leg)
-        front = _Front(
+        front = _Released(
             rows,
             modes,
             time + stage.duration_s,
@@ -347,7 +352,7 @@ class Rollout:
 
     # -- to the next wall --
 
-    def _next(self, stages: Stages, front: _Front, wall: Wall, number: int) -> list[_Front]:
+    def _next(self, stages: Stages, front: _Released, wall: Wall, number: int) -> list[_Released]:
         """Collision `number`: a front for every mode that comes out of it."""
         index, order = self._search_wall(front, wall, number - 1)
         if order.size == 0:
@@ -371,15 +376,15 @@ class Rollout:
         return [front for front in fronts if front is not None]
 
     def _reached_codes(
-        self, front: _Front, wall: Wall, mode: int, impact: Leg, after: Array
+        self, front: _Released, wall: Wall, mode: int, impact: SetpointResponse, after: Array
     ) -> NDArray[np.int8] | None:
         """Whether vehicle, lock and detector are ready at the wall; `mode` is a place in the task's modes."""
         if self.constraints is None:
             return None
         codes = np.zeros(after.size, dtype=np.int8)
         # A recovery keeps the heading that the approach to the first wall has given.
-        askew_deg = math.degrees(wall.incidence(self.walls[0].parallel_yaw(0.0)))
-        if askew_deg > most_incidence_deg(self.task.vehicle, self.task.modes[mode]):
+        met_incidence_deg = math.degrees(wall.incidence(self.walls[0].parallel_yaw(0.0)))
+        if met_incidence_deg > max_incidence_deg(self.task.vehicle, self.task.modes[mode]):
             self.constraints.mark(codes, np.ones(after.size, dtype=bool), Refusal.INCIDENCE)
         switched = front.modes % len(self.task.modes) != mode
         if switched.any():
@@ -389,7 +394,7 @@ class Rollout:
         self.constraints.mark(codes, after < self.constraints.refractory_s, Refusal.TOO_SOON)
         return codes
 
-    def _search_wall(self, front: _Front, wall: Wall, number: int) -> tuple[Rows, Rows]:
+    def _search_wall(self, front: _Released, wall: Wall, number: int) -> tuple[Rows, Rows]:
         """Grid index just behind the plane, and which candidates get there, after collision `number`."""
         (nx, ny), (px, py) = wall.normal, wall.point
         offset = nx * px + ny * py
@@ -434,8 +439,14 @@ class Rollout:
         return np.concatenate([*indices, _NONE]), np.concatenate([*found, _NONE])
 
     def _collide(
-        self, stage: ContactStage, wall: Wall, number: int, front: _Front, leg: Leg, after: Array
-    ) -> _Front | None:
+        self,
+        stage: ContactStage,
+        wall: Wall,
+        number: int,
+        front: _Released,
+        leg: SetpointResponse,
+        after: Array,
+    ) -> _Released | None:
         (nx, ny), (tx, ty) = wall.normal, wall.tangent
         x, y = leg.x[0] + leg.goal_x, leg.y[0] + leg.goal_y
         vn, an, jn = (nx * leg.x[i] + ny * leg.y[i] for i in (1, 2, 3))
@@ -457,7 +468,7 @@ class Rollout:
 
     # -- to the goal --
 
-    def _arrive(self, front: _Front) -> list[Arrivals]:
+    def _arrive(self, front: _Released) -> list[Arrivals]:
         """The closest approach, by the executive's rule for having passed the goal; by sequence of modes."""
         index, order = self._search_goal(front)
         arrived = front.take(order)
@@ -480,7 +491,7 @@ class Rollout:
                 arrivals.append(Arrivals._make(columns))
         return arrivals
 
-    def _search_goal(self, front: _Front) -> tuple[Rows, Rows]:
+    def _search_goal(self, front: _Released) -> tuple[Rows, Rows]:
         """Grid index of the least distance before the executive sees it rise; which rows get there."""
         live = np.arange(front.leg.size)
         grid = self.flight.grid(front.leg)
@@ -526,7 +537,7 @@ class Rollout:
 _NONE = np.zeros(0, dtype=np.intp)
 
 
-def _really_met(
+def _actual_approach(
     wall: Wall,
     planned: Wall,
     grid: ApproachGrid,

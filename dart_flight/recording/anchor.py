@@ -7,7 +7,7 @@ from dart_flight.base.records import OdometrySample, Phase, PhaseChange, Record
 from dart_flight.config.mission import Mission
 
 
-class Anchor:
+class MissionFrameReader:
     """Takes the records of a flight in order.
 
     Attributes:

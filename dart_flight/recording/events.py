@@ -64,7 +64,7 @@ _SEVERITIES = {
 }
 
 
-class Events:
+class EventFormatter:
     """Takes the records of a flight in order.
 
     Args:
@@ -75,7 +75,7 @@ class Events:
         self._every_problem = every_problem
         self._problems: tuple[str, ...] = ()
 
-    def take(self, record: Record) -> Event | None:
+    def event_of(self, record: Record) -> Event | None:
         """The event that a record is, or None."""
         if record.frequent:  # as most are
             return None

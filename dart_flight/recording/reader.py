@@ -13,7 +13,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 
 from dart_flight.base.records import Record, World
 from dart_flight.config.document import InputError, open_file
-from dart_flight.config.kinds import FileKind, refuse_other_kind
+from dart_flight.config.file_kinds import FileKind, refuse_other_kind
 from dart_flight.recording.encoding import decode
 from dart_flight.recording.schema import RECORD_TYPES
 from dart_flight.recording.writer import ABOUT, END, FORMAT_VERSION, part_path

@@ -33,21 +33,21 @@ from dart_flight.base.records import (
     Override,
     Phase,
     PhaseChange,
-    SetPointSent,
+    SetpointSent,
     Tick,
     TruthContact,
     TruthSample,
-    WallFelt,
+    WallEstimate,
     World,
 )
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.provenance import VehicleSource
 from dart_flight.core.mission.phases import ON_GROUND
-from dart_flight.core.sense.body import side_of
+from dart_flight.core.sense.incidence import side_of
 from dart_flight.recording.about import flown_mission
-from dart_flight.recording.anchor import Anchor
-from dart_flight.recording.deviations import Deviation, FlownImpact, deviations, predict_flight
+from dart_flight.recording.anchor import MissionFrameReader
 from dart_flight.recording.found import PX4_LOG
+from dart_flight.recording.plan_versus_flight import Deviation, FlownImpact, deviations, predict_flight
 from dart_flight.recording.reader import IN_MEMORY, Log
 
 _TICK_US = 20_000
@@ -224,7 +224,7 @@ class VerdictBuilder:
         self._tilt_rad: float | None = None
         self._airborne_us: int | None = None
         self._landed_us: int | None = None
-        self._anchor = Anchor(mission)
+        self._anchor = MissionFrameReader(mission)
         self._position_error = PositionError()
         self._ticked_us: int | None = None
         self._late_us: int | None = None  # at worst, between ticks
@@ -240,8 +240,8 @@ class VerdictBuilder:
             ImpactPeak: self._take_peak,
             ImpactBody: self._take_body,
             ContactEnd: self._take_contact_end,
-            WallFelt: self._take_felt,
-            SetPointSent: self._take_sent,
+            WallEstimate: self._take_felt,
+            SetpointSent: self._take_sent,
             LockState: self._take_lock,
             GuardEvent: self._take_guard,
             GoalPassed: self._take_passed,
@@ -278,7 +278,7 @@ class VerdictBuilder:
     def _take_onset(self, record: ImpactOnset) -> None:
         self._onset = record
 
-    def _take_sent(self, record: SetPointSent) -> None:
+    def _take_sent(self, record: SetpointSent) -> None:
         if self._collisions and self._collisions[-1].setpoint_latency_ms is None:
             self._collisions[-1].setpoint_latency_ms = record.latency_us * 1e-3
 
@@ -348,7 +348,7 @@ class VerdictBuilder:
             last.lock.contact_end_us = record.t_us
             last.lock.relaxed_us = record.t_us + self._relaxation_us
 
-    def _take_felt(self, record: WallFelt) -> None:
+    def _take_felt(self, record: WallEstimate) -> None:
         if self._relaxation_us is None:
             return  # one mode: nothing to tell apart
         # As of a peak: what is felt of an unplanned hit says nothing of the collision before it.

@@ -35,25 +35,25 @@ from dart_flight.base.records import (
     PlanRequest,
     Record,
     Request,
-    SetPoint,
+    Setpoint,
     Silence,
     VehicleAction,
     VehicleCommand,
-    WallFelt,
+    WallEstimate,
 )
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.lock.drivers import Driver, make_driver
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
-from dart_flight.lock.session import LockSession
+from dart_flight.lock.lock_session import LockSession
 from dart_flight.lock.state_machine import status_text
 from dart_flight.run.core_thread import CoreThread
 from dart_flight.run.deadman import CORE, FEED_PERIOD_S, LOOP, Deadman, SystemdNotice
-from dart_flight.run.replanner_process import PlannerProcess
+from dart_flight.run.replanner_process import ReplannerProcess
 from dart_flight.run.runner import CoreRunner, Observe
 from dart_flight.vehicle.clock import Clock, host_us
-from dart_flight.vehicle.session import NoAnswerError, VehicleSession, connect
+from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleSession, connect
 
 _SHOW_PERIOD_S = 0.2  # as often as the live line changes
 _LOCK_PERIOD_S, _LOCK_REST_S = 0.01, 0.1  # while it travels, and otherwise
@@ -65,7 +65,7 @@ _END_GRACE_S = 0.3  # for the last truth and the log
 Progress = Callable[[Record], None]
 
 
-class SimulatedWorld(Protocol):
+class Simulator(Protocol):
     """What a simulated world offers the app beside MAVLink."""
 
     @property
@@ -165,7 +165,7 @@ class FlightApp:
         mission: Mission,
         url: str,
         observe: Observe,
-        world: SimulatedWorld | None = None,
+        world: Simulator | None = None,
         progress: Progress = lambda record: None,
         clock: Clock | None = None,
         deadman_note: Path | None = None,
@@ -188,7 +188,7 @@ class FlightApp:
             CoreRunner(FlightCore(mission), self, self._see, host_us), lambda: self._feed(CORE)
         )
         self._lock: LockThread | None = None
-        self._planner: PlannerProcess | None = None
+        self._planner: ReplannerProcess | None = None
 
     async def run(self) -> None:
         """Fly; returns when the flight has ended.
@@ -210,7 +210,7 @@ class FlightApp:
             if self._mission.vehicle.lock is not None:
                 self._lock = self._make_lock(session, self._mission.vehicle.lock)
             if self._mission.after_impact is AfterImpact.REPLAN:
-                self._planner = PlannerProcess(self._mission, self._core.put)
+                self._planner = ReplannerProcess(self._mission, self._core.put)
             sys.setswitchinterval(_SWITCH_INTERVAL_S)
             # What is loaded by now stays: the collector need not walk it in flight.
             gc.collect()
@@ -232,7 +232,7 @@ class FlightApp:
                 keeper.cancel()
                 measuring.cancel()
                 if self._deadman is not None:
-                    self._deadman.let_go()
+                    self._deadman.disarm()
                 self._core.stop()
                 if self._lock is not None:
                     self._lock.stop()
@@ -253,7 +253,7 @@ class FlightApp:
         request = Request.LAND if self._stops == 1 else Request.RELEASE
         self._core.put(OperatorRequest(host_us(), request))
 
-    def go_on(self) -> None:
+    def resume(self) -> None:
         """The operator's word that ends a pause; at any other time it means nothing."""
         self._core.put(OperatorRequest(host_us(), Request.CONTINUE))
 
@@ -276,7 +276,7 @@ class FlightApp:
             while True:
                 if self._deadman is not None:
                     self._deadman.feed(LOOP)
-                    self._deadman.mend()
+                    self._deadman.restart_if_dead()
                 if self._core.age_s() < starve_s:
                     systemd.alive()
                 await asyncio.sleep(FEED_PERIOD_S if self._deadman is None else self._deadman.feed_period_s)
@@ -306,7 +306,7 @@ class FlightApp:
             with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):  # not the main thread
                 self.loop.add_signal_handler(number, self.stop)
         with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):
-            self.loop.add_signal_handler(signal.SIGUSR1, self.go_on)
+            self.loop.add_signal_handler(signal.SIGUSR1, self.resume)
         self._listen_for_key()
 
     def _listen_for_key(self) -> None:
@@ -329,7 +329,7 @@ class FlightApp:
         if not typed:  # the terminal has gone
             self.loop.remove_reader(terminal)
         elif b"\n" in typed:
-            self.go_on()
+            self.resume()
 
     # -- lock --
 
@@ -367,14 +367,14 @@ class FlightApp:
 
     # -- what the core wants, on the core thread (`runner.Hands`) --
 
-    def send(self, setpoint: SetPoint) -> None:
+    def send(self, setpoint: Setpoint) -> None:
         """A set-point, at once."""
         assert self._session is not None
         # A refused set-point is not a fault of the core: PX4 keeps the last one, then its failsafe.
         with contextlib.suppress(Exception):
             self._session.send(setpoint)
 
-    def carry_out(self, output: Output) -> None:
+    def execute(self, output: Output) -> None:
         """Every other command, without waiting for it."""
         assert self._session is not None
         assert self.loop is not None
@@ -385,10 +385,10 @@ class FlightApp:
                 self._lock.put(output)
         elif isinstance(output, PlanRequest):
             if self._planner is not None:
-                self._planner.ask(output)
-        elif isinstance(output, WallFelt):
+                self._planner.send_request(output)
+        elif isinstance(output, WallEstimate):
             if self._planner is not None:
-                self._planner.feel(output)
+                self._planner.send_wall_estimate(output)
         elif isinstance(output, PhaseChange):
             # For `monitor`; not on this thread, whose set-points must not wait for it.
             self.loop.call_soon_threadsafe(self._session.tell_ground, f"phase {output.after}")

@@ -36,7 +36,7 @@ class CoreThread:
         self._runner, self._alive = runner, alive
         self._queue: queue.SimpleQueue[Input] = queue.SimpleQueue()
         self._owner = threading.Lock()  # whoever holds it steps
-        self._pace = Pace.TOGETHER  # changed by the owner
+        self._pace = Pace.BATCHED  # changed by the owner
         self._called = threading.Event()  # the core's own thread is to come round now
         self._fault: BaseException | None = None
         self._stopping = False
@@ -56,15 +56,17 @@ class CoreThread:
         """Take an input of the stream: queue it, and step at once where the core is in haste; any thread."""
         self._queue.put(item)
         # Whoever steps looks into the queue again afterwards: what finds it owned is not forgotten.
-        while self._pace is Pace.PROMPT and not self._queue.empty() and self._owner.acquire(blocking=False):
+        while (
+            self._pace is Pace.IMMEDIATE and not self._queue.empty() and self._owner.acquire(blocking=False)
+        ):
             try:
                 self._step_queued([])
             except BaseException as fault:
                 # MAVSDK's thread would swallow it: the core's own ends by it, and then the deadman acts.
-                self._fault, self._pace = fault, Pace.TOGETHER
+                self._fault, self._pace = fault, Pace.BATCHED
             finally:
                 self._owner.release()
-            if self._pace is not Pace.PROMPT:
+            if self._pace is not Pace.IMMEDIATE:
                 self._called.set()
 
     def stop(self) -> None:
@@ -90,7 +92,7 @@ class CoreThread:
 
     def _wait(self) -> list[Input]:
         """Until it is time for a turn; returns the input that ended the wait, where there is one."""
-        if self._pace is Pace.LONG:
+        if self._pace is Pace.DEFERRED:
             with contextlib.suppress(queue.Empty):
                 return [self._queue.get(timeout=_TICK_S)]
         elif self._called.wait(PATIENCE_S):

@@ -87,14 +87,14 @@ class Deadman:
             self._fed_s[part] = now
             self._write(part)
 
-    def mend(self) -> None:
+    def restart_if_dead(self) -> None:
         """Start another watcher where this one has died."""
         if self._process.poll() is not None:
             self._start()
             if self._armed:
                 self._write(_ARM)
 
-    def let_go(self) -> None:
+    def disarm(self) -> None:
         """The flight is over: the watcher ends without harm."""
         self._armed = False
         # The pipe stays open: the core thread may still feed, and must not write into a number used anew.

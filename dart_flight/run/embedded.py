@@ -11,12 +11,12 @@ from dart_flight.config.mission import Mission
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.app import FlightApp
 from dart_flight.run.flight_record import FlightRecord, Onlooker
-from dart_flight.run.sabotage import Sabotage
-from dart_flight.run.world_process import WorldProcess, fly_in_world, world_log
+from dart_flight.run.program_fault import ProgramFault
+from dart_flight.run.simulator_process import SimulatorProcess, fly_simulated, world_log
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.extras import need_mavlink
-from dart_flight.sim.faults.kinds import Fault
-from dart_flight.sim.pipe import WorldSpec
+from dart_flight.sim.faults.fault_table import Fault
+from dart_flight.sim.pipe import SimulatorSpec
 from dart_flight.vehicle.clock import LockstepClock
 from dart_flight.vehicle.link import free_link
 
@@ -44,7 +44,7 @@ def fly_embedded(
 
     Raises:
         InputError: the log cannot be written.
-        WorldError, VehicleError: the simulated vehicle did not start or did not answer.
+        SimulatorError, VehicleError: the simulated vehicle did not start or did not answer.
     """
     need_mavlink()
     drawn = draw_world(mission, seed, spreads or {})
@@ -55,7 +55,7 @@ def fly_embedded(
     except InputError:
         record.close()
         raise
-    spec = WorldSpec(
+    spec = SimulatorSpec(
         mission,
         seed,
         [port],
@@ -64,18 +64,18 @@ def fly_embedded(
         speed=speed,
     )
 
-    def make_app(world: WorldProcess) -> FlightApp:
+    def make_app(world: SimulatorProcess) -> FlightApp:
         note = record.folder / DEADMAN_NOTE if deadman else None
         url = f"udpin://127.0.0.1:{port}"
         clock = None if speed == 1.0 else LockstepClock(speed)
         app = FlightApp(mission, url, record, world, progress, clock, note, drawn.lock_faults)
         record.notice = app.show
         if fault is not None:
-            record.onlookers.append(Sabotage(fault, app, world, record.path))
+            record.onlookers.append(ProgramFault(fault, app, world, record.path))
         return app
 
     try:
-        fly_in_world(record, lambda on_truth: WorldProcess(spec, on_truth), make_app)
+        fly_simulated(record, lambda on_truth: SimulatorProcess(spec, on_truth), make_app)
     finally:
         lease.release()
     return record.build()

@@ -33,14 +33,14 @@ from dart_flight.base.records import (
     Record,
     Request,
     RoundTrip,
-    SetPoint,
+    Setpoint,
     Silence,
     StatusSample,
     StatusText,
     Tick,
     VehicleAction,
     VehicleCommand,
-    WallFelt,
+    WallEstimate,
     World,
 )
 from dart_flight.config.document import InputError
@@ -49,16 +49,16 @@ from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.lock.drivers import DRIVERS, driver_names, make_driver
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
-from dart_flight.lock.session import LockSession
-from dart_flight.planning.replanning import Replanner
+from dart_flight.lock.lock_session import LockSession
+from dart_flight.planning.replanner import Replanner
 from dart_flight.recording.verdict import Verdict
-from dart_flight.run.faulted import FaultedFlight, Order, TimeRequest
+from dart_flight.run.fault_injection import FlightWithFault, Order, TimeRequest
 from dart_flight.run.flight_record import FlightRecord, Onlooker
 from dart_flight.run.runner import CoreRunner, Observe
-from dart_flight.sim.cascade import TrajectorySetPoint
+from dart_flight.sim.cascade import TrajectorySetpoint
 from dart_flight.sim.draws import DrawnWorld, draw_world
-from dart_flight.sim.faults.kinds import Fault
-from dart_flight.sim.vehicle import SimulatedVehicle
+from dart_flight.sim.faults.fault_table import Fault
+from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 
 # The host reads its own clock; and a message takes 1 ms, the median of MAVSDK's callback over UDP.
 _HOST_OFFSET_US: Final = 7_001_000
@@ -147,7 +147,7 @@ class FastFlight:
         self._sender = TelemetrySender(self.vehicle)
         self._twin_sender: TelemetrySender | None = None
         self._texts: list[tuple[str, str]] = []
-        self._last_setpoint: SetPoint | None = None
+        self._last_setpoint: Setpoint | None = None
         self._repeated_us = 0
         self._lock_states: list[LockState] = []
         replans = mission.after_impact is AfterImpact.REPLAN
@@ -162,7 +162,7 @@ class FastFlight:
         self.lock: LockSession | None = None
         if mission.vehicle.lock is not None:
             self.lock = self._make_lock(mission.vehicle.lock, driver, faults)
-        self.faulted = None if fault is None else FaultedFlight(self, fault, seed)
+        self.faulted = None if fault is None else FlightWithFault(self, fault, seed)
 
     def _make_lock(self, lock: LockConfig, driver: LockDriver, faults: MockFaults | None) -> LockSession:
         def clock_us() -> int:
@@ -280,12 +280,12 @@ class FastFlight:
         if self.faulted is not None:
             self.faulted.sees(record)
 
-    def send(self, setpoint: SetPoint) -> None:
+    def send(self, setpoint: Setpoint) -> None:
         """A set-point leaves the app; it is repeated from now on."""
         self._last_setpoint = setpoint
         self._transmit(setpoint)
 
-    def carry_out(self, output: Output) -> None:
+    def execute(self, output: Output) -> None:
         """Every other command of the core."""
         if isinstance(output, VehicleCommand):
             self._transmit(output.action)
@@ -294,8 +294,8 @@ class FastFlight:
         elif isinstance(output, PlanRequest) and self._replanner is not None:
             due_us = self.host_us + self._plan_us
             self._answers.append((due_us, self._replanner.answer(output, due_us)))
-        elif isinstance(output, WallFelt) and self._replanner is not None:
-            self._replanner.feel(output)
+        elif isinstance(output, WallEstimate) and self._replanner is not None:
+            self._replanner.update_wall(output)
         elif isinstance(output, Silence):
             self._last_setpoint = None
 
@@ -315,7 +315,7 @@ class FastFlight:
         if self._last_setpoint is not None and self.host_us - self._repeated_us >= _REPEAT_US:
             self._transmit(self._last_setpoint)
 
-    def _transmit(self, order: SetPoint | VehicleAction) -> None:
+    def _transmit(self, order: Setpoint | VehicleAction) -> None:
         """To the autopilot, over the link where that is faulty."""
         self._repeated_us = self.host_us
         if self.faulted is not None:
@@ -325,9 +325,9 @@ class FastFlight:
 
     def deliver(self, order: Order) -> None:
         """A set-point, an action or a request arrives at the autopilot."""
-        if isinstance(order, SetPoint):
+        if isinstance(order, Setpoint):
             self.autopilot.set_trajectory(
-                TrajectorySetPoint(
+                TrajectorySetpoint(
                     order.position_ned,
                     order.velocity_ned or _NAN3,
                     order.acceleration_ned or _NAN3,

@@ -10,7 +10,7 @@ import msgspec
 from dart_flight.base.records import LogFailure, Record, World
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
-from dart_flight.config.provenance import shown_path
+from dart_flight.config.provenance import display_path
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.found import LOG_NAME
 from dart_flight.recording.memory import MemoryLog
@@ -116,8 +116,8 @@ class FlightRecord:
 
     def build(self, px4_log: Path | None = None) -> Verdict:
         """The verdict so far; `px4_log` is PX4's own log, where there is one."""
-        log = shown_path(self.path) if isinstance(self._log, FlightLog) else None
-        kept = shown_path(px4_log) if px4_log is not None and px4_log.exists() else None
+        log = display_path(self.path) if isinstance(self._log, FlightLog) else None
+        kept = display_path(px4_log) if px4_log is not None and px4_log.exists() else None
         built = self.verdict.build(self._world, self._seed, log, kept)
         built.drawn = self._drawn
         built.log_failure = self._log.shortfall if self._log is not None else None

@@ -22,7 +22,7 @@ from dart_flight.run.workers import Failure, Interrupt, usable_cores, work
 from dart_flight.sim.draws import AS_COMMANDED, LOCK_TRUE_MODE
 
 
-class Spread(msgspec.Struct):
+class RunSpread(msgspec.Struct):
     """A figure over many flights."""
 
     median: float
@@ -30,7 +30,7 @@ class Spread(msgspec.Struct):
     high: float
 
 
-class Summary(msgspec.Struct):
+class RunsSummary(msgspec.Struct):
     """Many flights of one mission in a few figures.
 
     Attributes:
@@ -40,10 +40,10 @@ class Summary(msgspec.Struct):
     runs: int
     completed: int
     reasons: dict[str, int]
-    goal_miss_m: Spread | None
-    final_error_m: Spread | None
-    max_tilt_deg: Spread | None
-    peak_force_error_percent: Spread | None
+    goal_miss_m: RunSpread | None
+    final_error_m: RunSpread | None
+    max_tilt_deg: RunSpread | None
+    peak_force_error_percent: RunSpread | None
     plan_followed: int | None = None  # flights; None: none had a plan
     unexplained_modes: dict[str, list[str]] = {}
 
@@ -137,14 +137,14 @@ def fly_one_by_one(
     return verdicts
 
 
-def summarise(verdicts: list[Verdict]) -> Summary:
+def summarise(verdicts: list[Verdict]) -> RunsSummary:
     """Counts and spreads over many flights."""
     reasons: dict[str, int] = {}
     for v in verdicts:
         if v.reason is not None:
             rule = v.reason.split(":")[0]
             reasons[rule] = reasons.get(rule, 0) + 1
-    return Summary(
+    return RunsSummary(
         runs=len(verdicts),
         completed=sum(v.outcome is Outcome.COMPLETED for v in verdicts),
         reasons=reasons,
@@ -188,8 +188,8 @@ def _force_errors(verdicts: list[Verdict]) -> Iterator[float]:
                 yield 100.0 * (measured / true - 1.0)
 
 
-def _spread(values: Iterable[Any]) -> Spread | None:
+def _spread(values: Iterable[Any]) -> RunSpread | None:
     known = sorted(v for v in values if v is not None)
     if not known:
         return None
-    return Spread(known[len(known) // 2], known[0], known[-1])
+    return RunSpread(known[len(known) // 2], known[0], known[-1])

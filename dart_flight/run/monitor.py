@@ -33,16 +33,16 @@ from dart_flight.base.records import (
     PlanTaken,
     Record,
     StatusText,
-    WallFelt,
+    WallEstimate,
 )
 from dart_flight.base.streams import STREAMS
 from dart_flight.config.mission import Mission
-from dart_flight.core.sense.detector import Expected
+from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.senses import Senses
 from dart_flight.lock.state_machine import status_text
 from dart_flight.recording.follow import LogFollower
 from dart_flight.vehicle.clock import host_us
-from dart_flight.vehicle.session import VehicleSession, connect
+from dart_flight.vehicle.vehicle_session import VehicleSession, connect
 
 _STREAM_OF = {
     ImuSample: "imu",
@@ -75,7 +75,7 @@ class WallView(msgspec.Struct):
     posterior_sd: Vec3
 
 
-class Screen(msgspec.Struct):
+class MonitorView(msgspec.Struct):
     """What a screen shows; forces in newton, along the axes of the frame named."""
 
     time_s: float
@@ -102,7 +102,7 @@ class Screen(msgspec.Struct):
     plan: str | None = None  # what became of the newest plan made in flight
 
 
-class Watcher:
+class TelemetryMonitor:
     """Estimator and detector on live telemetry.
 
     Args:
@@ -136,14 +136,14 @@ class Watcher:
         """A record of a flight's log: inputs as from telemetry, and the phase."""
         if isinstance(record, PhaseChange):
             self._phase = record.after.value
-        elif isinstance(record, WallFelt):
+        elif isinstance(record, WallEstimate):
             self._take_wall(record)
         elif isinstance(record, PlanTaken):
             self._plan = "flown" if record.taken else f"not flown: {record.reason}"
         elif isinstance(record, _INPUTS):
             self._work_through(record)
 
-    def _take_wall(self, felt: WallFelt) -> None:
+    def _take_wall(self, felt: WallEstimate) -> None:
         mode = felt.mode_felt or felt.mode_reported
         if mode is None or felt.wall not in self._materials:
             return
@@ -181,7 +181,7 @@ class Watcher:
             return []
         if isinstance(item, LockState):
             self._lock = status_text(item).removeprefix("lock ")
-        sensed = self._senses.take(item, Expected(self._in_air))
+        sensed = self._senses.update(item, ExpectedContact(self._in_air))
         if sensed.estimate is None:
             return []
         self._estimate = sensed.estimate
@@ -199,14 +199,14 @@ class Watcher:
         elif text.startswith("phase "):
             self._phase = text.removeprefix("phase ")
 
-    def view(self) -> Screen:
+    def view(self) -> MonitorView:
         """The present state for a screen."""
         self.work()
         now, state, e = host_us(), self._senses.state, self._estimate
         newest = state.imu.t_us if state.imu else 0
         source = self._senses.estimator.thrust.source
         hover = self._senses.estimator.hover
-        return Screen(
+        return MonitorView(
             time_s=(now - self._began_us) * 1e-6,
             frame="mission" if self._placed else "north, west, up",
             force_n=e.force_mission if e else None,
@@ -251,18 +251,18 @@ class Watcher:
         return share
 
 
-async def _raise_rates(watcher: Watcher, session: VehicleSession) -> None:
+async def _raise_rates(watcher: TelemetryMonitor, session: VehicleSession) -> None:
     """Ask for the streams that come at less than a mission needs."""
     await asyncio.sleep(1.5 * _RATE_WINDOW_S)
     slow = [s.name for s in watcher.view().streams if s.rate_hz < s.expected_hz]
     await session.set_rates(slow, watching=True)
 
 
-async def watch(
-    watcher: Watcher,
+async def monitor_vehicle(
+    watcher: TelemetryMonitor,
     url: str,
     timeout_s: float,
-    show: Callable[[Screen], None],
+    show: Callable[[MonitorView], None],
     period_s: float,
     seconds: float | None,
     opened: Callable[[], None] = lambda: None,
@@ -293,10 +293,10 @@ async def watch(
                 await rates
 
 
-def follow(
-    watcher: Watcher,
+def monitor_log(
+    watcher: TelemetryMonitor,
     log: LogFollower,
-    show: Callable[[Screen], None],
+    show: Callable[[MonitorView], None],
     period_s: float,
     seconds: float | None,
     flying: Callable[[], bool],

@@ -56,7 +56,7 @@ def with_driver(mission: Mission, driver: LockDriver | None) -> Mission:
     return msgspec.structs.replace(mission, vehicle=vehicle)
 
 
-def with_standoff(mission: Mission, standoff_m: float | None) -> Mission:
+def as_rehearsal(mission: Mission, standoff_m: float | None) -> Mission:
     """The mission's rehearsal: every contact replaced by stopping so far before the wall; None: as it is.
 
     Raises:

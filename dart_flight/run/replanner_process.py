@@ -16,9 +16,9 @@ from typing import BinaryIO
 import msgspec
 
 from dart_flight.base.processes import ChildProcess
-from dart_flight.base.records import PlanAnswer, PlanRequest, WallFelt
+from dart_flight.base.records import PlanAnswer, PlanRequest, WallEstimate
 from dart_flight.config.mission import Mission
-from dart_flight.planning.replanning import Replanner
+from dart_flight.planning.replanner import Replanner
 from dart_flight.vehicle.clock import host_us
 
 _NICE = 5  # below the flight: set-points go first
@@ -26,7 +26,7 @@ _END_S = 1.0
 _FELT, _ASKED = b"w", b"p"  # what a line holds
 
 
-class PlannerProcess:
+class ReplannerProcess:
     """Planner of one mission.
 
     Args:
@@ -41,11 +41,11 @@ class PlannerProcess:
         self._deliver = deliver
         self.process = ChildProcess(__name__, msgspec.json.encode(mission), self._take)
 
-    def feel(self, felt: WallFelt) -> None:
+    def send_wall_estimate(self, felt: WallEstimate) -> None:
         """Pass on what a contact has taught; never blocks."""
         self.process.send(_FELT + msgspec.json.encode(felt))
 
-    def ask(self, request: PlanRequest) -> None:
+    def send_request(self, request: PlanRequest) -> None:
         """Send a request; never blocks. Where there is no planner any more the answer says so at once."""
         if self.process.poll() is None and self.process.send(_ASKED + msgspec.json.encode(request)):
             return
@@ -66,7 +66,7 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
     replanner = Replanner(msgspec.json.decode(requests.readline(), type=Mission))
     for line in requests:
         if line.startswith(_FELT):
-            replanner.feel(msgspec.json.decode(line[1:], type=WallFelt))
+            replanner.update_wall(msgspec.json.decode(line[1:], type=WallEstimate))
         else:
             request = msgspec.json.decode(line[1:], type=PlanRequest)
             answers.write(msgspec.json.encode(replanner.answer(request, 0)) + b"\n")

@@ -31,10 +31,10 @@ from dart_flight.base.records import (
     PlanRequest,
     PlanTaken,
     Record,
-    SetPoint,
+    Setpoint,
     Silence,
     VehicleCommand,
-    WallFelt,
+    WallEstimate,
 )
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
@@ -64,7 +64,7 @@ DECISIONS = (
 )
 TOLERANCE = 1e-9
 # Of records that an iteration ends in: rounding may make it stop a step sooner, where the data hold little.
-_LOOSER: dict[type[Record], float] = {WallFelt: 0.02}
+_LOOSER: dict[type[Record], float] = {WallEstimate: 0.02}
 _IN_FLIGHT = 3  # inputs at the end of a cut log whose outputs may be missing
 
 
@@ -164,7 +164,7 @@ def replay(log: Log, settings: Sequence[str] = (), *, exact: bool | None = None)
 
 
 def _decides(output: Record) -> bool:
-    return isinstance(output, DECISIONS) or (isinstance(output, SetPoint) and output.recovery)
+    return isinstance(output, DECISIONS) or (isinstance(output, Setpoint) and output.recovery)
 
 
 def _missing(numbers: list[int]) -> int:

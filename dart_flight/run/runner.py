@@ -14,8 +14,8 @@ from dart_flight.base.records import (
     Input,
     Output,
     Record,
-    SetPoint,
-    SetPointSent,
+    Setpoint,
+    SetpointSent,
     Silence,
     TorqueEstimate,
 )
@@ -23,16 +23,16 @@ from dart_flight.core.pace import Pace
 
 Observe = Callable[[Record, int], None]
 # Set-points have left already; the estimates come with every IMU sample and are no commands.
-_NOT_CARRIED: Final = (SetPoint, ForceEstimate, TorqueEstimate)
+_NOT_CARRIED: Final = (Setpoint, ForceEstimate, TorqueEstimate)
 
 
-class Hands(Protocol):
+class CommandSink(Protocol):
     """What carries the core's commands out; nothing here may block or raise."""
 
-    def send(self, setpoint: SetPoint) -> None:
+    def send(self, setpoint: Setpoint) -> None:
         """A set-point, at once."""
 
-    def carry_out(self, output: Output) -> None:
+    def execute(self, output: Output) -> None:
         """Every other output but the estimates; records that are no commands are passed over."""
 
 
@@ -57,11 +57,11 @@ class CoreRunner:
         host_us: the host's monotonic clock, microseconds; simulated in the fast world.
     """
 
-    def __init__(self, core: Core, hands: Hands, observe: Observe, host_us: Callable[[], int]) -> None:
+    def __init__(self, core: Core, hands: CommandSink, observe: Observe, host_us: Callable[[], int]) -> None:
         self.core = core
         self._hands, self._observe, self._host_us = hands, observe, host_us
         self._number = 0
-        self._held: SetPoint | None = None
+        self._held: Setpoint | None = None
 
     def take(self, item: Input, *, more: bool = False) -> None:
         """Step the core with an input and hand out what follows; set-points leave before anything else.
@@ -74,17 +74,17 @@ class CoreRunner:
         number = self._number
         self._number += 1
         outputs = self.core.step(item)
-        sent = [self._send(output) for output in outputs if isinstance(output, SetPoint)]
+        sent = [self._send(output) for output in outputs if isinstance(output, Setpoint)]
         if any(isinstance(output, Silence) for output in outputs):
             self._held = None  # nothing leaves once that is decided
         elif not more:
-            self._let_go()
+            self._send_held()
         self._observe(item, number)
         for output in outputs:
             self._observe(output, number)
             if not isinstance(output, _NOT_CARRIED):
-                self._let_go()
-                self._hands.carry_out(output)
+                self._send_held()
+                self._hands.execute(output)
         for note in sent:
             if note is not None:
                 self._observe(note, number)
@@ -93,7 +93,7 @@ class CoreRunner:
         """Show a record that is neither input nor output: truth, at the number of the next input."""
         self._observe(record, self._number)
 
-    def _send(self, setpoint: SetPoint) -> SetPointSent | None:
+    def _send(self, setpoint: Setpoint) -> SetpointSent | None:
         """Those of the recovery leave at once; others as soon as it is known that none follows at once."""
         if not setpoint.recovery:
             self._held = setpoint
@@ -101,9 +101,9 @@ class CoreRunner:
         self._held = None
         self._hands.send(setpoint)
         sent_us = self._host_us()
-        return SetPointSent(setpoint.t_us, sent_us, sent_us - setpoint.trigger_received_us)
+        return SetpointSent(setpoint.t_us, sent_us, sent_us - setpoint.trigger_received_us)
 
-    def _let_go(self) -> None:
+    def _send_held(self) -> None:
         if self._held is not None:
             self._hands.send(self._held)
             self._held = None

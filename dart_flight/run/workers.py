@@ -76,7 +76,7 @@ class Failure(NamedTuple):
     error: Exception | None = None
 
 
-class Done(NamedTuple, Generic[I, R]):
+class FinishedItem(NamedTuple, Generic[I, R]):
     """One item after it was flown: its result, or why there is none."""
 
     item: I
@@ -165,7 +165,7 @@ def _fly_one(item: Any) -> Any:
 
 def work(
     fly: Callable[[I], R], items: Iterable[I], processes: int, interrupt: Interrupt
-) -> Generator[Done[I, R], None, None]:
+) -> Generator[FinishedItem[I, R], None, None]:
     """Fly items side by side, as they come; results in the order they land.
 
     A pool breaks as a whole where one of its processes dies. Those under way then fly one at a time,
@@ -201,7 +201,7 @@ def work(
             landed, _ = wait(under_way, timeout=_POLL_S, return_when=FIRST_COMPLETED)
             for future in landed:
                 if not isinstance(future.exception(), BrokenProcessPool):
-                    yield Done(under_way.pop(future), future.result())
+                    yield FinishedItem(under_way.pop(future), future.result())
             if any(isinstance(future.exception(), BrokenProcessPool) for future in landed):
                 lost = list(under_way.values())
                 under_way.clear()
@@ -209,7 +209,7 @@ def work(
                 for item in lost:
                     deaths[item] = deaths.get(item, 0) + alone
                     if deaths[item] > _RETRIES:
-                        yield Done(item, Failure(f"its process died {deaths[item]} times"))
+                        yield FinishedItem(item, Failure(f"its process died {deaths[item]} times"))
                     else:
                         suspects.append(item)
     finally:

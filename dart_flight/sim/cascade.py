@@ -32,7 +32,7 @@ _YAW_WEIGHT: Final = 0.4  # MC_YAW_WEIGHT default
 _HORIZONTAL_MARGIN: Final = 0.3  # MPC_THR_XY_MARG default: thrust kept for horizontal control when saturated
 
 
-class TrajectorySetPoint:
+class TrajectorySetpoint:
     """What the position controller follows, NED; NaN components are not controlled."""
 
     def __init__(
@@ -59,7 +59,7 @@ class Cascade:
         self, parameters: Mapping[str, float], hover_thrust: float, thrust: Thrust, motors: Sequence[Motor]
     ) -> None:
         self.parameters, self.hover, self.thrust = parameters, hover_thrust, thrust
-        self._allocation, self._full_n, self._curve = Allocation(motors), thrust.most_n, thrust.curve
+        self._allocation, self._full_n, self._curve = Allocation(motors), thrust.max_thrust_n, thrust.curve
         self._velocity_integral: list[float] = [0.0, 0.0, 0.0]
         self._velocity_last: Vec3 | None = None
         self._velocity_slope: list[float] = [0.0, 0.0, 0.0]
@@ -77,7 +77,7 @@ class Cascade:
     # -- position and velocity --
 
     def update_position(
-        self, setpoint: TrajectorySetPoint, position: Vec3, velocity: Vec3, yaw: float, dt_s: float
+        self, setpoint: TrajectorySetpoint, position: Vec3, velocity: Vec3, yaw: float, dt_s: float
     ) -> None:
         """Set attitude and thrust set-points from a trajectory set-point (all NED)."""
         g = self.parameters
@@ -118,7 +118,7 @@ class Cascade:
                 self._velocity_slope[i] += alpha * (slope - self._velocity_slope[i])
         self._velocity_last = velocity
 
-    def _velocity_setpoint(self, setpoint: TrajectorySetPoint, position: Vec3) -> Vec3:
+    def _velocity_setpoint(self, setpoint: TrajectorySetpoint, position: Vec3) -> Vec3:
         g = self.parameters
         kp = (g["MPC_XY_P"], g["MPC_XY_P"], g["MPC_Z_P"])
         wanted = [math.nan, math.nan, math.nan]

@@ -36,12 +36,12 @@ class EscStatuses:
             data += self._part(index).pack(mav)
         return data
 
-    def _part(self, index: int) -> _EscStatus:
+    def _part(self, index: int) -> _EscStatusMessage:
         rpm = self._rpm[index : index + _MOTORS]
-        return _EscStatus(self._time_us, index, rpm + [0] * (_MOTORS - len(rpm)))
+        return _EscStatusMessage(self._time_us, index, rpm + [0] * (_MOTORS - len(rpm)))
 
 
-class _EscStatus(mavlink.MAVLink_message):  # type: ignore[misc]
+class _EscStatusMessage(mavlink.MAVLink_message):  # type: ignore[misc]
     """Speeds of four motors, the first of which has the number `index`."""
 
     def __init__(self, time_us: int, index: int, rpm: list[int]) -> None:

@@ -21,8 +21,8 @@ from dart_flight.base.geometry import distance2
 from dart_flight.base.records import MOTOR_FULL_US, MOTOR_STOP_US, FlightMode, LandedState
 from dart_flight.config.rotors import MAV_TYPES
 from dart_flight.sim import esc_status
-from dart_flight.sim.autopilot import TICK_US, Autopilot
-from dart_flight.sim.cascade import TrajectorySetPoint
+from dart_flight.sim.cascade import TrajectorySetpoint
+from dart_flight.sim.embedded_autopilot import TICK_US, Autopilot
 from dart_flight.sim.faults.impairment import Impairment, LossyLink
 
 _PX4 = 12  # MAV_AUTOPILOT_PX4
@@ -298,7 +298,7 @@ class MavlinkEndpoint:
             )
 
         self.autopilot.set_trajectory(
-            TrajectorySetPoint(
+            TrajectorySetpoint(
                 part((message.x, message.y, message.z), 1),
                 part((message.vx, message.vy, message.vz), 8),
                 part((message.afx, message.afy, message.afz), 64),

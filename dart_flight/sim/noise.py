@@ -8,7 +8,7 @@ import random
 from dart_flight.base.geometry import Vec3
 
 
-class Normal:
+class GaussianNoise:
     """Independent normal numbers, drawn in pairs from uniform ones (Box and Muller).
 
     Those of `random.Random.gauss`, written out because this is compiled and that is not (docs/speed.md).

@@ -1,7 +1,7 @@
 """What the app and a simulated vehicle in a process of its own tell each other: one JSON object a line.
 
-The first line of the vehicle's standard input is a `WorldSpec`; then come `WorldInput`s, and on its standard
-output `WorldOutput`s. Both simulated worlds speak it, whichever autopilot flies the plant.
+The first line of the vehicle's standard input is a `SimulatorSpec`; then come `WorldInput`s, and on its
+standard output `WorldOutput`s. Both simulated worlds speak it, whichever autopilot flies the plant.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import msgspec
 
 from dart_flight.base.records import TruthContact, TruthSample
 from dart_flight.config.mission import Mission
-from dart_flight.config.parameters import Parameter, PositionSource
-from dart_flight.sim.faults.kinds import Fault
+from dart_flight.config.parameter_file import Parameter, PositionSource
+from dart_flight.sim.faults.fault_table import Fault
 
 
-class Px4Spec(msgspec.Struct):
+class Px4SimulatorSpec(msgspec.Struct):
     """How to run a real PX4 on the plant.
 
     Attributes:
@@ -35,14 +35,14 @@ class Px4Spec(msgspec.Struct):
     position_from: PositionSource = PositionSource.MOCAP
 
 
-class WorldSpec(msgspec.Struct):
+class SimulatorSpec(msgspec.Struct):
     """What the process is told on its first line of input; `ports` is the embedded autopilot's."""
 
     mission: Mission  # what the app has, whatever file it came from
     seed: int
     ports: list[int]
     log: str | None = None
-    px4: Px4Spec | None = None
+    px4: Px4SimulatorSpec | None = None
     spreads: dict[str, float] = msgspec.field(default_factory=dict)  # what differs from the mission (`draws`)
     speed: float = 1.0  # simulated seconds per second
 
@@ -82,13 +82,13 @@ class Truth(msgspec.Struct, tag="truth"):
     contact: TruthContact | None = None
 
 
-class Died(msgspec.Struct, tag="died"):
+class SimulatorDied(msgspec.Struct, tag="died"):
     """The vehicle cannot go on; the process ends after this."""
 
     cause: str
 
 
-WorldOutput = Ready | Truth | Died
+WorldOutput = Ready | Truth | SimulatorDied
 
 
 class LineWriter:

@@ -1,7 +1,7 @@
 """The simulated vehicle as a body: six degrees of freedom, motors, drag, walls, ground, arms.
 
 State in NED and FRD, as the autopilot sees it; walls are given in the mission frame, converted once.
-Contact acts at guards (`dart_flight.contact.body`), or through the centre of mass as in the paper's
+Contact acts at guards (`contact/propeller_guards.py`), or through the centre of mass as in the paper's
 equations (`simulation.contact.body: point`), by the law of `dart_flight.contact.law`, integrated in steps
 of 0.1 ms, the rest in steps of 1 ms. `tests/sim/test_plant.py` holds the point to the reference
 solutions, `tests/sim/test_body.py` the guards to an independent rigid body.
@@ -41,8 +41,17 @@ from dart_flight.base.records import Mode, TruthContact, TruthSample
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import BodyModel, Coefficients, Motor, VehicleConfig
-from dart_flight.contact.body import UNTOUCHED, Plane, Touch, arm_of, clearance_m, folds, guards_of, touch
 from dart_flight.contact.law import Onset, coefficients_in_force
+from dart_flight.contact.propeller_guards import (
+    UNTOUCHED,
+    Plane,
+    Touch,
+    arm_of,
+    clearance_m,
+    fold_angles,
+    propeller_guards,
+    touch,
+)
 
 STEP_S: Final = 0.001
 CONTACT_STEPS: Final = 10  # of 0.1 ms in one step of 1 ms
@@ -147,7 +156,7 @@ class Plant:
         self._rng = random.Random(scatter_seed)
         self._scattered: dict[str, tuple[float, float, float]] = {}
         self.planes = [_plane(wall, frame, self.body.guard_out_m) for wall in walls]
-        self._guards = guards_of(self.body)
+        self._guards = propeller_guards(self.body)
         self._reach_m = max(norm(guard.at) for guard in self._guards)
         self.on_ground = True
         self.finished: list[TruthContact] = []
@@ -359,7 +368,7 @@ class Plant:
             n, o = current.plane.surface.normal, current.plane.surface.point
             depth = sum(n[i] * (o[i] - self.position[i]) for i in range(3))
             depths = [max(0.0, depth - n[0] * r[0] - n[1] * r[1] - n[2] * r[2]) for r in levers]
-            swung = folds(self.body, current.fold_share, depths)
+            swung = fold_angles(self.body, current.fold_share, depths)
             angles = [a + b for a, b in zip(angles, swung, strict=True)]
         return (angles[0], angles[1], angles[2], angles[3])
 
@@ -435,7 +444,7 @@ class Plant:
         self.on_ground = False
         self.contact_force_ned = self.contact_torque_frd = _NO_FORCE
         if self._open:
-            self._let_go()
+            self._end_open_contacts()
         (x, y, z), (vx, vy, vz), (ax, ay, az) = self.position, self.velocity, pushed
         az += GRAVITY_M_S2
         h, g = STEP_S, 0.5 * STEP_S
@@ -519,7 +528,7 @@ class Plant:
         self._open[plane.wall.name] = current
         return current
 
-    def _let_go(self) -> None:
+    def _end_open_contacts(self) -> None:
         """Away from every wall: what is still open has ended with its last force."""
         for current in list(self._open.values()):
             self._end_contact(current)

@@ -20,14 +20,14 @@ from dart_flight.base.geometry import (
     scale,
 )
 from dart_flight.config.vehicle import ImuRinging, VehicleConfig
-from dart_flight.sim.noise import Normal
+from dart_flight.sim.noise import GaussianNoise
 from dart_flight.sim.plant import Plant
 
 
 class ImuSensor:
     """Accelerometer and gyro: tick averages with noise, a constant residual bias, saturated at full scale."""
 
-    def __init__(self, vehicle: VehicleConfig, noise: Normal) -> None:
+    def __init__(self, vehicle: VehicleConfig, noise: GaussianNoise) -> None:
         s = vehicle.simulation
         self._noise = noise
         self._sigma, self._gyro_sigma = s.imu_noise_m_s2, s.gyro_noise_rad_s
@@ -56,7 +56,7 @@ class _Ringing:
 
     _WANDER_S = 1.0  # over which the tone crosses its band
 
-    def __init__(self, config: ImuRinging, tick_s: float, noise: Normal) -> None:
+    def __init__(self, config: ImuRinging, tick_s: float, noise: GaussianNoise) -> None:
         self._config, self._tick_s, self._noise = config, tick_s, noise
         rng = noise.rng
         self._low, self._high = config.tone_hz_low, config.tone_hz_high
@@ -93,7 +93,7 @@ def _saturate(true: float, noisy: float, scale: float) -> float:
 class PoseSensor:
     """Motion capture: position and attitude at a rate, with noise, reported after a delay."""
 
-    def __init__(self, vehicle: VehicleConfig, noise: Normal) -> None:
+    def __init__(self, vehicle: VehicleConfig, noise: GaussianNoise) -> None:
         s = vehicle.simulation
         self._noise = noise
         self._period_s = 1.0 / s.pose_rate_hz
@@ -124,7 +124,7 @@ class Barometer:
 
     SIGMA_HPA = 0.01  # about 8 cm
 
-    def __init__(self, noise: Normal, home_altitude_m: float) -> None:
+    def __init__(self, noise: GaussianNoise, home_altitude_m: float) -> None:
         self._noise, self._home = noise, home_altitude_m
 
     def measure(self, plant: Plant) -> tuple[float, float]:
@@ -154,7 +154,7 @@ class Magnetometer:
 
     SIGMA_GAUSS = 0.002
 
-    def __init__(self, noise: Normal, field_ned_gauss: Vec3) -> None:
+    def __init__(self, noise: GaussianNoise, field_ned_gauss: Vec3) -> None:
         self._noise, self._field = noise, field_ned_gauss
 
     def measure(self, plant: Plant) -> Vec3:
@@ -202,7 +202,7 @@ class GpsReceiver:
     RATE_HZ = 10.0
     DELAY_S = 0.1
 
-    def __init__(self, quality: GpsQuality, noise: Normal) -> None:
+    def __init__(self, quality: GpsQuality, noise: GaussianNoise) -> None:
         self.quality, self._noise = quality, noise
         self._period_s = 1.0 / self.RATE_HZ
         self._decay = math.exp(-self._period_s / quality.wander_s)

@@ -15,16 +15,16 @@ from pymavlink.dialects.v20 import common as mavlink
 from dart_flight.base.records import Record
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockDriver
+from dart_flight.sim.embedded_simulator import ticks_in_real_time
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
-from dart_flight.sim.process import ticks_in_real_time
-from dart_flight.sim.vehicle import SimulatedVehicle
+from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of, owner_of_udp_port, udp_port_is_free
 
 _OWN_PORT = 40  # of PX4's own, 14580, from the one that it sends to, 14540
 _LISTEN_S = 0.4  # a vehicle sends dozens of messages a second
 
 
-class Feed:
+class VehiclePortLease:
     """The right to be the vehicle on a UDP port: nobody else sends there, as far as can be known.
 
     Another `simulate` or `dry-run --px4` is known by its lease; PX4's own simulator by the port that it has

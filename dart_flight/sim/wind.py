@@ -6,7 +6,7 @@ import math
 import random
 
 from dart_flight.config.vehicle import Simulation
-from dart_flight.sim.noise import Normal
+from dart_flight.sim.noise import GaussianNoise
 from dart_flight.sim.plant import Plant
 
 
@@ -23,10 +23,10 @@ class Wind:
         self._steady, self._sigma = simulation.wind_north_east_m_s, simulation.gust_m_s
         self._decay = math.exp(-tick_s / simulation.gust_time_s)
         self._kick = math.sqrt(1.0 - self._decay * self._decay)
-        self._noise = Normal(random.Random(seed ^ 0x57494E44))
+        self._noise = GaussianNoise(random.Random(seed ^ 0x57494E44))
         self._gust = [self._noise.one(self._sigma), self._noise.one(self._sigma)]
 
-    def blow(self, plant: Plant) -> None:
+    def step(self, plant: Plant) -> None:
         """The wind of the next tick."""
         if self._sigma > 0.0:
             for i in range(2):

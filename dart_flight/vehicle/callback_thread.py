@@ -13,7 +13,7 @@ import threading
 _own = threading.local()  # goes with the interpreter's state of a thread
 
 
-def stay_known() -> None:
+def pin_thread_state() -> None:
     """Let the interpreter keep its state of the calling thread until the thread's end; cheap when it does."""
     if not hasattr(_own, "kept"):
         _own.kept = True

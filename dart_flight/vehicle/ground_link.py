@@ -30,9 +30,10 @@ from dart_flight.base.records import (
     StatusText,
 )
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.guard.sources import TwoClocks
-from dart_flight.vehicle import reasons, sdk_log
-from dart_flight.vehicle.session import NoAnswerError, VehicleError, VehicleSession
+from dart_flight.core.guard.second_vehicle import SecondClockDetector
+from dart_flight.vehicle import arming_problems as reasons
+from dart_flight.vehicle import sdk_log
+from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleError, VehicleSession
 
 
 class Observation(msgspec.Struct):
@@ -47,7 +48,7 @@ class Observation(msgspec.Struct):
     blocking: tuple[str, ...] = ()  # what keeps PX4 from arming in its present mode, in its words
     problems: tuple[str, ...] = ()  # what else its checks find
     other_vehicle: str | None = None  # another vehicle on the same link, in words
-    said: list[str] = []  # its texts and events, warnings and worse
+    texts: list[str] = []  # its texts and events, warnings and worse
 
 
 _STAMP_TOLERANCE_US = 500_000
@@ -65,7 +66,7 @@ class _Listener:
         self.seen = Observation()
         self.counts = dict.fromkeys(("imu", "attitude", "odometry", "actuator"), 0)
         self.round_trips_us: list[int] = []
-        self._clocks = TwoClocks(_STAMP_TOLERANCE_US)
+        self._clocks = SecondClockDetector(_STAMP_TOLERANCE_US)
 
     def take(self, record: Input) -> None:
         """Take a record; on MAVSDK's thread."""
@@ -73,7 +74,7 @@ class _Listener:
         if counted is not None:
             self.counts[counted] += 1
         if isinstance(record, ImuSample):
-            self._clocks.take(record.t_us, record.received_us)
+            self._clocks.update(record.t_us, record.received_us)
             apart_s = self._clocks.apart_s(record.received_us)
             if apart_s is not None:
                 seen.other_vehicle = f"two clocks in turn under one system id, {apart_s:.1f} s apart"
@@ -83,8 +84,8 @@ class _Listener:
         elif isinstance(record, HealthReport):
             seen.blocking, seen.problems = record.blocking, record.others
         elif isinstance(record, StatusText):
-            if record.severity in reasons.SEVERE and record.text not in seen.said:
-                seen.said.append(record.text)
+            if record.severity in reasons.SEVERE and record.text not in seen.texts:
+                seen.texts.append(record.text)
         elif isinstance(record, RoundTrip) and record.autopilot_us is not None:
             self.round_trips_us.append(record.received_us - record.sent_us)
 

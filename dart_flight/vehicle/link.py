@@ -49,12 +49,12 @@ class Holder(msgspec.Struct, frozen=True):
     url: str
     log: str | None = None
 
-    def words(self) -> str:
+    def describe(self) -> str:
         """Such as "fly, process 1234"."""
         return f"{self.command}, process {self.pid}"
 
 
-class Place(msgspec.Struct, frozen=True):
+class LinkEndpoint(msgspec.Struct, frozen=True):
     """Where a URL leads, as far as sharing goes: two URLs with one `key` cannot be used at once.
 
     Attributes:
@@ -69,19 +69,19 @@ class Place(msgspec.Struct, frozen=True):
     device: Path | None = None
 
 
-def place_of(url: str) -> Place:
+def endpoint_of(url: str) -> LinkEndpoint:
     """Where a MAVSDK connection URL leads; what is no such URL gets a key all the same, MAVSDK refuses it."""
     link = parse_link(url)
     if link is None:
-        return Place("url-" + re.sub(r"[^A-Za-z0-9.]+", "-", url)[:80])
+        return LinkEndpoint("url-" + re.sub(r"[^A-Za-z0-9.]+", "-", url)[:80])
     if link.kind == "serial":
         # /dev/serial0, /dev/ttyAMA0 and /dev/serial/by-id/... may be one device.
         device = Path(os.path.realpath(link.place))
-        return Place("serial-" + str(device).strip("/").replace("/", "-"), device=device)
+        return LinkEndpoint("serial-" + str(device).strip("/").replace("/", "-"), device=device)
     kind, host, port = link
     if kind == "udpin" or (kind == "udp" and host in ("", "0.0.0.0", "127.0.0.1", "localhost")):
-        return Place(f"udp-{port}", udp_port=port, host=host)
-    return Place(f"{kind[:3]}-{'in' if kind.endswith('in') else 'out'}-{host}-{port}")
+        return LinkEndpoint(f"udp-{port}", udp_port=port, host=host)
+    return LinkEndpoint(f"{kind[:3]}-{'in' if kind.endswith('in') else 'out'}-{host}-{port}")
 
 
 def feed_of(port: int) -> str:
@@ -109,7 +109,7 @@ class LinkLease(Lease):
 
     def __init__(self, url: str, command: str, log: Path | None = None) -> None:
         self._url = url
-        self._place = place_of(url)
+        self._place = endpoint_of(url)
         self._file = HeldFile(_file_of(url))
         self._holder = Holder(os.getpid(), command, url, None if log is None else str(log.resolve()))
         self._device: int | None = None
@@ -120,7 +120,7 @@ class LinkLease(Lease):
             self._file.acquire(self._says())
         except HeldError as error:
             holder = _decoded(error.content)
-            words = holder.words() if holder is not None else "another dart-flight"
+            words = holder.describe() if holder is not None else "another dart-flight"
             raise LinkTakenError(f"in use by {words}", source=self._url) from None
         try:
             self._look_for_others()
@@ -213,7 +213,7 @@ def held_links() -> Iterator[Holder]:
 
 
 def _file_of(url: str) -> Path:
-    return link_folder() / f"{place_of(url).key}{_network()}.json"
+    return link_folder() / f"{endpoint_of(url).key}{_network()}.json"
 
 
 def _holder_in(path: Path) -> Holder | None:

@@ -10,9 +10,9 @@ import msgspec
 import pytest
 
 from dart_flight.base.records import Record, TruthContact, TruthSample
-from dart_flight.check.findings import Finding, decide
-from dart_flight.check.mission import check_mission
-from dart_flight.check.parameters import (
+from dart_flight.check.findings import CheckFinding, decide
+from dart_flight.check.mission_check import check_mission
+from dart_flight.check.px4_parameters import (
     IMU_POSITION,
     PARAMETERS,
     judge_claim,
@@ -21,16 +21,16 @@ from dart_flight.check.parameters import (
     names_to_read,
     position_source,
 )
-from dart_flight.check.vehicle import judge_lock, judge_observation
+from dart_flight.check.vehicle_check import judge_lock, judge_observation
 from dart_flight.cli import main
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.mission_file import BoundsSpec, CollisionPrediction
-from dart_flight.config.parameters import PositionSource, vehicle_parameters
+from dart_flight.config.parameter_file import PositionSource, vehicle_parameters
 from dart_flight.config.vehicle import LockDriver
-from dart_flight.lock.drivers.px4 import required_parameters
+from dart_flight.lock.drivers.px4_output import required_parameters
 from dart_flight.run.fast import fly_fast
-from dart_flight.run.prepare import load_flyable, with_driver, with_standoff
+from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver
 from dart_flight.vehicle.ground_link import Observation
 from tests.flights.test_embedded_flights import simulated_vehicle
 
@@ -43,7 +43,7 @@ def mission(old: str = "", new: str = "") -> Mission:
     return parse_mission(Document(DUAL.replace(old, new, 1), str(ROOT / "missions/x.yaml")))
 
 
-def no_goes(findings: list[Finding]) -> list[str]:
+def no_goes(findings: list[CheckFinding]) -> list[str]:
     return [f.item for f in findings if not f.go]
 
 
@@ -129,7 +129,7 @@ GOOD = {
 }
 
 
-def remarks(findings: list[Finding]) -> list[str]:
+def remarks(findings: list[CheckFinding]) -> list[str]:
     return [f.item for f in findings if f.remark]
 
 
@@ -366,7 +366,7 @@ def test_check_and_fly_with_a_vehicle(tmp_path: Path) -> None:
 def test_a_rehearsal_stops_before_every_wall(name: str, standoff: float) -> None:
     plain = load_flyable(ROOT / f"missions/{name}.yaml")
     records: list[Record] = []
-    verdict = fly_fast(with_standoff(plain, standoff), 1, None, records.append)
+    verdict = fly_fast(as_rehearsal(plain, standoff), 1, None, records.append)
     assert (verdict.outcome, verdict.reason) == ("completed", None)
     assert not [r for r in records if isinstance(r, TruthContact)]
     for collision in plain.collisions:

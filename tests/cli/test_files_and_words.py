@@ -17,8 +17,8 @@ from dart_flight.cli import main
 from dart_flight.cli.flight_output import FlightLines, next_steps
 from dart_flight.config.mission import load_mission
 from dart_flight.config.provenance import find_vehicle
-from dart_flight.lab.report.flight import Flight
 from dart_flight.lab.report.player import player_data
+from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.lab_entries import COMMANDS as LAB_COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -187,7 +187,7 @@ def test_the_animation_of_a_vehicle_without_a_lock_shows_none(
     mission: Path, has_lock: bool, tmp_path: Path
 ) -> None:
     dart_flight.simulate(mission, log_dir=tmp_path)
-    data = player_data(Flight.read(next(tmp_path.glob("*/flight.mcap"))))
+    data = player_data(RecordedFlight.read(next(tmp_path.glob("*/flight.mcap"))))
     assert data is not None
     assert data["hasLock"] is has_lock
     player = (ROOT / "dart_flight" / "lab" / "report" / "player.js").read_text(encoding="utf-8")

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.check.mission import check_mission
+from dart_flight.check.mission_check import check_mission
 from dart_flight.cli import COMMANDS, main
 from dart_flight.config.document import Document
-from dart_flight.config.kinds import EXTENDS
+from dart_flight.config.file_kinds import EXTENDS
 from dart_flight.config.mission import load_mission
-from dart_flight.config.parameters import load_parameters
+from dart_flight.config.parameter_file import load_parameters
 from dart_flight.config.starter import DART, VEHICLES
 from dart_flight.config.vehicle import default_config_path
 from dart_flight.config.vehicle.configuration import load_vehicle

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.cli.fly_command import confirmed
+from dart_flight.cli.fly_command import confirm_flight
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 
@@ -29,7 +29,7 @@ def test_the_picture_is_one_of_the_answers(
 ) -> None:
     mission = load_mission(packaged("missions", "paper_single_wall.yaml"))
     monkeypatch.setattr(sys, "stdin", Terminal(answers))
-    assert confirmed(mission) is flies
+    assert confirm_flight(mission) is flies
     said = capsys.readouterr().err
     asked = said.count("Fly?")
     if answers.startswith("p"):
@@ -49,7 +49,7 @@ def test_without_matplotlib_the_question_comes_again(
     mission = load_mission(packaged("missions", "paper_single_wall.yaml"))
     monkeypatch.setattr(sys, "stdin", Terminal("p\ny\n"))
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert confirmed(mission)
+    assert confirm_flight(mission)
     said = capsys.readouterr().err
     assert "pip install 'dart-flight[report]'" in said
     assert said.count("Fly?") == 2
@@ -57,4 +57,4 @@ def test_without_matplotlib_the_question_comes_again(
 
 def test_without_a_terminal_the_answer_is_no(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
-    assert not confirmed(load_mission(packaged("missions", "paper_single_wall.yaml")))
+    assert not confirm_flight(load_mission(packaged("missions", "paper_single_wall.yaml")))

@@ -77,8 +77,10 @@ def test_simulate_flies_the_vehicle_that_was_set(
     flown: list[Any] = []
     run: Callable[..., None] = lambda mission, *rest: flown.append(mission)  # noqa: E731
     monkeypatch.setattr(standalone, "run_vehicle", run)
-    monkeypatch.setattr(standalone.Feed, "__init__", lambda self, port: setattr(self, "own_port", port))
-    monkeypatch.setattr(standalone.Feed, "release", lambda self: None)
+    monkeypatch.setattr(
+        standalone.VehiclePortLease, "__init__", lambda self, port: setattr(self, "own_port", port)
+    )
+    monkeypatch.setattr(standalone.VehiclePortLease, "release", lambda self: None)
     assert main([*COMMANDS["simulate"], "--set", "airframe.mass_kg=1.5"]) == 0
     assert flown[0].vehicle.airframe.mass_kg == 1.5
     assert "with airframe.mass_kg=1.5" in capsys.readouterr().err

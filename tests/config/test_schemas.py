@@ -13,7 +13,7 @@ import msgspec
 import pytest
 
 from dart_flight.config.document import Document, InputError
-from dart_flight.config.kinds import EXTENDS
+from dart_flight.config.file_kinds import EXTENDS
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.config.vehicle.configuration import load_vehicle

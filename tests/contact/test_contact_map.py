@@ -18,7 +18,7 @@ from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import WallHit, collide, contact_map, drop, drop_map
 from dart_flight.contact.law import Onset
-from dart_flight.lab.predict.path import Contact, trajectory
+from dart_flight.lab.predict.path import ContactMotion, trajectory
 from tests.oracles.point_law import contact_force
 
 DATA = Path(__file__).parents[1] / "data"
@@ -85,7 +85,9 @@ def test_reference_drops(row: dict[str, str]) -> None:
 # --- an independent integrator --------------------------------------------------------------------------
 
 
-def integrate(c: Coefficients, contact: Contact, tangential: float, onset: Onset, end: float) -> list[float]:
+def integrate(
+    c: Coefficients, contact: ContactMotion, tangential: float, onset: Onset, end: float
+) -> list[float]:
     """Way and velocity along all axes and normal impulse at a time, by DOP853 on the force law."""
     integrate_ = pytest.importorskip("scipy.integrate")
 
@@ -115,7 +117,7 @@ def integrate(c: Coefficients, contact: Contact, tangential: float, onset: Onset
     ],
 )
 def test_agrees_with_integration(onset: Onset, acceleration: float, c: Coefficients, normal: float) -> None:
-    contact = Contact(c, MASS, normal, onset, acceleration_m_s2=acceleration)
+    contact = ContactMotion(c, MASS, normal, onset, acceleration_m_s2=acceleration)
     r = collide(c, MASS, normal, 0.7, onset, acceleration_m_s2=acceleration)
     assert r.contact_time_s == pytest.approx(contact.end_s, rel=1e-14)
     last = min(contact.end_s, 0.4)  # the most damped of these stays at the wall under the hardest push
@@ -134,7 +136,7 @@ def test_agrees_with_integration(onset: Onset, acceleration: float, c: Coefficie
 def test_extremes_are_those_of_the_trajectory(
     c: Coefficients, normal: float, tangential: float, onset: Onset, push: float
 ) -> None:
-    contact = Contact(c, MASS, normal, onset, acceleration_m_s2=push)
+    contact = ContactMotion(c, MASS, normal, onset, acceleration_m_s2=push)
     r = collide(c, MASS, normal, tangential, onset, acceleration_m_s2=push)
     # 40 of the slower decay's time constants, which are sqrt(m/k)/0.17 at the largest damping.
     span = contact.end_s if math.isfinite(contact.end_s) else 240.0 * math.sqrt(MASS / c.k)
@@ -157,7 +159,7 @@ def test_friction_peak_is_stationary_to_rounding() -> None:
     # Fine sampling about the peak: the maximum of a parabola through three samples is exact to 1e-12.
     c = VEHICLE.materials["acrylic"].of(Mode.FLEXIBLE)
     for normal in (-0.2, -0.7, -1.5):
-        contact = Contact(c, MASS, normal, Onset.LCP)
+        contact = ContactMotion(c, MASS, normal, Onset.LCP)
         t = np.linspace(0.0, contact.end_s, 200_001)
         force = np.abs(trajectory(contact, t, 0.5).tangential_force_n)
         i = int(force.argmax())

@@ -11,7 +11,7 @@ import pytest
 from dart_flight.base.geometry import MissionFrame
 from dart_flight.base.records import AttitudeSample, OdometrySample
 from dart_flight.config.mission import Mission, load_mission
-from dart_flight.core.mission.references import References
+from dart_flight.core.mission.setpoint_generator import SetpointGenerator
 from dart_flight.core.sense.state import FlightState
 from tests.core.conftest import ROOT
 
@@ -20,7 +20,7 @@ SHAKE_M_S, SHAKE_TIME_S, STEP_US = 0.07, 0.1, 8000
 
 def hovering(mission: Mission, seconds: float, drift_m_s: float = 0.0) -> float | None:
     """When the vehicle counts as arrived, seconds; its velocity estimate shakes by 0.07 m/s an axis."""
-    references, state, rng = References(mission), FlightState(), random.Random(7)
+    references, state, rng = SetpointGenerator(mission), FlightState(), random.Random(7)
     state.anchor(MissionFrame())
     references.hold((0.0, 0.0))
     x, shake = -0.5 * drift_m_s * seconds, [0.0, 0.0, 0.0]

@@ -11,7 +11,7 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.commitment import SETTLED_BEFORE_S, bearable_in_either_mode, may_commit
 from dart_flight.core.mission.position_loop import PlaneMet, least_distance_m, meets_plane
 from dart_flight.core.sense.state import FlightState
-from dart_flight.planning.planned import planned_flight
+from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.run.fast import fly_fast
 
 # The point of the paper: with guards the first hit leaves a slower vehicle, and the lock is early enough.
@@ -79,7 +79,7 @@ def test_the_plane_is_met_where_the_course_crosses_it() -> None:
 
 def test_the_paper_s_second_impact_is_planned_and_flown() -> None:
     """-1.6 m/s with the stiffer gains; by the last moment for holding still the lock is not settled yet."""
-    hit = planned_flight(STIFF).hits[2]
+    hit = predict_mission(STIFF).hits[2]
     assert (hit.normal_m_s, hit.tangential_m_s) == pytest.approx((-1.6, 0.25), abs=0.03)
     verdict = fly_fast(STIFF, 21, None)
     assert verdict.outcome == "completed"

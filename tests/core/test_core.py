@@ -29,16 +29,16 @@ from dart_flight.base.records import (
     Output,
     Phase,
     Request,
-    SetPoint,
+    Setpoint,
     StatusSample,
     StatusText,
     VehicleAction,
     VehicleCommand,
 )
 from dart_flight.config.mission import load_mission
-from dart_flight.core.mission.phases import ON_GROUND, TRANSITIONS, Cue
+from dart_flight.core.mission.phases import ON_GROUND, TRANSITIONS, PhaseTrigger
 from dart_flight.core.mission.recovery import recovery_point
-from dart_flight.core.sense.detector import Expected
+from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.senses import Senses
 from tests.core.conftest import HOVER, ROOT, HandFedCore
 
@@ -61,7 +61,7 @@ def test_it_asks_for_offboard_only_with_set_points_streaming(hand_fed: HandFedCo
     out = hand_fed.run(0.5)
     first_ask = next(i for i, o in enumerate(out) if isinstance(o, VehicleCommand))
     assert out[first_ask].action is VehicleAction.OFFBOARD  # type: ignore[union-attr]
-    assert len(of(SetPoint, out[:first_ask])) >= 10
+    assert len(of(Setpoint, out[:first_ask])) >= 10
     assert not of(VehicleCommand, [o for o in out if getattr(o, "action", None) is VehicleAction.ARM])
 
 
@@ -78,7 +78,7 @@ def test_acknowledgements_prove_nothing(hand_fed: HandFedCore) -> None:
 def test_it_waits_for_the_lock_before_anything(hand_fed: HandFedCore) -> None:
     out = hand_fed.run(1.0)
     assert of(LockCommand, out)[0].mode is Mode.RIGID
-    assert not of(SetPoint, out)
+    assert not of(Setpoint, out)
     assert hand_fed.core.phase is Phase.READYING
 
 
@@ -90,7 +90,7 @@ def test_one_impact_is_one_onset_one_peak_one_set_point(hand_fed: HandFedCore) -
     assert len(peaks) == 1
     assert peaks[0].normal_force_n == pytest.approx(16.0, rel=0.03)
     assert peaks[0].tangential_force_n == pytest.approx(-10.0, rel=0.03)
-    recovery = [o for o in of(SetPoint, out) if o.recovery]
+    recovery = [o for o in of(Setpoint, out) if o.recovery]
     assert len(recovery) == 1
     # In NED: y of the mission is west. Away from the wall by 0.025 * 16, onward by 0.12 * 10.
     north, east, down = recovery[0].position_ned
@@ -128,7 +128,7 @@ def test_a_lock_that_is_late_breaks_off_the_next_collision(hand_fed: HandFedCore
     hand_fed.velocity_ned = (1.0, 0.0, 0.0)
     out = hand_fed.run(0.3)
     assert [(g.rule, g.action) for g in of(GuardEvent, out)] == [("lock_late", "break_off")]
-    last = of(SetPoint, out)[-1]
+    last = of(Setpoint, out)[-1]
     assert last.position_ned[0] < 1.65 - 0.45  # back from the acrylic wall
 
 
@@ -170,7 +170,7 @@ def test_after_the_guard_has_fired_the_mission_is_not_heard(hand_fed: HandFedCor
     hand_fed.to_flight()
     hand_fed.give(OperatorRequest(hand_fed.t_us, Request.LAND))
     out = hand_fed.run(4.0)
-    assert {o.position_ned for o in of(SetPoint, out)} == {of(SetPoint, out)[0].position_ned}
+    assert {o.position_ned for o in of(Setpoint, out)} == {of(Setpoint, out)[0].position_ned}
     assert next(o.action for o in of(VehicleCommand, out)) is VehicleAction.LAND
     hand_fed.set_status(flight_mode=FlightMode.LAND, landed=LandedState.ON_GROUND)
     hand_fed.run(0.1)
@@ -239,9 +239,9 @@ def test_every_phase_can_be_reached_and_has_a_way_out() -> None:
         outs = [event for (before, event) in TRANSITIONS if before is phase]
         assert bool(outs) == (phase is not Phase.DONE)
         if phase not in (Phase.DONE,):
-            assert Cue.OVERRULE in outs
+            assert PhaseTrigger.OVERRULE in outs
         if phase in ON_GROUND:
-            assert Cue.GIVEN_UP in outs
+            assert PhaseTrigger.GIVEN_UP in outs
 
 
 unit = st.floats(0.0, 2.0 * math.pi).map(lambda a: (math.cos(a), math.sin(a)))
@@ -295,7 +295,7 @@ def test_a_refusal_carries_what_px4_says(hand_fed: HandFedCore) -> None:
 )
 def test_whatever_px4_sends_tells_the_hosts_time(item: Input) -> None:
     senses = Senses(load_mission(ROOT / "missions" / "paper_dual_collision.yaml"))
-    senses.take(item, Expected())
+    senses.update(item, ExpectedContact())
     assert senses.state.host_us == 5
 
 

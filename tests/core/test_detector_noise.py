@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from dart_flight.base.records import ContactEnd, DetectionFloor, ForceEstimate, ImpactOnset, ImpactPeak
-from dart_flight.core.sense.detector import Expected, ImpactDetector
+from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
 from tests.core.test_force_estimate import VEHICLE, half_sine
@@ -44,7 +44,7 @@ def run(
     for i, (fx, fy) in enumerate(forces):
         t = 1_000_000 + 4000 * i
         estimate = ForceEstimate(t, (fx, fy, 0.0), False, noise_n=noise_n)
-        events += detector.update(estimate, t, state, Expected(watching and i > LEARNT))
+        events += detector.update(estimate, t, state, ExpectedContact(watching and i > LEARNT))
     return detector, events
 
 
@@ -103,7 +103,9 @@ def test_no_threshold_is_under_the_configured_one_whatever_is_learnt(seed: int) 
             size = rng.choice((0.0, 0.1, 1.0, 4.0, 20.0, 100.0))
         force = (rng.gauss(0.0, size), rng.gauss(0.0, size), 0.0)
         t = 1_000_000 + 4000 * i + rng.randrange(0, 2000)
-        detector.update(ForceEstimate(t, force, False, noise_n=size), t, state, Expected(i % 1000 < 600))
+        detector.update(
+            ForceEstimate(t, force, False, noise_n=size), t, state, ExpectedContact(i % 1000 < 600)
+        )
         assert min(detector.thresholds_n()) >= VEHICLE.detection.force_threshold_n
         assert detector.floor_n(0.05) >= VEHICLE.detection.force_threshold_n
 

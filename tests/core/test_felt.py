@@ -16,9 +16,16 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import ArmVibration, BodyModel, Coefficients
 from dart_flight.contact.law import Onset
 from dart_flight.core.sense.arm_vibration import ArmFilter
-from dart_flight.core.sense.body import ContactSamples, Felt
-from dart_flight.core.sense.contact_fit import Belief, Body, Contact, Fitting, Hypothesis, Tick
-from dart_flight.core.sense.felt import WallSense
+from dart_flight.core.sense.contact_fit import (
+    Belief,
+    Body,
+    ContactFit,
+    ContactReading,
+    Hypothesis,
+    ObservedContact,
+)
+from dart_flight.core.sense.incidence import ContactSample, ContactSampleBuffer
+from dart_flight.core.sense.wall_estimator import WallEstimator
 from tests.oracles.point_law import contact_force
 from tests.sim.test_plant import VEHICLE
 from tools.campaigns.felt import FIRST_SEED, Job, covered, fly, is_wrong, judged_of, plan_of
@@ -47,11 +54,11 @@ def pulse(
     push: float = 0.0,
     onset: Onset = Onset.LCP,
     full_scale_n: float = math.inf,
-) -> Contact:
+) -> ObservedContact:
     """The contact law in steps of 0.05 ms, as an IMU's ticks."""
     rng = random.Random(seed)
     x, v, w = -normal * 0.0137 + c.f / c.k * -normal, normal, along
-    ticks: list[Tick] = []
+    ticks: list[ContactReading] = []
     free = 0
     h = TICK_S / STEPS
     while free < 4 or len(ticks) < 6:
@@ -68,22 +75,22 @@ def pulse(
         bound = sums[0] >= full_scale_n
         read = min(sums[0] + rng.gauss(0.0, NOISE_N), full_scale_n)
         rub, up = (value + rng.gauss(0.0, NOISE_N) for value in sums[1:])
-        ticks.append(Tick(TICK_S, read, rub, up, push, 0.0, bound, 0.0, 0.0, 0.0))
+        ticks.append(ContactReading(TICK_S, read, rub, up, push, 0.0, bound, 0.0, 0.0, 0.0))
         if len(ticks) > 80:
             break
-    return Contact(ticks, 0, 0.0137, (normal, along), 0.0, NOISE_N)
+    return ObservedContact(ticks, 0, 0.0137, (normal, along), 0.0, NOISE_N)
 
 
-def fitted(contact: Contact, before: Belief, scatter: float = SCATTER) -> Hypothesis:
-    fit = Fitting(contact, before, scatter, BODY)
-    while fit.goes_on():
+def fitted(contact: ObservedContact, before: Belief, scatter: float = SCATTER) -> Hypothesis:
+    fit = ContactFit(contact, before, scatter, BODY)
+    while fit.advance():
         pass
     found = fit.result()
     assert found is not None
     return found
 
 
-def odds_of(contact: Contact, material: str) -> float:
+def odds_of(contact: ObservedContact, material: str) -> float:
     rigid, flexible = (fitted(contact, belief_of(material, mode)).evidence for mode in Mode)
     return rigid - flexible
 
@@ -119,13 +126,13 @@ def test_a_wall_between_both_modes_is_undecided() -> None:
 @pytest.mark.parametrize("onset", list(Onset))
 def test_both_onsets_are_fitted(onset: Onset) -> None:
     true = scaled(VEHICLE.materials["acrylic"].of(Mode.FLEXIBLE), 1.2)
-    fit = Fitting(
+    fit = ContactFit(
         pulse(true, -1.0, 0.3, onset=onset),
         belief_of("acrylic", Mode.FLEXIBLE),
         SCATTER,
         BODY._replace(onset=onset),
     )
-    while fit.goes_on():
+    while fit.advance():
         pass
     found = fit.result()
     assert found is not None
@@ -144,12 +151,16 @@ def test_a_place_that_is_known_for_sure_is_kept() -> None:
 def test_a_tick_stands_for_the_angle_at_its_middle() -> None:
     """Turning to the left at 2 rad/s: 4 mrad in the middle of the first tick, 12 in that of the second."""
     samples = [
-        Felt(ForceEstimate(t, (0.0, 0.0, 0.0), False), TorqueEstimate(t, (0.0, 0.0, 0.0)), IDENTITY, rate)
+        ContactSample(
+            ForceEstimate(t, (0.0, 0.0, 0.0), False), TorqueEstimate(t, (0.0, 0.0, 0.0)), IDENTITY, rate
+        )
         for t in (4000, 8000, 12_000)
         for rate in [(0.0, 0.0, -2.0)]
     ]
     wall = Wall("wall", (1.0, 0.0), (-1.0, 0.0), 2.0, "acrylic")
-    ticks = WallSense(VEHICLE, ContactSamples())._ticks(samples, wall, taken_out=False, swings=False)
+    ticks = WallEstimator(VEHICLE, ContactSampleBuffer())._readings(
+        samples, wall, taken_out=False, swings=False
+    )
     assert [t.turned for t in ticks] == pytest.approx([0.004, 0.012, 0.020])
 
 
@@ -160,7 +171,7 @@ def test_readings_at_full_scale_are_only_bounds() -> None:
     cut = pulse(true, -1.0, 0.3, full_scale_n=0.7 * top)
     assert sum(t.bound for t in cut.ticks) >= 4
     assert fitted(cut, belief_of("wood", Mode.RIGID)).belief.k == pytest.approx(true.k, rel=0.08)
-    taken = [Tick(t.h, t.normal, t.along, t.up, 0.0, 0.0, False, 0.0, 0.0, 0.0) for t in cut.ticks]
+    taken = [ContactReading(t.h, t.normal, t.along, t.up, 0.0, 0.0, False, 0.0, 0.0, 0.0) for t in cut.ticks]
     believed = fitted(cut._replace(ticks=taken), belief_of("wood", Mode.RIGID)).belief.k
     assert abs(believed / true.k - 1.0) > 0.08
 
@@ -253,10 +264,12 @@ _any = st.floats(allow_nan=True, allow_infinity=True)
 def test_no_readings_break_it(
     ticks: Sequence[tuple[float, float, float, float, bool]], velocity: tuple[float, float]
 ) -> None:
-    read = [Tick(h, n, t, n, p, p, bound, 0.0, 0.0, 0.0) for h, n, t, p, bound in ticks]
-    fit = Fitting(Contact(read, 0, 0.01, velocity, 0.0, 0.3), belief_of("wood", Mode.RIGID), SCATTER, BODY)
+    read = [ContactReading(h, n, t, n, p, p, bound, 0.0, 0.0, 0.0) for h, n, t, p, bound in ticks]
+    fit = ContactFit(
+        ObservedContact(read, 0, 0.01, velocity, 0.0, 0.3), belief_of("wood", Mode.RIGID), SCATTER, BODY
+    )
     count = 0
-    while fit.goes_on():
+    while fit.advance():
         count += 1
     assert count < 15  # one a sample: 60 ms
     fit.result()

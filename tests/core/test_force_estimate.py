@@ -26,11 +26,11 @@ from dart_flight.base.records import (
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import ThrustSource, VehicleConfig
 from dart_flight.core.sense.arm_vibration import ArmFilter
-from dart_flight.core.sense.detector import Expected, ImpactDetector, _top_of
+from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector, _top_of
 from dart_flight.core.sense.force import ForceEstimator
-from dart_flight.core.sense.pulse import Prior, TickReading, fit_friction, fit_normal
+from dart_flight.core.sense.pulse import PulsePrior, TickReading, fit_friction, fit_normal
 from dart_flight.core.sense.state import FlightState
-from dart_flight.core.sense.thrust import LaggedCommands, ThrustModel
+from dart_flight.core.sense.thrust_model import LaggedCommands, ThrustModel
 from tests.core.conftest import HOVER, ROOT
 from tools.campaigns.force import judge, percentile
 from tools.campaigns.force_hits import grid
@@ -100,7 +100,7 @@ def test_the_fit_puts_back_what_tick_and_filter_take_away(mode: Mode, push_n: fl
     pulse = true_pulse(c.k, c.f, 1.0, push_n, 0.5, c.mu)
     readings = readings_of(pulse, phase_s, 1e-4, 1e9, 0.00073)
     # A first guess that is 20 % off in stiffness.
-    prior = Prior(math.sqrt(1.2 * c.k / MASS), 0.5 * c.f / MASS, c.mu / MASS)
+    prior = PulsePrior(math.sqrt(1.2 * c.k / MASS), 0.5 * c.f / MASS, c.mu / MASS)
     fit = fit_normal(readings, push_n, prior, 0.05, -0.003, 0.00073)
     assert fit is not None
     top = max(n for n, _ in pulse)
@@ -136,7 +136,7 @@ def test_a_clipped_pulse_is_reconstructed(share: float) -> None:
     for i in range(1, len(readings) - 1):  # as the detector does: what touches a clipped tick is a bound, too
         bound = any(r.normal >= 0.99 * share * top for r in readings[i - 1 : i + 2])
         readings[i] = readings[i]._replace(bound=readings[i].bound or bound)
-    prior = Prior(math.sqrt(c.k / MASS), 0.5 * c.f / MASS, 0.2)
+    prior = PulsePrior(math.sqrt(c.k / MASS), 0.5 * c.f / MASS, 0.2)
     fit = fit_normal(readings, 0.0, prior, 0.26, -0.003, 0.00073)
     assert fit is not None
     assert fit.peak_n == pytest.approx(top, rel=0.04)
@@ -148,9 +148,9 @@ def test_a_clipped_pulse_is_reconstructed(share: float) -> None:
 
 def test_commands_act_from_their_stamp_on_with_the_motors_lag() -> None:
     lagged = LaggedCommands(0.025)
-    lagged.take(1_000_000, (0.5,) * 4)
-    lagged.take(1_010_000, (0.7,) * 4)
-    lagged.take(1_005_000, (0.0,) * 4)  # late: its stamp does not advance
+    lagged.update(1_000_000, (0.5,) * 4)
+    lagged.update(1_010_000, (0.7,) * 4)
+    lagged.update(1_005_000, (0.0,) * 4)  # late: its stamp does not advance
     lagged.advance(1_008_000)
     assert lagged.value == (0.5,) * 4
     lagged.advance(1_035_000)
@@ -323,7 +323,7 @@ def feed(
 ) -> list[object]:
     """A detector's events for forces every 4 ms."""
     detector = ImpactDetector(with_estimation(imu_noise_m_s2=0.2))  # has flown long enough to know
-    expected = Expected(True, normal, "wood" if normal else None)
+    expected = ExpectedContact(True, normal, "wood" if normal else None)
     state = FlightState()
     events: list[object] = []
     for i, (fx, fy) in enumerate(forces):

@@ -28,7 +28,7 @@ from dart_flight.base.records import (
     Phase,
     Request,
     RoundTrip,
-    SetPoint,
+    Setpoint,
     Silence,
     StatusText,
     Tick,
@@ -464,7 +464,7 @@ def test_a_rule_fires_on_its_cause_and_says_so(rule: Rule) -> None:
     after = c.outputs[c.outputs.index(mine[0]) :]
     if rule.action is Override.RELEASE:
         assert any(isinstance(o, Silence) for o in after)
-        assert not any(isinstance(o, SetPoint | VehicleCommand) for o in after)
+        assert not any(isinstance(o, Setpoint | VehicleCommand) for o in after)
         end = next(o for o in after if isinstance(o, MissionEnd))
         assert end.outcome == ("released" if rule.by_person else "aborted")
         assert end.reason is not None
@@ -630,8 +630,8 @@ def test_names_that_others_report_are_in_the_table() -> None:
     names = {rule.name: rule for rule in RULES}
     found = set[str]()
     for module, pattern in (
-        (executive, r'find\(\s*"(\w+)"'),
-        (rehearsal, r'find\(\s*"(\w+)"'),
+        (executive, r'find(?:ing)?\(\s*"(\w+)"'),
+        (rehearsal, r'find(?:ing)?\(\s*"(\w+)"'),
         (flight_core, r'Finding\(\s*"(\w+)"'),
     ):
         found |= set(re.findall(pattern, inspect.getsource(module)))
@@ -715,7 +715,7 @@ def test_a_mode_that_comes_before_the_other_vehicles_samples_is_no_pilots(ahead_
     c.outputs.clear()
     c.set_status(armed=False, flight_mode=FlightMode.HOLD, landed=LandedState.ON_GROUND)
     c.run(0.02)
-    assert not [o for o in c.outputs if isinstance(o, GuardEvent | SetPoint | VehicleCommand)]
+    assert not [o for o in c.outputs if isinstance(o, GuardEvent | Setpoint | VehicleCommand)]
     in_turn(c, ahead_us, 3.0, 0.1)
     assert fired(c)[-1].rule == "second_vehicle"
     assert not {"pilot", "px4_failsafe", "disarmed"} & {e.rule for e in fired(c)}
@@ -734,7 +734,7 @@ def test_a_switch_to_hold_silences_the_mission_at_once_and_ends_it_a_tenth_of_a_
     c.run(0.02)
     assert [e.rule for e in fired(c)] == ["pilot"]
     assert c.core.end is not None
-    assert not [o for o in c.outputs if isinstance(o, SetPoint | VehicleCommand)]
+    assert not [o for o in c.outputs if isinstance(o, Setpoint | VehicleCommand)]
 
 
 def test_a_mode_that_goes_back_to_offboard_at_once_costs_only_that_moment() -> None:
@@ -743,7 +743,7 @@ def test_a_mode_that_goes_back_to_offboard_at_once_costs_only_that_moment() -> N
     c.set_status(flight_mode=FlightMode.HOLD)
     c.run(0.05)
     c.set_status(flight_mode=FlightMode.OFFBOARD)
-    assert any(isinstance(o, SetPoint) for o in c.run(0.2))
+    assert any(isinstance(o, Setpoint) for o in c.run(0.2))
     assert not fired(c)
 
 
@@ -774,7 +774,7 @@ def test_from_a_wall_that_is_not_in_the_mission_it_goes_away_the_way_it_was_push
     """On plain GPS a wall stands a metre from its place: what was felt says where."""
 
     def goes_to() -> tuple[float, float]:
-        north, east, _ = next(o for o in reversed(c.outputs) if isinstance(o, SetPoint)).position_ned
+        north, east, _ = next(o for o in reversed(c.outputs) if isinstance(o, Setpoint)).position_ned
         return north, east
 
     c = HandFedCore()

@@ -6,7 +6,7 @@ import random
 from collections.abc import Callable
 
 from dart_flight.base.records import ImuSample, RoundTrip
-from dart_flight.core.guard.lateness import Lateness
+from dart_flight.core.guard.telemetry_delay import TelemetryDelay
 from dart_flight.core.pace import Pace
 from tests.core.conftest import HandFedCore
 
@@ -14,7 +14,7 @@ AHEAD_US = 300_000_000  # the autopilot's clock
 
 
 def feed(
-    lateness: Lateness,
+    lateness: TelemetryDelay,
     seconds: float,
     delay_s: Callable[[float], float],
     *,
@@ -39,30 +39,30 @@ def feed(
 
 
 def test_without_a_round_trip_nothing_is_known() -> None:
-    lateness = Lateness(0.075)
+    lateness = TelemetryDelay(0.075)
     assert not feed(lateness, 2.0, lambda t: 1.0, trips=False)
     assert lateness.age_us == 0.0
 
 
 def test_a_delay_that_is_always_the_same_is_found_by_the_round_trip() -> None:
-    lateness = Lateness(0.075)
+    lateness = TelemetryDelay(0.075)
     assert not feed(lateness, 2.0, lambda t: 0.05)
     assert abs(lateness.age_us - 50e3) < 1.0
-    lateness = Lateness(0.075)
+    lateness = TelemetryDelay(0.075)
     assert feed(lateness, 0.3, lambda t: 1.0)
-    assert lateness.words() == "samples come 1000 ms after they were taken, round trip 2000 ms"
+    assert lateness.describe() == "samples come 1000 ms after they were taken, round trip 2000 ms"
 
 
 def test_a_delay_that_comes_later_shows_although_no_request_is_answered_any_more() -> None:
-    lateness = Lateness(0.075)
+    lateness = TelemetryDelay(0.075)
     assert not feed(lateness, 60.0, lambda t: 0.003)
     assert feed(lateness, 0.3, lambda t: 0.1, from_s=60.0, trips=False)
-    assert lateness.words() == "samples come 100 ms after they were taken"
+    assert lateness.describe() == "samples come 100 ms after they were taken"
 
 
 def test_it_stays_late_however_long_that_lasts() -> None:
     """The offset between the clocks adapts within seconds; the best round trip is not forgotten so soon."""
-    lateness = Lateness(0.075)
+    lateness = TelemetryDelay(0.075)
     feed(lateness, 1.0, lambda t: 0.003)
     feed(lateness, 120.0, lambda t: 2.4, from_s=1.0)
     assert lateness.late
@@ -72,13 +72,13 @@ def test_it_stays_late_however_long_that_lasts() -> None:
 
 def test_clocks_that_drift_apart_are_no_lateness() -> None:
     for drift in (1e-4, -1e-4):
-        lateness = Lateness(0.075)
+        lateness = TelemetryDelay(0.075)
         chance = random.Random(1)
         assert not feed(lateness, 1800.0, lambda t, c=chance: 0.002 + 0.02 * c.random(), drift=drift)  # type: ignore[misc]
 
 
 def test_what_comes_at_one_go_after_a_pause_is_no_lateness() -> None:
-    lateness = Lateness(0.075)
+    lateness = TelemetryDelay(0.075)
     feed(lateness, 1.0, lambda t: 0.003)
     assert not feed(lateness, 0.4, lambda t: 0.003 + 1.4 - t, from_s=1.0, trips=False)
     assert not feed(lateness, 1.0, lambda t: 0.003, from_s=1.4)
@@ -86,12 +86,12 @@ def test_what_comes_at_one_go_after_a_pause_is_no_lateness() -> None:
 
 def test_jitter_is_lateness_where_too_much_of_it_comes_late() -> None:
     chance = random.Random(1)
-    assert not feed(Lateness(0.075), 60.0, lambda t: 0.075 * chance.random())
-    assert feed(Lateness(0.075), 5.0, lambda t: 0.15 * chance.random())
+    assert not feed(TelemetryDelay(0.075), 60.0, lambda t: 0.075 * chance.random())
+    assert feed(TelemetryDelay(0.075), 5.0, lambda t: 0.15 * chance.random())
 
 
 def test_a_clock_that_jumps_is_compared_anew() -> None:
-    lateness = Lateness(0.075)
+    lateness = TelemetryDelay(0.075)
     feed(lateness, 1.0, lambda t: 0.003)
     for i in range(250):
         now_us = 1_000_000 + 4000 * i
@@ -103,7 +103,7 @@ def test_a_clock_that_jumps_is_compared_anew() -> None:
 
 
 def test_where_the_autopilots_time_goes_at_any_pace_round_trips_alone_count() -> None:
-    lateness = Lateness(0.075)
+    lateness = TelemetryDelay(0.075)
     for i in range(1000):
         now_us = 4000 * i
         if i % 25 == 0:
@@ -127,4 +127,4 @@ def test_a_late_backlog_is_not_stepped_one_by_one_near_a_wall() -> None:
     c.give(RoundTrip(c.t_us, c.t_us - 1_000_000, c.t_us))
     for i in range(80):
         c.give(ImuSample(c.t_us + 4000 * i, c.t_us + 4000 * i, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)))
-    assert [*paces, c.core.pace] == [Pace.PROMPT, Pace.TOGETHER]
+    assert [*paces, c.core.pace] == [Pace.IMMEDIATE, Pace.BATCHED]

@@ -22,7 +22,7 @@ from dart_flight.base.records import (
     OperatorRequest,
     Phase,
     Request,
-    SetPoint,
+    Setpoint,
     VehicleAction,
     VehicleCommand,
 )
@@ -149,7 +149,7 @@ def test_the_guard_holds_at_the_missions_altitude_or_where_it_is_above_it(up_m: 
     c.run(0.02)
     assert not [o for o in c.outputs if isinstance(o, GuardEvent)]
     c.give(OperatorRequest(c.t_us, Request.LAND))
-    held = [o for o in c.run(0.5) if isinstance(o, SetPoint)]
+    held = [o for o in c.run(0.5) if isinstance(o, Setpoint)]
     assert held
     assert {round(o.position_ned[2], 6) for o in held} == {-held_m}
 
@@ -160,7 +160,7 @@ def test_after_a_change_of_altitude_the_guard_holds_at_the_new_one() -> None:
     c.to_prepare()
     assert c.core.phase is Phase.WAYPOINT
     c.give(OperatorRequest(c.t_us, Request.LAND))
-    held = [o for o in c.run(0.5) if isinstance(o, SetPoint)]
+    held = [o for o in c.run(0.5) if isinstance(o, Setpoint)]
     assert {round(o.position_ned[2], 6) for o in held} == {-1.4}
 
 
@@ -175,7 +175,7 @@ def test_the_guard_does_not_climb_out_of_the_flight_space() -> None:
     c.position_ned = (0.0, 0.0, -0.9)
     c.run(0.02)
     c.give(OperatorRequest(c.t_us, Request.LAND))
-    held = [o for o in c.run(0.5) if isinstance(o, SetPoint)]
+    held = [o for o in c.run(0.5) if isinstance(o, Setpoint)]
     assert {round(o.position_ned[2], 6) for o in held} == {-0.96}
 
 
@@ -214,7 +214,7 @@ def test_the_heading_turns_no_faster_than_allowed_and_gets_there(yaw: float) -> 
     c.run(0.1)
     c.set_status(landed=LandedState.IN_AIR)
     c.position_ned = (0.0, 0.0, -1.0)
-    out = [o for o in c.run(2.0) if isinstance(o, SetPoint)]
+    out = [o for o in c.run(2.0) if isinstance(o, Setpoint)]
     assert c.core.phase is Phase.TRANSIT  # its own heading has not followed: it has not arrived
     assert out[0].yaw_ned_rad == pytest.approx(yaw)
     rate = math.radians(c.core.mission.vehicle.flying.yaw_rate_deg_s)

@@ -16,7 +16,7 @@ from dart_flight.base.records import (
     Input,
     OdometrySample,
     Phase,
-    WallFelt,
+    WallEstimate,
 )
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
@@ -70,9 +70,9 @@ def test_whatever_meets_a_wall_soon_is_stepped_at_once(
     state = state_at(SINGLE_WALL, place, (-closing_m_s * nx, -closing_m_s * ny))
     pace = pace_near_walls(SINGLE_WALL, state, phase)
     if distance_m < LEAD_S * closing_m_s:
-        assert pace is Pace.PROMPT
+        assert pace is Pace.IMMEDIATE
     elif distance_m > LEAD_S * closing_m_s + 0.3:  # the earliest contact that is still the wall's, and more
-        assert pace is Pace.TOGETHER
+        assert pace is Pace.BATCHED
 
 
 @pytest.mark.parametrize("mission", ["paper_single_wall", "paper_dual_collision"])
@@ -89,13 +89,13 @@ def test_no_contact_of_a_flight_comes_while_the_core_has_patience(flown: SharedF
         for output in core.step(cast(Input, entry.record)):
             if isinstance(output, ImpactOnset | ImpactPeak):
                 met += 1
-                assert pace is Pace.PROMPT  # the answer goes out on the thread that brings the sample
-            elif isinstance(output, ContactEnd | WallFelt):
-                assert pace is Pace.LONG  # the fit is nobody else's to wait for
+                assert pace is Pace.IMMEDIATE  # the answer goes out on the thread that brings the sample
+            elif isinstance(output, ContactEnd | WallEstimate):
+                assert pace is Pace.DEFERRED  # the fit is nobody else's to wait for
     assert met
     # It is what patience is for: most of a flight no contact can come.
-    assert seen[Pace.TOGETHER] > 0.6 * seen.total()
+    assert seen[Pace.BATCHED] > 0.6 * seen.total()
 
 
 def test_on_the_ground_it_has_patience() -> None:
-    assert FlightCore(SINGLE_WALL).pace is Pace.TOGETHER
+    assert FlightCore(SINGLE_WALL).pace is Pace.BATCHED

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from dart_flight.base.records import ForceEstimate, PlanAnswer, PlanRequest, PlanTaken
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.approach import Way
+from dart_flight.core.mission.approach import PlannedTrajectory
 from dart_flight.core.mission.lock_orders import LockOrders
 from dart_flight.core.mission.proposal import Proposal
-from dart_flight.core.mission.replanning import Replanning
+from dart_flight.core.mission.replan_requests import ReplanRequests
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
@@ -28,20 +28,20 @@ def state_at(now_us: int, position: tuple[float, float, float] = (1.0, -1.0, 1.0
     return state
 
 
-def asked() -> tuple[Replanning, PlanRequest]:
-    planning, p = Replanning(MISSION), Proposal()
+def asked() -> tuple[ReplanRequests, PlanRequest]:
+    planning, p = ReplanRequests(MISSION), Proposal()
     hit, following = MISSION.collisions
     over = Sensed(estimate=ForceEstimate(NOW_US, (0.0, 0.0, 0.0), False))
     lock = LockOrders(MISSION.vehicle.lock)
-    planning.ask_once(hit, following, state_at(NOW_US), over, (2.0, -0.8, 1.0), lock, p)
+    planning.request_once(hit, following, state_at(NOW_US), over, (2.0, -0.8, 1.0), lock, p)
     (request,) = p.outputs
     assert isinstance(request, PlanRequest)
-    planning.ask_once(hit, following, state_at(NOW_US + 4_000), over, (2.0, -0.8, 1.0), lock, p)
+    planning.request_once(hit, following, state_at(NOW_US + 4_000), over, (2.0, -0.8, 1.0), lock, p)
     assert len(p.outputs) == 1  # once after each contact
     return planning, request
 
 
-def refusal_of(planning: Replanning, answer: PlanAnswer, now_us: int) -> str | None:
+def refusal_of(planning: ReplanRequests, answer: PlanAnswer, now_us: int) -> str | None:
     """Why an answer is not to be flown; None where it is."""
     p = Proposal()
     planning.take(answer, now_us, p)
@@ -82,12 +82,12 @@ def test_an_answer_in_time_is_flown_from_its_moment_on() -> None:
     planning, request = asked()
     p = Proposal()
     planning.take(answer_to(request), NOW_US + 40_000, p)
-    assert planning.way_that_begins(state_at(NOW_US + 90_000), p) is None
-    assert planning.way_us is None
+    assert planning.trajectory_due(state_at(NOW_US + 90_000), p) is None
+    assert planning.trajectory_since_us is None
     assert p.outputs == []
-    assert planning.way_that_begins(moved_to(request), p) is not None
+    assert planning.trajectory_due(moved_to(request), p) is not None
     assert p.outputs == [PlanTaken(request.begin_us, request.number, True)]
-    assert planning.way_us == request.begin_us
+    assert planning.trajectory_since_us == request.begin_us
     met = planning.meets_plane(1.2, state_at(request.begin_us + 300_000))
     assert met is not None
     assert met.after_s == pytest.approx(1.0)
@@ -116,8 +116,8 @@ def test_an_answer_that_cannot_be_flown_is_refused_with_its_reason(
     planning, request = asked()
     answer = msgspec.structs.replace(answer_to(request), **change)
     assert says in (refusal_of(planning, answer, NOW_US + 40_000) or "")
-    assert planning.way_that_begins(moved_to(request), Proposal()) is None
-    assert planning.way_us is None
+    assert planning.trajectory_due(moved_to(request), Proposal()) is None
+    assert planning.trajectory_since_us is None
 
 
 def test_an_answer_that_comes_late_is_not_flown() -> None:
@@ -129,7 +129,7 @@ def test_a_way_that_begins_elsewhere_is_not_flown() -> None:
     planning, request = asked()
     p = Proposal()
     planning.take(answer_to(request), NOW_US + 40_000, p)
-    assert planning.way_that_begins(state_at(request.begin_us, (1.3, -0.9, 1.0)), p) is None
+    assert planning.trajectory_due(state_at(request.begin_us, (1.3, -0.9, 1.0)), p) is None
     assert "m/s beside its beginning" in (said(p) or "")
 
 
@@ -143,7 +143,7 @@ def test_a_contact_ends_what_was_planned_before_it() -> None:
 def test_a_way_is_what_its_derivatives_say(
     x: tuple[float, ...], y: tuple[float, ...], duration_s: float, t_s: float
 ) -> None:
-    way, h = Way(x, y, duration_s, 1.0), 1e-5
+    way, h = PlannedTrajectory(x, y, duration_s, 1.0), 1e-5
     if abs(t_s - duration_s) < 2 * h or t_s < h:
         return
     at, before, after = way.at(t_s), way.at(t_s - h), way.at(t_s + h)
@@ -158,7 +158,7 @@ def test_a_way_is_what_its_derivatives_say(
 def test_a_way_goes_straight_on_behind_its_end(
     x: tuple[float, ...], duration_s: float, more_s: float
 ) -> None:
-    way = Way(x, x, duration_s, 1.0)
+    way = PlannedTrajectory(x, x, duration_s, 1.0)
     end, beyond = way.at(duration_s), way.at(duration_s + more_s)
     assert beyond.velocity == end.velocity
     assert beyond.position[0] == pytest.approx(end.position[0] + more_s * end.velocity[0])

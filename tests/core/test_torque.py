@@ -30,21 +30,21 @@ from dart_flight.base.records import (
     TruthContact,
 )
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.sense.body import (
-    BodySense,
-    ContactSamples,
-    Felt,
+from dart_flight.core.sense.angular_motion import AngularMotion
+from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector
+from dart_flight.core.sense.force import ForceEstimator
+from dart_flight.core.sense.incidence import (
+    ContactSample,
+    ContactSampleBuffer,
+    IncidenceEstimator,
     Known,
-    _Fit,
-    _Row,
+    _FitSample,
+    _IncidenceFit,
     _smoothed,
     side_of,
 )
-from dart_flight.core.sense.detector import Expected, ImpactDetector
-from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.torque import TorqueEstimator
-from dart_flight.core.sense.turning import Turning
 from dart_flight.sim.plant import Plant
 from tests.core.conftest import HOVER
 from tests.shared_flights import SharedFlights
@@ -63,20 +63,20 @@ vectors = st.tuples(component, component, component)
 @given(force=vectors, rate=vectors, change=vectors, at=vectors)
 def test_the_lever_is_taken_out_of_any_turning(force: Vec3, rate: Vec3, change: Vec3, at: Vec3) -> None:
     """Against alpha x r + w x (w x r) by numpy, with w and alpha the means over the tick."""
-    turning = Turning()
+    turning = AngularMotion()
     before = np.subtract(rate, np.multiply(0.002, change))
     after = np.add(rate, np.multiply(0.002, change))
     for t_us, w in ((4000, before), (8000, after)):
-        turning.take(ImuSample(t_us, t_us, (0.0, 0.0, 0.0), (float(w[0]), float(w[1]), float(w[2]))))
+        turning.update(ImuSample(t_us, t_us, (0.0, 0.0, 0.0), (float(w[0]), float(w[1]), float(w[2]))))
     reading = np.add(force, np.add(np.cross(change, at), np.cross(rate, np.cross(rate, at))))
     found = turning.at_centre((float(reading[0]), float(reading[1]), float(reading[2])), at)
     assert found == pytest.approx(force, abs=1e-9)
 
 
 def test_a_gap_is_no_turning() -> None:
-    turning = Turning()
-    turning.take(ImuSample(4000, 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
-    turning.take(ImuSample(304_000, 0, (0.0, 0.0, 0.0), (5.0, 0.0, 0.0)))
+    turning = AngularMotion()
+    turning.update(ImuSample(4000, 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    turning.update(ImuSample(304_000, 0, (0.0, 0.0, 0.0), (5.0, 0.0, 0.0)))
     assert not turning.known
     assert turning.acceleration == (0.0, 0.0, 0.0)
     assert TorqueEstimator(VEHICLE).estimate(304_000, turning, None, 1.0, False) is None
@@ -87,7 +87,7 @@ def felt_while_spinning(vehicle: VehicleConfig, at: Vec3) -> list[float]:
     state, estimator = FlightState(), ForceEstimator(vehicle)
     state.frame = MissionFrame()
     state.status = StatusSample(0, 0, landed=LandedState.IN_AIR)
-    q, felt, last, turning = IDENTITY, [], 0.0, Turning()
+    q, felt, last, turning = IDENTITY, [], 0.0, AngularMotion()
     for i in range(250):
         t = 1_000_000 + 4000 * i
         rate = 8.0 * min(1.0, max(0.0, (i - 100) / 100))
@@ -101,7 +101,7 @@ def felt_while_spinning(vehicle: VehicleConfig, at: Vec3) -> list[float]:
         x, y, _ = at
         force = (-change * y - mean * mean * x, change * x - mean * mean * y, -9.81)
         imu = ImuSample(t, t, force, (0.0, 0.0, rate))
-        turning.take(imu)
+        turning.update(imu)
         estimate = estimator.estimate(imu, state, in_contact=True)
         assert estimate is not None
         felt.append(math.hypot(estimate.force_mission[0], estimate.force_mission[1]))
@@ -141,10 +141,10 @@ def sense(
     state.status = StatusSample(0, 0, landed=LandedState.IN_AIR)
     state.lock = LockState(0, LockPhase.SETTLED, plant.mode)
     force, torque = ForceEstimator(vehicle), TorqueEstimator(vehicle)
-    samples = ContactSamples()
-    detector, body = ImpactDetector(vehicle), BodySense(vehicle, samples)
+    samples = ContactSampleBuffer()
+    detector, body = ImpactDetector(vehicle), IncidenceEstimator(vehicle, samples)
     nx, ny, _ = frame.vector_from_ned(plant.frame.vector_to_ned((*WALL.normal, 0.0)))
-    expected = Expected(True, (nx, ny), WALL.material)
+    expected = ExpectedContact(True, (nx, ny), WALL.material)
     out = Met([], [], [], [], None)
     touched = False
     while plant.time_s < 0.6:
@@ -171,8 +171,8 @@ def sense(
         out.true.append((sums[0], sums[1], sums[2]))
         events = detector.update(estimate, t, state, expected)
         out.peaks.extend(e for e in events if isinstance(e, ImpactPeak))
-        samples.add(Felt(estimate, found, force.attitude, force.turning.rate))
-        told = body.take(state, (0.0, 0.0), events, expected)
+        samples.add(ContactSample(estimate, found, force.attitude, force.turning.rate))
+        told = body.update(state, (0.0, 0.0), events, expected)
         if told is not None:
             out.bodies.append(told)
     return out._replace(contact=plant.finished[0] if plant.finished else None)
@@ -215,8 +215,8 @@ def test_a_wall_may_stand_at_any_angle_to_the_missions_axes(heading_rad: float) 
 def test_a_hit_that_says_nothing_leaves_the_angle_as_it_was_known(planned: bool, degrees: float) -> None:
     """docs/torque.md: the attitude against a planned wall is known to 4 degrees, to another one to 15."""
     c = VEHICLE.materials["acrylic"].rigid
-    rows = [_Row(1, 10.0 * math.sin(0.3 * i), 0.0, 0.0, 0.0, 0.0, -0.5, 0.0) for i in range(10)]
-    fit = _Fit(rows, 0.02, c, (1e6, 1e6), 0.13, 0.2, Known(), planned)
+    rows = [_FitSample(1, 10.0 * math.sin(0.3 * i), 0.0, 0.0, 0.0, 0.0, -0.5, 0.0) for i in range(10)]
+    fit = _IncidenceFit(rows, 0.02, c, (1e6, 1e6), 0.13, 0.2, Known(), planned)
     angle, sigma = fit.run()
     assert angle == pytest.approx(0.02, abs=1e-3)
     assert math.degrees(sigma) == pytest.approx(degrees)
@@ -276,7 +276,7 @@ def test_the_motors_are_not_external(difference: tuple[float, float, float, floa
     plant = Plant(VEHICLE, (), MissionFrame())
     plant.position, plant.ground_down, plant.motor = (0.0, 0.0, -50.0), 100.0, [HOVER] * 4
     torque, force = TorqueEstimator(VEHICLE), ForceEstimator(VEHICLE)
-    turning, largest, motors = Turning(), 0.0, 0.0
+    turning, largest, motors = AngularMotion(), 0.0, 0.0
     for i in range(100):
         t = 1_000_000 + 4000 * i
         sign = 1.0 if i // 10 % 2 == 0 else -1.0
@@ -284,7 +284,7 @@ def test_the_motors_are_not_external(difference: tuple[float, float, float, floa
         a, b, c, d = commands
         force.thrust.take_actuator(ActuatorSample(t, t, (a, b, c, d)))
         plant.advance((a, b, c, d), 4)
-        turning.take(ImuSample(t + 4000, t, (0.0, 0.0, 0.0), plant.rate))
+        turning.update(ImuSample(t + 4000, t, (0.0, 0.0, 0.0), plant.rate))
         force.thrust.mean_over_tick(t + 4000)
         found = torque.estimate(t + 4000, turning, force.thrust.each_n, 1.0, learns=False)
         if found is not None and i > 45:  # what the motors did before the first command is forgotten
@@ -298,14 +298,14 @@ def test_the_motors_are_not_external(difference: tuple[float, float, float, floa
 def test_a_torque_that_is_always_there_is_taken_off() -> None:
     """A centre of mass 5 mm ahead of the motors' middle, and what the gyro's noise makes of the torque."""
     rng = np.random.default_rng(8)
-    torque, turning = TorqueEstimator(VEHICLE), Turning()
+    torque, turning = TorqueEstimator(VEHICLE), AngularMotion()
     each = tuple(MASS * 9.81 / 4.0 + d for d in (-0.12, 0.12, -0.12, 0.12))
     a, b, c, d = each
     seen = []
     for i in range(2000):
         t = 1_000_000 + 4000 * i
         x, y, z = rng.normal(0.0, 0.01, 3)
-        turning.take(ImuSample(t, t, (0.0, 0.0, -9.81), (float(x), float(y), float(z))))
+        turning.update(ImuSample(t, t, (0.0, 0.0, -9.81), (float(x), float(y), float(z))))
         found = torque.estimate(t, turning, (a, b, c, d), 1.0, True)
         if found is not None:
             seen.append(found)
@@ -321,13 +321,13 @@ def test_a_torque_that_is_always_there_is_taken_off() -> None:
 
 def test_a_lasting_torque_larger_than_a_vehicles_own_stays_visible() -> None:
     """About one axis is enough: half a newton metre about pitch, of which 0.3 may be the vehicle's."""
-    torque, turning = TorqueEstimator(VEHICLE), Turning()
+    torque, turning = TorqueEstimator(VEHICLE), AngularMotion()
     each = tuple(MASS * 9.81 / 4.0 + d for d in (-1.0, 1.0, -1.0, 1.0))
     a, b, c, d = each
     found = None
     for i in range(2000):
         t = 1_000_000 + 4000 * i
-        turning.take(ImuSample(t, t, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0)))
+        turning.update(ImuSample(t, t, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0)))
         found = torque.estimate(t, turning, (a, b, c, d), 1.0, True)
         if i == 1:
             assert found is not None

@@ -20,14 +20,14 @@ from dart_flight.base.records import (
     Phase,
     PhaseChange,
     Record,
-    SetPoint,
+    Setpoint,
 )
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import load_vehicle
 from dart_flight.core import flight_core
+from dart_flight.core.mission.contact_feedforward import ContactFeedforward
 from dart_flight.core.mission.executive import Executive
 from dart_flight.core.mission.proposal import Proposal
-from dart_flight.core.mission.yielding import Yielding
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from dart_flight.run.fast import FastFlight
@@ -49,14 +49,14 @@ def sensed(n: int, force: tuple[float, float], in_contact: bool) -> Sensed:
 )
 def test_the_d_term_makes_nothing_of_a_half_sine(peak_n: float, direction: float, samples: int) -> None:
     """PX4's filtered derivative of the velocity that the contact leaves, times its gain, is fed forward."""
-    yielding, derivative = Yielding(VEHICLE), 0.0
+    yielding, derivative = ContactFeedforward(VEHICLE), 0.0
     gain, mass = VEHICLE.px4.mpc_xy_vel_d_acc, VEHICLE.airframe.mass_kg
     share = 1.0 - math.exp(-2.0 * math.pi * CUTOFF_HZ * TICK_US * 1e-6)
-    yielding.take(sensed(0, (0.0, 0.0), False))
+    yielding.update(sensed(0, (0.0, 0.0), False))
     for n in range(1, samples + 60):
         in_contact = n <= samples
         force = peak_n * math.sin(math.pi * n / (samples + 1)) if in_contact else 0.0
-        yielding.take(sensed(n, (force * math.cos(direction), force * math.sin(direction)), in_contact))
+        yielding.update(sensed(n, (force * math.cos(direction), force * math.sin(direction)), in_contact))
         derivative += share * (force / mass - derivative)
         fed = yielding.feed_forward or (0.0, 0.0, 0.0)
         wanted = min(5.0, gain * derivative)
@@ -67,23 +67,23 @@ def test_the_d_term_makes_nothing_of_a_half_sine(peak_n: float, direction: float
 
 
 def test_nothing_is_fed_forward_without_a_contact() -> None:
-    yielding = Yielding(VEHICLE)
+    yielding = ContactFeedforward(VEHICLE)
     for n in range(50):
-        yielding.take(sensed(n, (30.0, 0.0), False))
+        yielding.update(sensed(n, (30.0, 0.0), False))
     assert yielding.feed_forward is None
 
 
 def test_a_gap_in_the_samples_stays_bounded() -> None:
-    yielding = Yielding(VEHICLE)
-    yielding.take(sensed(0, (0.0, 0.0), True))
-    yielding.take(sensed(10_000, (4000.0, 0.0), True))
+    yielding = ContactFeedforward(VEHICLE)
+    yielding.update(sensed(0, (0.0, 0.0), True))
+    yielding.update(sensed(10_000, (4000.0, 0.0), True))
     assert norm(yielding.feed_forward or (0.0, 0.0, 0.0)) == pytest.approx(5.0)
 
 
-class _Unmoved(Yielding):
+class _Unmoved(ContactFeedforward):
     """Feeds nothing forward."""
 
-    def take(self, sensed: Sensed) -> None:
+    def update(self, sensed: Sensed) -> None:
         pass
 
 
@@ -94,9 +94,9 @@ class KeepsStill(Executive):
         super().__init__(mission)
         self._yielding = _Unmoved(mission.vehicle)
 
-    def _send_reference(self, sample: OdometrySample, state: FlightState, p: Proposal) -> None:
+    def _send_setpoint(self, sample: OdometrySample, state: FlightState, p: Proposal) -> None:
         if self.phase is not Phase.CONTACT:
-            super()._send_reference(sample, state, p)
+            super()._send_setpoint(sample, state, p)
 
 
 def flown(mission: Mission, yields: bool) -> list[Record]:
@@ -123,8 +123,8 @@ def in_contact(records: list[Record]) -> list[Record]:
 
 
 def test_in_a_contact_the_vehicles_own_motion_is_asked_for(flights: dict[bool, list[Record]]) -> None:
-    assert not [r for r in in_contact(flights[False]) if isinstance(r, SetPoint) and not r.recovery]
-    asked = [r for r in in_contact(flights[True]) if isinstance(r, SetPoint) and not r.recovery]
+    assert not [r for r in in_contact(flights[False]) if isinstance(r, Setpoint) and not r.recovery]
+    asked = [r for r in in_contact(flights[True]) if isinstance(r, Setpoint) and not r.recovery]
     assert asked
     for setpoint in asked:
         assert setpoint.velocity_ned is not None
@@ -134,7 +134,7 @@ def test_in_a_contact_the_vehicles_own_motion_is_asked_for(flights: dict[bool, l
 def test_the_recovery_setpoint_is_the_papers_either_way(flights: dict[bool, list[Record]]) -> None:
     """Same seed, same flight up to the onset; the peak differs by what the loop has pushed until then."""
     first = [
-        next(r for r in flights[yields] if isinstance(r, SetPoint) and r.recovery) for yields in (True, False)
+        next(r for r in flights[yields] if isinstance(r, Setpoint) and r.recovery) for yields in (True, False)
     ]
     peaks = [next(r for r in flights[yields] if isinstance(r, ImpactPeak)) for yields in (True, False)]
     for a, b in zip(first[0].position_ned, first[1].position_ned, strict=True):

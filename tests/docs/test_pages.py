@@ -18,11 +18,11 @@ from PIL import Image
 from dart_flight.base.records import Phase
 from dart_flight.cli import COMMANDS, build_parser, main
 from dart_flight.config.document import Document
-from dart_flight.config.kinds import EXTENDS
+from dart_flight.config.file_kinds import EXTENDS
 from dart_flight.config.mission import parse_mission
 from dart_flight.config.mission_file import WallSpec
 from dart_flight.config.vehicle import Material, VehicleConfig, load_vehicle
-from dart_flight.lab.report.flight import Flight
+from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.lab.search.scenario import load_scenario
 from tests.docs.snippets import MANUAL, PAGES, RESULTS, ROOT, Block, blocks, name_of
 from tests.shared_flights import SharedFlights
@@ -81,7 +81,7 @@ def test_the_moving_picture_of_the_readme(tmp_path: Path, flown: SharedFlights) 
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert f"({animation.FILE.relative_to(ROOT).as_posix()})" in readme
     assert animation.FILE.stat().st_size < 1_500_000
-    flight = Flight.read(flown("dual_collision", 1).log)
+    flight = RecordedFlight.read(flown("dual_collision", 1).log)
     times = animation.moments(flight)
     at_s = [impact.at_s for impact in flight.impacts]
     assert all(sum(0.0 <= t - hit < 0.15 for t in times) > 12 for hit in at_s)

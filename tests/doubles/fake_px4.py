@@ -19,7 +19,7 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 from dart_flight.config.mission import load_mission
-from dart_flight.config.parameters import PositionSource
+from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import packaged
 from dart_flight.sim.px4.launch import flight_parameters
 

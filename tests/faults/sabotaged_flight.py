@@ -15,8 +15,8 @@ from dart_flight.run.app import FlightApp
 from dart_flight.run.embedded import DEADMAN_NOTE
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.prepare import load_flyable, with_driver
-from dart_flight.run.sabotage import Sabotage
-from dart_flight.sim.faults.kinds import parse_fault
+from dart_flight.run.program_fault import ProgramFault
+from dart_flight.sim.faults.fault_table import parse_fault
 
 path, url, log_dir, fault = sys.argv[1:]
 mission = with_driver(load_flyable(path), LockDriver.PX4)
@@ -28,7 +28,7 @@ vehicle = msgspec.structs.replace(mission.vehicle, guard=guard)
 mission = msgspec.structs.replace(mission, vehicle=vehicle)
 record = FlightRecord(mission, World.DRONE, None, Path(log_dir))
 app = FlightApp(mission, url, record, deadman_note=record.folder / DEADMAN_NOTE)
-record.onlookers.append(Sabotage(parse_fault(fault), app))
+record.onlookers.append(ProgramFault(parse_fault(fault), app))
 try:
     asyncio.run(app.run())
 finally:

@@ -127,7 +127,7 @@ def test_nothing_that_flies_reads_the_time_of_day() -> None:
         "core",
         "vehicle",
         "lock/drivers",
-        "lock/session.py",
+        "lock/lock_session.py",
         "run/deadman.py",
         "run/app.py",
         "run/core_thread.py",

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.base.records import GuardEvent, ImuSample, SetPoint, Silence, StatusSample, VehicleCommand
+from dart_flight.base.records import GuardEvent, ImuSample, Setpoint, Silence, StatusSample, VehicleCommand
 from dart_flight.recording.reader import read_log
 from dart_flight.run.embedded import fly_embedded
 from dart_flight.run.prepare import load_flyable
-from dart_flight.sim.faults.kinds import Fault, parse_fault
+from dart_flight.sim.faults.fault_table import Fault, parse_fault
 from tests.shared_flights import PATIENT
 from tools.campaigns.faults import ROWS, expected
 
@@ -69,4 +69,4 @@ def test_the_pilot_gets_silence_at_once(tmp_path: Path) -> None:
     print(f"silence {1e-3 * (silence.t_us - shown.t_us):.1f} ms after telemetry showed the mode")
     assert silence.t_us - shown.t_us <= 100_000
     after = records[records.index(silence) :]
-    assert not [r for r in after if isinstance(r, SetPoint | VehicleCommand)]
+    assert not [r for r in after if isinstance(r, Setpoint | VehicleCommand)]

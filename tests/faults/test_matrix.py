@@ -14,8 +14,8 @@ from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.run.fast import FastFlight, fly_fast
 from dart_flight.run.prepare import load_flyable
+from dart_flight.sim.faults.fault_table import KINDS, Fault, parse_fault
 from dart_flight.sim.faults.impairment import Impairment, LossyLink
-from dart_flight.sim.faults.kinds import KINDS, Fault, parse_fault
 from tools.campaigns.faults import ON_GROUND, PHASES, ROWS, came_of, cell, expected, random_flight, with_row
 
 ROOT = Path(__file__).parents[2]

@@ -23,7 +23,7 @@ from dart_flight.base.records import (
     PhaseChange,
     TruthContact,
 )
-from dart_flight.lab.report.flight import Flight
+from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.recording.reader import read_log
 from tests.doubles.ports import free_udp_port
 from tests.shared_flights import LiveFlights, patient
@@ -92,7 +92,7 @@ def simulated_vehicle(mission: str) -> Iterator[str]:
 
 @pytest.mark.mavlink
 def test_dual_collision_through_mavsdk(commanded: LiveFlights) -> None:
-    verdict = Flight.read(commanded(f"dart-flight dry-run {DUAL}").log).verdict
+    verdict = RecordedFlight.read(commanded(f"dart-flight dry-run {DUAL}").log).verdict
     assert (verdict.outcome, verdict.reason) == ("completed", None)
     assert [(c.wall, c.mode) for c in verdict.collisions] == [("wood", "flexible"), ("acrylic", "rigid")]
     first = verdict.collisions[0]
@@ -116,7 +116,7 @@ def test_a_hexarotor_through_mavsdk(commanded: LiveFlights) -> None:
     done = commanded(
         f"{fly} --set estimation.thrust_source=esc --set estimation.esc_thrust_n_per_rpm2=1.1e-8"
     )
-    flight = Flight.read(done.log)
+    flight = RecordedFlight.read(done.log)
     assert flight.verdict.outcome == "completed", flight.verdict.reason
     (hit,) = flight.verdict.collisions
     assert hit.truth is not None

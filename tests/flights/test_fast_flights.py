@@ -7,14 +7,14 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dart_flight.base.records import GoalPassed, Record, SetPoint, TruthSample
+from dart_flight.base.records import GoalPassed, Record, Setpoint, TruthSample
 from dart_flight.config.document import Document
 from dart_flight.config.mission import load_mission, parse_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.reader import read_log
 from dart_flight.run.fast import FastFlight, fly_fast
 from dart_flight.run.prepare import load_flyable
-from dart_flight.sim.faults.kinds import Fault
+from dart_flight.sim.faults.fault_table import Fault
 from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[2]
@@ -49,7 +49,7 @@ def test_dual_collision_completes_as_the_paper_flew_it(flown: SharedFlights) -> 
 
 def test_a_seed_decides_everything(flown: SharedFlights) -> None:
     def setpoints(records: Iterable[Record]) -> bytes:
-        return msgspec.json.encode([r for r in records if isinstance(r, SetPoint)])
+        return msgspec.json.encode([r for r in records if isinstance(r, Setpoint)])
 
     def recorded(seed: int) -> bytes:
         return setpoints(entry.record for entry in read_log(flown("paper_dual_collision", seed).log).entries)

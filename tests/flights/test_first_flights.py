@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.check.findings import Finding
-from dart_flight.check.mission import check_mission
+from dart_flight.check.findings import CheckFinding
+from dart_flight.check.mission_check import check_mission
 from dart_flight.config.starter import first_mission
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import fly_fast
@@ -47,7 +47,7 @@ def test_the_papers_numbers_follow_their_plan_and_miss_the_goal(name: str, miss_
     assert verdict.goal_miss_m == pytest.approx(miss_m, abs=0.05)
 
 
-def goal_finding(name: str) -> Finding:
+def goal_finding(name: str) -> CheckFinding:
     return next(f for f in check_mission(load_flyable(ROOT / "missions" / name)) if f.item == "goal")
 
 

@@ -15,7 +15,7 @@ from dart_flight.base.records import StatusText
 from dart_flight.cli.monitor_command import screen
 from dart_flight.config.mission import load_mission
 from dart_flight.run.fast import FastFlight
-from dart_flight.run.monitor import Watcher
+from dart_flight.run.monitor import TelemetryMonitor
 from tests.core.conftest import HandFedCore
 from tests.doubles.ports import free_udp_port
 
@@ -26,7 +26,7 @@ def test_it_sees_force_and_impacts_of_a_flight() -> None:
     mission = load_mission(
         ROOT / "missions" / "paper_single_wall.yaml", settings=["simulation.contact.body=point"]
     )
-    watcher = Watcher(mission, placed=True)
+    watcher = TelemetryMonitor(mission, placed=True)
     flight = FastFlight(mission, 1)
     step = flight.core.step
 
@@ -57,7 +57,7 @@ def test_before_any_telemetry_it_says_so(hand_fed_view: str) -> None:
 
 @pytest.fixture
 def hand_fed_view() -> str:
-    watcher = Watcher(HandFedCore().core.mission, placed=False)
+    watcher = TelemetryMonitor(HandFedCore().core.mission, placed=False)
     console = Console(record=True, width=100, file=open("/dev/null", "w"))  # noqa: SIM115
     console.print(screen(watcher.view()))
     return console.export_text()

@@ -8,17 +8,17 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dart_flight.base.records import LockCommand, LockPermission, LockState, Mode, PhaseChange, WallFelt
-from dart_flight.check.mission import check_mission
-from dart_flight.check.vehicle import judge_lock
+from dart_flight.base.records import LockCommand, LockPermission, LockState, Mode, PhaseChange, WallEstimate
+from dart_flight.check.mission_check import check_mission
+from dart_flight.check.vehicle_check import judge_lock
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import LockDriver, VehicleConfig, packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
-from dart_flight.core.mission.phases import TRANSITIONS, Cue
-from dart_flight.lab.report.flight import Flight
+from dart_flight.core.mission.phases import TRANSITIONS, PhaseTrigger
 from dart_flight.lab.report.page import flight_page
+from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.lab.search.scenario import load_scenario
 from dart_flight.lab.search.search import search
 from dart_flight.recording.reader import read_log
@@ -122,7 +122,7 @@ def test_it_hits_a_wall_and_says_nothing_of_a_lock(mission: Mission) -> None:
     log = read_log(str(verdict.log))
     records = [entry.record for entry in log.entries]
     assert not [r for r in records if isinstance(r, LockCommand | LockPermission | LockState)]
-    felt = [r for r in records if isinstance(r, WallFelt)]
+    felt = [r for r in records if isinstance(r, WallEstimate)]
     assert [(f.mode_felt, f.mode_reported, f.log_odds) for f in felt] == [(None, Mode.RIGID, 0.0)]
     assert felt[0].k_n_per_m == pytest.approx(mission.vehicle.materials["acrylic"].rigid.k, rel=0.2)
     phases = [r.after.value for r in records if isinstance(r, PhaseChange)]
@@ -131,7 +131,7 @@ def test_it_hits_a_wall_and_says_nothing_of_a_lock(mission: Mission) -> None:
     again = replay(log)
     assert again.exact
     assert again.equal
-    page = flight_page(Flight.read(str(verdict.log)))
+    page = flight_page(RecordedFlight.read(str(verdict.log)))
     assert "may lock" not in page
     assert "commanded" not in page
     assert "Lock and timing" not in page
@@ -160,7 +160,7 @@ def test_check_has_no_finding_about_a_lock(mission: Mission) -> None:
 
 
 def test_no_way_leads_to_the_lock_but_through_a_lock(mission: Mission) -> None:
-    assert [after for (_, cue), after in TRANSITIONS.items() if cue is Cue.NO_LOCK] == ["approach"]
+    assert [after for (_, cue), after in TRANSITIONS.items() if cue is PhaseTrigger.NO_LOCK] == ["approach"]
     with pytest.raises(InputError, match="no lock"):
         with_driver(mission, LockDriver.MOCK)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dart_flight.base.records import AfterImpact, Outcome, PlanTaken, Record, SetPoint
+from dart_flight.base.records import AfterImpact, Outcome, PlanTaken, Record, Setpoint
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.recording.reader import read_log
@@ -46,7 +46,7 @@ def test_a_late_planner_leaves_the_paper_s_set_points_in_force(latency_s: float)
     paper = flown([], AfterImpact.SETPOINT)
     assert not any(one.taken for one in late if isinstance(one, PlanTaken))
 
-    def setpoints(records: list[Record]) -> list[SetPoint]:
-        return [record for record in records if isinstance(record, SetPoint)]
+    def setpoints(records: list[Record]) -> list[Setpoint]:
+        return [record for record in records if isinstance(record, Setpoint)]
 
     assert setpoints(late) == setpoints(paper)

@@ -18,23 +18,23 @@ from dart_flight.base.records import (
     PlanRequest,
     Record,
     Request,
-    SetPoint,
+    Setpoint,
 )
-from dart_flight.check.findings import Finding
-from dart_flight.check.mission import check_mission
+from dart_flight.check.findings import CheckFinding
+from dart_flight.check.mission_check import check_mission
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.flight_core import FlightCore
-from dart_flight.core.mission.approach import NoApproachError, legs_of, transit_of
-from dart_flight.lab.report.flight import Flight
+from dart_flight.core.mission.approach import NoApproachError, transit_of, transit_segments
 from dart_flight.lab.report.page import flight_page
+from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.recording.verdict import VerdictBuilder, verdict_of
 from dart_flight.run.fast import FastFlight, fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.replay import replay
-from dart_flight.sim.faults.kinds import parse_fault
+from dart_flight.sim.faults.fault_table import parse_fault
 
 DART = packaged("configs", "dart.yaml")
 BARE = f"""\
@@ -119,12 +119,12 @@ def test_way_points_are_flown_in_order_held_and_change_the_altitude() -> None:
     for end_us in (second, third):
         assert at(end_us) == pytest.approx((0.6, -0.6, 1.5), abs=0.12)
     assert third - second == pytest.approx(2e6, abs=0.1e6)  # simulation.operator_s
-    transit = transit_of(one, legs_of(one)[0], (0.0, 0.0, 1.0))
+    transit = transit_of(one, transit_segments(one)[0], (0.0, 0.0, 1.0))
     assert second - first >= (transit.duration_s + 1.0) * 1e6  # flown, then held
     # At the altitude asked for last until the landing.
-    setpoints = [s for s in all_of(log, SetPoint) if isinstance(s, SetPoint) and s.t_us > third]
+    setpoints = [s for s in all_of(log, Setpoint) if isinstance(s, Setpoint) and s.t_us > third]
     assert [-s.position_ned[2] for s in setpoints] == pytest.approx([1.5] * len(setpoints), abs=0.01)
-    page = flight_page(Flight.read(log.source))
+    page = flight_page(RecordedFlight.read(log.source))
     assert "way-point" in page
     assert "The flight was completed; no hit was planned." in page
     assert "planned wall" not in page
@@ -145,7 +145,7 @@ def test_way_points_between_hits_are_flown_from_rest_and_later_hits_at_their_alt
     assert heights == pytest.approx([1.0, 1.3], abs=0.08)
     assert not all_of(log, PlanRequest)  # nothing is to be planned towards a way-point
     # The paper's set-points after the two hits, at the altitude of each.
-    recoveries = [s for s in all_of(log, SetPoint) if isinstance(s, SetPoint) and s.recovery]
+    recoveries = [s for s in all_of(log, Setpoint) if isinstance(s, Setpoint) and s.recovery]
     assert [-s.position_ned[2] for s in recoveries] == pytest.approx([1.0, 1.3], abs=0.01)
     verdict = verdict_of(log)
     assert verdict.outcome is Outcome.COMPLETED
@@ -271,7 +271,7 @@ def test_what_cannot_be_flown_is_refused_with_its_line(lines: str, says: str) ->
 BOARD = "  board: {{point_m: {}, normal: [0.0, -1.0], length_m: {}, material: wood}}\n"
 
 
-def findings(one: Mission) -> dict[str, Finding]:
+def findings(one: Mission) -> dict[str, CheckFinding]:
     return {finding.item: finding for finding in check_mission(one)}
 
 
@@ -326,7 +326,7 @@ def test_transit_is_flown_to_its_end() -> None:
 
     def see(record: Record, _: int) -> None:
         nonlocal fastest
-        if isinstance(record, SetPoint) and record.velocity_ned is not None:
+        if isinstance(record, Setpoint) and record.velocity_ned is not None:
             fastest = max(fastest, abs(record.velocity_ned[0]))
 
     flight = FastFlight(one, 1, observe=see)

@@ -8,7 +8,7 @@ from pathlib import Path
 from dart_flight.cli import build_parser
 from dart_flight.config.vehicle import LockConfig, LockDriver, packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
-from dart_flight.lock.drivers.px4 import required_parameters
+from dart_flight.lock.drivers.px4_output import required_parameters
 
 PAGE = Path(__file__).parents[2] / "docs" / "lock.md"
 

@@ -12,7 +12,7 @@ import pytest
 
 from dart_flight.config.vehicle import LimitSwitch, LockConfig, LockDriver
 from dart_flight.lock.drivers import DriverError, make_driver
-from dart_flight.lock.drivers.limit_switch import GpioLimitSwitch, WithLimitSwitch
+from dart_flight.lock.drivers.limit_switch import DriverWithLimitSwitch, GpioLimitSwitch
 
 Vary = Callable[..., LockConfig]
 
@@ -95,7 +95,7 @@ def test_failures_are_driver_errors_and_are_tried_again(gpiod: Any) -> None:
 def test_readings_carry_the_switches(vary: Vary) -> None:
     config = vary(limit_switch=LimitSwitch("/dev/gpiochip0", rigid_line=23))
     driver = make_driver(config, LockDriver.PX4, set_actuator=lambda index, value: None)
-    assert isinstance(driver, WithLimitSwitch)
+    assert isinstance(driver, DriverWithLimitSwitch)
     driver.open()
     driver.set_pulse(1980.0)
     reading = driver.read()

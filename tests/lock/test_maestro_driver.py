@@ -14,8 +14,8 @@ from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.config.vehicle import LockConfig, LockDriver, LockStartup
 from dart_flight.lock.drivers import Driver, DriverError, make_driver
 from dart_flight.lock.drivers.maestro import MaestroDriver, error_names
+from dart_flight.lock.lock_session import LockSession
 from dart_flight.lock.servo import ServoFaults, mode_of
-from dart_flight.lock.session import LockSession
 from tests.doubles.emulated_maestro import EmulatedMaestro
 
 Vary = Callable[..., LockConfig]
@@ -303,7 +303,8 @@ def test_a_port_in_use(make_rig: MakeRig) -> None:
 
 def test_only_this_driver_imports_pyserial() -> None:
     code = (
-        "import sys, dart_flight.lock.session, dart_flight.lock.drivers.mock, dart_flight.lock.drivers.px4,"
-        " dart_flight.lock.drivers.pwm; sys.exit('serial' in sys.modules or 'asyncio' in sys.modules)"
+        "import sys, dart_flight.lock.lock_session, dart_flight.lock.drivers.mock,"
+        " dart_flight.lock.drivers.px4_output, dart_flight.lock.drivers.pwm;"
+        " sys.exit('serial' in sys.modules or 'asyncio' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

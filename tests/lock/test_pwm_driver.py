@@ -15,7 +15,7 @@ from dart_flight.base.records import LockPhase, Mode
 from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.lock.drivers import Driver, DriverError, make_driver, pwm
 from dart_flight.lock.drivers.pwm import PwmDriver
-from dart_flight.lock.session import LockSession
+from dart_flight.lock.lock_session import LockSession
 
 Vary = Callable[..., LockConfig]
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.lock.drivers import Driver, DriverError, make_driver
-from dart_flight.lock.drivers.px4 import (
+from dart_flight.lock.drivers.px4_output import (
     Px4Driver,
     actuator_pulse_us,
     actuator_value,

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.config.vehicle import LimitSwitch, LockConfig, LockStartup
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
+from dart_flight.lock.lock_session import LockSession
 from dart_flight.lock.servo import ServoFaults, mode_of
-from dart_flight.lock.session import LockSession
 from dart_flight.lock.state_machine import (
     NOT_PERMITTED,
     TRANSITIONS,
+    CommandRefused,
     DriverReading,
     LockStateMachine,
-    Refused,
     SetPulse,
     describe,
     status_text,
@@ -113,7 +113,7 @@ def test_locking_is_refused_until_permitted(vary: Vary) -> None:
     bench = Bench(vary())
     bench.session.start()
     bench.run(1.0)
-    assert bench.session.command(Mode.RIGID) == Refused("rigid", NOT_PERMITTED)
+    assert bench.session.command(Mode.RIGID) == CommandRefused("rigid", NOT_PERMITTED)
     assert bench.state.phase is LockPhase.SETTLED
     assert bench.state.mode is Mode.FLEXIBLE
     assert bench.state.reason == f"refused rigid: {NOT_PERMITTED}"
@@ -141,8 +141,8 @@ def test_the_other_way_is_refused_during_a_travel_and_the_same_way_is_nothing_ne
     assert bench.session.command(Mode.RIGID) is None
     assert bench.state is travelling
     refused = bench.session.command(Mode.FLEXIBLE)
-    assert refused == Refused("flexible", "travelling to rigid")
-    assert bench.session.release() == Refused("release", "travelling to rigid")
+    assert refused == CommandRefused("flexible", "travelling to rigid")
+    assert bench.session.release() == CommandRefused("release", "travelling to rigid")
     assert bench.run(0.5).mode is Mode.RIGID
 
 
@@ -344,7 +344,7 @@ def test_home_moves_to_the_home_mode(vary: Vary) -> None:
 
 def test_home_to_rigid_waits_for_permission(vary: Vary) -> None:
     bench = Bench(vary(home_mode=Mode.RIGID))
-    assert bench.session.start() == Refused("rigid", NOT_PERMITTED)
+    assert bench.session.start() == CommandRefused("rigid", NOT_PERMITTED)
     assert bench.state.phase is LockPhase.UNKNOWN
 
 

@@ -16,8 +16,8 @@ SCENARIOS = Path(__file__).parents[2] / "missions" / "scenarios"
 @pytest.mark.mavlink
 def test_gains_come_from_the_vehicle(tmp_path: Path) -> None:
     from dart_flight.lab.search.scenario import with_vehicle_parameters
-    from dart_flight.run.world_process import WorldProcess
-    from dart_flight.sim.pipe import WorldSpec
+    from dart_flight.run.simulator_process import SimulatorProcess
+    from dart_flight.sim.pipe import SimulatorSpec
     from tests.doubles.ports import free_udp_port
 
     scenario = load_scenario(SCENARIOS / "dual_collision.yaml")
@@ -26,8 +26,8 @@ def test_gains_come_from_the_vehicle(tmp_path: Path) -> None:
     port = free_udp_port()
     flown = load_mission(SCENARIOS.parent / "paper_dual_collision.yaml")
     flown = msgspec.structs.replace(flown, vehicle=vehicle, source="no file")
-    spec = WorldSpec(flown, 1, [port], str(tmp_path / "world.txt"))
-    world = WorldProcess(spec, lambda record: None)
+    spec = SimulatorSpec(flown, 1, [port], str(tmp_path / "world.txt"))
+    world = SimulatorProcess(spec, lambda record: None)
     try:
         world.wait_ready()
         read = with_vehicle_parameters(scenario, f"udpin://127.0.0.1:{port}")

@@ -12,7 +12,7 @@ from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.vehicle import load_vehicle, packaged
 from dart_flight.core.mission.approach import NoApproachError, plan_approach
-from dart_flight.planning.planned import planned_flight
+from dart_flight.planning.predicted_flight import predict_mission
 
 VEHICLE = load_vehicle(packaged("configs", "dart.yaml"))
 _PLACES = st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 1.5))
@@ -64,7 +64,7 @@ def drawn_and_flown(mission: Mission) -> tuple[list[tuple[float, float]], list[t
     approach = plan_approach(mission, mission.collisions[0])
     before = mission.place_before(0)
     flown = [approach.begin, approach.impact]
-    return planned_flight(mission).approaches[1], flown if before in (None, approach.begin) else [
+    return predict_mission(mission).approaches[1], flown if before in (None, approach.begin) else [
         before,
         *flown,
     ]

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from dart_flight.base.records import Mode
-from dart_flight.check.mission import check_mission
+from dart_flight.check.mission_check import check_mission
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.search.scenario import load_scenario

@@ -13,11 +13,11 @@ from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Collision, Mission, parse_mission
 from dart_flight.core.mission.approach import NoApproachError, plan_approach
 from dart_flight.core.mission.position_loop import PositionLoop, least_distance_m
-from dart_flight.core.mission.survey import end_margin_m
+from dart_flight.core.mission.wall_uncertainty import end_margin_m
 from dart_flight.lab.search.scenario import Scenario, load_scenario
 from dart_flight.planning.constraints import REFUSALS, Constraints, Refusal
 from dart_flight.planning.contact_stage import expm
-from dart_flight.planning.flight_model import FreeFlight, Leg, loop_matrix
+from dart_flight.planning.flight_model import FreeFlight, SetpointResponse, loop_matrix
 from dart_flight.planning.rollout import Rollout, new_flight, stages_for
 from tests.oracles.plan_reference import solve_candidate
 
@@ -40,7 +40,7 @@ def test_matrix_exponential() -> None:
 def test_state_between_grid_points_is_the_exact_solution(dual: Scenario) -> None:
     flight = FreeFlight(dual.vehicle, 3.0)
     start = np.array([[-1.9, 0.5], [0.05, -1.0], [1.3, 2.0], [0.04, 0.0]])
-    leg = Leg(start, -0.5 * start, np.array([2.7, 0.1]), np.array([-0.7, 0.3]))
+    leg = SetpointResponse(start, -0.5 * start, np.array([2.7, 0.1]), np.array([-0.7, 0.3]))
     for index, d in ((0, 0.03), (17, -0.05), (40, 0.05)):
         after = flight.near(leg, np.full(2, index)).leg_at(np.full(2, d))
         t = flight.times[index] + d
@@ -116,7 +116,7 @@ def test_braking_way_is_the_executives(dual: Scenario) -> None:
             for pushing in (-2.0, 0.5, 3.0):
                 zero = np.zeros(1)
                 x = np.array([[0.0], [closing], [pushing], [0.0]])
-                leg = Leg(x, np.zeros((4, 1)), zero + 1.65 - distance, zero)
+                leg = SetpointResponse(x, np.zeros((4, 1)), zero + 1.65 - distance, zero)
                 nearest = least_distance_m(distance, closing, pushing, distance, dual.vehicle.px4)
                 if closing > 0.0 and abs(nearest - 0.02) > 0.01:
                     assert bool(constraints.lock_in_time(leg, wall)[0]) is (nearest >= 0.02)

@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dart_flight.base.geometry import GRAVITY_M_S2
-from dart_flight.base.records import Mode, PlanAnswer, PlanRequest, WallFelt
+from dart_flight.base.records import Mode, PlanAnswer, PlanRequest, WallEstimate
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.approach import Way
-from dart_flight.planning.planned import planned_flight
-from dart_flight.planning.replanning import Replanner
+from dart_flight.core.mission.approach import PlannedTrajectory
+from dart_flight.planning.predicted_flight import predict_mission
+from dart_flight.planning.replanner import Replanner
 
 MISSION = load_mission(packaged("missions", "dual_collision_replan.yaml"))
 REPLANNER = Replanner(MISSION)
@@ -28,8 +28,8 @@ TO_GOAL = msgspec.structs.replace(
 )  # fmt: skip
 
 
-def way_of(answer: PlanAnswer) -> Way:
-    return Way(answer.x_mission, answer.y_mission, answer.duration_s, MISSION.altitude_m)
+def way_of(answer: PlanAnswer) -> PlannedTrajectory:
+    return PlannedTrajectory(answer.x_mission, answer.y_mission, answer.duration_s, MISSION.altitude_m)
 
 
 @settings(max_examples=40, deadline=None)
@@ -42,7 +42,7 @@ def test_a_way_to_the_wall_meets_it_as_planned_once_the_lock_is_ready(
     assert answer == REPLANNER.answer(request, 0)
     assert answer.problem == ""
     assert answer.impact_s is not None
-    way, planned = way_of(answer), planned_flight(MISSION).hits[2]
+    way, planned = way_of(answer), predict_mission(MISSION).hits[2]
     met = way.at(answer.impact_s)
     assert ACRYLIC.signed_distance(met.position) == pytest.approx(0.0, abs=1e-6)
     assert ACRYLIC.spans(met.position)
@@ -71,7 +71,7 @@ def test_a_way_to_the_goal_ends_there_at_rest(x: float, y: float, vx: float, vy:
     _assert_flyable(way)
 
 
-def _assert_flyable(way: Way) -> None:
+def _assert_flyable(way: PlannedTrajectory) -> None:
     limit = GRAVITY_M_S2 * math.tan(math.radians(MISSION.vehicle.px4.mpc_tiltmax_air))
     for t in np.linspace(0.0, way.duration_s, 50):
         at = way.at(float(t))
@@ -111,10 +111,10 @@ def test_a_fault_of_the_planner_is_a_problem_and_no_exception(monkeypatch: pytes
     assert answer.number == TO_GOAL.number
 
 
-def felt(reported: Mode | None, found: Mode | None, stiffer: float) -> WallFelt:
+def felt(reported: Mode | None, found: Mode | None, stiffer: float) -> WallEstimate:
     c = MISSION.vehicle.materials["acrylic"].of(Mode.RIGID)
     own, spread, plane = (stiffer * c.k, c.f, c.mu, c.nu), (0.1, 0.1, 0.1, 0.1), (0.0, 0.1, 0.0, 0.1)
-    return WallFelt(1, 0, "acrylic", reported, found, 0.0, *own, *spread, *plane)
+    return WallEstimate(1, 0, "acrylic", reported, found, 0.0, *own, *spread, *plane)
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_what_was_felt_counts_for_the_mode_that_it_was_felt_in(
     """The peak goes about with the square root of the stiffness."""
     before = REPLANNER.answer(TO_WALL, 0)
     replanner = Replanner(MISSION)
-    replanner.feel(felt(reported, found, 2.0))
+    replanner.update_wall(felt(reported, found, 2.0))
     after = replanner.answer(TO_WALL, 0)
     assert before.peak_force_n is not None
     assert after.peak_force_n is not None

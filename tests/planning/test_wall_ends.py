@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dart_flight.base.walls import Wall
-from dart_flight.check.findings import Finding
-from dart_flight.check.mission import check_mission
+from dart_flight.check.findings import CheckFinding
+from dart_flight.check.mission_check import check_mission
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import is_blocked
-from dart_flight.core.mission.survey import SURE_SD, end_margin_m
+from dart_flight.core.mission.wall_uncertainty import SURE_SD, end_margin_m
 from dart_flight.lab.search.scenario import load_scenario
 from dart_flight.lab.search.search import search
 
@@ -32,7 +32,7 @@ def met_at(from_end_m: float, **wall: float) -> Mission:
     return msgspec.structs.replace(mission, walls=(door,), collisions=(collision,))
 
 
-def wall_end(mission: Mission) -> Finding:
+def wall_end(mission: Mission) -> CheckFinding:
     return next(f for f in check_mission(mission) if f.item == "wall_end")
 
 

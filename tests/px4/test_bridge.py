@@ -15,9 +15,9 @@ import pytest
 
 from dart_flight.base.records import Mode
 from dart_flight.config.mission import Mission, load_mission
-from dart_flight.config.parameters import PositionSource
+from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import LockDriver, packaged
-from dart_flight.lock.drivers.px4 import actuator_value
+from dart_flight.lock.drivers.px4_output import actuator_value
 from dart_flight.run.prepare import with_driver
 from dart_flight.sim.px4 import bridge as px4_bridge
 from dart_flight.sim.px4.bridge import (

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.check.findings import Finding
-from dart_flight.check.mission import check_mission
+from dart_flight.check.findings import CheckFinding
+from dart_flight.check.mission_check import check_mission
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
 from dart_flight.planning.envelope import expected_force_n, impact_warnings
@@ -75,7 +75,7 @@ def test_faster_than_anything_flown_is_announced(tmp_path: Path) -> None:
     assert "faster than anything flown" in impact_warnings(load_flyable(sweep(tmp_path, 3.4, "flexible")))[0]
 
 
-def judged(folder: Path, speed: float, mode: str, material: str = "acrylic") -> dict[str, Finding]:
+def judged(folder: Path, speed: float, mode: str, material: str = "acrylic") -> dict[str, CheckFinding]:
     return {f.item: f for f in check_mission(load_flyable(sweep(folder, speed, mode, material)))}
 
 

@@ -22,10 +22,10 @@ from dart_flight.cli import main
 from dart_flight.cli.px4_options import position_warnings
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
-from dart_flight.config.parameters import PositionSource
+from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import packaged
-from dart_flight.run.world_process import Px4World, WorldError
-from dart_flight.sim.pipe import Px4Spec, WorldSpec
+from dart_flight.run.simulator_process import Px4SimulatorProcess, SimulatorError
+from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec
 from dart_flight.sim.px4 import launch
 from dart_flight.sim.px4.launch import (
     ENVIRONMENT,
@@ -196,12 +196,12 @@ class Watched:
         folder.mkdir()
         self.truths: list[TruthSample | TruthContact] = []
         self.log = folder / "autopilot.log"
-        spec = WorldSpec(
+        spec = SimulatorSpec(
             mission,
             1,
             [],
             str(self.log),
-            Px4Spec(
+            Px4SimulatorSpec(
                 str(px4),
                 str(folder),
                 flight_parameters(mission.vehicle, PositionSource.MOCAP),
@@ -209,7 +209,7 @@ class Watched:
             ),
             speed=speed,
         )
-        self.world = Px4World(spec, self.truths.append)
+        self.world = Px4SimulatorProcess(spec, self.truths.append)
 
 
 @pytest.fixture
@@ -266,7 +266,7 @@ def test_a_px4_that_cannot_fly_is_a_clear_word(
 ) -> None:
     watched = Watched(tmp_path / "flight", install(tmp_path / "px4", behaviour, version))
     launched.append(watched)
-    with pytest.raises(WorldError) as caught:
+    with pytest.raises(SimulatorError) as caught:
         watched.world.wait_ready()
     assert words in str(caught.value)
 
@@ -285,7 +285,7 @@ def test_a_parameter_that_does_not_take_is_named_with_both_values(
 ) -> None:
     watched = Watched(tmp_path / "flight", install(tmp_path / "px4", **faults))
     launched.append(watched)
-    with pytest.raises(WorldError, match=words) as caught:
+    with pytest.raises(SimulatorError, match=words) as caught:
         watched.world.wait_ready()
     assert "\n" not in str(caught.value)
 

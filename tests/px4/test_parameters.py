@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from dart_flight.config.document import InputError
-from dart_flight.config.parameters import (
+from dart_flight.config.parameter_file import (
     PositionSource,
     differences,
     load_parameters,

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.check.findings import Finding
-from dart_flight.check.vehicle import check_vehicle
+from dart_flight.check.findings import CheckFinding
+from dart_flight.check.vehicle_check import check_vehicle
 from dart_flight.config.mission import Mission
-from dart_flight.config.parameters import Parameter, PositionSource
+from dart_flight.config.parameter_file import Parameter, PositionSource
 from dart_flight.run.prepare import load_flyable
-from dart_flight.run.world_process import Px4World
-from dart_flight.sim.pipe import Px4Spec, WorldSpec
+from dart_flight.run.simulator_process import Px4SimulatorProcess
+from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec
 from dart_flight.sim.px4.launch import flight_parameters
 
 pytestmark = pytest.mark.px4
@@ -29,14 +29,14 @@ def waiting_px4(
     """A PX4 on the ground, set up as for `dry-run` but for `changes`; yields its URL."""
     own = {name: Parameter(name, value, "") for name, value in changes.items()}
     parameters = {**flight_parameters(mission.vehicle, source), **own}
-    spec = WorldSpec(
+    spec = SimulatorSpec(
         mission,
         1,
         [],
         None,
-        Px4Spec(str(px4_dir), str(folder), parameters, source),
+        Px4SimulatorSpec(str(px4_dir), str(folder), parameters, source),
     )
-    world = Px4World(spec, lambda record: None)
+    world = Px4SimulatorProcess(spec, lambda record: None)
     try:
         world.wait_ready()
         yield f"udpin://127.0.0.1:{world.port}"
@@ -44,7 +44,7 @@ def waiting_px4(
         world.close()
 
 
-def by_item(findings: list[Finding]) -> dict[str, Finding]:
+def by_item(findings: list[CheckFinding]) -> dict[str, CheckFinding]:
     items = {f.item: f for f in findings}
     assert len(items) == len(findings)  # nothing is judged twice
     return items

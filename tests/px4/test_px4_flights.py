@@ -28,14 +28,14 @@ from dart_flight.base.records import (
     PlanTaken,
     Record,
 )
-from dart_flight.config.parameters import PositionSource
+from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.rotors import rotor_differences
 from dart_flight.config.vehicle import packaged
-from dart_flight.lab.calibrate.airframe import read_airframe
+from dart_flight.lab.calibrate.airframe_reader import read_airframe
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.prepare import load_flyable
-from dart_flight.run.px4 import fly_px4
+from dart_flight.run.px4_flight import fly_px4
 from tests.doubles.ground_station import switch_to_position
 
 pytestmark = pytest.mark.px4

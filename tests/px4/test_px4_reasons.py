@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from dart_flight.base.records import GuardEvent, HealthReport, StatusText
-from dart_flight.config.parameters import PositionSource
+from dart_flight.config.parameter_file import PositionSource
 from dart_flight.recording.reader import read_log
 from dart_flight.run.prepare import load_flyable
 from tests.doubles.ground_station import arm

@@ -12,7 +12,7 @@ import pytest
 from dart_flight.base.geometry import quaternion_from_euler
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import ImuRinging, load_vehicle, packaged
-from dart_flight.sim.noise import Normal
+from dart_flight.sim.noise import GaussianNoise
 from dart_flight.sim.plant import Plant, make_plant
 from dart_flight.sim.sensors import (
     GPS_QUALITIES,
@@ -45,20 +45,20 @@ def fixes_of(receiver: GpsReceiver, plant: Plant, seconds: float) -> list[tuple[
 def test_gps_error_has_the_stated_size(name: str, sigma: float, plant: Plant) -> None:
     north: list[float] = []
     for seed in range(60):
-        receiver = GpsReceiver(GPS_QUALITIES[name], Normal(random.Random(seed)))
+        receiver = GpsReceiver(GPS_QUALITIES[name], GaussianNoise(random.Random(seed)))
         north += [fix[0] for fix in fixes_of(receiver, plant, 4.0)]
     assert statistics.pstdev(north) == pytest.approx(sigma, rel=0.2)
 
 
 def test_gps_error_wanders_rather_than_jumps(plant: Plant) -> None:
-    fixes = fixes_of(GpsReceiver(GPS_QUALITIES["plain"], Normal(random.Random(3))), plant, 60.0)
+    fixes = fixes_of(GpsReceiver(GPS_QUALITIES["plain"], GaussianNoise(random.Random(3))), plant, 60.0)
     steps = [abs(b[0] - a[0]) for a, b in itertools.pairwise(fixes)]
     assert statistics.mean(steps) < 0.15
     assert max(f[0] for f in fixes) - min(f[0] for f in fixes) > 0.3
 
 
 def test_gps_reports_the_past(plant: Plant) -> None:
-    receiver = GpsReceiver(GPS_QUALITIES["rtk"], Normal(random.Random(1)))
+    receiver = GpsReceiver(GPS_QUALITIES["rtk"], GaussianNoise(random.Random(1)))
     north = []
     for i in range(250):
         plant.time_s = i * 0.004
@@ -73,7 +73,7 @@ def test_barometer_and_the_atmosphere(plant: Plant) -> None:
     assert pressure_hpa(0.0) == pytest.approx(1013.25)
     assert pressure_hpa(1000.0) == pytest.approx(898.75, abs=0.2)  # standard atmosphere
     assert altitude_m(pressure_hpa(488.0)) == pytest.approx(488.0, abs=1e-6)
-    barometer = Barometer(Normal(random.Random(1)), 488.0)
+    barometer = Barometer(GaussianNoise(random.Random(1)), 488.0)
     plant.position = (0.0, 0.0, -2.0)
     heights = [barometer.measure(plant)[1] for _ in range(400)]
     assert statistics.mean(heights) == pytest.approx(490.0, abs=0.05)
@@ -81,7 +81,7 @@ def test_barometer_and_the_atmosphere(plant: Plant) -> None:
 
 
 def test_magnetometer_turns_with_the_vehicle(plant: Plant) -> None:
-    magnetometer = Magnetometer(Normal(random.Random(1)), (0.2, 0.0, 0.4))
+    magnetometer = Magnetometer(GaussianNoise(random.Random(1)), (0.2, 0.0, 0.4))
     plant.q = quaternion_from_euler(0.0, 0.0, math.radians(90.0))  # nose to the east: north is to the left
     fields = [magnetometer.measure(plant) for _ in range(200)]
     means = [statistics.mean(f[i] for f in fields) for i in range(3)]
@@ -92,7 +92,7 @@ def test_noise_does_not_lift_a_saturated_reading_off_full_scale() -> None:
     vehicle = load_vehicle()
     scale = vehicle.imu.full_scale_m_s2
     for seed in range(20):
-        imu = ImuSensor(vehicle, Normal(random.Random(seed)))
+        imu = ImuSensor(vehicle, GaussianNoise(random.Random(seed)))
         f, _ = imu.measure((-scale, scale, 0.0), (0.0, 0.0, 0.0))
         assert f[:2] == (-scale, scale)
         assert abs(f[2]) < 2.0
@@ -104,7 +104,7 @@ def test_motors_that_stand_still_shake_nothing() -> None:
     vehicle = load_vehicle()
     ringing = ImuRinging(white_m_s2=3.0, tone_m_s2=3.0)
     rings = msgspec.structs.replace(vehicle.simulation, imu_ringing=ringing)
-    imu = ImuSensor(msgspec.structs.replace(vehicle, simulation=rings), Normal(random.Random(1)))
+    imu = ImuSensor(msgspec.structs.replace(vehicle, simulation=rings), GaussianNoise(random.Random(1)))
     spread = {
         turn: statistics.pstdev(
             imu.measure((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), turn)[0][0] for _ in range(2000)
@@ -124,7 +124,7 @@ def test_gusts_have_the_configured_size_and_time(plant: Plant) -> None:
     wind = Wind(simulation, 1, 0.004)
     north, east = [], []
     for _ in range(100_000):
-        wind.blow(plant)
+        wind.step(plant)
         north.append(plant.wind_ned[0])
         east.append(plant.wind_ned[1])
     assert statistics.mean(north) == pytest.approx(2.0, abs=0.15)

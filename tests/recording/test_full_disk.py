@@ -15,12 +15,12 @@ from dart_flight.base.records import LogFailure, Record, Tick, World
 from dart_flight.check.log_space import check_log_space, longest_flight_s
 from dart_flight.cli import main
 from dart_flight.config.vehicle import packaged
-from dart_flight.recording.events import Events
+from dart_flight.recording.events import EventFormatter
 from dart_flight.recording.verdict import Verdict
 from dart_flight.recording.writer import LogPart
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.prepare import load_flyable
-from dart_flight.run.sabotage import fill_disk_of
+from dart_flight.run.program_fault import fill_disk_of
 
 ROOT = Path(__file__).parents[2]
 SINGLE = ROOT / "missions/single_wall.yaml"
@@ -38,7 +38,7 @@ def test_it_is_told_once_in_flight_and_stands_in_the_verdict(tmp_path: Path) -> 
     for number in range(2, 10):
         record(Tick(number), number)
     assert [type(one) for one in told] == [LogFailure]
-    event = Events().take(told[0])
+    event = EventFormatter().event_of(told[0])
     assert event is not None
     assert event.head == "the log of this flight is not complete: No space left on device"
     assert (record.build().log_failure or "").startswith("No space left on device, ")

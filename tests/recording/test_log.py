@@ -35,7 +35,7 @@ from dart_flight.base.records import (
     Outcome,
     Override,
     Record,
-    SetPoint,
+    Setpoint,
     Tick,
 )
 from dart_flight.cli import main
@@ -69,7 +69,7 @@ def test_every_float_comes_back(v: tuple[float, float, float]) -> None:
 
 def test_what_is_missing_stays_missing() -> None:
     for record in (
-        SetPoint(t_us=1, trigger_received_us=1, position_ned=(1.0, math.inf, math.nan), yaw_ned_rad=0.0),
+        Setpoint(t_us=1, trigger_received_us=1, position_ned=(1.0, math.inf, math.nan), yaw_ned_rad=0.0),
         LockState(t_us=1, phase=LockPhase.SETTLED, mode=None),
         MissionEnd(t_us=1, outcome=Outcome.ABORTED, reason="nan", final_error_m=None),
     ):

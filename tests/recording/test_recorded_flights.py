@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.base.records import ImpactOnset, ImpactPeak, LockCommand, SetPoint
-from dart_flight.lab.report.flight import Flight
+from dart_flight.base.records import ImpactOnset, ImpactPeak, LockCommand, Setpoint
 from dart_flight.lab.report.page import flight_page
+from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.recording.reader import read_log
 from dart_flight.run.replay import Difference, Replay, replay
 from tests.shared_flights import LiveFlights
@@ -37,7 +37,7 @@ def test_a_recorded_flight_is_decided_again(path: Path) -> None:
     assert not differences(result), differences(result)[0].text()
     assert result.missing == 0
     kinds = {type(r) for r in result.replayed}
-    assert {ImpactOnset, ImpactPeak, SetPoint, LockCommand} <= kinds
+    assert {ImpactOnset, ImpactPeak, Setpoint, LockCommand} <= kinds
     assert result.recorded == result.replayed if result.exact else result.recorded
 
 
@@ -50,7 +50,7 @@ def test_a_kept_flight_would_notice(path: Path) -> None:
 
 @pytest.mark.parametrize("path", FLIGHTS, ids=lambda p: p.stem)
 def test_a_kept_flight_has_a_page(path: Path) -> None:
-    assert "Predicted against measured" in flight_page(Flight.read(path))
+    assert "Predicted against measured" in flight_page(RecordedFlight.read(path))
 
 
 def test_a_kept_flight_lacks_the_estimates_alone(flight_path: Path, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dart_flight.base.records import ImpactOnset, ImpactPeak, ImuSample, SetPoint, World
+from dart_flight.base.records import ImpactOnset, ImpactPeak, ImuSample, Setpoint, World
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
@@ -31,7 +31,7 @@ def test_a_flight_replays_bit_for_bit(flight: Log) -> None:
     assert result.inputs > 10_000
     assert result.outputs > 5_000
     assert any(isinstance(r, ImpactPeak) for r in result.replayed)
-    assert any(isinstance(r, SetPoint) and r.recovery for r in result.replayed)
+    assert any(isinstance(r, Setpoint) and r.recovery for r in result.replayed)
 
 
 @pytest.mark.parametrize("seed", [2, 3])  # the bulk: tools.campaigns.replay
@@ -78,7 +78,7 @@ def test_a_higher_threshold_detects_later(flight: Log) -> None:
 def test_a_gain_changes_the_recovery_only(flight: Log) -> None:
     result = replay(flight, ["collisions[0].alpha_m_per_n=[0.05, 0.05]"])
     before, after = (
-        next(r for r in side if isinstance(r, SetPoint)) for side in (result.recorded, result.replayed)
+        next(r for r in side if isinstance(r, Setpoint)) for side in (result.recorded, result.replayed)
     )
     assert before.t_us == after.t_us
     assert after.position_ned != before.position_ned

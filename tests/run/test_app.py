@@ -31,7 +31,7 @@ from dart_flight.base.records import (
     Output,
     Record,
     Request,
-    SetPoint,
+    Setpoint,
     Silence,
     VehicleAction,
     VehicleCommand,
@@ -52,7 +52,7 @@ class Session:
         self.problem = problem
         self.clock = ClockEstimate()
 
-    def send(self, setpoint: SetPoint) -> None:
+    def send(self, setpoint: Setpoint) -> None:
         self.asked.append(setpoint)
 
     def silence(self) -> None:
@@ -121,7 +121,7 @@ def carry_out(app: FlightApp, monkeypatch: pytest.MonkeyPatch, *outputs: Output)
     async def hand_over() -> None:
         monkeypatch.setattr(app, "loop", asyncio.get_running_loop())
         for output in outputs:
-            app.carry_out(output)
+            app.execute(output)
         for _ in range(5):
             await asyncio.sleep(0)
 
@@ -264,10 +264,10 @@ def test_a_run_starts_lock_terminal_and_deadman_and_ends_them(
         looks.append(app._deadman is not None)
         if len(looks) == 2:  # half a second after the first one was shown
             app.show(OperatorRequest(2, Request.CONTINUE))
-        app.carry_out(LockPermission(1, True))
-        app.carry_out(LockCommand(2, Mode.RIGID))
+        app.execute(LockPermission(1, True))
+        app.execute(LockCommand(2, Mode.RIGID))
         if (len(world.horns) > 1 and len(looks) > 2) or len(looks) > 40:
-            app.carry_out(MissionEnd(1, Outcome.COMPLETED, None, None))
+            app.execute(MissionEnd(1, Outcome.COMPLETED, None, None))
 
     session = Flight(end)
 

@@ -19,8 +19,8 @@ from dart_flight.base.records import (
     OdometrySample,
     Output,
     Record,
-    SetPoint,
-    SetPointSent,
+    Setpoint,
+    SetpointSent,
     Silence,
     StatusSample,
     Tick,
@@ -39,7 +39,7 @@ class SteppedCore(FlightCore):
 
     def __init__(self, answer: Callable[[Input], list[Output]] = lambda item: []) -> None:
         self.taken: list[Input] = []
-        self.wanted = Pace.LONG
+        self.wanted = Pace.DEFERRED
         self._answer = answer
 
     def step(self, item: Input) -> list[Output]:
@@ -69,10 +69,10 @@ class Harness(Generic[C]):
         self.observed: list[tuple[Record, int]] = []
         self.thread = CoreThread(CoreRunner(core, self, self._observe, host_us), self._alive)
 
-    def send(self, setpoint: SetPoint) -> None:
+    def send(self, setpoint: Setpoint) -> None:
         self.did.append(("send", setpoint))
 
-    def carry_out(self, output: Output) -> None:
+    def execute(self, output: Output) -> None:
         self.did.append(("carry out", output))
 
     def _observe(self, record: Record, number: int) -> None:
@@ -144,7 +144,7 @@ def test_inputs_are_numbered_as_they_are_consumed_with_what_follows_from_them() 
 
 
 def test_set_points_are_sent_before_anything_else_is_done() -> None:
-    setpoint = SetPoint(4000, 4000, (0.0, 0.0, -1.0), 0.0)
+    setpoint = Setpoint(4000, 4000, (0.0, 0.0, -1.0), 0.0)
     permission = LockPermission(4000, True)
 
     def answer(item: Input) -> list[Output]:
@@ -153,15 +153,15 @@ def test_set_points_are_sent_before_anything_else_is_done() -> None:
     harness = Harness(SteppedCore(answer))
     harness.run([AttitudeSample(4000, 4000, LEVEL)])
     assert harness.did == [("send", setpoint), ("carry out", permission)]
-    assert not [r for r, _ in harness.observed if isinstance(r, SetPointSent)]
+    assert not [r for r, _ in harness.observed if isinstance(r, SetpointSent)]
 
 
 def test_the_latency_of_a_recovery_set_point_is_observed() -> None:
     received_us = host_us()
-    setpoint = SetPoint(4000, received_us, (0.0, 0.0, -1.0), 0.0, recovery=True)
+    setpoint = Setpoint(4000, received_us, (0.0, 0.0, -1.0), 0.0, recovery=True)
     harness = Harness(SteppedCore(lambda item: [setpoint]))
     harness.run([AttitudeSample(4000, received_us, LEVEL)])
-    sent = next(r for r, _ in harness.observed if isinstance(r, SetPointSent))
+    sent = next(r for r, _ in harness.observed if isinstance(r, SetpointSent))
     assert sent.latency_us == sent.sent_us - received_us
     assert 0 <= sent.latency_us < 5_000_000
 
@@ -235,13 +235,13 @@ def begin(harness: Harness[WatchedCore], pace: Pace) -> None:
 
 
 def test_in_haste_an_input_is_stepped_on_the_thread_that_brings_it(watched: Harness[WatchedCore]) -> None:
-    begin(watched, Pace.PROMPT)
+    begin(watched, Pace.IMMEDIATE)
     watched.thread.arrive(attitude(4000))
     assert watched.core.samples == [attitude(4000)]  # when `arrive` returns, not some time later
     assert watched.core.threads == [threading.current_thread().name]
 
 
-@pytest.mark.parametrize("pace", [Pace.TOGETHER, Pace.LONG])
+@pytest.mark.parametrize("pace", [Pace.BATCHED, Pace.DEFERRED])
 def test_otherwise_the_cores_own_thread_steps(watched: Harness[WatchedCore], pace: Pace) -> None:
     begin(watched, pace)
     for t_us in range(4000, 24000, 4000):
@@ -253,7 +253,7 @@ def test_otherwise_the_cores_own_thread_steps(watched: Harness[WatchedCore], pac
 
 def test_with_patience_inputs_do_not_wake_the_thread(watched: Harness[WatchedCore]) -> None:
     """Ten inputs, each before the next turn is due: several share a turn, however slow the machine."""
-    begin(watched, Pace.TOGETHER)
+    begin(watched, Pace.BATCHED)
     turns = watched.turns
     began = time.monotonic()
     for i in range(1, 11):
@@ -264,14 +264,14 @@ def test_with_patience_inputs_do_not_wake_the_thread(watched: Harness[WatchedCor
 
 
 def test_what_other_threads_put_is_stepped_with_the_next_turn(watched: Harness[WatchedCore]) -> None:
-    begin(watched, Pace.PROMPT)
+    begin(watched, Pace.IMMEDIATE)
     watched.thread.put(attitude(4000))
     wait_for(lambda: bool(watched.core.samples))
     assert watched.core.threads == ["core"]
 
 
 def test_two_threads_never_step_at_once_and_nothing_is_left_lying(watched: Harness[WatchedCore]) -> None:
-    begin(watched, Pace.PROMPT)
+    begin(watched, Pace.IMMEDIATE)
     watched.core.held.clear()
     first = threading.Thread(target=watched.thread.arrive, args=(attitude(4000),), name="first")
     first.start()
@@ -286,8 +286,8 @@ def test_two_threads_never_step_at_once_and_nothing_is_left_lying(watched: Harne
 
 
 def test_from_haste_to_a_long_step_the_cores_own_thread_takes_over(watched: Harness[WatchedCore]) -> None:
-    begin(watched, Pace.PROMPT)
-    watched.core.wanted = Pace.LONG
+    begin(watched, Pace.IMMEDIATE)
+    watched.core.wanted = Pace.DEFERRED
     watched.thread.arrive(attitude(4000))
     watched.thread.arrive(attitude(8000))
     wait_for(lambda: len(watched.core.samples) == 2)
@@ -295,7 +295,7 @@ def test_from_haste_to_a_long_step_the_cores_own_thread_takes_over(watched: Harn
 
 
 def test_a_step_that_hangs_on_another_thread_starves_the_deadman(watched: Harness[WatchedCore]) -> None:
-    begin(watched, Pace.PROMPT)
+    begin(watched, Pace.IMMEDIATE)
     watched.core.held.clear()
     hanging = threading.Thread(target=watched.thread.arrive, args=(attitude(4000),), name="hanging")
     hanging.start()
@@ -312,15 +312,15 @@ def test_a_step_that_hangs_on_another_thread_starves_the_deadman(watched: Harnes
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_fault_on_another_thread_ends_the_cores_own(watched: Harness[WatchedCore]) -> None:
     """MAVSDK's thread would swallow it and go on; so the deadman sees it as it sees any other."""
-    begin(watched, Pace.PROMPT)
+    begin(watched, Pace.IMMEDIATE)
     watched.core.broken = True
     watched.thread.arrive(attitude(4000))
     watched.thread.thread.join(10.0)
     assert not watched.thread.thread.is_alive()
 
 
-def setpoint_at(t_us: int) -> SetPoint:
-    return SetPoint(t_us, t_us, (0.0, 0.0, -1e-6 * t_us), 0.0)
+def setpoint_at(t_us: int) -> Setpoint:
+    return Setpoint(t_us, t_us, (0.0, 0.0, -1e-6 * t_us), 0.0)
 
 
 def at_one_go(answer: Callable[[Input], list[Output]], times_us: list[int]) -> Harness[SteppedCore]:
@@ -335,7 +335,7 @@ def test_of_set_points_decided_at_one_go_the_newest_leaves_and_all_are_logged() 
         lambda item: [setpoint_at(item.t_us)] if isinstance(item, AttitudeSample) else [], [4, 8, 12]
     )
     assert harness.did == [("send", setpoint_at(12))]
-    assert [r for r, _ in harness.observed if isinstance(r, SetPoint)] == [setpoint_at(t) for t in (4, 8, 12)]
+    assert [r for r, _ in harness.observed if isinstance(r, Setpoint)] == [setpoint_at(t) for t in (4, 8, 12)]
 
 
 def test_a_set_point_leaves_before_what_is_carried_out_after_it() -> None:
@@ -354,14 +354,14 @@ def test_once_silence_is_decided_no_set_point_leaves(times_us: list[int]) -> Non
 
 
 def test_a_set_point_of_the_recovery_never_waits_and_replaces_what_does() -> None:
-    recovery = SetPoint(8, 8, (0.0, 0.0, -1.0), 0.0, recovery=True)
+    recovery = Setpoint(8, 8, (0.0, 0.0, -1.0), 0.0, recovery=True)
     answers: dict[int, list[Output]] = {4: [setpoint_at(4)], 8: [recovery], 12: []}
     harness = at_one_go(lambda item: answers.get(getattr(item, "t_us", 0), []), [4, 8, 12])
     assert harness.did == [("send", recovery)]
 
 
 def test_after_the_stop_nothing_is_stepped(watched: Harness[WatchedCore]) -> None:
-    begin(watched, Pace.PROMPT)
+    begin(watched, Pace.IMMEDIATE)
     watched.thread.stop()
     watched.thread.arrive(attitude(4000))
     assert watched.core.samples == []

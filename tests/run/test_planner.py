@@ -7,8 +7,8 @@ import msgspec
 from dart_flight.base.records import PlanAnswer, PlanRequest
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.planning.replanning import Replanner
-from dart_flight.run.replanner_process import PlannerProcess
+from dart_flight.planning.replanner import Replanner
+from dart_flight.run.replanner_process import ReplannerProcess
 
 MISSION = load_mission(packaged("missions", "dual_collision_replan.yaml"))
 REQUEST = PlanRequest(
@@ -18,16 +18,16 @@ REQUEST = PlanRequest(
 
 def test_the_process_answers_as_the_planner_and_its_death_is_told() -> None:
     answers: queue.SimpleQueue[PlanAnswer] = queue.SimpleQueue()
-    planner = PlannerProcess(MISSION, answers.put)
+    planner = ReplannerProcess(MISSION, answers.put)
     try:
-        planner.ask(REQUEST)
+        planner.send_request(REQUEST)
         answer = answers.get(timeout=60.0)
         there = answer.received_us
         assert answer == Replanner(MISSION).answer(REQUEST, there)
         assert there > 0
         planner.process.kill()
         planner.process.wait()
-        planner.ask(msgspec.structs.replace(REQUEST, number=2))
+        planner.send_request(msgspec.structs.replace(REQUEST, number=2))
         dead = answers.get(timeout=60.0)
         assert (dead.number, dead.problem) == (2, "the planner has died")
     finally:
@@ -37,8 +37,8 @@ def test_the_process_answers_as_the_planner_and_its_death_is_told() -> None:
 
 def test_it_ends_with_its_flight() -> None:
     answers: queue.SimpleQueue[PlanAnswer] = queue.SimpleQueue()
-    planner = PlannerProcess(MISSION, answers.put)
-    planner.ask(REQUEST)
+    planner = ReplannerProcess(MISSION, answers.put)
+    planner.send_request(REQUEST)
     answers.get(timeout=60.0)
     planner.stop()
     assert planner.process.returncode == 0

@@ -9,25 +9,31 @@ import msgspec
 import numpy as np
 import pytest
 
-from dart_flight.base.records import Mode, Record, WallFelt
+from dart_flight.base.records import Mode, Record, WallEstimate
 from dart_flight.base.walls import Wall
-from dart_flight.check.findings import Finding
-from dart_flight.check.mission import check_mission
+from dart_flight.check.findings import CheckFinding
+from dart_flight.check.mission_check import check_mission
 from dart_flight.config.document import Document
 from dart_flight.config.mission import Mission, load_mission, parse_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
-from dart_flight.core.mission.approach import plan_approach, stop_before
-from dart_flight.core.mission.survey import Survey, early_m, late_s, overrun_m, slack_m
+from dart_flight.core.mission.approach import plan_approach, standoff_point
+from dart_flight.core.mission.wall_uncertainty import (
+    EstimatedWalls,
+    early_m,
+    late_s,
+    overrun_m,
+    position_margin_m,
+)
 from dart_flight.lab.search.mission_writer import write_mission
+from dart_flight.lab.search.plan_table import with_objective
 from dart_flight.lab.search.scenario import Objective, Scenario, load_scenario
 from dart_flight.lab.search.search import draws_of, search
-from dart_flight.lab.search.summary import with_objective
 from dart_flight.planning.constraints import Constraints
 from dart_flight.planning.rollout import Rollout, new_flight, stages_for
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import read_log
-from dart_flight.run.prepare import with_standoff
+from dart_flight.run.prepare import as_rehearsal
 from dart_flight.sim.draws import draw_world
 from tools.campaigns.walls import Row, fly, mission_of
 
@@ -55,7 +61,7 @@ def single(*changes: tuple[str, str]) -> Mission:
 
 def test_a_wall_without_figures_keeps_the_guard_s_tolerances() -> None:
     guard = load_vehicle(ROOT / "configs/dart.yaml").guard
-    assert slack_m(WALL, (0.0, 1.5)) == 0.0
+    assert position_margin_m(WALL, (0.0, 1.5)) == 0.0
     assert overrun_m(guard, WALL, (0.0, 1.5)) == guard.wall_overrun_m
     assert early_m(guard, WALL, (0.0, 1.5)) == guard.wall_early_m
     assert late_s(guard, WALL, (0.0, 1.5), 0.5) == guard.wall_late_s
@@ -63,26 +69,30 @@ def test_a_wall_without_figures_keeps_the_guard_s_tolerances() -> None:
 
 def test_three_standard_deviations_come_on_top_the_more_the_further_from_the_middle() -> None:
     guard = load_vehicle(ROOT / "configs/dart.yaml").guard
-    assert slack_m(known(0.06), (0.0, 1.5)) == pytest.approx(0.18)
-    assert slack_m(known(None, 4.0), (0.0, 0.0)) == 0.0
-    assert slack_m(known(None, 4.0), (0.0, 1.5)) == pytest.approx(3.0 * 1.5 * math.tan(math.radians(4.0)))
-    assert slack_m(known(0.03, 4.0), (0.0, -1.0)) == pytest.approx(3.0 * math.hypot(0.03, 0.0699), rel=1e-3)
-    both = slack_m(known(0.03, 4.0), (np.zeros(2), np.array([0.0, -1.0])))
-    assert both == pytest.approx([0.09, slack_m(known(0.03, 4.0), (0.0, -1.0))])
+    assert position_margin_m(known(0.06), (0.0, 1.5)) == pytest.approx(0.18)
+    assert position_margin_m(known(None, 4.0), (0.0, 0.0)) == 0.0
+    assert position_margin_m(known(None, 4.0), (0.0, 1.5)) == pytest.approx(
+        3.0 * 1.5 * math.tan(math.radians(4.0))
+    )
+    assert position_margin_m(known(0.03, 4.0), (0.0, -1.0)) == pytest.approx(
+        3.0 * math.hypot(0.03, 0.0699), rel=1e-3
+    )
+    both = position_margin_m(known(0.03, 4.0), (np.zeros(2), np.array([0.0, -1.0])))
+    assert both == pytest.approx([0.09, position_margin_m(known(0.03, 4.0), (0.0, -1.0))])
     assert overrun_m(guard, known(0.06), (0.0, 0.0)) == pytest.approx(guard.wall_overrun_m + 0.18)
     assert late_s(guard, known(0.06), (0.0, 0.0), 0.6) == pytest.approx(guard.wall_late_s + 0.3)
 
 
 def test_a_contact_tells_where_the_plane_is_and_how_surely() -> None:
-    survey = Survey()
-    assert survey.seen(known(0.1)) == known(0.1)
-    felt = WallFelt(0, 0, "board", Mode.RIGID, None, 0.0, *(1.0,) * 8, 0.0, 0.1, 0.07, 0.02)
-    survey.feel(felt)
-    seen = survey.seen(known(0.1))
+    survey = EstimatedWalls()
+    assert survey.wall_now(known(0.1)) == known(0.1)
+    felt = WallEstimate(0, 0, "board", Mode.RIGID, None, 0.0, *(1.0,) * 8, 0.0, 0.1, 0.07, 0.02)
+    survey.add_estimate(felt)
+    seen = survey.wall_now(known(0.1))
     assert seen.point == pytest.approx((0.93, 0.0))
     assert seen.position_sd_m == 0.02
-    assert survey.seen(known(0.01)).position_sd_m == 0.01
-    assert survey.seen(WALL).position_sd_m is None
+    assert survey.wall_now(known(0.01)).position_sd_m == 0.01
+    assert survey.wall_now(WALL).position_sd_m is None
 
 
 def test_the_run_up_is_steady_before_where_the_wall_may_stand_nearest() -> None:
@@ -139,17 +149,17 @@ def test_a_way_planned_in_flight_leads_to_an_uncertain_wall(away_m: float) -> No
 def test_where_the_plane_is_is_felt(away_m: float) -> None:
     records: list[Record] = []
     fly(Row("paper_single_wall", "acrylic", away_m, 0.0, "position_sd_m: 0.1"), 5, records.append)
-    (felt,) = [r for r in records if isinstance(r, WallFelt)]
+    (felt,) = [r for r in records if isinstance(r, WallEstimate)]
     assert felt.plane_offset_m == pytest.approx(away_m, abs=max(0.03, 3.0 * felt.plane_offset_sigma_m))
     assert felt.plane_offset_sigma_m < 0.05
 
 
 def test_a_rehearsal_stops_before_where_the_wall_may_stand_nearest() -> None:
     for figures, wanted in (("length_m: 3.0", 0.5), ("length_m: 3.0, position_sd_m: 0.06", 0.68)):
-        mission = with_standoff(single(("length_m: 3.0", figures)), 0.5)
+        mission = as_rehearsal(single(("length_m: 3.0", figures)), 0.5)
         (collision,) = mission.collisions
         approach = plan_approach(mission, collision)
-        stop = stop_before(mission, collision, approach.begin, approach.impact)
+        stop = standoff_point(mission, collision, approach.begin, approach.impact)
         assert collision.wall.signed_distance(stop) == pytest.approx(wanted)
 
 
@@ -231,7 +241,7 @@ def test_a_plan_hands_the_figures_on(tmp_path: Path) -> None:
 # --- check ------------------------------------------------------------------------------------------------
 
 
-def no_goes(findings: list[Finding]) -> dict[str, str]:
+def no_goes(findings: list[CheckFinding]) -> dict[str, str]:
     return {f.item: f.says for f in findings if not f.go}
 
 

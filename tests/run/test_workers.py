@@ -12,7 +12,7 @@ import pytest
 
 from dart_flight.base.errors import FlightError
 from dart_flight.config.document import InputError
-from dart_flight.run.workers import Done, Failure, Interrupt, work
+from dart_flight.run.workers import Failure, FinishedItem, Interrupt, work
 
 
 def square(number: int) -> int:
@@ -48,7 +48,7 @@ class Dead:
         return number
 
 
-def flown(results: Iterator[Done[int, int]]) -> dict[int, int | Failure]:
+def flown(results: Iterator[FinishedItem[int, int]]) -> dict[int, int | Failure]:
     found: dict[int, int | Failure] = {}
     for item, result in results:
         assert item not in found

@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 
 from dart_flight.base.geometry import MissionFrame
 from dart_flight.base.records import ActuatorSample, Record, TorqueEstimate, TruthContact
-from dart_flight.check.airframe import judge_airframe
+from dart_flight.check.airframe_check import judge_airframe
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.rotors import motors_of, rotor_parameters
 from dart_flight.config.vehicle import Thrust, effectiveness
 from dart_flight.config.vehicle.configuration import load_vehicle
-from dart_flight.lab.calibrate.airframe import motors_block
+from dart_flight.lab.calibrate.airframe_reader import motors_block
 from dart_flight.run.fast import fly_fast
 from dart_flight.sim.allocation import Allocation
 from dart_flight.sim.plant import Plant

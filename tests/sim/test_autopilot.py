@@ -7,10 +7,10 @@ import pytest
 
 from dart_flight.base.geometry import distance2
 from dart_flight.base.records import FlightMode, LandedState
-from dart_flight.check.parameters import names_to_read
+from dart_flight.check.px4_parameters import names_to_read
 from dart_flight.config.mission import load_mission
-from dart_flight.sim.autopilot import Autopilot, make_autopilot
-from dart_flight.sim.cascade import TrajectorySetPoint
+from dart_flight.sim.cascade import TrajectorySetpoint
+from dart_flight.sim.embedded_autopilot import Autopilot, make_autopilot
 
 ROOT = Path(__file__).parents[2]
 NAN = math.nan
@@ -26,7 +26,7 @@ def autopilot() -> Autopilot:
     return vehicle
 
 
-def run(autopilot: Autopilot, seconds: float, setpoint: TrajectorySetPoint | None = None) -> None:
+def run(autopilot: Autopilot, seconds: float, setpoint: TrajectorySetpoint | None = None) -> None:
     end = autopilot.now_s + seconds
     while autopilot.now_s < end:
         if setpoint is not None:
@@ -34,9 +34,9 @@ def run(autopilot: Autopilot, seconds: float, setpoint: TrajectorySetPoint | Non
         autopilot.step()
 
 
-def airborne(autopilot: Autopilot) -> TrajectorySetPoint:
+def airborne(autopilot: Autopilot) -> TrajectorySetpoint:
     run(autopilot, 1.0)
-    target = TrajectorySetPoint((0.0, 0.0, -1.0), yaw=0.0)
+    target = TrajectorySetpoint((0.0, 0.0, -1.0), yaw=0.0)
     autopilot.set_trajectory(target)
     assert autopilot.set_mode(FlightMode.OFFBOARD)
     assert autopilot.arm()
@@ -58,7 +58,7 @@ def test_arming_waits_for_the_estimator(autopilot: Autopilot) -> None:
 def test_offboard_needs_set_points(autopilot: Autopilot) -> None:
     run(autopilot, 1.0)
     assert not autopilot.set_mode(FlightMode.OFFBOARD)
-    autopilot.set_trajectory(TrajectorySetPoint((0.0, 0.0, 0.0)))
+    autopilot.set_trajectory(TrajectorySetpoint((0.0, 0.0, 0.0)))
     assert autopilot.set_mode(FlightMode.OFFBOARD)
 
 
@@ -71,14 +71,14 @@ def test_a_take_off_while_disarmed_is_accepted_and_does_nothing(autopilot: Autop
 
 def test_it_holds_a_position_set_point(autopilot: Autopilot) -> None:
     airborne(autopilot)
-    run(autopilot, 6.0, TrajectorySetPoint((0.8, -0.5, -1.2), yaw=0.5))
+    run(autopilot, 6.0, TrajectorySetpoint((0.8, -0.5, -1.2), yaw=0.5))
     assert math.dist(autopilot.plant.position, (0.8, -0.5, -1.2)) < 0.06
     assert autopilot.landed is LandedState.IN_AIR
 
 
 def test_it_follows_velocity_set_points(autopilot: Autopilot) -> None:
     airborne(autopilot)
-    run(autopilot, 3.0, TrajectorySetPoint((NAN, NAN, -1.0), (0.5, 0.0, NAN), yaw=0.0))
+    run(autopilot, 3.0, TrajectorySetpoint((NAN, NAN, -1.0), (0.5, 0.0, NAN), yaw=0.0))
     assert autopilot.plant.velocity[0] == pytest.approx(0.5, abs=0.07)
 
 
@@ -108,7 +108,7 @@ def test_it_does_not_disarm_in_the_air_unless_forced(autopilot: Autopilot) -> No
 
 def test_the_estimate_stays_near_the_truth(autopilot: Autopilot) -> None:
     airborne(autopilot)
-    run(autopilot, 3.0, TrajectorySetPoint((1.0, 0.3, -1.0), yaw=0.0))
+    run(autopilot, 3.0, TrajectorySetpoint((1.0, 0.3, -1.0), yaw=0.0))
     assert math.dist(autopilot.estimator.position, autopilot.plant.position) < 0.01
     assert math.dist(autopilot.estimator.velocity, autopilot.plant.velocity) < 0.05
 

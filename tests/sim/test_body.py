@@ -13,8 +13,8 @@ from dart_flight.base.geometry import GRAVITY_M_S2, MissionFrame, Vec3, quaterni
 from dart_flight.base.records import Mode, TruthContact
 from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import BodyModel, Coefficients, ContactBody, VehicleConfig
-from dart_flight.contact.body import Plane, guards_of, touch
 from dart_flight.contact.law import Onset
+from dart_flight.contact.propeller_guards import Plane, propeller_guards, touch
 from dart_flight.sim.plant import Plant
 from tests.oracles.rigid_body import Body, Law, fly
 from tests.sim.test_plant import HOVER, VEHICLE
@@ -208,7 +208,7 @@ def test_friction_never_puts_energy_in(
 
     def power(friction: float) -> float:
         c = Coefficients(4200.0, 15.0, friction, 0.0)
-        one = touch(guards_of(contact), q, c, Onset.LCP, plane, where, velocity, rate, -1, 0.0)
+        one = touch(propeller_guards(contact), q, c, Onset.LCP, plane, where, velocity, rate, -1, 0.0)
         linear = sum(f * v for f, v in zip(one.force, velocity, strict=True))
         return linear + sum(t * w for t, w in zip(one.torque, rate, strict=True))
 

@@ -5,8 +5,8 @@ import math
 import pytest
 
 from dart_flight.base.geometry import MissionFrame, quaternion_from_euler, tilt_of, yaw_ned_of
-from dart_flight.sim.autopilot import default_parameters
-from dart_flight.sim.cascade import Cascade, TrajectorySetPoint
+from dart_flight.sim.cascade import Cascade, TrajectorySetpoint
+from dart_flight.sim.embedded_autopilot import default_parameters
 from dart_flight.sim.plant import Plant
 from tests.sim.test_plant import HOVER, VEHICLE
 
@@ -21,7 +21,7 @@ def test_tilt_is_righted_first_however_far_the_heading_is_off(yaw_deg: float) ->
     plant.q = quaternion_from_euler(0.2, 0.1, math.radians(yaw_deg))
     plant.rate = (2.0, -1.0, 0.0)
     plant.motor = [HOVER] * 4
-    hold = TrajectorySetPoint((0.0, 0.0, -5.0), yaw=0.0)
+    hold = TrajectorySetpoint((0.0, 0.0, -5.0), yaw=0.0)
     tilts = []
     for tick in range(500):
         if tick % 2 == 0:

@@ -7,7 +7,7 @@ import itertools
 import pytest
 
 from dart_flight.config.mission import load_mission
-from dart_flight.sim.autopilot import make_autopilot
+from dart_flight.sim.embedded_autopilot import make_autopilot
 from tests.doubles.ports import free_udp_port
 from tools.bench.impact_source import MISSION, _Endpoint
 

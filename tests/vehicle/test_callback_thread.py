@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from dart_flight.config.mission import load_mission
-from dart_flight.vehicle.session import connect
+from dart_flight.vehicle.vehicle_session import connect
 from tests.doubles.ports import free_udp_port
 
 ROOT = Path(__file__).parents[2]

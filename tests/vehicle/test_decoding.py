@@ -20,7 +20,7 @@ from dart_flight.base.records import (
     StatusSample,
 )
 from dart_flight.vehicle.clock import ClockEstimate
-from dart_flight.vehicle.session import VehicleSession
+from dart_flight.vehicle.vehicle_session import VehicleSession
 
 
 class Decoder:

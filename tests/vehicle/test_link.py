@@ -19,10 +19,10 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.vehicle.link import (
     LinkLease,
     LinkTakenError,
+    endpoint_of,
     free_link,
     held_links,
     holder_of,
-    place_of,
     udp_port_is_free,
 )
 
@@ -71,11 +71,11 @@ def test_two_ways_to_write_one_place_are_one_place(tmp_path: Path) -> None:
     device = tmp_path / "ttyTest"
     device.touch()
     (tmp_path / "serial0").symlink_to(device)
-    assert place_of(f"serial://{device}:921600") == place_of(f"serial://{tmp_path}/serial0:57600")
-    assert place_of("udpin://0.0.0.0:14540").key == place_of("udpin://127.0.0.1:14540").key
-    assert place_of("udp://:14540").udp_port == 14540
-    assert place_of("udpin://0.0.0.0:14540").key != place_of("udpin://0.0.0.0:14541").key
-    assert place_of("udpout://10.0.0.1:14540").udp_port is None
+    assert endpoint_of(f"serial://{device}:921600") == endpoint_of(f"serial://{tmp_path}/serial0:57600")
+    assert endpoint_of("udpin://0.0.0.0:14540").key == endpoint_of("udpin://127.0.0.1:14540").key
+    assert endpoint_of("udp://:14540").udp_port == 14540
+    assert endpoint_of("udpin://0.0.0.0:14540").key != endpoint_of("udpin://0.0.0.0:14541").key
+    assert endpoint_of("udpout://10.0.0.1:14540").udp_port is None
 
 
 def test_the_program_that_holds_a_link_is_named(

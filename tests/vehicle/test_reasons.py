@@ -11,7 +11,7 @@ from mavsdk.plugins.events import (
     LogLevel,
 )
 
-from dart_flight.vehicle.reasons import of_checks, of_sys_status, severity
+from dart_flight.vehicle.arming_problems import of_checks, of_sys_status, severity
 
 
 def problem(text: str, level: LogLevel = LogLevel.ERROR) -> HealthAndArmingCheckProblem:

@@ -16,15 +16,15 @@ from dart_flight.base.records import (
     HealthReport,
     Input,
     OtherVehicle,
-    SetPoint,
+    Setpoint,
     StatusSample,
     VehicleAction,
 )
 from dart_flight.base.streams import STREAMS
 from dart_flight.config.vehicle import load_vehicle, packaged
-from dart_flight.vehicle import reasons
-from dart_flight.vehicle import session as module
-from dart_flight.vehicle.session import VehicleSession
+from dart_flight.vehicle import arming_problems as reasons
+from dart_flight.vehicle import vehicle_session as module
+from dart_flight.vehicle.vehicle_session import VehicleSession
 
 VEHICLE = load_vehicle(packaged("configs", "dart.yaml"))
 
@@ -87,7 +87,7 @@ def message(**fields: object) -> Any:
 
 def test_a_new_session_sends(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
-    rig.session.send(SetPoint(1, 1, (1.0, 2.0, -3.0), 0.0))
+    rig.session.send(Setpoint(1, 1, (1.0, 2.0, -3.0), 0.0))
     assert [name for name, _ in rig.plugins["Offboard"].calls] == ["set_position_ned"]
 
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from dart_flight.base.records import FlightMode, SetPoint, StatusSample, VehicleAction
-from dart_flight.vehicle import session as module
-from dart_flight.vehicle.session import VehicleSession
+from dart_flight.base.records import FlightMode, Setpoint, StatusSample, VehicleAction
+from dart_flight.vehicle import vehicle_session as module
+from dart_flight.vehicle.vehicle_session import VehicleSession
 
 _TICK_US = 20_000
 
@@ -34,7 +34,7 @@ class Sent:
 
     def send(self, north_m: float, **more: Any) -> None:
         self.now_us += _TICK_US
-        self.session.send(SetPoint(self.now_us, self.now_us, (north_m, 0.0, -1.0), 0.0, **more))
+        self.session.send(Setpoint(self.now_us, self.now_us, (north_m, 0.0, -1.0), 0.0, **more))
 
 
 def test_one_that_is_being_repeated_leaves_ten_times_a_second(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 from mavsdk.plugins.offboard import PositionNedYaw
 
 from dart_flight.config.mission import Mission
-from dart_flight.vehicle.session import VehicleSession, connect
+from dart_flight.vehicle.vehicle_session import VehicleSession, connect
 
 _ECHO_EVERY = 75  # IMU samples: 0.3 s
 _STEP_M = 0.01  # between one echo and the next: told apart on the wire

@@ -24,7 +24,7 @@ from dart_flight.base.records import (
     ImuSample,
     Input,
     Mode,
-    SetPoint,
+    Setpoint,
     TruthSample,
     VehicleAction,
     VehicleCommand,
@@ -34,8 +34,8 @@ from dart_flight.config.mission import Mission, load_mission
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.run.fast import FLIGHT_MODES, FastFlight, simulated_driver
 from dart_flight.run.flight_record import FlightRecord
-from dart_flight.sim.cascade import TrajectorySetPoint
-from dart_flight.sim.vehicle import SimulatedVehicle
+from dart_flight.sim.cascade import TrajectorySetpoint
+from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 
 ROOT = Path(__file__).parents[2]
 COMPILED = ROOT / "build" / "compiled"
@@ -74,7 +74,7 @@ class _Recorded(NamedTuple):
     """A flight as core and vehicle saw it; `orders` by tick, after which they arrived."""
 
     inputs: list[Input]
-    orders: dict[int, list[SetPoint | VehicleCommand | Mode]]
+    orders: dict[int, list[Setpoint | VehicleCommand | Mode]]
     ticks: int
 
 
@@ -130,13 +130,13 @@ def _flown_s(mission: Mission) -> float:
 
 def _record(mission: Mission) -> _Recorded:
     inputs: list[Input] = []
-    orders: dict[int, list[SetPoint | VehicleCommand | Mode]] = {}
+    orders: dict[int, list[Setpoint | VehicleCommand | Mode]] = {}
 
     def see(record: Any, number: int) -> None:
         tick = round(flight.autopilot.now_s / 0.004)
         if isinstance(record, _KINDS):
             inputs.append(record)
-        elif isinstance(record, SetPoint | VehicleCommand):
+        elif isinstance(record, Setpoint | VehicleCommand):
             orders.setdefault(tick, []).append(record)
         elif isinstance(record, TruthSample):
             orders.setdefault(tick, []).append(record.mode)
@@ -186,9 +186,9 @@ def _drive(mission: Mission, recorded: _Recorded) -> list[float]:
             for order in recorded.orders.get(tick, ()):
                 if isinstance(order, Mode):
                     autopilot.plant.set_mode(order)
-                elif isinstance(order, SetPoint):
+                elif isinstance(order, Setpoint):
                     autopilot.set_trajectory(
-                        TrajectorySetPoint(
+                        TrajectorySetpoint(
                             order.position_ned,
                             order.velocity_ned or _NAN3,
                             order.acceleration_ned or _NAN3,

@@ -23,7 +23,7 @@ import msgspec
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import FlightMode, LandedState
 from dart_flight.config.mission import load_mission
-from dart_flight.sim.autopilot import TICK_S, TICK_US, ImuReading, make_autopilot
+from dart_flight.sim.embedded_autopilot import TICK_S, TICK_US, ImuReading, make_autopilot
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 
 MISSION = Path(__file__).parents[2] / "missions" / "paper_single_wall.yaml"

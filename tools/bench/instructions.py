@@ -42,7 +42,7 @@ from dart_flight.base.records import (
     OdometrySample,
     Output,
     Record,
-    WallFelt,
+    WallEstimate,
 )
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.recording.about import flown_mission
@@ -51,7 +51,7 @@ from dart_flight.recording.reader import Log, read_log
 from dart_flight.recording.schema import INPUTS
 from dart_flight.recording.writer import _FLUSH_S, LogPart
 from dart_flight.vehicle.clock import ClockEstimate, host_us
-from dart_flight.vehicle.session import VehicleSession
+from dart_flight.vehicle.vehicle_session import VehicleSession
 
 ROOT = Path(__file__).parents[2]
 FLIGHT = ROOT / "tests" / "data" / "flights" / "embedded.mcap"
@@ -161,12 +161,14 @@ def _core_rows(inputs: list[Input], outputs: list[list[Output]], steps: list[flo
         )
     # What follows from a contact, apart: the steps that fit are the longest.
     given = [{type(output) for output in of_one} for of_one in outputs]
-    for made in (ImpactOnset, ImpactPeak, ContactEnd, WallFelt):
+    for made in (ImpactOnset, ImpactPeak, ContactEnd, WallEstimate):
         if found := [cost for cost, kinds in zip(steps, given, strict=True) if made in kinds]:
             yield _row(f"core, gives {made.__name__}", found)
-    ends, felt = ([i for i, kinds in enumerate(given) if made in kinds] for made in (ContactEnd, WallFelt))
+    ends, felt = (
+        [i for i, kinds in enumerate(given) if made in kinds] for made in (ContactEnd, WallEstimate)
+    )
     if sums := [sum(steps[i : j + 1]) for i, j in zip(ends, felt, strict=False)]:
-        yield _row("core, ContactEnd to WallFelt", sums)
+        yield _row("core, ContactEnd to WallEstimate", sums)
 
 
 def _row(name: str, of_items: list[float]) -> Row:

@@ -34,8 +34,8 @@ from dart_flight.base.records import (
     Output,
     Override,
     Phase,
-    SetPoint,
-    SetPointSent,
+    Setpoint,
+    SetpointSent,
     VehicleCommand,
     World,
 )
@@ -63,7 +63,7 @@ class RepeatingCore:
 
     def __init__(self, mission: Mission) -> None:
         self._mission, self._core = mission, FlightCore(mission)  # beside it: a compiled one has no heirs
-        self.recoveries: list[SetPoint] = []
+        self.recoveries: list[Setpoint] = []
         self.overruled: list[str] = []  # why the guard took over, as when the machine stalls
         self._again_us = 0
         self._begun = False
@@ -95,7 +95,7 @@ class RepeatingCore:
             executive._entered_us = now
         outputs = core.step(item)
         for output in outputs:
-            if isinstance(output, SetPoint) and output.recovery:
+            if isinstance(output, Setpoint) and output.recovery:
                 self.recoveries.append(output)
                 self._again_us = output.t_us + 200_000
         # What the guard would have the vehicle do is reset above: the source stays in offboard mode.
@@ -144,7 +144,7 @@ async def _run_app(
     inside: list[float] = []
 
     def progress(record: object) -> None:
-        if isinstance(record, SetPointSent):
+        if isinstance(record, SetpointSent):
             inside.append(record.latency_us * 1e-3)
 
     app = FlightApp(mission, f"udpin://127.0.0.1:{port}", record, None, progress)
@@ -198,7 +198,7 @@ def measure_alone(answers: int) -> list[float]:
     return sorted(found)
 
 
-def _match(recoveries: list[SetPoint], record: Record) -> list[float]:
+def _match(recoveries: list[Setpoint], record: Record) -> list[float]:
     sent = dict(record.imu)
     latencies = []
     for output in recoveries:

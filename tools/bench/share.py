@@ -35,7 +35,7 @@ from dart_flight.run.core_thread import CoreThread
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.runner import CoreRunner
 from dart_flight.vehicle.clock import host_us
-from dart_flight.vehicle.session import connect
+from dart_flight.vehicle.vehicle_session import connect
 from tests.doubles.ports import free_udp_port
 from tools.bench import alone
 from tools.bench.impact_source import MISSION

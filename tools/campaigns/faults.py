@@ -41,8 +41,8 @@ from dart_flight.recording.verdict import VerdictBuilder
 from dart_flight.recording.writer import FlightLog
 from dart_flight.run.fast import FastFlight
 from dart_flight.run.prepare import load_flyable
-from dart_flight.run.sabotage import fill_disk_of
-from dart_flight.sim.faults.kinds import KINDS, Fault, parse_fault
+from dart_flight.run.program_fault import fill_disk_of
+from dart_flight.sim.faults.fault_table import KINDS, Fault, parse_fault
 from tools.campaigns.kept import fly_missing
 from tools.campaigns.results import RESULTS, measured_by
 
@@ -368,10 +368,10 @@ def report(cells: list[Flown], flights: list[Flown]) -> str:
         "",
         measured_by("tools.campaigns.faults"),
         "",
-        "Fast world, the paper's dual collision, seed 1: each fault of `sim/faults/kinds.py` at its default",
-        "value, from the phase's beginning on (ground: from the start on). A cell says what came of it, the",
-        "time from the fault to the first decision (of the guard, or of PX4's own failsafe where the app is",
-        "gone), and how far truth got out of the bounds. `--only FAULT` flies one row anew.",
+        "Fast world, the paper's dual collision, seed 1: each fault of `sim/faults/fault_table.py` at its",
+        "default value, from the phase's beginning on (ground: from the start on). A cell says what came of",
+        "it, the time from the fault to the first decision (of the guard, or of PX4's own failsafe where the",
+        "app is gone), and how far truth got out of the bounds. `--only FAULT` flies one row anew.",
         "`tests/faults/expected.csv` says what each cell may be, and `tests/faults/test_matrix.py` holds it",
         "to that. What counts as uncontrolled is in `tools/campaigns/faults.py`.",
         "",

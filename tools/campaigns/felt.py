@@ -28,8 +28,8 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from dart_flight.base.records import Mode, Phase, PhaseChange, Record, TruthContact, WallFelt, World
-from dart_flight.config.kinds import FileKind, load_document
+from dart_flight.base.records import Mode, Phase, PhaseChange, Record, TruthContact, WallEstimate, World
+from dart_flight.config.file_kinds import FileKind, load_document
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.vehicle import BodyModel, Coefficients, LockDriver, load_vehicle
 from dart_flight.contact.contact_map import collide
@@ -117,7 +117,7 @@ class Flown(msgspec.Struct):
     job: Job
     failed: str = ""
     true_mode: Mode | None = None
-    felt: WallFelt | None = None
+    felt: WallEstimate | None = None
     after_ms: float = 0.0
     wall: Coefficients | None = None
     by_time: Mode | None = None
@@ -160,14 +160,14 @@ def fly(job: Job) -> Flown:
     plan = plan_of(job)
     world = draw_world(plan.mission, job.seed, SETS[job.kind].spreads)
     builder = VerdictBuilder(plan.mission)
-    felt: list[tuple[int, WallFelt]] = []
+    felt: list[tuple[int, WallEstimate]] = []
     contacts: list[TruthContact] = []
     commanded = plan.mission.collisions[0].mode
     sticks_rigid = plan.lies and commanded is Mode.FLEXIBLE
 
     def observe(record: Record, number: int) -> None:
         builder.take(record)
-        if isinstance(record, WallFelt):
+        if isinstance(record, WallEstimate):
             felt.append((flight.autopilot.time_us, record))
         elif isinstance(record, TruthContact):
             contacts.append(record)
@@ -233,7 +233,7 @@ class Judged(NamedTuple):
 
     job: Job
     true_mode: Mode
-    felt: WallFelt
+    felt: WallEstimate
     wall: Coefficients
     flown: Flown
 
@@ -252,13 +252,13 @@ def is_wrong(j: Judged) -> bool:
     return j.felt.mode_felt not in (None, j.true_mode)
 
 
-def told_mode(felt: WallFelt) -> Mode | None:
+def told_mode(felt: WallEstimate) -> Mode | None:
     """The mode that the coefficients are of."""
     return felt.mode_felt or felt.mode_reported
 
 
 _COEFFICIENTS: dict[
-    str, tuple[Callable[[WallFelt], tuple[float, float]], Callable[[Coefficients], float]]
+    str, tuple[Callable[[WallEstimate], tuple[float, float]], Callable[[Coefficients], float]]
 ] = {
     "k": (lambda w: (w.k_n_per_m, w.k_sd), lambda c: c.k),
     "f": (lambda w: (w.f_ns_per_m, w.f_sd), lambda c: c.f),

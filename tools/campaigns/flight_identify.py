@@ -26,8 +26,8 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.flight_trials import ALLOWANCE, trials_of
-from dart_flight.lab.report.flight import Flight
 from dart_flight.lab.report.page import AGREES, beyond, disagreements
+from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.recording.reader import read_log
 from dart_flight.run.prepare import load_flyable
 from tools.bench.other_wall import fly_against, with_walls
@@ -107,7 +107,7 @@ def run_case(name: str, factors: dict[str, float], first_seed: int, keep: Path) 
     folder = folder_of(keep, name, factors)
     folder.mkdir(parents=True, exist_ok=True)
     paths = [_flown(mission, real, seed, folder) for seed in range(first_seed, first_seed + FLIGHTS)]
-    disagreement = disagreements([Flight.read(path) for path in paths])
+    disagreement = disagreements([RecordedFlight.read(path) for path in paths])
     logs = [read_log(path) for path in paths]
     for material in dict.fromkeys(c.wall.material for c in mission.collisions):
         trials = [t for log in logs for t in trials_of(log, material).get(material, [])]

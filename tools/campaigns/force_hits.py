@@ -38,10 +38,10 @@ from dart_flight.base.records import (
 )
 from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.sense.detector import Expected, ImpactDetector, confirmed_force
+from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector, confirmed_force
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.state import FlightState
-from dart_flight.sim.noise import Normal
+from dart_flight.sim.noise import GaussianNoise
 from dart_flight.sim.plant import Plant
 from dart_flight.sim.sensors import ImuSensor
 
@@ -192,7 +192,7 @@ class Judge:
         self.state, self.vehicle = state, vehicle
         self.estimator = ForceEstimator(vehicle)
         self.detector = ImpactDetector(vehicle)
-        self.expected = Expected(True, *(planned or (None, None)))
+        self.expected = ExpectedContact(True, *(planned or (None, None)))
         blind = msgspec.structs.replace(vehicle.detection, force_threshold_n=1e9)
         self._shadow = ImpactDetector(msgspec.structs.replace(vehicle, detection=blind))
         self._last: tuple[Vec2, Vec2] = ((0.0, 0.0), (0.0, 0.0))
@@ -212,7 +212,7 @@ class Judge:
         mean = math.hypot(*confirmed_force(x, y, self._last, estimate.noise_n, detection))
         self.statistic = max(min(mean, size), size - detection.sure_sigma * estimate.noise_n)
         self._last = ((x, y), self._last[0])
-        self._shadow.update(estimate, imu.received_us, self.state, Expected())
+        self._shadow.update(estimate, imu.received_us, self.state, ExpectedContact())
         return list(self.detector.update(estimate, imu.received_us, self.state, self.expected))
 
 
@@ -232,7 +232,7 @@ def judge_hit(
         sigma: noise.
         seed: of it.
     """
-    noise = Normal(random.Random(seed))
+    noise = GaussianNoise(random.Random(seed))
     noisy = msgspec.structs.replace(vehicle.simulation, imu_noise_m_s2=sigma)
     imu = ImuSensor(msgspec.structs.replace(vehicle, simulation=noisy), noise)
     state.frame = FRAME
@@ -277,7 +277,7 @@ def _hover(flown: Flown) -> list[Tick]:
     ]
 
 
-def _odometry(judge: Judge, tick: Tick, command: float, noise: Normal) -> None:
+def _odometry(judge: Judge, tick: Tick, command: float, noise: GaussianNoise) -> None:
     t, s = tick.t_us, _ATTITUDE_SIGMA_RAD
     twist = quaternion_from_rotation_vector(noise.three(s))
     attitude = AttitudeSample(t // 1000 * 1000, t + 1000, quaternion_multiply(tick.q, twist))

@@ -28,10 +28,10 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.sense.detector import Expected
+from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.state import FlightState
-from dart_flight.sim.autopilot import Autopilot
-from dart_flight.sim.cascade import TrajectorySetPoint
+from dart_flight.sim.cascade import TrajectorySetpoint
+from dart_flight.sim.embedded_autopilot import Autopilot
 from dart_flight.sim.plant import Plant
 from tools.campaigns.force_hits import Judge
 
@@ -106,7 +106,7 @@ class _Pilot:
         self._target = [0.0, 0.0, -20.0]
         self._velocity = (0.0, 0.0)
 
-    def setpoint(self, t: float, position: Vec3, yaw: float) -> TrajectorySetPoint:
+    def setpoint(self, t: float, position: Vec3, yaw: float) -> TrajectorySetpoint:
         rng = self._rng
         if t > self._until:
             self._until = t + rng.uniform(0.6, 2.5)
@@ -120,12 +120,12 @@ class _Pilot:
         self._yaw = yaw + 0.3 * self._spin  # ahead of the vehicle: it turns at about this rate
         z = self._target[2]
         if self._kind == "step":
-            return TrajectorySetPoint((self._target[0], self._target[1], z), yaw=self._yaw)
+            return TrajectorySetpoint((self._target[0], self._target[1], z), yaw=self._yaw)
         if self._kind == "velocity":
-            return TrajectorySetPoint((_NAN, _NAN, z), (*self._velocity, _NAN), yaw=self._yaw)
+            return TrajectorySetpoint((_NAN, _NAN, z), (*self._velocity, _NAN), yaw=self._yaw)
         if self._kind == "brake":
-            return TrajectorySetPoint((_NAN, _NAN, z), (0.0, 0.0, _NAN), yaw=self._yaw)
-        return TrajectorySetPoint((0.0, 0.0, z), yaw=self._yaw)
+            return TrajectorySetpoint((_NAN, _NAN, z), (0.0, 0.0, _NAN), yaw=self._yaw)
+        return TrajectorySetpoint((0.0, 0.0, z), yaw=self._yaw)
 
 
 class _Flight:
@@ -197,7 +197,7 @@ def fly_quiet(mission: Mission, seconds: float, sigma: float, seed: int, rough: 
         _fly(f, next_land)
         # As the executive: not on the ground, in the first half metre of the climb, or when landing.
         in_air = f.state.status.landed is LandedState.IN_AIR and a.mode is FlightMode.OFFBOARD
-        f.judge.expected = Expected(in_air and a.estimator.position[2] < -0.5)
+        f.judge.expected = ExpectedContact(in_air and a.estimator.position[2] < -0.5)
         for event in f.tick():
             if isinstance(event, ImpactOnset):
                 force = math.hypot(event.force_mission[0], event.force_mission[1])
@@ -220,7 +220,7 @@ def _fly(f: _Flight, next_land: float) -> None:
     """Take off, fly hard, land every hundred seconds, again."""
     a = f.autopilot
     if not a.armed:
-        a.set_trajectory(TrajectorySetPoint((0.0, 0.0, -20.0)))
+        a.set_trajectory(TrajectorySetpoint((0.0, 0.0, -20.0)))
         if a.estimator.ok and a.set_mode(FlightMode.OFFBOARD):
             a.arm()
         return

@@ -35,7 +35,7 @@ from dart_flight.recording.reader import read_log
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
-from dart_flight.sim.vehicle import SimulatedVehicle
+from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 from tools.campaigns.results import RESULTS, measured_by
 
 KINDS = ("mission", "scenario", "configuration", "log", "frame")

@@ -29,8 +29,8 @@ from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.fit import identify
-from dart_flight.lab.identify.hits import hit_of
 from dart_flight.lab.identify.intervals import covariance
+from dart_flight.lab.identify.measured_impacts import measure_impact
 from dart_flight.lab.identify.solver import solve
 from dart_flight.lab.identify.trials import Trial
 from tools.campaigns.results import ROOT, markdown, measured_by
@@ -196,7 +196,7 @@ def deviation_bound(
     Returns:
         mode -> coefficient -> bound, in the coefficient's unit.
     """
-    felt = [(hit.begin_s, hit.end_s) for hit in (hit_of(trial, mass_kg) for trial in trials)]
+    felt = [(hit.begin_s, hit.end_s) for hit in (measure_impact(trial, mass_kg) for trial in trials)]
     fit, theta, _ = solve(trials, felt, mass_kg, onset, may_curve=False)
     fit.sd.update(noise)
     for window in fit.windows:

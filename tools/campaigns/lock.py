@@ -29,11 +29,11 @@ from dart_flight.base.records import LockPhase, Mode
 from dart_flight.config.vehicle import LimitSwitch, LockConfig, LockDriver, packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lock.drivers import Driver
-from dart_flight.lock.drivers.limit_switch import WithLimitSwitch
+from dart_flight.lock.drivers.limit_switch import DriverWithLimitSwitch
 from dart_flight.lock.drivers.maestro import MaestroDriver
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
+from dart_flight.lock.lock_session import LockSession
 from dart_flight.lock.servo import NO_FAULTS, ServoFaults, mode_of
-from dart_flight.lock.session import LockSession
 from tests.doubles.emulated_maestro import EmulatedMaestro
 
 POLL_US = 20_000
@@ -139,7 +139,7 @@ class MaestroRig:
         self._plugged = True
         self._silent = False
         serial = MaestroDriver(msgspec.structs.replace(config, maestro=maestro))
-        self.driver: Driver = WithLimitSwitch(serial, self)
+        self.driver: Driver = DriverWithLimitSwitch(serial, self)
 
     def horn_us(self) -> float:
         """Where the modelled horn is."""

@@ -47,8 +47,8 @@ CLASSES = {
 SHELL: dict[str, tuple[str, ...]] = {
     "dart_flight/run/app.py": ("tests/run/test_app.py", "tests/run/test_operator.py"),
     "dart_flight/run/deadman.py": ("tests/faults/test_deadman.py",),
-    "dart_flight/vehicle/session.py": ("tests/vehicle",),
-    "dart_flight/planning/replanning.py": (
+    "dart_flight/vehicle/vehicle_session.py": ("tests/vehicle",),
+    "dart_flight/planning/replanner.py": (
         "tests/planning/test_replanner.py",
         "tests/planning/test_replanning_reach.py",
         "tests/flights/test_replanned_flights.py",

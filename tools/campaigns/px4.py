@@ -31,14 +31,14 @@ import msgspec
 from dart_flight.base.geometry import norm, tilt_of
 from dart_flight.base.records import ImuSample, TruthSample
 from dart_flight.config.document import InputError
-from dart_flight.config.parameters import PositionSource
+from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.embedded import fly_embedded
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
-from dart_flight.run.px4 import fly_px4
+from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.px4.launch import find_install
 from tools.campaigns.results import RESULTS, markdown, measured_by
 

@@ -27,10 +27,10 @@ from dart_flight.base.geometry import MissionFrame, Vec2
 from dart_flight.base.records import ImpactOnset, ImpactPeak
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Detection, VehicleConfig, load_vehicle
-from dart_flight.core.sense.detector import Expected, ImpactDetector
+from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector
 from dart_flight.core.sense.state import FlightState
-from dart_flight.lab.inspect import TOPICS, FeltFlight, feel_log
-from dart_flight.lab.inspect.impacts import REMEMBERED, Crossing, Estimated, short_samples
+from dart_flight.lab.inspect import TOPICS, InspectedFlight, inspect_log
+from dart_flight.lab.inspect.impacts import REMEMBERED, Estimated, ThresholdCrossing, short_samples
 from dart_flight.lab.ulog import ULogFile, open_ulog
 
 _EVERY_S = 1.6  # a pulse, in flight
@@ -111,7 +111,7 @@ def detect(
     state = FlightState()
     state.anchor(MissionFrame())
     ahead = [msgspec.structs.replace(p) for p in pulses]
-    felt: list[tuple[float, Crossing, Pulse | None]] = []
+    felt: list[tuple[float, ThresholdCrossing, Pulse | None]] = []
     done: list[Pulse] = []
     now: Pulse | None = None
     newest: deque[Estimated] = deque(maxlen=REMEMBERED)
@@ -134,9 +134,9 @@ def detect(
                 done.append(now)
                 now = None
         newest.append(estimated)
-        for event in detector.update(estimate, estimate.t_us, state, Expected(estimated.flying)):
+        for event in detector.update(estimate, estimate.t_us, state, ExpectedContact(estimated.flying)):
             if isinstance(event, ImpactOnset):
-                felt.append((t, Crossing(event, detector.crossed_n), now))
+                felt.append((t, ThresholdCrossing(event, detector.crossed_n), now))
             elif isinstance(event, ImpactPeak):
                 felt[-1][1].ends(event, newest, short_samples(vehicle))
     others = [(t, crossing) for t, crossing, pulse in felt if pulse is None]
@@ -234,7 +234,7 @@ def judge(
 
 def feel_log_keeping(
     log: ULogFile, vehicle: VehicleConfig
-) -> tuple[FeltFlight, list[Estimated], list[tuple[float, float]], VehicleConfig]:
+) -> tuple[InspectedFlight, list[Estimated], list[tuple[float, float]], VehicleConfig]:
     """`feel_log`, with the estimates it made on the way, the flights, and the vehicle it made them with."""
     kept: list[Estimated] = []
     made: list[tuple[VehicleConfig, list[tuple[float, float]]]] = []
@@ -243,7 +243,7 @@ def feel_log_keeping(
         made.append((of, flying))
         return kept.append
 
-    flight = feel_log(log, vehicle, listen=listen)
+    flight = inspect_log(log, vehicle, listen=listen)
     return flight, kept, made[0][1], made[0][0]
 
 

@@ -38,11 +38,11 @@ from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.core import flight_core
 from dart_flight.core.mission.executive import Executive
-from dart_flight.core.mission.phases import Cue
+from dart_flight.core.mission.phases import PhaseTrigger
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.state import FlightState
 from dart_flight.lab.statistics import wilson
-from dart_flight.planning.planned import planned_flight
+from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.recording.verdict import VerdictBuilder
 from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import draw_world, parse_vary
@@ -63,7 +63,7 @@ class _Straight(Executive):
         p.outputs.append(GoalPassed(state.now_us, miss))
         self._head_for_goal(state, miss)
         self._captured_us = None
-        self._go(Cue.PASSED, state, p)
+        self._go(PhaseTrigger.PASSED, state, p)
 
 
 WAYS = {
@@ -207,7 +207,7 @@ def main() -> int:
     options = parser.parse_args()
     settings = [f"simulation.contact.body={options.body}", *options.set]
     mission = load_mission(options.mission, settings=settings)
-    hit = planned_flight(mission).hits[mission.collisions[-1].index]
+    hit = predict_mission(mission).hits[mission.collisions[-1].index]
     planned = (hit.normal_m_s, hit.tangential_m_s)
     rows: list[list[str]] = []
     console = Console(stderr=True)

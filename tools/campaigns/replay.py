@@ -23,7 +23,7 @@ from dart_flight.recording.reader import read_log
 from dart_flight.run.embedded import fly_embedded
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
-from dart_flight.run.px4 import fly_px4
+from dart_flight.run.px4_flight import fly_px4
 from dart_flight.run.replay import replay
 from tools.campaigns.results import RESULTS, measured_by
 

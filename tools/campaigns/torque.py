@@ -36,7 +36,7 @@ from dart_flight.base.records import (
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import BodyModel
 from dart_flight.core.mission.approach import NoApproachError
-from dart_flight.core.sense.body import side_of
+from dart_flight.core.sense.incidence import side_of
 from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import draw_world
 from tools.campaigns.results import RESULTS, ROOT, measured_by

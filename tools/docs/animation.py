@@ -17,10 +17,10 @@ import numpy as np
 from dart_flight.config.mission import load_mission
 from dart_flight.lab.figure_style import FORCE, SET_POINT, Look, in_style, new_figure
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.report.figures.scene import draw_arrow, draw_room, draw_vehicle, name_walls
-from dart_flight.lab.report.flight import Flight
-from dart_flight.lab.report.hits import hits_of, lock_mode, shown_span
-from dart_flight.lab.report.tracks import angles, in_force, set_points
+from dart_flight.lab.report.figures.map_drawing import draw_arrow, draw_room, draw_vehicle, name_walls
+from dart_flight.lab.report.flown_collisions import flown_collisions, lock_mode, shown_span
+from dart_flight.lab.report.recorded_flight import RecordedFlight
+from dart_flight.lab.report.tracks import angles, in_force, setpoint_series
 from dart_flight.run.fast import fly_fast
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -35,17 +35,17 @@ _ARROW_M_PER_N = 0.0075
 _WINDOW_S = 0.3
 
 
-def flown() -> Flight:
+def flown() -> RecordedFlight:
     """The dual collision with the shipped configuration."""
     mission = load_mission(ROOT / "missions" / "dual_collision.yaml", ROOT / "configs" / "dart.yaml")
     with tempfile.TemporaryDirectory() as logs:
         verdict = fly_fast(mission, 1, Path(logs))
         if verdict.log is None or verdict.outcome != "completed":
             raise RuntimeError(f"the flight for the picture: {verdict.outcome}, {verdict.reason}")
-        return Flight.read(verdict.log)
+        return RecordedFlight.read(verdict.log)
 
 
-def moments(flight: Flight) -> list[float]:
+def moments(flight: RecordedFlight) -> list[float]:
     """When the frames are, s: evenly, and close together at the hits."""
     at = [impact.at_s for impact in flight.impacts]
     t, end = at[0] - _BEFORE_S, min(at[-1] + _AFTER_S, shown_span(flight)[1])
@@ -60,9 +60,9 @@ def moments(flight: Flight) -> list[float]:
 class Scene:
     """Draws one moment after the other into the same figure."""
 
-    def __init__(self, flight: Flight) -> None:
-        self.flight, self._hits = flight, hits_of(flight)
-        self._sent, self._heading = set_points(flight.course), angles(flight.course, true=True)
+    def __init__(self, flight: RecordedFlight) -> None:
+        self.flight, self._hits = flight, flown_collisions(flight)
+        self._sent, self._heading = setpoint_series(flight.course), angles(flight.course, true=True)
         force = flight.course.true_force
         self._force_s, self._force_n = force.time_s, np.hypot(force.force[:, 0], force.force[:, 1])
         self.figure, (self._plan, self._strip) = self._layout()
@@ -127,7 +127,7 @@ class Scene:
         return np.array([np.interp(at_s, true.time_s, true.position[:, i]) for i in (0, 1)])
 
 
-def write(path: Path, flight: Flight, times: list[float]) -> None:
+def write(path: Path, flight: RecordedFlight, times: list[float]) -> None:
     """The frames of these moments as a GIF that begins again."""
     from matplotlib.animation import PillowWriter  # noqa: PLC0415  (slow)
 

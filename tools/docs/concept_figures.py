@@ -17,7 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dart_flight.base.geometry import MissionFrame, Vec2
-from dart_flight.base.records import ImpactPeak, Mode, SetPoint
+from dart_flight.base.records import ImpactPeak, Mode, Setpoint
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import Airframe, Cam
@@ -25,7 +25,7 @@ from dart_flight.contact.law import Onset
 from dart_flight.lab.flight_arrays import FlightArrays
 from dart_flight.lab.predict.path import trajectory
 from dart_flight.lab.predict.prediction import condition, wall_contact
-from dart_flight.lab.report.figures.scene import draw_arrow, draw_vehicle, draw_wall
+from dart_flight.lab.report.figures.map_drawing import draw_arrow, draw_vehicle, draw_wall
 from dart_flight.recording.reader import read_log
 from dart_flight.run.fast import fly_fast
 from tools.docs.cam import limits_deg, rod_mm
@@ -268,7 +268,7 @@ def recovery(folder: Path) -> None:
     peaks = course.all(ImpactPeak)
     flown = course.true.time_s > course.time_of(peaks[0].t_us) - 2.5
     axis.plot(*course.true.position[flown, :2].T, color=DARK, linewidth=1.4, label="path of the vehicle")
-    set_points = [s for s in course.all(SetPoint) if s.recovery]
+    set_points = [s for s in course.all(Setpoint) if s.recovery]
     for number, peak in enumerate(peaks, start=1):
         n, t = peak.normal, (peak.normal[1], -peak.normal[0])
         force = [peak.normal_force_n * n[i] + peak.tangential_force_n * t[i] for i in (0, 1)]

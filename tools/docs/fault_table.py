@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dart_flight.sim.faults.kinds import KINDS
+from dart_flight.sim.faults.fault_table import KINDS
 
 
 def table() -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dart_flight.base.records import LockPhase, Phase
-from dart_flight.core.mission.phases import TRANSITIONS, Cue
+from dart_flight.core.mission.phases import TRANSITIONS, PhaseTrigger
 from dart_flight.lock import state_machine
 
 
@@ -13,15 +13,17 @@ def diagram() -> str:
     lines += [
         f"    {before} --> {after}: {event}"
         for (before, event), after in TRANSITIONS.items()
-        if event is not Cue.OVERRULE
+        if event is not PhaseTrigger.OVERRULE
     ]
     lines += [
         f"    {phase} --> [*]" for phase in Phase if not any(before is phase for before, _ in TRANSITIONS)
     ]
-    overruled = {before: after for (before, event), after in TRANSITIONS.items() if event is Cue.OVERRULE}
+    overruled = {
+        before: after for (before, event), after in TRANSITIONS.items() if event is PhaseTrigger.OVERRULE
+    }
     targets = sorted(set(overruled.values()))
     ways = [
-        f"`{Cue.OVERRULE}` leads to `{target}` from: "
+        f"`{PhaseTrigger.OVERRULE}` leads to `{target}` from: "
         + ", ".join(f"`{before}`" for before, after in overruled.items() if after is target)
         + "."
         for target in targets

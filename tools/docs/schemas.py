@@ -18,7 +18,7 @@ import msgspec
 from dart_flight.config.document import Key
 from dart_flight.config.mission_file import MissionFile
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.config.vehicle.lock import NO_LOCK
+from dart_flight.config.vehicle.lock_config import NO_LOCK
 from dart_flight.lab.search.scenario import ScenarioFile
 
 ROOT = Path(__file__).resolve().parents[2]

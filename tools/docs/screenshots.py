@@ -15,11 +15,11 @@ from typing import NamedTuple
 
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.lab.report.flight import Flight
 from dart_flight.lab.report.page import comparison_page, flight_page
+from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
-from dart_flight.sim.faults.kinds import parse_fault
+from dart_flight.sim.faults.fault_table import parse_fault
 from tools.docs.browser import Browser, find_browser
 
 FOLDER = Path(__file__).resolve().parents[2] / "docs" / "img"
@@ -32,11 +32,11 @@ def _mission(name: str) -> Mission:
     return load_flyable(packaged("missions", f"{name}.yaml"), packaged("configs", "dart.yaml"))
 
 
-def _flown(mission: Mission, folder: Path, seed: int = 1, fault: str | None = None) -> Flight:
+def _flown(mission: Mission, folder: Path, seed: int = 1, fault: str | None = None) -> RecordedFlight:
     verdict = fly_fast(mission, seed, folder, fault=None if fault is None else parse_fault(fault))
     if verdict.log is None:
         raise RuntimeError(f"{mission.name}: no log")
-    return Flight.read(verdict.log)
+    return RecordedFlight.read(verdict.log)
 
 
 def _single(folder: Path) -> str:

@@ -28,8 +28,15 @@ from dart_flight.config.vehicle.estimation import (
     ThrustSource,
     WallPrior,
 )
-from dart_flight.config.vehicle.flight import Flying
-from dart_flight.config.vehicle.lock import Cam, LimitSwitch, LockConfig, LockDriver, LockStartup, Servo
+from dart_flight.config.vehicle.flying import Flying
+from dart_flight.config.vehicle.lock_config import (
+    Cam,
+    LimitSwitch,
+    LockConfig,
+    LockDriver,
+    LockStartup,
+    Servo,
+)
 from dart_flight.config.vehicle.simulation import BodyModel, ContactBody, ImuRinging, Simulation, Spreads
 
 __all__ = [

@@ -167,7 +167,7 @@ class Thrust(Section, frozen=True):
         return table if table and table[0] == (0.0, 0.0) else ((0.0, 0.0), *table)
 
     @property
-    def most_n(self) -> float:
+    def max_thrust_n(self) -> float:
         """Thrust at full command."""
         return self.table[-1][1] if self.table is not None else self.full_n or 0.0
 
@@ -177,7 +177,7 @@ class Thrust(Section, frozen=True):
         if self.model_factor is not None:
             return self.model_factor
         # n / most - u = factor (u^2 - u)
-        bent = [(u * u - u, n / self.most_n - u) for u, n in self._points()]
+        bent = [(u * u - u, n / self.max_thrust_n - u) for u, n in self._points()]
         square = sum(x * x for x, _ in bent)
         return max(0.0, min(1.0, sum(x * y for x, y in bent) / square)) if square > 0.0 else 0.0
 
@@ -186,7 +186,7 @@ class Thrust(Section, frozen=True):
         if self.table is not None:
             table = tuple((u, n * factor) for u, n in self.table)
             return Thrust(self.motor_lag_s, table=table)
-        return Thrust(self.motor_lag_s, self.most_n * factor, self.model_factor)
+        return Thrust(self.motor_lag_s, self.max_thrust_n * factor, self.model_factor)
 
     @property
     def curve(self) -> MotorCurve | None:
@@ -216,7 +216,7 @@ class Thrust(Section, frozen=True):
         curve = self.curve
         if curve is not None:
             return [curve.command_for(force) for force in forces_n]
-        points, most = self._points(), self.most_n
+        points, most = self._points(), self.max_thrust_n
         return [_between(points, max(0.0, min(most, force)), 1) for force in forces_n]
 
 

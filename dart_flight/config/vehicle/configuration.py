@@ -14,14 +14,14 @@ import msgspec
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import Mode
 from dart_flight.config.document import Document, InputError, read_text, unknown_name
-from dart_flight.config.kinds import EXTENDS
+from dart_flight.config.file_kinds import EXTENDS
 from dart_flight.config.section import Section
 from dart_flight.config.settings import apply_changes, apply_settings
 from dart_flight.config.vehicle.airframe import Airframe, Imu, Material, Thrust, effectiveness
 from dart_flight.config.vehicle.autopilot import ConnectionConfig, Px4Parameters
 from dart_flight.config.vehicle.estimation import Detection, Estimation
-from dart_flight.config.vehicle.flight import Flying, GuardThresholds
-from dart_flight.config.vehicle.lock import NO_LOCK, LockConfig, LockDriver
+from dart_flight.config.vehicle.flying import Flying, GuardThresholds
+from dart_flight.config.vehicle.lock_config import NO_LOCK, LockConfig, LockDriver
 from dart_flight.config.vehicle.simulation import Simulation
 
 
@@ -78,7 +78,7 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
 
     def hover_thrust_fraction(self) -> float:
         """Thrust at hover as a fraction of full thrust (what PX4 calls MPC_THR_HOVER)."""
-        return self.airframe.mass_kg * GRAVITY_M_S2 / (len(self.airframe.motors) * self.thrust.most_n)
+        return self.airframe.mass_kg * GRAVITY_M_S2 / (len(self.airframe.motors) * self.thrust.max_thrust_n)
 
     def to_dict(self) -> dict[str, Any]:
         """As a configuration file says it: `load_vehicle` makes the same configuration of it."""
@@ -205,7 +205,11 @@ def _drop_observer(document: Document) -> None:
 
 
 def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
-    count, most_n, hover = len(config.airframe.motors), config.thrust.most_n, config.hover_thrust_fraction()
+    count, most_n, hover = (
+        len(config.airframe.motors),
+        config.thrust.max_thrust_n,
+        config.hover_thrust_fraction(),
+    )
     if hover > 0.8:
         raise document.error(
             ("thrust", "table" if config.thrust.table is not None else "full_n"),

@@ -18,7 +18,7 @@ class ThrustSource(StrEnum):
     ACTUATOR = "actuator"
 
 
-class Battery(Section, frozen=True):
+class BatteryModel(Section, frozen=True):
     """Thrust at a command against battery voltage: thrust = curve * (voltage / reference_v) ** exponent.
 
     Attributes:
@@ -98,7 +98,7 @@ class Estimation(Section, frozen=True, kw_only=True):
     thrust_source: ThrustSource
     thrust_error_n: Annotated[float, Meta(ge=0.0, le=100.0)]
     esc_thrust_n_per_rpm2: Annotated[float, Meta(gt=0.0, le=1e-3)] | None
-    battery: Battery
+    battery: BatteryModel
     attitude_error_rad: Annotated[float, Meta(ge=0.0, le=1.0)]
     imu_noise_m_s2: Annotated[float, Meta(gt=0.0, le=50.0)]
     filter_s: Annotated[float, Meta(ge=0.0, le=10.0)]

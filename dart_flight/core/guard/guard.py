@@ -25,26 +25,26 @@ from dart_flight.base.records import (
     Output,
     Override,
     Phase,
-    SetPoint,
+    Setpoint,
     Silence,
     Tick,
     VehicleAction,
     VehicleCommand,
 )
 from dart_flight.config.mission import Mission
+from dart_flight.core.guard.flight_conditions import FlightConditions
 from dart_flight.core.guard.rules import RULES, RULES_BY_NAME, Rule, in_scope
-from dart_flight.core.guard.watch import Watch
 from dart_flight.core.mission.phases import DOWN_US
 from dart_flight.core.mission.position_loop import STOP_TIME_S
 from dart_flight.core.mission.proposal import Proposal
-from dart_flight.core.mission.survey import early_m, slack_m
+from dart_flight.core.mission.wall_uncertainty import early_m, position_margin_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-Causes = list[tuple[Rule, int, Callable[[Watch], str | None]]]  # with the rank of its action
+Causes = list[tuple[Rule, int, Callable[[FlightConditions], str | None]]]  # with the rank of its action
 
-_COMMANDS: Final = (SetPoint, VehicleCommand)
-_COMMANDS_AND_LOCK: Final = (SetPoint, VehicleCommand, LockCommand)
+_COMMANDS: Final = (Setpoint, VehicleCommand)
+_COMMANDS_AND_LOCK: Final = (Setpoint, VehicleCommand, LockCommand)
 _JUDGED_EVERY_US: Final = 20_000  # host time: at every tick, and where none comes in time
 _HOLD_US: Final = 3_000_000
 _RETRY_US: Final = 1_000_000
@@ -75,7 +75,7 @@ class Guard:
         self._rules = {rule.name: rule for rule in rules}
         self._judged = {phase: _judged_in(phase, rules) for phase in Phase}
         self._judged_us = 0  # when all were, host time
-        self._watch = Watch(mission)
+        self._watch = FlightConditions(mission)
         # A landing is waited for until the motors would have been stopped.
         self._landing_us = max(_LANDING_US, round(2e6 * (self._watch.surely_down_s or 0.0)))
         self.action = Override.NONE
@@ -111,7 +111,7 @@ class Guard:
         self._watch.observe(item, state, sensed, phase)
         events: list[Output] = []
         for finding in proposal.findings:
-            self._fire(finding.rule, finding.detail, state, events, finding.noted)
+            self._fire(finding.rule, finding.detail, state, events, finding.note_only)
         if self.end is None:
             self._judge(item, state, phase, events)
         if not self.overrules:
@@ -120,13 +120,13 @@ class Guard:
             outputs = proposal.outputs
             if not outputs:  # as of most inputs
                 return events
-            if self._watch.doubtful:  # the vehicle may be a pilot's already
+            if self._watch.mode_change_unexplained:  # the vehicle may be a pilot's already
                 outputs = [o for o in outputs if not isinstance(o, _COMMANDS)]
             self._remember(outputs)
             return outputs + events
         kept: list[Output] = [o for o in proposal.outputs if not isinstance(o, _COMMANDS_AND_LOCK)]
         kept += events
-        if self.end is None and (self.action is Override.RELEASE or not self._watch.doubtful):
+        if self.end is None and (self.action is Override.RELEASE or not self._watch.mode_change_unexplained):
             self._fly(item, state, kept)
         return kept
 
@@ -201,7 +201,7 @@ class Guard:
 
     def _remember(self, outputs: list[Output]) -> None:
         for one in outputs:
-            if isinstance(one, SetPoint):
+            if isinstance(one, Setpoint):
                 self._yaw_ned = one.yaw_ned_rad
             elif isinstance(one, VehicleCommand) and one.action is VehicleAction.LAND:
                 self._watch.land_asked = True
@@ -230,7 +230,7 @@ class Guard:
             if self._hold is None or impact is not self._held_impact:  # hit again, it goes away from that
                 self._hold, self._held_impact = self._clear_of_walls(state), impact
             out.append(
-                SetPoint(
+                Setpoint(
                     t_us=item.t_us,
                     trigger_received_us=item.received_us,
                     position_ned=state.frame.point_to_ned(self._hold),
@@ -251,7 +251,7 @@ class Guard:
             return True
         if self._down_us is None:
             self._down_us = state.now_us
-        if self._watch.unsure and state.now_us - self._since_us < _UNSURE_US:
+        if self._watch.status_unreliable and state.now_us - self._since_us < _UNSURE_US:
             return False
         return state.now_us - self._down_us >= DOWN_US
 
@@ -265,7 +265,7 @@ class Guard:
             x, y = self._clear_of_felt(x, y)
             for wall in self._mission.walls:
                 distance = wall.signed_distance((x, y))
-                away_m = self._config.retreat_m + slack_m(wall, (x, y))
+                away_m = self._config.retreat_m + position_margin_m(wall, (x, y))
                 nx, ny = wall.normal
                 closing = max(0.0, -(state.velocity[0] * nx + state.velocity[1] * ny))
                 # Keep the retreat distance, and brake harder than by holding still where it is approached.
@@ -276,7 +276,7 @@ class Guard:
 
     def _clear_of_felt(self, x: float, y: float) -> Vec2:
         impact = self._watch.impact
-        if impact is None or not self._watch.shaken:
+        if impact is None or not self._watch.just_after_impact:
             return x, y
         (px, py, _), (fx, fy, _) = impact.position_mission, impact.force_mission
         size, place = math.hypot(fx, fy), (px, py)

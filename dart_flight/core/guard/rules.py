@@ -28,7 +28,7 @@ from dart_flight.base.records import (
     StatusText,
 )
 from dart_flight.base.streams import BY_NAME
-from dart_flight.core.guard.watch import Stamped, Watch
+from dart_flight.core.guard.flight_conditions import FlightConditions, Stamped
 from dart_flight.core.mission.phases import ALTITUDE_EXEMPT, ON_GROUND
 
 _SPEED_TOLERANCE: Final = 1.1
@@ -66,11 +66,11 @@ class Rule(NamedTuple):
     """
 
     name: str
-    says: str
+    description: str
     threshold: str
     action: Override
     scope: Scope = Scope.ALWAYS
-    cause: Callable[[Watch], str | None] | None = None
+    cause: Callable[[FlightConditions], str | None] | None = None
     by_person: bool = False
     at_once: tuple[type, ...] = ()
     explains: frozenset[str] = frozenset()
@@ -80,22 +80,22 @@ class Rule(NamedTuple):
 # --- causes ------------------------------------------------------------------------------------------------
 
 
-def _pilot(v: Watch) -> str | None:
-    mode = v.foreign_mode
+def _pilot(v: FlightConditions) -> str | None:
+    mode = v.unrequested_mode
     return f"PX4 is in {mode.value}" if mode is not None and not _by_px4(v) else None
 
 
-def _px4_failsafe(v: Watch) -> str | None:
-    mode = v.foreign_mode
+def _px4_failsafe(v: FlightConditions) -> str | None:
+    mode = v.unrequested_mode
     return f"PX4 is in {mode.value}" if mode is not None and _by_px4(v) else None
 
 
-def _by_px4(v: Watch) -> bool:
+def _by_px4(v: FlightConditions) -> bool:
     # No failsafe of PX4 hands over to sticks; a gap in the telemetry hides what PX4 says.
-    return v.foreign_mode is not FlightMode.MANUAL and (v.failsafe_said or v.was_cut_off)
+    return v.unrequested_mode is not FlightMode.MANUAL and (v.failsafe_said or v.was_cut_off)
 
 
-def _disarmed(v: Watch) -> str | None:
+def _disarmed(v: FlightConditions) -> str | None:
     # A kill switch stops the motors at once; PX4 disarms 5 s later, and the heartbeat may take 1 s more.
     falling_s = v.lasting_s(v.falling_since_us)
     if falling_s > _FALL_S and v.was_armed and not v.state.on_ground:
@@ -103,27 +103,27 @@ def _disarmed(v: Watch) -> str | None:
     if v.state.status.armed or not v.was_armed or v.state.on_ground or v.land_asked:
         return None
     # It may be the other vehicle's state.
-    return None if v.unsure else "PX4 has disarmed in the air"
+    return None if v.status_unreliable else "PX4 has disarmed in the air"
 
 
-def _silent(v: Watch, newest: Stamped | None, limit_s: float) -> str | None:
+def _silent(v: FlightConditions, newest: Stamped | None, limit_s: float) -> str | None:
     age = v.age_s(newest)
     return f"for {min(age, 999.0) * 1e3:.0f} ms" if age > limit_s else None
 
 
-def _attitude_silent(v: Watch) -> str | None:
+def _attitude_silent(v: FlightConditions) -> str | None:
     return _silent(v, v.state.attitude, v.config.stream_timeout_s)
 
 
-def _odometry_silent(v: Watch) -> str | None:
+def _odometry_silent(v: FlightConditions) -> str | None:
     return _silent(v, v.state.odometry, v.config.stream_timeout_s)
 
 
-def _actuator_silent(v: Watch) -> str | None:
+def _actuator_silent(v: FlightConditions) -> str | None:
     return _silent(v, v.state.actuator, v.config.actuator_timeout_s)
 
 
-def _imu_silent(v: Watch) -> str | None:
+def _imu_silent(v: FlightConditions) -> str | None:
     age = v.age_s(v.state.imu)
     # While the other streams go on it is the IMU; when all pause, as on a busy host, that is given longer.
     alone = age > v.config.imu_timeout_s and v.since_imu >= _OTHERS_SINCE
@@ -132,80 +132,80 @@ def _imu_silent(v: Watch) -> str | None:
     return None
 
 
-def _status_silent(v: Watch) -> str | None:
+def _status_silent(v: FlightConditions) -> str | None:
     age = v.status_age_s
     return f"for {age:.1f} s" if age > v.config.status_timeout_s else None
 
 
-def _link_lost(v: Watch) -> str | None:
+def _link_lost(v: FlightConditions) -> str | None:
     age = min(
         v.status_age_s, *(v.age_s(newest) for newest in (v.state.imu, v.state.attitude, v.state.odometry))
     )
     return f"nothing from the vehicle for {age:.1f} s" if age > v.config.link_lost_s else None
 
 
-def _stream_rate(v: Watch) -> str | None:
+def _stream_rate(v: FlightConditions) -> str | None:
     for name, rate_hz in v.rates_hz.items():
         if rate_hz < BY_NAME[name].expected_hz:
             return f"{name} at {rate_hz:.0f} Hz, needs {BY_NAME[name].expected_hz:.0f}"
     return None
 
 
-def _telemetry_late(v: Watch) -> str | None:
-    return v.lateness.words() if v.lateness.late else None
+def _telemetry_late(v: FlightConditions) -> str | None:
+    return v.lateness.describe() if v.lateness.late else None
 
 
-def _second_vehicle(v: Watch) -> str | None:
+def _second_vehicle(v: FlightConditions) -> str | None:
     return v.second_vehicle
 
 
-def _second_vehicle_ground(v: Watch) -> str | None:
+def _second_vehicle_ground(v: FlightConditions) -> str | None:
     return v.other_system
 
 
-def _stamps_backwards(v: Watch) -> str | None:
+def _stamps_backwards(v: FlightConditions) -> str | None:
     for name, count in v.stale.items():
         if count >= _STALE_SAMPLES:
             return f"{name}: {count} samples in a row more than {v.config.stamp_tolerance_s:g} s in the past"
     return None
 
 
-def _imu_stuck(v: Watch) -> str | None:
+def _imu_stuck(v: FlightConditions) -> str | None:
     lasting = v.lasting_s(v.stuck_since_us)
     return f"the same reading for {lasting * 1e3:.0f} ms" if lasting > v.config.imu_stuck_s else None
 
 
-def _imu_clipped(v: Watch) -> str | None:
+def _imu_clipped(v: FlightConditions) -> str | None:
     lasting = v.lasting_s(v.clipped_since_us)
     return f"at full scale for {lasting * 1e3:.0f} ms" if lasting > v.config.imu_clipped_s else None
 
 
-def _estimator_jump(v: Watch) -> str | None:
+def _estimator_jump(v: FlightConditions) -> str | None:
     return v.jump or None
 
 
-def _estimator_reset(v: Watch) -> str | None:
+def _estimator_reset(v: FlightConditions) -> str | None:
     return v.reset_step()
 
 
-def _position_uncertain(v: Watch) -> str | None:
+def _position_uncertain(v: FlightConditions) -> str | None:
     sd, limit = v.state.position_sd_m, v.config.position_sd_m
-    if sd is None or sd <= limit or not v.mission.collisions or v.shaken:
+    if sd is None or sd <= limit or not v.mission.collisions or v.just_after_impact:
         return None
     return f"standard deviation {sd:.2f} m, allowed {limit:.2f}"
 
 
-def _estimator_flags(v: Watch) -> str | None:
+def _estimator_flags(v: FlightConditions) -> str | None:
     lasting = v.lasting_s(v.flags_bad_since_us)
     return f"no valid estimate for {lasting:.1f} s" if lasting > v.config.estimator_bad_s else None
 
 
-def _still_armed(v: Watch) -> str | None:
+def _still_armed(v: FlightConditions) -> str | None:
     limit = v.surely_down_s
     return f"after {v.landing_s:.0f} s in land mode" if limit is not None and v.landing_s > limit else None
 
 
-def _battery(v: Watch) -> str | None:
+def _battery(v: FlightConditions) -> str | None:
     if v.lasting_s(v.battery_low_since_us) <= v.config.battery_low_s:
         return None
     status = v.state.status
@@ -214,12 +214,12 @@ def _battery(v: Watch) -> str | None:
     return ", ".join(part for part in (left, volts) if part)
 
 
-def _tilt(v: Watch) -> str | None:
+def _tilt(v: FlightConditions) -> str | None:
     tilt = math.degrees(v.state.tilt_rad)
     return f"{tilt:.0f} deg" if tilt > v.config.tilt_deg else None
 
 
-def _bounds(v: Watch) -> str | None:
+def _bounds(v: FlightConditions) -> str | None:
     bounds = v.mission.bounds
     excess = bounds.excess2(v.state.position)
     if excess > 0.0:
@@ -228,42 +228,42 @@ def _bounds(v: Watch) -> str | None:
     return f"would stop {excess:.2f} m outside" if excess > 0.0 else None
 
 
-def _altitude(v: Watch) -> str | None:
+def _altitude(v: FlightConditions) -> str | None:
     if v.phase in ALTITUDE_EXEMPT:
         return None
     low, high = v.mission.bounds.z
-    tolerance = v.config.altitude_tolerance_m if v.shaken else _ALTITUDE_SLACK_M
+    tolerance = v.config.altitude_tolerance_m if v.just_after_impact else _ALTITUDE_SLACK_M
     z = v.state.position[2]
     return None if low - tolerance <= z <= high + tolerance else f"{z:.2f} m"
 
 
-def _speed(v: Watch) -> str | None:
+def _speed(v: FlightConditions) -> str | None:
     speed = norm(v.state.velocity)
     return f"{speed:.2f} m/s" if speed > v.mission.limits.speed_m_s * _SPEED_TOLERANCE else None
 
 
-def _force(v: Watch) -> str | None:
+def _force(v: FlightConditions) -> str | None:
     limit = v.mission.limits.peak_force_n * v.config.force_margin
     force = horizontal(v.force.force_mission) if v.force is not None else 0.0
     return f"{force:.0f} N" if force > limit else None
 
 
-def _operator_lands(v: Watch) -> str | None:
+def _operator_lands(v: FlightConditions) -> str | None:
     return "land asked for" if v.request is not None and v.request.request is Request.LAND else None
 
 
-def _operator_stops(v: Watch) -> str | None:
+def _operator_stops(v: FlightConditions) -> str | None:
     if _operator_lands(v) is None or v.phase not in ON_GROUND or v.state.status.armed:
         return None
     return "stopped before take-off"
 
 
-def _operator_releases(v: Watch) -> str | None:
+def _operator_releases(v: FlightConditions) -> str | None:
     released = v.request is not None and v.request.request is Request.RELEASE
     return "released by the operator" if released else None
 
 
-def _world_died(v: Watch) -> str | None:
+def _world_died(v: FlightConditions) -> str | None:
     if v.request is None or v.request.request is not Request.WORLD_DIED:
         return None
     return v.request.detail or "the simulated vehicle is gone"
@@ -407,5 +407,5 @@ def table() -> str:
             judge += ", at once after " + ", ".join(f"`{kind.__name__}`" for kind in rule.at_once)
         keys = ", ".join(f"`{key}`" for key in rule.threshold.split(", ") if key) or "-"
         action = rule.action.value.replace("_", " ")
-        rows.append(f"| `{rule.name}` | {rule.says} | {keys} | {action} | {judge} |")
+        rows.append(f"| `{rule.name}` | {rule.description} | {keys} | {action} | {judge} |")
     return "\n".join(rows) + "\n"

@@ -17,7 +17,7 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.arithmetic import Number, hypot, maximum, sqrt, where
-from dart_flight.core.mission.survey import end_margin_m, slack_m
+from dart_flight.core.mission.wall_uncertainty import end_margin_m, position_margin_m
 
 # Speed follows 3 s^2 - 2 s^3: the peak acceleration is 1.5 times the mean, the way half of speed times time.
 PEAK_OVER_MEAN = 1.5
@@ -27,7 +27,7 @@ _ON_RAY_M = 1e-6  # ... and the start on the ray of its approach
 _LEAST_TRANSIT_S = 0.1
 
 
-class ReferencePoint(msgspec.Struct, frozen=True, gc=False):
+class TrajectoryPoint(msgspec.Struct, frozen=True, gc=False):
     """Position (m), velocity (m/s), acceleration (m/s2) and jerk (m/s3) in the mission frame."""
 
     position: Vec3
@@ -65,7 +65,7 @@ class Approach(msgspec.Struct, frozen=True):
         """Time of the impact after the start of the run-up."""
         return float(impact_time_s(self.length_m, self.speed_m_s, self.ramp_s))
 
-    def at(self, t_s: float) -> ReferencePoint:
+    def at(self, t_s: float) -> TrajectoryPoint:
         """The reference `t_s` seconds after the start of the run-up; it goes on through the wall."""
         tau = max(0.0, min(1.0, t_s / self.ramp_s))
         v, big = self.speed_m_s, self.ramp_s
@@ -74,7 +74,7 @@ class Approach(msgspec.Struct, frozen=True):
         jerk = v / (big * big) * 6.0 * (1.0 - 2.0 * tau) if 0.0 <= t_s <= big else 0.0
         way = v * big * tau * tau * tau * (1.0 - 0.5 * tau) + v * max(0.0, t_s - big)
         dx, dy = self.direction
-        return ReferencePoint(
+        return TrajectoryPoint(
             (self.begin[0] + dx * way, self.begin[1] + dy * way, self.altitude_m),
             (dx * speed, dy * speed, 0.0),
             (dx * acceleration, dy * acceleration, 0.0),
@@ -120,7 +120,7 @@ def run_up(
     direction = (vx / speed, vy / speed)
     ramp_s = PEAK_OVER_MEAN * speed / flying.acceleration_m_s2
     closing = -(vx * wall.normal[0] + vy * wall.normal[1])
-    nearer_m = slack_m(wall, impact) * speed / closing
+    nearer_m = position_margin_m(wall, impact) * speed / closing
     needed = 0.5 * speed * ramp_s + speed * flying.steady_run_s + nearer_m
     from_start = hypot(start[0] - impact[0], start[1] - impact[1])
     ray_end = (start[0] + direction[0] * from_start, start[1] + direction[1] * from_start)
@@ -162,7 +162,7 @@ def is_blocked(
     return crosses & (wall.end_distance_m(crossing) >= -end_margin_m(wall, crossing))
 
 
-def legs_to_impact(
+def segments_to_impact(
     start: Vec2, begin: tuple[Number, Number], impact: tuple[Number, Number], wall: Wall, first: bool
 ) -> Callable[[Wall], list[tuple[tuple[Number, Number], tuple[Number, Number], float]]]:
     """The straight ways before an impact, as (a, b, clearance at b), against any wall.
@@ -214,13 +214,13 @@ def _check_room(mission: Mission, collision: Collision, approach: Approach) -> N
             f"the impact at ({impact[0]:.2f}, {impact[1]:.2f}) is {excess:.2f} m outside bounds_m"
         )
     before = mission.place_before(collision.index - 1)
-    legs = legs_to_impact(before or mission.start, begin, impact, collision.wall, before is not None)
+    legs = segments_to_impact(before or mission.start, begin, impact, collision.wall, before is not None)
     for wall in mission.walls:
         if any(is_blocked(wall, *leg) for leg in legs(wall)):
             raise NoApproachError(f"wall {wall.name} is in the way of the run-up")
 
 
-class Leg(NamedTuple):
+class TransitSegment(NamedTuple):
     """A straight way from rest to rest that the mission file says.
 
     Attributes:
@@ -236,48 +236,50 @@ class Leg(NamedTuple):
     speed_m_s: float
 
 
-def legs_of(mission: Mission) -> list[Leg]:
+def transit_segments(mission: Mission) -> list[TransitSegment]:
     """The ways to the way-points, and to the goal where no recovery leads there."""
-    found: list[Leg] = []
+    found: list[TransitSegment] = []
     here: Vec3 | None = (*mission.start, mission.altitude_m)
     flown = 0
     for waypoint in mission.waypoints:
         if waypoint.after != flown:
             here, flown = None, waypoint.after
         if waypoint.position is not None:
-            found.append(Leg(waypoint.name, here, waypoint.position, waypoint.speed_m_s))
+            found.append(TransitSegment(waypoint.name, here, waypoint.position, waypoint.speed_m_s))
             here = waypoint.position
     if not mission.recovers_to_goal:
         goal = (*mission.goal.position_m, mission.altitude_at(len(mission.collisions)))
         begin = here if flown == len(mission.collisions) else None
-        found.append(Leg("the goal", begin, goal, mission.vehicle.flying.transit_speed_m_s))
+        found.append(TransitSegment("the goal", begin, goal, mission.vehicle.flying.transit_speed_m_s))
     return found
 
 
-def transit_of(mission: Mission, leg: Leg, begin: Vec3) -> Transit:
+def transit_of(mission: Mission, leg: TransitSegment, begin: Vec3) -> TransitTrajectory:
     """How a leg is flown from a place."""
     flying = mission.vehicle.flying
-    return Transit.between(begin, leg.end, leg.speed_m_s, flying.acceleration_m_s2, flying.climb_speed_m_s)
+    return TransitTrajectory.between(
+        begin, leg.end, leg.speed_m_s, flying.acceleration_m_s2, flying.climb_speed_m_s
+    )
 
 
-def check_legs(mission: Mission) -> None:
+def check_segments_clear(mission: Mission) -> None:
     """Make sure that no wall stands in a way whose both ends are known.
 
     Raises:
         NoApproachError: one does.
     """
-    for leg in legs_of(mission):
+    for leg in transit_segments(mission):
         for wall in mission.walls:
             if leg.begin is not None and is_blocked(wall, leg.begin[:2], leg.end[:2]):
                 raise NoApproachError(f"wall {wall.name} is in the way to {leg.name}")
 
 
-def stop_before(mission: Mission, collision: Collision, begin: Vec2, impact: Vec2) -> Vec2:
+def standoff_point(mission: Mission, collision: Collision, begin: Vec2, impact: Vec2) -> Vec2:
     """Where a rehearsal stops: on the line from `begin` to `impact`, `standoff_m` before the wall's plane.
 
     Before the nearest one that its standard deviations leave open.
     """
-    standoff = (mission.standoff_m or 0.0) + float(slack_m(collision.wall, impact))
+    standoff = (mission.standoff_m or 0.0) + float(position_margin_m(collision.wall, impact))
     here, there = collision.wall.signed_distance(begin), collision.wall.signed_distance(impact)
     if here - there < 1e-6 or here <= standoff:
         return begin
@@ -293,7 +295,7 @@ def transit_time_s(way_m: Number, speed_m_s: float, acceleration_m_s2: float) ->
     return maximum(1.875 * way_m / speed_m_s, sqrt(5.774 * way_m / acceleration_m_s2))
 
 
-class Transit(msgspec.Struct, frozen=True):
+class TransitTrajectory(msgspec.Struct, frozen=True):
     """Straight flight from rest to rest at a limited speed and acceleration."""
 
     begin: Vec3
@@ -308,7 +310,7 @@ class Transit(msgspec.Struct, frozen=True):
         speed_m_s: float,
         acceleration_m_s2: float,
         climb_speed_m_s: float = math.inf,
-    ) -> Transit:
+    ) -> TransitTrajectory:
         """The quickest smooth transit within the limits, of which one is on its vertical part."""
         way = math.dist(begin, end)
         duration = transit_time_s(way, speed_m_s, acceleration_m_s2)
@@ -317,7 +319,7 @@ class Transit(msgspec.Struct, frozen=True):
             duration = max(duration, transit_time_s(climb, climb_speed_m_s, acceleration_m_s2))
         return cls(begin, end, max(duration, _LEAST_TRANSIT_S))
 
-    def at(self, t_s: float) -> ReferencePoint:
+    def at(self, t_s: float) -> TrajectoryPoint:
         """The reference `t_s` seconds after the start; it stays at the end."""
         big = self.duration_s
         s = max(0.0, min(1.0, t_s / big))
@@ -326,14 +328,14 @@ class Transit(msgspec.Struct, frozen=True):
         acceleration = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / (big * big)
         d = (self.end[0] - self.begin[0], self.end[1] - self.begin[1], self.end[2] - self.begin[2])
         b = self.begin
-        return ReferencePoint(
+        return TrajectoryPoint(
             (b[0] + d[0] * way, b[1] + d[1] * way, b[2] + d[2] * way),
             (d[0] * speed, d[1] * speed, d[2] * speed),
             (d[0] * acceleration, d[1] * acceleration, d[2] * acceleration),
         )
 
 
-class Way(msgspec.Struct, frozen=True):
+class PlannedTrajectory(msgspec.Struct, frozen=True):
     """A way planned in flight: a polynomial of fifth order per axis, then straight on or at rest.
 
     Attributes:
@@ -347,14 +349,14 @@ class Way(msgspec.Struct, frozen=True):
     duration_s: float
     altitude_m: float
 
-    def at(self, t_s: float) -> ReferencePoint:
+    def at(self, t_s: float) -> TrajectoryPoint:
         """The reference `t_s` seconds after the beginning."""
         inside = max(0.0, min(t_s, self.duration_s))
         (px, vx, ax, jx), (py, vy, ay, jy) = _derivatives(self.x, inside), _derivatives(self.y, inside)
         beyond = max(0.0, t_s - self.duration_s)
         if beyond > 0.0:
             ax = ay = jx = jy = 0.0
-        return ReferencePoint(
+        return TrajectoryPoint(
             (px + vx * beyond, py + vy * beyond, self.altitude_m),
             (vx, vy, 0.0),
             (ax, ay, 0.0),

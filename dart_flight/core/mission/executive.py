@@ -30,22 +30,30 @@ from dart_flight.base.records import (
     Request,
     VehicleAction,
     VehicleCommand,
-    WallFelt,
+    WallEstimate,
 )
 from dart_flight.config.mission import Collision, Mission, Waypoint
-from dart_flight.core.mission.approach import Approach, check_legs, plan_approach
+from dart_flight.core.mission.approach import Approach, check_segments_clear, plan_approach
 from dart_flight.core.mission.commitment import STOP_MARGIN_M, may_commit
+from dart_flight.core.mission.contact_feedforward import LONGEST_S, ContactFeedforward
 from dart_flight.core.mission.lock_orders import LockOrders
-from dart_flight.core.mission.phases import AT_WALL, BETWEEN, DOWN_US, TO_IMPACT, TRANSITIONS, WATCHING, Cue
-from dart_flight.core.mission.planned import expected_hit
+from dart_flight.core.mission.phases import (
+    AT_WALL,
+    BETWEEN,
+    DOWN_US,
+    TO_IMPACT,
+    TRANSITIONS,
+    WATCHING,
+    PhaseTrigger,
+)
+from dart_flight.core.mission.planned_impact import expected_hit
 from dart_flight.core.mission.position_loop import least_distance_m, meets_plane
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.recovery import recovery_point
-from dart_flight.core.mission.references import References
-from dart_flight.core.mission.replanning import Replanning
-from dart_flight.core.mission.survey import Survey, early_m, late_s, overrun_m
-from dart_flight.core.mission.yielding import LONGEST_S, Yielding
-from dart_flight.core.sense.detector import Expected
+from dart_flight.core.mission.replan_requests import ReplanRequests
+from dart_flight.core.mission.setpoint_generator import SetpointGenerator
+from dart_flight.core.mission.wall_uncertainty import EstimatedWalls, early_m, late_s, overrun_m
+from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
@@ -60,8 +68,8 @@ _DISARM_AFTER_US: Final = 8_000_000
 # The wall stops the vehicle in a contact (but for `yielding`), PX4 lands it.
 _SILENT: Final = frozenset({Phase.READYING, Phase.CONTACT, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
 _WORDS: Final = frozenset({PlanAnswer, OperatorRequest})
-_ANY_WALL: Final = Expected(watching=True)
-_NO_WALL: Final = Expected()
+_ANY_WALL: Final = ExpectedContact(watching=True)
+_NO_WALL: Final = ExpectedContact()
 
 
 class Executive:
@@ -83,12 +91,12 @@ class Executive:
         self._approaches: dict[int, Approach] = {
             c.index: plan_approach(mission, c) for c in mission.collisions if c.approach_m_s is not None
         }
-        check_legs(mission)
-        self._survey = Survey()
-        self._references = References(mission)
+        check_segments_clear(mission)
+        self._survey = EstimatedWalls()
+        self._references = SetpointGenerator(mission)
         self._lock = LockOrders(mission.vehicle.lock)
-        self._replanning = Replanning(mission)
-        self._yielding = Yielding(mission.vehicle)
+        self._replanning = ReplanRequests(mission)
+        self._yielding = ContactFeedforward(mission.vehicle)
         self._entered_us: int | None = None
         self._entered_host_us: int | None = None
         self._asked_us: int | None = None  # last time a vehicle command was sent
@@ -140,7 +148,7 @@ class Executive:
         if self._entered_host_us is None:
             self._entered_host_us = state.host_us
         if sensed.estimate is not None:
-            self._yielding.take(sensed)
+            self._yielding.update(sensed)
         if type(item) in _WORDS:
             self._take_word(item, state, p)
         for event in sensed.impacts:
@@ -149,11 +157,11 @@ class Executive:
             elif isinstance(event, ImpactPeak):
                 self._on_peak(event, state, p)
             elif isinstance(event, DetectionFloor):
-                self._on_floor(event, p)
+                self._on_detection_floor(event, p)
             else:
                 self._lock.contact_ends(event.t_us)
         if sensed.wall is not None:
-            self._on_felt(sensed.wall, p)
+            self._on_wall_estimate(sensed.wall, p)
         permission = self._lock.permission(state.now_us, sensed.in_contact)
         if permission is not None:
             p.outputs.append(permission)
@@ -163,33 +171,33 @@ class Executive:
         p.expected = self._expect()
         p.altitude_m = self._references.altitude_m
         if isinstance(item, OdometrySample):
-            self._send_reference(item, state, p)
+            self._send_setpoint(item, state, p)
 
     def _take_word(self, item: Input, state: FlightState, p: Proposal) -> None:
         """What planner or operator say."""
         if isinstance(item, PlanAnswer):
             self._replanning.take(item, state.now_us, p)
         elif isinstance(item, OperatorRequest) and item.request is Request.CONTINUE:
-            self._on_word(state, p)
+            self._on_operator_continue(state, p)
 
     def overruled(self, now_us: int, reason: str) -> list[Output]:
         """The guard has taken over; returns the change of phase, once."""
         if self.phase in (Phase.DONE, Phase.OVERRULED):
             return []
-        return [self._change(Cue.OVERRULE, now_us, reason)]
+        return [self._change(PhaseTrigger.OVERRULE, now_us, reason)]
 
     def ended(self, end: MissionEnd) -> list[Output]:
         """The guard has ended the flight, in the air or before it began; returns the last records."""
         if self.phase is Phase.OVERRULED:
-            return [self._change(Cue.LANDED, end.t_us, end.outcome.value), end]
+            return [self._change(PhaseTrigger.LANDED, end.t_us, end.outcome.value), end]
         if self.phase is Phase.DONE:
             return [end]
-        return [self._change(Cue.GIVEN_UP, end.t_us, (end.reason or "").partition(": ")[2]), end]
+        return [self._change(PhaseTrigger.GIVEN_UP, end.t_us, (end.reason or "").partition(": ")[2]), end]
 
-    def _go(self, cue: Cue, state: FlightState, p: Proposal, reason: str = "") -> None:
+    def _go(self, cue: PhaseTrigger, state: FlightState, p: Proposal, reason: str = "") -> None:
         p.outputs.append(self._change(cue, state.now_us, reason or cue.value))
 
-    def _change(self, cue: Cue, now_us: int, reason: str) -> PhaseChange:
+    def _change(self, cue: PhaseTrigger, now_us: int, reason: str) -> PhaseChange:
         before = self.phase
         self.phase = TRANSITIONS[before, cue]
         self._entered_us, self._entered_host_us, self._asked_us = now_us, None, None
@@ -216,13 +224,13 @@ class Executive:
         host_us = state.host_us - (self._entered_host_us or state.host_us)
         return self._takes_longer_than(limit_s, state) or host_us > _SLOWEST * limit_s * 1e6
 
-    def _expect(self) -> Expected:
+    def _expect(self) -> ExpectedContact:
         collision = self._collision
         if collision is None or not self._is_expected(collision):
             return _ANY_WALL if self.phase in WATCHING else _NO_WALL
         wall, watching = collision.wall, self.phase in WATCHING
         if self._expected.wall is not wall or self._expected.watching is not watching:
-            self._expected = Expected(watching, wall.normal, wall.material, wall)
+            self._expected = ExpectedContact(watching, wall.normal, wall.material, wall)
         return self._expected
 
     def _is_expected(self, collision: Collision) -> bool:
@@ -243,7 +251,7 @@ class Executive:
 
     def _lock_to(self, mode: Mode, state: FlightState, p: Proposal) -> bool:
         """Move the lock where it is not there yet and may move; True once it is settled in `mode`."""
-        order = self._lock.to(mode, state)
+        order = self._lock.command_mode(mode, state)
         if order is not None:
             p.outputs.append(order)
         return state.lock_is_in(mode)
@@ -271,54 +279,54 @@ class Executive:
             position = frame.point_from_ned(state.odometry.position_ned)
             yaw = frame.yaw_from_ned(yaw_ned_of(state.attitude.q_frd_to_ned))
             self._references.stand(position, yaw, state.now_us)
-            self._go(Cue.READY, state, p)
+            self._go(PhaseTrigger.READY, state, p)
         elif self._is_late(state):
             missing = [name for name, yes in there.items() if not yes]
             # What keeps the lock is not PX4's to say, and of its uncertainty it says nothing more.
             why = "" if {*missing} <= {_lock_name(self.mission), sure} else state.reasons()
-            p.find("not_ready", "no " + ", no ".join(missing) + why)
+            p.add_finding("not_ready", "no " + ", no ".join(missing) + why)
 
     def _offboard(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if state.in_offboard:
-            self._go(Cue.CONFIRMED, state, p)
+            self._go(PhaseTrigger.CONFIRMED, state, p)
             return
         if self._elapsed_us(state) > _STREAMING_US:
             self._ask(VehicleAction.OFFBOARD, state, p)
         if self._is_late(state):
-            p.find("offboard_refused", "PX4 refused offboard" + state.reasons("offboard"))
+            p.add_finding("offboard_refused", "PX4 refused offboard" + state.reasons("offboard"))
 
     def _arming(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if state.status.armed:
             self._references.climb()
-            self._go(Cue.CONFIRMED, state, p)
+            self._go(PhaseTrigger.CONFIRMED, state, p)
             return
         self._ask(VehicleAction.ARM, state, p)
         if self._is_late(state):
-            p.find("arming_refused", "PX4 refused to arm" + state.reasons("arm"))
+            p.add_finding("arming_refused", "PX4 refused to arm" + state.reasons("arm"))
 
     # -- between the collisions --
 
     def _climb(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if self._has_arrived(state):
-            self._go_on(Cue.ARRIVED, state, p)
+            self._start_next(PhaseTrigger.ARRIVED, state, p)
         elif self._is_late(state):
-            p.find("climb_timeout", "altitude not reached")
+            p.add_finding("climb_timeout", "altitude not reached")
 
-    def _go_on(self, cue: Cue, state: FlightState, p: Proposal) -> None:
+    def _start_next(self, cue: PhaseTrigger, state: FlightState, p: Proposal) -> None:
         """From rest at the target to what comes next; `cue` is that for a collision."""
         waypoint = self._waypoint
         if waypoint is not None and waypoint.position is None:
             waits = f"waits for the operator (Enter, SIGUSR1), lands after {waypoint.hold_s:g} s"
-            self._go(Cue.NEXT_PAUSE, state, p, waits)
+            self._go(PhaseTrigger.NEXT_PAUSE, state, p, waits)
         elif waypoint is not None and waypoint.position is not None:
-            self._go(Cue.NEXT_WAYPOINT, state, p, waypoint.name)
+            self._go(PhaseTrigger.NEXT_WAYPOINT, state, p, waypoint.name)
             self._reached_us = None
             self._references.fly_to_waypoint(waypoint.position, waypoint.speed_m_s)
         elif self._collision is not None:
             self._go(cue, state, p)
             self._begin_transit()
         else:
-            self._go(Cue.NEXT_GOAL, state, p)
+            self._go(PhaseTrigger.NEXT_GOAL, state, p)
             self._captured_us = None
             self._references.fly_to(self.mission.goal.position_m)
 
@@ -330,23 +338,23 @@ class Executive:
             self._reached_us = state.now_us
         if self._reached_us is None:
             if self._is_late(state, self._references.duration_s):
-                p.find("transit_timeout", f"{waypoint.name} not reached")
+                p.add_finding("transit_timeout", f"{waypoint.name} not reached")
         elif state.now_us - self._reached_us >= waypoint.hold_s * 1e6:
             self._stops += 1
-            self._go_on(Cue.NEXT_COLLISION, state, p)
+            self._start_next(PhaseTrigger.NEXT_COLLISION, state, p)
 
     def _pause(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         waypoint = self._waypoint
         assert waypoint is not None
         self._lock_to(self.mission.transit_mode, state, p)
         if self._takes_longer_than(waypoint.hold_s, state):
-            p.find("pause_timeout", f"no word to go on within {waypoint.hold_s:g} s")
+            p.add_finding("pause_timeout", f"no word to go on within {waypoint.hold_s:g} s")
 
-    def _on_word(self, state: FlightState, p: Proposal) -> None:
+    def _on_operator_continue(self, state: FlightState, p: Proposal) -> None:
         """The operator says to go on; where nothing waits for that, it means nothing."""
         if self.phase is Phase.PAUSE:
             self._stops += 1
-            self._go_on(Cue.NEXT_COLLISION, state, p)
+            self._start_next(PhaseTrigger.NEXT_COLLISION, state, p)
 
     def _begin_transit(self) -> None:
         collision = self._collision
@@ -357,16 +365,16 @@ class Executive:
         if self._has_arrived(state):
             self._set_off(state, p)
         elif self._is_late(state, self._references.duration_s):
-            p.find("transit_timeout", "run-up point not reached")
+            p.add_finding("transit_timeout", "run-up point not reached")
 
     def _set_off(self, state: FlightState, p: Proposal) -> None:
         """At the run-up point: the lock first, where there is one."""
         collision = self._collision
         assert collision is not None
         if self.mission.vehicle.has_lock:
-            self._go(Cue.ARRIVED, state, p)
+            self._go(PhaseTrigger.ARRIVED, state, p)
         else:
-            self._go(Cue.NO_LOCK, state, p)
+            self._go(PhaseTrigger.NO_LOCK, state, p)
             self._begin_approach(collision)
 
     def _has_arrived(self, state: FlightState) -> bool:
@@ -377,10 +385,12 @@ class Executive:
         assert collision is not None
         lock = self.mission.vehicle.lock
         if self._lock_to(collision.mode, state, p):
-            self._go(Cue.MODE_SETTLED, state, p)
+            self._go(PhaseTrigger.MODE_SETTLED, state, p)
             self._begin_approach(collision)
         elif lock is not None and self._takes_longer_than(lock.timeout_s + 2.0, state):
-            p.find("lock_not_ready", f"lock not {collision.mode.value} before collision {collision.index}")
+            p.add_finding(
+                "lock_not_ready", f"lock not {collision.mode.value} before collision {collision.index}"
+            )
 
     def _begin_approach(self, collision: Collision) -> None:
         approach = self._approaches[collision.index]
@@ -391,26 +401,28 @@ class Executive:
         collision = self._collision
         assert collision is not None
         if not state.lock_is_in(collision.mode):
-            p.find("lock_not_settled", f"lock left {collision.mode.value} during the approach")
+            p.add_finding("lock_not_settled", f"lock left {collision.mode.value} during the approach")
         self._check_wall_met(collision, state, sensed, p)
         since_s = self._elapsed_us(state) * 1e-6 - self._impact_s
         if since_s <= 0.0:  # no wall is late before its time
             return
         approach, guard = self._approaches[collision.index], self.mission.vehicle.guard
         assert collision.approach_m_s is not None
-        wall = self._survey.seen(collision.wall)
+        wall = self._survey.wall_now(collision.wall)
         if since_s > late_s(guard, wall, approach.impact, -collision.approach_m_s[0]):
             detail = f"wall {collision.wall.name} not met {since_s:.1f} s after the planned impact"
-            p.find("wall_not_met", detail)
+            p.add_finding("wall_not_met", detail)
 
     def _check_wall_met(self, collision: Collision, state: FlightState, sensed: Sensed, p: Proposal) -> None:
-        wall, (x, y, _) = self._survey.seen(collision.wall), state.position
+        wall, (x, y, _) = self._survey.wall_now(collision.wall), state.position
         overrun = -wall.signed_distance((x, y))
         if overrun <= 0.0:
             return
         guard = self.mission.vehicle.guard
         if overrun > overrun_m(guard, wall, (x, y)) and not sensed.in_contact:
-            p.find("wall_not_met", f"{overrun:.2f} m behind wall {collision.wall.name} without a contact")
+            p.add_finding(
+                "wall_not_met", f"{overrun:.2f} m behind wall {collision.wall.name} without a contact"
+            )
 
     # -- impact --
 
@@ -420,29 +432,29 @@ class Executive:
         collision = self._collision
         if collision is None or not self._is_due(collision) or not event.planned:
             force = math.hypot(event.force_mission[0], event.force_mission[1])
-            p.find("unplanned_hit", f"hit with {force:.0f} N in {self.phase.value}, no wall planned")
+            p.add_finding("unplanned_hit", f"hit with {force:.0f} N in {self.phase.value}, no wall planned")
             return
-        wall, (x, y, _) = self._survey.seen(collision.wall), event.position_mission
+        wall, (x, y, _) = self._survey.wall_now(collision.wall), event.position_mission
         distance = wall.signed_distance((x, y))
         if distance > early_m(self.mission.vehicle.guard, wall, (x, y)):
-            p.find("wall_met_early", f"{distance:.2f} m before wall {collision.wall.name}")
+            p.add_finding("wall_met_early", f"{distance:.2f} m before wall {collision.wall.name}")
         elif not state.lock_is_in(collision.mode):
             detail = f"contact with wall {collision.wall.name} while the lock is not {collision.mode.value}"
-            p.find("lock_not_settled", detail)
+            p.add_finding("lock_not_settled", detail)
         else:
-            self._go(Cue.ONSET, state, p)
+            self._go(PhaseTrigger.ONSET, state, p)
 
-    def _on_felt(self, felt: WallFelt, p: Proposal) -> None:
-        self._survey.feel(felt)
+    def _on_wall_estimate(self, felt: WallEstimate, p: Proposal) -> None:
+        self._survey.add_estimate(felt)
         if felt.mode_felt is None or felt.mode_reported in (None, felt.mode_felt):
             return
         detail = (
             f"{felt.mode_felt.value} arms felt at wall {felt.wall}, the lock reports "
             f"{felt.mode_reported.value} (log odds {abs(felt.log_odds):.1f})"
         )
-        p.find("mode_felt", detail, noted=self.mission.mode_mismatch is ModeMismatch.GO_ON)
+        p.add_finding("mode_felt", detail, noted=self.mission.mode_mismatch is ModeMismatch.NOTE_ONLY)
 
-    def _on_floor(self, event: DetectionFloor, p: Proposal) -> None:
+    def _on_detection_floor(self, event: DetectionFloor, p: Proposal) -> None:
         """Whether the planned hit can be told from the vibration at all; a wall not felt is flown into."""
         collision, vehicle = self._collision, self.mission.vehicle
         if collision is None or event.threshold_n <= vehicle.detection.force_threshold_n:
@@ -451,11 +463,11 @@ class Executive:
         floor = event.rigid_n if collision.mode is Mode.RIGID else event.flexible_n
         if hit is not None and floor is not None and hit.peak_normal_force_n < floor:
             what = f"{collision.mode.value}, {hit.peak_normal_force_n:.0f} N at wall {collision.wall.name}"
-            p.find("hit_in_noise", f"{what}: cannot be told from vibration here, {floor:.0f} N can")
+            p.add_finding("hit_in_noise", f"{what}: cannot be told from vibration here, {floor:.0f} N can")
 
     def _contact(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if self._takes_longer_than(2 * self.mission.vehicle.detection.peak_wait_s, state):
-            p.find("no_peak", "contact without a peak")
+            p.add_finding("no_peak", "contact without a peak")
 
     def _on_peak(self, event: ImpactPeak, state: FlightState, p: Proposal) -> None:
         collision = self._collision
@@ -479,9 +491,9 @@ class Executive:
         )
         force = math.hypot(event.normal_force_n, event.tangential_force_n)
         if force > self.mission.limits.peak_force_n:
-            p.find("peak_force", f"{force:.0f} N at wall {collision.wall.name}")
+            p.add_finding("peak_force", f"{force:.0f} N at wall {collision.wall.name}")
         self._least_miss_m = math.inf
-        self._go(Cue.PEAK, state, p)
+        self._go(PhaseTrigger.PEAK, state, p)
         self._index += 1
 
     # -- recovery and goal --
@@ -491,21 +503,21 @@ class Executive:
         if self._lock.contact_end_us is not None:
             self._lock_to(self._mode_after(following, stops), state, p)
             if not stops:
-                self._plan_again(following, state, sensed, p)
+                self._replan(following, state, sensed, p)
         timed_out = self._takes_longer_than(self.mission.limits.collision_timeout_s, state)
         if stops or (following is not None and following.approach_m_s is not None):
             elapsed_us = self._elapsed_us(state)
             slow = elapsed_us > _REST_AFTER_US and self._references.is_slow(state)
             if slow or elapsed_us > _REST_TIMEOUT_US:
                 self._references.hold(state.position)
-                self._go_on(Cue.RESTED, state, p)
+                self._start_next(PhaseTrigger.RESTED, state, p)
         elif following is None:
             self._watch_goal(state, p, timed_out)
         else:
             self._check_wall_met(following, state, sensed, p)
             self._check_lock_in_time(following, state, sensed, p)
-            if timed_out or self._replanning.is_late(self._survey.seen(following.wall), state):
-                p.find("wall_not_met", f"wall {following.wall.name} not reached by the recovery")
+            if timed_out or self._replanning.is_late(self._survey.wall_now(following.wall), state):
+                p.add_finding("wall_not_met", f"wall {following.wall.name} not reached by the recovery")
 
     def _mode_after(self, following: Collision | None, stops: bool) -> Mode:
         """Where the lock goes after a contact: way-points and the goal are flown in the transit mode."""
@@ -537,37 +549,35 @@ class Executive:
                 f"lock {state.lock.phase.value}, not {following.mode.value}, {distance:.2f} m before wall "
                 f"{following.wall.name} at {closing:.2f} m/s"
             )
-            p.find("lock_late", detail)
+            p.add_finding("lock_late", detail)
 
-    def _plan_again(
-        self, following: Collision | None, state: FlightState, sensed: Sensed, p: Proposal
-    ) -> None:
+    def _replan(self, following: Collision | None, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         """Ask for a way once the contact is over, and follow it once it begins."""
         planning, hit = self._replanning, self.mission.collisions[self._index - 1]
-        planning.ask_once(hit, following, state, sensed, self._references.target, self._lock, p)
+        planning.request_once(hit, following, state, sensed, self._references.target, self._lock, p)
         if following is not None and following.approach_m_s is not None:
             approach = planning.approach(following, state.now_us, p)
             if approach is not None:
                 self._approaches[following.index] = approach
         else:
-            way = planning.way_that_begins(state, p)
+            way = planning.trajectory_due(state, p)
             if way is not None:
-                self._references.follow(way)
+                self._references.follow_trajectory(way)
                 self._least_miss_m = math.inf
 
     @property
-    def _way_us(self) -> int | None:
+    def _trajectory_since_us(self) -> int | None:
         """Since when a way leads on; None: the target is a step."""
         if self.phase in self._underway:
             return self._entered_us
-        return self._replanning.way_us if self.phase is Phase.RECOVERY else None
+        return self._replanning.trajectory_since_us if self.phase is Phase.RECOVERY else None
 
     def _watch_goal(self, state: FlightState, p: Proposal, timed_out: bool) -> None:
         if self._lock.contact_end_us is None and not timed_out:
             return
         miss = distance2(state.position, self.mission.goal.position_m)
         self._least_miss_m = min(self._least_miss_m, miss)
-        if self._replanning.way_us is not None:
+        if self._replanning.trajectory_since_us is not None:
             passed = self._replanning.is_over(state.now_us)  # it may lead away from the goal at first
         else:
             rising = miss > self._least_miss_m + PASSED_RISE_M
@@ -576,7 +586,7 @@ class Executive:
             p.outputs.append(GoalPassed(state.now_us, self._least_miss_m, not passed))
             self._head_for_goal(state, miss)
             self._captured_us = None
-            self._go(Cue.PASSED if passed else Cue.TIMED_OUT, state, p)
+            self._go(PhaseTrigger.PASSED if passed else PhaseTrigger.TIMED_OUT, state, p)
 
     def _head_for_goal(self, state: FlightState, distance_m: float) -> None:
         """Hold the goal; where a step to it would be flown faster than a transit, make it a transit."""
@@ -595,12 +605,12 @@ class Executive:
             self._captured_us = None
             allowed_s = self._references.duration_s + goal.hold_s + self.mission.limits.collision_timeout_s
             if self._takes_longer_than(allowed_s, state):
-                p.find("goal_not_reached", f"still {distance:.2f} m from the goal")
+                p.add_finding("goal_not_reached", f"still {distance:.2f} m from the goal")
         elif self._captured_us is None:
             self._captured_us = state.now_us
         elif state.now_us - self._captured_us >= goal.hold_s * 1e6:
             self._final_error_m = distance
-            self._go(Cue.HELD, state, p)
+            self._go(PhaseTrigger.HELD, state, p)
 
     def _landing(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if not (state.on_ground and not state.status.armed):
@@ -608,7 +618,7 @@ class Executive:
         elif self._down_us is None:
             self._down_us = state.now_us
         if self._down_us is not None and state.now_us - self._down_us >= DOWN_US:
-            self._go(Cue.LANDED, state, p)
+            self._go(PhaseTrigger.LANDED, state, p)
             p.end = MissionEnd(state.now_us, Outcome.COMPLETED, None, self._final_error_m)
         elif state.on_ground and self._elapsed_us(state) > _DISARM_AFTER_US:
             self._ask(VehicleAction.DISARM, state, p)
@@ -623,7 +633,7 @@ class Executive:
             return self._references.yaw
         return collision.wall.parallel_yaw(state.yaw)
 
-    def _send_reference(self, sample: OdometrySample, state: FlightState, p: Proposal) -> None:
+    def _send_setpoint(self, sample: OdometrySample, state: FlightState, p: Proposal) -> None:
         """One set-point for every odometry sample, as the phase wants it."""
         frame = p.frame or state.frame
         if frame is None:
@@ -631,7 +641,7 @@ class Executive:
         if self.phase is Phase.CONTACT:
             if not self._takes_longer_than(LONGEST_S, state):
                 p.outputs.append(
-                    self._references.yielding_setpoint(frame, sample, self._yielding.feed_forward)
+                    self._references.contact_setpoint(frame, sample, self._yielding.feed_forward)
                 )
             return
         if self.phase in _SILENT:
@@ -639,7 +649,9 @@ class Executive:
         self._references.slew_yaw(self._wanted_yaw(state), state.now_us)
         forward = self._yielding.feed_forward if self.phase is Phase.RECOVERY else None
         p.outputs.append(
-            self._references.setpoint(frame, sample.t_us, sample.received_us, self._way_us, forward)
+            self._references.setpoint(
+                frame, sample.t_us, sample.received_us, self._trajectory_since_us, forward
+            )
         )
 
 

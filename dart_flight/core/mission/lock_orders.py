@@ -69,7 +69,7 @@ class LockOrders:
         """An order may be given anew in a new phase, without waiting for the last one's retry."""
         self._ordered_us = None
 
-    def to(self, mode: Mode, state: FlightState) -> LockCommand | None:
+    def command_mode(self, mode: Mode, state: FlightState) -> LockCommand | None:
         """The command to go to a mode where the lock is not there, may move, and was not told just now."""
         if state.lock_is_in(mode):
             return None

@@ -11,7 +11,7 @@ from enum import StrEnum
 from dart_flight.base.records import Phase
 
 
-class Cue(StrEnum):
+class PhaseTrigger(StrEnum):
     """What moves the mission on."""
 
     READY = "ready"
@@ -37,35 +37,35 @@ class Cue(StrEnum):
 
 _AT_REST = (Phase.CLIMB, Phase.WAYPOINT, Phase.PAUSE, Phase.RECOVERY)
 
-TRANSITIONS: dict[tuple[Phase, Cue], Phase] = {
-    (Phase.READYING, Cue.READY): Phase.OFFBOARD,
-    (Phase.OFFBOARD, Cue.CONFIRMED): Phase.ARMING,
-    (Phase.ARMING, Cue.CONFIRMED): Phase.CLIMB,
-    (Phase.CLIMB, Cue.ARRIVED): Phase.TRANSIT,
-    (Phase.TRANSIT, Cue.ARRIVED): Phase.PREPARE,
-    (Phase.PREPARE, Cue.MODE_SETTLED): Phase.APPROACH,
-    (Phase.TRANSIT, Cue.NO_LOCK): Phase.APPROACH,
-    (Phase.APPROACH, Cue.ONSET): Phase.CONTACT,
-    (Phase.APPROACH, Cue.STOOD_OFF): Phase.RECOVERY,
-    (Phase.CONTACT, Cue.PEAK): Phase.RECOVERY,
-    (Phase.RECOVERY, Cue.ONSET): Phase.CONTACT,
-    (Phase.RECOVERY, Cue.RESTED): Phase.TRANSIT,
-    (Phase.RECOVERY, Cue.PASSED): Phase.GOAL,
-    (Phase.RECOVERY, Cue.TIMED_OUT): Phase.GOAL,
-    (Phase.GOAL, Cue.HELD): Phase.LANDING,
-    (Phase.LANDING, Cue.LANDED): Phase.DONE,
+TRANSITIONS: dict[tuple[Phase, PhaseTrigger], Phase] = {
+    (Phase.READYING, PhaseTrigger.READY): Phase.OFFBOARD,
+    (Phase.OFFBOARD, PhaseTrigger.CONFIRMED): Phase.ARMING,
+    (Phase.ARMING, PhaseTrigger.CONFIRMED): Phase.CLIMB,
+    (Phase.CLIMB, PhaseTrigger.ARRIVED): Phase.TRANSIT,
+    (Phase.TRANSIT, PhaseTrigger.ARRIVED): Phase.PREPARE,
+    (Phase.PREPARE, PhaseTrigger.MODE_SETTLED): Phase.APPROACH,
+    (Phase.TRANSIT, PhaseTrigger.NO_LOCK): Phase.APPROACH,
+    (Phase.APPROACH, PhaseTrigger.ONSET): Phase.CONTACT,
+    (Phase.APPROACH, PhaseTrigger.STOOD_OFF): Phase.RECOVERY,
+    (Phase.CONTACT, PhaseTrigger.PEAK): Phase.RECOVERY,
+    (Phase.RECOVERY, PhaseTrigger.ONSET): Phase.CONTACT,
+    (Phase.RECOVERY, PhaseTrigger.RESTED): Phase.TRANSIT,
+    (Phase.RECOVERY, PhaseTrigger.PASSED): Phase.GOAL,
+    (Phase.RECOVERY, PhaseTrigger.TIMED_OUT): Phase.GOAL,
+    (Phase.GOAL, PhaseTrigger.HELD): Phase.LANDING,
+    (Phase.LANDING, PhaseTrigger.LANDED): Phase.DONE,
     # From rest to rest, where the mission has way-points, pauses or no collision.
-    **{(phase, Cue.NEXT_WAYPOINT): Phase.WAYPOINT for phase in _AT_REST},
-    **{(phase, Cue.NEXT_PAUSE): Phase.PAUSE for phase in _AT_REST},
-    **{(phase, Cue.NEXT_GOAL): Phase.GOAL for phase in _AT_REST},
-    (Phase.WAYPOINT, Cue.NEXT_COLLISION): Phase.TRANSIT,
-    (Phase.PAUSE, Cue.NEXT_COLLISION): Phase.TRANSIT,
+    **{(phase, PhaseTrigger.NEXT_WAYPOINT): Phase.WAYPOINT for phase in _AT_REST},
+    **{(phase, PhaseTrigger.NEXT_PAUSE): Phase.PAUSE for phase in _AT_REST},
+    **{(phase, PhaseTrigger.NEXT_GOAL): Phase.GOAL for phase in _AT_REST},
+    (Phase.WAYPOINT, PhaseTrigger.NEXT_COLLISION): Phase.TRANSIT,
+    (Phase.PAUSE, PhaseTrigger.NEXT_COLLISION): Phase.TRANSIT,
     # The ways out: on the ground the mission is given up, in the air the guard takes over.
-    (Phase.READYING, Cue.GIVEN_UP): Phase.DONE,
-    (Phase.OFFBOARD, Cue.GIVEN_UP): Phase.DONE,
-    (Phase.ARMING, Cue.GIVEN_UP): Phase.DONE,
-    **{(phase, Cue.OVERRULE): Phase.OVERRULED for phase in Phase if phase is not Phase.DONE},
-    (Phase.OVERRULED, Cue.LANDED): Phase.DONE,
+    (Phase.READYING, PhaseTrigger.GIVEN_UP): Phase.DONE,
+    (Phase.OFFBOARD, PhaseTrigger.GIVEN_UP): Phase.DONE,
+    (Phase.ARMING, PhaseTrigger.GIVEN_UP): Phase.DONE,
+    **{(phase, PhaseTrigger.OVERRULE): Phase.OVERRULED for phase in Phase if phase is not Phase.DONE},
+    (Phase.OVERRULED, PhaseTrigger.LANDED): Phase.DONE,
 }
 
 DOWN_US = 200_000  # one report of landed and disarmed may be another vehicle's on the same link

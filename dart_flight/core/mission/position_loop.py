@@ -17,7 +17,7 @@ from typing import NamedTuple
 from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import Px4Parameters
 from dart_flight.core.mission.arithmetic import Number, maximum, minimum, where
-from dart_flight.core.mission.survey import slack_m
+from dart_flight.core.mission.wall_uncertainty import position_margin_m
 
 # Attitude loop (MC_ROLL_P 6.5) and motors; held to the plant in tests/planning/test_against_plant.py.
 ATTITUDE_LAG_S = 0.15
@@ -45,7 +45,7 @@ def stop_share(
         here = wall.signed_distance(position)
         there = wall.signed_distance((x + STOP_TIME_S * vx, y + STOP_TIME_S * vy))
         within = abs(wall.along(position)) <= 0.5 * wall.length_m
-        behind_m = _BEHIND_M + slack_m(wall, position) if wall.is_uncertain else _BEHIND_M
+        behind_m = _BEHIND_M + position_margin_m(wall, position) if wall.is_uncertain else _BEHIND_M
         stops = (here > there) & (there < 0.0) & (here > -behind_m) & within
         way = where(stops, here - there, 1.0)
         share = minimum(share, where(stops, maximum(here / way, 0.0), 1.0))

@@ -6,12 +6,12 @@ from typing import Final, NamedTuple
 
 from dart_flight.base.geometry import MissionFrame
 from dart_flight.base.records import MissionEnd, Output
-from dart_flight.core.sense.detector import Expected
+from dart_flight.core.sense.detector import ExpectedContact
 
-_NO_WALL: Final = Expected()
+_NO_WALL: Final = ExpectedContact()
 
 
-class Finding(NamedTuple):
+class MissionFinding(NamedTuple):
     """Something that only the mission, which knows the plan, can see, by the name of the guard's rule for it.
 
     Attributes:
@@ -22,7 +22,7 @@ class Finding(NamedTuple):
 
     rule: str
     detail: str
-    noted: bool = False
+    note_only: bool = False
 
 
 class Proposal:
@@ -39,12 +39,12 @@ class Proposal:
 
     def __init__(self) -> None:
         self.outputs: list[Output] = []
-        self.findings: list[Finding] = []
+        self.findings: list[MissionFinding] = []
         self.expected = _NO_WALL
         self.frame: MissionFrame | None = None
         self.altitude_m: float | None = None
         self.end: MissionEnd | None = None
 
-    def find(self, rule: str, detail: str, noted: bool = False) -> None:
+    def add_finding(self, rule: str, detail: str, noted: bool = False) -> None:
         """Add a finding."""
-        self.findings.append(Finding(rule, detail, noted))
+        self.findings.append(MissionFinding(rule, detail, noted))

@@ -6,9 +6,9 @@ from typing import ClassVar
 
 from dart_flight.base.records import Phase
 from dart_flight.config.mission import Collision
-from dart_flight.core.mission.approach import stop_before
+from dart_flight.core.mission.approach import standoff_point
 from dart_flight.core.mission.executive import Executive
-from dart_flight.core.mission.phases import Cue
+from dart_flight.core.mission.phases import PhaseTrigger
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
@@ -25,15 +25,15 @@ class Rehearsal(Executive):
     def _begin_approach(self, collision: Collision) -> None:
         """Along the approach, but from rest to rest."""
         approach = self._approaches[collision.index]
-        stop = stop_before(self.mission, collision, approach.begin, approach.impact)
+        stop = standoff_point(self.mission, collision, approach.begin, approach.impact)
         self._references.fly_to(stop, min(approach.speed_m_s, self.mission.limits.speed_m_s))
 
     def _approach(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if self._has_arrived(state):
-            self._go(Cue.STOOD_OFF, state, p)
+            self._go(PhaseTrigger.STOOD_OFF, state, p)
             self._stand_off(state)
         elif self._is_late(state):
-            p.find("transit_timeout", "stand-off point not reached")
+            p.add_finding("transit_timeout", "stand-off point not reached")
 
     def _stand_off(self, state: FlightState) -> None:
         """At rest before the wall: the next collision, or the goal, comes next."""
@@ -46,20 +46,22 @@ class Rehearsal(Executive):
         following, stops = self._collision, self._waypoint is not None
         locked = self._lock_to(self._mode_after(following, stops), state, p)
         if stops:
-            self._go_on(Cue.RESTED, state, p)
+            self._start_next(PhaseTrigger.RESTED, state, p)
         elif following is None:
             self._references.fly_to(self.mission.goal.position_m)
             self._captured_us = None
-            self._go(Cue.PASSED, state, p)
+            self._go(PhaseTrigger.PASSED, state, p)
         elif following.approach_m_s is not None:
-            self._go(Cue.RESTED, state, p)
+            self._go(PhaseTrigger.RESTED, state, p)
             self._begin_transit()
         elif not self._references.on_transit:
             if locked:
                 here = (state.position[0], state.position[1])
                 self._entered_us = state.now_us
-                self._references.fly_to(stop_before(self.mission, following, here, following.wall.foot(here)))
+                self._references.fly_to(
+                    standoff_point(self.mission, following, here, following.wall.foot(here))
+                )
         elif self._has_arrived(state):
             self._stand_off(state)
         if self._is_late(state):
-            p.find("transit_timeout", "stand-off point not reached")
+            p.add_finding("transit_timeout", "stand-off point not reached")

@@ -79,7 +79,7 @@ def _bounded(value: float, most: float) -> float:
     return value if -most <= value <= most else math.copysign(most, value)
 
 
-class SlowForce:
+class ForceBaseline:
     """Slow horizontal force, mission frame, newton, limited in size; `value` is taken off before a threshold.
 
     `value` is that of some samples ago, so that the foot of a contact is not taken off the contact itself.

@@ -66,7 +66,7 @@ class Belief(NamedTuple):
     nu_sd: float
 
 
-class Tick(NamedTuple):
+class ContactReading(NamedTuple):
     """What one IMU sample says of a contact.
 
     Attributes:
@@ -92,7 +92,7 @@ class Tick(NamedTuple):
     samples: int = 1
 
 
-class Contact(NamedTuple):
+class ObservedContact(NamedTuple):
     """A contact as the fit takes it.
 
     Attributes:
@@ -105,7 +105,7 @@ class Contact(NamedTuple):
         place_sd, angle_sd: how well the wall's place (m) and direction (rad) are known beforehand.
     """
 
-    ticks: list[Tick]
+    ticks: list[ContactReading]
     begin_us: int
     touched_s: float
     velocity: Vec2
@@ -145,7 +145,7 @@ class Hypothesis(NamedTuple):
     place_sd: float
 
 
-class Fitting:
+class ContactFit:
     """The contact law fitted to a contact's readings, step by step.
 
     Args:
@@ -155,19 +155,19 @@ class Fitting:
         body: of the vehicle.
     """
 
-    def __init__(self, contact: Contact, before: Belief, scatter: float, body: Body) -> None:
+    def __init__(self, contact: ObservedContact, before: Belief, scatter: float, body: Body) -> None:
         self.contact = contact
-        self._fit: _Fit | None = None
+        self._fit: _ContactLawFit | None = None
         self._begin = (contact, before, scatter, body)
         self._settled = False
 
-    def goes_on(self) -> bool:
+    def advance(self) -> bool:
         """Take one step; False once there is none left to take."""
         if self._settled:
             return False
         try:
             if self._fit is None:
-                self._fit = _Fit(*self._begin)
+                self._fit = _ContactLawFit(*self._begin)
             self._settled = not self._fit.step()
         except (ArithmeticError, ValueError):
             # Readings that no contact can have: nothing is felt.
@@ -182,10 +182,10 @@ class Fitting:
             return None
 
 
-class _Fit:
+class _ContactLawFit:
     """Gauss-Newton over (k, f, place, velocity, angle, mu, velocity along), the coefficients as factors."""
 
-    def __init__(self, contact: Contact, before: Belief, scatter: float, body: Body) -> None:
+    def __init__(self, contact: ObservedContact, before: Belief, scatter: float, body: Body) -> None:
         self._c, self._before, self._scatter, self._body = contact, before, scatter, body
         self._ticks = _merged(contact.ticks)
         top = max(t.normal for t in self._ticks)
@@ -463,10 +463,10 @@ def _moved(theta: list[float], step: list[float]) -> list[float]:
     return moved
 
 
-def _merged(ticks: list[Tick]) -> list[Tick]:
+def _merged(ticks: list[ContactReading]) -> list[ContactReading]:
     """Neighbours as one where there are many; what is at full scale stays alone."""
     size = -(-len(ticks) // _MOST_TICKS)
-    out: list[Tick] = []
+    out: list[ContactReading] = []
     for t in ticks:
         last = out[-1] if out else None
         if last is None or t.bound or last.bound or last.samples >= size:
@@ -474,7 +474,7 @@ def _merged(ticks: list[Tick]) -> list[Tick]:
             continue
         h = last.h + t.h
         p, q = last.h / h, t.h / h
-        out[-1] = Tick(
+        out[-1] = ContactReading(
             h,
             p * last.normal + q * t.normal,
             p * last.along + q * t.along,

@@ -21,8 +21,8 @@ from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import ContactEnd, DetectionFloor, ForceEstimate, ImpactOnset, ImpactPeak, Mode
 from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import Coefficients, Detection, ThresholdTest, VehicleConfig
-from dart_flight.core.sense.bias import SlowForce
-from dart_flight.core.sense.pulse import NormalPulse, Prior, TickReading, fit_friction, fit_normal
+from dart_flight.core.sense.bias import ForceBaseline
+from dart_flight.core.sense.pulse import NormalPulse, PulsePrior, TickReading, fit_friction, fit_normal
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
 
@@ -43,7 +43,7 @@ _LONGEST_CONTACT_S: Final = 0.5  # in noise the end of a contact may drown
 _INTO_WALL: Final = 0.1  # of the force: this much may point into the expected wall at the onset
 
 
-class Expected(NamedTuple):
+class ExpectedContact(NamedTuple):
     """What contact the mission expects next; the core hands it from the mission to the detector.
 
     Attributes:
@@ -100,7 +100,7 @@ class ImpactDetector:
         c = self._config
         self._threshold_n, self._release_n = c.force_threshold_n, c.release_fraction * c.force_threshold_n
         self._sigma, self._refractory_us = c.noise_sigma, c.refractory_s * 1e6
-        self.slow_force = SlowForce(vehicle.estimation)
+        self.slow_force = ForceBaseline(vehicle.estimation)
         self.stage: Stage = "watching"
         tick_s, noise_n = vehicle.imu.tick_s, self._mass * vehicle.estimation.imu_noise_m_s2
         lengths = (0.0, 2.0 * tick_s, self._config.short_window_s, self._config.long_window_s)
@@ -120,7 +120,7 @@ class ImpactDetector:
         self._onset: ImpactOnset | None = None
         self._quiet_since_us: int | None = None
         self._ended_us = 0
-        self._expected = Expected()
+        self._expected = ExpectedContact()
 
     @property
     def in_contact(self) -> bool:
@@ -133,7 +133,7 @@ class ImpactDetector:
         return self._threshold
 
     def update(
-        self, estimate: ForceEstimate, received_us: int, state: FlightState, expected: Expected
+        self, estimate: ForceEstimate, received_us: int, state: FlightState, expected: ExpectedContact
     ) -> Events:
         """Take the next force estimate; returns the events it brings, none at most times."""
         t_us = estimate.t_us
@@ -171,7 +171,7 @@ class ImpactDetector:
         size = max(abs(fx), abs(fy)) if self._per_axis else math.sqrt(fx * fx + fy * fy)
         threshold, release, force = self._threshold_n, self._release_n, estimate.force_mission
         over = size >= threshold
-        drowned = self._drowned(release)
+        drowned = self._noise_hides_release(release)
         # A tone that turns about in the plane never is below the release level in any sample.
         if size < release or (drowned and self._size_of(2) < release):
             self._armed = True
@@ -247,7 +247,7 @@ class ImpactDetector:
         """Learnt deviation of one component of the short and of the long mean, newton."""
         return (self._windows[2].noise_n, self._windows[3].noise_n)
 
-    def _tell_floor(self, t_us: int, expected: Expected) -> Events:
+    def _tell_floor(self, t_us: int, expected: ExpectedContact) -> Events:
         """What can be felt, once when a wall begins to be expected."""
         if expected.normal is None or self._expected.normal is not None:
             return []
@@ -295,7 +295,7 @@ class ImpactDetector:
                     break
                 first_us = earlier.t_us
         else:
-            first_us = _foot_of([*before, sample], (fx / size, fy / size))
+            first_us = _onset_of_mean([*before, sample], (fx / size, fy / size))
         self._samples = [*before, sample]
         self._before.clear()
         for window in self._windows:
@@ -405,12 +405,12 @@ class ImpactDetector:
         n = len(self._samples)
         return (sum(s.push[0] for s in self._samples) / n, sum(s.push[1] for s in self._samples) / n)
 
-    def _prior(self, state: FlightState) -> Prior:
+    def _prior(self, state: FlightState) -> PulsePrior:
         mode = Mode.RIGID if state.lock_is_in(Mode.RIGID) else Mode.FLEXIBLE
         assert self._onset is not None
-        return self._prior_of(self._expected if self._onset.planned else Expected(), mode)
+        return self._prior_of(self._expected if self._onset.planned else ExpectedContact(), mode)
 
-    def _prior_of(self, expected: Expected, mode: Mode) -> Prior:
+    def _prior_of(self, expected: ExpectedContact, mode: Mode) -> PulsePrior:
         return self._typical[mode] if expected.material is None else self._priors[expected.material, mode]
 
     def _fit(self, readings: list[TickReading], state: FlightState) -> NormalPulse | None:
@@ -443,7 +443,7 @@ class ImpactDetector:
 
     def _end(self, t_us: int, fx: float, fy: float) -> ContactEnd | None:
         release = self._config.release_fraction * self._threshold
-        if self._by_mean is not None or self._drowned(release):
+        if self._by_mean is not None or self._noise_hides_release(release):
             fx, fy = self._windows[2].mean
         assert self._onset is not None
         lasts = t_us - self._onset.first_us < _LONGEST_CONTACT_S * 1e6
@@ -458,7 +458,7 @@ class ImpactDetector:
         self._ended_us = t_us
         return ContactEnd(t_us=self._quiet_since_us, first_us=self._onset.first_us)
 
-    def _drowned(self, release: float) -> bool:
+    def _noise_hides_release(self, release: float) -> bool:
         """Whether a sample's noise alone is often over the release level: then the short mean is asked."""
         return _DROP_SIGMA * self._noise > release
 
@@ -473,7 +473,7 @@ def confirmed_force(
     return ((fx + ax + bx) / 3.0, (fy + ay + by) / 3.0)
 
 
-def _foot_of(samples: list[_Sample], along: Vec2) -> int:
+def _onset_of_mean(samples: list[_Sample], along: Vec2) -> int:
     """Where a pulse that only a mean shows began: the moment from which on its sum only grew."""
     forces = [s.fx * along[0] + s.fy * along[1] for s in samples]
     # Largest sum of a stretch that ends at the newest sample, less half of what is felt there now.
@@ -486,11 +486,11 @@ def _foot_of(samples: list[_Sample], along: Vec2) -> int:
     return samples[first].t_us
 
 
-def _prior(c: Coefficients, mass_kg: float) -> Prior:
-    return Prior(math.sqrt(c.k / mass_kg), 0.5 * c.f / mass_kg, max(1e-3, c.mu / mass_kg))
+def _prior(c: Coefficients, mass_kg: float) -> PulsePrior:
+    return PulsePrior(math.sqrt(c.k / mass_kg), 0.5 * c.f / mass_kg, max(1e-3, c.mu / mass_kg))
 
 
-def _mean_prior(priors: list[Prior]) -> Prior:
+def _mean_prior(priors: list[PulsePrior]) -> PulsePrior:
     """Geometric mean over the materials: what is expected of a wall that is in no plan."""
     n = max(1, len(priors))
 
@@ -498,8 +498,8 @@ def _mean_prior(priors: list[Prior]) -> Prior:
         return math.exp(sum(math.log(max(v, 1e-6)) for v in values) / n) if values else 1.0
 
     if not priors:
-        return Prior(50.0, 4.0, 1.0)
-    return Prior(
+        return PulsePrior(50.0, 4.0, 1.0)
+    return PulsePrior(
         mean([p.omega for p in priors]), mean([p.sigma for p in priors]), mean([p.kappa for p in priors])
     )
 

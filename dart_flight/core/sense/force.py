@@ -3,7 +3,7 @@
     force = m R f - R T + m diag(b) v
 
 with f the specific force at the centre of mass (gravity is not in it; what an IMU beside it feels
-of turning is taken off, `core/sense/turning.py`), T the thrust vector, R body to mission, b the air
+of turning is taken off, `core/sense/angular_motion.py`), T the thrust vector, R body to mission, b the air
 drag along the mission's axes. Streams are aligned by the autopilot's stamps: a reading is the mean over the
 tick that ends at its stamp, later by the anti-alias filter's delay; attitude is carried to the middle of that
 time with the gyro, thrust is averaged over the tick.
@@ -19,11 +19,11 @@ from dart_flight.base.filters import LowPass
 from dart_flight.base.geometry import MissionFrame, Quaternion, Vec3, advance_attitude
 from dart_flight.base.records import AttitudeSample, ForceEstimate, ImuSample, Mode
 from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.core.sense.angular_motion import AngularMotion
 from dart_flight.core.sense.arm_vibration import ArmFilter
 from dart_flight.core.sense.bias import HoverBias
 from dart_flight.core.sense.state import FlightState
-from dart_flight.core.sense.thrust import ThrustModel
-from dart_flight.core.sense.turning import Turning
+from dart_flight.core.sense.thrust_model import ThrustModel
 
 _ATTITUDE_REACH_US: Final = 60_000  # older attitudes are not carried on by the gyro
 _CLIP_SHARE: Final = 0.99  # a reading this near full scale is a lower bound
@@ -51,7 +51,7 @@ class ForceEstimator:
         self._tick_s = vehicle.imu.tick_s
         self.thrust = ThrustModel(vehicle)
         self.hover = HoverBias(e, self._mass)
-        self.turning = Turning()
+        self.turning = AngularMotion()
         self.attitude: Quaternion | None = None
         self.thrust_n = 0.0
         at = vehicle.imu.position_m
@@ -82,7 +82,7 @@ class ForceEstimator:
         self._last_us = t_us
         hover = self.hover
         curve_n = self.thrust.mean_over_tick(t_us)
-        self.turning.take(imu)
+        self.turning.update(imu)
         q = self.attitude = self._attitude_at(t_us - self._centre_us, imu.rate_frd)
         frame = state.frame
         if q is None or frame is None:

@@ -42,7 +42,7 @@ class TickReading(NamedTuple):
     bound: bool
 
 
-class Prior(NamedTuple):
+class PulsePrior(NamedTuple):
     """What is expected of the contact: sqrt(k/m) and f/(2m) in 1/s, mu/m in 1/(N s)."""
 
     omega: float
@@ -90,7 +90,7 @@ def _terms(s: float, omega: float, sigma: float) -> tuple[float, float, float, f
 
 
 def fit_normal(
-    readings: list[TickReading], push: float, prior: Prior, noise_n: float, onset_s: float, lag_s: float
+    readings: list[TickReading], push: float, prior: PulsePrior, noise_n: float, onset_s: float, lag_s: float
 ) -> NormalPulse | None:
     """Fit onset, slope and frequency; None where the readings are too few or not such a pulse.
 
@@ -107,7 +107,7 @@ def fit_normal(
     inside = sum(r.b > onset_s for r, _ in bins)
     if inside < 3 or top <= 0.0:
         return None
-    fit = _Fit(bins, push, prior, noise_n, top)
+    fit = _PulseFit(bins, push, prior, noise_n, top)
     if not fit.run(onset_s):
         return None
     return fit.result(lag_s)
@@ -139,11 +139,11 @@ def _binned(readings: list[TickReading]) -> list[tuple[TickReading, int]]:
     return out
 
 
-class _Fit:
+class _PulseFit:
     """Gauss-Newton in (onset, slope, log frequency), with the frequency's prior as one more residual."""
 
     def __init__(
-        self, bins: list[tuple[TickReading, int]], push: float, prior: Prior, noise_n: float, top: float
+        self, bins: list[tuple[TickReading, int]], push: float, prior: PulsePrior, noise_n: float, top: float
     ) -> None:
         self._bins, self._push, self._prior, self._top = bins, push, prior, top
         self._weights = [1.0 / (noise_n * noise_n / n + (_MODEL_ERROR * top) ** 2) for _, n in bins]

@@ -22,15 +22,15 @@ from dart_flight.base.records import (
     StatusText,
     Tick,
     TorqueEstimate,
-    WallFelt,
+    WallEstimate,
 )
 from dart_flight.config.mission import Mission
-from dart_flight.core.sense.body import BodySense, ContactSamples, Felt
-from dart_flight.core.sense.detector import Event, Expected, ImpactDetector
-from dart_flight.core.sense.felt import WallSense
+from dart_flight.core.sense.detector import Event, ExpectedContact, ImpactDetector
 from dart_flight.core.sense.force import ForceEstimator
+from dart_flight.core.sense.incidence import ContactSample, ContactSampleBuffer, IncidenceEstimator
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.torque import TorqueEstimator
+from dart_flight.core.sense.wall_estimator import WallEstimator
 
 
 class Sensed:
@@ -54,7 +54,7 @@ class Sensed:
         in_contact: bool = False,
         torque: TorqueEstimate | None = None,
         body: ImpactBody | None = None,
-        wall: WallFelt | None = None,
+        wall: WallEstimate | None = None,
     ) -> None:
         self.estimate, self.impacts, self.in_contact = estimate, impacts, in_contact
         self.torque, self.body, self.wall = torque, body, wall
@@ -81,11 +81,11 @@ class Senses:
         self.estimator = ForceEstimator(mission.vehicle)
         self.torque = TorqueEstimator(mission.vehicle)
         self.detector = ImpactDetector(mission.vehicle)
-        self._samples = ContactSamples()
-        self.body = BodySense(mission.vehicle, self._samples)
-        self.walls = WallSense(mission.vehicle, self._samples)
+        self._samples = ContactSampleBuffer()
+        self.body = IncidenceEstimator(mission.vehicle, self._samples)
+        self.walls = WallEstimator(mission.vehicle, self._samples)
 
-    def take(self, item: Input, expected: Expected) -> Sensed:
+    def update(self, item: Input, expected: ExpectedContact) -> Sensed:
         """Take one input, knowing what contact the mission expects; returns what that teaches."""
         state, estimator = self.state, self.estimator
         if isinstance(item, ImuSample):
@@ -120,7 +120,7 @@ class Senses:
             state.take_result(item)
         return _TOUCHING if self.detector.in_contact else _NOTHING
 
-    def _feel(self, item: ImuSample, expected: Expected) -> Sensed:
+    def _feel(self, item: ImuSample, expected: ExpectedContact) -> Sensed:
         state, estimator, detector = self.state, self.estimator, self.detector
         touching = detector.in_contact
         estimate = estimator.estimate(item, state, touching)
@@ -137,9 +137,9 @@ class Senses:
         impacts = detector.update(estimate, item.received_us, state, expected)
         body = wall = None
         if torque is not None and estimator.attitude is not None:
-            self._samples.add(Felt(estimate, torque, estimator.attitude, estimator.turning.rate))
+            self._samples.add(ContactSample(estimate, torque, estimator.attitude, estimator.turning.rate))
             if impacts or self.body.due:  # else there is nothing new to be said
-                body = self.body.take(state, slow, impacts, expected)
-            if impacts or self.walls.due:
-                wall = self.walls.take(state, slow, impacts, expected)
+                body = self.body.update(state, slow, impacts, expected)
+            if impacts or self.walls.is_busy:
+                wall = self.walls.update(state, slow, impacts, expected)
         return Sensed(estimate, tuple(impacts) if impacts else (), detector.in_contact, torque, body, wall)

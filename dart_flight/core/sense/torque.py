@@ -18,8 +18,8 @@ from dart_flight.base.filters import LearntVariance, taken_share
 from dart_flight.base.geometry import Vec3, gyroscopic_torque
 from dart_flight.base.records import TorqueEstimate
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.sense.thrust import Each
-from dart_flight.core.sense.turning import Turning
+from dart_flight.core.sense.angular_motion import AngularMotion
+from dart_flight.core.sense.thrust_model import Each
 
 _NOISE_TIME_S: Final = 0.5
 _THIRD: Final = 1.0 / 3.0  # a change of the rate's white noise, of variance 2: successive ones differ by 6
@@ -42,7 +42,7 @@ class TorqueEstimator:
         self._noise: Vec3 = (0.0316, 0.0316, 0.0316)
 
     def estimate(
-        self, t_us: int, turning: Turning, each_n: Each | None, scale: float, learns: bool
+        self, t_us: int, turning: AngularMotion, each_n: Each | None, scale: float, learns: bool
     ) -> TorqueEstimate | None:
         """Torque in N m, FRD, at an IMU sample; None without a sample shortly before it.
 

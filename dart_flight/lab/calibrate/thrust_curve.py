@@ -168,7 +168,7 @@ def _point(
     return (float((u * u).sum(axis=1).mean()), float(u.sum(axis=1).mean()), float(-mass_kg * mean[2]), volts)
 
 
-def said_of(rejected: dict[str, int]) -> str:
+def format_rejected(rejected: dict[str, int]) -> str:
     """Which tests rejected how many windows, in words; empty where none was rejected."""
     return ", ".join(f"{count} {name} ({TESTS[name]})" for name, count in rejected.items() if count)
 
@@ -266,7 +266,7 @@ def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustC
     if len(p.force) < _LEAST_POINTS:
         raise InputError(
             f"{len(p.force)} quiet half seconds of hover, at least {_LEAST_POINTS} are needed; rejected: "
-            f"{said_of(p.rejected) or 'none'}",
+            f"{format_rejected(p.rejected) or 'none'}",
             source=_sources(tracks),
         )
     share, kept = vehicle.thrust.square_share, vehicle.estimation.battery.exponent

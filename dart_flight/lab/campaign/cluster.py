@@ -15,11 +15,11 @@ from typing import Any
 
 from dart_flight.base.errors import FlightError
 from dart_flight.config.document import InputError
-from dart_flight.lab.campaign.asked import Item
-from dart_flight.lab.campaign.flight import Flown, Flyer
-from dart_flight.lab.campaign.run import Engine, Landings
+from dart_flight.lab.campaign.campaign_folder import Engine, Landings
+from dart_flight.lab.campaign.campaign_spec import Item
+from dart_flight.lab.campaign.flight_job import Flown, ItemFlyer
 from dart_flight.recording.about import software_version
-from dart_flight.run.workers import Done, Failure, Interrupt, attempt
+from dart_flight.run.workers import Failure, FinishedItem, Interrupt, attempt
 
 _PATIENCE_S = 30.0  # for the scheduler to answer, and for a first worker
 _POLL_S = 0.05
@@ -41,7 +41,7 @@ def on_cluster(url: str) -> Engine:
     return partial(_work, url)
 
 
-def _work(url: str, flyer: Flyer, items: Iterable[Item], interrupt: Interrupt) -> Landings:
+def _work(url: str, flyer: ItemFlyer, items: Iterable[Item], interrupt: Interrupt) -> Landings:
     """As `worlds.workers.work`.
 
     Raises:
@@ -75,7 +75,7 @@ def _refuse_others(client: Any, url: str) -> None:
             raise FlightError(f"--scheduler {url}: {worker} has dart-flight {version}, this is {own}")
 
 
-def _hand_out(client: Any, flyer: Flyer, waiting: Iterator[Item], interrupt: Interrupt) -> Landings:
+def _hand_out(client: Any, flyer: ItemFlyer, waiting: Iterator[Item], interrupt: Interrupt) -> Landings:
     # A result of its own, so that it goes to each worker once and is made again where that worker dies.
     shared = client.submit(_same, flyer, pure=False)
     under_way: dict[Any, Item] = {}
@@ -94,7 +94,7 @@ def _hand_out(client: Any, flyer: Flyer, waiting: Iterator[Item], interrupt: Int
         if not landed:
             time.sleep(_POLL_S)
         for future in landed:
-            yield Done(under_way.pop(future), _result(future))
+            yield FinishedItem(under_way.pop(future), _result(future))
 
 
 def _result(future: Any) -> Flown | Failure:
@@ -108,5 +108,5 @@ def _result(future: Any) -> Flown | Failure:
     return result
 
 
-def _same(flyer: Flyer) -> Flyer:
+def _same(flyer: ItemFlyer) -> ItemFlyer:
     return flyer

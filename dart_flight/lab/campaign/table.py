@@ -17,8 +17,8 @@ from types import TracebackType
 
 from dart_flight.base.errors import FlightError
 from dart_flight.config.document import InputError, open_file
-from dart_flight.lab.campaign.asked import Item, Point
-from dart_flight.lab.campaign.flight import line_of
+from dart_flight.lab.campaign.campaign_spec import Item, Point
+from dart_flight.lab.campaign.flight_job import line_of
 
 _SYNC_S = 1.0
 

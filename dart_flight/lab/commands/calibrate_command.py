@@ -13,7 +13,7 @@ import msgspec
 from rich.table import Table
 
 from dart_flight.cli.options import link_of, refuse_unwritable
-from dart_flight.cli.terminal import emit_json, messages, say, tables
+from dart_flight.cli.terminal import emit_json, messages, print_status, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError, Key
 from dart_flight.config.edit import write_values
@@ -26,14 +26,14 @@ from dart_flight.config.rotors import (
 )
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.config.vehicle.configuration import default_config_path
-from dart_flight.lab.calibrate.airframe import motors_block, read_airframe, refuse_unmeasured
+from dart_flight.lab.calibrate.airframe_reader import motors_block, read_airframe, refuse_unmeasured
 from dart_flight.lab.calibrate.inertia import WINDOW_S, InertiaCalibration, calibrate_inertia
 from dart_flight.lab.calibrate.thrust_curve import (
     ThrustCalibration,
     calibrate_thrust,
-    said_of,
+    format_rejected,
 )
-from dart_flight.lab.track import Track, read_track
+from dart_flight.lab.track import Track, read_calibration_series
 from dart_flight.recording.found import from_each, logs_in
 from dart_flight.vehicle.ground_link import GroundLink
 from dart_flight.vehicle.link import LinkLease
@@ -66,16 +66,16 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.what == "thrust" and vehicle.thrust.table is not None:
             raise InputError("has thrust.table: full_n and model_factor would replace it", source=str(path))
     left_out: list[str] = []
-    tracks = from_each(logs_in(arguments.logs), read_track, left_out.append)
+    tracks = from_each(logs_in(arguments.logs), read_calibration_series, left_out.append)
     calibrate = _thrust if arguments.what == "thrust" else _inertia
     result, table, said, values = calibrate(tracks, vehicle)
-    say(*left_out)
+    print_status(*left_out)
     say_vehicle(source, arguments)
     if arguments.json:
         emit_json({**result, "vehicle": source})
     else:
         tables().print(table)
-        say(*said)
+        print_status(*said)
     if arguments.write:
         write_values(path, values)
         messages().print(f"written: {path}", soft_wrap=True)
@@ -105,7 +105,7 @@ def _airframe(arguments: argparse.Namespace) -> int:
         emit_json({"motors": motors, "other_than_configured": other, "other_sizes": sizes})
         return 0
     tables().print(motors_block(motors), markup=False, highlight=False, soft_wrap=True)
-    say(*other, *sizes)
+    print_status(*other, *sizes)
     return 0
 
 
@@ -114,7 +114,7 @@ class _Calibrated(NamedTuple):
 
     result: dict[str, Any]
     table: Table
-    said: list[str]
+    note: list[str]
     values: dict[Key, float]
 
 
@@ -127,7 +127,7 @@ def _thrust(tracks: list[Track], vehicle: VehicleConfig) -> _Calibrated:
         values["estimation", "battery", "reference_v"] = round(result.reference_v, 3)
     if result.battery_exponent_error is not None:
         values["estimation", "battery", "exponent"] = round(result.battery_exponent, 3)
-    said = [*result.notes, f"windows rejected: {said_of(result.rejected) or 'none'}"]
+    said = [*result.notes, f"windows rejected: {format_rejected(result.rejected) or 'none'}"]
     return _Calibrated(msgspec.structs.asdict(result), _table(result), said, values)
 
 

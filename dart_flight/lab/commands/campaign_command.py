@@ -56,8 +56,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Fly, sum up, write the page; returns the exit status."""
-    from dart_flight.lab.campaign import run as campaigns
-    from dart_flight.lab.campaign.summary import summarise
+    from dart_flight.lab.campaign import campaign_folder as campaigns
+    from dart_flight.lab.campaign.campaign_summary import summarise
     from dart_flight.lab.report.campaign_page import campaign_page
     from dart_flight.planning.envelope import impact_warnings
     from dart_flight.run.workers import Interrupt, usable_cores
@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
 
         engine = on_cluster(arguments.scheduler)
     else:
-        engine = campaigns.here(arguments.jobs or usable_cores())
+        engine = campaigns.fly_locally(arguments.jobs or usable_cores())
     say_vehicle(opened.points[0].mission.flown_vehicle(), arguments)
     if len(opened.points) > 1:
         console.print(f"and {len(opened.points) - 1} more missions or settings")
@@ -80,10 +80,10 @@ def run(arguments: argparse.Namespace) -> int:
     with Interrupt() as interrupt, _Shown(console, opened.flights) as shown:
         flown = campaigns.fly(opened, engine, interrupt, shown)
     summary = summarise(opened)
-    campaigns.write_whole(
+    campaigns.write_atomically(
         opened.folder / campaigns.SUMMARY, msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n"
     )
-    campaigns.write_whole(opened.folder / campaigns.PAGE, campaign_page(summary).encode())
+    campaigns.write_atomically(opened.folder / campaigns.PAGE, campaign_page(summary).encode())
     if flown < opened.flights:
         again = shlex.join(["dart-flight", "campaign", "--resume", "--out", str(arguments.out)])
         console.print(
@@ -103,7 +103,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _asked(arguments: argparse.Namespace) -> Any:
     """What the command line asks for; None where it leaves that to the campaign that is to go on."""
-    from dart_flight.lab.campaign.asked import Asked, Keep, parse_grid
+    from dart_flight.lab.campaign.campaign_spec import CampaignSpec, Keep, parse_grid
 
     given = {
         "--config": arguments.config, "--runs": arguments.runs, "--seed": arguments.seed,
@@ -118,7 +118,7 @@ def _asked(arguments: argparse.Namespace) -> Any:
         return None
     if arguments.runs is None:
         raise InputError("how many seeds? --runs N", key=("--runs",))
-    return Asked(
+    return CampaignSpec(
         missions=tuple(arguments.missions),
         config=arguments.config,
         settings=parse_grid(arguments.set),

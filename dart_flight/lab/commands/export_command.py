@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from dart_flight.cli.terminal import emit_json, say
+from dart_flight.cli.terminal import emit_json, print_status
 
 FOXGLOVE_NAME = "foxglove.mcap"
 
@@ -53,7 +53,7 @@ def _export_csv(path: Path, folder: Path) -> dict[str, Any]:
 
 
 def _export_foxglove(path: Path, file: Path) -> dict[str, Any]:
-    from dart_flight.lab.scene.export import export_foxglove
+    from dart_flight.lab.scene.foxglove_export import export_foxglove
     from dart_flight.recording.reader import read_log
 
     log = read_log(path)
@@ -64,7 +64,7 @@ def _export_foxglove(path: Path, file: Path) -> dict[str, Any]:
 
 def _say(line: str, complete: bool) -> None:
     cut = "" if complete else "; the log was cut, exported up to there"
-    say(f"{line}{cut}")
+    print_status(f"{line}{cut}")
 
 
 def _folders(logs: list[Path], output: Path | None) -> list[Path]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dart_flight.cli.options import add_set_option
-from dart_flight.cli.terminal import emit_json, messages, say, tables, write_text
+from dart_flight.cli.terminal import emit_json, messages, print_status, tables, write_text
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 
@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Read, fit, print, write."""
     from dart_flight.config.provenance import find_vehicle
     from dart_flight.contact.law import Onset
-    from dart_flight.lab.identify import job as identification
+    from dart_flight.lab.identify import identify_trials as identification
     from dart_flight.lab.identify.trials import UNLABELLED, TrialReading
 
     paths = list(arguments.trials)
@@ -97,15 +97,15 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output and not arguments.surface:
         raise InputError("-o needs --surface, the name of the entry", key=("output",))
     onset = Onset(arguments.onset) if arguments.onset else None
-    done = identification.carry_out(paths, how, vehicle, onset=onset)
+    done = identification.identify_trials(paths, how, vehicle, onset=onset)
     trials, found = done.trials, done.found
     if done.flown is not None:
         source = done.flown.source
     say_vehicle(source, arguments, flown=done.flown is not None)
-    say(*found.notes)
-    from dart_flight.lab.identify.judgement import judge_fit
+    print_status(*found.notes)
+    from dart_flight.lab.identify.fit_quality import assess_fit
 
-    judged = judge_fit(found, trials, done.mass_kg, done.onset)
+    judged = assess_fit(found, trials, done.mass_kg, done.onset)
     for line in judged.says:
         messages().print(f"[red]{line}[/]", soft_wrap=True)
     # First what was found, whatever becomes of the files.
@@ -117,7 +117,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output:
         _write(arguments, found, done.vehicle, poor=judged.good is False)
     if arguments.plot:
-        from dart_flight.lab.identify import plots
+        from dart_flight.lab.identify import trial_plot as plots
 
         plots.plot_fit(arguments.plot, trials, found, done.mass_kg, done.onset)
     return 0

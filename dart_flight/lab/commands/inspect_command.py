@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from dart_flight.cli.terminal import emit_json, messages, say, tables, write_text
+from dart_flight.cli.terminal import emit_json, messages, print_status, tables, write_text
 from dart_flight.config.document import InputError
 
 if TYPE_CHECKING:
-    from dart_flight.lab.inspect import FeltFlight
+    from dart_flight.lab.inspect import InspectedFlight
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -30,21 +30,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Feel, print, write. Returns the exit status: 2 where a log was refused, whatever the others gave."""
     from dart_flight.config.vehicle import load_vehicle
-    from dart_flight.lab.inspect import feel, write_trials
+    from dart_flight.lab.inspect import inspect_file, write_trials
 
     if arguments.mass is not None and not arguments.mass > 0.0:
         raise InputError("must be over 0", key=("mass",))
     vehicle = load_vehicle(arguments.config)
-    flights: list[FeltFlight] = []
+    flights: list[InspectedFlight] = []
     refused: list[InputError] = []
     for log in arguments.logs:
         try:
-            flights.append(feel(log, vehicle, arguments.mass))
+            flights.append(inspect_file(log, vehicle, arguments.mass))
         except InputError as error:
             refused.append(error)
     if not flights and len(refused) == 1:
         raise refused[0]
-    say(*(error.one_line() for error in refused))
+    print_status(*(error.one_line() for error in refused))
     if arguments.output is not None:
         if arguments.mass is None:
             messages().print("without --mass the trials hold no force")
@@ -60,17 +60,17 @@ def run(arguments: argparse.Namespace) -> int:
     return 2 if refused else 0
 
 
-def _write_page(path: Path, flights: list[FeltFlight]) -> None:
-    from dart_flight.lab.report.inspection_page import felt_page
+def _write_page(path: Path, flights: list[InspectedFlight]) -> None:
+    from dart_flight.lab.report.inspection_page import inspection_page
 
-    write_text(path, felt_page(flights))
+    write_text(path, inspection_page(flights))
 
 
-def _public(flight: FeltFlight) -> dict[str, Any]:
+def _public(flight: InspectedFlight) -> dict[str, Any]:
     return {n: getattr(flight, n) for n in flight.__struct_fields__ if n != "series"}
 
 
-def _print(flight: FeltFlight) -> None:
+def _print(flight: InspectedFlight) -> None:
     out = tables()
     version = flight.px4_version or "of unknown version"
     out.print(

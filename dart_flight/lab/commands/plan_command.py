@@ -12,10 +12,10 @@ from dart_flight.cli.options import add_set_option, link_of, whole_number
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.lab.search.mission_writer import planned_mission, write_mission
+from dart_flight.lab.search.plan_table import plan_summary, plan_table, refusal_table, with_objective
 from dart_flight.lab.search.scenario import Objective, load_scenario
 from dart_flight.lab.search.search import search
-from dart_flight.lab.search.summary import plan_summary, plan_table, refusal_table, with_objective
-from dart_flight.planning.planned import describe_passing
+from dart_flight.planning.predicted_flight import describe_goal_miss
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -84,5 +84,5 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         for table in (plan_table(result), refusal_table(result)):
             tables().print(table)
-        tables().print(f"plan {plan.rank} {describe_passing(plan.goal_miss_m, scenario.spec.goal)}")
+        tables().print(f"plan {plan.rank} {describe_goal_miss(plan.goal_miss_m, scenario.spec.goal)}")
     return 0

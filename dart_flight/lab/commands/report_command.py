@@ -7,11 +7,11 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dart_flight.cli.terminal import emit_json, say, write_text
+from dart_flight.cli.terminal import emit_json, print_status, write_text
 from dart_flight.recording.found import from_each, logs_in
 
 if TYPE_CHECKING:
-    from dart_flight.lab.report.flight import Flight
+    from dart_flight.lab.report.recorded_flight import RecordedFlight
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -40,11 +40,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; 0 once a page is written, also from a log that was cut."""
-    from dart_flight.lab.report.flight import Flight
     from dart_flight.lab.report.page import comparison_page, flight_page
+    from dart_flight.lab.report.recorded_flight import RecordedFlight
 
     paths = logs_in(arguments.logs)
-    flights = from_each(paths, Flight.read, say)
+    flights = from_each(paths, RecordedFlight.read, print_status)
     output = arguments.output or _beside(paths)
     write_text(output, flight_page(flights[0]) if len(flights) == 1 else comparison_page(flights))
     _write_figures(arguments, flights)
@@ -53,15 +53,15 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _write_figures(arguments: argparse.Namespace, flights: list[Flight]) -> None:
+def _write_figures(arguments: argparse.Namespace, flights: list[RecordedFlight]) -> None:
     from dart_flight.lab.report.figures.paper_set import write_pdf, write_svgs
 
     if arguments.pdf is not None:
         write_pdf(flights, arguments.pdf)
-        say(f"wrote {arguments.pdf}")
+        print_status(f"wrote {arguments.pdf}")
     if arguments.svg is not None:
         written = write_svgs(flights, arguments.svg)
-        say(f"wrote {len(written)} figures to {arguments.svg}")
+        print_status(f"wrote {len(written)} figures to {arguments.svg}")
 
 
 def _beside(logs: list[Path]) -> Path:

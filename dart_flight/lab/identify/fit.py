@@ -15,12 +15,12 @@ import numpy as np
 
 from dart_flight.config.document import InputError
 from dart_flight.contact.law import Onset
-from dart_flight.lab.identify.allowance import allow
 from dart_flight.lab.identify.estimates import Estimate, Identification, SetAside, TrialFit
+from dart_flight.lab.identify.fit_quality import SampleResult, SampleTrial, conclude, errors_of_hits
 from dart_flight.lab.identify.held_out import hold_out
-from dart_flight.lab.identify.hits import Hit, hit_of
-from dart_flight.lab.identify.judgement import SampleResult, SampleTrial, conclude, errors_of_hits
+from dart_flight.lab.identify.measured_impacts import MeasuredImpact, measure_impact
 from dart_flight.lab.identify.solver import solve, without_derived
+from dart_flight.lab.identify.systematic_error import widen_intervals
 from dart_flight.lab.identify.trials import Trial
 from dart_flight.lab.identify.whole_hits import (
     friction,
@@ -49,7 +49,7 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
     if not trials:
         raise InputError("no trials")
     usable, notes = without_derived(trials)
-    hits = [hit_of(trial, mass_kg) for trial in usable]
+    hits = [measure_impact(trial, mass_kg) for trial in usable]
     notes += [note for hit in hits for note in hit.notes]
     sampled, result = _fit_samples(usable, hits, mass_kg, onset, notes)
     members = {hit.mode: [other for other in hits if other.mode == hit.mode] for hit in hits}
@@ -58,7 +58,9 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
     coefficients = {}
     for mode, own in members.items():
         found = _coefficients(mode, result, own, mass_kg, onset, notes)
-        coefficients[mode], more = allow(found, [trial for trial in usable if trial.mode == mode], own)
+        coefficients[mode], more = widen_intervals(
+            found, [trial for trial in usable if trial.mode == mode], own
+        )
         notes += [f"{mode}: {note}" for note in more]
     return Identification(
         coefficients=coefficients,
@@ -75,7 +77,7 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
 
 def _fit_samples(
     trials: Sequence[Trial],
-    hits: Sequence[Hit],
+    hits: Sequence[MeasuredImpact],
     mass_kg: float,
     onset: Onset,
     notes: list[str],
@@ -116,7 +118,7 @@ def _fit_samples(
 def _coefficients(
     mode: str,
     result: SampleResult | None,
-    hits: Sequence[Hit],
+    hits: Sequence[MeasuredImpact],
     mass_kg: float,
     onset: Onset,
     notes: list[str],
@@ -148,19 +150,23 @@ def _coefficients(
     return found
 
 
-def _predicts(found: dict[str, Estimate | None], hits: Sequence[Hit], mass_kg: float, onset: Onset) -> bool:
+def _predicts(
+    found: dict[str, Estimate | None], hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset
+) -> bool:
     """Whether coefficients give peak and speed out of their own hits to a tenth, in the median."""
     known = [e for e in errors_of_hits(found, hits, mass_kg, onset) if e is not None]
     return bool(known) and max(known) < _PREDICTS
 
 
-def _trial_fits(hits: Sequence[Hit], sampled: Sequence[int], result: SampleResult | None) -> list[TrialFit]:
+def _trial_fits(
+    hits: Sequence[MeasuredImpact], sampled: Sequence[int], result: SampleResult | None
+) -> list[TrialFit]:
     """One per trial; `sampled` are the places of those whose samples were fitted."""
     of = dict(zip(sampled, result.trials, strict=True)) if result else {}
     return [_trial_fit(hit, of.get(i)) for i, hit in enumerate(hits)]
 
 
-def _trial_fit(hit: Hit, sampled: SampleTrial | None) -> TrialFit:
+def _trial_fit(hit: MeasuredImpact, sampled: SampleTrial | None) -> TrialFit:
     if sampled is None:
         sampled = SampleTrial(
             onset_s=hit.begin_s,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
-from dart_flight.lab.identify.hits import Hit
+from dart_flight.lab.identify.measured_impacts import MeasuredImpact
 from dart_flight.lab.identify.whole_fit import HitTable, fit, predict
 
 _SAME_SPEED = 0.12  # hits whose speeds differ by less are repeats of one
@@ -75,7 +75,7 @@ def speed_groups(speed: Array) -> NDArray[np.intp]:
     return groups
 
 
-def hold_out(hits: Sequence[Hit], mass_kg: float, onset: Onset) -> HeldOut:
+def hold_out(hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset) -> HeldOut:
     """Leave out each speed in turn (each hit where there is one speed only), fit to the rest, predict it.
 
     Args:

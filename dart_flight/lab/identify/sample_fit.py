@@ -24,7 +24,7 @@ from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.trials import Trial, find_impact
 from dart_flight.lab.identify.windows import cut, first_span, weigh
-from dart_flight.lab.predict.path import Contact
+from dart_flight.lab.predict.path import ContactMotion
 
 T = TypeVar("T")
 
@@ -78,7 +78,7 @@ class Parameters:
 
 def contact_of(
     theta: Array, shared: dict[str, int], own: dict[str, int], trial: Trial, fit: SampleFit
-) -> Contact:
+) -> ContactMotion:
     """The contact of a trial under a parameter vector."""
     c = Coefficients(
         k=math.exp(min(max(theta[shared["k"]], -5.0), 20.0)),
@@ -88,10 +88,10 @@ def contact_of(
     )
     speed = -max(float(theta[own["speed"]]), 1e-4)
     push = float(theta[own["n_in"]]) if "n_in" in own else 0.0
-    return Contact(c, fit.mass_kg, speed, fit.onset, acceleration_m_s2=trial.acceleration_m_s2 + push)
+    return ContactMotion(c, fit.mass_kg, speed, fit.onset, acceleration_m_s2=trial.acceleration_m_s2 + push)
 
 
-def _shape(contact: Contact, name: str, time_s: Array) -> tuple[Array, Array, Array]:
+def _shape(contact: ContactMotion, name: str, time_s: Array) -> tuple[Array, Array, Array]:
     """A channel's shape at times since the onset; the time after the contact, and (negative) before it."""
     if name.startswith("normal"):
         shape = contact.normal(time_s)[("normal_m", "normal_m_s", "normal_force_n").index(name)]
@@ -258,7 +258,7 @@ class SampleFit:
         difference: Array = (function(up) - function(down)) / (2.0 * h)
         return difference
 
-    def span(self, theta: Array, i: int) -> tuple[float, float, Contact]:
+    def span(self, theta: Array, i: int) -> tuple[float, float, ContactMotion]:
         """Onset and release of trial i by the law, in the recording's time, and its contact."""
         trial, own = self.trials[i], self.parameters.own[i]
         contact = contact_of(theta, self.parameters.of_mode(trial.mode), own, trial, self)

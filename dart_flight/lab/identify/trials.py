@@ -18,10 +18,10 @@ import numpy as np
 
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.config.document import InputError, read_text
-from dart_flight.config.kinds import FileKind, refuse_other_kind
+from dart_flight.config.file_kinds import FileKind, refuse_other_kind
 from dart_flight.config.provenance import FoundVehicle
 from dart_flight.contact.coefficients import Array
-from dart_flight.lab.track import track_of
+from dart_flight.lab.track import calibration_series_of
 from dart_flight.lab.ulog import open_ulog
 from dart_flight.recording.reader import read_log
 
@@ -275,7 +275,9 @@ def read_ulog(path: Path, how: TrialReading) -> list[Trial]:
             "write every impact as a trial",
             source=source,
         )
-    track = track_of(open_ulog(path, ("vehicle_local_position", "vehicle_attitude", "sensor_combined")))
+    track = calibration_series_of(
+        open_ulog(path, ("vehicle_local_position", "vehicle_attitude", "sensor_combined"))
+    )
     felt = track.imu_s.size > 0 and track.attitude_s.size > 0
     normal, tangent = _axes(how)
     series: dict[str, Series] = {}

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dart_flight.contact.coefficients import Array, CoefficientArrays
 from dart_flight.contact.contact_map import WallHit, contact_map
 from dart_flight.contact.law import Onset
-from dart_flight.lab.identify.hits import Hit
+from dart_flight.lab.identify.measured_impacts import MeasuredImpact
 from dart_flight.lab.identify.solver import least_squares
 
 # How well the law can be expected to meet each: speed out as a share of the speed in, the others by their
@@ -40,7 +40,7 @@ class HitTable(NamedTuple):
     acceleration: Array
 
     @classmethod
-    def of(cls, hits: Sequence[Hit]) -> HitTable:
+    def of(cls, hits: Sequence[MeasuredImpact]) -> HitTable:
         """From hits of one mode."""
 
         def column(values: list[float | None]) -> Array:

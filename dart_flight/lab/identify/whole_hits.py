@@ -14,7 +14,7 @@ import numpy as np
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Estimate
-from dart_flight.lab.identify.hits import Hit
+from dart_flight.lab.identify.measured_impacts import MeasuredImpact
 from dart_flight.lab.identify.whole_fit import HitTable, fit
 from dart_flight.lab.statistics import Z95, student_t
 
@@ -43,7 +43,7 @@ def _ratio(
     return Estimate(*(min(max(v, least), most) for v in (value, value - half, value + half)))
 
 
-def restitution(hits: Sequence[Hit]) -> Estimate | None:
+def restitution(hits: Sequence[MeasuredImpact]) -> Estimate | None:
     """Normal speed out over normal speed in; in a drop at the height of first touch."""
     known = [(h, h.normal_out_m_s) for h in hits if h.normal_out_m_s is not None]
     shares = np.array([out / h.normal_in_m_s for h, out in known])
@@ -56,7 +56,7 @@ def restitution(hits: Sequence[Hit]) -> Estimate | None:
     return _ratio(shares, sds, 0.0, 1.0)
 
 
-def tangential_ratio(hits: Sequence[Hit]) -> Estimate | None:
+def tangential_ratio(hits: Sequence[MeasuredImpact]) -> Estimate | None:
     """Velocity along the wall after a hit over that before; None where none of them moves along it.
 
     Below 0 where the vehicle comes back along the wall.
@@ -71,7 +71,7 @@ def tangential_ratio(hits: Sequence[Hit]) -> Estimate | None:
     return _ratio(np.array(shares), np.array(sds))
 
 
-def friction(hits: Sequence[Hit]) -> Estimate | None:
+def friction(hits: Sequence[MeasuredImpact]) -> Estimate | None:
     """The paper's mu from speeds alone: ln(in/out) along the wall is mu times the normal speed's change."""
     found, sds = [], []
     for h in hits:
@@ -90,7 +90,7 @@ def friction(hits: Sequence[Hit]) -> Estimate | None:
 
 
 def stiffness_and_damping(
-    hits: Sequence[Hit], mass_kg: float, onset: Onset
+    hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset
 ) -> tuple[dict[str, Estimate | None], list[str]]:
     """k and f from hits as a whole, with intervals from drawing the hits anew.
 

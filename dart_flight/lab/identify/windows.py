@@ -34,7 +34,7 @@ CHANNELS = (
 )  # fmt: skip
 
 
-class Window(NamedTuple):
+class TrialWindow(NamedTuple):
     """The samples of a trial that are fitted, by channel.
 
     Attributes:
@@ -58,7 +58,7 @@ def first_span(trial: Trial, impact: TrialImpact) -> tuple[float, float]:
     return impact.turn_s - 0.05 - BEFORE_S, impact.turn_s + 0.06 + AFTER_S
 
 
-def cut(trial: Trial, begin: float, end: float) -> Window:
+def cut(trial: Trial, begin: float, end: float) -> TrialWindow:
     """The samples of a trial between two of its times, all counting.
 
     Raises:
@@ -75,7 +75,7 @@ def cut(trial: Trial, begin: float, end: float) -> Window:
                 series[name] = Series(time[inside], value[inside])
                 counts[name] = np.ones(int(inside.sum()))
                 contact[name] = np.zeros(int(inside.sum()), dtype=bool)
-    return Window(series, counts, contact)
+    return TrialWindow(series, counts, contact)
 
 
 def deviation_of(errors: Array) -> float:

@@ -8,9 +8,17 @@ mass one, and its error on stretches that the fit has not seen. The samples made
 """
 
 from dart_flight.lab.inspect.content import TOPICS
-from dart_flight.lab.inspect.impacts import Felt, FeltFlight
-from dart_flight.lab.inspect.run import feel, feel_log
-from dart_flight.lab.inspect.thrust import SpecificThrust
-from dart_flight.lab.inspect.trials import write_trials
+from dart_flight.lab.inspect.impacts import InspectedFlight, InspectedImpact
+from dart_flight.lab.inspect.inspection import inspect_file, inspect_log
+from dart_flight.lab.inspect.specific_thrust import SpecificThrust
+from dart_flight.lab.inspect.trial_writer import write_trials
 
-__all__ = ["TOPICS", "Felt", "FeltFlight", "SpecificThrust", "feel", "feel_log", "write_trials"]
+__all__ = [
+    "TOPICS",
+    "InspectedFlight",
+    "InspectedImpact",
+    "SpecificThrust",
+    "inspect_file",
+    "inspect_log",
+    "write_trials",
+]

@@ -21,13 +21,13 @@ from dart_flight.base.records import (
     OdometrySample,
 )
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.sense.detector import Expected, ImpactDetector
+from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.state import FlightState
 from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.inspect.content import height_at, landings_of
-from dart_flight.lab.inspect.samples import Sample
-from dart_flight.lab.inspect.thrust import SpecificThrust, is_thrust_known
+from dart_flight.lab.inspect.log_samples import Sample
+from dart_flight.lab.inspect.specific_thrust import SpecificThrust, is_thrust_known
 from dart_flight.lab.track import Track
 from dart_flight.lab.ulog import ULogFile
 
@@ -46,7 +46,7 @@ _TOLD_SD = 4.0  # standard deviations from nothing
 _ASSUMED_THRUST_SD = 0.5  # share of gravity by which an assumed thrust of hovering may be off
 
 
-class Felt(msgspec.Struct):
+class InspectedImpact(msgspec.Struct):
     """One impact.
 
     Attributes:
@@ -110,7 +110,7 @@ class Estimated(NamedTuple):
 Listener = Callable[[Estimated], object]
 
 
-class Crossing(msgspec.Struct):
+class ThresholdCrossing(msgspec.Struct):
     """The force was over its threshold, and what came of it.
 
     Attributes:
@@ -165,7 +165,7 @@ def short_samples(vehicle: VehicleConfig) -> int:
     return max(1, round(vehicle.detection.short_window_s / vehicle.imu.tick_s))
 
 
-class FeltFlight(msgspec.Struct):
+class InspectedFlight(msgspec.Struct):
     """What one log felt; newtons are None without a mass.
 
     `weak` counts crossings of the threshold whose fitted peak stayed below it, or that an error of the thrust
@@ -188,14 +188,14 @@ class FeltFlight(msgspec.Struct):
     floor_flexible_m_s2: float
     drag_per_s: float
     thrust: SpecificThrust | None
-    impacts: list[Felt]
+    impacts: list[InspectedImpact]
     weak: int
     untold: int
     unknown: list[str]
-    series: FeltSeries | None = None  # not in JSON
+    series: InspectedSeries | None = None  # not in JSON
 
 
-class FeltSeries(msgspec.Struct):
+class InspectedSeries(msgspec.Struct):
     """Force over mass in flight, north, east and down, and the threshold; for the report and for trials."""
 
     time_s: Array
@@ -205,7 +205,7 @@ class FeltSeries(msgspec.Struct):
     position_ned: Array  # (m, 3)
 
 
-class Pass:
+class ImpactScan:
     """Estimator and detector over one log.
 
     Args:
@@ -225,12 +225,12 @@ class Pass:
         self.state = FlightState()
         self.state.anchor(MissionFrame())
         self._place = 0
-        self._full_n = len(vehicle.airframe.motors) * vehicle.thrust.most_n
+        self._full_n = len(vehicle.airframe.motors) * vehicle.thrust.max_thrust_n
         self._newest: deque[Estimated] = deque(maxlen=REMEMBERED)
         self._short = short_samples(vehicle)
         self.rows: list[tuple[float, float, float, float, float]] = []  # time, north, east, down, threshold
         self._noise: list[tuple[float, float, float, float, float]] = []
-        self.crossings: list[Crossing] = []
+        self.crossings: list[ThresholdCrossing] = []
 
     def in_the_air(self, t_s: float) -> bool:
         """Whether this is within one of the flights; moments do not go back."""
@@ -260,11 +260,13 @@ class Pass:
         self._newest.append(felt)
         if self._listener is not None:
             self._listener(felt)
-        for event in detector.update(estimate, sample.t_us, self.state, Expected(flying)):
+        for event in detector.update(estimate, sample.t_us, self.state, ExpectedContact(flying)):
             if isinstance(event, ImpactOnset):
                 level = math.hypot(felt.up[0], felt.up[1])
                 noise = detector.noise_n[0]
-                self.crossings.append(Crossing(event, detector.crossed_n, noise_n=noise, level=level))
+                self.crossings.append(
+                    ThresholdCrossing(event, detector.crossed_n, noise_n=noise, level=level)
+                )
             elif isinstance(event, ImpactPeak):
                 self.crossings[-1].ends(event, self._newest, self._short)
         if flying:
@@ -295,7 +297,7 @@ class Pass:
                 )
             )
 
-    def felt(
+    def result(
         self,
         log: ULogFile,
         track: Track,
@@ -303,7 +305,7 @@ class Pass:
         drag: float,
         mass_kg: float | None,
         unknown: list[str],
-    ) -> FeltFlight:
+    ) -> InspectedFlight:
         """The result."""
         begin = float(track.imu_s[0])
         table = np.array(self.rows).reshape(-1, 5)
@@ -327,7 +329,7 @@ class Pass:
             if mass_kg is not None:
                 one.force_n = mass_kg * one.acceleration_m_s2
                 one.force_sd_n = mass_kg * one.acceleration_sd_m_s2
-        return FeltFlight(
+        return InspectedFlight(
             log=log.source,
             px4_version=".".join(str(v) for v in log.version) if log.version else None,
             begin_s=begin,
@@ -347,25 +349,25 @@ class Pass:
             weak=sum(not c.is_impact for c in self.crossings),
             untold=sum(i.kind == "untold" for i in impacts),
             unknown=unknown,
-            series=FeltSeries(
+            series=InspectedSeries(
                 table[:, 0] - begin, table[:, 1:4], table[:, 4], track.position_s - begin, track.position
             ),
         )
 
     def _impact(
         self,
-        crossing: Crossing,
+        crossing: ThresholdCrossing,
         track: Track,
         thrust_sd: float,
         landings: list[tuple[float, float]],
-    ) -> Felt:
+    ) -> InspectedImpact:
         onset, peak = crossing.onset, crossing.peak
         fx, fy = onset.force_mission[:2] if peak is None else peak.normal
         size = math.hypot(fx, fy) if peak is None else peak.normal_force_n
         noise = max(crossing.noise_n, 0.0 if peak is None else peak.normal_sigma_n)
         t = onset.first_us * 1e-6
         down = any(a - _TOUCHDOWN_S <= t <= b for a, b in landings)
-        return Felt(
+        return InspectedImpact(
             t_s=t - float(track.imu_s[0]),
             acceleration_m_s2=size / self._mass,
             acceleration_sd_m_s2=math.hypot(noise / self._mass, thrust_sd * GRAVITY_M_S2 * crossing.level),
@@ -384,13 +386,13 @@ class Pass:
         track: Track,
         table: Array,
         noise_m_s2: float,
-    ) -> Felt:
+    ) -> InspectedImpact:
         """The end of a fall: what the accelerometer felt in all, whatever the thrust."""
         near = slice(*np.searchsorted(track.imu_s, (t_s, t_s + _FALLING_S)))
         felt = np.linalg.norm(track.specific_force[near], axis=1)
         rows = table[slice(*np.searchsorted(table[:, 0], (t_s, t_s + _FALLING_S)))]
         north, east = rows[np.argmax(np.hypot(rows[:, 1], rows[:, 2])), 1:3] if len(rows) else (0.0, 0.0)
-        return Felt(
+        return InspectedImpact(
             t_s=t_s - float(track.imu_s[0]),
             acceleration_m_s2=float(np.nanmax(felt)),
             acceleration_sd_m_s2=noise_m_s2,
@@ -435,7 +437,7 @@ def _mean_size(track: Track, window_s: float) -> Array:
     return np.asarray(np.linalg.norm((sums[end] - sums[begin]) / (end - begin)[:, None], axis=1))
 
 
-def _with_crashes(impacts: list[Felt], crashes: list[Felt]) -> list[Felt]:
+def _with_crashes(impacts: list[InspectedImpact], crashes: list[InspectedImpact]) -> list[InspectedImpact]:
     """All in order; what was felt in a crash is the crash, what comes after it is not told."""
     kept = list(crashes)
     for one in impacts:
@@ -463,7 +465,7 @@ def _height(track: Track, t_s: float) -> float | None:
     return height if math.isfinite(height) else None
 
 
-def _is_told(felt: Felt, thrust_known: bool, known_s: Array) -> bool:
+def _is_told(felt: InspectedImpact, thrust_known: bool, known_s: Array) -> bool:
     """Whether it is a contact for certain: beyond its own error, and no manoeuvre that would look like it.
 
     Where the thrust is not known that of hovering is assumed, which the log has to say that the vehicle did.

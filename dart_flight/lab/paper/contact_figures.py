@@ -19,7 +19,7 @@ from dart_flight.lab.figure_style import (
     shade,
 )
 from dart_flight.lab.paper.tables import PublishedDrop
-from dart_flight.lab.predict.path import Contact, trajectory
+from dart_flight.lab.predict.path import ContactMotion, trajectory
 from dart_flight.lab.predict.prediction import Condition
 
 _SETTLED_S = 0.5  # how much is drawn of a contact that never ends
@@ -42,7 +42,7 @@ def _finish(figure: Any, axes: Sequence[Any], contact_ms: tuple[float, float], p
 
 
 @in_style
-def plot_wall(path: str | Path, what: Condition, contact: Contact, tangential_m_s: float) -> None:
+def plot_wall(path: str | Path, what: Condition, contact: ContactMotion, tangential_m_s: float) -> None:
     """Position, velocity and force of a wall hit over time, written to `path`.
 
     Raises:
@@ -69,7 +69,11 @@ def plot_wall(path: str | Path, what: Condition, contact: Contact, tangential_m_
 
 @in_style
 def plot_drop(
-    path: str | Path, what: Condition, contact: Contact, height_m: float, published: PublishedDrop | None
+    path: str | Path,
+    what: Condition,
+    contact: ContactMotion,
+    height_m: float,
+    published: PublishedDrop | None,
 ) -> None:
     """Height, velocity and force of a drop over time from the release, written to `path`.
 

@@ -17,7 +17,7 @@ from dart_flight.config.vehicle import VehicleConfig, packaged
 from dart_flight.contact.coefficients import Array, CoefficientArrays
 from dart_flight.contact.contact_map import collide, drop, drop_map
 from dart_flight.contact.law import Onset
-from dart_flight.planning.planned import planned_flight
+from dart_flight.planning.predicted_flight import predict_mission
 
 
 class PublishedDrop(NamedTuple):
@@ -168,7 +168,7 @@ def dual_rows(vehicle: VehicleConfig) -> Iterator[DualRow]:
     """The paper's first impact and gains flown on by the flight model, with PX4's default parameters."""
     mission = load_mission(packaged("missions", DUAL_MISSION), packaged("configs", "dart.yaml"))
     mission = msgspec.structs.replace(mission, vehicle=vehicle)
-    hits = planned_flight(mission).hits
+    hits = predict_mission(mission).hits
     for collision, published in zip(mission.collisions, DUAL_PUBLISHED, strict=True):
         hit = hits.get(collision.index)
         reached = None if hit is None else (hit.normal_m_s, hit.tangential_m_s)

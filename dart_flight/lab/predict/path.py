@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.coefficients import Array, CoefficientArrays
 from dart_flight.contact.law import Onset
-from dart_flight.contact.oscillator import enter, find_events, motion
+from dart_flight.contact.oscillator import enter, find_contact_times, motion
 
 # The integrals over a contact are Chebyshev series in y, t = end (1 + tanh(c y)/tanh(c))/2: crowded towards
 # both ends, because the vertical force turns within a thousandth of the contact there. 80 terms leave less
@@ -96,7 +96,7 @@ class _Integral:
         return np.minimum(t, 0.0), np.maximum(t - self._end, 0.0)
 
 
-class Contact:
+class ContactMotion:
     """One hit, prepared for evaluation at any time; times count from the onset.
 
     Args:
@@ -127,7 +127,7 @@ class Contact:
         state = (np.asarray(mass_kg, dtype=float), np.asarray(normal_m_s, dtype=float))
         push = np.asarray(acceleration_m_s2, dtype=float)
         self._course = enter(CoefficientArrays.of(coefficients), *state, onset, push)
-        events = find_events(self._course)
+        events = find_contact_times(self._course)
         self._omega = float(self._course.omega)
         self.met = bool(self._course.hits)
         self.end_s = float(events.end) / self._omega if self.met else 0.0
@@ -231,7 +231,7 @@ class Trajectory(NamedTuple):
 
 
 def trajectory(
-    contact: Contact, time_s: ArrayLike, tangential_m_s: float = 0.0, vertical_sign: int = -1
+    contact: ContactMotion, time_s: ArrayLike, tangential_m_s: float = 0.0, vertical_sign: int = -1
 ) -> Trajectory:
     """A hit at the given times (s, since the onset).
 

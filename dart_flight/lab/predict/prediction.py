@@ -13,13 +13,13 @@ import numpy as np
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import Mode
 from dart_flight.config.document import InputError, read_text, unknown_name
-from dart_flight.config.kinds import FileKind, refuse_other_kind
+from dart_flight.config.file_kinds import FileKind, refuse_other_kind
 from dart_flight.config.units import parted
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
 from dart_flight.contact.contact_map import Drop, collide, contact_map, drop
 from dart_flight.contact.law import Onset, coefficients_in_force
-from dart_flight.lab.predict.path import Contact
+from dart_flight.lab.predict.path import ContactMotion
 
 BATCH_COLUMNS = ("mode", "normal_m_s", "tangential_m_s")
 WALL_COLUMNS = (
@@ -110,14 +110,14 @@ def refuse_hit(normal_m_s: float, tangential_m_s: float) -> None:
         raise InputError(f"{problem[0]} {problem[1]}", key=("velocity",))
 
 
-def wall_contact(what: Condition, normal_m_s: float, tangential_m_s: float) -> Contact:
+def wall_contact(what: Condition, normal_m_s: float, tangential_m_s: float) -> ContactMotion:
     """The hit, for its course in time.
 
     Raises:
         InputError: as `refuse_hit`.
     """
     refuse_hit(normal_m_s, tangential_m_s)
-    return Contact(what.coefficients, what.mass_kg, normal_m_s, what.onset)
+    return ContactMotion(what.coefficients, what.mass_kg, normal_m_s, what.onset)
 
 
 def predict_wall(what: Condition, normal_m_s: float, tangential_m_s: float) -> dict[str, float]:
@@ -182,7 +182,7 @@ def predict_drop_from_ratios(ratios: Ratios, height_m: float) -> dict[str, float
     return numbers
 
 
-def drop_contact(what: Condition, height_m: float) -> Contact:
+def drop_contact(what: Condition, height_m: float) -> ContactMotion:
     """The first contact of a drop, for its course in time.
 
     Raises:
@@ -191,7 +191,7 @@ def drop_contact(what: Condition, height_m: float) -> Contact:
     if not 0.0 < height_m <= 100.0:
         raise InputError(f"{height_m:g} m, expected a height above 0 and up to 100", key=("drop",))
     r = drop(what.coefficients, what.mass_kg, height_m, what.onset)
-    return Contact(
+    return ContactMotion(
         what.coefficients, what.mass_kg, -r.onset_speed_m_s, what.onset, acceleration_m_s2=-GRAVITY_M_S2
     )
 

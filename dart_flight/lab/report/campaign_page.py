@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from typing import Any
 
 from dart_flight.config.document import InputError
-from dart_flight.lab.campaign.summary import CampaignSummary, Failed
+from dart_flight.lab.campaign.campaign_summary import CampaignSummary, FailedFlight
 from dart_flight.lab.report.figures.success import success_figure, varied_figure
-from dart_flight.lab.report.markup import Markup, Row, details, page, section, shown, table
+from dart_flight.lab.report.markup import Markup, Row, details, figure_block, page, section, table
 
 _SHOWN = 12  # figures, failed flights; the others are folded away
 
@@ -62,7 +62,7 @@ def _pictures(figures: Iterable[tuple[Any, str]]) -> str:
     except InputError as error:
         return f"<p class=note>Not drawn: {html.escape(error.message)}.</p>"
     first, others = drawn[:_SHOWN], drawn[_SHOWN:]
-    return shown(*first) + (details(f"{len(others)} more", shown(*others)) if others else "")
+    return figure_block(*first) + (details(f"{len(others)} more", figure_block(*others)) if others else "")
 
 
 def _words(figure: str) -> str:
@@ -140,7 +140,7 @@ def _failed(summary: CampaignSummary) -> str:
     return table(heads, first) + (details(f"{len(rest)} more", table(heads, rest) + note) if rest else "")
 
 
-def _again(one: Failed) -> Markup:
+def _again(one: FailedFlight) -> Markup:
     command = f"<code>{html.escape(one.command)}</code>"
     link = f' <a href="{html.escape(one.log)}">log</a>' if one.log else ""
     return Markup(command + link)

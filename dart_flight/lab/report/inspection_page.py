@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dart_flight.lab.inspect import FeltFlight, SpecificThrust
-from dart_flight.lab.report.figures.forces import felt_force
-from dart_flight.lab.report.markup import page, section, shown, table
+from dart_flight.lab.inspect import InspectedFlight, SpecificThrust
+from dart_flight.lab.report.figures.forces import force_over_flight
+from dart_flight.lab.report.markup import figure_block, page, section, table
 
 
-def felt_page(flights: Sequence[FeltFlight]) -> str:
+def inspection_page(flights: Sequence[InspectedFlight]) -> str:
     """The page of some logs: force over the flight, impacts, what is unknown."""
     parts = [section(flight.log, _flight(flight)) for flight in flights]
     impacts = sum(i.kind == "impact" for flight in flights for i in flight.impacts)
@@ -22,13 +22,17 @@ def _counted(count: int, what: str) -> str:
     return f"{count} {what}" + ("" if count == 1 else "s")
 
 
-def _flight(flight: FeltFlight) -> str:
+def _flight(flight: InspectedFlight) -> str:
     body = ""
     series = flight.series
     if series is not None and len(series.time_s):
         force = np.hypot(series.force_m_s2[:, 0], series.force_m_s2[:, 1])
-        figure = felt_force(series.time_s, force, series.threshold_m_s2, [i.t_s for i in flight.impacts])
-        body += shown((figure, "Horizontal force over mass, and the threshold in force. Vertical: impacts."))
+        figure = force_over_flight(
+            series.time_s, force, series.threshold_m_s2, [i.t_s for i in flight.impacts]
+        )
+        body += figure_block(
+            (figure, "Horizontal force over mass, and the threshold in force. Vertical: impacts.")
+        )
     rows = [
         (i.t_s, i.acceleration_m_s2, i.acceleration_sd_m_s2, i.force_n, i.direction_deg, i.speed_m_s, i.kind)
         for i in flight.impacts

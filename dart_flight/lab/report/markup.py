@@ -27,7 +27,7 @@ def details(title: str, body: str) -> str:
     return f"<details><summary>{html.escape(title)}</summary>{body}</details>"
 
 
-def shown(*figures_and_captions: tuple[Any, str], wide: bool = False) -> str:
+def figure_block(*figures_and_captions: tuple[Any, str], wide: bool = False) -> str:
     """Figures, each with its caption.
 
     Args:

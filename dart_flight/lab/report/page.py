@@ -19,17 +19,28 @@ from dart_flight.base.records import (
     PlanAnswer,
     PlanRequest,
     PlanTaken,
-    WallFelt,
+    WallEstimate,
     World,
 )
 from dart_flight.config.document import InputError
-from dart_flight.lab.report.figures import forces, lock, motion
+from dart_flight.lab.report.figures import forces, motion
+from dart_flight.lab.report.figures import lock_timeline as lock
 from dart_flight.lab.report.figures.flight_map import flight_map
-from dart_flight.lab.report.flight import Flight, Impact, percentile
-from dart_flight.lab.report.markup import Cell, Number, Row, details, page, section, shown, signed, table
-from dart_flight.lab.report.player import player, script
+from dart_flight.lab.report.markup import (
+    Cell,
+    Number,
+    Row,
+    details,
+    figure_block,
+    page,
+    section,
+    signed,
+    table,
+)
+from dart_flight.lab.report.player import animation_html, script
+from dart_flight.lab.report.recorded_flight import Impact, RecordedFlight, percentile
 from dart_flight.lab.statistics import mean_half_width
-from dart_flight.recording.deviations import departures
+from dart_flight.recording.plan_versus_flight import format_departures
 from dart_flight.recording.verdict import Verdict
 
 # Peak forces that agree to this teach nothing: a fifth of k would be twice as much. One flight alone has no
@@ -38,13 +49,13 @@ AGREES, _ALONE = 0.05, 0.1
 _MAIN_ROWS = ("normal velocity", "peak normal force", "contact time")
 
 
-def flight_page(flight: Flight) -> str:
+def flight_page(flight: RecordedFlight) -> str:
     """The page of one flight: what became of it and where, then how, then everything."""
     v = flight.verdict
-    animation = player(flight)
+    animation = animation_html(flight)
     parts = [
         _verdict(flight),
-        shown((flight_map([flight]), _map_words(flight)), wide=True),
+        figure_block((flight_map([flight]), _map_words(flight)), wide=True),
         animation,
     ]
     if flight.mission.collisions:
@@ -60,11 +71,11 @@ def flight_page(flight: Flight) -> str:
             )
             for impact in flight.impacts
         )
-        parts.append(section("Force of each impact", shown(*pictures)))
+        parts.append(section("Force of each impact", figure_block(*pictures)))
     parts += [
         section(
             "Motion",
-            shown(
+            figure_block(
                 (motion.motion(flight), "Velocities and height. Vertical lines: impacts detected."),
                 (motion.attitude(flight), "Attitude in the mission frame."),
                 (
@@ -79,7 +90,7 @@ def flight_page(flight: Flight) -> str:
         ),
         section(
             "Lock and timing" if flight.mission.vehicle.has_lock else "Phases and timing",
-            shown((lock.timeline(flight), _timeline_words(flight)))
+            figure_block((lock.timeline(flight), _timeline_words(flight)))
             + _lock_table(flight)
             + details("Timing", _timing_table(flight)),
         ),
@@ -91,7 +102,7 @@ def flight_page(flight: Flight) -> str:
     return page(f"{v.mission}, {_world(v)}: {v.outcome}", parts, script() if animation else "")
 
 
-def _map_words(flight: Flight) -> str:
+def _map_words(flight: RecordedFlight) -> str:
     words = ["From above, mission frame."]
     if flight.mission.walls:
         words.append(
@@ -106,12 +117,12 @@ def _map_words(flight: Flight) -> str:
     return " ".join(words)
 
 
-def _timeline_words(flight: Flight) -> str:
+def _timeline_words(flight: RecordedFlight) -> str:
     lock = ", permission to lock, state of the lock" if flight.mission.vehicle.has_lock else ""
     return f"Phases, contact{lock}."
 
 
-def comparison_page(flights: Sequence[Flight]) -> str:
+def comparison_page(flights: Sequence[RecordedFlight]) -> str:
     """The page of several flights of one mission, in the order in which they began.
 
     Raises:
@@ -131,7 +142,7 @@ def comparison_page(flights: Sequence[Flight]) -> str:
         section("Flights", _flights_table(flights)),
         section(
             "Paths and forces",
-            shown(
+            figure_block(
                 (
                     flight_map(flights),
                     "All paths from above, mission frame. Planned: to the closest approach to the goal.",
@@ -147,7 +158,7 @@ def comparison_page(flights: Sequence[Flight]) -> str:
     return page(title, parts)
 
 
-def _check_same_mission(flights: Sequence[Flight]) -> None:
+def _check_same_mission(flights: Sequence[RecordedFlight]) -> None:
     """Whatever the vehicle and the place of the mission's file, it must be the same."""
     first = flights[0]
     for other in flights[1:]:
@@ -174,7 +185,7 @@ def _vehicle(v: Verdict) -> str:
     return f"{v.vehicle.source or 'as the log says'}{packaged}, {v.vehicle.mass_kg:g} kg"
 
 
-def _verdict(flight: Flight) -> str:
+def _verdict(flight: RecordedFlight) -> str:
     v, about, replayed = flight.verdict, flight.log.about, flight.replay
     facts = [
         ("world", _world(v) + (f", seed {v.seed}" if v.seed is not None else "")),
@@ -210,12 +221,13 @@ def _verdict(flight: Flight) -> str:
     reason = f"<p class=reason>{html.escape(v.reason)}</p>" if v.reason else ""
     cut = "" if flight.log.complete else "<p class=note>The log was cut: not all of the flight is here.</p>"
     return (
-        f"<section><p class=sentence>{html.escape(sentence(flight))}</p>{reason}{cut}{_hits_table(flight)}"
+        f"<section><p class=sentence>{html.escape(outcome_sentence(flight))}</p>"
+        f"{reason}{cut}{_hits_table(flight)}"
         f"<div class=tiles>{tiles}</div>{details('Where this is from', f'<dl>{listed}</dl>')}</section>"
     )
 
 
-def sentence(flight: Flight) -> str:
+def outcome_sentence(flight: RecordedFlight) -> str:
     """What became of a flight, in plain words."""
     v, planned, met = flight.verdict, len(flight.mission.collisions), len(flight.impacts)
     if flight.mission.standoff_m is not None:
@@ -237,11 +249,11 @@ def sentence(flight: Flight) -> str:
     if v.plan_followed is None:
         return f"{words}."
     plan = "The plan was followed" if v.plan_followed else "The plan was not followed"
-    where = departures(v.deviations, most=1) if v.outcome is Outcome.COMPLETED else ""
+    where = format_departures(v.deviations, most=1) if v.outcome is Outcome.COMPLETED else ""
     return f"{words}. {plan}" + (f": {where}." if where else ".")
 
 
-def _hits_table(flight: Flight) -> str:
+def _hits_table(flight: RecordedFlight) -> str:
     if not flight.mission.collisions:
         return ""
     if not flight.impacts:
@@ -250,7 +262,7 @@ def _hits_table(flight: Flight) -> str:
     return table(heads, [_hit_row(flight, impact) for impact in flight.impacts])
 
 
-def _hit_row(flight: Flight, impact: Impact) -> Row:
+def _hit_row(flight: RecordedFlight, impact: Impact) -> Row:
     v = impact.verdict
     peak = next(c for c in impact.compared if c.name == "peak normal force")
     felt = f", felt {v.mode_felt}" if v.mode_felt not in (None, v.mode) else ""
@@ -261,14 +273,14 @@ def _hit_row(flight: Flight, impact: Impact) -> Row:
     ]  # fmt: skip
 
 
-def _where_px4_log(flight: Flight) -> str:
+def _where_px4_log(flight: RecordedFlight) -> str:
     if flight.log.world in (World.FAST, World.EMBEDDED):
         return "none: PX4 was not flown"
     armed = flight.armed_utc()
     return "not beside the log" + (f"; armed at {armed}" if armed else "")
 
 
-def _impact_table(flight: Flight) -> str:
+def _impact_table(flight: RecordedFlight) -> str:
     if not flight.impacts:
         return "<p>No planned wall was hit.</p>"
     heads = ["", "planned", "predicted", "measured", "true", "error %"]
@@ -282,7 +294,7 @@ def _impact_table(flight: Flight) -> str:
     return main + details("All rows", table(heads, list(_compared_rows(flight)))) + note
 
 
-def _compared_rows(flight: Flight, names: Sequence[str] = ()) -> Iterable[Row]:
+def _compared_rows(flight: RecordedFlight, names: Sequence[str] = ()) -> Iterable[Row]:
     """The rows of every collision, or those of some names."""
     for impact in flight.impacts:
         yield impact.title + (", clipped: lower bounds" if impact.verdict.clipped else "")
@@ -294,7 +306,7 @@ def _compared_rows(flight: Flight, names: Sequence[str] = ()) -> Iterable[Row]:
                 ]  # fmt: skip
 
 
-def _plan_tables(flight: Flight) -> str:
+def _plan_tables(flight: RecordedFlight) -> str:
     """Planned against flown, what contacts taught of the walls, and what was planned in flight."""
     v = flight.verdict
     if v.plan_followed is None:
@@ -306,7 +318,7 @@ def _plan_tables(flight: Flight) -> str:
     heads = ["", "planned", "flown", "may differ by", "within"]
     outside = [row for row, d in zip(rows, v.deviations, strict=True) if not d.within]
     text += (table(heads, outside) if outside else "") + details("Every planned figure", table(heads, rows))
-    felt = flight.course.all(WallFelt)
+    felt = flight.course.all(WallEstimate)
     if felt:
         text += "<h3>Walls as they were felt</h3>" + table(_FELT_HEADS, [_felt_row(flight, f) for f in felt])
     replanned = flight.replanned()
@@ -321,7 +333,7 @@ def _plan_tables(flight: Flight) -> str:
 _FELT_HEADS = ["wall", "mode reported", "felt", "k, N/m", "before", "f, N s/m", "before", "mu, s/m", "before"]
 
 
-def _felt_row(flight: Flight, felt: WallFelt) -> Row:
+def _felt_row(flight: RecordedFlight, felt: WallEstimate) -> Row:
     mode = felt.mode_felt or felt.mode_reported
     wall = next((w for w in flight.mission.walls if w.name == felt.wall), None)
     vehicle = flight.mission.vehicle
@@ -340,7 +352,7 @@ def _felt_row(flight: Flight, felt: WallFelt) -> Row:
 
 
 def _replanned_row(
-    flight: Flight, request: PlanRequest, answer: PlanAnswer | None, taken: PlanTaken | None
+    flight: RecordedFlight, request: PlanRequest, answer: PlanAnswer | None, taken: PlanTaken | None
 ) -> Row:
     to = "the goal" if request.collision is None else f"collision {request.collision}"
     at = flight.course.time_of(request.t_us)
@@ -351,7 +363,7 @@ def _replanned_row(
     return [at, to, after, answer.normal_m_s, answer.tangential_m_s, answer.peak_force_n, flown]
 
 
-def _lock_table(flight: Flight) -> str:
+def _lock_table(flight: RecordedFlight) -> str:
     rows: list[Row] = []
     for impact in flight.impacts:
         times = impact.verdict.lock
@@ -369,7 +381,7 @@ def _lock_table(flight: Flight) -> str:
     return table(heads, rows) if rows else ""
 
 
-def _timing_table(flight: Flight) -> str:
+def _timing_table(flight: RecordedFlight) -> str:
     t = flight.timing
     rows: list[Row] = [
         [name, *(percentile(values, share) for share in (50, 99, 100))]
@@ -387,7 +399,7 @@ def _timing_table(flight: Flight) -> str:
     return table(["ms", "median", "99 %", "most"], rows) + note
 
 
-def _guard_table(flight: Flight) -> str:
+def _guard_table(flight: RecordedFlight) -> str:
     if not flight.verdict.guard:
         return "<p>The guard did not interfere.</p>"
     rows: list[Row] = [
@@ -396,7 +408,7 @@ def _guard_table(flight: Flight) -> str:
     return table(["s", "rule", "action", "detail"], rows)
 
 
-def _noise_table(flight: Flight) -> str:
+def _noise_table(flight: RecordedFlight) -> str:
     """What could be felt as each approach began; empty for flights from before that was recorded."""
     time_of = flight.course.time_of
     rows: list[Row] = [
@@ -408,14 +420,14 @@ def _noise_table(flight: Flight) -> str:
     return table(heads, rows) if rows else ""
 
 
-def _phase_table(flight: Flight) -> str:
+def _phase_table(flight: RecordedFlight) -> str:
     rows: list[Row] = [
         [flight.course.time_of(c.t_us), c.before, c.after, c.reason] for c in flight.course.all(PhaseChange)
     ]
     return details("Phases", table(["s", "from", "to", "because"], rows))
 
 
-def disagreements(flights: Sequence[Flight]) -> dict[str, dict[str, tuple[float, float]]]:
+def disagreements(flights: Sequence[RecordedFlight]) -> dict[str, dict[str, tuple[float, float]]]:
     """How far measured peak forces are off those that the contact law predicts at the measured velocity.
 
     Args:
@@ -447,7 +459,7 @@ def beyond(disagreement: dict[str, tuple[float, float]]) -> bool:
     return any(abs(mean) > max(half, AGREES) for mean, half in disagreement.values())
 
 
-def _coefficients(flights: Sequence[Flight]) -> str:
+def _coefficients(flights: Sequence[RecordedFlight]) -> str:
     parts = []
     for material, disagreement in disagreements(flights).items():
         parts.append(f"<h3>{html.escape(material)}</h3>")
@@ -468,7 +480,7 @@ def _coefficients(flights: Sequence[Flight]) -> str:
     return "".join(parts) or "<p>No impact to learn from.</p>"
 
 
-def _parameters(flight: Flight, others: Sequence[Flight] = ()) -> str:
+def _parameters(flight: RecordedFlight, others: Sequence[RecordedFlight] = ()) -> str:
     about = flight.log.about
     different = [f.name for f in others if f.mission.vehicle != flight.mission.vehicle]
     note = (
@@ -491,7 +503,7 @@ def _parameters(flight: Flight, others: Sequence[Flight] = ()) -> str:
 # --- several flights -----------------------------------------------------------------------------------
 
 
-def _flights_table(flights: Sequence[Flight]) -> str:
+def _flights_table(flights: Sequence[RecordedFlight]) -> str:
     rows: list[Row] = []
     for f in flights:
         v = f.verdict
@@ -504,7 +516,7 @@ def _flights_table(flights: Sequence[Flight]) -> str:
     return table(heads, rows)
 
 
-def _statistics(flights: Sequence[Flight], indices: list[int]) -> str:
+def _statistics(flights: Sequence[RecordedFlight], indices: list[int]) -> str:
     rows: list[Row] = [
         _spread("goal miss, m", (f.verdict.goal_miss_m for f in flights)),
         _spread("final error, m", (f.verdict.final_error_m for f in flights)),

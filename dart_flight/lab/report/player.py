@@ -16,19 +16,19 @@ import numpy as np
 from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode, PhaseChange
 from dart_flight.config.mission import Mission
-from dart_flight.lab.flight_arrays import Array, Force, Motion
-from dart_flight.lab.report.flight import Flight
-from dart_flight.lab.report.hits import (
-    Hit,
+from dart_flight.lab.flight_arrays import Array, ForceArrays, MotionArrays
+from dart_flight.lab.report.flown_collisions import (
+    FlownCollision,
     airborne,
+    flown_collisions,
     guard_acts,
-    hits_of,
     lock_stretches,
     shown_span,
     stretches,
 )
+from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.lab.report.shape import arms_m
-from dart_flight.lab.report.tracks import Angles, angles, in_force, set_points
+from dart_flight.lab.report.tracks import Angles, angles, in_force, setpoint_series
 
 _STEP_S, _FINE_S = 0.04, 0.01  # between pictures; near a hit
 _FINE_BEFORE_S, _FINE_AFTER_S = 0.2, 0.5
@@ -38,7 +38,7 @@ _PLANNED_STEP_M = 0.03
 DATA_ID = "flight-data"
 
 
-def player(flight: Flight) -> str:
+def animation_html(flight: RecordedFlight) -> str:
     """The animation as HTML, "" of a flight that never was in the air.
 
     The element is hidden until the page's script shows it (`script`).
@@ -62,7 +62,7 @@ def script() -> str:
     return resources.files("dart_flight.lab.report").joinpath("player.js").read_text(encoding="utf-8")
 
 
-def player_data(flight: Flight) -> dict[str, Any] | None:
+def player_data(flight: RecordedFlight) -> dict[str, Any] | None:
     """What the animation shows; times ms, lengths mm, angles mrad, speeds cm/s, forces 0.1 N, mission frame.
 
     None where there is no motion in the air.
@@ -73,7 +73,7 @@ def player_data(flight: Flight) -> dict[str, Any] | None:
     if airborne(flight) is None or motion.time_s.size < 2 or span[1] - span[0] < _STEP_S:
         return None
     span = (max(span[0], float(motion.time_s[0])), min(span[1], float(motion.time_s[-1])))
-    hits = hits_of(flight)
+    hits = flown_collisions(flight)
     moments = [hit.impact.at_s for hit in hits]
     times = _grid(span, moments)
     return {
@@ -105,7 +105,7 @@ def player_data(flight: Flight) -> dict[str, Any] | None:
     }
 
 
-def _lock(flight: Flight, span: tuple[float, float]) -> list[list[Any]]:
+def _lock(flight: RecordedFlight, span: tuple[float, float]) -> list[list[Any]]:
     """Since when the arms are what; of a vehicle without a lock they are rigid all the time."""
     if not flight.mission.vehicle.has_lock:
         return [[_ms(span[0]), Mode.RIGID.value]]
@@ -121,7 +121,7 @@ def _grid(span: tuple[float, float], hits: list[float]) -> Array:
     return np.unique(np.round(np.concatenate(parts), 3))
 
 
-def _motion(motion: Motion, times: Array, attitude: Angles) -> dict[str, list[int]]:
+def _motion(motion: MotionArrays, times: Array, attitude: Angles) -> dict[str, list[int]]:
     found = {"t": _ints(times, 1e3)}
     for i, name in enumerate("xyz"):
         found[name] = _ints(np.interp(times, motion.time_s, motion.position[:, i]), 1e3)
@@ -134,9 +134,9 @@ def _motion(motion: Motion, times: Array, attitude: Angles) -> dict[str, list[in
     return found
 
 
-def _set_points(flight: Flight, times: Array) -> list[list[int]]:
+def _set_points(flight: RecordedFlight, times: Array) -> list[list[int]]:
     """[time, x, y, z] of the set-point in force, wherever it is another one than a picture before."""
-    sent = set_points(flight.course)
+    sent = setpoint_series(flight.course)
     if not sent.time_s.size:
         return []
     index, known = in_force(sent.time_s, times)
@@ -148,7 +148,7 @@ def _set_points(flight: Flight, times: Array) -> list[list[int]]:
     return found
 
 
-def _forces(flight: Flight, span: tuple[float, float], hits: list[float]) -> dict[str, list[int]]:
+def _forces(flight: RecordedFlight, span: tuple[float, float], hits: list[float]) -> dict[str, list[int]]:
     """Horizontal force, estimated as a vector and true as a size."""
     estimated, true = flight.course.estimated_force, flight.course.true_force
     if not estimated.time_s.size:
@@ -169,12 +169,12 @@ def _forces(flight: Flight, span: tuple[float, float], hits: list[float]) -> dic
     }
 
 
-def _size_at(force: Force, times: Array) -> Array:
+def _size_at(force: ForceArrays, times: Array) -> Array:
     size = np.hypot(force.force[:, 0], force.force[:, 1])
     return np.interp(times, force.time_s, size)
 
 
-def _hit(hit: Hit) -> dict[str, Any]:
+def _hit(hit: FlownCollision) -> dict[str, Any]:
     verdict = hit.impact.verdict
     return {
         "t": _ms(hit.impact.at_s),

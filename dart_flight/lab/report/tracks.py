@@ -16,12 +16,12 @@ from dart_flight.base.records import (
     EscSample,
     ForceEstimate,
     Record,
-    SetPoint,
+    Setpoint,
     StatusSample,
     TruthSample,
 )
 from dart_flight.config.mission import Mission
-from dart_flight.core.sense.thrust import ThrustModel
+from dart_flight.core.sense.thrust_model import ThrustModel
 from dart_flight.lab.flight_arrays import Array, FlightArrays, turned
 
 # Of the body, in FRD.
@@ -44,7 +44,7 @@ class Angles(NamedTuple):
     roll: Array
 
 
-class SetPoints(NamedTuple):
+class SetpointSeries(NamedTuple):
     """What was sent; each holds until the next.
 
     Attributes:
@@ -77,7 +77,7 @@ class Power(NamedTuple):
     """Thrust and battery.
 
     Attributes:
-        time_s, thrust_n: total thrust by the core's model (`core/sense/thrust.py`), arrays (n,).
+        time_s, thrust_n: total thrust by the core's model (`core/sense/thrust_model.py`), arrays (n,).
         motor_time_s, lowest, highest: least and largest command to a motor, 0 to 1, arrays (m,).
         battery_time_s, battery_v: arrays (k,).
     """
@@ -104,14 +104,14 @@ def angles(course: FlightArrays, *, true: bool = False) -> Angles:
     )
 
 
-def set_points(course: FlightArrays) -> SetPoints:
+def setpoint_series(course: FlightArrays) -> SetpointSeries:
     """Every set-point that was sent."""
-    sent = course.topic_in_ned(SetPoint)
+    sent = course.topic_in_ned(Setpoint)
     position, velocity = (
         course.from_ned(sent["position_ned"], places=True),
         course.from_ned(sent["velocity_ned"]),
     )
-    return SetPoints(sent.t_s, position, velocity, sent["recovery"])
+    return SetpointSeries(sent.t_s, position, velocity, sent["recovery"])
 
 
 def in_force(times: Array, at_s: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
@@ -122,7 +122,7 @@ def in_force(times: Array, at_s: Array) -> tuple[NDArray[np.intp], NDArray[np.bo
 
 def tracking(course: FlightArrays) -> Tracking:
     """How far the estimated position and velocity are from the set-point in force."""
-    motion, sent = course.estimated, set_points(course)
+    motion, sent = course.estimated, setpoint_series(course)
     if not sent.time_s.size or not motion.time_s.size:
         return Tracking(np.empty(0), np.empty(0), np.empty(0))
     index, known = in_force(sent.time_s, motion.time_s)

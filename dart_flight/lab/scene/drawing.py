@@ -29,8 +29,8 @@ from dart_flight.base.geometry import Quaternion as Rotation
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Airframe
-from dart_flight.core.mission.approach import legs_of
-from dart_flight.planning.planned import PlannedFlight
+from dart_flight.core.mission.approach import transit_segments
+from dart_flight.planning.predicted_flight import PredictedFlight
 
 MISSION, VEHICLE = "mission", "vehicle"  # names of the frames
 
@@ -196,10 +196,10 @@ def goal_altitude_m(mission: Mission) -> float:
     return mission.altitude_at(len(mission.collisions))
 
 
-def planned(flight: PlannedFlight, mission: Mission, t_us: int) -> SceneEntity:
+def planned(flight: PredictedFlight, mission: Mission, t_us: int) -> SceneEntity:
     """The way that the mission says and the flight model predicts: a ball at every hit, a small one at every
     way-point."""
-    lines = [[leg.begin, leg.end] for leg in legs_of(mission) if leg.begin is not None]
+    lines = [[leg.begin, leg.end] for leg in transit_segments(mission) if leg.begin is not None]
     for index, approach in flight.approaches.items():
         z = mission.altitude_at(index - 1)
         lines.append([(x, y, z) for x, y in approach])

@@ -23,7 +23,7 @@ from dart_flight.base.processes import ChildProcess
 from dart_flight.base.records import Record
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
-from dart_flight.lab.scene.thinning import WANTED, Thinning
+from dart_flight.lab.scene.downsampling import WANTED, Downsampler
 from dart_flight.recording.encoding import encode
 
 _START_S = 30.0
@@ -33,7 +33,7 @@ _MOST_WAITING = 4096  # records; four seconds of a flight
 _MOST_BYTES = 1 << 18  # encoded and not yet in the pipe
 
 
-class Show(msgspec.Struct):
+class LiveViewSpec(msgspec.Struct):
     """What the process is to show, and where.
 
     Attributes:
@@ -47,19 +47,19 @@ class Show(msgspec.Struct):
     mission: Mission
     host: str
     port: int
-    furnished: bool = True
-    placed: bool = False
+    show_room: bool = True
+    frame_known: bool = False
     from_truth: bool = False
 
 
-class Opened(msgspec.Struct):
+class PortStatus(msgspec.Struct):
     """Whether the port is open."""
 
     port: int | None = None
     problem: str = ""
 
 
-class LiveView:
+class LiveViewProcess:
     """A live view of one flight; call it with every record.
 
     Args:
@@ -74,13 +74,13 @@ class LiveView:
         InputError: foxglove-sdk is missing, or the port cannot be opened.
     """
 
-    def __init__(self, show: Show, say: Callable[[str], None]) -> None:
+    def __init__(self, show: LiveViewSpec, say: Callable[[str], None]) -> None:
         if importlib.util.find_spec("foxglove") is None:
             raise InputError("--live needs foxglove-sdk: pip install 'dart-flight[live]'")
         self._say = say
         self.dropped = 0
         self._waiting: deque[Record] = deque()
-        self._thinning = Thinning()
+        self._thinning = Downsampler()
         self._unsent = bytearray()
         self._closing = threading.Event()
         said: queue.SimpleQueue[bytes] = queue.SimpleQueue()
@@ -90,11 +90,13 @@ class LiveView:
         self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
         self._thread.start()
 
-    def _await_port(self, show: Show, said: queue.SimpleQueue[bytes]) -> int:
+    def _await_port(self, show: LiveViewSpec, said: queue.SimpleQueue[bytes]) -> int:
         line = b""
         with contextlib.suppress(queue.Empty):
             line = said.get(timeout=_START_S)
-        opened = msgspec.json.decode(line, type=Opened) if line else Opened(problem="it did not start")
+        opened = (
+            msgspec.json.decode(line, type=PortStatus) if line else PortStatus(problem="it did not start")
+        )
         if opened.port is None:
             self.process.end(_END_S)
             where = f"{show.host}:{show.port}"
@@ -155,6 +157,6 @@ def open_live_view(
     placed: bool,
     from_truth: bool,
     say: Callable[[str], None],
-) -> LiveView:
+) -> LiveViewProcess:
     """A live view (`Show`), opened; raises what `LiveView` raises."""
-    return LiveView(Show(mission, host, port, furnished, placed, from_truth), say)
+    return LiveViewProcess(LiveViewSpec(mission, host, port, furnished, placed, from_truth), say)

@@ -18,11 +18,11 @@ import msgspec
 from foxglove.websocket import Capability, ChannelView, Client, ServerListener
 
 from dart_flight.base.geometry import MissionFrame
-from dart_flight.base.processes import stand_back
+from dart_flight.base.processes import use_idle_priority
 from dart_flight.config.mission import Mission
 from dart_flight.lab.scene.channels import Channels
-from dart_flight.lab.scene.live import Opened, Show
-from dart_flight.lab.scene.translation import LASTING, Translation
+from dart_flight.lab.scene.live import LiveViewSpec, PortStatus
+from dart_flight.lab.scene.translation import LASTING, SceneTranslator
 from dart_flight.recording.encoding import decode
 from dart_flight.recording.reader import DECODERS
 
@@ -31,7 +31,7 @@ _CLOCK_US = 50_000
 _JUMP_US = 1_000_000
 
 
-class Newcomers(ServerListener):
+class SubscriptionListener(ServerListener):
     """Notes that a viewer has subscribed to what is published only on a change."""
 
     def __init__(self) -> None:
@@ -50,12 +50,12 @@ class Broadcast:
         RuntimeError: the port cannot be opened.
     """
 
-    def __init__(self, show: Show) -> None:
+    def __init__(self, show: LiveViewSpec) -> None:
         mission: Mission = show.mission
-        frame = mission.frame_at((0.0, 0.0, 0.0)) if show.furnished else MissionFrame()
-        given = frame if show.placed else None
-        self._translation = Translation(mission, given, show.furnished, show.from_truth)
-        self._channels, self._newcomers = Channels(), Newcomers()
+        frame = mission.frame_at((0.0, 0.0, 0.0)) if show.show_room else MissionFrame()
+        given = frame if show.frame_known else None
+        self._translation = SceneTranslator(mission, given, show.show_room, show.from_truth)
+        self._channels, self._newcomers = Channels(), SubscriptionListener()
         self._clock_us = 0
         self._server = foxglove.start_server(
             name=f"dart-flight: {mission.name}",
@@ -90,25 +90,25 @@ class Broadcast:
 
 def serve(records: BinaryIO, told: BinaryIO) -> int:
     """Broadcast until there are no more records; 1 where the port cannot be opened."""
-    show = msgspec.json.decode(records.readline(), type=Show)
+    show = msgspec.json.decode(records.readline(), type=LiveViewSpec)
     try:
         broadcast = Broadcast(show)
     except RuntimeError as error:
-        _tell(told, Opened(problem=str(error)))
+        _tell(told, PortStatus(problem=str(error)))
         return 1
-    _tell(told, Opened(broadcast.port))
+    _tell(told, PortStatus(broadcast.port))
     for line in records:
         broadcast.take(line)
     broadcast.close()
     return 0
 
 
-def _tell(told: BinaryIO, opened: Opened) -> None:
+def _tell(told: BinaryIO, opened: PortStatus) -> None:
     told.write(msgspec.json.encode(opened) + b"\n")
     told.flush()
 
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the flight's business
-    stand_back()
+    use_idle_priority()
     sys.exit(serve(sys.stdin.buffer, sys.stdout.buffer))

@@ -41,7 +41,7 @@ from dart_flight.base.records import (
     OdometrySample,
     PhaseChange,
     Record,
-    SetPoint,
+    Setpoint,
     StatusSample,
     TruthContact,
     TruthSample,
@@ -49,12 +49,12 @@ from dart_flight.base.records import (
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Servo
 from dart_flight.lab.scene import drawing, outlines
+from dart_flight.lab.scene.downsampling import SCENE_US
 from dart_flight.lab.scene.scalars import ForceState, TrueForce, VehicleState
-from dart_flight.lab.scene.thinning import SCENE_US
 from dart_flight.lock.servo import ServoModel
-from dart_flight.planning.planned import planned_flight
-from dart_flight.recording.anchor import Anchor
-from dart_flight.recording.events import Event, Events, Level
+from dart_flight.planning.predicted_flight import predict_mission
+from dart_flight.recording.anchor import MissionFrameReader
+from dart_flight.recording.events import Event, EventFormatter, Level
 
 TRANSFORMS, LOG = "/tf", "/log"
 ROOM, PLAN, VEHICLE, PATH = "/scene/room", "/scene/plan", "/scene/vehicle", "/scene/path"
@@ -85,7 +85,7 @@ class Message(NamedTuple):
     content: Any
 
 
-class Path:
+class FlownTrajectory:
     """The way flown so far: points at least a step apart; where they become too many, half of them go."""
 
     def __init__(self) -> None:
@@ -102,7 +102,7 @@ class Path:
             self._step_m *= 2.0
 
 
-class Translation:
+class SceneTranslator:
     """Takes the records of a flight in order and gives the messages that follow from each.
 
     Args:
@@ -122,7 +122,7 @@ class Translation:
     ) -> None:
         self._mission, self._given, self._furnished = mission, frame, furnished
         self._from_truth = from_truth
-        self._anchor, self._events = Anchor(mission), Events()
+        self._anchor, self._events = MissionFrameReader(mission), EventFormatter()
         self._provisional: MissionFrame | None = None
         lock = mission.vehicle.lock
         self._servo = None if lock is None else lock.servo
@@ -135,7 +135,7 @@ class Translation:
         self._true_n: Vec3 = (0.0, 0.0, 0.0)
         self._drawn_forces = False
         self._true_us = -SCENE_US
-        self._path, self._path_us = Path(), -_PATH_US
+        self._path, self._path_us = FlownTrajectory(), -_PATH_US
         self._hits: list[tuple[Vec3, str]] = []
         self._begun = False
         self._takers: dict[type[Record], Callable[[Any], list[Message]]] = {
@@ -144,7 +144,7 @@ class Translation:
             ForceEstimate: self._take_force,
             TruthSample: self._take_truth,
             TruthContact: self._take_truth_contact,
-            SetPoint: self._take_set_point,
+            Setpoint: self._take_set_point,
             LockState: self._take_lock,
             StatusSample: self._take_status,
             PhaseChange: self._take_phase,
@@ -159,7 +159,7 @@ class Translation:
         taker = self._takers.get(type(record))
         if taker is not None:
             messages += taker(record)
-        event = self._events.take(record)
+        event = self._events.event_of(record)
         if event is not None:
             messages.append(_log(t_us, event))
         return messages
@@ -176,7 +176,7 @@ class Translation:
         messages = [_transform(t_us, (x, y, 0.0), IDENTITY), *self._vehicle(t_us)]
         if self._furnished:
             messages.append(_scene(ROOM, t_us, *drawing.room(self._mission, t_us)))
-            plan = drawing.planned(planned_flight(self._mission), self._mission, t_us)
+            plan = drawing.planned(predict_mission(self._mission), self._mission, t_us)
             messages.append(_scene(PLAN, t_us, plan))
             points = outlines.cloud(t_us, drawing.MISSION, outlines.room(self._mission))
             messages.append(Message(OUTLINES[0], t_us, points))
@@ -304,7 +304,7 @@ class Translation:
 
     # -- set-point, lock, status, phase --
 
-    def _take_set_point(self, point: SetPoint) -> list[Message]:
+    def _take_set_point(self, point: Setpoint) -> list[Message]:
         frame = self._frame
         if frame is None:
             return []

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.config.mission import Mission
-from dart_flight.planning.planned import PlannedFlight, flights_with
-from dart_flight.planning.rollout import LEAST_FACTOR, Draw, drawn_wall
+from dart_flight.planning.predicted_flight import PredictedFlight, flights_with
+from dart_flight.planning.rollout import LEAST_FACTOR, UncertaintyDraw, drawn_wall
 
 
-def drawn_flights(mission: Mission, count: int = 40, seed: int = 1) -> list[PlannedFlight]:
+def predict_with_draws(mission: Mission, count: int = 40, seed: int = 1) -> list[PredictedFlight]:
     """The planned path with other walls: k, f and mu of every wall and mode, and where the walls stand.
 
     The coefficients are drawn about the table's with the relative standard deviation
@@ -24,7 +24,7 @@ def drawn_flights(mission: Mission, count: int = 40, seed: int = 1) -> list[Plan
     """
     rng, spread = np.random.default_rng(seed), mission.vehicle.estimation.walls.spread
     of_places = np.random.default_rng([seed, 1])  # the coefficients are the same, whatever is known of places
-    draws: list[Draw | None] = []
+    draws: list[UncertaintyDraw | None] = []
     for _ in range(count):
         of_wall = {
             (wall.name, mode): _factors(spread * rng.standard_normal(3))
@@ -34,7 +34,7 @@ def drawn_flights(mission: Mission, count: int = 40, seed: int = 1) -> list[Plan
         modes, hits = mission.vehicle.modes, mission.collisions
         factors = {(str(c.index), mode): of_wall[c.wall.name, mode] for c in hits for mode in modes}
         places = {wall.name: drawn_wall(wall, of_places) for wall in mission.walls if wall.is_uncertain}
-        draws.append(Draw(factors, 0.0, 0.0, 0.0, places))
+        draws.append(UncertaintyDraw(factors, 0.0, 0.0, 0.0, places))
     return flights_with(mission, draws)
 
 

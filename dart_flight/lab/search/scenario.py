@@ -20,8 +20,8 @@ from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
 from dart_flight.config.document import Document, InputError, Key, unknown_name
+from dart_flight.config.file_kinds import FileKind, load_document
 from dart_flight.config.flight_space import refuse_mode, resolve_alphas, resolve_space
-from dart_flight.config.kinds import FileKind, load_document
 from dart_flight.config.mission_file import (
     Alpha,
     BoundsSpec,
@@ -195,7 +195,7 @@ def with_vehicle_parameters(scenario: Scenario, url: str) -> Scenario:
         InputError: one of them is out of the range that the flight model can take.
     """
     from dart_flight.vehicle.ground_link import GroundLink  # noqa: PLC0415  (an extra, slow to import)
-    from dart_flight.vehicle.session import VehicleError  # noqa: PLC0415
+    from dart_flight.vehicle.vehicle_session import VehicleError  # noqa: PLC0415
 
     vehicle = scenario.vehicle
     own = msgspec.to_builtins(vehicle.px4)

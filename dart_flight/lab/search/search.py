@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dart_flight.base.geometry import Vec2, distance2
 from dart_flight.base.records import Mode
 from dart_flight.config.document import InputError
-from dart_flight.core.mission.approach import Transit
+from dart_flight.core.mission.approach import TransitTrajectory
 from dart_flight.lab.search.scenario import Objective, Scenario
 from dart_flight.planning.approach_grid import ApproachGrid
 from dart_flight.planning.constraints import REFUSALS, Constraints, Refusal
@@ -26,8 +26,8 @@ from dart_flight.planning.flight_model import Array, FreeFlight, Rows
 from dart_flight.planning.rollout import (
     LEAST_FACTOR,
     Arrivals,
-    Draw,
     Rollout,
+    UncertaintyDraw,
     drawn_wall,
     new_flight,
     stages_for,
@@ -151,7 +151,7 @@ class Candidates(NamedTuple):
     failed: Array | None
 
 
-class Search(msgspec.Struct, frozen=True):
+class SearchResult(msgspec.Struct, frozen=True):
     """The result of `search`.
 
     Attributes:
@@ -175,7 +175,9 @@ class Search(msgspec.Struct, frozen=True):
     maps: tuple[Candidates, ...]
 
 
-def search(scenario: Scenario, top: int = 10, seed: int = 1, progress: Progress | None = None) -> Search:
+def search(
+    scenario: Scenario, top: int = 10, seed: int = 1, progress: Progress | None = None
+) -> SearchResult:
     """Try every candidate of a scenario and rank those that are feasible.
 
     Args:
@@ -188,14 +190,14 @@ def search(scenario: Scenario, top: int = 10, seed: int = 1, progress: Progress 
         InputError: nothing is feasible; the message says what stands in the way most and how to relax it.
     """
     began = time.perf_counter()
-    planner = Planner(scenario, seed, progress or (lambda done, of: None))
+    planner = ScenarioSearch(scenario, seed, progress or (lambda done, of: None))
     maps = planner.run()
     feasible = sum(m.rows.size for m in maps)
     if feasible == 0:
         raise InputError(planner.why_infeasible(), source=scenario.source, key=("search",))
     best = _ranked(maps, scenario, top)
     plans = planner.explain(list(_spread(maps, best)))
-    return Search(
+    return SearchResult(
         scenario=scenario,
         plans=plans,
         candidates=planner.candidates,
@@ -208,7 +210,7 @@ def search(scenario: Scenario, top: int = 10, seed: int = 1, progress: Progress 
     )
 
 
-class Planner:
+class ScenarioSearch:
     """One scenario's search."""
 
     def __init__(self, scenario: Scenario, seed: int = 1, progress: Progress = lambda done, of: None) -> None:
@@ -309,7 +311,7 @@ class Planner:
             out.extend(self._judged(c, misses[c.modes][:, np.searchsorted(rows, c.rows)]) for c in group)
         return out
 
-    def _where_walls_are(self, planned: Rollout, sequence: tuple[str, ...], draw: Draw) -> Rollout:
+    def _where_walls_are(self, planned: Rollout, sequence: tuple[str, ...], draw: UncertaintyDraw) -> Rollout:
         """The rollout among the walls of a draw; the planned one where they stand as planned."""
         if not draw.walls:
             return planned
@@ -398,7 +400,7 @@ def _plan(c: Candidates, i: int, rank: int, arrivals: Arrivals, k: int) -> Plan:
     )
 
 
-def draws_of(scenario: Scenario, seed: int) -> list[Draw]:
+def draws_of(scenario: Scenario, seed: int) -> list[UncertaintyDraw]:
     """The draws of `robust`, the same for all candidates; coefficients independent per wall and mode."""
     u = scenario.uncertainty
     rng = np.random.default_rng(seed)
@@ -412,7 +414,7 @@ def draws_of(scenario: Scenario, seed: int) -> list[Draw]:
         shift = rng.standard_normal(3)
         walls = {name: drawn_wall(wall, rng) for name, wall in scenario.walls.items() if wall.is_uncertain}
         draws.append(
-            Draw(
+            UncertaintyDraw(
                 factors,
                 u.approach_m_s * float(shift[0]),
                 u.approach_m_s * float(shift[1]),
@@ -450,7 +452,7 @@ def _baseline(scenario: Scenario) -> DirectFlight:
     start = (scenario.start[0], scenario.start[1], z)
     flying = scenario.vehicle.flying
     end = (goal[0], goal[1], z)
-    transit = Transit.between(start, end, flying.transit_speed_m_s, flying.acceleration_m_s2)
+    transit = TransitTrajectory.between(start, end, flying.transit_speed_m_s, flying.acceleration_m_s2)
     return DirectFlight(_blocking_wall(scenario, scenario.start, goal), transit.duration_s)
 
 

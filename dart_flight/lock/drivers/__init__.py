@@ -78,7 +78,9 @@ class DriverEntry(NamedTuple):
 DRIVERS: Final[Mapping[LockDriver, DriverEntry]] = {
     LockDriver.MAESTRO: DriverEntry("maestro:MaestroDriver", "a Pololu Maestro on a serial port"),
     LockDriver.PWM: DriverEntry("pwm:PwmDriver", "the Raspberry Pi's own PWM"),
-    LockDriver.PX4: DriverEntry("px4:Px4Driver", "an output of PX4", needs=("set_actuator",), simulated=True),
+    LockDriver.PX4: DriverEntry(
+        "px4_output:Px4Driver", "an output of PX4", needs=("set_actuator",), simulated=True
+    ),
     LockDriver.MOCK: DriverEntry(
         "mock:MockDriver",
         "a modelled servo",
@@ -134,6 +136,6 @@ def make_driver(
     driver: Driver = make(config, **{name: offered[name] for name in entry.needs + entry.takes})
     if config.limit_switch is None or entry.reads_switches or not gpio:
         return driver
-    from dart_flight.lock.drivers.limit_switch import GpioLimitSwitch, WithLimitSwitch  # noqa: PLC0415
+    from dart_flight.lock.drivers.limit_switch import DriverWithLimitSwitch, GpioLimitSwitch  # noqa: PLC0415
 
-    return WithLimitSwitch(driver, GpioLimitSwitch(config.limit_switch))
+    return DriverWithLimitSwitch(driver, GpioLimitSwitch(config.limit_switch))

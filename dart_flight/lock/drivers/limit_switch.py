@@ -81,7 +81,7 @@ class GpioLimitSwitch:
             request.release()
 
 
-class WithLimitSwitch:
+class DriverWithLimitSwitch:
     """A driver whose readings carry what the limit switches say."""
 
     def __init__(self, driver: Driver, switches: SwitchReader) -> None:

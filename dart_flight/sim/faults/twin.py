@@ -7,13 +7,13 @@ import msgspec
 from dart_flight.base.geometry import add
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockDriver
-from dart_flight.sim.vehicle import SimulatedVehicle
+from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 
 _APART_NED = (0.0, 4.0, 0.0)  # outside of the missions' flight space, on its own floor
 _OTHER_SEED = 1000
 
 
-def second_vehicle(mission: Mission, seed: int, ahead_s: float, now_us: int) -> SimulatedVehicle:
+def make_second_vehicle(mission: Mission, seed: int, ahead_s: float, now_us: int) -> SimulatedVehicle:
     """The vehicle, standing and disarmed.
 
     Args:

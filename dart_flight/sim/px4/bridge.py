@@ -21,11 +21,11 @@ from pymavlink.dialects.v20 import common as mavlink
 from dart_flight.base.errors import FlightError
 from dart_flight.base.geometry import Quaternion, Vec3
 from dart_flight.config.mission import Mission
-from dart_flight.config.parameters import PositionSource
+from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import LockDriver, Motor, VehicleConfig
-from dart_flight.lock.drivers.px4 import actuator_pulse_us
-from dart_flight.sim.autopilot import TICK_US
-from dart_flight.sim.noise import Normal
+from dart_flight.lock.drivers.px4_output import actuator_pulse_us
+from dart_flight.sim.embedded_autopilot import TICK_US
+from dart_flight.sim.noise import GaussianNoise
 from dart_flight.sim.plant import make_plant
 from dart_flight.sim.sensors import (
     GPS_QUALITIES,
@@ -36,7 +36,7 @@ from dart_flight.sim.sensors import (
     Magnetometer,
     PoseSensor,
 )
-from dart_flight.sim.vehicle import LockServo
+from dart_flight.sim.simulated_vehicle import LockServo
 from dart_flight.sim.wind import Wind
 
 _PX4_G_M_S2 = 9.80665  # PX4's CONSTANTS_ONE_G, not the gravity that we fly with
@@ -168,7 +168,7 @@ class Px4Vehicle:
     ) -> None:
         self.vehicle, self._link = mission.vehicle, link
         self.plant = make_plant(mission, motors, seed)
-        noise = Normal(random.Random(seed))
+        noise = GaussianNoise(random.Random(seed))
         self._imu = ImuSensor(self.vehicle, noise)
         self._pose = PoseSensor(self.vehicle, noise) if position_from is PositionSource.MOCAP else None
         self._gps = GpsReceiver(GPS_QUALITIES[position_from], noise) if self._pose is None else None
@@ -209,7 +209,7 @@ class Px4Vehicle:
             # PX4 zeroes all simulated outputs while disarmed, the servo's too: that is no command.
             pulse = actuator_pulse_us(self._lock_by_px4, m[self._servo_channel]) if controls.armed else None
             self._servo.follow(self.time_us, pulse)
-        self._wind.blow(self.plant)
+        self._wind.step(self.plant)
         specific_force = self.plant.advance(m[: self._motors], _STEPS_PER_TICK)
         self._ticks += 1
         others = []

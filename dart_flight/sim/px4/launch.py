@@ -28,7 +28,7 @@ import msgspec
 
 from dart_flight.base.errors import FlightError
 from dart_flight.config.document import InputError
-from dart_flight.config.parameters import (
+from dart_flight.config.parameter_file import (
     Parameter,
     PositionSource,
     Value,
@@ -38,7 +38,7 @@ from dart_flight.config.parameters import (
 )
 from dart_flight.config.rotors import COUNT, MAV_TYPES, motors_of, rotor_parameters
 from dart_flight.config.vehicle import LockDriver, Motor, Px4Parameters, VehicleConfig, packaged
-from dart_flight.lock.drivers.px4 import ACTUATOR_SET_1, PREARM_ALWAYS
+from dart_flight.lock.drivers.px4_output import ACTUATOR_SET_1, PREARM_ALWAYS
 from dart_flight.sim.px4.bridge import servo_channel
 from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of, holder_of, udp_port_is_free
 
@@ -440,12 +440,12 @@ class Px4:
                 return f": {errors[-1].strip()}"
         return ""
 
-    def ask_parameters(self) -> Question:
+    def ask_parameters(self) -> Px4Query:
         """Ask the running PX4 for its parameters.
 
         It answers only while the lockstep goes on, so this does not wait.
         """
-        return Question(self._command(_CLIENT, "show", "-a"))
+        return Px4Query(self._command(_CLIENT, "show", "-a"))
 
     def _command(self, program: str, *arguments: str) -> list[str]:
         return [str(self._install.program.parent / program), "--instance", str(self.instance), *arguments]
@@ -494,7 +494,7 @@ class Px4:
         return kept
 
 
-class Question:
+class Px4Query:
     """A question to the running PX4 that is answered while its simulator goes on.
 
     Args:

@@ -13,7 +13,7 @@ from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lab.calibrate.thrust_curve import calibrate_thrust, quiet_points
-from dart_flight.lab.track import read_track
+from dart_flight.lab.track import read_calibration_series
 from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[3]
@@ -26,7 +26,7 @@ def flight(flown: SharedFlights) -> Path:
 
 
 def test_own_log_gives_the_plants_curve(flight: Path) -> None:
-    result = calibrate_thrust([read_track(flight)], VEHICLE)
+    result = calibrate_thrust([read_calibration_series(flight)], VEHICLE)
     assert result.segments >= 10
     assert result.hover_command == pytest.approx(0.5547, rel=0.01)
     assert result.residual_percent < 1.5
@@ -36,7 +36,7 @@ def test_own_log_gives_the_plants_curve(flight: Path) -> None:
 
 
 def test_contacts_and_the_ground_are_left_out(flight: Path) -> None:
-    track = read_track(flight)
+    track = read_calibration_series(flight)
     points = quiet_points(track, VEHICLE.airframe.mass_kg, VEHICLE.thrust.motor_lag_s)
     assert len(points.force) < (track.imu_s[-1] - track.imu_s[0]) / 0.5
     assert (np.abs(points.force - 12.75) < 1.5).all()
@@ -89,7 +89,7 @@ def test_px4_logs_give_curve_and_battery(tmp_path: Path) -> None:
     paths = [tmp_path / "full.ulg", tmp_path / "low.ulg"]
     ulog(paths[0], 16.6, 0.4, 8.0)
     ulog(paths[1], 14.6, 0.4, 8.0)
-    result = calibrate_thrust([read_track(p) for p in paths], VEHICLE)
+    result = calibrate_thrust([read_calibration_series(p) for p in paths], VEHICLE)
     assert result.battery_exponent_error is not None
     assert result.battery_exponent == pytest.approx(1.0, abs=0.05)
     assert result.reference_v == pytest.approx(15.6, abs=0.05)
@@ -102,6 +102,6 @@ def test_what_cannot_be_used_is_refused(tmp_path: Path, capsys: pytest.CaptureFi
     bad = tmp_path / "bad.ulg"
     bad.write_bytes(b"no log")
     with pytest.raises(InputError, match="not a readable ULog"):
-        read_track(bad)
+        read_calibration_series(bad)
     assert main(["calibrate", "thrust", str(tmp_path / "none.mcap")]) == 2
     assert "cannot read" in capsys.readouterr().err

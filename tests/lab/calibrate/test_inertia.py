@@ -16,7 +16,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lab.calibrate.inertia import calibrate_inertia
-from dart_flight.lab.track import Track, read_track
+from dart_flight.lab.track import Track, read_calibration_series
 from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[3]
@@ -190,7 +190,7 @@ def write_ulog(path: Path, track: Track) -> None:
 def test_px4_logs_tell_it_too(tmp_path: Path) -> None:
     pytest.importorskip("pyulog")
     write_ulog(tmp_path / "flight.ulg", turning((0.02, 0.02, 0.05)))
-    result = calibrate_inertia([read_track(tmp_path / "flight.ulg")], VEHICLE)
+    result = calibrate_inertia([read_calibration_series(tmp_path / "flight.ulg")], VEHICLE)
     for axis, true in zip(result.axes, INERTIA, strict=True):
         assert axis.value == pytest.approx(true, rel=0.04)
     assert any("actuator_motors" in note for note in result.notes)

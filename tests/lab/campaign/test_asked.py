@@ -12,8 +12,15 @@ import pytest
 
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
-from dart_flight.lab.campaign.asked import Asked, campaign_of, difference, items_of, parse_grid, points_of
-from dart_flight.lab.campaign.run import open_campaign
+from dart_flight.lab.campaign.campaign_folder import open_campaign
+from dart_flight.lab.campaign.campaign_spec import (
+    CampaignSpec,
+    campaign_of,
+    difference,
+    items_of,
+    parse_grid,
+    points_of,
+)
 from dart_flight.lab.statistics import bin_edges, bin_of, separation, share
 
 SINGLE, DUAL = (
@@ -40,7 +47,7 @@ def test_what_is_no_grid_is_refused(setting: str) -> None:
 
 
 def test_every_mission_with_every_combination_and_every_seed() -> None:
-    asked = Asked(
+    asked = CampaignSpec(
         (SINGLE, DUAL), settings=parse_grid(["airframe.mass_kg=1.2,1.4", "onset=lcp,touch"]), runs=3, seed=5
     )
     points = points_of(asked)
@@ -64,14 +71,14 @@ def test_every_mission_with_every_combination_and_every_seed() -> None:
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        (Asked((SINGLE, SINGLE)), "twice"),
-        (Asked((SINGLE,), settings={"airframe.mas_kg": ("1",)}), "did you mean"),
-        (Asked((SINGLE,), settings={"lock.driver": ("maestro",)}), "cannot be simulated"),
-        (Asked((SINGLE,), vary=("mas",)), "did you mean mass"),
-        (Asked(("none.yaml",)), "cannot read"),
+        (CampaignSpec((SINGLE, SINGLE)), "twice"),
+        (CampaignSpec((SINGLE,), settings={"airframe.mas_kg": ("1",)}), "did you mean"),
+        (CampaignSpec((SINGLE,), settings={"lock.driver": ("maestro",)}), "cannot be simulated"),
+        (CampaignSpec((SINGLE,), vary=("mas",)), "did you mean mass"),
+        (CampaignSpec(("none.yaml",)), "cannot read"),
     ],
 )
-def test_wrong_input_is_found_before_the_first_flight(asked: Asked, said: str, tmp_path: Path) -> None:
+def test_wrong_input_is_found_before_the_first_flight(asked: CampaignSpec, said: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=said):
         open_campaign(asked, tmp_path / "new", resume=False)
     assert not (tmp_path / "new").exists()
@@ -81,7 +88,7 @@ def test_another_campaign_is_told_by_what_differs(tmp_path: Path) -> None:
     shutil.copytree(packaged("missions"), tmp_path / "missions")
     shutil.copytree(packaged("configs"), tmp_path / "configs")
     mission = tmp_path / "missions" / "paper_single_wall.yaml"
-    asked = Asked((str(mission),), vary=("mass",), runs=4, seed=3)
+    asked = CampaignSpec((str(mission),), vary=("mass",), runs=4, seed=3)
 
     def differs(**changes: object) -> str | None:
         other = msgspec.structs.replace(asked, **changes)

@@ -17,12 +17,12 @@ from pathlib import Path
 import pytest
 
 from dart_flight.cli import main
-from dart_flight.lab.campaign import run as campaigns
-from dart_flight.lab.campaign.asked import Asked, Item
-from dart_flight.lab.campaign.flight import Flown, Flyer
+from dart_flight.lab.campaign import campaign_folder as campaigns
+from dart_flight.lab.campaign.campaign_spec import CampaignSpec, Item
+from dart_flight.lab.campaign.flight_job import Flown, ItemFlyer
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
-from dart_flight.run.workers import Done, Failure, Interrupt
+from dart_flight.run.workers import Failure, FinishedItem, Interrupt
 from dart_flight.sim.draws import parse_vary
 from tests.shared_flights import SharedFlights
 
@@ -245,15 +245,15 @@ def test_ctrl_c_keeps_what_is_flown(tmp_path: Path) -> None:
 # --- what goes wrong ------------------------------------------------------------------------------------
 
 
-def opened(out: Path, runs: int = 6) -> campaigns.Opened:
-    return campaigns.open_campaign(Asked((MISSION,), runs=runs), out, resume=True)
+def opened(out: Path, runs: int = 6) -> campaigns.CampaignFolder:
+    return campaigns.open_campaign(CampaignSpec((MISSION,), runs=runs), out, resume=True)
 
 
 def engine_of(flights: Mapping[int, Flown | Failure]) -> campaigns.Engine:
-    def engine(flyer: Flyer, items: Iterable[Item], interrupt: Interrupt) -> campaigns.Landings:
+    def engine(flyer: ItemFlyer, items: Iterable[Item], interrupt: Interrupt) -> campaigns.Landings:
         for item in items:
             line = flyer.failed(item, "stands in").line
-            yield Done(item, flights.get(item.seed, Flown(line, completed=True, log=None)))
+            yield FinishedItem(item, flights.get(item.seed, Flown(line, completed=True, log=None)))
 
     return engine
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from dart_flight.config.vehicle import packaged
-from dart_flight.lab.campaign import run as campaigns
-from dart_flight.lab.campaign.asked import Asked
-from dart_flight.lab.campaign.flight import line_of
-from dart_flight.lab.campaign.summary import CampaignSummary, summarise
+from dart_flight.lab.campaign import campaign_folder as campaigns
+from dart_flight.lab.campaign.campaign_spec import CampaignSpec
+from dart_flight.lab.campaign.campaign_summary import CampaignSummary, summarise
+from dart_flight.lab.campaign.flight_job import line_of
 from dart_flight.lab.campaign.table import Table
 from dart_flight.lab.report.campaign_page import campaign_page
 
@@ -22,9 +22,11 @@ FLIGHTS = 400
 
 
 @pytest.fixture(scope="module")
-def opened(tmp_path_factory: pytest.TempPathFactory) -> campaigns.Opened:
+def opened(tmp_path_factory: pytest.TempPathFactory) -> campaigns.CampaignFolder:
     """Flights that fail where the vehicle is heavy, and where the lock is stuck; nothing else matters."""
-    asked = Asked((SINGLE,), vary=("mass", "battery", "lock_true_mode", "contact_scatter"), runs=FLIGHTS)
+    asked = CampaignSpec(
+        (SINGLE,), vary=("mass", "battery", "lock_true_mode", "contact_scatter"), runs=FLIGHTS
+    )
     opened = campaigns.open_campaign(asked, tmp_path_factory.mktemp("made") / "out", resume=False)
     rng = random.Random(3)
     with Table(opened.folder / campaigns.TABLE, opened.campaign.columns) as table:
@@ -50,7 +52,7 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> campaigns.Opened:
 
 
 @pytest.fixture(scope="module")
-def summary(opened: campaigns.Opened) -> CampaignSummary:
+def summary(opened: campaigns.CampaignFolder) -> CampaignSummary:
     return summarise(opened)
 
 
@@ -105,7 +107,7 @@ def test_without_matplotlib_the_page_says_what_is_missing(
 
 def test_where_everything_completed_the_page_shows_what_varied(tmp_path: Path) -> None:
     """Of one-point plots of the rate none; the miss over what it follows."""
-    asked = Asked((SINGLE,), vary=("mass", "battery"), runs=40)
+    asked = CampaignSpec((SINGLE,), vary=("mass", "battery"), runs=40)
     opened = campaigns.open_campaign(asked, tmp_path / "out", resume=False)
     rng = random.Random(4)
     with Table(opened.folder / campaigns.TABLE, opened.campaign.columns) as table:
@@ -129,7 +131,7 @@ def test_where_everything_completed_the_page_shows_what_varied(tmp_path: Path) -
 
 
 def test_a_campaign_without_a_row_has_a_page(tmp_path: Path) -> None:
-    empty = campaigns.open_campaign(Asked((SINGLE,), vary=("mass",), runs=2), tmp_path, resume=False)
+    empty = campaigns.open_campaign(CampaignSpec((SINGLE,), vary=("mass",), runs=2), tmp_path, resume=False)
     summary = summarise(empty)
     assert summary.completed.share is None
     assert "2 of 2 flights are not flown yet" in campaign_page(summary)

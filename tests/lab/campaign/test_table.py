@@ -11,7 +11,7 @@ import pytest
 
 from dart_flight.base.errors import FlightError
 from dart_flight.config.document import InputError
-from dart_flight.lab.campaign.flight import line_of
+from dart_flight.lab.campaign.flight_job import line_of
 from dart_flight.lab.campaign.table import Table, rows_in
 
 COLUMNS = ("mission", "seed", "reason")

@@ -20,7 +20,7 @@ from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Estimate, Identification
 from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.trials import Series, Trial, find_impact
-from dart_flight.lab.predict.path import Contact
+from dart_flight.lab.predict.path import ContactMotion
 from tools.synthetic_trials import MASS_KG, drop_trial, wall_trial, write_csv
 
 pytest.importorskip("scipy")
@@ -143,7 +143,7 @@ def test_a_controller_that_pushes_before_and_after(mode: Mode) -> None:
     random = np.random.default_rng(12)
     trials = []
     for speed in (0.5, 1.0, 1.5):
-        contact = Contact(c, MASS_KG, -speed, Onset.LCP, acceleration_m_s2=-0.8)
+        contact = ContactMotion(c, MASS_KG, -speed, Onset.LCP, acceleration_m_s2=-0.8)
         t = np.arange(-0.5, contact.end_s + 0.3, 1.0 / 240.0)
         braking = 0.5 * (-3.0 + 0.8) * np.maximum(t - contact.end_s, 0.0) ** 2
         x = contact.normal(t)[0] + braking + random.normal(0.0, 0.001, t.size)

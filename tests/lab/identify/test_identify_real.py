@@ -25,12 +25,12 @@ from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.held_out import hold_out
-from dart_flight.lab.identify.hits import Hit, hit_of
+from dart_flight.lab.identify.measured_impacts import MeasuredImpact, measure_impact
 from dart_flight.lab.identify.trials import Series, Trial
 from dart_flight.lab.identify.whole_fit import HitTable, predict
 from dart_flight.lab.identify.whole_hits import stiffness_and_damping
 from dart_flight.lab.identify.windows import MOST_SET_ASIDE, weigh
-from dart_flight.lab.predict.path import Contact
+from dart_flight.lab.predict.path import ContactMotion
 from tools.synthetic_trials import MASS_KG, wall_trial
 
 pytest.importorskip("scipy")
@@ -46,7 +46,7 @@ def dropped(
 ) -> Trial:
     """A drop as a 1 kHz accelerometer on a 241 g vehicle feels it: held, fall, pulse, flight, pulse."""
     numbers = drop(BELLY, LIGHT_KG, height_m, Onset.LCP)
-    contact = Contact(BELLY, LIGHT_KG, -numbers.onset_speed_m_s, Onset.LCP, acceleration_m_s2=-G)
+    contact = ContactMotion(BELLY, LIGHT_KG, -numbers.onset_speed_m_s, Onset.LCP, acceleration_m_s2=-G)
     flight = 2.0 * float(contact.normal(contact.end_s)[1]) / G
     t = np.arange(-numbers.onset_s - 0.5, contact.end_s + flight + 0.2, 1e-3) + random.uniform(0.0, 1e-3)
     felt = contact.normal(t)[2] / LIGHT_KG
@@ -64,7 +64,7 @@ def dropped(
 def at_100_hz(speed: float, random: np.random.Generator, *, ringing: bool = False) -> Trial:
     """A stiff wall hit that motion capture at 100 Hz sees in two or three samples."""
     stiff = Coefficients(k=25_000.0, f=60.0, mu=0.3, nu=0.0)
-    contact = Contact(stiff, MASS_KG, -speed, Onset.LCP)
+    contact = ContactMotion(stiff, MASS_KG, -speed, Onset.LCP)
     t = np.arange(-0.5, 0.4, 0.01) + random.uniform(0.0, 0.01)
     way = contact.way(t)
     series = {
@@ -205,7 +205,7 @@ def test_a_sensor_that_rings_has_no_peak() -> None:
 
 def test_velocities_without_positions(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     random = np.random.default_rng(7)
-    contact = Contact(ACRYLIC.rigid, MASS_KG, -0.9, Onset.LCP)
+    contact = ContactMotion(ACRYLIC.rigid, MASS_KG, -0.9, Onset.LCP)
     t = np.arange(-0.5, 0.4, 0.01)
     v = contact.normal(t)[1] + random.normal(0.0, 0.01, t.size)
     path = tmp_path / "speeds.csv"
@@ -228,7 +228,7 @@ def test_drops_felt_by_an_accelerometer(known: bool) -> None:
     random = np.random.default_rng(8)
     trials = [dropped(h, random, known=known) for h in (0.5, 0.5, 1.0, 1.0, 1.5, 1.5)]
     for trial, height in zip(trials, (0.5, 0.5, 1.0, 1.0, 1.5, 1.5), strict=True):
-        hit, truth = hit_of(trial, LIGHT_KG), drop(BELLY, LIGHT_KG, height, Onset.LCP)
+        hit, truth = measure_impact(trial, LIGHT_KG), drop(BELLY, LIGHT_KG, height, Onset.LCP)
         assert hit.normal_in_m_s == pytest.approx(np.sqrt(2.0 * G * height), rel=0.04)
         assert hit.peak_force_n == pytest.approx(truth.peak_force_n, rel=0.05)
         assert hit.normal_out_m_s == pytest.approx(truth.max_rebound_speed_m_s, abs=0.08)
@@ -241,7 +241,7 @@ def test_drops_felt_by_an_accelerometer(known: bool) -> None:
 
 
 def test_a_clipped_peak_is_unknown() -> None:
-    hit = hit_of(dropped(1.0, np.random.default_rng(9), limit_m_s2=700.0), LIGHT_KG)
+    hit = measure_impact(dropped(1.0, np.random.default_rng(9), limit_m_s2=700.0), LIGHT_KG)
     assert hit.clipped
     assert hit.peak_force_n is None
     assert any("cut off" in note for note in hit.notes)
@@ -263,7 +263,7 @@ def test_an_accelerometer_needs_a_drop(capsys: pytest.CaptureFixture[str], tmp_p
     begun = time > time[0] + 0.55  # after the release
     late = Trial("late", {"specific_force_m_s2": Series(time[begun], value[begun])}, "flexible", -G)
     with pytest.raises(InputError, match="how fast it falls"):
-        hit_of(late, LIGHT_KG)
+        measure_impact(late, LIGHT_KG)
 
 
 # --- whole hits -----------------------------------------------------------------------------------------
@@ -271,14 +271,14 @@ def test_an_accelerometer_needs_a_drop(capsys: pytest.CaptureFixture[str], tmp_p
 
 def hit(
     speed: float, out: float | None, peak: float | None, contact: float | None = None, push: float = 0.0
-) -> Hit:
-    return Hit(
+) -> MeasuredImpact:
+    return MeasuredImpact(
         "hit", "rigid", speed, out, None, None, 0.001, 0.001, 0.0, peak, contact, None, push, 0.0, 0.05, 10,
         False, False,
     )  # fmt: skip
 
 
-def made_by(k: float, f: float, speeds: list[float], onset: Onset, push: float = 0.0) -> list[Hit]:
+def made_by(k: float, f: float, speeds: list[float], onset: Onset, push: float = 0.0) -> list[MeasuredImpact]:
     said = predict(k, f, HitTable.of([hit(v, None, None, push=push) for v in speeds]), MASS_KG, onset)
     told = zip(speeds, said.normal_out_m_s, said.peak_normal_force_n, said.contact_time_s, strict=True)
     return [hit(v, float(out), float(peak), float(time), push) for v, out, peak, time in told]

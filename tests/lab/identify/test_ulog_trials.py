@@ -18,9 +18,9 @@ from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.fit import identify
-from dart_flight.lab.identify.judgement import judge_fit
+from dart_flight.lab.identify.fit_quality import assess_fit
 from dart_flight.lab.identify.trials import TrialReading, read_trials
-from dart_flight.lab.predict.path import Contact
+from dart_flight.lab.predict.path import ContactMotion
 from tests.doubles.ulog_file import write_ulog
 
 pytest.importorskip("pyulog")
@@ -54,7 +54,9 @@ def dropped(path: Path, height_m: float, seed: int, positions: bool) -> Path:
     """Held, released, one contact with the ground, thrown back up to its apex and down again."""
     random = np.random.default_rng(seed)
     numbers = drop(GROUND, MASS_KG, height_m, Onset.LCP)
-    contact = Contact(GROUND, MASS_KG, -numbers.onset_speed_m_s, Onset.LCP, acceleration_m_s2=-GRAVITY_M_S2)
+    contact = ContactMotion(
+        GROUND, MASS_KG, -numbers.onset_speed_m_s, Onset.LCP, acceleration_m_s2=-GRAVITY_M_S2
+    )
     flight = 2.0 * float(contact.normal(contact.end_s)[1]) / GRAVITY_M_S2
     time = np.arange(-numbers.onset_s - 0.5, contact.end_s + flight + 0.15, 1e-3)
     height, _, force = (np.asarray(v) for v in contact.normal(time)[:3])
@@ -106,12 +108,12 @@ def test_coefficients_that_do_not_give_back_the_drops_are_a_poor_fit(tmp_path: P
         for trial in read_trials(dropped(tmp_path / f"{height}.ulg", height, 6, positions=False), how)
     ]
     found = identify(trials, MASS_KG, Onset.LCP)
-    assert judge_fit(found, trials, MASS_KG, Onset.LCP).good is True
+    assert assess_fit(found, trials, MASS_KG, Onset.LCP).good is True
     k = found.coefficients["flexible"]["k"]
     assert k is not None
     wrong = {"flexible": found.coefficients["flexible"] | {"k": k._replace(value=3.0 * k.value)}}
-    judged = judge_fit(found._replace(coefficients=wrong), trials, MASS_KG, Onset.LCP)
+    judged = assess_fit(found._replace(coefficients=wrong), trials, MASS_KG, Onset.LCP)
     assert judged.good is False
     assert any("flexible peak" in line for line in judged.says)
     unknown = {"flexible": dict.fromkeys(found.coefficients["flexible"])}
-    assert judge_fit(found._replace(coefficients=unknown), trials, MASS_KG, Onset.LCP).good is None
+    assert assess_fit(found._replace(coefficients=unknown), trials, MASS_KG, Onset.LCP).good is None

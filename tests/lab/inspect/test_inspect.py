@@ -14,7 +14,7 @@ import pytest
 from dart_flight.base.records import ForceEstimate, ImpactOnset, ImpactPeak
 from dart_flight.cli import main
 from dart_flight.lab.identify.trials import TrialReading, read_trials
-from dart_flight.lab.inspect.impacts import Crossing, Estimated
+from dart_flight.lab.inspect.impacts import Estimated, ThresholdCrossing
 from tests.doubles.ulog_file import Topics, write_ulog
 from tools.campaigns.real import pushed
 
@@ -163,9 +163,9 @@ def test_a_crossing_that_its_peak_does_not_bear_out_is_no_impact(
     peak_n: float, along_n: float, is_impact: bool
 ) -> None:
     onset = ImpactOnset(1, 1, 1, (6.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    assert Crossing(onset, 5.5).is_impact, "the log ends before the peak is known"
+    assert ThresholdCrossing(onset, 5.5).is_impact, "the log ends before the peak is known"
     peak = ImpactPeak(1, 1, 1, (1.0, 0.0), peak_n, along_n, (0.0, 0.0, 0.0), False, fitted=True)
-    assert Crossing(onset, 5.5, peak).is_impact is is_impact
+    assert ThresholdCrossing(onset, 5.5, peak).is_impact is is_impact
 
 
 def at_tilt(tilt_deg: float, thrust_n: float, along_n: float) -> Estimated:
@@ -194,7 +194,7 @@ def test_what_an_error_of_the_thrust_explains_is_no_impact(
     felt = pushed(at_tilt(tilt_deg, 12.0, along_n), (push_n, 0.0))
     x, y, z = felt.force.force_mission
     onset = ImpactOnset(1, 1, 1, (x, y, z), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    crossing = Crossing(onset, 5.5)
+    crossing = ThresholdCrossing(onset, 5.5)
     peak = ImpactPeak(1, 1, 1, (math.copysign(1.0, x), 0.0), abs(x), 0.0, (0.0, 0.0, 0.0), False, fitted=True)
     crossing.ends(peak, [felt], 8)
     assert crossing.is_impact is is_impact

@@ -9,8 +9,8 @@ import pytest
 
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.lab.report.flight import Flight
 from dart_flight.lab.report.page import comparison_page, flight_page
+from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.run.prepare import load_flyable
 from tests.shared_flights import SharedFlights
 
@@ -27,13 +27,13 @@ def trials(flown: SharedFlights) -> list[Path]:
 
 
 @pytest.fixture(scope="session")
-def flights(trials: list[Path]) -> list[Flight]:
+def flights(trials: list[Path]) -> list[RecordedFlight]:
     """The three, read."""
-    return [Flight.read(path) for path in trials]
+    return [RecordedFlight.read(path) for path in trials]
 
 
 @pytest.fixture(scope="session")
-def flight(flights: list[Flight]) -> Flight:
+def flight(flights: list[RecordedFlight]) -> RecordedFlight:
     return flights[0]
 
 

@@ -12,8 +12,8 @@ from dart_flight.base.records import Mode, TruthContact
 from dart_flight.cli import main
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
-from dart_flight.lab.report.flight import Flight
 from dart_flight.lab.report.page import beyond, comparison_page, disagreements
+from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import read_log
 from dart_flight.run.prepare import load_flyable
@@ -59,7 +59,7 @@ def test_the_flights_know_only_the_mission(stiffer: list[Path], single: Mission)
     assert again.equal
     assert flown_mission(log.about, log.source).vehicle.materials == single.vehicle.materials
     (contact,) = [e.record for e in log.entries if isinstance(e.record, TruthContact)]
-    (impact,) = Flight.read(stiffer[0]).impacts
+    (impact,) = RecordedFlight.read(stiffer[0]).impacts
     assert impact.predicted_n is not None
     assert contact.peak_normal_force_n > 1.05 * impact.predicted_n
 
@@ -69,7 +69,9 @@ def test_flights_that_agree_teach_nothing(single: Mission, flown: SharedFlights)
         for seed in (1, 2):
             fly_against(single, single, seed, folder / str(seed) / "flight.mcap")
 
-    flights = [Flight.read(path) for path in sorted(flown.once("believed", fly).glob("*/flight.mcap"))]
+    flights = [
+        RecordedFlight.read(path) for path in sorted(flown.once("believed", fly).glob("*/flight.mcap"))
+    ]
     ((material, found),) = disagreements(flights).items()
     assert material == "acrylic"
     assert set(found) == {"flexible, normal", "flexible, friction"}
@@ -83,7 +85,7 @@ def test_the_page_of_a_flight_that_agrees_asks_for_nothing(page: str) -> None:
 
 
 def test_a_stiffer_wall_is_noticed_and_the_page_says_what_to_run(stiffer: list[Path]) -> None:
-    flights = [Flight.read(path) for path in stiffer]
+    flights = [RecordedFlight.read(path) for path in stiffer]
     found = disagreements(flights)["acrylic"]
     mean, _ = found["flexible, normal"]
     assert mean == pytest.approx(1.2**0.5 - 1.0, abs=0.03)  # peaks grow with the root of k
@@ -113,7 +115,7 @@ def test_identify_takes_flight_logs_and_writes_the_entry(
 
 def test_a_slippery_wall_is_noticed_by_its_friction(single: Mission, tmp_path: Path) -> None:
     path = fly_against(single, with_walls(single, mu=0.5), 1, tmp_path / "flight.mcap")
-    found = disagreements([Flight.read(path)])["acrylic"]
+    found = disagreements([RecordedFlight.read(path)])["acrylic"]
     assert abs(found["flexible, normal"][0]) < 0.05
     assert found["flexible, friction"][0] < -0.2
     assert beyond(found)

@@ -14,16 +14,16 @@ from dart_flight.cli import main
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.figure_style import as_svg
-from dart_flight.lab.report.figures.mission import in_words, mission_figure
-from dart_flight.lab.search.drawn import drawn_flights
-from dart_flight.planning.planned import planned_flight
+from dart_flight.lab.report.figures.mission_figure import mission_figure, prediction_lines
+from dart_flight.lab.search.drawn import predict_with_draws
+from dart_flight.planning.predicted_flight import predict_mission
 from tests.lab.report.svg import texts_of
 
 DUAL = str(packaged("missions", "paper_dual_collision.yaml"))
 
 
 def test_every_hit_is_named_with_its_figures(dual: Mission) -> None:
-    planned = planned_flight(dual)
+    planned = predict_mission(dual)
     words = " ".join(texts_of(as_svg(mission_figure(dual, planned))))
     for index, hit in planned.hits.items():
         speed = np.hypot(hit.normal_m_s, hit.tangential_m_s)
@@ -40,18 +40,18 @@ def test_draws_of_walls_without_spread_are_the_plan(dual: Mission) -> None:
     estimation = dual.vehicle.estimation
     sure = msgspec.structs.replace(estimation, walls=msgspec.structs.replace(estimation.walls, spread=1e-9))
     mission = msgspec.structs.replace(dual, vehicle=msgspec.structs.replace(dual.vehicle, estimation=sure))
-    nominal = planned_flight(mission).goal_miss_m
-    assert [f.goal_miss_m for f in drawn_flights(mission, 3)] == pytest.approx([nominal] * 3, abs=1e-6)
-    spread = [f.goal_miss_m for f in drawn_flights(dual, 20)]
+    nominal = predict_mission(mission).goal_miss_m
+    assert [f.goal_miss_m for f in predict_with_draws(mission, 3)] == pytest.approx([nominal] * 3, abs=1e-6)
+    spread = [f.goal_miss_m for f in predict_with_draws(dual, 20)]
     assert np.std([miss for miss in spread if miss is not None]) > 0.01
 
 
 def test_draws_have_their_walls_where_these_may_stand(dual: Mission) -> None:
-    known = drawn_flights(dual, 60)
+    known = predict_with_draws(dual, 60)
     assert all(not flight.walls for flight in known)
     for sd_m, yaw_deg in ((0.05, 0.0), (0.0, 3.0)):
         unsure = dual.replace({"walls.wood.position_sd_m": sd_m, "walls.wood.yaw_sd_deg": yaw_deg})
-        drawn = drawn_flights(unsure, 60)
+        drawn = predict_with_draws(unsure, 60)
         assert {wall.name for flight in drawn for wall in flight.walls} == {"wood"}
         met = [(a, b) for a, b in zip(known, drawn, strict=True) if 1 in a.hits and 1 in b.hits]
         assert len(met) > 40
@@ -64,13 +64,13 @@ def test_draws_have_their_walls_where_these_may_stand(dual: Mission) -> None:
         directions = [b.walls[0].normal[0] for _, b in met]
         assert np.std(directions) == pytest.approx(np.radians(yaw_deg), rel=0.3, abs=1e-9)
     told = dual.replace({"walls.wood.position_sd_m": 0.05})
-    words = in_words(told, planned_flight(told), drawn_flights(told, 20))
+    words = prediction_lines(told, predict_mission(told), predict_with_draws(told, 20))
     assert any("Where wood may stand" in line for line in words)
 
 
 def heights_in_the_side_view(mission: Mission) -> tuple[dict[str, float], list[float]]:
     """Numbers of hits -> the height they are written at, and that of every star (the goal)."""
-    side = mission_figure(mission, planned_flight(mission)).axes[1]
+    side = mission_figure(mission, predict_mission(mission)).axes[1]
     stars = [float(line.get_ydata()[0]) for line in side.lines if line.get_marker() == "*"]
     return {text.get_text(): float(text.xy[1]) for text in side.texts}, stars
 
@@ -82,9 +82,9 @@ def test_the_side_view_is_as_high_as_the_way_points_say(dual: Mission) -> None:
 
 
 def test_the_words_give_the_quantiles_of_the_draws(dual: Mission) -> None:
-    drawn = drawn_flights(dual, 20)
+    drawn = predict_with_draws(dual, 20)
     low, high = np.quantile([f.goal_miss_m for f in drawn if f.goal_miss_m is not None], (0.05, 0.95))
-    line = in_words(dual, planned_flight(dual), drawn)[-1]
+    line = prediction_lines(dual, predict_mission(dual), drawn)[-1]
     assert [float(v) for v in re.findall(r"\d\.\d\d", line)] == pytest.approx([low, high], abs=0.006)
     assert "± 30 %" in line
 
@@ -116,7 +116,7 @@ def test_check_says_what_a_picture_needs(
 
 def test_a_mission_of_way_points_shows_its_ways() -> None:
     mission = load_mission(packaged("missions", "square.yaml"))
-    figure = mission_figure(mission, planned_flight(mission))
+    figure = mission_figure(mission, predict_mission(mission))
     assert {"1", "2, 6: 1 m high", "3: 1.4 m high"} <= set(texts_of(as_svg(figure)))
     assert {"way-point", "predicted way", "goal"} <= set(texts_of(as_svg(figure)))
     plan, side = figure.axes[:2]

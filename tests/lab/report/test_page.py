@@ -19,10 +19,11 @@ from dart_flight.cli import main
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.figure_style import as_svg
-from dart_flight.lab.report.figures import forces, lock, motion
+from dart_flight.lab.report.figures import forces, motion
+from dart_flight.lab.report.figures import lock_timeline as lock
 from dart_flight.lab.report.figures.flight_map import flight_map
-from dart_flight.lab.report.flight import Compared, Flight
 from dart_flight.lab.report.page import flight_page
+from dart_flight.lab.report.recorded_flight import Compared, RecordedFlight
 from dart_flight.lab.statistics import mean_half_width
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.reader import Log, LogEntry, read_log
@@ -121,7 +122,7 @@ def test_a_page_has_every_section_and_needs_nothing_else(page: str) -> None:
         assert not outside
 
 
-def test_the_table_says_what_the_verdict_says(flight: Flight, page: str) -> None:
+def test_the_table_says_what_the_verdict_says(flight: RecordedFlight, page: str) -> None:
     parsed = Page(page)
     for impact in flight.impacts:
         v = impact.verdict
@@ -152,7 +153,7 @@ def test_truth_and_prediction_of_a_contact(tmp_path: Path) -> None:
     mission = load_flyable(
         packaged("missions", "paper_dual_collision.yaml"), configuration, ["simulation.contact.body=point"]
     )
-    flight = Flight.read(Path(str(fly_fast(mission, 1, tmp_path).log)))
+    flight = RecordedFlight.read(Path(str(fly_fast(mission, 1, tmp_path).log)))
     truths = flight.course.all(TruthContact)
     for impact, truth in zip(flight.impacts, truths, strict=True):
         rows = {c.name: c for c in impact.compared}
@@ -172,7 +173,7 @@ def test_truth_and_prediction_of_a_contact(tmp_path: Path) -> None:
         assert impact.onset_s == pytest.approx(flight.course.time_of(truth.t_us), abs=0.002)
 
 
-def test_the_estimated_force_lies_on_the_true_one(flight: Flight) -> None:
+def test_the_estimated_force_lies_on_the_true_one(flight: RecordedFlight) -> None:
     """A reading stands for the middle of its tick: half a tick of delay would miss by 2 N on the flanks."""
     course = flight.course
     for impact in flight.impacts:
@@ -189,7 +190,7 @@ def test_the_estimated_force_lies_on_the_true_one(flight: Flight) -> None:
         assert error < np.abs(late - true).max() / true.max()
 
 
-def test_figures_show_what_they_name(flight: Flight) -> None:
+def test_figures_show_what_they_name(flight: RecordedFlight) -> None:
     words = texts(flight_map([flight]))
     assert {"wood", "acrylic", "planned", "flown (true)", "flown (estimated)", "start", "goal"} <= words
     assert {"recovery set-point", "every second"} <= words
@@ -232,7 +233,7 @@ def test_a_log_cut_before_its_mission_is_refused_in_words(
     assert "does not hold its mission" in error
 
 
-def test_text_of_the_flight_is_not_markup(flight: Flight) -> None:
+def test_text_of_the_flight_is_not_markup(flight: RecordedFlight) -> None:
     """Names and reasons come from files and from the autopilot."""
     evil = "<script>alert(1)</script>&\"'"
     about = {**flight.log.about, "mission_text": evil, "software": evil, "host": evil}
@@ -244,7 +245,7 @@ def test_text_of_the_flight_is_not_markup(flight: Flight) -> None:
     last = flight.log.entries[-1].number
     entries = [*flight.log.entries, LogEntry(last, GuardEvent(1, evil, Override.LAND, evil))]
     log = Log(f"/{evil}/flight.mcap", about, flight.log.end, entries, True)
-    text = flight_page(Flight(log))
+    text = flight_page(RecordedFlight(log))
     Page(text)
     # The page's own two: the numbers of the animation, and the program that shows them.
     assert re.findall(r"<script[^>]*>", text) == [
@@ -259,7 +260,7 @@ def test_a_rehearsal_has_a_page(tmp_path: Path) -> None:
     rehearsal = msgspec.structs.replace(load_flyable(NEAR), standoff_m=0.3)
     verdict = fly_fast(rehearsal, 1, tmp_path)
     assert verdict.log is not None
-    flight = Flight.read(verdict.log)
+    flight = RecordedFlight.read(verdict.log)
     assert flight.planned.approaches
     assert flight.planned.legs == {}
     Page(flight_page(flight))
@@ -268,7 +269,7 @@ def test_a_rehearsal_has_a_page(tmp_path: Path) -> None:
 # --- several flights -----------------------------------------------------------------------------------
 
 
-def test_the_comparison_counts_right(flights: list[Flight], compared: str) -> None:
+def test_the_comparison_counts_right(flights: list[RecordedFlight], compared: str) -> None:
     page = Page(compared)
     assert "dual-collision, fast: 3 of 3 completed" in compared
     seeds = [row[0].split("seed ")[1] for row in page.rows if "seed" in row[0]]

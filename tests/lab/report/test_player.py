@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from dart_flight.lab.report.figures.flight_map import flight_map
-from dart_flight.lab.report.flight import Flight
 from dart_flight.lab.report.page import flight_page
 from dart_flight.lab.report.player import player_data
+from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.replay import Replay
 from tests.lab.report.ten_hits import many_hits
@@ -26,19 +26,19 @@ DATA = re.compile(r'<script type="application/json" id="flight-data">(.*?)</scri
 
 
 @pytest.fixture(scope="session")
-def ten(flown: SharedFlights) -> Flight:
+def ten(flown: SharedFlights) -> RecordedFlight:
     """A flight with ten hits."""
     mission = many_hits(10)
     folder = flown.once("ten-hits", lambda there: fly_fast(mission, 1, there))
-    return Flight.read(next(folder.glob("*/flight.mcap")))
+    return RecordedFlight.read(next(folder.glob("*/flight.mcap")))
 
 
 @pytest.fixture(scope="session")
-def ten_page(ten: Flight) -> str:
+def ten_page(ten: RecordedFlight) -> str:
     """Its page, not replayed."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            "dart_flight.lab.report.flight.replay",
+            "dart_flight.lab.report.recorded_flight.replay",
             lambda _: Replay(0, 0, True, [], [], [], 0, "not in this test"),
         )
         return flight_page(ten)
@@ -54,7 +54,7 @@ def numbers(page: str) -> dict[str, Any]:
     return data
 
 
-def test_the_numbers_are_complete_and_in_order(flight: Flight, page: str) -> None:
+def test_the_numbers_are_complete_and_in_order(flight: RecordedFlight, page: str) -> None:
     data = numbers(page)
     times = np.array(data["t"])
     assert (np.diff(times) > 0).all()
@@ -89,14 +89,14 @@ def test_pictures_are_closer_together_at_a_hit(page: str) -> None:
     assert np.diff(times).max() <= 40
 
 
-def test_the_page_of_ten_hits_is_small(ten: Flight, ten_page: str) -> None:
+def test_the_page_of_ten_hits_is_small(ten: RecordedFlight, ten_page: str) -> None:
     assert len(ten.impacts) == 10
     assert len(ten_page.encode()) < 1_000_000
     assert len(numbers(ten_page)["hits"]) == 10
 
 
 @pytest.mark.parametrize("count", [5, 10])
-def test_labels_of_many_hits_do_not_overlap(ten: Flight, count: int) -> None:
+def test_labels_of_many_hits_do_not_overlap(ten: RecordedFlight, count: int) -> None:
     flight = ten if count == 10 else _first_hits(ten, count)
     figure = flight_map([flight])
     figure.draw_without_rendering()
@@ -117,9 +117,9 @@ def test_labels_of_many_hits_do_not_overlap(ten: Flight, count: int) -> None:
         assert boxes[name].x1 < page.x1 + 2
 
 
-def _first_hits(flight: Flight, count: int) -> Flight:
+def _first_hits(flight: RecordedFlight, count: int) -> RecordedFlight:
     """The same flight as if it had ended behind a hit."""
-    other = Flight(flight.log)
+    other = RecordedFlight(flight.log)
     other.impacts = other.impacts[:count]
     return other
 
@@ -128,7 +128,7 @@ def test_a_flight_that_never_flew_has_no_animation(trials: list[Path], tmp_path:
     cut = tmp_path / "flight.mcap"
     whole = trials[0].read_bytes()
     cut.write_bytes(whole[: len(whole) // 50])
-    flight = Flight.read(cut)
+    flight = RecordedFlight.read(cut)
     assert player_data(flight) is None
     assert "<script" not in flight_page(flight)
 
@@ -183,7 +183,7 @@ def test_nothing_moves_before_it_is_asked_for(browser: Browser, file: Path) -> N
         assert browser.evaluate(WHERE) != begin
 
 
-def test_the_slider_and_its_keys(browser: Browser, file: Path, flight: Flight) -> None:
+def test_the_slider_and_its_keys(browser: Browser, file: Path, flight: RecordedFlight) -> None:
     browser.emulate(1280)
     browser.open(file)
     browser.evaluate("document.getElementById('time').focus()")
@@ -224,7 +224,7 @@ def test_it_plays_at_the_chosen_speed_and_stops(browser: Browser, file: Path) ->
         assert browser.evaluate("document.getElementById('play').getAttribute('aria-pressed')") == "false"
 
 
-def test_a_finger_on_a_phone(browser: Browser, file: Path, flight: Flight) -> None:
+def test_a_finger_on_a_phone(browser: Browser, file: Path, flight: RecordedFlight) -> None:
     browser.emulate(390, 844, touch=True)
     browser.open(file)
     assert browser.evaluate("document.documentElement.scrollWidth") <= 390

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from dart_flight.config.vehicle import packaged
-from dart_flight.lab.scene.export import export_foxglove
+from dart_flight.lab.scene.foxglove_export import export_foxglove
 from dart_flight.lab.scene.translation import LOG, OUTLINES, SCENES, TRANSFORMS
 from dart_flight.recording.reader import read_log
 from tests.lab.scene.test_translation import Messages, read

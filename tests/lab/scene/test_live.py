@@ -22,7 +22,7 @@ from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.lab.scene.live import LiveView, Show
+from dart_flight.lab.scene.live import LiveViewProcess, LiveViewSpec
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.vehicle.link import LinkLease
@@ -55,8 +55,8 @@ def said() -> list[str]:
 
 
 @pytest.fixture
-def view(mission: Mission, said: list[str]) -> Iterator[LiveView]:
-    live = LiveView(Show(mission, "127.0.0.1", 0), said.append)
+def view(mission: Mission, said: list[str]) -> Iterator[LiveViewProcess]:
+    live = LiveViewProcess(LiveViewSpec(mission, "127.0.0.1", 0), said.append)
     _let_compete(live.process.pid)
     yield live
     if live.process.poll() is None:
@@ -115,7 +115,7 @@ def flies(messages: Messages) -> bool:
     return bool(messages.get("/scene/room")) and max((z for _, _, z in way), default=0.0) > 0.5
 
 
-def test_a_viewer_sees_room_flight_and_arms_and_can_publish_nothing(log: Log, view: LiveView) -> None:
+def test_a_viewer_sees_room_flight_and_arms_and_can_publish_nothing(log: Log, view: LiveViewProcess) -> None:
     viewer, thread = watching(view.port, flew_and_locked)
     for entry in log.entries:
         view.feed(entry.record)
@@ -135,7 +135,7 @@ def test_a_viewer_sees_room_flight_and_arms_and_can_publish_nothing(log: Log, vi
     assert max(f["normal_n"] for f in viewer.messages["/flight/force"]) > 10.0
 
 
-def test_a_viewer_that_comes_later_sees_the_room_and_the_way(log: Log, view: LiveView) -> None:
+def test_a_viewer_that_comes_later_sees_the_room_and_the_way(log: Log, view: LiveViewProcess) -> None:
     half = len(log.entries) // 2
     for entry in log.entries[:half]:
         view.feed(entry.record)
@@ -149,7 +149,9 @@ def test_a_viewer_that_comes_later_sees_the_room_and_the_way(log: Log, view: Liv
     assert "/scene/vehicle" in viewer.messages
 
 
-def test_a_process_that_hangs_costs_records_and_no_time(log: Log, view: LiveView, said: list[str]) -> None:
+def test_a_process_that_hangs_costs_records_and_no_time(
+    log: Log, view: LiveViewProcess, said: list[str]
+) -> None:
     view.process.send_signal(signal.SIGSTOP)
     began = time.monotonic()
     for _ in range(5):
@@ -163,7 +165,9 @@ def test_a_process_that_hangs_costs_records_and_no_time(log: Log, view: LiveView
     assert [line for line in said if str(view.dropped) in line]
 
 
-def test_its_death_is_one_line_and_the_flight_goes_on(log: Log, view: LiveView, said: list[str]) -> None:
+def test_its_death_is_one_line_and_the_flight_goes_on(
+    log: Log, view: LiveViewProcess, said: list[str]
+) -> None:
     view.process.kill()
     view.process.wait()
     until(lambda: bool(said))
@@ -173,7 +177,7 @@ def test_its_death_is_one_line_and_the_flight_goes_on(log: Log, view: LiveView, 
     assert said[0] == "the live view has died; the flight goes on without it"
 
 
-def test_what_no_picture_needs_is_not_even_queued(view: LiveView) -> None:
+def test_what_no_picture_needs_is_not_even_queued(view: LiveViewProcess) -> None:
     for i in range(1000):
         view(ImuSample(4000 * i, 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
     assert not view._waiting
@@ -189,7 +193,7 @@ def test_a_taken_port_is_named_before_the_flight(
         other.listen()
         port = other.getsockname()[1]
         with pytest.raises(InputError, match=f"port {port} is in use"):
-            LiveView(Show(mission, "127.0.0.1", port), print)
+            LiveViewProcess(LiveViewSpec(mission, "127.0.0.1", port), print)
         flights = tmp_path / "flights"
         command = ["dry-run", SINGLE_WALL, "--live", "--live-port", str(port), "--log-dir", str(flights)]
         assert main(command) == 2

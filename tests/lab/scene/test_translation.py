@@ -22,10 +22,10 @@ from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.flight_arrays import FlightArrays
 from dart_flight.lab.scene import drawing
+from dart_flight.lab.scene.downsampling import SCALARS_US, SCENE_US, Downsampler
 from dart_flight.lab.scene.drawing import FORCE_SCALE_M_PER_N
-from dart_flight.lab.scene.export import export_foxglove
-from dart_flight.lab.scene.thinning import SCALARS_US, SCENE_US, Thinning
-from dart_flight.planning.planned import planned_flight
+from dart_flight.lab.scene.foxglove_export import export_foxglove
+from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import Log, read_log
 from tests.doubles.viewer import Decoder
@@ -142,7 +142,7 @@ def test_the_plan_and_the_goal_are_as_high_as_the_way_points_say() -> None:
     dual = load_mission(packaged("missions", "paper_dual_collision.yaml"))
     higher = dual.replace({"waypoints": [{"position_m": [0.0, 0.0], "altitude_m": 1.5}]})
     for mission, z in ((dual, 1.0), (higher, 1.5)):
-        flight = planned_flight(mission)
+        flight = predict_mission(mission)
         way = decoded(drawing.planned(flight, mission, 0))
         hits = way["spheres"][: len(flight.hits)]
         assert [ball["pose"]["position"]["z"] for ball in hits] == [z] * 2
@@ -234,7 +234,7 @@ def test_viewers_without_scenes_get_points(exported: Messages) -> None:
 
 
 def test_a_peak_of_one_sample_gets_through_the_thinning() -> None:
-    thinning = Thinning()
+    thinning = Downsampler()
     kept: list[Record] = []
     for i in range(200):
         force = 50.0 if i == 77 else 0.1

@@ -15,9 +15,9 @@ from dart_flight.cli import main
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.lab.search.mission_writer import write_mission
+from dart_flight.lab.search.plan_table import with_objective
 from dart_flight.lab.search.scenario import Objective, Scenario, load_scenario
-from dart_flight.lab.search.search import Search, search
-from dart_flight.lab.search.summary import with_objective
+from dart_flight.lab.search.search import SearchResult, search
 from dart_flight.planning.approach_grid import approach_grid
 from dart_flight.planning.constraints import CODE, Constraints, Refusal
 
@@ -29,17 +29,17 @@ def load(name: str) -> Scenario:
 
 
 @pytest.fixture(scope="module")
-def dual() -> Search:
+def dual() -> SearchResult:
     return search(load("dual_collision"), top=400)
 
 
-def test_every_candidate_is_counted_once(dual: Search) -> None:
+def test_every_candidate_is_counted_once(dual: SearchResult) -> None:
     assert dual.candidates == 14_884
     assert dual.feasible + sum(dual.refused.values()) == dual.candidates
     assert dual.feasible > 1000
 
 
-def test_the_papers_plan_is_among_the_good_ones(dual: Search) -> None:
+def test_the_papers_plan_is_among_the_good_ones(dual: SearchResult) -> None:
     """Flexible at (-0.6, 0.5), then rigid: the published optimum."""
     paper = next(m for m in dual.maps if m.modes == (Mode.FLEXIBLE, Mode.RIGID))
     row = np.flatnonzero((paper.normal_m_s == -0.6) & (paper.tangential_m_s == 0.5))
@@ -50,7 +50,7 @@ def test_the_papers_plan_is_among_the_good_ones(dual: Search) -> None:
     assert np.searchsorted(best_here, paper.miss_m[row[0]]) < 0.9 * best_here.size
 
 
-def test_plans_are_in_order_and_keep_the_limits(dual: Search) -> None:
+def test_plans_are_in_order_and_keep_the_limits(dual: SearchResult) -> None:
     scores = [plan.score for plan in dual.plans]
     assert scores == sorted(scores)
     limits = dual.scenario.limits

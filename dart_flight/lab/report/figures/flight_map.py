@@ -23,7 +23,7 @@ from dart_flight.lab.figure_style import (
 )
 from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.report.figures.labels import Label, place_labels
-from dart_flight.lab.report.figures.scene import (
+from dart_flight.lab.report.figures.map_drawing import (
     LONGEST_ARROW_M,
     along,
     draw_arrow,
@@ -35,8 +35,8 @@ from dart_flight.lab.report.figures.scene import (
     set_view,
     view_of,
 )
-from dart_flight.lab.report.flight import Flight
-from dart_flight.lab.report.hits import airborne, guard_acts, hits_of
+from dart_flight.lab.report.flown_collisions import airborne, flown_collisions, guard_acts
+from dart_flight.lab.report.recorded_flight import RecordedFlight
 
 _FEW_LABELS = 14
 _STEPS_S = (1, 2, 5, 10, 20, 50, 100)
@@ -44,7 +44,7 @@ _ARROW_EVERY_M = 0.9
 
 
 @in_style
-def flight_map(flights: Sequence[Flight], *, look: Look = PAGE) -> Any:
+def flight_map(flights: Sequence[RecordedFlight], *, look: Look = PAGE) -> Any:
     """Walls, plan and flown paths from above; of several flights the paths lie over each other.
 
     One flight alone shows more: seconds, direction, the vehicle at each hit with the state of its arms, the
@@ -55,7 +55,7 @@ def flight_map(flights: Sequence[Flight], *, look: Look = PAGE) -> Any:
     shown = [np.array([mission.start, mission.goal.position_m])]
     for flight in flights:
         shown += [place for (_, place), _, _ in _paths(flight)]
-        shown += [np.array([hit.position[:2]]) for hit in hits_of(flight)]
+        shown += [np.array([hit.position[:2]]) for hit in flown_collisions(flight)]
         shown += flight.planned_lines()  # the walls that a flight broken off never came to
     set_view(axis, view_of(mission, np.vstack(shown)))
     draw_room(axis, mission)
@@ -76,7 +76,7 @@ def flight_map(flights: Sequence[Flight], *, look: Look = PAGE) -> Any:
 # --- one flight ----------------------------------------------------------------------------------------
 
 
-def _draw_one(axis: Any, flight: Flight) -> tuple[list[Label], list[Array]]:
+def _draw_one(axis: Any, flight: RecordedFlight) -> tuple[list[Label], list[Array]]:
     """All of it but the labels, and what these had better not cover.
 
     Numbers of the hits come first, then guard, then seconds: what is more important finds its place first.
@@ -87,15 +87,15 @@ def _draw_one(axis: Any, flight: Flight) -> tuple[list[Label], list[Array]]:
     for (_, place), style, label in paths:
         thin = {**style, "linewidth": 0.75 * float(style["linewidth"])}
         axis.plot(place[:, 0], place[:, 1], label=label, **thin)
-    for way in flight.ways():
+    for way in flight.planned_trajectories():
         axis.plot(way[:, 0], way[:, 1], label="planned in flight", **REPLANNED)
     labels: list[Label] = []
     lines: list[Array] = []
-    hits = hits_of(flight)
+    hits = flown_collisions(flight)
     largest = max((math.hypot(*hit.force_n) for hit in hits if hit.force_n is not None), default=0.0)
     for hit in hits:
         (x, y, _), (nx, ny), size = hit.position, hit.impact.collision.wall.normal, ""
-        set_point = None if hit.set_point is None else (hit.set_point[0], hit.set_point[1])
+        set_point = None if hit.setpoint is None else (hit.setpoint[0], hit.setpoint[1])
         lines += draw_hit(axis, flight.mission.vehicle.airframe, (x, y), hit.yaw_rad, hit.mode, set_point)
         if hit.force_n is not None:
             draw_arrow(axis, (x, y), (x, y) + LONGEST_ARROW_M / largest * np.array(hit.force_n), FORCE)
@@ -119,7 +119,7 @@ def _draw_one(axis: Any, flight: Flight) -> tuple[list[Label], list[Array]]:
     return labels, lines
 
 
-def _paths(flight: Flight) -> list[tuple[tuple[Array, Array], dict[str, Any], str]]:
+def _paths(flight: RecordedFlight) -> list[tuple[tuple[Array, Array], dict[str, Any], str]]:
     """((time, place), style, name) of what is known of the way in the air, the true one first."""
     air = airborne(flight)
     found = []
@@ -169,14 +169,14 @@ def _second_labels(times: Array, place: Array) -> list[Label]:
 # --- several -------------------------------------------------------------------------------------------
 
 
-def _draw_many(axis: Any, flights: Sequence[Flight]) -> None:
+def _draw_many(axis: Any, flights: Sequence[RecordedFlight]) -> None:
     for flight in flights:
         paths = _paths(flight)
         if paths:
             (_, place), style, label = paths[0]
             thin = {**style, "linewidth": 0.8, "alpha": 0.6}
             axis.plot(place[:, 0], place[:, 1], label=label, **thin)
-        for hit in hits_of(flight):
+        for hit in flown_collisions(flight):
             axis.plot(
                 *hit.position[:2], "o", color=FORCE, markersize=2.5, label="hit", linestyle="none", zorder=5
             )

@@ -19,13 +19,13 @@ from dart_flight.lab.figure_style import (
     new_figure,
 )
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.report.flight import Flight, Impact
+from dart_flight.lab.report.recorded_flight import Impact, RecordedFlight
 
 _SHOWN_MS = (-60.0, 175.0)
 
 
 @in_style
-def impact_forces(flight: Flight, impact: Impact, *, look: Look = PAGE) -> Any:
+def impact_forces(flight: RecordedFlight, impact: Impact, *, look: Look = PAGE) -> Any:
     """Normal, friction and vertical force of one collision over time: predicted, estimated, true.
 
     The vertical force is up; its prediction is the law's along Z of the collision frame, which points down.
@@ -63,7 +63,7 @@ def impact_forces(flight: Flight, impact: Impact, *, look: Look = PAGE) -> Any:
 
 
 @in_style
-def impact_forces_over_trials(flights: Sequence[Flight], index: int, *, look: Look = PAGE) -> Any:
+def impact_forces_over_trials(flights: Sequence[RecordedFlight], index: int, *, look: Look = PAGE) -> Any:
     """The estimated normal force of one collision in every flight, their mean, and the prediction's."""
     figure, axis = new_figure(look, 3.0)
     grid = np.arange(-0.05, 0.17, 0.002)
@@ -90,7 +90,7 @@ def impact_forces_over_trials(flights: Sequence[Flight], index: int, *, look: Lo
 
 
 @in_style
-def errors_over_trials(flights: Sequence[Flight], *, look: Look = PAGE) -> Any:
+def errors_over_trials(flights: Sequence[RecordedFlight], *, look: Look = PAGE) -> Any:
     """Peak normal force against its prediction and its truth, one mark per collision and flight."""
     indices = sorted({i.verdict.index for f in flights for i in f.impacts})
     figure, axis = new_figure(look, 2.8)
@@ -119,7 +119,7 @@ def errors_over_trials(flights: Sequence[Flight], *, look: Look = PAGE) -> Any:
 
 
 @in_style
-def felt_force(
+def force_over_flight(
     time_s: Array, force_m_s2: Array, threshold_m_s2: Array, impacts_s: Sequence[float], look: Look = PAGE
 ) -> Any:
     """Horizontal force over mass of a whole flight: of every twentieth of a second the largest."""

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.report.figures.scene import points_per_unit
+from dart_flight.lab.report.figures.map_drawing import points_per_unit
 
 _DIRECTIONS = 16
 _REACHES_PT = (13.0, 21.0, 31.0, 43.0, 57.0, 75.0)

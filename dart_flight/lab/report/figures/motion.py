@@ -16,20 +16,20 @@ from dart_flight.lab.figure_style import (
     legend_above,
     new_figure,
 )
-from dart_flight.lab.report.flight import Flight
-from dart_flight.lab.report.hits import shown_span
+from dart_flight.lab.report.flown_collisions import shown_span
+from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.lab.report.tracks import angles, power, tracking
 
 _MOST_POINTS = 700  # of a line over a whole flight: more than the page has pixels
 
 
-def mark_impacts(axis: Any, flight: Flight) -> None:
+def mark_impacts(axis: Any, flight: RecordedFlight) -> None:
     """A thin vertical line at each detection."""
     for impact in flight.impacts:
         axis.axvline(impact.at_s, color=GREY, linewidth=0.7, zorder=1)
 
 
-def _plot(axis: Any, flight: Flight, time_s: Any, values: Any, **style: Any) -> None:
+def _plot(axis: Any, flight: RecordedFlight, time_s: Any, values: Any, **style: Any) -> None:
     """A line over the shown span; of more points than can be seen, the lowest and highest of each stretch."""
     begin, end = shown_span(flight)
     inside = (time_s >= begin) & (time_s <= end)
@@ -46,12 +46,12 @@ def _plot(axis: Any, flight: Flight, time_s: Any, values: Any, **style: Any) -> 
         axis.plot(t, v, **style)
 
 
-def _over_time(axis: Any, flight: Flight) -> None:
+def _over_time(axis: Any, flight: RecordedFlight) -> None:
     axis.set_xlim(*shown_span(flight))
     axis.set_xlabel("time, s")
 
 
-def _label(axes: Any, names: tuple[str, ...], flight: Flight) -> None:
+def _label(axes: Any, names: tuple[str, ...], flight: RecordedFlight) -> None:
     """What stands on each of some axes above one another, with the detections and one legend."""
     for axis, name in zip(axes, names, strict=True):
         axis.set_ylabel(name)
@@ -61,7 +61,7 @@ def _label(axes: Any, names: tuple[str, ...], flight: Flight) -> None:
 
 
 @in_style
-def motion(flight: Flight, *, look: Look = PAGE) -> Any:
+def motion(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
     """Velocities and height over time, estimated and true; vertical lines are detections."""
     figure, axes = new_figure(look, 4.2, 3, 1, sharex=True)
     for j, axis in enumerate(axes):
@@ -77,7 +77,7 @@ def motion(flight: Flight, *, look: Look = PAGE) -> Any:
 
 
 @in_style
-def attitude(flight: Flight, *, look: Look = PAGE) -> Any:
+def attitude(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
     """Roll, pitch and yaw, estimated and true, degrees."""
     figure, axes = new_figure(look, 4.2, 3, 1, sharex=True)
     for track, style, label in (
@@ -92,7 +92,7 @@ def attitude(flight: Flight, *, look: Look = PAGE) -> Any:
 
 
 @in_style
-def tracking_error(flight: Flight, *, look: Look = PAGE) -> Any:
+def tracking_error(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
     """Distance of estimated position and velocity from the set-point in force."""
     figure, axes = new_figure(look, 2.9, 2, 1, sharex=True)
     error = tracking(flight.course)
@@ -109,7 +109,7 @@ def tracking_error(flight: Flight, *, look: Look = PAGE) -> Any:
 
 
 @in_style
-def thrust_and_battery(flight: Flight, *, look: Look = PAGE) -> Any:
+def thrust_and_battery(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
     """Total thrust as the core reckons it, the lowest and highest command to a motor, and the battery."""
     figure, axes = new_figure(look, 4.0, 3, 1, sharex=True)
     p = power(flight.course, flight.mission)

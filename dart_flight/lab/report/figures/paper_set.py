@@ -8,12 +8,13 @@ from typing import Any
 
 from dart_flight.config.document import InputError
 from dart_flight.lab.figure_style import COLUMN, save_figure, save_pages
-from dart_flight.lab.report.figures import forces, lock, motion
+from dart_flight.lab.report.figures import forces, motion
+from dart_flight.lab.report.figures import lock_timeline as lock
 from dart_flight.lab.report.figures.flight_map import flight_map
-from dart_flight.lab.report.flight import Flight
+from dart_flight.lab.report.recorded_flight import RecordedFlight
 
 
-def figures_of(flights: Sequence[Flight]) -> Iterator[tuple[str, Any]]:
+def figures_of(flights: Sequence[RecordedFlight]) -> Iterator[tuple[str, Any]]:
     """(name, figure) of a report's figures, `COLUMN` wide: of one flight, or over several of one mission."""
     yield "map", flight_map(flights, look=COLUMN)
     if len(flights) > 1:
@@ -31,7 +32,7 @@ def figures_of(flights: Sequence[Flight]) -> Iterator[tuple[str, Any]]:
     yield "timeline", lock.timeline(flight, look=COLUMN)
 
 
-def write_svgs(flights: Sequence[Flight], folder: Path) -> list[Path]:
+def write_svgs(flights: Sequence[RecordedFlight], folder: Path) -> list[Path]:
     """One SVG file for each figure, its letters as text.
 
     Raises:
@@ -49,7 +50,7 @@ def write_svgs(flights: Sequence[Flight], folder: Path) -> list[Path]:
     return written
 
 
-def write_pdf(flights: Sequence[Flight], path: Path) -> None:
+def write_pdf(flights: Sequence[RecordedFlight], path: Path) -> None:
     """All figures in one PDF, one on each page, fonts embedded as TrueType.
 
     Raises:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from dart_flight.lab.campaign.summary import Drawn, Varied
+from dart_flight.lab.campaign.campaign_summary import Drawn, FigureTrend
 from dart_flight.lab.figure_style import ESTIMATED, PAGE, in_style, new_figure
 
 _HIGH_IN = 2.3
@@ -36,7 +36,7 @@ def success_figure(drawn: Drawn) -> Any:
 
 
 @in_style
-def varied_figure(varied: Varied, words: str) -> Any:
+def varied_figure(varied: FigureTrend, words: str) -> Any:
     """A figure of the flights, called so, over one drawn quantity: a point each."""
     figure, axis = new_figure(PAGE, _HIGH_IN)
     axis.plot(*zip(*varied.points, strict=True), ".", color=ESTIMATED["color"], markersize=4)

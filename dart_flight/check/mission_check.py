@@ -1,0 +1,366 @@
+"""What can be judged of a mission without a vehicle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from dart_flight.base.geometry import Vec3
+from dart_flight.base.records import AfterImpact
+from dart_flight.check.findings import CheckFinding
+from dart_flight.check.walls import check_walls
+from dart_flight.config.mission import Collision, Mission
+from dart_flight.core.mission.approach import (
+    NoApproachError,
+    TransitSegment,
+    check_segments_clear,
+    is_blocked,
+    plan_approach,
+    transit_of,
+    transit_segments,
+)
+from dart_flight.core.mission.commitment import SETPOINT_OUTSIDE_M, setpoint_outside_m
+from dart_flight.core.mission.planned_impact import expected_hit, impact_velocity
+from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
+from dart_flight.core.mission.recovery import recovery_point
+from dart_flight.core.mission.wall_uncertainty import SURE_SD, position_margin_m
+from dart_flight.core.sense.detector import ImpactDetector
+from dart_flight.planning.constraints import leads_behind
+from dart_flight.planning.envelope import (
+    clipping_warning,
+    full_scale_n,
+    height_warning,
+    incidence_warning,
+    speed_warning,
+)
+from dart_flight.planning.predicted_flight import PredictedFlight, describe_goal_miss, predict_mission
+
+_CLEARANCE_M = 0.15  # of start and goal from a wall's plane
+_WEAK = 1.3  # an impact below this many thresholds may be missed
+_SAME_M = 1e-6
+_LEG_POINTS = 50
+_PEAK_SPEED = 1.875  # over the mean, of a transit
+
+
+def check_mission(mission: Mission) -> list[CheckFinding]:
+    """What can be judged without a vehicle."""
+    findings = _check_places(mission)
+    findings += _check_waypoints(mission)
+    planned = predict_flight_path(mission)
+    for collision in mission.collisions:
+        findings += _check_approach(mission, collision)
+        findings += _check_force(mission, collision)
+        findings += _check_noise(mission, collision)
+        findings += _check_envelope(mission, collision)
+        findings += _check_recovery(mission, collision, planned)
+        findings += _check_servo(mission, collision)
+    if planned is not None:
+        findings += _check_path(mission, planned)
+        findings += _check_goal(mission, planned)
+    findings += check_walls(mission, planned)
+    findings += _check_coefficients(mission)
+    return findings
+
+
+def predict_flight_path(mission: Mission) -> PredictedFlight | None:
+    """The flight by the planner's model; None where an approach cannot even be flown, which is a finding."""
+    try:
+        check_segments_clear(mission)
+        for collision in mission.collisions:
+            if collision.approach_m_s is not None:
+                plan_approach(mission, collision)
+    except NoApproachError:
+        return None
+    return predict_mission(mission)
+
+
+def _check_places(mission: Mission) -> list[CheckFinding]:
+    findings = []
+    places = [("start", mission.start), ("goal", mission.goal.position_m)]
+    places += [(w.name, w.position[:2]) for w in mission.waypoints if w.position is not None]
+    for name, point in places:
+        near = [
+            (wall.signed_distance(point), wall.name)
+            for wall in mission.walls
+            if wall.spans(point)
+            and abs(wall.signed_distance(point)) < _CLEARANCE_M + position_margin_m(wall, point)
+        ]
+        for distance, wall_name in near:
+            says = f"{name} is {distance:.2f} m from wall {wall_name}, less than {_CLEARANCE_M:g} m"
+            if distance >= _CLEARANCE_M:
+                says += f" if that stands {SURE_SD:g} of its standard deviations nearer"
+            findings.append(CheckFinding(f"{name.replace(' ', '_')}_clearance", False, says))
+    for wall in mission.walls:
+        if mission.bounds.excess2(wall.point) > 0.0:
+            says = f"the middle of wall {wall.name} lies outside of bounds_m: it could not be flown to"
+            findings.append(CheckFinding("wall_bounds", False, says))
+    if not findings:
+        findings.append(
+            CheckFinding("places", True, "start, goal and walls lie within the bounds, clear of each other")
+        )
+    return findings
+
+
+def _check_waypoints(mission: Mission) -> list[CheckFinding]:
+    """Whether no wall stands between way-points, and the legs can be flown as asked."""
+    legs = transit_segments(mission)
+    if not legs:
+        return []
+    try:
+        check_segments_clear(mission)
+    except NoApproachError as error:
+        return [CheckFinding("waypoints", False, str(error))]
+    if mission.vehicle.flying.transit_speed_m_s > mission.limits.speed_m_s:
+        says = f"flying.transit_speed_m_s is over limits.speed_m_s {mission.limits.speed_m_s:g}"
+        return [CheckFinding("waypoints", False, says)]
+    known = [(leg, transit_of(mission, leg, leg.begin)) for leg in legs if leg.begin is not None]
+    way_m = sum(math.dist(t.begin, t.end) for _, t in known)
+    held_s = sum(w.hold_s for w in mission.waypoints if w.position is not None) + mission.goal.hold_s
+    flown_s = sum(t.duration_s for _, t in known) + held_s
+    pauses = sum(w.position is None for w in mission.waypoints)
+    says = f"{way_m:.1f} m from rest to rest in {flown_s:.0f} s with what is held"
+    says += f", {pauses} pause{'s' if pauses > 1 else ''} beside that" if pauses else ""
+    findings = [CheckFinding("waypoints", True, says)]
+    for leg, transit in known:
+        peak = _PEAK_SPEED * math.dist(transit.begin, transit.end) / transit.duration_s
+        if leg.speed_m_s > peak + 0.01 > 0.02:
+            slower = f"{leg.name}: the way is too short for {leg.speed_m_s:g} m/s, {peak:.2f} are reached"
+            findings.append(CheckFinding("waypoint_speed", True, slower, remark=True))
+    return findings
+
+
+def _check_approach(mission: Mission, collision: Collision) -> list[CheckFinding]:
+    item = f"approach_{collision.index}"
+    if collision.approach_m_s is None:
+        says = f"wall {collision.wall.name} is reached by the recovery from the collision before"
+        return [CheckFinding(item, True, says)]
+    try:
+        approach = plan_approach(mission, collision)
+    except NoApproachError as error:
+        return [CheckFinding(item, False, str(error))]
+    limit = mission.limits.speed_m_s
+    if approach.speed_m_s > limit or mission.vehicle.flying.transit_speed_m_s > limit:
+        return [CheckFinding(item, False, f"{approach.speed_m_s:.2f} m/s is over limits.speed_m_s {limit:g}")]
+    says = (
+        f"run-up of {approach.length_m:.2f} m, wall {collision.wall.name} met at "
+        f"{approach.speed_m_s:.2f} m/s after {approach.impact_s:.1f} s"
+    )
+    return [CheckFinding(item, True, says)]
+
+
+def _check_force(mission: Mission, collision: Collision) -> list[CheckFinding]:
+    item, wall = f"force_{collision.index}", collision.wall.name
+    hit = expected_hit(mission, collision)
+    if hit is None:
+        return [CheckFinding(item, True, f"wall {wall}: not predicted in the mission (`plan` writes it)")]
+    normal, friction = hit.peak_normal_force_n, hit.peak_friction_force_n
+    force, limit = math.hypot(normal, friction), mission.limits.peak_force_n
+    detection = mission.vehicle.detection.force_threshold_n
+    says = f"wall {wall}: {force:.0f} N predicted ({normal:.0f} normal, {friction:.0f} along)"
+    if force > limit:
+        return [CheckFinding(item, False, f"{says}, over limits.peak_force_n {limit:g}")]
+    if normal < _WEAK * detection:
+        weak = f"{says}, too near the detection threshold of {detection:g} N: it may go unnoticed"
+        return [CheckFinding(item, False, weak)]
+    clipping = clipping_warning(mission, collision)
+    if clipping is not None:
+        # At full scale the recovery is too weak and PX4's estimate is shaken; just below it is a remark.
+        go = force <= full_scale_n(mission)
+        return [CheckFinding(item, go, clipping, remark=go)]
+    return [CheckFinding(item, True, f"{says}, limit {limit:g} N")]
+
+
+def _check_noise(mission: Mission, collision: Collision) -> list[CheckFinding]:
+    """Whether the hit could be told from the vibration that is assumed until one is measured in flight."""
+    hit, vehicle = expected_hit(mission, collision), mission.vehicle
+    if hit is None:
+        return []
+    floor = ImpactDetector(vehicle).floor_n(hit.contact_time_s)
+    if hit.peak_normal_force_n >= floor:
+        return []
+    says = (
+        f"{collision.mode.value}, {hit.peak_normal_force_n:.1f} N at wall {collision.wall.name}: with "
+        f"vibration of {vehicle.estimation.imu_noise_m_s2:g} m/s2 only {floor:.1f} N is sure to be felt; "
+        "`inspect` says what yours is"
+    )
+    return [CheckFinding(f"noise_{collision.index}", True, says, remark=True)]
+
+
+def _check_envelope(mission: Mission, collision: Collision) -> list[CheckFinding]:
+    """Whether an impact so fast, so askew and so far from the centre has been recovered from."""
+    warnings = {
+        "speed": speed_warning(collision),
+        "incidence": incidence_warning(mission, collision),
+        "guard_height": height_warning(mission, collision),
+    }
+    return [
+        CheckFinding(f"{item}_{collision.index}", False, says)
+        for item, says in warnings.items()
+        if says is not None
+    ]
+
+
+def _check_path(mission: Mission, planned: PredictedFlight) -> list[CheckFinding]:
+    """Whether the vehicle stays within the bounds, and would if it were told to stop: as the guard judges."""
+    worst, where, stops = 0.0, (0.0, 0.0), False
+    for x, y, vx, vy in _states(mission, planned):
+        share = STOP_TIME_S * stop_share(mission.walls, (x, y), (vx, vy))
+        for point, by_stopping in (((x, y), False), ((x + share * vx, y + share * vy), True)):
+            excess = mission.bounds.excess2(point)
+            if excess > worst + _SAME_M:
+                worst, where, stops = excess, point, by_stopping
+    place = f"({where[0]:.2f}, {where[1]:.2f})"
+    if worst > 0.0 and stops:
+        says = f"on the predicted path the vehicle would stop at {place}, {worst:.2f} m outside bounds_m"
+        return [CheckFinding("path", False, says)]
+    if worst > 0.0:
+        says = f"the predicted path leads to {place}, {worst:.2f} m outside bounds_m"
+        return [CheckFinding("path", False, says)]
+    reached = "" if len(planned.hits) == len(mission.collisions) else ", as far as the model follows it"
+    return [
+        CheckFinding("path", True, f"the predicted path and where it could stop lie within bounds_m{reached}")
+    ]
+
+
+def _check_goal(mission: Mission, planned: PredictedFlight) -> list[CheckFinding]:
+    """Whether the last recovery is predicted to reach the goal; one that only passes it is a remark."""
+    if not mission.recovers_to_goal or mission.standoff_m is not None:
+        return []
+    if planned.goal_miss_m is None:
+        says = "the model does not follow the flight to the goal"
+        return [CheckFinding("goal", True, says, remark=True)]
+    miss_m, radius_m = planned.goal_miss_m, mission.goal.capture_radius_m
+    figures = {"goal_miss_m": miss_m, "capture_radius_m": radius_m}
+    says = describe_goal_miss(miss_m, mission.goal, mission.after_impact)
+    misses = miss_m > radius_m and mission.after_impact is not AfterImpact.REPLAN
+    return [CheckFinding("goal", True, says, remark=misses, figures=figures)]
+
+
+def _states(mission: Mission, planned: PredictedFlight) -> Iterator[tuple[float, float, float, float]]:
+    """Positions and velocities of the planned flight: steady runs to the walls, then the free flights."""
+    for collision in mission.collisions:
+        if collision.impact_point is not None:
+            vx, vy, _ = collision.approach_velocity()
+            for share in (0.0, 0.25, 0.5, 0.75, 1.0):
+                before_s = share * mission.vehicle.flying.steady_run_s
+                x, y = collision.impact_point
+                yield x - before_s * vx, y - before_s * vy, vx, vy
+    for path in planned.legs.values():
+        for x, y, vx, vy in path.tolist():
+            yield x, y, vx, vy
+    for leg in transit_segments(mission):
+        if leg.begin is not None:
+            transit = transit_of(mission, leg, leg.begin)
+            for i in range(_LEG_POINTS + 1):
+                at = transit.at(transit.duration_s * i / _LEG_POINTS)
+                yield at.position[0], at.position[1], at.velocity[0], at.velocity[1]
+
+
+def _check_recovery(
+    mission: Mission, collision: Collision, planned: PredictedFlight | None
+) -> list[CheckFinding]:
+    """Where the recovery leads: to the next wall where that is the plan, and not into one otherwise."""
+    hit, item = expected_hit(mission, collision), f"recovery_{collision.index}"
+    place = collision.impact_point or (collision.predicted.position_m if collision.predicted else None)
+    velocity = impact_velocity(collision)
+    met = planned.hits.get(collision.index) if planned is not None else None
+    if hit is not None and place is not None and velocity is not None:
+        normal_n, friction_n = hit.peak_normal_force_n, hit.peak_friction_force_n
+    elif met is not None:
+        place, velocity = (
+            met.position,
+            (met.normal_m_s, met.tangential_m_s),
+        )
+        normal_n, friction_n = met.normal_n, abs(met.tangential_n)
+    else:
+        return []
+    along = math.copysign(friction_n, -velocity[1])  # friction is against the motion
+    target = recovery_point(
+        (place[0], place[1], 0.0),
+        collision.wall.normal,
+        normal_n,
+        along,
+        collision.alpha_normal_m_per_n,
+        collision.alpha_tangential_m_per_n,
+        mission.altitude_at(collision.index - 1),
+    )
+    says = f"set-point after wall {collision.wall.name} about ({target[0]:.2f}, {target[1]:.2f})"
+    following = next((c for c in mission.collisions if c.index == collision.index + 1), None)
+    leg = next((one for one in transit_segments(mission) if _begins_behind(mission, one, collision)), None)
+    if following is not None and following.approach_m_s is None:
+        beyond = following.wall.signed_distance(target)
+        if beyond > 0.0:
+            short = f"{says}: {beyond:.2f} m short of wall {following.wall.name}, which it should lead to"
+            return [CheckFinding(item, False, short)]
+        leads = f"{says}, leads to wall {following.wall.name}"
+        return [_outside(mission, item, target, leads, "that wall")]
+    for wall in mission.walls:
+        if wall is not collision.wall and leads_behind(wall, (place[0], place[1]), (target[0], target[1])):
+            return [
+                CheckFinding(item, False, f"{says}: behind wall {wall.name}, which is not to be hit next")
+            ]
+        if leg is not None and is_blocked(wall, target[:2], leg.end[:2]):
+            says = f"{says}: from there wall {wall.name} is in the way to {leg.name}"
+            return [CheckFinding(item, False, says)]
+    return [_outside(mission, item, target, says, "the goal" if leg is None else leg.name)]
+
+
+def _begins_behind(mission: Mission, leg: TransitSegment, collision: Collision) -> bool:
+    """Whether a leg begins where the recovery from a collision has led to."""
+    if leg.begin is not None:
+        return False
+    ends = [w.after for w in mission.waypoints if w.name == leg.name]
+    return (ends[0] if ends else len(mission.collisions)) == collision.index
+
+
+def _outside(mission: Mission, item: str, target: Vec3, says: str, first: str) -> CheckFinding:
+    """A set-point outside of the bounds only pulls where something comes before it; far out it is a slip."""
+    outside = setpoint_outside_m(mission.bounds, target[0], target[1])
+    if outside > SETPOINT_OUTSIDE_M:
+        far = f"{says}, {outside:.2f} m outside bounds_m, more than {SETPOINT_OUTSIDE_M:g} m"
+        return CheckFinding(item, False, far + ": is alpha meant so?")
+    if outside > 0.0:
+        return CheckFinding(
+            item, True, f"{says}, {outside:.2f} m outside bounds_m: {first} must come before", remark=True
+        )
+    return CheckFinding(item, True, says)
+
+
+def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
+    """Whether the lock can be in the next mode before the wall that the recovery leads to."""
+    following = next((c for c in mission.collisions if c.index == collision.index + 1), None)
+    if following is None or following.approach_m_s is not None or following.mode is collision.mode:
+        return []
+    lock, item = mission.vehicle.lock, f"servo_{following.index}"
+    if lock is None:
+        return []
+    needed = lock.relaxation_s + lock.switch_time_s
+    here, there = collision.predicted, following.predicted
+    hit = expected_hit(mission, collision)
+    if here is not None and there is not None:
+        free = there.t_s - here.t_s - here.contact_time_s
+        how = "predicted"
+    elif hit is not None and collision.impact_point is not None:
+        # The quickest that the way can be flown within the mission's speed limit.
+        way = following.wall.signed_distance(collision.impact_point)
+        free = way / mission.limits.speed_m_s
+        how = "at least"
+    else:
+        return []
+    says = f"the lock needs {needed:.2f} s between the contacts, {how} {free:.2f} s there are"
+    go = free >= needed or how == "at least"
+    if free < needed and go:
+        says += "; where it is late, the approach is broken off in flight"
+    return [CheckFinding(item, go, says)]
+
+
+def _check_coefficients(mission: Mission) -> list[CheckFinding]:
+    findings = []
+    for name in sorted({c.wall.material for c in mission.collisions}):
+        source = mission.vehicle.materials[name].source
+        assumed = "assumed" in source or not source
+        note = " (assumed: the flight may differ; `identify` measures)" if assumed else ""
+        findings.append(
+            CheckFinding(f"material_{name}", True, f"{name}: {source or 'no source given'}{note}")
+        )
+    return findings

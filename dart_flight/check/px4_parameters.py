@@ -1,0 +1,312 @@
+"""PX4's parameters that matter to a vehicle that flies into walls.
+
+Those that can hurt are explained in words and may be a no-go (`PARAMETERS`); the position gains are compared
+with the configuration; every other one of `configs/px4/` that differs is a remark with the file's reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from dart_flight.check.findings import CheckFinding
+from dart_flight.config.mission import Mission
+from dart_flight.config.parameter_file import (
+    Parameter,
+    PositionSource,
+    Version,
+    differences,
+    vehicle_parameters,
+)
+from dart_flight.planning.positioning import PLAIN_GPS, frame_problem
+
+_GAIN_TOLERANCE = 0.02
+_NO_TERMINATION = 121212  # CBRK_FLIGHTTERM: PX4's magic number for "off"
+_OVERRIDE_IN_OFFBOARD = 2  # bit 1 of COM_RC_OVERRIDE
+_HORIZONTAL = 1  # bit 0 of EKF2_EV_CTRL and of EKF2_GPS_CTRL
+_RTK_FIX = "rtk_fixed"
+
+
+_LOSS_ACTIONS = {
+    0: "position mode: sticks must be there",
+    1: "altitude mode: sticks must be there",
+    2: "stabilized: sticks must be there",
+    3: "return: it climbs and flies home, whatever stands between",
+    4: "land",
+    5: "hold",
+    6: "terminate: it falls",
+    7: "disarm: it falls",
+}
+_RC_LOSS_ACTIONS = {
+    0: "nothing",
+    1: "hold",
+    2: "return: it climbs and flies home, whatever stands between",
+    3: "land",
+    5: "terminate: it falls",
+    6: "disarm: it falls",
+}
+
+
+def _of_loss(value: float, mission: Mission) -> tuple[bool, str]:
+    whole = value + mission.vehicle.guard.deadman_s
+    return value <= 1.5, (
+        f"without set-points PX4 acts after {value:g} s; with the deadman, a hung program flies on for at "
+        f"most {whole:.2f} s"
+        + ("" if value <= 1.5 else ", more than a wall at arm's length allows: at most 1.5 s")
+    )
+
+
+def _loss_action(value: float, _: Mission) -> tuple[bool, str]:
+    action = round(value)
+    return action in (0, 1, 2, 4, 5), f"when set-points are lost: {_LOSS_ACTIONS.get(action, 'unknown')}"
+
+
+def _rc_override(value: float, _: Mission) -> tuple[bool, str]:
+    takes_over = bool(round(value) & _OVERRIDE_IN_OFFBOARD)
+    return takes_over, (
+        "the pilot's sticks take over in offboard"
+        if takes_over
+        else "the pilot's sticks do NOT take over in offboard: only the mode switch does"
+    )
+
+
+def _stick_speed(value: float, _: Mission) -> tuple[bool, str]:
+    if value < 0.0:
+        return False, "the pilot's sticks do NOT take over in offboard: only the mode switch does"
+    return True, f"the pilot's sticks take over in offboard when moved faster than {value:g} 1/s"
+
+
+def _rc_loss(value: float, _: Mission) -> tuple[bool, str]:
+    action = round(value)
+    return action in (0, 1, 3), f"when the remote control is lost: {_RC_LOSS_ACTIONS.get(action, 'unknown')}"
+
+
+def _imbalance(value: float, _: Mission) -> tuple[bool, str]:
+    quiet = value <= 0.0
+    return quiet, (
+        "an imbalanced propeller is at most a warning"
+        if quiet
+        else "an imbalanced propeller ends the mission, and a hit looks like one"
+    )
+
+
+def _rc_exception(value: float, _: Mission) -> tuple[bool, str]:
+    ignores = round(value) & 4
+    return True, (
+        "the loss of the remote control is ignored in offboard: no second way out"
+        if ignores
+        else "the loss of the remote control ends offboard: fly with one, or it never starts"
+    )
+
+
+def _attitude_limit(value: float, mission: Mission) -> tuple[bool, str]:
+    limit = mission.vehicle.guard.tilt_deg
+    good = value == 0.0 or value >= limit
+    return good, f"PX4 sees a failure from {value:g} degrees on; the guard lands from {limit:g}" + (
+        "" if good else ": an impact could trip PX4 first"
+    )
+
+
+def _lockdown(value: float, _: Mission) -> tuple[bool, str]:
+    return True, f"a failure within {value:g} s of take-off stops the motors"
+
+
+def _termination(value: float, _: Mission) -> tuple[bool, str]:
+    if round(value) == _NO_TERMINATION:
+        return True, "flight termination is off: the attitude failure detector does not stop the motors"
+    return True, "flight termination is ON: an attitude failure stops the motors in the air"
+
+
+def _gyro_rate(value: float, _: Mission) -> tuple[bool, str]:
+    return value >= 400.0, f"rate control at up to {value:g} Hz" + (
+        "" if value >= 400.0 else ", a contact's torque needs at least 400"
+    )
+
+
+def _disarm_land(value: float, _: Mission) -> tuple[bool, str]:
+    return (
+        True,
+        "never disarms by itself after landing" if value <= 0.0 else f"disarms {value:g} s after landing",
+    )
+
+
+# PX4's parameters that matter to a vehicle that collides: whether a value is a go, and what it means.
+PARAMETERS: dict[str, Callable[[float, Mission], tuple[bool, str]]] = {
+    "COM_OF_LOSS_T": _of_loss,
+    "COM_OBL_RC_ACT": _loss_action,
+    "COM_RC_OVERRIDE": _rc_override,
+    "MAN_OVERRIDE_SPD": _stick_speed,  # in its place from v1.18 on
+    "NAV_RCL_ACT": _rc_loss,
+    "COM_RCL_EXCEPT": _rc_exception,
+    "FD_FAIL_P": _attitude_limit,
+    "FD_FAIL_R": _attitude_limit,
+    "COM_LKDOWN_TKO": _lockdown,
+    "CBRK_FLIGHTTERM": _termination,
+    "COM_IMB_PROP_ACT": _imbalance,
+    "IMU_GYRO_RATEMAX": _gyro_rate,
+    "COM_DISARM_LAND": _disarm_land,
+}
+_LOCKDOWN, _LOCKDOWN_UNTIL = "COM_LKDOWN_TKO", (1, 17)  # nothing takes its place
+# The prediction of where a recovery leads rests on these.
+_GAINS = ("MPC_XY_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_D_ACC", "MPC_VELD_LP", "MPC_TILTMAX_AIR", "MPC_Z_P")
+# Forward, right, down of the centre of mass, as imu.position_m.
+IMU_POSITION = ("EKF2_IMU_POS_X", "EKF2_IMU_POS_Y", "EKF2_IMU_POS_Z")
+_POSITION_TOLERANCE_M = 0.005
+
+
+def names_to_read(version: Version | None = None) -> list[str]:
+    """Every parameter that the judgements here look at and a version of PX4 may have."""
+    names, absent = [*PARAMETERS, *_GAINS, *IMU_POSITION], set[str]()
+    for source in PositionSource:
+        parameters = vehicle_parameters(source)
+        names += parameters
+        absent |= {p.name for p in parameters.values() if p.is_absent_in(version)}
+    if version is not None and version > _LOCKDOWN_UNTIL:
+        absent.add(_LOCKDOWN)
+    return [name for name in dict.fromkeys(names) if name not in absent]
+
+
+def other_names(values: Mapping[str, float]) -> list[str]:
+    """By what names versions of PX4 have the parameters that could not be read."""
+    return [
+        parameter.renamed
+        for source in PositionSource
+        for name, parameter in vehicle_parameters(source).items()
+        if parameter.renamed is not None and name not in values
+    ]
+
+
+def judge_parameters(
+    mission: Mission,
+    values: Mapping[str, float],
+    source: PositionSource | None,
+    version: Version | None = None,
+) -> list[CheckFinding]:
+    """Parameters as read: explained, compared with the configuration and with `configs/px4/`.
+
+    Args:
+        mission: for its limits and its vehicle.
+        values: as read from the vehicle.
+        source: where its position comes from; None: only what every vehicle needs is compared.
+        version: of PX4; None: not told, and every parameter is expected that any version has.
+    """
+    wanted = vehicle_parameters(source)
+    different = {d.name: d for d in differences(wanted, values)}
+    findings = []
+    for name, judge in PARAMETERS.items():
+        difference = different.pop(name, None)
+        if name not in values:
+            newer = "MAN_OVERRIDE_SPD" in values if version is None else version > _LOCKDOWN_UNTIL
+            if name == _LOCKDOWN and newer:
+                continue
+            if name in wanted and _is_elsewhere(wanted[name], wanted, values, version):
+                continue
+            findings.append(CheckFinding(name, False, "cannot be read: what PX4 will do is not known"))
+            continue
+        go, says = judge(values[name], mission)
+        if go and difference is not None:
+            says += f"; recommended {difference.wanted:g}, not {difference.actual:g}: {difference.reason}"
+        findings.append(CheckFinding(name, go, says, remark=go and difference is not None))
+    findings += _judge_gains(mission, values)
+    findings += _judge_imu_position(mission, values)
+    findings += [CheckFinding(d.name, True, d.line(), remark=True) for d in different.values()]
+    return findings
+
+
+def _is_elsewhere(
+    missing: Parameter, wanted: Mapping[str, Parameter], values: Mapping[str, float], version: Version | None
+) -> bool:
+    """Whether this PX4 goes without a parameter: by its version, or where that is not told by what it has."""
+    if version is not None:
+        return missing.is_absent_in(version)
+    # It has one that came when this one went, or lacks one that went when this one came.
+    when = {"before": "after", "after": "before"}.get(missing.absent.partition(" ")[0])
+    return any(
+        one.absent.startswith(f"{when} ") and (one.name in values) for one in wanted.values() if one.absent
+    )
+
+
+def _judge_gains(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
+    findings = []
+    for name in _GAINS:
+        configured = float(getattr(mission.vehicle.px4, name.lower()))
+        actual = values.get(name)
+        if actual is not None and abs(actual - configured) > _GAIN_TOLERANCE * abs(configured):
+            says = f"{actual:g} on the vehicle, {configured:g} in the configuration: recoveries go elsewhere"
+            findings.append(CheckFinding(name, False, says))
+    return findings
+
+
+def _judge_imu_position(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
+    """Where PX4 believes its IMU against the configuration: both take what turning adds there off."""
+    findings = []
+    for name, configured in zip(IMU_POSITION, mission.vehicle.imu.position_m, strict=True):
+        actual = values.get(name)
+        if actual is not None and abs(actual - configured) > _POSITION_TOLERANCE_M:
+            says = (
+                f"{actual:g} m on the vehicle, {configured:g} m in imu.position_m: PX4's velocity or the "
+                "force takes turning for motion; measure from the centre of mass and set both"
+            )
+            findings.append(CheckFinding(name, True, says, remark=True))
+    return findings
+
+
+# --- where the position comes from -----------------------------------------------------------------------
+
+
+def position_source(values: Mapping[str, float], gps_fix: str | None) -> PositionSource | None:
+    """Where a vehicle's position comes from, by what PX4 fuses and what the receiver says of its fix.
+
+    Args:
+        values: parameters as read.
+        gps_fix: MAVLink's type of fix in small letters, such as `rtk_fixed`; None: nothing heard.
+
+    Returns:
+        Motion capture wherever it is fused; None where neither it nor GPS is.
+    """
+    if round(values.get("EKF2_EV_CTRL", 0)) & _HORIZONTAL:
+        return PositionSource.MOCAP
+    if round(values.get("EKF2_GPS_CTRL", 0)) & _HORIZONTAL:
+        return PositionSource.RTK if gps_fix == _RTK_FIX else PositionSource.PLAIN
+    return None
+
+
+def judge_position(
+    mission: Mission,
+    found: PositionSource | None,
+    gps_fix: str | None,
+    claimed: PositionSource | None,
+) -> list[CheckFinding]:
+    """Whether the position is good enough for a wall, and is what the operator believes it to be.
+
+    Args:
+        mission: for its frame.
+        found: by `position_source`.
+        gps_fix: as there.
+        claimed: by the operator; None: not claimed.
+    """
+    item, fix = "position_source", (gps_fix or "no fix").replace("_", " ")
+    if found is None:
+        nothing = "PX4 fuses neither motion capture (EKF2_EV_CTRL) nor GPS (EKF2_GPS_CTRL)"
+        return [CheckFinding(item, False, nothing)]
+    if claimed not in (None, found, PositionSource.PLAIN):
+        other = "motion capture" if found is PositionSource.MOCAP else f"GPS ({fix})"
+        return [
+            CheckFinding(item, False, f"not {claimed}, as said: the vehicle's position comes from {other}")
+        ]
+    source = claimed or found
+    if source is PositionSource.MOCAP:
+        return [CheckFinding(item, True, "motion capture"), *judge_claim(mission, source)]
+    if source is PositionSource.RTK:
+        return [CheckFinding(item, True, f"GPS, {fix}"), *judge_claim(mission, source)]
+    return judge_claim(mission, source, f" (the receiver says: {fix})")
+
+
+def judge_claim(mission: Mission, source: PositionSource, addition: str = "") -> list[CheckFinding]:
+    """What a source of position means for a mission; `addition` goes to what is said of plain GPS."""
+    findings = []
+    if source is PositionSource.PLAIN:
+        findings.append(CheckFinding("position_source", False, PLAIN_GPS + addition))
+    problem = frame_problem(mission, source)
+    if problem is not None:
+        findings.append(CheckFinding("frame", False, problem))
+    return findings

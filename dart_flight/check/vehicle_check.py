@@ -1,0 +1,135 @@
+"""What a connected vehicle says of itself: parameters, and rates, battery and estimator as measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from dart_flight.base.streams import BY_NAME
+from dart_flight.check.airframe_check import judge_airframe
+from dart_flight.check.findings import CheckFinding
+from dart_flight.check.px4_parameters import (
+    judge_parameters,
+    judge_position,
+    names_to_read,
+    other_names,
+    position_source,
+)
+from dart_flight.config.mission import Mission
+from dart_flight.config.parameter_file import PositionSource, Version
+from dart_flight.config.rotors import COUNT, rotor_names
+from dart_flight.config.vehicle import LockDriver
+from dart_flight.lock.drivers import DRIVERS, driver_names
+from dart_flight.lock.drivers.px4_output import parameter_problems, required_parameters
+from dart_flight.vehicle.ground_link import GroundLink, Observation
+
+_MEASURE_S = 3.0
+
+
+def check_vehicle(
+    mission: Mission, url: str, position_from: PositionSource | None = None
+) -> list[CheckFinding]:
+    """What a connected vehicle says of itself.
+
+    Args:
+        mission: what it is to fly.
+        url: MAVSDK connection URL.
+        position_from: what the operator believes; None: as the vehicle's parameters say.
+
+    Raises:
+        VehicleError: nothing answers at the URL.
+        NoAnswerError: what answers there does not answer requests.
+    """
+    lock = mission.vehicle.lock
+    with GroundLink(url, mission.vehicle.connection.timeout_s) as link:
+        late = judge_round_trip(mission, link.round_trip_s())
+        if not late.go:
+            return [late]  # over such a link the rest would take minutes, and tell nothing
+        observed = link.observe(mission.vehicle, _MEASURE_S)
+        version = _release_of(observed.version)
+        names = [*names_to_read(version), COUNT]
+        if lock is not None and lock.driver is LockDriver.PX4:
+            names += [required.name for required in required_parameters(lock)]
+        values = link.read_parameters(names)
+        values |= link.read_parameters(dict.fromkeys(other_names(values)))
+        values |= link.read_parameters(rotor_names(values.get(COUNT, 0.0)))
+    found = position_source(values, observed.gps_fix)
+    return [
+        *judge_position(mission, found, observed.gps_fix, position_from),
+        *judge_parameters(mission, values, position_from or found, version),
+        *judge_airframe(mission, values),
+        late,
+        *judge_observation(mission, observed),
+        *judge_lock(mission, values),
+    ]
+
+
+def _release_of(text: str) -> Version | None:
+    """Major and minor of a version in words; None where it tells none, as 0.0.0."""
+    major, _, rest = text.partition(".")
+    minor = rest.partition(".")[0]
+    return (int(major), int(minor)) if major.isdigit() and minor.isdigit() and int(major) else None
+
+
+def judge_round_trip(mission: Mission, seconds: float | None) -> CheckFinding:
+    """Whether samples come in time, as far as a round trip tells; None: no request for it was answered."""
+    item, limit_s = "round_trip", 2.0 * mission.vehicle.guard.telemetry_late_s
+    if seconds is None:
+        return CheckFinding(item, True, "the vehicle does not answer TIMESYNC", remark=True)
+    says = f"{seconds * 1e3:.0f} ms between vehicle and program, allowed are {limit_s * 1e3:.0f} ms"
+    return CheckFinding(item, seconds <= limit_s, says)
+
+
+def judge_observation(mission: Mission, observed: Observation) -> list[CheckFinding]:
+    """Rates, battery and estimator as observed."""
+    findings = [
+        CheckFinding("version", True, f"PX4 {observed.version}" if observed.version else "version not told")
+    ]
+    if observed.other_vehicle is not None:
+        findings.append(CheckFinding("second_vehicle", False, observed.other_vehicle))
+    for name, rate in observed.rates_hz.items():
+        needed = BY_NAME[name].expected_hz
+        findings.append(CheckFinding(f"rate_{name}", rate >= needed, f"{rate:.0f} Hz, needs {needed:g}"))
+    guard, left, volts = mission.vehicle.guard, observed.battery_remaining, observed.battery_v
+    low = (left is not None and left < 2.0 * guard.battery_remaining) or (
+        volts is not None and volts < guard.battery_v
+    )
+    told = ", ".join(
+        text
+        for text in (
+            f"{100.0 * left:.0f} %" if left is not None else "",
+            f"{volts:.1f} V" if volts is not None else "",
+        )
+        if text
+    )
+    findings.append(CheckFinding("battery", not low, told or "not told"))
+    said = ", ".join(dict.fromkeys([*observed.blocking, *observed.texts]))
+    says = "local position valid"
+    if not observed.local_position_ok:
+        says = "no valid local position" + (f"; PX4 says: {said}" if said else "")
+    findings.append(CheckFinding("estimator", observed.local_position_ok, says))
+    if observed.blocking or observed.texts:
+        # No no-go: PX4 judges its present mode, and `fly` arms in offboard.
+        begin = "PX4 would not arm as it is: " if observed.blocking else "PX4 says: "
+        findings.append(CheckFinding("px4_checks", True, begin + said, remark=True))
+    return findings
+
+
+def judge_lock(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
+    """Whether the lock's servo would move; nothing where there is none."""
+    lock = mission.vehicle.lock
+    if lock is None:
+        return []
+    if not DRIVERS[lock.driver].moves:
+        real = driver_names(lambda entry: entry.moves)
+        says = f"lock.driver is {lock.driver.value}: nothing real moves; choose {real} (--driver)"
+        return [CheckFinding("lock_driver", False, says)]
+    if lock.driver is not LockDriver.PX4:
+        return [
+            CheckFinding("lock_driver", True, f"{lock.driver.value}; try it with `dart-flight lock toggle`")
+        ]
+    problems = parameter_problems(lock, values)
+    return [
+        CheckFinding(
+            "lock_driver", not problems, "; ".join(problems) or "PX4's output is set up for the servo"
+        )
+    ]

@@ -1,0 +1,215 @@
+"""The contact law at the guards of a body: which guards touch, and what force and torque follow.
+
+A vehicle touches a wall with guard points, two on each of its four sides: `out_m` from the centre of mass,
+`along_m` to either side of the middle, `height_m` above it. Each guard is a point of the published law with
+its share of the coefficients: with both guards of a side at the same depth, k/2 and f/2 each sum to the point
+law, so the symmetric hit keeps its normal force, contact time and exit velocity. Friction is -mu lambda ydot
+with the guard's own sliding velocity; the vertical force keeps its sum -nu L/(1 + L), L the sum of the normal
+forces on the wall.
+
+What the paper does not tell is a parameter here (`config/vehicle/simulation.py`, `ContactBody`): the share of
+the friction's lever that turns the vehicle, and the lever of the vertical force. The friction acts, and its
+sliding velocity is taken, at the same reduced lever, so it only ever takes energy out.
+
+Free arms fold: each turns in the horizontal plane about a bearing in the vehicle's middle, by so much that
+its guard gives way by a share of its penetration (`folds`). The law knows of that already, it is why k is
+smaller; what it adds is that the arm's motor moves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+from dart_flight.base.geometry import Quaternion, Vec3, rotate_back
+from dart_flight.config.vehicle import BodyModel, Coefficients, ContactBody
+from dart_flight.contact.law import Onset, normal_force
+
+
+class PropellerGuard(NamedTuple):
+    """One guard point, body FRD, metres from the centre of mass."""
+
+    at: Vec3
+    friction_at: Vec3  # where its friction acts: the same point with the horizontal lever reduced
+
+
+class Plane(NamedTuple):
+    """A wall's surface with the axes of its collision frame, world frame (NED or any other).
+
+    Attributes:
+        point: on the surface.
+        normal: outward.
+        tangent: Y of the collision frame.
+        down: Z of the collision frame.
+    """
+
+    point: Vec3
+    normal: Vec3
+    tangent: Vec3
+    down: Vec3
+
+
+class Touch(NamedTuple):
+    """What the guards feel of one wall.
+
+    Attributes:
+        force: sum, world frame, newton.
+        torque: about the centre of mass, body FRD, N m.
+        normal_n: sum of the normal forces.
+        friction_n: sum of the friction forces along the tangent, signed.
+    """
+
+    force: Vec3
+    torque: Vec3
+    normal_n: float
+    friction_n: float
+
+
+UNTOUCHED = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
+
+
+def propeller_guards(body: ContactBody) -> tuple[PropellerGuard, ...]:
+    """The eight guards of a four-fold symmetric vehicle: front, right, back, left, two each.
+
+    Of a point the two that a wall meets, in the centre of mass: the point law.
+    """
+    if body.body is BodyModel.POINT:
+        return (PropellerGuard(_CENTRE, _CENTRE),) * 2
+    out, along, z = body.guard_out_m, body.guard_along_m, -body.guard_height_m
+    share = body.friction_lever_share
+    guards = []
+    for ox, oy in ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)):
+        for side in (1.0, -1.0):
+            x, y = out * ox - side * along * oy, out * oy + side * along * ox
+            guards.append(PropellerGuard((x, y, z), (share * x, share * y, share * z)))
+    return tuple(guards)
+
+
+def touch(
+    guards: Sequence[PropellerGuard],
+    q: Quaternion,
+    c: Coefficients,
+    onset: Onset,
+    plane: Plane,
+    position: Vec3,
+    velocity: Vec3,
+    rate_frd: Vec3,
+    vertical_sign: int,
+    vertical_lever_m: float,
+) -> Touch:
+    """Force and torque of one wall on the guards.
+
+    Worked out in the body's axes: the wall's three directions are turned into them, and not two levers of
+    every guard into the world's.
+
+    Args:
+        guards: of the body.
+        q: attitude, body FRD to world.
+        c: coefficients of the whole side (the point law's).
+        onset: onset rule.
+        plane: the surface.
+        position, velocity: of the centre of mass, world frame.
+        rate_frd: angular velocity, rad/s.
+        vertical_sign: -1 as the paper writes lz (against Z of the collision frame: up at a wall), or 1.
+        vertical_lever_m: how far outside of the centre of mass the vertical force acts.
+    """
+    world = plane.normal
+    nx, ny, nz = rotate_back(q, world)
+    depth = _height(plane, position)
+    speed = world[0] * velocity[0] + world[1] * velocity[1] + world[2] * velocity[2]
+    wx, wy, wz = rate_frd
+    half = Coefficients(0.5 * c.k, 0.5 * c.f, c.mu, c.nu)
+    pressed = []
+    for (rx, ry, rz), friction_at in guards:
+        x = depth + nx * rx + ny * ry + nz * rz
+        if x > _NEAR_M:
+            continue
+        turning = nx * (wy * rz - wz * ry) + ny * (wz * rx - wx * rz) + nz * (wx * ry - wy * rx)
+        force = normal_force(half, onset, x, speed + turning)
+        if force > 0.0:
+            pressed.append((force, (rx, ry, rz), friction_at))
+    if not pressed:
+        return UNTOUCHED
+    t, d = rotate_back(q, plane.tangent), rotate_back(q, plane.down)
+    world = plane.tangent
+    sliding = world[0] * velocity[0] + world[1] * velocity[1] + world[2] * velocity[2]
+    total = friction = 0.0
+    tx = ty = tz = 0.0
+    for force, (rx, ry, rz), (fx, fy, fz) in pressed:
+        slip = sliding + t[0] * (wy * fz - wz * fy) + t[1] * (wz * fx - wx * fz) + t[2] * (wx * fy - wy * fx)
+        rub = -c.mu * force * slip
+        total += force
+        friction += rub
+        tx += force * (ry * nz - rz * ny) + rub * (fy * t[2] - fz * t[1])
+        ty += force * (rz * nx - rx * nz) + rub * (fz * t[0] - fx * t[2])
+        tz += force * (rx * ny - ry * nx) + rub * (fx * t[1] - fy * t[0])
+    lift = vertical_sign * c.nu * total / (1.0 + total)
+    lever = -vertical_lever_m * lift
+    n, t_world, d_world = plane.normal, plane.tangent, plane.down
+    return Touch(
+        (
+            total * n[0] + friction * t_world[0] + lift * d_world[0],
+            total * n[1] + friction * t_world[1] + lift * d_world[1],
+            total * n[2] + friction * t_world[2] + lift * d_world[2],
+        ),
+        (
+            tx + lever * (ny * d[2] - nz * d[1]),
+            ty + lever * (nz * d[0] - nx * d[2]),
+            tz + lever * (nx * d[1] - ny * d[0]),
+        ),
+        total,
+        friction,
+    )
+
+
+def clearance_m(guards: Sequence[PropellerGuard], q: Quaternion, plane: Plane, position: Vec3) -> float:
+    """Distance in metres of the nearest guard from a wall's surface, negative behind it.
+
+    Args:
+        guards: of the body.
+        q: attitude, body FRD to world.
+        plane: the surface.
+        position: of the centre of mass, world frame.
+    """
+    x, y, z = rotate_back(q, plane.normal)
+    return _height(plane, position) + min(x * g.at[0] + y * g.at[1] + z * g.at[2] for g in guards)
+
+
+def _height(plane: Plane, position: Vec3) -> float:
+    """Distance of the centre of mass from a surface, along its normal."""
+    n, o = plane.normal, plane.point
+    return n[0] * (position[0] - o[0]) + n[1] * (position[1] - o[1]) + n[2] * (position[2] - o[2])
+
+
+def fold_angles(
+    body: ContactBody, share: float, depths: Sequence[float]
+) -> tuple[float, float, float, float]:
+    """Angles by which the arms have swung, radians, positive clockwise seen from above.
+
+    Args:
+        body: where the guards are.
+        share: of a guard's penetration by which its arm gives way.
+        depths: penetration of each guard in the order of `propeller_guards`, m; 0 where it does not touch.
+
+    Returns:
+        Of the arms in the order of `arm_of`'s numbers.
+    """
+    angles = [0.0, 0.0, 0.0, 0.0]
+    along = max(body.guard_along_m, _LEAST_ARM_M)
+    for i, (guard, depth) in enumerate(zip(propeller_guards(body), depths, strict=True)):
+        if depth > 0.0:
+            # Two guards a side: pushed in, the first one's arm swings clockwise, the second one's against it.
+            turn = math.atan2(share * depth, along)
+            angles[arm_of(guard.at[0], guard.at[1])] += turn if i % 2 == 0 else -turn
+    return (angles[0], angles[1], angles[2], angles[3])
+
+
+def arm_of(x: float, y: float) -> int:
+    """Number of the arm on whose quarter a point lies, FRD: front right 0, front left 1, then behind."""
+    return (0 if x >= 0.0 else 2) + (0 if y >= 0.0 else 1)
+
+
+_CENTRE = (0.0, 0.0, 0.0)
+_LEAST_ARM_M: Final = 0.05  # guards nearer to the middle than this would swing an arm without end
+_NEAR_M: Final = 0.08  # below 5 m/s no contact begins further away

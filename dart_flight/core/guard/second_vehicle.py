@@ -1,0 +1,112 @@
+"""Whether the samples of one stream come from two vehicles that share a link and a system id.
+
+To MAVLink they are one system, so their samples come in turn: two clocks, or two positions at one clock. A
+clock that jumps, a restart or an estimate that jumps leads from one to the other once and not back.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Final
+
+from dart_flight.base.geometry import norm
+from dart_flight.base.records import OdometrySample
+
+_TURNS: Final = 3  # there and back, within the window
+_WINDOW_US: Final = 2_000_000  # host time
+_FASTEST: Final = 20  # simulated seconds per second
+_REACH_US: Final = 1_000_000  # samples of one source are no further apart
+
+
+class SecondClockDetector:
+    """The stamps of one stream.
+
+    Args:
+        tolerance_us: stamps no further in the past than this are late datagrams.
+    """
+
+    def __init__(self, tolerance_us: float) -> None:
+        self._tolerance_us = tolerance_us
+        self._newest_us: int | None = None
+        self._received_us = 0
+        self._behind_us: int | None = None  # newest stamp of what seems to be a second clock
+        self._was_behind = False
+        self.odd_us: int | None = None  # receipt of the last sample that may be of another vehicle
+        self._turns: deque[int] = deque(maxlen=_TURNS)  # received, host time
+
+    def update(self, t_us: int, received_us: int) -> None:
+        """Take the stamp of every sample of the stream, in the order of receipt."""
+        newest = self._newest_us
+        if newest is None or t_us > newest:
+            elapsed_us = max(0, received_us - self._received_us)
+            goes_on = newest is None or t_us - newest < _REACH_US + _FASTEST * elapsed_us
+            if self._was_behind and goes_on:
+                self._turns.append(received_us)
+            elif not goes_on:  # the clock that was newest may be the other one from now on
+                self._behind_us, self.odd_us = newest, received_us
+            self._newest_us, self._received_us, self._was_behind = t_us, received_us, False
+            return
+        if newest - t_us <= self._tolerance_us:
+            return
+        before = self._behind_us
+        if before is not None and not 0 < t_us - before < _REACH_US:
+            self._turns.clear()  # it goes back again and again, or stands: no second clock
+        if not self._was_behind:
+            self.odd_us = received_us
+        self._behind_us, self._was_behind = t_us, True
+
+    def apart_s(self, now_us: int) -> float | None:
+        """By how much the two clocks differ, seconds; None: there is one.
+
+        Args:
+            now_us: host time.
+        """
+        if len(self._turns) < _TURNS or now_us - self._turns[0] > _WINDOW_US:
+            return None
+        assert self._newest_us is not None
+        assert self._behind_us is not None
+        return (self._newest_us - self._behind_us) * 1e-6
+
+
+class SecondPositionDetector:
+    """The positions of ODOMETRY.
+
+    Args:
+        jump_m: positions no further apart than this, carried on by the velocity, are of one vehicle.
+    """
+
+    def __init__(self, jump_m: float) -> None:
+        self._jump_m = jump_m
+        self._here: OdometrySample | None = None
+        self._other: OdometrySample | None = None
+        self.odd_us: int | None = None  # receipt of the last sample that may be of another vehicle
+        self._turns: deque[int] = deque(maxlen=_TURNS)  # received, host time
+
+    def update(self, sample: OdometrySample) -> None:
+        """Take every sample, in the order of receipt, whatever its stamp."""
+        here, other = self._here, self._other
+        self._here = sample
+        if here is None or sample.received_us - here.received_us > _REACH_US:
+            self._other = None  # after a gap it may be anywhere
+            return
+        if self._belongs(sample, here):
+            return
+        self._other, self.odd_us = here, sample.received_us
+        if other is not None and self._belongs(sample, other):
+            self._turns.append(sample.received_us)
+
+    def apart_m(self, now_us: int) -> float | None:
+        """By how much the two positions differ, metres; None: there is one; `now_us` is host time."""
+        if len(self._turns) < _TURNS or now_us - self._turns[0] > _WINDOW_US:
+            return None
+        assert self._here is not None
+        assert self._other is not None
+        return math.dist(self._here.position_ned, self._other.position_ned)
+
+    def _belongs(self, sample: OdometrySample, before: OdometrySample) -> bool:
+        age_us = sample.received_us - before.received_us
+        if age_us > _REACH_US:
+            return False
+        speed = max(norm(sample.velocity_ned), norm(before.velocity_ned))
+        return math.dist(sample.position_ned, before.position_ned) <= self._jump_m + speed * age_us * 1e-6

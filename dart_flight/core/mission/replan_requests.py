@@ -1,0 +1,198 @@
+"""Planning again after a contact, as the core sees it: when to ask, and what answer to believe.
+
+The planner itself (`dart_flight.planning.replanner`) runs outside of the core's step: a `PlanRequest` goes
+out with the other outputs, a `PlanAnswer` comes in like any other input, or never does. Until an answered way
+begins the paper's set-point is in force, and it stays in force where the answer is late, says that there is
+no way, or begins elsewhere than the vehicle is.
+"""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+
+from dart_flight.base.geometry import Vec3
+from dart_flight.base.records import AfterImpact, PlanAnswer, PlanRequest, PlanTaken
+from dart_flight.base.walls import Wall
+from dart_flight.config.mission import Collision, Mission
+from dart_flight.core.mission.approach import Approach, NoApproachError, PlannedTrajectory, plan_approach
+from dart_flight.core.mission.lock_orders import LockOrders
+from dart_flight.core.mission.position_loop import PlaneMet
+from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.mission.wall_uncertainty import late_s
+from dart_flight.core.sense.senses import Sensed
+from dart_flight.core.sense.state import FlightState
+
+_FELT_WITHIN_US = 60_000  # of a contact's end (`sense.felt`)
+# Where the vehicle may be beside the beginning of a way: what the loop takes out within a few tenths.
+_BESIDE_M, _BESIDE_M_S = 0.08, 0.25
+
+
+class ReplanRequests:
+    """The requests of one flight and the way that is flown; with `after_impact: setpoint` none is."""
+
+    def __init__(self, mission: Mission) -> None:
+        self._mission = mission
+        self._asks = mission.after_impact is AfterImpact.REPLAN
+        self._within_us = round(mission.vehicle.flying.replan_within_s * 1e6)
+        self._number = 0
+        self._felt = False  # the last contact has said what its wall is like
+        self._asked: PlanRequest | None = None
+        self._answer: PlanAnswer | None = None
+        self._from_rest = False  # what was asked for has an approach of its own
+        self._way: PlannedTrajectory | None = None
+        self._begin_us = 0  # of the way
+        self._impact_us: int | None = None  # when the way meets the next wall
+
+    # -- request and answer --
+
+    def contact_begins(self) -> None:
+        """What was asked or planned is over."""
+        self._asked = self._answer = self._way = self._impact_us = None
+        self._felt = False
+
+    def request_once(
+        self,
+        hit: Collision,
+        following: Collision | None,
+        state: FlightState,
+        sensed: Sensed,
+        setpoint: Vec3,
+        lock: LockOrders,
+        p: Proposal,
+    ) -> None:
+        """Ask for what comes next, once after each contact.
+
+        Args:
+            hit: the collision that is over.
+            following: the next one; None: the goal is next.
+            state: of the vehicle.
+            sensed: by the last input.
+            setpoint: in force until the way begins, mission frame, m.
+            lock: says when it can be settled in the mode that comes next.
+            p: takes the request.
+        """
+        self._felt |= sensed.wall is not None
+        if not self._asks or self._asked is not None or sensed.estimate is None or sensed.in_contact:
+            return
+        # What was felt of a wall is worth waiting for where that wall comes again.
+        again = following is not None and following.wall == hit.wall and not self._felt
+        if again and state.now_us - (lock.contact_end_us or 0) < _FELT_WITHIN_US:
+            return
+        self._number += 1
+        self._from_rest = following is not None and following.approach_m_s is not None
+        m, (push_x, push_y) = self._mission.vehicle.airframe.mass_kg, sensed.estimate.push_mission
+        self._asked = PlanRequest(
+            state.now_us,
+            self._number,
+            state.now_us + self._within_us,
+            following.index if following is not None else None,
+            state.position,
+            state.velocity,
+            (push_x / m, push_y / m, 0.0),
+            setpoint,
+            state.now_us if following is None else lock.ready_us(following.mode, state),
+        )
+        p.outputs.append(self._asked)
+
+    def take(self, answer: PlanAnswer, now_us: int, p: Proposal) -> None:
+        """An answer has come: it waits its turn, or a record says why it is not flown."""
+        refusal = self._refusal(answer, now_us)
+        if refusal is None:
+            self._answer = answer
+        else:
+            p.outputs.append(PlanTaken(now_us, answer.number, False, refusal))
+
+    def _refusal(self, answer: PlanAnswer, now_us: int) -> str | None:
+        asked = self._asked
+        if asked is None or answer.number != asked.number:
+            return "the state that it is for is no longer true"
+        if answer.problem:
+            return answer.problem
+        if now_us > asked.begin_us:
+            return f"{(now_us - asked.begin_us) * 1e-3:.0f} ms too late"
+        if not _makes_sense(answer, asked, self._from_rest):
+            return "it is no answer to what was asked"
+        return None
+
+    def approach(self, following: Collision, now_us: int, p: Proposal) -> Approach | None:
+        """The approach from rest at the velocity that the answer wants, once, where there is room for it."""
+        answer = self._answer
+        if answer is None or not self._from_rest:
+            return None
+        self._answer = None
+        assert answer.normal_m_s is not None
+        assert answer.tangential_m_s is not None
+        velocity = (answer.normal_m_s, answer.tangential_m_s)
+        try:
+            changed = msgspec.structs.replace(following, approach_m_s=velocity)
+            approach = plan_approach(self._mission, changed)
+        except NoApproachError as error:
+            p.outputs.append(PlanTaken(now_us, answer.number, False, str(error)))
+            return None
+        p.outputs.append(PlanTaken(now_us, answer.number, True))
+        return approach
+
+    # -- the way --
+
+    def trajectory_due(self, state: FlightState, p: Proposal) -> PlannedTrajectory | None:
+        """The answered way, once, when its time has come and the vehicle is where it begins."""
+        answer = self._answer
+        if answer is None or self._from_rest or state.now_us < answer.begin_us:
+            return None
+        self._answer = None
+        collision = answer.collision
+        flown = len(self._mission.collisions) if collision is None else collision - 1
+        altitude_m = self._mission.altitude_at(flown)
+        way = PlannedTrajectory(answer.x_mission, answer.y_mission, answer.duration_s, altitude_m)
+        at = way.at((state.now_us - answer.begin_us) * 1e-6)
+        beside_m = math.dist(at.position[:2], state.position[:2])
+        beside_m_s = math.dist(at.velocity[:2], state.velocity[:2])
+        if not (beside_m <= _BESIDE_M and beside_m_s <= _BESIDE_M_S):
+            where = f"the vehicle is {beside_m:.2f} m and {beside_m_s:.2f} m/s beside its beginning"
+            p.outputs.append(PlanTaken(state.now_us, answer.number, False, where))
+            return None
+        p.outputs.append(PlanTaken(state.now_us, answer.number, True))
+        self._way, self._begin_us = way, answer.begin_us
+        if answer.impact_s is not None:
+            self._impact_us = answer.begin_us + round(answer.impact_s * 1e6)
+        return way
+
+    @property
+    def trajectory_since_us(self) -> int | None:
+        """Since when a way is flown; None: a set-point is."""
+        return None if self._way is None else self._begin_us
+
+    def is_over(self, now_us: int) -> bool:
+        """Whether a way is flown to its end."""
+        return self._way is not None and now_us - self._begin_us >= self._way.duration_s * 1e6
+
+    def meets_plane(self, closing_m_s: float, state: FlightState) -> PlaneMet | None:
+        """When the way that is flown meets the next wall; None where a set-point is."""
+        if self._impact_us is None:
+            return None
+        return PlaneMet(max(0.0, (self._impact_us - state.now_us) * 1e-6), -closing_m_s)
+
+    def is_late(self, wall: Wall, state: FlightState) -> bool:
+        """Whether a wall should have been met on the way that is flown."""
+        if self._impact_us is None:
+            return False
+        closing_m_s = -(state.velocity[0] * wall.normal[0] + state.velocity[1] * wall.normal[1])
+        most_s = late_s(self._mission.vehicle.guard, wall, state.position, closing_m_s)
+        return state.now_us - self._impact_us > most_s * 1e6
+
+
+def _makes_sense(answer: PlanAnswer, asked: PlanRequest, from_rest: bool) -> bool:
+    """Whether the numbers can be flown at all: a planner that is broken must not break the flight."""
+    if answer.begin_us != asked.begin_us or answer.collision != asked.collision:
+        return False
+    if from_rest:
+        velocity = (answer.normal_m_s, answer.tangential_m_s)
+        return all(v is not None and math.isfinite(v) for v in velocity) and (answer.normal_m_s or 0.0) < 0.0
+    return (
+        len(answer.x_mission) == len(answer.y_mission) == 6
+        and all(map(math.isfinite, (*answer.x_mission, *answer.y_mission)))
+        and 0.0 < answer.duration_s < 60.0
+        and (answer.impact_s is None) == (asked.collision is None)
+    )

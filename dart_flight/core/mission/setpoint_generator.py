@@ -1,0 +1,206 @@
+"""Where the vehicle is sent: target, references on the way to it, heading, and the set-points of them."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from dart_flight.base.geometry import MissionFrame, Vec2, Vec3, norm, wrap_angle
+from dart_flight.base.records import OdometrySample, Setpoint
+from dart_flight.config.mission import Mission
+from dart_flight.core.mission.approach import Approach, PlannedTrajectory, TrajectoryPoint, TransitTrajectory
+from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
+from dart_flight.core.sense.state import FlightState
+
+_ARRIVED_YAW_RAD: Final = 0.05
+
+
+class SetpointGenerator:
+    """The target and the way to it.
+
+    Without a way the target is held as a step; a way is a transit (rest to rest), an approach (into the wall)
+    or one that was planned in flight, as a function of the time since `begin`.
+
+    Attributes:
+        target: where the vehicle is sent, mission frame, metres.
+        yaw: heading asked for, mission frame, radians.
+        altitude_m: at which the vehicle is sent anywhere.
+    """
+
+    def __init__(self, mission: Mission) -> None:
+        self._mission, self._flying = mission, mission.vehicle.flying
+        self.target: Vec3 = (0.0, 0.0, 0.0)
+        self.yaw = 0.0
+        self.altitude_m = mission.altitude_m
+        self._way: TransitTrajectory | Approach | PlannedTrajectory | None = None
+        self._yaw_us = 0
+        self._arrived_us: int | None = None
+
+    # -- where to --
+
+    def stand(self, position: Vec3, yaw: float, now_us: int) -> None:
+        """Where the vehicle stands on the ground."""
+        self.target = (position[0], position[1], 0.0)
+        self.yaw, self._yaw_us = yaw, now_us
+
+    def hold(self, point: Vec2 | Vec3) -> None:
+        """Hold a point at the present altitude, from now on."""
+        self.target, self._way = self._at_altitude(point), None
+
+    def climb(self) -> None:
+        """From the ground to the mission's altitude."""
+        self._transit_to(self._at_altitude(self.target), self._flying.climb_speed_m_s)
+
+    def fly_to(self, point: Vec2, speed_m_s: float | None = None) -> None:
+        """From rest at the target to rest at a point; by default at transit speed."""
+        self._transit_to(self._at_altitude(point), speed_m_s or self._flying.transit_speed_m_s)
+
+    def fly_to_waypoint(self, place: Vec3, speed_m_s: float) -> None:
+        """From rest at the target to rest at a way-point, whose altitude is kept from now on."""
+        self.altitude_m = place[2]
+        self._transit_to(place, speed_m_s)
+
+    def approach(self, approach: Approach) -> None:
+        """Along an approach, whose beginning is the target, into the wall."""
+        self._way = approach
+
+    def follow_trajectory(self, way: PlannedTrajectory) -> None:
+        """A way that was planned in flight; its end becomes the target."""
+        self.target, self._way = way.at(way.duration_s).position, way
+
+    def _transit_to(self, target: Vec3, speed_m_s: float) -> None:
+        flying = self._flying
+        self._way = TransitTrajectory.between(
+            self.target, target, speed_m_s, flying.acceleration_m_s2, flying.climb_speed_m_s
+        )
+        self.target = target
+
+    def _at_altitude(self, point: Vec2 | Vec3) -> Vec3:
+        return (point[0], point[1], self.altitude_m)
+
+    # -- on the way --
+
+    @property
+    def on_transit(self) -> bool:
+        """Whether a transit leads to the target."""
+        return isinstance(self._way, TransitTrajectory)
+
+    @property
+    def duration_s(self) -> float:
+        """Of the transit to the target; 0 without one."""
+        return self._way.duration_s if isinstance(self._way, TransitTrajectory) else 0.0
+
+    def phase_begins(self) -> None:
+        """Arrival counts anew."""
+        self._arrived_us = None
+
+    def has_arrived(self, state: FlightState, wanted_yaw: float) -> bool:
+        """At the target, slow (`is_slow`), and heading as wanted, for the configured time."""
+        flying = self._flying
+        near = (
+            math.dist(state.position, self.target) < flying.arrive_m
+            and self.is_slow(state)
+            and abs(wrap_angle(state.yaw - wanted_yaw)) < _ARRIVED_YAW_RAD
+        )
+        if not near:
+            self._arrived_us = None
+            return False
+        if self._arrived_us is None:
+            self._arrived_us = state.now_us
+        return state.now_us - self._arrived_us >= flying.arrive_s * 1e6
+
+    def is_slow(self, state: FlightState) -> bool:
+        """Whether the mean velocity over `flying.arrive_mean_s` is below `flying.arrive_speed_m_s`."""
+        return norm(state.mean_velocity(self._flying.arrive_mean_s)) < self._flying.arrive_speed_m_s
+
+    def slew_yaw(self, wanted: float, now_us: int) -> None:
+        """Turn the heading asked for towards the wanted one, at the configured rate at most."""
+        most = math.radians(self._flying.yaw_rate_deg_s) * (now_us - self._yaw_us) * 1e-6
+        self.yaw = wrap_angle(self.yaw + max(-most, min(most, wrap_angle(wanted - self.yaw))))
+        self._yaw_us = now_us
+
+    # -- set-points --
+
+    def setpoint(
+        self,
+        frame: MissionFrame,
+        t_us: int,
+        received_us: int,
+        since_us: int | None,
+        feed_forward: Vec3 | None = None,
+    ) -> Setpoint:
+        """The set-point for a sample.
+
+        Args:
+            frame: of the mission.
+            t_us, received_us: of the sample.
+            since_us: when the way began; None: go to the target as a step.
+            feed_forward: acceleration to a step, mission frame, m/s2 (`yielding`).
+        """
+        if self._way is None or since_us is None:
+            return self._make(frame, t_us, received_us, self.target, feed_forward=feed_forward)
+        reference = self._way.at((t_us - since_us) * 1e-6)
+        return self._make(frame, t_us, received_us, reference.position, reference)
+
+    def recovery_setpoint(
+        self, frame: MissionFrame, t_us: int, received_us: int, feed_forward: Vec3 | None = None
+    ) -> Setpoint:
+        """The target as the set-point of an impact, whose latency is measured."""
+        return self._make(frame, t_us, received_us, self.target, recovery=True, feed_forward=feed_forward)
+
+    def contact_setpoint(
+        self, frame: MissionFrame, sample: OdometrySample, feed_forward: Vec3 | None
+    ) -> Setpoint:
+        """What the vehicle does anyway, at the present altitude: nothing pushes on into a wall."""
+        x, y, _ = frame.point_from_ned(sample.position_ned)
+        vx, vy, _ = frame.vector_from_ned(sample.velocity_ned)
+        return Setpoint(
+            t_us=sample.t_us,
+            trigger_received_us=sample.received_us,
+            position_ned=frame.point_to_ned((x, y, self.altitude_m)),
+            yaw_ned_rad=frame.yaw_to_ned(self.yaw),
+            velocity_ned=frame.vector_to_ned((vx, vy, 0.0)),
+            acceleration_ned=frame.vector_to_ned(feed_forward or (0.0, 0.0, 0.0)),
+        )
+
+    def _make(
+        self,
+        frame: MissionFrame,
+        t_us: int,
+        received_us: int,
+        position: Vec3,
+        reference: TrajectoryPoint | None = None,
+        recovery: bool = False,
+        feed_forward: Vec3 | None = None,
+    ) -> Setpoint:
+        velocity = acceleration = None
+        if feed_forward is not None:  # PX4 takes an acceleration only with a velocity
+            velocity, acceleration = (0.0, 0.0, 0.0), frame.vector_to_ned(feed_forward)
+        if reference is not None:
+            velocity = frame.vector_to_ned(reference.velocity)
+            acceleration = frame.vector_to_ned(self._feed_forward(reference))
+        return Setpoint(
+            t_us=t_us,
+            trigger_received_us=received_us,
+            position_ned=frame.point_to_ned(position),
+            yaw_ned_rad=frame.yaw_to_ned(self.yaw),
+            velocity_ned=velocity,
+            acceleration_ned=acceleration,
+            recovery=recovery,
+        )
+
+    def _feed_forward(self, reference: TrajectoryPoint) -> Vec3:
+        """Acceleration fed forward, mission frame, m/s2.
+
+        Beside the reference's own: the drag that it will meet, and what PX4's D term takes away again, so
+        that no error builds up for the position loop to make up for. The lead in time makes up for the
+        attitude's lag, so that a wall is met at the planned velocity.
+        """
+        b, v, a = self._mission.vehicle.airframe.drag_per_s, reference.velocity, reference.acceleration
+        d = 1.0 + self._mission.vehicle.px4.mpc_xy_vel_d_acc
+        lead, j = ATTITUDE_LAG_S, reference.jerk
+        return (
+            (d + lead * b[0]) * a[0] + b[0] * v[0] + lead * j[0],
+            (d + lead * b[1]) * a[1] + b[1] * v[1] + lead * j[1],
+            a[2] + b[2] * v[2],
+        )

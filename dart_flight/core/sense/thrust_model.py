@@ -1,0 +1,160 @@
+"""Thrust from the best source at hand, through the calibrated curve, with motor lag and battery voltage.
+
+Sources (`estimation.thrust_source`): measured speed of the motors, thrust = c rpm^2, which needs neither lag
+nor voltage; commands to the motors, through the curve of `thrust:` and a first-order lag. `auto` takes the
+motors' speed only where it comes often enough to show what a controller does in a contact. Whatever the
+source, hovering corrects it (`core/sense/bias.py`). Equations: docs/force.md.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final
+
+from dart_flight.base.filters import kept_share
+from dart_flight.base.geometry import GRAVITY_M_S2
+from dart_flight.base.records import ActuatorSample, EscSample
+from dart_flight.config.vehicle import ThrustSource, VehicleConfig
+
+Each = tuple[float, ...]  # of every motor
+
+# `auto` takes no slower telemetry: switching to and fro would look like forces
+_ESC_PERIOD_US: Final = 20_000
+_PENDING: Final = 16  # commands ahead of the IMU: a few ticks at most
+
+
+class LaggedCommands:
+    """Values that follow stamped commands with a first-order lag.
+
+    A command holds from its own stamp on, whenever it arrives; stamps that do not advance are dropped.
+    """
+
+    def __init__(self, lag_s: float) -> None:
+        self._lag_us = lag_s * 1e6
+        self._pending: deque[tuple[int, Each]] = deque(maxlen=_PENDING)
+        self._target: Each | None = None
+        self._now_us = 0
+        self.newest_us = -(1 << 60)
+        self.value: Each = ()
+
+    def update(self, t_us: int, values: Each) -> None:
+        """A command stamped `t_us`."""
+        if t_us <= self.newest_us:
+            return
+        self.newest_us = t_us
+        if self._target is None:
+            # Nothing is known of the time before: it has always been so.
+            self._target = self.value = values
+            self._now_us = t_us
+        else:
+            self._pending.append((t_us, values))
+
+    def advance(self, t_us: int) -> None:
+        """Carry `value` on to `t_us`; the past is not taken back."""
+        pending = self._pending
+        while pending and pending[0][0] <= t_us:
+            stamp, values = pending.popleft()
+            self._relax(stamp)
+            self._target = values
+        self._relax(t_us)
+
+    def _relax(self, t_us: int) -> None:
+        step = t_us - self._now_us
+        if step <= 0 or self._target is None:
+            return
+        self._now_us = t_us
+        a, b = self._target, self.value
+        if a == b:
+            return
+        left = kept_share(step, self._lag_us)
+        if len(a) != len(b):
+            raise ValueError(f"{len(a)} commands after {len(b)}")
+        self.value = tuple([to + (b[i] - to) * left for i, to in enumerate(a)])
+
+
+class ThrustModel:
+    """Total thrust along the body's up axis, newton, mean over a tick of the IMU.
+
+    Attributes:
+        source: what the last answer came from; None: nothing known yet, hover assumed.
+        each_n: thrust of each motor at the last answer's stamp; None: nothing known yet.
+    """
+
+    def __init__(self, vehicle: VehicleConfig) -> None:
+        self._config = vehicle.estimation
+        self._wanted = self._config.thrust_source
+        self._auto = self._wanted is ThrustSource.AUTO
+        self._per_rpm2 = self._config.esc_thrust_n_per_rpm2
+        self._curve, self._full_n = vehicle.thrust, vehicle.thrust.max_thrust_n
+        self._square = vehicle.thrust.model_factor
+        self._hover_n = vehicle.airframe.mass_kg * GRAVITY_M_S2
+        self._motors = LaggedCommands(vehicle.thrust.motor_lag_s)
+        self._esc: EscSample | None = None
+        self._esc_period_us = 1 << 60
+        self._voltage_factor = 1.0
+        self._last_n: float | None = None
+        self.source: ThrustSource | None = None
+        self.each_n: Each | None = None
+
+    def take_actuator(self, sample: ActuatorSample) -> None:
+        """Commands to the motors."""
+        self._motors.update(sample.t_us, sample.motors)
+
+    def take_esc(self, sample: EscSample) -> None:
+        """Measured motor speeds."""
+        if self._esc is not None:
+            if sample.t_us <= self._esc.t_us:
+                return
+            self._esc_period_us = sample.t_us - self._esc.t_us
+        self._esc = sample
+
+    def take_voltage(self, volts: float | None) -> None:
+        """Battery voltage; None where it is not known."""
+        battery = self._config.battery
+        if volts is not None and volts > 0.0 and battery.exponent > 0.0:
+            self._voltage_factor = (volts / battery.reference_v) ** battery.exponent
+
+    def mean_over_tick(self, t_us: int) -> float:
+        """Mean thrust in newton between the previous call's stamp and `t_us`."""
+        raw = self._at(t_us)
+        before = self._last_n if self._last_n is not None else raw
+        self._last_n = raw
+        return 0.5 * (before + raw)
+
+    def _at(self, t_us: int) -> float:
+        wanted, auto = self._wanted, self._auto
+        esc, motors = self._esc, self._motors
+        # A single choice does not time out: an old value of the right source beats none.
+        per_rpm2 = self._per_rpm2
+        if esc is not None and per_rpm2 is not None:
+            often = self._esc_period_us <= _ESC_PERIOD_US and esc.t_us >= t_us - _ESC_PERIOD_US
+            if wanted is ThrustSource.ESC or (auto and often):
+                self.source = ThrustSource.ESC
+                self.each_n = tuple([per_rpm2 * rpm * rpm for rpm in esc.rpm])
+                squares = 0.0
+                for rpm in esc.rpm:
+                    squares += rpm * rpm
+                return per_rpm2 * squares
+        if motors.newest_us > 0 and (auto or wanted is ThrustSource.ACTUATOR):
+            self.source = ThrustSource.ACTUATOR
+            motors.advance(t_us)
+            return self._by_curve(motors.value)
+        self.each_n = None
+        self.source = None
+        return self._hover_n
+
+    def _by_curve(self, commands: Each) -> float:
+        """Sum of the motors' thrust by the configured curve; `each_n` with it."""
+        f, volts = self._square, self._voltage_factor
+        if f is None:
+            self.each_n = each = tuple([force * volts for force in self._curve.forces_n(commands)])
+            return sum(each)
+        full, g = self._full_n * volts, 1.0 - f
+        each_n: list[float] = []
+        squares = linear = 0.0
+        for u in commands:
+            each_n.append(full * u * (f * u + g))
+            squares += u * u
+            linear += u
+        self.each_n = tuple(each_n)
+        return self._full_n * (f * squares + g * linear) * volts

@@ -1,0 +1,115 @@
+"""One flight of a campaign, in whatever process: from its item to its row, and its log where that is kept."""
+
+from __future__ import annotations
+
+import csv
+import io
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from dart_flight.base.records import Outcome, Override
+from dart_flight.lab.campaign.campaign_spec import Campaign, Item, Keep, Point
+from dart_flight.recording.found import LOG_NAME
+from dart_flight.recording.reader import Log
+from dart_flight.recording.verdict import Verdict
+from dart_flight.recording.writer import LogPart
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.flight_record import FlightRecord
+from dart_flight.run.many_flights import unexplained_modes
+
+ERROR = "error"  # the outcome of a flight without a verdict: a fault of the program, not of the flight
+Cell = str | float | int | bool | None
+
+
+class Flown(NamedTuple):
+    """What is left of a flight: its line in the table, with its end, and its log where that is kept."""
+
+    line: bytes
+    completed: bool
+    log: bytes | None
+
+
+class ItemFlyer:
+    """Flies the items of a campaign; goes to other processes and machines by pickle.
+
+    Args:
+        campaign: with the columns of the table.
+        points: of the grid.
+    """
+
+    def __init__(self, campaign: Campaign, points: Sequence[Point]) -> None:
+        self._columns, self._keys = campaign.columns, tuple(campaign.asked.settings)
+        self._keep = campaign.asked.keep
+        self._points = {point.number: point for point in points}
+
+    def __call__(self, item: Item) -> Flown:
+        """Fly one."""
+        point = self._points[item.point]
+        records: list[FlightRecord] = []
+        take = None if self._keep is Keep.NONE else records.append
+        verdict = fly_fast(point.mission, item.seed, None, spreads=point.spreads, take_record=take)
+        completed = verdict.outcome is Outcome.COMPLETED
+        wanted = self._keep is Keep.ALL or (self._keep is Keep.FAILED and not completed)
+        line = self._line(item, cells_of(verdict))
+        return Flown(line, completed, _file_of(records[0].log) if wanted else None)
+
+    def failed(self, item: Item, why: str) -> Flown:
+        """The row of a flight that has no verdict."""
+        return Flown(self._line(item, {"outcome": ERROR, "reason": why}), False, None)
+
+    def _line(self, item: Item, cells: Mapping[str, Cell]) -> bytes:
+        point = self._points[item.point]
+        known: dict[str, Cell] = {**cells, "mission": point.path, "seed": item.seed}
+        known.update(zip(self._keys, point.values, strict=True))
+        return line_of([known.get(name) for name in self._columns])
+
+
+def cells_of(verdict: Verdict) -> dict[str, Cell]:
+    """The figures of a flight by the names of their columns."""
+    cells: dict[str, Cell] = dict(verdict.drawn)
+    fired = (one.rule for one in verdict.guard if one.action is not Override.NONE)
+    cells |= {
+        "outcome": verdict.outcome.value,
+        "reason": verdict.reason,
+        "guard_rule": next(fired, None),
+        "plan_followed": verdict.plan_followed,
+        "goal_miss_m": verdict.goal_miss_m,
+        "final_error_m": verdict.final_error_m,
+        "max_tilt_deg": verdict.max_tilt_deg,
+        "flight_time_s": verdict.flight_time_s,
+        "unexplained_modes": "; ".join(unexplained_modes(verdict)) or None,
+    }
+    for c in verdict.collisions:
+        cells[f"c{c.index}_normal_m_s"] = c.measured.normal_m_s
+        cells[f"c{c.index}_peak_force_n"] = c.measured.peak_force_n
+    return cells
+
+
+def line_of(cells: Sequence[Cell]) -> bytes:
+    """A line of CSV; numbers in full precision, nothing where nothing is known."""
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerow([_text(cell) for cell in cells])
+    return out.getvalue().encode()
+
+
+def _text(cell: Cell) -> str:
+    if cell is None:
+        return ""
+    if isinstance(cell, bool):
+        return "true" if cell else "false"
+    return " ".join(cell.split()) if isinstance(cell, str) else repr(cell)
+
+
+def _file_of(log: Log) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / LOG_NAME
+        part = LogPart(path, log.about, 1)
+        time_us = 0
+        for entry in log.entries:
+            time_us = getattr(entry.record, "t_us", 0) or time_us
+            part.write(entry.record, time_us, entry.number)
+        part.finish({**log.end, "lost": "0"})
+        part.close()
+        return path.read_bytes()

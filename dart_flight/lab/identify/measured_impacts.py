@@ -1,0 +1,454 @@
+"""What a trial shows of its hit as a whole, without a contact law: speeds in and out, peak, duration.
+
+These numbers are what a law has to predict, what restitution and tangential ratio are made of, and all that
+there is where a recording holds too few samples of the contact (motion capture at 100 Hz) or no position at
+all (an accelerometer in a drop). None of them rests on a law.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dart_flight.base.geometry import GRAVITY_M_S2
+from dart_flight.config.document import InputError
+from dart_flight.contact.coefficients import Array
+from dart_flight.lab.identify.trials import Series, Trial, find_impact, noise_of
+
+_WINDOW_S = 0.2  # free flight on either side
+_GUARD_S = 0.03  # not free flight for sure, before the contact's own extent is known
+_BEND_SD_M_S2 = 3.0  # a controller's acceleration before and after a wall hit, standard deviation
+_DEVIATES = 4.0  # deviations of a position that has left its free flight
+_LEAST = 6  # samples within the contact's limits from which its duration and depth can be read
+# A force that swings this far to the other side, as a share of the peak, is a sensor or a frame that rings.
+_RINGS = 0.3
+_DOMINATED = 0.5  # and this far: a wall only pushes, so half of what is read is not its force
+_BRIDGED_S = 0.015  # a pause within one contact: first a corner lands, then the rest
+_FELT = 8.0  # deviations of a force that is contact
+_SHORTEST_FLIGHT_S = 0.04
+_WEIGHTLESS_M_S2 = 5.0
+_FALLS_S = 0.06  # a pulse is out of free fall where this long before it nothing was felt
+
+
+@dataclass(frozen=True)
+class MeasuredImpact:
+    """One hit, as far as the recording shows it; None is not known.
+
+    Attributes:
+        name, mode: of the trial.
+        normal_in_m_s: normal speed towards the wall at first touch, positive.
+        normal_out_m_s: normal speed away from it at the release.
+        tangential_in_m_s, tangential_out_m_s: velocity along the wall before and after.
+        sd_in_m_s, sd_out_m_s, sd_tangential_m_s: standard deviations of these.
+        peak_force_n: largest normal force as measured.
+        contact_s: duration of the contact.
+        compression_m: greatest depth behind the position at first touch.
+        acceleration_m_s2: other acceleration along the normal: -9.81 in a drop.
+        begin_s, end_s: the contact in the recording, widened to whole samples.
+        samples_in_contact: position samples in it.
+        clipped: the sensor was at its limit; the peak is unknown then.
+        rings: the force swings to the other side; its duration is not that of the contact, and where it
+            swings far, its peak is not either.
+        notes: what a reader should know, in sentences.
+    """
+
+    name: str
+    mode: str
+    normal_in_m_s: float
+    normal_out_m_s: float | None
+    tangential_in_m_s: float | None
+    tangential_out_m_s: float | None
+    sd_in_m_s: float
+    sd_out_m_s: float
+    sd_tangential_m_s: float
+    peak_force_n: float | None
+    contact_s: float | None
+    compression_m: float | None
+    acceleration_m_s2: float
+    begin_s: float
+    end_s: float
+    samples_in_contact: int
+    clipped: bool
+    rings: bool
+    notes: tuple[str, ...] = ()
+
+
+def measure_impact(trial: Trial, mass_kg: float) -> MeasuredImpact:
+    """The hit of a trial.
+
+    Args:
+        trial: with `normal_m`, or an accelerometer's `specific_force_m_s2` of a drop.
+        mass_kg: turns specific force into force.
+
+    Raises:
+        InputError: there is no impact in it, or an accelerometer alone has to tell a wall hit.
+    """
+    return _of_motion(trial) if "normal_m" in trial.series else _of_accelerometer(trial, mass_kg)
+
+
+# --- positions ------------------------------------------------------------------------------------------
+
+
+class _FreeFlightFit:
+    """A parabola through free flight on one side of a contact, deaf to single bad samples."""
+
+    def __init__(self, time: Array, value: Array, about_s: float, bend: float, bend_sd: float) -> None:
+        self.about_s = about_s
+        t = time - about_s
+        design = np.stack((np.ones_like(t), t, 0.5 * t * t), axis=1)
+        weight = np.ones_like(t)
+        scale = 1e-6
+        for _ in range(6):
+            information = design.T @ (weight[:, None] * design) / scale**2
+            information[2, 2] += 1.0 / bend_sd**2
+            right = design.T @ (weight * value) / scale**2
+            right[2] += bend / bend_sd**2
+            self.line = np.linalg.solve(information, right)
+            error = np.abs(value - design @ self.line)
+            scale = max(1.4826 * float(np.median(error)), 1e-6)
+            weight = np.minimum(1.0, 2.0 * scale / np.maximum(error, 1e-12))
+        self.noise = scale
+        self.covariance = np.linalg.inv(information)
+
+    def position(self, time: Array) -> Array:
+        """On the parabola."""
+        t = time - self.about_s
+        result: Array = self.line[0] + t * (self.line[1] + 0.5 * t * self.line[2])
+        return result
+
+    def speed(self, time_s: float) -> tuple[float, float]:
+        """Slope and its standard deviation."""
+        row = np.array([0.0, 1.0, time_s - self.about_s])
+        return float(row @ self.line), math.sqrt(max(float(row @ self.covariance @ row), 0.0))
+
+
+def _flights(
+    series: Series, begin: float, end: float, spans: tuple[float, float], bend: float, bend_sd: float
+) -> tuple[_FreeFlightFit, _FreeFlightFit] | None:
+    time, value = series
+    sides = []
+    for chosen, about in (
+        ((time >= begin - spans[0]) & (time < begin), begin),
+        ((time > end) & (time <= end + spans[1]), end),
+    ):
+        if chosen.sum() < 4:
+            return None
+        sides.append(_FreeFlightFit(time[chosen], value[chosen], about, bend, bend_sd))
+    return sides[0], sides[1]
+
+
+def _of_motion(trial: Trial) -> MeasuredImpact:
+    impact = find_impact(trial)
+    time, value = trial.normal
+    step = float(np.median(np.diff(time)))
+    falls = trial.acceleration_m_s2 < 0.0
+    bend, bend_sd = (trial.acceleration_m_s2, 1e-3) if falls else (0.0, _BEND_SD_M_S2)
+    spans = (_WINDOW_S, _WINDOW_S)
+    if falls:  # free only from the release on, and until the next contact
+        spans = (
+            min(0.85 * impact.approach_m_s / trial.acceleration_m_s2, _WINDOW_S),
+            min(1.5 * impact.rebound_m_s / -trial.acceleration_m_s2, _WINDOW_S),
+        )
+    guard = max(_GUARD_S, 2.0 * step)
+    begin, end = impact.turn_s - guard, impact.turn_s + guard
+    flights: tuple[_FreeFlightFit, _FreeFlightFit]
+    for _ in range(3):
+        found = _flights(trial.normal, begin, end, spans, bend, bend_sd)
+        if found is None:
+            raise InputError("too few samples about the impact", source=trial.name)
+        flights = found
+        begin, end = _extent(trial.normal, impact.turn_s, flights, impact.noise_m, step)
+    before, after = flights
+    speed_in, sd_in = before.speed(begin)
+    speed_out, sd_out = after.speed(end)
+    inside = (time > begin) & (time < end)
+    count = int(inside.sum())
+    enough = count >= _LEAST
+    along = _along(trial, begin, end)
+    force = _of_force(trial, begin, end)
+    depth = float(before.position(np.array([begin]))[0] - value[inside].min()) if enough else None
+    contact = end - begin - step if enough else None
+    if force.contact_s is not None:
+        contact = force.contact_s
+    return MeasuredImpact(
+        name=trial.name,
+        mode=trial.mode,
+        normal_in_m_s=max(-speed_in, 1e-3),
+        normal_out_m_s=max(speed_out, 0.0),
+        tangential_in_m_s=along[0],
+        tangential_out_m_s=along[1],
+        sd_in_m_s=sd_in,
+        sd_out_m_s=sd_out,
+        sd_tangential_m_s=along[2],
+        peak_force_n=force.peak_n,
+        contact_s=contact,
+        compression_m=depth if depth is not None and depth > 0.0 else None,
+        acceleration_m_s2=trial.acceleration_m_s2,
+        begin_s=begin,
+        end_s=end,
+        samples_in_contact=count,
+        clipped=force.clipped,
+        rings=force.rings,
+        notes=force.notes,
+    )
+
+
+def _extent(
+    series: Series, turn_s: float, flights: tuple[_FreeFlightFit, _FreeFlightFit], noise_m: float, step: float
+) -> tuple[float, float]:
+    """From the last sample still in free flight to the first that is again; at most 0.15 s to either side."""
+    time, value = series
+    at = int(np.searchsorted(time, turn_s))
+    limits = []
+    for flight, order in (
+        (flights[0], range(min(at, time.size - 1), -1, -1)),
+        (flights[1], range(at, time.size)),
+    ):
+        error = np.abs(value - flight.position(time))
+        threshold = _DEVIATES * max(noise_m, flight.noise)
+        limit = turn_s
+        free = 0
+        for i in order:
+            if abs(time[i] - turn_s) > 0.15:
+                break
+            if error[i] > threshold:
+                limit, free = float(time[i]), 0
+            else:
+                free += 1
+                if free >= 3:  # two in a row may be a crossing
+                    break
+        limits.append(limit)
+    return min(limits[0], turn_s) - step, max(limits[1], turn_s) + step
+
+
+def _along(trial: Trial, begin: float, end: float) -> tuple[float | None, float | None, float]:
+    """Velocity along the wall before and after, and the larger standard deviation."""
+    for name, slope in (("tangential_m", True), ("tangential_m_s", False)):
+        if name not in trial.series:
+            continue
+        bend_sd = _BEND_SD_M_S2 if slope else 0.1
+        flights = _flights(trial.series[name], begin, end, (_WINDOW_S, _WINDOW_S), 0.0, bend_sd)
+        if flights is None:
+            continue
+        if slope:
+            (before, sd), (after, other) = flights[0].speed(begin), flights[1].speed(end)
+            return before, after, max(sd, other)
+        sides = [float(f.position(np.array([at]))[0]) for f, at in zip(flights, (begin, end), strict=True)]
+        deviation = max(math.sqrt(float(f.covariance[0, 0])) for f in flights)
+        return sides[0], sides[1], deviation
+    return None, None, 0.0
+
+
+# --- force ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _ForcePulse:
+    peak_n: float | None = None
+    contact_s: float | None = None
+    clipped: bool = False
+    rings: bool = False
+    notes: tuple[str, ...] = ()
+
+
+def _of_force(trial: Trial, begin: float, end: float) -> _ForcePulse:
+    """Peak and duration of the measured normal force, near a contact that positions have found."""
+    if "normal_force_n" not in trial.series:
+        return _ForcePulse()
+    time, value = trial.series["normal_force_n"]
+    before = (time >= begin - 0.25) & (time < begin - 0.02)
+    near = (time > begin - 0.05) & (time < end + 0.1)  # clocks may differ by some milliseconds
+    if before.sum() < 4 or near.sum() < 3:
+        return _ForcePulse(notes=(f"{trial.name}: too few samples of normal_force_n about the contact",))
+    level = float(np.median(value[before]))
+    noise = max(1.4826 * float(np.median(np.abs(value[before] - level))), 1e-6)
+    return _pulse(trial.name, time[near], value[near] - level, noise, 4.0 * float(np.median(np.diff(time))))
+
+
+def _pulse(name: str, time: Array, force: Array, noise: float, bridged_s: float) -> _ForcePulse:
+    at = int(np.argmax(force))
+    peak = float(force[at])
+    if peak < _FELT * noise:
+        return _ForcePulse(notes=(f"{name}: the force does not rise above its noise",))
+    top = force >= peak - 1e-9 * abs(peak)
+    clipped = bool((top[1:] & top[:-1]).any())
+    rings = bool(force.min() < -_RINGS * peak)
+    strong = np.flatnonzero(force > max(0.1 * peak, 4.0 * noise))
+    gaps = np.diff(time[strong]) > max(bridged_s, 0.004)
+    place = int(np.searchsorted(strong, at))
+    lower = np.flatnonzero(gaps[:place])
+    upper = np.flatnonzero(gaps[place:])
+    first = strong[lower[-1] + 1] if lower.size else strong[0]
+    last = strong[place + upper[0]] if upper.size else strong[-1]
+    near = np.flatnonzero(force > 0.8 * peak)
+    near = near[(near >= first) & (near <= last)]
+    if near.size >= 6 and noise > 0.005 * peak:  # the largest of noisy samples is too large
+        t = time[near] - time[at]
+        bend = np.polyfit(t, force[near], 2)
+        if bend[0] < 0.0:
+            peak = float(np.polyval(bend, -0.5 * bend[1] / bend[0]))
+    notes = []
+    if clipped:
+        notes.append(f"{name}: the force is cut off at {peak:.3g} N; its peak is unknown")
+    dominated = force.min() < -_DOMINATED * peak
+    if dominated:
+        notes.append(
+            f"{name}: the force swings to {float(force.min()):.3g} N after {peak:.3g} N: the sensor's "
+            "mounting rings, peak and duration of the contact are unknown"
+        )
+    elif rings:
+        notes.append(f"{name}: the force swings to the other side (a sensor or frame that rings)")
+    return _ForcePulse(
+        None if clipped or dominated else peak,
+        None if rings or clipped else float(time[last] - time[first]) * 1.05,
+        clipped,
+        rings,
+        tuple(notes),
+    )
+
+
+# --- accelerometer --------------------------------------------------------------------------------------
+
+
+def _of_accelerometer(trial: Trial, mass_kg: float) -> MeasuredImpact:
+    """A drop as an accelerometer along the normal feels it: rest, fall, pulse, flight, next pulse."""
+    if trial.acceleration_m_s2 >= 0.0:
+        raise InputError(
+            "an accelerometer alone does not tell how fast a wall is hit: it needs normal_m or normal_m_s, "
+            "or --drop",
+            source=trial.name,
+        )
+    time, value = trial.series["specific_force_m_s2"]
+    if time.size < 50:
+        raise InputError(f"{time.size} samples are too few for an impact", source=trial.name)
+    noise = noise_of(Series(time, value))
+    begun = _first_pulse(time, value, noise, trial.name)
+    level, noise = _weightless_level(time, value, begun, noise, trial.name)
+    felt, largest = value - level, float(value.max())
+    notes = []
+    if abs(level) > _WEIGHTLESS_M_S2:
+        notes.append(f"{trial.name}: {level:.1f} m/s² before the impact is not free fall")
+    begin_at, end_at = _extent_of_pulse(time, felt, begun, noise, max(_FELT * noise, 0.05 * largest))
+    inside = slice(max(begin_at - 1, 0), end_at + 2)
+    pulse = _pulse(trial.name, time[inside], mass_kg * felt[inside], mass_kg * noise, _BRIDGED_S)
+    speed, sd = _speed_of_fall(trial, _fall(time, felt, begin_at, noise), notes)
+    out = _bounce(time, felt, end_at, max(_FELT * noise, 0.03 * largest))
+    if out is not None and out > speed:
+        notes.append(f"{trial.name}: the time to the next contact is longer than any rebound takes")
+        out = None
+    return MeasuredImpact(
+        name=trial.name,
+        mode=trial.mode,
+        normal_in_m_s=speed,
+        normal_out_m_s=out,
+        tangential_in_m_s=None,
+        tangential_out_m_s=None,
+        sd_in_m_s=sd,
+        sd_out_m_s=0.005 * GRAVITY_M_S2,
+        sd_tangential_m_s=0.0,
+        peak_force_n=pulse.peak_n,
+        contact_s=pulse.contact_s,
+        compression_m=None,
+        acceleration_m_s2=trial.acceleration_m_s2,
+        begin_s=float(time[begin_at]),
+        end_s=float(time[end_at]),
+        samples_in_contact=end_at - begin_at + 1,
+        clipped=pulse.clipped,
+        rings=pulse.rings,
+        notes=(*notes, *pulse.notes),
+    )
+
+
+def _first_pulse(time: Array, value: Array, noise: float, name: str) -> int:
+    """The first sample of a pulse out of free fall; of any strong pulse where nothing falls freely before.
+
+    A vehicle that is held feels 1 g, which a soft drop hardly exceeds: what comes before tells them apart.
+    """
+    largest = float(value.max())
+    strong = np.flatnonzero(value > max(0.1 * largest, 15.0 * noise))
+    for i in strong:
+        before = value[(time > time[i] - _FALLS_S) & (time < time[i] - 0.005)]
+        if before.size >= _LEAST and abs(float(np.median(before))) < 0.5 * _WEIGHTLESS_M_S2:
+            return int(i)
+    if not strong.size or largest < max(20.0 * noise, 3.0 * GRAVITY_M_S2):
+        raise InputError("no impact found: no pulse out of free fall, and none above 3 g", source=name)
+    return int(strong[0])
+
+
+def _weightless_level(time: Array, value: Array, begun: int, noise: float, name: str) -> tuple[float, float]:
+    """What the sensor reads in free fall, where it should feel nothing, and its noise there."""
+    calm = (time > time[begun] - 0.12) & (time < time[begun] - 0.01)
+    if calm.sum() < 8:
+        raise InputError("the recording begins too late: no free fall before the impact", source=name)
+    level = float(np.median(value[calm]))
+    return level, max(noise, 1.4826 * float(np.median(np.abs(value[calm] - level))))
+
+
+def _extent_of_pulse(time: Array, felt: Array, begun: int, noise: float, loud: float) -> tuple[int, int]:
+    """First and last sample of the contact, which lasts until the pulse pauses for longer than between a
+    corner and the rest."""
+    begin_at = end_at = begun
+    while begin_at > 0 and abs(felt[begin_at - 1]) > 4.0 * noise:
+        begin_at -= 1
+    for i in np.flatnonzero(np.abs(felt) > loud):
+        if i <= begun:
+            continue
+        if time[i] - time[end_at] > _BRIDGED_S:
+            break
+        end_at = int(i)
+    return begin_at, end_at
+
+
+def _speed_of_fall(trial: Trial, fall_s: float | None, notes: list[str]) -> tuple[float, float]:
+    """Speed at the ground and its deviation, by the height where that is known, else by how long it fell."""
+    height = trial.height_m
+    if height is None and fall_s is None:
+        raise InputError(
+            "how fast it falls is not known: give --drop HEIGHT, or record the release", source=trial.name
+        )
+    if height is None:
+        assert fall_s is not None
+        return GRAVITY_M_S2 * fall_s, 0.01 * GRAVITY_M_S2
+    speed = math.sqrt(2.0 * GRAVITY_M_S2 * height)
+    if fall_s is not None and abs(GRAVITY_M_S2 * fall_s / speed - 1.0) > 0.2:
+        notes.append(
+            f"{trial.name}: falls for {fall_s:.3f} s; a drop from {height:g} m takes "
+            f"{speed / GRAVITY_M_S2:.3f} s"
+        )
+    return speed, 0.01 * math.sqrt(GRAVITY_M_S2 * height)
+
+
+def _smooth(value: Array, n: int) -> Array:
+    total = np.cumsum(np.concatenate(([0.0], value)))
+    half = max(n // 2, 1)
+    i = np.arange(value.size)
+    low, high = np.maximum(i - half, 0), np.minimum(i + half + 1, value.size)
+    result: Array = (total[high] - total[low]) / (high - low)
+    return result
+
+
+def _fall(time: Array, felt: Array, begin_at: int, noise: float) -> float | None:
+    """How long it was weightless before the contact; None where the recording does not show it held."""
+    step = float(np.median(np.diff(time[: begin_at + 1]))) if begin_at > 2 else 1e-3
+    smooth = _smooth(felt[:begin_at], max(int(0.01 / step), 1))
+    held = np.flatnonzero(smooth > 0.5 * GRAVITY_M_S2)
+    held = held[time[held] < time[begin_at] - 0.05]
+    if not held.size or smooth[max(held[-1] - int(0.05 / step), 0) : held[-1]].mean() < 0.6 * GRAVITY_M_S2:
+        return None
+    return float(time[begin_at] - time[held[-1]])
+
+
+def _bounce(time: Array, felt: Array, end_at: int, threshold: float) -> float | None:
+    """Rebound speed from the flight to the next contact; None without one, or where it is no free flight."""
+    later = np.flatnonzero((np.abs(felt) > threshold) & (time > time[end_at] + _BRIDGED_S))
+    if not later.size:
+        return None
+    duration = float(time[later[0]] - time[end_at])
+    between = (time > time[end_at] + 0.3 * duration) & (time < time[later[0]] - 0.1 * duration)
+    if duration < _SHORTEST_FLIGHT_S or between.sum() < 5:
+        return None
+    if abs(float(np.mean(felt[between]))) > _WEIGHTLESS_M_S2:
+        return None
+    return 0.5 * GRAVITY_M_S2 * duration

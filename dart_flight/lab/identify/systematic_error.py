@@ -1,0 +1,87 @@
+"""What recordings of a kind are off by, however many there are: by that the intervals are widened.
+
+A vehicle that turns while it touches slides at its guards faster or slower than at its centre. The law is a
+point's, its friction goes with the centre's velocity, and flights of one speed cannot tell a lever
+(docs/results/real_data.md); so the coefficient is said with what turning may make of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from dart_flight.lab.identify.estimates import Estimate
+from dart_flight.lab.identify.measured_impacts import MeasuredImpact
+from dart_flight.lab.identify.trials import Trial
+
+# Of what turning at its largest rate makes the vehicle's edge slide, over the centre's velocity: by so much
+# the guards slide otherwise, at most (docs/results/flight_identification.md).
+_OF_TURNING = 0.75
+_MOST = 0.8
+_K_OF_TURNING = 0.03  # turning presses one guard deeper than the other: k is lower there, by up to 6 %
+_TURNS = 0.1  # from this share on it is said
+
+
+class ContactRotation(NamedTuple):
+    """How much a vehicle turned in the contacts of a mode.
+
+    Attributes:
+        rate_rad_s: the largest rate about the vertical.
+        share: the largest velocity at the guards by turning, over the centre's along the wall.
+    """
+
+    rate_rad_s: float
+    share: float
+
+
+def worst_rotation(trials: Sequence[Trial], hits: Sequence[MeasuredImpact]) -> ContactRotation | None:
+    """The most that any trial turned; None where none says it, or none moves along the wall.
+
+    Args:
+        trials: of one mode.
+        hits: of these trials, in their order.
+    """
+    rates, shares = [], []
+    for trial, hit in zip(trials, hits, strict=True):
+        if trial.flown is None or trial.turn_rad_s is None or not hit.tangential_in_m_s:
+            continue
+        rates.append(trial.turn_rad_s)
+        sliding = trial.turn_rad_s * trial.flown.config.airframe.contact_distance_m
+        shares.append(sliding / abs(hit.tangential_in_m_s))
+    return ContactRotation(max(rates), max(shares)) if rates else None
+
+
+def widen_intervals(
+    found: dict[str, Estimate | None], trials: Sequence[Trial], hits: Sequence[MeasuredImpact]
+) -> tuple[dict[str, Estimate | None], list[str]]:
+    """Coefficients with intervals as wide as recordings of this kind ask for, and what a reader should know.
+
+    Args:
+        found: k, f, mu, nu of one mode.
+        trials: they are from.
+        hits: of these trials, in their order.
+    """
+    shares = {name: max(trial.allowance.get(name, 0.0) for trial in trials) for name in found}
+    notes = []
+    turned = worst_rotation(trials, hits)
+    mu = found["mu"]
+    if turned is not None and turned.share > _TURNS:
+        slides = min(_OF_TURNING * turned.share, _MOST)
+        shares["k"] += _K_OF_TURNING
+        if mu is not None:
+            found = found | {"mu": Estimate(mu.value, mu.low / (1.0 + slides), mu.high / (1.0 - slides))}
+        notes.append(
+            f"the vehicle turned by up to {math.degrees(turned.rate_rad_s):.0f} deg/s in these contacts, and "
+            "the law is a point's, which does not turn: where it touched it slid up to "
+            f"{100.0 * slides:.0f} % slower or faster than its centre; mu is off by that, see its interval"
+        )
+    return {name: _widened(e, shares[name]) for name, e in found.items()}, notes
+
+
+def _widened(estimate: Estimate | None, share: float) -> Estimate | None:
+    """The interval with a share of the value added at both ends."""
+    if estimate is None:
+        return None
+    more = share * abs(estimate.value)
+    return Estimate(estimate.value, max(estimate.low - more, 0.0), estimate.high + more)

@@ -1,0 +1,74 @@
+"""From a log to what it felt."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from dart_flight.config.document import InputError
+from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.lab.inspect.content import TOPICS, flights_of, missing, refuse_other_vehicles
+from dart_flight.lab.inspect.impacts import ImpactScan, InspectedFlight, Listener
+from dart_flight.lab.inspect.log_samples import samples_of, vehicle_for
+from dart_flight.lab.inspect.specific_thrust import (
+    THRUST_KNOWN_HZ,
+    are_motors_slow,
+    fit_drag,
+    fit_specific_thrust,
+)
+from dart_flight.lab.track import calibration_series_of
+from dart_flight.lab.ulog import ULogFile, motor_commands, open_ulog
+
+
+def inspect_file(path: str | Path, vehicle: VehicleConfig, mass_kg: float | None = None) -> InspectedFlight:
+    """What a log felt.
+
+    Args:
+        path: a ULog of PX4 1.9 or later.
+        vehicle: thresholds and what else the estimator wants; its mass is that of its thresholds.
+        mass_kg: of the vehicle that flew; None where it is not known.
+
+    Raises:
+        InputError: the file cannot be read, lacks IMU or attitude, or is of no multicopter that was armed.
+    """
+    return inspect_log(open_ulog(path, TOPICS), vehicle, mass_kg)
+
+
+def inspect_log(
+    log: ULogFile,
+    vehicle: VehicleConfig,
+    mass_kg: float | None = None,
+    listen: Callable[[VehicleConfig, list[tuple[float, float]]], Listener] | None = None,
+) -> InspectedFlight:
+    """As `feel`, of an opened log.
+
+    `listen` is told the vehicle that the estimator has and the flights; what it returns takes every estimate
+    and whether it was in the air.
+    """
+    refuse_other_vehicles(log)
+    unknown = missing(log)
+    try:
+        track = calibration_series_of(log, motor_commands(log))
+        fitted = fit_specific_thrust(track, vehicle)
+    except InputError as error:
+        track, fitted = calibration_series_of(log), error.message
+    unknown += [f"thrust: {fitted}; hover is assumed"] if isinstance(fitted, str) else []
+    unknown += track.notes[1:]  # the first is of the motors
+    curve = None if isinstance(fitted, str) else fitted
+    if curve is not None and are_motors_slow(track):
+        unknown.append(
+            f"thrust between motor outputs: known from {THRUST_KNOWN_HZ:.0f} Hz on; here only a vehicle that "
+            "hovers is believed"
+        )
+    flying = flights_of(log, track)
+    drag = fit_drag(track, flying)
+    if not drag:
+        unknown.append("drag: too slow a flight to tell it")
+    unknown.append("wind, and the accelerometer's bias where the vehicle does not hover")
+    if mass_kg is None:
+        unknown.append("mass: forces are in m/s2, with --mass also in newton")
+    made = vehicle_for(vehicle, log, curve, drag)
+    pass_ = ImpactScan(made, flying, listen(made, flying) if listen is not None else None)
+    for sample in samples_of(track, curve, len(made.airframe.motors)):
+        pass_.take(sample)
+    return pass_.result(log, track, curve, drag, mass_kg, unknown)

@@ -1,0 +1,152 @@
+"""Specific thrust and drag of a vehicle of which nothing is known, fitted from its own log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+
+from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.lab.calibrate.thrust_curve import Curve, Points, fit_curve, format_rejected, quiet_points
+from dart_flight.lab.track import Track
+
+_LEAST_WINDOWS = 8
+_FOLDS = 4  # held-out parts
+_BLOCK = 5  # windows that are held out together, 2.5 s
+_MOST_HELD_OUT = 0.1  # error of the thrust on held-out stretches: what is worse is no fit
+_MOST_DRAG_PER_S = 1.0
+# At speed a vehicle changes its thrust and back within the time of a contact: contacts last 50 to 180 ms,
+# and motors that lag by 30 to 50 ms follow within 100 ms. Two motor outputs in such a change are the least
+# that shows it; with fewer it may lie between two of them, and a line through them be off by all of it.
+_THRUST_CHANGES_S = 0.1
+THRUST_KNOWN_HZ = 2.0 / _THRUST_CHANGES_S
+_JITTER = 1.5  # periods: longer than that a motor output is missing
+_FAST_M_S = 99.0
+
+
+class SpecificThrust(msgspec.Struct):
+    """Thrust over mass at full command and the curve's factor.
+
+    `held_out_percent` is the error of the thrust on stretches that were not used for the fit.
+    """
+
+    full_m_s2: float
+    model_factor: float
+    battery_exponent: float
+    reference_v: float | None
+    windows: int
+    held_out_percent: float
+    said: str
+
+
+def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust | str:
+    """Specific thrust over the motor commands, from the quiet stretches of a flight.
+
+    Returns:
+        The curve, or why there is none.
+    """
+    lag = vehicle.thrust.motor_lag_s
+    points = quiet_points(track, 1.0, lag)
+    said = "slow flight"
+    if len(points.force) < _LEAST_WINDOWS:
+        slow, points = points, quiet_points(track, 1.0, lag, _FAST_M_S)
+        said = "flight at any speed: what speed does to the propellers is in the residual"
+        if len(points.force) < _LEAST_WINDOWS:
+            return (
+                f"{len(points.force)} quiet half seconds, at least {_LEAST_WINDOWS} are needed; rejected: "
+                f"{format_rejected(slow.rejected) or 'none'}"
+            )
+    known = bool(np.isfinite(points.volts).all())
+    # Without or with the voltage, with the configured factor or a fitted one: what predicts best.
+    choices: list[Callable[[Points], Curve]] = []
+    for by_volts in (False, True) if known else (False,):
+        for fitted in (False, True):
+            choices.append(_fitter(vehicle.thrust.square_share, fitted, by_volts))
+    scored = [(_held_out(points, fit), fit) for fit in choices]
+    error, best = min(scored, key=lambda s: s[0])
+    if not error <= _MOST_HELD_OUT:
+        return (
+            f"fitted to {len(points.force)} half seconds of {said}, but on those left out it is off by "
+            f"{100.0 * error:.0f} %, over {100.0 * _MOST_HELD_OUT:.0f} %: no fit"
+        )
+    curve = best(points)
+    return SpecificThrust(
+        full_m_s2=curve.full * points.motors,
+        model_factor=curve.factor,
+        battery_exponent=curve.exponent,
+        reference_v=curve.reference,
+        windows=len(points.force),
+        held_out_percent=100.0 * error,
+        said=said,
+    )
+
+
+def _fitter(factor: float, fitted: bool, by_volts: bool) -> Callable[[Points], Curve]:
+    def fit(p: Points) -> Curve:
+        curve = fit_curve(p, factor, None if by_volts else 0.0, fit_factor=fitted)
+        # The median: a bump that no test has seen is one window.
+        curve.full *= float(np.median(p.force / np.maximum(curve.of(p), 1e-6)))
+        return curve
+
+    return fit
+
+
+def _held_out(points: Points, fit: Callable[[Points], Curve]) -> float:
+    """Error of predictions of held-out stretches, root mean square, of the mean thrust."""
+    part = (np.arange(len(points.force)) // _BLOCK) % min(_FOLDS, max(2, len(points.force) // _BLOCK))
+    squares = []
+    for fold in np.unique(part):
+        train, test = points.chosen(part != fold), points.chosen(part == fold)
+        if len(train.force):
+            squares.append((fit(train).of(test) - test.force) ** 2)
+    return float(np.sqrt(np.concatenate(squares).mean()) / points.force.mean())
+
+
+def is_thrust_known(track: Track, curve: SpecificThrust | None, t_s: float) -> bool:
+    """Whether the thrust is known around a moment, on the log's clock.
+
+    There has to be a curve, and motor outputs so close to one another that no change of it fits between two.
+    """
+    if curve is None:
+        return False
+    before = int(np.searchsorted(track.motor_s, t_s - _THRUST_CHANGES_S, side="right")) - 1
+    after = int(np.searchsorted(track.motor_s, t_s + _THRUST_CHANGES_S))
+    if before < 0 or after >= len(track.motor_s):
+        return False
+    return not _is_too_far(float(np.diff(track.motor_s[before : after + 1]).max()))
+
+
+def are_motors_slow(track: Track) -> bool:
+    """Whether the thrust is not known between a log's motor outputs, as a rule."""
+    return len(track.motor_s) < 2 or _is_too_far(float(np.median(np.diff(track.motor_s))))
+
+
+def _is_too_far(apart_s: float) -> bool:
+    """Whether the thrust is not known between two motor outputs."""
+    return apart_s * THRUST_KNOWN_HZ >= _JITTER
+
+
+def fit_drag(track: Track, flying: list[tuple[float, float]]) -> float:
+    """Drag in 1/s: horizontal specific force across the thrust against the velocity; wind is not known.
+
+    Half-second means over the whole flight, robust; 0 where the flight is too slow to tell.
+    """
+    if not track.attitude_s.size or not track.position_s.size:
+        return 0.0
+    across = track.to_ned(track.specific_force * (1.0, 1.0, 0.0))[:, :2]
+    pairs = []
+    for begin, end in flying:
+        for start in np.arange(begin, end - 0.5, 0.5):
+            inside = slice(*np.searchsorted(track.imu_s, (start, start + 0.5)))
+            moving = np.searchsorted(track.position_s, start + 0.25)
+            if inside.stop - inside.start < 10 or moving >= len(track.position_s):
+                continue
+            velocity = track.velocity[moving, :2]
+            speed = float(np.hypot(*velocity))
+            if speed > 1.0:
+                pairs.append((-float(across[inside].mean(axis=0) @ velocity) / speed, speed))
+    if len(pairs) < _LEAST_WINDOWS:
+        return 0.0
+    table = np.array(pairs)
+    return float(np.clip(np.median(table[:, 0] / table[:, 1]), 0.0, _MOST_DRAG_PER_S))

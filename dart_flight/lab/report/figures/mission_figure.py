@@ -1,0 +1,266 @@
+"""A mission before it is flown: where it leads, and what uncertain walls do to it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dart_flight.base.geometry import Vec2
+from dart_flight.config.mission import Mission
+from dart_flight.core.mission.approach import transit_segments
+from dart_flight.lab.figure_style import (
+    FORCE,
+    GREY,
+    PREDICTED,
+    Look,
+    in_style,
+    new_figure,
+    save_figure,
+)
+from dart_flight.lab.flight_arrays import Array
+from dart_flight.lab.report.figures.labels import Label, place_labels
+from dart_flight.lab.report.figures.map_drawing import (
+    LONGEST_ARROW_M,
+    THICKNESS_M,
+    along,
+    draw_arrow,
+    draw_hit,
+    draw_room,
+    fit_map,
+    name_hits,
+    name_walls,
+    set_view,
+    view_of,
+)
+from dart_flight.lab.search.drawn import predict_with_draws
+from dart_flight.planning.predicted_flight import PredictedFlight, describe_goal_miss
+
+SHEET = Look(7.2, 9.0)
+_ABOVE_M, _BELOW_M = 0.35, 0.05  # what the side view shows above the flight's height and below the ground
+_SAME_M = 0.12  # hits that stand nearer together share a label in the side view
+_DRAWN = "#8db4e2"
+_EDGE_ON = 0.26  # sine of the angle up to which a wall is seen from its side: 15 degrees
+
+
+@in_style
+def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: Look = SHEET) -> Any:
+    """Plan view and side view of a mission, what the flight model predicts, and what uncertain walls change.
+
+    Args:
+        mission: to be flown.
+        planned: by the flight model; None where an approach cannot be flown, so that only the room is drawn.
+        look: size of the figure.
+    """
+    drawn = predict_with_draws(mission) if planned is not None and planned.hits else []
+    view = view_of(mission, _extent(mission, planned))
+    highest = max(mission.altitude_m, *(leg.end[2] for leg in transit_segments(mission)), 0.0)
+    top = min(mission.bounds.z[1], highest + _ABOVE_M) + 0.05
+    ratios = [view[1, 1] - view[0, 1], top + _BELOW_M]
+    figure, (plan, side) = new_figure(look, 6.0, 2, 1, sharex=True, height_ratios=ratios)
+    set_view(plan, view)
+    side.set(ylim=(-_BELOW_M, top), aspect="equal")
+    draw_room(plan, mission)
+    _draw_draws(plan, mission, drawn)
+    if planned is not None:
+        _draw_way(plan, mission, planned)
+        labels, lines = _draw_hits(plan, mission, planned)
+    _draw_side(side, mission, planned, top)
+    for axis in (plan, side):
+        axis.grid(visible=False)
+    plan.set_ylabel("y, m")
+    side.set(xlabel="x, m", ylabel="z, m")
+    plan.set_title(mission.name, fontsize=look.font_pt + 1.0, loc="left")
+    words = "\n".join(prediction_lines(mission, planned, drawn))
+    fit_map(figure, plan, below=side, note=words)
+    names = name_walls(plan, mission, look.small_pt)
+    if planned is not None:
+        labels += [Label(text, place, (1.0, 1.0), "#000000") for text, place in _stops(mission)]
+        lines += [along(np.array(line)) for line in planned.approaches.values()]
+        lines += [along(leg[:, :2]) for leg in planned.legs.values()]
+        lines += [along(way[:, :2]) for way in _from_rest(mission)]
+        place_labels(plan, labels, lines, names, look.small_pt)
+    return figure
+
+
+def prediction_lines(
+    mission: Mission, planned: PredictedFlight | None, drawn: Sequence[PredictedFlight]
+) -> list[str]:
+    """What the model says of the goal, and what the draws make of it; a line each."""
+    if planned is None:
+        return ["An approach cannot be flown: `check` says why."]
+    if mission.standoff_m is not None:
+        return [f"A rehearsal: stops {mission.standoff_m:g} m before each wall."]
+    lines = []
+    missing = [c for c in mission.collisions if c.index not in planned.hits]
+    if missing:
+        lines.append(f"The model does not reach wall {missing[0].wall.name} of collision {missing[0].index}.")
+    if planned.goal_miss_m is not None:
+        words = describe_goal_miss(planned.goal_miss_m, mission.goal, mission.after_impact)
+        lines.append(f"{words[0].upper()}{words[1:]}.")
+    misses = [flight.goal_miss_m for flight in drawn if flight.goal_miss_m is not None]
+    if misses:
+        low, high = np.quantile(misses, (0.05, 0.95))
+        spread = mission.vehicle.estimation.walls.spread
+        unsure = [wall.name for wall in mission.walls if wall.is_uncertain]
+        if unsure:
+            lines.append(
+                f"Where {' and '.join(unsure)} may stand, by the mission's figures, is drawn as well."
+            )
+        lines.append(
+            f"With k, f and mu of the walls drawn ± {100 * spread:.0f} %: {low:.2f} to {high:.2f} m "
+            "in nine of ten draws"
+            + (
+                f"; {len(drawn) - len(misses)} of {len(drawn)} do not get there."
+                if len(misses) < len(drawn)
+                else "."
+            )
+        )
+    return lines
+
+
+def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
+    """What the plan view has to show; a set-point far outside of the bounds is only pointed at."""
+    points = [np.array([mission.start, mission.goal.position_m])]
+    if planned is None:
+        b = mission.bounds
+        return np.array([[b.x[0], b.y[0]], [b.x[1], b.y[1]]])
+    points += [np.array(line) for line in planned.approaches.values()]
+    points += [np.array([leg.end[:2]]) for leg in transit_segments(mission)]
+    points += [leg[:, :2] for leg in planned.legs.values()]
+    points += [np.array([hit.position]) for hit in planned.hits.values()]
+    points += [
+        np.array([hit.setpoint])
+        for hit in planned.hits.values()
+        if mission.bounds.excess2(hit.setpoint) <= 0.0
+    ]
+    return np.vstack(points)
+
+
+def _from_rest(mission: Mission) -> list[Array]:
+    """The ways between way-points whose both ends are known: (2, 3), mission frame, metres."""
+    return [np.array([leg.begin, leg.end]) for leg in transit_segments(mission) if leg.begin is not None]
+
+
+def _draw_draws(axis: Any, mission: Mission, drawn: Sequence[PredictedFlight]) -> None:
+    """The ways after the hits with every draw of the walls, and the surfaces that may be elsewhere."""
+    label = f"{len(drawn)} draws of the walls"
+    for flight in drawn:
+        surfaces = [np.array(mission.vehicle.airframe.surface_of(wall).ends) for wall in flight.walls]
+        for way in [*flight.legs.values(), *surfaces]:
+            axis.plot(way[:, 0], way[:, 1], color=_DRAWN, linewidth=0.5, alpha=0.6, zorder=1.8, label=label)
+
+
+def _draw_way(axis: Any, mission: Mission, planned: PredictedFlight) -> None:
+    for way in _from_rest(mission):
+        axis.plot(way[:, 0], way[:, 1], label="predicted way", **PREDICTED)
+    for line in planned.approaches.values():
+        way = np.array(line)
+        axis.plot(way[:, 0], way[:, 1], label="predicted way", **PREDICTED)
+        axis.plot(*way[-2], "s", color="#000000", markersize=4, markerfacecolor="white", linestyle="none",
+                  label="run-up begins", zorder=4)  # fmt: skip
+        middle = way[-2] + 0.55 * (way[-1] - way[-2])
+        draw_arrow(axis, middle, middle + 0.06 * (way[-1] - way[-2]), "#000000", linewidth=0.0)
+    for leg in planned.legs.values():
+        axis.plot(leg[:, 0], leg[:, 1], label="predicted way", **PREDICTED)
+
+
+def _draw_hits(axis: Any, mission: Mission, planned: PredictedFlight) -> tuple[list[Label], list[Array]]:
+    """The hits; their labels, and what these had better not cover."""
+    largest = max((math.hypot(h.normal_n, h.tangential_n) for h in planned.hits.values()), default=0.0)
+    labels: list[Label] = []
+    lines: list[Array] = []
+    for collision in mission.collisions:
+        hit, wall = planned.hits.get(collision.index), collision.wall
+        at = hit.position if hit is not None else collision.impact_point
+        if at is None:
+            continue
+        stops = hit is None or mission.standoff_m is not None
+        set_point = None if hit is None or stops else hit.setpoint
+        lines += draw_hit(
+            axis, mission.vehicle.airframe, at, wall.parallel_yaw(0.0), collision.mode, set_point
+        )
+        if hit is None:
+            continue
+        if not stops:
+            x, y, _ = wall.from_collision((hit.normal_n, hit.tangential_n, 0.0))
+            draw_arrow(axis, at, at + LONGEST_ARROW_M / largest * np.array([x, y]), FORCE)
+        speed = math.hypot(hit.normal_m_s, hit.tangential_m_s)
+        size = math.hypot(hit.normal_n, hit.tangential_n)
+        text = f"{collision.index} {collision.mode.value}\n{speed:.2f} m/s, {size:.0f} N"
+        labels.append(Label(text, hit.position, (-wall.normal[0], -wall.normal[1]), FORCE))
+    if planned.hits and mission.standoff_m is None:
+        name_hits(axis, largest)
+    return labels, lines
+
+
+def _draw_side(axis: Any, mission: Mission, planned: PredictedFlight | None, top: float) -> None:
+    """The same seen along y; a wall seen from its side is hatched, one that stands askew or behind is
+    not: the vehicle flies before it."""
+    out = mission.vehicle.airframe.contact_distance_m
+    for wall in mission.walls:
+        nx, ny = wall.normal
+        surface = mission.vehicle.airframe.surface_of(wall).ends
+        ends = [x - back * nx for x, _ in surface for back in (0.0, THICKNESS_M)]
+        seen_from_side = abs(ny) < _EDGE_ON
+        style = {"hatch": "////", "facecolor": "#dcdcdc"} if seen_from_side else {"facecolor": "#f1f1f1"}
+        axis.fill_between(
+            [min(ends), max(ends)], 0.0, top, edgecolor="#777777", linewidth=0.0,
+            zorder=1.2 if seen_from_side else 1.0, **style,
+        )  # fmt: skip
+    axis.axhline(0.0, color="#222222", linewidth=1.4)
+    for z in mission.bounds.z:
+        axis.axhline(z, color="#999999", linewidth=0.8, linestyle=(0, (1, 2)))
+    start = mission.start
+    axis.plot([start[0]] * 2, [0.0, mission.altitude_m], **PREDICTED)
+    if planned is not None:
+        for index, line in [*planned.approaches.items(), *planned.legs.items()]:
+            way = np.array(line)
+            axis.plot(way[:, 0], np.full(len(way), mission.altitude_at(index - 1)), **PREDICTED)
+        for way in _from_rest(mission):
+            axis.plot(way[:, 0], way[:, 2], **PREDICTED)
+        for (x, z), numbers in _side_by_side(mission, planned):
+            axis.plot(x + np.array([-out, out]), [z, z], color="#000000", linewidth=2.5)
+            axis.annotate(numbers, (x, z), (0, 7), textcoords="offset points", ha="center", color=FORCE)
+    for waypoint in mission.waypoints:
+        if waypoint.position is not None:
+            x, _, z = waypoint.position
+            axis.plot(x, z, "s", color="#000000", markersize=5, zorder=4)
+    goal = mission.goal.position_m
+    at_goal = mission.altitude_at(len(mission.collisions))
+    axis.plot(goal[0], at_goal, "*", color="black", markersize=9)
+    axis.plot([goal[0]] * 2, [0.0, at_goal], color=GREY, linewidth=0.8, linestyle=":")
+
+
+def _stops(mission: Mission) -> list[tuple[str, Vec2]]:
+    """What is written beside way-points, and where: their numbers, and each change of the altitude."""
+    found: dict[Vec2, str] = {}
+    z_before = mission.altitude_m
+    for waypoint in mission.waypoints:
+        if waypoint.position is None:
+            continue
+        x, y, z = waypoint.position
+        said = f"{waypoint.index}" if z == z_before else f"{waypoint.index}: {z:g} m high"
+        found[x, y] = f"{found[x, y]}, {said}" if (x, y) in found else said
+        z_before = z
+    return [(text, place) for place, text in found.items()]
+
+
+def _side_by_side(mission: Mission, planned: PredictedFlight) -> list[tuple[Vec2, str]]:
+    """Where hits are along x and z, and their numbers."""
+    found: list[tuple[Vec2, str]] = []
+    for index, hit in sorted(planned.hits.items(), key=lambda item: item[1].position[0]):
+        x, z = hit.position[0], mission.altitude_at(index - 1)
+        if found and x - found[-1][0][0] < _SAME_M and z == found[-1][0][1]:
+            found[-1] = (found[-1][0], f"{found[-1][1]}, {index}")
+        else:
+            found.append(((x, z), str(index)))
+    return found
+
+
+def write_mission_picture(mission: Mission, planned: PredictedFlight | None, path: Path) -> None:
+    """`mission_figure` as a file; raises what `save_figure` raises."""
+    save_figure(mission_figure(mission, planned), path)

@@ -1,0 +1,42 @@
+"""A flight log in standard schemas: an MCAP file that Foxglove, Lichtblick and Rerun play in 3D as it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dart_flight.config.document import InputError, writing
+from dart_flight.recording.about import flown_mission
+from dart_flight.recording.reader import Log
+
+_DESCRIPTION = "flight"
+_KEPT = ("mission", "world", "seed", "software", "host", "started_utc")
+
+
+def export_foxglove(log: Log, path: Path) -> int:
+    """Write the file; returns how many messages are in it. Times are the autopilot's, as in the log.
+
+    Raises:
+        InputError: the log does not hold its mission, the file cannot be written, or foxglove-sdk is missing.
+    """
+    mission = flown_mission(log.about, log.source)
+    try:
+        import foxglove  # noqa: PLC0415  (an extra)
+
+        from dart_flight.lab.scene.channels import Channels  # noqa: PLC0415
+        from dart_flight.lab.scene.downsampling import Downsampler  # noqa: PLC0415
+        from dart_flight.lab.scene.translation import SceneTranslator  # noqa: PLC0415
+    except ImportError:
+        raise InputError("--foxglove needs foxglove-sdk: pip install 'dart-flight[live]'") from None
+    channels, thinning, translation = Channels(), Downsampler(), SceneTranslator(mission)
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        written = foxglove.open_mcap(path, allow_overwrite=True, context=channels.context)
+    count = 0
+    with written as file:
+        file.write_metadata(_DESCRIPTION, {key: log.about[key] for key in _KEPT if key in log.about})
+        for entry in log.entries:
+            for record in thinning.take(entry.record):
+                for message in translation.take(record):
+                    channels.publish(message)
+                    count += 1
+    return count

@@ -1,0 +1,101 @@
+"""A search for people and for programs: tables, and the object of `plan --json`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+from rich.table import Table
+
+from dart_flight.lab.search.scenario import Objective, Scenario
+from dart_flight.lab.search.search import ADVICE, Plan, SearchResult
+
+_UNITS = {
+    Objective.NEAREST: "m",
+    Objective.FASTEST: "s",
+    Objective.GENTLEST: "N",
+    Objective.ROBUST: "m",
+}
+
+
+def with_objective(scenario: Scenario, objective: Objective) -> Scenario:
+    """The scenario with another objective."""
+    return msgspec.structs.replace(scenario, objective=objective)
+
+
+def plan_summary(result: SearchResult) -> dict[str, Any]:
+    """The ranking, counts by reason and time used: what `plan --json` prints."""
+    return {
+        "scenario": result.scenario.name,
+        "objective": result.scenario.objective.value,
+        "score_unit": _UNITS[result.scenario.objective],
+        "candidates": result.candidates,
+        "feasible": result.feasible,
+        "trajectories": result.trajectories,
+        "refused": {
+            reason.value: {"count": count, "advice": ADVICE[reason]}
+            for reason, count in result.refused.items()
+        },
+        "elapsed_s": result.elapsed_s,
+        "baseline": result.baseline,
+        "plans": result.plans,
+        "vehicle": result.scenario.vehicle_source,
+    }
+
+
+def plan_table(result: SearchResult) -> Table:
+    """The best plans, one per row and its later collisions below."""
+    objective = result.scenario.objective
+    table = Table(
+        title=f"{result.scenario.name}: best by {objective.value}",
+        title_justify="left",
+        box=None,  # so that eighty columns hold it, also with those of robust
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+    )
+    for column in ("", "wall", "mode"):
+        table.add_column(column, overflow="fold")
+    columns = ["normal\nm/s", "along\nm/s", "peak\nN", "miss\nm", "goal\ns", "score"]
+    if objective is Objective.ROBUST:
+        columns += ["expect.\nm", "worst\nm", "failed"]
+    for column in columns:
+        table.add_column(column, justify="right", no_wrap=True)
+    for plan in result.plans:
+        for i, c in enumerate(plan.collisions):
+            head = [str(plan.rank) if i == 0 else ""]
+            row = [
+                *head,
+                c.wall,
+                c.mode.value,
+                f"{c.normal_m_s:.3f}",
+                f"{c.tangential_m_s:.3f}",
+                f"{c.peak_force_n:.1f}",
+            ]
+            table.add_row(*row, *(_tail(plan) if i == 0 else []))
+    table.caption = (
+        f"{result.feasible} of {result.candidates} candidates feasible, {result.trajectories} trajectories "
+        f"in {result.elapsed_s:.3f} s"
+    )
+    if result.baseline is not None:
+        b = result.baseline
+        straight = f"blocked by wall {b.blocked_by}" if b.blocked_by else f"{b.time_to_goal_s:.2f} s"
+        table.caption += f"; without any collision: {straight}"
+    table.caption_justify = "left"
+    return table
+
+
+def _tail(plan: Plan) -> list[str]:
+    tail = [f"{plan.goal_miss_m:.3f}", f"{plan.time_to_goal_s:.2f}", f"{plan.score:.3f}"]
+    if plan.expected_miss_m is not None:
+        tail += [f"{plan.expected_miss_m:.3f}", f"{plan.worst_miss_m:.3f}", f"{plan.failed_draws or 0.0:.0%}"]
+    return tail
+
+
+def refusal_table(result: SearchResult) -> Table:
+    """Refused candidates by reason, and how to relax it."""
+    table = Table(title="refused", title_justify="left")
+    for column in ("reason", "candidates", "to relax"):
+        table.add_column(column, justify="right" if column == "candidates" else "left")
+    for reason, count in sorted(result.refused.items(), key=lambda item: -item[1]):
+        table.add_row(reason.value, str(count), ADVICE[reason])
+    return table

@@ -1,0 +1,100 @@
+"""A driver and its state machine together, for one thread that may block: each call carries out what it asks.
+
+The flight app may use this in the lock's own thread, or step the machine itself; the lock command, the
+campaign and the tests use this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dart_flight.base.records import LockState, Mode
+from dart_flight.config.vehicle import LockConfig
+from dart_flight.lock.drivers import Driver, DriverError
+from dart_flight.lock.state_machine import Action, CommandRefused, LockStateMachine, PulsesOff, SetPulse
+
+
+class LockSession:
+    """Steps a lock on `clock_us`, the core's time base in microseconds.
+
+    `on_change` is called with every new lock state, in order. No method raises `DriverError`: a failing
+    driver becomes a fault of the state.
+    """
+
+    def __init__(
+        self,
+        config: LockConfig,
+        driver: Driver,
+        clock_us: Callable[[], int],
+        on_change: Callable[[LockState], None] = lambda state: None,
+    ) -> None:
+        self.machine = LockStateMachine(config, clock_us())
+        self.driver = driver
+        self._clock_us = clock_us
+        self._on_change = on_change
+        self._shown = self.machine.state
+
+    @property
+    def state(self) -> LockState:
+        """What is known about the lock."""
+        return self.machine.state
+
+    def start(self) -> CommandRefused | None:
+        """Home or adopt, as configured. Returns the refusal, if there is one."""
+        asked_us = self._clock_us()
+        try:
+            self.driver.open()
+            reading = self.driver.read()
+        except DriverError as error:
+            self.machine.driver_failed(asked_us, str(error))
+            self._show()
+            return None
+        return self._execute(self.machine.start(asked_us, reading))
+
+    def command(self, mode: Mode) -> CommandRefused | None:
+        """Move to a mode. Returns the refusal, if there is one."""
+        return self._execute(self.machine.command(self._clock_us(), mode))
+
+    def permit(self, permitted: bool) -> None:
+        """Whether the arms are clear of contact and have sprung back."""
+        self._execute(self.machine.permit(self._clock_us(), permitted))
+
+    def release(self) -> CommandRefused | None:
+        """Switch the pulses off. Returns the refusal, if there is one."""
+        return self._execute(self.machine.release(self._clock_us()))
+
+    def poll(self) -> LockState:
+        """Read the driver and judge; call it at least every 20 to 50 ms, also when nothing travels."""
+        asked_us = self._clock_us()
+        try:
+            reading = self.driver.read()
+        except DriverError as error:
+            self.machine.driver_failed(asked_us, str(error))
+        else:
+            self.machine.reading(asked_us, reading)
+        self._show()
+        self.machine.step(self._clock_us())
+        self._show()
+        return self.machine.state
+
+    def _execute(self, actions: list[Action]) -> CommandRefused | None:
+        refused = None
+        self._show()
+        for action in actions:
+            try:
+                if isinstance(action, SetPulse):
+                    self.driver.set_pulse(action.pulse_us)
+                    self.machine.sent(self._clock_us(), action.pulse_us)
+                elif isinstance(action, PulsesOff):
+                    self.driver.release()
+                else:
+                    refused = action
+            except DriverError as error:
+                self.machine.driver_failed(self._clock_us(), str(error))
+        self._show()
+        return refused
+
+    def _show(self) -> None:
+        if self.machine.state is not self._shown:
+            self._shown = self.machine.state
+            self._on_change(self._shown)

@@ -1,0 +1,192 @@
+"""The planned path of a mission: the planner's flight model from start to goal, for `check` and the report.
+
+A mission file holds the approach and the gains, not the path; the path follows from them by the same model
+that chose them (`planning.rollout`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.base.geometry import Vec2
+from dart_flight.base.records import AfterImpact
+from dart_flight.base.walls import Wall
+from dart_flight.config.mission import Collision, Mission
+from dart_flight.config.mission_file import GoalSpec
+from dart_flight.planning.flight_model import FreeFlight
+from dart_flight.planning.rollout import (
+    Arrivals,
+    Hits,
+    Rollout,
+    UncertaintyDraw,
+    new_flight,
+    stages_for,
+)
+from dart_flight.planning.task import MissionTask, task_of
+
+_POINTS = 60  # of a leg
+
+
+class PredictedImpact(NamedTuple):
+    """A collision as the flight model meets it.
+
+    Attributes:
+        position: of the vehicle's centre at the onset, mission frame.
+        normal_m_s, tangential_m_s: velocity then, collision frame.
+        normal_n, tangential_n: peaks of the force, friction as a force along the wall's tangent.
+        set_point: recovery set-point that follows, mission frame.
+    """
+
+    position: Vec2
+    normal_m_s: float
+    tangential_m_s: float
+    normal_n: float
+    tangential_n: float
+    setpoint: Vec2
+
+
+class PredictedFlight(msgspec.Struct):
+    """What the flight model says of a mission.
+
+    Attributes:
+        approaches: index of the collision led to -> straight lines, mission frame, metres: where the
+            vehicle is at rest before (where that is known and elsewhere), run-up point, impact.
+        legs: collision index -> (n, 4), x, y, vx, vy from its onset over the release to the next onset, of
+            the last to the closest approach to the goal. At the onset itself the velocity is given as 0.
+        hits: collision index -> the hit; none for a wall that the model does not reach.
+        goal_miss_m: closest approach to the goal after the last contact; None where it does not come to that.
+        walls: those that the mission says may stand elsewhere, where they were drawn.
+    """
+
+    approaches: dict[int, list[Vec2]]
+    legs: dict[int, NDArray[np.float64]]
+    hits: dict[int, PredictedImpact]
+    goal_miss_m: float | None = None
+    walls: tuple[Wall, ...] = ()
+
+
+def impact_place(collision: Collision, hits: Mapping[int, PredictedImpact]) -> Vec2:
+    """Where a wall is to be met, mission frame: as the mission says, else by the model, else its middle."""
+    if collision.impact_point is not None:
+        return collision.impact_point
+    if collision.predicted is not None:
+        return collision.predicted.position_m
+    hit = hits.get(collision.index)
+    return hit.position if hit is not None else collision.wall.point
+
+
+def describe_goal_miss(
+    miss_m: float, goal: GoalSpec, after_impact: AfterImpact = AfterImpact.SETPOINT
+) -> str:
+    """In words how near the goal is passed, and from where on that counts as reached."""
+    says = f"passes the goal at {miss_m:.2f} m, captured within {goal.capture_radius_m:g} m"
+    if after_impact is AfterImpact.REPLAN:
+        return f"planned again after every hit, to pass through the goal; by its set-points alone it {says}"
+    return says
+
+
+def predict_mission(mission: Mission) -> PredictedFlight:
+    """The path that the mission's approaches, modes and gains lead to.
+
+    Where the model does not reach the next wall, the path ends; a rehearsal has approaches only.
+    """
+    return flights_with(mission, [None])[0]
+
+
+def flights_with(mission: Mission, draws: Sequence[UncertaintyDraw | None]) -> list[PredictedFlight]:
+    """The same with other walls; None: the nominal ones."""
+    found = [PredictedFlight({}, {}, {}, walls=() if d is None else tuple(d.walls.values())) for d in draws]
+    for group in _groups(mission.collisions):
+        flight, begin, all_arrivals = _fly(mission, group, draws)
+        impact = group[0].impact_point
+        assert impact is not None
+        before = mission.place_before(group[0].index - 1)
+        line = [begin, impact] if before in (None, begin) else [before, begin, impact]
+        last = group[-1] is mission.collisions[-1] and mission.recovers_to_goal
+        for planned, arrivals in zip(found, all_arrivals, strict=True):
+            planned.approaches[group[0].index] = line
+            if arrivals is not None and mission.standoff_m is None:
+                _follow(planned, group, flight, arrivals, last)
+    return found
+
+
+def _follow(
+    planned: PredictedFlight, group: Sequence[Collision], flight: FreeFlight, arrivals: Arrivals, last: bool
+) -> None:
+    """Add what follows from one approach; `last`: the goal comes after it."""
+    for i, (collision, hit) in enumerate(zip(group, arrivals.hits, strict=True)):
+        planned.hits[collision.index] = PredictedImpact(
+            position=(float(hit.x[0]), float(hit.y[0])),
+            normal_m_s=float(hit.normal_m_s[0]),
+            tangential_m_s=float(hit.tangential_m_s[0]),
+            normal_n=float(hit.normal_n[0]),
+            tangential_n=float(hit.tangential_n[0]),
+            setpoint=(float(hit.leg.goal_x[0]), float(hit.leg.goal_y[0])),
+        )
+        following = arrivals.hits[i + 1].t_s if i + 1 < len(group) else arrivals.t_s if last else None
+        if following is not None:
+            planned.legs[collision.index] = _path(flight, hit, float(following[0]))
+    if last:
+        planned.goal_miss_m = float(arrivals.miss_m[0])
+
+
+def _groups(collisions: Sequence[Collision]) -> list[list[Collision]]:
+    """Collisions that follow from one approach each."""
+    begins = [i for i, c in enumerate(collisions) if c.impact_point is not None]
+    return [list(collisions[a:b]) for a, b in pairwise([*begins, len(collisions)])]
+
+
+def _fly(
+    mission: Mission, group: Sequence[Collision], draws: Sequence[UncertaintyDraw | None]
+) -> tuple[FreeFlight, Vec2, list[Arrivals | None]]:
+    """One approach: its run-up point, and what follows in each draw; None where it does not get through."""
+    task = task_of(mission, group)
+    flight = new_flight(task)
+    rollout = _rollout(task, flight)
+    assert group[0].approach_m_s is not None
+    normal, tangential = (np.array([v]) for v in group[0].approach_m_s)
+    grid = rollout.approach(normal, tangential)
+    begin = (float(np.ravel(grid.begin_x)[0]), float(np.ravel(grid.begin_y)[0]))
+    modes = tuple(c.mode for c in group)
+    found = []
+    drawn = [_of_group(draw, group) for draw in draws]
+    for stages, draw in zip(stages_for(task, drawn), drawn, strict=True):
+        really = rollout if draw is None or not draw.walls else _rollout(task, flight, draw.walls)
+        arrivals = really.fly(stages, normal, tangential, grid, draw)
+        found.append(next((a for a in arrivals if a.modes == modes and a.rows.size), None))
+    return flight, begin, found
+
+
+def _of_group(draw: UncertaintyDraw | None, group: Sequence[Collision]) -> UncertaintyDraw | None:
+    """A draw with its walls by the names that a task gives them: every collision has one of its own."""
+    if draw is None:
+        return None
+    places = {
+        str(c.index): msgspec.structs.replace(draw.walls[c.wall.name], name=str(c.index))
+        for c in group
+        if c.wall.name in draw.walls
+    }
+    return draw._replace(walls=places)
+
+
+def _rollout(task: MissionTask, flight: FreeFlight, walls: Mapping[str, Wall] | None = None) -> Rollout:
+    """The one candidate of a task; `walls`: those that stand elsewhere than the approach takes them to."""
+    sequence = tuple(task.walls)
+    if walls is None:
+        return Rollout(task, sequence, flight, None, keep_hits=True)
+    there = task._replace(walls=task.walls | dict(walls))
+    return Rollout(there, sequence, flight, None, keep_hits=True, approached=task.walls[sequence[0]])
+
+
+def _path(flight: FreeFlight, hit: Hits, until_s: float) -> NDArray[np.float64]:
+    """From the onset of a hit over its release to a time, mission frame (n, 4)."""
+    release_s = float(hit.t_s[0] + hit.duration_s[0])
+    x, y = flight.along(hit.leg, np.linspace(0.0, max(until_s - release_s, 0.0), _POINTS))
+    after = np.stack([x[:, 0] + hit.leg.goal_x[0], y[:, 0] + hit.leg.goal_y[0], x[:, 1], y[:, 1]], axis=1)
+    return np.concatenate([[(hit.x[0], hit.y[0], 0.0, 0.0)], after])

@@ -1,0 +1,301 @@
+"""Planning again in flight: from the measured state after a contact on, with what was felt.
+
+The same contact stages and constraints as `plan` (`contact_stage`, `constraints`); what is chosen is not a
+set-point but a way: a polynomial of fifth order per axis from the state that the vehicle will have when the
+answer is there to the next wall at the planned velocity, or to rest at the goal. Of all durations and places
+along the wall those that may be flown are kept, and of these the quickest, gentlest and nearest to the
+planned place.
+
+What contacts have taught of a wall (`WallEstimate`) stands in the place of the configuration's coefficients,
+and where its plane was seen in that of the mission's. Beside that there is no state between requests: an
+answer follows from the log. A collision with an approach of its own, flown from rest, keeps its approach,
+slower where the hit would be too hard by what was felt.
+
+It runs outside of the core's step: in a process of its own (`worlds.planner`), or in simulated time.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.base.geometry import GRAVITY_M_S2, Vec2
+from dart_flight.base.records import Mode, PlanAnswer, PlanRequest, WallEstimate
+from dart_flight.base.walls import Wall
+from dart_flight.config.mission import Collision, Mission
+from dart_flight.config.vehicle import Coefficients
+from dart_flight.core.mission.commitment import SETTLED_BEFORE_S
+from dart_flight.core.mission.planned_impact import impact_velocity
+from dart_flight.core.mission.position_loop import PositionLoop
+from dart_flight.core.mission.wall_uncertainty import EstimatedWalls, end_margin_m, position_margin_m
+from dart_flight.planning.constraints import REFUSALS, Constraints
+from dart_flight.planning.contact_stage import build_stages, expm
+from dart_flight.planning.flight_model import Array, GridWindow, Rows, loop_matrix
+from dart_flight.planning.predicted_flight import impact_place, predict_mission
+from dart_flight.planning.task import MissionTask, drag_along
+
+_DURATIONS_S = np.arange(0.3, 4.01, 0.05)
+_ALONG_M = np.arange(-0.8, 0.81, 0.05)  # places along the wall, about the planned one
+_SPEED_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of the planned velocity, where that cannot be reached
+# At constant velocity before the plane, so that the attitude has caught up; less where there is no room.
+_STRAIGHT_S = (0.3, 0.1)
+_SAMPLES = 24  # of a way, for the constraints
+_PUSH_SAMPLES = 12  # for acceleration and jerk, which come first
+# Of PX4's tilt limit; the rest is for wind, errors and what the loop adds.
+_TILT_SHARE = 0.6
+_JERK_M_S3 = 25.0  # about 150 degrees of tilt a second: the attitude loop follows
+_GENTLE_S = 0.5  # that a way may last longer where it needs all of the tilt instead of none
+_BESIDE_S = 1.0  # ... where another meets the wall as far from the planned place as the mission tolerates
+
+
+class _EndStates(NamedTuple):
+    """Where ways may end; arrays (n,): position, velocity, duration of the polynomials, cost beside time."""
+
+    x: Array
+    y: Array
+    vx: Array
+    vy: Array
+    duration_s: Array
+    cost_s: Array
+
+
+class Replanner:
+    """One flight's planner.
+
+    Args:
+        mission: what is flown.
+    """
+
+    def __init__(self, mission: Mission) -> None:
+        self._mission = mission
+        self._planned = predict_mission(mission).hits
+        walls = {wall.name: wall for wall in mission.walls}
+        self._task = MissionTask(
+            mission.vehicle,
+            mission.start,
+            mission.goal,
+            mission.bounds,
+            walls,
+            mission.limits,
+            mission.vehicle.modes,
+            {c.wall.name: (c.alpha_normal_m_per_n, c.alpha_tangential_m_per_n) for c in mission.collisions},
+        )
+        self._constraints = Constraints(self._task)
+        loop = PositionLoop.of(mission.vehicle.px4)
+        self._felt: dict[tuple[str, Mode], Coefficients] = {}
+        self._survey = EstimatedWalls()
+        self._matrices = [loop_matrix(loop, b) for b in mission.vehicle.airframe.drag_per_s[:2]]
+        tilt = math.radians(mission.vehicle.px4.mpc_tiltmax_air)
+        self._most_m_s2 = _TILT_SHARE * GRAVITY_M_S2 * math.tan(tilt)
+
+    def update_wall(self, felt: WallEstimate) -> None:
+        """Take what a contact has taught; what it cannot tell of which mode is left alone."""
+        self._survey.add_estimate(felt)
+        mode = felt.mode_felt or felt.mode_reported
+        if mode is not None:
+            self._felt[felt.wall, mode] = Coefficients(
+                felt.k_n_per_m, felt.f_ns_per_m, felt.mu_s_per_m, felt.nu_n
+            )
+
+    def answer(self, request: PlanRequest, received_us: int) -> PlanAnswer:
+        """The way from a request's state on; its `problem` says where there is none.
+
+        A fault of the planner is a problem like any other: it must not be the flight's.
+        """
+        found = PlanAnswer(received_us, request.number, request.begin_us, collision=request.collision)
+        try:
+            return self._plan(found, request)
+        except Exception as error:
+            return _no_plan(found, f"the planner failed: {type(error).__name__}: {error}")
+
+    def _plan(self, found: PlanAnswer, request: PlanRequest) -> PlanAnswer:
+        if request.collision is None:
+            return self._best(found, request, self._to_goal(), None) or _no_plan(
+                found, "no way to the goal within the limits"
+            )
+        collision = self._mission.collisions[request.collision - 1]
+        if request.lock_ready_us is None:
+            return _no_plan(found, "the lock is at fault")
+        velocity = self._wanted(collision)
+        if velocity is None:
+            return _no_plan(found, f"no velocity is planned for wall {collision.wall.name}")
+        if collision.approach_m_s is not None:
+            return self._from_rest(found, collision, velocity)
+        wall = self._survey.wall_now(collision.wall)
+        slack = float(position_margin_m(wall, impact_place(collision, self._planned)))
+        for share, (straight_s, slacks) in itertools.product(_SPEED_SHARES, _straights(slack)):
+            wanted = (share * velocity[0], share * velocity[1])
+            straight_s -= slacks * slack / wanted[0]
+            ends = self._to_wall(request, collision, wanted, straight_s)
+            best = self._best(found, request, ends, collision)
+            if best is not None:
+                return self._with_hit(best, collision, wanted, straight_s)
+        return _no_plan(found, f"no way to wall {collision.wall.name} within the limits")
+
+    def _from_rest(self, answer: PlanAnswer, collision: Collision, velocity: Vec2) -> PlanAnswer:
+        """The approach of a collision that has one, as fast as the hit may be."""
+        hit = answer
+        for share in _SPEED_SHARES:
+            hit = self._with_hit(answer, collision, (share * velocity[0], share * velocity[1]), 0.0)
+            if not hit.problem:
+                return msgspec.structs.replace(hit, impact_s=None)
+        return hit
+
+    # -- where ways may end --
+
+    def _wanted(self, collision: Collision) -> Vec2 | None:
+        """(normal, tangential) velocity that the mission has planned for an impact."""
+        hit = self._planned.get(collision.index)
+        if collision.predicted is None and hit is not None:
+            return (hit.normal_m_s, hit.tangential_m_s)
+        return impact_velocity(collision)
+
+    def _to_wall(
+        self, request: PlanRequest, collision: Collision, velocity: Vec2, straight_s: float
+    ) -> _EndStates:
+        """Ends from which it is `straight_s` to the wall, at a velocity in its collision frame."""
+        wall = self._survey.wall_now(collision.wall)
+        vx, vy, _ = wall.from_collision((*velocity, 0.0))
+        place = wall.foot(impact_place(collision, self._planned))
+        along, duration = (v.ravel() for v in np.meshgrid(_ALONG_M, _DURATIONS_S))
+        x = place[0] + wall.tangent[0] * along - vx * straight_s
+        y = place[1] + wall.tangent[1] * along - vy * straight_s
+        impact_s = duration + straight_s
+        assert request.lock_ready_us is not None
+        ready_s = (request.lock_ready_us - request.begin_us) * 1e-6
+        hit = (x + vx * straight_s, y + vy * straight_s)
+        on_wall = wall.end_distance_m(hit) >= end_margin_m(wall, hit)
+        fine = on_wall & (impact_s >= ready_s + SETTLED_BEFORE_S)
+        goal = self._mission.goal.position_m
+        rest_s = np.hypot(x - goal[0], y - goal[1]) / self._mission.vehicle.flying.transit_speed_m_s
+        rest_s += _BESIDE_S * (along / self._mission.tolerance.place_m) ** 2
+        one = np.ones(int(fine.sum()))
+        return _EndStates(x[fine], y[fine], vx * one, vy * one, duration[fine], rest_s[fine])
+
+    def _to_goal(self) -> _EndStates:
+        goal, one = self._mission.goal.position_m, np.ones_like(_DURATIONS_S)
+        return _EndStates(goal[0] * one, goal[1] * one, 0.0 * one, 0.0 * one, _DURATIONS_S, 0.0 * one)
+
+    # -- ways --
+
+    def _start(self, request: PlanRequest) -> tuple[Array, Array]:
+        """Position, velocity, acceleration per axis when the way begins: the loop flies on until then."""
+        ahead_s = (request.begin_us - request.t_us) * 1e-6
+        axes = []
+        for axis, matrix in enumerate(self._matrices):
+            drag = self._mission.vehicle.airframe.drag_per_s[axis]
+            p, v, a, to = (
+                vector[axis]
+                for vector in (
+                    request.position_mission,
+                    request.velocity_mission,
+                    request.acceleration_mission,
+                    request.setpoint_mission,
+                )
+            )
+            state = expm(matrix * ahead_s) @ np.array([p - to, v, a + drag * v, 0.0])
+            axes.append(np.array([state[0] + to, state[1], state[2] - drag * state[1]]))
+        return axes[0], axes[1]
+
+    def _best(
+        self, answer: PlanAnswer, request: PlanRequest, ends: _EndStates, collision: Collision | None
+    ) -> PlanAnswer | None:
+        """The answer with the best way to one of the ends; None where none may be flown."""
+        start = self._start(request)
+        x = _quintic(start[0], ends.x, ends.vx, ends.duration_s)
+        y = _quintic(start[1], ends.y, ends.vy, ends.duration_s)
+        rows, push = self._flyable(x, y, ends.duration_s)
+        wall = None if collision is None else collision.wall
+        rows = rows[self._stays_clear(x[:, rows], y[:, rows], ends.duration_s[rows], wall)]
+        if rows.size == 0:
+            return None
+        total = ends.duration_s[rows] + ends.cost_s[rows] + _GENTLE_S * push[rows] ** 2
+        best = int(rows[np.argmin(total)])
+        return msgspec.structs.replace(
+            answer,
+            duration_s=float(ends.duration_s[best]),
+            x_mission=tuple(map(float, x[:, best])),
+            y_mission=tuple(map(float, y[:, best])),
+        )
+
+    def _flyable(self, x: Array, y: Array, duration_s: Array) -> tuple[Rows, Array]:
+        """Which ways the vehicle can follow, and the most that each asks of what tilt is allowed."""
+        times = duration_s[:, None] * np.linspace(0.0, 1.0, _PUSH_SAMPLES)
+        push = np.hypot(_derivative(x, times, 2), _derivative(y, times, 2)).max(axis=1) / self._most_m_s2
+        rows = np.flatnonzero(push <= 1.0)
+        jerk = np.hypot(*(_derivative(c[:, rows], times[rows], 3) for c in (x, y))).max(axis=1)
+        return rows[jerk <= _JERK_M_S3], push
+
+    def _stays_clear(self, x: Array, y: Array, duration_s: Array, wall: Wall | None) -> NDArray[np.bool_]:
+        """Which ways keep within bounds and speed and off the walls but the one that is to be hit."""
+        times = duration_s[:, None] * np.linspace(0.0, 1.0, _SAMPLES)
+        states = (_derivative(c, times, order).astype(np.float32) for order in (0, 1) for c in (x, y))
+        window = GridWindow(np.linspace(0.0, 1.0, _SAMPLES), *states)
+        until = np.full(duration_s.size, _SAMPLES)
+        clear: NDArray[np.bool_] = self._constraints.path(window, until, wall, begins=True) == 0
+        return clear
+
+    def _with_hit(
+        self, answer: PlanAnswer, collision: Collision, velocity: Vec2, straight_s: float
+    ) -> PlanAnswer:
+        """The answer with the hit that it leads to; no answer where that may not be."""
+        wall, vehicle = collision.wall, self._mission.vehicle
+        vn, vt, zero = np.array([velocity[0]]), np.array([velocity[1]]), np.zeros(1)
+        drag_n, drag_t = drag_along(wall, vehicle.airframe.drag_per_s)
+        coefficients = self._felt.get((wall.name, collision.mode))
+        if coefficients is None:
+            coefficients = vehicle.materials[wall.material].of(collision.mode)
+        (stage,) = build_stages(vehicle, [coefficients], [self._task.alphas[wall.name]], [drag_n], [0.0])
+        out = stage.normal(vn, drag_n * vn, zero)
+        slide = stage.tangential(stage.tangential_shape(vn), vt, drag_t * vt, zero)
+        peak_n = float(out.peak_force_n[0])
+        code = int(self._constraints.hit(out.peak_force_n, slide.friction_n, out.velocity)[0])
+        if code:
+            return _no_plan(answer, f"the hit would be refused: {REFUSALS[code - 1].value}, {peak_n:.0f} N")
+        return msgspec.structs.replace(
+            answer,
+            impact_s=answer.duration_s + straight_s,
+            normal_m_s=velocity[0],
+            tangential_m_s=velocity[1],
+            peak_force_n=peak_n,
+        )
+
+
+def _straights(slack: float) -> list[tuple[float, float]]:
+    """Times straight before a plane, and how many times the slack of its place comes to them; best first."""
+    if slack <= 0.0:
+        return [(s, 0.0) for s in _STRAIGHT_S]
+    return [(s, 1.0) for s in _STRAIGHT_S] + [(_STRAIGHT_S[-1], 0.0)]
+
+
+def _no_plan(answer: PlanAnswer, problem: str) -> PlanAnswer:
+    return msgspec.structs.replace(answer, problem=problem)
+
+
+def _quintic(start: Array, end: Array, velocity: Array, duration_s: Array) -> Array:
+    """Coefficients (6, n) of the polynomials from (position, velocity, acceleration) to an end without
+    acceleration, constant term first."""
+    p, v, a = start
+    t = duration_s
+    way = end - p
+    c3 = (20.0 * way - (8.0 * velocity + 12.0 * v) * t - 3.0 * a * t**2) / (2.0 * t**3)
+    c4 = (-30.0 * way + (14.0 * velocity + 16.0 * v) * t + 3.0 * a * t**2) / (2.0 * t**4)
+    c5 = (12.0 * way - 6.0 * (velocity + v) * t - a * t**2) / (2.0 * t**5)
+    one = np.ones_like(t)
+    return np.stack([p * one, v * one, 0.5 * a * one, c3, c4, c5])
+
+
+def _derivative(coefficients: Array, t: Array, order: int) -> Array:
+    """A derivative of polynomials (6, n) at times (n, k): (n, k)."""
+    for _ in range(order):
+        coefficients = coefficients[1:] * np.arange(1, len(coefficients))[:, None]
+    value = np.zeros_like(t)
+    for c in coefficients[::-1]:
+        value *= t
+        value += c[:, None]
+    return value

@@ -1,0 +1,200 @@
+"""What became of the plan: every planned figure beside the flown one, with the tolerance of the mission.
+
+`completed` says that a mission went through its phases to its end, this whether it flew what was planned.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import msgspec
+
+from dart_flight.base.geometry import Vec2, distance2
+from dart_flight.base.records import AfterImpact, Mode
+from dart_flight.config.mission import Collision, Mission
+from dart_flight.core.mission.planned_impact import expected_hit, impact_velocity
+from dart_flight.planning.predicted_flight import predict_mission
+
+
+class PlannedImpact(NamedTuple):
+    """What a mission says, or leads to, at one of its walls; None where nothing says it."""
+
+    normal_m_s: float | None = None
+    tangential_m_s: float | None = None
+    peak_force_n: float | None = None
+    place: Vec2 | None = None
+
+
+class FlownImpact(NamedTuple):
+    """What was measured of a planned collision.
+
+    Attributes:
+        collision: its index.
+        normal_m_s, tangential_m_s: velocity at the onset, collision frame.
+        peak_force_n: of the normal force.
+        place: of the vehicle's centre at the onset, mission frame.
+        mode_felt: state of the arms by the contact itself; None: undecided.
+    """
+
+    collision: int
+    normal_m_s: float | None
+    tangential_m_s: float | None
+    peak_force_n: float | None
+    place: Vec2 | None
+    mode_felt: str | None
+
+
+class Deviation(msgspec.Struct, frozen=True):
+    """One planned figure.
+
+    Attributes:
+        what: in words, with its unit.
+        planned, flown: None where it was not flown.
+        tolerance: by which they may differ; None where they must be the same.
+    """
+
+    what: str
+    planned: float | str
+    flown: float | str | None
+    tolerance: float | None
+
+    @property
+    def within(self) -> bool:
+        """Whether it was flown, and near enough."""
+        if isinstance(self.planned, float) and isinstance(self.flown, float):
+            return abs(self.flown - self.planned) <= (self.tolerance or 0.0)
+        return self.flown == self.planned
+
+
+class Prediction(NamedTuple):
+    """What a mission leads to.
+
+    Attributes:
+        impacts: by index of the collision.
+        goal_miss_m: how near to the goal the last recovery passes; None where that is not known, or the goal
+            is flown to from rest.
+    """
+
+    impacts: dict[int, PlannedImpact]
+    goal_miss_m: float | None
+
+
+def predict_flight(mission: Mission) -> Prediction:
+    """The planner's prediction in the mission, else the approach and the contact law, else where the flight
+    model leads. What is planned again after every hit is planned to pass through the goal."""
+    said = {c.index: _as_written(mission, c) for c in mission.collisions}
+    miss_m = None
+    if mission.recovers_to_goal:
+        miss_m = 0.0 if mission.after_impact is AfterImpact.REPLAN else _miss_as_written(mission)
+    if all(one.normal_m_s is not None for one in said.values()) and (
+        miss_m is not None or not mission.recovers_to_goal
+    ):
+        return Prediction(said, miss_m)
+    model = predict_mission(mission)
+    for index, hit in model.hits.items():
+        if said[index].normal_m_s is None:
+            said[index] = PlannedImpact(hit.normal_m_s, hit.tangential_m_s, hit.normal_n, hit.position)
+    return Prediction(said, model.goal_miss_m if miss_m is None else miss_m)
+
+
+def _miss_as_written(mission: Mission) -> float | None:
+    return None if mission.predicted is None else mission.predicted.goal_miss_m
+
+
+def _as_written(mission: Mission, collision: Collision) -> PlannedImpact:
+    if collision.predicted is not None:
+        p = collision.predicted
+        return PlannedImpact(p.normal_m_s, p.tangential_m_s, p.peak_force_n, p.position_m)
+    velocity, hit = impact_velocity(collision), expected_hit(mission, collision)
+    if velocity is None or hit is None:
+        return PlannedImpact()
+    return PlannedImpact(*velocity, hit.peak_normal_force_n, collision.impact_point)
+
+
+def deviations(
+    mission: Mission, planned: Prediction, flown: Sequence[FlownImpact], goal_miss_m: float | None
+) -> list[Deviation]:
+    """Everything that was planned, in the order of the mission; nothing of a rehearsal.
+
+    Args:
+        mission: with its tolerances.
+        planned: what it leads to (`predict_flight`).
+        flown: the collisions that were met.
+        goal_miss_m: None where the goal was not passed.
+    """
+    if mission.standoff_m is not None:
+        return []
+    met = {one.collision: one for one in flown}
+    found = [
+        deviation
+        for collision in mission.collisions
+        for deviation in _of_collision(
+            mission, collision, planned.impacts[collision.index], met.get(collision.index)
+        )
+    ]
+    if planned.goal_miss_m is None:
+        return found
+    return [
+        *found,
+        Deviation("goal miss, m", planned.goal_miss_m, goal_miss_m, mission.goal.capture_radius_m),
+    ]
+
+
+def _of_collision(
+    mission: Mission, collision: Collision, planned: PlannedImpact, flown: FlownImpact | None
+) -> Iterator[Deviation]:
+    name, tolerance = f"collision {collision.index}", mission.tolerance
+    one = flown or FlownImpact(collision.index, None, None, None, None, None)
+    if planned.normal_m_s is not None:
+        yield Deviation(
+            f"{name} normal velocity, m/s", planned.normal_m_s, one.normal_m_s, tolerance.impact_m_s
+        )
+    if planned.tangential_m_s is not None:
+        yield Deviation(
+            f"{name} velocity along the wall, m/s",
+            planned.tangential_m_s,
+            one.tangential_m_s,
+            tolerance.impact_m_s,
+        )
+    if planned.peak_force_n is not None:
+        allowed = tolerance.peak_force_share * planned.peak_force_n
+        yield Deviation(f"{name} peak force, N", planned.peak_force_n, one.peak_force_n, allowed)
+    if planned.place is not None:
+        beside = None if one.place is None else distance2(one.place, planned.place)
+        yield Deviation(f"{name} beside its place, m", 0.0, beside, tolerance.place_m)
+    mode = collision.mode.value
+    if flown is None:
+        yield Deviation(f"{name} mode", mode, None, None)
+    elif flown.mode_felt is not None:  # undecided is no deviation
+        yield Deviation(f"{name} mode", mode, Mode(flown.mode_felt).value, None)
+
+
+def out_of_tolerance(found: Sequence[Deviation]) -> list[Deviation]:
+    """Those that are not within their tolerance, what was not flown at all first."""
+    outside = [one for one in found if not one.within]
+    return sorted(outside, key=lambda one: -_times_over(one))
+
+
+def format_departures(found: Sequence[Deviation], most: int = 3) -> str:
+    """In words where the plan was left, the worst first and at most so many; "" where it was not."""
+    outside = out_of_tolerance(found)
+    more = len(outside) - most
+    return "; ".join(map(_format_deviation, outside[:most])) + (f"; {more} more" if more > 0 else "")
+
+
+def _format_deviation(one: Deviation) -> str:
+    name, _, unit = one.what.partition(", ")
+    within = f" ± {one.tolerance:.2f}" if one.tolerance is not None else ""
+    return f"{name} {_figure(one.flown)} instead of {_figure(one.planned)}{within} {unit}".rstrip()
+
+
+def _figure(value: float | str | None) -> str:
+    return "none" if value is None else value if isinstance(value, str) else f"{value:.2f}"
+
+
+def _times_over(one: Deviation) -> float:
+    if isinstance(one.planned, float) and isinstance(one.flown, float) and one.tolerance:
+        return abs(one.flown - one.planned) / one.tolerance
+    return math.inf

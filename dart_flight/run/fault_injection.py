@@ -1,0 +1,127 @@
+"""One fault in a fast flight: when it begins, and what it does between app and vehicle."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+
+from dart_flight.base.records import (
+    ImuSample,
+    Input,
+    Record,
+    Setpoint,
+    VehicleAction,
+)
+from dart_flight.sim.faults.fault_table import (
+    Fault,
+    FaultSite,
+    Trigger,
+    VehicleFault,
+    impairment_of,
+    mock_faults_of,
+)
+from dart_flight.sim.faults.impairment import Impairment, LossyLink
+from dart_flight.sim.faults.twin import make_second_vehicle
+from dart_flight.sim.simulated_vehicle import SimulatedVehicle
+
+if TYPE_CHECKING:
+    from dart_flight.run.fast import FastFlight
+
+
+class TimeRequest(NamedTuple):
+    """TIMESYNC on its way to the autopilot; sent at a host time."""
+
+    sent_us: int
+
+
+Order = Setpoint | VehicleAction | TimeRequest
+
+
+class FlightWithFault:
+    """One fault in one fast flight: when it begins, and what it does between app and vehicle.
+
+    A hang leaves MAVSDK repeating the last set-point until the deadman ends the process.
+    """
+
+    def __init__(self, flight: FastFlight, fault: Fault, seed: int) -> None:
+        self._flight, self.fault = flight, fault
+        self._trigger = Trigger(fault)
+        self.began_us: int | None = None  # host time
+        self._in: LossyLink[Input] = LossyLink(seed)
+        self._out: LossyLink[Order] = LossyLink(seed + 1)
+        self._vehicle: VehicleFault | None = None
+        self._seed = seed
+        self.twin: SimulatedVehicle | None = None  # a second vehicle on the link, once it sends
+        self._ended = False
+
+    @property
+    def app_silent(self) -> bool:
+        """The app has stopped doing anything."""
+        stops = self.fault.kind.place is FaultSite.APP and self.fault.name != "disk-full"
+        return self.began_us is not None and stops
+
+    @property
+    def app_dead(self) -> bool:
+        """The deadman or another process has killed it."""
+        if not self.app_silent or self.began_us is None:
+            return False
+        starve_s = 0.0 if self.fault.name == "sigkill" else self._flight.deadman_s
+        return self._flight.host_us - self.began_us >= starve_s * 1e6
+
+    def sees(self, record: Record) -> None:
+        """Take a record of the flight, to know the phase."""
+        self._trigger.sees(record)
+
+    def tick(self) -> None:
+        """Once per tick: begin when it is time, go on while it lasts."""
+        flight = self._flight
+        if self.began_us is None:
+            if not self._trigger.due(flight.autopilot.time_us):
+                return
+            self.began_us = flight.host_us
+            self._begin()
+        if self._vehicle is not None:
+            self._vehicle.tick()
+        if self.twin is not None:
+            self.twin.advance()
+        lasts_s = self.fault.value if self.fault.name == "link-loss" and self.fault.value > 0.0 else None
+        if lasts_s is not None and not self._ended and flight.host_us - self.began_us > lasts_s * 1e6:
+            self._ended = True
+            self._in.impairment = self._out.impairment = Impairment()
+        if (self.app_dead or self.fault.name == "sigstop") and self.app_silent:
+            flight.forget_setpoint()
+        for order in self._out.pop(flight.autopilot.now_s):
+            flight.deliver(order)
+
+    def _begin(self) -> None:
+        flight, fault, place = self._flight, self.fault, self.fault.kind.place
+        if fault.name == "second-vehicle":
+            self.twin = make_second_vehicle(flight.mission, self._seed, fault.value, flight.autopilot.time_us)
+        if place is FaultSite.LINK:
+            self._in.impairment = self._out.impairment = impairment_of(fault)
+        elif place is FaultSite.LOCK:
+            if flight.mock is not None:
+                flight.mock.inject(mock_faults_of(fault))
+        elif place is not FaultSite.APP:
+            self._vehicle = VehicleFault(flight.vehicle, fault)
+
+    def send_in(self, item: Input) -> None:
+        """A sample on its way to the app."""
+        dropped = self.began_us is not None and self.fault.name == "imu-dropout"
+        if not (dropped and isinstance(item, ImuSample)):
+            self._in.push(self._flight.autopilot.now_s, item)
+
+    def arrived(self) -> list[Input]:
+        """What reaches the app now, with the time at which it does."""
+        received = self._flight.host_us
+        return [
+            msgspec.structs.replace(item, received_us=received)
+            for item in self._in.pop(self._flight.autopilot.now_s)
+        ]
+
+    def send_out(self, order: Order) -> None:
+        """A set-point, an action or a request on its way to the autopilot."""
+        self._out.push(self._flight.autopilot.now_s, order)
+        for one in self._out.pop(self._flight.autopilot.now_s):
+            self._flight.deliver(one)

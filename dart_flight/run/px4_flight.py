@@ -1,0 +1,129 @@
+"""The world of a real PX4 SITL on our plant, through MAVSDK over UDP, in lockstep."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+
+from dart_flight.base.records import World
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission
+from dart_flight.config.parameter_file import PositionSource
+from dart_flight.lab_entries import PX4_FIGURES, load_entry
+from dart_flight.planning.positioning import frame_problem
+from dart_flight.recording.found import PX4_LOG
+from dart_flight.recording.verdict import Px4Figures, Verdict
+from dart_flight.run.app import FlightApp
+from dart_flight.run.flight_record import FlightRecord, Onlooker
+from dart_flight.run.simulator_process import Px4SimulatorProcess, SimulatorProcess, fly_simulated, world_log
+from dart_flight.sim.draws import draw_world
+from dart_flight.sim.extras import need_mavlink
+from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec
+from dart_flight.vehicle.clock import LockstepClock
+from dart_flight.vehicle.link import LinkLease
+
+_LOCKSTEP_PAUSE_S = 0.5
+
+
+def fly_px4(
+    mission: Mission,
+    directory: str | Path | None,
+    seed: int,
+    log_dir: Path,
+    progress: Onlooker = lambda record: None,
+    *,
+    position_from: PositionSource = PositionSource.MOCAP,
+    speed: float = 1.0,
+    parameter_files: tuple[Path, ...] = (),
+    spreads: Mapping[str, float] | None = None,
+    viewer: Onlooker | None = None,
+) -> Verdict:
+    """Fly through MAVSDK over UDP against a real PX4 SITL on our plant, in lockstep.
+
+    Args:
+        mission: what to fly.
+        directory: PX4's, with bin and etc; None: the environment's DART_PX4_DIR.
+        seed: of the sensors' noise.
+        log_dir: where the flight's folder goes; PX4's ULog is kept in it as `px4.ulg`.
+        progress: sees every record.
+        position_from: motion capture (indoors, no GPS) or a GPS receiver.
+        speed: simulated seconds per second.
+        parameter_files: PX4 parameters on top of `configs/px4/`.
+        spreads: what is drawn anew by the seed (`sim.draws`).
+        viewer: sees every record, on the thread that took it.
+
+    Raises:
+        InputError: there is no PX4, a parameter file is wrong, or the mission's frame cannot be had with GPS.
+        SimulatorError, VehicleError: PX4 did not start or did not answer.
+    """
+    need_mavlink()
+    from dart_flight.sim.px4.launch import find_install, flight_parameters  # noqa: PLC0415
+
+    install = find_install(directory)
+    problem = frame_problem(mission, position_from)
+    if problem is not None:
+        raise InputError(problem, source=mission.source, key=("frame", "origin"))
+    mission = _for_lockstep(mission, speed)
+    parameters = flight_parameters(mission.vehicle, position_from, list(parameter_files))
+    drawn = draw_world(mission, seed, spreads or {})
+    record = FlightRecord(mission, World.PX4, seed, log_dir, drawn.drawn)
+    record.viewers += [viewer] if viewer is not None else []
+    folder = record.folder
+    spec = SimulatorSpec(
+        mission,
+        seed,
+        [],
+        world_log(folder),
+        Px4SimulatorSpec(str(install.program.parents[1]), str(folder.resolve()), parameters, position_from),
+        spreads=dict(spreads or {}),
+        speed=speed,
+    )
+
+    leases: list[LinkLease] = []
+
+    def make_app(world: SimulatorProcess) -> FlightApp:
+        # PX4 chose the port itself, by its instance.
+        url = f"udpin://127.0.0.1:{world.port}"
+        lease = LinkLease(url, "dry-run --px4", record.path)
+        lease.acquire()
+        leases.append(lease)
+        app = FlightApp(
+            mission, url, record, world, progress, LockstepClock(speed), lock_faults=drawn.lock_faults
+        )
+        record.notice = app.show
+        return app
+
+    try:
+        world = fly_simulated(record, lambda on_truth: Px4SimulatorProcess(spec, on_truth), make_app)
+    finally:
+        for lease in leases:
+            lease.release()
+    ulog = folder / PX4_LOG
+    built = record.build(px4_log=ulog)
+    built.px4 = _px4_figures(ulog, world.version)
+    return built
+
+
+def _px4_figures(ulog: Path, version: str | None) -> Px4Figures:
+    """What PX4's own log says; reading it is the lab's, and a failure there is not the flight's."""
+    try:
+        figures: Px4Figures = load_entry(PX4_FIGURES)(ulog, version)
+    except Exception:
+        return Px4Figures(version)
+    return figures
+
+
+def _for_lockstep(mission: Mission, speed: float) -> Mission:
+    """The mission with a guard that lets the simulator pause.
+
+    In lockstep a stall of the machine stops the vehicle's time, too: silence counts from half a second of
+    vehicle time on, where the configuration's limit is shorter.
+    """
+    guard = mission.vehicle.guard
+    timeout_s = max(guard.stream_timeout_s, _LOCKSTEP_PAUSE_S / speed)
+    late_s = max(guard.telemetry_late_s, _LOCKSTEP_PAUSE_S / speed)
+    guard = msgspec.structs.replace(guard, stream_timeout_s=timeout_s, telemetry_late_s=late_s)
+    vehicle = msgspec.structs.replace(mission.vehicle, guard=guard)
+    return msgspec.structs.replace(mission, vehicle=vehicle)

@@ -1,0 +1,330 @@
+"""The embedded autopilot: a small PX4 look-alike on top of the plant, without I/O and without a clock.
+
+One `step` is one tick of 4 ms: plant, sensors, estimator, modes and failsafes, control. Two worlds use it:
+`sim.fast` in process, `sim.mavlink_endpoint` behind MAVLink in a process of its own.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable
+from typing import Final
+
+import msgspec
+
+from dart_flight.base.geometry import GRAVITY_M_S2, Vec3, distance2, yaw_ned_of
+from dart_flight.base.records import FlightMode, LandedState
+from dart_flight.config.mission import Mission
+from dart_flight.config.parameter_file import PositionSource, Value, vehicle_parameters
+from dart_flight.config.rotors import rotor_parameters
+from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
+from dart_flight.lock.drivers.px4_output import PREARM_ALWAYS, actuator_pulse_us, required_parameters
+from dart_flight.sim.cascade import Cascade, TrajectorySetpoint
+from dart_flight.sim.estimator import Estimator
+from dart_flight.sim.noise import GaussianNoise
+from dart_flight.sim.plant import Plant, make_plant
+from dart_flight.sim.sensors import ImuSensor, PoseSensor
+
+TICK_S: Final = 0.004
+TICK_US: Final = 4000
+_STEPS_PER_TICK: Final = 4
+_POSITION_EVERY: Final = 2  # ticks: PX4's position controller runs with its estimator, at about 125 Hz
+_FAILSAFE_HOLD_S: Final = 5.0
+_IDLE: Final = 0.05
+_KILL_DISARM_S: Final = 5.0  # PX4's COM_KILL_DISARM
+_OFFBOARD_PROOF_S: Final = 0.5  # set-points must be this fresh for the mode to be accepted
+
+
+class ImuReading:
+    """One tick of the IMU as the autopilot reports it."""
+
+    __slots__ = ("rate_frd", "specific_force_frd", "t_us")
+
+    def __init__(self, t_us: int, specific_force_frd: Vec3, rate_frd: Vec3) -> None:
+        self.t_us, self.specific_force_frd, self.rate_frd = t_us, specific_force_frd, rate_frd
+
+
+class Autopilot:
+    """Arming, modes, failsafes and control of the simulated vehicle.
+
+    Args:
+        plant: the body and its world.
+        seed: of every sensor's noise.
+        say: receives (severity, text) of every STATUSTEXT.
+    """
+
+    def __init__(self, plant: Plant, seed: int, say: Callable[[str, str], None] | None = None) -> None:
+        self.plant = plant
+        self.vehicle: VehicleConfig = plant.vehicle
+        noise = GaussianNoise(random.Random(seed))
+        self.imu_sensor = ImuSensor(self.vehicle, noise)
+        self.pose_sensor = PoseSensor(self.vehicle, noise)
+        self.estimator = Estimator()
+        self.parameters = default_parameters(self.vehicle)
+        v = self.vehicle
+        self.cascade = Cascade(self.parameters, v.hover_thrust_fraction(), v.thrust, v.airframe.motors)
+        self._stopped, self._idle = ((u,) * len(v.airframe.motors) for u in (0.0, _IDLE))
+        self.say = say or (lambda severity, text: None)
+        self.armed = False
+        self.mode = FlightMode.HOLD
+        self.landed = LandedState.ON_GROUND
+        self.motors: tuple[float, ...] = self._stopped
+        self._killed_at_s: float | None = None
+        self.actuator_set: list[float] = [math.nan] * 6
+        self.imu = ImuReading(0, (0.0, 0.0, -GRAVITY_M_S2), (0.0, 0.0, 0.0))
+        self.failsafe: str | None = None
+        self.imu_stuck = False  # faults: the reported IMU hangs, the flying one does not
+        self.battery_left: float | None = None
+        self._offboard: TrajectorySetpoint | None = None
+        self._offboard_at_s = -math.inf
+        self._hold: TrajectorySetpoint = TrajectorySetpoint()
+        self._failsafe_since_s: float | None = None
+        self._quiet_since_s = 0.0
+        self._tick = 0
+        # PX4 has been up for a while when a client connects, and its clock is not the host's.
+        plant.time_offset_us = 7_000_000
+
+    # -- what telemetry reads --
+
+    @property
+    def now_s(self) -> float:
+        """Time since the simulation began."""
+        return self.plant.time_s
+
+    @property
+    def time_us(self) -> int:
+        """The autopilot's clock."""
+        return round(self.plant.time_s * 1e6) + self.plant.time_offset_us
+
+    @property
+    def battery_remaining(self) -> float:
+        """Charge left, 0 to 1: a quarter of an hour of flight."""
+        if self.battery_left is not None:
+            return self.battery_left
+        return max(0.0, 1.0 - self.plant.time_s / 900.0)
+
+    # -- commands, as MAVLink brings them --
+
+    def arm(self, force: bool = False) -> bool:
+        """Arm where PX4 would: estimator ready, and in a mode that can take off without GPS."""
+        if self.armed:
+            return True
+        if self._killed_at_s is not None:
+            self.say("critical", "Arming denied: kill switch engaged")
+            return False
+        if not self.estimator.ok:
+            self.say("critical", "Arming denied: no local position")
+            return False
+        if self.mode in (FlightMode.LAND, FlightMode.RETURN) and not force:
+            self.say("critical", "Arming denied: switch to another mode first")
+            return False
+        self.armed = True
+        self.failsafe = None
+        self.cascade.reset()
+        self._hold_here()
+        self.say("info", "Armed by external command")
+        return True
+
+    def disarm(self, force: bool = False) -> bool:
+        """Disarm on the ground, or anywhere when forced."""
+        if self.armed and self.landed is not LandedState.ON_GROUND and not force:
+            self.say("critical", "Disarming denied: not landed")
+            return False
+        if self.armed:
+            self.armed = False
+            self.say("info", "Disarmed")
+        return True
+
+    def kill(self) -> None:
+        """The pilot's kill switch: motors off at once, disarmed as late as PX4 does it."""
+        self._killed_at_s = self.now_s
+
+    def set_mode(self, mode: FlightMode) -> bool:
+        """Change the flight mode; offboard needs a fresh stream of set-points."""
+        if mode is FlightMode.OFFBOARD and self.now_s - self._offboard_at_s > _OFFBOARD_PROOF_S:
+            self.say("critical", "Switching to offboard is not possible: no set-points")
+            return False
+        if mode is not self.mode:
+            self.mode = mode
+            self._failsafe_since_s = None
+            self.failsafe = None
+            self._hold_here()
+        return True
+
+    def take_off(self, altitude_m: float | None = None) -> bool:
+        """Climb to the take-off altitude and hold, PX4's take-off mode."""
+        if not self.armed:
+            return True  # PX4 acknowledges a take-off while disarmed, and does nothing
+        self.set_mode(FlightMode.TAKEOFF)
+        climb = altitude_m if altitude_m is not None else self.parameters["MIS_TAKEOFF_ALT"]
+        p = self.estimator.position
+        self._hold.position = (p[0], p[1], p[2] - climb)
+        return True
+
+    def set_trajectory(self, setpoint: TrajectorySetpoint) -> None:
+        """A SET_POSITION_TARGET_LOCAL_NED."""
+        self._offboard = setpoint
+        self._offboard_at_s = self.now_s
+
+    def set_actuator(self, index: int, value: float) -> None:
+        """DO_SET_ACTUATOR: a peripheral's output, -1 to 1; it moves only when armed."""
+        if 1 <= index <= 6:
+            self.actuator_set[index - 1] = value
+
+    def lock_pulse_us(self) -> float | None:
+        """Pulse of the lock's output; None without a lock, or while PX4 keeps it at its disarmed value."""
+        lock = self.vehicle.lock
+        if lock is None:
+            return None
+        value = self.actuator_set[lock.px4.actuator_index - 1]
+        moves = self.armed or round(self.parameters["COM_PREARM_MODE"]) == PREARM_ALWAYS
+        if math.isnan(value) or not moves:
+            return None
+        return actuator_pulse_us(lock, value)
+
+    # -- one tick --
+
+    def step(self) -> None:
+        """Advance by one tick of 4 ms."""
+        specific_force = self.plant.advance(self.motors, _STEPS_PER_TICK)
+        measured, rate = self.imu_sensor.measure(specific_force, self.plant.rate, any(self.motors))
+        if self.imu_stuck:
+            self.imu = ImuReading(self.time_us, self.imu.specific_force_frd, self.imu.rate_frd)
+        else:
+            self.imu = ImuReading(self.time_us, measured, rate)
+        self.estimator.predict(self.now_s, measured, rate, TICK_S)
+        pose = self.pose_sensor.measure(self.plant)
+        if pose is not None:
+            self.estimator.correct(*pose)
+        self._tick += 1
+        self._detect_landing()
+        if self._killed_at_s is not None and self.now_s - self._killed_at_s > _KILL_DISARM_S:
+            self.disarm(force=True)
+        if not self.armed or self._killed_at_s is not None:
+            self.motors = self._stopped
+            return
+        self._check_offboard()
+        setpoint = self._setpoint()
+        if self._resting(setpoint):
+            self.cascade.reset()
+            self.motors = self._idle
+            return
+        e = self.estimator
+        if self._tick % _POSITION_EVERY == 0:
+            self.cascade.update_position(
+                setpoint, e.position, e.velocity, yaw_ned_of(e.q), TICK_S * _POSITION_EVERY
+            )
+        self.motors = self.cascade.update_attitude(e.q, e.rate, TICK_S)
+
+    def _setpoint(self) -> TrajectorySetpoint:
+        if self.mode is FlightMode.OFFBOARD and self._offboard is not None:
+            return self._offboard
+        if self.mode is FlightMode.LAND:
+            p = self._hold.position
+            down = self.parameters["MPC_LAND_SPEED"]
+            return TrajectorySetpoint((p[0], p[1], math.nan), (math.nan, math.nan, down), yaw=self._hold.yaw)
+        if self.mode is FlightMode.TAKEOFF:
+            e = self.estimator
+            if abs(e.position[2] - self._hold.position[2]) < 0.1 and abs(e.velocity[2]) < 0.2:
+                self.say("info", "Takeoff finished")
+                target = self._hold.position
+                self.mode = FlightMode.HOLD
+                self._hold_here()
+                self._hold.position = target
+        return self._hold
+
+    def _hold_here(self) -> None:
+        """Hold where the vehicle would come to rest, at the present heading."""
+        e = self.estimator
+        # PX4 brakes before it holds; its stopping distance at 0.95 1/s and 1.8 1/s is about 0.5 s of flight.
+        ahead = 0.5 if self.armed and self.landed is not LandedState.ON_GROUND else 0.0
+        self._hold = TrajectorySetpoint(
+            (
+                e.position[0] + ahead * e.velocity[0],
+                e.position[1] + ahead * e.velocity[1],
+                e.position[2],
+            ),
+            yaw=yaw_ned_of(e.q),
+        )
+
+    def _resting(self, setpoint: TrajectorySetpoint) -> bool:
+        """On the ground with nothing that asks to leave it: motors idle."""
+        if self.landed is not LandedState.ON_GROUND:
+            return False
+        wants_up = setpoint.position[2] < self.estimator.position[2] - 0.05 or setpoint.velocity[2] < -0.05
+        return not wants_up
+
+    def _check_offboard(self) -> None:
+        now = self.now_s
+        lost = now - self._offboard_at_s > self.parameters["COM_OF_LOSS_T"]
+        if self.mode is FlightMode.OFFBOARD and lost:
+            self.say("critical", "Failsafe: offboard lost, holding")
+            self.set_mode(FlightMode.HOLD)
+            self.failsafe = "offboard lost"
+            self._failsafe_since_s = now
+        elif self._failsafe_since_s is not None and now - self._failsafe_since_s > _FAILSAFE_HOLD_S:
+            self.say("critical", "Failsafe: offboard lost, landing")
+            self.set_mode(FlightMode.LAND)
+            self.failsafe = "offboard lost"
+            self._failsafe_since_s = None
+
+    def _detect_landing(self) -> None:
+        still = abs(self.plant.velocity[2]) < 0.15 and distance2(self.plant.velocity, (0.0, 0.0)) < 0.2
+        if not (self.plant.on_ground and still):
+            self._quiet_since_s = self.now_s
+        quiet = self.now_s - self._quiet_since_s
+        if self.landed is LandedState.ON_GROUND:
+            if self.armed and not self.plant.on_ground:
+                self.landed = LandedState.IN_AIR
+        elif quiet > 0.5:
+            self.landed = LandedState.ON_GROUND
+            self.say("info", "Landing detected")
+        disarm_after = self.parameters["COM_DISARM_LAND"]
+        if (
+            self.armed
+            and self.landed is LandedState.ON_GROUND
+            and self.mode is FlightMode.LAND
+            and disarm_after > 0.0
+            and quiet > disarm_after
+        ):
+            self.disarm()
+
+
+def default_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
+    """PX4 parameters of the embedded autopilot: those of the configuration and what describes the rest.
+
+    An int is one of PX4's INT32 parameters, a float a REAL32.
+    """
+    parameters: dict[str, Value] = {
+        field.encode_name: float(getattr(vehicle.px4, field.name))
+        for field in msgspec.structs.fields(Px4Parameters)
+    }
+    parameters["MPC_THR_HOVER"] = vehicle.hover_thrust_fraction()
+    parameters["THR_MDL_FAC"] = vehicle.thrust.square_share
+    parameters |= rotor_parameters(vehicle.airframe.motors)
+    parameters["SYS_AUTOSTART"] = 4001
+    parameters["MAV_SYS_ID"] = 1
+    # What `check` asks a vehicle in motion capture for, but what this one does: hold when offboard is lost,
+    # land after a while, and no sticks.
+    # It has the GPS's parameters as well: one that does not answer is asked for again and again.
+    for source in (PositionSource.RTK, PositionSource.MOCAP):
+        parameters |= {p.name: p.value for p in vehicle_parameters(source).values()}
+    parameters |= {
+        "COM_OBL_RC_ACT": 5,
+        "COM_FAIL_ACT_T": _FAILSAFE_HOLD_S,
+        "COM_RCL_EXCEPT": 4,
+        "COM_LKDOWN_TKO": 3.0,
+    }
+    # Where the IMU is, in [forward, right, down].
+    parameters |= {f"EKF2_IMU_POS_{axis}": p for axis, p in zip("XYZ", vehicle.imu.position_m, strict=True)}
+    # The lock's servo hangs on the output that the configuration names, set up as it asks.
+    if vehicle.lock is not None:
+        for required in required_parameters(vehicle.lock):
+            parameters[required.name] = required.value
+    return parameters
+
+
+def make_autopilot(mission: Mission, seed: int, say: Callable[[str, str], None] | None = None) -> Autopilot:
+    """The simulated vehicle standing on the ground below a mission's start."""
+    return Autopilot(make_plant(mission, seed=seed), seed, say)

@@ -1,0 +1,196 @@
+"""The simulated vehicle in a process of its own: plant, embedded autopilot, MAVLink, at a pace.
+
+Started by `dry-run` with its end of a pipe: commands come on standard input, truth goes to standard output,
+one JSON object a line. When the app dies (end of input) the vehicle flies on to its failsafe, which goes to
+its text log, and the process ends once it has landed, 30 s later at the latest; after 3 s in a pilot's hands.
+"""
+
+from __future__ import annotations
+
+import gc
+import itertools
+import math
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from typing import IO, Protocol
+
+import msgspec
+
+from dart_flight.base.records import FlightMode
+from dart_flight.sim.draws import draw_world
+from dart_flight.sim.embedded_autopilot import TICK_S
+from dart_flight.sim.faults.fault_table import Fault, FaultSite, VehicleFault, impairment_of
+from dart_flight.sim.faults.impairment import Impairment
+from dart_flight.sim.faults.twin import make_second_vehicle
+from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
+from dart_flight.sim.pipe import FaultLine, Horn, LineReader, LineWriter, Ready, SimulatorSpec, Truth
+from dart_flight.sim.plant import Plant
+from dart_flight.sim.simulated_vehicle import SimulatedVehicle
+
+_TRUTH_EVERY = 2  # ticks
+_ORPHAN_S = 28.0  # after the app's death; with start and end it stays within 30 s
+_PILOT_S = 3.0  # likewise in a pilot's hands, where it only has to hold still
+_LATE_S = 0.25  # a stall longer than this is not caught up with: the world pauses instead
+
+
+def ticks_in_real_time(period_s: float = TICK_S) -> Iterator[int]:
+    """Numbers of ticks, one every period; after a long stall the world pauses rather than races.
+
+    With a period of 4 ms a tick takes the time it simulates; a shorter one is a world at higher speed.
+    """
+    due = time.monotonic()
+    for tick in itertools.count():
+        yield tick
+        due += period_s
+        now = time.monotonic()
+        if due > now:
+            time.sleep(due - now)
+        elif now - due > _LATE_S:
+            due = now
+
+
+class World(Protocol):
+    """What is served to the app, whichever autopilot flies in it."""
+
+    def set_horn(self, pulse_us: float) -> None:
+        """Where the mock servo's horn is."""
+
+    def begin_fault(self, fault: Fault) -> None:
+        """A fault begins."""
+
+    def advance(self) -> Plant:
+        """Go on by one tick; returns the plant."""
+        ...
+
+    def is_over(self, alone_s: float) -> bool:
+        """Whether it may end, without the app for so long; 0: the app has gone this moment."""
+        ...
+
+
+def serve(world: World, writer: LineWriter, commands: IO[bytes], period_s: float) -> int:
+    """Take the app's lines and tell the truth, a tick every period, until the app is gone and the world over.
+
+    Returns how many ticks that took.
+    """
+    reader, gone_s = LineReader(commands), math.inf
+    # What has been loaded by now stays: the collector need not walk it in flight.
+    gc.freeze()
+    for tick in ticks_in_real_time(period_s):
+        while reader.items:
+            item = reader.items.popleft()
+            if isinstance(item, Horn):
+                world.set_horn(item.pulse_us)
+            elif isinstance(item, FaultLine):
+                world.begin_fault(item.fault)
+        plant = world.advance()
+        if tick % _TRUTH_EVERY == 0:
+            writer.put(Truth(state=plant.truth()))
+        while plant.finished:
+            writer.put(Truth(contact=plant.finished.pop(0)))
+        if reader.closed:
+            now_s = time.monotonic()
+            gone_s = min(gone_s, now_s)
+            if world.is_over(now_s - gone_s):
+                break
+    return tick
+
+
+class WorldLog:
+    """The world's text log: times in its own seconds; nothing where the app wants none."""
+
+    def __init__(self, path: str | None) -> None:
+        self._file = None if path is None else open(path, "a", encoding="utf-8", buffering=1)  # noqa: SIM115
+
+    def write(self, now_s: float, text: str) -> None:
+        """Add a line."""
+        if self._file is not None:
+            self._file.write(f"{now_s:9.3f} s  {text}\n")
+
+
+class EmbeddedSimulator:
+    """The simulated vehicle with the embedded autopilot, between the app's pipe and its sockets."""
+
+    def __init__(self, spec: SimulatorSpec) -> None:
+        self._spec = spec
+        true = draw_world(spec.mission, spec.seed, spec.spreads).mission
+        self._vehicle = SimulatedVehicle(true, spec.seed, true.vehicle.lock_driver)
+        self.set_horn = self._vehicle.set_horn
+        self._autopilot = self._vehicle.autopilot
+        self._endpoint = MavlinkEndpoint(self._autopilot, tuple(spec.ports))
+        self._log = WorldLog(spec.log)
+        self._to_link = self._autopilot.say
+        self._autopilot.say = self._say
+        self._fault: VehicleFault | None = None
+        self._link_back_s: float | None = None
+        self._twin: tuple[SimulatedVehicle, MavlinkEndpoint] | None = None
+
+    def run(self, commands: IO[bytes], truth: IO[bytes]) -> None:
+        """Fly at the wanted pace until the app is gone and the vehicle is down."""
+        writer = LineWriter(truth)
+        writer.put(Ready(self._autopilot.time_us))
+        serve(self, writer, commands, TICK_S / self._spec.speed)
+        self._say("info", "simulated vehicle stops")
+        self._endpoint.close()
+
+    def _say(self, severity: str, text: str) -> None:
+        self._to_link(severity, text)
+        self._log.write(self._autopilot.now_s, f"{severity}: {text}")
+
+    def advance(self) -> Plant:
+        """As `World`."""
+        if self._fault is not None:
+            self._fault.tick()
+        if self._link_back_s is not None and self._autopilot.now_s >= self._link_back_s:
+            self._endpoint.impair(Impairment())
+            self._link_back_s = None
+        self._vehicle.advance()
+        self._endpoint.exchange()
+        if self._twin is not None:
+            twin, endpoint = self._twin
+            twin.advance()
+            endpoint.exchange()
+        return self._autopilot.plant
+
+    def begin_fault(self, fault: Fault) -> None:
+        """As `World`."""
+        self._say("warning", f"fault {fault.name} {fault.value:g}")
+        if fault.kind.place is not FaultSite.LINK:
+            self._fault = VehicleFault(self._vehicle, fault)
+        elif fault.name == "imu-dropout":
+            self._endpoint.stop_imu()
+        elif fault.name == "second-vehicle":
+            spec = self._spec
+            twin = make_second_vehicle(spec.mission, spec.seed, fault.value, self._autopilot.time_us)
+            self._twin = (twin, MavlinkEndpoint(twin.autopilot, tuple(spec.ports)))
+        else:
+            self._endpoint.impair(impairment_of(fault))
+            if fault.name == "link-loss" and fault.value > 0.0:
+                self._link_back_s = self._autopilot.now_s + fault.value
+
+    def is_over(self, alone_s: float) -> bool:
+        """As `World`: it flies on to its failsafe, and ends when it has landed."""
+        if not alone_s and self._autopilot.armed:
+            self._say("warning", "the app is gone, flying on to the failsafe")
+        most_s = _PILOT_S if self._autopilot.mode is FlightMode.MANUAL else _ORPHAN_S
+        return not self._autopilot.armed or alone_s > most_s
+
+
+def main() -> int:
+    """Body of the process; returns its exit status."""
+    # The app's terminal must not take the vehicle down: Ctrl-C is the app's business.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    spec = msgspec.json.decode(sys.stdin.buffer.readline(), type=SimulatorSpec)
+    if spec.px4 is not None:
+        from dart_flight.sim.px4.px4_simulator import Px4Simulator  # noqa: PLC0415  (only where PX4 flies)
+
+        return Px4Simulator(spec, spec.px4).run(sys.stdin.buffer, sys.stdout.buffer)
+    EmbeddedSimulator(spec).run(sys.stdin.buffer, sys.stdout.buffer)
+    return 0
+
+
+if __name__ == "__main__":
+    # Not sys.exit: the interpreter aborts where a thread still waits in stdin for the app's next line.
+    os._exit(main())

@@ -1,0 +1,295 @@
+"""The one table of what can go wrong in a simulated flight, and how it is brought about.
+
+`dry-run --fault NAME[=VALUE][@PHASE]`: the fault begins when the mission first reaches the phase (without:
+at once) and stays. Where a fault acts decides which part applies it: `plant`, `sensor` and `autopilot`
+belong to the simulated vehicle (`VehicleFault.apply`), `link` to the messages between it and the app, `lock`
+to the mock servo, `app` to the program itself.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import msgspec
+
+from dart_flight.base.geometry import GRAVITY_M_S2, scale
+from dart_flight.base.records import FlightMode, Phase, PhaseChange, Record
+from dart_flight.config.document import InputError, unknown_name
+from dart_flight.lock.drivers.mock import MockFaults
+from dart_flight.lock.servo import ServoFaults
+from dart_flight.sim.cascade import TrajectorySetpoint
+from dart_flight.sim.faults.impairment import Impairment
+from dart_flight.sim.simulated_vehicle import SimulatedVehicle
+
+_GUST_S = 0.6
+_INTRUDER_EVERY = 12  # ticks: a second ground station sends at 20 Hz, as ours does
+
+
+class FaultSite(StrEnum):
+    """Where a fault acts."""
+
+    APP = "app"
+    LINK = "link"
+    LOCK = "lock"
+    SENSOR = "sensor"
+    AUTOPILOT = "autopilot"
+    PLANT = "plant"
+
+
+class FaultKind(msgspec.Struct, frozen=True):
+    """One row of the table; `value` is the default, `low` to `high` what may be asked for."""
+
+    name: str
+    place: FaultSite
+    what: str
+    unit: str = ""
+    value: float = 0.0
+    low: float = 0.0
+    high: float = 0.0
+
+
+_P = FaultSite
+KINDS: tuple[FaultKind, ...] = (
+    FaultKind("hang-core", _P.APP, "the core thread hangs"),
+    FaultKind("hang-loop", _P.APP, "the event loop hangs"),
+    FaultKind("hang-lock", _P.APP, "a call in C holds the interpreter lock"),
+    FaultKind("sigstop", _P.APP, "the program is stopped (SIGSTOP)"),
+    FaultKind("sigkill", _P.APP, "the program is killed (SIGKILL, as when memory runs out)"),
+    FaultKind("disk-full", _P.APP, "the disk of the flight log is full"),
+    FaultKind("link-loss", _P.LINK, "nothing comes through, for so long (0: for ever)", "s", 0.0, 0.0, 60.0),
+    FaultKind("packet-loss", _P.LINK, "messages are lost", "%", 10.0, 0.0, 100.0),
+    FaultKind("delay", _P.LINK, "messages come late", "ms", 50.0, 0.0, 2000.0),
+    FaultKind(
+        "jitter", _P.LINK, "messages come up to this much later, each its own", "ms", 100.0, 0.0, 2000.0
+    ),
+    FaultKind("reorder", _P.LINK, "messages overtake each other by 20 ms", "%", 10.0, 0.0, 100.0),
+    FaultKind("duplicate", _P.LINK, "messages come twice", "%", 10.0, 0.0, 100.0),
+    FaultKind(
+        "second-vehicle",
+        _P.LINK,
+        "another vehicle with the same system id sends on the link, its clock this far ahead",
+        "s",
+        238.0,
+        -1000.0,
+        1000.0,
+    ),
+    FaultKind("imu-dropout", _P.LINK, "no more IMU samples in the telemetry"),
+    FaultKind("imu-stuck", _P.SENSOR, "the reported IMU repeats its last reading"),
+    FaultKind("imu-clip", _P.SENSOR, "the accelerometer clips at this many g", "g", 4.0, 1.2, 16.0),
+    FaultKind(
+        "ekf-jump", _P.SENSOR, "estimate and motion capture jump by this much north", "m", 0.5, -3.0, 3.0
+    ),
+    FaultKind("clock-back", _P.AUTOPILOT, "the autopilot's clock goes back", "s", 5.0, 0.0, 1000.0),
+    FaultKind("low-battery", _P.AUTOPILOT, "charge left", "%", 10.0, 0.0, 100.0),
+    FaultKind("pilot", _P.AUTOPILOT, "the pilot takes over (position mode)"),
+    FaultKind("kill-switch", _P.AUTOPILOT, "the pilot's kill switch: motors off, disarmed 5 s later"),
+    FaultKind(
+        "second-gcs",
+        _P.AUTOPILOT,
+        "a second ground station sends set-points, this far off",
+        "m",
+        1.0,
+        -5.0,
+        5.0,
+    ),
+    FaultKind("servo-stuck", _P.LOCK, "the lock's servo does not move"),
+    FaultKind("servo-slow", _P.LOCK, "the lock's servo takes this many times as long", "x", 4.0, 1.0, 100.0),
+    FaultKind("servo-unplugged", _P.LOCK, "the servo's controller does not answer"),
+    FaultKind("wall-missing", _P.PLANT, "the walls are not there"),
+    FaultKind("wall-nearer", _P.PLANT, "the walls stand nearer", "m", 0.3, -1.0, 1.0),
+    FaultKind("other-material", _P.PLANT, "the walls are of the stiffest other material"),
+    FaultKind("gust", _P.PLANT, "a gust of 0.6 s along the wall's normal", "m/s", 5.0, -15.0, 15.0),
+)
+BY_NAME = {kind.name: kind for kind in KINDS}
+
+# What people say -> the core's phase.
+PHASES: dict[str, Phase] = {
+    "take-off": Phase.CLIMB,
+    "waypoint": Phase.WAYPOINT,
+    "pause": Phase.PAUSE,
+    "transit": Phase.TRANSIT,
+    "approach": Phase.APPROACH,
+    "contact": Phase.CONTACT,
+    "recovery": Phase.RECOVERY,
+    "goal": Phase.GOAL,
+    "landing": Phase.LANDING,
+}
+
+
+class Fault(msgspec.Struct, frozen=True):
+    """One fault of one flight.
+
+    Attributes:
+        name: of the table.
+        value: in the table's unit.
+        phase: of `PHASES`; None: from the start.
+        after_s: how long after the phase began.
+    """
+
+    name: str
+    value: float
+    phase: str | None = None
+    after_s: float = 0.0
+
+    @property
+    def kind(self) -> FaultKind:
+        """The row of the table."""
+        return BY_NAME[self.name]
+
+
+def parse_fault(text: str, has_lock: bool = True) -> Fault:
+    """`NAME[=VALUE][@PHASE]` as a fault.
+
+    Raises:
+        InputError: no such fault or phase, the value is out of range, or it is of a lock that is not there.
+    """
+    body, at, phase = text.partition("@")
+    name, equals, number = body.partition("=")
+    if name not in BY_NAME:
+        raise InputError(unknown_name(name, list(BY_NAME), "fault"), key=("--fault",))
+    kind = BY_NAME[name]
+    if kind.place is FaultSite.LOCK and not has_lock:
+        raise InputError(f"{name}: this vehicle has no lock", key=("--fault",))
+    if at and phase not in PHASES:
+        raise InputError(unknown_name(phase, list(PHASES), "phase"), key=("--fault",))
+    value = kind.value
+    if equals:
+        try:
+            value = float(number)
+        except ValueError:
+            raise InputError(f"{number!r} is not a number", key=("--fault",)) from None
+        if not kind.low <= value <= kind.high:
+            allowed = f"{kind.low:g} to {kind.high:g} {kind.unit}" if kind.unit else "no value"
+            raise InputError(f"{name} takes {allowed}, not {number}", key=("--fault",))
+    return Fault(name, value, phase or None)
+
+
+class Trigger:
+    """Says when a fault begins: once the mission has reached its phase, and so long after that."""
+
+    def __init__(self, fault: Fault) -> None:
+        self._fault = fault
+        self._since_us: int | None = None
+
+    def sees(self, record: Record) -> bool:
+        """Take a record of the flight; True once the phase has begun."""
+        if self._since_us is None:
+            first = self._fault.phase is None
+            if first and hasattr(record, "t_us"):
+                self._since_us = record.t_us
+            elif isinstance(record, PhaseChange) and record.after == PHASES[self._fault.phase or "landing"]:
+                self._since_us = None if first else record.t_us
+        return self._since_us is not None
+
+    def due(self, now_us: int) -> bool:
+        """Whether it is time; one from the start on needs no record."""
+        if self._fault.phase is None and self._fault.after_s == 0.0:
+            return True
+        return self._since_us is not None and now_us - self._since_us >= self._fault.after_s * 1e6
+
+
+# --- what each place makes of it ---------------------------------------------------------------------------
+
+
+def impairment_of(fault: Fault) -> Impairment:
+    """What a fault of the link does to it."""
+    share = fault.value * 0.01
+    return {
+        "link-loss": Impairment(down=True),
+        "packet-loss": Impairment(loss=share),
+        "delay": Impairment(delay_s=fault.value * 1e-3),
+        "jitter": Impairment(jitter_s=fault.value * 1e-3),
+        "reorder": Impairment(reorder=share),
+        "duplicate": Impairment(duplicate=share),
+        "imu-dropout": Impairment(),
+        "second-vehicle": Impairment(),
+    }[fault.name]
+
+
+def mock_faults_of(fault: Fault) -> MockFaults:
+    """What a fault of the lock does to the mock servo."""
+    return {
+        "servo-stuck": MockFaults(servo=ServoFaults(stuck=True)),
+        "servo-slow": MockFaults(servo=ServoFaults(slow=fault.value or 1.0)),
+        "servo-unplugged": MockFaults(unplugged=True),
+    }[fault.name]
+
+
+class VehicleFault:
+    """A fault of plant, sensor or autopilot at work in a simulated vehicle; `tick` it once per 4 ms."""
+
+    def __init__(self, vehicle: SimulatedVehicle, fault: Fault) -> None:
+        self._autopilot, self._fault = vehicle.autopilot, fault
+        self._began_s = vehicle.autopilot.now_s
+        self._ticks = 0
+        getattr(self, "_begin_" + fault.name.replace("-", "_"))()
+
+    def tick(self) -> None:
+        """What goes on for as long as the fault lasts."""
+        self._ticks += 1
+        a = self._autopilot
+        if self._fault.name == "gust" and a.now_s - self._began_s > _GUST_S:
+            a.plant.wind_ned = (0.0, 0.0, 0.0)
+        elif self._fault.name == "second-gcs" and self._ticks % _INTRUDER_EVERY == 0:
+            x, y, z = a.estimator.position
+            a.set_trajectory(TrajectorySetpoint((x + self._fault.value, y, z)))
+
+    # -- sensors --
+
+    def _begin_imu_stuck(self) -> None:
+        self._autopilot.imu_stuck = True
+
+    def _begin_imu_clip(self) -> None:
+        self._autopilot.imu_sensor.full_scale_m_s2 = self._fault.value * GRAVITY_M_S2
+
+    def _begin_ekf_jump(self) -> None:
+        shift = (self._fault.value, 0.0, 0.0)
+        self._autopilot.estimator.shift(shift)
+        self._autopilot.pose_sensor.offset_ned = shift
+
+    # -- autopilot --
+
+    def _begin_clock_back(self) -> None:
+        self._autopilot.plant.time_offset_us -= round(self._fault.value * 1e6)
+
+    def _begin_low_battery(self) -> None:
+        self._autopilot.battery_left = self._fault.value * 0.01
+
+    def _begin_pilot(self) -> None:
+        self._autopilot.set_mode(FlightMode.MANUAL)
+
+    def _begin_kill_switch(self) -> None:
+        self._autopilot.kill()
+
+    def _begin_second_gcs(self) -> None:
+        pass  # it acts tick by tick
+
+    # -- plant --
+
+    def _begin_wall_missing(self) -> None:
+        self._autopilot.plant.planes.clear()
+
+    def _begin_wall_nearer(self) -> None:
+        plant, d = self._autopilot.plant, self._fault.value
+        here = plant.frame.point_from_ned(plant.position)
+        for plane in plant.planes:
+            if -1.0 < plane.wall.signed_distance(here) < d + 0.1:
+                continue  # it would stand inside the vehicle: walls are wrongly surveyed, they do not jump
+            plane.move(d)
+
+    def _begin_other_material(self) -> None:
+        vehicle = self._autopilot.vehicle
+        materials, softest = vehicle.materials, vehicle.modes[-1]
+        for plane in self._autopilot.plant.planes:
+            others = [name for name in materials if name != plane.wall.material]
+            stiffest = max(
+                others, key=lambda name: materials[name].of(softest).k, default=plane.wall.material
+            )
+            plane.wall = msgspec.structs.replace(plane.wall, material=stiffest)
+
+    def _begin_gust(self) -> None:
+        plant = self._autopilot.plant
+        here = plant.frame.point_from_ned(plant.position)
+        near = min(plant.planes, key=lambda p: abs(p.wall.signed_distance(here)), default=None)
+        normal = near.normal if near is not None else (1.0, 0.0, 0.0)
+        plant.wind_ned = scale(normal, -self._fault.value)

@@ -1,0 +1,213 @@
+"""The world of a real PX4: the plant in lockstep with it, in a process that owns PX4 and ends it.
+
+The pipe to the app is the same as the embedded autopilot's (`pipe`). The process ends PX4 in every case: on
+the app's word, when PX4 dies or hangs, on SIGTERM, and when the app is gone (after PX4 has flown to its
+failsafe); when it is killed itself, the kernel kills PX4.
+"""
+
+from __future__ import annotations
+
+import math
+import signal
+import time
+from pathlib import Path
+from typing import IO
+
+from dart_flight.base.errors import FlightError
+from dart_flight.base.records import TruthSample
+from dart_flight.config.parameter_file import PositionSource, Value, parse_listing
+from dart_flight.sim.draws import draw_world
+from dart_flight.sim.embedded_autopilot import TICK_S
+from dart_flight.sim.embedded_simulator import WorldLog, serve
+from dart_flight.sim.faults.fault_table import Fault
+from dart_flight.sim.pipe import LineWriter, Px4SimulatorSpec, Ready, SimulatorDied, SimulatorSpec
+from dart_flight.sim.plant import Plant
+from dart_flight.sim.px4.bridge import HilLink, Px4LostError, Px4Vehicle
+from dart_flight.sim.px4.launch import (
+    ONBOARD_PORT,
+    Instance,
+    Px4,
+    Px4Error,
+    claim_instance,
+    find_install,
+    judge_version,
+    motors_from,
+    values_of,
+)
+
+_BOOT_TIMEOUT_S = 15.0
+# Simulated time after booting in which the EKF aligns: it runs as fast as the machine goes.
+_WARM_UP_S = {PositionSource.MOCAP: 6.0, PositionSource.RTK: 15.0, PositionSource.PLAIN: 15.0}
+_ORPHAN_S = 25.0  # after the app's death, host time; with the end of PX4 it stays within 30 s
+_LANDED_S = 1.0  # host time after disarming in which PX4 writes its log
+
+
+class _StoppedError(Exception):
+    """SIGTERM."""
+
+
+class Px4Simulator:
+    """Plant and PX4 between the app's pipe and PX4's sockets.
+
+    Args:
+        spec: of the world.
+        px4: its PX4 part.
+    """
+
+    def __init__(self, spec: SimulatorSpec, px4: Px4SimulatorSpec) -> None:
+        self._mission = draw_world(spec.mission, spec.seed, spec.spreads).mission
+        self._spec, self._px4_spec = spec, px4
+        self._log = WorldLog(spec.log)
+        self._ticks = 0
+        self._armed = False
+        self._version: tuple[int, int, int] | None = None
+        self._set: dict[str, Value] = {}
+        self._disarmed_at_s: float | None = None
+
+    def run(self, commands: IO[bytes], truth: IO[bytes]) -> int:
+        """Start PX4, fly until the app is gone and the vehicle is down, stop PX4; returns the exit status."""
+        signal.signal(signal.SIGTERM, _stop)
+        px4: Px4 | None = None
+        instance: Instance | None = None
+        status = 0
+        writer: LineWriter | None = None
+        try:
+            instance = claim_instance()
+            # PX4 before any thread: the kernel ties its life to the thread that starts it.
+            px4 = Px4(find_install(self._px4_spec.directory), instance.number, Path(self._px4_spec.folder))
+            self._say(f"PX4 instance {instance.number}, process {px4.pid}")
+            self._prepare(px4)
+            writer = LineWriter(truth)
+            self._fly(px4, HilLink(px4.wait_connected(instance.listen())), writer, commands)
+        except _StoppedError:
+            self._say("terminated")
+        except FlightError as error:
+            status = 1
+            cause = self._cause(px4, error)
+            self._say(cause)
+            writer = writer or LineWriter(truth)
+            writer.put(SimulatorDied(cause))
+        finally:
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
+            if px4 is not None:
+                px4.stop()
+                kept = px4.keep_log()
+                self._say(f"PX4 stopped, its log: {kept.name if kept else 'none'}")
+            if instance is not None:
+                instance.release()
+            if writer is not None:
+                writer.finish()
+        return status
+
+    @staticmethod
+    def _cause(px4: Px4 | None, error: FlightError) -> str:
+        """What ended the flight: PX4's own end explains a lost connection."""
+        if px4 is not None and isinstance(error, Px4LostError):
+            time.sleep(0.05)  # for the process to be gone, too
+            return px4.ending() or str(error)
+        return str(error)
+
+    def _say(self, text: str) -> None:
+        self._log.write(self._ticks * TICK_S, text)
+
+    def _prepare(self, px4: Px4) -> None:
+        """While PX4 waits for its simulator: judge its version, set its parameters.
+
+        Raises:
+            Px4Error: PX4 ends or does not answer, is too old, or a parameter has not taken.
+        """
+        px4.wait_waiting()
+        self._version = px4.version()
+        note = judge_version(self._version)
+        if note is not None:
+            self._say(note)
+        self._set = px4.set_parameters(self._px4_spec.parameters)
+        left_out = [name for name in self._px4_spec.parameters if name not in self._set]
+        self._say(
+            f"{len(self._set)} parameters set and read back"
+            + (f"; this version has no {', '.join(left_out)}" if left_out else "")
+        )
+
+    # -- flight --
+
+    def _fly(self, px4: Px4, link: HilLink, writer: LineWriter, commands: IO[bytes]) -> None:
+        self._vehicle = Px4Vehicle(
+            self._mission,
+            self._spec.seed,
+            link,
+            self._px4_spec.position_from,
+            motors_from(values_of(self._px4_spec.parameters), self._mission.vehicle),
+        )
+        self._boot(px4)
+        text = ".".join(map(str, self._version)) if self._version else None
+        self._free_run(_WARM_UP_S[self._px4_spec.position_from])
+        self._say("ready")
+        writer.put(Ready(self._vehicle.time_us, ONBOARD_PORT + px4.instance, text, px4.pid))
+        begun = time.monotonic()
+        ticks = serve(self, writer, commands, TICK_S / self._spec.speed)
+        factor = ticks * TICK_S / (time.monotonic() - begun)
+        self._say(f"flown at {factor:.2f} times real time, {self._vehicle.clipped} clipped ticks")
+
+    def _boot(self, px4: Px4) -> None:
+        """Step while PX4 boots, then look whether its start-up script has left the parameters alone.
+
+        Raises:
+            Px4Error: it does not boot in time, or a parameter is no longer what was set.
+        """
+        deadline = time.monotonic() + _BOOT_TIMEOUT_S
+        while not px4.booted():
+            self._free_run(0.2)
+            if time.monotonic() > deadline:
+                raise Px4Error(f"PX4 did not boot within {_BOOT_TIMEOUT_S:g} s, see {px4.console}")
+        asked = px4.ask_parameters()
+        try:
+            while not asked.answered:
+                self._free_run(0.02)
+                if time.monotonic() > deadline:
+                    raise Px4Error("PX4 does not tell its parameters after booting")
+        finally:
+            answer = asked.close()
+        px4.check_parameters(self._set, parse_listing(answer))
+
+    def _free_run(self, seconds: float) -> None:
+        """Step as fast as PX4 answers; the app sees nothing of it."""
+        for _ in range(round(seconds / TICK_S)):
+            self._vehicle.step()
+            self._ticks += 1
+
+    def set_horn(self, pulse_us: float) -> None:
+        """As `World`."""
+        self._vehicle.set_horn(pulse_us)
+
+    def begin_fault(self, fault: Fault) -> None:
+        """Not with PX4."""
+
+    def advance(self) -> Plant:
+        """As `World`."""
+        self._vehicle.step()
+        self._ticks += 1
+        plant = self._vehicle.plant
+        if self._vehicle.armed is not self._armed:
+            self._armed = self._vehicle.armed
+            self._disarmed_at_s = None if self._armed else time.monotonic()
+            self._say("PX4 armed" if self._armed else f"PX4 disarmed at {_where(plant.truth())}")
+        return plant
+
+    def is_over(self, alone_s: float) -> bool:
+        """As `World`: PX4 flies on to its failsafe; the end once it has disarmed."""
+        if not alone_s and self._armed:
+            self._say("the app is gone, PX4 flies on to its failsafe")
+        if alone_s > _ORPHAN_S:
+            self._say(f"PX4 has not landed within {_ORPHAN_S:g} s")
+            return True
+        down_s = math.inf if self._disarmed_at_s is None else time.monotonic() - self._disarmed_at_s
+        return not self._armed and down_s > _LANDED_S
+
+
+def _where(truth: TruthSample) -> str:
+    x, y, z = truth.position_mission
+    return f"({x:.2f}, {y:.2f}, {z:.2f})"
+
+
+def _stop(_signum: int, _frame: object) -> None:
+    raise _StoppedError

@@ -1,0 +1,69 @@
+"""The simulated vehicle as a whole: body, autopilot and lock servo, stepped in ticks of 4 ms."""
+
+from __future__ import annotations
+
+import math
+
+from dart_flight.base.records import Mode
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import LockDriver, Servo
+from dart_flight.lock.servo import ServoModel, mode_of
+from dart_flight.sim.embedded_autopilot import TICK_S, Autopilot, make_autopilot
+from dart_flight.sim.plant import Plant
+from dart_flight.sim.wind import Wind
+
+
+class LockServo:
+    """The lock's servo on the plant: a pulse moves the horn, the horn locks or frees the arms."""
+
+    def __init__(self, plant: Plant, config: Servo) -> None:
+        self._plant, self._config = plant, config
+        # Without pulses the arms are free: the servo rests at the flexible end.
+        self._model = ServoModel(config, config.flexible_pulse_us)
+        self._horn_us = math.nan  # where it was last
+        self._wanted = Mode.FLEXIBLE
+
+    def set_horn(self, pulse_us: float) -> None:
+        """Where the horn is, as a pulse width."""
+        if pulse_us != self._horn_us:  # it rests most of the time
+            self._horn_us = pulse_us
+            # Between the ends no rod holds all four arms: not rigid means flexible.
+            rigid = mode_of(self._config, pulse_us) is Mode.RIGID
+            self._wanted = Mode.RIGID if rigid else Mode.FLEXIBLE
+        self._plant.set_mode(self._wanted)
+
+    def follow(self, t_us: int, pulse_us: float | None) -> None:
+        """Travel towards a commanded pulse (None: no new command) up to a moment, and move the arms."""
+        if pulse_us is not None:
+            self._model.command(t_us, pulse_us)
+        self.set_horn(self._model.pulse_at(t_us))
+
+
+class SimulatedVehicle:
+    """Autopilot and lock servo of one simulated vehicle.
+
+    Args:
+        mission: walls and start.
+        seed: of the sensors' noise.
+        driver: `px4` moves the servo by the autopilot's own output; with any other the horn is told. A
+            vehicle without a lock has no servo, whatever it is.
+    """
+
+    def __init__(self, mission: Mission, seed: int, driver: LockDriver | None) -> None:
+        self.autopilot: Autopilot = make_autopilot(mission, seed)
+        self._by_autopilot = driver is LockDriver.PX4
+        self._wind = Wind(mission.vehicle.simulation, seed, TICK_S)
+        self._lock = lock = mission.vehicle.lock
+        self._servo = None if lock is None else LockServo(self.autopilot.plant, lock.servo)
+
+    def set_horn(self, pulse_us: float) -> None:
+        """Where the mock servo's horn is, as a pulse width."""
+        if self._servo is not None:
+            self._servo.set_horn(pulse_us)
+
+    def advance(self) -> None:
+        """One tick: servo, wind, plant, autopilot."""
+        self._wind.step(self.autopilot.plant)
+        if self._by_autopilot and self._servo is not None:
+            self._servo.follow(self.autopilot.time_us, self.autopilot.lock_pulse_us())
+        self.autopilot.step()
