@@ -93,7 +93,7 @@ class Proxy:
 
 
 def set_point_times(record: Path) -> list[float]:
-    """Monotonic times at which set-points went to the vehicle, by a recording."""
+    """Monotonic times at which setpoints went to the vehicle, by a recording."""
     rows = (line.strip().split(",") for line in record.read_text().splitlines())
     return [float(t) for t, way, kind in rows if way == "up" and int(kind) == SET_POSITION_TARGET_LOCAL_NED]
 

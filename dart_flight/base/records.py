@@ -74,7 +74,7 @@ class Outcome(StrEnum):
 class AfterImpact(StrEnum):
     """What follows an impact."""
 
-    SETPOINT = "setpoint"  # the paper's recovery set-point
+    SETPOINT = "setpoint"  # the paper's recovery setpoint
     REPLAN = "replan"  # the same, until a way planned from what was felt begins
 
 
@@ -374,7 +374,7 @@ Input = (
 
 
 class Setpoint(Record, frozen=True, gc=False):
-    """Offboard set-point in local NED; velocity and acceleration are feed-forward where present."""
+    """Offboard setpoint in local NED; velocity and acceleration are feed-forward where present."""
 
     topic: ClassVar[str] = "/out/setpoint"
     frequent: ClassVar[bool] = True
@@ -384,11 +384,11 @@ class Setpoint(Record, frozen=True, gc=False):
     yaw_ned_rad: float
     velocity_ned: Vec3 | None = None
     acceleration_ned: Vec3 | None = None
-    recovery: bool = False  # the set-point of an impact: its latency is measured
+    recovery: bool = False  # the setpoint of an impact: its latency is measured
 
 
 class VehicleAction(StrEnum):
-    """What the core asks of the autopilot beside set-points."""
+    """What the core asks of the autopilot beside setpoints."""
 
     OFFBOARD = "offboard"
     ARM = "arm"
@@ -691,10 +691,10 @@ class TruthContact(Record, frozen=True, gc=False):
 
 
 class SetpointSent(Record, frozen=True, gc=False):
-    """A recovery set-point left the program."""
+    """A recovery setpoint left the program."""
 
     topic: ClassVar[str] = "/shell/setpoint_sent"
-    t_us: int  # of the set-point
+    t_us: int  # of the setpoint
     sent_us: int  # host
     latency_us: int  # since receipt of the sample that triggered it
 

@@ -284,7 +284,7 @@ def _check_recovery(
         collision.alpha_tangential_m_per_n,
         mission.altitude_at(collision.index - 1),
     )
-    says = f"set-point after wall {collision.wall.name} about ({target[0]:.2f}, {target[1]:.2f})"
+    says = f"setpoint after wall {collision.wall.name} about ({target[0]:.2f}, {target[1]:.2f})"
     following = next((c for c in mission.collisions if c.index == collision.index + 1), None)
     leg = next((one for one in transit_segments(mission) if _begins_behind(mission, one, collision)), None)
     if following is not None and following.approach_m_s is None:
@@ -314,7 +314,7 @@ def _begins_behind(mission: Mission, leg: TransitSegment, collision: Collision) 
 
 
 def _outside(mission: Mission, item: str, target: Vec3, says: str, first: str) -> CheckFinding:
-    """A set-point outside of the bounds only pulls where something comes before it; far out it is a slip."""
+    """A setpoint outside of the bounds only pulls where something comes before it; far out it is a slip."""
     outside = setpoint_outside_m(mission.bounds, target[0], target[1])
     if outside > SETPOINT_OUTSIDE_M:
         far = f"{says}, {outside:.2f} m outside bounds_m, more than {SETPOINT_OUTSIDE_M:g} m"

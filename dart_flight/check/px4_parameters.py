@@ -49,7 +49,7 @@ _RC_LOSS_ACTIONS = {
 def _of_loss(value: float, mission: Mission) -> tuple[bool, str]:
     whole = value + mission.vehicle.guard.deadman_s
     return value <= 1.5, (
-        f"without set-points PX4 acts after {value:g} s; with the deadman, a hung program flies on for at "
+        f"without setpoints PX4 acts after {value:g} s; with the deadman, a hung program flies on for at "
         f"most {whole:.2f} s"
         + ("" if value <= 1.5 else ", more than a wall at arm's length allows: at most 1.5 s")
     )
@@ -57,7 +57,7 @@ def _of_loss(value: float, mission: Mission) -> tuple[bool, str]:
 
 def _loss_action(value: float, _: Mission) -> tuple[bool, str]:
     action = round(value)
-    return action in (0, 1, 2, 4, 5), f"when set-points are lost: {_LOSS_ACTIONS.get(action, 'unknown')}"
+    return action in (0, 1, 2, 4, 5), f"when setpoints are lost: {_LOSS_ACTIONS.get(action, 'unknown')}"
 
 
 def _rc_override(value: float, _: Mission) -> tuple[bool, str]:

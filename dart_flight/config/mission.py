@@ -53,7 +53,7 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
         approach_m_s: (normal, tangential) velocity at the impact in the collision frame, or None where the
             recovery of the collision before leads to this wall.
         impact_point: where the vehicle's centre meets the plane, mission frame; None likewise.
-        alpha_normal_m_per_n, alpha_tangential_m_per_n: gains A_n, A_t of the recovery set-point.
+        alpha_normal_m_per_n, alpha_tangential_m_per_n: gains A_n, A_t of the recovery setpoint.
     """
 
     index: int

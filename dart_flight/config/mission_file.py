@@ -20,7 +20,7 @@ from dart_flight.config.section import Section
 Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
 Velocity = Annotated[float, Meta(ge=-20.0, le=20.0)]
 Direction = Annotated[float, Meta(ge=-1e6, le=1e6)]
-# Metres of set-point per newton: the paper's largest is 0.12. At 1 a weak hit already leads across a room.
+# Metres of setpoint per newton: the paper's largest is 0.12. At 1 a weak hit already leads across a room.
 Alpha = Annotated[float, Meta(ge=0.0, le=1.0)]
 Point2 = tuple[Coordinate, Coordinate]
 Range = tuple[Coordinate, Coordinate]
@@ -205,7 +205,7 @@ class CollisionSpec(CollisionKeys, frozen=True, kw_only=True):
             meets the wall.
         impact_along_m: the same as a distance along the wall from its middle, positive to the right when
             looking along the normal; at most one of the two is given.
-        alpha_m_per_n: recovery gains along the mission's x and y axes (the paper's form), m of set-point per
+        alpha_m_per_n: recovery gains along the mission's x and y axes (the paper's form), m of setpoint per
             N of peak force; for walls along an axis, or both the same.
         alpha_wall_m_per_n: the same as [normal, tangential] of the wall, for any wall; exactly one of the
             two is given.
@@ -271,7 +271,7 @@ class MissionKeys(SpaceKeys, frozen=True, kw_only=True):
     Attributes:
         name: letters, digits and ' _.-', at most 64; names the flight's folder.
         predicted: written by plan.
-        after_impact: setpoint: the paper's recovery set-point leads on; replan: a way that is planned in
+        after_impact: setpoint: the paper's recovery setpoint leads on; replan: a way that is planned in
             flight, from what was felt, takes over from it.
         tolerance: by how much a flight may differ from the plan; for the goal that is its capture radius.
         mode_mismatch: where a contact was felt in the other mode than the lock reports; go_on: it is noted

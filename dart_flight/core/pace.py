@@ -21,7 +21,7 @@ _LEAD_S: Final = 0.2  # so long before a wall may be met patience ends: ten time
 class Pace(Enum):
     """How the shell should step the next inputs."""
 
-    BATCHED = auto()  # what comes within `PATIENCE_S`, at one go
+    BATCHED = auto()  # what comes within `PATIENCE_S`, in one batch
     IMMEDIATE = auto()  # each as it arrives, on the thread it arrives on; every step is short
     DEFERRED = auto()  # each as it arrives; a step may take long, and nobody else should wait for it
 

@@ -100,9 +100,9 @@ class Constraints:
         return codes
 
     def command(self, leg: SetpointResponse, loop: tuple[float, float, float, float, float]) -> Codes:
-        """Codes for a recovery's set-point and its first command.
+        """Codes for a recovery's setpoint and its first command.
 
-        The set-point may lie outside of the bounds, but not far; the command must be within PX4's tilt limit,
+        The setpoint may lie outside of the bounds, but not far; the command must be within PX4's tilt limit,
         where the model is linear.
         """
         kp, kv, _, kd, _ = loop
@@ -165,7 +165,7 @@ class Constraints:
         return leaves
 
     def last_setpoint(self, leg: SetpointResponse, hit: Wall) -> Codes:
-        """Whether the set-point after the last hit leads behind a wall that is not to be hit."""
+        """Whether the setpoint after the last hit leads behind a wall that is not to be hit."""
         codes = np.zeros(leg.size, dtype=np.int8)
         place, target = (leg.x[0] + leg.goal_x, leg.y[0] + leg.goal_y), (leg.goal_x, leg.goal_y)
         for wall in self.walls:
@@ -233,7 +233,7 @@ class Constraints:
 
 
 def leads_behind(wall: Wall, place: tuple[Number, Number], target: tuple[Number, Number]) -> Number:
-    """Whether a set-point lies behind a wall in front of which the vehicle is; numbers, or arrays of them."""
+    """Whether a setpoint lies behind a wall in front of which the vehicle is; numbers, or arrays of them."""
     crosses = (wall.signed_distance(place) > 0.0) & (wall.signed_distance(target) <= 0.0)
     return crosses & (wall.end_distance_m(target) >= -end_margin_m(wall, target))
 

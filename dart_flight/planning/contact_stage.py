@@ -1,7 +1,7 @@
 """A planned contact together with the controller that goes on working in it.
 
 The contact law alone (paper, Sec. IV-B) fixes the duration T, the moment t_p of the force peak and, with
-the detector's rule, the moment t_e of the recovery set-point: all three depend on coefficients and mass, not
+the detector's rule, the moment t_e of the recovery setpoint: all three depend on coefficients and mass, not
 on the speed. The vehicle yields to the contact (`core/mission/contact_feedforward.py`): before t_e it has no
 reference, e = 0, and at no time PX4's D term makes anything of the wall's push. From t_e on
 e = kp (s - x) - x' with the recovery setpoint s. Along the normal, with PX4's loop
@@ -17,7 +17,7 @@ controller, which sees u (e = kp (s - q) - u), adds its push d to it:
     d' = -(mu/m) lx d + a,                 velocity u + d
 
 lx along the wall, and so the peak of the friction force, is that of the contact law alone at the speed of the
-onset; the set-point (`core/mission/recovery.py`) is a sum of the peaks. So the normal part is a constant
+onset; the setpoint (`core/mission/recovery.py`) is a sum of the peaks. So the normal part is a constant
 matrix per material and mode, exact by the matrix exponential, and the part along the wall needs integrals of
 exp(-c (1 + xi')) only, by Gauss quadrature to about 1e-10.
 """
@@ -44,7 +44,7 @@ Array = NDArray[np.float64]
 _NODES = 10  # Gauss nodes in each of the two phases of a contact
 _SUB = 12
 # After the force has fallen by the detector's share: one more IMU sample, and on average half a period of
-# PX4's position controller (125 Hz) until it uses the new set-point.
+# PX4's position controller (125 Hz) until it uses the new setpoint.
 _SETPOINT_USED_S = 0.004
 _LEAST_AFTER_PEAK_S = 0.008  # the detector wants two samples after the maximum
 
@@ -125,7 +125,7 @@ class TangentialOut(NamedTuple):
 class TangentialShape(NamedTuple):
     """What of the motion along the wall depends on the normal speed: per unit of each input, arrays (...,).
 
-    Inputs: velocity at the onset (v), acceleration a, integral i, the recovery set-point s.
+    Inputs: velocity at the onset (v), acceleration a, integral i, the recovery setpoint s.
     """
 
     way_to_peak: Array
@@ -145,7 +145,7 @@ class ContactStage:
     Attributes:
         duration_s: of the contact; infinite where the wall is never left.
         peak_s: from the onset to the peak of the normal force.
-        engaged_s: from the onset to the recovery set-point (at the release at the latest).
+        engaged_s: from the onset to the recovery setpoint (at the release at the latest).
         lead_s: f/k by the onset rule `lcp`: x + lead * x' = 0 is the onset; 0 by `touch`.
     """
 
@@ -238,7 +238,7 @@ def build_stages(
         table: contact coefficients.
         alphas: gains (A_n, A_t), m/N.
         drags: air drag along the normal, 1/s.
-        extra_delay_s: added to the expected delay between peak and set-point.
+        extra_delay_s: added to the expected delay between peak and setpoint.
     """
     onset, mass = Onset(vehicle.onset), vehicle.airframe.mass_kg
     stages = [ContactStage(c, mass, onset, pair) for c, pair in zip(table, alphas, strict=True)]
@@ -278,7 +278,7 @@ def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float) -> Non
     """The matrix from (v, a, i) at the onset to the rows of `NormalOut` after the first."""
     c, m = stage.coefficients, stage.mass_kg
     kp, kv, ki, kd, tau = loop
-    # States x, v, a, i, s; before the set-point there is no e.
+    # States x, v, a, i, s; before the setpoint there is no e.
     before = np.zeros((5, 5))
     before[0, 1] = 1.0
     before[1, :3] = (-c.k / m, -c.f / m - drag, 1.0)
@@ -351,7 +351,7 @@ def _prepare_tangential(stage: ContactStage, loop: PositionLoop, course: Oscilla
     whole = phases.integral(0.0)
     fading = phases.integral(decay) / tau
     place = whole[:count]
-    after = (np.arange(count) >= _NODES).astype(float)  # the nodes after the recovery set-point
+    after = (np.arange(count) >= _NODES).astype(float)  # the nodes after the recovery setpoint
     # Per unit of u at the nodes: way, integral, acceleration.
     error = after[:, None] * (kp * place + np.eye(count))
     to_integral = -ki * whole @ error

@@ -18,7 +18,7 @@ FLOWN_UP_TO_M_S = 3.0
 # Up to here every hit was recovered from, up to 2 m/s, and rigid at 3 m/s.
 INCIDENCE_FLOWN_DEG = 30.0
 # Normal speed up to which hits were recovered from with the guards so far below and above the centre of mass,
-# m. Below is worse: the vehicle tips over the way the set-point leans it.
+# m. Below is worse: the vehicle tips over the way the setpoint leans it.
 HEIGHTS_FLOWN_M = ((0.5, 0.05, 0.05), (1.0, 0.03, 0.05), (2.0, 0.0, 0.05), (3.0, 0.0, 0.03))
 CLIP_SHARE = 0.95  # of full scale: what is left for tilt, noise and friction
 # Of full scale. At 254 N (1.25) the estimate was off by 0.16 to 0.26 m, at 296 N (1.45) by 1.3 m.

@@ -1,6 +1,6 @@
 """Free flight under PX4's position loop, exactly, for many candidates at once.
 
-Per mission axis, with p the position relative to the set-point, v, a the acceleration that the attitude has
+Per mission axis, with p the position relative to the setpoint, v, a the acceleration that the attitude has
 reached, i the velocity loop's integral, b the air drag and the gains of `core/mission/position_loop.py`:
 
     p' = v,   v' = a - b v,   i' = ki (-kp p - v)
@@ -36,7 +36,7 @@ _SINGLE_M = 1e-4  # well above what single precision rounds
 
 
 class SetpointResponse(NamedTuple):
-    """States at the start of a free flight to a constant set-point; arrays (4, n): p, v, a, i, and (n,)."""
+    """States at the start of a free flight to a constant setpoint; arrays (4, n): p, v, a, i, and (n,)."""
 
     x: Array
     y: Array
@@ -146,7 +146,7 @@ class FreeFlight:
 
 
 class Grid(NamedTuple):
-    """Legs ready to be looked at on the time grid: start states (n, 4) and set-points (n, 1)."""
+    """Legs ready to be looked at on the time grid: start states (n, 4) and setpoints (n, 1)."""
 
     flight: FreeFlight
     x: Array32
@@ -200,7 +200,7 @@ class SeriesSolution:
         return direction[0] * self.x + direction[1] * self.y
 
     def leg_at(self, d: Array) -> SetpointResponse:
-        """States at a time `d` from the grid point, towards the same set-points."""
+        """States at a time `d` from the grid point, towards the same setpoints."""
         states = []
         for axis, z in zip(self._flight.axes, (self._zx, self._zy), strict=True):
             terms = (axis.series.reshape(-1, 4) @ z).reshape(_ORDER + 1, 4, -1)

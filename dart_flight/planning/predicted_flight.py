@@ -40,7 +40,7 @@ class PredictedImpact(NamedTuple):
         position: of the vehicle's centre at the onset, mission frame.
         normal_m_s, tangential_m_s: velocity then, collision frame.
         normal_n, tangential_n: peaks of the force, friction as a force along the wall's tangent.
-        set_point: recovery set-point that follows, mission frame.
+        set_point: recovery setpoint that follows, mission frame.
     """
 
     position: Vec2
@@ -87,7 +87,7 @@ def describe_goal_miss(
     """In words how near the goal is passed, and from where on that counts as reached."""
     says = f"passes the goal at {miss_m:.2f} m, captured within {goal.capture_radius_m:g} m"
     if after_impact is AfterImpact.REPLAN:
-        return f"planned again after every hit, to pass through the goal; by its set-points alone it {says}"
+        return f"planned again after every hit, to pass through the goal; by its setpoints alone it {says}"
     return says
 
 

@@ -1,7 +1,7 @@
 """Planning again in flight: from the measured state after a contact on, with what was felt.
 
 The same contact stages and constraints as `plan` (`contact_stage`, `constraints`); what is chosen is not a
-set-point but a way: a polynomial of fifth order per axis from the state that the vehicle will have when the
+setpoint but a way: a polynomial of fifth order per axis from the state that the vehicle will have when the
 answer is there to the next wall at the planned velocity, or to rest at the goal. Of all durations and places
 along the wall those that may be flown are kept, and of these the quickest, gentlest and nearest to the
 planned place.

@@ -114,7 +114,7 @@ class _Released(NamedTuple):
     rows: Rows
     modes: Rows  # which sequence of modes so far, as in `itertools.product`
     t_s: Array  # release
-    since_peak_s: Array  # from the recovery set-point to the release
+    since_peak_s: Array  # from the recovery setpoint to the release
     force_n: Array
     leg: SetpointResponse
     hits: tuple[Hits, ...]
@@ -547,7 +547,7 @@ def _actual_approach(
 ) -> tuple[ApproachGrid, Array, Array, float, float]:
     """Approaches to a wall that stands elsewhere than planned: where, when and how it is met.
 
-    Velocities and their shifts come from the planned wall's frame into the true one's. Recovery set-points
+    Velocities and their shifts come from the planned wall's frame into the true one's. Recovery setpoints
     are then those of the true frame: the force is a vector, and only gains that differ per axis tell the two.
     """
     (nx, ny), (tx, ty) = wall.normal, wall.tangent

@@ -65,7 +65,7 @@ class Task(Protocol):
 
     @property
     def alphas(self) -> dict[str, tuple[float, float]]:
-        """Gains (A_n, A_t) of the recovery set-point per wall, m/N."""
+        """Gains (A_n, A_t) of the recovery setpoint per wall, m/N."""
 
 
 def task_of(mission: Mission, group: Sequence[Collision]) -> MissionTask:

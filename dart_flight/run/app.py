@@ -1,6 +1,6 @@
 """The shell around the core for worlds with a clock: streams -> queue -> core -> vehicle, lock, log.
 
-Threads: MAVSDK's own builds records and queues them; the core is stepped and set-points are sent by its own
+Threads: MAVSDK's own builds records and queues them; the core is stepped and setpoints are sent by its own
 thread, and near a wall by MAVSDK's (`core_thread`); the lock thread, where there is a lock, steps its state
 machine and may block on its driver; the log thread encodes and writes; asyncio owns connecting, arming and
 mode changes, signals and the terminal.
@@ -368,9 +368,9 @@ class FlightApp:
     # -- what the core wants, on the core thread (`runner.Hands`) --
 
     def send(self, setpoint: Setpoint) -> None:
-        """A set-point, at once."""
+        """A setpoint, at once."""
         assert self._session is not None
-        # A refused set-point is not a fault of the core: PX4 keeps the last one, then its failsafe.
+        # A refused setpoint is not a fault of the core: PX4 keeps the last one, then its failsafe.
         with contextlib.suppress(Exception):
             self._session.send(setpoint)
 
@@ -390,7 +390,7 @@ class FlightApp:
             if self._planner is not None:
                 self._planner.send_wall_estimate(output)
         elif isinstance(output, PhaseChange):
-            # For `monitor`; not on this thread, whose set-points must not wait for it.
+            # For `monitor`; not on this thread, whose setpoints must not wait for it.
             self.loop.call_soon_threadsafe(self._session.tell_ground, f"phase {output.after}")
         elif isinstance(output, Silence):
             self._session.silence()

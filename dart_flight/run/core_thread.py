@@ -1,4 +1,4 @@
-"""What owns the core in real time: one queue in, steps one after the other, set-points out at once.
+"""What owns the core in real time: one queue in, steps one after the other, setpoints out at once.
 
 There is one queue, and at any time one thread steps the core: it holds `_owner`. Which one that is goes by
 the core's own word (`core.pace`): its own thread, or near a wall MAVSDK's, on which a sample arrives, so that

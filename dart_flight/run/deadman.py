@@ -1,8 +1,8 @@
 """The deadman: a small process beside the app that ends it when it hangs.
 
-MAVSDK repeats the last set-point from its own thread, so PX4 would never notice that the app behind it hangs,
+MAVSDK repeats the last setpoint from its own thread, so PX4 would never notice that the app behind it hangs,
 and a hang that holds the interpreter lock stops every watching thread. The core thread and the event loop
-must both feed this process through a pipe; when either starves, the app is killed (SIGKILL), the set-points
+must both feed this process through a pipe; when either starves, the app is killed (SIGKILL), the setpoints
 stop on the wire, and PX4's failsafe acts.
 
 `SystemdNotice` is the second line: systemd's watchdog (`Type=notify`, `WatchdogSec`), fed from the event loop

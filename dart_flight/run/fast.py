@@ -67,7 +67,7 @@ _TRUTH_EVERY: Final = 2
 _STATUS_EVERY: Final = 50  # 5 Hz, and at once when something changes
 _HOST_EVERY: Final = 5  # ticks of 4 ms: lock polled and host time reported at 50 Hz
 _ASK_EVERY: Final = 25  # ticks: as often as the app measures the round trip
-_REPEAT_US: Final = 50_000  # MAVSDK repeats the last set-point at 20 Hz
+_REPEAT_US: Final = 50_000  # MAVSDK repeats the last setpoint at 20 Hz
 _NAN3 = (math.nan, math.nan, math.nan)
 FLIGHT_MODES: Final = {
     VehicleAction.OFFBOARD: FlightMode.OFFBOARD,
@@ -281,7 +281,7 @@ class FastFlight:
             self.faulted.sees(record)
 
     def send(self, setpoint: Setpoint) -> None:
-        """A set-point leaves the app; it is repeated from now on."""
+        """A setpoint leaves the app; it is repeated from now on."""
         self._last_setpoint = setpoint
         self._transmit(setpoint)
 
@@ -308,7 +308,7 @@ class FastFlight:
             self.lock.permit(order.permitted)
 
     def forget_setpoint(self) -> None:
-        """MAVSDK has gone with the process: nothing repeats the last set-point."""
+        """MAVSDK has gone with the process: nothing repeats the last setpoint."""
         self._last_setpoint = None
 
     def _repeat(self) -> None:
@@ -324,7 +324,7 @@ class FastFlight:
             self.deliver(order)
 
     def deliver(self, order: Order) -> None:
-        """A set-point, an action or a request arrives at the autopilot."""
+        """A setpoint, an action or a request arrives at the autopilot."""
         if isinstance(order, Setpoint):
             self.autopilot.set_trajectory(
                 TrajectorySetpoint(

@@ -41,7 +41,7 @@ Order = Setpoint | VehicleAction | TimeRequest
 class FlightWithFault:
     """One fault in one fast flight: when it begins, and what it does between app and vehicle.
 
-    A hang leaves MAVSDK repeating the last set-point until the deadman ends the process.
+    A hang leaves MAVSDK repeating the last setpoint until the deadman ends the process.
     """
 
     def __init__(self, flight: FastFlight, fault: Fault, seed: int) -> None:
@@ -121,7 +121,7 @@ class FlightWithFault:
         ]
 
     def send_out(self, order: Order) -> None:
-        """A set-point, an action or a request on its way to the autopilot."""
+        """A setpoint, an action or a request on its way to the autopilot."""
         self._out.push(self._flight.autopilot.now_s, order)
         for one in self._out.pop(self._flight.autopilot.now_s):
             self._flight.deliver(one)

@@ -1,7 +1,7 @@
 """The planner of a flight in real time: a process of its own, so that its computing costs the core nothing.
 
 Requests, and what was felt before them, go in and answers come out as lines of JSON. A planner that dies or
-hangs is a planner that does not answer: the flight goes on by the paper's set-point.
+hangs is a planner that does not answer: the flight goes on by the paper's setpoint.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.planning.replanner import Replanner
 from dart_flight.vehicle.clock import host_us
 
-_NICE = 5  # below the flight: set-points go first
+_NICE = 5  # below the flight: setpoints go first
 _END_S = 1.0
 _FELT, _ASKED = b"w", b"p"  # what a line holds
 

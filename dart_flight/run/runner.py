@@ -22,7 +22,7 @@ from dart_flight.base.records import (
 from dart_flight.core.pace import Pace
 
 Observe = Callable[[Record, int], None]
-# Set-points have left already; the estimates come with every IMU sample and are no commands.
+# Setpoints have left already; the estimates come with every IMU sample and are no commands.
 _NOT_CARRIED: Final = (Setpoint, ForceEstimate, TorqueEstimate)
 
 
@@ -30,7 +30,7 @@ class CommandSink(Protocol):
     """What carries the core's commands out; nothing here may block or raise."""
 
     def send(self, setpoint: Setpoint) -> None:
-        """A set-point, at once."""
+        """A setpoint, at once."""
 
     def execute(self, output: Output) -> None:
         """Every other output but the estimates; records that are no commands are passed over."""
@@ -64,11 +64,11 @@ class CoreRunner:
         self._held: Setpoint | None = None
 
     def take(self, item: Input, *, more: bool = False) -> None:
-        """Step the core with an input and hand out what follows; set-points leave before anything else.
+        """Step the core with an input and hand out what follows; setpoints leave before anything else.
 
         Args:
             item: the input.
-            more: another one follows at once. A set-point waits for what that makes of it: one that is
+            more: another one follows at once. A setpoint waits for what that makes of it: one that is
                 replaced a moment later need not leave.
         """
         number = self._number

@@ -79,7 +79,7 @@ class Cascade:
     def update_position(
         self, setpoint: TrajectorySetpoint, position: Vec3, velocity: Vec3, yaw: float, dt_s: float
     ) -> None:
-        """Set attitude and thrust set-points from a trajectory set-point (all NED)."""
+        """Set attitude and thrust setpoints from a trajectory setpoint (all NED)."""
         g = self.parameters
         self._differentiate(velocity, dt_s)
         wanted = self._velocity_setpoint(setpoint, position)
@@ -171,7 +171,7 @@ class Cascade:
     # -- attitude, rate, allocation --
 
     def update_attitude(self, q: Quaternion, rate: Vec3, dt_s: float) -> tuple[float, ...]:
-        """Motor commands 0..1 for the attitude and thrust set-points."""
+        """Motor commands 0..1 for the attitude and thrust setpoints."""
         g = self.parameters
         error = _attitude_error(q, self.attitude_setpoint)
         sign = 2.0 if error[0] >= 0.0 else -2.0

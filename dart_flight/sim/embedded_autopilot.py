@@ -33,7 +33,7 @@ _POSITION_EVERY: Final = 2  # ticks: PX4's position controller runs with its est
 _FAILSAFE_HOLD_S: Final = 5.0
 _IDLE: Final = 0.05
 _KILL_DISARM_S: Final = 5.0  # PX4's COM_KILL_DISARM
-_OFFBOARD_PROOF_S: Final = 0.5  # set-points must be this fresh for the mode to be accepted
+_OFFBOARD_PROOF_S: Final = 0.5  # setpoints must be this fresh for the mode to be accepted
 
 
 class ImuReading:
@@ -141,9 +141,9 @@ class Autopilot:
         self._killed_at_s = self.now_s
 
     def set_mode(self, mode: FlightMode) -> bool:
-        """Change the flight mode; offboard needs a fresh stream of set-points."""
+        """Change the flight mode; offboard needs a fresh stream of setpoints."""
         if mode is FlightMode.OFFBOARD and self.now_s - self._offboard_at_s > _OFFBOARD_PROOF_S:
-            self.say("critical", "Switching to offboard is not possible: no set-points")
+            self.say("critical", "Switching to offboard is not possible: no setpoints")
             return False
         if mode is not self.mode:
             self.mode = mode

@@ -1,4 +1,4 @@
-"""A MAVSDK connection to one autopilot: telemetry to samples, set-points and commands out.
+"""A MAVSDK connection to one autopilot: telemetry to samples, setpoints and commands out.
 
 MAVSDK's callbacks come on its own thread: they build one record and hand it to `deliver`, nothing else.
 Acknowledgements prove nothing (a take-off while disarmed is acknowledged): what commands have done is seen in
@@ -80,7 +80,7 @@ _ACTION_TIMEOUT_S = 5.0
 _RESULT = re.compile(r'"result":\s*(\d+)')
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
 _MOTOR_SPAN_US = MOTOR_FULL_US - MOTOR_STOP_US
-_REPEATED_US = 100_000  # a set-point that stays the same leaves as often
+_REPEATED_US = 100_000  # a setpoint that stays the same leaves as often
 _ASK_PERIOD_S = 0.1  # the round trip
 _MOST_ASKED = 256  # requests remembered; their answers may come seconds later
 
@@ -122,7 +122,7 @@ _decode_esc = msgspec.json.Decoder(_EscStatusJson).decode
 
 
 def _without_stamps(s: Setpoint) -> tuple[object, ...]:
-    """What a set-point says to the vehicle, without its stamps."""
+    """What a setpoint says to the vehicle, without its stamps."""
     return (s.position_ned, s.yaw_ned_rad, s.velocity_ned, s.acceleration_ned)
 
 
@@ -172,7 +172,7 @@ class VehicleSession:
         self._status = StatusSample(t_us=0, received_us=0)
         self._place = LocalPosition()
         self._silent = False
-        self._sent: tuple[object, ...] | None = None  # the last set-point, and when it left
+        self._sent: tuple[object, ...] | None = None  # the last setpoint, and when it left
         self._sent_us = 0
         self._events = Events(self._raw)
         self._asked: deque[int] = deque(maxlen=_MOST_ASKED)  # host time of TIMESYNC requests, microseconds
@@ -458,10 +458,10 @@ class VehicleSession:
     # -- commands --
 
     def send(self, setpoint: Setpoint) -> None:
-        """Send a set-point at once; any thread. MAVSDK repeats it at 20 Hz until the next.
+        """Send a setpoint at once; any thread. MAVSDK repeats it at 20 Hz until the next.
 
         One that it is repeating already is left to that, for a tenth of a second at most and in offboard mode
-        only: seeing another mode MAVSDK stops, and then refuses to start offboard for want of a set-point.
+        only: seeing another mode MAVSDK stops, and then refuses to start offboard for want of a setpoint.
         That of an impact always leaves.
         """
         if self._silent:

@@ -201,7 +201,7 @@ def test_a_dangerous_parameter_is_a_no_go(name: str, value: float) -> None:
         (
             "COM_OBL_RC_ACT",
             5.0,
-            "when set-points are lost: hold; recommended 4, not 5: Companion computer lost",
+            "when setpoints are lost: hold; recommended 4, not 5: Companion computer lost",
         ),
         ("COM_RC_OVERRIDE", 2.0, "sticks take over in offboard; recommended 3, not 2"),
         ("IMU_GYRO_RATEMAX", 400.0, "at up to 400 Hz; recommended 800"),

@@ -191,7 +191,7 @@ def test_set_points_stop_on_the_wire_within_half_a_second(fault: str, tmp_path: 
     times = set_point_times(record)
     assert len(times) > 100  # it flew: 20 to 125 a second
     last = max(times) - float(at[1])
-    print(f"{fault}: last set-point {1e3 * last:.0f} ms after the fault")
+    print(f"{fault}: last setpoint {1e3 * last:.0f} ms after the fault")
     assert last < 0.5
     if fault != "sigkill":
         assert "deadman:" in flight.stderr

@@ -59,5 +59,5 @@ def test_check_says_before_the_flight_how_near_the_goal_is_passed() -> None:
     replanned = goal_finding("single_wall.yaml")
     assert not replanned.remark
     assert replanned.says.startswith(
-        "planned again after every hit, to pass through the goal; by its set-points"
+        "planned again after every hit, to pass through the goal; by its setpoints"
     )

@@ -144,7 +144,7 @@ def test_way_points_between_hits_are_flown_from_rest_and_later_hits_at_their_alt
     heights = [p.position_mission[2] for p in all_of(log, ImpactPeak) if isinstance(p, ImpactPeak)]
     assert heights == pytest.approx([1.0, 1.3], abs=0.08)
     assert not all_of(log, PlanRequest)  # nothing is to be planned towards a way-point
-    # The paper's set-points after the two hits, at the altitude of each.
+    # The paper's setpoints after the two hits, at the altitude of each.
     recoveries = [s for s in all_of(log, Setpoint) if isinstance(s, Setpoint) and s.recovery]
     assert [-s.position_ned[2] for s in recoveries] == pytest.approx([1.0, 1.3], abs=0.01)
     verdict = verdict_of(log)

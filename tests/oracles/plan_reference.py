@@ -82,11 +82,11 @@ def _contact_ode(
 ) -> tuple[list[float], list[float], float, float]:
     """A contact; `normal` is (v, a, i), `slide` (v, a, i) at the onset.
 
-    The vehicle asks for its own motion until the set-point, and feeds forward what the D term makes of the
+    The vehicle asks for its own motion until the setpoint, and feeds forward what the D term makes of the
     contact's push.
 
     Returns:
-        (x, v, a, i) and (q, v, a, i) at the release, and both set-points.
+        (x, v, a, i) and (q, v, a, i) at the release, and both setpoints.
     """
     c, m = stage.coefficients, stage.mass_kg
     kp, kv, ki, kd, tau = loop

@@ -26,7 +26,7 @@ _HORIZON_S = 6.0
 
 
 class Flying(NamedTuple):
-    """States between contacts; p, v, a, i and the set-point are (2, n)."""
+    """States between contacts; p, v, a, i and the setpoint are (2, n)."""
 
     rows: Rows
     p: Array

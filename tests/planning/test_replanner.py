@@ -51,7 +51,7 @@ def test_a_way_to_the_wall_meets_it_as_planned_once_the_lock_is_ready(
     assert normal >= planned.normal_m_s - 1e-9
     assert request.lock_ready_us is not None
     assert answer.impact_s * 1e6 >= request.lock_ready_us - request.begin_us
-    # It begins near where the vehicle will be: 0.1 s ahead under the set-point in force.
+    # It begins near where the vehicle will be: 0.1 s ahead under the setpoint in force.
     begin = way.at(0.0).position
     assert math.dist(begin[:2], (x + 0.1 * vx, y + 0.1 * vy)) < 0.05
     _assert_flyable(way)
@@ -154,7 +154,7 @@ def test_a_hit_that_is_flown_to_from_rest_is_as_fast_as_it_may_be(most_n: float)
 
 
 def test_a_plan_begins_where_the_loop_will_have_flown_to() -> None:
-    """Under the set-point in force; a tenth of a second is about a tenth of the velocity."""
+    """Under the setpoint in force; a tenth of a second is about a tenth of the velocity."""
     begins = []
     for ahead_us in (0, 100_000, 200_000):
         request = msgspec.structs.replace(TO_WALL, begin_us=TO_WALL.t_us + ahead_us, lock_ready_us=600_000)

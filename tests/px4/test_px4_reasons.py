@@ -102,7 +102,7 @@ def test_a_refusal_says_why_in_terminal_log_and_verdict(
 
 
 def test_refused_offboard_says_why_in_terminal_log_and_verdict(px4_dir: Path, tmp_path: Path) -> None:
-    """Disarmed PX4 takes every mode: it refuses offboard when armed already, and no set-point counts."""
+    """Disarmed PX4 takes every mode: it refuses offboard when armed already, and no setpoint counts."""
     changes: dict[str, int | float] = {"COM_OF_LOSS_T": 0.0, "COM_DISARM_PRFLT": -1.0}
     flight = DryRun(px4_dir, tmp_path, changes, "--outdoor")
     assert arm(flight.instance())

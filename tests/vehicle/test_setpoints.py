@@ -1,4 +1,4 @@
-"""Which set-points leave, and which are left to MAVSDK's repeating."""
+"""Which setpoints leave, and which are left to MAVSDK's repeating."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _TICK_US = 20_000
 
 
 class Sent:
-    """A session without a link, whose set-points are counted."""
+    """A session without a link, whose setpoints are counted."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, mode: FlightMode) -> None:
         self.now_us = 1_000_000
@@ -56,7 +56,7 @@ def test_another_one_leaves_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("mode", [FlightMode.HOLD, FlightMode.UNKNOWN])
 def test_before_offboard_every_one_leaves(monkeypatch: pytest.MonkeyPatch, mode: FlightMode) -> None:
-    """MAVSDK stops repeating when it sees another mode, and refuses to start offboard without a set-point."""
+    """MAVSDK stops repeating when it sees another mode, and refuses to start offboard without a setpoint."""
     sent = Sent(monkeypatch, mode)
     for _ in range(5):
         sent.send(1.0)
@@ -64,7 +64,7 @@ def test_before_offboard_every_one_leaves(monkeypatch: pytest.MonkeyPatch, mode:
 
 
 def test_after_silence_nothing_leaves_not_even_an_action(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The pilot has the vehicle: a set-point or a mode would fight him."""
+    """The pilot has the vehicle: a setpoint or a mode would fight him."""
     sent = Sent(monkeypatch, FlightMode.OFFBOARD)
     sent.send(1.0)
     sent.session.silence()

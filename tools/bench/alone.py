@@ -1,6 +1,6 @@
 """MAVSDK alone, for the benchmarks: the link at a flight's rates, with callbacks that do nothing.
 
-What it costs of a core, and from an IMU sample on the wire to a set-point on the wire, is the least that an
+What it costs of a core, and from an IMU sample on the wire to a setpoint on the wire, is the least that an
 app over MAVSDK can do; what `dart_flight` adds is measured against it (`tools.bench.share`, `.latency`).
 """
 
@@ -47,10 +47,10 @@ def _nothing(*_: Any, **__: Any) -> None:
 
 
 class Echo:
-    """Answers an IMU sample now and then with a set-point of its own, at once, from MAVSDK's callback.
+    """Answers an IMU sample now and then with a setpoint of its own, at once, from MAVSDK's callback.
 
     Attributes:
-        asked: (the sample's stamp in microseconds, north of the set-point in metres).
+        asked: (the sample's stamp in microseconds, north of the setpoint in metres).
     """
 
     def __init__(self) -> None:

@@ -43,7 +43,7 @@ MISSIONS = (
     "paper_dual_collision",
     "dual_collision_replan",
     "paper_single_wall",
-)  # set-point, replanned, one wall
+)  # setpoint, replanned, one wall
 _REPEATS = 5
 _CHUNK = 50  # inputs, or ticks
 _NAN3 = (float("nan"),) * 3

@@ -4,7 +4,7 @@
 
 Sends what the embedded autopilot would send, armed and in offboard mode, with the contact model's rigid
 pulse on the IMU every PERIOD_S seconds. When done it prints one JSON object: when every IMU sample went to
-the wire and when every set-point came from it, host's monotonic nanoseconds. With NORTH_M it hovers
+the wire and when every setpoint came from it, host's monotonic nanoseconds. With NORTH_M it hovers
 there instead, for as long, and nothing hits it.
 """
 
@@ -40,7 +40,7 @@ class Record(msgspec.Struct):
 
 
 class _Endpoint(MavlinkEndpoint):
-    """Notes when IMU samples leave and set-points arrive."""
+    """Notes when IMU samples leave and setpoints arrive."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)

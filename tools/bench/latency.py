@@ -1,8 +1,8 @@
-"""Benchmark: from the IMU sample on the wire to the recovery set-point on the wire, through MAVSDK and UDP.
+"""Benchmark: from the IMU sample on the wire to the recovery setpoint on the wire, through MAVSDK and UDP.
 
 The whole app runs (MAVSDK, core thread, lock thread, log) at the rates of the stream table against
 `impact_source`, a process of its own. Latency is from the source's sending of the IMU sample at which
-the peak was known to its receiving of the set-point that followed from it.
+the peak was known to its receiving of the setpoint that followed from it.
 
     python -m tools.bench.latency [IMPACTS]
     python -m tools.bench.latency compare IMPACTS
@@ -54,7 +54,7 @@ from tools.bench.impact_source import MISSION, Record
 
 IMPACTS = 500
 PERIOD_S = 0.3  # a contact of 46 ms, its end, the refractory time
-_SAME_M = 1e-3  # a set-point on the wire is this near to the one that the core gave
+_SAME_M = 1e-3  # a setpoint on the wire is this near to the one that the core gave
 _LATEST_NS = 100_000_000
 
 
@@ -242,7 +242,7 @@ def rows(impacts: int = IMPACTS) -> list[dict[str, Any]]:
     found = result.wire_ms
     if not found:
         raise RuntimeError(f"none of {impacts} impacts was answered; the guard: {result.overruled[:3]}")
-    print(f"{len(found)} of {result.expected} impacts answered, set-point for IMU sample, both on the wire:")
+    print(f"{len(found)} of {result.expected} impacts answered, setpoint for IMU sample, both on the wire:")
     print(histogram(found))
     if result.overruled:
         print(
@@ -250,10 +250,10 @@ def rows(impacts: int = IMPACTS) -> list[dict[str, Any]]:
             + "; ".join(sorted(set(result.overruled)))
         )
     values = (
-        ("latency impact to set-point p50", percentile(found, 0.5), "ms"),
-        ("latency impact to set-point p99", percentile(found, 0.99), "ms"),
-        ("latency receipt to set-point p50", percentile(result.inside_ms, 0.5), "ms"),
-        ("latency receipt to set-point p99", percentile(result.inside_ms, 0.99), "ms"),
+        ("latency impact to setpoint p50", percentile(found, 0.5), "ms"),
+        ("latency impact to setpoint p99", percentile(found, 0.99), "ms"),
+        ("latency receipt to setpoint p50", percentile(result.inside_ms, 0.5), "ms"),
+        ("latency receipt to setpoint p99", percentile(result.inside_ms, 0.99), "ms"),
         ("impacts unanswered", float(result.expected - len(found)), ""),
         ("app share of a core at 250 Hz", result.cpu_percent, "%"),
     )
@@ -296,7 +296,7 @@ def busy(impacts: int, beside: bool = False) -> None:
 
 def compare(impacts: int) -> None:
     """Print what switch interval and garbage collector do to the latency inside the program."""
-    print("switch interval ms | collector | receipt to set-point p50 | p90 | p99 | largest ms")
+    print("switch interval ms | collector | receipt to setpoint p50 | p90 | p99 | largest ms")
     for interval_s, collector in ((0.001, True), (0.005, True), (0.0002, True), (0.001, False)):
         app_module._SWITCH_INTERVAL_S = interval_s
         (gc.enable if collector else gc.disable)()

@@ -253,7 +253,7 @@ def contact(folder: Path) -> None:
 
 
 def recovery(folder: Path) -> None:
-    """A flown dual collision from above: path, peak forces and the set-points that follow from them."""
+    """A flown dual collision from above: path, peak forces and the setpoints that follow from them."""
     mission = _mission("paper_dual_collision.yaml")
     with tempfile.TemporaryDirectory() as logs:
         verdict = fly_fast(mission, 1, Path(logs))
@@ -281,7 +281,7 @@ def recovery(folder: Path) -> None:
         target = course.frame.point_from_ned(next(s for s in set_points if s.t_us >= peak.t_us).position_ned)
         style = {"color": MIDDLE, "linestyle": DASHED, "linewidth": 1.4}
         axis.plot(
-            [at[0], target[0]], [at[1], target[1]], label="to the set-point" if number == 1 else None, **style
+            [at[0], target[0]], [at[1], target[1]], label="to the setpoint" if number == 1 else None, **style
         )
         axis.plot(*target[:2], "s", markerfacecolor="white", markeredgecolor=MIDDLE, markersize=7)
         axis.text(target[0], target[1] + 0.07, f"p_ref {number}", color=MIDDLE, ha="center")

@@ -42,10 +42,10 @@ class Px4Parameters(Section, frozen=True, rename="upper"):
         mpc_z_vel_p_acc: acceleration per vertical velocity error, 1/s.
         mpc_z_vel_i_acc: acceleration per integral of the vertical velocity error, 1/s2.
         mpc_z_vel_d_acc: opposed acceleration per measured vertical acceleration.
-        mpc_xy_vel_max: largest horizontal velocity set-point, m/s.
-        mpc_z_vel_max_up: largest climbing velocity set-point, m/s.
-        mpc_z_vel_max_dn: largest sinking velocity set-point, m/s.
-        mpc_tiltmax_air: largest tilt set-point in the air, degrees.
+        mpc_xy_vel_max: largest horizontal velocity setpoint, m/s.
+        mpc_z_vel_max_up: largest climbing velocity setpoint, m/s.
+        mpc_z_vel_max_dn: largest sinking velocity setpoint, m/s.
+        mpc_tiltmax_air: largest tilt setpoint in the air, degrees.
         mpc_land_speed: sinking speed of a landing, m/s.
         mpc_thr_min: smallest collective thrust, 0 to 1.
         mpc_thr_max: largest collective thrust, 0 to 1.
@@ -61,7 +61,7 @@ class Px4Parameters(Section, frozen=True, rename="upper"):
         mc_yawrate_p: normalised torque per yaw rate error, s/rad.
         mc_yawrate_i: normalised torque per integral of the yaw rate error, 1/rad.
         mis_takeoff_alt: height of PX4's own take-off, m.
-        com_of_loss_t: silence of the set-points after which PX4's failsafe acts, s.
+        com_of_loss_t: silence of the setpoints after which PX4's failsafe acts, s.
         com_disarm_land: time on the ground after which PX4 disarms, s; not positive: never.
         mpc_veld_lp: low-pass of the derivative that the velocity loop's D terms take, Hz.
     """

@@ -2,7 +2,7 @@
 
 `review` is the last stage of every step. It judges the rules of `rules`, all of them every 20 ms and those
 that name an input after it at once, and takes what the mission has found that only the mission can know. An
-override latches, in the order release > kill > land > hold > break off; from then on the mission's set-points
+override latches, in the order release > kill > land > hold > break off; from then on the mission's setpoints
 and commands go nowhere and the guard flies: it needs nothing of the mission.
 """
 

@@ -14,7 +14,7 @@ from typing import Final
 from dart_flight.base.filters import kept_share
 from dart_flight.base.records import RoundTrip
 
-_SHARE: Final = 0.15  # of about the last second; what comes at one go after a pause takes no time
+_SHARE: Final = 0.15  # of about the last second; what comes in one batch after a pause takes no time
 _SHARE_US: Final = 1_000_000
 _STEP_MOST_US: Final = 20_000  # a sample stands for the time since the one before, and for no more than this
 _DRIFT: Final = 2e-4  # of two clocks against each other, seconds per second, at most

@@ -26,12 +26,12 @@ from dart_flight.core.sense.state import FlightState
 STOP_MARGIN_M = 0.02
 # Of the predicted impact: what the prediction of its time is off by, and one poll of the lock.
 SETTLED_BEFORE_S = 0.05
-# The paper's own plan has a set-point 0.5 m outside of the bounds; far out it pulls where nothing was meant.
+# The paper's own plan has a setpoint 0.5 m outside of the bounds; far out it pulls where nothing was meant.
 SETPOINT_OUTSIDE_M = 2.0
 
 
 def setpoint_outside_m(bounds: BoundsSpec, x: Number, y: Number) -> Number:
-    """How far a set-point lies outside of the bounds horizontally, metres; 0 inside."""
+    """How far a setpoint lies outside of the bounds horizontally, metres; 0 inside."""
     beside = maximum(bounds.x[0] - x, x - bounds.x[1])
     return maximum(maximum(beside, maximum(bounds.y[0] - y, y - bounds.y[1])), 0.0)
 
@@ -80,9 +80,9 @@ def bearable_in_either_mode(
     Args:
         vehicle: materials, mass, gains.
         limits: of the force.
-        bounds: that the recovery set-point may leave by `SETPOINT_OUTSIDE_M`.
+        bounds: that the recovery setpoint may leave by `SETPOINT_OUTSIDE_M`.
         wall: that is hit.
-        alphas_m_per_n: gains (A_n, A_t) of the recovery set-point.
+        alphas_m_per_n: gains (A_n, A_t) of the recovery setpoint.
         place: of the vehicle's centre at the impact, mission frame.
         velocity_m_s: (normal, tangential) there, collision frame.
     """

@@ -1,10 +1,10 @@
 """Not to fight a contact: what PX4's velocity loop would make of it, taken out.
 
-While a wall stops the vehicle PX4 goes on with its last set-point. It sees the speed that is gone and leans
+While a wall stops the vehicle PX4 goes on with its last setpoint. It sees the speed that is gone and leans
 into the wall, and its D term, which opposes acceleration, leans further the harder the wall pushes back: at
 1 m/s and `MPC_XY_VEL_D_ACC` 0.2 by more than half of the tilt that follows a hit (docs/results/body.md). So
-from the onset to the peak the set-point is what the vehicle does anyway, and what the D term makes of the
-contact is fed forward with the opposite sign, also with the recovery set-point, until PX4's filter has
+from the onset to the peak the setpoint is what the vehicle does anyway, and what the D term makes of the
+contact is fed forward with the opposite sign, also with the recovery setpoint, until PX4's filter has
 forgotten the contact.
 """
 
@@ -18,8 +18,8 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.senses import Sensed
 
 _FADED_M_S2: Final = 0.02
-_LARGEST_M_S2: Final = 5.0  # fed forward; also bounds what a hanging set-point could do
-# From the onset on; PX4 keeps the last set-point of a program that hangs, and this one leads away.
+_LARGEST_M_S2: Final = 5.0  # fed forward; also bounds what a hanging setpoint could do
+# From the onset on; PX4 keeps the last setpoint of a program that hangs, and this one leads away.
 LONGEST_S: Final = 0.25
 
 

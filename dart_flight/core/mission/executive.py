@@ -61,7 +61,7 @@ PASSED_RISE_M: Final = 0.03  # the distance to the goal has risen by more than i
 PASSED_AFTER_S: Final = 0.25  # the first moments after a contact do not yet show where it leads
 _RETRY_US: Final = 1_000_000  # telemetry of mode and arming lags by up to a second
 _SLOWEST: Final = 3.0  # host's time over vehicle's
-_STREAMING_US: Final = 200_000  # PX4 accepts offboard only with set-points already streaming
+_STREAMING_US: Final = 200_000  # PX4 accepts offboard only with setpoints already streaming
 _REST_TIMEOUT_US: Final = 4_000_000
 _REST_AFTER_US: Final = 500_000
 _DISARM_AFTER_US: Final = 8_000_000
@@ -625,7 +625,7 @@ class Executive:
         elif state.in_offboard or self._asked_us is None:
             self._ask(VehicleAction.LAND, state, p)
 
-    # -- set-points --
+    # -- setpoints --
 
     def _wanted_yaw(self, state: FlightState) -> float:
         collision = self._collision
@@ -634,7 +634,7 @@ class Executive:
         return collision.wall.parallel_yaw(state.yaw)
 
     def _send_setpoint(self, sample: OdometrySample, state: FlightState, p: Proposal) -> None:
-        """One set-point for every odometry sample, as the phase wants it."""
+        """One setpoint for every odometry sample, as the phase wants it."""
         frame = p.frame or state.frame
         if frame is None:
             return

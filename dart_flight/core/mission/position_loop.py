@@ -1,4 +1,4 @@
-"""PX4's horizontal position loop as a point mass: what a set-point will do to the vehicle.
+"""PX4's horizontal position loop as a point mass: what a setpoint will do to the vehicle.
 
 Per axis, with p the position, v the velocity, a the acceleration the attitude has reached:
 
@@ -89,7 +89,7 @@ def meets_plane(
     px4: Px4Parameters,
     horizon_s: float = 2.0,
 ) -> PlaneMet | None:
-    """When the vehicle meets a plane on the way to a set-point; None: not within the horizon.
+    """When the vehicle meets a plane on the way to a setpoint; None: not within the horizon.
 
     Args: as `least_distance_m`.
     """
@@ -120,7 +120,7 @@ def least_distance_m(
         distance_m: present signed distance to the plane.
         closing_speed_m_s: speed towards the plane.
         closing_acceleration_m_s2: acceleration towards the plane.
-        target_distance_m: distance of the set-point from the plane.
+        target_distance_m: distance of the setpoint from the plane.
         px4: gains.
         horizon_s: how far to look ahead.
 

@@ -29,7 +29,7 @@ class Proposal:
     """One step's proposal; the guard disposes of it.
 
     Attributes:
-        outputs: set-points, commands and records of decisions, in the order in which they were taken.
+        outputs: setpoints, commands and records of decisions, in the order in which they were taken.
         findings: for the guard's rules.
         expected: what contact comes next, for the detector at the next step.
         frame: where the mission frame lies, at the step that finds out.

@@ -1,4 +1,4 @@
-"""The recovery set-point (paper, eq. 2, for a wall of any orientation).
+"""The recovery setpoint (paper, eq. 2, for a wall of any orientation).
 
     p_ref = p(t_c) + (A_n N - A_t T) force,   N = n n', T = t t'
 
@@ -19,7 +19,7 @@ def recovery_point(
     alpha_tangential_m_per_n: float,
     altitude_m: float,
 ) -> Vec3:
-    """Recovery set-point in the mission frame, metres.
+    """Recovery setpoint in the mission frame, metres.
 
     Args:
         position: p(t_c), where the vehicle was at the peak of the normal force.
@@ -27,7 +27,7 @@ def recovery_point(
         normal_force_n: peak normal force; what is not positive is taken as zero.
         tangential_force_n: peak friction force along the tangent (n_y, -n_x), signed.
         alpha_normal_m_per_n, alpha_tangential_m_per_n: gains.
-        altitude_m: z of the set-point.
+        altitude_m: z of the setpoint.
     """
     away = alpha_normal_m_per_n * max(0.0, normal_force_n)
     onward = -alpha_tangential_m_per_n * tangential_force_n

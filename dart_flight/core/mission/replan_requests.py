@@ -2,7 +2,7 @@
 
 The planner itself (`dart_flight.planning.replanner`) runs outside of the core's step: a `PlanRequest` goes
 out with the other outputs, a `PlanAnswer` comes in like any other input, or never does. Until an answered way
-begins the paper's set-point is in force, and it stays in force where the answer is late, says that there is
+begins the paper's setpoint is in force, and it stays in force where the answer is late, says that there is
 no way, or begins elsewhere than the vehicle is.
 """
 
@@ -161,7 +161,7 @@ class ReplanRequests:
 
     @property
     def trajectory_since_us(self) -> int | None:
-        """Since when a way is flown; None: a set-point is."""
+        """Since when a way is flown; None: a setpoint is."""
         return None if self._way is None else self._begin_us
 
     def is_over(self, now_us: int) -> bool:
@@ -169,7 +169,7 @@ class ReplanRequests:
         return self._way is not None and now_us - self._begin_us >= self._way.duration_s * 1e6
 
     def meets_plane(self, closing_m_s: float, state: FlightState) -> PlaneMet | None:
-        """When the way that is flown meets the next wall; None where a set-point is."""
+        """When the way that is flown meets the next wall; None where a setpoint is."""
         if self._impact_us is None:
             return None
         return PlaneMet(max(0.0, (self._impact_us - state.now_us) * 1e-6), -closing_m_s)

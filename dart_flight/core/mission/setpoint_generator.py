@@ -1,4 +1,4 @@
-"""Where the vehicle is sent: target, references on the way to it, heading, and the set-points of them."""
+"""Where the vehicle is sent: target, references on the way to it, heading, and the setpoints of them."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class SetpointGenerator:
         self.yaw = wrap_angle(self.yaw + max(-most, min(most, wrap_angle(wanted - self.yaw))))
         self._yaw_us = now_us
 
-    # -- set-points --
+    # -- setpoints --
 
     def setpoint(
         self,
@@ -129,7 +129,7 @@ class SetpointGenerator:
         since_us: int | None,
         feed_forward: Vec3 | None = None,
     ) -> Setpoint:
-        """The set-point for a sample.
+        """The setpoint for a sample.
 
         Args:
             frame: of the mission.
@@ -145,7 +145,7 @@ class SetpointGenerator:
     def recovery_setpoint(
         self, frame: MissionFrame, t_us: int, received_us: int, feed_forward: Vec3 | None = None
     ) -> Setpoint:
-        """The target as the set-point of an impact, whose latency is measured."""
+        """The target as the setpoint of an impact, whose latency is measured."""
         return self._make(frame, t_us, received_us, self.target, recovery=True, feed_forward=feed_forward)
 
     def contact_setpoint(

@@ -176,7 +176,7 @@ class IncidenceEstimator:
         """
         told = None
         if self.due:
-            # One sample after the peak: the recovery's set-point does not wait for it.
+            # One sample after the peak: the recovery's setpoint does not wait for it.
             self.due = False
             told = self._judge(state, final=False)
         for event in events:

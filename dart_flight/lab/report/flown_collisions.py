@@ -86,7 +86,7 @@ def _force(impact: Impact) -> Vec2 | None:
 
 
 def _recovery_setpoint(course: FlightArrays, onset_us: int) -> Vec3 | None:
-    """The recovery set-point of the impact that began then."""
+    """The recovery setpoint of the impact that began then."""
     following = [o.t_us for o in course.all(ImpactOnset) if o.t_us > onset_us]
     until = min(following, default=1 << 62)
     sent = next((s for s in course.all(Setpoint) if s.recovery and onset_us <= s.t_us < until), None)

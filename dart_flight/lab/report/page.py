@@ -80,7 +80,7 @@ def flight_page(flight: RecordedFlight) -> str:
                 (motion.attitude(flight), "Attitude in the mission frame."),
                 (
                     motion.tracking_error(flight),
-                    "Distance from the set-point in force. After a hit it is far away on purpose.",
+                    "Distance from the setpoint in force. After a hit it is far away on purpose.",
                 ),
                 (
                     motion.thrust_and_battery(flight),
@@ -386,14 +386,14 @@ def _timing_table(flight: RecordedFlight) -> str:
     rows: list[Row] = [
         [name, *(percentile(values, share) for share in (50, 99, 100))]
         for name, values in (
-            ("set-point interval", t.setpoint_interval_ms),
+            ("setpoint interval", t.setpoint_interval_ms),
             ("IMU delay over the least", t.imu_delay_ms),
-            ("sample to recovery set-point", t.recovery_ms),
+            ("sample to recovery setpoint", t.recovery_ms),
         )
     ]
     for v in flight.verdict.collisions:
         rows.append([f"collision {v.index}: contact to detection", v.detection_latency_ms, None, None])
-    note = "<p class=note>From detection to recovery the core sends no set-point; PX4 holds the last one.</p>"
+    note = "<p class=note>From detection to recovery the core sends no setpoint; PX4 holds the last one.</p>"
     if flight.log.world is World.FAST:
         note += "<p class=note>Simulated in one process: messages take no time.</p>"
     return table(["ms", "median", "99 %", "most"], rows) + note

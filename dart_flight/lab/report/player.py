@@ -135,7 +135,7 @@ def _motion(motion: MotionArrays, times: Array, attitude: Angles) -> dict[str, l
 
 
 def _set_points(flight: RecordedFlight, times: Array) -> list[list[int]]:
-    """[time, x, y, z] of the set-point in force, wherever it is another one than a picture before."""
+    """[time, x, y, z] of the setpoint in force, wherever it is another one than a picture before."""
     sent = setpoint_series(flight.course)
     if not sent.time_s.size:
         return []

@@ -223,9 +223,9 @@ class Timing(msgspec.Struct):
     """Latencies and jitter of a flight, milliseconds; arrays (n,).
 
     Attributes:
-        setpoint_interval_ms: between the receipts of the samples that led to successive set-points.
+        setpoint_interval_ms: between the receipts of the samples that led to successive setpoints.
         imu_delay_ms: from the IMU's stamp to its receipt, by the clock estimate, less the least of them.
-        recovery_ms: from the receipt of the sample that triggered a recovery to its set-point leaving.
+        recovery_ms: from the receipt of the sample that triggered a recovery to its setpoint leaving.
     """
 
     setpoint_interval_ms: Array

@@ -1,4 +1,4 @@
-"""More of a recorded flight as arrays, in the mission frame: attitude, set-points, tracking, thrust, battery.
+"""More of a recorded flight as arrays, in the mission frame: attitude, setpoints, tracking, thrust, battery.
 
 Times are seconds of the flight's `FlightArrays`; a signal that the log does not have is an array of length 0.
 """
@@ -60,12 +60,12 @@ class SetpointSeries(NamedTuple):
 
 
 class Tracking(NamedTuple):
-    """Distance from the set-point in force, at each odometry sample; arrays (n,).
+    """Distance from the setpoint in force, at each odometry sample; arrays (n,).
 
     Attributes:
         time_s: of each.
         position_m: of the position.
-        velocity_m_s: of the velocity, NaN where the set-point had none.
+        velocity_m_s: of the velocity, NaN where the setpoint had none.
     """
 
     time_s: Array
@@ -105,7 +105,7 @@ def angles(course: FlightArrays, *, true: bool = False) -> Angles:
 
 
 def setpoint_series(course: FlightArrays) -> SetpointSeries:
-    """Every set-point that was sent."""
+    """Every setpoint that was sent."""
     sent = course.topic_in_ned(Setpoint)
     position, velocity = (
         course.from_ned(sent["position_ned"], places=True),
@@ -121,7 +121,7 @@ def in_force(times: Array, at_s: Array) -> tuple[NDArray[np.intp], NDArray[np.bo
 
 
 def tracking(course: FlightArrays) -> Tracking:
-    """How far the estimated position and velocity are from the set-point in force."""
+    """How far the estimated position and velocity are from the setpoint in force."""
     motion, sent = course.estimated, setpoint_series(course)
     if not sent.time_s.size or not motion.time_s.size:
         return Tracking(np.empty(0), np.empty(0), np.empty(0))

@@ -302,7 +302,7 @@ class SceneTranslator:
         )
         return _scene(HITS, t_us, marks)
 
-    # -- set-point, lock, status, phase --
+    # -- setpoint, lock, status, phase --
 
     def _take_set_point(self, point: Setpoint) -> list[Message]:
         frame = self._frame
@@ -311,7 +311,7 @@ class SceneTranslator:
         at = frame.point_from_ned(point.position_ned)
         colour = drawing.RED if point.recovery else drawing.PURPLE
         lines = [] if self._position is None else [drawing.line([self._position, at], drawing.PURPLE, 1.0)]
-        marks = drawing.entity(point.t_us, "set-point", spheres=[drawing.ball(at, 0.05, colour)], lines=lines)
+        marks = drawing.entity(point.t_us, "setpoint", spheres=[drawing.ball(at, 0.05, colour)], lines=lines)
         return [_scene(SET_POINT, point.t_us, marks)]
 
     def _take_lock(self, state: LockState) -> list[Message]:

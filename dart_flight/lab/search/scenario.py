@@ -82,7 +82,7 @@ class Uncertainty(Section, frozen=True):
         samples: draws per candidate, the same for all.
         k, f, mu: of the contact coefficients, relative.
         approach_m_s: of each component of the approach velocity.
-        detection_delay_s: of the time between force peak and set-point.
+        detection_delay_s: of the time between force peak and setpoint.
     """
 
     samples: Annotated[int, Meta(ge=64, le=4096)] = 64
@@ -134,7 +134,7 @@ class Scenario(SpaceKeys, frozen=True, kw_only=True):
         sequences: walls in the order of the hits; several where the file says `any`.
         chosen_by_planner: whether it does.
         normal_m_s, tangential_m_s: the grid of approach velocities, collision frame of the first wall.
-        alphas: gains (A_n, A_t) of the recovery set-point per wall, m/N.
+        alphas: gains (A_n, A_t) of the recovery setpoint per wall, m/N.
     """
 
     name: str

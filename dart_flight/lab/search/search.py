@@ -68,7 +68,7 @@ class PlannedCollision(msgspec.Struct, frozen=True):
         peak_force_n: of the normal force.
         peak_friction_n: of the friction force.
         contact_time_s: how long the wall is touched.
-        setpoint_m: recovery set-point, mission frame.
+        setpoint_m: recovery setpoint, mission frame.
     """
 
     wall: str

@@ -86,7 +86,7 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind(
         "second-gcs",
         _P.AUTOPILOT,
-        "a second ground station sends set-points, this far off",
+        "a second ground station sends setpoints, this far off",
         "m",
         1.0,
         -5.0,

@@ -1,4 +1,4 @@
-"""A link that loses, delays, reorders and duplicates: for datagrams, samples and set-points alike."""
+"""A link that loses, delays, reorders and duplicates: for datagrams, samples and setpoints alike."""
 
 from __future__ import annotations
 

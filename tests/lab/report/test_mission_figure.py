@@ -30,7 +30,7 @@ def test_every_hit_is_named_with_its_figures(dual: Mission) -> None:
         force = np.hypot(hit.normal_n, hit.tangential_n)
         assert f"{index} {dual.collisions[index - 1].mode.value}" in words
         assert f"{speed:.2f} m/s, {force:.0f} N" in words
-    assert {"wood", "acrylic", "run-up begins", "recovery set-point"} <= set(
+    assert {"wood", "acrylic", "run-up begins", "recovery setpoint"} <= set(
         texts_of(as_svg(mission_figure(dual, planned)))
     )
     assert f"Passes the goal at {planned.goal_miss_m:.2f} m" in words

@@ -193,7 +193,7 @@ def test_the_estimated_force_lies_on_the_true_one(flight: RecordedFlight) -> Non
 def test_figures_show_what_they_name(flight: RecordedFlight) -> None:
     words = texts(flight_map([flight]))
     assert {"wood", "acrylic", "planned", "flown (true)", "flown (estimated)", "start", "goal"} <= words
-    assert {"recovery set-point", "every second"} <= words
+    assert {"recovery setpoint", "every second"} <= words
     words = texts(forces.impact_forces(flight, flight.impacts[1]))
     assert {"true", "estimated", "predicted", "normal, N", "vertical, N", "time after detection, ms"} <= words
     assert {"phase", "contact", "may lock", "lock", "flexible"} <= texts(lock.timeline(flight))

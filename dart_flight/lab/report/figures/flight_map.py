@@ -48,7 +48,7 @@ def flight_map(flights: Sequence[RecordedFlight], *, look: Look = PAGE) -> Any:
     """Walls, plan and flown paths from above; of several flights the paths lie over each other.
 
     One flight alone shows more: seconds, direction, the vehicle at each hit with the state of its arms, the
-    peak force, the set-point that followed, and what the guard did.
+    peak force, the setpoint that followed, and what the guard did.
     """
     mission = flights[0].mission
     figure, axis = new_figure(look, 5.0)

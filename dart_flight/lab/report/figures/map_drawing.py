@@ -168,7 +168,7 @@ def draw_arrow(axis: Any, begin: Array | Vec2, end: Array | Vec2, colour: str, *
 def draw_hit(
     axis: Any, airframe: Airframe, at: Vec2, yaw_rad: float, mode: Mode | None, set_point: Vec2 | None
 ) -> list[Array]:
-    """The vehicle where it hits, and a line to the set-point that follows.
+    """The vehicle where it hits, and a line to the setpoint that follows.
 
     Returns:
         Its lines (n, 2), that labels had better not cover.
@@ -185,10 +185,10 @@ def draw_hit(
 
 
 def name_hits(axis: Any, largest_n: float) -> None:
-    """The legend's words on force arrows, the largest of which is known, and on `draw_hit`'s set-points."""
+    """The legend's words on force arrows, the largest of which is known, and on `draw_hit`'s setpoints."""
     words = f"peak force, 0.1 m: {0.1 * largest_n / LONGEST_ARROW_M:.0f} N"
     axis.plot([], [], color=FORCE, linewidth=1.6, marker=">", markersize=4, label=words)
-    axis.plot([], [], "x--", color=SET_POINT, linewidth=1.0, markersize=5, label="recovery set-point")
+    axis.plot([], [], "x--", color=SET_POINT, linewidth=1.0, markersize=5, label="recovery setpoint")
 
 
 def along(line: Array, step_m: float = 0.03) -> Array:

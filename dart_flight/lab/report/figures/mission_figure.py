@@ -123,7 +123,7 @@ def prediction_lines(
 
 
 def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
-    """What the plan view has to show; a set-point far outside of the bounds is only pointed at."""
+    """What the plan view has to show; a setpoint far outside of the bounds is only pointed at."""
     points = [np.array([mission.start, mission.goal.position_m])]
     if planned is None:
         b = mission.bounds

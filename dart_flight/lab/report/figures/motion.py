@@ -1,4 +1,4 @@
-"""How the vehicle moved over a flight, how well it followed its set-points, and what that took."""
+"""How the vehicle moved over a flight, how well it followed its setpoints, and what that took."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def attitude(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
 
 @in_style
 def tracking_error(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
-    """Distance of estimated position and velocity from the set-point in force."""
+    """Distance of estimated position and velocity from the setpoint in force."""
     figure, axes = new_figure(look, 2.9, 2, 1, sharex=True)
     error = tracking(flight.course)
     for axis, values, name in (
