@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dart_flight.base.geometry import Vec3
 from dart_flight.base.records import AfterImpact
 from dart_flight.check.findings import CheckFinding
-from dart_flight.check.walls import check_walls
+from dart_flight.check.wall_check import check_walls
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import (
     NoApproachError,

@@ -52,7 +52,7 @@ def ticks_in_real_time(period_s: float = TICK_S) -> Iterator[int]:
             due = now
 
 
-class World(Protocol):
+class ServedWorld(Protocol):
     """What is served to the app, whichever autopilot flies in it."""
 
     def set_horn(self, pulse_us: float) -> None:
@@ -70,7 +70,7 @@ class World(Protocol):
         ...
 
 
-def serve(world: World, writer: LineWriter, commands: IO[bytes], period_s: float) -> int:
+def serve(world: ServedWorld, writer: LineWriter, commands: IO[bytes], period_s: float) -> int:
     """Take the app's lines and tell the truth, a tick every period, until the app is gone and the world over.
 
     Returns how many ticks that took.
@@ -140,7 +140,7 @@ class EmbeddedSimulator:
         self._log.write(self._autopilot.now_s, f"{severity}: {text}")
 
     def advance(self) -> Plant:
-        """As `World`."""
+        """As `ServedWorld`."""
         if self._fault is not None:
             self._fault.tick()
         if self._link_back_s is not None and self._autopilot.now_s >= self._link_back_s:
@@ -155,7 +155,7 @@ class EmbeddedSimulator:
         return self._autopilot.plant
 
     def begin_fault(self, fault: Fault) -> None:
-        """As `World`."""
+        """As `ServedWorld`."""
         self._say("warning", f"fault {fault.name} {fault.value:g}")
         if fault.kind.place is not FaultSite.LINK:
             self._fault = VehicleFault(self._vehicle, fault)
@@ -171,7 +171,7 @@ class EmbeddedSimulator:
                 self._link_back_s = self._autopilot.now_s + fault.value
 
     def is_over(self, alone_s: float) -> bool:
-        """As `World`: it flies on to its failsafe, and ends when it has landed."""
+        """As `ServedWorld`: it flies on to its failsafe, and ends when it has landed."""
         if not alone_s and self._autopilot.armed:
             self._say("warning", "the app is gone, flying on to the failsafe")
         most_s = _PILOT_S if self._autopilot.mode is FlightMode.MANUAL else _ORPHAN_S

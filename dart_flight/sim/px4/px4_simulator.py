@@ -176,14 +176,14 @@ class Px4Simulator:
             self._ticks += 1
 
     def set_horn(self, pulse_us: float) -> None:
-        """As `World`."""
+        """As `ServedWorld`."""
         self._vehicle.set_horn(pulse_us)
 
     def begin_fault(self, fault: Fault) -> None:
         """Not with PX4."""
 
     def advance(self) -> Plant:
-        """As `World`."""
+        """As `ServedWorld`."""
         self._vehicle.step()
         self._ticks += 1
         plant = self._vehicle.plant
@@ -194,7 +194,7 @@ class Px4Simulator:
         return plant
 
     def is_over(self, alone_s: float) -> bool:
-        """As `World`: PX4 flies on to its failsafe; the end once it has disarmed."""
+        """As `ServedWorld`: PX4 flies on to its failsafe; the end once it has disarmed."""
         if not alone_s and self._armed:
             self._say("the app is gone, PX4 flies on to its failsafe")
         if alone_s > _ORPHAN_S:
