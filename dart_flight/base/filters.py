@@ -7,7 +7,7 @@ from typing import Final
 
 from dart_flight.base.geometry import Vec3
 
-_MOST_STEP_S: Final = 0.05  # after a gap in the stream one sample counts for this long at most
+_MAX_STEP_S: Final = 0.05  # after a gap in the stream one sample counts for this long at most
 _OUTLIER: Final = 9.0  # a square counts at most this many times the present variance
 
 
@@ -18,7 +18,7 @@ def kept_share(dt_s: float, time_s: float) -> float:
 
 def taken_share(dt_s: float, time_s: float) -> float:
     """How much of a sample is taken by what is learnt slowly: at a time constant far over `dt_s`."""
-    return (dt_s if dt_s < _MOST_STEP_S else _MOST_STEP_S) / time_s
+    return (dt_s if dt_s < _MAX_STEP_S else _MAX_STEP_S) / time_s
 
 
 class LowPass:
@@ -67,7 +67,7 @@ class LearntVariance:
 
     def learn(self, square: float, dt_s: float, least_share: float = 0.0) -> float:
         """Take a square, `dt_s` after the one before, by this share at least; returns the new value."""
-        share = (dt_s if dt_s < _MOST_STEP_S else _MOST_STEP_S) / self._time_s
+        share = (dt_s if dt_s < _MAX_STEP_S else _MAX_STEP_S) / self._time_s
         share = share if share > least_share else least_share
         value = self.value
         most = _OUTLIER * value

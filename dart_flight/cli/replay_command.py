@@ -17,7 +17,7 @@ from dart_flight.recording.found import from_each, logs_in
 from dart_flight.recording.reader import read_log
 from dart_flight.run.replay import Replay, decision_rows, replay
 
-_MOST_SHOWN = 40
+_MAX_SHOWN = 40
 _PARTS = re.compile(r", (?![^(]*\))")  # not the commas of a vector
 
 
@@ -100,11 +100,11 @@ def _print(name: str, result: Replay) -> None:
     different = [row for row in rows if row[2] != row[3]]
     if different:
         table = Table("s", "decision", "recorded", "replayed", title="decisions", title_justify="left")
-        for time_s, decision, before, after in different[:_MOST_SHOWN]:
+        for time_s, decision, before, after in different[:_MAX_SHOWN]:
             table.add_row(f"{time_s:.3f}", decision, *_changes(before, after))
         out.print(table)
-    if len(different) > _MOST_SHOWN:
-        out.print(f"and {len(different) - _MOST_SHOWN} more")
+    if len(different) > _MAX_SHOWN:
+        out.print(f"and {len(different) - _MAX_SHOWN} more")
     out.print(f"{len(rows) - len(different)} decisions are as recorded")
 
 

@@ -28,8 +28,8 @@ Key = tuple[str | int, ...]
 
 IN_PYTHON = "<dict>"  # the source of what did not come from a file
 _MAX_BYTES = 1_000_000
-MOST_TABLE_BYTES = 200_000_000  # of a CSV: an hour of trials at 1 kHz
-MOST_LOG_BYTES = 2_000_000_000  # of a log: PX4 writes up to some 500 MB an hour, and pyulog reads it whole
+MAX_TABLE_BYTES = 200_000_000  # of a CSV: an hour of trials at 1 kHz
+MAX_LOG_BYTES = 2_000_000_000  # of a log: PX4 writes up to some 500 MB an hour, and pyulog reads it whole
 _MAX_DEPTH = 32
 # YAML 1.1 reads 1e-3 as a string; people who write it mean the number (as YAML 1.2 does).
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\Z")
@@ -79,7 +79,7 @@ def writing(path: str | Path) -> Iterator[None]:
         raise InputError(f"cannot write: {error.strerror or error}", source=str(path)) from None
 
 
-def open_file(path: str | Path, most_bytes: int = MOST_LOG_BYTES) -> BinaryIO:
+def open_file(path: str | Path, most_bytes: int = MAX_LOG_BYTES) -> BinaryIO:
     """A file that a person has named, open for reading; every command opens its input here.
 
     Only regular files: a pipe may never give a byte, a device may never end.
@@ -106,7 +106,7 @@ def open_file(path: str | Path, most_bytes: int = MOST_LOG_BYTES) -> BinaryIO:
     return file
 
 
-def read_text(path: str | Path, most_bytes: int = MOST_TABLE_BYTES) -> str:
+def read_text(path: str | Path, most_bytes: int = MAX_TABLE_BYTES) -> str:
     """The text of a file that a person has named; a byte order mark is left out.
 
     Raises:

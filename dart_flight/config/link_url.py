@@ -17,7 +17,7 @@ _SERIAL = re.compile(r"serial(?:_flowcontrol)?://(?P<device>/[^:\s]+):(?P<baud>\
 _NETWORK = re.compile(
     r"(?P<kind>udp|tcp|(?:udp|tcp)(?:in|out)(?!://:))://(?P<host>\[[\da-fA-F:.]+\]|[\w.-]*):(?P<port>\d+)"
 )
-_MOST_SHOWN = 4
+_MAX_SHOWN = 4
 
 
 class LinkAddress(NamedTuple):
@@ -58,7 +58,7 @@ def usable_link(url: str, key: str = "--connection") -> str:
     link = parse_link(url)
     if link is not None and link.kind == "serial" and not Path(link.place).exists():
         there = [str(p) for pattern in ("ttyA*", "ttyU*") for p in sorted(Path("/dev").glob(pattern))]
-        known = ", ".join(there[:_MOST_SHOWN]) or "none"
+        known = ", ".join(there[:_MAX_SHOWN]) or "none"
         raise InputError(
             f"there is no serial port {link.place} (here: {known}); allowed are: {FORMS}", key=(key,)
         )

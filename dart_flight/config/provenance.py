@@ -15,7 +15,7 @@ from dart_flight.config.file_kinds import FileKind, kind_of_tree, refuse_other_k
 from dart_flight.config.vehicle import VehicleConfig, default_config_path, load_vehicle, packaged
 
 _LOCAL = Path("configs/dart.yaml")
-_MOST_LOOKED_AT = 100
+_MAX_LOOKED_AT = 100
 
 
 class VehicleSource(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -91,7 +91,7 @@ def passed_over(source: VehicleSource) -> list[str]:
     for folder in (Path("configs"), Path()):
         with contextlib.suppress(OSError):
             candidates += sorted(p for p in folder.iterdir() if p.suffix in (".yaml", ".yml"))
-    found = [display_path(p) for p in candidates[:_MOST_LOOKED_AT] if not _is_packaged(p) and _is_vehicle(p)]
+    found = [display_path(p) for p in candidates[:_MAX_LOOKED_AT] if not _is_packaged(p) and _is_vehicle(p)]
     return list(dict.fromkeys(found))
 
 

@@ -10,7 +10,7 @@ from dart_flight.config.vehicle import Motor
 COUNT = "CA_ROTOR_COUNT"
 MAV_TYPES = {4: 2, 6: 13, 8: 14}  # motors: quadrotor, hexarotor, octorotor
 _AXES = ("PX", "PY", "KM")
-_MOST = 12  # of PX4
+_MAX = 12  # of PX4
 _PLACE_TOLERANCE_M = 0.03
 _KM_TOLERANCE = 0.5  # share: PX4 ships one value for every propeller
 
@@ -26,7 +26,7 @@ def rotor_parameters(motors: Sequence[Motor]) -> dict[str, int | float]:
 
 def rotor_names(count: float) -> list[str]:
     """Names of the parameters of so many motors, as CA_ROTOR_COUNT has it."""
-    return [f"CA_ROTOR{i}_{axis}" for i in range(min(_MOST, round(count))) for axis in _AXES]
+    return [f"CA_ROTOR{i}_{axis}" for i in range(min(_MAX, round(count))) for axis in _AXES]
 
 
 def motors_of(parameters: Mapping[str, float], source: str) -> tuple[Motor, ...]:

@@ -196,7 +196,7 @@ def fold_angles(
         Of the arms in the order of `arm_of`'s numbers.
     """
     angles = [0.0, 0.0, 0.0, 0.0]
-    along = max(body.guard_along_m, _LEAST_ARM_M)
+    along = max(body.guard_along_m, _MIN_ARM_M)
     for i, (guard, depth) in enumerate(zip(propeller_guards(body), depths, strict=True)):
         if depth > 0.0:
             # Two guards a side: pushed in, the first one's arm swings clockwise, the second one's against it.
@@ -211,5 +211,5 @@ def arm_of(x: float, y: float) -> int:
 
 
 _CENTRE = (0.0, 0.0, 0.0)
-_LEAST_ARM_M: Final = 0.05  # guards nearer to the middle than this would swing an arm without end
+_MIN_ARM_M: Final = 0.05  # guards nearer to the middle than this would swing an arm without end
 _NEAR_M: Final = 0.08  # below 5 m/s no contact begins further away

@@ -23,7 +23,7 @@ from dart_flight.config.rotors import COUNT, MAV_TYPES
 
 Array = NDArray[np.float64]
 
-_LEAST_CELL_V = 3.0  # a flying pack has at least one cell; 0.05 V is a sensor that is not connected
+_MIN_CELL_V = 3.0  # a flying pack has at least one cell; 0.05 V is a sensor that is not connected
 _LONGEST_COUNT = 8
 _MOTORS_OF_TYPE = {kind: motors for motors, kind in MAV_TYPES.items()}
 _PWM = (1000.0, 2000.0)
@@ -39,8 +39,8 @@ _PLAUSIBLE = {
     "actuator_motors": {"control": 1.01},
     "battery_status": {"voltage_v": 1e3},
 }
-_MOST_OUT_OF_STEP_US = 100_000  # of a stamp among its neighbours
-_MOST_SPAN_US = 86_400e6  # of a log: a day
+_MAX_OUT_OF_STEP_US = 100_000  # of a stamp among its neighbours
+_MAX_SPAN_US = 86_400e6  # of a log: a day
 _STILL = 1e-3  # share of the range: outputs that vary less are not motors
 
 
@@ -144,9 +144,9 @@ def _plausible(name: str, data: dict[str, Any]) -> NDArray[np.bool_]:
     good = np.ones(len(stamps), dtype=bool)
     if len(stamps) > 4:
         around = np.lib.stride_tricks.sliding_window_view(stamps, 5)
-        good[2:-2] = np.abs(stamps[2:-2] - np.median(around, axis=1)) <= _MOST_OUT_OF_STEP_US
+        good[2:-2] = np.abs(stamps[2:-2] - np.median(around, axis=1)) <= _MAX_OUT_OF_STEP_US
         for ends in (slice(0, 2), slice(-2, None)):
-            good[ends] = np.abs(stamps[ends] - np.median(stamps)) <= _MOST_SPAN_US
+            good[ends] = np.abs(stamps[ends] - np.median(stamps)) <= _MAX_SPAN_US
     for field, most in _PLAUSIBLE.get(name, {}).items():
         for column, values in data.items():
             if column.partition("[")[0] == field:
@@ -248,7 +248,7 @@ def battery(log: ULogFile) -> Battery:
         return Battery(empty, empty, "no battery_status")
     volts = np.asarray(data["voltage_v"], dtype=float)
     usual = float(np.median(volts[np.isfinite(volts)])) if np.isfinite(volts).any() else 0.0
-    if usual < _LEAST_CELL_V:
+    if usual < _MIN_CELL_V:
         return Battery(empty, empty, f"battery voltage of {usual:.2f} V is none")
-    good = np.isfinite(volts) & (volts >= _LEAST_CELL_V)
+    good = np.isfinite(volts) & (volts >= _MIN_CELL_V)
     return Battery(seconds(data)[good], volts[good])

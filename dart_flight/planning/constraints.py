@@ -31,7 +31,7 @@ from dart_flight.planning.task import Task
 Array = NDArray[np.float64]
 Codes = NDArray[np.int8]
 
-LEAST_REBOUND_M_S = 0.05
+MIN_REBOUND_M_S = 0.05
 # A wall counts as touched when it would be reached within this time: forces begin before the plane (`lcp`).
 _TOUCH_S = 0.01
 _THICK_M = 0.5  # further behind a plane is the other side of the wall
@@ -94,7 +94,7 @@ class Constraints:
     def hit(self, normal_n: Array, tangential_n: Array, rebound_m_s: Array) -> Codes:
         """Codes (0: fine) for the peaks and the outward speed of a hit."""
         codes = np.zeros(normal_n.shape, dtype=np.int8)
-        self.mark(codes, ~(rebound_m_s >= LEAST_REBOUND_M_S), Refusal.NO_REBOUND)
+        self.mark(codes, ~(rebound_m_s >= MIN_REBOUND_M_S), Refusal.NO_REBOUND)
         self.mark(codes, np.hypot(normal_n, tangential_n) > self.limits.peak_force_n, Refusal.PEAK_FORCE)
         self.mark(codes, normal_n < self.threshold_n, Refusal.NOT_DETECTED)
         return codes

@@ -46,7 +46,7 @@ _SUB = 12
 # After the force has fallen by the detector's share: one more IMU sample, and on average half a period of
 # PX4's position controller (125 Hz) until it uses the new setpoint.
 _SETPOINT_USED_S = 0.004
-_LEAST_AFTER_PEAK_S = 0.008  # the detector wants two samples after the maximum
+_MIN_AFTER_PEAK_S = 0.008  # the detector wants two samples after the maximum
 
 
 class _Quadrature(NamedTuple):
@@ -247,7 +247,7 @@ def build_stages(
     events = find_contact_times(course)
     omega = course.omega
     drop = _time_of_drop(course, events.peak, events.end, vehicle.detection.peak_drop_fraction)
-    delay = np.maximum((drop - events.peak) / omega, _LEAST_AFTER_PEAK_S) + 1.0 / vehicle.imu.rate_hz
+    delay = np.maximum((drop - events.peak) / omega, _MIN_AFTER_PEAK_S) + 1.0 / vehicle.imu.rate_hz
     engaged = events.peak / omega + np.maximum(delay + _SETPOINT_USED_S + np.asarray(extra_delay_s), 0.0)
     loop = PositionLoop.of(vehicle.px4)
     for i, stage in enumerate(stages):

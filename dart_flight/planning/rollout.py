@@ -44,7 +44,7 @@ from dart_flight.planning.flight_model import (
 from dart_flight.planning.task import Task, drag_along
 
 _HORIZON_S = 6.0  # what has not come by then does not come: the loop has settled
-LEAST_FACTOR = 0.1  # a drawn coefficient is never below this share of its nominal value
+MIN_FACTOR = 0.1  # a drawn coefficient is never below this share of its nominal value
 Outcome = TypeVar("Outcome", NormalOut, TangentialOut)
 Stages = dict[tuple[str, Mode], ContactStage]
 

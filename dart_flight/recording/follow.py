@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mcap.exceptions import EndOfFile
 
-from dart_flight.recording.reader import MAGIC, MOST_BYTES, LogEntry, read_entries
+from dart_flight.recording.reader import MAGIC, MAX_BYTES, LogEntry, read_entries
 from dart_flight.recording.writer import part_path
 
 _HEAD = struct.Struct("<BQ")  # MCAP: kind and length of a record
@@ -67,7 +67,7 @@ class LogFollower:
         end = 0
         while len(data) - end >= _HEAD.size:
             _, length = _HEAD.unpack_from(data, end)
-            if length > MOST_BYTES:
+            if length > MAX_BYTES:
                 raise ValueError(f"a record of {length} bytes")
             if end + _HEAD.size + length > len(data):
                 break

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 IN_MEMORY = "<memory>"  # the source of a log without a file
 # The writer's chunks are of a megabyte: a damaged length must not make the reader ask for gigabytes.
-MOST_BYTES = 64 * 1024 * 1024
+MAX_BYTES = 64 * 1024 * 1024
 MAGIC = b"\x89MCAP0\r\n"
 DECODERS = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
 
@@ -159,7 +159,7 @@ def read_entries(
     Raises:
         InputError: written by a newer version.
     """
-    reader = StreamReader(stream, skip_magic=begun, emit_chunks=True, record_size_limit=MOST_BYTES)
+    reader = StreamReader(stream, skip_magic=begun, emit_chunks=True, record_size_limit=MAX_BYTES)
     for record in reader.records:
         if isinstance(record, Metadata) and record.name == ABOUT:
             _check_version(record.metadata, source)
@@ -167,7 +167,7 @@ def read_entries(
         elif isinstance(record, Metadata) and record.name == END:
             end.update(record.metadata)
         elif isinstance(record, Chunk) and about:
-            if record.uncompressed_size > MOST_BYTES:
+            if record.uncompressed_size > MAX_BYTES:
                 raise ValueError(f"a chunk of {record.uncompressed_size} bytes")
             yield from _entries_in(record, topics)
 

@@ -31,12 +31,12 @@ FORMAT_VERSION = 1
 PROFILE = "dart-flight"
 ABOUT, END = "dart_flight", "dart_flight_end"  # names of the metadata records
 PART_BYTES = 64 * 1024 * 1024  # about ten minutes of a flight (docs/log.md)
-MOST_PARTS = 16
+MAX_PARTS = 16
 BYTES_PER_S = 150_000  # of flight, rounded up: 8.7 MB a minute were measured (docs/log.md)
 
 _FLUSH_S = 0.15  # every turn costs a chunk with its index and a cold start; a killed process loses it
 _SYNC_S = 1.0
-_MOST_WAITING = 200_000  # records; about two minutes of a flight while the disk does not answer
+_MAX_WAITING = 200_000  # records; about two minutes of a flight while the disk does not answer
 
 
 class LogPart:
@@ -117,7 +117,7 @@ class FlightLog:
         about: dict[str, str],
         *,
         part_bytes: int = PART_BYTES,
-        most_parts: int = MOST_PARTS,
+        most_parts: int = MAX_PARTS,
     ) -> None:
         self.path = path
         self.patience_s = 5.0
@@ -142,7 +142,7 @@ class FlightLog:
 
     def put(self, record: Record, number: int) -> None:
         """Queue a record; `number` is that of the input it is or follows from."""
-        if len(self._waiting) >= _MOST_WAITING:
+        if len(self._waiting) >= _MAX_WAITING:
             self.lost += 1
             return
         self._waiting.append((record, number))

@@ -26,10 +26,10 @@ _ARM, _LET_GO = b"a", b"q"
 _OWN_PAUSES = 2.0  # periods: a watcher that did not run itself for so long has seen nothing
 FEED_PERIOD_S = 0.1  # at most: waking up is what it costs
 _FEEDS = 5  # within `starve_s`: all but one of them may be late
-_LEAST_S = 0.001
+_MIN_S = 0.001
 _WORD = struct.Struct("=cd")  # what the app says, and when; so short a write is whole or is none
-_MOST_WORDS = 400  # at one look
-_LEAST_PAUSE_S = 0.1
+_MAX_WORDS = 400  # at one look
+_MIN_PAUSE_S = 0.1
 
 
 class Deadman:
@@ -160,7 +160,7 @@ def _watch(handle: int, pid: int, starve_s: float, note: str) -> int:
         signal.signal(number, signal.SIG_IGN)
     os.set_blocking(0, False)
     period_s = _period_s(starve_s)
-    own_pause_s = max(_LEAST_PAUSE_S, _OWN_PAUSES * period_s)
+    own_pause_s = max(_MIN_PAUSE_S, _OWN_PAUSES * period_s)
     armed = False
     looked_s = time.monotonic()
     fed_s = {CORE: looked_s, LOOP: looked_s}
@@ -168,7 +168,7 @@ def _watch(handle: int, pid: int, starve_s: float, note: str) -> int:
         # It does not wait for what is said: to be woken by every word is what it would cost. When a word was
         # said is in the word.
         left_s = min(fed_s.values()) + starve_s - time.monotonic() if armed else period_s
-        time.sleep(max(_LEAST_S, min(period_s, left_s)))
+        time.sleep(max(_MIN_S, min(period_s, left_s)))
         now = time.monotonic()
         try:
             words = _heard()
@@ -201,7 +201,7 @@ def _heard() -> list[tuple[bytes, float]]:
     words: list[tuple[bytes, float]] = []
     while True:
         try:
-            food = os.read(0, _MOST_WORDS * _WORD.size)
+            food = os.read(0, _MAX_WORDS * _WORD.size)
         except BlockingIOError:
             return words
         if not food:

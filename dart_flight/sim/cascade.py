@@ -27,7 +27,7 @@ from dart_flight.sim.allocation import Allocation
 
 _FREE = (math.nan, math.nan, math.nan)
 _MAX_RATE = (math.radians(220.0), math.radians(220.0), math.radians(200.0))  # MC_*RATE_MAX defaults
-_MOST_YAW: Final = 0.15  # of the normalised torque
+_MAX_YAW: Final = 0.15  # of the normalised torque
 _YAW_WEIGHT: Final = 0.4  # MC_YAW_WEIGHT default
 _HORIZONTAL_MARGIN: Final = 0.3  # MPC_THR_XY_MARG default: thrust kept for horizontal control when saturated
 
@@ -188,7 +188,7 @@ class Cascade:
             torque[i] = p * rate_error + summed - d * ((now - last[i]) / dt_s)
             integral[i] = max(-0.3, min(0.3, summed + ki * rate_error * dt_s))
         self._rate_last = rate
-        yaw = max(-_MOST_YAW, min(_MOST_YAW, torque[2]))
+        yaw = max(-_MAX_YAW, min(_MAX_YAW, torque[2]))
         shares = self._allocation.shares(torque[0], torque[1], yaw, self.thrust_setpoint)
         full_n, curve = self._full_n, self._curve
         if curve is None:

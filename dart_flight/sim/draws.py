@@ -25,7 +25,7 @@ Drawn = dict[str, float | str]
 
 _RINGING_M_S2 = (2.0, 3.0)  # of one sample in hover, per axis, in recordings (docs/results/real_data.md)
 _RINGING_WHITE_M_S2 = 0.8  # of that without colour: what a mean over 32 ms of those recordings leaves
-_LEAST_FACTOR = 0.1  # no quantity shrinks below this share of its nominal value
+_MIN_FACTOR = 0.1  # no quantity shrinks below this share of its nominal value
 NAMES = tuple(field.encode_name for field in msgspec.structs.fields(Spreads))
 LOCK_TRUE_MODE, AS_COMMANDED = "lock_true_mode", "as commanded"  # in `drawn`, of a lock without a fault
 _OF_LOCK = (LOCK_TRUE_MODE, "servo")
@@ -91,7 +91,7 @@ def draw_world(mission: Mission, seed: int, spreads: Mapping[str, float]) -> Dra
 
 
 def _factor(rng: random.Random, sd: float) -> float:
-    return max(_LEAST_FACTOR, 1.0 + sd * rng.gauss(0.0, 1.0))
+    return max(_MIN_FACTOR, 1.0 + sd * rng.gauss(0.0, 1.0))
 
 
 def _with_vehicle(world: DrawnWorld, vehicle: VehicleConfig, **drawn: float | str) -> DrawnWorld:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from typing import Any
 
-_BAD_AT_MOST = 4  # log level: warning; 0 is emergency
+_BAD_AT_MAX = 4  # log level: warning; 0 is emergency
 _SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
-SEVERE = frozenset(_SEVERITIES[: _BAD_AT_MOST + 1])
+SEVERE = frozenset(_SEVERITIES[: _BAD_AT_MAX + 1])
 _ENABLED = re.compile(r'"onboard_control_sensors_enabled":\s*(\d+)')
 _HEALTHY = re.compile(r'"onboard_control_sensors_health":\s*(\d+)')
 _PREARM = 1 << 28  # MAV_SYS_STATUS_PREARM_CHECK
@@ -60,5 +60,5 @@ def of_sys_status(fields_json: str) -> Report | None:
 
 
 def _words(problems: Any) -> tuple[str, ...]:
-    found = (p.message.strip() for p in problems if int(p.log_level) <= _BAD_AT_MOST)
+    found = (p.message.strip() for p in problems if int(p.log_level) <= _BAD_AT_MAX)
     return tuple(dict.fromkeys(word for word in found if word))

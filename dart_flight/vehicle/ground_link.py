@@ -53,8 +53,8 @@ class Observation(msgspec.Struct):
 
 _STAMP_TOLERANCE_US = 500_000
 _REPORT_S = 5.0  # on top, where something is amiss: until MAVSDK has fetched the words for it
-_ROUND_TRIPS_S, _ROUND_TRIP_MOST_S = 1.0, 5.0
-_MOST_UNANSWERED = 2  # requests, where none has been answered; MAVSDK asks for each of them for seconds
+_ROUND_TRIPS_S, _ROUND_TRIP_MAX_S = 1.0, 5.0
+_MAX_UNANSWERED = 2  # requests, where none has been answered; MAVSDK asks for each of them for seconds
 _PARAMETERS_S = 90.0  # for all parameters; a few that a build does not have take 3 s each
 _COUNTED: dict[type[Record], str] = {ImuSample: "imu", AttitudeSample: "attitude", ActuatorSample: "actuator"}
 
@@ -140,7 +140,7 @@ class GroundLink:
         return asyncio.run(self._round_trip_s())
 
     async def _round_trip_s(self) -> float | None:
-        unanswered = await self._session.measure_link(_ROUND_TRIP_MOST_S)
+        unanswered = await self._session.measure_link(_ROUND_TRIP_MAX_S)
         if unanswered:
             says = (
                 "sends, but answers no request" if self._system.is_connected() else "has fallen silent after"
@@ -168,7 +168,7 @@ class GroundLink:
                 says = f"the vehicle has fallen silent, {what} was not answered"
                 raise NoAnswerError(says, source=self._url) from None
             self._unanswered.append(what)
-            if not self._answered and len(self._unanswered) >= _MOST_UNANSWERED:
+            if not self._answered and len(self._unanswered) >= _MAX_UNANSWERED:
                 says = f"the vehicle sends, but answers no request: {', '.join(self._unanswered)}"
                 raise NoAnswerError(says, source=self._url) from None
             raise

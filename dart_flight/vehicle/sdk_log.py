@@ -23,7 +23,7 @@ _logger = logging.getLogger("dart_flight.mavsdk")
 _lock = threading.Lock()
 _closing = 0  # connections that are being closed
 _NUMBER = re.compile(r"\d+")
-_MOST_KINDS = 1000  # of messages remembered; what a damaged link brings about need not end
+_MAX_KINDS = 1000  # of messages remembered; what a damaged link brings about need not end
 _repeated: dict[
     str, tuple[int, str, int]
 ] = {}  # less its numbers -> level, first words, how often it came again
@@ -45,7 +45,7 @@ def take(level: Any, message: str, _file: str | None, _line: int) -> bool:
         if known is not None:
             _repeated[kind] = (number, known[1], known[2] + 1)
             return True
-        if len(_repeated) < _MOST_KINDS:
+        if len(_repeated) < _MAX_KINDS:
             _repeated[kind] = (number, message, 0)
     _logger.log(number, message)
     return True

@@ -82,7 +82,7 @@ _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
 _MOTOR_SPAN_US = MOTOR_FULL_US - MOTOR_STOP_US
 _REPEATED_US = 100_000  # a setpoint that stays the same leaves as often
 _ASK_PERIOD_S = 0.1  # the round trip
-_MOST_ASKED = 256  # requests remembered; their answers may come seconds later
+_MAX_ASKED = 256  # requests remembered; their answers may come seconds later
 
 
 class _ActuatorOutputs(msgspec.Struct):
@@ -175,7 +175,7 @@ class VehicleSession:
         self._sent: tuple[object, ...] | None = None  # the last setpoint, and when it left
         self._sent_us = 0
         self._events = Events(self._raw)
-        self._asked: deque[int] = deque(maxlen=_MOST_ASKED)  # host time of TIMESYNC requests, microseconds
+        self._asked: deque[int] = deque(maxlen=_MAX_ASKED)  # host time of TIMESYNC requests, microseconds
         self._other: int | None = None  # system id of another autopilot on the link
         self.checked = False  # whether PX4 has sent a report of its checks
         self._health: tuple[bool, tuple[str, ...], tuple[str, ...]] | None = None

@@ -11,7 +11,7 @@ from types import FrameType
 import pytest
 
 from dart_flight.cli import main
-from dart_flight.config.document import MOST_LOG_BYTES
+from dart_flight.config.document import MAX_LOG_BYTES
 
 COMMANDS = {
     "fly": ["fly", "FILE", "--yes"],
@@ -89,5 +89,5 @@ def test_the_size_is_looked_at_before_reading(
 ) -> None:
     large = tmp_path / "large"
     with large.open("wb") as file:
-        file.truncate(MOST_LOG_BYTES + 1)  # sparse
+        file.truncate(MAX_LOG_BYTES + 1)  # sparse
     assert "larger than" in refused(command, large, capsys)

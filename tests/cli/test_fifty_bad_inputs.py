@@ -105,7 +105,7 @@ CASES: dict[str, tuple[list[str], object]] = {
         b"",
     ),
 }
-_MOST_S = 20.0  # on a loaded machine; two on an idle one
+_MAX_S = 20.0  # on a loaded machine; two on an idle one
 
 
 @pytest.fixture(autouse=True)
@@ -113,10 +113,10 @@ def alarm() -> Iterator[None]:
     """A hang ends as an error."""
 
     def late(number: int, frame: FrameType | None) -> None:
-        raise AssertionError(f"not refused after {_MOST_S:g} s")
+        raise AssertionError(f"not refused after {_MAX_S:g} s")
 
     before = signal.signal(signal.SIGALRM, late)
-    signal.setitimer(signal.ITIMER_REAL, _MOST_S)
+    signal.setitimer(signal.ITIMER_REAL, _MAX_S)
     yield
     signal.setitimer(signal.ITIMER_REAL, 0.0)
     signal.signal(signal.SIGALRM, before)
@@ -165,4 +165,4 @@ def test_it_is_refused_in_one_line(
     assert (status, out, len(said)) == (2, "", 1), err
     assert said[0].isprintable()
     assert "Traceback" not in err
-    assert took_s < _MOST_S
+    assert took_s < _MAX_S

@@ -16,7 +16,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 COPIED = ("dart_flight", "tests", "configs", "missions", "docs", "tools")
-MOST_FILES = 6
+MAX_FILES = 6
 
 
 class Change(NamedTuple):
@@ -82,7 +82,7 @@ def test_the_page_has_the_six_recipes_and_counts_their_files() -> None:
     rows = re.findall(r"^\| \[(.+?)\]\(#.+?\) \| (\d+) \|$", PAGE, re.MULTILINE)
     assert [(r.title.lower(), str(len(r.package_files))) for r in RECIPES] == rows
     assert len(RECIPES) == 6
-    assert all(len(r.package_files) <= MOST_FILES for r in RECIPES)
+    assert all(len(r.package_files) <= MAX_FILES for r in RECIPES)
 
 
 def copy_project(root: Path) -> None:

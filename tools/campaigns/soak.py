@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import yaml
 
-_HOLD_MOST_S = 600.0  # of one waypoint
+_HOLD_MAX_S = 600.0  # of one waypoint
 _SETTLED_MINUTES = 3
 _GROWTH_MB = 8.0
 _LANDING_S = 90.0
@@ -43,8 +43,8 @@ class Minute(NamedTuple):
 
 def mission_of(minutes: float) -> dict[str, object]:
     """A mission that hovers for so long, and hits nothing."""
-    holds = [_HOLD_MOST_S] * int(60.0 * minutes // _HOLD_MOST_S)
-    holds += [60.0 * minutes % _HOLD_MOST_S] if 60.0 * minutes % _HOLD_MOST_S else []
+    holds = [_HOLD_MAX_S] * int(60.0 * minutes // _HOLD_MAX_S)
+    holds += [60.0 * minutes % _HOLD_MAX_S] if 60.0 * minutes % _HOLD_MAX_S else []
     return {
         "version": 1,
         "name": "soak",

@@ -16,7 +16,7 @@ from dart_flight.base.records import RoundTrip
 
 _SHARE: Final = 0.15  # of about the last second; what comes in one batch after a pause takes no time
 _SHARE_US: Final = 1_000_000
-_STEP_MOST_US: Final = 20_000  # a sample stands for the time since the one before, and for no more than this
+_STEP_MAX_US: Final = 20_000  # a sample stands for the time since the one before, and for no more than this
 _DRIFT: Final = 2e-4  # of two clocks against each other, seconds per second, at most
 _LAST: Final = 3  # round trips, of which the shortest counts where the clocks cannot be compared
 
@@ -64,7 +64,7 @@ class TelemetryDelay:
             self.age_us = 0.5 * min(self._last)
         else:
             self.age_us = received_us + self._offset_us - t_us
-        step_us = min(max(received_us - self._received_us, 0), _STEP_MOST_US)
+        step_us = min(max(received_us - self._received_us, 0), _STEP_MAX_US)
         self._received_us = received_us
         kept = kept_share(step_us, _SHARE_US)
         self._share = kept * self._share + (1.0 - kept if self.age_us > self._limit_us else 0.0)

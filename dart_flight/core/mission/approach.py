@@ -24,7 +24,7 @@ PEAK_OVER_MEAN = 1.5
 CLEARANCE_M = 0.15
 ON_PLANE_M = 1e-6  # an impact lies on its wall's plane but for rounding
 _ON_RAY_M = 1e-6  # ... and the start on the ray of its approach
-_LEAST_TRANSIT_S = 0.1
+_MIN_TRANSIT_S = 0.1
 
 
 class TrajectoryPoint(msgspec.Struct, frozen=True, gc=False):
@@ -317,7 +317,7 @@ class TransitTrajectory(msgspec.Struct, frozen=True):
         climb = abs(end[2] - begin[2])
         if climb > 0.0:
             duration = max(duration, transit_time_s(climb, climb_speed_m_s, acceleration_m_s2))
-        return cls(begin, end, max(duration, _LEAST_TRANSIT_S))
+        return cls(begin, end, max(duration, _MIN_TRANSIT_S))
 
     def at(self, t_s: float) -> TrajectoryPoint:
         """The reference `t_s` seconds after the start; it stays at the end."""

@@ -15,7 +15,7 @@ from dart_flight.config.vehicle.flying import GuardThresholds
 from dart_flight.core.mission.arithmetic import Number
 
 SURE_SD = 3.0  # standard deviations that are reckoned with
-_LEAST_CLOSING_M_S = 0.1
+_MIN_CLOSING_M_S = 0.1
 
 
 def position_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
@@ -48,7 +48,7 @@ def early_m(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3) -> float:
 
 def late_s(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3, closing_m_s: float) -> float:
     """How long after the planned impact the wall must have been met, closing in at a speed (positive)."""
-    return float(guard.wall_late_s + position_margin_m(wall, place) / max(closing_m_s, _LEAST_CLOSING_M_S))
+    return float(guard.wall_late_s + position_margin_m(wall, place) / max(closing_m_s, _MIN_CLOSING_M_S))
 
 
 class EstimatedWalls:

@@ -16,7 +16,7 @@ from typing import Final
 
 from dart_flight.config.vehicle import ArmVibration
 
-_MOST_TICKS: Final = 25  # after a longer gap in the stream the arms have come to rest
+_MAX_TICKS: Final = 25  # after a longer gap in the stream the arms have come to rest
 
 
 class ArmFilter:
@@ -50,7 +50,7 @@ class ArmFilter:
     def remove(self, ax: float, ay: float, dt_s: float) -> tuple[float, float]:
         """Acceleration of the centre of mass by the contact from what the IMU makes of it, m/s2."""
         ticks = max(1, round(dt_s / self._tick_s))
-        if ticks > _MOST_TICKS:
+        if ticks > _MAX_TICKS:
             self.reset()
             ticks = 1
         for _ in range(ticks):

@@ -17,7 +17,7 @@ from dart_flight.base.geometry import GRAVITY_M_S2, Vec2, Vec3
 from dart_flight.config.vehicle import Estimation
 
 _NOISE_TIME_S: Final = 0.5
-_LEAST_NOISE2: Final = 1e-4  # m2/s4
+_MIN_NOISE2: Final = 1e-4  # m2/s4
 _SCALE_STEP: Final = 0.25
 _BASELINE_DELAY: Final = 10  # samples: 40 ms, in which even a slow contact reaches the threshold
 _BASELINE_STEP_N: Final = 2.0  # further than this from the baseline it is not followed any faster
@@ -38,7 +38,7 @@ class HoverBias:
         self.bias_x = self.bias_y = 0.0
         self.scale = 1.0
         self.noise_m_s2 = config.imu_noise_m_s2
-        self._variance = LearntVariance(config.imu_noise_m_s2**2, _NOISE_TIME_S, _LEAST_NOISE2)
+        self._variance = LearntVariance(config.imu_noise_m_s2**2, _NOISE_TIME_S, _MIN_NOISE2)
         self._last: Vec3 | None = None
 
     def learn(self, f: Vec3, rate: Vec3, speed_m_s: float, curve_thrust_n: float, dt_s: float) -> None:

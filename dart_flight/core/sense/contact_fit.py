@@ -39,14 +39,14 @@ _LEVER_SHARE: Final = 0.3  # at which friction is expected to act, as in `body.K
 # What the model is off by, of the largest force, and of the largest friction.
 _MODEL_ERROR: Final = 0.015
 _FRICTION_ERROR: Final = 0.03
-_LEAST_FACTOR: Final = 0.1  # no coefficient is believed to be below this share of what was believed
-_MOST_ANGLE_RAD: Final = 0.6
+_MIN_FACTOR: Final = 0.1  # no coefficient is believed to be below this share of what was believed
+_MAX_ANGLE_RAD: Final = 0.6
 _STEPS: Final = 8  # one a sample, so that 60 ms after the contact's end all is said
 _SETTLED: Final = 1e-2  # a smaller gain of the cost ends the search
-_MOST_DAMPING: Final = 1e4
+_MAX_DAMPING: Final = 1e4
 _DIFFERENCE: Final = 1e-5  # of a parameter, for the derivatives
 _SUBSTEPS: Final = 2  # of a tick
-_MOST_TICKS: Final = 36  # more are merged
+_MAX_TICKS: Final = 36  # more are merged
 _GUESS_SHARE: Final = 0.15  # of the largest force: readings that a first guess is made of
 _INCIDENCES_RAD = tuple(math.radians(d) for d in (4.0, 7.0, 10.0))  # at which a fit may begin
 _K, _F, _X, _V, _D, _MU, _W = range(7)  # k, f, place, velocity, angle, mu, velocity along
@@ -249,7 +249,7 @@ class _ContactLawFit:
         self._curvature = curvature
         gradient = [-sum(map(operator.mul, column, residuals)) for column in columns]
         self.steps += 1
-        while self._damping < _MOST_DAMPING:
+        while self._damping < _MAX_DAMPING:
             tried = _moved(theta, solve(curvature, gradient, self._damping))
             new = self._residuals_at(tried)
             cost = sum(r * r for r in new)
@@ -312,7 +312,7 @@ class _ContactLawFit:
             if n > 1.0:
                 det += sxx - sx * sx / n
                 mixed += sx * sy / n - sxy
-        k = min(10.0, max(1.2 * _LEAST_FACTOR, mixed / det / b.k)) if det > 0.0 else 1.0
+        k = min(10.0, max(1.2 * _MIN_FACTOR, mixed / det / b.k)) if det > 0.0 else 1.0
         # Where a guard is at the first tick, from the means: y = -k (at + place).
         places = {g: -sy / n / (k * b.k) - sx / n for g, (n, sx, _, sy, _) in sums.items() if n > 1.0}
         place, angle = -vn * (self._c.touched_s + b.f / (k * b.k)), turned
@@ -321,11 +321,11 @@ class _ContactLawFit:
             if right is not None and left is not None:
                 place = 0.5 * (right + left)
                 angle = self._c.incidence_rad - 0.5 * (left - right) / a
-        angle = max(-_MOST_ANGLE_RAD, min(_MOST_ANGLE_RAD, angle))
+        angle = max(-_MAX_ANGLE_RAD, min(_MAX_ANGLE_RAD, angle))
         # Where nothing slides friction does not show.
         rub2 = (self._sd[_W] * self._top) ** 2
         mu = (mxy + b.mu * rub2) / (mxx + rub2) / b.mu if b.mu > 0.0 else 1.0
-        mu = min(10.0, max(1.2 * _LEAST_FACTOR, mu))
+        mu = min(10.0, max(1.2 * _MIN_FACTOR, mu))
         return [k, 1.0, place, vn, angle, mu, vt]
 
     def _residuals_at(self, theta: list[float]) -> list[float]:
@@ -424,7 +424,7 @@ class _ContactLawFit:
         wall2 = before_sd * before_sd
         hit2 = wall2 + (self._scatter * factor) ** 2
         gain = wall2 / hit2
-        mean = max(_LEAST_FACTOR, 1.0 + gain * (factor - 1.0))
+        mean = max(_MIN_FACTOR, 1.0 + gain * (factor - 1.0))
         after = wall2 - gain * gain * max(0.0, hit2 - variance)
         return mean, math.sqrt(after) / mean
 
@@ -458,14 +458,14 @@ def _moved(theta: list[float], step: list[float]) -> list[float]:
     moved = [a + b for a, b in zip(theta, step, strict=True)]
     for p in (_K, _F, _MU):
         # A factor at most halves or doubles in a step.
-        moved[p] = min(2.0 * theta[p], max(0.5 * theta[p], _LEAST_FACTOR, moved[p]))
-    moved[_D] = max(-_MOST_ANGLE_RAD, min(_MOST_ANGLE_RAD, moved[_D]))
+        moved[p] = min(2.0 * theta[p], max(0.5 * theta[p], _MIN_FACTOR, moved[p]))
+    moved[_D] = max(-_MAX_ANGLE_RAD, min(_MAX_ANGLE_RAD, moved[_D]))
     return moved
 
 
 def _merged(ticks: list[ContactReading]) -> list[ContactReading]:
     """Neighbours as one where there are many; what is at full scale stays alone."""
-    size = -(-len(ticks) // _MOST_TICKS)
+    size = -(-len(ticks) // _MAX_TICKS)
     out: list[ContactReading] = []
     for t in ticks:
         last = out[-1] if out else None

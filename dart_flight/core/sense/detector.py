@@ -30,7 +30,7 @@ _RISE_SHARE: Final = 0.3  # of the threshold: above it a sample before the cross
 _PEAK_DROP_SHARE: Final = 0.25  # of the threshold: a smaller drop is noise
 _DROP_SIGMA: Final = 2.5  # ... and so is one within this many standard deviations of the smoothed force
 _SMOOTH_SHARE: Final = 0.02  # samples are averaged until their noise is this share of the top
-_MOST_SMOOTH: Final = 5
+_MAX_SMOOTH: Final = 5
 _TOP_SHARE: Final = 0.7  # samples above this share of the maximum are the top of the pulse
 _TOP_REACH: Final = 4  # samples on either side, at most
 _BEFORE: Final = 8  # samples remembered from before the crossing
@@ -342,7 +342,7 @@ class ImpactDetector:
     def _smoothing(self, top: float) -> int:
         """Over how many samples to average so that their noise is small beside the top."""
         ratio = self._noise / max(_SMOOTH_SHARE * top, 1e-6)
-        return max(1, min(_MOST_SMOOTH, round(ratio * ratio)))
+        return max(1, min(_MAX_SMOOTH, round(ratio * ratio)))
 
     def _peak(self, now_us: int, received_us: int, state: FlightState) -> ImpactPeak:
         assert self._onset is not None

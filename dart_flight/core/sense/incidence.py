@@ -49,10 +49,10 @@ from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.core.sense.detector import Events, ExpectedContact
 from dart_flight.core.sense.state import FlightState
 
-LEAST_LEAD_M: Final = 0.002  # a smaller lead is none: both points at once
+MIN_LEAD_M: Final = 0.002  # a smaller lead is none: both points at once
 _BEFORE: Final = 3  # samples of the contact from before the first one that was over the noise
-_MOST: Final = 160  # samples of a contact
-_MOST_BINS: Final = 18
+_MAX: Final = 160  # samples of a contact
+_MAX_BINS: Final = 18
 _GRID_RAD = math.radians(3.0)
 _GRID_REACH: Final = 5  # steps to either side of what the attitude says
 _GUESSES = (0.6, 1.0, 1.6, 2.5)  # of the angle that a line gives
@@ -113,7 +113,7 @@ class ContactSampleBuffer:
     """The newest samples, as many as a contact has: one memory for all that look at contacts."""
 
     def __init__(self) -> None:
-        self._samples: deque[ContactSample] = deque(maxlen=_MOST)
+        self._samples: deque[ContactSample] = deque(maxlen=_MAX)
 
     def add(self, sample: ContactSample) -> None:
         """The next IMU sample."""
@@ -233,7 +233,7 @@ def seen_incidence(frame: MissionFrame, q: Quaternion, normal: Vec2) -> float:
 
 def side_of(lead_m: float) -> ContactSide:
     """Which point came first, by how much nearer to the wall the right one was."""
-    if abs(lead_m) < LEAST_LEAD_M:
+    if abs(lead_m) < MIN_LEAD_M:
         return ContactSide.BOTH
     return ContactSide.RIGHT if lead_m > 0.0 else ContactSide.LEFT
 
@@ -274,7 +274,7 @@ def _fit_samples(
 
 def _binned(rows: list[_FitSample]) -> list[_FitSample]:
     """Means of neighbours where there are many."""
-    size = -(-len(rows) // _MOST_BINS)
+    size = -(-len(rows) // _MAX_BINS)
     return rows if size == 1 else [_mean(rows[i : i + size]) for i in range(0, len(rows), size)]
 
 

@@ -21,15 +21,15 @@ from typing import Final, NamedTuple
 
 from dart_flight.base.linear_algebra import Rows, solve
 
-_MOST_BINS: Final = 13
+_MAX_BINS: Final = 13
 _STEPS: Final = 8
 # of the top: what the model itself may be off by, so that a quiet sensor is not overtrusted
 _MODEL_ERROR: Final = 0.01
 _PRIOR_LOG_OMEGA: Final = 0.25
 _PRIOR_LOG_KAPPA: Final = 1.0
-_LEAST_OMEGA: Final = 8.0
-_MOST_OMEGA: Final = 400.0
-_MOST_MISFIT: Final = 0.12  # of the peak, root mean square: beyond it this is not the model's pulse
+_MIN_OMEGA: Final = 8.0
+_MAX_OMEGA: Final = 400.0
+_MAX_MISFIT: Final = 0.12  # of the peak, root mean square: beyond it this is not the model's pulse
 
 
 class TickReading(NamedTuple):
@@ -115,7 +115,7 @@ def fit_normal(
 
 def _binned(readings: list[TickReading]) -> list[tuple[TickReading, int]]:
     """At most some dozen readings: neighbours averaged, bounds and gaps left alone."""
-    size = -(-len(readings) // _MOST_BINS)
+    size = -(-len(readings) // _MAX_BINS)
     if size == 1:
         return [(r, 1) for r in readings]
     out: list[tuple[TickReading, int]] = []
@@ -149,7 +149,7 @@ class _PulseFit:
         self._weights = [1.0 / (noise_n * noise_n / n + (_MODEL_ERROR * top) ** 2) for _, n in bins]
         self.start = 0.0
         self.slope = 0.0
-        self.omega = min(_MOST_OMEGA, max(_LEAST_OMEGA, prior.omega))
+        self.omega = min(_MAX_OMEGA, max(_MIN_OMEGA, prior.omega))
         self.sigma = min(prior.sigma, 0.7 * self.omega)
         self._curvature: Rows = []  # lower triangle of the normal equations
         self._gradient: list[float] = []
@@ -172,7 +172,7 @@ class _PulseFit:
                 self.start = before[0] + max(-0.01, min(0.01, share * step[0]))
                 self.slope = max(1e-3, before[1] + share * step[1])
                 moved = math.exp(max(-0.3, min(0.3, share * step[2])))
-                self.omega = min(_MOST_OMEGA, max(_LEAST_OMEGA, before[2] * moved, 1.2 * self.sigma))
+                self.omega = min(_MAX_OMEGA, max(_MIN_OMEGA, before[2] * moved, 1.2 * self.sigma))
                 new = self._linearise()
                 if new <= cost * (1.0 + 1e-9):
                     break
@@ -267,7 +267,7 @@ class _PulseFit:
         variance = (fs * x + dw * y) * max(1.0, self._cost / max(1, freedom - 3))
         top = peak * (1.0 + 0.5 * (omega * lag_s) ** 2)
         misfit = math.sqrt(squares / max(1, freedom)) / peak
-        if misfit > _MOST_MISFIT + 3.0 / math.sqrt(self._weights[0]) / peak:
+        if misfit > _MAX_MISFIT + 3.0 / math.sqrt(self._weights[0]) / peak:
             return None
         return NormalPulse(
             start_s=self.start,

@@ -27,7 +27,7 @@ from dart_flight.base.records import (
 
 _SEVERE: Final = frozenset({"emergency", "alert", "critical", "error", "warning"})
 _SAID_US: Final = 15_000_000  # PX4's words older than this explain nothing any more
-_MOST_REASONS: Final = 6
+_MAX_REASONS: Final = 6
 _LEAP_US: Final = 1_000_000
 _FURTHEST_M: Final = 1e5  # any position in PX4's local frame is nearer to its origin
 _FASTEST_M_S: Final = 1e3
@@ -186,7 +186,7 @@ class FlightState:
         if sample.severity in _SEVERE:
             self._said.pop(sample.text, None)  # the newest last
             self._said[sample.text] = self.now_us
-            if len(self._said) > _MOST_REASONS:
+            if len(self._said) > _MAX_REASONS:
                 del self._said[next(iter(self._said))]
 
     def take_health(self, sample: HealthReport) -> None:
@@ -290,9 +290,9 @@ class FlightState:
             found += self.health.blocking
         found += [text for text, t_us in self._said.items() if self.now_us - t_us < _SAID_US]
         others = () if self.health is None else self.health.others
-        found = list(dict.fromkeys(found))[:_MOST_REASONS]
+        found = list(dict.fromkeys(found))[:_MAX_REASONS]
         # What PX4 holds against other modes may be behind it: without a position there is no offboard signal.
-        also = [word for word in others if word not in found][:_MOST_REASONS]
+        also = [word for word in others if word not in found][:_MAX_REASONS]
         if found:
             return "; PX4 says: " + ", ".join(found) + ("; also " + ", ".join(also) if also else "")
         answer = self._refused.get(command or "")

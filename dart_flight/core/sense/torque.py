@@ -25,7 +25,7 @@ _NOISE_TIME_S: Final = 0.5
 _THIRD: Final = 1.0 / 3.0  # a change of the rate's white noise, of variance 2: successive ones differ by 6
 _ADDED: Final = 1e-10  # N2 m2, with every sample
 _SLOW_S: Final = 1.0  # time constant of the torque that is always there ...
-_MOST_SLOW_NM: Final = 0.3  # ... which is not followed further than this
+_MAX_SLOW_NM: Final = 0.3  # ... which is not followed further than this
 
 
 class TorqueEstimator:
@@ -79,7 +79,7 @@ class TorqueEstimator:
         return TorqueEstimate(t_us, (x, y, z), self._noise)
 
     def _learn(self, raw: Vec3, dt_s: float) -> None:
-        share, most = taken_share(dt_s, _SLOW_S), _MOST_SLOW_NM
+        share, most = taken_share(dt_s, _SLOW_S), _MAX_SLOW_NM
         x, y, z = raw
         u, v, w = self._slow
         u, v, w = u + share * (x - u), v + share * (y - v), w + share * (z - w)

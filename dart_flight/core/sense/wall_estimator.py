@@ -38,7 +38,7 @@ _BEFORE: Final = 4  # samples of the contact from before the first one that was 
 _FEWEST: Final = 4  # readings in contact
 _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # deviation of PX4's position against the walls' frame
-_MOST_MISFIT: Final = 2.0  # mean square of the residuals over their errors: beyond it this is no such contact
+_MAX_MISFIT: Final = 2.0  # mean square of the residuals over their errors: beyond it this is no such contact
 
 
 class WallEstimator:
@@ -112,7 +112,7 @@ class WallEstimator:
         if len(fits) == len(Mode):  # else there is nothing to tell apart
             best = min(fit.misfit for fit in fits.values())
             odds = (fits[Mode.RIGID].evidence - fits[Mode.FLEXIBLE].evidence) / max(1.0, best)
-            if abs(odds) >= self._prior.sure_log_odds and best <= _MOST_MISFIT:
+            if abs(odds) >= self._prior.sure_log_odds and best <= _MAX_MISFIT:
                 felt = Mode.RIGID if odds > 0.0 else Mode.FLEXIBLE
         likely = Mode.RIGID if odds > 0.0 else self._vehicle.modes[-1]
         told = felt or reported or likely

@@ -16,7 +16,7 @@ from dart_flight.base.geometry import Vec2
 
 _QUICK_S: Final = 0.5  # a manoeuvre counts at once, and its noise is not forgotten at once
 _SLOW_S: Final = 5.0
-_LEAST_N2: Final = 1e-4
+_MIN_N2: Final = 1e-4
 _ASSUMED: Final = 5  # samples that the noise to begin with counts for
 _DELAY: Final = 10  # samples: what a contact's foot teaches is thrown away at its onset
 
@@ -42,8 +42,8 @@ class WindowMean:
         self._since_sum = 0
         self._seen = 0
         variance = noise_n * noise_n / max(1, samples)
-        self._quick = LearntVariance(variance, _QUICK_S, _LEAST_N2)
-        self._slow = LearntVariance(variance, _SLOW_S, _LEAST_N2)
+        self._quick = LearntVariance(variance, _QUICK_S, _MIN_N2)
+        self._slow = LearntVariance(variance, _SLOW_S, _MIN_N2)
         self._pending: deque[float] = deque()
         # A force that is there all the time is no noise: two means are compared that share no sample. One
         # window apart they agree by chance only for a tone that the window itself takes out.

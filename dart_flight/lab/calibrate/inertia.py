@@ -32,12 +32,12 @@ Array = NDArray[np.float64]
 AXES = ("roll", "pitch", "yaw")
 WINDOW_S = 0.1
 _END_SAMPLES = 3  # on either side of a window's end, averaged
-_LEAST_HZ = 50.0  # of gyro and motors: slower ones miss what the controller does
-_MOST_GAP_S = 0.05
-_MOST_SIDEWAYS_M_S2 = 5.0  # across the thrust axis, mean over a window's end: more is a contact
-_LEAST_WINDOWS = 40
-_MOST_ERROR = 0.1  # standard error of a slope, relative: less certain is not told
-_MOST_RATIO = 1.3  # of the most to the least that the inertia can be
+_MIN_HZ = 50.0  # of gyro and motors: slower ones miss what the controller does
+_MAX_GAP_S = 0.05
+_MAX_SIDEWAYS_M_S2 = 5.0  # across the thrust axis, mean over a window's end: more is a contact
+_MIN_WINDOWS = 40
+_MAX_ERROR = 0.1  # standard error of a slope, relative: less certain is not told
+_MAX_RATIO = 1.3  # of the most to the least that the inertia can be
 _GROUND_MARGIN_S = 1.0
 _LAGS = (0.4, 0.55, 0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.1)  # of the configured one
 _SIGMA_95 = 1.96
@@ -126,10 +126,10 @@ def calibrate_inertia(tracks: Iterable[Track], vehicle: VehicleConfig) -> Inerti
         lag_s = factor * vehicle.thrust.motor_lag_s
         parts = [_windows(track, vehicle, lag_s) for track in tracks]
         joined = _joined(parts)
-        if len(joined.duration) < _LEAST_WINDOWS:
+        if len(joined.duration) < _MIN_WINDOWS:
             raise InputError(
                 f"{len(joined.duration)} windows of {WINDOW_S:g} s in flight without a contact, at least "
-                f"{_LEAST_WINDOWS} are needed",
+                f"{_MIN_WINDOWS} are needed",
                 source=", ".join(t.source for t in tracks),
             )
         axes, drift, unexplained = _fit(joined, vehicle)
@@ -163,10 +163,10 @@ def _refuse_unsuited(track: Track, motors: int) -> None:
         )
     for what, stamps in (("gyro", track.imu_s), ("motor commands", track.motor_s)):
         rate = (len(stamps) - 1) / max(stamps[-1] - stamps[0], 1e-6)
-        if rate < _LEAST_HZ:
+        if rate < _MIN_HZ:
             more = "; log them faster (SDLOG_PROFILE, high rate)" if track.source.endswith(".ulg") else ""
             raise InputError(
-                f"has {what} at {rate:.0f} Hz, at least {_LEAST_HZ:.0f} are needed{more}", source=track.source
+                f"has {what} at {rate:.0f} Hz, at least {_MIN_HZ:.0f} are needed{more}", source=track.source
             )
 
 
@@ -194,10 +194,10 @@ def _windows(track: Track, vehicle: VehicleConfig, lag_s: float) -> _Windows:
         if any(x - _GROUND_MARGIN_S < to_s and y + _GROUND_MARGIN_S > from_s for x, y in track.ground):
             continue
         inside = slice(a - _END_SAMPLES, b + _END_SAMPLES)
-        if step[inside].max() > _MOST_GAP_S or sideways[inside].max() > _MOST_SIDEWAYS_M_S2:
+        if step[inside].max() > _MAX_GAP_S or sideways[inside].max() > _MAX_SIDEWAYS_M_S2:
             continue
         motors = track.motors[slice(*np.searchsorted(track.motor_s, (from_s, to_s)))]
-        if len(motors) < WINDOW_S * _LEAST_HZ * 0.8 or motors.max() >= 0.999 or motors.min() <= 0.001:
+        if len(motors) < WINDOW_S * _MIN_HZ * 0.8 or motors.max() >= 0.999 or motors.min() <= 0.001:
             continue
         rows.append((a, b))
     # What the gyro's noise makes of a change: by its second differences, in which motion hardly shows.
@@ -284,12 +284,12 @@ def _line(name: str, windows: _Windows, impulse: Array, i: int) -> tuple[AxisIne
     most, least = xx / xy, xy / (yy - noise)
     error = math.sqrt((1.0 - explained) / max(1, n - 2) / explained)
     value = math.sqrt(most * least)
-    if error > _MOST_ERROR:
+    if error > _MAX_ERROR:
         axis.refused = (
             f"too little excitation: torques of {axis.torque_nm:.4f} N m tell the inertia to "
-            f"{100.0 * error:.0f} %, {100.0 * _MOST_ERROR:.0f} are needed"
+            f"{100.0 * error:.0f} %, {100.0 * _MAX_ERROR:.0f} are needed"
         )
-    elif most > _MOST_RATIO * least:
+    elif most > _MAX_RATIO * least:
         axis.refused = (
             f"the motors explain {100.0 * explained:.0f} % of how the rates change, which leaves anything "
             f"from {least:.4f} to {most:.4f} kg m2: wind, too few commands, order or places of the motors"

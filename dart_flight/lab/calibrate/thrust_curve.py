@@ -29,19 +29,19 @@ Array = NDArray[np.float64]
 WINDOW_S = 0.5
 _PART_S = 0.1  # a window's parts: long beside the vibration, short beside a bump
 _GROUND_MARGIN_S = 1.0  # PX4's land detector is that late; what it calls ground begins earlier
-_LEAST_IMU, _LEAST_MOTOR = 10, 3  # samples of a window; default logging has motors at 10 Hz
-_MOST_RATE_RAD_S = 0.6
-_MOST_LATERAL_M_S2 = 1.5  # across the thrust axis: more is drag, wind or a contact
-_MOST_JOLT_M_S2 = 3.0  # a part's mean away from the window's: a bump, a touch-down
-_MOST_ACCELERATION_M_S2 = 1.5
-_MOST_COMMAND_CHANGE = 0.06  # from the first half of a window to the second, mean over the motors
-_LEAST_COMMAND, _MOST_COMMAND = 0.05, 0.98  # of any motor's mean
-_MOST_SPEED_M_S = 1.5
-_LEAST_POINTS = 6
+_MIN_IMU, _MIN_MOTOR = 10, 3  # samples of a window; default logging has motors at 10 Hz
+_MAX_RATE_RAD_S = 0.6
+_MAX_LATERAL_M_S2 = 1.5  # across the thrust axis: more is drag, wind or a contact
+_MAX_JOLT_M_S2 = 3.0  # a part's mean away from the window's: a bump, a touch-down
+_MAX_ACCELERATION_M_S2 = 1.5
+_MAX_COMMAND_CHANGE = 0.06  # from the first half of a window to the second, mean over the motors
+_MIN_COMMAND, _MAX_COMMAND = 0.05, 0.98  # of any motor's mean
+_MAX_SPEED_M_S = 1.5
+_MIN_POINTS = 6
 _FACTOR_ERROR = 0.1  # a factor less certain than this is not taken from the flight
-_LEAST_VOLTAGE_SPREAD = 0.02  # relative standard deviation
-_LEAST_SPREAD_V = 1e-6  # below it all voltages are one
-_MOST_EXPONENT = 3.0  # of the voltage
+_MIN_VOLTAGE_SPREAD = 0.02  # relative standard deviation
+_MIN_SPREAD_V = 1e-6  # below it all voltages are one
+_MAX_EXPONENT = 3.0  # of the voltage
 
 # Tests of a window, in the order in which they are made, with what they mean.
 TESTS = {
@@ -104,7 +104,7 @@ class ThrustCalibration(msgspec.Struct):
 
 
 def quiet_points(
-    track: Track, mass_kg: float, lag_s: float, most_speed_m_s: float = _MOST_SPEED_M_S
+    track: Track, mass_kg: float, lag_s: float, most_speed_m_s: float = _MAX_SPEED_M_S
 ) -> Points:
     """The quiet stretches of a flight, half a second each.
 
@@ -138,29 +138,29 @@ def _point(
     imu = slice(*np.searchsorted(track.imu_s, (start, stop)))
     motor = slice(*np.searchsorted(track.motor_s, (start - lag_s, stop - lag_s)))
     f, u = track.specific_force[imu], track.motors[motor]
-    if len(f) < _LEAST_IMU or len(u) < _LEAST_MOTOR or not np.isfinite(u).all():
+    if len(f) < _MIN_IMU or len(u) < _MIN_MOTOR or not np.isfinite(u).all():
         return "gap"
-    if np.linalg.norm(track.rate[imu].mean(axis=0)) > _MOST_RATE_RAD_S:
+    if np.linalg.norm(track.rate[imu].mean(axis=0)) > _MAX_RATE_RAD_S:
         return "turning"
     mean = f.mean(axis=0)
-    if np.hypot(mean[0], mean[1]) > _MOST_LATERAL_M_S2:
+    if np.hypot(mean[0], mean[1]) > _MAX_LATERAL_M_S2:
         return "sideways"
     parts = np.array_split(f, round(WINDOW_S / _PART_S))
-    if max(float(np.linalg.norm(part.mean(axis=0) - mean)) for part in parts) > _MOST_JOLT_M_S2:
+    if max(float(np.linalg.norm(part.mean(axis=0) - mean)) for part in parts) > _MAX_JOLT_M_S2:
         return "jolt"
     moving = track.velocity[slice(*np.searchsorted(track.position_s, (start, stop)))]
     moving = moving[np.isfinite(moving).all(axis=1)]
     if len(moving):
         if np.linalg.norm(moving.mean(axis=0)) > most_speed_m_s:
             return "fast"
-        if np.linalg.norm(moving[-1] - moving[0]) > _MOST_ACCELERATION_M_S2 * WINDOW_S:
+        if np.linalg.norm(moving[-1] - moving[0]) > _MAX_ACCELERATION_M_S2 * WINDOW_S:
             return "accelerating"
     collective = u.mean(axis=1)
     half = len(collective) // 2
-    if abs(collective[half:].mean() - collective[:half].mean()) > _MOST_COMMAND_CHANGE:
+    if abs(collective[half:].mean() - collective[:half].mean()) > _MAX_COMMAND_CHANGE:
         return "unsteady"
     each = u.mean(axis=0)
-    if each.min() < _LEAST_COMMAND or each.max() > _MOST_COMMAND:
+    if each.min() < _MIN_COMMAND or each.max() > _MAX_COMMAND:
         return "limit"
     volts = float("nan")
     if len(track.voltage):
@@ -219,14 +219,14 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
     exponent_error = None
     if exponent is None:
         exponent = 0.0
-        if reference is not None and p.volts.std() > _LEAST_SPREAD_V:
+        if reference is not None and p.volts.std() > _MIN_SPREAD_V:
             shape = factor * p.square + (1.0 - factor) * p.linear
             x, y = np.log(p.volts / reference), np.log(np.maximum(p.force, 1e-3) / np.maximum(shape, 1e-6))
             dx = x - x.mean()
             exponent = float((dx * y).sum() / (dx * dx).sum())
             rest = y - y.mean() - exponent * dx
             exponent_error = float(np.sqrt((rest @ rest) / max(1, len(x) - 2) / (dx @ dx)))
-            exponent = min(max(exponent, 0.0), _MOST_EXPONENT)
+            exponent = min(max(exponent, 0.0), _MAX_EXPONENT)
     curve = Curve(1.0, 0.0, factor, None, exponent, exponent_error, reference)
     force = p.force / curve.by_volts(p)
     if fit_factor:
@@ -263,14 +263,14 @@ def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustC
     if len({part.motors for part in parts}) > 1:
         raise InputError("logs of vehicles with different numbers of motors", source=_sources(tracks))
     p = _joined(parts)
-    if len(p.force) < _LEAST_POINTS:
+    if len(p.force) < _MIN_POINTS:
         raise InputError(
-            f"{len(p.force)} quiet half seconds of hover, at least {_LEAST_POINTS} are needed; rejected: "
+            f"{len(p.force)} quiet half seconds of hover, at least {_MIN_POINTS} are needed; rejected: "
             f"{format_rejected(p.rejected) or 'none'}",
             source=_sources(tracks),
         )
     share, kept = vehicle.thrust.square_share, vehicle.estimation.battery.exponent
-    flat = not p.volts.std() >= _LEAST_VOLTAGE_SPREAD * p.volts.mean()
+    flat = not p.volts.std() >= _MIN_VOLTAGE_SPREAD * p.volts.mean()
     curve = fit_curve(p, share, kept if flat else None, fit_factor=True)
     if curve.factor_error is None or curve.factor_error >= _FACTOR_ERROR:  # the flights cannot tell
         curve = fit_curve(p, share, kept if flat else None)

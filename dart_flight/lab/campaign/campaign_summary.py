@@ -28,12 +28,12 @@ from dart_flight.lab.statistics import (
     share,
 )
 
-_MOST_FAILED = 1000  # that are listed; the table has them all
+_MAX_FAILED = 1000  # that are listed; the table has them all
 _CLEAR_Z = 4.0  # from here on a quantity tells failed flights from others, also among fifty looked at
-_LEAST_FAILED = 5
-_MOST_TOLD = 4
-_MOST_OVER = 2  # drawn quantities for one figure
-_MOST_POINTS = 400
+_MIN_FAILED = 5
+_MAX_TOLD = 4
+_MAX_OVER = 2  # drawn quantities for one figure
+_MAX_POINTS = 400
 
 
 class FigureSpread(msgspec.Struct, frozen=True):
@@ -218,10 +218,10 @@ def summarise(opened: CampaignFolder) -> CampaignSummary:
         rules=_rules(rows, names),
         drawn=_drawn(judged, names),
         varied=_varied([row for row in judged if row.completed], names, figures),
-        failed=[_failed(opened, row) for row in islice((r for r in rows if not r.completed), _MOST_FAILED)],
+        failed=[_failed(opened, row) for row in islice((r for r in rows if not r.completed), _MAX_FAILED)],
         unexplained_modes=[
             _failed(opened, row, row.unexplained)
-            for row in islice((r for r in rows if r.unexplained), _MOST_FAILED)
+            for row in islice((r for r in rows if r.unexplained), _MAX_FAILED)
         ],
         vary=opened.points[0].spreads,
         software=opened.campaign.software,
@@ -312,8 +312,8 @@ def _varied(rows: Sequence[_SummaryRow], names: Sequence[str], figures: Sequence
                 (x, y) for r in rows if isinstance(x := r.drawn[i], float) and (y := r.figures[j]) is not None
             ]
             if len({x for x, _ in known}) > 1 and len({y for _, y in known}) > 1:
-                over.append(FigureTrend(figure, name, rank_correlation(known), known[:_MOST_POINTS]))
-        found += sorted(over, key=lambda varied: -abs(varied.correlation))[:_MOST_OVER]
+                over.append(FigureTrend(figure, name, rank_correlation(known), known[:_MAX_POINTS]))
+        found += sorted(over, key=lambda varied: -abs(varied.correlation))[:_MAX_OVER]
     return found
 
 
@@ -353,7 +353,7 @@ def _telling(
     ended: Sequence[_SummaryRow], fine: Sequence[_SummaryRow], names: Sequence[str]
 ) -> list[DifferingQuantity]:
     """The drawn quantities that tell flights that a rule ended from those that completed, clearest first."""
-    if min(len(ended), len(fine)) < _LEAST_FAILED:
+    if min(len(ended), len(fine)) < _MIN_FAILED:
         return []
     found: list[tuple[float, DifferingQuantity]] = []
     for i, name in enumerate(names):
@@ -367,7 +367,7 @@ def _telling(
                 (abs(apart.z), DifferingQuantity(shown, middle(first), middle(second), apart.chance))
             )
     found.sort(key=lambda entry: -entry[0])
-    return [telling for _, telling in found[:_MOST_TOLD]]
+    return [telling for _, telling in found[:_MAX_TOLD]]
 
 
 def _apart(

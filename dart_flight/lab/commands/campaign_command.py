@@ -16,7 +16,7 @@ from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 
-_MOST_SHOWN = 5  # flights whose arms were not in the lock's mode; the summary has them all
+_MAX_SHOWN = 5  # flights whose arms were not in the lock's mode; the summary has them all
 _LINE_EVERY_S = 60.0  # of progress where there is no terminal
 
 
@@ -192,7 +192,7 @@ def _table(summary: Any) -> Any:
         table.add_row("plan followed", str(summary.plan_followed.of), *summary.plan_followed.words("-"))
     for rule in summary.rules:
         table.add_row(f"[red]{escape(rule.rule)}[/]", str(rule.flights), "", "")
-    for one in summary.unexplained_modes[:_MOST_SHOWN]:
+    for one in summary.unexplained_modes[:_MAX_SHOWN]:
         said = f"{one.mission}, seed {one.seed}: {one.reason}; no fault of the lock was drawn"
         table.add_row(f"[red]{escape(said)}[/]", "", "", "")
     return table

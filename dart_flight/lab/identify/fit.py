@@ -29,7 +29,7 @@ from dart_flight.lab.identify.whole_hits import (
     tangential_ratio,
 )
 
-_LEAST_IN_CONTACT = 4
+_MIN_IN_CONTACT = 4
 _SLOW_SAMPLING_S = 0.006
 _PREDICTS = 0.1  # error of peak and speed out up to which a fit of samples stands although it is off
 _COEFFICIENTS = ("k", "f", "mu", "nu")
@@ -93,14 +93,14 @@ def _fit_samples(
         for i in positions
         if float(np.median(np.diff(trials[i].normal.time_s))) > _SLOW_SAMPLING_S
     }
-    few = {i: n for i, n in few.items() if n < _LEAST_IN_CONTACT}
+    few = {i: n for i, n in few.items() if n < _MIN_IN_CONTACT}
     chosen = [i for i in positions if i not in few]
     result = None
     while chosen:
         felt = [(hits[i].begin_s, hits[i].end_s) for i in chosen]
-        fit, theta, more = solve([trials[i] for i in chosen], felt, mass_kg, onset, least=_LEAST_IN_CONTACT)
+        fit, theta, more = solve([trials[i] for i in chosen], felt, mass_kg, onset, least=_MIN_IN_CONTACT)
         counts = {i: fit.in_contact(theta, j) for j, i in enumerate(chosen)}
-        less = {i: n for i, n in counts.items() if n < _LEAST_IN_CONTACT}
+        less = {i: n for i, n in counts.items() if n < _MIN_IN_CONTACT}
         if not less:
             result = conclude(fit, theta)
             notes += more + result.notes
@@ -110,7 +110,7 @@ def _fit_samples(
     for i, n in few.items():
         notes.append(
             f"{trials[i].name}: {n} sample{'' if n == 1 else 's'} in contact, at least "
-            f"{_LEAST_IN_CONTACT} are needed for stiffness: only its speeds are used"
+            f"{_MIN_IN_CONTACT} are needed for stiffness: only its speeds are used"
         )
     return chosen, result
 

@@ -28,7 +28,7 @@ from dart_flight.lab.identify.whole_fit import HitTable, predict
 _WIDEST_LOG = math.log(10.0)
 # In contact, over the noise of the same channel in free flight: beyond it the law is poor for this trial.
 BAD_FIT = 4.0
-_LEAST_JUDGED = 4  # samples in contact
+_MIN_JUDGED = 4  # samples in contact
 # Over a whole recording residuals of good fits are the noise; what a filter in the recording and the law
 # itself leave out is up to a few hundredths of the contact's own size (simulated vehicle's logs: below 0.01).
 _NOISES = 3.0
@@ -161,7 +161,7 @@ def _misfit(fit: SampleFit, theta: Array, i: int) -> tuple[float | None, str]:
     for name, error in fit.errors(theta, i).items():
         inside = window.contact[name] & (window.counts[name] > 0.0)
         free = ~window.contact[name] & (window.counts[name] > 0.0)
-        if inside.sum() < _LEAST_JUDGED or free.sum() < _LEAST_JUDGED:
+        if inside.sum() < _MIN_JUDGED or free.sum() < _MIN_JUDGED:
             continue
         noise = max(float(np.sqrt(np.mean(error[free] ** 2))), noise_of(window.series[name]), 1e-9)
         ratio = float(np.sqrt(np.mean(error[inside] ** 2))) / noise

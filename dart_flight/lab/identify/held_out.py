@@ -21,7 +21,7 @@ from dart_flight.lab.identify.measured_impacts import MeasuredImpact
 from dart_flight.lab.identify.whole_fit import HitTable, fit, predict
 
 _SAME_SPEED = 0.12  # hits whose speeds differ by less are repeats of one
-_LEAST_HITS = 3
+_MIN_HITS = 3
 # A difference of errors below this share of them is chance with so few hits.
 _EARNED = 0.1
 CONSTANT_RESTITUTION, FORCE_PROPORTIONAL = "constant-restitution", "force-proportional"
@@ -83,7 +83,7 @@ def hold_out(hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset) -> He
         mass_kg, onset: as `identify`.
     """
     mode, n = hits[0].mode, len(hits)
-    if n < _LEAST_HITS:
+    if n < _MIN_HITS:
         said = f"{mode}: {n} hit{'s' if n > 1 else ''} cannot tell how well others are predicted"
         return HeldOut(mode, "trial", 0, None, {}, Errors(None, None), False, said)
 

@@ -21,7 +21,7 @@ _WINDOW_S = 0.2  # free flight on either side
 _GUARD_S = 0.03  # not free flight for sure, before the contact's own extent is known
 _BEND_SD_M_S2 = 3.0  # a controller's acceleration before and after a wall hit, standard deviation
 _DEVIATES = 4.0  # deviations of a position that has left its free flight
-_LEAST = 6  # samples within the contact's limits from which its duration and depth can be read
+_MIN = 6  # samples within the contact's limits from which its duration and depth can be read
 # A force that swings this far to the other side, as a share of the peak, is a sensor or a frame that rings.
 _RINGS = 0.3
 _DOMINATED = 0.5  # and this far: a wall only pushes, so half of what is read is not its force
@@ -165,7 +165,7 @@ def _of_motion(trial: Trial) -> MeasuredImpact:
     speed_out, sd_out = after.speed(end)
     inside = (time > begin) & (time < end)
     count = int(inside.sum())
-    enough = count >= _LEAST
+    enough = count >= _MIN
     along = _along(trial, begin, end)
     force = _of_force(trial, begin, end)
     depth = float(before.position(np.array([begin]))[0] - value[inside].min()) if enough else None
@@ -370,7 +370,7 @@ def _first_pulse(time: Array, value: Array, noise: float, name: str) -> int:
     strong = np.flatnonzero(value > max(0.1 * largest, 15.0 * noise))
     for i in strong:
         before = value[(time > time[i] - _FALLS_S) & (time < time[i] - 0.005)]
-        if before.size >= _LEAST and abs(float(np.median(before))) < 0.5 * _WEIGHTLESS_M_S2:
+        if before.size >= _MIN and abs(float(np.median(before))) < 0.5 * _WEIGHTLESS_M_S2:
             return int(i)
     if not strong.size or largest < max(20.0 * noise, 3.0 * GRAVITY_M_S2):
         raise InputError("no impact found: no pulse out of free fall, and none above 3 g", source=name)

@@ -18,7 +18,7 @@ from dart_flight.lab.identify.trials import Trial
 # Of what turning at its largest rate makes the vehicle's edge slide, over the centre's velocity: by so much
 # the guards slide otherwise, at most (docs/results/flight_identification.md).
 _OF_TURNING = 0.75
-_MOST = 0.8
+_MAX = 0.8
 _K_OF_TURNING = 0.03  # turning presses one guard deeper than the other: k is lower there, by up to 6 %
 _TURNS = 0.1  # from this share on it is said
 
@@ -67,7 +67,7 @@ def widen_intervals(
     turned = worst_rotation(trials, hits)
     mu = found["mu"]
     if turned is not None and turned.share > _TURNS:
-        slides = min(_OF_TURNING * turned.share, _MOST)
+        slides = min(_OF_TURNING * turned.share, _MAX)
         shares["k"] += _K_OF_TURNING
         if mu is not None:
             found = found | {"mu": Estimate(mu.value, mu.low / (1.0 + slides), mu.high / (1.0 - slides))}

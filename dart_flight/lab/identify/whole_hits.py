@@ -20,7 +20,7 @@ from dart_flight.lab.statistics import Z95, student_t
 
 _RESAMPLES = 60
 _SEED = 1  # the same trials give the same interval
-_LEAST_ALONG_M_S = 0.1  # along the wall, below which a ratio says nothing
+_MIN_ALONG_M_S = 0.1  # along the wall, below which a ratio says nothing
 _WIDEST_LOG = math.log(3.0)  # a coefficient known less well than to a factor of three is not known
 
 
@@ -64,7 +64,7 @@ def tangential_ratio(hits: Sequence[MeasuredImpact]) -> Estimate | None:
     shares, sds = [], []
     for h in hits:
         before, after = h.tangential_in_m_s, h.tangential_out_m_s
-        if before is None or after is None or abs(before) < max(_LEAST_ALONG_M_S, 5.0 * h.sd_tangential_m_s):
+        if before is None or after is None or abs(before) < max(_MIN_ALONG_M_S, 5.0 * h.sd_tangential_m_s):
             continue
         shares.append(after / before)
         sds.append(1.5 * h.sd_tangential_m_s / abs(before))
@@ -78,7 +78,7 @@ def friction(hits: Sequence[MeasuredImpact]) -> Estimate | None:
         before, after, out = h.tangential_in_m_s, h.tangential_out_m_s, h.normal_out_m_s
         if before is None or after is None or out is None or after / before <= 0.05:
             continue
-        if abs(before) < max(_LEAST_ALONG_M_S, 5.0 * h.sd_tangential_m_s):
+        if abs(before) < max(_MIN_ALONG_M_S, 5.0 * h.sd_tangential_m_s):
             continue
         change = h.normal_in_m_s + out
         found.append(math.log(before / after) / change)

@@ -25,7 +25,7 @@ BEFORE_S, AFTER_S = 0.25, 0.15  # free flight used at a wall: later the recovery
 _OUTLIER = 5.0  # deviations in free flight
 _HUBER = 3.0  # deviations in contact from which a sample counts less
 _SPIKE = 8.0  # deviations of a single sample that is set aside
-MOST_SET_ASIDE = 0.1  # of the samples of a contact
+MAX_SET_ASIDE = 0.1  # of the samples of a contact
 _LIKE_FREE = 1.5  # a contact whose residuals are this close to those of free flight has the same noise
 
 CHANNELS = (
@@ -123,5 +123,5 @@ def _spikes(size: Array, contact: Mask, scale: float) -> NDArray[np.intp]:
     before = np.concatenate(([True], near[:-1]))
     after = np.concatenate((near[1:], [True]))
     alone = np.flatnonzero(far & before & after)
-    most = math.floor(MOST_SET_ASIDE * int(contact.sum()))
+    most = math.floor(MAX_SET_ASIDE * int(contact.sum()))
     return alone[np.argsort(size[alone])[::-1][:most]]

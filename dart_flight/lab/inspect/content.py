@@ -28,7 +28,7 @@ WANTED_HZ = {
     "vehicle_local_position": 9.0,
     "actuator": 50.0,
 }
-_LEAST_IMU_HZ = 90.0  # below it a rigid contact is four samples
+_MIN_IMU_HZ = 90.0  # below it a rigid contact is four samples
 _RISEN_M = 0.3  # above the ground: taken off
 _TAKEOFF_S = 5.0  # ... where the height is not known
 _LANDED_S = 1.0  # PX4 says landed after a second on the ground; for less, and so high, it was in the air
@@ -94,9 +94,9 @@ def missing(log: ULogFile) -> list[str]:
         if log.first(name) is None:
             raise InputError(f"has no {name}: nothing can be felt", source=log.source)
     rate = log.rate_hz("sensor_combined") or 0.0
-    if rate < _LEAST_IMU_HZ:
+    if rate < _MIN_IMU_HZ:
         raise InputError(
-            f"sensor_combined at {rate:.0f} Hz: a rigid contact of 50 ms needs {_LEAST_IMU_HZ:.0f}; log with "
+            f"sensor_combined at {rate:.0f} Hz: a rigid contact of 50 ms needs {_MIN_IMU_HZ:.0f}; log with "
             f"{_PROFILE}",
             source=log.source,
         )

@@ -11,11 +11,11 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.lab.calibrate.thrust_curve import Curve, Points, fit_curve, format_rejected, quiet_points
 from dart_flight.lab.track import Track
 
-_LEAST_WINDOWS = 8
+_MIN_WINDOWS = 8
 _FOLDS = 4  # held-out parts
 _BLOCK = 5  # windows that are held out together, 2.5 s
-_MOST_HELD_OUT = 0.1  # error of the thrust on held-out stretches: what is worse is no fit
-_MOST_DRAG_PER_S = 1.0
+_MAX_HELD_OUT = 0.1  # error of the thrust on held-out stretches: what is worse is no fit
+_MAX_DRAG_PER_S = 1.0
 # At speed a vehicle changes its thrust and back within the time of a contact: contacts last 50 to 180 ms,
 # and motors that lag by 30 to 50 ms follow within 100 ms. Two motor outputs in such a change are the least
 # that shows it; with fewer it may lie between two of them, and a line through them be off by all of it.
@@ -49,12 +49,12 @@ def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust 
     lag = vehicle.thrust.motor_lag_s
     points = quiet_points(track, 1.0, lag)
     said = "slow flight"
-    if len(points.force) < _LEAST_WINDOWS:
+    if len(points.force) < _MIN_WINDOWS:
         slow, points = points, quiet_points(track, 1.0, lag, _FAST_M_S)
         said = "flight at any speed: what speed does to the propellers is in the residual"
-        if len(points.force) < _LEAST_WINDOWS:
+        if len(points.force) < _MIN_WINDOWS:
             return (
-                f"{len(points.force)} quiet half seconds, at least {_LEAST_WINDOWS} are needed; rejected: "
+                f"{len(points.force)} quiet half seconds, at least {_MIN_WINDOWS} are needed; rejected: "
                 f"{format_rejected(slow.rejected) or 'none'}"
             )
     known = bool(np.isfinite(points.volts).all())
@@ -65,10 +65,10 @@ def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust 
             choices.append(_fitter(vehicle.thrust.square_share, fitted, by_volts))
     scored = [(_held_out(points, fit), fit) for fit in choices]
     error, best = min(scored, key=lambda s: s[0])
-    if not error <= _MOST_HELD_OUT:
+    if not error <= _MAX_HELD_OUT:
         return (
             f"fitted to {len(points.force)} half seconds of {said}, but on those left out it is off by "
-            f"{100.0 * error:.0f} %, over {100.0 * _MOST_HELD_OUT:.0f} %: no fit"
+            f"{100.0 * error:.0f} %, over {100.0 * _MAX_HELD_OUT:.0f} %: no fit"
         )
     curve = best(points)
     return SpecificThrust(
@@ -146,7 +146,7 @@ def fit_drag(track: Track, flying: list[tuple[float, float]]) -> float:
             speed = float(np.hypot(*velocity))
             if speed > 1.0:
                 pairs.append((-float(across[inside].mean(axis=0) @ velocity) / speed, speed))
-    if len(pairs) < _LEAST_WINDOWS:
+    if len(pairs) < _MIN_WINDOWS:
         return 0.0
     table = np.array(pairs)
-    return float(np.clip(np.median(table[:, 0] / table[:, 1]), 0.0, _MOST_DRAG_PER_S))
+    return float(np.clip(np.median(table[:, 0] / table[:, 1]), 0.0, _MAX_DRAG_PER_S))

@@ -38,8 +38,8 @@ from dart_flight.run.replay import Replay, replay
 
 _STEP_S = 0.0005
 _SHOWN_BEFORE_S, _SHOWN_AFTER_S = 0.05, 0.2
-_LEAST_M_S = 0.05
-_LEAST_FRICTION_N = 5.0
+_MIN_M_S = 0.05
+_MIN_FRICTION_N = 5.0
 _FRICTION = "peak friction force"
 _WAY_POINTS = 60
 
@@ -70,7 +70,7 @@ class Compared(msgspec.Struct):
         """
         sources = (self.true, self.predicted, self.planned)
         reference = next((v for v in sources if v is not None), None)
-        least = _LEAST_M_S if self.unit == "m/s" else 0.0
+        least = _MIN_M_S if self.unit == "m/s" else 0.0
         if self.measured is None or reference is None or abs(reference) <= least:
             return None
         return 100.0 * (self.measured / reference - 1.0)
@@ -206,9 +206,7 @@ class Impact:
         friction = next(c for c in self.compared if c.name == _FRICTION)
         if friction.measured is None or friction.predicted is None or self.verdict.clipped:
             return None
-        return (
-            friction.measured / friction.predicted - 1.0 if friction.predicted >= _LEAST_FRICTION_N else None
-        )
+        return friction.measured / friction.predicted - 1.0 if friction.predicted >= _MIN_FRICTION_N else None
 
     @property
     def force_error(self) -> float | None:

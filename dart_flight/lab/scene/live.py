@@ -29,8 +29,8 @@ from dart_flight.recording.encoding import encode
 _START_S = 30.0
 _TURN_S = 0.03
 _END_S = 2.0
-_MOST_WAITING = 4096  # records; four seconds of a flight
-_MOST_BYTES = 1 << 18  # encoded and not yet in the pipe
+_MAX_WAITING = 4096  # records; four seconds of a flight
+_MAX_BYTES = 1 << 18  # encoded and not yet in the pipe
 
 
 class LiveViewSpec(msgspec.Struct):
@@ -108,14 +108,14 @@ class LiveViewProcess:
     def __call__(self, record: Record) -> None:
         """Take a record; any thread, never blocks."""
         if type(record) in WANTED:
-            if len(self._waiting) >= _MOST_WAITING:
+            if len(self._waiting) >= _MAX_WAITING:
                 self.dropped += 1
             else:
                 self._waiting.append(record)
 
     def feed(self, record: Record) -> None:
         """As a call, for those who may wait: whoever reads a log that was written long before."""
-        while len(self._waiting) >= _MOST_WAITING and self._thread.is_alive():
+        while len(self._waiting) >= _MAX_WAITING and self._thread.is_alive():
             time.sleep(_TURN_S)
         self(record)
 
@@ -136,7 +136,7 @@ class LiveViewProcess:
 
     def _pass_on(self) -> bool:
         """Hand over what waits, as far as the pipe takes it; False where nobody is there any more."""
-        while self._waiting and len(self._unsent) < _MOST_BYTES:
+        while self._waiting and len(self._unsent) < _MAX_BYTES:
             for record in self._thinning.take(self._waiting.popleft()):
                 self._unsent += record.topic.encode() + b" " + encode(record) + b"\n"
         try:

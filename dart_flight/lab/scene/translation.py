@@ -64,10 +64,10 @@ SCENES = (ROOM, PLAN, VEHICLE, PATH, FORCES, SET_POINT, HITS)
 # Each message of these says all that there is to say: the newest is enough for a viewer that comes later.
 LASTING = frozenset((*SCENES, *OUTLINES))
 
-_LEAST_ARROW_N = 3.0  # an estimate's noise is no force to draw
+_MIN_ARROW_N = 3.0  # an estimate's noise is no force to draw
 _PATH_STEP_M = 0.03
 _PATH_US = 250_000
-_MOST_PATH = 500  # points; then every other one goes and the step doubles
+_MAX_PATH = 500  # points; then every other one goes and the step doubles
 _LEVELS = {
     Level.DEBUG: LogLevel.Debug,
     Level.INFO: LogLevel.Info,
@@ -97,7 +97,7 @@ class FlownTrajectory:
         if self.points and norm(subtract(point, self.points[-1])) < self._step_m:
             return
         self.points.append(point)
-        if len(self.points) > _MOST_PATH:
+        if len(self.points) > _MAX_PATH:
             self.points = self.points[::2]
             self._step_m *= 2.0
 
@@ -274,7 +274,7 @@ class SceneTranslator:
         """Arrows of the strongest forces since the last picture; one empty picture once they are gone."""
         pairs = ((self._true_n, drawing.GREY), (self._estimated_n, drawing.RED))
         self._true_n = self._estimated_n = (0.0, 0.0, 0.0)
-        arrows = [drawing.arrow(position, n, colour) for n, colour in pairs if norm(n) >= _LEAST_ARROW_N]
+        arrows = [drawing.arrow(position, n, colour) for n, colour in pairs if norm(n) >= _MIN_ARROW_N]
         if not arrows and not self._drawn_forces:
             return []
         self._drawn_forces = bool(arrows)

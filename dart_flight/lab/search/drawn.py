@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from dart_flight.config.mission import Mission
 from dart_flight.planning.predicted_flight import PredictedFlight, flights_with
-from dart_flight.planning.rollout import LEAST_FACTOR, UncertaintyDraw, drawn_wall
+from dart_flight.planning.rollout import MIN_FACTOR, UncertaintyDraw, drawn_wall
 
 
 def predict_with_draws(mission: Mission, count: int = 40, seed: int = 1) -> list[PredictedFlight]:
@@ -39,5 +39,5 @@ def predict_with_draws(mission: Mission, count: int = 40, seed: int = 1) -> list
 
 
 def _factors(relative: NDArray[np.float64]) -> tuple[float, float, float]:
-    k, f, mu = np.maximum(1.0 + relative, LEAST_FACTOR)
+    k, f, mu = np.maximum(1.0 + relative, MIN_FACTOR)
     return float(k), float(f), float(mu)

@@ -34,9 +34,9 @@ from dart_flight.config.provenance import VehicleSource, find_vehicle
 from dart_flight.config.section import Section, keys_of
 from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
 
-_MOST_STEPS = 2001
-_MOST_CANDIDATES = 20_000_000
-_MOST_COLLISIONS = 4
+_MAX_STEPS = 2001
+_MAX_CANDIDATES = 20_000_000
+_MAX_COLLISIONS = 4
 
 
 class Objective(StrEnum):
@@ -232,8 +232,8 @@ def resolve_scenario(
     for mode, key in [(spec.transit_mode, ("transit_mode",)), *((m, ("search", "modes")) for m in modes)]:
         refuse_mode(mode, vehicle, key, document)
     count = sum(len(normal) * len(tangential) * len(modes) ** len(s) for s in sequences)
-    if count > _MOST_CANDIDATES:
-        raise document.error(("search",), f"{count} candidates, at most {_MOST_CANDIDATES}; widen the steps")
+    if count > _MAX_CANDIDATES:
+        raise document.error(("search",), f"{count} candidates, at most {_MAX_CANDIDATES}; widen the steps")
     return Scenario(
         **keys_of(spec, SpaceKeys),
         name=spec.name or _name_from(document.source),
@@ -270,13 +270,13 @@ def _sequences(spec: ScenarioFile, document: Document) -> tuple[tuple[str, ...],
         found: list[tuple[str, ...]] = [(name,) for name in spec.walls]
         frontier = found
         # A wall at most once: the recovery leads away from it.
-        for _ in range(min(len(spec.walls), _MOST_COLLISIONS) - 1):
+        for _ in range(min(len(spec.walls), _MAX_COLLISIONS) - 1):
             frontier = [(*s, name) for s in frontier for name in spec.walls if name not in s]
             found = [*found, *frontier]
         return tuple(found)
     sequence = tuple(spec.sequence)
-    if not 1 <= len(sequence) <= _MOST_COLLISIONS:
-        raise document.error(key, f"one to {_MOST_COLLISIONS} walls, not {len(sequence)}; or: any")
+    if not 1 <= len(sequence) <= _MAX_COLLISIONS:
+        raise document.error(key, f"one to {_MAX_COLLISIONS} walls, not {len(sequence)}; or: any")
     for i, name in enumerate(sequence):
         if name not in spec.walls:
             raise document.error((*key, i), unknown_name(name, list(spec.walls)))
@@ -297,8 +297,8 @@ def _grid(spec: GridSpec, key: Key, document: Document) -> tuple[float, ...]:
             f"{spec.step:g} does not divide the range {spec.min:g} to {spec.max:g}; "
             f"max {below:.6g} or {below + spec.step:.6g} would do",
         )
-    if count + 1 > _MOST_STEPS:
-        raise document.error((*key, "step"), f"{count + 1} values, at most {_MOST_STEPS}; widen the step")
+    if count + 1 > _MAX_STEPS:
+        raise document.error((*key, "step"), f"{count + 1} values, at most {_MAX_STEPS}; widen the step")
     return tuple(round(spec.min + i * spec.step, 12) for i in range(count + 1))
 
 

@@ -24,7 +24,7 @@ from dart_flight.planning.approach_grid import ApproachGrid
 from dart_flight.planning.constraints import REFUSALS, Constraints, Refusal
 from dart_flight.planning.flight_model import Array, FreeFlight, Rows
 from dart_flight.planning.rollout import (
-    LEAST_FACTOR,
+    MIN_FACTOR,
     Arrivals,
     Rollout,
     UncertaintyDraw,
@@ -35,7 +35,7 @@ from dart_flight.planning.rollout import (
 
 Progress = Callable[[int, int], None]  # trajectories done, of how many
 
-_LEAST_LOSS_M = 1.0
+_MIN_LOSS_M = 1.0
 
 ADVICE = {
     Refusal.APPROACH_SPEED: "raise limits.speed_m_s or search slower approaches",
@@ -319,7 +319,7 @@ class ScenarioSearch:
         return Rollout(there, sequence, self.flight, Constraints(there), approached=planned.walls[0])
 
     def _judged(self, c: Candidates, misses: Array) -> Candidates:
-        loss = max(_LEAST_LOSS_M, distance2(self.scenario.start, self.scenario.goal.position_m))
+        loss = max(_MIN_LOSS_M, distance2(self.scenario.start, self.scenario.goal.position_m))
         failed = np.isnan(misses)
         filled = np.where(failed, loss, misses)
         return c._replace(
@@ -409,7 +409,7 @@ def draws_of(scenario: Scenario, seed: int) -> list[UncertaintyDraw]:
         factors = {}
         for name in scenario.alphas:
             for mode in scenario.modes:
-                k, f, mu = np.maximum(1.0 + np.array([u.k, u.f, u.mu]) * rng.standard_normal(3), LEAST_FACTOR)
+                k, f, mu = np.maximum(1.0 + np.array([u.k, u.f, u.mu]) * rng.standard_normal(3), MIN_FACTOR)
                 factors[name, mode] = (float(k), float(f), float(mu))
         shift = rng.standard_normal(3)
         walls = {name: drawn_wall(wall, rng) for name, wall in scenario.walls.items() if wall.is_uncertain}

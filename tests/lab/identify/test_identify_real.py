@@ -29,7 +29,7 @@ from dart_flight.lab.identify.measured_impacts import MeasuredImpact, measure_im
 from dart_flight.lab.identify.trials import Series, Trial
 from dart_flight.lab.identify.whole_fit import HitTable, predict
 from dart_flight.lab.identify.whole_hits import stiffness_and_damping
-from dart_flight.lab.identify.windows import MOST_SET_ASIDE, weigh
+from dart_flight.lab.identify.windows import MAX_SET_ASIDE, weigh
 from dart_flight.lab.predict.path import ContactMotion
 from tools.synthetic_trials import MASS_KG, wall_trial
 
@@ -91,7 +91,7 @@ def test_a_contact_is_never_dropped(seed: int, inside: int, outside: int, off: f
     errors[contact] += off * np.sin(np.linspace(0.0, 3.0, inside))  # a law that is wrong
     counts, _ = weigh([errors], [contact])
     gone = (counts[0] == 0.0) & contact
-    assert gone.sum() <= MOST_SET_ASIDE * inside
+    assert gone.sum() <= MAX_SET_ASIDE * inside
     assert not (gone[1:] & gone[:-1]).any()
 
 

@@ -20,7 +20,7 @@ from dart_flight.lab.report.flown_collisions import shown_span
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.lab.report.tracks import angles, power, tracking
 
-_MOST_POINTS = 700  # of a line over a whole flight: more than the page has pixels
+_MAX_POINTS = 700  # of a line over a whole flight: more than the page has pixels
 
 
 def mark_impacts(axis: Any, flight: RecordedFlight) -> None:
@@ -34,8 +34,8 @@ def _plot(axis: Any, flight: RecordedFlight, time_s: Any, values: Any, **style: 
     begin, end = shown_span(flight)
     inside = (time_s >= begin) & (time_s <= end)
     t, v = time_s[inside], np.asarray(values)[inside]
-    if v.size > _MOST_POINTS:
-        step = -(-2 * v.size // _MOST_POINTS)
+    if v.size > _MAX_POINTS:
+        step = -(-2 * v.size // _MAX_POINTS)
         count = v.size // step
         parts = v[: count * step].reshape(count, step)
         first = np.arange(count) * step
