@@ -200,6 +200,8 @@ def work(
                 return
             landed, _ = wait(under_way, timeout=_POLL_S, return_when=FIRST_COMPLETED)
             for future in landed:
+                if interrupt.count > 1:  # given up while somebody took the result before this one
+                    return
                 if not isinstance(future.exception(), BrokenProcessPool):
                     yield FinishedItem(under_way.pop(future), future.result())
             if any(isinstance(future.exception(), BrokenProcessPool) for future in landed):

@@ -72,13 +72,13 @@ def test_who_starves_is_killed_in_time(body: str, starving: str, tmp_path: Path)
 
 def test_who_feeds_lives_and_ends_as_it_likes(tmp_path: Path) -> None:
     note = tmp_path / "deadman.txt"
-    process = fed(f"for _ in range(50): {FEED_BOTH}\ndeadman.let_go(); time.sleep(0.6)", note)
+    process = fed(f"for _ in range(50): {FEED_BOTH}\ndeadman.disarm(); time.sleep(0.6)", note)
     assert process.wait(15) == 0
     assert not note.exists()
 
 
 def test_a_watcher_that_was_stopped_itself_harms_nobody(tmp_path: Path) -> None:
-    process = fed(f"for _ in range(100): {FEED_BOTH}\ndeadman.let_go()", tmp_path / "note")
+    process = fed(f"for _ in range(100): {FEED_BOTH}\ndeadman.disarm()", tmp_path / "note")
     assert process.stdout is not None
     watcher = int(process.stdout.readline().split()[1])
     os.kill(watcher, signal.SIGSTOP)
