@@ -94,7 +94,7 @@ def test_a_watcher_that_dies_is_replaced(tmp_path: Path) -> None:
     time.sleep(0.1)
     for _ in range(20):
         {FEED_BOTH}
-        deadman.mend()
+        deadman.restart_if_dead()
     time.sleep(20)
     """
     note = tmp_path / "note"
