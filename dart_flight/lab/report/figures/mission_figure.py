@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,7 @@ from dart_flight.lab.search.drawn import predict_with_draws
 from dart_flight.planning.predicted_flight import PredictedFlight, describe_goal_miss
 
 SHEET = Look(7.2, 9.0)
+_NOTE_WIDTH = 96  # characters below the picture
 _ABOVE_M, _BELOW_M = 0.35, 0.05  # what the side view shows above the flight's height and below the ground
 _SAME_M = 0.12  # hits that stand nearer together share a label in the side view
 _DRAWN = "#8db4e2"
@@ -74,7 +76,7 @@ def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: L
     plan.set_ylabel("y, m")
     side.set(xlabel="x, m", ylabel="z, m")
     plan.set_title(mission.name, fontsize=look.font_pt + 1.0, loc="left")
-    words = "\n".join(prediction_lines(mission, planned, drawn))
+    words = "\n".join(textwrap.fill(line, _NOTE_WIDTH) for line in prediction_lines(mission, planned, drawn))
     fit_map(figure, plan, below=side, note=words)
     names = name_walls(plan, mission, look.small_pt)
     if planned is not None:
