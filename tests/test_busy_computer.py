@@ -33,7 +33,7 @@ def test_check_says_how_late(late_s: float, go: bool, remark: bool, monkeypatch:
     monkeypatch.setattr(lateness, "measure_lateness_s", lambda: late_s)
     found = lateness.check_lateness(MISSION)
     assert (found.item, found.go, found.remark) == ("lateness", go, remark)
-    assert f"{1e3 * late_s:.0f} ms late" in found.says
+    assert f"{1e3 * late_s:.0f} ms" in found.says
     assert main(["check", str(SINGLE)]) == (0 if go else 1)
 
 
@@ -60,9 +60,9 @@ def test_a_dry_run_in_real_time_says_so_before_and_after(
     )
     assert main(["dry-run", str(SINGLE)]) == 1
     said = capsys.readouterr().err
-    advice = "the computer is too busy for this pace; --fast has none, --speed 0.5 half of it"
-    assert f"this program runs up to 100 ms late: {advice}" in said
-    assert f"this program ran up to 412 ms late: {advice}" in said
+    advice = "the computer cannot keep up with real time; use --fast or --speed 0.5"
+    assert f"this program lags by up to 100 ms: {advice}" in said
+    assert f"this program lagged by up to 412 ms: {advice}" in said
 
 
 def test_in_simulated_time_nothing_is_measured(

@@ -84,11 +84,11 @@ class Request(StrEnum):
     LAND = "land"  # leave the wall, land
     CONTINUE = "continue"  # the pause is over
     RELEASE = "release"
-    WORLD_DIED = "world_died"  # by the shell: the simulated vehicle is gone
+    WORLD_DIED = "world_died"  # by the shell: simulated vehicle terminated
 
 
 class ModeMismatch(StrEnum):
-    """What follows where a contact was felt in the other mode than the lock reports."""
+    """What follows where a contact indicates the other mode than the lock reports."""
 
     NOTE_ONLY = "go_on"  # noted in log and verdict
     LAND = "land"

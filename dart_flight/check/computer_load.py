@@ -10,9 +10,9 @@ from dart_flight.config.mission import Mission
 def check_lateness(mission: Mission) -> CheckFinding:
     """Measure for half a second how late this program runs: a no-go where the guard would see silence."""
     late_s = measure_lateness_s()
-    says = f"this program runs up to {late_s * 1e3:.0f} ms late"
+    says = f"this program lags by up to {late_s * 1e3:.0f} ms"
     if late_s <= LATE_S:
         return CheckFinding("lateness", True, says)
-    says += ": the computer is too busy for a flight in real time (`dry-run` has --fast, and --speed 0.5)"
+    says += ": the computer cannot keep up with a real-time flight (use `dry-run --fast` or --speed 0.5)"
     go = late_s <= mission.vehicle.guard.stream_timeout_s
     return CheckFinding("lateness", go, says, remark=go)

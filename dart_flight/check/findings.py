@@ -51,7 +51,8 @@ def decide(mission: Mission, findings: Iterable[CheckFinding], overrule: Iterabl
     if unknown:
         bad = ", ".join(sorted({f.item for f in found if not f.go})) or "none"
         raise InputError(
-            f"{sorted(unknown)[0]!r} is no no-go of this mission, they are: {bad}", key=("--overrule",)
+            f"{sorted(unknown)[0]!r} is not a failed check of this mission; failed checks: {bad}",
+            key=("--overrule",),
         )
     judged = [
         msgspec.structs.replace(f, overruled=True) if not f.go and f.item in wanted else f for f in found

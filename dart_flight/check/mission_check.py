@@ -92,7 +92,7 @@ def _check_places(mission: Mission) -> list[CheckFinding]:
             findings.append(CheckFinding(f"{name.replace(' ', '_')}_clearance", False, says))
     for wall in mission.walls:
         if mission.bounds.excess2(wall.point) > 0.0:
-            says = f"the middle of wall {wall.name} lies outside of bounds_m: it could not be flown to"
+            says = f"the middle of wall {wall.name} is outside bounds_m and cannot be reached"
             findings.append(CheckFinding("wall_bounds", False, says))
     if not findings:
         findings.append(
@@ -180,8 +180,8 @@ def _check_noise(mission: Mission, collision: Collision) -> list[CheckFinding]:
         return []
     says = (
         f"{collision.mode.value}, {hit.peak_normal_force_n:.1f} N at wall {collision.wall.name}: with "
-        f"vibration of {vehicle.estimation.imu_noise_m_s2:g} m/s2 only {floor:.1f} N is sure to be felt; "
-        "`inspect` says what yours is"
+        f"vibration of {vehicle.estimation.imu_noise_m_s2:g} m/s2 only {floor:.1f} N is reliably "
+        "detected; run `inspect` to measure yours"
     )
     return [CheckFinding(f"noise_{collision.index}", True, says, remark=True)]
 
@@ -216,7 +216,7 @@ def _check_path(mission: Mission, planned: PredictedFlight) -> list[CheckFinding
     if worst > 0.0:
         says = f"the predicted path leads to {place}, {worst:.2f} m outside bounds_m"
         return [CheckFinding("path", False, says)]
-    reached = "" if len(planned.hits) == len(mission.collisions) else ", as far as the model follows it"
+    reached = "" if len(planned.hits) == len(mission.collisions) else ", as far as the model predicts"
     return [
         CheckFinding("path", True, f"the predicted path and where it could stop lie within bounds_m{reached}")
     ]
@@ -227,7 +227,7 @@ def _check_goal(mission: Mission, planned: PredictedFlight) -> list[CheckFinding
     if not mission.recovers_to_goal or mission.standoff_m is not None:
         return []
     if planned.goal_miss_m is None:
-        says = "the model does not follow the flight to the goal"
+        says = "the model cannot predict the flight up to the goal"
         return [CheckFinding("goal", True, says, remark=True)]
     miss_m, radius_m = planned.goal_miss_m, mission.goal.capture_radius_m
     figures = {"goal_miss_m": miss_m, "capture_radius_m": radius_m}
@@ -284,7 +284,7 @@ def _check_recovery(
         collision.alpha_tangential_m_per_n,
         mission.altitude_at(collision.index - 1),
     )
-    says = f"setpoint after wall {collision.wall.name} about ({target[0]:.2f}, {target[1]:.2f})"
+    says = f"setpoint after wall {collision.wall.name} near ({target[0]:.2f}, {target[1]:.2f})"
     following = next((c for c in mission.collisions if c.index == collision.index + 1), None)
     leg = next((one for one in transit_segments(mission) if _begins_behind(mission, one, collision)), None)
     if following is not None and following.approach_m_s is None:
@@ -318,7 +318,7 @@ def _outside(mission: Mission, item: str, target: Vec3, says: str, first: str) -
     outside = setpoint_outside_m(mission.bounds, target[0], target[1])
     if outside > SETPOINT_OUTSIDE_M:
         far = f"{says}, {outside:.2f} m outside bounds_m, more than {SETPOINT_OUTSIDE_M:g} m"
-        return CheckFinding(item, False, far + ": is alpha meant so?")
+        return CheckFinding(item, False, far + ": is this alpha intended?")
     if outside > 0.0:
         return CheckFinding(
             item, True, f"{says}, {outside:.2f} m outside bounds_m: {first} must come before", remark=True
@@ -350,7 +350,7 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
     says = f"the lock needs {needed:.2f} s between the contacts, {how} {free:.2f} s there are"
     go = free >= needed or how == "at least"
     if free < needed and go:
-        says += "; where it is late, the approach is broken off in flight"
+        says += "; if the lock is late, the approach is aborted in flight"
     return [CheckFinding(item, go, says)]
 
 
@@ -359,7 +359,7 @@ def _check_coefficients(mission: Mission) -> list[CheckFinding]:
     for name in sorted({c.wall.material for c in mission.collisions}):
         source = mission.vehicle.materials[name].source
         assumed = "assumed" in source or not source
-        note = " (assumed: the flight may differ; `identify` measures)" if assumed else ""
+        note = " (assumed, not measured: use `identify`)" if assumed else ""
         findings.append(
             CheckFinding(f"material_{name}", True, f"{name}: {source or 'no source given'}{note}")
         )

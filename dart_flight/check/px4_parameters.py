@@ -27,57 +27,57 @@ _RTK_FIX = "rtk_fixed"
 
 
 _LOSS_ACTIONS = {
-    0: "position mode: sticks must be there",
-    1: "altitude mode: sticks must be there",
-    2: "stabilized: sticks must be there",
-    3: "return: it climbs and flies home, whatever stands between",
+    0: "position mode: requires RC sticks",
+    1: "altitude mode: requires RC sticks",
+    2: "stabilized: requires RC sticks",
+    3: "return: climbs and flies home regardless of obstacles",
     4: "land",
     5: "hold",
-    6: "terminate: it falls",
-    7: "disarm: it falls",
+    6: "terminate: motors stop, vehicle falls",
+    7: "disarm: motors stop, vehicle falls",
 }
 _RC_LOSS_ACTIONS = {
     0: "nothing",
     1: "hold",
-    2: "return: it climbs and flies home, whatever stands between",
+    2: "return: climbs and flies home regardless of obstacles",
     3: "land",
-    5: "terminate: it falls",
-    6: "disarm: it falls",
+    5: "terminate: motors stop, vehicle falls",
+    6: "disarm: motors stop, vehicle falls",
 }
 
 
 def _of_loss(value: float, mission: Mission) -> tuple[bool, str]:
     whole = value + mission.vehicle.guard.deadman_s
     return value <= 1.5, (
-        f"without setpoints PX4 acts after {value:g} s; with the deadman, a hung program flies on for at "
-        f"most {whole:.2f} s"
+        f"without setpoints PX4's offboard-loss failsafe acts after {value:g} s; with the deadman, a hung "
+        f"program flies on for at most {whole:.2f} s"
         + ("" if value <= 1.5 else ", more than a wall at arm's length allows: at most 1.5 s")
     )
 
 
 def _loss_action(value: float, _: Mission) -> tuple[bool, str]:
     action = round(value)
-    return action in (0, 1, 2, 4, 5), f"when setpoints are lost: {_LOSS_ACTIONS.get(action, 'unknown')}"
+    return action in (0, 1, 2, 4, 5), f"on loss of offboard setpoints: {_LOSS_ACTIONS.get(action, 'unknown')}"
 
 
 def _rc_override(value: float, _: Mission) -> tuple[bool, str]:
     takes_over = bool(round(value) & _OVERRIDE_IN_OFFBOARD)
     return takes_over, (
-        "the pilot's sticks take over in offboard"
+        "RC sticks override offboard"
         if takes_over
-        else "the pilot's sticks do NOT take over in offboard: only the mode switch does"
+        else "RC sticks do NOT override offboard; only the mode switch does"
     )
 
 
 def _stick_speed(value: float, _: Mission) -> tuple[bool, str]:
     if value < 0.0:
-        return False, "the pilot's sticks do NOT take over in offboard: only the mode switch does"
-    return True, f"the pilot's sticks take over in offboard when moved faster than {value:g} 1/s"
+        return False, "RC sticks do NOT override offboard; only the mode switch does"
+    return True, f"RC sticks override offboard when moved faster than {value:g} 1/s"
 
 
 def _rc_loss(value: float, _: Mission) -> tuple[bool, str]:
     action = round(value)
-    return action in (0, 1, 3), f"when the remote control is lost: {_RC_LOSS_ACTIONS.get(action, 'unknown')}"
+    return action in (0, 1, 3), f"on RC loss: {_RC_LOSS_ACTIONS.get(action, 'unknown')}"
 
 
 def _imbalance(value: float, _: Mission) -> tuple[bool, str]:
@@ -125,7 +125,9 @@ def _gyro_rate(value: float, _: Mission) -> tuple[bool, str]:
 def _disarm_land(value: float, _: Mission) -> tuple[bool, str]:
     return (
         True,
-        "never disarms by itself after landing" if value <= 0.0 else f"disarms {value:g} s after landing",
+        "does not disarm automatically after landing"
+        if value <= 0.0
+        else f"disarms {value:g} s after landing",
     )
 
 
@@ -200,7 +202,7 @@ def judge_parameters(
                 continue
             if name in wanted and _is_elsewhere(wanted[name], wanted, values, version):
                 continue
-            findings.append(CheckFinding(name, False, "cannot be read: what PX4 will do is not known"))
+            findings.append(CheckFinding(name, False, "cannot be read: PX4's behaviour is unknown"))
             continue
         go, says = judge(values[name], mission)
         if go and difference is not None:
@@ -291,7 +293,9 @@ def judge_position(
     if claimed not in (None, found, PositionSource.PLAIN):
         other = "motion capture" if found is PositionSource.MOCAP else f"GPS ({fix})"
         return [
-            CheckFinding(item, False, f"not {claimed}, as said: the vehicle's position comes from {other}")
+            CheckFinding(
+                item, False, f"not {claimed} as specified: the vehicle's position comes from {other}"
+            )
         ]
     source = claimed or found
     if source is PositionSource.MOCAP:

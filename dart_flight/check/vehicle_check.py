@@ -74,7 +74,7 @@ def judge_round_trip(mission: Mission, seconds: float | None) -> CheckFinding:
     """Whether samples come in time, as far as a round trip tells; None: no request for it was answered."""
     item, limit_s = "round_trip", 2.0 * mission.vehicle.guard.telemetry_late_s
     if seconds is None:
-        return CheckFinding(item, True, "the vehicle does not answer TIMESYNC", remark=True)
+        return CheckFinding(item, True, "vehicle does not answer TIMESYNC", remark=True)
     says = f"{seconds * 1e3:.0f} ms between vehicle and program, allowed are {limit_s * 1e3:.0f} ms"
     return CheckFinding(item, seconds <= limit_s, says)
 
@@ -82,7 +82,9 @@ def judge_round_trip(mission: Mission, seconds: float | None) -> CheckFinding:
 def judge_observation(mission: Mission, observed: Observation) -> list[CheckFinding]:
     """Rates, battery and estimator as observed."""
     findings = [
-        CheckFinding("version", True, f"PX4 {observed.version}" if observed.version else "version not told")
+        CheckFinding(
+            "version", True, f"PX4 {observed.version}" if observed.version else "version not reported"
+        )
     ]
     if observed.other_vehicle is not None:
         findings.append(CheckFinding("second_vehicle", False, observed.other_vehicle))
@@ -101,7 +103,7 @@ def judge_observation(mission: Mission, observed: Observation) -> list[CheckFind
         )
         if text
     )
-    findings.append(CheckFinding("battery", not low, told or "not told"))
+    findings.append(CheckFinding("battery", not low, told or "not reported"))
     said = ", ".join(dict.fromkeys([*observed.blocking, *observed.texts]))
     says = "local position valid"
     if not observed.local_position_ok:
@@ -109,7 +111,7 @@ def judge_observation(mission: Mission, observed: Observation) -> list[CheckFind
     findings.append(CheckFinding("estimator", observed.local_position_ok, says))
     if observed.blocking or observed.texts:
         # No no-go: PX4 judges its present mode, and `fly` arms in offboard.
-        begin = "PX4 would not arm as it is: " if observed.blocking else "PX4 says: "
+        begin = "PX4 would refuse to arm: " if observed.blocking else "PX4 says: "
         findings.append(CheckFinding("px4_checks", True, begin + said, remark=True))
     return findings
 

@@ -75,7 +75,7 @@ def _check_collision(
             f"incidence_{collision.index}",
             False,
             f"wall {wall.name} may be {off_deg:.0f} degrees off parallel ({_INCIDENCE_SD:g} sd), more than "
-            f"the {most_deg:g} that {collision.mode.value} arms bear: measure its direction",
+            f"the {most_deg:g} that {collision.mode.value} arms tolerate: measure its direction",
         )
 
 

@@ -26,22 +26,22 @@ from dart_flight.lab_entries import load_entry
 COMMANDS = {
     "fly": "fly a mission on the vehicle",
     "dry-run": "fly a mission in simulation",
-    "campaign": "fly missions by the thousand in simulation, into a table that survives",
-    "simulate": "a simulated vehicle alone, for `fly` in another terminal or a ground station",
-    "check": "go or no-go: a mission, and the vehicle where one answers",
+    "campaign": "fly thousands of simulated missions into a resumable results table",
+    "simulate": "run a standalone simulated vehicle for `fly` in another terminal or a ground station",
+    "check": "preflight check of a mission and, where connected, of the vehicle",
     "lock": "move or report the locking mechanism",
     "plan": "choose walls, velocities and modes for a scenario, and write the mission",
-    "replay": "a recorded flight again through the same decisions",
-    "report": "recorded flights as a page with plots",
-    "export": "flight logs as CSV files, or to play in 3D in Foxglove, Lichtblick and Rerun",
+    "replay": "replay a recorded flight through the flight core and compare decisions",
+    "report": "write an HTML report of recorded flights",
+    "export": "export flight logs as CSV, or for 3D playback in Foxglove, Lichtblick and Rerun",
     "predict": "predict a collision or a drop",
-    "monitor": "live view of force, detection, streams, lock and phase, without flying",
-    "calibrate": "thrust curve or inertia from flights",
-    "inspect": "what PX4 logs of any multirotor felt: force, impacts, what is unknown",
-    "identify": "contact coefficients from recorded trials",
-    "tables": "the paper's tables beside the model's",
+    "monitor": "show force, detection, streams, lock and phase live, without flying",
+    "calibrate": "calibrate thrust curve or inertia from flight logs",
+    "inspect": "find impacts and forces in PX4 logs of any multirotor",
+    "identify": "identify contact coefficients from recorded trials",
+    "tables": "compare the paper's tables with the model",
     "init": "copy the packaged configuration, missions and scenarios to start from",
-    "completion": "what completes commands in bash, zsh or tcsh",
+    "completion": "print a completion script for bash, zsh or tcsh",
 }
 
 # commands that were renamed: the old name goes on working for one release, with a note
@@ -116,7 +116,7 @@ def build_parser(wanted: Collection[str]) -> argparse.ArgumentParser:
 def _common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="one machine-readable object on standard output")
     parser.add_argument("--config", metavar="FILE", help="vehicle configuration (default: configs/dart.yaml)")
-    parser.add_argument("-v", "--verbose", action="count", default=0, help="say more on standard error")
+    parser.add_argument("-v", "--verbose", action="count", default=0, help="more messages on standard error")
 
 
 def _module(command: str) -> Any:

@@ -33,7 +33,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("mission", metavar="MISSION", help="mission file, see missions/")
     parser.add_argument("--connection", metavar="URL", help="also check the vehicle that answers here")
     parser.add_argument(
-        "--overrule", action="append", default=[], metavar="ITEM", help="fly although this item is no-go"
+        "--overrule",
+        action="append",
+        default=[],
+        metavar="ITEM",
+        help="fly despite this failed check (repeatable)",
     )
     add_log_dir_option(parser)
     add_position_option(parser)
@@ -74,4 +78,4 @@ def show(report: CheckReport, console: Console) -> None:
         if finding.overruled:
             word = "[yellow]overruled[/]"
         console.print(f"{word} [bold]{finding.item}[/]: {escape(finding.says)}", soft_wrap=True)
-    console.print("[bold green]go[/]" if report.go else "[bold red]no-go[/]: not to be flown like this")
+    console.print("[bold green]go[/]" if report.go else "[bold red]no-go[/]: do not fly")

@@ -47,18 +47,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--speed",
         type=number(0.1, 10.0),
         metavar="X",
-        help="times real time, as far as the machine sustains it; not with --fast, which has no pace",
+        help="real-time factor, as far as the machine sustains it; not with --fast",
     )
     parser.add_argument("--fast", action="store_true", help="in process, in simulated time, without MAVLink")
-    parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="of the noise (default 1)")
+    parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="random seed (default 1)")
     parser.add_argument(
-        "--runs", type=whole_number(1, 100_000), metavar="N", help="N flights, seeds from --seed on"
+        "--runs",
+        type=whole_number(1, 100_000),
+        metavar="N",
+        help="number of flights, with consecutive seeds starting at --seed",
     )
     parser.add_argument(
         "--fault",
         type=str,
         metavar="NAME[=VALUE][@PHASE]",
-        help="something goes wrong, from this phase on; docs/faults.md has the table",
+        help="inject a fault, from this phase on (see docs/faults.md)",
     )
     add_live_options(parser)
     add_set_option(parser)
@@ -73,10 +76,10 @@ def _flight(arguments: argparse.Namespace, mission: Mission) -> Callable[..., Ve
     if fault is not None and (arguments.runs is not None or arguments.px4 is not None):
         raise InputError("--fault is for one flight in the fast or the embedded world")
     if arguments.fast and arguments.speed is not None:
-        raise InputError("--speed is for flights with a pace, --fast goes as fast as it can")
+        raise InputError("--speed applies to real-time flights; --fast always runs at full speed")
     if arguments.live and (arguments.fast or arguments.runs is not None):
         raise InputError(
-            "--live is for one flight with a pace; `export --foxglove` shows any flight afterwards"
+            "--live needs a single real-time flight; `export --foxglove` shows any flight afterwards"
         )
     if arguments.px4 is None and arguments.fast:
         return partial(fly_fast, fault=fault, spreads=spreads)
@@ -107,7 +110,7 @@ def run(arguments: argparse.Namespace) -> int:
     warnings = [*impact_warnings(mission), *position_warnings(position_source_of(arguments))]
     late_s = 0.0 if arguments.fast else measure_lateness_s()
     if late_s > LATE_S:
-        warnings.append(f"this program runs up to {late_s * 1e3:.0f} ms late: {TOO_BUSY}")
+        warnings.append(f"this program lags by up to {late_s * 1e3:.0f} ms: {TOO_BUSY}")
     for line in warnings:
         console.print(f"[yellow]{line}[/]", soft_wrap=True)
     if arguments.runs is None:

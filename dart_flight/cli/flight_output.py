@@ -21,7 +21,7 @@ from dart_flight.recording.plan_versus_flight import format_departures
 from dart_flight.recording.verdict import CollisionVerdict, Velocities, Verdict
 from dart_flight.run.many_flights import RunsSummary
 
-TOO_BUSY = "the computer is too busy for this pace; --fast has none, --speed 0.5 half of it"
+TOO_BUSY = "the computer cannot keep up with real time; use --fast or --speed 0.5"
 
 
 class FlightLines:
@@ -74,8 +74,8 @@ def show_end(verdict: Verdict, console: Console, as_json: bool) -> None:
     late_ms = verdict.own_lateness_ms or 0.0
     if verdict.outcome is not Outcome.COMPLETED and late_ms > 1e3 * LATE_S:
         simulated = verdict.world is not None and verdict.world is not World.DRONE
-        why = TOO_BUSY if simulated else "the computer was too busy; docs/latency.md says what helps"
-        console.print(f"this program ran up to {late_ms:.0f} ms late: {why}", style="yellow", soft_wrap=True)
+        why = TOO_BUSY if simulated else "the computer was too busy (see docs/latency.md)"
+        console.print(f"this program lagged by up to {late_ms:.0f} ms: {why}", style="yellow", soft_wrap=True)
     if verdict.log_failure is not None:
         told = f"log: {verdict.log} is not complete: {verdict.log_failure}"
         console.print(told, markup=False, soft_wrap=True, style="red")
@@ -107,9 +107,9 @@ def _markup(record: Record, event: Event) -> str:
     """An event for the terminal."""
     head, detail = escape(event.head), escape(event.detail)
     if isinstance(record, PhaseChange):
-        return f"[bold]{head}[/]  [dim]{detail}[/]"
+        return f"[bold]{head}[/] [dim]({detail})[/]"
     if isinstance(record, GuardEvent):
-        return f"[red]{head}[/]  {detail}"
+        return f"[red]{head}[/]" + (f" ({detail})" if detail else "")
     if isinstance(record, MissionEnd):
         colour = "green" if event.level is Level.INFO else "red"
         return f"[{colour}]{head}[/]" + (f": {detail}" if detail else "")
@@ -136,8 +136,8 @@ def verdict_table(verdict: Verdict) -> RenderableType:
         for name, value, unit in (
             ("goal miss", verdict.goal_miss_m, "m"),
             ("final error", verdict.final_error_m, "m"),
-            ("tilt up to", verdict.max_tilt_deg, "deg"),
-            ("EKF error up to", verdict.ekf_error_m, "m"),
+            ("max. tilt", verdict.max_tilt_deg, "deg"),
+            ("max. EKF error", verdict.ekf_error_m, "m"),
             ("flight", verdict.flight_time_s, "s"),
         )
         if value is not None
@@ -172,7 +172,7 @@ def _plan_line(verdict: Verdict) -> Text:
 def _add_collision(table: Table, c: CollisionVerdict) -> None:
     head = f"[bold]{c.index} {c.wall}, {c.mode}[/]" + (" [red]clipped[/]" if c.clipped else "")
     if c.mode_felt not in (None, c.mode):
-        head += f" [red]but felt {c.mode_felt}[/]"
+        head += f" [red]but contact indicates {c.mode_felt}[/]"
     table.add_row(head)
     rows: list[tuple[str, Velocities | None]] = [
         ("planned", c.planned),

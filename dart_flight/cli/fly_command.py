@@ -37,7 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="serial:///dev/ttyAMA0:921600, udpin://0.0.0.0:14540 (default: connection.url)",
     )
     parser.add_argument(
-        "--overrule", action="append", default=[], metavar="ITEM", help="fly although `check` says no-go here"
+        "--overrule", action="append", default=[], metavar="ITEM", help="fly despite this failed check"
     )
     add_position_option(parser)
     add_live_options(parser)
@@ -71,7 +71,7 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     if not report.go:
         return 1
     if not arguments.yes and not confirm_flight(mission):
-        console.print("not flown")
+        console.print("cancelled, not flown")
         return 1
     lines = FlightLines(console, arguments.verbose > 0, live_line_for(mission, console))
     with live_view(arguments, mission) as live, contextlib.closing(lines):
@@ -93,7 +93,7 @@ def _flight_summary(mission: Mission, url: str) -> str:
             normal, tangential = c.approach_m_s
             how = f"at {normal:g} m/s normal, {tangential:g} m/s along"
         else:
-            how = "by the recovery from the one before"
+            how = "reached by the recovery from the previous collision"
         mode = "" if lock is None else f" {c.mode.value}"
         lines.append(f"  hit {c.wall.name} ({c.wall.material}){mode}, {how}")
         lines += [says for after, says in stops if after == c.index]

@@ -60,7 +60,7 @@ def add_live_options(parser: argparse.ArgumentParser) -> None:
     """`--live` and where it listens."""
     group = parser.add_argument_group("live view (docs/live.md)")
     group.add_argument(
-        "--live", action="store_true", help="show it in 3D in Foxglove or Lichtblick while it goes on"
+        "--live", action="store_true", help="show the flight live in 3D in Foxglove or Lichtblick"
     )
     group.add_argument(
         "--live-port",
@@ -108,7 +108,7 @@ def live_view(
             f"live: in Foxglove or Lichtblick open the connection ws://{host}:{view.port}; layout {layout}"
         )
         if host not in _LOCAL:
-            print_status(f"live: whoever reaches {host} may watch; nobody can publish")
+            print_status(f"live: anyone who can reach {host} may watch (read-only)")
         yield view
     finally:
         view.close()

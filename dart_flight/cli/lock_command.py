@@ -40,7 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--release", action="store_true", help="switch the pulses off once settled (else they hold the rods)"
     )
-    parser.add_argument("--yes", action="store_true", help="calibrate: write without asking")
+    parser.add_argument("--yes", action="store_true", help="calibrate: write without confirmation")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -121,7 +121,7 @@ def _with_servo(
             else:
                 raise InputError(
                     f"toggle: the position is unknown ({describe(state)}) and no command is on record; "
-                    "say rigid or flexible"
+                    "specify rigid or flexible"
                 )
             state = lock.move(wanted, release=arguments.release)
             if store.problem is not None:

@@ -39,7 +39,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mission", metavar="FILE", help="show forces along this mission's axes")
     parser.add_argument("--log", type=Path, metavar="FILE", help="follow this flight's log")
     add_live_options(parser)
-    parser.add_argument("--seconds", type=number(0.0, 1e6), metavar="S", help="end by itself after this long")
+    parser.add_argument("--seconds", type=number(0.0, 1e6), metavar="S", help="stop after this many seconds")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -110,7 +110,7 @@ def _flight(log: Path | None, url: str) -> tuple[Path, Callable[[], bool]] | Non
         return None
     if len(flights) > 1 and len(here) != 1:
         several = "; ".join(f"{holder.describe()}: {holder.log}" for holder in flights)
-        raise InputError(f"several flights are under way, say which with --log: {several}")
+        raise InputError(f"several flights are in progress; choose one with --log: {several}")
     flight = here[0] if here else flights[0]
     print_status(f"watching {flight.describe()} by its log {flight.log}")
     return Path(flight.log or ""), _still_held(flight)

@@ -78,7 +78,7 @@ def add_position_option(parser: argparse.ArgumentParser) -> None:
         metavar="SOURCE",
         help="where PX4's position comes from: "
         + ", ".join(PositionSource)
-        + " (default: as the vehicle says)",
+        + " (default: as reported by the vehicle)",
     )
 
 

@@ -32,7 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=14540,
         help="UDP port it sends to, as PX4 does to a companion (default 14540; a ground station: 14550)",
     )
-    parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="of the noise (default 1)")
+    parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="random seed (default 1)")
     add_live_options(parser)
     add_set_option(parser)
 

@@ -21,7 +21,7 @@ def say_vehicle(source: VehicleSource | None, arguments: argparse.Namespace, *, 
     if source is None:
         return
     console = messages()
-    which = source.source or "as its log says"
+    which = source.source or "from the log"
     if source.packaged:
         which = f"the packaged configuration ({which})"
     changed = f", with {escape(', '.join(source.set))}" if source.set else ""
@@ -30,7 +30,7 @@ def say_vehicle(source: VehicleSource | None, arguments: argparse.Namespace, *, 
     if others:
         more = f" (and {len(others) - 1} more)" if len(others) > 1 else ""
         console.print(
-            f"[yellow]not taken: {escape(others[0])}{more}, although it is at hand; "
-            f"--config {escape(others[0])} takes it[/]",
+            f"[yellow]note: {escape(others[0])}{more} found but not used; "
+            f"select it with --config {escape(others[0])}[/]",
             soft_wrap=True,
         )

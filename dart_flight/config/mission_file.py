@@ -274,7 +274,7 @@ class MissionKeys(SpaceKeys, frozen=True, kw_only=True):
         after_impact: setpoint: the paper's recovery setpoint leads on; replan: a way that is planned in
             flight, from what was felt, takes over from it.
         tolerance: by how much a flight may differ from the plan; for the goal that is its capture radius.
-        mode_mismatch: where a contact was felt in the other mode than the lock reports; go_on: it is noted
+        mode_mismatch: where a contact indicates the other mode than the lock reports; go_on: it is noted
             in log and verdict; land: the guard lands.
         standoff_m: a rehearsal: every contact is replaced by stopping so far before its wall, as with
             --standoff; null: the contacts are flown.

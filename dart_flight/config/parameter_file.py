@@ -139,7 +139,7 @@ def load_parameters(path: str | Path) -> dict[str, Parameter]:
             try:
                 parameter = _parse(line, " ".join(reason), versions)
                 if parameter.name in parameters:
-                    raise ValueError(f"{parameter.name} is there twice")
+                    raise ValueError(f"{parameter.name} is given twice")
             except ValueError as error:
                 raise InputError(str(error), source=str(path), line=number) from None
             parameters[parameter.name] = parameter

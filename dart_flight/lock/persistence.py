@@ -43,7 +43,7 @@ class LastCommand(msgspec.Struct, frozen=True):
         """In words, for people."""
         how = {
             LockPhase.SETTLED: "settled then" + ("" if self.feedback else " (no feedback)"),
-            LockPhase.TRAVELLING: "not seen to arrive",
+            LockPhase.TRAVELLING: "arrival not confirmed",
         }.get(self.phase, "ended in a fault")
         return f"{self.mode} through {self.driver} at {self.at_utc}, {how}"
 

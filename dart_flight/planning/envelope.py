@@ -100,8 +100,9 @@ def incidence_warning(mission: Mission, collision: Collision) -> str | None:
     if planned <= most:
         return None
     return (
-        f"{_name(collision)} is met {planned:.0f} degrees askew, {collision.mode.value} arms bear {most:g}: "
-        "give it an approach of its own, which turns the vehicle parallel"
+        f"{_name(collision)} is met at an incidence of {planned:.0f} degrees, "
+        f"{collision.mode.value} arms tolerate {most:g}: "
+        "give it an approach of its own, which turns the vehicle parallel to the wall"
     )
 
 

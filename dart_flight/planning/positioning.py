@@ -6,8 +6,8 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import PositionSource
 
 PLAIN_GPS = (
-    "plain GPS wanders by a metre within a flight: the wall is not where the vehicle believes it; a wall "
-    "mission needs RTK or motion capture"
+    "plain GPS drifts by a metre within a flight, so wall positions are off by as much; a wall mission "
+    "needs RTK or motion capture"
 )
 
 
@@ -24,6 +24,6 @@ def frame_problem(mission: Mission, source: PositionSource) -> str | None:
     if source is PositionSource.MOCAP or not surveyed:
         return None
     return (
-        "with GPS PX4's local origin is where it was switched on, a surveyed room means nothing; "
-        "use frame: {origin: takeoff}"
+        "with GPS, PX4's local origin is where it was powered on, so surveyed coordinates do not "
+        "apply; use frame: {origin: takeoff}"
     )

@@ -85,9 +85,12 @@ def describe_goal_miss(
     miss_m: float, goal: GoalSpec, after_impact: AfterImpact = AfterImpact.SETPOINT
 ) -> str:
     """In words how near the goal is passed, and from where on that counts as reached."""
-    says = f"passes the goal at {miss_m:.2f} m, captured within {goal.capture_radius_m:g} m"
+    says = f"passes the goal at {miss_m:.2f} m (capture radius {goal.capture_radius_m:g} m)"
     if after_impact is AfterImpact.REPLAN:
-        return f"planned again after every hit, to pass through the goal; by its setpoints alone it {says}"
+        return (
+            "replanned after every collision to pass through the goal; with recovery setpoints alone it "
+            + says
+        )
     return says
 
 

@@ -116,11 +116,11 @@ class Replanner:
     def _plan(self, found: PlanAnswer, request: PlanRequest) -> PlanAnswer:
         if request.collision is None:
             return self._best(found, request, self._to_goal(), None) or _no_plan(
-                found, "no way to the goal within the limits"
+                found, "no trajectory to the goal within the limits"
             )
         collision = self._mission.collisions[request.collision - 1]
         if request.lock_ready_us is None:
-            return _no_plan(found, "the lock is at fault")
+            return _no_plan(found, "lock fault")
         velocity = self._wanted(collision)
         if velocity is None:
             return _no_plan(found, f"no velocity is planned for wall {collision.wall.name}")
@@ -135,7 +135,7 @@ class Replanner:
             best = self._best(found, request, ends, collision)
             if best is not None:
                 return self._with_hit(best, collision, wanted, straight_s)
-        return _no_plan(found, f"no way to wall {collision.wall.name} within the limits")
+        return _no_plan(found, f"no trajectory to wall {collision.wall.name} within the limits")
 
     def _from_rest(self, answer: PlanAnswer, collision: Collision, velocity: Vec2) -> PlanAnswer:
         """The approach of a collision that has one, as fast as the hit may be."""
@@ -256,7 +256,7 @@ class Replanner:
         peak_n = float(out.peak_force_n[0])
         code = int(self._constraints.hit(out.peak_force_n, slide.friction_n, out.velocity)[0])
         if code:
-            return _no_plan(answer, f"the hit would be refused: {REFUSALS[code - 1].value}, {peak_n:.0f} N")
+            return _no_plan(answer, f"impact not allowed: {REFUSALS[code - 1].value}, {peak_n:.0f} N")
         return msgspec.structs.replace(
             answer,
             impact_s=answer.duration_s + straight_s,

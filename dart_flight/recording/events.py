@@ -52,7 +52,7 @@ class Event(NamedTuple):
     @property
     def text(self) -> str:
         """Both in one line."""
-        return f"{self.head}  {self.detail}" if self.detail else self.head
+        return f"{self.head} ({self.detail})" if self.detail else self.head
 
 
 _SEVERITIES = {
@@ -80,8 +80,8 @@ class EventFormatter:
         if record.frequent:  # as most are
             return None
         if isinstance(record, PhaseChange):
-            which = f" (collision {record.collision})" if record.collision else ""
-            return Event(Level.INFO, "mission", f"{record.after}{which}", record.reason)
+            which = f" {record.collision}" if record.collision else ""
+            return Event(Level.INFO, "mission", f"→ {record.after.upper()}{which}", record.reason)
         if isinstance(record, ImpactPeak):
             clipped = ", clipped" if record.clipped else ""
             head = (
@@ -90,16 +90,16 @@ class EventFormatter:
             )
             return Event(Level.INFO, "contact", head)
         if isinstance(record, ContactEnd):
-            head = f"contact over after {(record.t_us - record.first_us) * 1e-3:.0f} ms"
+            head = f"contact ended after {(record.t_us - record.first_us) * 1e-3:.0f} ms"
             return Event(Level.INFO, "contact", head)
         if isinstance(record, GuardEvent):
             level = Level.WARNING if record.action is Override.NONE else Level.ERROR
-            return Event(level, "guard", f"guard: {record.rule} -> {record.action}", record.detail)
+            return Event(level, "guard", f"guard: {record.rule} → {record.action}", record.detail)
         if isinstance(record, GoalPassed):
-            words = "time is up, nearest to the goal" if record.timed_out else "goal passed at"
+            words = "goal timed out, closest approach" if record.timed_out else "goal passed, miss distance"
             return Event(Level.INFO, "mission", f"{words} {record.miss_m:.2f} m")
         if isinstance(record, PlanTaken):
-            head = "flying a new plan" if record.taken else f"new plan not flown: {record.reason}"
+            head = "new trajectory accepted" if record.taken else f"new trajectory rejected: {record.reason}"
             return Event(Level.INFO, "mission", head)
         if isinstance(record, MissionEnd):
             level = Level.INFO if record.outcome is Outcome.COMPLETED else Level.ERROR
@@ -112,7 +112,7 @@ class EventFormatter:
         if isinstance(record, HealthReport):
             return self._health(record)
         if isinstance(record, LogFailure):
-            return Event(Level.ERROR, "log", f"the log of this flight is not complete: {record.reason}")
+            return Event(Level.ERROR, "log", f"flight log incomplete: {record.reason}")
         return None
 
     def _health(self, record: HealthReport) -> Event | None:
@@ -121,7 +121,7 @@ class EventFormatter:
         changed, self._problems = problems != self._problems, problems
         if not changed or not problems:
             return None
-        return Event(Level.WARNING, "px4", f"PX4's checks: {', '.join(problems)}")
+        return Event(Level.WARNING, "px4", f"PX4 preflight checks: {', '.join(problems)}")
 
 
 def _lock(record: LockState) -> Event:

@@ -389,7 +389,7 @@ class VerdictBuilder:
             world=world,
             seed=seed,
             outcome=end.outcome if end else Outcome.ABORTED,
-            reason=end.reason if end else "the program ended before the flight did",
+            reason=end.reason if end else "program terminated during the flight",
             collisions=self._collisions,
             guard=self._guard,
             goal_miss_m=self._miss_m,

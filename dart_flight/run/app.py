@@ -205,7 +205,7 @@ class FlightApp:
             self._session = session
             unanswered = await session.measure_link(timeout_s)
             if unanswered:
-                says = f"the vehicle sends, but answers no request: {', '.join(unanswered)}"
+                says = f"vehicle sends telemetry but does not answer requests: {', '.join(unanswered)}"
                 raise NoAnswerError(says, source=self._url)
             if self._mission.vehicle.lock is not None:
                 self._lock = self._make_lock(session, self._mission.vehicle.lock)

@@ -80,9 +80,9 @@ class Difference(msgspec.Struct, frozen=True):
         """In one line."""
         kind = type(self.recorded or self.replayed).__name__
         if self.recorded is None:
-            return f"{kind} that was not recorded: {_show(self.replayed)}"
+            return f"{kind} not in the recording: {_show(self.replayed)}"
         if self.replayed is None:
-            return f"{kind} that is recorded does not come: {_show(self.recorded)}"
+            return f"{kind} recorded but not reproduced: {_show(self.recorded)}"
         if type(self.recorded) is not type(self.replayed):
             return f"{_show(self.recorded)} became {_show(self.replayed)}"
         before, after = msgspec.structs.asdict(self.recorded), msgspec.structs.asdict(self.replayed)
@@ -135,7 +135,8 @@ def replay(log: Log, settings: Sequence[str] = (), *, exact: bool | None = None)
     try:
         core = FlightCore(mission)
     except NoApproachError as error:
-        raise InputError(f"the mission cannot be flown so: {error}", source=log.source) from None
+        says = f"the mission cannot be flown with these settings: {error}"
+        raise InputError(says, source=log.source) from None
     if exact is None:
         exact = log.about.get("machine") == machine()
     inputs = [(e.number, e.record) for e in log.entries if isinstance(e.record, INPUTS)]
@@ -174,7 +175,7 @@ def _missing(numbers: list[int]) -> int:
 
 def _note(log: Log, result: Replay) -> str:
     if result.missing:
-        return f"the log has lost {result.missing} inputs; the replay is not the flight from there on"
+        return f"the log lost {result.missing} inputs; from there on the replay may differ from the flight"
     if not log.complete:
         return "the log was cut; replayed up to there"
     return ""
@@ -301,7 +302,7 @@ def changed_mission(log: Log, settings: Sequence[str]) -> Mission:
     # Flown otherwise than written (a rehearsal): what was flown stays, with the changed vehicle.
     if of_mission:
         raise InputError(
-            "the mission was not flown as its text says; only keys of the vehicle can be set",
+            "the flight differs from its mission text (a rehearsal); only vehicle keys can be set",
             source=log.source,
         )
     return msgspec.structs.replace(flown, vehicle=changed.vehicle)

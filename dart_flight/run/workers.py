@@ -132,7 +132,7 @@ class _Pool(Generic[I, R]):
         try:
             self._executor.submit(int).result()
         except BrokenProcessPool:
-            raise FlightError("a process for flights ended before it flew anything") from None
+            raise FlightError("worker process exited before its first flight") from None
 
     def close(self) -> None:
         """Begin nothing more; what is under way ends by itself, and nobody looks at it."""

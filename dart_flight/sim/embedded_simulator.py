@@ -173,7 +173,7 @@ class EmbeddedSimulator:
     def is_over(self, alone_s: float) -> bool:
         """As `ServedWorld`: it flies on to its failsafe, and ends when it has landed."""
         if not alone_s and self._autopilot.armed:
-            self._say("warning", "the app is gone, flying on to the failsafe")
+            self._say("warning", "app disconnected; continuing to the failsafe")
         most_s = _PILOT_S if self._autopilot.mode is FlightMode.MANUAL else _ORPHAN_S
         return not self._autopilot.armed or alone_s > most_s
 

@@ -46,19 +46,22 @@ class VehiclePortLease:
         try:
             self._lease.acquire()
         except LinkTakenError as error:
-            raise LinkTakenError(f"another vehicle sends there: {error.message}", source=where) from None
+            raise LinkTakenError(
+                f"another vehicle already sends to this port: {error.message}", source=where
+            ) from None
         try:
             if not udp_port_is_free(self.own_port):
                 owner = owner_of_udp_port(self.own_port)
                 raise LinkTakenError(
-                    f"another vehicle sends there, {owner}, from UDP port {self.own_port}; "
+                    f"another vehicle already sends to this port, {owner}, from UDP port {self.own_port}; "
                     "choose another --port",
                     source=where,
                 )
             heard = _listen(port)
             if heard is not None:
                 raise LinkTakenError(
-                    f"another vehicle sends there, {heard}; choose another --port", source=where
+                    f"another vehicle already sends to this port, {heard}; choose another --port",
+                    source=where,
                 )
         except LinkTakenError:
             self._lease.release()

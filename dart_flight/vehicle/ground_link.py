@@ -77,7 +77,7 @@ class _Listener:
             self._clocks.update(record.t_us, record.received_us)
             apart_s = self._clocks.apart_s(record.received_us)
             if apart_s is not None:
-                seen.other_vehicle = f"two clocks in turn under one system id, {apart_s:.1f} s apart"
+                seen.other_vehicle = f"two clocks alternate under one system id, {apart_s:.1f} s apart"
         elif isinstance(record, StatusSample):
             seen.battery_v, seen.battery_remaining = record.battery_v, record.battery_remaining
             seen.local_position_ok = record.local_position_ok
@@ -165,11 +165,11 @@ class GroundLink:
                 self._answered = True
                 raise
             if not self._system.is_connected():
-                says = f"the vehicle has fallen silent, {what} was not answered"
+                says = f"vehicle stopped responding; no answer to {what}"
                 raise NoAnswerError(says, source=self._url) from None
             self._unanswered.append(what)
             if not self._answered and len(self._unanswered) >= _MAX_UNANSWERED:
-                says = f"the vehicle sends, but answers no request: {', '.join(self._unanswered)}"
+                says = f"vehicle sends telemetry but does not answer requests: {', '.join(self._unanswered)}"
                 raise NoAnswerError(says, source=self._url) from None
             raise
         self._answered = True
@@ -185,7 +185,7 @@ class GroundLink:
         end_s = time.monotonic() + _PARAMETERS_S
         for name in names:
             if time.monotonic() > end_s:
-                says = f"parameter {name} and others were not told within {_PARAMETERS_S:g} s"
+                says = f"parameter {name} and others not received within {_PARAMETERS_S:g} s"
                 raise NoAnswerError(says, source=self._url)
             for read in (self._param.get_param_int, self._param.get_param_float):
                 try:

@@ -201,9 +201,9 @@ def test_a_dangerous_parameter_is_a_no_go(name: str, value: float) -> None:
         (
             "COM_OBL_RC_ACT",
             5.0,
-            "when setpoints are lost: hold; recommended 4, not 5: Companion computer lost",
+            "on loss of offboard setpoints: hold; recommended 4, not 5: Companion computer lost",
         ),
-        ("COM_RC_OVERRIDE", 2.0, "sticks take over in offboard; recommended 3, not 2"),
+        ("COM_RC_OVERRIDE", 2.0, "sticks override offboard; recommended 3, not 2"),
         ("IMU_GYRO_RATEMAX", 400.0, "at up to 400 Hz; recommended 800"),
     ],
 )

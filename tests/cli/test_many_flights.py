@@ -107,7 +107,7 @@ def test_one_zero_of_time(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
     """The same phase change in the terminal, in the CSV, in the replay and in the report."""
     pytest.importorskip("matplotlib")
     assert main(["dry-run", MISSION, "--fast", "--log-dir", "one"]) == 0
-    shown = re.search(r"([\d.]+) s +contact \(collision 1\)", capsys.readouterr().err)
+    shown = re.search(r"([\d.]+) s +→ CONTACT 1", capsys.readouterr().err)
     assert shown is not None
     terminal = float(shown[1])
     (log,) = Path("one").glob("*/flight.mcap")

@@ -66,7 +66,7 @@ def test_the_folders_own_is_taken_and_shown(folder: Path, capsys: pytest.Capture
     assert main([*PREDICT, "--json"]) == 0
     streams = capsys.readouterr()
     assert json.loads(streams.out)["vehicle"]["mass_kg"] == 0.9
-    assert "not taken" not in streams.err
+    assert "not used" not in streams.err
 
 
 def test_the_packaged_one_where_there_is_no_other(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -76,7 +76,7 @@ def test_the_packaged_one_where_there_is_no_other(folder: Path, capsys: pytest.C
     vehicle = json.loads(streams.out)["vehicle"]
     assert vehicle["packaged"] is True
     assert "the packaged configuration" in streams.err
-    assert "not taken" not in streams.err
+    assert "not used" not in streams.err
 
 
 def test_the_only_configuration_of_the_folder_is_taken_and_named(
@@ -101,9 +101,9 @@ def test_a_configuration_that_is_passed_over_is_named(
     for name in names:
         own(folder, name)
     assert main(PREDICT) == 0
-    assert f"not taken: {names[0]}" in capsys.readouterr().err
+    assert f"note: {names[0]}" in capsys.readouterr().err
     assert main([*PREDICT, "--config", str(packaged("configs", "dart.yaml"))]) == 0
-    assert "not taken" not in capsys.readouterr().err, "asked for by name"
+    assert "not used" not in capsys.readouterr().err, "asked for by name"
 
 
 def test_a_mission_that_names_the_packaged_one_passes_over_the_environments(
@@ -112,7 +112,7 @@ def test_a_mission_that_names_the_packaged_one_passes_over_the_environments(
     path = own(folder.parent, f"{folder.name}-elsewhere.yaml")
     monkeypatch.setenv("DART_FLIGHT_CONFIG", str(path))
     assert main(["check", MISSION]) == 0
-    assert f"not taken: {path}" in capsys.readouterr().err.replace("\n", "")
+    assert f"note: {path}" in capsys.readouterr().err.replace("\n", "")
 
 
 def test_wrong_input_is_still_one_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -176,7 +176,7 @@ def test_after_the_guard_has_fired_the_mission_is_not_heard(hand_fed: HandFedCor
     hand_fed.run(0.1)
     assert not of(MissionEnd, hand_fed.set_status(armed=False))  # one report may be another vehicle's
     end = of(MissionEnd, hand_fed.run(0.21))[0]
-    assert (end.outcome, end.reason) == ("aborted", "operator: land asked for")
+    assert (end.outcome, end.reason) == ("aborted", "operator: landing requested")
 
 
 def test_the_ground_under_the_guards_landing_is_no_impact(hand_fed: HandFedCore) -> None:

@@ -479,7 +479,7 @@ def test_a_lock_that_lies_is_only_noted_where_the_mission_goes_on() -> None:
     rigid_pulse(c)
     (event,) = fired(c)
     assert (event.rule, event.action) == ("mode_felt", Override.NONE)
-    assert "rigid arms felt at wall wood, the lock reports flexible" in event.detail
+    assert "contact at wall wood indicates rigid arms, the lock reports flexible" in event.detail
     assert c.core.override is Override.NONE
     assert c.core.phase is Phase.RECOVERY
 

@@ -99,15 +99,15 @@ def test_an_answer_in_time_is_flown_from_its_moment_on() -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"number": 7}, "no longer true"),
-        ({"problem": "no way to wall acrylic"}, "no way to wall acrylic"),
-        ({"begin_us": 1}, "no answer to what was asked"),
-        ({"collision": None}, "no answer to what was asked"),
-        ({"impact_s": None}, "no answer to what was asked"),
-        ({"duration_s": 0.0}, "no answer to what was asked"),
-        ({"x_mission": (1.0, 2.0)}, "no answer to what was asked"),
-        ({"y_mission": (math.nan,) * 6}, "no answer to what was asked"),
-        ({"x_mission": (math.inf,) * 6}, "no answer to what was asked"),
+        ({"number": 7}, "outdated state"),
+        ({"problem": "no trajectory to wall acrylic"}, "no trajectory to wall acrylic"),
+        ({"begin_us": 1}, "answer does not match the request"),
+        ({"collision": None}, "answer does not match the request"),
+        ({"impact_s": None}, "answer does not match the request"),
+        ({"duration_s": 0.0}, "answer does not match the request"),
+        ({"x_mission": (1.0, 2.0)}, "answer does not match the request"),
+        ({"y_mission": (math.nan,) * 6}, "answer does not match the request"),
+        ({"x_mission": (math.inf,) * 6}, "answer does not match the request"),
     ],
 )
 def test_an_answer_that_cannot_be_flown_is_refused_with_its_reason(
@@ -130,7 +130,7 @@ def test_a_way_that_begins_elsewhere_is_not_flown() -> None:
     p = Proposal()
     planning.take(answer_to(request), NOW_US + 40_000, p)
     assert planning.trajectory_due(state_at(request.begin_us, (1.3, -0.9, 1.0)), p) is None
-    assert "m/s beside its beginning" in (said(p) or "")
+    assert "m/s off the start of the trajectory" in (said(p) or "")
 
 
 def test_a_contact_ends_what_was_planned_before_it() -> None:

@@ -58,7 +58,9 @@ def test_with_late_telemetry_nothing_leaves_the_ground(delay_ms: float) -> None:
         assert not flight.autopilot.armed
     reason = flight.core.end.reason or ""
     found = re.fullmatch(
-        r"telemetry_late_ground: samples come (\d+) ms after they were taken, round trip (\d+) ms", reason
+        r"telemetry_late_ground: telemetry arrives "
+        r"(\d+) ms after it was sampled, round trip (\d+) ms",
+        reason,
     )
     assert found, reason
     assert int(found[1]) == pytest.approx(delay_ms, abs=5)

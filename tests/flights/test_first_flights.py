@@ -54,10 +54,10 @@ def goal_finding(name: str) -> CheckFinding:
 def test_check_says_before_the_flight_how_near_the_goal_is_passed() -> None:
     paper = goal_finding("paper_dual_collision.yaml")
     assert (paper.go, paper.remark) == (True, True)
-    assert paper.says == "passes the goal at 0.28 m, captured within 0.15 m"
+    assert paper.says == "passes the goal at 0.28 m (capture radius 0.15 m)"
     assert paper.figures == pytest.approx({"goal_miss_m": 0.281, "capture_radius_m": 0.15}, abs=1e-3)
     replanned = goal_finding("single_wall.yaml")
     assert not replanned.remark
     assert replanned.says.startswith(
-        "planned again after every hit, to pass through the goal; by its setpoints"
+        "replanned after every collision to pass through the goal; with recovery setpoints"
     )

@@ -21,7 +21,10 @@ MISSION = "missions/single_wall.yaml"
     ("options", "words"),
     [
         ([], r"NO-GO +round_trip: 2\d\d ms between vehicle and program"),
-        (["--overrule", "round_trip"], r"telemetry_late_ground: samples come 1\d\d ms after they were taken"),
+        (
+            ["--overrule", "round_trip"],
+            r"telemetry_late_ground: telemetry arrives 1\d\d ms after it was sampled",
+        ),
     ],
 )
 def test_fly_stays_on_the_ground_and_says_how_late(options: list[str], words: str, tmp_path: Path) -> None:

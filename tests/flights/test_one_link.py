@@ -100,7 +100,8 @@ def test_a_second_simulated_vehicle_on_a_port_is_refused_and_names_the_first(com
     status, error = commands.run("simulate", "--port", str(port))
     assert status == 2
     assert error.splitlines()[-1:] == [
-        f"UDP port {port}: another vehicle sends there: in use by simulate, process {first.pid}"
+        f"UDP port {port}: another vehicle already sends to this port: "
+        f"in use by simulate, process {first.pid}"
     ]
 
 
@@ -116,7 +117,7 @@ def test_any_other_sender_of_mavlink_on_the_port_is_heard(commands: Commands) ->
         own = sender.getsockname()[1]
     _, error = simulate.communicate()
     assert simulate.returncode == 2
-    assert f"another vehicle sends there, MAVLink system 7 from UDP port {own}" in error
+    assert f"another vehicle already sends to this port, MAVLink system 7 from UDP port {own}" in error
 
 
 def test_a_vehicle_that_has_px4s_own_port_is_heard_of_though_a_flight_has_the_other(
@@ -141,10 +142,10 @@ def test_what_else_is_started_beside_a_flight_does_it_no_harm(commands: Commands
     port = free_udp_port()
     url = f"udpin://127.0.0.1:{port}"
     fly = commands.fly(port)
-    wait_for_phase(fly, "climb")
+    wait_for_phase(fly, "CLIMB")
     monitor = commands.start("monitor", "--json")  # without a URL
     wait_until_idle_class(monitor.pid)
-    wait_for_phase(fly, "approach (collision 1)")
+    wait_for_phase(fly, "APPROACH 1")
     commands.second_vehicle(port, 7, 238.0)
     stopped = commands.start("monitor", "--json")
     for words in (["monitor", "--connection", url, "--seconds", "1"], ["check", SINGLE, "--connection", url]):
@@ -204,7 +205,7 @@ def test_fly_beside_a_second_vehicle_on_the_port_does_not_take_off(
     said = out + error
     # Which of the two is the first one is chance.
     assert re.search("system [17] sends on the same link" if system != 1 else " in turn", said), said
-    assert "climb" not in error
+    assert "CLIMB" not in error
 
 
 @pytest.mark.mavlink
@@ -212,7 +213,7 @@ def test_a_second_vehicle_that_begins_to_send_in_the_approach_makes_it_land(comm
     """Its clock is the flight's own; with another one, and in every phase: tests/faults/test_matrix.py."""
     port = free_udp_port()
     fly = commands.fly(port)
-    wait_for_phase(fly, "approach (collision 1)")
+    wait_for_phase(fly, "APPROACH 1")
     commands.second_vehicle(port, 1, 0.0)
     out, error = fly.communicate(timeout=90.0)
     verdict = json.loads(out)

@@ -126,7 +126,7 @@ def test_way_points_are_flown_in_order_held_and_change_the_altitude() -> None:
     assert [-s.position_ned[2] for s in setpoints] == pytest.approx([1.5] * len(setpoints), abs=0.01)
     page = flight_page(RecordedFlight.read(log.source))
     assert "way-point" in page
-    assert "The flight was completed; no hit was planned." in page
+    assert "The flight was completed; no collision was planned." in page
     assert "planned wall" not in page
 
 
@@ -199,7 +199,7 @@ PAUSE = "waypoints: [{pause: operator, timeout_s: 3.0}]"
 def test_a_pause_without_a_word_lands() -> None:
     verdict = fly_fast(silent_operator(mission(PAUSE)), 1, None)
     assert verdict.outcome is Outcome.ABORTED
-    assert verdict.reason == "pause_timeout: no word to go on within 3 s"
+    assert verdict.reason == "pause_timeout: operator did not resume within 3 s"
     assert [(g.rule, g.action) for g in verdict.guard] == [("pause_timeout", "land")]
     assert verdict.flight_time_s is not None
 

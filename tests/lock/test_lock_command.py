@@ -126,7 +126,7 @@ def test_status_moves_nothing_and_is_honest(
 
 def test_toggle_needs_to_know_something(world: World, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(world.command("toggle")) == 2
-    assert "say rigid or flexible" in capsys.readouterr().err
+    assert "specify rigid or flexible" in capsys.readouterr().err
     assert main(world.command("flexible")) == 0
     capsys.readouterr()
     status, told = report(world, capsys, "toggle")
@@ -220,7 +220,7 @@ def test_two_processes_and_the_death_of_the_first(world: World, capsys: pytest.C
     assert main(world.command("status")) == 0
     unknown, last = capsys.readouterr().out.splitlines()
     assert unknown.startswith("mock: unknown")
-    assert last.endswith("not seen to arrive")
+    assert last.endswith("arrival not confirmed")
 
 
 # --- calibrate ---------------------------------------------------------------------------------------

@@ -67,7 +67,7 @@ def test_state_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("states", "mode", "text"),
     [
-        ([(LockPhase.TRAVELLING, Mode.RIGID)], Mode.RIGID, "not seen to arrive"),
+        ([(LockPhase.TRAVELLING, Mode.RIGID)], Mode.RIGID, "arrival not confirmed"),
         (
             [(LockPhase.TRAVELLING, Mode.RIGID), (LockPhase.SETTLED, Mode.RIGID)],
             Mode.RIGID,

@@ -82,9 +82,9 @@ def _assert_flyable(way: PlannedTrajectory) -> None:
 
 def test_without_a_lock_or_a_way_it_says_why() -> None:
     no_lock = REPLANNER.answer(msgspec.structs.replace(TO_WALL, lock_ready_us=None), 0)
-    assert no_lock.problem == "the lock is at fault"
+    assert no_lock.problem == "lock fault"
     behind = REPLANNER.answer(msgspec.structs.replace(TO_WALL, position_mission=(3.0, 0.0, 1.0)), 0)
-    assert "no way to wall acrylic" in behind.problem
+    assert "no trajectory to wall acrylic" in behind.problem
 
 
 def test_a_lock_that_needs_long_lengthens_the_way() -> None:

@@ -371,7 +371,7 @@ def test_two_worlds_at_once_have_instances_of_their_own(tmp_path: Path, launched
     [
         (["--px4", "/nowhere"], "no PX4 SITL there"),
         (["--outdoor"], "--outdoor needs --px4"),
-        (["--fast", "--speed", "2"], "--speed is for flights with a pace"),
+        (["--fast", "--speed", "2"], "--speed applies to real-time flights"),
         (["--px4", "/nowhere", "--gps", "rtk"], "--gps needs --outdoor"),
         (["--px4", "/nowhere", "--fast"], "exclude each other"),
     ],

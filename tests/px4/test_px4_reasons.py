@@ -121,7 +121,7 @@ def checked(px4_dir: Path, folder: Path, changes: dict[str, int | float]) -> dic
 
 def test_check_on_a_connection_says_why_px4_would_not_arm(px4_dir: Path, tmp_path: Path) -> None:
     says = checked(px4_dir, tmp_path, A_CHECK)["px4_checks"]["says"]
-    assert says.startswith("PX4 would not arm as it is: "), says
+    assert says.startswith("PX4 would refuse to arm: "), says
     assert any(word in says for word in ("istance", *WITHOUT_WORDS)), says
 
 

@@ -95,7 +95,7 @@ def test_an_exception_that_cannot_travel_is_told_in_words() -> None:
 
 
 def test_processes_that_cannot_begin_end_it() -> None:
-    with pytest.raises(FlightError, match=r"ended before it flew anything"):
+    with pytest.raises(FlightError, match=r"exited before its first flight"):
         list(work(Dead(), range(5), 2, Interrupt()))
 
 

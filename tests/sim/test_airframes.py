@@ -70,7 +70,7 @@ def test_arms_still_make_px4_s_quadrotor_in_x() -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("airframe: {arm_x_m: 0.1}", "arm_x_m and motors both say where the motors are"),
+        ("airframe: {arm_x_m: 0.1}", "arm_x_m and motors both define the motor positions"),
         ("airframe: {motors: null}", "missing key arm_x_m (of a quadrotor in X), or motors"),
         ("airframe: {motors: null, arm_x_m: 0.1}", "missing key arm_y_m"),
         ("airframe: {motors: [{x_m: 0.1, y_m: 0.1, yaw_torque_per_thrust_m: 0.1}]}", "length >= 4"),
@@ -79,10 +79,10 @@ def test_arms_still_make_px4_s_quadrotor_in_x() -> None:
             "{x_m: -0.1, y_m: -0.1, yaw_torque_per_thrust_m: 0.01}, "
             "{x_m: 0.1, y_m: -0.1, yaw_torque_per_thrust_m: 0.01}, "
             "{x_m: -0.1, y_m: 0.1, yaw_torque_per_thrust_m: 0.01}]}",
-            "cannot be told apart in roll, pitch, yaw and lift",
+            "not independent in roll, pitch, yaw and lift",
         ),
         ("thrust: {full_n: 2.0}", "6 motors of 2 N hover 1.6 kg at"),
-        ("thrust: {table: [[0.5, 3.0], [1.0, 6.0]]}", "full_n and model_factor and table both say"),
+        ("thrust: {table: [[0.5, 3.0], [1.0, 6.0]]}", "full_n and model_factor and table both define"),
         ("thrust: {full_n: null}", "missing key full_n, or a table"),
         (
             "thrust: {full_n: null, model_factor: null, table: [[0.5, 3.0], [0.5, 4.0], [1.0, 6.0]]}",

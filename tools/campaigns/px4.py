@@ -296,7 +296,7 @@ def _seeds_table(flights: list[Flight], mission: str) -> list[str]:
         rows.append(line(n + "peak force measured / true", of(_force_ratio), 3))
         rows.append(line(n + "detection, ms", of(lambda h: h.detection_ms), 1))
         rows.append(line(n + "setpoint, ms", of(lambda h: h.setpoint_ms), 2))
-    rows.append(line("tilt up to, °", lambda f: f.tilt_deg, 1))
+    rows.append(line("max. tilt, °", lambda f: f.tilt_deg, 1))
     rows.append(line("position estimate off by up to, m", lambda f: f.ekf_m, 3))
     rows.append(line("estimator resets", lambda f: f.resets, 0))
     rows.append(line("goal miss, m", lambda f: f.miss_m, 3))
@@ -315,7 +315,7 @@ def _force_ratio(hit: Hit) -> float | None:
 
 def versions_table(flights: list[Flight]) -> str:
     """What was flown on which version, one row for each version, mission and source of position."""
-    head = ["PX4", "says", "mission", "position", "completed", "final error m", "tilt up to °"]
+    head = ["PX4", "says", "mission", "position", "completed", "final error m", "max. tilt °"]
     head += ["EKF off by m", "failsafes"]
     rows = []
     parts = {f.part for f in flights if f.part.startswith(VERSIONS)}

@@ -77,7 +77,8 @@ class Airframe(Section, frozen=True, kw_only=True):
         arms = [name for name in ("arm_x_m", "arm_y_m") if getattr(self, name) is not None]
         if self.listed is not None and arms:
             raise ValueError(
-                f"{' and '.join(arms)} and motors both say where the motors are: leave one out (or null)"
+                f"{' and '.join(arms)} and motors both define the motor positions: "
+                "remove one (or set it to null)"
             )
         if self.listed is None and len(arms) < 2:
             missing = "arm_y_m" if arms == ["arm_x_m"] else "arm_x_m"
@@ -150,7 +151,7 @@ class Thrust(Section, frozen=True):
             return
         if given:
             raise ValueError(
-                f"{' and '.join(given)} and table both say what the thrust is: leave one out (or null)"
+                f"{' and '.join(given)} and table both define the thrust: remove one (or set it to null)"
             )
         points = self._points()
         for (u, n), (v, m) in pairwise(points):

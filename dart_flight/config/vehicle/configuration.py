@@ -113,9 +113,9 @@ def packaged(*parts: str) -> Path:
         if path.parent.is_dir():
             known = sorted(other.name for other in path.parent.iterdir())
             raise InputError(
-                f"comes not with the program: {unknown_name(path.name, known)}", source="/".join(parts)
+                f"is not a packaged file: {unknown_name(path.name, known)}", source="/".join(parts)
             )
-    raise InputError("comes not with the program, known: configs, missions", source="/".join(parts))
+    raise InputError("is not a packaged file, known: configs, missions", source="/".join(parts))
 
 
 def default_config_path() -> Path:
@@ -214,7 +214,7 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
         raise document.error(
             ("thrust", "table" if config.thrust.table is not None else "full_n"),
             f"{count} motors of {most_n:g} N hover {config.airframe.mass_kg:g} kg at {hover:.0%} of full "
-            "thrust, at most 80 % is flown",
+            "thrust; at most 80 % is allowed",
         )
     if config.airframe.listed is None:
         return
@@ -222,7 +222,7 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
 
     turning = np.array(effectiveness(config.airframe.motors))
     if np.linalg.matrix_rank(turning, tol=1e-4) < len(turning):
-        says = "these cannot be told apart in roll, pitch, yaw and lift: places or directions are wrong"
+        says = "motors are not independent in roll, pitch, yaw and lift: check positions and directions"
         raise document.error(("airframe", "motors"), says)
     lift = np.linalg.pinv(turning)[:, 3]
     if lift.min() <= 0.0:

@@ -141,7 +141,7 @@ def _link_lost(v: FlightConditions) -> str | None:
     age = min(
         v.status_age_s, *(v.age_s(newest) for newest in (v.state.imu, v.state.attitude, v.state.odometry))
     )
-    return f"nothing from the vehicle for {age:.1f} s" if age > v.config.link_lost_s else None
+    return f"no telemetry for {age:.1f} s" if age > v.config.link_lost_s else None
 
 
 def _stream_rate(v: FlightConditions) -> str | None:
@@ -249,7 +249,7 @@ def _force(v: FlightConditions) -> str | None:
 
 
 def _operator_lands(v: FlightConditions) -> str | None:
-    return "land asked for" if v.request is not None and v.request.request is Request.LAND else None
+    return "landing requested" if v.request is not None and v.request.request is Request.LAND else None
 
 
 def _operator_stops(v: FlightConditions) -> str | None:
@@ -266,7 +266,7 @@ def _operator_releases(v: FlightConditions) -> str | None:
 def _world_died(v: FlightConditions) -> str | None:
     if v.request is None or v.request.request is not Request.WORLD_DIED:
         return None
-    return v.request.detail or "the simulated vehicle is gone"
+    return v.request.detail or "simulated vehicle terminated"
 
 
 # --- the table ---------------------------------------------------------------------------------------------
@@ -286,36 +286,36 @@ RULES: tuple[Rule, ...] = (
          _RELEASE, _ALWAYS, _pilot, by_person=True, at_once=_MODE),
     Rule("disarmed", "disarmed in the air: PX4 says so, or the motors stand still and the vehicle falls", "",
          _RELEASE, _AIR, _disarmed, at_once=(StatusSample, ActuatorSample)),
-    Rule("link_lost", "nothing at all comes from the vehicle: PX4's own failsafe must act",
+    Rule("link_lost", "no telemetry at all: PX4's own failsafe must act",
          "guard.link_lost_s", _RELEASE, _AIR, _link_lost, of_streams=True),
-    Rule("imu_silent", "no IMU sample for too long: impacts cannot be felt",
+    Rule("imu_silent", "IMU stream timed out: impacts cannot be detected",
          "guard.imu_timeout_s, guard.stream_timeout_s", _LAND, _AIR, _imu_silent, of_streams=True),
-    Rule("attitude_silent", "no attitude for too long: forces have no direction", "guard.stream_timeout_s",
+    Rule("attitude_silent", "attitude stream timed out: force direction unknown", "guard.stream_timeout_s",
          _LAND, _AIR, _attitude_silent, of_streams=True),
-    Rule("odometry_silent", "no position for too long", "guard.stream_timeout_s",
+    Rule("odometry_silent", "position stream timed out", "guard.stream_timeout_s",
          _LAND, _AIR, _odometry_silent, of_streams=True),
-    Rule("actuator_silent", "no motor outputs for too long: thrust cannot be told from contact",
+    Rule("actuator_silent", "actuator stream timed out: thrust and contact force cannot be separated",
          "guard.actuator_timeout_s", _HOLD, _FLYING, _actuator_silent, of_streams=True),
-    Rule("status_silent", "no heartbeat for too long", "guard.status_timeout_s",
+    Rule("status_silent", "heartbeat timed out", "guard.status_timeout_s",
          _LAND, _AIR, _status_silent, of_streams=True),
     Rule("stream_rate", "a stream comes at less than the rate that a mission needs (`base/streams.py`)",
          "streams: expected_hz", _HOLD, _FLYING, _stream_rate, of_streams=True),
-    Rule("telemetry_late_ground", "samples are old when they come: what they show is over",
+    Rule("telemetry_late_ground", "telemetry arrives too late to act on",
          "guard.telemetry_late_s", _GIVE_UP, _GROUND, _telemetry_late, of_streams=True),
-    Rule("telemetry_late", "samples are old when they come, for more than a moment",
+    Rule("telemetry_late", "telemetry has been late for more than a moment",
          "guard.telemetry_late_s", _LAND, _AIR, _telemetry_late,
          explains=frozenset({"imu_silent", "attitude_silent", "odometry_silent", "status_silent"}),
          of_streams=True),
     Rule("second_vehicle_ground", "a second vehicle sends on the link, whatever its system id",
          "guard.stamp_tolerance_s, guard.position_jump_m", _GIVE_UP, _GROUND, _second_vehicle_ground,
          at_once=(OtherVehicle,)),
-    Rule("second_vehicle", "two vehicles come in turn under one system id: two clocks, or two positions",
+    Rule("second_vehicle", "two vehicles share one system id: two clocks or two positions alternate",
          "guard.stamp_tolerance_s, guard.position_jump_m", _LAND, _AIR, _second_vehicle,
          explains=frozenset({"stamps_backwards", "odometry_silent", "attitude_silent", "imu_silent",
                              "status_silent", "estimator_flags", "tilt", "altitude"})),
-    Rule("stamps_backwards", "the autopilot's time stamps have gone back: it has restarted, or its clock has",
+    Rule("stamps_backwards", "autopilot timestamps went backwards: it restarted, or its clock was reset",
          "guard.stamp_tolerance_s", _LAND, _AIR, _stamps_backwards, of_streams=True),
-    Rule("imu_stuck", "the IMU repeats one reading: no sensor is that quiet", "guard.imu_stuck_s",
+    Rule("imu_stuck", "IMU reading stuck", "guard.imu_stuck_s",
          _LAND, _AIR, _imu_stuck),
     Rule("imu_clipped", "the IMU stays at full scale longer than any contact lasts", "guard.imu_clipped_s",
          _LAND, _AIR, _imu_clipped),
@@ -332,9 +332,9 @@ RULES: tuple[Rule, ...] = (
          "guard.position_sd_m", _LAND, _FLYING, _position_uncertain),
     Rule("battery", "the battery is low", "guard.battery_remaining, guard.battery_v, guard.battery_low_s",
          _LAND, _AIR, _battery),
-    Rule("still_armed", "in PX4's land mode and still armed long after a landing must have ended",
+    Rule("still_armed", "in PX4's land mode and still armed long after touchdown was due",
          "guard.kill_after_s, bounds_m.z", _KILL, _AIR, _still_armed),
-    Rule("tilt", "tilted further than PX4 can be trusted to right", "guard.tilt_deg", _LAND, _AIR, _tilt,
+    Rule("tilt", "tilt beyond what PX4 can be trusted to recover from", "guard.tilt_deg", _LAND, _AIR, _tilt,
          at_once=(AttitudeSample,)),
     Rule("altitude", "outside of the flight space vertically; more is allowed after an impact",
          "bounds_m.z, guard.altitude_tolerance_m, guard.impact_window_s", _LAND, _FLYING, _altitude,
@@ -347,38 +347,38 @@ RULES: tuple[Rule, ...] = (
          "limits.peak_force_n, guard.force_margin", _BREAK_OFF, _FLYING, _force, at_once=(ImuSample,)),
     Rule("operator_ground", "the operator stops the flight before take-off", "",
          _LAND, _ALWAYS, _operator_stops, at_once=_REQUEST),
-    Rule("operator", "the operator asks to land (Ctrl-C)", "", _BREAK_OFF, _ALWAYS, _operator_lands,
+    Rule("operator", "operator requests landing (Ctrl-C)", "", _BREAK_OFF, _ALWAYS, _operator_lands,
          at_once=_REQUEST),
-    Rule("operator_release", "the operator lets go of the vehicle (second Ctrl-C)", "",
+    Rule("operator_release", "operator releases the vehicle (second Ctrl-C)", "",
          _RELEASE, _ALWAYS, _operator_releases, by_person=True, at_once=_REQUEST),
-    Rule("world_died", "the simulated vehicle is gone", "", _RELEASE, _ALWAYS, _world_died,
+    Rule("world_died", "simulated vehicle terminated", "", _RELEASE, _ALWAYS, _world_died,
          at_once=_REQUEST),
     # found by the mission, which alone knows the plan
     Rule("peak_force", "an impact's peak was over the limit", "limits.peak_force_n", _BREAK_OFF),
     Rule("wall_not_met", "the wall was not met where or when it should have been",
          "guard.wall_overrun_m, guard.wall_late_s, limits.collision_timeout_s", _BREAK_OFF),
     Rule("wall_met_early", "a contact well before the planned wall", "guard.wall_early_m", _BREAK_OFF),
-    Rule("hit_in_noise", "the planned hit cannot be told from the vibration learnt so far",
+    Rule("hit_in_noise", "planned impact is below the detection limit at the vibration level measured so far",
          "detection.noise_sigma, detection.short_window_s, detection.long_window_s", _BREAK_OFF),
     Rule("unplanned_hit", "an impact where the plan has none", "", _BREAK_OFF),
-    Rule("no_peak", "a contact whose force does not fall again", "detection.peak_wait_s", _BREAK_OFF),
+    Rule("no_peak", "contact force does not decay", "detection.peak_wait_s", _BREAK_OFF),
     Rule("lock_not_settled", "the lock is not in the planned mode in the approach or at the impact", "",
          _BREAK_OFF),
-    Rule("mode_felt", "a contact was felt in the other mode than the lock reports; `go_on` only notes it",
+    Rule("mode_felt", "contact indicates the other mode than the lock reports; with `go_on` only noted",
          "mode_mismatch, estimation.walls.sure_log_odds", _LAND),
-    Rule("lock_late", "the lock is not in the planned mode when holding still just stops short of the wall, "
-         "and will not be in time for a hit that either mode bears", "", _BREAK_OFF),
+    Rule("lock_late", "the lock is not in the planned mode at the last point at which the vehicle can still "
+         "stop before the wall, and the impact is not allowed in both modes", "", _BREAK_OFF),
     Rule("lock_not_ready", "the lock did not reach the planned mode before the approach", "lock.timeout_s",
          _LAND),
     Rule("climb_timeout", "the altitude was not reached in time", "flying.ready_timeout_s", _LAND),
-    Rule("transit_timeout", "the run-up point or a way-point was not reached in time",
+    Rule("transit_timeout", "the run-up point or a waypoint was not reached in time",
          "flying.ready_timeout_s", _HOLD),
-    Rule("pause_timeout", "the operator did not end a pause in time", "", _LAND),
+    Rule("pause_timeout", "operator did not resume in time", "", _LAND),
     Rule("goal_not_reached", "the goal could not be held in time", "goal.hold_s, limits.collision_timeout_s",
          _LAND),
-    Rule("not_ready", "telemetry or lock are not ready on the ground", "flying.ready_timeout_s", _GIVE_UP,
+    Rule("not_ready", "telemetry or lock not ready before takeoff", "flying.ready_timeout_s", _GIVE_UP,
          of_streams=True),
-    Rule("offboard_refused", "PX4 does not go into offboard", "flying.ready_timeout_s", _GIVE_UP),
+    Rule("offboard_refused", "PX4 refuses offboard mode", "flying.ready_timeout_s", _GIVE_UP),
     Rule("arming_refused", "PX4 does not arm", "flying.ready_timeout_s", _GIVE_UP),
     Rule("mission_fault", "an exception in the mission's own code", "", _LAND),
 )

@@ -74,4 +74,4 @@ class TelemetryDelay:
         """What is known, in words."""
         shortest_us = min(self._last, default=0)
         also = f", round trip {shortest_us * 1e-3:.0f} ms" if shortest_us > self._limit_us else ""
-        return f"samples come {self.age_us * 1e-3:.0f} ms after they were taken{also}"
+        return f"telemetry arrives {self.age_us * 1e-3:.0f} ms after it was sampled{also}"

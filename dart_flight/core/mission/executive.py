@@ -316,7 +316,7 @@ class Executive:
         """From rest at the target to what comes next; `cue` is that for a collision."""
         waypoint = self._waypoint
         if waypoint is not None and waypoint.position is None:
-            waits = f"waits for the operator (Enter, SIGUSR1), lands after {waypoint.hold_s:g} s"
+            waits = f"waiting for the operator (Enter or SIGUSR1); landing after {waypoint.hold_s:g} s"
             self._go(PhaseTrigger.NEXT_PAUSE, state, p, waits)
         elif waypoint is not None and waypoint.position is not None:
             self._go(PhaseTrigger.NEXT_WAYPOINT, state, p, waypoint.name)
@@ -348,7 +348,7 @@ class Executive:
         assert waypoint is not None
         self._lock_to(self.mission.transit_mode, state, p)
         if self._takes_longer_than(waypoint.hold_s, state):
-            p.add_finding("pause_timeout", f"no word to go on within {waypoint.hold_s:g} s")
+            p.add_finding("pause_timeout", f"operator did not resume within {waypoint.hold_s:g} s")
 
     def _on_operator_continue(self, state: FlightState, p: Proposal) -> None:
         """The operator says to go on; where nothing waits for that, it means nothing."""
@@ -421,7 +421,7 @@ class Executive:
         guard = self.mission.vehicle.guard
         if overrun > overrun_m(guard, wall, (x, y)) and not sensed.in_contact:
             p.add_finding(
-                "wall_not_met", f"{overrun:.2f} m behind wall {collision.wall.name} without a contact"
+                "wall_not_met", f"flew {overrun:.2f} m past wall {collision.wall.name} without contact"
             )
 
     # -- impact --
@@ -432,7 +432,7 @@ class Executive:
         collision = self._collision
         if collision is None or not self._is_due(collision) or not event.planned:
             force = math.hypot(event.force_mission[0], event.force_mission[1])
-            p.add_finding("unplanned_hit", f"hit with {force:.0f} N in {self.phase.value}, no wall planned")
+            p.add_finding("unplanned_hit", f"unplanned impact of {force:.0f} N in phase {self.phase.value}")
             return
         wall, (x, y, _) = self._survey.wall_now(collision.wall), event.position_mission
         distance = wall.signed_distance((x, y))
@@ -449,7 +449,7 @@ class Executive:
         if felt.mode_felt is None or felt.mode_reported in (None, felt.mode_felt):
             return
         detail = (
-            f"{felt.mode_felt.value} arms felt at wall {felt.wall}, the lock reports "
+            f"contact at wall {felt.wall} indicates {felt.mode_felt.value} arms, the lock reports "
             f"{felt.mode_reported.value} (log odds {abs(felt.log_odds):.1f})"
         )
         p.add_finding("mode_felt", detail, noted=self.mission.mode_mismatch is ModeMismatch.NOTE_ONLY)
@@ -463,7 +463,8 @@ class Executive:
         floor = event.rigid_n if collision.mode is Mode.RIGID else event.flexible_n
         if hit is not None and floor is not None and hit.peak_normal_force_n < floor:
             what = f"{collision.mode.value}, {hit.peak_normal_force_n:.0f} N at wall {collision.wall.name}"
-            p.add_finding("hit_in_noise", f"{what}: cannot be told from vibration here, {floor:.0f} N can")
+            says = f"{what}: below the detection limit at this vibration level ({floor:.0f} N)"
+            p.add_finding("hit_in_noise", says)
 
     def _contact(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if self._takes_longer_than(2 * self.mission.vehicle.detection.peak_wait_s, state):

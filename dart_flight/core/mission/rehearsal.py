@@ -33,7 +33,7 @@ class Rehearsal(Executive):
             self._go(PhaseTrigger.STOOD_OFF, state, p)
             self._stand_off(state)
         elif self._is_late(state):
-            p.add_finding("transit_timeout", "stand-off point not reached")
+            p.add_finding("transit_timeout", "standoff point not reached")
 
     def _stand_off(self, state: FlightState) -> None:
         """At rest before the wall: the next collision, or the goal, comes next."""
@@ -64,4 +64,4 @@ class Rehearsal(Executive):
         elif self._has_arrived(state):
             self._stand_off(state)
         if self._is_late(state):
-            p.add_finding("transit_timeout", "stand-off point not reached")
+            p.add_finding("transit_timeout", "standoff point not reached")

@@ -107,13 +107,13 @@ class ReplanRequests:
     def _refusal(self, answer: PlanAnswer, now_us: int) -> str | None:
         asked = self._asked
         if asked is None or answer.number != asked.number:
-            return "the state that it is for is no longer true"
+            return "planned for an outdated state"
         if answer.problem:
             return answer.problem
         if now_us > asked.begin_us:
             return f"{(now_us - asked.begin_us) * 1e-3:.0f} ms too late"
         if not _makes_sense(answer, asked, self._from_rest):
-            return "it is no answer to what was asked"
+            return "answer does not match the request"
         return None
 
     def approach(self, following: Collision, now_us: int, p: Proposal) -> Approach | None:
@@ -150,7 +150,7 @@ class ReplanRequests:
         beside_m = math.dist(at.position[:2], state.position[:2])
         beside_m_s = math.dist(at.velocity[:2], state.velocity[:2])
         if not (beside_m <= _BESIDE_M and beside_m_s <= _BESIDE_M_S):
-            where = f"the vehicle is {beside_m:.2f} m and {beside_m_s:.2f} m/s beside its beginning"
+            where = f"vehicle is {beside_m:.2f} m and {beside_m_s:.2f} m/s off the start of the trajectory"
             p.outputs.append(PlanTaken(state.now_us, answer.number, False, where))
             return None
         p.outputs.append(PlanTaken(state.now_us, answer.number, True))

@@ -67,17 +67,17 @@ def open_campaign(asked: CampaignSpec | None, folder: Path, resume: bool) -> Cam
     path = folder / ASKED
     if not path.exists():
         if asked is None:
-            raise InputError("no campaign to go on with here: name its missions", source=str(folder))
+            raise InputError("no campaign to resume here; give mission files", source=str(folder))
         return _begin(asked, folder)
     if not resume:
-        raise InputError("there is a campaign already: --resume goes on with it", source=str(path))
+        raise InputError("a campaign exists here already; use --resume to continue it", source=str(path))
     kept = _read(path)
     taken = asked or kept.asked
     points = points_of(taken)
     wanted = campaign_of(taken, points)
     problem = difference(kept, wanted)
     if problem is not None:
-        raise InputError(f"is another campaign: {problem}", source=str(path))
+        raise InputError(f"is a different campaign: {problem}", source=str(path))
     if wanted.asked.runs > kept.asked.runs:
         _write(path, wanted)
     return CampaignFolder(folder, wanted, points)
@@ -88,10 +88,10 @@ def _begin(asked: CampaignSpec, folder: Path) -> CampaignFolder:
     campaign = campaign_of(asked, points)
     if (folder / TABLE).exists():
         raise InputError(
-            "is a table without its campaign.json: name another folder", source=str(folder / TABLE)
+            "results table without its campaign.json; choose another folder", source=str(folder / TABLE)
         )
     if folder.is_dir() and any(folder.iterdir()):
-        raise InputError("has other files in it: name a new folder", source=str(folder), key=("--out",))
+        raise InputError("folder is not empty; choose a new one", source=str(folder), key=("--out",))
     _write(folder / ASKED, campaign)
     return CampaignFolder(folder, campaign, points)
 

@@ -188,7 +188,7 @@ def difference(kept: Campaign, wanted: Campaign) -> str | None:
         if before != now:
             return f"{name}: it has {_format_setting(before)}, not {_format_setting(now)}"
     if b.runs < a.runs:
-        return f"--runs: it has {a.runs}, not {b.runs}; more can be flown, fewer not"
+        return f"--runs: it has {a.runs}, not {b.runs}; runs can be added, not removed"
     if kept.digests != wanted.digests:
         return "a mission or configuration file has changed since"
     return None

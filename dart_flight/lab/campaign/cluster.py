@@ -59,7 +59,9 @@ def _work(url: str, flyer: ItemFlyer, items: Iterable[Item], interrupt: Interrup
         _refuse_others(client, url)
         yield from _hand_out(client, flyer, iter(items), interrupt)
     except OSError as error:
-        raise FlightError(f"--scheduler {url}: {error}; the rows are kept, --resume goes on") from None
+        raise FlightError(
+            f"--scheduler {url}: {error}; completed rows are kept; continue with --resume"
+        ) from None
     finally:
         client.close(timeout=_END_S)
 
@@ -68,7 +70,7 @@ def _refuse_others(client: Any, url: str) -> None:
     try:
         client.wait_for_workers(1, timeout=_PATIENCE_S)
     except TimeoutError:
-        raise FlightError(f"--scheduler {url}: no worker has come in {_PATIENCE_S:g} s") from None
+        raise FlightError(f"--scheduler {url}: no worker connected within {_PATIENCE_S:g} s") from None
     own = software_version()
     for worker, version in client.run(software_version).items():
         if version != own:
@@ -98,9 +100,9 @@ def _hand_out(client: Any, flyer: ItemFlyer, waiting: Iterator[Item], interrupt:
 
 
 def _result(future: Any) -> Flown | Failure:
-    """Raises OSError: the scheduler is gone."""
+    """Raises OSError: lost connection to the scheduler."""
     if future.status in ("cancelled", "lost"):
-        raise OSError("the scheduler is gone")
+        raise OSError("lost connection to the scheduler")
     error = future.exception()
     if error is not None:  # the flights' own are results: this is the scheduler's
         return Failure(" ".join(f"{type(error).__name__}: {error}".split()))

@@ -83,7 +83,7 @@ class Table:
         except OSError as error:
             os.ftruncate(self._file, self._length)
             raise FlightError(
-                f"cannot write {self.path}: {error.strerror}; its rows are kept, --resume goes on with them"
+                f"cannot write {self.path}: {error.strerror}; completed rows are kept; continue with --resume"
             ) from None
         self._length += len(line)
         now = time.monotonic()
@@ -132,16 +132,16 @@ def flown_in(path: Path, keys: Sequence[str], points: Sequence[Point]) -> set[It
     """The flights that have a row.
 
     Raises:
-        InputError: as `rows_in`, or a row is of no flight of this campaign, or is there twice.
+        InputError: as `rows_in`, or a row belongs to no flight of this campaign, or is a duplicate.
     """
     numbers = {(point.path, *point.values): point.number for point in points}
     found: set[Item] = set()
     for line, row in enumerate(rows_in(path), start=2):
         number = numbers.get((row["mission"], *(row[key] for key in keys)))
         if number is None or not row["seed"].isdigit():
-            raise InputError("is of no flight of this campaign", source=str(path), line=line)
+            raise InputError("belongs to no flight of this campaign", source=str(path), line=line)
         item = Item(number, int(row["seed"]))
         if item in found:
-            raise InputError("this flight is there twice", source=str(path), line=line)
+            raise InputError("duplicate row for this flight", source=str(path), line=line)
         found.add(item)
     return found

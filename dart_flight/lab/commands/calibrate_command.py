@@ -85,9 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _airframe(arguments: argparse.Namespace) -> int:
     """Print where PX4 has its motors, and how the configuration's differ."""
     if arguments.write:
-        raise InputError(
-            "calibrate airframe prints a block to be pasted below `airframe:`, it writes nothing"
-        )
+        raise InputError("calibrate airframe prints a block to paste under `airframe:`; it writes no file")
     if (arguments.connection is None) != (len(arguments.logs) == 1):
         raise InputError("calibrate airframe needs one file, or --connection URL")
     vehicle, source = find_vehicle(arguments.config)
@@ -156,7 +154,7 @@ def _inertia_table(r: InertiaCalibration) -> Table:
         known = axis.value is not None and axis.low is not None and axis.high is not None
         table.add_row(
             axis.axis,
-            f"{axis.value:.5f}" if known else "not told",
+            f"{axis.value:.5f}" if known else "not determined",
             f"{axis.low:.5f} to {axis.high:.5f}" if known else "-",
             f"{axis.torque_nm:.3f}",
             f"{100.0 * axis.explained:.0f} %",
@@ -171,7 +169,7 @@ def _table(r: ThrustCalibration) -> Table:
         table.add_column(column, justify="left" if not column else "right")
 
     def error(value: float | None) -> str:
-        return "kept, not told by these flights" if value is None else f"{value:.3g}"
+        return "kept, not determined by these flights" if value is None else f"{value:.3g}"
 
     table.add_row("full thrust of one motor, N", f"{r.full_n:.3f}", error(r.full_n_error))
     table.add_row("model factor", f"{r.model_factor:.3f}", error(r.model_factor_error))

@@ -40,11 +40,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="KEY=V1,V2,...",
         help="a key of the configuration and its values; every combination of all keys is flown; repeatable",
     )
-    parser.add_argument("--resume", action="store_true", help="go on with the campaign in --out")
+    parser.add_argument("--resume", action="store_true", help="resume the campaign in --out")
     parser.add_argument(
         "--keep",
         choices=("failed", "all", "none"),
-        help="whose logs stay, in DIR/logs: of flights that did not complete (default), of all, of none",
+        help="which logs to keep in DIR/logs: of failed flights (default), of all, or none",
     )
     parser.add_argument(
         "--jobs", type=whole_number(1, 1024), metavar="N", help="processes (default: one for every core)"
@@ -114,10 +114,13 @@ def _asked(arguments: argparse.Namespace) -> Any:
             raise InputError("no mission given", key=("MISSION",))
         idle = next((name for name, value in given.items() if value not in (None, [])), None)
         if idle is not None:
-            raise InputError(f"{idle} needs the missions, too; --resume --out DIR alone goes on as begun")
+            raise InputError(
+                f"{idle} needs the missions, too; "
+                "--resume --out DIR alone continues with the original settings"
+            )
         return None
     if arguments.runs is None:
-        raise InputError("how many seeds? --runs N", key=("--runs",))
+        raise InputError("missing --runs N (number of seeds)", key=("--runs",))
     return CampaignSpec(
         missions=tuple(arguments.missions),
         config=arguments.config,

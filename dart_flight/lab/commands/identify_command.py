@@ -20,7 +20,7 @@ def _height_or_trial(text: str) -> float | str:
         return text
 
 
-_FIT = {True: "[green]fit: good[/]", False: "[red]fit: poor[/]", None: "fit: nothing to judge it by"}
+_FIT = {True: "[green]fit: good[/]", False: "[red]fit: poor[/]", None: "fit: quality cannot be assessed"}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -87,7 +87,7 @@ def _print(flight: InspectedFlight) -> None:
     if flight.flight_s > 0.0:
         out.print(
             f"noise {flight.noise_m_s2:.2f} m/s2 a sample, {flight.noise_short_m_s2:.2f} and "
-            f"{flight.noise_long_m_s2:.2f} in the short and the long mean; felt for certain: rigid from "
+            f"{flight.noise_long_m_s2:.2f} in the short and the long mean; reliably detected: rigid from "
             f"{flight.floor_rigid_m_s2:.1f}, flexible from {flight.floor_flexible_m_s2:.1f} m/s2",
             soft_wrap=True,
         )
@@ -113,13 +113,13 @@ def _print(flight: InspectedFlight) -> None:
         out.print("no impact")
     if flight.weak:
         out.print(
-            f"{flight.weak} more over the threshold for a moment, with a fitted peak under it: no impact",
+            f"{flight.weak} short threshold crossings with a fitted peak below the threshold (not impacts)",
             soft_wrap=True,
         )
     if flight.untold:
         out.print(
-            f"{flight.untold} more over the threshold that cannot be told: a contact or a manoeuvre, in "
-            "fast flight of unknown thrust, after a crash, or less than four standard deviations",
+            f"{flight.untold} ambiguous threshold crossings: contact or manoeuvre (fast flight with unknown "
+            "thrust, after a crash, or below four standard deviations)",
             soft_wrap=True,
         )
     for what in flight.unknown:

@@ -1,4 +1,4 @@
-"""`dart-flight tables`: the paper's tables beside the model's."""
+"""`dart-flight tables`: the paper's tables compared with the model."""
 
 from __future__ import annotations
 

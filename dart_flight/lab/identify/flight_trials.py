@@ -94,6 +94,6 @@ def trials_at_one(log: Log, material: str | None, mode: str = UNLABELLED) -> lis
         raise NothingInItError(f"{what}{how_armed} in this flight", source=log.source)
     if len(by_material) > 1:
         names = ", ".join(by_material)
-        raise InputError(f"collisions with {names}: say which with --surface", source=log.source)
+        raise InputError(f"collisions with {names}: choose one with --surface", source=log.source)
     (trials,) = by_material.values()
     return trials

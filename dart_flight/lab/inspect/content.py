@@ -65,10 +65,10 @@ def refuse_other_vehicles(log: ULogFile) -> None:
         )
     other = _other_than_multicopter(log)
     if other is not None:
-        raise InputError(f"of a {other}: only multicopters are felt", source=log.source)
+        raise InputError(f"log of a {other}: only multicopters are supported", source=log.source)
     status = log.first("vehicle_status")
     if status is not None and not (np.asarray(status["arming_state"]) == _ARMED).any():
-        raise InputError("the vehicle was never armed: there is no flight in it", source=log.source)
+        raise InputError("the vehicle was never armed: the log contains no flight", source=log.source)
 
 
 def _other_than_multicopter(log: ULogFile) -> str | None:
@@ -88,11 +88,11 @@ def missing(log: ULogFile) -> list[str]:
     """Topics that are not there or too slow, in words.
 
     Raises:
-        InputError: without IMU or attitude nothing can be felt.
+        InputError: without IMU or attitude impacts cannot be detected.
     """
     for name in ("sensor_combined", "vehicle_attitude"):
         if log.first(name) is None:
-            raise InputError(f"has no {name}: nothing can be felt", source=log.source)
+            raise InputError(f"has no {name}: impacts cannot be detected", source=log.source)
     rate = log.rate_hz("sensor_combined") or 0.0
     if rate < _MIN_IMU_HZ:
         raise InputError(
@@ -108,7 +108,7 @@ def missing(log: ULogFile) -> list[str]:
             out.append(f"no {' or '.join(topics)}")
             slow = True
         elif max(rates) < wanted:
-            out.append(f"{' or '.join(topics)} at {max(rates):.0f} Hz, {wanted:.0f} would do")
+            out.append(f"{' or '.join(topics)} at {max(rates):.0f} Hz, {wanted:.0f} Hz is sufficient")
             slow = True
     if log.first("vehicle_land_detected") is None:
         out.append("no vehicle_land_detected: the whole log counts as flight")
@@ -116,7 +116,7 @@ def missing(log: ULogFile) -> list[str]:
         out.append(f"{log.gaps_s:.2f} s that the logger lost")
     if log.first("vehicle_status") is None:
         out.append("no vehicle_status: whether it is a multicopter, and was armed")
-    return [*out, *[f"what would help: {_PROFILE}"] * slow, *log.damage]
+    return [*out, *[f"recommended logging: {_PROFILE}"] * slow, *log.damage]
 
 
 def landings_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:

@@ -57,13 +57,13 @@ def inspect_log(
     curve = None if isinstance(fitted, str) else fitted
     if curve is not None and are_motors_slow(track):
         unknown.append(
-            f"thrust between motor outputs: known from {THRUST_KNOWN_HZ:.0f} Hz on; here only a vehicle that "
-            "hovers is believed"
+            f"thrust between motor outputs: known from {THRUST_KNOWN_HZ:.0f} Hz on; below that only "
+            "hover is evaluated"
         )
     flying = flights_of(log, track)
     drag = fit_drag(track, flying)
     if not drag:
-        unknown.append("drag: too slow a flight to tell it")
+        unknown.append("drag: flight too slow to estimate it")
     unknown.append("wind, and the accelerometer's bias where the vehicle does not hover")
     if mass_kg is None:
         unknown.append("mass: forces are in m/s2, with --mass also in newton")

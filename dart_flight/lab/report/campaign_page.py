@@ -24,15 +24,15 @@ def campaign_page(summary: CampaignSummary) -> str:
         section("Figures", _figures(summary)),
     ]
     if summary.drawn:
-        parts.append(section("Success over what was drawn", _over_draws(summary)))
+        parts.append(section("Success versus drawn quantity", _over_draws(summary)))
     if summary.varied:
-        parts.append(section("What varied over what was drawn", _varied(summary)))
+        parts.append(section("Figures versus drawn quantity", _varied(summary)))
     return page("Campaign", parts)
 
 
 def _over_draws(summary: CampaignSummary) -> str:
     note = (
-        "<p class=note>What tells most comes first. Bins of about equal numbers of flights; bars are 95 % "
+        "<p class=note>Strongest effect first. Bins of about equal numbers of flights; bars are 95 % "
         "intervals (Wilson).</p>"
     )
     return note + _pictures(
@@ -88,7 +88,7 @@ def _head(summary: CampaignSummary) -> str:
         drawn = ", ".join(f"{name}={sd:g}" for name, sd in summary.vary.items())
         notes.append(f"Drawn anew by every seed (standard deviations): {html.escape(drawn)}.")
     if summary.errors:
-        notes.append(f"{summary.errors} flights ended by a fault of the program and count in no rate.")
+        notes.append(f"{summary.errors} flights ended by a software error and are excluded from all rates.")
     reason = f"<p class=reason>{missing} of {summary.asked} flights are not flown yet.</p>" if missing else ""
     return f"<section>{reason}<div class=tiles>{text}</div><p class=note>{' '.join(notes)}</p></section>"
 
@@ -135,7 +135,7 @@ def _failed(summary: CampaignSummary) -> str:
     ]
     others = sum(rule.flights for rule in summary.rules) - len(summary.failed)
     note = f"<p class=note>{others} more are in flights.csv.</p>" if others > 0 else ""
-    heads = ["mission", *keys, "seed", "outcome", "reason", "to see it again"]
+    heads = ["mission", *keys, "seed", "outcome", "reason", "command to reproduce it"]
     first, rest = rows[:_SHOWN], rows[_SHOWN:]
     return table(heads, first) + (details(f"{len(rest)} more", table(heads, rest) + note) if rest else "")
 

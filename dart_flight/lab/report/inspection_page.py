@@ -46,8 +46,8 @@ def _flight(flight: InspectedFlight) -> str:
         ("thrust", "unknown" if thrust is None else _curve(thrust)),
         ("noise of a sample", f"{flight.noise_m_s2:.2f} m/s²"),
         ("noise of the means", f"{flight.noise_short_m_s2:.2f} and {flight.noise_long_m_s2:.2f} m/s²"),
-        ("felt for certain, rigid", f"{flight.floor_rigid_m_s2:.1f} m/s²"),
-        ("felt for certain, flexible", f"{flight.floor_flexible_m_s2:.1f} m/s²"),
+        ("reliably detected, rigid", f"{flight.floor_rigid_m_s2:.1f} m/s²"),
+        ("reliably detected, flexible", f"{flight.floor_flexible_m_s2:.1f} m/s²"),
         *(("unknown", what) for what in flight.unknown),
     ]
     return body + table(("", ""), facts)

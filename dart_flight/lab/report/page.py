@@ -61,7 +61,7 @@ def flight_page(flight: RecordedFlight) -> str:
     if flight.mission.collisions:
         parts += [
             section("Predicted against measured", _impact_table(flight)),
-            section("The plan", _plan_tables(flight)),
+            section("Plan versus flight", _plan_tables(flight)),
         ]
     if flight.impacts:
         pictures = (
@@ -80,7 +80,8 @@ def flight_page(flight: RecordedFlight) -> str:
                 (motion.attitude(flight), "Attitude in the mission frame."),
                 (
                     motion.tracking_error(flight),
-                    "Distance from the setpoint in force. After a hit it is far away on purpose.",
+                    "Distance from the active setpoint. After an impact it is large on purpose: "
+                    "the recovery setpoint lies far away.",
                 ),
                 (
                     motion.thrust_and_battery(flight),
@@ -219,11 +220,12 @@ def _verdict(flight: RecordedFlight) -> str:
     )
     listed = "".join(f"<dt>{k}</dt><dd>{html.escape(t)}</dd>" for k, t in facts)
     reason = f"<p class=reason>{html.escape(v.reason)}</p>" if v.reason else ""
-    cut = "" if flight.log.complete else "<p class=note>The log was cut: not all of the flight is here.</p>"
+    truncated = "<p class=note>The log is truncated: part of the flight is missing.</p>"
+    cut = "" if flight.log.complete else truncated
     return (
         f"<section><p class=sentence>{html.escape(outcome_sentence(flight))}</p>"
         f"{reason}{cut}{_hits_table(flight)}"
-        f"<div class=tiles>{tiles}</div>{details('Where this is from', f'<dl>{listed}</dl>')}</section>"
+        f"<div class=tiles>{tiles}</div>{details('Source', f'<dl>{listed}</dl>')}</section>"
     )
 
 
@@ -233,15 +235,15 @@ def outcome_sentence(flight: RecordedFlight) -> str:
     if flight.mission.standoff_m is not None:
         hits = "a rehearsal, which stops before each wall"
     elif planned == 0:
-        hits = "no hit was planned"
+        hits = "no collision was planned"
     elif planned == 1:
-        hits = "its one planned hit was flown" if met else "its one planned hit was not flown"
+        hits = f"the one planned collision was {'' if met else 'not '}flown"
     else:
-        hits = f"{met if met < planned else 'all'} of {planned} planned hits were flown"
+        hits = f"{met if met < planned else 'all'} of {planned} planned collisions were flown"
     begin = {
         Outcome.COMPLETED: "The flight was completed",
         Outcome.ABORTED: "The flight was broken off",
-        Outcome.RELEASED: "The vehicle was handed over in flight",
+        Outcome.RELEASED: "Control was released to the pilot in flight",
     }[v.outcome]
     words = f"{begin}; {hits}"
     if v.goal_miss_m is not None:
@@ -275,7 +277,7 @@ def _hit_row(flight: RecordedFlight, impact: Impact) -> Row:
 
 def _where_px4_log(flight: RecordedFlight) -> str:
     if flight.log.world in (World.FAST, World.EMBEDDED):
-        return "none: PX4 was not flown"
+        return "none (not a PX4 flight)"
     armed = flight.armed_utc()
     return "not beside the log" + (f"; armed at {armed}" if armed else "")
 
@@ -315,17 +317,17 @@ def _plan_tables(flight: RecordedFlight) -> str:
         [d.what, d.planned, d.flown, d.tolerance, "yes" if d.within else "no"] for d in v.deviations
     ]
     text = "<p>The plan was followed.</p>" if v.plan_followed else "<p>The plan was not followed.</p>"
-    heads = ["", "planned", "flown", "may differ by", "within"]
+    heads = ["", "planned", "flown", "tolerance", "within"]
     outside = [row for row, d in zip(rows, v.deviations, strict=True) if not d.within]
-    text += (table(heads, outside) if outside else "") + details("Every planned figure", table(heads, rows))
+    text += (table(heads, outside) if outside else "") + details("All planned quantities", table(heads, rows))
     felt = flight.course.all(WallEstimate)
     if felt:
-        text += "<h3>Walls as they were felt</h3>" + table(_FELT_HEADS, [_felt_row(flight, f) for f in felt])
+        text += "<h3>Wall estimates</h3>" + table(_FELT_HEADS, [_felt_row(flight, f) for f in felt])
     replanned = flight.replanned()
     if replanned:
         rows = [_replanned_row(flight, *one) for one in replanned]
-        text += "<h3>Planned in flight</h3>" + table(
-            ["at, s", "to", "answer after, ms", "impact, m/s", "along, m/s", "peak, N", "flown"], rows
+        text += "<h3>Trajectories planned in flight</h3>" + table(
+            ["at, s", "to", "planning time, ms", "impact, m/s", "along, m/s", "peak, N", "flown"], rows
         )
     return text
 
@@ -357,7 +359,7 @@ def _replanned_row(
     to = "the goal" if request.collision is None else f"collision {request.collision}"
     at = flight.course.time_of(request.t_us)
     if answer is None:
-        return [at, to, None, None, None, None, "no answer came"]
+        return [at, to, None, None, None, None, "no answer"]
     after = flight.answered_ms(request, answer)
     flown = "?" if taken is None else "yes" if taken.taken else f"no: {taken.reason}"
     return [at, to, after, answer.normal_m_s, answer.tangential_m_s, answer.peak_force_n, flown]
@@ -387,7 +389,7 @@ def _timing_table(flight: RecordedFlight) -> str:
         [name, *(percentile(values, share) for share in (50, 99, 100))]
         for name, values in (
             ("setpoint interval", t.setpoint_interval_ms),
-            ("IMU delay over the least", t.imu_delay_ms),
+            ("IMU delay above its minimum", t.imu_delay_ms),
             ("sample to recovery setpoint", t.recovery_ms),
         )
     ]
@@ -401,7 +403,7 @@ def _timing_table(flight: RecordedFlight) -> str:
 
 def _guard_table(flight: RecordedFlight) -> str:
     if not flight.verdict.guard:
-        return "<p>The guard did not interfere.</p>"
+        return "<p>No guard rule fired.</p>"
     rows: list[Row] = [
         [flight.course.time_of(g.t_us), g.rule, g.action, g.detail] for g in flight.verdict.guard
     ]
@@ -416,7 +418,7 @@ def _noise_table(flight: RecordedFlight) -> str:
         for f in flight.course.all(DetectionFloor)
     ]
     noise = ["noise, short mean N", "long mean N"]
-    heads = ["s", "threshold N", *noise, "rigid felt from N", "flexible felt from N"]
+    heads = ["s", "threshold N", *noise, "detection limit rigid, N", "detection limit flexible, N"]
     return table(heads, rows) if rows else ""
 
 
@@ -477,7 +479,7 @@ def _coefficients(flights: Sequence[RecordedFlight]) -> str:
         else:
             agree = "Prediction and measurement agree." if disagreement else "No peak force to compare."
             parts.append(f"<p class=note>{agree}</p>")
-    return "".join(parts) or "<p>No impact to learn from.</p>"
+    return "".join(parts) or "<p>No impact to identify coefficients from.</p>"
 
 
 def _parameters(flight: RecordedFlight, others: Sequence[RecordedFlight] = ()) -> str:

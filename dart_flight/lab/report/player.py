@@ -52,7 +52,7 @@ def animation_html(flight: RecordedFlight) -> str:
         text = text.replace(letter, f"\\u{ord(letter):04x}")
     return (
         '<section class=player id=player hidden aria-label="Animation of the flight">'
-        "<h2>Play it</h2></section>"
+        "<h2>Flight animation</h2></section>"
         f'<script type="application/json" id="{DATA_ID}">{text}</script>'
     )
 

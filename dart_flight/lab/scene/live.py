@@ -125,12 +125,12 @@ class LiveViewProcess:
         self._thread.join(_END_S)
         self.process.end(_END_S)
         if self.dropped:
-            self._say(f"live view: {self.dropped} records were left out, it did not keep up")
+            self._say(f"live view: {self.dropped} records dropped, the viewer was too slow")
 
     def _run(self) -> None:
         while not self._closing.wait(_TURN_S):
             if not self._pass_on():
-                self._say("the live view has died; the flight goes on without it")
+                self._say("live view failed; the flight continues without it")
                 return
         self._pass_on()
 

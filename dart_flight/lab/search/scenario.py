@@ -202,7 +202,7 @@ def with_vehicle_parameters(scenario: Scenario, url: str) -> Scenario:
     with GroundLink(url, vehicle.connection.timeout_s) as link:
         found = link.read_parameters(own)
     if not found:
-        raise VehicleError(f"the vehicle on {url} tells none of its parameters")
+        raise VehicleError(f"vehicle on {url} reports no parameters")
     try:
         px4 = msgspec.convert({**own, **found}, Px4Parameters)
     except msgspec.ValidationError as error:
@@ -295,7 +295,7 @@ def _grid(spec: GridSpec, key: Key, document: Document) -> tuple[float, ...]:
         raise document.error(
             (*key, "step"),
             f"{spec.step:g} does not divide the range {spec.min:g} to {spec.max:g}; "
-            f"max {below:.6g} or {below + spec.step:.6g} would do",
+            f"use max {below:.6g} or {below + spec.step:.6g}",
         )
     if count + 1 > _MAX_STEPS:
         raise document.error((*key, "step"), f"{count + 1} values, at most {_MAX_STEPS}; widen the step")

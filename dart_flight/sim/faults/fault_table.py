@@ -56,14 +56,14 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind("sigstop", _P.APP, "the program is stopped (SIGSTOP)"),
     FaultKind("sigkill", _P.APP, "the program is killed (SIGKILL, as when memory runs out)"),
     FaultKind("disk-full", _P.APP, "the disk of the flight log is full"),
-    FaultKind("link-loss", _P.LINK, "nothing comes through, for so long (0: for ever)", "s", 0.0, 0.0, 60.0),
+    FaultKind("link-loss", _P.LINK, "link down for this long (0: permanently)", "s", 0.0, 0.0, 60.0),
     FaultKind("packet-loss", _P.LINK, "messages are lost", "%", 10.0, 0.0, 100.0),
-    FaultKind("delay", _P.LINK, "messages come late", "ms", 50.0, 0.0, 2000.0),
+    FaultKind("delay", _P.LINK, "messages are delayed", "ms", 50.0, 0.0, 2000.0),
     FaultKind(
-        "jitter", _P.LINK, "messages come up to this much later, each its own", "ms", 100.0, 0.0, 2000.0
+        "jitter", _P.LINK, "messages are delayed by up to this much, each its own", "ms", 100.0, 0.0, 2000.0
     ),
     FaultKind("reorder", _P.LINK, "messages overtake each other by 20 ms", "%", 10.0, 0.0, 100.0),
-    FaultKind("duplicate", _P.LINK, "messages come twice", "%", 10.0, 0.0, 100.0),
+    FaultKind("duplicate", _P.LINK, "messages are duplicated", "%", 10.0, 0.0, 100.0),
     FaultKind(
         "second-vehicle",
         _P.LINK,
@@ -95,8 +95,8 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind("servo-stuck", _P.LOCK, "the lock's servo does not move"),
     FaultKind("servo-slow", _P.LOCK, "the lock's servo takes this many times as long", "x", 4.0, 1.0, 100.0),
     FaultKind("servo-unplugged", _P.LOCK, "the servo's controller does not answer"),
-    FaultKind("wall-missing", _P.PLANT, "the walls are not there"),
-    FaultKind("wall-nearer", _P.PLANT, "the walls stand nearer", "m", 0.3, -1.0, 1.0),
+    FaultKind("wall-missing", _P.PLANT, "the walls are missing"),
+    FaultKind("wall-nearer", _P.PLANT, "the walls are nearer than planned", "m", 0.3, -1.0, 1.0),
     FaultKind("other-material", _P.PLANT, "the walls are of the stiffest other material"),
     FaultKind("gust", _P.PLANT, "a gust of 0.6 s along the wall's normal", "m/s", 5.0, -15.0, 15.0),
 )

@@ -380,7 +380,7 @@ class Px4:
         """
         known = parse_listing(self._answer(_CLIENT, "show", "-a"))
         if not known:
-            raise Px4Error(f"PX4 does not tell its parameters{self._last_words()}")
+            raise Px4Error(f"PX4 does not report its parameters{self._last_words()}")
         chosen = fitting(parameters, known)
         for name, value in chosen.items():
             self._answer(_CLIENT, "set", name, str(value) if isinstance(value, int) else f"{value:.9g}")
@@ -396,7 +396,7 @@ class Px4:
         """
         problem = not_taken(wanted, actual)
         if problem is not None:
-            raise Px4Error(f"a parameter did not take: {problem}")
+            raise Px4Error(f"parameter not accepted: {problem}")
 
     def version(self) -> tuple[int, int, int] | None:
         """PX4's version, while it waits for its simulator; None where it does not tell."""
@@ -543,7 +543,7 @@ def judge_version(version: tuple[int, int, int] | None) -> str | None:
     """
     flown = "docs/px4.md has flights with " + ", ".join(f"v{a}.{b}" for a, b in TESTED)
     if version is None:
-        return f"PX4 does not tell its version; {flown}"
+        return f"PX4 does not report its version; {flown}"
     text = ".".join(map(str, version))
     if version[:2] < OLDEST:
         raise Px4Error(f"PX4 v{text} is too old: at least v{OLDEST[0]}.{OLDEST[1]} is needed; {flown}")

@@ -164,7 +164,7 @@ class Px4Simulator:
             while not asked.answered:
                 self._free_run(0.02)
                 if time.monotonic() > deadline:
-                    raise Px4Error("PX4 does not tell its parameters after booting")
+                    raise Px4Error("PX4 does not report its parameters after booting")
         finally:
             answer = asked.close()
         px4.check_parameters(self._set, parse_listing(answer))
@@ -196,7 +196,7 @@ class Px4Simulator:
     def is_over(self, alone_s: float) -> bool:
         """As `ServedWorld`: PX4 flies on to its failsafe; the end once it has disarmed."""
         if not alone_s and self._armed:
-            self._say("the app is gone, PX4 flies on to its failsafe")
+            self._say("app disconnected; PX4 continues to its failsafe")
         if alone_s > _ORPHAN_S:
             self._say(f"PX4 has not landed within {_ORPHAN_S:g} s")
             return True

@@ -137,7 +137,7 @@ def test_more_seeds_go_on_with_the_table(
     out = tmp_path / "two"
     assert main(words(out, 2)) == 0
     assert main(words(out, 2)) == 2
-    assert "there is a campaign already: --resume goes on with it" in capsys.readouterr().err
+    assert "a campaign exists here already; use --resume to continue it" in capsys.readouterr().err
     assert main([*words(out, RUNS), "--resume"]) == 0
     assert f"2 of {RUNS} flights are in the table already" in capsys.readouterr().err
     assert sorted((out / "flights.csv").read_bytes().splitlines()) == sorted(
@@ -152,10 +152,10 @@ def test_more_seeds_go_on_with_the_table(
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        (["--seed", "2"], "is another campaign: --seed: it has 1, not 2"),
-        (["--vary", "battery"], "is another campaign: --vary"),
-        (["--set", "airframe.mass_kg=1.2"], "is another campaign: --set"),
-        (["--keep", "all"], "is another campaign: --keep: it has failed, not all"),
+        (["--seed", "2"], "is a different campaign: --seed: it has 1, not 2"),
+        (["--vary", "battery"], "is a different campaign: --vary"),
+        (["--set", "airframe.mass_kg=1.2"], "is a different campaign: --set"),
+        (["--keep", "all"], "is a different campaign: --keep: it has failed, not all"),
     ],
 )
 def test_another_campaign_is_refused_in_one_line(
@@ -173,7 +173,7 @@ def test_another_campaign_is_refused_in_one_line(
     ("more", "said"),
     [
         (["--runs", "3"], "MISSION: no mission given"),
-        (["--resume"], "no campaign to go on with here"),
+        (["--resume"], "no campaign to resume here"),
         (["--resume", "--runs", "3"], "--runs needs the missions, too"),
         ([MISSION], "--runs: how many seeds?"),
         (
@@ -291,7 +291,7 @@ def test_a_full_disk_ends_it_with_a_line_and_it_goes_on_later(
     )  # fmt: skip
     assert done.returncode == 1, done.stderr
     assert done.stderr.splitlines()[-1] == (
-        f"cannot write {out}/flights.csv: File too large; its rows are kept, --resume goes on with them"
+        f"cannot write {out}/flights.csv: File too large; completed rows are kept; continue with --resume"
     )
     there = len(rows(out))
     assert 1 <= there < 9

@@ -114,7 +114,8 @@ def test_a_scheduler_that_dies_ends_it_in_a_line(cluster: Cluster, tmp_path: Pat
     cluster.processes[0].kill()
     _, said = process.communicate(timeout=120.0)
     assert process.returncode == 1, said
-    assert said.splitlines()[-1].endswith("the scheduler is gone; the rows are kept, --resume goes on")
+    last = "lost connection to the scheduler; completed rows are kept; continue with --resume"
+    assert said.splitlines()[-1].endswith(last)
     assert "Traceback" not in said
     assert {row["outcome"] for row in rows(out)} <= {"completed", "aborted"}, "no row of what was not flown"
 

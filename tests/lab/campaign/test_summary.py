@@ -89,7 +89,7 @@ def test_what_matters_comes_first_and_what_never_varied_not_at_all(summary: Camp
 
 def test_the_page_shows_it(summary: CampaignSummary) -> None:
     page = campaign_page(summary)
-    assert "1 flights ended by a fault of the program" in page
+    assert "1 flights ended by a software error" in page
     assert "&lt;more&gt;" in page
     assert page.count("<code>dart-flight dry-run") == len(summary.failed)
     assert re.search(r"<details><summary>\d+ more", page), "many failed flights are folded away"
@@ -127,7 +127,7 @@ def test_where_everything_completed_the_page_shows_what_varied(tmp_path: Path) -
     assert all(len(v.points) == 40 for v in summary.varied)
     page = campaign_page(summary)
     assert "goal miss, m over mass: rank correlation 1.00" in page
-    assert "Success over what was drawn" not in page
+    assert "Success versus drawn quantity" not in page
 
 
 def test_a_campaign_without_a_row_has_a_page(tmp_path: Path) -> None:

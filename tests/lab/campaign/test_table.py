@@ -102,7 +102,7 @@ def test_a_full_disk_leaves_whole_rows(tmp_path: Path) -> None:
         cwd=Path(__file__).parents[3], preexec_fn=limit, capture_output=True, text=True, check=True,
     )  # fmt: skip
     seeds, _, said = done.stdout.strip().partition(" ")
-    assert said == f"cannot write {path}: File too large; its rows are kept, --resume goes on with them"
+    assert said == f"cannot write {path}: File too large; completed rows are kept; continue with --resume"
     assert path.read_bytes().endswith(row(int(seeds) - 1, "x" * 50))
     assert len(list(rows_in(path))) == int(seeds) > 10
     with Table(path, COLUMNS) as table:

@@ -244,7 +244,7 @@ def test_a_ulog_is_sent_to_the_commands_that_take_it(
 @pytest.mark.parametrize(
     ("places", "said"),
     [
-        ([(1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)], "placeholders"),
+        ([(1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)], "placeholder"),
         ([(0.1, 0.0)], "not a multicopter"),
     ],
 )

@@ -35,9 +35,9 @@ from tests.lab.report.svg import texts_of
 NEAR = Path(__file__).parents[2] / "data" / "near_wall.yaml"
 VOID = {"meta", "img", "br", "link", "hr", "input"}
 SECTIONS = [
-    "Play it",
+    "Flight animation",
     "Predicted against measured",
-    "The plan",
+    "Plan versus flight",
     "Force of each impact",
     "Motion",
     "Lock and timing",
@@ -207,7 +207,7 @@ def test_a_flight_that_was_aborted(aborted: Path, tmp_path: Path) -> None:
     page = Page(text)
     assert page.headings == [s for s in SECTIONS if s != "Force of each impact"]
     assert "dual-collision, fast: aborted" in text
-    assert "<p class=reason>wall_not_met: 0.15 m behind wall wood" in text
+    assert "<p class=reason>wall_not_met: flew 0.15 m past wall wood" in text
     assert any(row[1:3] == ["wall_not_met", "break_off"] for row in page.rows if len(row) == 4)
 
 

@@ -174,7 +174,7 @@ def test_its_death_is_one_line_and_the_flight_goes_on(
     for entry in log.entries:
         view(entry.record)
     view.close()
-    assert said[0] == "the live view has died; the flight goes on without it"
+    assert said[0] == "live view failed; the flight continues without it"
 
 
 def test_what_no_picture_needs_is_not_even_queued(view: LiveViewProcess) -> None:
@@ -206,8 +206,8 @@ def test_a_taken_port_is_named_before_the_flight(
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        (["--fast", "--live"], "--live is for one flight with a pace"),
-        (["--runs", "2", "--live"], "--live is for one flight with a pace"),
+        (["--fast", "--live"], "--live needs a single real-time flight"),
+        (["--runs", "2", "--live"], "--live needs a single real-time flight"),
         (["--live-port", "8765"], "--live-port needs --live"),
         (["--live-host", "0.0.0.0"], "--live-host needs --live"),
         (["--live", "--live-port", "70000"], "--live-port"),
@@ -319,4 +319,4 @@ def test_a_dry_run_is_seen_while_it_goes_on(tmp_path: Path) -> None:
         assert flight.wait(PATIENCE_S) in (0, 1), rest
     assert seen
     assert "/flight/true_force" in viewer.messages
-    assert "the live view has died" not in rest
+    assert "live view failed" not in rest

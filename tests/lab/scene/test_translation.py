@@ -202,7 +202,7 @@ def test_hits_and_events_are_told(log: Log, exported: Messages) -> None:
         f"{i}: {peak.normal_force_n:.0f} N" for i, peak in enumerate(peaks, 1)
     ]
     lines = [message for _, message in exported["/log"]]
-    assert any(line["message"].startswith("approach (collision 1)") for line in lines)
+    assert any(line["message"].startswith("→ APPROACH 1") for line in lines)
     assert {line["level"] for line in lines} <= {"DEBUG", "INFO", "WARNING", "ERROR"}
     assert lines[-1]["message"].startswith("completed") or "done" in lines[-1]["message"]
 

@@ -110,13 +110,14 @@ def prediction_lines(
         unsure = [wall.name for wall in mission.walls if wall.is_uncertain]
         if unsure:
             lines.append(
-                f"Where {' and '.join(unsure)} may stand, by the mission's figures, is drawn as well."
+                f"Possible positions of {' and '.join(unsure)} within the mission's uncertainty are drawn "
+                "as well."
             )
         lines.append(
             f"With k, f and mu of the walls drawn ± {100 * spread:.0f} %: {low:.2f} to {high:.2f} m "
             "in nine of ten draws"
             + (
-                f"; {len(drawn) - len(misses)} of {len(drawn)} do not get there."
+                f"; {len(drawn) - len(misses)} of {len(drawn)} do not reach it."
                 if len(misses) < len(drawn)
                 else "."
             )
@@ -158,16 +159,16 @@ def _draw_draws(axis: Any, mission: Mission, drawn: Sequence[PredictedFlight]) -
 
 def _draw_way(axis: Any, mission: Mission, planned: PredictedFlight) -> None:
     for way in _from_rest(mission):
-        axis.plot(way[:, 0], way[:, 1], label="predicted way", **PREDICTED)
+        axis.plot(way[:, 0], way[:, 1], label="predicted trajectory", **PREDICTED)
     for line in planned.approaches.values():
         way = np.array(line)
-        axis.plot(way[:, 0], way[:, 1], label="predicted way", **PREDICTED)
+        axis.plot(way[:, 0], way[:, 1], label="predicted trajectory", **PREDICTED)
         axis.plot(*way[-2], "s", color="#000000", markersize=4, markerfacecolor="white", linestyle="none",
                   label="run-up begins", zorder=4)  # fmt: skip
         middle = way[-2] + 0.55 * (way[-1] - way[-2])
         draw_arrow(axis, middle, middle + 0.06 * (way[-1] - way[-2]), "#000000", linewidth=0.0)
     for leg in planned.legs.values():
-        axis.plot(leg[:, 0], leg[:, 1], label="predicted way", **PREDICTED)
+        axis.plot(leg[:, 0], leg[:, 1], label="predicted trajectory", **PREDICTED)
 
 
 def _draw_hits(axis: Any, mission: Mission, planned: PredictedFlight) -> tuple[list[Label], list[Array]]:

@@ -127,7 +127,7 @@ def thrust_and_battery(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
         low, high = float(p.battery_v.min()), float(p.battery_v.max())
         axes[2].set_ylim(low - 0.3, high + 0.3)
     else:
-        axes[2].annotate("not told", (0.5, 0.5), xycoords="axes fraction", ha="center", color=GREY)
+        axes[2].annotate("not reported", (0.5, 0.5), xycoords="axes fraction", ha="center", color=GREY)
     axes[2].set_ylabel("battery, V")
     for axis in axes:
         mark_impacts(axis, flight)
