@@ -265,7 +265,7 @@ def test_where_the_position_comes_from(
     ("found", "fix", "claimed", "go", "words"),
     [
         (PositionSource.MOCAP, None, None, True, "motion capture"),
-        (PositionSource.MOCAP, None, PositionSource.RTK, False, "not rtk, as said"),
+        (PositionSource.MOCAP, None, PositionSource.RTK, False, "not rtk as specified"),
         (PositionSource.RTK, "rtk_fixed", None, True, "GPS, rtk fixed"),
         (PositionSource.RTK, "rtk_fixed", PositionSource.MOCAP, False, "comes from GPS (rtk fixed)"),
         (PositionSource.PLAIN, "fix_3d", None, False, "a wall mission needs RTK or motion capture"),
@@ -349,7 +349,7 @@ def test_check_and_fly_with_a_vehicle(tmp_path: Path) -> None:
         assert float(items["rate_imu"].split()[0]) > 150.0
         elsewhere = command("check", "--connection", url, "--driver", "px4", "--position-from", "rtk")
         assert elsewhere.returncode == 1
-        assert "position_source: not rtk, as said" in elsewhere.stderr
+        assert "position_source: not rtk as specified" in elsewhere.stderr
         refused = command("fly", "--yes", "--connection", url, "--log-dir", str(tmp_path / "none"))
         assert refused.returncode == 1
         assert "lock_driver" in refused.stderr

@@ -159,7 +159,7 @@ def test_a_plain_mavsdk_script_flies_the_simulated_vehicle() -> None:
 @pytest.mark.mavlink
 def test_sigkill_in_flight_leaves_a_landed_vehicle_and_a_log(tmp_path: Path) -> None:
     flight = command("dry-run", NEAR, *patiently(tmp_path), "--log-dir", str(tmp_path / "flights"))
-    read_until(flight, "approach")
+    read_until(flight, "APPROACH")
     time.sleep(0.5)
     flight.kill()
     killed_s = time.monotonic()
@@ -190,7 +190,7 @@ def test_sigkill_in_flight_leaves_a_landed_vehicle_and_a_log(tmp_path: Path) -> 
 def test_control_c_leaves_the_wall_and_lands(tmp_path: Path) -> None:
     flights = tmp_path / "flights"
     flight = command("dry-run", NEAR, *patiently(tmp_path), "--log-dir", str(flights), "--json")
-    read_until(flight, "approach")
+    read_until(flight, "APPROACH")
     time.sleep(1.0)
     flight.send_signal(signal.SIGINT)
     output, _ = flight.communicate(timeout=60)

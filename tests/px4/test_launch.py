@@ -179,7 +179,7 @@ def test_an_old_version_is_refused_and_another_one_noted() -> None:
     assert judge_version((1, 14, 4)) is None
     assert judge_version((1, 18, 0)) is None
     assert "v1.19.1" in (judge_version((1, 19, 1)) or "")
-    assert "does not tell" in (judge_version(None) or "")
+    assert "does not report" in (judge_version(None) or "")
     with pytest.raises(Px4Error, match=r"v1\.13\.3 is too old"):
         judge_version((1, 13, 3))
 
@@ -274,10 +274,10 @@ def test_a_px4_that_cannot_fly_is_a_clear_word(
 @pytest.mark.parametrize(
     ("faults", "words"),
     [
-        ({"stuck": "MPC_XY_P"}, r"did not take: MPC_XY_P: set to 0\.95, PX4 has 0"),
+        ({"stuck": "MPC_XY_P"}, r"parameter not accepted: MPC_XY_P: set to 0\.95, PX4 has 0"),
         ({"missing": "FD_FAIL_R"}, r"no parameter FD_FAIL_R \(wanted 60\)"),
         # What a start-up script sets after the parameters were delivered wins: that must be seen, too.
-        ({"overwritten": "EKF2_HGT_REF"}, r"did not take: EKF2_HGT_REF: set to 3, PX4 has 77"),
+        ({"overwritten": "EKF2_HGT_REF"}, r"parameter not accepted: EKF2_HGT_REF: set to 3, PX4 has 77"),
     ],
 )
 def test_a_parameter_that_does_not_take_is_named_with_both_values(
