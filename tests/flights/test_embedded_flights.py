@@ -168,7 +168,7 @@ def test_sigkill_in_flight_leaves_a_landed_vehicle_and_a_log(tmp_path: Path) -> 
     said = wait_for_text(folder / "autopilot.log", "simulated vehicle stops", 35.0)
     assert time.monotonic() - killed_s < 30.0
     story = [
-        "the app is gone",
+        "app disconnected",
         "offboard lost, holding",
         "offboard lost, landing",
         "Landing detected",
