@@ -101,7 +101,7 @@ class Phase(StrEnum):
     OFFBOARD = "offboard"  # asking PX4 for offboard mode
     ARMING = "arming"
     CLIMB = "climb"
-    WAYPOINT = "waypoint"  # to a way-point, and holding there
+    WAYPOINT = "waypoint"  # to a waypoint, and holding there
     PAUSE = "pause"  # holding until the operator's word
     TRANSIT = "transit"  # to the run-up point, turning parallel to the wall
     PREPARE = "prepare"  # lock to the collision's mode

@@ -102,7 +102,7 @@ def _check_places(mission: Mission) -> list[CheckFinding]:
 
 
 def _check_waypoints(mission: Mission) -> list[CheckFinding]:
-    """Whether no wall stands between way-points, and the legs can be flown as asked."""
+    """Whether no wall stands between waypoints, and the legs can be flown as asked."""
     legs = transit_segments(mission)
     if not legs:
         return []
@@ -187,7 +187,7 @@ def _check_noise(mission: Mission, collision: Collision) -> list[CheckFinding]:
 
 
 def _check_envelope(mission: Mission, collision: Collision) -> list[CheckFinding]:
-    """Whether an impact so fast, so askew and so far from the centre has been recovered from."""
+    """Whether an impact so fast, so oblique and so far from the centre has been recovered from."""
     warnings = {
         "speed": speed_warning(collision),
         "incidence": incidence_warning(mission, collision),

@@ -87,7 +87,7 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Waypoint(WaypointKeys, frozen=True, kw_only=True, forbid_unknown_fields=False):
-    """A way-point or a pause, resolved.
+    """A waypoint or a pause, resolved.
 
     Attributes:
         index: 1 for the first in the list.
@@ -104,7 +104,7 @@ class Waypoint(WaypointKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fa
     @property
     def name(self) -> str:
         """In words."""
-        return f"{'pause' if self.position is None else 'way-point'} {self.index}"
+        return f"{'pause' if self.position is None else 'waypoint'} {self.index}"
 
 
 class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=False):
@@ -127,12 +127,12 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
     vehicle_source: VehicleSource | None = None
 
     def altitude_at(self, flown: int) -> float:
-        """Altitude once so many collisions are flown and the way-points behind them, metres."""
+        """Altitude once so many collisions are flown and the waypoints behind them, metres."""
         reached = [w.position[2] for w in self.waypoints if w.after <= flown and w.position is not None]
         return reached[-1] if reached else self.altitude_m
 
     def place_before(self, flown: int) -> Vec2 | None:
-        """Where the vehicle is at rest once so many collisions are flown and the way-points behind them.
+        """Where the vehicle is at rest once so many collisions are flown and the waypoints behind them.
 
         None where that is where a recovery leads.
         """
@@ -222,7 +222,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
 
 def _waypoints_as_written(mission: Mission) -> Iterator[WaypointSpec]:
-    """Way-points and pauses as a file says them, without what follows from others or the vehicle."""
+    """Waypoints and pauses as a file says them, without what follows from others or the vehicle."""
     altitude_m, usual_m_s = mission.altitude_m, mission.vehicle.flying.transit_speed_m_s
     for one in mission.waypoints:
         keys = keys_of(one, WaypointKeys)
@@ -341,13 +341,13 @@ def _resolve_waypoints(
 def _check_place_in_order(
     one: WaypointSpec, flown: int, spec: MissionFile, key: Key, document: Document
 ) -> None:
-    """Raises InputError: keys of a way-point and of a pause are mixed, or `after` is not to be had."""
+    """Raises InputError: keys of a waypoint and of a pause are mixed, or `after` is not to be had."""
     if (one.position_m is None) == (one.pause is None):
-        raise document.error(key, "give exactly one of position_m (a way-point) and pause")
+        raise document.error(key, "give exactly one of position_m (a waypoint) and pause")
     others = ("timeout_s",) if one.pause is None else ("altitude_m", "speed_m_s", "hold_s")
     for name in others:
         if getattr(one, name) is not None:
-            what = "a way-point" if one.pause is None else "a pause"
+            what = "a waypoint" if one.pause is None else "a pause"
             raise document.error((*key, name), f"{what} has no such key")
     count = len(spec.collisions)
     if not flown <= one.after <= count:

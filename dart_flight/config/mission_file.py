@@ -49,7 +49,7 @@ class StartSpec(Section, frozen=True):
 
     Attributes:
         position_m: [x, y], mission frame; take-off is below it in simulation.
-        altitude_m: above the take-off point; kept until a way-point has another one.
+        altitude_m: above the take-off point; kept until a waypoint has another one.
     """
 
     position_m: Point2
@@ -220,7 +220,7 @@ class CollisionSpec(CollisionKeys, frozen=True, kw_only=True):
 
 
 class WaypointKeys(Section, frozen=True, kw_only=True):
-    """Keys of a way-point or a pause that the flight reads as they are written.
+    """Keys of a waypoint or a pause that the flight reads as they are written.
 
     Attributes:
         after: how many collisions are flown before it; it never falls from one to the next.
@@ -230,15 +230,15 @@ class WaypointKeys(Section, frozen=True, kw_only=True):
 
 
 class WaypointSpec(WaypointKeys, frozen=True, kw_only=True):
-    """A way-point, flown to from rest to rest, or a pause where the vehicle is; exactly one of the two.
+    """A waypoint, flown to from rest to rest, or a pause where the vehicle is; exactly one of the two.
 
     Attributes:
-        position_m: [x, y] of a way-point, mission frame.
-        altitude_m: of a way-point, above the take-off point, and of what comes after it; without it the
+        position_m: [x, y] of a waypoint, mission frame.
+        altitude_m: of a waypoint, above the take-off point, and of what comes after it; without it the
             altitude stays as it is.
         speed_m_s: largest speed on the way there; by default flying.transit_speed_m_s. The vertical part of
             the way is flown at flying.climb_speed_m_s at most.
-        hold_s: how long a way-point is held.
+        hold_s: how long a waypoint is held.
         pause: operator: hold until the operator says to go on (Enter, or SIGUSR1).
         timeout_s: of a pause; without a word the vehicle lands.
     """
@@ -295,7 +295,7 @@ class MissionFile(MissionKeys, frozen=True, kw_only=True):
         version: of the format.
         walls: by name.
         collisions: in the order of the hits; none: a flight without one.
-        waypoints: way-points and pauses before, between and after the collisions, in the order in which they
+        waypoints: waypoints and pauses before, between and after the collisions, in the order in which they
             are flown.
         vehicle: vehicle configuration: a file, relative to this one, or its keys and values themselves;
             without it, the default one.

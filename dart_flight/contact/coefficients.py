@@ -29,6 +29,11 @@ class CoefficientArrays(NamedTuple):
             return cls(*(np.asarray(v, dtype=float) for v in (table.k, table.f, table.mu, table.nu)))
         return cls(*(np.array([getattr(row, name) for row in table], dtype=float) for name in cls._fields))
 
+    @property
+    def lead_s(self) -> Array:
+        """`Coefficients.lead_s`, each."""
+        return self.f / self.k
+
     def take(self, rows: Rows) -> CoefficientArrays:
         """The sets of the given rows, one per collision."""
         return CoefficientArrays(*(values[rows] for values in self))

@@ -438,7 +438,7 @@ def fall(
         speed = np.sqrt(2.0 * g * height) + 0.0 * (coefficients.k + mass)
     else:
         # k (h - v^2 / 2g) = f v
-        rate = coefficients.f / coefficients.k + 0.0 * mass
+        rate = coefficients.lead_s + 0.0 * mass
         speed = 2.0 * height / (rate + np.sqrt(rate * rate + 2.0 * height / g))
     return speed / g, speed
 

@@ -14,22 +14,22 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.mission.wall_uncertainty import early_m, overrun_m
 from dart_flight.core.sense.state import FlightState
 
-PATIENCE_S: Final = 0.02  # as often as a tick; a quarter of the silence of the IMU on which the guard acts
-_LEAD_S: Final = 0.2  # so long before a wall may be met patience ends: ten times what it holds back
+BATCH_S: Final = 0.02  # as often as a tick; a quarter of the silence of the IMU on which the guard acts
+_LEAD_S: Final = 0.2  # so long before a wall may be met batching ends: ten times what it holds back
 
 
 class Pace(Enum):
     """How the shell should step the next inputs."""
 
-    BATCHED = auto()  # what comes within `PATIENCE_S`, in one batch
+    BATCHED = auto()  # what comes within `BATCH_S`, in one batch
     IMMEDIATE = auto()  # each as it arrives, on the thread it arrives on; every step is short
     DEFERRED = auto()  # each as it arrives; a step may take long, and nobody else should wait for it
 
 
 def pace_near_walls(mission: Mission, state: FlightState, phase: Phase) -> Pace:
-    """`TOGETHER` or `PROMPT`, by where the vehicle is.
+    """`BATCHED` or `IMMEDIATE`, by where the vehicle is.
 
-    `PROMPT` in a contact, and wherever within 0.2 s a wall of the mission may be met, by the guard's own
+    `IMMEDIATE` in a contact, and wherever within 0.2 s a wall of the mission may be met, by the guard's own
     words for how early and how late that may be, whatever the phase.
     """
     if phase is Phase.CONTACT:

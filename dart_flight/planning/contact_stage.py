@@ -154,7 +154,7 @@ class ContactStage:
     ) -> None:
         self.coefficients, self.mass_kg, self.onset = coefficients, mass_kg, onset
         self.alphas = alphas
-        self.lead_s = coefficients.f / coefficients.k if onset is Onset.LCP else 0.0
+        self.lead_s = coefficients.lead_s if onset is Onset.LCP else 0.0
         self.duration_s = self.peak_s = self.engaged_s = math.inf
         self._normal: Array = np.zeros((6, 3))
         self._depths: Array = np.zeros(0)  # 1 + xi' at the nodes

@@ -95,7 +95,7 @@ def max_incidence_deg(vehicle: VehicleConfig, mode: Mode) -> float:
 
 
 def incidence_warning(mission: Mission, collision: Collision) -> str | None:
-    """What to know of a hit that is planned further askew than its mode bears; None where it is not."""
+    """What to know of a hit that is planned at more incidence than its mode bears; None where it is not."""
     planned, most = incidence_deg(mission, collision), max_incidence_deg(mission.vehicle, collision.mode)
     if planned <= most:
         return None

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
-from dart_flight.config.vehicle import Coefficients
 from dart_flight.core.mission.executive import PASSED_AFTER_S, PASSED_RISE_M
 from dart_flight.core.mission.wall_uncertainty import end_margin_m
 from dart_flight.planning.approach_grid import ApproachGrid, approach_grid
@@ -174,7 +173,7 @@ def stages_for(task: Task, draws: Sequence[UncertaintyDraw | None]) -> list[Stag
             c = task.vehicle.materials[wall.material].of(mode)
             if draw is not None:
                 k, f, mu = draw.factors[name, mode]
-                c = Coefficients(c.k * k, c.f * f, c.mu * mu, c.nu)
+                c = c.scaled(k, f, mu)
             table.append(c)
             alphas.append(task.alphas[name])
             drags.append(drag_along(wall, task.vehicle.airframe.drag_per_s)[0])

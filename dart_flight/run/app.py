@@ -365,7 +365,7 @@ class FlightApp:
         if state.phase is not LockPhase.TRAVELLING and self._session is not None:
             self._session.tell_ground(status_text(state))
 
-    # -- what the core wants, on the core thread (`runner.Hands`) --
+    # -- what the core wants, on the core thread (`runner.CommandSink`) --
 
     def send(self, setpoint: Setpoint) -> None:
         """A setpoint, at once."""

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Final
 
 from dart_flight.base.records import ActuatorSample, AttitudeSample, Input, OdometrySample, Tick
-from dart_flight.core.pace import PATIENCE_S, Pace
+from dart_flight.core.pace import BATCH_S, Pace
 from dart_flight.run.runner import CoreRunner
 from dart_flight.vehicle.clock import host_us
 
@@ -95,7 +95,7 @@ class CoreThread:
         if self._pace is Pace.DEFERRED:
             with contextlib.suppress(queue.Empty):
                 return [self._queue.get(timeout=_TICK_S)]
-        elif self._called.wait(PATIENCE_S):
+        elif self._called.wait(BATCH_S):
             self._called.clear()
         return []
 

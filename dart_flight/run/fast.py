@@ -264,7 +264,7 @@ class FastFlight:
     def _on_text(self, severity: str, text: str) -> None:
         self._texts.append((severity, text))
 
-    # -- the core and what it wants (`runner.Hands`) --
+    # -- the core and what it wants (`runner.CommandSink`) --
 
     def take(self, item: Input) -> None:
         """Give the core an input; from outside an operator's request or a fault's sample."""

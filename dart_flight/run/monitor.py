@@ -1,9 +1,9 @@
 """What a vehicle's telemetry shows of force and contact, without flying it: the core's senses alone.
 
-`Watcher` is handed every record by MAVSDK's thread; estimator and detector work through them a few times a
-second on another, which takes a third of what it takes one by one as they come. `view` is what a screen shows
-of it. Nothing is ever sent to the vehicle beside requests for streams that come too slowly: on a link shared
-with a flying `dart-flight` none is slowed.
+`TelemetryMonitor` is handed every record by MAVSDK's thread; estimator and detector work through them a few
+times a second on another, which takes a third of what it takes one by one as they come. `view` is what a
+screen shows of it. Nothing is ever sent to the vehicle beside requests for streams that come too slowly: on
+a link shared with a flying `dart-flight` none is slowed.
 """
 
 from __future__ import annotations

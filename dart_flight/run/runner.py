@@ -1,7 +1,8 @@
 """The one way in which a shell steps the core and hands out what follows.
 
 The app (real time, MAVSDK) and the fast world (simulated time, in process) differ in where inputs come from
-and in what carries commands out (`Hands`), in nothing else: numbers, order and what is recorded are the same.
+and in what carries commands out (`CommandSink`), in nothing else: numbers, order and what is recorded are
+the same.
 """
 
 from __future__ import annotations
@@ -52,14 +53,14 @@ class CoreRunner:
 
     Args:
         core: the flight core.
-        hands: carry out what it wants.
+        sink: carries out what it wants.
         observe: sees every input with its number, then every output and note with the number of its input.
         host_us: the host's monotonic clock, microseconds; simulated in the fast world.
     """
 
-    def __init__(self, core: Core, hands: CommandSink, observe: Observe, host_us: Callable[[], int]) -> None:
+    def __init__(self, core: Core, sink: CommandSink, observe: Observe, host_us: Callable[[], int]) -> None:
         self.core = core
-        self._hands, self._observe, self._host_us = hands, observe, host_us
+        self._sink, self._observe, self._host_us = sink, observe, host_us
         self._number = 0
         self._held: Setpoint | None = None
 
@@ -84,7 +85,7 @@ class CoreRunner:
             self._observe(output, number)
             if not isinstance(output, _NOT_CARRIED):
                 self._send_held()
-                self._hands.execute(output)
+                self._sink.execute(output)
         for note in sent:
             if note is not None:
                 self._observe(note, number)
@@ -99,11 +100,11 @@ class CoreRunner:
             self._held = setpoint
             return None
         self._held = None
-        self._hands.send(setpoint)
+        self._sink.send(setpoint)
         sent_us = self._host_us()
         return SetpointSent(setpoint.t_us, sent_us, sent_us - setpoint.trigger_received_us)
 
     def _send_held(self) -> None:
         if self._held is not None:
-            self._hands.send(self._held)
+            self._sink.send(self._held)
             self._held = None

@@ -17,7 +17,7 @@ from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
 from dart_flight.config.document import InputError, unknown_name
 from dart_flight.config.mission import Mission
-from dart_flight.config.vehicle import Coefficients, ImuRinging, Material, Spreads, VehicleConfig
+from dart_flight.config.vehicle import ImuRinging, Material, Spreads, VehicleConfig
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
 
@@ -121,9 +121,7 @@ def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
         for mode in mission.vehicle.modes:
             factors = [_factor(rng, sd) for _ in range(4)]
             c = old.of(mode)
-            per_mode[mode] = Coefficients(
-                c.k * factors[0], c.f * factors[1], c.mu * factors[2], c.nu * factors[3]
-            )
+            per_mode[mode] = c.scaled(*factors)
             for symbol, factor in zip(("k", "f", "mu", "nu"), factors, strict=True):
                 drawn[f"contact.{wall.name}.{mode.value}.{symbol}"] = factor
         materials[name] = Material(per_mode[Mode.RIGID], per_mode.get(Mode.FLEXIBLE), old.source)

@@ -314,7 +314,7 @@ class Plant:
             n = plane.normal
             x = clearance_m(self._guards, self.q, plane.surface, self.position)
             closing = max(0.0, -(n[0] * v[0] + n[1] * v[1])) + turning + _GAIN_M_S
-            if x < (STEP_S + c.f / c.k) * closing:
+            if x < (STEP_S + c.lead_s) * closing:
                 return True
         return False
 
@@ -469,7 +469,7 @@ class Plant:
             c = _between(c, flexible)
         if self.body.scatter:
             k, f, mu = self._scattered.setdefault(plane.wall.name, self._scatter())
-            c = Coefficients(c.k * k, c.f * f, c.mu * mu, c.nu)
+            c = c.scaled(k, f, mu)
         return c
 
     def _scatter(self) -> tuple[float, float, float]:

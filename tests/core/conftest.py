@@ -143,7 +143,7 @@ class HandFedCore:
         self.set_status(landed=LandedState.IN_AIR)
 
     def climbed(self) -> None:
-        """Through the climb, to what the mission begins with: run-up, way-point, pause, goal."""
+        """Through the climb, to what the mission begins with: run-up, waypoint, pause, goal."""
         self.to_climb()
         self.position_ned = (0.0, 0.0, -1.0)
         self.run(0.5)

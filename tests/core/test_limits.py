@@ -203,7 +203,7 @@ def test_what_has_died_is_said_where_it_is_known(detail: str) -> None:
 
 @pytest.mark.parametrize("yaw", [0.6, -0.6])
 def test_the_heading_turns_no_faster_than_allowed_and_gets_there(yaw: float) -> None:
-    """It stands askew; the walls want a multiple of a quarter turn."""
+    """It stands obliquely; the walls want a multiple of a quarter turn."""
     c = HandFedCore()
     c.q = quaternion_from_euler(0.0, 0.0, yaw)
     c.set_lock(Mode.RIGID)

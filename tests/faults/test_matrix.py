@@ -102,7 +102,7 @@ def test_a_second_vehicle_on_the_link_is_named_at_once_in_every_phase(phase: str
         assert began_us is None or flight.host_us - began_us < 100_000
     assert events[-1].rule == "second_vehicle"
     assert re.match(
-        "two clocks in turn, 238.0 s|odometry with two positions in turn, [45]", events[-1].detail
+        "two alternating clocks, 238.0 s|odometry with two alternating positions, [45]", events[-1].detail
     )
 
 

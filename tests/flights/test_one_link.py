@@ -165,7 +165,7 @@ def test_what_else_is_started_beside_a_flight_does_it_no_harm(commands: Commands
     assert seen["phase"] == "done"
     assert seen["frame"] == "mission"
     assert len(seen["peaks"]) == 1
-    # It does not know of the wall: a body that met it askew is read up to 16 % low.
+    # It does not know of the wall: a body that met it obliquely is read up to 16 % low.
     assert seen["peaks"][0][1] == pytest.approx(verdict["collisions"][0]["measured"]["peak_force_n"], rel=0.2)
 
 

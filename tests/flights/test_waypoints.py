@@ -1,4 +1,4 @@
-"""Missions without a collision, way-points before, between and after hits, and pauses."""
+"""Missions without a collision, waypoints before, between and after hits, and pauses."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def test_way_points_are_flown_in_order_held_and_change_the_altitude() -> None:
     setpoints = [s for s in all_of(log, Setpoint) if isinstance(s, Setpoint) and s.t_us > third]
     assert [-s.position_ned[2] for s in setpoints] == pytest.approx([1.5] * len(setpoints), abs=0.01)
     page = flight_page(RecordedFlight.read(log.source))
-    assert "way-point" in page
+    assert "waypoint" in page
     assert "The flight was completed; no collision was planned." in page
     assert "planned wall" not in page
 
@@ -143,7 +143,7 @@ def test_way_points_between_hits_are_flown_from_rest_and_later_hits_at_their_alt
     assert phases(log) == [*AIR, *hit, *hit, *DOWN]
     heights = [p.position_mission[2] for p in all_of(log, ImpactPeak) if isinstance(p, ImpactPeak)]
     assert heights == pytest.approx([1.0, 1.3], abs=0.08)
-    assert not all_of(log, PlanRequest)  # nothing is to be planned towards a way-point
+    assert not all_of(log, PlanRequest)  # nothing is to be planned towards a waypoint
     # The paper's setpoints after the two hits, at the altitude of each.
     recoveries = [s for s in all_of(log, Setpoint) if isinstance(s, Setpoint) and s.recovery]
     assert [-s.position_ned[2] for s in recoveries] == pytest.approx([1.0, 1.3], abs=0.01)
@@ -237,12 +237,12 @@ WRONG = [
         "waypoints[0].altitude_m: must be within bounds_m z",
     ),
     ("waypoints: [{position_m: [0, 0], speed_m_s: 3.5}]", "waypoints[0].speed_m_s: 3.5 m/s is over limits"),
-    ("waypoints: [{hold_s: 1}]", "waypoints[0]: give exactly one of position_m (a way-point) and pause"),
+    ("waypoints: [{hold_s: 1}]", "waypoints[0]: give exactly one of position_m (a waypoint) and pause"),
     ("waypoints: [{position_m: [0, 0], pause: operator}]", "waypoints[0]: give exactly one of"),
     ("waypoints: [{pause: operator, hold_s: 1}]", "waypoints[0].hold_s: a pause has no such key"),
     (
         "waypoints: [{position_m: [0, 0], timeout_s: 9}]",
-        "waypoints[0].timeout_s: a way-point has no such key",
+        "waypoints[0].timeout_s: a waypoint has no such key",
     ),
     ("waypoints: [{pause: pilot}]", "waypoints[0].pause: 'pilot' is not allowed, only: operator"),
     ("waypoints: [{pause: operator, after: 1}]", "waypoints[0].after: 1, expected 0 to 0"),
@@ -277,13 +277,13 @@ def findings(one: Mission) -> dict[str, CheckFinding]:
 
 def test_a_wall_between_way_points_is_found_before_the_flight() -> None:
     walls = WALL + BOARD.format([1.0, 0.6], 0.8)
-    with pytest.raises(InputError, match="wall board is in the way to way-point 2"):
+    with pytest.raises(InputError, match="wall board is in the way to waypoint 2"):
         mission(f"{walls}waypoints: [{{position_m: [1.0, 0.0]}}, {{position_m: [1.0, 1.2]}}]")
     one = load_mission("mission.yaml")
     with pytest.raises(NoApproachError):
         FlightCore(one)
     found = findings(one)["waypoints"]
-    assert (found.go, found.says) == (False, "wall board is in the way to way-point 2")
+    assert (found.go, found.says) == (False, "wall board is in the way to waypoint 2")
     # Round it, and home the same way.
     left = "{position_m: [0.0, 1.2]}"
     around = mission(f"{walls}waypoints: [{left}, {{position_m: [1.0, 1.2]}}, {left}]")
@@ -299,7 +299,7 @@ def test_check_judges_legs_behind_a_recovery_and_speeds_that_are_not_reached() -
     )
     found = findings(one)
     assert not found["recovery_1"].go
-    assert "wall board is in the way to way-point 1" in found["recovery_1"].says
+    assert "wall board is in the way to waypoint 1" in found["recovery_1"].says
     assert found["waypoint_speed"].remark
 
 

@@ -20,7 +20,7 @@ _PLACES = st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 1.5))
 
 @st.composite
 def missions(draw: st.DrawFn) -> Mission:
-    """One wall, met where the approach from start leads or somewhere else, perhaps after way-points."""
+    """One wall, met where the approach from start leads or somewhere else, perhaps after waypoints."""
     mode = draw(st.sampled_from(["rigid", "flexible"]))
     collision = {
         "wall": "acrylic",

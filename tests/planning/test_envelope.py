@@ -24,12 +24,14 @@ def with_second_wall_turned(angle_deg: float, mode: Mode) -> Mission:
     return msgspec.structs.replace(DUAL, walls=(first.wall, wall), collisions=(first, collision))
 
 
-@pytest.mark.parametrize(("angle_deg", "askew_deg"), [(0.0, 0.0), (20.0, 20.0), (-20.0, 20.0), (60.0, 30.0)])
+@pytest.mark.parametrize(
+    ("angle_deg", "planned_deg"), [(0.0, 0.0), (20.0, 20.0), (-20.0, 20.0), (60.0, 30.0)]
+)
 def test_a_recovery_meets_its_wall_in_the_heading_of_the_approach_before(
-    angle_deg: float, askew_deg: float
+    angle_deg: float, planned_deg: float
 ) -> None:
     mission = with_second_wall_turned(angle_deg, Mode.RIGID)
-    assert [incidence_deg(mission, c) for c in mission.collisions] == pytest.approx([0.0, askew_deg])
+    assert [incidence_deg(mission, c) for c in mission.collisions] == pytest.approx([0.0, planned_deg])
 
 
 @pytest.mark.parametrize(
@@ -41,7 +43,7 @@ def test_a_recovery_meets_its_wall_in_the_heading_of_the_approach_before(
         (40.0, Mode.RIGID, True),
     ],
 )
-def test_check_says_no_to_a_hit_further_askew_than_its_mode_bears(
+def test_check_says_no_to_a_hit_at_more_incidence_than_its_mode_bears(
     angle_deg: float, mode: Mode, warns: bool
 ) -> None:
     mission = with_second_wall_turned(angle_deg, mode)
@@ -69,7 +71,7 @@ def test_faster_hits_bear_less_below_the_centre() -> None:
     assert all(math.isfinite(above) and above > 0.0 for _, above in rooms)
 
 
-def test_the_planner_does_not_plan_a_recovery_into_a_wall_too_far_askew() -> None:
+def test_the_planner_does_not_plan_a_recovery_into_a_wall_at_too_much_incidence() -> None:
     scenario = load_scenario(packaged("missions", "scenarios", "dual_collision.yaml"))
     walls = scenario.walls | {"acrylic": scenario.walls["acrylic"].turned(math.radians(25.0))}
     found = search(msgspec.structs.replace(scenario, walls=walls))

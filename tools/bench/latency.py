@@ -250,10 +250,10 @@ def rows(impacts: int = IMPACTS) -> list[dict[str, Any]]:
             + "; ".join(sorted(set(result.overruled)))
         )
     values = (
-        ("latency impact to setpoint p50", percentile(found, 0.5), "ms"),
-        ("latency impact to setpoint p99", percentile(found, 0.99), "ms"),
-        ("latency receipt to setpoint p50", percentile(result.inside_ms, 0.5), "ms"),
-        ("latency receipt to setpoint p99", percentile(result.inside_ms, 0.99), "ms"),
+        ("latency impact to set-point p50", percentile(found, 0.5), "ms"),
+        ("latency impact to set-point p99", percentile(found, 0.99), "ms"),
+        ("latency receipt to set-point p50", percentile(result.inside_ms, 0.5), "ms"),
+        ("latency receipt to set-point p99", percentile(result.inside_ms, 0.99), "ms"),
         ("impacts unanswered", float(result.expected - len(found)), ""),
         ("app share of a core at 250 Hz", result.cpu_percent, "%"),
     )

@@ -1,4 +1,4 @@
-"""Hits of a body: the shipped missions against walls that stand askew, over what the body may be like.
+"""Hits of a body: the shipped missions against walls that stand obliquely, over what the body may be like.
 
     python -m tools.campaigns.body                 # everything, build/body.md
     python -m tools.campaigns.body vary            # only this part

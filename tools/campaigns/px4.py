@@ -1,7 +1,7 @@
 """Flights with a real PX4: acceptance, three worlds, versions, body.
 
 Acceptance flies ten seeds; the versions are both missions on every version of PX4 at hand; body is what the
-guards do in a hit, with walls as planned and askew.
+guards do in a hit, with walls as planned and turned.
 
     DART_PX4_DIR=... python -m tools.campaigns.px4 [--part NAME] [--speed X] [--report DIR]
     python -m tools.campaigns.px4 --part versions --px4 NAME=DIR [--px4 NAME=DIR ...]

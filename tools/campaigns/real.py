@@ -183,7 +183,7 @@ def judge(
     """Everything about one log; of the thresholds all, or only the shipped one."""
     try:
         log = read(path)
-        flight, estimates, flying, made = feel_log_keeping(log, vehicle)
+        flight, estimates, flying, made = inspect_log_keeping(log, vehicle)
     except InputError as error:
         return {"log": path.name, "refused": error.message}
     begin_s = flight.begin_s
@@ -232,10 +232,10 @@ def judge(
     return row
 
 
-def feel_log_keeping(
+def inspect_log_keeping(
     log: ULogFile, vehicle: VehicleConfig
 ) -> tuple[InspectedFlight, list[Estimated], list[tuple[float, float]], VehicleConfig]:
-    """`feel_log`, with the estimates it made on the way, the flights, and the vehicle it made them with."""
+    """`inspect_log`, with its estimates, the flights, and the vehicle it made them with."""
     kept: list[Estimated] = []
     made: list[tuple[VehicleConfig, list[tuple[float, float]]]] = []
 

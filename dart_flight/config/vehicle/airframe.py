@@ -272,6 +272,15 @@ class Coefficients(Section, frozen=True):
     mu: Annotated[float, Meta(ge=0.0, le=100.0)]
     nu: Annotated[float, Meta(ge=0.0, le=1000.0)]
 
+    @property
+    def lead_s(self) -> float:
+        """How long before the plane the force of an undisturbed approach begins: k x + f vx = 0."""
+        return self.f / self.k
+
+    def scaled(self, k: float, f: float, mu: float, nu: float = 1.0) -> Coefficients:
+        """Each coefficient times a factor of its own: a wall that is not quite as it was measured."""
+        return Coefficients(self.k * k, self.f * f, self.mu * mu, self.nu * nu)
+
 
 class Material(Section, frozen=True):
     """Contact coefficients of one material.

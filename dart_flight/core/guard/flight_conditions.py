@@ -262,8 +262,8 @@ class FlightConditions:
         bounds = self.mission.bounds
         if bounds.excess2((x + STOP_TIME_S * vx, y + STOP_TIME_S * vy)) <= 0.0:
             return 0.0  # the bounds are convex: then no earlier point lies outside either
-        way_s = STOP_TIME_S * stop_share(self.mission.walls, (x, y), (vx, vy))
-        return bounds.excess2((x + way_s * vx, y + way_s * vy))
+        stop_s = STOP_TIME_S * stop_share(self.mission.walls, (x, y), (vx, vy))
+        return bounds.excess2((x + stop_s * vx, y + stop_s * vy))
 
     @property
     def landing_s(self) -> float:
@@ -337,12 +337,12 @@ class FlightConditions:
             apart_s = [c.apart_s(received_us) for c in self._clocks]
             found = [seconds for seconds in apart_s if seconds is not None]
             if len(found) > 1 and max(found) - min(found) < self.config.stamp_tolerance_s:
-                self.second_vehicle = f"two clocks in turn, {found[0]:.1f} s apart"
+                self.second_vehicle = f"two alternating clocks, {found[0]:.1f} s apart"
         if isinstance(item, OdometrySample):
             self._places.update(item)
             apart_m = self._places.apart_m(received_us)
             if apart_m is not None:
-                self.second_vehicle = f"odometry with two positions in turn, {apart_m:.1f} m apart"
+                self.second_vehicle = f"odometry with two alternating positions, {apart_m:.1f} m apart"
 
     def _see_pause(self, host_us: int) -> None:
         """This program has not run since the step before: no tick has come, either."""

@@ -237,7 +237,7 @@ class TransitSegment(NamedTuple):
 
 
 def transit_segments(mission: Mission) -> list[TransitSegment]:
-    """The ways to the way-points, and to the goal where no recovery leads there."""
+    """The ways to the waypoints, and to the goal where no recovery leads there."""
     found: list[TransitSegment] = []
     here: Vec3 | None = (*mission.start, mission.altitude_m)
     flown = 0

@@ -87,7 +87,7 @@ class Executive:
         self.phase = Phase.READYING
         self._collisions = mission.collisions
         self._index = 0  # of the collision that comes next or is under way
-        self._stops = 0  # way-points and pauses that are over
+        self._stops = 0  # waypoints and pauses that are over
         self._approaches: dict[int, Approach] = {
             c.index: plan_approach(mission, c) for c in mission.collisions if c.approach_m_s is not None
         }
@@ -103,7 +103,7 @@ class Executive:
         self._expected = _NO_WALL
         self._impact_s = 0.0  # of the approach under way, since its beginning
         self._least_miss_m = math.inf
-        self._reached_us: int | None = None  # the way-point under way
+        self._reached_us: int | None = None  # the waypoint under way
         self._captured_us: int | None = None
         self._final_error_m: float | None = None
         self._down_us: int | None = None  # since when landed and disarmed
@@ -131,7 +131,7 @@ class Executive:
 
     @property
     def _waypoint(self) -> Waypoint | None:
-        """The way-point or pause that comes next or is under way, before the next collision."""
+        """The waypoint or pause that comes next or is under way, before the next collision."""
         waypoints = self.mission.waypoints
         if self._stops < len(waypoints) and waypoints[self._stops].after == self._index:
             return waypoints[self._stops]
@@ -214,13 +214,13 @@ class Executive:
     def _takes_longer_than(self, limit_s: float, state: FlightState) -> bool:
         return self._elapsed_us(state) > limit_s * 1e6
 
-    def _is_late(self, state: FlightState, way_s: float = 0.0) -> bool:
+    def _is_late(self, state: FlightState, travel_s: float = 0.0) -> bool:
         """Whether the phase lasts longer than anything should that is not a collision, and its way.
 
         Also where the autopilot's clock has jumped back and stands still for it: by the host's clock, with
         room for a simulation that is slower than time.
         """
-        limit_s = self.mission.vehicle.flying.ready_timeout_s + way_s
+        limit_s = self.mission.vehicle.flying.ready_timeout_s + travel_s
         host_us = state.host_us - (self._entered_host_us or state.host_us)
         return self._takes_longer_than(limit_s, state) or host_us > _SLOWEST * limit_s * 1e6
 
@@ -521,7 +521,7 @@ class Executive:
                 p.add_finding("wall_not_met", f"wall {following.wall.name} not reached by the recovery")
 
     def _mode_after(self, following: Collision | None, stops: bool) -> Mode:
-        """Where the lock goes after a contact: way-points and the goal are flown in the transit mode."""
+        """Where the lock goes after a contact: waypoints and the goal are flown in the transit mode."""
         return self.mission.transit_mode if following is None or stops else following.mode
 
     def _check_lock_in_time(

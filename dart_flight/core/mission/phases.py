@@ -54,7 +54,7 @@ TRANSITIONS: dict[tuple[Phase, PhaseTrigger], Phase] = {
     (Phase.RECOVERY, PhaseTrigger.TIMED_OUT): Phase.GOAL,
     (Phase.GOAL, PhaseTrigger.HELD): Phase.LANDING,
     (Phase.LANDING, PhaseTrigger.LANDED): Phase.DONE,
-    # From rest to rest, where the mission has way-points, pauses or no collision.
+    # From rest to rest, where the mission has waypoints, pauses or no collision.
     **{(phase, PhaseTrigger.NEXT_WAYPOINT): Phase.WAYPOINT for phase in _AT_REST},
     **{(phase, PhaseTrigger.NEXT_PAUSE): Phase.PAUSE for phase in _AT_REST},
     **{(phase, PhaseTrigger.NEXT_GOAL): Phase.GOAL for phase in _AT_REST},

@@ -56,7 +56,7 @@ class SetpointGenerator:
         self._transit_to(self._at_altitude(point), speed_m_s or self._flying.transit_speed_m_s)
 
     def fly_to_waypoint(self, place: Vec3, speed_m_s: float) -> None:
-        """From rest at the target to rest at a way-point, whose altitude is kept from now on."""
+        """From rest at the target to rest at a waypoint, whose altitude is kept from now on."""
         self.altitude_m = place[2]
         self._transit_to(place, speed_m_s)
 

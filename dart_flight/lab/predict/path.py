@@ -134,7 +134,7 @@ class ContactMotion:
         self.peak_s = float(events.peak) / self._omega if self.met else 0.0
         self.turn_s = float(events.turn) / self._omega if self.met else 0.0
         early = onset is Onset.LCP
-        self.onset_m = -coefficients.f * normal_m_s / coefficients.k if early else 0.0
+        self.onset_m = -coefficients.lead_s * normal_m_s if early else 0.0
         # Where quadrature stops: at the release, or when everything has settled (near critical damping the
         # release comes thousands of times later than the force dies away).
         zeta = float(self._course.zeta)

@@ -192,13 +192,13 @@ def _goal(mission: Mission, t_us: int) -> SceneEntity:
 
 
 def goal_altitude_m(mission: Mission) -> float:
-    """Where the flight ends: way-points may have changed the altitude of its start."""
+    """Where the flight ends: waypoints may have changed the altitude of its start."""
     return mission.altitude_at(len(mission.collisions))
 
 
 def planned(flight: PredictedFlight, mission: Mission, t_us: int) -> SceneEntity:
     """The way that the mission says and the flight model predicts: a ball at every hit, a small one at every
-    way-point."""
+    waypoint."""
     lines = [[leg.begin, leg.end] for leg in transit_segments(mission) if leg.begin is not None]
     for index, approach in flight.approaches.items():
         z = mission.altitude_at(index - 1)

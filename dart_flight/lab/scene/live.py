@@ -158,5 +158,5 @@ def open_live_view(
     from_truth: bool,
     say: Callable[[str], None],
 ) -> LiveViewProcess:
-    """A live view (`Show`), opened; raises what `LiveView` raises."""
+    """A live view (`LiveViewSpec`), opened; raises what `LiveViewProcess` raises."""
     return LiveViewProcess(LiveViewSpec(mission, host, port, furnished, placed, from_truth), say)

@@ -1,9 +1,9 @@
 """The process of a live view: records come in by standard input, viewers connect by WebSocket.
 
-The first line is a `Show`, then one record a line: its topic, a blank, its JSON as in the flight log. Once
-the port is open, or cannot be opened, one line of JSON (`Opened`) goes out; nothing after that. It runs only
-where a processor is idle, and ends with its input. Viewers can publish nothing: the one capability that
-is offered to them is the time of the flight.
+The first line is a `LiveViewSpec`, then one record a line: its topic, a blank, its JSON as in the flight
+log. Once the port is open, or cannot be opened, one line of JSON (`PortStatus`) goes out; nothing after
+that. It runs only where a processor is idle, and ends with its input. Viewers can publish nothing: the one
+capability that is offered to them is the time of the flight.
 """
 
 from __future__ import annotations

@@ -152,7 +152,7 @@ class SceneTranslator:
         }
 
     def take(self, record: Record) -> list[Message]:
-        """The messages that follow from a record; of `Thinning`'s records every one may matter."""
+        """The messages that follow from a record; of `Downsampler`'s records every one may matter."""
         t_us = getattr(record, "t_us", 0)
         messages = [] if self._begun else self._begin(t_us)
         self._anchor.take(record)

@@ -2,7 +2,7 @@
 
 PX4 connects as a TCP client, takes one HIL_SENSOR a tick and answers it with one HIL_ACTUATOR_CONTROLS; its
 clock is the `time_usec` of HIL_SENSOR. `HilLink` is that exchange, `Px4Vehicle` the plant, its sensors and
-the lock's servo around it. Nothing here starts or stops PX4 (`px4_launch`).
+the lock's servo around it. Nothing here starts or stops PX4 (`sim/px4/launch.py`).
 """
 
 from __future__ import annotations

@@ -118,7 +118,7 @@ def test_a_mission_of_way_points_shows_its_ways() -> None:
     mission = load_mission(packaged("missions", "square.yaml"))
     figure = mission_figure(mission, predict_mission(mission))
     assert {"1", "2, 6: 1 m high", "3: 1.4 m high"} <= set(texts_of(as_svg(figure)))
-    assert {"way-point", "predicted trajectory", "goal"} <= set(texts_of(as_svg(figure)))
+    assert {"waypoint", "predicted trajectory", "goal"} <= set(texts_of(as_svg(figure)))
     plan, side = figure.axes[:2]
     (x0, x1), (y0, y1), (_, z1) = plan.get_xlim(), plan.get_ylim(), side.get_ylim()
     for waypoint in mission.waypoints:

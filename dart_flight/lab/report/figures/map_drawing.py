@@ -22,7 +22,7 @@ THICKNESS_M = 0.12  # of a drawn wall; what is behind the surface is not known
 
 
 def draw_room(axis: Any, mission: Mission) -> None:
-    """Bounds, walls, way-points, start and goal from above."""
+    """Bounds, walls, waypoints, start and goal from above."""
     (x0, x1), (y0, y1) = mission.bounds.x, mission.bounds.y
     axis.plot(
         [x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color="#999999", linewidth=0.8, linestyle=(0, (1, 2))
@@ -32,7 +32,7 @@ def draw_room(axis: Any, mission: Mission) -> None:
     for waypoint in mission.waypoints:
         if waypoint.position is not None:
             x, y, _ = waypoint.position
-            axis.plot(x, y, "s", color="black", markersize=5, label="way-point", linestyle="none")
+            axis.plot(x, y, "s", color="black", markersize=5, label="waypoint", linestyle="none")
     axis.plot(*mission.start, "o", color="black", markersize=5, label="start", linestyle="none")
     radius = mission.goal.capture_radius_m
     angle = np.linspace(0.0, 2.0 * math.pi, 49)

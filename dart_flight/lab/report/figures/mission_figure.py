@@ -68,7 +68,7 @@ def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: L
     draw_room(plan, mission)
     _draw_draws(plan, mission, drawn)
     if planned is not None:
-        _draw_way(plan, mission, planned)
+        _draw_trajectory(plan, mission, planned)
         labels, lines = _draw_hits(plan, mission, planned)
     _draw_side(side, mission, planned, top)
     for axis in (plan, side):
@@ -144,7 +144,7 @@ def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
 
 
 def _from_rest(mission: Mission) -> list[Array]:
-    """The ways between way-points whose both ends are known: (2, 3), mission frame, metres."""
+    """The ways between waypoints whose both ends are known: (2, 3), mission frame, metres."""
     return [np.array([leg.begin, leg.end]) for leg in transit_segments(mission) if leg.begin is not None]
 
 
@@ -157,7 +157,7 @@ def _draw_draws(axis: Any, mission: Mission, drawn: Sequence[PredictedFlight]) -
             axis.plot(way[:, 0], way[:, 1], color=_DRAWN, linewidth=0.5, alpha=0.6, zorder=1.8, label=label)
 
 
-def _draw_way(axis: Any, mission: Mission, planned: PredictedFlight) -> None:
+def _draw_trajectory(axis: Any, mission: Mission, planned: PredictedFlight) -> None:
     for way in _from_rest(mission):
         axis.plot(way[:, 0], way[:, 1], label="predicted trajectory", **PREDICTED)
     for line in planned.approaches.values():
@@ -201,7 +201,7 @@ def _draw_hits(axis: Any, mission: Mission, planned: PredictedFlight) -> tuple[l
 
 
 def _draw_side(axis: Any, mission: Mission, planned: PredictedFlight | None, top: float) -> None:
-    """The same seen along y; a wall seen from its side is hatched, one that stands askew or behind is
+    """The same seen along y; a wall seen from its side is hatched, one that stands obliquely or behind is
     not: the vehicle flies before it."""
     out = mission.vehicle.airframe.contact_distance_m
     for wall in mission.walls:
@@ -239,7 +239,7 @@ def _draw_side(axis: Any, mission: Mission, planned: PredictedFlight | None, top
 
 
 def _stops(mission: Mission) -> list[tuple[str, Vec2]]:
-    """What is written beside way-points, and where: their numbers, and each change of the altitude."""
+    """What is written beside waypoints, and where: their numbers, and each change of the altitude."""
     found: dict[Vec2, str] = {}
     z_before = mission.altitude_m
     for waypoint in mission.waypoints:
