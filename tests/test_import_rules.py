@@ -49,7 +49,7 @@ CORE_FLOORS = {"sense": 0, "mission": 1, "guard": 2, "flight_core": 3}
 # Where a package from outside may be imported.
 DOORS = {
     "mavsdk": ("vehicle/",),
-    "serial": ("lock/drivers/",),
+    "serial": ("lock/drivers/", "sim/px4/"),
     "pymavlink": ("sim/",),
     "asyncio": ("vehicle/", "run/", "cli/"),
     "mcap": ("recording/",),

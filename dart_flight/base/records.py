@@ -59,6 +59,7 @@ class World(StrEnum):
 
     DRONE = "drone"
     PX4 = "px4"  # a real PX4 on our plant
+    HITL = "hitl"  # a flight controller in hardware in the loop, on our plant
     EMBEDDED = "embedded"  # our small autopilot, through MAVSDK
     FAST = "fast"  # in process, simulated time
 

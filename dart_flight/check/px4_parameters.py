@@ -122,6 +122,15 @@ def _gyro_rate(value: float, _: Mission) -> tuple[bool, str]:
     )
 
 
+def _hitl(value: float, _: Mission) -> tuple[bool, str]:
+    if value == 0.0:
+        return True, "the vehicle flies from its own sensors"
+    return False, (
+        "hardware in the loop is still on: the vehicle would fly from simulated sensors and its outputs are "
+        "off; set it to 0 and restart"
+    )
+
+
 def _disarm_land(value: float, _: Mission) -> tuple[bool, str]:
     return (
         True,
@@ -146,6 +155,7 @@ PARAMETERS: dict[str, Callable[[float, Mission], tuple[bool, str]]] = {
     "COM_IMB_PROP_ACT": _imbalance,
     "IMU_GYRO_RATEMAX": _gyro_rate,
     "COM_DISARM_LAND": _disarm_land,
+    "SYS_HITL": _hitl,
 }
 _LOCKDOWN, _LOCKDOWN_UNTIL = "COM_LKDOWN_TKO", (1, 17)  # nothing takes its place
 # The prediction of where a recovery leads rests on these.

@@ -19,6 +19,7 @@ from dart_flight.cli.flight_output import (
     show_end,
     summary_table,
 )
+from dart_flight.cli.hitl_preflight import prepare_hitl, say_how_to_end
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import add_flight_options, add_set_option, add_vary_option, number, whole_number
 from dart_flight.cli.px4_options import add_px4_options, position_source_of, position_warnings
@@ -84,6 +85,8 @@ def _flight(arguments: argparse.Namespace, mission: Mission) -> Callable[..., Ve
     if arguments.px4 is None and arguments.fast:
         return partial(fly_fast, fault=fault, spreads=spreads)
     need_mavlink()
+    if arguments.hitl is not None:
+        return prepare_hitl(arguments, mission, position_from, spreads)
     if arguments.px4 is None:
         return partial(fly_embedded, deadman=True, fault=fault, spreads=spreads, speed=arguments.speed or 1.0)
 
@@ -120,6 +123,8 @@ def run(arguments: argparse.Namespace) -> int:
             seen = {} if live is None else {"viewer": live}
             verdict = fly(mission, seed=arguments.seed, log_dir=arguments.log_dir, progress=lines, **seen)
         show_end(verdict, console, arguments.json)
+        if arguments.hitl is not None:
+            say_how_to_end()
         return exit_status(verdict)
     seeds = range(arguments.seed, arguments.seed + arguments.runs)
     interrupted = False

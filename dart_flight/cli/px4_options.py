@@ -20,6 +20,15 @@ def add_px4_options(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="fly a real PX4 SITL: its build or install, with bin and etc (without DIR: $DART_PX4_DIR)",
     )
+    group.add_argument(
+        "--hitl",
+        metavar="URL",
+        help="fly a real flight controller on the table, propellers off: its port for simulated sensors, "
+        "serial:///dev/ttyACM0:921600 or UDP (docs/hitl.md)",
+    )
+    group.add_argument(
+        "--connection", metavar="URL", help="with --hitl: the app's own link (default: connection.url)"
+    )
     place = group.add_mutually_exclusive_group()
     place.add_argument("--indoor", action="store_true", help="motion capture, no GPS (default)")
     place.add_argument("--outdoor", action="store_true", help="GPS, no motion capture")
@@ -45,12 +54,18 @@ def position_source_of(arguments: argparse.Namespace) -> PositionSource:
         "--gps": arguments.gps,
         "--params": arguments.params,
     }
-    if arguments.px4 is None:
+    if arguments.connection and arguments.hitl is None:
+        raise InputError("--connection needs --hitl; `fly` flies on a vehicle")
+    if arguments.hitl is not None:
+        for name in ("px4", "fast", "speed", "runs", "fault", "params"):
+            if getattr(arguments, name):
+                raise InputError(f"--{name} and --hitl exclude each other")
+    elif arguments.px4 is None:
         for name, value in given.items():
             if value:
-                raise InputError(f"{name} needs --px4")
+                raise InputError(f"{name} needs --px4 or --hitl")
         return PositionSource.MOCAP
-    if arguments.fast:
+    elif arguments.fast:
         raise InputError("--fast and --px4 exclude each other")
     if arguments.gps and not arguments.outdoor:
         raise InputError("--gps needs --outdoor")

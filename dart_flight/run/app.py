@@ -17,7 +17,7 @@ import signal
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -42,10 +42,11 @@ from dart_flight.base.records import (
     WallEstimate,
 )
 from dart_flight.config.mission import Mission
-from dart_flight.config.vehicle import LockConfig
+from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.lock.drivers import Driver, make_driver
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
+from dart_flight.lock.drivers.modelled_horn import DriverWithModelledHorn
 from dart_flight.lock.lock_session import LockSession
 from dart_flight.lock.state_machine import status_text
 from dart_flight.run.core_thread import CoreThread
@@ -154,6 +155,7 @@ class FlightApp:
         deadman_note: start a deadman, which writes here why it killed the program; None: no deadman.
         lock_faults: of the mock servo from the start on.
         opened: called once the link is open.
+        unwanted: numbers of MAVLink messages that the vehicle is asked not to send on this link.
 
     Attributes:
         loop: the event loop, while it flies.
@@ -171,11 +173,13 @@ class FlightApp:
         deadman_note: Path | None = None,
         lock_faults: MockFaults | None = None,
         opened: Callable[[], None] = lambda: None,
+        unwanted: Sequence[int] = (),
     ) -> None:
         self._mission, self._url, self._observe = mission, url, observe
         self._world, self._progress, self._clock = world, progress, clock
         self._shown: deque[Record] = deque()
         self._deadman_note, self._lock_faults, self._opened = deadman_note, lock_faults, opened
+        self._unwanted = unwanted
         self._deadman: Deadman | None = None
         self.mock: MockDriver | None = None
         self._session: VehicleSession | None = None
@@ -226,6 +230,7 @@ class FlightApp:
             keeper = asyncio.create_task(self._keep_alive())
             measuring = asyncio.create_task(session.keep_measuring())
             try:
+                await session.stop_messages(self._unwanted)
                 await session.set_rates()
                 await self._watch(session)
             finally:
@@ -341,12 +346,15 @@ class FlightApp:
             config, clock_us=clock_us, set_actuator=session.set_actuator, faults=self._lock_faults
         )
         self.mock = driver if isinstance(driver, MockDriver) else None
+        if self._world is not None and self.mock is None and config.driver is not LockDriver.PX4:
+            # A real servo beside a simulated vehicle: its modelled horn moves the simulated arms.
+            driver = DriverWithModelledHorn(driver, config, clock_us)
         states: queue.SimpleQueue[LockState] = queue.SimpleQueue()
         sent: list[float] = []
 
         def after_poll() -> None:
-            # In a dry-run the mock servo is part of the harness: its horn moves the simulated arms.
-            if self._world is not None and isinstance(driver, MockDriver):
+            # In a dry-run the modelled servo is part of the harness: its horn moves the simulated arms.
+            if self._world is not None and isinstance(driver, MockDriver | DriverWithModelledHorn):
                 pulse = driver.horn_pulse_us(clock_us())
                 if not sent or sent[-1] != pulse:
                     sent[:] = [pulse]

@@ -315,6 +315,7 @@ def default_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
         "COM_FAIL_ACT_T": _FAILSAFE_HOLD_S,
         "COM_RCL_EXCEPT": 4,
         "COM_LKDOWN_TKO": 3.0,
+        "SYS_HITL": 0,
     }
     # Where the IMU is, in [forward, right, down].
     parameters |= {f"EKF2_IMU_POS_{axis}": p for axis, p in zip("XYZ", vehicle.imu.position_m, strict=True)}

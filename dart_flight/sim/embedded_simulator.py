@@ -33,7 +33,7 @@ from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 _TRUTH_EVERY = 2  # ticks
 _ORPHAN_S = 28.0  # after the app's death; with start and end it stays within 30 s
 _PILOT_S = 3.0  # likewise in a pilot's hands, where it only has to hold still
-_LATE_S = 0.25  # a stall longer than this is not caught up with: the world pauses instead
+STALL_S = 0.25  # a stall longer than this is not caught up with: the world pauses instead
 
 
 def ticks_in_real_time(period_s: float = TICK_S) -> Iterator[int]:
@@ -48,7 +48,7 @@ def ticks_in_real_time(period_s: float = TICK_S) -> Iterator[int]:
         now = time.monotonic()
         if due > now:
             time.sleep(due - now)
-        elif now - due > _LATE_S:
+        elif now - due > STALL_S:
             due = now
 
 
@@ -96,6 +96,15 @@ def serve(world: ServedWorld, writer: LineWriter, commands: IO[bytes], period_s:
             if world.is_over(now_s - gone_s):
                 break
     return tick
+
+
+class TerminatedError(Exception):
+    """The process was told to end (SIGTERM)."""
+
+
+def raise_terminated(_signum: int, _frame: object) -> None:
+    """Handler of SIGTERM for a world that has something to put away first."""
+    raise TerminatedError
 
 
 class WorldLog:
@@ -187,6 +196,10 @@ def main() -> int:
         from dart_flight.sim.px4.px4_simulator import Px4Simulator  # noqa: PLC0415  (only where PX4 flies)
 
         return Px4Simulator(spec, spec.px4).run(sys.stdin.buffer, sys.stdout.buffer)
+    if spec.hitl is not None:
+        from dart_flight.sim.px4.hitl_simulator import HitlSimulator  # noqa: PLC0415  (needs a serial port)
+
+        return HitlSimulator(spec, spec.hitl).run(sys.stdin.buffer, sys.stdout.buffer)
     EmbeddedSimulator(spec).run(sys.stdin.buffer, sys.stdout.buffer)
     return 0
 

@@ -16,6 +16,7 @@ import msgspec
 from dart_flight.base.records import TruthContact, TruthSample
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import Parameter, PositionSource
+from dart_flight.config.vehicle import Motor
 from dart_flight.sim.faults.fault_table import Fault
 
 
@@ -35,6 +36,20 @@ class Px4SimulatorSpec(msgspec.Struct):
     position_from: PositionSource = PositionSource.MOCAP
 
 
+class HitlSpec(msgspec.Struct):
+    """How to feed a flight controller in hardware-in-the-loop mode.
+
+    Attributes:
+        url: of its port, `serial:///dev/ttyACM0:921600` or UDP.
+        motors: where its parameters have them; None: as the configuration.
+        position_from: motion capture or a GPS receiver, simulated.
+    """
+
+    url: str
+    motors: tuple[Motor, ...] | None = None
+    position_from: PositionSource = PositionSource.MOCAP
+
+
 class SimulatorSpec(msgspec.Struct):
     """What the process is told on its first line of input; `ports` is the embedded autopilot's."""
 
@@ -43,6 +58,7 @@ class SimulatorSpec(msgspec.Struct):
     ports: list[int]
     log: str | None = None
     px4: Px4SimulatorSpec | None = None
+    hitl: HitlSpec | None = None
     spreads: dict[str, float] = msgspec.field(default_factory=dict)  # what differs from the mission (`draws`)
     speed: float = 1.0  # simulated seconds per second
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
+import queue
 import time
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -13,6 +15,7 @@ from typing import Any
 import msgspec
 from mavsdk.component_type import ComponentType
 from mavsdk.mavsdk import Configuration, Mavsdk
+from mavsdk.plugins.action import Action
 from mavsdk.plugins.info import Info
 from mavsdk.plugins.mavlink_direct import MavlinkDirect
 from mavsdk.plugins.param import Param, ParamResult
@@ -51,6 +54,16 @@ class Observation(msgspec.Struct):
     texts: list[str] = []  # its texts and events, warnings and worse
 
 
+class HeartbeatMode(msgspec.Struct, frozen=True):
+    """What an autopilot's HEARTBEAT says of its mode; `hil`: it flies from simulated sensors."""
+
+    armed: bool
+    hil: bool
+
+
+_HEARTBEAT_S = 3.0
+_AUTOPILOT = 1  # component id
+_ARMED, _HIL = 128, 32  # bits of MAV_MODE_FLAG
 _STAMP_TOLERANCE_US = 500_000
 _REPORT_S = 5.0  # on top, where something is amiss: until MAVSDK has fetched the words for it
 _ROUND_TRIPS_S, _ROUND_TRIP_MAX_S = 1.0, 5.0
@@ -174,6 +187,28 @@ class GroundLink:
             raise
         self._answered = True
         return answer
+
+    def heartbeat_mode(self) -> HeartbeatMode | None:
+        """What the next HEARTBEAT of the autopilot says; None: none within 3 s."""
+        came: queue.SimpleQueue[int] = queue.SimpleQueue()
+
+        def take(message: Any, _: Any) -> None:
+            if message.system_id == self._system_id and message.component_id == _AUTOPILOT:
+                came.put(int(json.loads(message.fields_json)["base_mode"]))
+
+        direct = MavlinkDirect(self._system)
+        handle = direct.subscribe_message("HEARTBEAT", take)
+        try:
+            mode = came.get(timeout=_HEARTBEAT_S)
+        except queue.Empty:
+            return None
+        finally:
+            direct.unsubscribe_message(handle)
+        return HeartbeatMode(armed=bool(mode & _ARMED), hil=bool(mode & _HIL))
+
+    def kill(self) -> None:
+        """Disarm at once, in the air, too; raises what MAVSDK raises where that is refused."""
+        Action(self._system).kill()
 
     def set_actuator(self, index: int, value: float) -> None:
         """Command a peripheral output, -1 to 1; an acknowledgement says nothing about movement."""

@@ -33,15 +33,18 @@ class LocalPosition:
     """Put together from both messages, whichever comes first.
 
     Attributes:
-        sent: MAVSDK has seen a position.
+        sent: MAVSDK has seen a position. Beside a good ESTIMATOR_STATUS it is not believed when it takes that
+            back: in hardware in the loop its flag was seen to drop for seconds while the estimator was good
+            throughout. That positions no longer come is a rule of the guard's (`odometry_silent`).
         healthy: what ESTIMATOR_STATUS said last; None: a vehicle that has not sent it.
     """
 
     def __init__(self) -> None:
-        self.sent = False
+        self.sent = self._was_sent = False
         self.healthy: bool | None = None
 
     @property
     def ok(self) -> bool:
         """Whether there is one to fly by."""
-        return self.sent and self.healthy is not False
+        self._was_sent = self._was_sent or self.sent
+        return self.sent if self.healthy is None else self._was_sent and self.healthy

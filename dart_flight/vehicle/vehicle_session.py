@@ -12,7 +12,7 @@ import contextlib
 import math
 import re
 from collections import deque
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
 import msgspec
@@ -242,9 +242,15 @@ class VehicleSession:
             except Exception:
                 refused.append(stream.name)
         for stream in self._extra:
-            if not await asyncio.to_thread(self._ask_rate, stream):
+            interval_us = round(1e6 / stream.rate_hz)
+            if not await asyncio.to_thread(self._ask_interval, MESSAGE_ID[stream.message], interval_us):
                 refused.append(stream.name)
         return refused
+
+    async def stop_messages(self, numbers: Iterable[int]) -> None:
+        """Ask not to be sent these messages on this link; refused, they go on coming."""
+        for number in numbers:
+            await asyncio.to_thread(self._ask_interval, number, -1)
 
     async def measure_link(self, timeout_s: float) -> list[str]:
         """Wait for the first round trip; returns the requests that were not answered, none where one was.
@@ -298,15 +304,15 @@ class VehicleSession:
         self._deliver(RoundTrip(received, answer.sent_us, own))
         return True
 
-    def _ask_rate(self, stream: Stream) -> bool:
-        """SET_MESSAGE_INTERVAL for a stream without a rate in the telemetry plugin; blocking."""
+    def _ask_interval(self, number: int, interval_us: int) -> bool:
+        """SET_MESSAGE_INTERVAL for a message without a rate in the telemetry plugin; blocking."""
         fields = {
             "target_system": self._raw.get_system_id(),
             "target_component": 1,
             "command": _SET_MESSAGE_INTERVAL,
             "confirmation": 0,
-            "param1": MESSAGE_ID[stream.message],
-            "param2": round(1e6 / stream.rate_hz),
+            "param1": number,
+            "param2": interval_us,
             **{f"param{i}": 0 for i in range(3, 8)},
         }
         command = MavlinkMessage("COMMAND_LONG", 0, 0, 0, 0, msgspec.json.encode(fields).decode())

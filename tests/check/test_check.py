@@ -126,6 +126,7 @@ GOOD = {
     "COM_OF_LOSS_T": 1.0,
     "COM_LKDOWN_TKO": 3.0,
     "COM_DISARM_LAND": 2.0,
+    "SYS_HITL": 0.0,
 }
 
 

@@ -10,7 +10,7 @@ import queue
 import signal
 import sys
 import threading
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -229,6 +229,9 @@ class Flight(Session):
     def subscribe(self, estimation: object, motors: int) -> None:
         self.motors = motors
         self.clock.update(5_000_000, host_us())  # the autopilot has been up for five seconds
+
+    async def stop_messages(self, numbers: Iterable[int]) -> None:
+        pass
 
     async def set_rates(self) -> list[str]:
         return []

@@ -133,7 +133,17 @@ def test_a_local_position_is_one_that_is_sent_and_is_well(
     rig.say("MavlinkDirect", "ESTIMATOR_STATUS", message(flags=0xFFFF & ~0x0400))
     assert rig.of(StatusSample)[-1].local_position_ok
     rig.say("Telemetry", "health", SimpleNamespace(is_local_position_ok=False))
+    assert rig.of(StatusSample)[-1].local_position_ok  # the estimator knows better
+    rig.say("MavlinkDirect", "ESTIMATOR_STATUS", message(flags=0))
     assert not rig.of(StatusSample)[-1].local_position_ok
+
+
+def test_without_word_of_the_estimator_mavsdk_is_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(monkeypatch, {})
+    rig.session.subscribe(VEHICLE.estimation, 4)
+    for ok in (True, False):
+        rig.say("Telemetry", "health", SimpleNamespace(is_local_position_ok=ok))
+        assert rig.of(StatusSample)[-1].local_position_ok is ok
 
 
 def test_what_keeps_px4_from_arming_is_delivered_when_it_changes(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,13 +13,13 @@ import random
 import socket
 import struct
 import time
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
 from dart_flight.base.errors import FlightError
-from dart_flight.base.geometry import Quaternion, Vec3
+from dart_flight.base.geometry import Quaternion, Vec3, add, scale
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import LockDriver, Motor, VehicleConfig
@@ -55,7 +55,7 @@ _EARTH_RADIUS_M = 6371000.0  # PX4's projection uses the same sphere
 _STEPS_PER_TICK = TICK_US // 1000
 _SLOW_EVERY = 5  # ticks: magnetometer and barometer at 50 Hz
 _ACCELEROMETER, _GYRO, _MAGNETOMETER, _BAROMETER = 0x007, 0x038, 0x1C0, 0x1A00
-_ARMED = 128
+ARMED = 128
 _BOOT_WAIT_S = 0.004  # PX4 answers nothing while it boots
 _ANSWER_WAIT_S = 5.0
 
@@ -70,6 +70,17 @@ class Controls(msgspec.Struct, frozen=True):
     time_us: int
     armed: bool
     values: tuple[float, ...]
+
+
+class SensorLink(Protocol):
+    """Takes what the plant measures to PX4, in lockstep or without."""
+
+    @property
+    def controls(self) -> Controls:
+        """PX4's last outputs."""
+
+    def exchange(self, sensor: Any, *others: Any) -> Controls:
+        """Send one tick's messages; returns the outputs that hold from now on."""
 
 
 class HilLink:
@@ -135,7 +146,7 @@ class HilLink:
         with contextlib.suppress(mavlink.MAVError, struct.error):
             for message in self._parser.parse_buffer(data) or []:
                 if message.get_type() == "HIL_ACTUATOR_CONTROLS":
-                    armed = bool(message.mode & _ARMED)
+                    armed = bool(message.mode & ARMED)
                     self.controls = Controls(message.time_usec, armed, tuple(message.controls))
                     self.locked = True
                     answered = answered or message.time_usec >= time_us
@@ -162,7 +173,7 @@ class Px4Vehicle:
         self,
         mission: Mission,
         seed: int,
-        link: HilLink,
+        link: SensorLink,
         position_from: PositionSource = PositionSource.MOCAP,
         motors: tuple[Motor, ...] | None = None,
     ) -> None:
@@ -181,6 +192,8 @@ class Px4Vehicle:
         self._motors, self._servo_channel = len(self.plant.motors), servo_channel(self.vehicle)
         self._ticks = 0
         self.clipped = 0  # ticks with a saturated accelerometer axis
+        self._unreported: list[tuple[Vec3, Vec3]] = []  # specific force and rate of ticks not yet sent
+        self._others: list[Any] = []
 
     @property
     def time_us(self) -> int:
@@ -197,11 +210,14 @@ class Px4Vehicle:
         if self._servo is not None:
             self._servo.set_horn(pulse_us)
 
-    def step(self) -> None:
+    def step(self, report: bool = True) -> None:
         """One tick of 4 ms: the plant under PX4's last outputs, then what it measures, to PX4.
 
+        Args:
+            report: False: nothing is sent, and the next IMU sample is the mean over this tick, too.
+
         Raises:
-            Px4LostError: as `HilLink.exchange`.
+            Px4LostError: as the link's `exchange`.
         """
         controls = self._link.controls
         m = controls.values
@@ -212,20 +228,32 @@ class Px4Vehicle:
         self._wind.step(self.plant)
         specific_force = self.plant.advance(m[: self._motors], _STEPS_PER_TICK)
         self._ticks += 1
-        others = []
         if self._pose is not None:
             pose = self._pose.measure(self.plant)
             if pose is not None:
-                others.append(odometry_message(self.time_us, pose[1], pose[2], self.vehicle))
+                self._others.append(odometry_message(self.time_us, pose[1], pose[2], self.vehicle))
         if self._gps is not None:
             fix = self._gps.measure(self.plant)
             if fix is not None:
-                others.append(gps_message(self.time_us, fix, self._gps))
-        self._link.exchange(self._sensor_message(specific_force, any(m[: self._motors])), *others)
+                self._others.append(gps_message(self.time_us, fix, self._gps))
+        self._measure_imu(specific_force, any(m[: self._motors]))
+        if report:
+            others, self._others = self._others, []
+            self._link.exchange(self._sensor_message(), *others)
 
-    def _sensor_message(self, specific_force_frd: Vec3, motors_turn: bool) -> Any:
+    def _measure_imu(self, specific_force_frd: Vec3, motors_turn: bool) -> None:
         f, w = self._imu.measure(specific_force_frd, self.plant.rate, motors_turn)
         self.clipped += any(abs(axis) >= self.vehicle.imu.full_scale_m_s2 for axis in f)
+        self._unreported.append((f, w))
+
+    def _sensor_message(self) -> Any:
+        f, w = self._unreported.pop()
+        if self._unreported:
+            count = len(self._unreported) + 1
+            for early_f, early_w in self._unreported:
+                f, w = add(f, early_f), add(w, early_w)
+            f, w = scale(f, 1.0 / count), scale(w, 1.0 / count)
+            self._unreported.clear()
         ax, ay, az = (accelerometer_output(axis, self.vehicle.imu.full_scale_m_s2) for axis in f)
         gx, gy, gz = (max(-GYRO_LIMIT_RAD_S, min(GYRO_LIMIT_RAD_S, axis)) for axis in w)
         fields = _ACCELEROMETER | _GYRO

@@ -18,7 +18,7 @@ from dart_flight.base.records import TruthSample
 from dart_flight.config.parameter_file import PositionSource, Value, parse_listing
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.embedded_autopilot import TICK_S
-from dart_flight.sim.embedded_simulator import WorldLog, serve
+from dart_flight.sim.embedded_simulator import TerminatedError, WorldLog, raise_terminated, serve
 from dart_flight.sim.faults.fault_table import Fault
 from dart_flight.sim.pipe import LineWriter, Px4SimulatorSpec, Ready, SimulatorDied, SimulatorSpec
 from dart_flight.sim.plant import Plant
@@ -42,10 +42,6 @@ _ORPHAN_S = 25.0  # after the app's death, host time; with the end of PX4 it sta
 _LANDED_S = 1.0  # host time after disarming in which PX4 writes its log
 
 
-class _StoppedError(Exception):
-    """SIGTERM."""
-
-
 class Px4Simulator:
     """Plant and PX4 between the app's pipe and PX4's sockets.
 
@@ -66,7 +62,7 @@ class Px4Simulator:
 
     def run(self, commands: IO[bytes], truth: IO[bytes]) -> int:
         """Start PX4, fly until the app is gone and the vehicle is down, stop PX4; returns the exit status."""
-        signal.signal(signal.SIGTERM, _stop)
+        signal.signal(signal.SIGTERM, raise_terminated)
         px4: Px4 | None = None
         instance: Instance | None = None
         status = 0
@@ -79,7 +75,7 @@ class Px4Simulator:
             self._prepare(px4)
             writer = LineWriter(truth)
             self._fly(px4, HilLink(px4.wait_connected(instance.listen())), writer, commands)
-        except _StoppedError:
+        except TerminatedError:
             self._say("terminated")
         except FlightError as error:
             status = 1
@@ -207,7 +203,3 @@ class Px4Simulator:
 def _where(truth: TruthSample) -> str:
     x, y, z = truth.position_mission
     return f"({x:.2f}, {y:.2f}, {z:.2f})"
-
-
-def _stop(_signum: int, _frame: object) -> None:
-    raise _StoppedError

@@ -1,0 +1,79 @@
+"""What `dry-run --hitl` does before and after the flight: look at the flight controller, ask, say how to end.
+
+The operator types that the propellers are off: arming is real.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping
+from functools import partial
+
+from dart_flight.base.errors import FlightError
+from dart_flight.check.findings import decide
+from dart_flight.check.hitl_check import check_hitl, hitl_parameters
+from dart_flight.cli.check_command import show
+from dart_flight.cli.options import link_of
+from dart_flight.cli.terminal import messages, print_status
+from dart_flight.config.document import InputError
+from dart_flight.config.link_url import usable_link
+from dart_flight.config.mission import Mission
+from dart_flight.config.parameter_file import PositionSource
+from dart_flight.recording.verdict import Verdict
+from dart_flight.run.hitl_flight import fly_hitl
+from dart_flight.vehicle.link import LinkLease, endpoint_of
+
+_WORD = "propellers off"
+
+
+def prepare_hitl(
+    arguments: argparse.Namespace,
+    mission: Mission,
+    position_from: PositionSource,
+    spreads: Mapping[str, float],
+) -> Callable[..., Verdict]:
+    """The function that flies on the flight controller, once that is ready and the operator has said so.
+
+    Raises:
+        InputError: the two links are one, or the operator does not say it.
+        FlightError: the flight controller is not ready.
+    """
+    hitl_url = usable_link(arguments.hitl, "--hitl")
+    url = link_of(arguments, mission.vehicle.connection)
+    if endpoint_of(hitl_url).key == endpoint_of(url).key:
+        raise InputError(
+            "is also the app's link; the flight controller needs a port for each", key=("--hitl",)
+        )
+    with LinkLease(url, "dry-run --hitl"):
+        ready = check_hitl(mission, url, position_from)
+    report = decide(mission, ready.findings)
+    show(report, messages())
+    if not report.go:
+        raise FlightError("flight controller not ready for hardware in the loop; not flown")
+    _confirm()
+    return partial(
+        fly_hitl,
+        hitl_url=hitl_url,
+        url=url,
+        motors=ready.motors,
+        position_from=position_from,
+        spreads=spreads,
+    )
+
+
+def _confirm() -> None:
+    """The operator types that the propellers are off: arming is real, and a wrong parameter turns motors."""
+    sys.stderr.write(f"Motors may turn. Take the propellers off, then type '{_WORD}': ")
+    sys.stderr.flush()
+    if sys.stdin.readline().strip().lower() != _WORD:
+        raise InputError(f"not confirmed by typing '{_WORD}'; not flown", key=("--hitl",))
+
+
+def say_how_to_end() -> None:
+    """How the vehicle becomes one that flies again."""
+    others = ", ".join(p.name for p in hitl_parameters().values() if p.name != "SYS_HITL")
+    print_status(
+        f"to switch it off: set SYS_HITL to 0, put back what you had in GPS_1_CONFIG, {others}, restart the "
+        "flight controller; until then `fly` and `check` refuse it"
+    )

@@ -1,0 +1,54 @@
+"""A real driver, and beside it the horn as the configured servo would move it.
+
+For a simulated vehicle around real hardware: an analogue servo says nothing of where it is, so what moves the
+simulated arms is the model, while the real servo moves on the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dart_flight.config.vehicle import LockConfig
+from dart_flight.lock.drivers import Driver
+from dart_flight.lock.servo import ServoModel
+from dart_flight.lock.state_machine import DriverReading
+
+
+class DriverWithModelledHorn:
+    """Passes everything on; the horn follows each pulse width that the driver has taken.
+
+    Args:
+        driver: the real one.
+        config: of the lock; before the first command the horn is at the flexible end, as the mock's.
+        clock_us: time base of the model, microseconds.
+    """
+
+    def __init__(self, driver: Driver, config: LockConfig, clock_us: Callable[[], int]) -> None:
+        self._driver, self._clock_us = driver, clock_us
+        self._servo = ServoModel(config.servo, config.servo.flexible_pulse_us)
+
+    def horn_pulse_us(self, t_us: int) -> float:
+        """Where the modelled horn is, as a pulse width in us."""
+        return self._servo.pulse_at(t_us)
+
+    def open(self) -> None:
+        """As `Driver`."""
+        self._driver.open()
+
+    def set_pulse(self, pulse_us: float) -> None:
+        """As `Driver`; a pulse that the hardware did not take moves no horn."""
+        self._driver.set_pulse(pulse_us)
+        self._servo.command(self._clock_us(), pulse_us)
+
+    def release(self) -> None:
+        """As `Driver`."""
+        self._driver.release()
+        self._servo.command(self._clock_us(), None)
+
+    def read(self) -> DriverReading:
+        """As `Driver`."""
+        return self._driver.read()
+
+    def close(self) -> None:
+        """As `Driver`."""
+        self._driver.close()

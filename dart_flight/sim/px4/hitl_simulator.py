@@ -1,0 +1,136 @@
+"""The world of a flight controller in hardware-in-the-loop mode: plant and sensors in real time, on its port.
+
+The flight controller flies in its own time and nobody waits for anybody. Ticks go by the host's clock; those
+that a busy machine has missed are computed at once and reported as one (`hitl_link`). After a stall of more
+than a quarter of a second the plant pauses instead, as it does beside the embedded autopilot.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+from typing import IO
+
+from dart_flight.base.errors import FlightError
+from dart_flight.config.parameter_file import PositionSource
+from dart_flight.sim.draws import draw_world
+from dart_flight.sim.embedded_autopilot import TICK_S
+from dart_flight.sim.embedded_simulator import STALL_S, TerminatedError, WorldLog, raise_terminated, serve
+from dart_flight.sim.faults.fault_table import Fault
+from dart_flight.sim.pipe import HitlSpec, LineWriter, Ready, SimulatorDied, SimulatorSpec
+from dart_flight.sim.plant import Plant
+from dart_flight.sim.px4.bridge import Px4LostError, Px4Vehicle
+from dart_flight.sim.px4.hitl_link import HitlLink, open_port
+
+_FIRST_S = 10.0  # for the first actuator outputs
+# In which PX4's estimator aligns and its bias settles, as far as arming asks for it.
+_ALIGN_S = {PositionSource.MOCAP: 10.0, PositionSource.RTK: 20.0, PositionSource.PLAIN: 20.0}
+_ORPHAN_S = 25.0  # after the app's death: until PX4 has flown its failsafe
+_STALL_TICKS = round(STALL_S / TICK_S)
+
+
+class HitlSimulator:
+    """Plant between the app's pipe and the flight controller's port.
+
+    Args:
+        spec: of the world.
+        hitl: its part for hardware in the loop.
+    """
+
+    def __init__(self, spec: SimulatorSpec, hitl: HitlSpec) -> None:
+        self._spec, self._hitl = spec, hitl
+        self._mission = draw_world(spec.mission, spec.seed, spec.spreads).mission
+        self._log = WorldLog(spec.log)
+        self._ticks = self._merged = 0
+        self._start_s = 0.0
+        self._armed = False
+
+    def run(self, commands: IO[bytes], truth: IO[bytes]) -> int:
+        """Feed the flight controller until the app is gone and it has disarmed; returns the exit status."""
+        signal.signal(signal.SIGTERM, raise_terminated)
+        writer, link = LineWriter(truth), None
+        status = 0
+        try:
+            link = HitlLink(open_port(self._hitl.url))
+            self._fly(link, writer, commands)
+        except TerminatedError:
+            self._say("terminated")
+        except FlightError as error:
+            status = 1
+            self._say(str(error))
+            writer.put(SimulatorDied(str(error)))
+        finally:
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
+            if link is not None:
+                self._tell(link)
+                link.close()
+            writer.finish()
+        return status
+
+    def _say(self, text: str) -> None:
+        self._log.write(self._ticks * TICK_S, text)
+
+    def _tell(self, link: HitlLink) -> None:
+        self._say(
+            f"{link.sent} messages sent, {link.dropped} not taken by the port; {self._merged} of "
+            f"{self._ticks} ticks reported late; longest gap between actuator outputs "
+            f"{link.longest_gap_s * 1e3:.0f} ms; "
+            + ("real outputs stayed off" if link.outputs_seen else "outputs could not be looked at")
+        )
+
+    def _fly(self, link: HitlLink, writer: LineWriter, commands: IO[bytes]) -> None:
+        self._vehicle = Px4Vehicle(
+            self._mission, self._spec.seed, link, self._hitl.position_from, self._hitl.motors
+        )
+        self._start_s = time.monotonic()
+        end_s = self._start_s + _FIRST_S
+        while not link.answered:
+            self.advance()
+            time.sleep(max(0.0, self._due_s() - time.monotonic()))
+            if time.monotonic() > end_s:
+                raise Px4LostError(
+                    f"no actuator outputs on {self._hitl.url} within {_FIRST_S:g} s: the flight controller "
+                    "must have SYS_HITL 1 and have been restarted since, and the port must be its USB port"
+                )
+        self._say("flight controller answers")
+        end_s = time.monotonic() + _ALIGN_S[self._hitl.position_from]
+        plant, ahead_us = self._vehicle.plant, 0
+        while time.monotonic() < end_s:
+            self.advance()
+            # Truth goes by PX4's clock; the outputs that came with the least delay tell it best.
+            ahead_us = max(ahead_us, link.controls.time_us - self._vehicle.time_us)
+            time.sleep(max(0.0, self._due_s() - time.monotonic()))
+        plant.time_offset_us = ahead_us
+        writer.put(Ready(self._vehicle.time_us))
+        serve(self, writer, commands, TICK_S)
+
+    # -- as `ServedWorld` --
+
+    def set_horn(self, pulse_us: float) -> None:
+        """Where the lock's horn is, by the model beside the real servo."""
+        self._vehicle.set_horn(pulse_us)
+
+    def begin_fault(self, fault: Fault) -> None:
+        """Not with a flight controller."""
+
+    def advance(self) -> Plant:
+        """One tick; where the next one is due already, what it measures goes out with that."""
+        behind = int((time.monotonic() - self._due_s()) / TICK_S)
+        if behind > _STALL_TICKS:
+            self._start_s += behind * TICK_S  # the plant has paused
+            self._vehicle.plant.time_offset_us += round(behind * TICK_S * 1e6)
+            behind = 0
+        self._ticks += 1
+        self._merged += behind > 0
+        self._vehicle.step(report=behind <= 0)
+        if self._vehicle.armed is not self._armed:
+            self._armed = self._vehicle.armed
+            self._say("PX4 armed" if self._armed else "PX4 disarmed")
+        return self._vehicle.plant
+
+    def is_over(self, alone_s: float) -> bool:
+        """It feeds the flight controller until that has disarmed."""
+        return not self._armed or alone_s > _ORPHAN_S
+
+    def _due_s(self) -> float:
+        return self._start_s + (self._ticks + 1) * TICK_S
