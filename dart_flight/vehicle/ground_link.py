@@ -106,16 +106,21 @@ class _Listener:
 class GroundLink:
     """`with GroundLink(url, timeout_s) as link: link.set_actuator(1, 0.5)`.
 
+    `viewer` sees every record once `observe` has asked for them, on MAVSDK's thread.
+
     Raises:
         VehicleError: on entering, when the URL cannot be opened or no autopilot answers.
         NoAnswerError: on a request, when the vehicle has answered none, or has fallen silent.
     """
 
-    def __init__(self, url: str, timeout_s: float) -> None:
-        self._url, self._timeout_s = url, timeout_s
+    def __init__(
+        self, url: str, timeout_s: float, viewer: Callable[[Input], None] = lambda record: None
+    ) -> None:
+        self._url, self._timeout_s, self._viewer = url, timeout_s, viewer
         self._mavsdk: Any = None
         self._answered = False  # whether any request was
         self._unanswered: list[str] = []  # requests, while none was
+        self._kept: list[Any] = []  # plugins with subscriptions
 
     def __enter__(self) -> GroundLink:
         sdk_log.redirect()
@@ -132,7 +137,7 @@ class GroundLink:
         self._system, self._system_id = system, system.get_system_id()
         self._param, self._info = Param(system), Info(system)
         self._heard = _Listener()
-        self._session = VehicleSession(self._mavsdk, system, self._heard.take)
+        self._session = VehicleSession(self._mavsdk, system, self._take)
         return self
 
     def __exit__(
@@ -143,6 +148,24 @@ class GroundLink:
     def _close(self) -> None:
         with sdk_log.closing():
             self._mavsdk.destroy()
+
+    def _take(self, record: Input) -> None:
+        self._heard.take(record)
+        self._viewer(record)
+
+    def newest_message(self, name: str, seconds: float) -> dict[str, Any] | None:
+        """The last message of a kind that comes within so long, which it blocks for; None: none came."""
+        fields: list[str] = []
+
+        def take(message: Any, _: Any) -> None:
+            if message.system_id == self._system_id:
+                fields[:] = [message.fields_json]
+
+        direct = MavlinkDirect(self._system)
+        handle = direct.subscribe_message(name, take)
+        time.sleep(seconds)
+        direct.unsubscribe_message(handle)
+        return json.loads(fields[-1]) if fields else None
 
     def round_trip_s(self) -> float | None:
         """The shortest of some TIMESYNC requests with their answers, seconds; None: no answer within 5 s.
@@ -249,8 +272,10 @@ class GroundLink:
 
         asyncio.run(self._session.set_rates(counts))  # refused: the count shows what comes anyway
         self._session.subscribe(vehicle.estimation, len(vehicle.airframe.motors))
-        Telemetry(self._system).subscribe_gps_info(gps)
-        MavlinkDirect(self._system).subscribe_message("ODOMETRY", count_odometry)
+        # Kept: a plugin that is collected takes its subscriptions with it.
+        self._kept = [Telemetry(self._system), MavlinkDirect(self._system)]
+        self._kept[0].subscribe_gps_info(gps)
+        self._kept[1].subscribe_message("ODOMETRY", count_odometry)
         began = time.monotonic()
         before = dict(counts)
         time.sleep(seconds)

@@ -1,0 +1,337 @@
+"""What the steps of a bring-up make of what was measured: pure, from samples to a finding in words.
+
+Axes are the vehicle's, FRD: x forward, y to the right, z down. An accelerometer at rest reads what holds it
+up: level (0, 0, -g), nose down a negative x, right side down a negative y.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from enum import StrEnum
+
+import msgspec
+
+from dart_flight.base.geometry import (
+    GRAVITY_M_S2,
+    Quaternion,
+    Vec2,
+    Vec3,
+    norm,
+    subtract,
+    wrap_angle,
+    yaw_ned_of,
+)
+from dart_flight.base.records import ImuSample, LockPhase, LockState, Mode, OdometrySample
+from dart_flight.base.streams import BY_NAME
+from dart_flight.config.vehicle import LockConfig
+
+_WINDOW_US = 500_000  # held still for so long
+_STILL_M_S2 = 0.6  # standard deviation of a hand's steadiness
+_TILTED_DEG = (20.0, 60.0)
+_AXIS_DEG = 30.0  # a hand's aim
+_LEVEL_DEG = 12.0
+_PUSH_M_S2 = 3.0
+_PUSH_US = 30_000  # averaged: less than a push takes, more than a bump
+_CARRIED_M = 0.4
+_RESTING_M_S = 0.15
+
+
+class StepOutcome(StrEnum):
+    """How a step ended."""
+
+    PASS = "pass"
+    FAIL = "fail"
+    SKIPPED = "skipped"
+    NEEDS_OPERATOR = "needs operator"
+
+
+Measured = dict[str, float | str | None]
+
+
+class StepFinding(msgspec.Struct, frozen=True):
+    """One step: how it ended, what was measured (units in the names), and what that means."""
+
+    result: StepOutcome
+    message: str
+    measured: Measured = {}
+
+
+def passed(message: str, **measured: float | str | None) -> StepFinding:
+    """A step that is well."""
+    return StepFinding(StepOutcome.PASS, message, measured)
+
+
+def failed(message: str, **measured: float | str | None) -> StepFinding:
+    """A step that is not, with what to do about it."""
+    return StepFinding(StepOutcome.FAIL, message, measured)
+
+
+# --- link ----------------------------------------------------------------------------------------------
+
+
+def judge_link(
+    rates_hz: Mapping[str, float], round_trip_s: float | None, limit_s: float, errors: Mapping[str, float]
+) -> StepFinding:
+    """Whether the streams of a mission come fast enough, and answers soon enough.
+
+    Args:
+        rates_hz: as they arrive, by the stream table's names.
+        round_trip_s: the shortest; None: TIMESYNC was not answered.
+        limit_s: of the round trip.
+        errors: `drop_rate_comm` (0.01 %) and `errors_comm` of SYS_STATUS.
+    """
+    measured: Measured = {f"{name}_hz": round(rate, 1) for name, rate in rates_hz.items()}
+    measured["round_trip_ms"] = None if round_trip_s is None else round(1e3 * round_trip_s, 2)
+    measured |= errors
+    slow = [
+        f"{name} {rate:.0f} Hz, needs {BY_NAME[name].expected_hz:g}"
+        for name, rate in rates_hz.items()
+        if rate < BY_NAME[name].expected_hz
+    ]
+    if slow:
+        says = "too slow: " + "; ".join(slow) + ". Raise SER_TEL2_BAUD and MAV_1_RATE, MAV_1_MODE Onboard"
+        return failed(says, **measured)
+    if round_trip_s is not None and round_trip_s > limit_s:
+        says = (
+            f"answers take {1e3 * round_trip_s:.0f} ms, allowed are {1e3 * limit_s:.0f}: a radio or a bridge"
+        )
+        return failed(says, **measured)
+    if errors.get("drop_rate_comm", 0.0) > 100.0:
+        share = errors["drop_rate_comm"] / 100.0
+        return failed(
+            f"the flight controller loses {share:.1f} % of what it is sent: wiring, ground", **measured
+        )
+    return passed("all streams come at their rates", **measured)
+
+
+# --- IMU -----------------------------------------------------------------------------------------------
+
+
+def mean_while_still(samples: Sequence[ImuSample]) -> Vec3 | None:
+    """Mean specific force over the last half second, m/s2, FRD; None: not that long, or it moves."""
+    if not samples or samples[-1].t_us - samples[0].t_us < _WINDOW_US:
+        return None
+    since = samples[-1].t_us - _WINDOW_US
+    forces = [s.specific_force_frd for s in samples if s.t_us >= since]
+    n = len(forces)
+    mean = tuple(sum(f[k] for f in forces) / n for k in range(3))
+    spread = max(math.sqrt(sum((f[k] - mean[k]) ** 2 for f in forces) / n) for k in range(3))
+    return (mean[0], mean[1], mean[2]) if spread <= _STILL_M_S2 else None
+
+
+def tilt_between_deg(level: Vec3, now: Vec3) -> float:
+    """Angle between two readings at rest, degrees."""
+    cosine = sum(a * b for a, b in zip(level, now, strict=True)) / max(1e-9, norm(level) * norm(now))
+    return math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
+
+
+def is_tilted(level: Vec3, now: Vec3) -> bool:
+    """Whether it is held at an angle at which the axis can be told."""
+    return _TILTED_DEG[0] <= tilt_between_deg(level, now) <= _TILTED_DEG[1]
+
+
+def judge_level(level: Vec3) -> StepFinding | None:
+    """What is wrong with the reading of a level vehicle; None: nothing."""
+    tilt = math.degrees(math.atan2(math.hypot(level[0], level[1]), -level[2]))
+    measured: Measured = {f"level_{axis}_m_s2": round(v, 2) for axis, v in zip("xyz", level, strict=True)}
+    if tilt > 180.0 - 3 * _LEVEL_DEG:
+        return failed("reads upside down: SENS_BOARD_ROT, or the board is mounted on its head", **measured)
+    if tilt > _LEVEL_DEG:
+        says = (
+            f"reads {tilt:.0f} degrees off level: put it level; if it is, calibrate SENS_BOARD_X_OFF, Y_OFF"
+        )
+        return failed(says, **measured)
+    if abs(norm(level) - GRAVITY_M_S2) > 0.5:
+        says = f"reads {norm(level):.2f} m/s2 at rest, not {GRAVITY_M_S2:.2f}: calibrate the accelerometer"
+        return failed(says, **measured)
+    return None
+
+
+def judge_axes(level: Vec3, nose_down: Vec3, right_down: Vec3) -> StepFinding:
+    """Whether forward and right are where they should be.
+
+    Args:
+        level, nose_down, right_down: mean specific force of the vehicle held so, m/s2.
+    """
+    wrong = judge_level(level)
+    if wrong is not None:
+        return wrong
+    # The reading leans against where the vehicle was tilted to: nose down to -x, right side down to -y.
+    forward = _heading_deg(subtract(nose_down, level)) - 180.0
+    right = _heading_deg(subtract(right_down, level)) + 90.0
+    forward, right = _wrap_deg(forward), _wrap_deg(right)
+    measured: Measured = {"forward_error_deg": round(forward, 1), "right_error_deg": round(right, 1)}
+    if abs(forward) <= _AXIS_DEG and abs(right) <= _AXIS_DEG:
+        return passed("axes are the vehicle's", **measured)
+    if abs(_wrap_deg(forward - right)) <= 2.0 * _AXIS_DEG:
+        turned = 90.0 * round((forward + 0.5 * _wrap_deg(right - forward)) / 90.0)
+        says = f"axes are turned by {turned:.0f} degrees: set SENS_BOARD_ROT as the board is mounted"
+        return failed(says, **measured)
+    says = (
+        "axes are mirrored, or the vehicle was not tilted as asked (nose down, then right side down): repeat"
+    )
+    return failed(says, **measured)
+
+
+# --- force ---------------------------------------------------------------------------------------------
+
+
+class Push(msgspec.Struct, frozen=True):
+    """A push as the IMU has it: when it was found, and its acceleration along x and y, FRD."""
+
+    t_us: int
+    acceleration_m_s2: Vec2
+
+
+def first_push(samples: Sequence[ImuSample], level: Vec3) -> Push | None:
+    """The first horizontal acceleration that is no bump; None: not pushed yet."""
+    start = 0
+    for end, last in enumerate(samples):
+        while last.t_us - samples[start].t_us > _PUSH_US:
+            start += 1
+        if start == 0 and last.t_us - samples[0].t_us < 0.8 * _PUSH_US:
+            continue
+        window = samples[start : end + 1]
+        x, y = (sum(s.specific_force_frd[k] - level[k] for s in window) / len(window) for k in (0, 1))
+        if math.hypot(x, y) > _PUSH_M_S2:
+            return Push(last.t_us, (x, y))
+    return None
+
+
+def judge_push(push: Vec2, force: Vec2) -> StepFinding:
+    """Whether a push forward is felt as a force forward.
+
+    Args:
+        push: acceleration felt by the IMU, FRD x and y, m/s2.
+        force: estimated external force at the same time, FRD x and y, newton.
+    """
+    felt, told = math.degrees(math.atan2(push[1], push[0])), math.degrees(math.atan2(force[1], force[0]))
+    size = math.hypot(*force)
+    measured: Measured = {
+        "push_direction_deg": round(felt, 1),
+        "force_direction_deg": round(told, 1),
+        "force_n": round(size, 1),
+    }
+    if abs(felt) > 2.0 * _AXIS_DEG:
+        says = (
+            f"the push came from {_side(felt)}, not from behind: repeat; if it was from behind, see imu_axes"
+        )
+        return failed(says, **measured)
+    if abs(_wrap_deg(told - felt)) > _AXIS_DEG:
+        says = f"the force points {_side(told)} while the push went {_side(felt)}: attitude or yaw is wrong"
+        return failed(says, **measured)
+    return passed("a push forward is felt as a force forward", **measured)
+
+
+# --- servo ---------------------------------------------------------------------------------------------
+
+
+def judge_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bool | None]]) -> StepFinding:
+    """Whether the lock goes where it is told, and how long that takes.
+
+    Args:
+        config: of the lock.
+        moves: mode asked for, state at the end, and the operator's word that the arms are so; None: a limit
+            switch has said it.
+    """
+    measured: Measured = {}
+    wrong = []
+    for mode, state, seen in moves:
+        measured[f"{mode}_travel_s"] = None
+        if state.settled_us is not None and state.commanded_us is not None:
+            measured[f"{mode}_travel_s"] = round((state.settled_us - state.commanded_us) * 1e-6, 3)
+        if state.phase is not LockPhase.SETTLED:
+            says = (
+                f"{mode}: {state.reason or state.phase}; look at supply, cable and `dart-flight lock status`"
+            )
+            return failed(says, **measured)
+        if seen is False:
+            wrong.append(mode)
+    measured["travel_by"] = "switch" if all(state.feedback for _, state, _ in moves) else "configured time"
+    if len(wrong) == len(moves):
+        says = (
+            "it moves the other way: exchange lock.servo.rigid_pulse_us and flexible_pulse_us "
+            "(`dart-flight lock calibrate`)"
+        )
+        return failed(says, **measured)
+    if wrong:
+        says = f"the arms are not {wrong[0]} when told so: calibrate the ends (`dart-flight lock calibrate`)"
+        return failed(says, **measured)
+    travel_s = config.servo.full_travel_s
+    return passed(f"both ends reached; a full travel is configured as {travel_s:.2f} s", **measured)
+
+
+# --- position ------------------------------------------------------------------------------------------
+
+
+def carried(samples: Sequence[OdometrySample], q: Quaternion) -> Vec2 | None:
+    """How far the vehicle was carried until it rests, in its own axes at the start, m; None: not yet.
+
+    Args:
+        samples: since the start.
+        q: attitude at the start, FRD to NED.
+    """
+    if not samples:
+        return None
+    first, last = samples[0].position_ned, samples[-1]
+    n, e = last.position_ned[0] - first[0], last.position_ned[1] - first[1]
+    if math.hypot(n, e) < _CARRIED_M or math.hypot(*last.velocity_ned[:2]) > _RESTING_M_S:
+        return None
+    yaw = yaw_ned_of(q)
+    return (n * math.cos(yaw) + e * math.sin(yaw), e * math.cos(yaw) - n * math.sin(yaw))
+
+
+def judge_position(forward: Vec2, right: Vec2) -> StepFinding:
+    """Whether the position goes where the vehicle is carried: forward first, then to its right."""
+    f = math.degrees(math.atan2(forward[1], forward[0]))
+    r = _wrap_deg(math.degrees(math.atan2(right[1], right[0])) - 90.0)
+    measured: Measured = {
+        "forward_m": round(math.hypot(*forward), 2),
+        "forward_error_deg": round(f, 1),
+        "right_m": round(math.hypot(*right), 2),
+        "right_error_deg": round(r, 1),
+    }
+    if abs(f) <= _AXIS_DEG and abs(r) <= _AXIS_DEG:
+        return passed("position goes where it is carried", **measured)
+    if abs(_wrap_deg(f - r)) <= 2.0 * _AXIS_DEG:
+        turned = 90.0 * round(f / 90.0)
+        says = f"position or heading is turned by {f:.0f} degrees" + (
+            f": the source's axes are {turned:.0f} degrees off PX4's (north, east, down)" if turned else ""
+        )
+        return failed(says, **measured)
+    says = "left and right are exchanged: the source's frame is not north, east, down (ENU or y to the left)"
+    return failed(says, **measured)
+
+
+# --- remote control ------------------------------------------------------------------------------------
+
+
+def judge_remote(received: bool, modes: Collection[str]) -> StepFinding:
+    """Whether there is a remote control, and its mode switch does something."""
+    measured: Measured = {"modes": ", ".join(modes)}
+    if not received:
+        return failed(
+            "no remote control is received: switch it on, bind it; RC_INPUT, COM_RC_IN_MODE", **measured
+        )
+    if len(modes) < 2:
+        says = "the mode did not change: assign a switch (RC_MAP_FLTMODE, COM_FLTMODE1 to 6), and flip it"
+        return failed(says, **measured)
+    return passed("the mode follows the switch", **measured)
+
+
+# --- helpers -------------------------------------------------------------------------------------------
+
+
+def _heading_deg(v: Vec3) -> float:
+    return math.degrees(math.atan2(v[1], v[0]))
+
+
+def _wrap_deg(angle: float) -> float:
+    return math.degrees(wrap_angle(math.radians(angle)))
+
+
+def _side(angle_deg: float) -> str:
+    """Where a direction in the vehicle's axes points."""
+    names = ("forward", "right", "back", "left")
+    return names[round(_wrap_deg(angle_deg) / 90.0) % 4]

@@ -1,0 +1,103 @@
+"""What has been brought up: remembered, so that one can stop and go on, and as a page to file."""
+
+from __future__ import annotations
+
+import html
+from datetime import datetime
+from pathlib import Path
+
+import msgspec
+
+from dart_flight.check.bringup.judgements import Measured, StepFinding, StepOutcome
+from dart_flight.check.bringup.steps import STEPS
+from dart_flight.config.document import InputError, writing
+from dart_flight.config.provenance import VehicleSource
+
+
+class StepRecord(msgspec.Struct, frozen=True):
+    """One step as it was last carried out; `date` is local time, empty where it never was."""
+
+    name: str
+    result: StepOutcome
+    message: str
+    measured: Measured = {}
+    date: str = ""
+
+
+class BringupRecord(msgspec.Struct):
+    """All steps of one vehicle, in their order."""
+
+    vehicle: VehicleSource
+    connection: str
+    steps: list[StepRecord]
+
+    @property
+    def failed(self) -> bool:
+        """Whether a step has failed."""
+        return any(step.result is StepOutcome.FAIL for step in self.steps)
+
+
+def fresh(vehicle: VehicleSource, connection: str) -> BringupRecord:
+    """A bring-up of which nothing has been done."""
+    steps = [StepRecord(name, StepOutcome.NEEDS_OPERATOR, "not done yet") for name in STEPS]
+    return BringupRecord(vehicle, connection, steps)
+
+
+def load(folder: Path, vehicle: VehicleSource, connection: str) -> BringupRecord:
+    """What is remembered in a folder of this vehicle; else a fresh one.
+
+    Raises:
+        InputError: the file is there and cannot be read.
+    """
+    path = folder / "bringup.json"
+    try:
+        found = msgspec.json.decode(path.read_bytes(), type=BringupRecord)
+    except FileNotFoundError:
+        return fresh(vehicle, connection)
+    except (OSError, msgspec.DecodeError) as error:
+        raise InputError(f"is no bring-up of ours ({error}): move it away", source=str(path)) from None
+    known = {step.name: step for step in found.steps} if found.vehicle.source == vehicle.source else {}
+    begun = fresh(vehicle, connection)
+    begun.steps = [known.get(step.name, step) for step in begun.steps]
+    return begun
+
+
+def note(record: BringupRecord, name: str, finding: StepFinding) -> None:
+    """Put a finding in its place."""
+    date = datetime.now().astimezone().isoformat(timespec="seconds")
+    done = StepRecord(name, finding.result, finding.message, finding.measured, date)
+    record.steps = [done if step.name == name else step for step in record.steps]
+
+
+def save(record: BringupRecord, folder: Path) -> tuple[Path, Path]:
+    """Write what is remembered, and today's record and page; returns the last two.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    today = datetime.now().astimezone().date().isoformat()
+    text = msgspec.json.format(msgspec.json.encode(record), indent=2)
+    paths = folder / "bringup.json", folder / f"bringup-{today}.json", folder / f"bringup-{today}.html"
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        for path, content in zip(paths, (text, text, page(record, today).encode()), strict=True):
+            path.write_bytes(content)
+    return paths[1], paths[2]
+
+
+def page(record: BringupRecord, date: str) -> str:
+    """The record as a page that prints on one sheet."""
+    rows = []
+    for step in record.steps:
+        figures = ", ".join(f"{name} {value}" for name, value in step.measured.items())
+        cells = (STEPS[step.name], step.result.value, step.message, figures, step.date)
+        rows.append("<tr>" + "".join(f"<td>{html.escape(str(cell))}</td>" for cell in cells) + "</tr>")
+    vehicle = f"{record.vehicle.source}, {record.vehicle.mass_kg:g} kg, {record.connection}"
+    return (
+        "<!doctype html><meta charset=utf-8><title>Bring-up</title>"
+        "<style>body{font:11pt sans-serif;margin:2em}td,th{border:1px solid #999;padding:.4em;"
+        "text-align:left;vertical-align:top}table{border-collapse:collapse}</style>"
+        f"<h1>Bring-up, {date}</h1><p>{html.escape(vehicle)}</p><table>"
+        "<tr><th>step<th>result<th>finding<th>measured<th>when</tr>" + "".join(rows) + "</table>"
+        "<p>Operator, signature:</p>"
+    )

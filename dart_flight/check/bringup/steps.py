@@ -1,0 +1,316 @@
+"""The steps of a bring-up carried out: say what to do, wait until it is done, measure, judge.
+
+What a step waits for shows in the telemetry itself (held still, tilted, pushed, carried), so that the
+operator needs his hands for the vehicle and none for the keyboard.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Protocol, TypeVar
+
+from dart_flight.base.geometry import Quaternion, Vec2, Vec3, rotate_back
+from dart_flight.base.records import (
+    AttitudeSample,
+    ImuSample,
+    Input,
+    LockPhase,
+    LockState,
+    Mode,
+    OdometrySample,
+    StatusSample,
+)
+from dart_flight.check.bringup import judgements
+from dart_flight.check.bringup.judgements import StepFinding, StepOutcome, failed
+from dart_flight.config.link_url import parse_link
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import LockDriver
+from dart_flight.core.sense.detector import ExpectedContact
+from dart_flight.core.sense.senses import Senses
+from dart_flight.lock.drivers import DRIVERS, DriverError
+from dart_flight.lock.ground import GroundLock, ground_driver
+from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTakenError, load_last
+from dart_flight.vehicle.baud_rate import listen_for_mavlink
+from dart_flight.vehicle.ground_link import GroundLink
+from dart_flight.vehicle.vehicle_session import VehicleError
+
+STEPS = {
+    "link": "rates that arrive, errors, round trip",
+    "imu_axes": "the IMU's axes are the vehicle's",
+    "force_sign": "a push is felt where it comes from",
+    "servo": "the lock's servo goes the right way, and how long that takes",
+    "position": "the position goes where the vehicle is carried",
+    "remote_control": "the remote control is received, and switches modes",
+}
+HANDS = ("imu_axes", "force_sign", "servo", "position", "remote_control")  # need somebody at the vehicle
+
+_OBSERVE_S = 3.0
+WAIT_S = 60.0
+_CONNECT_S = 10.0
+_ATTITUDE_S = 2.0
+_STATUS_S = 1.5  # SYS_STATUS comes once a second at least
+_RADIO_S = 2.0
+_POLL_S = 0.05
+_KEPT = 4000  # samples of a stream
+
+Found = TypeVar("Found")
+
+
+class Operator(Protocol):
+    """Who stands at the vehicle."""
+
+    def tell(self, text: str) -> None:
+        """Say what to do, or what was found."""
+
+    def confirm(self, question: str) -> bool:
+        """Ask a question that is answered by yes or no."""
+
+
+class NotDoneError(Exception):
+    """What a step waits for has not happened; the text says what that was."""
+
+
+class Telemetry:
+    """What has come since it was last cleared, by stream; and the force estimate from it."""
+
+    def __init__(self, mission: Mission) -> None:
+        self._mission = mission
+        self.imu: deque[ImuSample] = deque(maxlen=_KEPT)
+        self.attitude: deque[AttitudeSample] = deque(maxlen=_KEPT)
+        self.odometry: deque[OdometrySample] = deque(maxlen=_KEPT)
+        self.modes: dict[str, None] = {}
+        self._all: deque[Input] = deque(maxlen=4 * _KEPT)
+
+    def take(self, record: Input) -> None:
+        """A record of the telemetry; on MAVSDK's thread."""
+        self._all.append(record)
+        if isinstance(record, ImuSample):
+            self.imu.append(record)
+        elif isinstance(record, AttitudeSample):
+            self.attitude.append(record)
+        elif isinstance(record, OdometrySample):
+            self.odometry.append(record)
+        elif isinstance(record, StatusSample):
+            self.modes.setdefault(record.flight_mode.value)
+
+    def clear(self) -> None:
+        """Forget the samples; the mode last seen stays."""
+        for kept in (self.imu, self.attitude, self.odometry):
+            kept.clear()
+        self.modes = dict.fromkeys(list(self.modes)[-1:])
+
+    def force_at(self, t_us: int) -> Vec2 | None:
+        """The core's own estimate of the external force at a moment, in the vehicle's x and y; newton."""
+        senses, frame = Senses(self._mission), self._mission.frame_at((0.0, 0.0, 0.0))
+        senses.state.anchor(frame)
+        found = None
+        for record in list(self._all):
+            estimate = senses.update(record, ExpectedContact(False)).estimate
+            if estimate is not None and estimate.t_us <= t_us:
+                found = estimate
+        q = attitude_at(self.attitude, t_us)
+        if found is None or q is None:
+            return None
+        force_frd = rotate_back(q, frame.vector_to_ned(found.force_mission))
+        return force_frd[:2]
+
+
+def attitude_at(samples: Sequence[AttitudeSample], t_us: int) -> Quaternion | None:
+    """The last attitude up to a moment; None: there is none."""
+    return next((s.q_frd_to_ned for s in reversed(list(samples)) if s.t_us <= t_us), None)
+
+
+class Bringup:
+    """Carries the steps out on one vehicle.
+
+    Args:
+        mission: its vehicle, and what streams it needs.
+        url: MAVSDK connection URL.
+        operator: who stands at the vehicle.
+        wait_s: for what the operator is to do.
+    """
+
+    def __init__(self, mission: Mission, url: str, operator: Operator, wait_s: float = WAIT_S) -> None:
+        self._mission, self._url, self._operator, self._wait_s = mission, url, operator, wait_s
+        self._telemetry = Telemetry(mission)
+        self._ground: GroundLink | None = None
+        self._rates_hz: dict[str, float] = {}
+
+    def carry_out(self, name: str) -> StepFinding:
+        """One step of `STEPS`; the link stays open for the next."""
+        step: Callable[[], StepFinding] = {
+            "link": self._judge_link,
+            "imu_axes": self._judge_axes,
+            "force_sign": self._judge_force,
+            "servo": self._judge_servo,
+            "position": self._judge_position,
+            "remote_control": self._judge_remote,
+        }[name]
+        try:
+            return step()
+        except NotDoneError as error:
+            return failed(f"not seen within {self._wait_s:g} s: {error}")
+        except VehicleError as error:
+            return failed(self._why_silent(str(error)))
+
+    def close(self) -> None:
+        """Close the link."""
+        if self._ground is not None:
+            self._ground.__exit__(None, None, None)
+            self._ground = None
+
+    def _connect(self) -> GroundLink:
+        """The link, opened and its streams asked for at the first call."""
+        if self._ground is None:
+            link = GroundLink(self._url, min(self._wait_s, _CONNECT_S), self._telemetry.take)
+            self._ground = link.__enter__()
+            self._rates_hz = link.observe(self._mission.vehicle, _OBSERVE_S).rates_hz
+        return self._ground
+
+    def _why_silent(self, says: str) -> str:
+        """What is wrong with a link on which no autopilot answers, as far as its port tells."""
+        link = parse_link(self._url)
+        if link is None or link.kind != "serial":
+            return says
+        try:
+            found = listen_for_mavlink(link.place, link.number)
+        except OSError as error:
+            return f"{says}; {link.place}: {error.strerror}"
+        if not found.received:
+            return f"nothing arrives on {link.place}: TX and RX exchanged, MAV_1_CONFIG, or no power"
+        if found.baud is None:
+            return f"bytes arrive on {link.place}, and no MAVLink at any usual baud rate: a console?"
+        if found.baud != link.number:
+            return f"wrong baud rate: MAVLink arrives at {found.baud}, not at {link.number} (SER_TEL2_BAUD)"
+        return f"{says}, though MAVLink arrives: it is not an autopilot's, or the way back is open (TX)"
+
+    # -- steps --
+
+    def _judge_link(self) -> StepFinding:
+        link = self._connect()
+        round_trip_s = link.round_trip_s()
+        status = link.newest_message("SYS_STATUS", _STATUS_S) or {}
+        errors: dict[str, float] = {}
+        errors |= {name: float(status[name]) for name in ("drop_rate_comm", "errors_comm") if name in status}
+        limit_s = 2.0 * self._mission.vehicle.guard.telemetry_late_s
+        return judgements.judge_link(self._rates_hz, round_trip_s, limit_s, errors)
+
+    def _judge_axes(self) -> StepFinding:
+        self._connect()
+        level = self._held("Put the vehicle level and leave it alone.", lambda force: True)
+        wrong = judgements.judge_level(level)
+        if wrong is not None:
+            return wrong
+        tilted = partial(judgements.is_tilted, level)
+        nose = self._held("Lift its tail: nose down by some 30 degrees, and hold it so.", tilted)
+        self._held("Put it level again.", lambda force: not tilted(force))
+        right = self._held("Lift its left side: right side down by some 30 degrees, and hold it so.", tilted)
+        return judgements.judge_axes(level, nose, right)
+
+    def _judge_force(self) -> StepFinding:
+        self._connect()
+        self._telemetry.clear()
+        level = self._held("Hold the vehicle level and still.", lambda force: True)
+        t = self._telemetry
+        push = self._wait(
+            "Push it forward, sharply, from behind.", lambda: judgements.first_push(list(t.imu), level)
+        )
+        force = t.force_at(push.t_us)
+        if force is None:
+            return failed("no force estimate: attitude or motor outputs do not arrive (see link)")
+        return judgements.judge_push(push.acceleration_m_s2, force)
+
+    def _judge_servo(self) -> StepFinding:
+        config = self._mission.vehicle.lock
+        if config is None:
+            return StepFinding(StepOutcome.SKIPPED, "this vehicle has no lock")
+        kind = config.driver
+        if not DRIVERS[kind].moves:
+            return failed(f"lock.driver is {kind.value}: nothing real moves")
+        set_actuator = self._connect().set_actuator if kind is LockDriver.PX4 else None
+        if not self._operator.confirm("The servo moves now. Propellers off, fingers clear?"):
+            return StepFinding(StepOutcome.NEEDS_OPERATOR, "not moved")
+        try:
+            with ServoOwnership():
+                driver = ground_driver(config, load_last(), set_actuator)
+                driver.open()
+                try:
+                    lock = GroundLock(config, driver, CommandStore(kind).note)
+                    lock.look()
+                    moves = [self._move(lock, mode) for mode in (Mode.FLEXIBLE, Mode.RIGID, Mode.FLEXIBLE)]
+                finally:
+                    driver.close()
+        except (DriverError, ServoTakenError) as error:
+            return failed(f"{error}")
+        return judgements.judge_servo(config, moves[1:])  # the first has no known beginning
+
+    def _move(self, lock: GroundLock, mode: Mode) -> tuple[Mode, LockState, bool | None]:
+        state = lock.move(mode)
+        if state.phase is not LockPhase.SETTLED or state.feedback:
+            return mode, state, None
+        how = "locked: the rods are in their slots" if mode is Mode.RIGID else "free"
+        return mode, state, self._operator.confirm(f"Told to be {mode}. Are the arms {how}?")
+
+    def _judge_position(self) -> StepFinding:
+        self._connect()
+        forward = self._carry("Hold it level, walk half a metre straight ahead of its nose, and stand still.")
+        right = self._carry("Now half a metre to its right, without turning it, and stand still.")
+        return judgements.judge_position(forward, right)
+
+    def _judge_remote(self) -> StepFinding:
+        link, t = self._connect(), self._telemetry
+        t.clear()
+        radio = link.newest_message("RC_CHANNELS", _RADIO_S)
+        received = bool(radio and radio.get("chancount") and radio.get("rssi") != 0)
+        if received:
+            with contextlib.suppress(NotDoneError):
+                self._wait("Flip the mode switch to another mode and back.", lambda: len(t.modes) > 1 or None)
+        return judgements.judge_remote(received, list(t.modes))
+
+    # -- waiting --
+
+    def _held(self, text: str, is_so: Callable[[Vec3], bool]) -> Vec3:
+        """Mean specific force once it is held still in the way asked for."""
+        t = self._telemetry
+        t.imu.clear()
+
+        def find() -> Vec3 | None:
+            mean = judgements.mean_while_still(list(t.imu))
+            return mean if mean is not None and is_so(mean) else None
+
+        return self._wait(text, find)
+
+    def _carry(self, text: str) -> Vec2:
+        t = self._telemetry
+        t.odometry.clear()
+        end_s = time.monotonic() + _ATTITUDE_S
+        while not t.attitude and time.monotonic() < end_s:
+            time.sleep(_POLL_S)
+        if not t.attitude:
+            raise NotDoneError("an attitude")
+        q = t.attitude[-1].q_frd_to_ned
+
+        def find() -> Vec2 | None:
+            if not t.odometry:
+                return None
+            return judgements.carried(list(t.odometry), q)
+
+        return self._wait(text, find)
+
+    def _wait(self, text: str, find: Callable[[], Found | None]) -> Found:
+        """Say what to do and look until it is found.
+
+        Raises:
+            NotDoneError: it was not, in time.
+        """
+        self._operator.tell(text)
+        end_s = time.monotonic() + self._wait_s
+        while (found := find()) is None:
+            if time.monotonic() > end_s:
+                raise NotDoneError(text)
+            time.sleep(_POLL_S)
+        return found

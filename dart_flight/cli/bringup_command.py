@@ -1,0 +1,79 @@
+"""`dart-flight bringup [MISSION]`: from wiring to remote control on the bench, step by step."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from dart_flight.check.bringup import progress
+from dart_flight.check.bringup.judgements import StepFinding, StepOutcome
+from dart_flight.check.bringup.steps import HANDS, STEPS, WAIT_S, Bringup
+from dart_flight.cli.options import add_driver_option, link_of, number
+from dart_flight.cli.terminal import emit_json, print_status
+from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.config.mission import load_mission
+from dart_flight.config.state_folder import state_dir
+from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle.configuration import default_config_path
+from dart_flight.run.prepare import with_driver
+from dart_flight.vehicle.link import LinkLease
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("mission", nargs="?", metavar="MISSION", help="for its vehicle and its frame")
+    parser.add_argument("--connection", metavar="URL", help="the vehicle's link (default: connection.url)")
+    parser.add_argument("--state", type=Path, metavar="DIR", help="where it is remembered and filed")
+    parser.add_argument("--again", action="store_true", help="also the steps that have passed")
+    parser.add_argument(
+        "--wait", type=number(1.0, 600.0), default=WAIT_S, metavar="S", help="for each of your moves (60 s)"
+    )
+    parser.add_argument("--yes", action="store_true", help="only what needs no hands")
+    add_driver_option(parser)
+
+
+class _Terminal:
+    """The operator at the keyboard; questions and answers go past `--json`."""
+
+    def tell(self, text: str) -> None:
+        print_status(f"  {text}")
+
+    def confirm(self, question: str) -> bool:
+        sys.stderr.write(f"  {question} [y/N] ")
+        sys.stderr.flush()
+        return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; returns 0 where no step has failed."""
+    config = arguments.config or (None if arguments.mission else default_config_path())
+    mission = load_mission(arguments.mission or packaged("missions", "single_wall.yaml"), config)
+    mission = with_driver(mission, arguments.driver)
+    url = link_of(arguments, mission.vehicle.connection)
+    folder = arguments.state or state_dir() / "bringup"
+    say_vehicle(mission.flown_vehicle(), arguments)
+    record = progress.load(folder, mission.flown_vehicle(), url)
+    written = progress.save(record, folder)
+    with LinkLease(url, "bringup"):
+        bringup = Bringup(mission, url, _Terminal(), arguments.wait)
+        try:
+            for k, step in enumerate(record.steps, start=1):
+                print_status(f"{k}. {step.name}: {STEPS[step.name]}")
+                if step.result is StepOutcome.PASS and not arguments.again:
+                    print_status(f"  passed on {step.date}")
+                    continue
+                if arguments.yes and step.name in HANDS:
+                    finding = StepFinding(StepOutcome.NEEDS_OPERATOR, "needs somebody at the vehicle")
+                else:
+                    finding = bringup.carry_out(step.name)
+                progress.note(record, step.name, finding)
+                written = progress.save(record, folder)
+                print_status(f"  {finding.result.value}: {finding.message}")
+        finally:
+            bringup.close()
+    if arguments.json:
+        emit_json({"steps": record.steps, "vehicle": record.vehicle, "files": [str(p) for p in written]})
+    else:
+        print_status(*(f"wrote {path}" for path in written))
+    return 1 if record.failed else 0

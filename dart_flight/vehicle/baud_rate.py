@@ -1,0 +1,83 @@
+"""Whether MAVLink arrives on a serial port, and at which baud rate: for a link on which no autopilot answers.
+
+A wrong rate shows as bytes of which none make a frame. A frame begins with 0xFD and says how long it is, so
+where one ends the next begins; three in a row are no accident (1 in 10^7 for noise).
+"""
+
+from __future__ import annotations
+
+import os
+import termios
+import time
+
+import msgspec
+
+USUAL_BAUDS = (57600, 115200, 230400, 460800, 500000, 921600, 1000000, 1500000, 2000000)
+_START, _HEADER, _CHECKSUM, _SIGNATURE = 0xFD, 10, 2, 13
+_IN_A_ROW = 3
+_LISTEN_S = 0.6
+_SPEED = 4, 5  # in termios' list: input and output speed
+
+
+class PortFinding(msgspec.Struct, frozen=True):
+    """What arrives on a serial port.
+
+    Attributes:
+        received: bytes at the rate that was asked for.
+        baud: the rate at which there is MAVLink; None: at none of the usual ones.
+    """
+
+    received: int
+    baud: int | None
+
+
+def listen_for_mavlink(device: str, baud: int) -> PortFinding:
+    """Listen at a rate, and where there is no MAVLink at the other usual ones, 0.6 s each.
+
+    Raises:
+        OSError: the port cannot be opened.
+    """
+    port = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        heard = _listen(port, baud)
+        if has_frames(heard):
+            return PortFinding(len(heard), baud)
+        if heard:
+            for other in USUAL_BAUDS:
+                if other != baud and has_frames(_listen(port, other)):
+                    return PortFinding(len(heard), other)
+        return PortFinding(len(heard), None)
+    finally:
+        os.close(port)
+
+
+def has_frames(data: bytes) -> bool:
+    """Whether three MAVLink 2 frames follow each other somewhere in the data."""
+    for first in range(len(data)):
+        at, count = first, 0
+        while at + 2 < len(data) and data[at] == _START:
+            at += _HEADER + data[at + 1] + _CHECKSUM + (_SIGNATURE if data[at + 2] & 1 else 0)
+            count += at <= len(data)
+            if count == _IN_A_ROW:
+                return True
+    return False
+
+
+def _listen(port: int, baud: int) -> bytes:
+    speed = getattr(termios, f"B{baud}", None)
+    if speed is None:
+        return b""
+    settings = termios.tcgetattr(port)
+    settings[0] = settings[1] = settings[3] = 0  # raw: no translation, no echo
+    settings[2] = termios.CS8 | termios.CREAD | termios.CLOCAL
+    for k in _SPEED:
+        settings[k] = speed
+    termios.tcsetattr(port, termios.TCSANOW, settings)
+    termios.tcflush(port, termios.TCIFLUSH)
+    data, end_s = b"", time.monotonic() + _LISTEN_S
+    while time.monotonic() < end_s:
+        try:
+            data += os.read(port, 4096)
+        except BlockingIOError:
+            time.sleep(0.01)
+    return data

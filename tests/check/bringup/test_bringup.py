@@ -1,0 +1,167 @@
+"""Bring-up walked against a vehicle on a real pseudo-terminal, well and with each thing that may be wrong."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from dart_flight.check.bringup.judgements import StepFinding, StepOutcome
+from dart_flight.check.bringup.steps import Bringup
+from dart_flight.cli import main
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import LockDriver, packaged
+from dart_flight.vehicle.clock import host_us
+from tests.doubles.bench_vehicle import BenchVehicle
+from tests.doubles.emulated_maestro import EmulatedMaestro
+
+MISSION = load_mission(packaged("missions", "single_wall.yaml"))
+WAIT_S = 6.0
+
+
+class Hands:
+    """An operator who does what he is told, and sees the lock move."""
+
+    def __init__(
+        self, vehicle: BenchVehicle | None = None, sees: Callable[[str], bool] = lambda _: True
+    ) -> None:
+        self.sees, self.told = sees, list[str]()
+        self._acts: dict[str, Callable[[], None]] = {}
+        if vehicle is not None:
+            self._acts = {
+                "nose down": lambda: vehicle.tilt(pitch_deg=-30.0),
+                "right side down": lambda: vehicle.tilt(roll_deg=30.0),
+                "Push": vehicle.push,
+                "ahead of its nose": lambda: vehicle.carry(0.0),
+                "to its right": lambda: vehicle.carry(90.0),
+                "level": vehicle.tilt,
+                "switch": vehicle.flip_switch,
+            }
+
+    def tell(self, text: str) -> None:
+        self.told.append(text)
+        for word, act in self._acts.items():
+            if word in text:
+                act()
+                return
+
+    def confirm(self, question: str) -> bool:
+        return self.sees(question)
+
+
+@pytest.fixture(autouse=True)
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
+
+
+def walk(vehicle: BenchVehicle, *names: str) -> dict[str, StepFinding]:
+    bringup = Bringup(MISSION, vehicle.url, Hands(vehicle), WAIT_S)
+    try:
+        return {name: bringup.carry_out(name) for name in names}
+    finally:
+        bringup.close()
+
+
+TELEMETRY_STEPS = ("link", "imu_axes", "force_sign", "position", "remote_control")
+
+
+@pytest.mark.mavlink
+def test_every_step_of_a_good_vehicle_passes() -> None:
+    with BenchVehicle(MISSION) as vehicle:
+        found = walk(vehicle, *TELEMETRY_STEPS)
+    assert {
+        name: (f.result, f.message) for name, f in found.items() if f.result is not StepOutcome.PASS
+    } == {}
+    assert float(found["link"].measured["imu_hz"] or 0.0) > 150.0
+    assert abs(float(found["force_sign"].measured["force_direction_deg"] or 99.0)) < 10.0
+
+
+@pytest.mark.mavlink
+def test_each_thing_that_is_wrong_is_named() -> None:
+    with BenchVehicle(MISSION, wrong=("axes", "frame", "radio")) as vehicle:
+        found = walk(vehicle, "imu_axes", "position", "remote_control")
+    assert {f.result for f in found.values()} == {StepOutcome.FAIL}
+    assert "turned by 90 degrees: set SENS_BOARD_ROT" in found["imu_axes"].message
+    assert "left and right are exchanged" in found["position"].message
+    assert "no remote control is received" in found["remote_control"].message
+
+
+@pytest.mark.mavlink
+def test_a_wrong_baud_rate_is_recognised() -> None:
+    with BenchVehicle(MISSION) as vehicle:
+        url = vehicle.url.replace("921600", "57600")
+        bringup = Bringup(MISSION, url, Hands(vehicle), 3.0)
+        found = bringup.carry_out("link")
+        bringup.close()
+    assert found.result is StepOutcome.FAIL
+    assert found.message == "wrong baud rate: MAVLink arrives at 921600, not at 57600 (SER_TEL2_BAUD)"
+
+
+@pytest.fixture
+def maestro(tmp_path: Path) -> Iterator[Mission]:
+    """The mission of a vehicle whose lock is moved by an emulated Maestro."""
+    lock = MISSION.vehicle.lock
+    assert lock is not None
+    port = tmp_path / "maestro"
+    lock = msgspec.structs.replace(
+        lock, driver=LockDriver.MAESTRO, maestro=msgspec.structs.replace(lock.maestro, port=str(port))
+    )
+    vehicle = msgspec.structs.replace(MISSION.vehicle, lock=lock)
+    channel = lock.maestro.channel
+    horn_us = lock.servo.flexible_pulse_us
+    with EmulatedMaestro(lock.servo, port, host_us, channel=channel, horn_us=horn_us):
+        yield msgspec.structs.replace(MISSION, vehicle=vehicle)
+
+
+@pytest.mark.parametrize(
+    ("sees", "result", "words"),
+    [
+        (lambda question: True, StepOutcome.PASS, "both ends reached"),
+        (lambda question: "Told" not in question, StepOutcome.FAIL, "it moves the other way: exchange"),
+        (lambda question: "Told to be rigid" not in question, StepOutcome.FAIL, "not rigid when told so"),
+        (lambda question: False, StepOutcome.NEEDS_OPERATOR, "not moved"),
+    ],
+)
+def test_the_servo_moves_the_right_way_by_the_operators_word(
+    maestro: Mission, sees: Callable[[str], bool], result: StepOutcome, words: str
+) -> None:
+    found = Bringup(maestro, "udpin://127.0.0.1:1", Hands(sees=sees)).carry_out("servo")
+    assert found.result is result
+    assert words in found.message
+    if result is StepOutcome.PASS:
+        assert 0.05 < float(found.measured["rigid_travel_s"] or 0.0) < 2.0
+
+
+def test_an_unplugged_servo_is_named() -> None:
+    lock = MISSION.vehicle.lock
+    assert lock is not None
+    lock = msgspec.structs.replace(lock, driver=LockDriver.MAESTRO)
+    mission = msgspec.structs.replace(MISSION, vehicle=msgspec.structs.replace(MISSION.vehicle, lock=lock))
+    found = Bringup(mission, "udpin://127.0.0.1:1", Hands()).carry_out("servo")
+    assert found.result is StepOutcome.FAIL
+    assert lock.maestro.port in found.message
+
+
+@pytest.mark.mavlink
+def test_it_is_remembered_and_filed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "bench"
+    with BenchVehicle(MISSION) as vehicle:
+        command = ["bringup", "--connection", vehicle.url, "--state", str(folder), "--yes", "--json"]
+        assert main(command) == 0
+        told = json.loads(capsys.readouterr().out)
+        assert main(command) == 0
+        again = json.loads(capsys.readouterr().out)
+    assert [step["result"] for step in told["steps"]] == ["pass", *["needs operator"] * 5]
+    dated, page = (Path(name) for name in told["files"])
+    assert json.loads(dated.read_text())["steps"] == again["steps"]
+    assert "needs somebody at the vehicle" in page.read_text()
+    assert again["steps"][0] == told["steps"][0]  # it has passed, and is not looked at again
+
+
+def test_a_file_that_is_none_of_ours_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bringup.json").write_text("{}")
+    assert main(["bringup", "--connection", "udpin://127.0.0.1:1", "--state", str(tmp_path), "--yes"]) == 2
+    assert "is no bring-up of ours" in capsys.readouterr().err

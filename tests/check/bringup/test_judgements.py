@@ -1,0 +1,128 @@
+"""What the steps of a bring-up make of samples."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.base.geometry import GRAVITY_M_S2, Vec3, quaternion_from_euler, rotate_back
+from dart_flight.base.records import ImuSample, OdometrySample
+from dart_flight.check.bringup.judgements import (
+    StepOutcome,
+    carried,
+    first_push,
+    judge_axes,
+    judge_level,
+    judge_link,
+    judge_position,
+    judge_push,
+    mean_while_still,
+)
+from dart_flight.vehicle.baud_rate import has_frames
+
+UP = (0.0, 0.0, -GRAVITY_M_S2)
+
+
+def reading(roll_deg: float, pitch_deg: float) -> Vec3:
+    return rotate_back(quaternion_from_euler(math.radians(roll_deg), math.radians(pitch_deg), 0.4), UP)
+
+
+def turned(v: Vec3, by_deg: float) -> Vec3:
+    c, s = math.cos(math.radians(by_deg)), math.sin(math.radians(by_deg))
+    return (c * v[0] - s * v[1], s * v[0] + c * v[1], v[2])
+
+
+@given(
+    st.sampled_from([0, 90, 180, -90]),
+    st.floats(22.0, 50.0),
+    st.floats(22.0, 50.0),
+    st.floats(-20.0, 20.0),
+)
+def test_axes_that_are_turned_are_told_by_how_much(by: int, nose: float, side: float, aim: float) -> None:
+    level, down, right = (turned(v, by + aim) for v in (UP, reading(0.0, -nose), reading(side, 0.0)))
+    found = judge_axes(level, down, right)
+    if by == 0:
+        assert found.result is StepOutcome.PASS
+    else:
+        assert found.result is StepOutcome.FAIL
+        assert f"turned by {by}" in found.message or (by == 180 and "turned by -180" in found.message)
+
+
+@given(st.floats(22.0, 50.0), st.floats(22.0, 50.0))
+def test_mirrored_axes_are_no_turn(nose: float, side: float) -> None:
+    found = judge_axes(UP, reading(0.0, -nose), reading(-side, 0.0))
+    assert found.result is StepOutcome.FAIL
+    assert "mirrored" in found.message
+
+
+@pytest.mark.parametrize(
+    ("level", "words"),
+    [((0.0, 0.0, 9.8), "upside down"), (reading(0.0, 20.0), "off level"), ((0.0, 0.0, -8.9), "calibrate")],
+)
+def test_a_level_that_is_none_is_said_so(level: Vec3, words: str) -> None:
+    found = judge_level(level)
+    assert found is not None
+    assert words in found.message
+
+
+def samples(forces: list[Vec3], period_us: int = 4000) -> list[ImuSample]:
+    return [ImuSample(1 + k * period_us, k * period_us, f, (0.0, 0.0, 0.0)) for k, f in enumerate(forces)]
+
+
+def test_what_moves_is_not_held_still() -> None:
+    assert mean_while_still(samples([UP] * 200)) == pytest.approx(UP)
+    assert mean_while_still(samples([UP] * 60)) is None
+    shaken = [(2.0 * (-1.0) ** k, 0.0, -9.8) for k in range(200)]
+    assert mean_while_still(samples(shaken)) is None
+
+
+@given(st.floats(-180.0, 180.0), st.floats(4.0, 20.0))
+def test_the_first_push_counts_and_not_the_catch(direction: float, size: float) -> None:
+    c, s = math.cos(math.radians(direction)), math.sin(math.radians(direction))
+    there, back = (size * c, size * s, -9.8), (-size * c, -size * s, -9.8)
+    push = first_push(samples([UP] * 50 + [there] * 20 + [back] * 20), UP)
+    assert push is not None
+    x, y = push.acceleration_m_s2
+    assert math.cos(math.atan2(y, x) - math.radians(direction)) > 0.99
+
+
+def test_a_bump_is_no_push() -> None:
+    assert first_push(samples([UP] * 50 + [(20.0, 0.0, -9.8)] + [UP] * 50), UP) is None
+
+
+def test_a_force_the_other_way_is_found() -> None:
+    assert judge_push((6.0, 0.0), (7.8, 0.5)).result is StepOutcome.PASS
+    assert "force points back" in judge_push((6.0, 0.0), (-7.8, 0.0)).message
+    assert "came from" in judge_push((0.0, 6.0), (0.0, 7.8)).message
+
+
+def test_carried_is_in_the_vehicles_own_axes() -> None:
+    q = quaternion_from_euler(0.0, 0.0, math.radians(90.0))  # nose to the east
+    way = [OdometrySample(k, k, (0.0, 0.1 * k, 0.0), (0.0, 1.0, 0.0)) for k in range(6)]
+    assert carried(way, q) is None  # still moving
+    rests = OdometrySample(7, 7, (0.0, 0.5, 0.0), (0.0, 0.0, 0.0))
+    assert carried([*way, rests], q) == pytest.approx((0.5, 0.0), abs=1e-9)
+    assert judge_position((0.5, 0.0), (0.0, 0.5)).result is StepOutcome.PASS
+    assert "turned by 90" in judge_position((0.0, 0.5), (-0.5, 0.0)).message
+    assert "exchanged" in judge_position((0.5, 0.0), (0.0, -0.5)).message
+
+
+def test_a_slow_stream_is_named_with_what_it_needs() -> None:
+    rates = {"imu": 49.0, "attitude": 100.0, "odometry": 100.0, "actuator": 100.0}
+    found = judge_link(rates, 0.005, 0.2, {})
+    assert found.result is StepOutcome.FAIL
+    assert "imu 49 Hz, needs 150" in found.message
+    rates["imu"] = 180.0
+    assert judge_link(rates, 0.005, 0.2, {}).result is StepOutcome.PASS
+    assert "radio" in judge_link(rates, 0.5, 0.2, {}).message
+    assert "5.0 %" in judge_link(rates, 0.005, 0.2, {"drop_rate_comm": 500.0}).message
+
+
+@given(st.binary(max_size=400))
+def test_noise_is_no_mavlink(data: bytes) -> None:
+    frame = bytes([0xFD, 3, 0, 0, 1, 1, 1, 0, 0, 0, 7, 7, 7, 9, 9])
+    assert has_frames(data.replace(b"\xfd", b"") + frame * 3)
+    assert not has_frames(data.replace(b"\xfd", b"") + frame * 2)

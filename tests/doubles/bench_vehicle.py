@@ -1,0 +1,185 @@
+"""A vehicle on the bench, behind a serial port: hands tilt, push and carry it, and flip its switch.
+
+The embedded autopilot's MAVLink on a real pseudo-terminal. The port has the baud rate that the program gave
+it: where that is not the flight controller's, what passes is noise. `wrong` names what is wrong with it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import pty
+import random
+import socket
+import termios
+import threading
+import time
+import tty
+from collections.abc import Collection
+from types import TracebackType
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from dart_flight.base.geometry import GRAVITY_M_S2, Vec3, quaternion_from_euler, rotate_back
+from dart_flight.base.records import FlightMode
+from dart_flight.config.mission import Mission
+from dart_flight.sim.embedded_autopilot import TICK_S, ImuReading, make_autopilot
+from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
+
+BAUD = 921600
+_NOISE_M_S2 = 0.05
+_PUSH_M_S2, _PUSH_S = 6.0, 0.15
+_CARRY_M, _CARRY_S = 0.6, 1.0
+_BUFFER = 65536
+_RADIO_EVERY = 20  # ticks
+YAW_RAD = math.radians(35.0)  # it stands as it happens to stand
+
+
+class BenchVehicle:
+    """`with BenchVehicle(mission) as vehicle: bringup --connection vehicle.url`.
+
+    Args:
+        mission: whose vehicle it is.
+        wrong: `axes` (IMU turned by 90 degrees), `frame` (motion capture in east, north, up), `radio` (remote
+            control off).
+    """
+
+    def __init__(self, mission: Mission, wrong: Collection[str] = ()) -> None:
+        self._wrong = set(wrong)
+        self._autopilot = make_autopilot(mission, 1)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.setblocking(False)
+        self._endpoint = MavlinkEndpoint(self._autopilot, (self._socket.getsockname()[1],))
+        self._pack = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+        self._master, slave = pty.openpty()
+        tty.setraw(slave)
+        self._device = os.ttyname(slave)
+        os.close(slave)
+        os.set_blocking(self._master, False)
+        self._noise = random.Random(1)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True, name="bench vehicle")
+        self._out = bytearray()
+        self._roll = self._pitch = 0.0
+        self._position = [0.0, 0.0]
+        self._push_s: float | None = None
+        self._carry: tuple[float, tuple[float, float], tuple[float, float]] | None = None
+
+    @property
+    def url(self) -> str:
+        """Its connection URL."""
+        return f"serial://{self._device}:{BAUD}"
+
+    def __enter__(self) -> BenchVehicle:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        self._thread.join(1.0)
+        self._endpoint.close()
+        self._socket.close()
+        os.close(self._master)
+
+    # -- hands --
+
+    def tilt(self, *, roll_deg: float = 0.0, pitch_deg: float = 0.0) -> None:
+        """Hold it so from now on."""
+        self._roll, self._pitch = math.radians(roll_deg), math.radians(pitch_deg)
+
+    def push(self) -> None:
+        """Push it forward, and catch it."""
+        self._push_s = self._autopilot.now_s
+
+    def carry(self, direction_deg: float) -> None:
+        """Carry it that way, clockwise from its nose."""
+        heading = YAW_RAD + math.radians(direction_deg)
+        way = (_CARRY_M * math.cos(heading), _CARRY_M * math.sin(heading))
+        self._carry = (self._autopilot.now_s, (self._position[0], self._position[1]), way)
+
+    def flip_switch(self) -> None:
+        """The mode switch of the remote control."""
+        manual = self._autopilot.mode is FlightMode.MANUAL
+        self._autopilot.mode = FlightMode.HOLD if manual else FlightMode.MANUAL
+
+    # -- what it is and sends --
+
+    def _run(self) -> None:
+        ticks, due_s = 0, time.monotonic()
+        while not self._stop.is_set():
+            ticks += 1
+            due_s += TICK_S
+            self._advance(ticks)
+            self._endpoint.exchange()
+            if ticks % _RADIO_EVERY == 0 and "radio" not in self._wrong:
+                self._write(self._radio().pack(self._pack))
+            self._exchange_bytes()
+            time.sleep(max(0.0, due_s - time.monotonic()))
+
+    def _advance(self, ticks: int) -> None:
+        a = self._autopilot
+        a.plant.time_s = ticks * TICK_S
+        q = quaternion_from_euler(self._roll, self._pitch, YAW_RAD)
+        velocity = self._move()
+        up = rotate_back(q, (0.0, 0.0, -GRAVITY_M_S2))
+        pushed = self._pushed_m_s2()
+        force: Vec3 = (up[0] + pushed, up[1], up[2])
+        if "axes" in self._wrong:
+            force = (-force[1], force[0], force[2])
+        x, y, z = (f + self._noise.gauss(0.0, _NOISE_M_S2) for f in force)
+        a.imu = ImuReading(a.time_us, (x, y, z), (0.0, 0.0, 0.0))
+        e = a.estimator
+        n, east = self._position
+        vn, ve = velocity
+        e.q, e.ok = q, True
+        swapped = "frame" in self._wrong
+        e.position = (east, n, 0.0) if swapped else (n, east, 0.0)
+        e.velocity = (ve, vn, 0.0) if swapped else (vn, ve, 0.0)
+
+    def _pushed_m_s2(self) -> float:
+        if self._push_s is None:
+            return 0.0
+        since_s = self._autopilot.now_s - self._push_s
+        if since_s > 2.0 * _PUSH_S:
+            self._push_s = None
+            return 0.0
+        return _PUSH_M_S2 if since_s < _PUSH_S else -_PUSH_M_S2
+
+    def _move(self) -> tuple[float, float]:
+        if self._carry is None:
+            return (0.0, 0.0)
+        begun_s, start, way = self._carry
+        share = min(1.0, (self._autopilot.now_s - begun_s) / _CARRY_S)
+        self._position = [start[0] + share * way[0], start[1] + share * way[1]]
+        if share >= 1.0:
+            self._carry = None
+            return (0.0, 0.0)
+        return (way[0] / _CARRY_S, way[1] / _CARRY_S)
+
+    def _radio(self) -> mavlink.MAVLink_message:
+        return mavlink.MAVLink_rc_channels_message(0, 8, *[1500] * 18, 200)
+
+    def _exchange_bytes(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                self._write(self._socket.recv(65536))
+        with contextlib.suppress(OSError):  # nothing there, or nobody has the port open
+            data = os.read(self._master, 65536)
+            if self._rate_is_right():
+                self._socket.sendto(data, self._endpoint.links[0].socket.getsockname())
+
+    def _write(self, data: bytes) -> None:
+        if not self._rate_is_right():
+            data = self._noise.randbytes(max(1, len(data) // 3))
+        self._out += data
+        with contextlib.suppress(OSError):
+            del self._out[: os.write(self._master, self._out)]
+        if len(self._out) > _BUFFER:
+            self._out.clear()  # nobody reads
+
+    def _rate_is_right(self) -> bool:
+        return bool(termios.tcgetattr(self._master)[5] == termios.B921600)
