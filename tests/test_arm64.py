@@ -48,6 +48,10 @@ def test_the_page_has_the_end_of_the_installation_and_no_address() -> None:
     assert arm64.quoted(install).startswith("```\nline 31\n")
     assert arm64.quoted(install).endswith("line 39\nGet:1 ... trixie\n```\n")
     assert arm64.quoted(install._replace(command="dart-flight check")).startswith("```\nline 0\n")
+    link = arm64.Done(
+        "dart-flight check --connection X", "pi", 0, "go        a: b\nremark    c: d\ngo\n", 1.0
+    )
+    assert arm64.quoted(link) == "```\nremark    c: d\ngo\n```\n"
 
 
 def test_calls_that_proot_does_not_know_are_refused_and_others_are_not() -> None:
