@@ -17,6 +17,7 @@ case $(dpkg --print-architecture 2>/dev/null) in
     *) echo "needs a 64-bit Debian or Raspberry Pi OS: mavsdk has no wheel for another" >&2; exit 2 ;;
 esac
 
+apt-get update  # a fresh root has no package lists, an old one names versions that are gone
 apt-get install --yes --no-install-recommends python3 python3-venv adduser
 python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
     { echo "needs Python 3.11 or newer, here is $(python3 --version)" >&2; exit 2; }

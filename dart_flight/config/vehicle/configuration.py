@@ -110,7 +110,7 @@ def packaged(*parts: str) -> Path:
         path = root.joinpath(*parts)
         if path.exists():
             return path
-        if path.parent.is_dir():
+        if len(parts) > 1 and path.parent.is_dir():  # beside the installed package is no folder of ours
             known = sorted(other.name for other in path.parent.iterdir())
             raise InputError(
                 f"is not a packaged file: {unknown_name(path.name, known)}", source="/".join(parts)

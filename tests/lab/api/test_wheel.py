@@ -108,6 +108,12 @@ def test_a_callers_ten_lines_run_without_extras(bare: Path, tmp_path: Path) -> N
     assert run(bare, tmp_path, str(CALLER)) == "completed True True True\n"
 
 
+def test_a_folder_to_start_from_comes_out_of_the_wheel(bare: Path, tmp_path: Path) -> None:
+    run(bare, tmp_path, "-m", "dart_flight", "init", "lab")
+    assert (tmp_path / "lab" / "configs" / "dart.yaml").exists()
+    run(bare, tmp_path / "lab", "-m", "dart_flight", "check", "missions/single_wall.yaml")
+
+
 def test_mypy_strict_passes_a_callers_ten_lines(bare: Path, tmp_path: Path) -> None:
     caller = tmp_path / "caller.py"
     caller.write_text(CALLER.read_text() + "reveal_type(flight.verdict.goal_miss_m)\n")
