@@ -669,6 +669,18 @@ class TruthSample(Record, frozen=True, gc=False):
     contact_torque_frd: Vec3 = (0.0, 0.0, 0.0)  # of walls, about the centre of mass, N m
 
 
+class ComputerSample(Record, frozen=True, gc=False):
+    """How the computer is, once a second; None: its kernel does not tell (a Raspberry Pi's does)."""
+
+    topic: ClassVar[str] = "/computer"
+    t_us: int  # host's monotonic clock
+    temperature_c: float | None = None  # of the hottest zone
+    undervoltage: bool | None = None
+    throttled: bool | None = None  # its clock is held back
+    was_undervoltage: bool | None = None  # since it was switched on
+    was_throttled: bool | None = None
+
+
 class TruthContact(Record, frozen=True, gc=False):
     """One simulated contact, start to end."""
 

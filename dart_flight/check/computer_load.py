@@ -1,10 +1,39 @@
-"""Whether the computer has time for a flight."""
+"""Whether the computer has time for a flight, and is well."""
 
 from __future__ import annotations
 
+import time
+
+from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.processes import LATE_S, measure_lateness_s
+from dart_flight.base.records import (
+    ActuatorSample,
+    AttitudeSample,
+    ComputerSample,
+    ImuSample,
+    Input,
+    OdometrySample,
+    StatusSample,
+)
 from dart_flight.check.findings import CheckFinding
 from dart_flight.config.mission import Mission
+from dart_flight.core.flight_core import FlightCore
+from dart_flight.run.computer import read_computer
+
+_SAMPLES, _WARM = 550, 50
+_HOT_C, _TOO_HOT_C = 70.0, 80.0  # a Raspberry Pi 4 holds its clock back from 80 on
+# The step that finds a contact's peak, over the mean of the IMU samples: 11.7 by instructions on aarch64
+# (docs/results/raspberry_pi.md). The recovery waits for it.
+_PEAK_FACTOR = 12.0
+_FLIGHT_FACTOR = (
+    2.5  # a sample of recorded flights (0.07 to 0.08 ms) over one at rest (0.03)
+)
+_LEAST_MARGIN = 4.0  # below, the core with log and link has no processor of its own any more
+
+
+def check_this_computer(mission: Mission) -> list[CheckFinding]:
+    """Whether the computer that this runs on has time for a flight, and is well."""
+    return [check_lateness(mission), check_core_speed(mission), *check_computer()]
 
 
 def check_lateness(mission: Mission) -> CheckFinding:
@@ -16,3 +45,82 @@ def check_lateness(mission: Mission) -> CheckFinding:
     says += ": the computer cannot keep up with a real-time flight (use `dry-run --fast` or --speed 0.5)"
     go = late_s <= mission.vehicle.guard.stream_timeout_s
     return CheckFinding("lateness", go, says, remark=go)
+
+
+def check_core_speed(mission: Mission) -> CheckFinding:
+    """Measure what the core needs for the inputs of one IMU sample, against the time until the next."""
+    step_s, interval_s = measure_step_s(mission), 1.0 / mission.vehicle.imu.rate_hz
+    return judge_core_speed(step_s, interval_s)
+
+
+def judge_core_speed(step_s: float, interval_s: float) -> CheckFinding:
+    """Whether a core keeps up, and finds a peak before the next sample.
+
+    Args:
+        step_s: processor time of one sample in free flight, mean.
+        interval_s: between two samples.
+    """
+    margin = interval_s / step_s
+    says = f"core needs {step_s * 1e3:.2f} of {interval_s * 1e3:.1f} ms a sample, margin {margin:.0f}"
+    figures = {"core_step_ms": step_s * 1e3, "margin": margin}
+    if margin >= _PEAK_FACTOR:
+        return CheckFinding("core_speed", True, says, figures=figures)
+    go = margin >= _LEAST_MARGIN
+    if go:
+        says += f": a recovery begins {_PEAK_FACTOR * step_s * 1e3:.0f} ms after the peak's sample"
+    else:
+        says += f", needs {_LEAST_MARGIN:g}: this computer is too slow"
+    return CheckFinding("core_speed", go, says, remark=go, figures=figures)
+
+
+def measure_step_s(mission: Mission) -> float:
+    """Processor time of an IMU sample with what comes beside it, as in flight, seconds.
+
+    Measured is the mean over two seconds on the ground.
+    """
+    core = FlightCore(mission)
+    period_us, motors = round(1e6 / mission.vehicle.imu.rate_hz), len(mission.vehicle.airframe.motors)
+    begun_s = 0.0
+    for k in range(_SAMPLES):
+        if k == _WARM:
+            begun_s = time.thread_time()
+        for item in _inputs_at(k, period_us, motors):
+            core.step(item)
+    return _FLIGHT_FACTOR * (time.thread_time() - begun_s) / (_SAMPLES - _WARM)
+
+
+def _inputs_at(k: int, period_us: int, motors: int) -> list[Input]:
+    """What a vehicle at rest sends with one IMU sample."""
+    t_us = 1_000_000 + k * period_us
+    inputs: list[Input] = [StatusSample(t_us, t_us, local_position_ok=True)] if k % 60 == 0 else []
+    inputs.append(ImuSample(t_us, t_us, (0.0, 0.0, -GRAVITY_M_S2), (0.0, 0.0, 0.0)))
+    if k % 2 == 0:
+        inputs.append(AttitudeSample(t_us, t_us, (1.0, 0.0, 0.0, 0.0)))
+        inputs.append(OdometrySample(t_us, t_us, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+        inputs.append(ActuatorSample(t_us, t_us, (0.5,) * motors))
+    return inputs
+
+
+def check_computer(sample: ComputerSample | None = None) -> list[CheckFinding]:
+    """Temperature, supply and clock as the kernel tells; nothing where it does not."""
+    now = read_computer() if sample is None else sample
+    findings = []
+    if now.temperature_c is not None:
+        hot = now.temperature_c >= _HOT_C
+        says = f"{now.temperature_c:.0f} degrees" + (": cool it, it slows down from 80 on" if hot else "")
+        findings.append(CheckFinding("temperature", now.temperature_c < _TOO_HOT_C, says, remark=hot))
+    if now.undervoltage is not None:
+        says = "supply is well"
+        if now.undervoltage:
+            says = "supply is too low now: the computer may restart when the servo moves"
+        elif now.was_undervoltage:
+            says = "supply was too low since the computer was switched on: a supply of its own for the servo"
+        findings.append(CheckFinding("supply", not now.undervoltage, says, remark=bool(now.was_undervoltage)))
+    if now.throttled is not None:
+        says = "clock is not held back"
+        if now.throttled:
+            says = "clock is held back now (heat or supply): the flight would be late"
+        elif now.was_throttled:
+            says = "clock was held back since the computer was switched on (heat or supply)"
+        findings.append(CheckFinding("throttling", not now.throttled, says, remark=bool(now.was_throttled)))
+    return findings

@@ -7,7 +7,7 @@ import argparse
 from rich.console import Console
 from rich.markup import escape
 
-from dart_flight.check.computer_load import check_lateness
+from dart_flight.check.computer_load import check_this_computer
 from dart_flight.check.findings import CheckReport, decide
 from dart_flight.check.log_space import check_log_space
 from dart_flight.check.mission_check import check_mission
@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.plot is not None:
         write_picture(mission, arguments.plot)
     findings = [*check_mission(mission), check_log_space(mission, arguments.log_dir)]
-    findings.append(check_lateness(mission))
+    findings += check_this_computer(mission)
     if arguments.connection is not None:
         url = link_of(arguments, mission.vehicle.connection)
         with LinkLease(url, "check"):

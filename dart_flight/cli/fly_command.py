@@ -9,7 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from dart_flight.check.computer_load import check_lateness
+from dart_flight.check.computer_load import check_this_computer
 from dart_flight.check.findings import decide
 from dart_flight.check.log_space import check_log_space
 from dart_flight.check.mission_check import check_mission
@@ -64,7 +64,7 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     say_vehicle(mission.flown_vehicle(), arguments)
     console.print(_flight_summary(mission, url), soft_wrap=True)
     findings = [*check_mission(mission), check_log_space(mission, arguments.log_dir)]
-    findings.append(check_lateness(mission))
+    findings += check_this_computer(mission)
     findings += check_vehicle(mission, url, arguments.position_from)
     report = decide(mission, findings, arguments.overrule)
     show(report, console)

@@ -9,6 +9,7 @@ from dart_flight.base.records import World
 from dart_flight.config.mission import Mission
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.app import FlightApp
+from dart_flight.run.computer import ComputerWatch
 from dart_flight.run.embedded import DEADMAN_NOTE
 from dart_flight.run.flight_record import FlightRecord, Onlooker
 from dart_flight.vehicle.link import LinkLease
@@ -42,7 +43,8 @@ def fly_vehicle(
         lease.note_log(record.path)
         app = FlightApp(mission, url, record, None, progress, deadman_note=note, opened=lease.close_device)
         record.notice = app.show
-        asyncio.run(app.run())
+        with ComputerWatch(record.truth):
+            asyncio.run(app.run())
     finally:
         record.close()
     return record.build()

@@ -12,6 +12,7 @@ from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import Motor
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.app import FlightApp
+from dart_flight.run.computer import ComputerWatch
 from dart_flight.run.embedded import DEADMAN_NOTE
 from dart_flight.run.flight_record import FlightRecord, Onlooker
 from dart_flight.run.simulator_process import SimulatorProcess, fly_simulated, world_log
@@ -93,7 +94,8 @@ def fly_hitl(
             return app
 
         try:
-            fly_simulated(record, lambda on_truth: HitlProcess(spec, on_truth), make_app)
+            with ComputerWatch(record.truth):
+                fly_simulated(record, lambda on_truth: HitlProcess(spec, on_truth), make_app)
         finally:
             _leave_disarmed(mission, url)
     return record.build()

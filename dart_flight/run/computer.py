@@ -1,0 +1,76 @@
+"""How the computer is: temperature, supply and throttling, where the kernel tells.
+
+A Raspberry Pi says in one word of flags whether its supply is low and its clock held back, and whether that
+has happened since it was switched on; other computers have a temperature at most.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+
+from dart_flight.base.records import ComputerSample, Record
+from dart_flight.vehicle.clock import host_us
+
+_PERIOD_S = 1.0
+_FLAGS = "sys/devices/platform/soc/soc:firmware/get_throttled"  # as `vcgencmd get_throttled`
+_ZONES = "sys/class/thermal"
+_UNDERVOLTAGE, _FREQUENCY_CAPPED, _THROTTLED, _SOFT_LIMIT = 1, 2, 4, 8
+_SINCE_START = 16  # bits further up
+
+
+def read_computer(root: Path = Path("/")) -> ComputerSample:
+    """What the kernel tells now; None where it does not.
+
+    Args:
+        root: of the file system.
+    """
+    flags = None
+    with contextlib.suppress(OSError, ValueError):
+        flags = int((root / _FLAGS).read_text(), 16)
+    held_back = _FREQUENCY_CAPPED | _THROTTLED | _SOFT_LIMIT
+    return ComputerSample(
+        host_us(),
+        _hottest_c(root),
+        None if flags is None else bool(flags & _UNDERVOLTAGE),
+        None if flags is None else bool(flags & held_back),
+        None if flags is None else bool(flags >> _SINCE_START & _UNDERVOLTAGE),
+        None if flags is None else bool(flags >> _SINCE_START & held_back),
+    )
+
+
+def _hottest_c(root: Path) -> float | None:
+    found = []
+    for zone in sorted((root / _ZONES).glob("thermal_zone*/temp")):
+        with contextlib.suppress(OSError, ValueError):
+            found.append(int(zone.read_text()) * 1e-3)
+    return max(found, default=None)
+
+
+class ComputerWatch:
+    """`with ComputerWatch(record.truth):` once a second how the computer is, from a thread of its own."""
+
+    def __init__(self, take: Callable[[Record], None]) -> None:
+        self._take = take
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="computer", daemon=True)
+
+    def __enter__(self) -> ComputerWatch:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        self._thread.join(_PERIOD_S)
+
+    def _run(self) -> None:
+        due_s = time.monotonic()
+        while not self._stop.wait(max(0.0, due_s - time.monotonic())):
+            due_s += _PERIOD_S
+            self._take(read_computer())

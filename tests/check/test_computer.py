@@ -1,0 +1,83 @@
+"""Whether the computer is fast enough and well: by a file system that says so, and by judged figures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dart_flight.base.records import ComputerSample
+from dart_flight.check.computer_load import check_computer, check_core_speed, judge_core_speed
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.run.computer import ComputerWatch, read_computer
+
+
+def pi(root: Path, flags: int, millidegrees: int = 51_000) -> Path:
+    """A file system with what a Raspberry Pi's kernel says."""
+    firmware = root / "sys/devices/platform/soc/soc:firmware"
+    firmware.mkdir(parents=True)
+    (firmware / "get_throttled").write_text(f"{flags:x}\n")
+    for k, temperature in enumerate((20_000, millidegrees)):
+        zone = root / f"sys/class/thermal/thermal_zone{k}"
+        zone.mkdir(parents=True)
+        (zone / "temp").write_text(f"{temperature}\n")
+    return root
+
+
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        (0x0, (False, False, False, False)),
+        (0x50005, (True, True, True, True)),
+        (0x50000, (False, False, True, True)),
+        (0x8, (False, True, False, False)),
+        (0x10001, (True, False, True, False)),
+    ],
+)
+def test_the_flags_of_a_pi_are_read(tmp_path: Path, flags: int, says: tuple[bool, ...]) -> None:
+    now = read_computer(pi(tmp_path, flags))
+    assert (now.undervoltage, now.throttled, now.was_undervoltage, now.was_throttled) == says
+    assert now.temperature_c == 51.0
+
+
+def test_what_the_kernel_does_not_tell_is_unknown(tmp_path: Path) -> None:
+    now = read_computer(tmp_path)
+    assert (now.temperature_c, now.undervoltage, now.throttled) == (None, None, None)
+    assert check_computer(now) == []
+
+
+@pytest.mark.parametrize(
+    ("sample", "no_go", "remark"),
+    [
+        (ComputerSample(0, 51.0, False, False, False, False), set(), set()),
+        (ComputerSample(0, 72.0, False, False, True, True), set(), {"temperature", "supply", "throttling"}),
+        (ComputerSample(0, 84.0, True, True, True, True), {"temperature", "supply", "throttling"}, set()),
+    ],
+)
+def test_heat_and_a_weak_supply_are_told(sample: ComputerSample, no_go: set[str], remark: set[str]) -> None:
+    found = check_computer(sample)
+    assert {f.item for f in found if not f.go} == no_go
+    assert {f.item for f in found if f.go and f.remark} == remark
+
+
+def test_a_computer_that_cannot_keep_up_is_told_by_its_margin() -> None:
+    fast, slow, too_slow = (judge_core_speed(ms * 1e-3, 4e-3) for ms in (0.1, 0.5, 2.0))
+    assert (fast.go, fast.remark) == (True, False)
+    assert fast.figures["margin"] == pytest.approx(40.0)
+    assert (slow.go, slow.remark) == (True, True)
+    assert "6 ms after the peak" in slow.says
+    assert (too_slow.go, "too slow" in too_slow.says) == (False, True)
+
+
+def test_the_step_is_measured_on_this_computer() -> None:
+    found = check_core_speed(load_mission(packaged("missions", "dual_collision.yaml")))
+    assert 0.001 < found.figures["core_step_ms"] < 100.0  # a margin no machine is outside of
+
+
+def test_the_watch_tells_at_once_and_ends() -> None:
+    told: list[object] = []
+    with ComputerWatch(told.append):
+        while not told:
+            pass
+    assert isinstance(told[0], ComputerSample)
