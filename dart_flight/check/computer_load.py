@@ -25,9 +25,7 @@ _HOT_C, _TOO_HOT_C = 70.0, 80.0  # a Raspberry Pi 4 holds its clock back from 80
 # The step that finds a contact's peak, over the mean of the IMU samples: 11.7 by instructions on aarch64
 # (docs/results/raspberry_pi.md). The recovery waits for it.
 _PEAK_FACTOR = 12.0
-_FLIGHT_FACTOR = (
-    2.5  # a sample of recorded flights (0.07 to 0.08 ms) over one at rest (0.03)
-)
+_FLIGHT_FACTOR = 2.5  # a sample of recorded flights (0.07 to 0.08 ms) over one at rest (0.03)
 _LEAST_MARGIN = 4.0  # below, the core with log and link has no processor of its own any more
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 
+import msgspec
+
 from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
 from dart_flight.config.document import Document, Key, unknown_name
-from dart_flight.config.mission_file import BoundsSpec, GoalSpec, StartSpec, WallSpec
+from dart_flight.config.mission_file import BoundsSpec, GoalSpec, Limits, StartSpec, WallSpec
 from dart_flight.config.vehicle import VehicleConfig
 
 _AXIS_TOLERANCE = 1e-6
@@ -36,6 +38,20 @@ def resolve_space(
     check_place(bounds, planes, start.position_m, start.altitude_m, ("start",), document)
     check_place(bounds, planes, goal.position_m, None, ("goal",), document)
     return planes
+
+
+def within_limits(vehicle: VehicleConfig, limits: Limits) -> VehicleConfig:
+    """The vehicle as it flies within a mission's limits, where these say how hard it may accelerate."""
+    if limits.acceleration_m_s2 is None and limits.jerk_m_s3 is None:
+        return vehicle
+    flying = vehicle.flying
+    if limits.acceleration_m_s2 is not None:
+        flying = msgspec.structs.replace(
+            flying, acceleration_m_s2=limits.acceleration_m_s2, transit_speed_m_s=limits.speed_m_s
+        )
+    if limits.jerk_m_s3 is not None:
+        flying = msgspec.structs.replace(flying, jerk_m_s3=limits.jerk_m_s3)
+    return msgspec.structs.replace(vehicle, flying=flying)
 
 
 def resolve_walls(specs: dict[str, WallSpec], vehicle: VehicleConfig, document: Document) -> dict[str, Wall]:

@@ -24,6 +24,7 @@ from dart_flight.config.flight_space import (
     resolve_alphas,
     resolve_space,
     wall_as_written,
+    within_limits,
 )
 from dart_flight.config.mission_file import (
     ApproachSpec,
@@ -293,6 +294,7 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
     Raises:
         InputError: the parts of the mission contradict each other.
     """
+    vehicle = within_limits(vehicle, spec.limits)
     walls = resolve_space(spec.start, spec.goal, spec.bounds_m, spec.walls, vehicle, document)
     refuse_mode(spec.transit_mode, vehicle, ("transit_mode",), document)
     collisions = tuple(

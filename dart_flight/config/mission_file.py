@@ -119,11 +119,23 @@ class Limits(Section, frozen=True):
 
     Attributes:
         speed_m_s: largest speed of an approach and of the flight.
+        acceleration_m_s2: largest acceleration of transits and run-ups, which are then flown at up to
+            speed_m_s; without it flying.acceleration_m_s2 and flying.transit_speed_m_s hold.
+        jerk_m_s3: likewise, largest jerk; without it flying.jerk_m_s3.
+        closing_m_s: largest velocity along a wall's normal at a hit.
+        sliding_m_s: largest velocity along a wall at a hit.
+        friction_ratio: largest friction of a hit over its normal force: where a friction coefficient was
+            measured at low sliding speed only, more than some 0.5 is no longer that law.
         peak_force_n: largest contact force, normal and friction together.
         collision_timeout_s: longest recovery; then the goal is flown to, or the next wall given up.
     """
 
     speed_m_s: Annotated[float, Meta(gt=0.0, le=20.0)] = 3.0
+    acceleration_m_s2: Annotated[float, Meta(gt=0.0, le=50.0)] | None = None
+    jerk_m_s3: Annotated[float, Meta(gt=0.0, le=1000.0)] | None = None
+    closing_m_s: Annotated[float, Meta(gt=0.0, le=20.0)] | None = None
+    sliding_m_s: Annotated[float, Meta(gt=0.0, le=20.0)] | None = None
+    friction_ratio: Annotated[float, Meta(gt=0.0, le=20.0)] | None = None
     peak_force_n: Annotated[float, Meta(gt=0.0, le=2000.0)] = 150.0
     collision_timeout_s: Annotated[float, Meta(gt=0.0, le=120.0)] = 8.0
 

@@ -47,6 +47,9 @@ class Refusal(StrEnum):
     RUN_UP_BLOCKED = "run_up_blocked"
     NOT_DETECTED = "not_detected"
     PEAK_FORCE = "peak_force"
+    CLOSING = "closing"
+    SLIDING = "sliding"
+    FRICTION = "friction"
     NO_REBOUND = "no_rebound"
     SETPOINT = "setpoint"
     ACCELERATION = "acceleration"
@@ -91,9 +94,18 @@ class Constraints:
         if reason not in self._ignored:
             codes[where] = CODE[reason]
 
-    def hit(self, normal_n: Array, tangential_n: Array, rebound_m_s: Array) -> Codes:
-        """Codes (0: fine) for the peaks and the outward speed of a hit."""
-        codes = np.zeros(normal_n.shape, dtype=np.int8)
+    def hit(
+        self, velocity: tuple[Array, Array], normal_n: Array, tangential_n: Array, rebound_m_s: Array
+    ) -> Codes:
+        """Codes (0: fine) for a hit: its velocity (normal, tangential), its peaks, its outward speed."""
+        codes, limits = np.zeros(normal_n.shape, dtype=np.int8), self.limits
+        normal, tangential = velocity
+        if limits.closing_m_s is not None:
+            self.mark(codes, -normal > limits.closing_m_s, Refusal.CLOSING)
+        if limits.sliding_m_s is not None:
+            self.mark(codes, np.abs(tangential) > limits.sliding_m_s, Refusal.SLIDING)
+        if limits.friction_ratio is not None:
+            self.mark(codes, np.abs(tangential_n) > limits.friction_ratio * normal_n, Refusal.FRICTION)
         self.mark(codes, ~(rebound_m_s >= MIN_REBOUND_M_S), Refusal.NO_REBOUND)
         self.mark(codes, np.hypot(normal_n, tangential_n) > self.limits.peak_force_n, Refusal.PEAK_FORCE)
         self.mark(codes, normal_n < self.threshold_n, Refusal.NOT_DETECTED)

@@ -254,7 +254,7 @@ class Replanner:
         out = stage.normal(vn, drag_n * vn, zero)
         slide = stage.tangential(stage.tangential_shape(vn), vt, drag_t * vt, zero)
         peak_n = float(out.peak_force_n[0])
-        code = int(self._constraints.hit(out.peak_force_n, slide.friction_n, out.velocity)[0])
+        code = int(self._constraints.hit((vn, vt), out.peak_force_n, slide.friction_n, out.velocity)[0])
         if code:
             return _no_plan(answer, f"impact not allowed: {REFUSALS[code - 1].value}, {peak_n:.0f} N")
         return msgspec.structs.replace(

@@ -284,7 +284,10 @@ class Rollout:
         flat = _flatten(shape, out), _flatten(shape, along)
         codes = grid.codes
         if self.constraints is not None:
-            hit = self.constraints.hit(flat[0].peak_force_n, flat[1].friction_n, flat[0].velocity)
+            met = tuple(np.broadcast_to(v, shape).ravel() for v in (vn, vt))
+            hit = self.constraints.hit(
+                (met[0], met[1]), flat[0].peak_force_n, flat[1].friction_n, flat[0].velocity
+            )
             approach = grid.codes.ravel()
             codes = np.where(approach != 0, approach, hit)
             stays = self._refuse(codes, 1)
@@ -455,7 +458,7 @@ class Rollout:
         slide = stage.tangential(shape, vt, at, jt)
         time = front.t_s + after
         if self.constraints is not None:
-            codes = self.constraints.hit(out.peak_force_n, slide.friction_n, out.velocity)
+            codes = self.constraints.hit((vn, vt), out.peak_force_n, slide.friction_n, out.velocity)
             stays = np.flatnonzero(self._refuse(codes, number))
             if stays.size == 0:
                 return None

@@ -81,6 +81,7 @@ class Flying(Section, frozen=True):
         climb_speed_m_s: largest speed of the climb.
         transit_speed_m_s: largest speed to the run-up point and to the goal.
         acceleration_m_s2: largest acceleration of the reference.
+        jerk_m_s3: largest jerk of the reference; null: it follows from speed and acceleration.
         yaw_rate_deg_s: largest turning rate of the reference.
         steady_run_s: constant speed before the wall, so that the velocity is met.
         arrive_m: the vehicle has arrived when it is nearer to the target than this and slow.
@@ -104,3 +105,4 @@ class Flying(Section, frozen=True):
     ready_timeout_s: Seconds
     replan_within_s: Annotated[float, Meta(gt=0.0, le=2.0)] = 0.1
     arrive_mean_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.3
+    jerk_m_s3: Annotated[float, Meta(gt=0.0, le=1000.0)] | None = None

@@ -21,6 +21,7 @@ from dart_flight.core.mission.wall_uncertainty import end_margin_m, position_mar
 
 # Speed follows 3 s^2 - 2 s^3: the peak acceleration is 1.5 times the mean, the way half of speed times time.
 PEAK_OVER_MEAN = 1.5
+_RAMP_JERK = 6.0  # of the same ramp: jerk times ramp^2 over speed
 CLEARANCE_M = 0.15
 ON_PLANE_M = 1e-6  # an impact lies on its wall's plane but for rounding
 _ON_RAY_M = 1e-6  # ... and the start on the ray of its approach
@@ -119,6 +120,8 @@ def run_up(
     speed = hypot(vx, vy)
     direction = (vx / speed, vy / speed)
     ramp_s = PEAK_OVER_MEAN * speed / flying.acceleration_m_s2
+    if flying.jerk_m_s3 is not None:
+        ramp_s = maximum(ramp_s, sqrt(_RAMP_JERK * speed / flying.jerk_m_s3))
     closing = -(vx * wall.normal[0] + vy * wall.normal[1])
     nearer_m = position_margin_m(wall, impact) * speed / closing
     needed = 0.5 * speed * ramp_s + speed * flying.steady_run_s + nearer_m
@@ -257,9 +260,7 @@ def transit_segments(mission: Mission) -> list[TransitSegment]:
 def transit_of(mission: Mission, leg: TransitSegment, begin: Vec3) -> TransitTrajectory:
     """How a leg is flown from a place."""
     flying = mission.vehicle.flying
-    return TransitTrajectory.between(
-        begin, leg.end, leg.speed_m_s, flying.acceleration_m_s2, flying.climb_speed_m_s
-    )
+    return TransitTrajectory.between(begin, leg.end, leg.speed_m_s, flying, flying.climb_speed_m_s)
 
 
 def check_segments_clear(mission: Mission) -> None:
@@ -287,12 +288,17 @@ def standoff_point(mission: Mission, collision: Collision, begin: Vec2, impact: 
     return (begin[0] + share * (impact[0] - begin[0]), begin[1] + share * (impact[1] - begin[1]))
 
 
-def transit_time_s(way_m: Number, speed_m_s: float, acceleration_m_s2: float) -> Number:
+def transit_time_s(
+    way_m: Number, speed_m_s: float, acceleration_m_s2: float, jerk_m_s3: float | None = None
+) -> Number:
     """Of the quickest smooth flight from rest to rest over a way within the limits.
 
-    Quintic: peak speed 1.875 way/T, peak acceleration 5.774 way/T^2.
+    Quintic: peak speed 1.875 way/T, peak acceleration 5.774 way/T^2, peak jerk 60 way/T^3.
     """
-    return maximum(1.875 * way_m / speed_m_s, sqrt(5.774 * way_m / acceleration_m_s2))
+    time_s = maximum(1.875 * way_m / speed_m_s, sqrt(5.774 * way_m / acceleration_m_s2))
+    if jerk_m_s3 is None:
+        return time_s
+    return maximum(time_s, (60.0 * way_m / jerk_m_s3) ** (1.0 / 3.0))
 
 
 class TransitTrajectory(msgspec.Struct, frozen=True):
@@ -308,12 +314,12 @@ class TransitTrajectory(msgspec.Struct, frozen=True):
         begin: Vec3,
         end: Vec3,
         speed_m_s: float,
-        acceleration_m_s2: float,
+        flying: Flying,
         climb_speed_m_s: float = math.inf,
     ) -> TransitTrajectory:
         """The quickest smooth transit within the limits, of which one is on its vertical part."""
-        way = math.dist(begin, end)
-        duration = transit_time_s(way, speed_m_s, acceleration_m_s2)
+        way, acceleration_m_s2 = math.dist(begin, end), flying.acceleration_m_s2
+        duration = transit_time_s(way, speed_m_s, acceleration_m_s2, flying.jerk_m_s3)
         climb = abs(end[2] - begin[2])
         if climb > 0.0:
             duration = max(duration, transit_time_s(climb, climb_speed_m_s, acceleration_m_s2))

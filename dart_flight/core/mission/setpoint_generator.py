@@ -70,9 +70,7 @@ class SetpointGenerator:
 
     def _transit_to(self, target: Vec3, speed_m_s: float) -> None:
         flying = self._flying
-        self._way = TransitTrajectory.between(
-            self.target, target, speed_m_s, flying.acceleration_m_s2, flying.climb_speed_m_s
-        )
+        self._way = TransitTrajectory.between(self.target, target, speed_m_s, flying, flying.climb_speed_m_s)
         self.target = target
 
     def _at_altitude(self, point: Vec2 | Vec3) -> Vec3:

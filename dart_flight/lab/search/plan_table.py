@@ -7,9 +7,11 @@ from typing import Any
 import msgspec
 from rich.table import Table
 
+from dart_flight.lab.search.free_plan import FreePlan
 from dart_flight.lab.search.scenario import Objective, Scenario
 from dart_flight.lab.search.search import ADVICE, Plan, SearchResult
 
+_SHOWN_S = 0.005  # a smaller gap shows as none
 _UNITS = {
     Objective.NEAREST: "m",
     Objective.FASTEST: "s",
@@ -37,7 +39,7 @@ def plan_summary(result: SearchResult) -> dict[str, Any]:
             for reason, count in result.refused.items()
         },
         "elapsed_s": result.elapsed_s,
-        "baseline": result.baseline,
+        "free": result.free,
         "plans": result.plans,
         "vehicle": result.scenario.vehicle_source,
     }
@@ -76,12 +78,30 @@ def plan_table(result: SearchResult) -> Table:
         f"{result.feasible} of {result.candidates} candidates feasible, {result.trajectories} trajectories "
         f"in {result.elapsed_s:.3f} s"
     )
-    if result.baseline is not None:
-        b = result.baseline
-        straight = f"blocked by wall {b.blocked_by}" if b.blocked_by else f"{b.time_to_goal_s:.2f} s"
-        table.caption += f"; without any collision: {straight}"
+    if result.free is not None:
+        table.caption += f"\n{describe_free(result.free, result.plans[0])}"
     table.caption_justify = "left"
     return table
+
+
+def describe_free(free: FreePlan, best: Plan) -> str:
+    """The free plan beside the best colliding one, in words."""
+    if free.time_s is None:
+        return "without any collision: no way"
+    limits, gap = free.limits, ""
+    if free.gap_s > _SHOWN_S:
+        gap = f", {free.time_s - free.gap_s:.2f} at best"
+    jerk = "" if limits.jerk_m_s3 is None else f", {limits.jerk_m_s3:g} m/s3"
+    says = (
+        f"without any collision: {free.time_s:.2f} s{gap} "
+        f"({limits.speed_m_s:g} m/s, {limits.acceleration_m_s2:g} m/s2{jerk})"
+    )
+    if best.saving_s is None or best.time_to_rest_s is None:
+        return says
+    wins = "saves" if best.saving_s > 0.0 else "loses"
+    return (
+        f"{says}; plan 1 rests after {best.time_to_rest_s:.2f} s: the hit {wins} {abs(best.saving_s):.2f} s"
+    )
 
 
 def _tail(plan: Plan) -> list[str]:

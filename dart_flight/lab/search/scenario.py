@@ -21,7 +21,7 @@ from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
 from dart_flight.config.document import Document, InputError, Key, unknown_name
 from dart_flight.config.file_kinds import FileKind, load_document
-from dart_flight.config.flight_space import refuse_mode, resolve_alphas, resolve_space
+from dart_flight.config.flight_space import refuse_mode, resolve_alphas, resolve_space, within_limits
 from dart_flight.config.mission_file import (
     Alpha,
     BoundsSpec,
@@ -218,6 +218,7 @@ def resolve_scenario(
     Raises:
         InputError: the parts of the scenario contradict each other, or the search is empty or too large.
     """
+    vehicle = within_limits(vehicle, spec.limits)
     walls = resolve_space(spec.start, spec.goal, spec.bounds_m, spec.walls, vehicle, document)
     sequences = _sequences(spec, document)
     normal = _grid(spec.search.normal_m_s, ("search", "normal_m_s"), document)

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from dart_flight.base.geometry import Vec2, distance2
 from dart_flight.base.records import Mode
 from dart_flight.config.document import InputError
-from dart_flight.core.mission.approach import TransitTrajectory
+from dart_flight.lab.search.free_plan import FreePlan, plan_free, rest_at_s
 from dart_flight.lab.search.scenario import Objective, Scenario
 from dart_flight.planning.approach_grid import ApproachGrid
 from dart_flight.planning.constraints import REFUSALS, Constraints, Refusal
@@ -44,6 +45,9 @@ ADVICE = {
     Refusal.RUN_UP_BLOCKED: "move the wall that stands in the way of the run-up, or start",
     Refusal.NOT_DETECTED: "lower detection.force_threshold_n or search faster approaches",
     Refusal.PEAK_FORCE: "raise limits.peak_force_n, search slower approaches or the flexible mode",
+    Refusal.CLOSING: "raise limits.closing_m_s or search slower approaches",
+    Refusal.SLIDING: "raise limits.sliding_m_s or search less tangential velocity",
+    Refusal.FRICTION: "raise limits.friction_ratio or search less tangential velocity",
     Refusal.NO_REBOUND: "search faster approaches or the rigid mode",
     Refusal.SETPOINT: "lower the wall's alpha, widen bounds_m or search slower approaches",
     Refusal.ACCELERATION: "lower the wall's alpha or raise MPC_TILTMAX_AIR",
@@ -98,6 +102,9 @@ class Plan(msgspec.Struct, frozen=True):
         expected_miss_m, worst_miss_m: over the draws, `robust` only; a draw in which the plan fails counts
             as the way from start to goal, at least 1 m.
         failed_draws: share of the draws in which a constraint stops the plan.
+        time_to_rest_s: from `start` until the vehicle rests at the goal, within the limits of the free plan.
+        saving_s: by which that is less than the free plan's time; negative: the hit loses. Both None where
+            there is no free plan.
     """
 
     rank: int
@@ -112,6 +119,8 @@ class Plan(msgspec.Struct, frozen=True):
     expected_miss_m: float | None = None
     worst_miss_m: float | None = None
     failed_draws: float | None = None
+    time_to_rest_s: float | None = None
+    saving_s: float | None = None
 
     @property
     def sequence(self) -> tuple[str, ...]:
@@ -122,14 +131,6 @@ class Plan(msgspec.Struct, frozen=True):
     def modes(self) -> tuple[Mode, ...]:
         """Modes of the collisions."""
         return tuple(c.mode for c in self.collisions)
-
-
-class DirectFlight(msgspec.Struct, frozen=True):
-    """Flying from start to goal without any collision."""
-
-    blocked_by: str | None
-    time_to_goal_s: float
-    goal_miss_m: float = 0.0
 
 
 class Candidates(NamedTuple):
@@ -160,7 +161,7 @@ class SearchResult(msgspec.Struct, frozen=True):
         refused: the others by reason.
         trajectories: how many were simulated, with the draws of `robust`.
         elapsed_s: time used, preparation included.
-        baseline: no collision at all, where the planner may choose that.
+        free: the quickest flight without a collision; None: ruckig is not installed.
         maps: everything feasible.
     """
 
@@ -171,7 +172,7 @@ class SearchResult(msgspec.Struct, frozen=True):
     trajectories: int
     refused: dict[Refusal, int]
     elapsed_s: float
-    baseline: DirectFlight | None
+    free: FreePlan | None
     maps: tuple[Candidates, ...]
 
 
@@ -196,7 +197,8 @@ def search(
     if feasible == 0:
         raise InputError(planner.why_infeasible(), source=scenario.source, key=("search",))
     best = _ranked(maps, scenario, top)
-    plans = planner.explain(list(_spread(maps, best)))
+    free = _free(scenario)
+    plans = planner.explain(list(_spread(maps, best)), free)
     return SearchResult(
         scenario=scenario,
         plans=plans,
@@ -205,7 +207,7 @@ def search(
         trajectories=planner.flown,
         refused={r: int(n) for r, n in zip(REFUSALS, planner.refused[1:], strict=True) if n},
         elapsed_s=time.perf_counter() - began,
-        baseline=_baseline(scenario) if scenario.chosen_by_planner else None,
+        free=free,
         maps=tuple(maps),
     )
 
@@ -328,7 +330,7 @@ class ScenarioSearch:
 
     # -- words --
 
-    def explain(self, chosen: list[tuple[Candidates, int]]) -> tuple[Plan, ...]:
+    def explain(self, chosen: list[tuple[Candidates, int]], free: FreePlan | None = None) -> tuple[Plan, ...]:
         """Candidates, in order of their rank, flown once more with their collisions kept."""
         plans: dict[int, Plan] = {}
         groups: dict[int, list[tuple[int, Candidates, int]]] = {}
@@ -339,8 +341,18 @@ class ScenarioSearch:
             arrivals = self.trace(c, np.array([i for _, _, i in group]))
             place = {int(row): k for k, row in enumerate(arrivals.rows)}
             for j, (rank, _, i) in enumerate(group):
-                plans[rank] = _plan(c, i, rank, arrivals, place[j])
+                plan = _plan(c, i, rank, arrivals, place[j])
+                plans[rank] = self._compared(plan, arrivals, place[j], free)
         return tuple(plans[rank] for rank in sorted(plans))
+
+    def _compared(self, plan: Plan, arrivals: Arrivals, k: int, free: FreePlan | None) -> Plan:
+        """The plan beside the free one: both until the vehicle rests at the goal."""
+        if free is None or free.time_s is None:
+            return plan
+        velocity, goal = (float(arrivals.vx[k]), float(arrivals.vy[k])), self.scenario.goal.position_m
+        passed_s = plan.time_to_goal_s - plan.goal_miss_m / self.scenario.vehicle.flying.transit_speed_m_s
+        at_rest_s = passed_s + rest_at_s(plan.closest_m, velocity, goal, free.limits)
+        return msgspec.structs.replace(plan, time_to_rest_s=at_rest_s, saving_s=free.time_s - at_rest_s)
 
     def trace(self, c: Candidates, chosen: NDArray[np.intp]) -> Arrivals:
         """Some candidates of a map flown once more, with their collisions and legs kept."""
@@ -425,6 +437,10 @@ def draws_of(scenario: Scenario, seed: int) -> list[UncertaintyDraw]:
     return draws
 
 
+def _free(scenario: Scenario) -> FreePlan | None:
+    return plan_free(scenario) if importlib.util.find_spec("ruckig") is not None else None
+
+
 def _at(values: Array | None, i: int) -> float | None:
     return None if values is None else float(values[i])
 
@@ -444,24 +460,3 @@ def _spread(maps: list[Candidates], indices: Rows) -> Iterator[tuple[Candidates,
     for index in indices:
         which = int(np.searchsorted(ends, index, side="right"))
         yield maps[which], int(index - (ends[which] - maps[which].rows.size))
-
-
-def _baseline(scenario: Scenario) -> DirectFlight:
-    goal = scenario.goal.position_m
-    z = scenario.altitude_m
-    start = (scenario.start[0], scenario.start[1], z)
-    flying = scenario.vehicle.flying
-    end = (goal[0], goal[1], z)
-    transit = TransitTrajectory.between(start, end, flying.transit_speed_m_s, flying.acceleration_m_s2)
-    return DirectFlight(_blocking_wall(scenario, scenario.start, goal), transit.duration_s)
-
-
-def _blocking_wall(scenario: Scenario, a: Vec2, b: Vec2) -> str | None:
-    """Name of a wall that stands between two points, or None."""
-    for wall in scenario.walls.values():
-        da, db = wall.signed_distance(a), wall.signed_distance(b)
-        if da * db < 0.0:
-            share = da / (da - db)
-            if wall.spans((a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))):
-                return wall.name
-    return None

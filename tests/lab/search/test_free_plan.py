@@ -1,0 +1,148 @@
+"""The flight without a collision: the optimum where the way is straight, and beside every plan."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dart_flight.cli import main
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.core.mission.approach import plan_approach, transit_time_s
+from dart_flight.lab.search.free_plan import MotionLimits, plan_free, straight_time_s
+from dart_flight.lab.search.scenario import Scenario, load_scenario
+from dart_flight.lab.search.search import search
+
+SCENARIO = packaged("missions", "scenarios", "dual_collision.yaml")
+LIMITS = st.builds(
+    MotionLimits, st.floats(0.5, 5.0), st.floats(1.0, 8.0), st.floats(2.0, 40.0), st.just(45.0)
+)
+
+
+@given(st.floats(0.05, 20.0), st.floats(0.5, 5.0), st.floats(0.5, 10.0))
+def test_without_a_limit_of_jerk_a_straight_way_takes_what_textbooks_say(
+    length: float, speed: float, acceleration: float
+) -> None:
+    reached = min(speed, math.sqrt(length * acceleration))
+    expected = reached / acceleration + length / reached
+    assert straight_time_s(length, MotionLimits(speed, acceleration, None, 45.0)) == pytest.approx(
+        expected, rel=1e-6
+    )
+
+
+@given(st.floats(0.05, 20.0), LIMITS)
+def test_no_smooth_transit_is_quicker(length: float, limits: MotionLimits) -> None:
+    smooth = transit_time_s(length, limits.speed_m_s, limits.acceleration_m_s2, limits.jerk_m_s3)
+    assert straight_time_s(length, limits) <= smooth * (1.0 + 1e-9)
+
+
+@given(st.floats(0.1, 10.0), LIMITS, st.sampled_from(["speed_m_s", "acceleration_m_s2", "jerk_m_s3"]))
+def test_a_wider_limit_never_costs_time(length: float, limits: MotionLimits, which: str) -> None:
+    wider = msgspec.structs.replace(limits, **{which: 1.5 * getattr(limits, which)})
+    assert straight_time_s(length, wider) <= straight_time_s(length, limits) + 1e-9
+
+
+def between_walls(offset_m: float) -> Scenario:
+    """A wall of 2 m across the way from start to goal, its middle so far to the side."""
+    text = {
+        "version": 1,
+        "start": {"position_m": [0.0, 0.0], "altitude_m": 1.0},
+        "goal": {"position_m": [3.0, 0.0]},
+        "bounds_m": {"x": [-3.0, 6.0], "y": [-4.0, 4.0], "z": [0.3, 2.0]},
+        "walls": {
+            "wood": {
+                "point_m": [1.5, offset_m],
+                "normal": [-1.0, 0.0],
+                "length_m": 2.0,
+                "material": "wood",
+            }
+        },
+        "sequence": ["wood"],
+        "search": {
+            "normal_m_s": {"min": -1.0, "max": -0.5, "step": 0.5},
+            "tangential_m_s": {"min": 0.0, "max": 0.0, "step": 1.0},
+        },
+        "alpha_wall_m_per_n": {"wood": [0.05, 0.0]},
+        "limits": {"speed_m_s": 3.0, "acceleration_m_s2": 5.0, "jerk_m_s3": 8.0},
+    }
+    return load_scenario(text)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(-1.0, 1.0))
+def test_round_a_wall_the_gap_is_stated_and_honest(offset: float) -> None:
+    free = plan_free(between_walls(offset))
+    assert free.time_s is not None
+    assert free.via
+    assert all(abs(y - offset) > 1.0 for _, y in free.via)  # past the wall's end
+    assert 0.0 < free.gap_s < free.time_s
+    assert free.time_s - free.gap_s == pytest.approx(straight_time_s(free.length_m, free.limits))
+    # Stopping at the corner is a way, too, within the same split of the limits.
+    split = msgspec.structs.replace(
+        free.limits,
+        **{
+            name: getattr(free.limits, name) * math.sqrt(0.5)
+            for name in ("speed_m_s", "acceleration_m_s2", "jerk_m_s3")
+        },
+    )
+    places = [(0.0, 0.0), *free.via, (3.0, 0.0)]
+    stopping = sum(straight_time_s(math.dist(p, q), split) for p, q in itertools.pairwise(places))
+    assert free.time_s <= stopping * (1.0 + 1e-6)
+
+
+def test_a_wall_beside_the_way_is_none_in_it() -> None:
+    free = plan_free(between_walls(2.5))
+    assert (free.via, free.gap_s) == ((), 0.0)
+
+
+def test_limits_hold_for_the_flight_that_follows_them() -> None:
+    mission = load_mission(packaged("missions", "single_wall.yaml")).to_dict()
+    slow, fast = (
+        load_mission({**mission, "limits": {"acceleration_m_s2": a, "jerk_m_s3": j}})
+        for a, j in ((0.5, 2.0), (3.0, 4.0))
+    )
+    for one, a, j in ((slow, 0.5, 2.0), (fast, 3.0, 4.0)):
+        approach = plan_approach(one, one.collisions[0])
+        points = [approach.at(0.001 * k) for k in range(round(1000 * approach.ramp_s))]
+        assert max(math.hypot(*p.acceleration[:2]) for p in points) <= a * 1.001
+        assert max(math.hypot(*p.jerk[:2]) for p in points) <= j * 1.001
+    assert fast.vehicle.flying.transit_speed_m_s == 3.0  # limits.speed_m_s
+
+
+@pytest.mark.parametrize(
+    ("key", "reason"),
+    [("closing_m_s", "closing"), ("sliding_m_s", "sliding"), ("friction_ratio", "friction")],
+)
+def test_a_hit_beyond_its_limit_is_refused(key: str, reason: str) -> None:
+    document = msgspec.yaml.decode(SCENARIO.read_text())
+    document["vehicle"] = str(packaged("configs", "dart.yaml"))
+    refused = {}
+    for value in (0.3, 20.0):
+        document["limits"] = {key: value}
+        result = search(load_scenario(document), top=3)
+        refused[value] = {found.value for found in result.refused}
+        for hit in (c for plan in result.plans for c in plan.collisions):
+            flown = {
+                "closing": -hit.normal_m_s,
+                "sliding": abs(hit.tangential_m_s),
+                "friction": hit.peak_friction_n / hit.peak_force_n,
+            }
+            assert flown[reason] <= value + 1e-9
+    assert reason in refused[0.3]
+    assert reason not in refused[20.0]
+
+
+def test_plan_prints_both_and_their_difference(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", str(SCENARIO), "--json", "--top", "1"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    free, best = told["free"], told["plans"][0]
+    assert set(free["limits"]) == {"speed_m_s", "acceleration_m_s2", "jerk_m_s3", "tilt_deg"}
+    assert best["saving_s"] == pytest.approx(free["time_s"] - best["time_to_rest_s"])
+    assert main(["plan", str(SCENARIO), "--top", "1"]) == 0
+    assert "without any collision" in capsys.readouterr().out
