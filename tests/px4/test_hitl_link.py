@@ -60,8 +60,13 @@ class FlightControllersEnd:
             mode = message.mode if message.get_type() == "HIL_ACTUATOR_CONTROLS" else mode
         self._marks += 1
         mark = controls(self._marks, mode, *([0.5] if mode == ARMED else []))
-        os.write(self._master, noise + b"".join(m.pack(self._pack) for m in (*messages, mark)))
+        os.write(self._master, noise)
+        self.say_bare(*messages, mark)
         until(link, self._marks)
+
+    def say_bare(self, *messages: Any) -> None:
+        """Send."""
+        os.write(self._master, b"".join(m.pack(self._pack) for m in messages))
 
     def heard(self) -> list[Any]:
         """Everything since the last time; what is no whole message raises."""
@@ -142,7 +147,20 @@ def test_a_second_without_outputs_ends_it_once_there_were_some(cable: Cable, clo
     clock[0] += 1.01
     with pytest.raises(Px4LostError, match="sent no actuator outputs for 1 s"):
         link.exchange(sensor())
+
+
+@pytest.mark.parametrize("gap_ms", [60, 80])
+def test_a_gap_in_px4s_samples_ends_it_only_in_flight(cable: Cable, gap_ms: int) -> None:
+    link, px4 = cable
+    px4.say_bare(controls(2000, DISARMED), controls(902_000, DISARMED), controls(1_000_000, ARMED))
+    until(link, 1_000_000)
     assert link.longest_gap_s == pytest.approx(0.9)
+    px4.say_bare(controls(1_000_000 + gap_ms * 1000, ARMED))
+    if gap_ms > 70:
+        with pytest.raises(Px4LostError, match="without simulated sensors for 80 ms"):
+            until(link, 0)
+    else:
+        until(link, 1_060_000)
 
 
 def test_an_unplugged_port_is_a_named_end() -> None:
