@@ -19,7 +19,8 @@ from dart_flight.vehicle.ground_link import GroundLink, HeartbeatMode
 
 HITL = "SYS_HITL"
 _ON_A_BOARD = "HIL_ACT_FUNC1"  # SITL's simulated outputs are PWM_MAIN_FUNC1 and on
-_IO = "SYS_USE_IO"
+_BOARD = "SYS_USB_AUTO"  # no POSIX build has it
+_WITH_IO = "PWM_AUX_FUNC1"  # only where MAIN is a PX4IO are a board's own outputs AUX
 _IO_OUTPUTS = [f"PWM_MAIN_FUNC{k}" for k in range(1, 9)]
 _MOTORS = range(101, 113)  # output functions "Motor 1" to "Motor 12"
 
@@ -53,7 +54,9 @@ def check_hitl(mission: Mission, url: str, position_from: PositionSource) -> Hit
         mode = link.heartbeat_mode()
         values = link.read_parameters([*wanted, COUNT])
         if _ON_A_BOARD in values:
-            values |= link.read_parameters([_IO, *_IO_OUTPUTS])
+            values |= link.read_parameters([_WITH_IO, *_IO_OUTPUTS])
+        else:
+            values |= link.read_parameters([_BOARD])
         if round(values.get(HITL, 0)) == 1:
             # Elsewhere the rest would take a minute, and a restart comes first.
             values |= link.read_parameters([name for name in names_to_read() if name not in values])
@@ -72,7 +75,7 @@ def judge_hitl(
         for d in differences(wanted, values)
         if d.actual is not None or not wanted[d.name].absent
     ]
-    findings += _judge_real_outputs(values)
+    findings += _judge_outputs(values)
     if all(f.go for f in findings):
         theirs = judge_parameters(mission, values, position_from)
         findings += [f for f in theirs if f.item not in wanted]
@@ -92,10 +95,13 @@ def _judge_mode(values: Mapping[str, float], mode: HeartbeatMode | None) -> list
     return [CheckFinding("disarmed", True, "disarmed")]
 
 
-def _judge_real_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
-    """A PX4IO goes on in this mode, and its motors would turn (PX4's source, v1.18; not tried on a board)."""
+def _judge_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
+    """There must be simulated ones; a PX4IO goes on in this mode, and its motors turn (v1.18, its source)."""
     turning = [name for name in _IO_OUTPUTS if round(values.get(name, 0)) in _MOTORS]
-    if _ON_A_BOARD not in values or not round(values.get(_IO, 0)) or not turning:
+    if _BOARD in values and _ON_A_BOARD not in values:
+        says = "this firmware has no simulated outputs: build it with CONFIG_MODULES_SIMULATION_PWM_OUT_SIM=y"
+        return [CheckFinding(_ON_A_BOARD, False, says)]
+    if _WITH_IO not in values or not turning:
         return []
     says = f"{', '.join(turning)} put out motors, and a PX4IO goes on in this mode: set them to 0, restart"
     return [CheckFinding("real_outputs", False, says)]

@@ -136,10 +136,17 @@ class LinkLease(Lease):
         self._file.write(self._says())
 
     def close_device(self) -> None:
-        """Once MAVSDK has opened a serial device: nobody else may open it, but root."""
+        """Once MAVSDK has opened a serial device: nobody else may open it, but root, and its reads wait.
+
+        MAVSDK 4 sets VMIN 0, with which a read of nothing is no "not yet" but an end: its thread asks again
+        at once and takes a whole core. The setting is the device's, not the opener's.
+        """
         if self._device is not None:
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError, termios.error):
                 fcntl.ioctl(self._device, termios.TIOCEXCL)
+                settings = termios.tcgetattr(self._device)
+                settings[6][termios.VMIN] = 1
+                termios.tcsetattr(self._device, termios.TCSANOW, settings)
 
     def release(self) -> None:
         """Give the link back; harmless when it is not held."""

@@ -19,7 +19,7 @@ _CHUNK = 4096
 _PERIOD_S = 0.001
 
 
-class _Direction:
+class SerialWay:
     """Bytes on their way from one end to the other."""
 
     def __init__(self, rate_bytes_s: float | None) -> None:
@@ -68,7 +68,7 @@ class SerialCable:
 
     def __init__(self, rate_bytes_s: float | None = None) -> None:
         self._limit = None if rate_bytes_s is None else BUFFER_BYTES
-        self._ways = (_Direction(rate_bytes_s), _Direction(rate_bytes_s))
+        self._ways = (SerialWay(rate_bytes_s), SerialWay(rate_bytes_s))
         masters, slaves = zip(*(pty.openpty() for _ in range(2)), strict=True)
         self.ends = (os.ttyname(slaves[0]), os.ttyname(slaves[1]))
         for end in slaves:

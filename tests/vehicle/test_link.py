@@ -8,6 +8,8 @@ import signal
 import socket
 import subprocess
 import sys
+import termios
+import tty
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -195,6 +197,25 @@ def test_a_serial_device_is_locked_for_other_programs_and_other_state_folders() 
         assert len(checked.stderr.splitlines()) == 1
     with LinkLease(url, "fly"):
         pass
+    os.close(master)
+
+
+def test_a_read_of_nothing_waits_once_the_link_is_open() -> None:
+    """With VMIN 0, as MAVSDK sets it, its thread would read nothing for ever and take a whole core."""
+    master, slave = pty.openpty()
+    name = os.ttyname(slave)
+    os.close(slave)
+    with LinkLease(f"serial://{name}:57600", "fly") as lease:
+        theirs = os.open(name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        tty.setraw(theirs)
+        settings = termios.tcgetattr(theirs)
+        settings[6][termios.VMIN] = 0
+        termios.tcsetattr(theirs, termios.TCSANOW, settings)
+        assert os.read(theirs, 1) == b""
+        lease.close_device()
+        with pytest.raises(BlockingIOError):
+            os.read(theirs, 1)
+        os.close(theirs)
     os.close(master)
 
 

@@ -7,8 +7,9 @@ arrives (v1.14 to v1.18), as nothing here answers its TIMESYNC. So the moment of
   of none: the ticks that were missed are reported as one message with their mean (`Px4Vehicle.step`);
 - a message that the port does not take is dropped whole, never in part, and counted;
 - a lost HIL_ACTUATOR_CONTROLS leaves the motors at what the last one said, as a lost frame to an ESC does;
-- a gap of more than some 75 ms in HIL_SENSOR spoils PX4's vertical estimate (measured on v1.18): nothing here
-  can make up for that, it is counted and told.
+- a gap of more than some 75 ms in HIL_SENSOR spoils PX4's vertical estimate (measured on v1.18) by g times
+  its length, and the vehicle sinks to the ground: in flight it is the end, with that as its cause. PX4's own
+  stamps tell it, one for each of its samples; outputs that only arrive late do no such harm.
 
 Beside the simulation the link asks PX4, through its shell, what its outputs are: simulated ones may move, no
 other may. That is the measurement that the motors stay off; v1.18 no longer locks them in this mode.
@@ -33,6 +34,7 @@ from dart_flight.config.link_url import LinkAddress, parse_link
 from dart_flight.sim.px4.bridge import ARMED, Controls, Px4LostError
 
 SILENCE_S = 1.0  # without actuator outputs, which come at 200 Hz: then the flight controller is gone
+GAP_S = 0.07  # between two samples of PX4 in flight: 50 ms are survived, 75 ms are not
 _READ = 65536
 _SYSTEM, _COMPONENT = 1, 191  # of a companion computer: no ground station, whose loss it would hide
 _HEARTBEAT_S = 1.0  # it also makes a board start MAVLink on its USB port
@@ -153,7 +155,7 @@ class HitlLink:
         answered: whether any have come.
         sent, dropped: messages that the port took, and did not.
         outputs_seen: kinds of outputs that PX4 has, the simulated ones among them; 0: not asked yet.
-        longest_gap_s: between two messages with actuator outputs, since the first.
+        longest_gap_s: between two messages with actuator outputs, by PX4's clock.
     """
 
     def __init__(self, port: HitlPort) -> None:
@@ -182,8 +184,9 @@ class HitlLink:
         """Send one tick's messages, take what has arrived, return the newest actuator outputs.
 
         Raises:
-            Px4LostError: the port is gone, no actuator outputs for `SILENCE_S` after the first, or other
-                outputs than the simulated ones move; then it is told to disarm, too.
+            Px4LostError: the port is gone, no actuator outputs for `SILENCE_S` after the first, none in
+                flight for `GAP_S` of PX4's time, or other outputs than the simulated ones move; then it is
+                told to disarm, too.
         """
         self.send(*others, sensor)
         self._keep_up()
@@ -231,6 +234,14 @@ class HitlLink:
                 "PWM_MAIN_FUNC1 to 8 and UAVCAN_ENABLE to 0 (docs/hitl.md)"
             )
 
+    def _judge_gap(self, gap_s: float, in_flight: bool) -> None:
+        self.longest_gap_s = max(self.longest_gap_s, gap_s)
+        if in_flight and gap_s > GAP_S:
+            raise Px4LostError(
+                f"flight controller without simulated sensors for {gap_s * 1e3:.0f} ms: its estimate does "
+                "not survive that (its port, or a computer that is too busy)"
+            )
+
     def send(self, *messages: Any) -> None:
         """Send messages, each whole or not at all.
 
@@ -254,7 +265,7 @@ class HitlLink:
         """Take what has arrived.
 
         Raises:
-            Px4LostError: the port is gone.
+            Px4LostError: as `exchange`.
         """
         try:
             data = self._port.read()
@@ -267,12 +278,11 @@ class HitlLink:
                     self._shell += bytes(message.data[: message.count]).decode("ascii", "replace")
                 elif kind == "HIL_ACTUATOR_CONTROLS":
                     self._target = (message.get_srcSystem(), message.get_srcComponent())
-                    now_s = time.monotonic()
-                    if self.answered:
-                        self.longest_gap_s = max(self.longest_gap_s, now_s - self._heard_s)
-                    self._heard_s, self.answered = now_s, True
-                    armed = bool(message.mode & ARMED)
+                    before, armed = self.controls, bool(message.mode & ARMED)
                     self.controls = Controls(message.time_usec, armed, tuple(message.controls))
+                    if self.answered:
+                        self._judge_gap((message.time_usec - before.time_us) * 1e-6, armed and before.armed)
+                    self._heard_s, self.answered = time.monotonic(), True
         if "output:" in self._shell:
             self._judge_outputs()
 

@@ -1,0 +1,101 @@
+"""`dry-run --hitl`: what does not go together is refused in one line, and nothing flies unconfirmed."""
+
+from __future__ import annotations
+
+import io
+import os
+import pty
+import sys
+from pathlib import Path
+
+import pytest
+
+from dart_flight.check.findings import CheckFinding
+from dart_flight.check.hitl_check import HitlReadiness
+from dart_flight.cli import hitl_preflight, main
+
+MISSION = str(Path(__file__).parents[2] / "missions" / "single_wall.yaml")
+HITL, LINK = "udpout://127.0.0.1:14570", "udpin://127.0.0.1:14999"
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    try:
+        status = main(["dry-run", MISSION, *words])
+    except SystemExit as exit_:
+        status = int(str(exit_.code))
+    streams = capsys.readouterr()
+    assert status == 2, streams.err
+    assert streams.out == ""
+    return streams.err
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--connection", LINK], "--connection needs --hitl"),
+        (["--hitl", HITL, "--px4", "/nowhere"], "--px4 and --hitl exclude each other"),
+        (["--hitl", HITL, "--fast"], "--fast and --hitl exclude each other"),
+        (["--hitl", HITL, "--runs", "3"], "--runs and --hitl exclude each other"),
+        (["--hitl", HITL, "--fault", "servo-slow"], "--fault and --hitl exclude each other"),
+        (["--hitl", HITL, "--speed", "2"], "--speed and --hitl exclude each other"),
+        (["--hitl", "rubbish", "--connection", LINK], "not a connection URL"),
+        (["--hitl", "serial:///dev/no-such-port:921600", "--connection", LINK], "no serial port"),
+        (["--hitl", LINK, "--connection", LINK], "also the app's link"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_what_does_not_go_together_is_one_line(
+    words: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    err = refused(capsys, *words)
+    assert says in err
+    assert err.count("\n") == 1
+
+
+def test_one_port_by_two_names_is_one_port(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    master, slave = pty.openpty()
+    by_id = tmp_path / "by-id"
+    by_id.symlink_to(os.ttyname(slave))
+    urls = (f"serial://{os.ttyname(slave)}:921600", f"serial://{by_id}:921600")
+    assert "also the app's link" in refused(capsys, "--hitl", urls[0], "--connection", urls[1])
+    os.close(slave)
+    os.close(master)
+
+
+@pytest.fixture
+def ready(monkeypatch: pytest.MonkeyPatch) -> list[CheckFinding]:
+    """What a flight controller at the link is found to be; a flight would fail the test."""
+    findings = [CheckFinding("disarmed", True, "disarmed")]
+    monkeypatch.setattr(hitl_preflight, "check_hitl", lambda *_: HitlReadiness(findings, None))
+
+    def fly(**_: object) -> None:
+        pytest.fail("flown")
+
+    monkeypatch.setattr(hitl_preflight, "fly_hitl", fly)
+    return findings
+
+
+@pytest.mark.parametrize("typed", ["", "y\n", "propellers on\n"])
+def test_not_confirmed_is_not_flown(
+    typed: str,
+    ready: list[CheckFinding],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
+    err = refused(capsys, "--hitl", HITL, "--connection", LINK)
+    assert "Take the propellers off" in err
+    assert err.splitlines()[-1].endswith("not confirmed by typing 'propellers off'; not flown")
+
+
+def test_a_flight_controller_that_is_not_ready_is_not_flown(
+    ready: list[CheckFinding], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ready.append(CheckFinding("SYS_HITL", False, "SYS_HITL is 0, wanted 1"))
+    monkeypatch.setattr(sys, "stdin", io.StringIO("propellers off\n"))
+    status = main(["dry-run", MISSION, "--hitl", HITL, "--connection", LINK])
+    err = capsys.readouterr().err
+    assert status != 0
+    assert "SYS_HITL is 0, wanted 1" in err
+    assert "not ready for hardware in the loop; not flown" in err
+    assert "Take the propellers off" not in err

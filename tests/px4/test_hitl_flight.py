@@ -1,0 +1,68 @@
+"""Hardware in the loop with a real PX4 without lockstep on two pseudo-terminals, by the command."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dart_flight.config.document import InputError
+from dart_flight.run.prepare import load_flyable
+from dart_flight.sim.px4.launch import find_install
+from tests.doubles.hitl_px4 import ENVIRONMENT, HitlPx4
+from tools.campaigns.hitl import fly_bench
+
+pytestmark = pytest.mark.px4
+
+MISSION = Path(__file__).parents[2] / "missions" / "single_wall.yaml"
+
+
+@pytest.fixture(scope="module")
+def hitl_dir() -> str:
+    named = os.environ.get(ENVIRONMENT)
+    if not named:
+        pytest.skip(f"{ENVIRONMENT} is not set: no PX4 without lockstep (px4_sitl_nolockstep) to test with")
+    try:
+        find_install(named)
+    except InputError as error:
+        pytest.fail(f"{ENVIRONMENT}: {error}")
+    return named
+
+
+def test_the_single_wall_is_flown_and_the_flight_controller_left_disarmed(hitl_dir: str) -> None:
+    flight = fly_bench("hitl", "single_wall", 1)
+    assert flight.outcome == "completed", flight.reason
+    assert flight.problems == []
+    assert flight.tilt_deg is not None
+    assert flight.tilt_deg < 45.0
+    assert flight.ekf_m is not None
+    assert flight.ekf_m < 0.2
+    assert flight.lost_bytes == [0, 0, 0, 0]
+
+
+def test_a_cut_port_ends_the_flight_with_its_cause(hitl_dir: str) -> None:
+    flight = fly_bench("cut-200", "single_wall", 1)
+    assert flight.outcome == "aborted"
+    assert "without simulated sensors for 2" in (flight.reason or "")
+    assert flight.problems == []
+
+
+def test_check_and_fly_refuse_a_vehicle_in_this_mode(hitl_dir: str, tmp_path: Path) -> None:
+    with HitlPx4(hitl_dir, tmp_path, load_flyable(MISSION)) as px4:
+        for command in ("check", "fly"):
+            words = [command, str(MISSION), "--connection", px4.url]
+            done = subprocess.run(
+                [sys.executable, "-m", "dart_flight", *words],
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                check=False,
+                timeout=180.0,
+            )
+            assert done.returncode != 0
+            assert "SYS_HITL" in done.stdout + done.stderr
+            assert "Traceback" not in done.stderr
+        assert not px4.is_armed()

@@ -1,0 +1,106 @@
+"""The plant that is late: what it missed goes out as one message, with the mean; after a stall it pauses."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.sim.pipe import HitlSpec, SimulatorSpec
+from dart_flight.sim.px4 import hitl_simulator
+from dart_flight.sim.px4.bridge import Controls, Px4Vehicle
+from dart_flight.sim.px4.hitl_simulator import HitlSimulator
+
+AXES = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro")
+
+
+class KeptMessages:
+    """A link that keeps what is sent; the motors turn unevenly, so that no two ticks are alike."""
+
+    def __init__(self) -> None:
+        self.controls = Controls(0, True, (0.6, 0.5, 0.55, 0.5, *[0.0] * 12))
+        self.sensors: list[Any] = []
+        self.others: list[Any] = []
+
+    def exchange(self, sensor: Any, *others: Any) -> Controls:
+        self.sensors.append(sensor)
+        self.others += others
+        return self.controls
+
+
+@pytest.fixture
+def mission() -> Mission:
+    return load_mission(packaged("missions", "single_wall.yaml"))
+
+
+def imu(sensor: Any) -> list[float]:
+    return [getattr(sensor, axis) for axis in AXES]
+
+
+def test_ticks_not_reported_are_in_the_next_mean(mission: Mission) -> None:
+    each, merged = KeptMessages(), KeptMessages()
+    one, other = Px4Vehicle(mission, 1, each), Px4Vehicle(mission, 1, merged)
+    for tick in range(1, 4):
+        one.step()
+        other.step(report=tick == 3)
+    (sent,) = merged.sensors
+    means = [sum(axis) / 3.0 for axis in zip(*map(imu, each.sensors), strict=True)]
+    assert imu(sent) == pytest.approx(means, abs=1e-5)
+    assert sent.time_usec == each.sensors[-1].time_usec
+    other.step()
+    assert len(merged.sensors) == 2  # the next one is by itself again
+    assert imu(merged.sensors[1]) != pytest.approx(means, abs=1e-5)
+
+
+def test_no_pose_is_lost_to_a_tick_not_reported(mission: Mission) -> None:
+    each, merged = KeptMessages(), KeptMessages()
+    one, other = Px4Vehicle(mission, 1, each), Px4Vehicle(mission, 1, merged)
+    for tick in range(1, 51):
+        one.step()
+        other.step(report=tick % 25 == 0)
+    assert len(merged.sensors) == 2
+    assert len(each.others) > 10
+    assert [m.time_usec for m in merged.others] == [m.time_usec for m in each.others]
+
+
+class Host:
+    """A HITL simulator whose clock is set by hand."""
+
+    def __init__(self, mission: Mission, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_s = 1000.0
+        monkeypatch.setattr(hitl_simulator, "time", SimpleNamespace(monotonic=lambda: self.now_s))
+        hitl = HitlSpec("serial:///dev/none:921600")
+        self.simulator = HitlSimulator(SimulatorSpec(mission, 1, [], None, hitl=hitl), hitl)
+        self.link = KeptMessages()
+        self.simulator._vehicle = Px4Vehicle(mission, 1, self.link)
+        self.simulator._start_s = self.now_s
+
+    def run(self, after_s: float, ticks: int) -> list[int]:
+        """Advance, so long after the last; returns the stamps of what went out, in ticks."""
+        self.link.sensors.clear()
+        self.now_s += after_s
+        for _ in range(ticks):
+            self.simulator.advance()
+        return [m.time_usec // 4000 for m in self.link.sensors]
+
+
+def test_late_ticks_go_out_as_one_message(mission: Mission, monkeypatch: pytest.MonkeyPatch) -> None:
+    host = Host(mission, monkeypatch)
+    assert host.run(0.0041, 1) == [1]
+    assert host.run(0.004, 1) == [2]
+    assert host.run(0.020, 5) == [7]  # five were due
+    assert host.run(0.004, 1) == [8]
+    assert host.simulator._merged == 4
+
+
+def test_after_a_stall_the_plant_pauses(mission: Mission, monkeypatch: pytest.MonkeyPatch) -> None:
+    host = Host(mission, monkeypatch)
+    host.run(0.0041, 1)
+    offset_us = host.simulator._vehicle.plant.time_offset_us
+    assert host.run(1.0, 1) == [2]  # sent at once, none merged
+    assert host.simulator._vehicle.plant.time_offset_us - offset_us == pytest.approx(1e6, abs=8000)
+    assert host.run(0.004, 1) == [3]
+    assert host.simulator._merged == 0

@@ -1,0 +1,73 @@
+"""The cable that stands in for a serial line: its rate, what it loses, and what it does while it is cut."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from types import SimpleNamespace
+
+import pytest
+
+from tests.doubles import serial_cable
+from tests.doubles.serial_cable import BUFFER_BYTES, SerialCable, SerialWay
+
+RATE = 92_160.0
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    now = [50.0]
+    monkeypatch.setattr(serial_cable, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    return now
+
+
+@pytest.fixture
+def sink() -> Iterator[int]:
+    """The writing end of a pipe that has room for every test."""
+    reading, writing = os.pipe()
+    yield writing
+    os.close(reading)
+    os.close(writing)
+
+
+def test_a_way_carries_its_rate_and_no_more(clock: list[float], sink: int) -> None:
+    way = SerialWay(RATE)
+    for _ in range(200):
+        way.take(bytes(200), BUFFER_BYTES)  # twice as much as it carries
+        clock[0] += 0.001
+        way.pass_on(sink)
+    assert way.carried == pytest.approx(RATE * 0.2, rel=0.01)
+    assert way.dropped == 200 * 200 - way.carried - len(way.waiting)
+    assert len(way.waiting) <= BUFFER_BYTES
+
+
+def test_credit_is_not_saved_up(clock: list[float], sink: int) -> None:
+    way = SerialWay(RATE)
+    clock[0] += 10.0
+    way.take(bytes(4000), BUFFER_BYTES)
+    way.pass_on(sink)
+    assert way.carried <= RATE * 0.005
+
+
+def test_without_a_rate_everything_passes_at_once(clock: list[float], sink: int) -> None:
+    way = SerialWay(None)
+    way.take(bytes(20_000), None)
+    way.pass_on(sink)
+    assert (way.carried, way.dropped) == (20_000, 0)
+
+
+def test_a_cut_cable_loses_and_counts_what_is_sent() -> None:
+    with SerialCable() as cable:
+        ends = [os.open(end, os.O_RDWR | os.O_NOCTTY) for end in cable.ends]
+        os.write(ends[0], b"whole")
+        assert os.read(ends[1], 100) == b"whole"
+        cable.cut = True
+        os.write(ends[0], b"lost")
+        while not cable.dropped[0]:
+            pass
+        cable.cut = False
+        os.write(ends[0], b"again")
+        assert os.read(ends[1], 100) == b"again"
+        assert (cable.carried, cable.dropped) == ((10, 0), (4, 0))
+        for end in ends:
+            os.close(end)
