@@ -70,6 +70,13 @@ def test_the_core_thread_is_among_them_and_the_rest_of_the_app_is_not(everything
     assert any(m.function.startswith("CoreRunner") for m in everything)
 
 
+def test_what_must_notice_a_mutant_is_there(everything: list[Mutant]) -> None:
+    """Tests that have moved would be missed by nobody but the mutants that survive."""
+    asked = {test for m in everything for test in mutants.tests_of(m)}
+    assert "tests/lock" in asked
+    assert [test for test in asked if not (ROOT / test.partition("::")[0]).exists()] == []
+
+
 def test_what_was_judged_is_still_there(everything: list[Mutant]) -> None:
     """A verdict on code that has changed since is none."""
     known = judged()

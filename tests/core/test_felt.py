@@ -81,6 +81,38 @@ def pulse(
     return ObservedContact(ticks, 0, 0.0137, (normal, along), 0.0, NOISE_N)
 
 
+def met_by_a_guard(
+    c: Coefficients, degrees: float, seed: int = 0, torque_seen: bool = True, along: float = 0.3
+) -> ObservedContact:
+    """Two guards by the law of each, the one ahead turning the vehicle to its own side."""
+    rng, a, out = random.Random(seed), BODY.along, BODY.out
+    lead = incidence = math.radians(degrees)
+    turning = -math.copysign(1.0, lead)
+    x = 0.9 * 0.0137 + a * math.sin(abs(lead)) - out * (1.0 - math.cos(lead))
+    v, w, h = -0.9, along, TICK_S / STEPS
+    ticks: list[ContactReading] = []
+    for _ in range(30):
+        turned, sums = incidence + 0.5 * TICK_S * turning - lead, [0.0, 0.0, 0.0]
+        for _ in range(STEPS):
+            x += 0.5 * h * v
+            si, ci = math.sin(incidence), math.cos(incidence)
+            right, left = (
+                max(0.0, -0.5 * (c.k * depth + c.f * speed))
+                for g in (1.0, -1.0)
+                for depth in [x - g * a * si + out * (1.0 - ci)]
+                for speed in [v + turning * (out * si - g * a * ci)]
+            )
+            friction = -c.mu * (right + left) * w
+            v, w = v + h * (right + left) / MASS, w + h * friction / MASS
+            x, incidence = x + 0.5 * h * v, incidence + h * turning
+            found = (right + left, friction, (right - left) * a * ci)
+            sums = [s + f / STEPS for s, f in zip(sums, found, strict=True)]
+        read, rub = (value + rng.gauss(0.0, NOISE_N) * (seed > 0) for value in sums[:2])
+        torque = sums[2] if torque_seen else 0.0
+        ticks.append(ContactReading(TICK_S, read, rub, 0.0, 0.0, 0.0, False, turned, turning, torque))
+    return ObservedContact(ticks, 0, 0.0137, (-0.9, along), lead, NOISE_N)
+
+
 def fitted(contact: ObservedContact, before: Belief, scatter: float = SCATTER) -> Hypothesis:
     fit = ContactFit(contact, before, scatter, BODY)
     while fit.advance():
@@ -112,6 +144,31 @@ def test_the_true_mode_and_its_coefficients_are_found(
     assert abs(true.mu / after.mu - 1.0) < 3.0 * after.mu_sd
     assert after.k_sd < 0.4 * SPREAD
     assert odds_of(contact, material) * (1.0 if mode is Mode.RIGID else -1.0) > 6.9
+
+
+@pytest.mark.parametrize("torque_seen", [True, False])
+@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize("degrees", [-10.0, -7.0, 4.0, 7.0, 10.0])
+def test_a_wall_is_found_that_one_guard_meets_first(degrees: float, mode: Mode, torque_seen: bool) -> None:
+    true = VEHICLE.materials["wood"].of(mode)
+    found = fitted(met_by_a_guard(true, degrees, 1, torque_seen), belief_of("wood", mode))
+    assert found.belief.k == pytest.approx(true.k, rel=0.04)
+    assert math.degrees(found.incidence_rad) == pytest.approx(degrees, abs=1.0)
+    assert found.misfit < 1.5
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize("degrees", [2.0, 4.0, 7.0, 10.0])
+def test_what_is_felt_of_a_mirrored_hit_is_the_mirror_image(degrees: float, mode: Mode) -> None:
+    true = VEHICLE.materials["wood"].of(mode)
+    one, other = (
+        fitted(met_by_a_guard(true, side * degrees, along=side * 0.3), belief_of("wood", mode))
+        for side in (1.0, -1.0)
+    )
+    assert other.incidence_rad == pytest.approx(-one.incidence_rad, rel=1e-3)
+    assert other.place_m == pytest.approx(one.place_m, rel=1e-3)
+    assert other.evidence == pytest.approx(one.evidence, rel=1e-3)
+    assert other.belief[:4] == pytest.approx(one.belief[:4], rel=1e-3)
 
 
 def test_a_wall_between_both_modes_is_undecided() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import statistics
 
 import msgspec
 import pytest
@@ -141,6 +142,22 @@ def test_a_clipped_pulse_is_reconstructed(share: float) -> None:
     assert fit is not None
     assert fit.peak_n == pytest.approx(top, rel=0.04)
     assert max(r.normal for r in readings) < share * top + 1.0
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_a_noisy_pulse_misfits_by_its_noise_and_the_peak_is_as_sure_as_it_scatters(mode: Mode) -> None:
+    c, noise_n, rng = VEHICLE.materials["acrylic"].of(mode), 1.5, random.Random(4)
+    clean = readings_of(true_pulse(c.k, c.f, 1.0, 1.0, 0.0, 0.0), 0.002, 0.0, 1e9, 0.00073)
+    prior = PulsePrior(math.sqrt(c.k / MASS), 0.5 * c.f / MASS, 0.2)
+    fits = []
+    for _ in range(40):
+        readings = [r._replace(normal=r.normal + rng.gauss(0.0, noise_n)) for r in clean]
+        fit = fit_normal(readings, 1.0, prior, noise_n, -0.003, 0.00073)
+        assert fit is not None
+        fits.append(fit)
+    assert 0.6 < statistics.mean(fit.misfit for fit in fits) < 1.3
+    scatter = statistics.stdev(fit.peak_n for fit in fits)
+    assert 0.8 * scatter < statistics.mean(fit.sigma_n for fit in fits) < 1.6 * scatter
 
 
 # --- thrust ------------------------------------------------------------------------------------------

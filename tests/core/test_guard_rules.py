@@ -17,6 +17,7 @@ from dart_flight.base.records import (
     GuardEvent,
     ImuSample,
     LandedState,
+    LockCommand,
     LockPhase,
     MissionEnd,
     Mode,
@@ -26,6 +27,7 @@ from dart_flight.base.records import (
     Output,
     Override,
     Phase,
+    PhaseChange,
     Request,
     RoundTrip,
     Setpoint,
@@ -38,6 +40,8 @@ from dart_flight.base.records import (
 from dart_flight.core import flight_core
 from dart_flight.core.guard.rules import RULES, Rule
 from dart_flight.core.mission import executive, rehearsal
+from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.sense.senses import Sensed
 from tests.core.conftest import TELEPORTING, HandFedCore
 
 CAUSES: dict[str, Callable[[HandFedCore], object]] = {}
@@ -496,6 +500,24 @@ def test_nothing_fires_in_a_quiet_flight() -> None:
     c.to_flight()
     c.run(1.0)
     assert not fired(c)
+
+
+def test_in_the_step_in_which_a_rule_fires_the_mission_may_record_but_not_command() -> None:
+    c, proposal = HandFedCore(), Proposal()
+    c.to_flight()
+    state, t_us = c.core._senses.state, c.t_us
+    record = PhaseChange(t_us, Phase.APPROACH, Phase.CONTACT, "impact", 1)
+    commands: list[Output] = [
+        Setpoint(t_us, t_us, (1.0, 0.0, -1.0), 0.0),
+        VehicleCommand(t_us, VehicleAction.OFFBOARD),
+        LockCommand(t_us, Mode.RIGID),
+    ]
+    proposal.outputs += [*commands, record]
+    proposal.add_finding("wall_not_met", "by hand")
+    out = c.core._guard.review(Tick(t_us), state, Sensed(None, (), False), c.core.phase, proposal)
+    assert [o for o in out if isinstance(o, GuardEvent)]
+    assert record in out
+    assert not [o for o in out if o in commands]
 
 
 def test_motors_are_stopped_only_long_after_a_landing_must_have_ended() -> None:

@@ -17,7 +17,9 @@ from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
     ContactSide,
+    ForceEstimate,
     ImpactBody,
+    ImpactOnset,
     ImpactPeak,
     ImuSample,
     LandedState,
@@ -220,6 +222,34 @@ def test_a_hit_that_says_nothing_leaves_the_angle_as_it_was_known(planned: bool,
     angle, sigma = fit.run()
     assert angle == pytest.approx(0.02, abs=1e-3)
     assert math.degrees(sigma) == pytest.approx(degrees)
+
+
+@pytest.mark.parametrize(("inside", "judged"), [(1, False), (2, True), (4, True)])
+def test_a_contact_of_two_samples_is_judged(inside: int, judged: bool) -> None:
+    """One after its peak; the three samples before its first are no part of it."""
+    state, samples = FlightState(), ContactSampleBuffer()
+    state.anchor(MissionFrame())
+    body = IncidenceEstimator(VEHICLE, samples)
+    first_us = 1_012_000
+    for i in range(3 + inside):
+        t_us, force = 1_000_000 + 4000 * i, (-20.0 if i >= 3 else 0.0, 0.0, 0.0)
+        samples.add(
+            ContactSample(
+                ForceEstimate(t_us, force, False),
+                TorqueEstimate(t_us, (0.0, 0.0, 0.0)),
+                IDENTITY,
+                (0.0, 0.0, 0.0),
+            )
+        )
+    onset = ImpactOnset(first_us, first_us, 0, (-20.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    peak = ImpactPeak(first_us, first_us, 0, (-1.0, 0.0), 20.0, 0.0, (0.0, 0.0, 1.0), False)
+    assert body.update(state, (0.0, 0.0), [onset, peak], ExpectedContact()) is None
+    assert body.due
+    told = body.update(state, (0.0, 0.0), [], ExpectedContact())
+    assert (told is not None) is judged
+    assert not body.due
+    if told is not None:
+        assert (told.first_us, told.final, told.side) == (first_us, False, ContactSide.BOTH)
 
 
 def test_what_is_smoothed_keeps_a_parabola() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -13,7 +14,9 @@ from dart_flight.config.document import InputError
 from dart_flight.config.edit import edit_values, write_values
 from dart_flight.config.vehicle import LockConfig, packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
+from dart_flight.lock import ground
 from dart_flight.lock.calibration import STEP_US, Calibration, CalibrationError
+from dart_flight.lock.state_machine import DriverReading
 
 Vary = Callable[..., LockConfig]
 
@@ -141,3 +144,20 @@ def test_a_link_to_the_file_stays_a_link(tmp_path: Path) -> None:
 def test_a_file_that_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot read: No such file"):
         write_values(tmp_path / "none.yaml", {("a",): 2.0})
+
+
+# --- on the ground -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("held_us", "begins_us"), [(1400.0, 1400.0), (None, 1500.0)])
+def test_it_begins_where_the_servo_is_held_and_moves_it(
+    vary: Vary, monkeypatch: pytest.MonkeyPatch, held_us: float | None, begins_us: float
+) -> None:
+    monkeypatch.setattr("dart_flight.lock.ground.time.sleep", lambda seconds: None)
+    driver, moved = Mock(), list[float]()
+    driver.read.return_value = DriverReading(pulse_us=held_us)
+    driver.set_pulse.side_effect = moved.append
+    steps = ground.calibration(vary(servo={"min_pulse_us": 900.0, "max_pulse_us": 2100.0}), driver)
+    assert (steps.pulse_us, moved) == (begins_us, [])
+    steps.enter("+15")
+    assert moved[-1] == steps.pulse_us == begins_us + 15.0

@@ -170,6 +170,10 @@ def test_what_is_missing_is_said(
     with pytest.raises(DriverError, match=r"pwmchip0 does not exist; is dtoverlay=pwm-2chan") as caught:
         PwmDriver(config).open()
     assert caught.value.key == ("pwm", "chip")
+    unopened = PwmDriver(config)
+    for use in (unopened.read, unopened.release, lambda: unopened.set_pulse(1500.0)):
+        with pytest.raises(DriverError, match="is dtoverlay=pwm-2chan"):
+            use()
     sysfs = Sysfs(tmp_path, monkeypatch, exported=False)
     with pytest.raises(DriverError, match="pwmchip0 has 2 channels, from 0") as caught:
         PwmDriver(vary(pwm={"sysfs_dir": str(tmp_path), "channel": 2})).open()

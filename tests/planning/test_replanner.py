@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import Mode, PlanAnswer, PlanRequest, WallEstimate
 from dart_flight.config.mission import load_mission
+from dart_flight.config.mission_file import CollisionPrediction
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import PlannedTrajectory
 from dart_flight.planning.predicted_flight import predict_mission
@@ -85,6 +86,23 @@ def test_without_a_lock_or_a_way_it_says_why() -> None:
     assert no_lock.problem == "lock fault"
     behind = REPLANNER.answer(msgspec.structs.replace(TO_WALL, position_mission=(3.0, 0.0, 1.0)), 0)
     assert "no trajectory to wall acrylic" in behind.problem
+
+
+def test_what_the_mission_says_of_an_impact_comes_before_the_model() -> None:
+    wanted = CollisionPrediction(2.0, ACRYLIC.point, -0.9, 0.1, 40.0, 0.05)
+    hit, following = MISSION.collisions
+    told = msgspec.structs.replace(
+        MISSION, collisions=(hit, msgspec.structs.replace(following, predicted=wanted))
+    )
+    answer = Replanner(told).answer(TO_WALL, 0)
+    assert answer.problem == ""
+    assert (answer.normal_m_s, answer.tangential_m_s) == pytest.approx((-0.9, 0.1))
+
+
+def test_where_neither_says_how_fast_there_is_no_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    replanner = Replanner(MISSION)
+    monkeypatch.setattr(replanner, "_planned", {})
+    assert replanner.answer(TO_WALL, 0).problem == "no velocity is planned for wall acrylic"
 
 
 def test_a_lock_that_needs_long_lengthens_the_way() -> None:

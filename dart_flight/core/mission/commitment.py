@@ -61,7 +61,7 @@ def may_commit(
             wall,
             (following.alpha_normal_m_per_n, following.alpha_tangential_m_per_n),
             place,
-            (min(met.normal_m_s, -1e-3), vx * tx + vy * ty),
+            (met.normal_m_s, vx * tx + vy * ty),
         )
     )
 

@@ -530,11 +530,10 @@ class Executive:
         """Break off at the last moment at which holding still stops short of the wall."""
         if sensed.in_contact or state.lock_is_in(following.mode):
             return
-        n = following.wall.normal
-        closing = -(state.velocity[0] * n[0] + state.velocity[1] * n[1])
+        closing = -following.wall.to_collision(state.velocity)[0]
         if closing <= 0.0:
             return
-        pushing = -(state.acceleration[0] * n[0] + state.acceleration[1] * n[1])
+        pushing = -following.wall.to_collision(state.acceleration)[0]
         distance = following.wall.signed_distance(state.position)
         px4 = self.mission.vehicle.px4
         if least_distance_m(distance, closing, pushing, distance, px4) >= STOP_MARGIN_M:

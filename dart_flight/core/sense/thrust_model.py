@@ -45,7 +45,6 @@ class LaggedCommands:
         if self._target is None:
             # Nothing is known of the time before: it has always been so.
             self._target = self.value = values
-            self._now_us = t_us
         else:
             self._pending.append((t_us, values))
 
