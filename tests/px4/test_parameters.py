@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from dart_flight.check.hitl_check import hitl_parameters
 from dart_flight.config.document import InputError
 from dart_flight.config.parameter_file import (
     PositionSource,
@@ -37,7 +38,8 @@ def test_every_packaged_parameter_has_its_reason(path: Path) -> None:
 
 def test_all_packaged_files_are_used() -> None:
     used = {path.name for source in PositionSource for path in parameter_files(source)}
-    assert used == {path.name for path in FILES}
+    assert hitl_parameters() == load_parameters(packaged("configs", "px4", "hitl.params"))
+    assert used | {"hitl.params"} == {path.name for path in FILES}
 
 
 def test_a_vehicle_gets_nothing_of_the_simulations() -> None:
