@@ -114,10 +114,10 @@ class HitlPx4:
         asked = [str(self._install.program.with_name("px4-commander")), "--instance"]
         asked += [str(self._instance.number), "status"]
         said = subprocess.run(asked, capture_output=True, text=True, timeout=10.0, check=False).stdout
-        found = re.search(r"Arm(?:ing)? ?state: *(\w+)|\b(Armed|Disarmed)\b", said, re.IGNORECASE)
+        found = re.search(r"\b(Armed|Disarmed)\b", said)
         if found is None:
             raise RuntimeError(f"commander says {said!r}")
-        return (found[1] or found[2]).lower() == "armed"
+        return found[1] == "Armed"
 
     def _script(self) -> str:
         text = (self._install.etc / "init.d-posix" / "rcS").read_text()

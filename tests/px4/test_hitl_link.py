@@ -163,6 +163,17 @@ def test_a_gap_in_px4s_samples_ends_it_only_in_flight(cable: Cable, gap_ms: int)
         until(link, 1_060_000)
 
 
+def test_a_plant_that_stalls_in_flight_ends_it(cable: Cable, clock: list[float]) -> None:
+    link, px4 = cable
+    px4.say(controls(4000, ARMED))
+    for pause_s in (0.06, 0.004):
+        clock[0] += pause_s
+        link.exchange(sensor())
+    clock[0] += 0.09
+    with pytest.raises(Px4LostError, match="without simulated sensors for 90 ms"):
+        link.exchange(sensor())
+
+
 def test_an_unplugged_port_is_a_named_end() -> None:
     master, slave = pty.openpty()
     link = HitlLink(open_port(f"serial://{os.ttyname(slave)}:921600"))

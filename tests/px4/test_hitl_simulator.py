@@ -71,12 +71,17 @@ class Host:
 
     def __init__(self, mission: Mission, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_s = 1000.0
-        monkeypatch.setattr(hitl_simulator, "time", SimpleNamespace(monotonic=lambda: self.now_s))
+        monkeypatch.setattr(
+            hitl_simulator, "time", SimpleNamespace(monotonic=lambda: self.now_s, sleep=self.sleep)
+        )
         hitl = HitlSpec("serial:///dev/none:921600")
         self.simulator = HitlSimulator(SimulatorSpec(mission, 1, [], None, hitl=hitl), hitl)
         self.link = KeptMessages()
         self.simulator._vehicle = Px4Vehicle(mission, 1, self.link)
         self.simulator._start_s = self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
 
     def run(self, after_s: float, ticks: int) -> list[int]:
         """Advance, so long after the last; returns the stamps of what went out, in ticks."""
@@ -94,6 +99,15 @@ def test_late_ticks_go_out_as_one_message(mission: Mission, monkeypatch: pytest.
     assert host.run(0.020, 5) == [7]  # five were due
     assert host.run(0.004, 1) == [8]
     assert host.simulator._merged == 4
+
+
+def test_a_late_plant_catches_up_and_then_reports_every_tick(
+    mission: Mission, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    host = Host(mission, monkeypatch)
+    assert host.run(0.1, 100) == list(range(25, 101))
+    assert host.now_s == pytest.approx(1000.4)
+    assert host.simulator._merged == 24
 
 
 def test_after_a_stall_the_plant_pauses(mission: Mission, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,8 +8,8 @@ arrives (v1.14 to v1.18), as nothing here answers its TIMESYNC. So the moment of
 - a message that the port does not take is dropped whole, never in part, and counted;
 - a lost HIL_ACTUATOR_CONTROLS leaves the motors at what the last one said, as a lost frame to an ESC does;
 - a gap of more than some 75 ms in HIL_SENSOR spoils PX4's vertical estimate (measured on v1.18) by g times
-  its length, and the vehicle sinks to the ground: in flight it is the end, with that as its cause. PX4's own
-  stamps tell it, one for each of its samples; outputs that only arrive late do no such harm.
+  its length, and the vehicle sinks to the ground: in flight it is the end, with that as its cause. What was
+  sent and PX4's own stamps tell it; outputs that only arrive late do no such harm.
 
 Beside the simulation the link asks PX4, through its shell, what its outputs are: simulated ones may move, no
 other may. That is the measurement that the motors stay off; v1.18 no longer locks them in this mode.
@@ -155,7 +155,8 @@ class HitlLink:
         answered: whether any have come.
         sent, dropped: messages that the port took, and did not.
         outputs_seen: kinds of outputs that PX4 has, the simulated ones among them; 0: not asked yet.
-        longest_gap_s: between two messages with actuator outputs, by PX4's clock.
+        longest_gap_s: between two ticks that the port took, and between two messages with actuator outputs
+            by PX4's clock, which come every 50 ms without any.
     """
 
     def __init__(self, port: HitlPort) -> None:
@@ -169,7 +170,7 @@ class HitlLink:
         self.sent = self.dropped = 0
         self.outputs_seen = 0
         self.longest_gap_s = 0.0
-        self._heard_s = time.monotonic()
+        self._heard_s = self._fed_s = time.monotonic()
         self._beat_s = self._asked_s = 0.0
         self._target = (1, 1)  # system and component of the flight controller
         self._shell = ""
@@ -184,11 +185,17 @@ class HitlLink:
         """Send one tick's messages, take what has arrived, return the newest actuator outputs.
 
         Raises:
-            Px4LostError: the port is gone, no actuator outputs for `SILENCE_S` after the first, none in
-                flight for `GAP_S` of PX4's time, or other outputs than the simulated ones move; then it is
+            Px4LostError: the port is gone, no actuator outputs for `SILENCE_S` after the first, a gap in
+                flight of more than `GAP_S`, or other outputs than the simulated ones move; then it is
                 told to disarm, too.
         """
+        dropped = self.dropped
         self.send(*others, sensor)
+        if self.dropped == dropped:
+            now_s = time.monotonic()
+            if self.answered:
+                self._judge_gap(now_s - self._fed_s, self.controls.armed)
+            self._fed_s = now_s
         self._keep_up()
         self.receive()
         if self.answered and self.silent_s > SILENCE_S:

@@ -86,7 +86,6 @@ class HitlSimulator:
         end_s = self._start_s + _FIRST_S
         while not link.answered:
             self.advance()
-            time.sleep(max(0.0, self._due_s() - time.monotonic()))
             if time.monotonic() > end_s:
                 raise Px4LostError(
                     f"no actuator outputs on {self._hitl.url} within {_FIRST_S:g} s: the flight controller "
@@ -99,10 +98,9 @@ class HitlSimulator:
             self.advance()
             # Truth goes by PX4's clock; the outputs that came with the least delay tell it best.
             ahead_us = max(ahead_us, link.controls.time_us - self._vehicle.time_us)
-            time.sleep(max(0.0, self._due_s() - time.monotonic()))
         plant.time_offset_us = ahead_us
         writer.put(Ready(self._vehicle.time_us))
-        serve(self, writer, commands, TICK_S)
+        serve(self, writer, commands, 0.0)  # a tick waits until it is due: two paces would drift apart
 
     # -- as `ServedWorld` --
 
@@ -114,8 +112,10 @@ class HitlSimulator:
         """Not with a flight controller."""
 
     def advance(self) -> Plant:
-        """One tick; where the next one is due already, what it measures goes out with that."""
-        behind = int((time.monotonic() - self._due_s()) / TICK_S)
+        """One tick, when it is due; where the next one is, too, what it measures goes out with that."""
+        late_s = time.monotonic() - (self._start_s + (self._ticks + 1) * TICK_S)
+        time.sleep(max(0.0, -late_s))
+        behind = int(late_s / TICK_S)
         if behind > _STALL_TICKS:
             self._start_s += behind * TICK_S  # the plant has paused
             self._vehicle.plant.time_offset_us += round(behind * TICK_S * 1e6)
@@ -131,6 +131,3 @@ class HitlSimulator:
     def is_over(self, alone_s: float) -> bool:
         """It feeds the flight controller until that has disarmed."""
         return not self._armed or alone_s > _ORPHAN_S
-
-    def _due_s(self) -> float:
-        return self._start_s + (self._ticks + 1) * TICK_S
