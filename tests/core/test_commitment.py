@@ -77,6 +77,18 @@ def test_the_plane_is_met_where_the_course_crosses_it() -> None:
     assert meets_plane(0.5, 0.0, 0.0, 0.5, px4) is None
 
 
+def test_a_plane_that_is_met_only_later_is_not_within_the_horizon() -> None:
+    """Setpoints at which the loop just about overshoots to the plane: two seconds are looked ahead."""
+    px4, late = STIFF.vehicle.px4, 0
+    for target_mm in np.arange(30.0, 36.0, 0.1):
+        found = (0.5, 0.01, 0.0, float(1e-3 * target_mm), px4)
+        met = meets_plane(*found, horizon_s=10.0)
+        soon = met is not None and met.after_s <= 2.0
+        late += met is not None and not soon
+        assert meets_plane(*found) == (met if soon else None)
+    assert late > 0
+
+
 def test_the_paper_s_second_impact_is_planned_and_flown() -> None:
     """-1.6 m/s with the stiffer gains; by the last moment for holding still the lock is not settled yet."""
     hit = predict_mission(STIFF).hits[2]
