@@ -75,6 +75,9 @@ def test_the_plane_is_met_where_the_course_crosses_it() -> None:
     assert least_distance_m(0.5, 1.0, 0.0, -0.5, px4, horizon_s=met.after_s + 0.02) <= 0.0
     assert least_distance_m(0.5, 1.0, 0.0, -0.5, px4, horizon_s=met.after_s - 0.02) > 0.0
     assert meets_plane(0.5, 0.0, 0.0, 0.5, px4) is None
+    behind = meets_plane(-0.1, 1.0, 0.0, -0.5, px4)
+    assert behind is not None
+    assert behind.after_s <= 0.01
 
 
 def test_a_plane_that_is_met_only_later_is_not_within_the_horizon() -> None:
