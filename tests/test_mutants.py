@@ -74,6 +74,8 @@ def test_what_must_notice_a_mutant_is_there(everything: list[Mutant]) -> None:
     """Tests that have moved would be missed by nobody but the mutants that survive."""
     asked = {test for m in everything for test in mutants.tests_of(m)}
     assert "tests/lock" in asked
+    of_pulse = next(m for m in everything if m.path == "dart_flight/core/sense/pulse.py")
+    assert mutants.tests_of(of_pulse)[1] == "tests/core/test_force_estimate.py"
     assert [test for test in asked if not (ROOT / test.partition("::")[0]).exists()] == []
 
 

@@ -75,6 +75,21 @@ def test_the_plane_is_met_where_the_course_crosses_it() -> None:
     assert least_distance_m(0.5, 1.0, 0.0, -0.5, px4, horizon_s=met.after_s + 0.02) <= 0.0
     assert least_distance_m(0.5, 1.0, 0.0, -0.5, px4, horizon_s=met.after_s - 0.02) > 0.0
     assert meets_plane(0.5, 0.0, 0.0, 0.5, px4) is None
+    behind = meets_plane(-0.1, 1.0, 0.0, -0.5, px4)
+    assert behind is not None
+    assert behind.after_s <= 0.01
+
+
+def test_a_plane_that_is_met_only_later_is_not_within_the_horizon() -> None:
+    """Setpoints at which the loop just about overshoots to the plane: two seconds are looked ahead."""
+    px4, late = STIFF.vehicle.px4, 0
+    for target_mm in np.arange(30.0, 36.0, 0.1):
+        found = (0.5, 0.01, 0.0, float(1e-3 * target_mm), px4)
+        met = meets_plane(*found, horizon_s=10.0)
+        soon = met is not None and met.after_s <= 2.0
+        late += met is not None and not soon
+        assert meets_plane(*found) == (met if soon else None)
+    assert late > 0
 
 
 def test_the_paper_s_second_impact_is_planned_and_flown() -> None:

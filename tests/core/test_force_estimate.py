@@ -128,6 +128,24 @@ def test_a_tick_takes_a_known_share_off_a_rigid_peak() -> None:
     assert max(losses) == pytest.approx(4.0 * averaging, rel=0.35)
 
 
+def test_where_there_is_no_pulse_none_is_fitted() -> None:
+    c = VEHICLE.materials["wood"].rigid
+    prior = PulsePrior(math.sqrt(c.k / MASS), 0.5 * c.f / MASS, 0.2)
+    readings = readings_of(true_pulse(c.k, c.f, 1.0, 0.0, 0.0, 0.0), 0.002, 0.0, 1e9, 0.00073)
+    begun = [r for r in readings if r.b > -0.003]
+
+    def fits(some: list[TickReading]) -> bool:
+        return fit_normal(some, 0.0, prior, 0.26, -0.003, 0.00073) is not None
+
+    assert fits(readings)
+    assert not fits(begun[:2])
+    assert not fits([])
+    assert not fits([r._replace(normal=-abs(r.normal)) for r in readings])
+    assert not fits([r._replace(normal=0.0) for r in readings])
+    # Nor where it is something else: on for a tick, off for a tick.
+    assert not fits([r._replace(normal=40.0 * (i % 2)) for i, r in enumerate(begun)])
+
+
 @pytest.mark.parametrize("share", [0.6, 0.75, 0.9])
 def test_a_clipped_pulse_is_reconstructed(share: float) -> None:
     c = VEHICLE.materials["wood"].rigid

@@ -520,6 +520,27 @@ def test_in_the_step_in_which_a_rule_fires_the_mission_may_record_but_not_comman
     assert not [o for o in out if o in commands]
 
 
+def test_a_landed_vehicle_is_told_to_disarm_only_where_it_has_long_not_done_so_itself() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.set_status(battery_v=12.9)
+    c.run(1.2)
+    c.set_status(flight_mode=FlightMode.LAND)
+    (event,) = [o for o in c.outputs if isinstance(o, GuardEvent)]
+    guard, state = c.core._guard, c.core._senses.state
+
+    def asked(after_s: float, on_ground: bool) -> list[VehicleAction]:
+        state.now_us, state.on_ground = event.t_us + round(after_s * 1e6), on_ground
+        out = guard.review(Tick(state.host_us), state, Sensed(None, (), False), Phase.OVERRULED, Proposal())
+        return [o.action for o in out if isinstance(o, VehicleCommand)]
+
+    assert asked(14.9, on_ground=True) == []
+    assert asked(40.0, on_ground=False) == []  # never in the air
+    assert asked(15.1, on_ground=True) == [VehicleAction.DISARM]
+    assert asked(16.0, on_ground=True) == []
+    assert asked(16.1, on_ground=True) == [VehicleAction.DISARM]
+
+
 def test_motors_are_stopped_only_long_after_a_landing_must_have_ended() -> None:
     def killed(outputs: list[Output]) -> bool:
         return any(isinstance(o, VehicleCommand) and o.action is VehicleAction.KILL for o in outputs)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dart_flight.base.records import ForceEstimate, PlanAnswer, PlanRequest, PlanTaken
+from dart_flight.base.records import ForceEstimate, PlanAnswer, PlanRequest, PlanTaken, WallEstimate
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import PlannedTrajectory
@@ -118,6 +118,47 @@ def test_an_answer_that_cannot_be_flown_is_refused_with_its_reason(
     assert says in (refusal_of(planning, answer, NOW_US + 40_000) or "")
     assert planning.trajectory_due(moved_to(request), Proposal()) is None
     assert planning.trajectory_since_us is None
+
+
+def test_what_was_felt_is_waited_for_where_the_same_wall_comes_again() -> None:
+    """60 ms of a contact's end at most, and for each contact anew; another wall is asked about at once."""
+    hit, following = MISSION.collisions
+    felt = WallEstimate(0, 0, "wood", None, None, 0.0, *[1.0] * 8, *[0.1] * 4)
+
+    def asks(again: bool, after_us: int, wall: WallEstimate | None = None) -> bool:
+        lock, p = LockOrders(MISSION.vehicle.lock), Proposal()
+        lock.contact_ends(NOW_US)
+        sensed = Sensed(estimate=ForceEstimate(NOW_US, (0.0, 0.0, 0.0), False), wall=wall)
+        planning.contact_begins()
+        at, target = state_at(NOW_US + after_us), (2.0, -0.8, 1.0)
+        planning.request_once(hit, hit if again else following, at, sensed, target, lock, p)
+        return bool(p.outputs)
+
+    planning = ReplanRequests(MISSION)
+    assert asks(False, 0)
+    assert not asks(True, 59_999)
+    assert asks(True, 60_000)
+    assert asks(True, 10_000, felt)
+    assert not asks(True, 10_000)
+
+
+@pytest.mark.parametrize(
+    ("normal_m_s", "tangential_m_s", "flown"),
+    [(-0.5, 0.1, True), (0.0, 0.1, False), (0.5, 0.1, False), (None, 0.1, False), (-0.5, math.nan, False)],
+)
+def test_an_approach_from_rest_goes_towards_its_wall(
+    normal_m_s: float | None, tangential_m_s: float, flown: bool
+) -> None:
+    planning, p = ReplanRequests(MISSION), Proposal()
+    (hit, _), lock = MISSION.collisions, LockOrders(MISSION.vehicle.lock)
+    assert hit.approach_m_s is not None
+    over = Sensed(estimate=ForceEstimate(NOW_US, (0.0, 0.0, 0.0), False))
+    planning.request_once(hit, hit, state_at(NOW_US), over, (2.0, -0.8, 1.0), lock, p)
+    (request,) = p.outputs
+    assert isinstance(request, PlanRequest)
+    answer = msgspec.structs.replace(answer_to(request), normal_m_s=normal_m_s, tangential_m_s=tangential_m_s)
+    refusal = refusal_of(planning, answer, NOW_US + 40_000)
+    assert refusal == (None if flown else "answer does not match the request")
 
 
 def test_an_answer_that_comes_late_is_not_flown() -> None:

@@ -2,22 +2,162 @@
 
 from __future__ import annotations
 
-import pytest
+import math
 
-from dart_flight.base.geometry import MissionFrame
-from dart_flight.base.records import OdometrySample
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.base.geometry import MissionFrame, Vec3, quaternion_from_euler
+from dart_flight.base.records import AttitudeSample, ClockOffset, EstimatorSample, OdometrySample, Tick
 from dart_flight.core.sense.state import FlightState
 
+FRAME = MissionFrame(3.0, 1.0, -0.2, 0.7)
+SAMPLE = OdometrySample(8, 8, (4.0, -1.0, -1.5), (0.3, 0.1, 0.2))
+HERE: Vec3 = (0.0, 0.0, 0.0)
 
-def test_the_newest_odometry_counts_in_a_frame_that_comes_after_it() -> None:
-    frame, sample = (
-        MissionFrame(3.0, 1.0, -0.2, 0.7),
-        OdometrySample(8, 8, (4.0, -1.0, -1.5), (0.3, 0.1, 0.2)),
-    )
+
+def at(t_us: int, position: Vec3 = HERE, velocity: Vec3 = HERE) -> OdometrySample:
+    return OdometrySample(t_us, t_us, position, velocity)
+
+
+def test_the_newest_sample_counts_in_a_frame_that_comes_after_it() -> None:
     after, before = FlightState(), FlightState()
-    after.take_odometry(sample)
-    after.anchor(frame)
-    before.anchor(frame)
-    before.take_odometry(sample)
-    assert after.position == before.position == pytest.approx(frame.point_from_ned(sample.position_ned))
-    assert after.velocity == before.velocity == pytest.approx(frame.vector_from_ned(sample.velocity_ned))
+    attitude = AttitudeSample(8, 8, quaternion_from_euler(0.1, -0.2, 0.5))
+    after.take_odometry(SAMPLE)
+    after.take_attitude(attitude)
+    after.anchor(FRAME)
+    before.anchor(FRAME)
+    before.take_odometry(SAMPLE)
+    before.take_attitude(attitude)
+    assert after.position == before.position == pytest.approx(FRAME.point_from_ned(SAMPLE.position_ned))
+    assert after.velocity == before.velocity == pytest.approx(FRAME.vector_from_ned(SAMPLE.velocity_ned))
+    assert after.yaw == before.yaw == pytest.approx(FRAME.yaw_from_ned(0.5))
+
+
+@given(st.tuples(*[st.floats(-5.0, 5.0)] * 3), st.integers(4000, 40_000))
+def test_the_acceleration_is_that_of_the_velocity_with_a_lag_of_60_ms(push: Vec3, period_us: int) -> None:
+    """From a standstill in the mission frame's own axes; after 60 ms it has come most of the way."""
+    state, frame = FlightState(), MissionFrame()
+    state.anchor(frame)
+    steps, h = round(2.0 / (period_us * 1e-6)), period_us * 1e-6
+    share = 1.0
+    for i in range(1, steps):
+        moved = (push[0] * i * h, push[1] * i * h, push[2] * i * h)
+        state.take_odometry(at(i * period_us, HERE, frame.vector_to_ned(moved)))
+        if i > 1:
+            share *= 1.0 - h / 0.06
+        for axis in range(3):
+            assert state.acceleration[axis] == pytest.approx(push[axis] * (1.0 - share), abs=1e-6)
+    assert state.acceleration == pytest.approx(push, abs=1e-6)
+
+
+def test_a_pause_leaves_no_more_than_the_mean_acceleration() -> None:
+    state = FlightState()
+    state.anchor(MissionFrame())
+    state.take_odometry(at(1_000_000))
+    state.take_odometry(at(1_500_000, HERE, (2.0, 0.0, 0.0)))
+    assert state.acceleration[0] == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize(("field", "most"), [("position_ned", 1e5), ("velocity_ned", 1e3)])
+def test_what_no_vehicle_can_do_is_not_taken(field: str, most: float, sign: float, axis: int) -> None:
+    def with_value(value: float) -> OdometrySample:
+        vector = [0.0, 0.0, 0.0]
+        vector[axis] = sign * value
+        return msgspec.structs.replace(SAMPLE, **{field: tuple(vector)})
+
+    for refused in (most, math.inf, math.nan):
+        state = FlightState()
+        assert not state.take_odometry(with_value(refused))
+        assert state.odometry is None
+    assert FlightState().take_odometry(with_value(0.99 * most))
+
+
+def test_what_is_not_newer_is_not_taken() -> None:
+    state = FlightState()
+    state.anchor(MissionFrame())
+    attitude = AttitudeSample(20_000, 20_000, quaternion_from_euler(0.0, 0.0, 0.0))
+    assert state.take_odometry(at(20_000))
+    assert state.take_attitude(attitude)
+    for t_us in (20_000, 12_000):
+        assert not state.take_odometry(at(t_us, (1.0, 0.0, 0.0)))
+        assert not state.take_attitude(msgspec.structs.replace(attitude, t_us=t_us))
+    assert state.position == HERE
+    assert state.take_odometry(at(20_001, (1.0, 0.0, 0.0)))
+
+
+def test_between_samples_it_flies_straight_on() -> None:
+    state = FlightState()
+    assert state.position_at(5) == HERE
+    state.anchor(MissionFrame())
+    state.take_odometry(at(1_000_000, (1.0, 2.0, -3.0), (0.5, -1.0, 0.25)))
+    assert state.position_at(1_200_000) == pytest.approx((1.1, -1.8, 2.95))
+    assert state.position_at(900_000) == pytest.approx((0.95, -2.1, 3.025))
+
+
+def test_velocities_are_remembered_for_a_second() -> None:
+    state = FlightState()
+    state.anchor(MissionFrame())
+    for i in range(1, 301):
+        state.take_odometry(at(i * 10_000, HERE, (0.01 * i, 0.0, 0.0)))
+    assert state.velocity_before(2_500_000)[0] == pytest.approx(2.49)
+    assert state.velocity_before(2_500_001)[0] == pytest.approx(2.50)
+    assert state.velocity_before(2_000_001)[0] == pytest.approx(2.00)
+    assert state.velocity_before(2_000_000) == state.velocity  # what was before is forgotten
+    assert state.mean_velocity(0.5)[0] == pytest.approx(0.01 * (300 + 251) / 2)
+    assert state.mean_velocity(9.0)[0] == pytest.approx(0.01 * (300 + 200) / 2)
+
+
+def test_while_the_streams_are_silent_time_goes_on_by_the_hosts_clock() -> None:
+    """Autopilot 5 s ahead of the host; never back, and a leap of the offset moves it by a second at most."""
+    state = FlightState()
+    state.take_tick(Tick(900_000))
+    assert (state.now_us, state.host_us) == (0, 900_000)
+    state.take_odometry(OdometrySample(6_000_000, 1_000_000, HERE, HERE))
+    state.take_clock(ClockOffset(0, 5_000_000))
+    for host_us, now_us in ((1_000_000, 6_000_000), (1_400_000, 6_400_000), (1_200_000, 6_400_000)):
+        state.take_tick(Tick(host_us))
+        assert state.now_us == now_us
+    state.take_clock(ClockOffset(0, 50_000_000))
+    state.take_tick(Tick(1_500_000))
+    assert state.now_us == 6_000_000 + 500_000 + 1_000_000
+    assert state.host_us == 1_500_000
+
+
+def test_a_stamp_that_leaps_is_believed_when_it_lasts() -> None:
+    state = FlightState()
+    state.take_odometry(at(1_000_000))
+    for i in range(1, 25):
+        t_us = 1_000_000 + 8000 * i
+        assert not state.take_odometry(OdometrySample(t_us + 9_000_000, t_us, HERE, HERE))
+    assert state.take_odometry(OdometrySample(10_200_000, 1_200_000, HERE, HERE))
+    assert state.now_us == 10_200_000
+
+
+def test_a_single_stamp_that_leaps_counts_for_no_later_ones() -> None:
+    state = FlightState()
+    state.take_odometry(at(1_000_000))
+    for i in range(1, 60):
+        t_us = 1_000_000 + 8000 * i
+        assert not state.take_odometry(OdometrySample(t_us + 9_000_000, t_us, HERE, HERE))
+        assert state.take_odometry(at(t_us))
+
+
+def test_after_a_pause_a_stamp_may_be_as_much_later() -> None:
+    """Up to twenty times as fast as the host's clock, and a second."""
+    for ahead_us, taken in ((11_000_000, True), (11_000_001, False)):
+        state = FlightState()
+        state.take_odometry(at(1_000_000))
+        later = OdometrySample(1_000_000 + ahead_us, 1_500_000, HERE, HERE)
+        assert state.take_odometry(later) is taken
+
+
+def test_how_sure_px4_is_of_its_position_stays_known() -> None:
+    state = FlightState()
+    state.take_estimator(EstimatorSample(0, 10, position_sd_m=0.3))
+    state.take_estimator(EstimatorSample(0, 20))
+    assert (state.position_sd_m, state.host_us) == (0.3, 20)

@@ -236,7 +236,7 @@ def test_a_contact_of_two_samples_is_judged(inside: int, judged: bool) -> None:
         samples.add(
             ContactSample(
                 ForceEstimate(t_us, force, False),
-                TorqueEstimate(t_us, (0.0, 0.0, 0.0)),
+                TorqueEstimate(t_us, (0.0, 0.01, 0.03), (0.1, 0.1, 0.1)),
                 IDENTITY,
                 (0.0, 0.0, 0.0),
             )
@@ -250,6 +250,7 @@ def test_a_contact_of_two_samples_is_judged(inside: int, judged: bool) -> None:
     assert not body.due
     if told is not None:
         assert (told.first_us, told.final, told.side) == (first_us, False, ContactSide.BOTH)
+        assert told.torque_peak_frd == pytest.approx((0.0, 0.01, 0.03))
 
 
 def test_what_is_smoothed_keeps_a_parabola() -> None:

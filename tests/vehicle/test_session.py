@@ -4,27 +4,40 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from mavsdk.plugins.telemetry import FlightMode as SdkFlightMode
+from mavsdk.plugins.telemetry import LandedState as SdkLandedState
 
 from dart_flight.base.records import (
+    ActuatorSample,
+    AttitudeSample,
+    ClockOffset,
+    EscSample,
+    EstimatorSample,
     FlightMode,
     HealthReport,
+    ImuSample,
     Input,
+    LandedState,
+    OdometrySample,
     OtherVehicle,
+    RoundTrip,
     Setpoint,
     StatusSample,
+    StatusText,
     VehicleAction,
 )
 from dart_flight.base.streams import STREAMS
 from dart_flight.config.vehicle import load_vehicle, packaged
 from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import vehicle_session as module
-from dart_flight.vehicle.vehicle_session import VehicleSession
+from dart_flight.vehicle.clock import LockstepClock, host_us
+from dart_flight.vehicle.vehicle_session import VehicleError, VehicleSession, connect
 
 VEHICLE = load_vehicle(packaged("configs", "dart.yaml"))
 
@@ -194,3 +207,213 @@ def test_modes_that_no_word_of_ours_has_are_the_pilots(monkeypatch: pytest.Monke
     ):
         rig.say("Telemetry", "flight_mode", mode)
         assert rig.of(StatusSample)[-1].flight_mode is expected
+
+
+# --- what comes ------------------------------------------------------------------------------------------
+
+UP_US = 7_000_000_000  # the autopilot's time at the first sample
+AXES = SimpleNamespace(forward_m_s2=0.0, right_m_s2=0.0, down_m_s2=-9.8)
+RATES = SimpleNamespace(forward_rad_s=0.0, right_rad_s=0.0, down_rad_s=0.0)
+IMU = SimpleNamespace(timestamp_us=UP_US, acceleration_frd=AXES, angular_velocity_frd=RATES)
+ATTITUDE = SimpleNamespace(timestamp_us=UP_US, w=1.0, x=0.0, y=0.0, z=0.0)
+ODOMETRY = message(time_usec=UP_US, x=0.0, y=0.0, z=0.0, vx=0.0, vy=0.0, vz=0.0)
+
+
+def test_whatever_is_subscribed_to_is_delivered_with_its_receipt(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig, estimation = Rig(monkeypatch, {}), SimpleNamespace(uses_esc=True, thrust_source=None)
+    began_us = host_us()
+    rig.session.subscribe(estimation, 4)  # type: ignore[arg-type]
+    for plugin, stream, value, kind in (
+        ("Telemetry", "imu", IMU, ImuSample),
+        ("Telemetry", "attitude_quaternion", ATTITUDE, AttitudeSample),
+        ("MavlinkDirect", "ODOMETRY", ODOMETRY, OdometrySample),
+        (
+            "MavlinkDirect",
+            "ACTUATOR_OUTPUT_STATUS",
+            message(time_usec=1, actuator=[1500] * 4),
+            ActuatorSample,
+        ),
+        ("MavlinkDirect", "ESC_STATUS", message(time_usec=1, index=0, rpm=[1] * 4), EscSample),
+        ("Telemetry", "armed", True, StatusSample),
+        ("Telemetry", "landed_state", SdkLandedState.IN_AIR, StatusSample),
+        ("Telemetry", "battery", SimpleNamespace(voltage_v=15.0, remaining_percent=50.0), StatusSample),
+        ("Telemetry", "status_text", SimpleNamespace(type="warning", text="low"), StatusText),
+        ("Events", "events", SimpleNamespace(log_level=4, message="gone"), StatusText),
+    ):
+        before = len(rig.of(kind))
+        rig.say(plugin, stream, value)
+        (found,) = rig.of(kind)[before:]
+        assert began_us <= found.received_us <= host_us()
+        if isinstance(found, StatusSample | StatusText):  # unstamped: by the clock that the IMU has told
+            (offset,) = rig.of(ClockOffset)
+            assert found.t_us == found.received_us + offset.offset_us
+            assert abs(found.t_us - UP_US) < 5_000_000
+    status = rig.of(StatusSample)[-1]
+    assert (status.armed, status.landed, status.battery_v) == (True, LandedState.IN_AIR, 15.0)
+    assert [text.text for text in rig.of(StatusText)] == ["low", "gone"]
+
+
+def test_only_a_guarded_flight_asks_for_what_the_guard_wants(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(monkeypatch, {})
+    rig.session.subscribe(VEHICLE.estimation, 4, guarded=False)
+    assert rig.plugins["Events"].calls == []
+    assert set(rig.plugins["MavlinkDirect"].callbacks) == {"ACTUATOR_OUTPUT_STATUS", "ODOMETRY"}
+
+
+def test_the_estimators_word_is_delivered_beside_the_position(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(monkeypatch, {})
+    rig.session.subscribe(VEHICLE.estimation, 4)
+    rig.say("MavlinkDirect", "ESTIMATOR_STATUS", message(flags=0, pos_horiz_accuracy=0.25))
+    assert [(e.healthy, e.position_sd_m) for e in rig.of(EstimatorSample)] == [(False, 0.25)]
+
+
+# --- what is sent ----------------------------------------------------------------------------------------
+
+
+def test_a_setpoint_carries_what_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(monkeypatch, {})
+    place, velocity, acceleration = (1.0, 2.0, -3.0), (0.1, 0.2, 0.3), (0.4, 0.5, 0.6)
+    for v, a in ((None, None), (velocity, None), (velocity, acceleration)):
+        rig.session.send(Setpoint(1, 1, place, 0.5, velocity_ned=v, acceleration_ned=a))
+    names, sent = zip(*rig.plugins["Offboard"].calls, strict=True)
+    assert names == (
+        "set_position_ned",
+        "set_position_velocity_ned",
+        "set_position_velocity_acceleration_ned",
+    )
+    for position, *others in sent:
+        assert (position.north_m, position.east_m, position.down_m) == place
+        for turned in (position, *others[:1]):
+            assert turned.yaw_deg == pytest.approx(math.degrees(0.5))
+    for _, moving, *_ in sent[1:]:
+        assert (moving.north_m_s, moving.east_m_s, moving.down_m_s) == velocity
+    pushed = sent[2][2]
+    assert (pushed.north_m_s2, pushed.east_m_s2, pushed.down_m_s2) == acceleration
+
+
+def test_the_ground_and_the_servo_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(monkeypatch, {})
+    rig.session.tell_ground("x" * 60)
+    rig.session.set_actuator(2, 0.5)
+    ((name, (_, text)),) = rig.plugins["ServerUtility"].calls
+    assert (name, text) == ("send_status_text", "x" * 50)
+    assert rig.plugins["Action"].calls == [("set_actuator", (2, 0.5))]
+    deaf = Rig(monkeypatch, {"send_status_text": refuse})
+    deaf.session.tell_ground("where the link allows")
+
+
+def test_messages_are_stopped_one_by_one_whatever_is_answered(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(monkeypatch, {"send_command": refuse})
+    asyncio.run(rig.session.stop_messages((30, 33)))
+    sent = [json.loads(command.fields_json) for _, (command,) in rig.plugins["MavlinkDirect"].calls]
+    assert [(s["command"], s["param1"], s["param2"]) for s in sent] == [(511, 30, -1), (511, 33, -1)]
+    assert {s["target_system"] for s in sent} == {1}
+
+
+# --- the round trip --------------------------------------------------------------------------------------
+
+
+def answering(rig: Rig, *, ahead_us: int = 0, system: int = 1, other_first: bool = False) -> None:
+    """The vehicle answers each request, by its own clock."""
+
+    def answer(asked: Any) -> None:
+        ts1 = json.loads(asked.fields_json)["ts1"]
+        reply = message(tc1=ts1 + 1000 * ahead_us, ts1=ts1)
+        reply.system_id = system
+        rig.say("MavlinkDirect", "TIMESYNC", reply)
+
+    rig.plugins["MavlinkDirect"]._answers["send_message"] = answer
+
+
+def test_a_round_trip_that_comes_back_is_delivered(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(monkeypatch, {})
+    answering(rig, ahead_us=500)
+    assert asyncio.run(rig.session.measure_link(5.0)) == []
+    trip = rig.of(RoundTrip)[0]
+    assert 0 <= trip.received_us - trip.sent_us < 5_000_000
+    assert trip.autopilot_us == trip.sent_us + 500
+    rig.session.clock = LockstepClock()
+    assert asyncio.run(rig.session.measure_link(5.0)) == []
+    assert rig.of(RoundTrip)[-1].autopilot_us is None  # it goes at any pace
+
+
+def test_what_another_asks_or_answers_is_no_round_trip(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(monkeypatch, {})
+    answering(rig, ahead_us=500, system=7)
+    assert asyncio.run(rig.session.measure_link(0.01)) == []  # the rate's answer counts
+    for tc1, ts1 in ((0, 1_000_000), (5_000_000, 1_000_000)):  # a request, and an answer to no request
+        strange = message(tc1=tc1, ts1=ts1)
+        strange.system_id = 1
+        rig.say("MavlinkDirect", "TIMESYNC", strange)
+    (trip,) = rig.of(RoundTrip)
+    assert trip.autopilot_us is None
+    assert trip.received_us >= trip.sent_us
+
+
+def test_a_link_that_only_sends_is_named_by_what_it_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    class TimedOutError(Exception):
+        result = SimpleNamespace(name="TIMEOUT")
+
+    def time_out(_: float) -> None:
+        raise TimedOutError
+
+    rig = Rig(monkeypatch, {"set_rate_imu": time_out, "send_message": refuse})
+    assert asyncio.run(rig.session.measure_link(0.01)) == ["TIMESYNC", f"rate of {STREAMS[0].message}"]
+    assert rig.of(RoundTrip) == []
+    refused = Rig(monkeypatch, {"set_rate_imu": refuse})  # it says no: that is an answer
+    assert asyncio.run(refused.session.measure_link(0.01)) == []
+    assert len(refused.of(RoundTrip)) == 1
+
+
+# --- the connection --------------------------------------------------------------------------------------
+
+
+class Sdk:
+    """In the place of MAVSDK: a link on which an autopilot answers, or none, or that cannot be opened."""
+
+    def __init__(self, system: object, problem: Exception | None) -> None:
+        self._system, self._problem = system, problem
+        self.left = 0
+
+    async def __aenter__(self) -> Sdk:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self.left += 1
+
+    async def add_any_connection(self, url: str) -> None:
+        if self._problem is not None:
+            raise self._problem
+
+    async def first_autopilot(self, timeout_s: float) -> object:
+        return self._system
+
+
+@pytest.mark.parametrize(
+    ("answers", "problem", "says"),
+    [
+        (True, None, ""),
+        (False, None, "no autopilot on udpin://here within 3 s"),
+        (True, OSError("in use"), "cannot open udpin://here: in use"),
+    ],
+)
+def test_a_connection_is_opened_and_closed_and_says_what_is_wrong(
+    monkeypatch: pytest.MonkeyPatch, answers: bool, problem: Exception | None, says: str
+) -> None:
+    Rig(monkeypatch, {})
+    sdk, opened = Sdk(object() if answers else None, problem), list[bool]()
+    monkeypatch.setattr(module, "Mavsdk", lambda _: sdk)
+    monkeypatch.setattr("dart_flight.vehicle.sdk_log.redirect", lambda: None)
+
+    async def use() -> None:
+        async with connect("udpin://here", 3.0, lambda _: None, opened=lambda: opened.append(True)):
+            assert opened == [True]
+            assert sdk.left == 0
+
+    if says:
+        with pytest.raises(VehicleError, match=says):
+            asyncio.run(use())
+    else:
+        asyncio.run(use())
+    assert opened == [True] * (not says)
+    assert sdk.left == 1

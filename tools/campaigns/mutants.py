@@ -54,10 +54,11 @@ SHELL: dict[str, tuple[str, ...]] = {
     ),
     "dart_flight/lock": ("tests/lock",),
 }
+CORE_TESTS = "tests/core"
 # What must notice of the core: first what notices most in the shortest time.
 TESTS = (
     "tests/recording/test_recorded_flights.py::test_a_recorded_flight_is_decided_again",
-    "tests/core",
+    CORE_TESTS,
     "tests/run",
     "tests/recording/test_recorded_flights.py",
     "tests/flights/test_fast_flights.py",
@@ -277,8 +278,18 @@ def _files_of(path: Path) -> list[Path]:
 
 
 def tests_of(mutant: Mutant) -> tuple[str, ...]:
-    """The tests that must notice it."""
-    return next((tests for name, tests in SHELL.items() if mutant.path.startswith(name)), TESTS)
+    """The tests that must notice it; of the core's those first that name its file."""
+    shell = next((tests for name, tests in SHELL.items() if mutant.path.startswith(name)), None)
+    return shell or _naming_first(mutant.path)
+
+
+@functools.cache
+def _naming_first(path: str) -> tuple[str, ...]:
+    module = path.removesuffix(".py").replace("/", ".")
+    files = sorted((ROOT / CORE_TESTS).glob("test_*.py"))
+    files.sort(key=lambda file: f"from {module} import" not in file.read_text())
+    names = [file.relative_to(ROOT).as_posix() for file in files]
+    return tuple(name for test in TESTS for name in (names if test == CORE_TESTS else [test]))
 
 
 @functools.cache

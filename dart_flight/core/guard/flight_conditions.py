@@ -312,7 +312,7 @@ class FlightConditions:
         self.since_imu = 0 if stream is self._imu_stream else self.since_imu + 1
         if self.second_vehicle is None:
             self._look_for_second(stream.clocks, item, t_us, received_us)
-        lag_us = 0 if newest is None or newest is item else newest.t_us - t_us
+        lag_us = (newest or item).t_us - t_us
         if lag_us > self._tolerance_us:
             self.stale[stream.name] = self.stale.get(stream.name, 0) + 1
             return

@@ -1,0 +1,132 @@
+"""What is learnt of the estimate's own errors, sample by sample; in a flight: test_force_estimate."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from dart_flight.base.geometry import GRAVITY_M_S2, Vec3
+from dart_flight.config.vehicle import load_vehicle, packaged
+from dart_flight.core.sense.bias import ForceBaseline, HoverBias
+
+VEHICLE = load_vehicle(packaged("configs", "dart.yaml"))
+MASS, ESTIMATION = VEHICLE.airframe.mass_kg, VEHICLE.estimation
+HOVER, WEIGHT_N, DT_S = ESTIMATION.hover, MASS * GRAVITY_M_S2, 0.004
+STILL: Vec3 = (0.0, 0.0, 0.0)
+
+
+def learnt(
+    f: Vec3,
+    seconds: float = 1.0,
+    rate: Vec3 = STILL,
+    speed_m_s: float = 0.0,
+    thrust_n: float = WEIGHT_N,
+) -> HoverBias:
+    bias = HoverBias(ESTIMATION, MASS)
+    for _ in range(round(seconds / DT_S)):
+        bias.learn(f, rate, speed_m_s, thrust_n, DT_S)
+    return bias
+
+
+def test_a_bias_is_approached_with_its_time_constant() -> None:
+    bias = learnt((0.1, -0.05, -GRAVITY_M_S2), HOVER.time_constant_s)
+    share = 1.0 - math.exp(-1.0)
+    assert (bias.bias_x, bias.bias_y) == pytest.approx((0.1 * share, -0.05 * share), rel=0.01)
+    assert bias.scale == pytest.approx(1.0)
+    settled = learnt((0.1, -0.05, -0.95 * GRAVITY_M_S2), 10.0 * HOVER.time_constant_s)
+    assert (settled.bias_x, settled.bias_y, settled.scale) == pytest.approx((0.1, -0.05, 0.95), rel=1e-3)
+
+
+RATE, SPEED = HOVER.rate_rad_s, HOVER.speed_m_s
+
+
+@pytest.mark.parametrize(
+    ("rate", "speed_m_s", "learns"),
+    [
+        ((0.32 * RATE, -0.32 * RATE, 0.32 * RATE), 0.95 * SPEED, True),
+        ((0.4 * RATE, -0.4 * RATE, 0.4 * RATE), 0.0, False),
+        ((1.05 * RATE, 0.0, 0.0), 0.0, False),
+        ((0.0, -1.05 * RATE, 0.0), 0.0, False),
+        ((0.0, 0.0, -1.05 * RATE), 0.0, False),
+        (STILL, 1.05 * SPEED, False),
+    ],
+)
+def test_only_a_hover_tells_the_bias_and_any_flight_the_thrust(
+    rate: Vec3, speed_m_s: float, learns: bool
+) -> None:
+    bias = learnt((0.1, -0.05, -0.95 * GRAVITY_M_S2), 1.0, rate, speed_m_s)
+    assert (bias.bias_x > 0.0, bias.bias_y < 0.0) == (learns, learns)
+    assert bias.scale < 0.999
+
+
+def test_with_the_motors_nearly_off_only_the_noise_is_learnt() -> None:
+    f = (0.1, -0.05, -0.95 * GRAVITY_M_S2)
+    bias = learnt(f, 3.0, thrust_n=0.49 * WEIGHT_N)
+    assert (bias.bias_x, bias.bias_y, bias.scale) == (0.0, 0.0, 1.0)
+    assert bias.noise_m_s2 < 0.1 * ESTIMATION.imu_noise_m_s2
+    assert learnt(f, 3.0, thrust_n=0.51 * WEIGHT_N).bias_x > 0.0
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_what_is_learnt_is_limited(sign: float) -> None:
+    far = 3.0 * HOVER.bias_limit_m_s2
+    bias = learnt((sign * far, -sign * far, -GRAVITY_M_S2 * (1.0 + sign * 0.9)), 20 * HOVER.time_constant_s)
+    most = HOVER.bias_limit_m_s2
+    assert (bias.bias_x, bias.bias_y) == (sign * most, -sign * most)
+    assert bias.scale == pytest.approx(1.0 + sign * HOVER.thrust_scale_limit)
+
+
+def test_a_bump_counts_for_a_quarter_of_the_thrust_at_most() -> None:
+    hard, soft = (learnt((0.0, 0.0, -factor * GRAVITY_M_S2), DT_S) for factor in (5.0, 1.25))
+    assert hard.scale == pytest.approx(soft.scale)
+    assert soft.scale > 1.0
+
+
+def test_the_noise_is_that_of_one_sample_and_axis() -> None:
+    """Half the mean square of differences: of 0.2 on either axis."""
+    bias = HoverBias(ESTIMATION, MASS)
+    for i in range(2000):
+        bias.learn((0.2 * (i % 2), 0.2 * (i % 2), -GRAVITY_M_S2), STILL, 0.0, WEIGHT_N, DT_S)
+    assert bias.noise_m_s2 == pytest.approx(0.2 / math.sqrt(2.0), rel=0.02)
+
+
+# --- the baseline ------------------------------------------------------------------------------------------
+
+
+def test_a_slow_force_is_followed_forty_milliseconds_late() -> None:
+    baseline, values = ForceBaseline(ESTIMATION), []
+    for _ in range(round(ESTIMATION.baseline_s / DT_S)):
+        baseline.follow(0.5, -0.3, DT_S)
+        values.append(baseline.value)
+    assert values[:8] == [(0.0, 0.0)] * 8
+    assert values[9][0] > 0.0
+    x, y = values[-1]
+    late = math.exp(-1.0 + 9 * DT_S / ESTIMATION.baseline_s)
+    assert (x, y) == pytest.approx((0.5 * (1.0 - late), -0.3 * (1.0 - late)), rel=0.02)
+
+
+def test_the_baseline_is_limited_in_size_and_pace() -> None:
+    baseline, fast = ForceBaseline(ESTIMATION), ForceBaseline(ESTIMATION)
+    for _ in range(round(20 * ESTIMATION.baseline_s / DT_S)):
+        baseline.follow(40.0, -40.0, DT_S)
+    limit = ESTIMATION.baseline_limit_n / math.sqrt(2.0)
+    assert baseline.value == pytest.approx((limit, -limit), rel=0.01)
+    first = ForceBaseline(ESTIMATION)
+    for _ in range(10):
+        fast.follow(-100.0, 0.0, DT_S)
+        first.follow(-2.0, 0.0, DT_S)
+    assert fast.value[0] == pytest.approx(first.value[0], rel=0.05)
+
+
+def test_a_contact_takes_the_baseline_back_to_before_its_foot() -> None:
+    baseline = ForceBaseline(ESTIMATION)
+    for _ in range(500):
+        baseline.follow(0.5, 0.0, DT_S)
+    before = baseline.value
+    baseline.follow(9.0, 0.0, DT_S)
+    baseline.settle()
+    assert baseline.value[0] == pytest.approx(before[0], rel=0.01)
+    for _ in range(12):
+        baseline.follow(*baseline.value, DT_S)
+    assert baseline.value[0] == pytest.approx(before[0], rel=0.01)

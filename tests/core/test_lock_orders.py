@@ -1,0 +1,94 @@
+"""When the lock may move, when it will be there, and how often it is told."""
+
+from __future__ import annotations
+
+import msgspec
+
+from dart_flight.base.records import LockCommand, LockPermission, LockPhase, LockState, Mode
+from dart_flight.config.vehicle import load_vehicle, packaged
+from dart_flight.core.mission.lock_orders import LockOrders
+from dart_flight.core.sense.state import FlightState
+
+NOW_US = 10_000_000
+PACKAGED = load_vehicle(packaged("configs", "dart.yaml")).lock
+assert PACKAGED is not None
+RELAX_US, SWITCH_US = 300_000, round(1e6 * PACKAGED.switch_time_s)
+
+
+def orders() -> LockOrders:
+    assert PACKAGED is not None
+    return LockOrders(msgspec.structs.replace(PACKAGED, relaxation_s=RELAX_US * 1e-6))
+
+
+def state_with(
+    phase: LockPhase, mode: Mode | None, now_us: int = NOW_US, commanded_us: int | None = None
+) -> FlightState:
+    state = FlightState()
+    state.now_us = now_us
+    state.take_lock(LockState(now_us, phase, mode, commanded_us=commanded_us))
+    return state
+
+
+def test_it_may_move_but_in_a_contact_and_until_the_arms_have_sprung_back() -> None:
+    lock = orders()
+    assert lock.permission(NOW_US, True) == LockPermission(NOW_US, False)
+    assert lock.permission(NOW_US + 1, False) == LockPermission(NOW_US + 1, True)
+    assert lock.permission(NOW_US + 2, False) is None  # said once
+    lock.contact_begins(NOW_US + 3)
+    assert lock.permission(NOW_US + 3, False) == LockPermission(NOW_US + 3, False)
+    lock.contact_ends(NOW_US + 10)
+    assert lock.permission(NOW_US + 9 + RELAX_US, False) is None
+    after_us = NOW_US + 10 + RELAX_US
+    assert lock.permission(after_us, True) is None
+    assert lock.permission(after_us, False) == LockPermission(after_us, True)
+    assert LockOrders(None).permission(NOW_US, False) is None
+
+
+def test_when_it_will_be_there() -> None:
+    lock = orders()
+    assert lock.ready_us(Mode.RIGID, state_with(LockPhase.SETTLED, Mode.RIGID)) == NOW_US
+    assert lock.ready_us(Mode.RIGID, state_with(LockPhase.FAULT, Mode.RIGID)) is None
+    # Before any contact, and while there is one, the arms spring back from now on at the soonest.
+    still_flexible = state_with(LockPhase.SETTLED, Mode.FLEXIBLE)
+    assert lock.ready_us(Mode.RIGID, still_flexible) == NOW_US + RELAX_US + SWITCH_US
+    lock.contact_ends(NOW_US - 100_000)
+    assert lock.ready_us(Mode.RIGID, still_flexible) == NOW_US - 100_000 + RELAX_US + SWITCH_US
+    lock.contact_ends(NOW_US - 2 * RELAX_US)
+    assert lock.ready_us(Mode.RIGID, still_flexible) == NOW_US + SWITCH_US
+
+
+def test_a_travel_is_over_a_switching_time_after_its_command_or_has_failed() -> None:
+    lock, told_us = orders(), NOW_US - 100_000
+    for now_us, ready_us in (
+        (NOW_US, told_us + SWITCH_US),
+        (told_us + SWITCH_US + 50_000, told_us + SWITCH_US),
+        (told_us + SWITCH_US + 50_001, None),
+    ):
+        travelling = state_with(LockPhase.TRAVELLING, Mode.RIGID, now_us, told_us)
+        assert lock.ready_us(Mode.RIGID, travelling) == ready_us
+    since_now = state_with(LockPhase.TRAVELLING, Mode.RIGID)  # nobody knows since when
+    assert lock.ready_us(Mode.RIGID, since_now) == NOW_US + SWITCH_US
+    other_way = state_with(LockPhase.TRAVELLING, Mode.FLEXIBLE, NOW_US, told_us)
+    assert lock.ready_us(Mode.RIGID, other_way) == NOW_US + RELAX_US + SWITCH_US
+
+
+def test_it_is_told_once_a_second_until_it_moves() -> None:
+    lock = orders()
+
+    def told(now_us: int, phase: LockPhase = LockPhase.SETTLED, mode: Mode = Mode.FLEXIBLE) -> bool:
+        command = lock.command_mode(Mode.RIGID, state_with(phase, mode, now_us))
+        assert command in (None, LockCommand(now_us, Mode.RIGID))
+        return command is not None
+
+    assert not told(NOW_US)  # not permitted yet
+    lock.permission(NOW_US, False)
+    assert told(NOW_US)
+    assert not told(NOW_US + 999_999)
+    assert told(NOW_US + 1_000_000)
+    lock.phase_begins()
+    assert not told(NOW_US + 1_000_001, LockPhase.TRAVELLING, Mode.RIGID)
+    assert not told(NOW_US + 1_000_001, LockPhase.SETTLED, Mode.RIGID)
+    assert told(NOW_US + 1_000_001)
+    assert told(NOW_US + 2_000_001, LockPhase.TRAVELLING)  # the other way
+    flexible = lock.command_mode(Mode.FLEXIBLE, state_with(LockPhase.UNKNOWN, None, NOW_US + 2_000_002))
+    assert flexible == LockCommand(NOW_US + 2_000_002, Mode.FLEXIBLE)  # another order waits for nothing
