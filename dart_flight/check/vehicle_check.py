@@ -20,7 +20,7 @@ from dart_flight.config.rotors import COUNT, rotor_names
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.drivers import DRIVERS, driver_names
 from dart_flight.lock.drivers.px4_output import parameter_problems, required_parameters
-from dart_flight.vehicle.ground_link import GroundLink, Observation
+from dart_flight.vehicle.ground_link import GroundLink, HeartbeatMode, Observation
 
 _MEASURE_S = 3.0
 
@@ -45,6 +45,7 @@ def check_vehicle(
         if not late.go:
             return [late]  # over such a link the rest would take minutes, and tell nothing
         observed = link.observe(mission.vehicle, _MEASURE_S)
+        mode = link.heartbeat_mode()
         version = _release_of(observed.version)
         names = [*names_to_read(version), COUNT]
         if lock is not None and lock.driver is LockDriver.PX4:
@@ -56,6 +57,7 @@ def check_vehicle(
     return [
         *judge_position(mission, found, observed.gps_fix, position_from),
         *judge_parameters(mission, values, position_from or found, version),
+        *judge_mode(mode),
         *judge_airframe(mission, values),
         late,
         *judge_observation(mission, observed),
@@ -114,6 +116,14 @@ def judge_observation(mission: Mission, observed: Observation) -> list[CheckFind
         begin = "PX4 would refuse to arm: " if observed.blocking else "PX4 says: "
         findings.append(CheckFinding("px4_checks", True, begin + said, remark=True))
     return findings
+
+
+def judge_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
+    """Whether the vehicle flies from simulated sensors since its last start, whatever SYS_HITL says by now."""
+    if mode is None or not mode.hil:
+        return []
+    says = "the vehicle flies from simulated sensors (hardware in the loop): restart it with SYS_HITL 0"
+    return [CheckFinding("hil_mode", False, says)]
 
 
 def judge_lock(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:

@@ -21,7 +21,7 @@ from dart_flight.check.px4_parameters import (
     names_to_read,
     position_source,
 )
-from dart_flight.check.vehicle_check import judge_lock, judge_observation
+from dart_flight.check.vehicle_check import judge_lock, judge_mode, judge_observation
 from dart_flight.cli import main
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
@@ -31,7 +31,7 @@ from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.drivers.px4_output import required_parameters
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver
-from dart_flight.vehicle.ground_link import Observation
+from dart_flight.vehicle.ground_link import HeartbeatMode, Observation
 from tests.flights.test_embedded_flights import simulated_vehicle
 
 ROOT = Path(__file__).parents[2]
@@ -128,6 +128,12 @@ GOOD = {
     "COM_DISARM_LAND": 2.0,
     "SYS_HITL": 0.0,
 }
+
+
+def test_a_vehicle_in_hardware_in_the_loop_is_refused_by_its_heartbeat_too() -> None:
+    assert judge_mode(HeartbeatMode(armed=False, hil=False)) == judge_mode(None) == []
+    (found,) = judge_mode(HeartbeatMode(armed=False, hil=True))
+    assert (found.go, found.item) == (False, "hil_mode")
 
 
 def remarks(findings: list[CheckFinding]) -> list[str]:
