@@ -119,7 +119,7 @@ def judge_observation(mission: Mission, observed: Observation) -> list[CheckFind
 
 
 def judge_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
-    """Whether the vehicle flies from simulated sensors since its last start, whatever SYS_HITL says by now."""
+    """Whether it flies from simulated sensors since its last start, whatever SYS_HITL says by now."""
     if mode is None or not mode.hil:
         return []
     says = "the vehicle flies from simulated sensors (hardware in the loop): restart it with SYS_HITL 0"
