@@ -190,7 +190,7 @@ class Px4Vehicle:
         self._servo = None if lock is None else LockServo(self.plant, lock.servo)
         self._lock_by_px4 = lock if lock is not None and lock.driver is LockDriver.PX4 else None
         self._motors, self._servo_channel = len(self.plant.motors), servo_channel(self.vehicle)
-        self._ticks = 0
+        self._ticks = self._slow_tick = 0
         self.clipped = 0  # ticks with a saturated accelerometer axis
         self._unreported: list[tuple[Vec3, Vec3]] = []  # specific force and rate of ticks not yet sent
         self._others: list[Any] = []
@@ -258,7 +258,8 @@ class Px4Vehicle:
         gx, gy, gz = (max(-GYRO_LIMIT_RAD_S, min(GYRO_LIMIT_RAD_S, axis)) for axis in w)
         fields = _ACCELEROMETER | _GYRO
         field, pressure, altitude = (0.0, 0.0, 0.0), 0.0, 0.0
-        if self._ticks % _SLOW_EVERY == 0:
+        if self._ticks - self._slow_tick >= _SLOW_EVERY:
+            self._slow_tick = self._ticks
             fields |= _MAGNETOMETER | _BAROMETER
             field = self._magnetometer.measure(self.plant)
             pressure, altitude = self._barometer.measure(self.plant)
