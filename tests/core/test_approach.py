@@ -1,14 +1,25 @@
-"""What stands in the way of a straight run."""
+"""What stands in the way of a straight run, and references whose parts belong together."""
 
 from __future__ import annotations
 
 import math
 
+import msgspec
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dart_flight.base.walls import Wall
-from dart_flight.core.mission.approach import CLEARANCE_M, is_blocked
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.core.mission.approach import (
+    CLEARANCE_M,
+    Approach,
+    TransitTrajectory,
+    is_blocked,
+    run_up,
+    standoff_point,
+)
 
 beside = st.floats(-2.0, 2.0)
 away = st.floats(CLEARANCE_M + 0.01, 2.0)
@@ -36,3 +47,103 @@ def test_a_way_is_blocked_where_it_crosses_the_wall_within_its_length(
     if abs(abs(crossed) - 0.5) > 1e-6:
         assert is_blocked(wall, a, b) == (abs(crossed) < 0.5)
     assert not is_blocked(wall, a, at(behind, to_there))  # it stays on its side
+
+
+# --- references ------------------------------------------------------------------------------------------
+
+MISSION = load_mission(packaged("missions", "paper_single_wall.yaml"))
+FLYING = MISSION.vehicle.flying
+place = st.tuples(beside, beside)
+
+
+@given(place, st.floats(-math.pi, math.pi), st.floats(0.2, 3.0), st.floats(0.3, 2.0), st.floats(0.02, 0.98))
+def test_an_approach_is_what_its_derivatives_say(
+    begin: tuple[float, float], angle: float, speed_m_s: float, ramp_s: float, share: float
+) -> None:
+    """On the ramp; then at constant speed through the wall, which it meets at the time that it says."""
+    direction = (math.cos(angle), math.sin(angle))
+    impact = (begin[0] + 4.0 * direction[0], begin[1] + 4.0 * direction[1])
+    approach = Approach(begin, impact, direction, speed_m_s, ramp_s, 1.5)
+    t, h = share * ramp_s, 1e-5 * ramp_s
+    at, before, after = approach.at(t), approach.at(t - h), approach.at(t + h)
+    for part, slope in (("position", at.velocity), ("velocity", at.acceleration), ("acceleration", at.jerk)):
+        ends = zip(getattr(before, part), getattr(after, part), strict=True)
+        assert [(b - a) / (2.0 * h) for a, b in ends] == pytest.approx(slope, rel=1e-3, abs=1e-3)
+    assert approach.at(0.0).position == pytest.approx((*begin, 1.5))
+    met = approach.at(approach.impact_s)
+    if approach.impact_s > ramp_s:
+        assert met.position == pytest.approx((*impact, 1.5))
+        assert met.velocity == pytest.approx((speed_m_s * direction[0], speed_m_s * direction[1], 0.0))
+        assert met.acceleration == met.jerk == (0.0, 0.0, 0.0)
+    assert approach.at(-1.0).position == approach.at(0.0).position
+    assert approach.at(-1.0).jerk == (0.0, 0.0, 0.0)
+
+
+@given(st.tuples(beside, beside, away), st.tuples(beside, beside, away), st.floats(0.0, 1.0))
+def test_a_transit_goes_from_rest_to_rest_within_its_limits(
+    begin: tuple[float, float, float], end: tuple[float, float, float], share: float
+) -> None:
+    transit = TransitTrajectory.between(begin, end, 0.8, 0.6, 0.4)
+    t, h = share * transit.duration_s, 1e-5
+    at, before, after = transit.at(t), transit.at(t - h), transit.at(t + h)
+    if h < t < transit.duration_s - h:
+        for part, slope in (("position", at.velocity), ("velocity", at.acceleration)):
+            ends = zip(getattr(before, part), getattr(after, part), strict=True)
+            assert [(b - a) / (2.0 * h) for a, b in ends] == pytest.approx(slope, rel=1e-3, abs=1e-3)
+    assert math.hypot(*at.velocity) <= 0.8 * 1.001
+    assert math.hypot(*at.acceleration) <= 0.6 * 1.001
+    assert abs(at.velocity[2]) <= 0.4 * 1.001
+    assert at.jerk == (0.0, 0.0, 0.0)
+    for moment, where in ((-1.0, begin), (0.0, begin), (transit.duration_s, end), (99.0, end)):
+        there = transit.at(moment)
+        assert there.position == pytest.approx(where)
+        assert there.velocity == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+
+
+def test_a_transit_takes_no_longer_than_its_limits_ask() -> None:
+    """One of them is reached: the speed on a long way, the acceleration on a short one, the climb."""
+    for end, speed_m_s, acceleration_m_s2, climb_m_s in (
+        ((5.0, 0.0, 0.0), 0.8, 100.0, 9.0),
+        ((0.3, 0.0, 0.0), 80.0, 0.6, 9.0),
+        ((0.1, 0.0, 5.0), 0.8, 100.0, 0.4),
+    ):
+        transit = TransitTrajectory.between((0.0, 0.0, 0.0), end, speed_m_s, acceleration_m_s2, climb_m_s)
+        points = [transit.at(transit.duration_s * i / 1000) for i in range(1001)]
+        used = (
+            max(math.hypot(*p.velocity) for p in points) / speed_m_s,
+            max(math.hypot(*p.acceleration) for p in points) / acceleration_m_s2,
+            max(abs(p.velocity[2]) for p in points) / climb_m_s,
+        )
+        assert max(used) == pytest.approx(1.0, abs=0.01)
+
+
+@given(st.floats(-0.8, 0.8), st.floats(0.3, 2.0), st.floats(0.0, 0.05))
+def test_a_run_up_is_as_long_as_it_needs_and_no_longer(slant: float, speed_m_s: float, sd: float) -> None:
+    """Speeding up at the acceleration allowed, then steady before the nearest place of the wall."""
+    wall, impact = Wall("wall", (3.0, 0.0), (-1.0, 0.0), 4.0, "wood", sd or None), (3.0, 0.5)
+    velocity = (speed_m_s * math.cos(slant), speed_m_s * math.sin(slant))
+    far = (-90.0, 40.0)  # not on the ray
+    begin, direction, speed, ramp_s = run_up(far, impact, velocity, FLYING, wall)
+    approach = Approach((float(begin[0]), float(begin[1])), impact, direction, speed, ramp_s, 1.0)
+    top = max(math.hypot(*approach.at(ramp_s * i / 200).acceleration) for i in range(201))
+    assert top == pytest.approx(FLYING.acceleration_m_s2, rel=1e-3)
+    steady_s = approach.impact_s - ramp_s - 3.0 * sd / velocity[0]
+    assert steady_s == pytest.approx(FLYING.steady_run_s, abs=1e-9)
+    on_ray = (impact[0] - 9.0 * math.cos(slant), impact[1] - 9.0 * math.sin(slant))
+    from_there, *_ = run_up(on_ray, impact, velocity, FLYING, wall)
+    assert from_there == pytest.approx(on_ray)  # far enough back: it begins where the vehicle is
+    near = (impact[0] - 0.1 * math.cos(slant), impact[1] - 0.1 * math.sin(slant))
+    assert run_up(near, impact, velocity, FLYING, wall).begin == pytest.approx(begin)
+
+
+@pytest.mark.parametrize(("sd", "stops_at_m"), [(None, 0.4), (0.1, 0.7)])
+def test_a_rehearsal_stops_before_the_nearest_place_of_the_wall(sd: float | None, stops_at_m: float) -> None:
+    mission = msgspec.structs.replace(MISSION, standoff_m=0.4)
+    wall = Wall("wall", (3.0, 0.0), (-1.0, 0.0), 4.0, "wood", sd)
+    collision = msgspec.structs.replace(mission.collisions[0], wall=wall)
+    stop = standoff_point(mission, collision, (0.0, -1.0), (3.0, 0.5))
+    assert wall.signed_distance(stop) == pytest.approx(stops_at_m)
+    assert stop[1] == pytest.approx(-1.0 + 0.5 * stop[0])  # on the line
+    for near in ((2.9, 0.0), (3.0 - stops_at_m + 1e-9, 0.0)):
+        assert standoff_point(mission, collision, near, (3.0, 0.5)) == near
+    assert standoff_point(mission, collision, (1.0, 0.0), (1.0, 0.5)) == (1.0, 0.0)  # along the wall

@@ -192,7 +192,10 @@ def test_a_way_is_what_its_derivatives_say(
         slope = (after.position[axis] - before.position[axis]) / (2 * h)
         curve = (after.velocity[axis] - before.velocity[axis]) / (2 * h)
         assert at.velocity[axis] == pytest.approx(slope, rel=1e-4, abs=1e-3)
+        jerk = (after.acceleration[axis] - before.acceleration[axis]) / (2 * h)
         assert at.acceleration[axis] == pytest.approx(curve, rel=1e-4, abs=1e-3)
+        if h < t_s < duration_s - h:
+            assert at.jerk[axis] == pytest.approx(jerk, rel=1e-3, abs=1e-2)
 
 
 @given(st.tuples(*[coefficient] * 6), st.floats(0.2, 3.0), st.floats(0.01, 2.0))
@@ -203,4 +206,4 @@ def test_a_way_goes_straight_on_behind_its_end(
     end, beyond = way.at(duration_s), way.at(duration_s + more_s)
     assert beyond.velocity == end.velocity
     assert beyond.position[0] == pytest.approx(end.position[0] + more_s * end.velocity[0])
-    assert beyond.acceleration == (0.0, 0.0, 0.0)
+    assert beyond.acceleration == beyond.jerk == (0.0, 0.0, 0.0)

@@ -1,0 +1,178 @@
+"""Targets, arrival and setpoints, one sample at a time; in flight: test_arrival, test_limits."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from dart_flight.base.geometry import MissionFrame, Vec3
+from dart_flight.base.records import AttitudeSample, OdometrySample, Setpoint
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.core.mission.approach import Approach, PlannedTrajectory
+from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
+from dart_flight.core.mission.setpoint_generator import SetpointGenerator
+from dart_flight.core.sense.state import FlightState
+
+MISSION = load_mission(packaged("missions", "paper_single_wall.yaml"))
+FLYING, ALTITUDE_M = MISSION.vehicle.flying, MISSION.altitude_m
+FRAME = MissionFrame(2.0, -1.0, 0.3, 0.6)
+NO_PUSH: Vec3 = (0.0, 0.0, 0.0)
+
+
+def parts(setpoint: Setpoint) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
+    """Position, velocity, acceleration in the mission frame."""
+    v, a = setpoint.velocity_ned, setpoint.acceleration_ned
+    return (
+        FRAME.point_from_ned(setpoint.position_ned),
+        None if v is None else FRAME.vector_from_ned(v),
+        None if a is None else FRAME.vector_from_ned(a),
+    )
+
+
+def standing() -> SetpointGenerator:
+    references = SetpointGenerator(MISSION)
+    references.stand((1.0, 2.0, 0.7), 0.2, 0)
+    return references
+
+
+def test_it_stands_on_the_ground_climbs_and_flies_at_its_altitude() -> None:
+    references = standing()
+    assert (references.target, references.yaw, references.on_transit) == ((1.0, 2.0, 0.0), 0.2, False)
+    assert references.duration_s == 0.0
+    references.climb()
+    assert references.on_transit
+    assert references.target == (1.0, 2.0, ALTITUDE_M)
+    climb_s = references.duration_s
+    assert climb_s >= 1.8 * ALTITUDE_M / FLYING.climb_speed_m_s
+    references.fly_to((2.0, 2.0))
+    default_s = references.duration_s
+    assert references.target == (2.0, 2.0, ALTITUDE_M)
+    references.hold((1.0, 2.0))
+    references.fly_to((2.0, 2.0), 0.5 * FLYING.transit_speed_m_s)
+    assert references.duration_s > default_s
+    references.fly_to_waypoint((0.0, 0.0, 2.5), 1.0)
+    assert (references.target, references.altitude_m) == ((0.0, 0.0, 2.5), 2.5)
+    references.hold((3.0, 3.0, 9.0))
+    assert (references.target, references.on_transit) == ((3.0, 3.0, 2.5), False)  # the altitude is kept
+
+
+def test_a_step_says_only_where_and_a_way_also_how_fast() -> None:
+    references = standing()
+    references.hold((1.0, 2.0))
+    step = references.setpoint(FRAME, 500, 600, None)
+    assert (step.t_us, step.trigger_received_us, step.recovery) == (500, 600, False)
+    assert parts(step) == (pytest.approx((1.0, 2.0, ALTITUDE_M)), None, None)
+    assert step.yaw_ned_rad == pytest.approx(FRAME.yaw_to_ned(0.2))
+    pushed = references.setpoint(FRAME, 500, 600, None, (0.5, -0.2, 0.0))
+    assert parts(pushed)[1:] == (pytest.approx(NO_PUSH), pytest.approx((0.5, -0.2, 0.0)))
+    recovery = references.recovery_setpoint(FRAME, 500, 600)
+    assert (recovery.recovery, parts(recovery)) == (True, parts(step))
+    references.fly_to((4.0, 2.0))
+    assert parts(references.setpoint(FRAME, 500, 600, None))[1] is None  # not begun
+    half_us = round(0.5e6 * references.duration_s)
+    position, velocity, _ = parts(references.setpoint(FRAME, 500 + half_us, 0, 500))
+    assert position == pytest.approx((2.5, 2.0, ALTITUDE_M), abs=1e-5)
+    assert velocity == pytest.approx((1.875 * 3.0 / references.duration_s, 0.0, 0.0), abs=1e-5)
+
+
+def test_drag_and_what_the_d_term_takes_are_fed_forward_ahead_of_the_attitudes_lag() -> None:
+    """Drag b v, in a lag's time b (v + lag a); the reference's own a (1 + kd), and its change."""
+    references = standing()
+    x, y = (0.0, 1.0, 0.5, 0.1, 0.0, 0.0), (0.0, -0.4, 0.25, -0.2, 0.0, 0.0)
+    way = PlannedTrajectory(x, y, 5.0, ALTITUDE_M)
+    references.follow_trajectory(way)
+    assert references.target == way.at(5.0).position
+    at, (_, velocity, fed) = way.at(1.0), parts(references.setpoint(FRAME, 1_000_000, 0, 0))
+    assert velocity == pytest.approx(at.velocity)
+    assert fed is not None
+    kd = MISSION.vehicle.px4.mpc_xy_vel_d_acc
+    for axis, drag in enumerate(MISSION.vehicle.airframe.drag_per_s[:2]):
+        later_m_s = at.velocity[axis] + ATTITUDE_LAG_S * at.acceleration[axis]
+        later_m_s2 = at.acceleration[axis] + ATTITUDE_LAG_S * at.jerk[axis]
+        assert fed[axis] == pytest.approx(drag * later_m_s + later_m_s2 + kd * at.acceleration[axis])
+
+
+def test_on_the_climb_only_drag_is_added() -> None:
+    references = standing()
+    references.climb()
+    at_us = round(0.3e6 * references.duration_s)
+    _, velocity, fed = parts(references.setpoint(FRAME, at_us, 0, 0))
+    _, before, _ = parts(references.setpoint(FRAME, at_us - 100, 0, 0))
+    _, after, _ = parts(references.setpoint(FRAME, at_us + 100, 0, 0))
+    assert velocity is not None
+    assert before is not None
+    assert after is not None
+    assert fed is not None
+    drag = MISSION.vehicle.airframe.drag_per_s[2]
+    assert fed[2] == pytest.approx((after[2] - before[2]) / 200e-6 + drag * velocity[2], abs=1e-3)
+
+
+def test_an_approach_is_flown_without_a_new_target() -> None:
+    references = standing()
+    references.hold((1.0, 2.0))
+    references.approach(Approach((1.0, 2.0), (3.0, 2.0), (1.0, 0.0), 1.0, 0.5, ALTITUDE_M))
+    assert (references.target, references.on_transit) == ((1.0, 2.0, ALTITUDE_M), False)
+    position, velocity, _ = parts(references.setpoint(FRAME, 1_000_000, 0, 0))
+    assert position == pytest.approx((1.75, 2.0, ALTITUDE_M))
+    assert velocity == pytest.approx((1.0, 0.0, 0.0))
+
+
+def test_in_a_contact_it_asks_for_the_vehicles_own_motion_at_its_altitude() -> None:
+    references = standing()
+    place, motion = (1.5, 1.0, 1.3), (0.4, -0.3, 0.2)
+    sample = OdometrySample(700, 800, FRAME.point_to_ned(place), FRAME.vector_to_ned(motion))
+    asked = references.contact_setpoint(FRAME, sample, (1.0, 2.0, 0.0))
+    assert (asked.t_us, asked.trigger_received_us) == (700, 800)
+    assert parts(asked) == (
+        pytest.approx((1.5, 1.0, ALTITUDE_M)),
+        pytest.approx((0.4, -0.3, 0.0)),
+        pytest.approx((1.0, 2.0, 0.0)),
+    )
+    assert parts(references.contact_setpoint(FRAME, sample, None))[2] == pytest.approx(NO_PUSH)
+
+
+def test_it_has_arrived_once_it_was_there_slow_and_heading_right_for_a_while() -> None:
+    references, state, t_us = standing(), FlightState(), 0
+    state.anchor(MissionFrame())
+    references.hold((0.0, 0.0))
+
+    def after(seconds: float, beside_m: float = 0.0, yaw: float = 0.0, speed_m_s: float = 0.0) -> bool:
+        """Whether it has arrived in any of the samples of so long."""
+        nonlocal t_us
+        arrived = False
+        for _ in range(round(seconds / 0.01)):
+            t_us += 10_000
+            half = 0.5 * yaw
+            state.take_attitude(AttitudeSample(t_us, t_us, (math.cos(half), 0.0, 0.0, -math.sin(half))))
+            there, moving = (beside_m, 0.0, -ALTITUDE_M), (speed_m_s, 0.0, 0.0)
+            state.take_odometry(OdometrySample(t_us, t_us, there, moving))
+            arrived = references.has_arrived(state, 0.0) or arrived
+        return arrived
+
+    long_s = FLYING.arrive_s + 0.02
+    assert not after(2.0 * long_s, beside_m=1.02 * FLYING.arrive_m)
+    assert not after(2.0 * long_s, yaw=0.052)
+    assert not after(2.0 * long_s, yaw=-0.052)
+    assert not after(2.0 * long_s + FLYING.arrive_mean_s, speed_m_s=1.02 * FLYING.arrive_speed_m_s)
+    assert not after(FLYING.arrive_mean_s, beside_m=9.0)
+    assert not after(FLYING.arrive_s - 0.02)
+    assert not after(0.05, beside_m=9.0)  # it counts anew
+    assert not after(FLYING.arrive_s - 0.02, 0.98 * FLYING.arrive_m, 0.048, 0.98 * FLYING.arrive_speed_m_s)
+    references.phase_begins()
+    assert not after(FLYING.arrive_s - 0.02)
+    assert after(0.04)
+
+
+def test_the_heading_turns_the_short_way_at_its_rate() -> None:
+    references, rate = standing(), math.radians(FLYING.yaw_rate_deg_s)
+    references.stand((0.0, 0.0, 0.0), 3.0, 1_000_000)
+    references.slew_yaw(-3.0, 1_100_000)
+    assert references.yaw == pytest.approx(3.0 + min(0.1 * rate, 2.0 * math.pi - 6.0))
+    references.stand((0.0, 0.0, 0.0), 1.0, 2_000_000)
+    references.slew_yaw(-1.0, 2_010_000)
+    references.slew_yaw(-1.0, 2_030_000)
+    assert references.yaw == pytest.approx(1.0 - 0.03 * rate)
+    references.slew_yaw(-1.0, 99_000_000)
+    assert references.yaw == pytest.approx(-1.0)
