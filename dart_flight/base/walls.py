@@ -14,6 +14,22 @@ import msgspec
 from dart_flight.base.geometry import Vec2, Vec3, wrap_angle
 
 
+class Post(msgspec.Struct, frozen=True):
+    """An upright cylinder that stands by itself.
+
+    Attributes:
+        name: as in the mission file.
+        centre: of its face's circle, mission frame, metres.
+        radius_m: of its face.
+        material: key of the materials table.
+    """
+
+    name: str
+    centre: Vec2
+    radius_m: float
+    material: str
+
+
 class Wall(msgspec.Struct, frozen=True):
     """A finite vertical wall, as the plane where the vehicle's *centre* is at first touch.
 
