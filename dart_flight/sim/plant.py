@@ -742,11 +742,12 @@ def make_plant(mission: Mission, motors: tuple[Motor, ...] | None = None, seed: 
     start_ned = flat.point_to_ned((x, y, 0.0))
     return Plant(
         mission.vehicle,
-        mission.walls,
+        mission.flat_walls,
         mission.frame_at(start_ned),
         start_ned,
         motors=motors,
         scatter_seed=seed,
+        posts=mission.posts,
     )
 
 
