@@ -14,6 +14,30 @@ import msgspec
 from dart_flight.base.geometry import Vec2, Vec3, wrap_angle
 
 
+class Post(msgspec.Struct, frozen=True):
+    """An upright cylinder that stands by itself.
+
+    Attributes:
+        name: as in the mission file.
+        centre: of its face's circle, mission frame, metres.
+        radius_m: of its face.
+        material: key of the materials table.
+    """
+
+    name: str
+    centre: Vec2
+    radius_m: float
+    material: str
+
+    def distance_to_way(self, a: Vec2, b: Vec2) -> float:
+        """Smallest distance in metres of the axis to the straight way from one place to another."""
+        (ax, ay), (bx, by), (cx, cy) = a[:2], b[:2], self.centre
+        dx, dy = bx - ax, by - ay
+        square = dx * dx + dy * dy
+        share = max(0.0, min(1.0, ((cx - ax) * dx + (cy - ay) * dy) / square)) if square > 0.0 else 0.0
+        return math.hypot(ax + share * dx - cx, ay + share * dy - cy)
+
+
 class Wall(msgspec.Struct, frozen=True):
     """A finite vertical wall, as the plane where the vehicle's *centre* is at first touch.
 
@@ -26,6 +50,7 @@ class Wall(msgspec.Struct, frozen=True):
         position_sd_m: standard deviation of the plane's place along the normal; None: not told.
         yaw_sd_rad: of its direction, about `point`; None: not told.
         half_vehicle_m: from the vehicle's centre to its side, which must fit on the wall, or past its end.
+        post_radius_m: of the post whose tangent plane this is, where it is to be hit; 0: it is a wall.
     """
 
     name: str
@@ -36,6 +61,7 @@ class Wall(msgspec.Struct, frozen=True):
     position_sd_m: float | None = None
     yaw_sd_rad: float | None = None
     half_vehicle_m: float = 0.0
+    post_radius_m: float = 0.0
 
     @property
     def tangent(self) -> Vec2:

@@ -15,6 +15,7 @@ from dart_flight.core.mission.approach import (
     TransitSegment,
     check_segments_clear,
     is_blocked,
+    is_post_in_the_way,
     plan_approach,
     transit_of,
     transit_segments,
@@ -90,10 +91,19 @@ def _check_places(mission: Mission) -> list[CheckFinding]:
             if distance >= _CLEARANCE_M:
                 says += f" if that stands {SURE_SD:g} of its standard deviations nearer"
             findings.append(CheckFinding(f"{name.replace(' ', '_')}_clearance", False, says))
+        for post in mission.posts:
+            if is_post_in_the_way(mission, post, point, point):
+                away = post.distance_to_way(point, point) - post.radius_m
+                says = f"{name} is {away:.2f} m from post {post.name}, too near for the vehicle"
+                findings.append(CheckFinding(f"{name.replace(' ', '_')}_clearance", False, says))
     for wall in mission.walls:
         if mission.bounds.excess2(wall.point) > 0.0:
             says = f"the middle of wall {wall.name} is outside bounds_m and cannot be reached"
             findings.append(CheckFinding("wall_bounds", False, says))
+    for post in mission.posts:
+        if mission.bounds.excess2(post.centre) > post.radius_m:
+            says = f"post {post.name} is outside bounds_m and in nobody's way"
+            findings.append(CheckFinding("post_bounds", True, says, remark=True))
     if not findings:
         findings.append(
             CheckFinding("places", True, "start, goal and walls lie within the bounds, clear of each other")
@@ -301,6 +311,13 @@ def _check_recovery(
             ]
         if leg is not None and is_blocked(wall, target[:2], leg.end[:2]):
             says = f"{says}: from there wall {wall.name} is in the way to {leg.name}"
+            return [CheckFinding(item, False, says)]
+    for post in mission.posts:
+        way = (place[0], place[1]), (target[0], target[1])
+        if post.name != collision.wall.name and is_post_in_the_way(mission, post, *way):
+            return [CheckFinding(item, False, f"{says}: post {post.name} is in the way")]
+        if leg is not None and is_post_in_the_way(mission, post, target[:2], leg.end[:2]):
+            says = f"{says}: from there post {post.name} is in the way to {leg.name}"
             return [CheckFinding(item, False, says)]
     return [_outside(mission, item, target, says, "the goal" if leg is None else leg.name)]
 

@@ -29,10 +29,10 @@ def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[Check
 
 
 def _check_ends(mission: Mission, hits: Mapping[int, PredictedImpact]) -> Iterator[CheckFinding]:
-    """Whether every wall is met far enough from its end for the whole vehicle to meet it."""
-    if not mission.collisions:
+    """Whether every wall is met far enough from its end for the whole vehicle to meet it; a post has none."""
+    places = [(c, impact_place(c, hits)) for c in mission.collisions if not c.wall.post_radius_m]
+    if not places:
         return
-    places = [(c, impact_place(c, hits)) for c in mission.collisions]
 
     def room_m(one: tuple[Collision, Vec2]) -> float:
         wall, place = one[0].wall, one[1]
@@ -48,7 +48,10 @@ def _check_ends(mission: Mission, hits: Mapping[int, PredictedImpact]) -> Iterat
         needed += f" and {SURE_SD:g} standard deviations of its place ({slack:.2f} m)"
     figures = {"distance_m": distance_m, "margin_m": wall.half_vehicle_m + slack}
     if room_m((nearest, place)) < 0.0:
-        says += f", nearer than {needed}: move the hit along the wall"
+        says += f", nearer than {needed}"
+        if distance_m < mission.vehicle.airframe.guard_along_m + slack:
+            says += "; not all guards meet it there, and the hit turns the vehicle"
+        says += ": move the hit along the wall"
     yield CheckFinding("wall_end", room_m((nearest, place)) >= 0.0, says, figures=figures)
 
 

@@ -8,13 +8,14 @@ import msgspec
 
 from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
-from dart_flight.base.walls import Wall
+from dart_flight.base.walls import Post, Wall
 from dart_flight.config.document import Document, Key, unknown_name
-from dart_flight.config.mission_file import BoundsSpec, GoalSpec, Limits, StartSpec, WallSpec
+from dart_flight.config.mission_file import BoundsSpec, GoalSpec, Limits, PostSpec, StartSpec, WallSpec
 from dart_flight.config.vehicle import VehicleConfig
 
 _AXIS_TOLERANCE = 1e-6
 _UNIT_TOLERANCE = 1e-15
+_ON_POST_M = 0.01  # an impact is where a post is touched, but for this
 
 
 def resolve_space(
@@ -79,6 +80,58 @@ def resolve_walls(specs: dict[str, WallSpec], vehicle: VehicleConfig, document: 
             name, point, normal, spec.length_m, spec.material, spec.position_sd_m, yaw_sd_rad, half_m
         )
     return walls
+
+
+def resolve_posts(
+    specs: dict[str, PostSpec], walls: dict[str, Wall], vehicle: VehicleConfig, document: Document
+) -> dict[str, Post]:
+    """Posts by name.
+
+    Raises:
+        InputError: a wall has the name, or a material is not in the vehicle's table.
+    """
+    for name, spec in specs.items():
+        if name in walls:
+            raise document.error(("posts", name), f"a wall has the name {name}")
+        if spec.material not in vehicle.materials:
+            key: Key = ("posts", name, "material")
+            raise document.error(key, unknown_name(spec.material, list(vehicle.materials)))
+    return {name: Post(name, spec.centre_m, spec.radius_m, spec.material) for name, spec in specs.items()}
+
+
+def tangent_wall(post: Post, impact: Vec2, vehicle: VehicleConfig, key: Key, document: Document) -> Wall:
+    """The plane in which the vehicle's centre is where it touches a post, as a wall of the post's name.
+
+    It is as long as the leading side still meets the post: further along it passes, or meets it elsewhere.
+
+    Raises:
+        InputError: the vehicle's centre does not touch the post there.
+    """
+    reach = post.radius_m + vehicle.airframe.contact_distance_m
+    dx, dy = impact[0] - post.centre[0], impact[1] - post.centre[1]
+    way = math.hypot(dx, dy)
+    if abs(way - reach) > _ON_POST_M:
+        says = f"is {way:.3f} m from the axis of post {post.name}, which is touched at {reach:.3f} m"
+        if way > 0.0:
+            x, y = post.centre[0] + dx / way * reach, post.centre[1] + dy / way * reach
+            says += f", there at [{x:.3f}, {y:.3f}]"
+        raise document.error((*key, "impact_point_m"), says)
+    length = 2.0 * (post.radius_m + vehicle.airframe.guard_along_m)
+    normal = (dx / way, dy / way)
+    return Wall(post.name, impact, normal, length, post.material, post_radius_m=post.radius_m)
+
+
+def check_clear_of_posts(
+    posts: dict[str, Post], point: Vec2, vehicle: VehicleConfig, key: Key, document: Document
+) -> None:
+    """Make sure that a place is not in a post, for a vehicle there.
+
+    Raises:
+        InputError: it is.
+    """
+    for post in posts.values():
+        if post.distance_to_way(point, point) <= post.radius_m + vehicle.airframe.contact_distance_m:
+            raise document.error((*key, "position_m"), f"lies in or at post {post.name}")
 
 
 def wall_as_written(wall: Wall) -> WallSpec:

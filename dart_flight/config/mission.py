@@ -15,14 +15,17 @@ import msgspec
 
 from dart_flight.base.geometry import MissionFrame, Vec2, Vec3
 from dart_flight.base.records import Mode
-from dart_flight.base.walls import Wall
+from dart_flight.base.walls import Post, Wall
 from dart_flight.config.document import IN_PYTHON, Document, InputError, Key, unknown_name
 from dart_flight.config.file_kinds import FileKind, load_document, refuse_other_keys
 from dart_flight.config.flight_space import (
+    check_clear_of_posts,
     check_place,
     refuse_mode,
     resolve_alphas,
+    resolve_posts,
     resolve_space,
+    tangent_wall,
     wall_as_written,
     within_limits,
 )
@@ -33,6 +36,7 @@ from dart_flight.config.mission_file import (
     CollisionSpec,
     MissionFile,
     MissionKeys,
+    PostSpec,
     StartSpec,
     WaypointKeys,
     WaypointSpec,
@@ -74,10 +78,12 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
     def as_written(self, start: Vec2) -> CollisionSpec:
         """As a file says it; a point of impact that follows from start and approach is left out."""
         approach, impact = None, self.impact_point
+        if self.wall.post_radius_m > 0.0:
+            impact = self.wall.point
+        elif self.approach_m_s is not None and impact == _ray_meets_wall(start, self.wall, self.approach_m_s):
+            impact = None
         if self.approach_m_s is not None:
             approach = ApproachSpec(*self.approach_m_s)
-            if impact == _ray_meets_wall(start, self.wall, self.approach_m_s):
-                impact = None
         return CollisionSpec(
             **keys_of(self, CollisionKeys),
             wall=self.wall.name,
@@ -114,6 +120,8 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
     Attributes:
         source: the file it came from.
         start: [x, y], mission frame; altitude_m is that of the start.
+        walls: with the tangent planes of posts that are to be hit.
+        posts: as they stand.
         vehicle_source: where the vehicle's configuration came from; None: built in Python.
     """
 
@@ -125,7 +133,13 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
     walls: tuple[Wall, ...]
     collisions: tuple[Collision, ...]
     waypoints: tuple[Waypoint, ...] = ()
+    posts: tuple[Post, ...] = ()
     vehicle_source: VehicleSource | None = None
+
+    @property
+    def flat_walls(self) -> tuple[Wall, ...]:
+        """The walls without the tangent planes of posts."""
+        return tuple(wall for wall in self.walls if not wall.post_radius_m)
 
     def altitude_at(self, flown: int) -> float:
         """Altitude once so many collisions are flown and the waypoints behind them, metres."""
@@ -170,7 +184,8 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
             version=1,
             start=StartSpec(self.start, self.altitude_m),
             bounds_m=self.bounds,
-            walls={wall.name: wall_as_written(wall) for wall in self.walls},
+            walls={wall.name: wall_as_written(wall) for wall in self.flat_walls},
+            posts={post.name: PostSpec(post.centre, post.radius_m, post.material) for post in self.posts},
             collisions=[collision.as_written(self.start) for collision in self.collisions],
             waypoints=list(_waypoints_as_written(self)),
         )
@@ -297,6 +312,10 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
     vehicle = within_limits(vehicle, spec.limits)
     walls = resolve_space(spec.start, spec.goal, spec.bounds_m, spec.walls, vehicle, document)
     refuse_mode(spec.transit_mode, vehicle, ("transit_mode",), document)
+    posts = resolve_posts(spec.posts, walls, vehicle, document)
+    check_clear_of_posts(posts, spec.start.position_m, vehicle, ("start",), document)
+    check_clear_of_posts(posts, spec.goal.position_m, vehicle, ("goal",), document)
+    _add_tangent_walls(spec, posts, vehicle, walls, document)
     collisions = tuple(
         _resolve_collision(i, one, spec, vehicle, walls, document) for i, one in enumerate(spec.collisions)
     )
@@ -309,12 +328,41 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
         bounds=spec.bounds_m,
         walls=tuple(walls.values()),
         collisions=collisions,
-        waypoints=_resolve_waypoints(spec, vehicle, walls, document),
+        waypoints=_resolve_waypoints(spec, vehicle, walls, posts, document),
+        posts=tuple(posts.values()),
     )
 
 
+def _add_tangent_walls(
+    spec: MissionFile,
+    posts: dict[str, Post],
+    vehicle: VehicleConfig,
+    walls: dict[str, Wall],
+    document: Document,
+) -> None:
+    """Put the tangent planes of posts that are to be hit to the walls.
+
+    Raises:
+        InputError: a hit of a post does not say where, or two at one post say different places.
+    """
+    for i, one in enumerate(spec.collisions):
+        if one.wall not in posts:
+            continue
+        key: Key = ("collisions", i)
+        if one.impact_point_m is None:
+            raise document.error(key, f"a hit of post {one.wall} needs impact_point_m")
+        wall = tangent_wall(posts[one.wall], one.impact_point_m, vehicle, key, document)
+        if walls.setdefault(one.wall, wall) != wall:
+            says = f"post {one.wall} is hit elsewhere before; a mission hits a post in one place"
+            raise document.error((*key, "impact_point_m"), says)
+
+
 def _resolve_waypoints(
-    spec: MissionFile, vehicle: VehicleConfig, walls: dict[str, Wall], document: Document
+    spec: MissionFile,
+    vehicle: VehicleConfig,
+    walls: dict[str, Wall],
+    posts: dict[str, Post],
+    document: Document,
 ) -> tuple[Waypoint, ...]:
     altitude_m, flown = spec.start.altitude_m, 0
     found = []
@@ -326,6 +374,7 @@ def _resolve_waypoints(
             assert one.position_m is not None
             altitude_m = altitude_m if one.altitude_m is None else one.altitude_m
             check_place(spec.bounds_m, walls, one.position_m, one.altitude_m, key, document)
+            check_clear_of_posts(posts, one.position_m, vehicle, key, document)
             speed = one.speed_m_s or vehicle.flying.transit_speed_m_s
             if speed > spec.limits.speed_m_s:
                 raise document.error(
@@ -380,7 +429,7 @@ def _resolve_collision(
 ) -> Collision:
     key: Key = ("collisions", i)
     if spec.wall not in walls:
-        raise document.error((*key, "wall"), unknown_name(spec.wall, list(walls)))
+        raise document.error((*key, "wall"), unknown_name(spec.wall, [*walls, *mission.posts]))
     wall = walls[spec.wall]
     mode = _mode_of(spec, vehicle, key, document)
     alpha_n, alpha_t = resolve_alphas(spec.alpha_m_per_n, spec.alpha_wall_m_per_n, wall, key, document)
@@ -403,7 +452,7 @@ def _resolve_collision(
     elif i == 0:
         raise document.error(key, "the first collision needs an approach")
     for name in ("impact_point_m", "impact_along_m"):
-        if approach is None and getattr(spec, name) is not None:
+        if approach is None and getattr(spec, name) is not None and not wall.post_radius_m:
             raise document.error((*key, name), "only a collision with an approach has one")
     return Collision(
         **keys_of(spec, CollisionKeys) | {"mode": mode},

@@ -111,6 +111,20 @@ class WallSpec(Section, frozen=True):
     yaw_sd_deg: Annotated[float, Meta(ge=0.0, le=30.0)] | None = None
 
 
+class PostSpec(Section, frozen=True):
+    """An upright cylinder that stands by itself, as an obstacle or to be hit.
+
+    Attributes:
+        centre_m: [x, y] of its axis, mission frame.
+        radius_m: of its face.
+        material: a key of materials in the vehicle configuration.
+    """
+
+    centre_m: Point2
+    radius_m: Annotated[float, Meta(gt=0.0, le=10.0)]
+    material: str
+
+
 class Limits(Section, frozen=True):
     """Limits of the mission, judged before and during the flight.
 
@@ -210,11 +224,11 @@ class CollisionSpec(CollisionKeys, frozen=True, kw_only=True):
     """One planned collision.
 
     Attributes:
-        wall: a key of walls.
+        wall: a key of walls, or of posts.
         approach: velocity to meet the wall with; required for the first collision. Without it the recovery of
             the collision before leads to this wall.
         impact_point_m: [x, y] on the wall's plane; without it, where the ray from start along the approach
-            meets the wall.
+            meets the wall. Of a post it is required: where the vehicle's centre is at first touch.
         impact_along_m: the same as a distance along the wall from its middle, positive to the right when
             looking along the normal; at most one of the two is given.
         alpha_m_per_n: recovery gains along the mission's x and y axes (the paper's form), m of setpoint per
@@ -306,6 +320,7 @@ class MissionFile(MissionKeys, frozen=True, kw_only=True):
     Attributes:
         version: of the format.
         walls: by name.
+        posts: by name, which no wall has.
         collisions: in the order of the hits; none: a flight without one.
         waypoints: waypoints and pauses before, between and after the collisions, in the order in which they
             are flown.
@@ -317,6 +332,7 @@ class MissionFile(MissionKeys, frozen=True, kw_only=True):
     start: StartSpec
     bounds_m: BoundsSpec
     walls: dict[str, WallSpec] = msgspec.field(default_factory=dict)
+    posts: dict[str, PostSpec] = msgspec.field(default_factory=dict)
     collisions: list[CollisionSpec] = msgspec.field(default_factory=list)
     waypoints: list[WaypointSpec] = msgspec.field(default_factory=list)
     vehicle: str | dict[str, Any] | None = None

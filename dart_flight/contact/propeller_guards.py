@@ -26,6 +26,8 @@ from dart_flight.base.geometry import Quaternion, Vec3, rotate_back
 from dart_flight.config.vehicle import BodyModel, Coefficients, ContactBody
 from dart_flight.contact.law import Onset, normal_force
 
+NEAR_M: Final = 0.08  # below 5 m/s no contact begins further away
+
 
 class PropellerGuard(NamedTuple):
     """One guard point, body FRD, metres from the centre of mass."""
@@ -42,12 +44,15 @@ class Plane(NamedTuple):
         normal: outward.
         tangent: Y of the collision frame.
         down: Z of the collision frame.
+        half_length_m: from the point to either end, along the tangent; the guards near one ask
+            `contact/cylinders.py`, not `touch`.
     """
 
     point: Vec3
     normal: Vec3
     tangent: Vec3
     down: Vec3
+    half_length_m: float = math.inf
 
 
 class Touch(NamedTuple):
@@ -58,15 +63,17 @@ class Touch(NamedTuple):
         torque: about the centre of mass, body FRD, N m.
         normal_n: sum of the normal forces.
         friction_n: sum of the friction forces along the tangent, signed.
+        normal: outward, where it is pressed the most.
     """
 
     force: Vec3
     torque: Vec3
     normal_n: float
     friction_n: float
+    normal: Vec3
 
 
-UNTOUCHED = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
+UNTOUCHED = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, (0.0, 0.0, 0.0))
 
 
 def propeller_guards(body: ContactBody) -> tuple[PropellerGuard, ...]:
@@ -98,7 +105,7 @@ def touch(
     vertical_sign: int,
     vertical_lever_m: float,
 ) -> Touch:
-    """Force and torque of one wall on the guards.
+    """Force and torque of one wall on the guards, all of which are before it.
 
     Worked out in the body's axes: the wall's three directions are turned into them, and not two levers of
     every guard into the world's.
@@ -123,7 +130,7 @@ def touch(
     pressed = []
     for (rx, ry, rz), friction_at in guards:
         x = depth + nx * rx + ny * ry + nz * rz
-        if x > _NEAR_M:
+        if x > NEAR_M:
             continue
         turning = nx * (wy * rz - wz * ry) + ny * (wz * rx - wx * rz) + nz * (wx * ry - wy * rx)
         force = normal_force(half, onset, x, speed + turning)
@@ -160,6 +167,7 @@ def touch(
         ),
         total,
         friction,
+        n,
     )
 
 
@@ -212,4 +220,3 @@ def arm_of(x: float, y: float) -> int:
 
 _CENTRE = (0.0, 0.0, 0.0)
 _MIN_ARM_M: Final = 0.05  # guards nearer to the middle than this would swing an arm without end
-_NEAR_M: Final = 0.08  # below 5 m/s no contact begins further away

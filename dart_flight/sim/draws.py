@@ -132,11 +132,23 @@ def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def with_walls(world: DrawnWorld, walls: Mapping[str, Wall]) -> DrawnWorld:
-    """The world with these walls, by name; all of the mission's."""
+    """The world with these walls, by name, all of the mission's; a post goes with its tangent plane."""
     mission = world.mission
     collisions = tuple(msgspec.structs.replace(c, wall=walls[c.wall.name]) for c in mission.collisions)
+    posts = {post.name: post for post in mission.posts}
+    for old in mission.walls:
+        if old.post_radius_m:
+            new, post = walls[old.name], posts[old.name]
+            centre = (
+                post.centre[0] + new.point[0] - old.point[0],
+                post.centre[1] + new.point[1] - old.point[1],
+            )
+            posts[old.name] = msgspec.structs.replace(post, centre=centre, material=new.material)
     changed = msgspec.structs.replace(
-        mission, walls=tuple(walls[w.name] for w in mission.walls), collisions=collisions
+        mission,
+        walls=tuple(walls[w.name] for w in mission.walls),
+        collisions=collisions,
+        posts=tuple(posts.values()),
     )
     return world._replace(mission=changed)
 

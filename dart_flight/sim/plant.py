@@ -3,8 +3,9 @@
 State in NED and FRD, as the autopilot sees it; walls are given in the mission frame, converted once.
 Contact acts at guards (`contact/propeller_guards.py`), or through the centre of mass as in the paper's
 equations (`simulation.contact.body: point`), by the law of `dart_flight.contact.law`, integrated in steps
-of 0.1 ms, the rest in steps of 1 ms. `tests/sim/test_plant.py` holds the point to the reference
-solutions, `tests/sim/test_body.py` the guards to an independent rigid body.
+of 0.1 ms, the rest in steps of 1 ms; posts and walls' ends are met as `contact/cylinders.py` says.
+`tests/sim/test_plant.py` holds the point to the reference solutions, `tests/sim/test_body.py` and
+`tests/sim/test_ends_and_posts.py` the guards to independent rigid bodies.
 """
 
 from __future__ import annotations
@@ -38,13 +39,22 @@ from dart_flight.base.geometry import (
     yaw_ned_of,
 )
 from dart_flight.base.records import Mode, TruthContact, TruthSample
-from dart_flight.base.walls import Wall
+from dart_flight.base.walls import Post, Wall
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import BodyModel, Coefficients, Motor, VehicleConfig
+from dart_flight.contact.cylinders import (
+    EDGE_RADIUS_M,
+    Cylinder,
+    CylinderContact,
+    NearestPoint,
+    PostContact,
+    WallWithEnds,
+)
 from dart_flight.contact.law import Onset, coefficients_in_force
 from dart_flight.contact.propeller_guards import (
     UNTOUCHED,
     Plane,
+    PropellerGuard,
     Touch,
     arm_of,
     clearance_m,
@@ -55,7 +65,9 @@ from dart_flight.contact.propeller_guards import (
 
 STEP_S: Final = 0.001
 CONTACT_STEPS: Final = 10  # of 0.1 ms in one step of 1 ms
+_END_STEPS: Final = 40  # likewise near a wall's end, where a force may jump as a guard comes off or stands in
 _NEAR_WALL_M: Final = 0.08  # below 5 m/s no contact begins further away
+_NEAR_END_M: Final = EDGE_RADIUS_M + 0.02  # ... and no guard comes to an end from further away in one step
 _BEHIND_M: Final = -0.6  # a vehicle this far behind a plane is on the wall's other side
 _REBOUND_S: Final = 0.01  # a guard that comes back within this time belongs to the same contact
 _HALF_ENGAGED: Final = 0.5  # how free arms are with half-engaged rods
@@ -64,24 +76,66 @@ _UNTOUCHED: Final = UNTOUCHED
 _NO_FORCE = (0.0, 0.0, 0.0)
 _AT_REST = (0.0, 0.0, 0.0, 0.0)  # arms: displacement north, east in m; its speed in m/s
 _GAIN_M_S: Final = 0.5  # more than this no thrust adds to the speed within a tick
+_QUARTER: Final = 0.5 * math.pi  # the vehicle is four-fold symmetric
 _GROUND_STEPS: Final = 2  # a millisecond, where only the landing gear touches: nothing is measured there
 _GROUND_SPEED_M_S: Final = 0.05  # regularisation of the ground's friction
 
 
 class _WallPlane:
-    """A wall in NED with the axes of its collision frame; `surface` is the wall itself, for the guards."""
+    """A wall in NED with the axes of its collision frame; `ends.plane` is its surface, for the guards.
 
-    def __init__(self, wall: Wall, point: Vec3, normal: Vec3, tangent: Vec3, surface: Plane) -> None:
+    Attributes:
+        near_end: whether a guard may be near an end, or something is left of that.
+        away: whether the vehicle was too far off to touch it when that was last asked.
+    """
+
+    def __init__(self, wall: Wall, point: Vec3, normal: Vec3, tangent: Vec3, ends: WallWithEnds) -> None:
         self.wall, self.point, self.normal, self.tangent = wall, point, normal, tangent
-        self.surface = surface
+        self.ends = ends
+        self.near_end = False
+        self.away = True
+
+    @property
+    def name(self) -> str:
+        return self.wall.name
+
+    @property
+    def material(self) -> str:
+        return self.wall.material
+
+    @property
+    def depths(self) -> list[float] | None:
+        """How far each guard gives way; None: as far as it is behind the surface."""
+        return self.ends.depths if self.near_end else None
 
     def move(self, away_m: float) -> None:
         """Stand elsewhere: so far out along the normal."""
-        nx, ny = self.wall.normal
-        px, py = self.wall.point
-        self.wall = msgspec.structs.replace(self.wall, point=(px + away_m * nx, py + away_m * ny))
+        self.wall = self.wall.moved(away_m)
         self.point = add(self.point, scale(self.normal, away_m))
-        self.surface = self.surface._replace(point=add(self.surface.point, scale(self.normal, away_m)))
+        self.ends = self.ends.moved(away_m)
+
+
+class _StandingPost:
+    """A post in NED."""
+
+    def __init__(self, post: Post, met: PostContact) -> None:
+        self.post, self.met = post, met
+
+    @property
+    def name(self) -> str:
+        return self.post.name
+
+    @property
+    def material(self) -> str:
+        return self.post.material
+
+    @property
+    def depths(self) -> list[float] | None:
+        """How far each guard gives way."""
+        return self.met.depths
+
+
+_Obstacle = _WallPlane | _StandingPost
 
 
 class _OpenContact:
@@ -89,7 +143,8 @@ class _OpenContact:
 
     def __init__(
         self,
-        plane: _WallPlane,
+        obstacle: _Obstacle,
+        axes: tuple[Vec3, Vec3],
         mode: Mode,
         coefficients: Coefficients,
         t_s: float,
@@ -100,7 +155,8 @@ class _OpenContact:
         tilt: float,
         fold_share: float,
     ) -> None:
-        self.plane, self.mode, self.coefficients, self.start_s = plane, mode, coefficients, t_s
+        self.obstacle, self.mode, self.coefficients, self.start_s = obstacle, mode, coefficients, t_s
+        self.normal, self.tangent = axes
         self.normal_in, self.tangential_in, self.position = vx, vy, position
         self.incidence, self.tilt, self.fold_share = incidence, tilt, fold_share
         self.peak_normal = self.peak_friction = self.peak_torque = 0.0
@@ -120,6 +176,7 @@ class Plant:
         yaw_ned_rad: heading it stands at.
         motors: the airframe's motors in the autopilot's order; the configuration's by default.
         scatter_seed: of the coefficients' scatter from hit to hit.
+        posts: mission frame.
     """
 
     def __init__(
@@ -131,6 +188,7 @@ class Plant:
         yaw_ned_rad: float = 0.0,
         motors: tuple[Motor, ...] | None = None,
         scatter_seed: int = 0,
+        posts: tuple[Post, ...] = (),
     ) -> None:
         self.vehicle, self.frame = vehicle, frame
         self.motors = motors if motors is not None else vehicle.airframe.motors
@@ -155,9 +213,12 @@ class Plant:
         self._half_engaged = self.body.half_engaged and vehicle.has_lock
         self._rng = random.Random(scatter_seed)
         self._scattered: dict[str, tuple[float, float, float]] = {}
-        self.planes = [_plane(wall, frame, self.body.guard_out_m) for wall in walls]
         self._guards = propeller_guards(self.body)
         self._reach_m = max(norm(guard.at) for guard in self._guards)
+        self.planes = [_plane(wall, frame, self.body.guard_out_m, self._guards) for wall in walls]
+        # A point stands for the vehicle's side, at a wall and at a post.
+        out_m = vehicle.airframe.contact_distance_m - self.body.guard_out_m
+        self.posts = [_standing_post(post, frame, out_m, self._guards) for post in posts]
         self.on_ground = True
         self.finished: list[TruthContact] = []
         self.time_offset_us = 0
@@ -221,10 +282,10 @@ class Plant:
         dx, dy, dz = self._drag()
         m = self.mass
         pushed = (ux * thrust_n / m + dx, uy * thrust_n / m + dy, uz * thrust_n / m + dz)
-        planes = self._planes_near() if near else []
+        obstacles = self._obstacles_near() if near else []
         near_ground = self.position[2] > self.ground_down - _GROUND_M
-        if planes:
-            touchable = planes if self._may_touch(planes) else []
+        if obstacles:
+            touchable = obstacles if self._may_touch(obstacles) else []
             contact = self._collide(pushed, torque, touchable, near_ground)
             self._folded = self._fold()
         else:
@@ -295,52 +356,74 @@ class Plant:
             n, o = plane.normal, plane.point
             if _BEHIND_M - slack < n[0] * (px - o[0]) + n[1] * (py - o[1]) < _NEAR_WALL_M + slack:
                 return True
-        return False
+            plane.away = True
+        return any(self._clear_of_post_m(post) < _NEAR_WALL_M + slack for post in self.posts)
 
-    def _planes_near(self) -> list[tuple[_WallPlane, Coefficients]]:
-        return [
-            (plane, coefficients)
-            for plane in self.planes
-            if (coefficients := self._coefficients_near(plane)) is not None
-        ]
+    def _clear_of_post_m(self, post: _StandingPost) -> float:
+        """Distance in metres that the vehicle keeps from a post however it is turned, or more than that."""
+        cylinder, p = post.met.contact.cylinder, self.position
+        way = math.hypot(p[0] - cylinder.axis[0], p[1] - cylinder.axis[1])
+        return way - cylinder.radius_m - self._reach_m
 
-    def _may_touch(self, planes: list[tuple[_WallPlane, Coefficients]]) -> bool:
+    def _obstacles_near(self) -> list[tuple[_Obstacle, Coefficients]]:
+        found: list[tuple[_Obstacle, Coefficients]] = []
+        for plane in self.planes:
+            coefficients = self._coefficients_near(plane)
+            if coefficients is not None:
+                found.append((plane, coefficients))
+        for post in self.posts:
+            if self._clear_of_post_m(post) < _NEAR_WALL_M:
+                near = post.met.nearest(self.q, self.position)
+                found.append((post, self._coefficients_of_cylinder(post, post.met.contact, near)))
+        return found
+
+    def _may_touch(self, obstacles: list[tuple[_Obstacle, Coefficients]]) -> bool:
         """Whether guards can be pressed within the next step: the law's onset is at k x + f vx = 0."""
         if self._open:
             return True
         v = self.velocity
         turning = norm(self.rate) * self._reach_m
-        for plane, c in planes:
-            n = plane.normal
-            x = clearance_m(self._guards, self.q, plane.surface, self.position)
+        for obstacle, c in obstacles:
+            if isinstance(obstacle, _WallPlane):
+                n = obstacle.normal
+                x = clearance_m(self._guards, self.q, obstacle.ends.plane, self.position)
+            else:
+                near = obstacle.met.nearest(self.q, self.position)
+                n, x = near.normal, near.x_m
             closing = max(0.0, -(n[0] * v[0] + n[1] * v[1])) + turning + _GAIN_M_S
             if x < (STEP_S + c.lead_s) * closing:
                 return True
         return False
 
     def _collide(
-        self, pushed: Vec3, torque: Vec3, planes: list[tuple[_WallPlane, Coefficients]], near_ground: bool
+        self,
+        pushed: Vec3,
+        torque: Vec3,
+        obstacles: list[tuple[_Obstacle, Coefficients]],
+        near_ground: bool,
     ) -> Vec3:
-        """Move and turn the body near walls; returns the mean acceleration by contact, NED.
+        """Move and turn the body near walls and posts; returns the mean acceleration by contact, NED.
 
-        Midpoint rule over position, velocity, attitude and rate, in steps of 0.1 ms; thrust and drag are
-        constant over the millisecond.
+        Midpoint rule over position, velocity, attitude and rate, in steps of 0.1 ms, shorter near a wall's
+        end; thrust and drag are constant over the millisecond.
         """
         free = (pushed[0], pushed[1], pushed[2] + GRAVITY_M_S2)
-        h = STEP_S / CONTACT_STEPS
+        ends = any(isinstance(obstacle, _WallPlane) and obstacle.near_end for obstacle, _ in obstacles)
+        steps = _END_STEPS if ends else CONTACT_STEPS
+        h = STEP_S / steps
         g = 0.5 * h
         before = self.velocity
         if near_ground and self.on_ground:
             torque = self._legs(torque)
         self.on_ground = False
         p, v, q, w = self.position, self.velocity, self.q, self.rate
-        a, b, felt = self._touching(p, v, q, w, free, torque, planes, near_ground)
-        for i in range(CONTACT_STEPS):
+        a, b, felt = self._touching(p, v, q, w, free, torque, obstacles, near_ground)
+        for i in range(steps):
             mid_p = (p[0] + g * v[0], p[1] + g * v[1], p[2] + g * v[2])
             mid_v = (v[0] + g * a[0], v[1] + g * a[1], v[2] + g * a[2])
             mid_w = (w[0] + g * b[0], w[1] + g * b[1], w[2] + g * b[2])
             a, b, _ = self._touching(
-                mid_p, mid_v, advance_attitude(q, w, g), mid_w, free, torque, planes, near_ground
+                mid_p, mid_v, advance_attitude(q, w, g), mid_w, free, torque, obstacles, near_ground
             )
             v_before = v
             self.position = p = (p[0] + h * mid_v[0], p[1] + h * mid_v[1], p[2] + h * mid_v[2])
@@ -348,9 +431,9 @@ class Plant:
             self.rate = w = (w[0] + h * b[0], w[1] + h * b[1], w[2] + h * b[2])
             self.q = q = quaternion_normalise(advance_attitude(q, mid_w, h))
             # Felt at the end of this step, and at the beginning of the next.
-            a, b, felt = self._touching(p, v, q, w, free, torque, planes, near_ground)
-            for (plane, c), one in zip(planes, felt, strict=True):
-                self._note_contact(plane, c, one, self.time_s + i * h, v_before)
+            a, b, felt = self._touching(p, v, q, w, free, torque, obstacles, near_ground)
+            for (obstacle, c), one in zip(obstacles, felt, strict=True):
+                self._note_contact(obstacle, c, one, self.time_s + i * h, v_before)
         return (
             (v[0] - before[0]) / STEP_S - free[0],
             (v[1] - before[1]) / STEP_S - free[1],
@@ -365,10 +448,13 @@ class Plant:
         angles = [0.0, 0.0, 0.0, 0.0]
         levers = [rotate(self.q, guard.at) for guard in self._guards]
         for current in touched:
-            n, o = current.plane.surface.normal, current.plane.surface.point
-            depth = sum(n[i] * (o[i] - self.position[i]) for i in range(3))
-            depths = [max(0.0, depth - n[0] * r[0] - n[1] * r[1] - n[2] * r[2]) for r in levers]
-            swung = fold_angles(self.body, current.fold_share, depths)
+            obstacle = current.obstacle
+            depths = obstacle.depths
+            if depths is None and isinstance(obstacle, _WallPlane):
+                n, o = obstacle.normal, obstacle.ends.plane.point
+                depth = sum(n[i] * (o[i] - self.position[i]) for i in range(3))
+                depths = [max(0.0, depth - n[0] * r[0] - n[1] * r[1] - n[2] * r[2]) for r in levers]
+            swung = fold_angles(self.body, current.fold_share, depths or ())
             angles = [a + b for a, b in zip(angles, swung, strict=True)]
         return (angles[0], angles[1], angles[2], angles[3])
 
@@ -392,15 +478,20 @@ class Plant:
         w: Vec3,
         free: Vec3,
         torque: Vec3,
-        planes: list[tuple[_WallPlane, Coefficients]],
+        obstacles: list[tuple[_Obstacle, Coefficients]],
         near_ground: bool,
     ) -> tuple[Vec3, Vec3, list[Touch]]:
-        """Acceleration (NED), angular acceleration (FRD), and what the guards feel of each wall."""
+        """Acceleration (NED), angular acceleration (FRD), and what the guards feel of each obstacle."""
         sign, lever = self.vehicle.vertical_force_sign, self.body.vertical_lever_m
         force = turned = _NO_FORCE
         felt = []
-        for plane, c in planes:
-            one = touch(self._guards, q, c, self.onset, plane.surface, p, v, w, sign, lever)
+        for obstacle, c in obstacles:
+            if not isinstance(obstacle, _WallPlane):
+                one = obstacle.met.touch(q, c, self.onset, p, v, w, sign, lever)
+            elif obstacle.near_end:
+                one = obstacle.ends.touch(q, c, self.onset, p, v, w, sign, lever)
+            else:
+                one = touch(self._guards, q, c, self.onset, obstacle.ends.plane, p, v, w, sign, lever)
             felt.append(one)
             if one is not _UNTOUCHED:
                 force, turned = add(force, one.force), add(turned, one.torque)
@@ -453,22 +544,52 @@ class Plant:
         return _NO_FORCE
 
     def _coefficients_near(self, plane: _WallPlane) -> Coefficients | None:
+        """Of a wall's surface; None where the vehicle is too far off to touch any of the wall."""
         position = self.frame.point_from_ned(self.position)
-        if not _BEHIND_M < plane.wall.signed_distance(position) < _NEAR_WALL_M:
+        wall, reach_m = plane.wall, self._reach_m + _NEAR_END_M
+        near = _BEHIND_M < wall.signed_distance(position) < _NEAR_WALL_M
+        inside_m = wall.end_distance_m(position) if near else -math.inf
+        if inside_m < -reach_m:
+            plane.away = True
             return None
-        if not plane.wall.spans(position):
-            return None
-        open_contact = self._open.get(plane.wall.name)
+        if plane.away:
+            plane.ends.arrive(self.q, self.position)
+            plane.away = False
+        plane.near_end = inside_m < reach_m or not plane.ends.is_plain
+        yaw = self.frame.yaw_from_ned(yaw_ned_of(self.q))
+        c = self._coefficients(plane, wall.incidence(yaw))
+        if plane.near_end:
+            for edge, nearest in plane.ends.nearest(self.q, self.position):
+                self._coefficients_of_cylinder(plane, edge, nearest)
+        return c
+
+    def _coefficients_of_cylinder(
+        self, obstacle: _Obstacle, contact: CylinderContact, near: NearestPoint
+    ) -> Coefficients:
+        """Of a cylinder where the vehicle is nearest to it; as they are while it is pressed."""
+        c = contact.coefficients
+        if c is None or contact.share is None:
+            c = contact.coefficients = self._coefficients(obstacle, abs(self._incidence(near.normal)))
+        return c
+
+    def _incidence(self, normal: Vec3) -> float:
+        """Signed angle in radians from the nearest side's direction to a surface with this normal (NED)."""
+        x, y, _ = self.frame.vector_from_ned(normal)
+        turn = self.frame.yaw_from_ned(yaw_ned_of(self.q)) - math.atan2(-y, -x)
+        return wrap_angle(turn - _QUARTER * round(turn / _QUARTER))
+
+    def _coefficients(self, obstacle: _Obstacle, incidence: float) -> Coefficients:
+        """Of a side that meets an obstacle at an angle of incidence."""
+        open_contact = self._open.get(obstacle.name)
         if open_contact is not None:
             # Neither rods nor arms change what they are while they are loaded: as at the contact's start.
             return open_contact.coefficients
-        incidence = plane.wall.incidence(self.frame.yaw_from_ned(yaw_ned_of(self.q)))
-        c = coefficients_in_force(self.vehicle, plane.wall.material, self.mode, incidence)
+        c = coefficients_in_force(self.vehicle, obstacle.material, self.mode, incidence)
         if self._half_engaged and self.mode is Mode.RIGID:
-            flexible = coefficients_in_force(self.vehicle, plane.wall.material, Mode.FLEXIBLE, incidence)
+            flexible = coefficients_in_force(self.vehicle, obstacle.material, Mode.FLEXIBLE, incidence)
             c = _between(c, flexible)
         if self.body.scatter:
-            k, f, mu = self._scattered.setdefault(plane.wall.name, self._scatter())
+            k, f, mu = self._scattered.setdefault(obstacle.name, self._scatter())
             c = c.scaled(k, f, mu)
         return c
 
@@ -490,13 +611,13 @@ class Plant:
         return (-grip * v[0], -grip * v[1], -normal)
 
     def _note_contact(
-        self, plane: _WallPlane, c: Coefficients, felt: Touch, t_s: float, velocity_before: Vec3
+        self, obstacle: _Obstacle, c: Coefficients, felt: Touch, t_s: float, velocity_before: Vec3
     ) -> None:
-        """Follow one wall's contact from its first force to its last."""
-        current = self._open.get(plane.wall.name)
+        """Follow one obstacle's contact from its first force to its last."""
+        current = self._open.get(obstacle.name)
         if felt.normal_n > 0.0:
             if current is None:
-                current = self._begin_contact(plane, c, t_s, velocity_before)
+                current = self._begin_contact(obstacle, c, felt.normal, t_s, velocity_before)
             current.peak_normal = max(current.peak_normal, felt.normal_n)
             current.peak_friction = max(current.peak_friction, abs(felt.friction_n))
             current.peak_torque = max(current.peak_torque, norm(felt.torque))
@@ -505,16 +626,21 @@ class Plant:
             self._end_contact(current)
 
     def _begin_contact(
-        self, plane: _WallPlane, c: Coefficients, t_s: float, velocity_before: Vec3
+        self, obstacle: _Obstacle, c: Coefficients, normal: Vec3, t_s: float, velocity_before: Vec3
     ) -> _OpenContact:
-        n, t = plane.normal, plane.tangent
+        n, t, incidence = normal, (-normal[1], normal[0], 0.0), self._incidence(normal)
+        if isinstance(obstacle, _WallPlane):
+            if n is obstacle.normal:
+                yaw = self.frame.yaw_from_ned(yaw_ned_of(self.q))
+                t, incidence = obstacle.tangent, wrap_angle(yaw - obstacle.wall.parallel_yaw(yaw))
+            else:
+                c = obstacle.ends.coefficients or c
         vx = n[0] * velocity_before[0] + n[1] * velocity_before[1]
         vy = t[0] * velocity_before[0] + t[1] * velocity_before[1]
         position = self.frame.point_from_ned(self.position)
-        yaw = self.frame.yaw_from_ned(yaw_ned_of(self.q))
-        incidence = wrap_angle(yaw - plane.wall.parallel_yaw(yaw))
         current = _OpenContact(
-            plane,
+            obstacle,
+            (n, t),
             self.mode,
             c,
             t_s,
@@ -525,25 +651,25 @@ class Plant:
             tilt_of(self.q),
             self._gives_way(incidence),
         )
-        self._open[plane.wall.name] = current
+        self._open[obstacle.name] = current
         return current
 
     def _end_open_contacts(self) -> None:
-        """Away from every wall: what is still open has ended with its last force."""
+        """Away from every obstacle: what is still open has ended with its last force."""
         for current in list(self._open.values()):
             self._end_contact(current)
 
     def _end_contact(self, current: _OpenContact) -> None:
-        plane = current.plane
-        del self._open[plane.wall.name]
-        self._scattered.pop(plane.wall.name, None)
-        n, t = plane.normal, plane.tangent
+        name = current.obstacle.name
+        del self._open[name]
+        self._scattered.pop(name, None)
+        n, t = current.normal, current.tangent
         v = current.velocity_out
         self.finished.append(
             TruthContact(
                 t_us=self._stamp(current.start_s),
                 end_us=self._stamp(current.last_s),
-                wall=plane.wall.name,
+                wall=name,
                 mode=current.mode,
                 normal_in_m_s=current.normal_in,
                 tangential_in_m_s=current.tangential_in,
@@ -587,7 +713,7 @@ class Plant:
 
     @property
     def in_contact(self) -> bool:
-        """Whether a wall is being touched."""
+        """Whether a wall or a post is being touched."""
         return bool(self._open)
 
     def set_mode(self, mode: Mode) -> None:
@@ -616,11 +742,12 @@ def make_plant(mission: Mission, motors: tuple[Motor, ...] | None = None, seed: 
     start_ned = flat.point_to_ned((x, y, 0.0))
     return Plant(
         mission.vehicle,
-        mission.walls,
+        mission.flat_walls,
         mission.frame_at(start_ned),
         start_ned,
         motors=motors,
         scatter_seed=seed,
+        posts=mission.posts,
     )
 
 
@@ -644,7 +771,7 @@ def _between(a: Coefficients, b: Coefficients) -> Coefficients:
     )
 
 
-def _plane(wall: Wall, frame: MissionFrame, out_m: float) -> _WallPlane:
+def _plane(wall: Wall, frame: MissionFrame, out_m: float, guards: Sequence[PropellerGuard]) -> _WallPlane:
     """A wall in NED; its surface lies `out_m` behind the plane of the vehicle's centre."""
     point = frame.point_to_ned((wall.point[0], wall.point[1], 0.0))
     normal = frame.vector_to_ned(wall.from_collision((1.0, 0.0, 0.0)))
@@ -655,4 +782,13 @@ def _plane(wall: Wall, frame: MissionFrame, out_m: float) -> _WallPlane:
         point[1] - out_m * normal[1],
         point[2] - out_m * normal[2],
     )
-    return _WallPlane(wall, point, normal, tangent, Plane(on_surface, normal, tangent, down))
+    surface = Plane(on_surface, normal, tangent, down, 0.5 * wall.length_m)
+    return _WallPlane(wall, point, normal, tangent, WallWithEnds(surface, guards))
+
+
+def _standing_post(
+    post: Post, frame: MissionFrame, out_m: float, guards: Sequence[PropellerGuard]
+) -> _StandingPost:
+    """A post in NED, by `out_m` thicker than it is."""
+    axis = frame.point_to_ned((post.centre[0], post.centre[1], 0.0))
+    return _StandingPost(post, PostContact(Cylinder(axis, max(0.0, post.radius_m + out_m)), guards))

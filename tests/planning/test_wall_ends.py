@@ -42,6 +42,8 @@ def test_a_hit_sixteen_millimetres_from_a_doors_end_is_no_go() -> None:
     assert finding.figures == pytest.approx({"distance_m": 0.016, "margin_m": HALF_M})
     assert "0.02 m from its end, nearer than half a vehicle (0.20 m)" in finding.says
     assert wall_end(met_at(HALF_M + 0.01)).go
+    assert "not all guards meet it there" in finding.says
+    assert "guards" not in wall_end(met_at(HALF_M - 0.01)).says
 
 
 def test_what_the_place_leaves_open_counts_too() -> None:

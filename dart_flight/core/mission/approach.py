@@ -13,7 +13,7 @@ from typing import NamedTuple
 import msgspec
 
 from dart_flight.base.geometry import Vec2, Vec3, distance2
-from dart_flight.base.walls import Wall
+from dart_flight.base.walls import Post, Wall
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.arithmetic import Number, hypot, maximum, sqrt, where
@@ -165,6 +165,13 @@ def is_blocked(
     return crosses & (wall.end_distance_m(crossing) >= -end_margin_m(wall, crossing))
 
 
+def is_post_in_the_way(mission: Mission, post: Post, a: Vec2, b: Vec2) -> bool:
+    """Whether a way comes nearer to a post than to a wall it may, with the vehicle turned as it likes."""
+    airframe = mission.vehicle.airframe
+    corner_m = math.hypot(airframe.contact_distance_m, airframe.guard_along_m)
+    return post.distance_to_way(a, b) < post.radius_m + corner_m + CLEARANCE_M
+
+
 def segments_to_impact(
     start: Vec2, begin: tuple[Number, Number], impact: tuple[Number, Number], wall: Wall, first: bool
 ) -> Callable[[Wall], list[tuple[tuple[Number, Number], tuple[Number, Number], float]]]:
@@ -221,6 +228,11 @@ def _check_room(mission: Mission, collision: Collision, approach: Approach) -> N
     for wall in mission.walls:
         if any(is_blocked(wall, *leg) for leg in legs(wall)):
             raise NoApproachError(f"wall {wall.name} is in the way of the run-up")
+    for post in mission.posts:
+        if post.name != collision.wall.name and is_post_in_the_way(mission, post, begin, impact):
+            raise NoApproachError(f"post {post.name} is in the way of the run-up")
+        if before is not None and is_post_in_the_way(mission, post, before, begin):
+            raise NoApproachError(f"post {post.name} is in the way to the run-up")
 
 
 class TransitSegment(NamedTuple):
@@ -273,6 +285,9 @@ def check_segments_clear(mission: Mission) -> None:
         for wall in mission.walls:
             if leg.begin is not None and is_blocked(wall, leg.begin[:2], leg.end[:2]):
                 raise NoApproachError(f"wall {wall.name} is in the way to {leg.name}")
+        for post in mission.posts:
+            if leg.begin is not None and is_post_in_the_way(mission, post, leg.begin[:2], leg.end[:2]):
+                raise NoApproachError(f"post {post.name} is in the way to {leg.name}")
 
 
 def standoff_point(mission: Mission, collision: Collision, begin: Vec2, impact: Vec2) -> Vec2:

@@ -26,7 +26,7 @@ from foxglove.messages import (
 
 from dart_flight.base.geometry import IDENTITY, Vec2, Vec3
 from dart_flight.base.geometry import Quaternion as Rotation
-from dart_flight.base.walls import Wall
+from dart_flight.base.walls import Post, Wall
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Airframe
 from dart_flight.core.mission.approach import transit_segments
@@ -128,10 +128,11 @@ def entity(t_us: int, name: str, frame: str = MISSION, **primitives: Sequence[ob
 
 
 def room(mission: Mission, t_us: int) -> list[SceneEntity]:
-    """Bounds, walls at their surface, start and goal."""
+    """Bounds, walls at their surface, posts, start and goal."""
     return [
         _bounds(mission, t_us),
-        *(_wall(mission, wall, t_us) for wall in mission.walls),
+        *(_wall(mission, wall, t_us) for wall in mission.flat_walls),
+        *(_post(mission, post, t_us) for post in mission.posts),
         _goal(mission, t_us),
     ]
 
@@ -165,6 +166,20 @@ def _wall(mission: Mission, wall: Wall, t_us: int) -> SceneEntity:
         cubes=[CubePrimitive(pose=upright, size=size, color=_WALL)],
         texts=[text((px - back * nx, py - back * ny, height + _LABEL_M), label)],
     )
+
+
+def _post(mission: Mission, post: Post, t_us: int) -> SceneEntity:
+    (x, y), height = post.centre, height_over(mission)
+    upright = CylinderPrimitive(
+        pose=pose((x, y, 0.5 * height)),
+        size=Vector3(x=2.0 * post.radius_m, y=2.0 * post.radius_m, z=height),
+        bottom_scale=1.0,
+        top_scale=1.0,
+        color=_WALL,
+    )
+    label = post.name if post.name == post.material else f"{post.name} ({post.material})"
+    texts = [text((x, y, height + _LABEL_M), label)]
+    return entity(t_us, f"post {post.name}", cylinders=[upright], texts=texts)
 
 
 def _goal(mission: Mission, t_us: int) -> SceneEntity:

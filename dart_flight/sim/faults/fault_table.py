@@ -268,6 +268,7 @@ class VehicleFault:
 
     def _begin_wall_missing(self) -> None:
         self._autopilot.plant.planes.clear()
+        self._autopilot.plant.posts.clear()
 
     def _begin_wall_nearer(self) -> None:
         plant, d = self._autopilot.plant, self._fault.value

@@ -126,6 +126,7 @@ def every_key() -> dict[str, Any]:
             "near": far | {"point_m": [0.8, -1.1], "normal": [0.0, 1.0], "given_at": "centre"},
             "far": far,
         },
+        "posts": {"pole": {"centre_m": [-1.5, -1.0], "radius_m": 0.05, "material": "acrylic"}},
         "transit_mode": "rigid",
         "collisions": [
             first,
@@ -164,7 +165,13 @@ def keys_unset(kind: Any, trees: list[Any], above: str) -> list[str]:
         nested = [
             v
             for value in values
-            for v in (value.values() if name == "walls" else value if isinstance(value, list) else [value])
+            for v in (
+                value.values()
+                if name in ("walls", "posts")
+                else value
+                if isinstance(value, list)
+                else [value]
+            )
         ]
         for section in below:
             out += keys_unset(section, nested, f"{above}{name}.")

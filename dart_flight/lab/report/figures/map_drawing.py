@@ -27,8 +27,15 @@ def draw_room(axis: Any, mission: Mission) -> None:
     axis.plot(
         [x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color="#999999", linewidth=0.8, linestyle=(0, (1, 2))
     )
-    for wall in mission.walls:
+    for wall in mission.flat_walls:
         draw_wall(axis, wall, mission.vehicle.airframe)
+    around = np.linspace(0.0, 2.0 * math.pi, 49)
+    for post in mission.posts:
+        (cx, cy), r = post.centre, post.radius_m
+        axis.fill(
+            cx + r * np.cos(around), cy + r * np.sin(around), facecolor="#dcdcdc", edgecolor="#222222",
+            hatch="////", linewidth=1.8, zorder=1.6,
+        )  # fmt: skip
     for waypoint in mission.waypoints:
         if waypoint.position is not None:
             x, y, _ = waypoint.position

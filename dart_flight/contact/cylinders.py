@@ -1,0 +1,420 @@
+"""The contact law at upright cylinders: posts, and the edges at the ends of a wall.
+
+A wall's surface is met by the guards, each for itself; a guard whose foot lies beyond its end does not meet
+it. What is left there is an edge, a cylinder of small radius whose face is tangent to the surface at its
+end. A cylinder meets the vehicle's outline: the bars between neighbouring guards, as well as the guards.
+Force acts at the outline's nearest point to the axis, along the horizontal normal from the axis to it;
+friction along the horizontal tangent, at the guards' share of its lever.
+
+A bar lies on its two guards' springs, of k/2 and f/2 each. At the fraction s of its length that makes
+k/2 / ((1 - s)^2 + s^2): k/2 at a guard, k in the middle, as where a wall meets both guards. That share is
+settled at the touch and kept while the bar is pressed, and the depth goes on steadily where the axis comes to
+lie within the outline, so that no sliding puts energy in: what a contact has taken up is a function of depth
+alone, 1/2 share k x^2.
+
+For the same reason nothing is pressed that has not come from outside. A guard that went behind the surface
+beside it meets nothing before it has come out again, and so does an edge that a guard stood in for: a bar
+meets no edge while one of its guards is pressed by the surface.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Final, NamedTuple
+
+from dart_flight.base.geometry import Quaternion, Vec3, rotate, rotate_back
+from dart_flight.config.vehicle import Coefficients
+from dart_flight.contact.law import Onset, normal_force
+from dart_flight.contact.propeller_guards import NEAR_M, UNTOUCHED, Plane, PropellerGuard, Touch
+
+EDGE_RADIUS_M: Final = 0.01  # a sharp edge has no normal; a board's is about as thick
+_DOWN: Final = (0.0, 0.0, 1.0)  # NED
+
+
+class Cylinder(NamedTuple):
+    """An upright cylinder: a point of its axis in NED, and its radius in metres."""
+
+    axis: Vec3
+    radius_m: float
+
+
+class Corner(NamedTuple):
+    """A corner of the vehicle's outline: its guard, and the numbers of all guards that are there."""
+
+    guard: PropellerGuard
+    numbers: tuple[int, ...]
+
+
+class NearestPoint(NamedTuple):
+    """The point of an outline that is nearest to a cylinder's axis.
+
+    Attributes:
+        x_m: distance to the cylinder's face; negative: so deep in it.
+        normal: NED, horizontal, from the cylinder into the vehicle.
+        guard: the point itself, as a guard there would be, body FRD.
+        share: of the whole side's k and f that bear it.
+        deflections: number of each guard that bears it, and how far that gives way per depth.
+    """
+
+    x_m: float
+    normal: Vec3
+    guard: PropellerGuard
+    share: float
+    deflections: tuple[tuple[int, float], ...]
+
+
+class ContactPoint(NamedTuple):
+    """A point of the vehicle and what it may be pressed by.
+
+    Attributes:
+        guard: the point, body FRD.
+        normal: NED, into the vehicle.
+        tangent: NED, horizontal, Y of the collision frame of that normal.
+        x_m: distance to the face.
+        c: coefficients of this point alone.
+    """
+
+    guard: PropellerGuard
+    normal: Vec3
+    tangent: Vec3
+    x_m: float
+    c: Coefficients
+
+
+def outline(guards: Sequence[PropellerGuard]) -> tuple[Corner, ...]:
+    """The vehicle's outline seen from above, clockwise: one corner a place, for all guards that are there."""
+    places: dict[tuple[float, float], list[int]] = {}
+    for number, guard in enumerate(guards):
+        places.setdefault((round(guard.at[0], 9), round(guard.at[1], 9)), []).append(number)
+    corners = [Corner(guards[numbers[0]], tuple(numbers)) for numbers in places.values()]
+    return tuple(sorted(corners, key=lambda one: math.atan2(one.guard.at[1], one.guard.at[0])))
+
+
+def nearest_point(
+    corners: Sequence[Corner], q: Quaternion, position: Vec3, cylinder: Cylinder
+) -> NearestPoint:
+    """Where an outline is nearest to a cylinder, or deepest in it.
+
+    Args:
+        corners: of the outline.
+        q: attitude, body FRD to NED.
+        position: of the centre of mass, NED, metres.
+        cylinder: met or not.
+    """
+    ax, ay = cylinder.axis[0] - position[0], cylinder.axis[1] - position[1]
+    places = [rotate(q, corner.guard.at) for corner in corners]
+    turn = 1.0 if q[1] * q[1] + q[2] * q[2] < 0.5 else -1.0  # upside down the outline runs the other way
+    least, number, fraction, inside = math.inf, 0, 0.0, len(corners) > 2
+    for i, (bx, by, _) in enumerate(places):
+        cx, cy, _ = places[(i + 1) % len(places)]
+        ex, ey, wx, wy = cx - bx, cy - by, ax - bx, ay - by
+        square = ex * ex + ey * ey
+        s = min(1.0, max(0.0, (wx * ex + wy * ey) / square)) if square > 0.0 else 0.0
+        dx, dy = wx - s * ex, wy - s * ey
+        inside = inside and turn * (ex * wy - ey * wx) > 0.0
+        if dx * dx + dy * dy < least:
+            least, number, fraction = dx * dx + dy * dy, i, s
+    first, second = corners[number], corners[(number + 1) % len(corners)]
+    (bx, by, _), (cx, cy, _) = places[number], places[(number + 1) % len(corners)]
+    distance = math.sqrt(least)
+    if 0.0 < fraction < 1.0:
+        length = turn * math.hypot(cx - bx, cy - by)
+        normal = ((by - cy) / length, (cx - bx) / length, 0.0)
+    else:
+        px, py = (bx, by) if fraction == 0.0 else (cx, cy)
+        normal = _direction(px - ax, py - ay)
+    x = (-distance if inside else distance) - cylinder.radius_m
+    share, deflections = _borne(first, second, fraction)
+    guard = PropellerGuard(
+        _between(first.guard.at, second.guard.at, fraction),
+        _between(first.guard.friction_at, second.guard.friction_at, fraction),
+    )
+    return NearestPoint(x, normal, guard, share, deflections)
+
+
+class CylinderContact:
+    """A cylinder that the outline may meet, and what is kept while it is pressed.
+
+    Attributes:
+        cylinder: as it stands.
+        coefficients: of the whole side; None while nobody has said so.
+        share: of k and f, settled at the touch; None: not pressed.
+        stood_in: pressed without force, since a guard bore it first or nothing was there before.
+    """
+
+    def __init__(self, cylinder: Cylinder) -> None:
+        self.cylinder = cylinder
+        self.coefficients: Coefficients | None = None
+        self.share: float | None = None
+        self.stood_in = False
+
+    def point(self, near: NearestPoint, c: Coefficients, borne: bool) -> ContactPoint | None:
+        """What may be pressed, for the outline's nearest point.
+
+        Args:
+            near: that point.
+            c: coefficients of the whole side.
+            borne: whether guards bear what would press here.
+        """
+        if near.x_m > 0.0:
+            self.stood_in = False
+        elif borne:
+            self.stood_in = True
+        if borne or self.stood_in:
+            self.share = None
+            return None
+        if near.x_m > NEAR_M:
+            return None
+        nx, ny, _ = near.normal
+        own = _scaled(c, near.share if self.share is None else self.share)
+        return ContactPoint(near.guard, near.normal, (-ny, nx, 0.0), near.x_m, own)
+
+    def settle(self, near: NearestPoint, force_n: float) -> None:
+        """Keep the share of a side's coefficients from the first force on until it is free."""
+        if force_n > 0.0:
+            self.share = near.share if self.share is None else self.share
+        elif near.x_m > 0.0:
+            self.share = None
+
+
+class PostContact:
+    """A cylinder that stands by itself, as the outline meets it.
+
+    Attributes:
+        contact: with its cylinder.
+        depths: how far each guard gives way, metres, as of the last touch.
+    """
+
+    def __init__(self, cylinder: Cylinder, guards: Sequence[PropellerGuard]) -> None:
+        self.contact = CylinderContact(cylinder)
+        self.depths = [0.0] * len(guards)
+        self._corners = outline(guards)
+
+    def nearest(self, q: Quaternion, position: Vec3) -> NearestPoint:
+        """The outline's nearest point."""
+        return nearest_point(self._corners, q, position, self.contact.cylinder)
+
+    def touch(
+        self,
+        q: Quaternion,
+        c: Coefficients,
+        onset: Onset,
+        position: Vec3,
+        velocity: Vec3,
+        rate_frd: Vec3,
+        vertical_sign: int,
+        vertical_lever_m: float,
+    ) -> Touch:
+        """Force and torque on the vehicle; as `propeller_guards.touch`, with the side's coefficients."""
+        near = self.nearest(q, position)
+        point = self.contact.point(near, c, False)
+        self.depths = [0.0] * len(self.depths)
+        if point is None:
+            return UNTOUCHED
+        one, forces = _press([point], q, onset, velocity, rate_frd, vertical_sign, vertical_lever_m)
+        self.contact.settle(near, forces[0])
+        _deflect(self.depths, near, forces[0])
+        return one
+
+
+class WallWithEnds:
+    """A wall's surface near its ends: each guard for itself, and the outline at its two edges.
+
+    Attributes:
+        plane: the surface.
+        edges: at the left and the right end, looking along the normal.
+        beside: numbers of the guards that are behind the surface and did not come through it.
+        depths: how far each guard gives way, metres, as of the last touch.
+    """
+
+    def __init__(self, plane: Plane, guards: Sequence[PropellerGuard]) -> None:
+        self.plane, self._guards = plane, guards
+        self._corners = outline(guards)
+        (px, py, pz), (nx, ny, nz), (tx, ty, tz) = plane.point, plane.normal, plane.tangent
+        r = EDGE_RADIUS_M
+        self.edges = tuple(
+            CylinderContact(Cylinder((px - r * nx + a * tx, py - r * ny + a * ty, pz - r * nz + a * tz), r))
+            for a in (-plane.half_length_m, plane.half_length_m)
+        )
+        self.beside: set[int] = set()
+        self.depths = [0.0] * len(guards)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether nothing of it is left to remember: away from its ends it is its surface then."""
+        return not self.beside and all(one.share is None and not one.stood_in for one in self.edges)
+
+    @property
+    def coefficients(self) -> Coefficients | None:
+        """Those of the edge that is pressed, if one is."""
+        return next((edge.coefficients for edge in self.edges if edge.share is not None), None)
+
+    def moved(self, away_m: float) -> WallWithEnds:
+        """The wall so far out along its normal, met anew."""
+        p, n = self.plane.point, self.plane.normal
+        point = (p[0] + away_m * n[0], p[1] + away_m * n[1], p[2] + away_m * n[2])
+        return WallWithEnds(self.plane._replace(point=point), self._guards)
+
+    def arrive(self, q: Quaternion, position: Vec3) -> None:
+        """The vehicle comes near: what is behind the surface by then did not come through it."""
+        self.beside = {i for i, h, _ in self._feet(q, position) if h < 0.0}
+        for edge, near in self.nearest(q, position):
+            edge.share, edge.stood_in = None, near.x_m < 0.0
+
+    def nearest(self, q: Quaternion, position: Vec3) -> Iterator[tuple[CylinderContact, NearestPoint]]:
+        """Each edge with the outline's nearest point to it."""
+        for edge in self.edges:
+            yield edge, nearest_point(self._corners, q, position, edge.cylinder)
+
+    def touch(
+        self,
+        q: Quaternion,
+        c: Coefficients,
+        onset: Onset,
+        position: Vec3,
+        velocity: Vec3,
+        rate_frd: Vec3,
+        vertical_sign: int,
+        vertical_lever_m: float,
+    ) -> Touch:
+        """Force and torque on the vehicle.
+
+        As `propeller_guards.touch`, whose value it has, but for rounding, where every guard is before the
+        surface; `c` is for the surface, an edge has its own coefficients.
+        """
+        plane, n = self.plane, self.plane.normal
+        half = _scaled(c, 0.5)
+        points: list[ContactPoint] = []
+        pressed: set[int] = set()
+        self.depths = [0.0] * len(self._guards)
+        for i, height, along in self._feet(q, position):
+            beyond = abs(along) > plane.half_length_m
+            if height > 0.0:
+                self.beside.discard(i)
+            elif beyond:
+                self.beside.add(i)
+            if beyond or height > NEAR_M or i in self.beside:
+                continue
+            point = ContactPoint(self._guards[i], n, plane.tangent, height, half)
+            if _force(point, q, onset, velocity, rate_frd) > 0.0:
+                points.append(point)
+                pressed.add(i)
+                self.depths[i] = max(0.0, -height)
+        met = []
+        for edge, near in sorted(self.nearest(q, position), key=lambda one: one[0].share is None):
+            numbers = {number for number, _ in near.deflections}
+            edge_point = edge.point(near, edge.coefficients or c, not pressed.isdisjoint(numbers))
+            if edge_point is None:
+                continue
+            force = _force(edge_point, q, onset, velocity, rate_frd)
+            edge.settle(near, force)
+            if force > 0.0:
+                points.append(edge_point)
+                pressed |= numbers  # one edge a bar: at a wall narrower than that the first one bears it
+                met.append((near, force))
+        for near, force in met:
+            _deflect(self.depths, near, force)
+        if not points:
+            return UNTOUCHED
+        return _press(points, q, onset, velocity, rate_frd, vertical_sign, vertical_lever_m)[0]
+
+    def _feet(self, q: Quaternion, position: Vec3) -> Iterator[tuple[int, float, float]]:
+        """Of every guard its number, its height over the surface, and its foot along it from the middle."""
+        o = self.plane.point
+        offset = (position[0] - o[0], position[1] - o[1], position[2] - o[2])
+        n, t = rotate_back(q, self.plane.normal), rotate_back(q, self.plane.tangent)
+        height, along = _dot(self.plane.normal, offset), _dot(self.plane.tangent, offset)
+        for i, guard in enumerate(self._guards):
+            yield i, height + _dot(n, guard.at), along + _dot(t, guard.at)
+
+
+def _force(point: ContactPoint, q: Quaternion, onset: Onset, velocity: Vec3, rate_frd: Vec3) -> float:
+    """Normal force on one point, newton."""
+    n = rotate_back(q, point.normal)
+    closing = _dot(point.normal, velocity) + _dot(n, _cross(rate_frd, point.guard.at))
+    return normal_force(point.c, onset, point.x_m, closing)
+
+
+def _press(
+    points: Sequence[ContactPoint],
+    q: Quaternion,
+    onset: Onset,
+    velocity: Vec3,
+    rate_frd: Vec3,
+    vertical_sign: int,
+    vertical_lever_m: float,
+) -> tuple[Touch, list[float]]:
+    """What points feel together, and the normal force on each."""
+    forces = [_force(point, q, onset, velocity, rate_frd) for point in points]
+    total = sum(forces)
+    if not total > 0.0:
+        return UNTOUCHED, forces
+    force = torque = (0.0, 0.0, 0.0)
+    friction = 0.0
+    down = rotate_back(q, _DOWN)
+    for point, push in zip(points, forces, strict=True):
+        (nx, ny, nz), (tx, ty, tz) = point.normal, point.tangent
+        n, t = rotate_back(q, point.normal), rotate_back(q, point.tangent)
+        slip = _dot(point.tangent, velocity) + _dot(t, _cross(rate_frd, point.guard.friction_at))
+        rub = -point.c.mu * push * slip
+        lift = vertical_sign * point.c.nu * push / (1.0 + total)
+        friction += rub
+        force = (
+            force[0] + push * nx + rub * tx,
+            force[1] + push * ny + rub * ty,
+            force[2] + push * nz + rub * tz + lift,
+        )
+        pushed, rubbed, lifted = (
+            _cross(point.guard.at, n),
+            _cross(point.guard.friction_at, t),
+            _cross(n, down),
+        )
+        lever = -vertical_lever_m * lift
+        torque = (
+            torque[0] + push * pushed[0] + rub * rubbed[0] + lever * lifted[0],
+            torque[1] + push * pushed[1] + rub * rubbed[1] + lever * lifted[1],
+            torque[2] + push * pushed[2] + rub * rubbed[2] + lever * lifted[2],
+        )
+    strongest = points[max(range(len(points)), key=forces.__getitem__)]
+    return Touch(force, torque, total, friction, strongest.normal), forces
+
+
+def _borne(first: Corner, second: Corner, s: float) -> tuple[float, tuple[tuple[int, float], ...]]:
+    """Share of a side's k and f that bears a point of a bar, and its guards' deflections per depth."""
+    loads = [(first, 1.0 - s), (second, s)]
+    share = 0.5 / sum(load * load / len(corner.numbers) for corner, load in loads)
+    return share, tuple(
+        (number, 2.0 * share * load / len(corner.numbers))
+        for corner, load in loads
+        if load > 0.0
+        for number in corner.numbers
+    )
+
+
+def _deflect(depths: list[float], near: NearestPoint, force_n: float) -> None:
+    """Let the guards that bear a point give way."""
+    if force_n > 0.0 and near.x_m < 0.0:
+        for number, per_depth in near.deflections:
+            depths[number] = max(depths[number], -near.x_m * per_depth)
+
+
+def _scaled(c: Coefficients, share: float) -> Coefficients:
+    return Coefficients(share * c.k, share * c.f, c.mu, c.nu)
+
+
+def _between(a: Vec3, b: Vec3, s: float) -> Vec3:
+    return (a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2]))
+
+
+def _direction(x: float, y: float) -> Vec3:
+    length = math.hypot(x, y)
+    return (x / length, y / length, 0.0) if length > 0.0 else (1.0, 0.0, 0.0)
+
+
+def _dot(a: Vec3, b: Vec3) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: Vec3, b: Vec3) -> Vec3:
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])

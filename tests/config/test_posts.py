@@ -1,0 +1,83 @@
+"""Posts of a mission: read, written, refused, in the way, and hit in the simulated flight."""
+
+from typing import Any
+
+import pytest
+
+import dart_flight
+from dart_flight.check.mission_check import check_mission
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.core.mission.approach import NoApproachError, plan_approach
+from dart_flight.sim.plant import make_plant
+
+POLE = {"centre_m": [1.5, 0.0], "radius_m": 0.1, "material": "acrylic"}
+HIT = {
+    "wall": "pole",
+    "mode": "rigid",
+    "approach": {"normal_m_s": -1.0},
+    "impact_point_m": [1.2, 0.0],
+    "alpha_wall_m_per_n": [0.012, 0.012],
+}
+
+
+def mission(**changes: Any) -> Mission:
+    tree = {
+        "version": 1,
+        "name": "pole",
+        "start": {"position_m": [-1.0, 0.0], "altitude_m": 1.2},
+        "goal": {"position_m": [0.0, 0.0], "capture_radius_m": 0.5},
+        "bounds_m": {"x": [-2.0, 2.0], "y": [-2.0, 2.0], "z": [0.3, 2.5]},
+        "posts": {"pole": POLE},
+        "collisions": [HIT],
+    }
+    return load_mission(tree | changes)
+
+
+def test_a_post_that_is_hit_is_a_wall_of_its_tangent_plane() -> None:
+    one = mission()
+    (wall,) = one.walls
+    assert (wall.name, wall.point, wall.normal) == ("pole", (1.2, 0.0), (-1.0, 0.0))
+    assert wall.length_m == pytest.approx(2.0 * (0.1 + 0.13))
+    assert one.flat_walls == ()
+    again = load_mission(one.to_dict())
+    assert (again.walls, again.posts, again.collisions) == (one.walls, one.posts, one.collisions)
+    assert make_plant(one).planes == []
+    assert [post.name for post in make_plant(one).posts] == ["pole"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"collisions": [HIT | {"impact_point_m": None}]}, "needs impact_point_m"),
+        ({"collisions": [HIT | {"impact_point_m": [1.1, 0.0]}]}, r"touched at 0.300 m, there at \[1.200"),
+        ({"collisions": [HIT, HIT | {"impact_point_m": [1.5, 0.3]}]}, "is hit elsewhere before"),
+        ({"posts": {"pole": POLE | {"material": "cheese"}}}, "cheese"),
+        ({"posts": {"pole": POLE | {"radius_m": 0.0}}}, "radius_m"),
+        ({"start": {"position_m": [1.3, 0.0], "altitude_m": 1.2}}, "lies in or at post pole"),
+        (
+            {"walls": {"pole": {"point_m": [1, 1], "normal": [-1, 0], "length_m": 1, "material": "acrylic"}}},
+            "a wall has the name",
+        ),
+    ],
+)
+def test_what_contradicts_itself_is_refused(changes: dict[str, Any], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        mission(**changes)
+
+
+def test_a_post_stands_in_the_way_and_too_near() -> None:
+    posts = {"pole": POLE, "other": POLE | {"centre_m": [0.5, 0.2]}}
+    one = mission(posts=posts)
+    with pytest.raises(NoApproachError, match="post other is in the way"):
+        plan_approach(one, one.collisions[0])
+    says = [finding for finding in check_mission(one) if not finding.go]
+    assert any("post other" in finding.says for finding in says)
+    free = mission(posts=posts | {"other": POLE | {"centre_m": [0.5, 1.5]}})
+    assert all(finding.go for finding in check_mission(free)), check_mission(free)
+
+
+def test_a_flight_hits_a_post_and_comes_back() -> None:
+    verdict = dart_flight.simulate(mission(), seed=3).verdict
+    assert verdict.outcome == "completed", verdict.reason
+    assert [one.wall for one in verdict.collisions] == ["pole"]

@@ -1,0 +1,206 @@
+"""The simulated vehicle at the ends of walls and at posts: against an independent body, and energy."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from dart_flight.base.geometry import GRAVITY_M_S2, MissionFrame, quaternion_from_euler
+from dart_flight.base.records import Mode
+from dart_flight.base.walls import Post, Wall
+from dart_flight.config.vehicle import Coefficients, Material, VehicleConfig
+from dart_flight.sim.plant import Plant
+from tests.oracles.ends_and_posts import Board, Pillar, Scene
+from tests.oracles.rigid_body import Body, Law
+from tests.sim.test_body import body_vehicle, rotation
+
+# NED to north, west, up; FRD to forward, left, up.
+FLIP = np.diag([1.0, -1.0, -1.0])
+LENGTH_M = 2.0
+
+
+def board(end_m: float, length_m: float = LENGTH_M) -> Wall:
+    """A wall to the north whose right end (looking along its normal, south) is so far west of the x axis."""
+    return Wall("wall", (1.0, end_m - 0.5 * length_m), (-1.0, 0.0), length_m, "acrylic")
+
+
+def adrift(
+    vehicle: VehicleConfig,
+    mode: Mode,
+    walls: tuple[Wall, ...],
+    posts: tuple[Post, ...],
+    place: tuple[float, float],
+    velocity: tuple[float, float],
+    yaw: float,
+    tilt: float = 0.0,
+    rate: float = 0.0,
+) -> Plant:
+    """In the air without motors and without gravity, in the mission frame, which is north and west."""
+    plant = Plant(vehicle, walls, MissionFrame(), posts=posts)
+    plant.position = plant.frame.point_to_ned((*place, 5.0))
+    plant.velocity = plant.frame.vector_to_ned((*velocity, 0.0))
+    plant.q = quaternion_from_euler(tilt, 0.5 * tilt, -yaw)
+    plant.rate = (0.0, 0.0, -rate)
+    plant.set_mode(mode)
+    plant._motors = lambda commands: (0.0, (0.0, 0.0, 0.0))  # type: ignore[method-assign]
+    plant._drag = lambda: (0.0, 0.0, -GRAVITY_M_S2)  # type: ignore[method-assign]
+    return plant
+
+
+def oracle(plant: Plant, mode: Mode) -> Scene:
+    """The same body before the same obstacles."""
+    vehicle = plant.vehicle
+    contact, c = vehicle.simulation.contact, vehicle.materials["acrylic"].of(mode)
+    body = Body(
+        vehicle.airframe.mass_kg,
+        np.array(vehicle.airframe.inertia_kg_m2),
+        contact.guard_out_m,
+        contact.guard_along_m,
+        contact.guard_height_m,
+        contact.friction_lever_share,
+        contact.vertical_lever_m,
+    )
+    law = Law(c.k, c.f, c.mu, c.nu, vehicle.vertical_force_sign)
+    wall = None
+    for plane in plant.planes:
+        nx, ny = plane.wall.normal
+        normal = np.array([nx, ny, 0.0])
+        middle = np.array([*plane.wall.point, 0.0]) - contact.guard_out_m * normal
+        wall = Board(middle, normal, 0.5 * plane.wall.length_m)
+    posts = [Pillar(np.array(one.post.centre), one.post.radius_m) for one in plant.posts]
+    return Scene(body, law, wall, posts)
+
+
+def agree(plant: Plant, mode: Mode) -> tuple[float, float]:
+    """Fly both through a contact; how the velocity differs in m/s, and the rate relative to the oracle's."""
+    y = np.concatenate(
+        (
+            FLIP @ np.array(plant.position),
+            FLIP @ np.array(plant.velocity),
+            (FLIP @ rotation(plant.q) @ FLIP).ravel(),
+            FLIP @ np.array(plant.rate),
+        )
+    )
+    scene = oracle(plant, mode)
+    steps = 0
+    while not plant.finished or plant.in_contact:
+        plant.advance((0.0,) * 4)
+        steps += 1
+        assert steps < 500
+    y = scene.fly(y, 1e-3 * steps)
+    speed = float(np.linalg.norm(FLIP @ np.array(plant.velocity) - y[3:6]))
+    off = float(np.linalg.norm(FLIP @ np.array(plant.rate) - y[15:]))
+    return speed, off / max(1e-9, float(np.linalg.norm(y[15:])))
+
+
+# Where the wall ends, west of the vehicle's centre in metres; yaw in degrees, velocity and yaw rate.
+ENDS = [
+    (0.05, 0.0, (1.0, 0.0), 0.0),  # one guard, the other beyond the end
+    (-0.05, 0.0, (1.0, 0.0), 0.0),  # likewise, the centre beyond it as well
+    (-0.12, 0.0, (1.0, 0.3), 0.0),  # a guard that slides
+    (-0.12, -20.0, (1.0, 0.4), 0.0),  # the edge at a guard and beside it
+    (0.05, -8.0, (1.0, 0.0), 0.0),  # the edge between the guards, one of which stands in for it
+    (-0.05, -20.0, (1.5, 0.5), 0.0),  # the edge between the guards
+    (-0.05, 8.0, (1.0, 0.3), 0.5),
+    (0.05, 20.0, (2.0, -0.5), -1.0),
+]
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize(("end", "yaw", "velocity", "rate"), ENDS)
+def test_a_hit_at_a_walls_end_is_an_independent_rigid_bodys(
+    mode: Mode, end: float, yaw: float, velocity: tuple[float, float], rate: float
+) -> None:
+    plant = adrift(
+        body_vehicle(), mode, (board(end),), (), (0.95, 0.0), velocity, math.radians(yaw), 0.05, rate
+    )
+    off_m_s, off_share = agree(plant, mode)
+    assert off_m_s < 1e-3
+    assert off_share < 0.01
+
+
+POSTS = [
+    (0.0, 0.0, (1.0, 0.0), 0.0),  # central
+    (0.05, 0.0, (1.0, 0.0), 0.0),  # beside it
+    (0.13, 0.0, (1.0, 0.0), 0.0),  # at a guard
+    (0.16, 0.0, (1.0, 0.0), 0.0),  # at the corner between two sides
+    (0.05, 10.0, (1.0, 0.4), 0.0),  # oblique
+    (-0.05, -25.0, (2.0, -0.5), 1.0),
+    (0.02, 44.0, (1.0, 0.0), 0.5),
+]
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize("radius", [0.03, 0.1])
+@pytest.mark.parametrize(("off", "yaw", "velocity", "rate"), POSTS)
+def test_a_hit_at_a_post_is_an_independent_rigid_bodys(
+    mode: Mode, radius: float, off: float, yaw: float, velocity: tuple[float, float], rate: float
+) -> None:
+    post = Post("post", (1.25 + radius, off), radius, "acrylic")
+    plant = adrift(body_vehicle(), mode, (), (post,), (0.95, 0.0), velocity, math.radians(yaw), 0.05, rate)
+    off_m_s, off_share = agree(plant, mode)
+    assert off_m_s < 1e-3
+    assert off_share < 0.01
+
+
+def energy(plant: Plant) -> float:
+    """Of motion, joule; no gravity is felt."""
+    inertia = plant.vehicle.airframe.inertia_kg_m2
+    turning = sum(j * w * w for j, w in zip(inertia, plant.rate, strict=True))
+    return 0.5 * (plant.mass * sum(v * v for v in plant.velocity) + turning)
+
+
+signed = st.floats(-1.0, 1.0)
+
+
+@settings(max_examples=60, phases=(Phase.explicit, Phase.generate))  # shrinking would take minutes
+@given(
+    mode=st.sampled_from(list(Mode)),
+    what=st.sampled_from(("end", "narrow", "post")),
+    radius=st.floats(0.005, 0.2),
+    along=signed,
+    velocity=st.tuples(st.floats(-0.5, 3.0), st.floats(-2.0, 2.0)),
+    yaw=st.floats(-math.pi, math.pi),
+    tilt=st.floats(-0.3, 0.3),
+    rate=st.floats(-8.0, 8.0),
+    damping=st.sampled_from((0.0, 1.0)),
+    friction=st.sampled_from((0.0, 0.3, 5.0)),
+    share=st.floats(0.0, 1.0),
+    behind=st.booleans(),
+)
+def test_no_contact_puts_energy_in(
+    mode: Mode,
+    what: str,
+    radius: float,
+    along: float,
+    velocity: tuple[float, float],
+    yaw: float,
+    tilt: float,
+    rate: float,
+    damping: float,
+    friction: float,
+    share: float,
+    behind: bool,
+) -> None:
+    """Without the law's vertical force a vehicle never leaves a contact with more than it came with."""
+    vehicle = body_vehicle(friction_lever_share=share)
+    c = vehicle.materials["acrylic"].of(mode)
+    c = Coefficients(c.k, damping * c.f, friction, 0.0)
+    vehicle = msgspec.structs.replace(vehicle, materials={"acrylic": Material(c, c)})
+    walls: tuple[Wall, ...] = ()
+    posts: tuple[Post, ...] = ()
+    start, v = (0.85, 0.0), velocity
+    if what == "post":
+        posts = (Post("post", (1.15 + radius, 0.3 * along), radius, "acrylic"),)
+    else:
+        walls = (board(0.3 * along, LENGTH_M if what == "end" else radius),)
+        if behind:  # beside the end and behind the surface, on its way to the end
+            start, v = (1.1 + radius, 0.3 * along + 0.32), (0.2 * velocity[1], -abs(velocity[0]))
+    plant = adrift(vehicle, mode, walls, posts, start, v, yaw, tilt, rate)
+    before = energy(plant)
+    for _ in range(250):
+        plant.advance((0.0,) * 4)
+        assert energy(plant) <= before * 1.002 + 1e-3
