@@ -356,7 +356,7 @@ class FlightApp:
             # In a dry-run the modelled servo is part of the harness: its horn moves the simulated arms.
             if self._world is not None and isinstance(driver, MockDriver | DriverWithModelledHorn):
                 pulse = driver.horn_pulse_us(clock_us())
-                if not sent or sent[-1] != pulse:
+                if sent != [pulse]:
                     sent[:] = [pulse]
                     self._world.send_horn(pulse)
 

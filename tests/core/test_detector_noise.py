@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from dart_flight.base.records import ContactEnd, DetectionFloor, ForceEstimate, ImpactOnset, ImpactPeak
-from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector
+from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector, _onset_of_mean, _Sample
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
 from tests.core.test_force_estimate import VEHICLE, half_sine
@@ -195,6 +195,16 @@ def test_the_share_of_a_half_sine_is_its_largest_mean_wherever_samples_fall(
     worst = min(largest(0.05 * i) for i in range(20))
     assert share <= worst + 1e-9
     assert worst <= 1.02 * share
+
+
+@pytest.mark.parametrize("begins", [0, 1, 2, 9, 20])
+def test_where_only_a_mean_shows_a_pulse_it_begins_with_its_first_sample(begins: int) -> None:
+    """Along the force: 2 N from then on, a little noise around nothing before."""
+    forces = [2.0 if i >= begins else 0.3 * (-1) ** i for i in range(32)]
+    samples = [
+        _Sample(1000 + 4000 * i, 4000, -0.6 * f, 0.8 * f, (0.0, 0.0), False) for i, f in enumerate(forces)
+    ]
+    assert _onset_of_mean(samples, (-0.6, 0.8)) == samples[begins].t_us
 
 
 def test_a_half_sine_between_two_samples_may_not_be_seen() -> None:

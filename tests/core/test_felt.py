@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Sequence
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dart_flight.base.geometry import IDENTITY
-from dart_flight.base.records import ForceEstimate, Mode, TorqueEstimate
+from dart_flight.base.records import ForceEstimate, ImpactOnset, Mode, TorqueEstimate, WallEstimate
 from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import ArmVibration, BodyModel, Coefficients
 from dart_flight.contact.law import Onset
@@ -25,7 +26,7 @@ from dart_flight.core.sense.contact_fit import (
     ObservedContact,
 )
 from dart_flight.core.sense.incidence import ContactSample, ContactSampleBuffer
-from dart_flight.core.sense.wall_estimator import WallEstimator
+from dart_flight.core.sense.wall_estimator import WallEstimator, _PendingEstimate
 from tests.oracles.point_law import contact_force
 from tests.sim.test_plant import VEHICLE
 from tools.campaigns.felt import FIRST_SEED, Job, covered, fly, is_wrong, judged_of, plan_of
@@ -338,6 +339,71 @@ def test_arms_put_back_are_the_inverse_of_arms_taken_out() -> None:
     for _ in range(60):
         x, y = rng.gauss(0.0, 10.0), rng.gauss(0.0, 10.0)
         assert back.remove(*there.add(x, y), TICK_S) == pytest.approx((x, y), abs=1e-9)
+
+
+# --- the mode ----------------------------------------------------------------------------------------------
+
+SURE = VEHICLE.estimation.walls.sure_log_odds
+
+
+def judged(
+    odds: float, misfit: float, reported: Mode | None
+) -> tuple[WallEstimator, WallEstimate, dict[Mode, Belief]]:
+    """What is made of two fits: estimator, estimate, and what each of them believes."""
+    estimator, wall = (
+        WallEstimator(VEHICLE, ContactSampleBuffer()),
+        Wall("w", (1.0, 0.0), (-1.0, 0.0), 2.0, "wood"),
+    )
+    onset = ImpactOnset(20_000, 16_000, 0, (-9.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.98, 0.0, 1.0), True)
+    fits, after = {}, {mode: belief_of("wood", mode)._replace(k=777.0) for mode in Mode}
+    for mode, evidence in ((Mode.RIGID, odds), (Mode.FLEXIBLE, 0.0)):
+        found = Hypothesis(evidence, misfit, after[mode], 0.01, 0.02, 0.03, 0.004)
+        contact = ObservedContact([], 10_000, 0.01, (-1.0, 0.0), 0.0, 0.3)
+        fits[mode] = SimpleNamespace(result=lambda found=found: found, contact=contact)
+    before = {mode: belief_of("wood", mode) for mode in Mode}
+    job = _PendingEstimate(30_000, onset, wall, reported, before, fits)  # type: ignore[arg-type]
+    return estimator, estimator._judge(job), after
+
+
+@pytest.mark.parametrize(
+    ("odds", "misfit", "felt"),
+    [
+        (1.01 * SURE, 0.5, Mode.RIGID),
+        (-1.01 * SURE, 0.5, Mode.FLEXIBLE),
+        (0.99 * SURE, 0.5, None),
+        (-0.99 * SURE, 0.5, None),
+        (1.9 * SURE, 1.8, Mode.RIGID),  # a poor fit counts for less
+        (1.7 * SURE, 1.8, None),
+        (50.0 * SURE, 2.1, None),  # no such contact
+    ],
+)
+def test_a_mode_is_felt_where_the_odds_are_sure_and_the_fit_is_one(
+    odds: float, misfit: float, felt: Mode | None
+) -> None:
+    for reported in (None, *Mode):
+        _, found, _ = judged(odds, misfit, reported)
+        assert (found.mode_felt, found.mode_reported) == (felt, reported)
+        assert found.plane_offset_m == pytest.approx(0.02 + 1.0 * 0.01 - 0.03)
+
+
+@pytest.mark.parametrize(
+    ("odds", "reported", "kept"),
+    [
+        (0.5 * SURE, Mode.RIGID, Mode.RIGID),
+        (0.5 * SURE, None, Mode.RIGID),
+        (-0.5 * SURE, None, Mode.FLEXIBLE),
+        (0.5 * SURE, Mode.FLEXIBLE, None),  # the readings speak against what the lock says
+        (2.0 * SURE, Mode.FLEXIBLE, Mode.RIGID),
+    ],
+)
+def test_what_was_felt_is_kept_for_the_mode_that_is_likely(
+    odds: float, reported: Mode | None, kept: Mode | None
+) -> None:
+    estimator, found, after = judged(odds, 0.5, reported)
+    assert found.k_n_per_m == 777.0
+    wall = Wall("w", (1.0, 0.0), (-1.0, 0.0), 2.0, "wood")
+    for mode in Mode:
+        assert (estimator._belief(wall, mode) == after[mode]) is (mode is kept)
 
 
 # --- flights ----------------------------------------------------------------------------------------------

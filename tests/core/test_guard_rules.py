@@ -12,6 +12,7 @@ import pytest
 from dart_flight.base.geometry import Vec3, quaternion_from_euler
 from dart_flight.base.records import (
     AttitudeSample,
+    DetectionFloor,
     EstimatorSample,
     FlightMode,
     GuardEvent,
@@ -518,6 +519,28 @@ def test_in_the_step_in_which_a_rule_fires_the_mission_may_record_but_not_comman
     assert [o for o in out if isinstance(o, GuardEvent)]
     assert record in out
     assert not [o for o in out if o in commands]
+
+
+@pytest.mark.parametrize(
+    ("mode", "threshold_n", "rigid_n", "flexible_n", "fires"),
+    [
+        (Mode.FLEXIBLE, 20.0, 1.0, 500.0, True),
+        (Mode.FLEXIBLE, 20.0, 500.0, 1.0, False),
+        (Mode.FLEXIBLE, 20.0, 500.0, None, False),
+        (Mode.FLEXIBLE, 0.1, 500.0, 500.0, False),  # as configured: nothing has been learnt of noise
+        (Mode.RIGID, 20.0, 500.0, 1.0, True),
+        (Mode.RIGID, 20.0, 1.0, 500.0, False),
+    ],
+)
+def test_a_planned_hit_is_in_the_noise_where_its_modes_floor_is_above_it(
+    mode: Mode, threshold_n: float, rigid_n: float, flexible_n: float | None, fires: bool
+) -> None:
+    mission, p = HandFedCore().core.mission, Proposal()
+    planned = msgspec.structs.replace(mission.collisions[0], mode=mode)
+    changed = msgspec.structs.replace(mission, collisions=(planned, *mission.collisions[1:]))
+    found = executive.Executive(changed)
+    found._on_detection_floor(DetectionFloor(0, threshold_n, 1.0, 1.0, rigid_n, flexible_n), p)
+    assert [finding.rule for finding in p.findings] == ["hit_in_noise"] * fires
 
 
 def test_a_landed_vehicle_is_told_to_disarm_only_where_it_has_long_not_done_so_itself() -> None:

@@ -253,6 +253,35 @@ def test_a_contact_of_two_samples_is_judged(inside: int, judged: bool) -> None:
         assert told.torque_peak_frd == pytest.approx((0.0, 0.01, 0.03))
 
 
+@pytest.mark.parametrize("degrees", [-5.0, -2.7, -1.3, 0.7, 3.1])
+def test_the_angle_is_found_between_those_that_are_tried(degrees: float) -> None:
+    """Rows by the law itself, and an attitude that says a degree and a half too much."""
+    c, a, out, true = VEHICLE.materials["acrylic"].rigid, 0.13, 0.2, math.radians(degrees)
+    rows = []
+    for i in range(10):
+        normal, turned = 60.0 * math.sin(0.3 * (i + 0.5)), 0.004 * i
+        angle, sliding = true + turned, 0.4
+        uneven = a * (c.k * math.sin(angle) + c.f * math.cos(angle) * 1.0)
+        uneven = max(-normal, min(normal, uneven))
+        along = -c.mu * normal * sliding
+        torque = uneven * a * math.cos(angle) - normal * out * math.sin(angle) - 0.3 * out * along
+        rows.append(_FitSample(1, normal, along, torque, turned, 1.0, -0.5, sliding))
+    off = math.radians(1.5)
+    co, so = math.cos(off), math.sin(off)
+    # As they are along the wall believed in, which is turned by as much.
+    seen = [
+        r._replace(
+            normal=r.normal * co + r.along * so,
+            along=r.along * co - r.normal * so,
+            towards=r.towards * co + r.sliding * so,
+            sliding=r.sliding * co - r.towards * so,
+        )
+        for r in rows
+    ]
+    fit = _IncidenceFit(seen, true + off, c, (1e-3, 1e-2), a, out, Known(), True)
+    assert math.degrees(fit.run()[0]) == pytest.approx(degrees, abs=0.015)
+
+
 def test_what_is_smoothed_keeps_a_parabola() -> None:
     values: list[Vec3] = [(1.0, 2.0 * i, 3.0 + i - 0.5 * i * i) for i in range(9)]
     for smooth, value in zip(_smoothed(values), values, strict=True):

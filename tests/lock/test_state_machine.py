@@ -218,6 +218,17 @@ def test_without_switches_a_fault_of_the_controller_is_seen(vary: Vary, faults: 
     assert bench.run(0.4).phase is LockPhase.FAULT
 
 
+def test_the_mock_says_that_it_has_restarted_until_it_is_told_again(vary: Vary) -> None:
+    bench = homed(vary(), MockFaults(brown_out=True))
+    bench.session.command(Mode.RIGID)
+    bench.run(0.4)
+    assert bench.mock.read().errors == ("the controller has restarted",)
+    bench.mock.inject(MockFaults())
+    bench.session.command(Mode.RIGID)
+    assert bench.mock.read().errors == ()
+    assert bench.run(1.0).phase is LockPhase.SETTLED
+
+
 def test_a_fault_is_left_by_a_command(vary: Vary) -> None:
     bench = homed(vary(limit_switch=BOTH_SWITCHES), MockFaults(servo=ServoFaults(stuck=True)))
     bench.session.command(Mode.RIGID)

@@ -36,6 +36,7 @@ from dart_flight.base.records import (
     VehicleAction,
     VehicleCommand,
 )
+from dart_flight.lock.state_machine import status_text
 from dart_flight.run import app as module
 from dart_flight.run.app import FlightApp, LockThread
 from dart_flight.run.prepare import load_flyable
@@ -160,6 +161,38 @@ def test_orders_of_the_lock_go_to_its_thread_and_nowhere_else(monkeypatch: pytes
     command, permission = LockCommand(1, Mode.RIGID), LockPermission(2, False)
     carry_out(app, monkeypatch, command, permission)
     assert (orders, session.asked) == ([command, permission], [])
+
+
+def test_what_the_lock_says_goes_to_the_core_and_on_arrival_to_the_ground(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    session = Session()
+    app, told = app_with(monkeypatch, session)
+    travelling, settled = (LockState(1, p, Mode.RIGID) for p in (LockPhase.TRAVELLING, LockPhase.SETTLED))
+    app._take_lock_state(travelling)
+    assert (told, session.asked) == ([travelling], [])
+    app._take_lock_state(settled)
+    assert (told, session.asked) == ([travelling, settled], [status_text(settled)])
+
+
+@pytest.mark.parametrize("records", [0, 1, 3])
+def test_what_is_still_to_be_shown_at_the_end_is_shown_and_then_it_ends(
+    monkeypatch: pytest.MonkeyPatch, records: int
+) -> None:
+    app, _ = app_with(monkeypatch)
+    shown: list[Record] = []
+    monkeypatch.setattr(app, "_progress", shown.append)
+    app._ended.set()
+    wanted = [LockPermission(i, True) for i in range(records)]
+    for record in wanted:
+        app.show(record)
+    thread = threading.Thread(target=app._show, daemon=True)
+    thread.start()
+    thread.join(5.0)
+    ended = not thread.is_alive()
+    app.show(LockPermission(9, True))  # lets go of one that waits for something to show
+    assert ended
+    assert shown == wanted
 
 
 class Lock:
@@ -289,6 +322,7 @@ def test_a_run_starts_lock_terminal_and_deadman_and_ends_them(
     assert all(looks)
     flexible, rigid = (mission.vehicle.lock.servo.pulse_us(mode) for mode in (Mode.FLEXIBLE, Mode.RIGID))
     assert world.horns[0] == flexible
+    assert len(world.horns) > 1
     assert min(flexible, rigid) <= min(world.horns)
     assert max(world.horns) <= max(flexible, rigid)
     assert all(a != b for a, b in pairwise(world.horns))  # told only what has changed
