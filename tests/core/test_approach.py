@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import load_mission
-from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle import Flying, packaged
 from dart_flight.core.mission.approach import (
     CLEARANCE_M,
     Approach,
@@ -53,6 +53,12 @@ def test_a_way_is_blocked_where_it_crosses_the_wall_within_its_length(
 
 MISSION = load_mission(packaged("missions", "paper_single_wall.yaml"))
 FLYING = MISSION.vehicle.flying
+
+
+def flying_at(acceleration_m_s2: float) -> Flying:
+    return msgspec.structs.replace(FLYING, acceleration_m_s2=acceleration_m_s2)
+
+
 place = st.tuples(beside, beside)
 
 
@@ -83,7 +89,7 @@ def test_an_approach_is_what_its_derivatives_say(
 def test_a_transit_goes_from_rest_to_rest_within_its_limits(
     begin: tuple[float, float, float], end: tuple[float, float, float], share: float
 ) -> None:
-    transit = TransitTrajectory.between(begin, end, 0.8, 0.6, 0.4)
+    transit = TransitTrajectory.between(begin, end, 0.8, flying_at(0.6), 0.4)
     t, h = share * transit.duration_s, 1e-5
     at, before, after = transit.at(t), transit.at(t - h), transit.at(t + h)
     if h < t < transit.duration_s - h:
@@ -107,7 +113,9 @@ def test_a_transit_takes_no_longer_than_its_limits_ask() -> None:
         ((0.3, 0.0, 0.0), 80.0, 0.6, 9.0),
         ((0.1, 0.0, 5.0), 0.8, 100.0, 0.4),
     ):
-        transit = TransitTrajectory.between((0.0, 0.0, 0.0), end, speed_m_s, acceleration_m_s2, climb_m_s)
+        transit = TransitTrajectory.between(
+            (0.0, 0.0, 0.0), end, speed_m_s, flying_at(acceleration_m_s2), climb_m_s
+        )
         points = [transit.at(transit.duration_s * i / 1000) for i in range(1001)]
         used = (
             max(math.hypot(*p.velocity) for p in points) / speed_m_s,
