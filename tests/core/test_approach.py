@@ -29,12 +29,13 @@ away = st.floats(CLEARANCE_M + 0.01, 2.0)
     angle=st.floats(-math.pi, math.pi),
     place=st.tuples(beside, beside),
     ends=st.tuples(away, beside, away, beside),
+    half_m=st.sampled_from((0.0, 0.3)),
 )
 def test_a_way_is_blocked_where_it_crosses_the_wall_within_its_length(
-    angle: float, place: tuple[float, float], ends: tuple[float, float, float, float]
+    angle: float, place: tuple[float, float], ends: tuple[float, float, float, float], half_m: float
 ) -> None:
     """Both ends as distance from the plane and place along it: by similar triangles where it is crossed."""
-    wall = Wall("wall", place, (math.cos(angle), math.sin(angle)), 1.0, "wood")
+    wall = Wall("wall", place, (math.cos(angle), math.sin(angle)), 1.0, "wood", half_vehicle_m=half_m)
     before, from_there, behind, to_there = ends
 
     def at(distance: float, along: float) -> tuple[float, float]:
@@ -44,8 +45,9 @@ def test_a_way_is_blocked_where_it_crosses_the_wall_within_its_length(
     share = (before - CLEARANCE_M) / (before + behind)
     crossed = from_there + share * (to_there - from_there)
     a, b = at(before, from_there), at(-behind, to_there)
-    if abs(abs(crossed) - 0.5) > 1e-6:
-        assert is_blocked(wall, a, b) == (abs(crossed) < 0.5)
+    beyond = abs(crossed) - 0.5 - half_m  # it passes the wall's end with half a vehicle
+    if abs(beyond) > 1e-6:
+        assert is_blocked(wall, a, b) == (beyond < 0.0)
     assert not is_blocked(wall, a, at(behind, to_there))  # it stays on its side
 
 

@@ -639,6 +639,16 @@ def test_a_reset_of_the_heading_alone_is_none() -> None:
     assert fired(c) == []
 
 
+@pytest.mark.parametrize(("faster_m_s", "says"), [(1.6, ["velocity by 1.60 m/s"]), (1.4, [])])
+def test_a_velocity_that_jumps_is_a_jump_too(faster_m_s: float, says: list[str]) -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.judge_by(RULES)
+    c.velocity_ned = (faster_m_s, 0.0, 0.0)
+    c.run(0.016)
+    assert [e.detail for e in fired(c) if e.rule == "estimator_jump"] == says
+
+
 @pytest.mark.parametrize("name", ["estimator_jump", "estimator_reset", "estimator_flags"])
 def test_the_estimator_is_not_judged_shortly_after_an_impact(name: str) -> None:
     c = HandFedCore()
