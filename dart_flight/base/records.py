@@ -720,4 +720,4 @@ class LogFailure(Record, frozen=True, gc=False):
     reason: str
 
 
-Note = TruthSample | TruthContact | SetpointSent | LogFailure
+Note = TruthSample | TruthContact | ComputerSample | SetpointSent | LogFailure

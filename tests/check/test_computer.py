@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
-from dart_flight.base.records import ComputerSample
+from dart_flight.base.records import ComputerSample, Input, Note, Output, Record, World
 from dart_flight.check.computer_load import check_computer, check_core_speed, judge_core_speed
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.run.computer import ComputerWatch, read_computer
+from dart_flight.run.flight_record import FlightRecord
 
 
 def pi(root: Path, flags: int, millidegrees: int = 51_000) -> Path:
@@ -81,3 +83,23 @@ def test_the_watch_tells_at_once_and_ends() -> None:
         while not told:
             pass
     assert isinstance(told[0], ComputerSample)
+
+
+def test_every_kind_of_record_can_be_logged() -> None:
+    """One that is in none of the unions would end the log of the flight in which it comes."""
+
+    def kinds(base: type[Record]) -> set[type[Record]]:
+        return {base} | {kind for sub in base.__subclasses__() for kind in kinds(sub)}
+
+    ours = {kind for kind in kinds(Record) - {Record} if kind.__module__ == Record.__module__}
+    assert ours == {*get_args(Input), *get_args(Output), *get_args(Note)}
+
+
+def test_the_log_of_a_flight_takes_it(tmp_path: Path) -> None:
+    mission = load_mission(packaged("missions", "single_wall.yaml"))
+    record = FlightRecord(mission, World.DRONE, None, tmp_path)
+    record.truth(ComputerSample(7, 51.0, True, False, True, False))
+    record.close()
+    assert record.build().log_failure is None
+    (entry,) = record.log.entries
+    assert entry.record == ComputerSample(7, 51.0, True, False, True, False)
