@@ -169,7 +169,8 @@ def test_orders_of_the_lock_go_to_its_thread_and_nowhere_else(monkeypatch: pytes
 def test_what_concerns_the_planner_goes_to_it_where_there_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
     session = Session()
     app, _ = app_with(monkeypatch, session)
-    request = PlanRequest(0, 1, 100_000, 2, (1.0, 0.0, 1.0), *[(0.0, 0.0, 0.0)] * 2, (2.0, 0.0, 1.0), 450_000)
+    here, still = (1.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+    request = PlanRequest(0, 1, 100_000, 2, here, still, still, (2.0, 0.0, 1.0), 450_000)
     felt = WallEstimate(0, 0, "wood", None, None, 0.0, *[1.0] * 8, *[0.1] * 4)
     carry_out(app, monkeypatch, request, felt)  # there is none
     planner = Mock()
