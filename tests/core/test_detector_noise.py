@@ -9,7 +9,13 @@ from typing import Any
 import pytest
 
 from dart_flight.base.records import ContactEnd, DetectionFloor, ForceEstimate, ImpactOnset, ImpactPeak
-from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector, _onset_of_mean, _Sample
+from dart_flight.core.sense.detector import (
+    _MARGIN_SIGMA,
+    ExpectedContact,
+    ImpactDetector,
+    _onset_of_mean,
+    _Sample,
+)
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
 from tests.core.test_force_estimate import VEHICLE, half_sine
@@ -91,6 +97,19 @@ def test_a_pulse_at_the_stated_floor_is_found(duration_s: float, seed: int) -> N
     assert floor <= 1.001 * max(*at_most, 5.6)
     found = onsets(run(with_pulse(forces, 9.0, 1.25 * floor, duration_s))[1])
     assert [9.99 <= e.t_us * 1e-6 <= 10.0 + duration_s + 0.04 for e in found] == [True]
+
+
+def test_where_it_is_quiet_the_longer_means_are_not_asked_and_promise_nothing() -> None:
+    """The threshold is the configured one for all; one sample and two are held against it."""
+    detector, _ = run(noisy(8.0, 0.26), noise_n=0.26)
+    least, tick_s = VEHICLE.detection.force_threshold_n, VEHICLE.imu.tick_s
+    assert detector.thresholds_n() == (least,) * 4
+    for duration_s in (0.02, 0.06, 0.3):
+        asked = [
+            (least + _MARGIN_SIGMA * window.noise_n) / half_sine_share(i + 1, duration_s, tick_s)
+            for i, window in enumerate(detector._windows[:2])
+        ]
+        assert detector.floor_n(duration_s) == pytest.approx(min(asked))
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -503,6 +503,41 @@ def test_nothing_fires_in_a_quiet_flight() -> None:
     assert not fired(c)
 
 
+def test_a_wall_that_no_recovery_reaches_is_given_up_when_its_time_is_over() -> None:
+    c = HandFedCore(settings={"limits.collision_timeout_s": 0.6})
+    at_the_acrylic(c)
+    c.set_lock(Mode.RIGID)
+    c.velocity_ned = (0.0, 0.0, 0.0)
+    c.run(0.4)
+    assert "wall_not_met" not in {e.rule for e in fired(c)}
+    c.run(0.3)
+    assert [e.detail for e in fired(c) if e.rule == "wall_not_met"] == [
+        "wall acrylic not reached by the recovery"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("phase", "walls"),
+    [
+        (Phase.TRANSIT, (None, None)),
+        (Phase.APPROACH, ("wood", "acrylic")),
+        (Phase.CONTACT, ("wood", "acrylic")),
+        (Phase.RECOVERY, (None, "acrylic")),  # the wooden one has an approach of its own
+        (Phase.LANDING, (None, None)),
+    ],
+)
+def test_the_contact_that_is_expected_is_that_with_the_next_wall(
+    phase: Phase, walls: tuple[str | None, str | None]
+) -> None:
+    flown = executive.Executive(HandFedCore().core.mission)
+    flown.phase = phase
+    for flown._index, name in enumerate(walls):
+        expected = flown._expect()
+        assert (expected.wall.name if expected.wall else None) == name
+        assert expected.watching is (phase is not Phase.LANDING)
+        assert flown._expect() is expected
+
+
 def test_in_the_step_in_which_a_rule_fires_the_mission_may_record_but_not_command() -> None:
     c, proposal = HandFedCore(), Proposal()
     c.to_flight()

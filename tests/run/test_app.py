@@ -14,6 +14,7 @@ from collections.abc import AsyncIterator, Callable, Iterable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock, call
 
 import pytest
 
@@ -29,12 +30,14 @@ from dart_flight.base.records import (
     OperatorRequest,
     Outcome,
     Output,
+    PlanRequest,
     Record,
     Request,
     Setpoint,
     Silence,
     VehicleAction,
     VehicleCommand,
+    WallEstimate,
 )
 from dart_flight.lock.state_machine import status_text
 from dart_flight.run import app as module
@@ -161,6 +164,20 @@ def test_orders_of_the_lock_go_to_its_thread_and_nowhere_else(monkeypatch: pytes
     command, permission = LockCommand(1, Mode.RIGID), LockPermission(2, False)
     carry_out(app, monkeypatch, command, permission)
     assert (orders, session.asked) == ([command, permission], [])
+
+
+def test_what_concerns_the_planner_goes_to_it_where_there_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    session = Session()
+    app, _ = app_with(monkeypatch, session)
+    here, still = (1.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+    request = PlanRequest(0, 1, 100_000, 2, here, still, still, (2.0, 0.0, 1.0), 450_000)
+    felt = WallEstimate(0, 0, "wood", None, None, 0.0, *[1.0] * 8, *[0.1] * 4)
+    carry_out(app, monkeypatch, request, felt)  # there is none
+    planner = Mock()
+    monkeypatch.setattr(app, "_planner", planner)
+    carry_out(app, monkeypatch, request, felt)
+    assert planner.mock_calls == [call.send_request(request), call.send_wall_estimate(felt)]
+    assert session.asked == []
 
 
 def test_what_the_lock_says_goes_to_the_core_and_on_arrival_to_the_ground(
