@@ -43,7 +43,6 @@ from dart_flight.base.walls import Post, Wall
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import BodyModel, Coefficients, Motor, VehicleConfig
 from dart_flight.contact.cylinders import (
-    EDGE_RADIUS_M,
     Cylinder,
     CylinderContact,
     NearestPoint,
@@ -67,7 +66,7 @@ STEP_S: Final = 0.001
 CONTACT_STEPS: Final = 10  # of 0.1 ms in one step of 1 ms
 _END_STEPS: Final = 40  # likewise near a wall's end, where a force may jump as a guard comes off or stands in
 _NEAR_WALL_M: Final = 0.08  # below 5 m/s no contact begins further away
-_NEAR_END_M: Final = EDGE_RADIUS_M + 0.02  # ... and no guard comes to an end from further away in one step
+_NEAR_END_M: Final = 0.03  # ... and no guard comes to an edge (1 cm) from further away in one step
 _BEHIND_M: Final = -0.6  # a vehicle this far behind a plane is on the wall's other side
 _REBOUND_S: Final = 0.01  # a guard that comes back within this time belongs to the same contact
 _HALF_ENGAGED: Final = 0.5  # how free arms are with half-engaged rods
@@ -76,7 +75,7 @@ _UNTOUCHED: Final = UNTOUCHED
 _NO_FORCE = (0.0, 0.0, 0.0)
 _AT_REST = (0.0, 0.0, 0.0, 0.0)  # arms: displacement north, east in m; its speed in m/s
 _GAIN_M_S: Final = 0.5  # more than this no thrust adds to the speed within a tick
-_QUARTER: Final = 0.5 * math.pi  # the vehicle is four-fold symmetric
+_QUARTER = 0.5 * math.pi  # the vehicle is four-fold symmetric
 _GROUND_STEPS: Final = 2  # a millisecond, where only the landing gear touches: nothing is measured there
 _GROUND_SPEED_M_S: Final = 0.05  # regularisation of the ground's friction
 

@@ -28,8 +28,11 @@ from tools.campaigns.body import place_walls
 from tools.campaigns.results import ROOT, markdown
 
 HELD_SEED = 16001
-# A wall is turned about its middle: the hit is to be 1.3 m beside it.
-_BESIDE = ("point_m: [1.65, 0.5]", "point_m: [1.65, -0.5]")
+# A wall is turned about its middle: the hit is to be 1.3 m beside it, and not near the wall's end.
+_BESIDE = (
+    "point_m: [1.65, 0.5], normal: [-1.0, 0.0], length_m: 3.0",
+    "point_m: [1.65, -0.5], normal: [-1.0, 0.0], length_m: 4.0",
+)
 
 
 class Row(NamedTuple):
