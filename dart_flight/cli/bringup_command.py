@@ -55,8 +55,8 @@ def run(arguments: argparse.Namespace) -> int:
     say_vehicle(mission.flown_vehicle(), arguments)
     record = progress.load(folder, mission.flown_vehicle(), url)
     written = progress.save(record, folder)
-    with LinkLease(url, "bringup"):
-        bringup = Bringup(mission, url, _Terminal(), arguments.wait)
+    with LinkLease(url, "bringup") as lease:
+        bringup = Bringup(mission, url, _Terminal(), arguments.wait, lease.close_device)
         try:
             for k, step in enumerate(record.steps, start=1):
                 print_status(f"{k}. {step.name}: {STEPS[step.name]}")

@@ -36,7 +36,7 @@ from dart_flight.lock.ground import GroundLock, ground_driver
 from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTakenError, load_last
 from dart_flight.vehicle.baud_rate import listen_for_mavlink
 from dart_flight.vehicle.ground_link import GroundLink
-from dart_flight.vehicle.vehicle_session import VehicleError
+from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleError
 
 STEPS = {
     "link": "rates that arrive, errors, round trip",
@@ -132,10 +132,19 @@ class Bringup:
         url: MAVSDK connection URL.
         operator: who stands at the vehicle.
         wait_s: for what the operator is to do.
+        opened: called once the link is open (`LinkLease.close_device`).
     """
 
-    def __init__(self, mission: Mission, url: str, operator: Operator, wait_s: float = WAIT_S) -> None:
+    def __init__(
+        self,
+        mission: Mission,
+        url: str,
+        operator: Operator,
+        wait_s: float = WAIT_S,
+        opened: Callable[[], None] = lambda: None,
+    ) -> None:
         self._mission, self._url, self._operator, self._wait_s = mission, url, operator, wait_s
+        self._opened = opened
         self._telemetry = Telemetry(mission)
         self._ground: GroundLink | None = None
         self._rates_hz: dict[str, float] = {}
@@ -156,6 +165,8 @@ class Bringup:
             return failed(f"not seen within {self._wait_s:g} s: {error}")
         except VehicleError as error:
             return failed(self._why_silent(str(error)))
+        except NoAnswerError as error:
+            return failed(f"{error.message}: is the wire to the flight controller (TX) open?")
 
     def close(self) -> None:
         """Close the link."""
@@ -168,6 +179,7 @@ class Bringup:
         if self._ground is None:
             link = GroundLink(self._url, min(self._wait_s, _CONNECT_S), self._telemetry.take)
             self._ground = link.__enter__()
+            self._opened()
             self._rates_hz = link.observe(self._mission.vehicle, _OBSERVE_S).rates_hz
         return self._ground
 

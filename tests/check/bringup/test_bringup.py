@@ -15,6 +15,7 @@ from dart_flight.cli import main
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.vehicle.clock import host_us
+from dart_flight.vehicle.vehicle_session import NoAnswerError
 from tests.doubles.bench_vehicle import BenchVehicle
 from tests.doubles.emulated_maestro import EmulatedMaestro
 
@@ -165,3 +166,13 @@ def test_a_file_that_is_none_of_ours_is_refused(tmp_path: Path, capsys: pytest.C
     (tmp_path / "bringup.json").write_text("{}")
     assert main(["bringup", "--connection", "udpin://127.0.0.1:1", "--state", str(tmp_path), "--yes"]) == 2
     assert "is no bring-up of ours" in capsys.readouterr().err
+
+
+def test_a_vehicle_that_answers_nothing_is_a_failed_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_: Bringup) -> None:
+        raise NoAnswerError("sends, but answers no request: TIMESYNC")
+
+    monkeypatch.setattr(Bringup, "_connect", refuse)
+    found = Bringup(MISSION, "udpin://127.0.0.1:1", Hands()).carry_out("link")
+    assert found.result is StepOutcome.FAIL
+    assert "answers no request: TIMESYNC" in found.message
