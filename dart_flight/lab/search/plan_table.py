@@ -78,14 +78,15 @@ def plan_table(result: SearchResult) -> Table:
         f"{result.feasible} of {result.candidates} candidates feasible, {result.trajectories} trajectories "
         f"in {result.elapsed_s:.3f} s"
     )
-    if result.free is not None:
-        table.caption += f"\n{describe_free(result.free, result.plans[0])}"
+    table.caption += f"\n{describe_free(result.free, result.plans[0])}"
     table.caption_justify = "left"
     return table
 
 
-def describe_free(free: FreePlan, best: Plan) -> str:
+def describe_free(free: FreePlan | None, best: Plan) -> str:
     """The free plan beside the best colliding one, in words."""
+    if free is None:
+        return "without any collision: needs ruckig (pip install 'dart-flight[plan]')"
     if free.time_s is None:
         return "without any collision: no way"
     limits, gap = free.limits, ""

@@ -146,3 +146,11 @@ def test_plan_prints_both_and_their_difference(capsys: pytest.CaptureFixture[str
     assert best["saving_s"] == pytest.approx(free["time_s"] - best["time_to_rest_s"])
     assert main(["plan", str(SCENARIO), "--top", "1"]) == 0
     assert "without any collision" in capsys.readouterr().out
+
+
+def test_without_ruckig_the_plan_says_what_is_missing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("dart_flight.lab.search.search._free", lambda scenario: None)
+    assert main(["plan", str(SCENARIO), "--top", "1"]) == 0
+    assert "needs ruckig" in " ".join(capsys.readouterr().out.split())
