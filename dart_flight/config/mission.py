@@ -47,6 +47,9 @@ from dart_flight.config.settings import apply_changes
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle
 
 _PAUSE_S = 60.0
+# PX4's estimator still settles after power-on: what it has moved by while the vehicle stood, up to arming, is
+# no motion, and the mission frame follows it.
+ESTIMATE_MOVED_M = 0.05
 
 
 class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=False):

@@ -70,6 +70,7 @@ class HandFedCore:
         self.q = quaternion_from_euler(0.0, 0.0, 0.0)
         self.status = StatusSample(self.t_us, self.t_us, local_position_ok=True, landed=LandedState.ON_GROUND)
         self.outputs: list[Output] = []
+        self.seen: list[Input | Output] = []  # as a log has them
         self.silent: set[str] = set()
         self.motors = (HOVER,) * 4
         self.falling = False
@@ -78,6 +79,7 @@ class HandFedCore:
     def give(self, item: Input) -> list[Output]:
         out = self.core.step(item)
         self.outputs += out
+        self.seen += [item, *out]
         return out
 
     def run(self, seconds: float) -> list[Output]:

@@ -28,6 +28,7 @@ from dart_flight.base.records import (
     OperatorRequest,
     Output,
     Phase,
+    PhaseChange,
     Request,
     Setpoint,
     StatusSample,
@@ -40,6 +41,7 @@ from dart_flight.core.mission.phases import ON_GROUND, TRANSITIONS, PhaseTrigger
 from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.senses import Senses
+from dart_flight.recording.anchor import MissionFrameReader
 from tests.core.conftest import HOVER, ROOT, HandFedCore
 
 
@@ -73,6 +75,40 @@ def test_acknowledgements_prove_nothing(hand_fed: HandFedCore) -> None:
     assert len(asked) >= 15
     ends = of(MissionEnd, out)
     assert [(e.outcome, e.reason) for e in ends] == [("aborted", "offboard_refused: PX4 refused offboard")]
+
+
+def test_an_estimate_that_settles_on_the_ground_carries_the_mission_with_it(hand_fed: HandFedCore) -> None:
+    """PX4's height was reset by 1.15 m between offboard and arming: it would fly that much too high."""
+    hand_fed.set_lock(Mode.RIGID)
+    hand_fed.run(0.5)
+    hand_fed.set_status(flight_mode=FlightMode.OFFBOARD)
+    hand_fed.run(0.1)
+    hand_fed.position_ned = (0.2, 0.1, 1.15)
+    hand_fed.run(0.3)
+    hand_fed.set_status(armed=True)
+    hand_fed.run(4.0)
+    climb = next(c for c in of(PhaseChange, hand_fed.outputs) if c.after is Phase.CLIMB)
+    assert climb.reason == "confirmed by telemetry; the position moved by 1.17 m on the ground"
+    last = of(Setpoint, hand_fed.outputs)[-1]
+    # Height counts from where the vehicle stands; a surveyed room stays where it is.
+    assert last.position_ned == pytest.approx((0.2, 0.1, 1.15 - hand_fed.core.mission.altitude_m), abs=1e-6)
+    reader = MissionFrameReader(hand_fed.core.mission)
+    for record in hand_fed.seen:
+        reader.take(record)
+    assert reader.frame is not None
+    assert reader.frame.point_from_ned((0.2, 0.1, 1.15)) == pytest.approx((0.2, -0.1, 0.0), abs=1e-9)
+
+
+def test_an_estimate_that_only_trembles_keeps_its_frame(hand_fed: HandFedCore) -> None:
+    hand_fed.set_lock(Mode.RIGID)
+    hand_fed.run(0.5)
+    hand_fed.set_status(flight_mode=FlightMode.OFFBOARD)
+    hand_fed.position_ned = (0.0, 0.0, 0.04)
+    hand_fed.run(0.2)
+    hand_fed.set_status(armed=True)
+    hand_fed.run(4.0)
+    altitude_m = hand_fed.core.mission.altitude_m
+    assert of(Setpoint, hand_fed.outputs)[-1].position_ned[2] == pytest.approx(-altitude_m, abs=1e-6)
 
 
 def test_it_waits_for_the_lock_before_anything(hand_fed: HandFedCore) -> None:

@@ -38,9 +38,8 @@ def test_the_single_wall_is_flown_and_the_flight_controller_left_disarmed(hitl_d
     assert flight.problems == []
     assert flight.tilt_deg is not None
     assert flight.tilt_deg < 45.0
-    # How far the estimate is off is the host's doing: up to 0.7 m on a busy one (docs/results/hitl.md).
     assert flight.ekf_m is not None
-    assert flight.ekf_m < 1.0
+    assert flight.ekf_m < 0.15
     assert flight.lost_bytes[:2] == [0, 0]
 
 

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from typing import ClassVar, Final
 
-from dart_flight.base.geometry import distance2, yaw_ned_of
+from dart_flight.base.geometry import Vec3, distance2, yaw_ned_of
 from dart_flight.base.records import (
     DetectionFloor,
     GoalPassed,
@@ -32,7 +32,7 @@ from dart_flight.base.records import (
     VehicleCommand,
     WallEstimate,
 )
-from dart_flight.config.mission import Collision, Mission, Waypoint
+from dart_flight.config.mission import ESTIMATE_MOVED_M, Collision, Mission, Waypoint
 from dart_flight.core.mission.approach import Approach, check_segments_clear, plan_approach
 from dart_flight.core.mission.commitment import STOP_MARGIN_M, may_commit
 from dart_flight.core.mission.contact_feedforward import LONGEST_S, ContactFeedforward
@@ -97,6 +97,7 @@ class Executive:
         self._lock = LockOrders(mission.vehicle.lock)
         self._replanning = ReplanRequests(mission)
         self._yielding = ContactFeedforward(mission.vehicle)
+        self._stood_at_ned: Vec3 = (0.0, 0.0, 0.0)
         self._entered_us: int | None = None
         self._entered_host_us: int | None = None
         self._asked_us: int | None = None  # last time a vehicle command was sent
@@ -272,19 +273,23 @@ class Executive:
             _lock_name(self.mission): locked,
         }
         if all(there.values()):
-            assert state.odometry is not None
-            assert state.attitude is not None
-            # The vehicle stands at its take-off point.
-            p.frame = frame = self.mission.frame_at(state.odometry.position_ned)
-            position = frame.point_from_ned(state.odometry.position_ned)
-            yaw = frame.yaw_from_ned(yaw_ned_of(state.attitude.q_frd_to_ned))
-            self._references.stand(position, yaw, state.now_us)
+            self._anchor_frame(state, p)
             self._go(PhaseTrigger.READY, state, p)
         elif self._is_late(state):
             missing = [name for name, yes in there.items() if not yes]
             # What keeps the lock is not PX4's to say, and of its uncertainty it says nothing more.
             why = "" if {*missing} <= {_lock_name(self.mission), sure} else state.reasons()
             p.add_finding("not_ready", "no " + ", no ".join(missing) + why)
+
+    def _anchor_frame(self, state: FlightState, p: Proposal) -> None:
+        """The vehicle stands at its take-off point."""
+        assert state.odometry is not None
+        assert state.attitude is not None
+        self._stood_at_ned = state.odometry.position_ned
+        p.frame = frame = self.mission.frame_at(self._stood_at_ned)
+        position = frame.point_from_ned(self._stood_at_ned)
+        yaw = frame.yaw_from_ned(yaw_ned_of(state.attitude.q_frd_to_ned))
+        self._references.stand(position, yaw, state.now_us)
 
     def _offboard(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if state.in_offboard:
@@ -297,8 +302,14 @@ class Executive:
 
     def _arming(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if state.status.armed:
+            assert state.odometry is not None
+            moved_m = math.dist(state.odometry.position_ned, self._stood_at_ned)
+            reason = ""
+            if moved_m > ESTIMATE_MOVED_M:
+                self._anchor_frame(state, p)
+                reason = f"confirmed by telemetry; the position moved by {moved_m:.2f} m on the ground"
             self._references.climb()
-            self._go(PhaseTrigger.CONFIRMED, state, p)
+            self._go(PhaseTrigger.CONFIRMED, state, p, reason)
             return
         self._ask(VehicleAction.ARM, state, p)
         if self._is_late(state):
