@@ -332,13 +332,14 @@ class PlanAnswer(Record, frozen=True, gc=False):
     number: int  # of the request
     begin_us: int  # autopilot's time at which the way begins
     duration_s: float = 0.0  # of the polynomials
-    x_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...
-    y_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...
+    x_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...; six for each polynomial
+    y_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...; six for each polynomial
     collision: int | None = None  # 1-based index of the collision that it leads to; none: to the goal
     impact_s: float | None = None  # from its beginning to the wall's plane
     normal_m_s: float | None = None  # velocity there, collision frame
     tangential_m_s: float | None = None  # velocity there, collision frame
     peak_force_n: float | None = None  # of the normal force, by the coefficients felt so far
+    pieces_s: tuple[float, ...] = ()  # duration of each polynomial, where there are several
     problem: str = ""  # why there is no way
 
 

@@ -12,6 +12,7 @@ from dart_flight.check.wall_check import check_walls
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import (
     NoApproachError,
+    PlannedApproach,
     TransitSegment,
     check_segments_clear,
     is_blocked,
@@ -151,8 +152,9 @@ def _check_approach(mission: Mission, collision: Collision) -> list[CheckFinding
     limit = mission.limits.speed_m_s
     if approach.speed_m_s > limit or mission.vehicle.flying.transit_speed_m_s > limit:
         return [CheckFinding(item, False, f"{approach.speed_m_s:.2f} m/s is over limits.speed_m_s {limit:g}")]
+    way = "a trajectory" if isinstance(approach, PlannedApproach) else f"run-up of {approach.length_m:.2f} m"
     says = (
-        f"run-up of {approach.length_m:.2f} m, wall {collision.wall.name} met at "
+        f"{way}, wall {collision.wall.name} met at "
         f"{approach.speed_m_s:.2f} m/s after {approach.impact_s:.1f} s"
     )
     return [CheckFinding(item, True, says)]

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 
 from dart_flight.base.geometry import MissionFrame, Vec2, Vec3
-from dart_flight.base.records import Mode
+from dart_flight.base.records import AfterImpact, Mode
 from dart_flight.base.walls import Post, Wall
 from dart_flight.config.document import IN_PYTHON, Document, InputError, Key, unknown_name
 from dart_flight.config.file_kinds import FileKind, load_document, refuse_other_keys
@@ -38,6 +38,7 @@ from dart_flight.config.mission_file import (
     MissionKeys,
     PostSpec,
     StartSpec,
+    TrajectoryPieces,
     WaypointKeys,
     WaypointSpec,
 )
@@ -50,6 +51,8 @@ _PAUSE_S = 60.0
 # PX4's estimator still settles after power-on: what it has moved by while the vehicle stood, up to arming, is
 # no motion, and the mission frame follows it.
 ESTIMATE_MOVED_M = 0.05
+# A trajectory ends at the onset of the force, which is a little before the plane, and is rounded.
+_TRAJECTORY_OFF_M, _TRAJECTORY_OFF_M_S = 0.05, 0.05
 
 
 class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=False):
@@ -83,7 +86,9 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
         approach, impact = None, self.impact_point
         if self.wall.post_radius_m > 0.0:
             impact = self.wall.point
-        elif self.approach_m_s is not None and impact == _ray_meets_wall(start, self.wall, self.approach_m_s):
+        elif self.trajectory is not None or (
+            self.approach_m_s is not None and impact == _ray_meets_wall(start, self.wall, self.approach_m_s)
+        ):
             impact = None
         if self.approach_m_s is not None:
             approach = ApproachSpec(*self.approach_m_s)
@@ -319,6 +324,7 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
     check_clear_of_posts(posts, spec.start.position_m, vehicle, ("start",), document)
     check_clear_of_posts(posts, spec.goal.position_m, vehicle, ("goal",), document)
     _add_tangent_walls(spec, posts, vehicle, walls, document)
+    _check_goal_trajectory(spec, document)
     collisions = tuple(
         _resolve_collision(i, one, spec, vehicle, walls, document) for i, one in enumerate(spec.collisions)
     )
@@ -445,7 +451,10 @@ def _resolve_collision(
             raise document.error(
                 (*key, "approach"), f"{speed:.2f} m/s is over limits.speed_m_s {mission.limits.speed_m_s:g}"
             )
-        impact = _impact_point(spec, mission.start.position_m, wall, approach, key, document)
+        if spec.trajectory is None:
+            impact = _impact_point(spec, mission.start.position_m, wall, approach, key, document)
+        else:
+            impact = wall.foot(spec.trajectory.states()[-1].position)
         if not wall.spans(impact):
             raise document.error(
                 (*key, "approach"),
@@ -454,6 +463,8 @@ def _resolve_collision(
             )
     elif i == 0:
         raise document.error(key, "the first collision needs an approach")
+    if spec.trajectory is not None:
+        _check_trajectory(spec.trajectory, i, spec, mission, wall, document)
     for name in ("impact_point_m", "impact_along_m"):
         if approach is None and getattr(spec, name) is not None and not wall.post_radius_m:
             raise document.error((*key, name), "only a collision with an approach has one")
@@ -466,6 +477,63 @@ def _resolve_collision(
         alpha_normal_m_per_n=alpha_n,
         alpha_tangential_m_per_n=alpha_t,
     )
+
+
+def _check_trajectory(
+    written: TrajectoryPieces,
+    i: int,
+    spec: CollisionSpec,
+    mission: MissionFile,
+    wall: Wall,
+    document: Document,
+) -> None:
+    """Raises InputError: a trajectory does not lead from where the vehicle is to this hit."""
+    key: Key = ("collisions", i, "trajectory")
+    if spec.predicted is None:
+        raise document.error(key, "needs predicted: what the hit leads to")
+    planned, end = spec.predicted, written.states()[-1]
+    off_m = abs(wall.signed_distance(end.position))
+    if off_m > _TRAJECTORY_OFF_M:
+        raise document.error(key, f"ends {off_m:.2f} m off the plane of wall {wall.name}")
+    normal, tangential, _ = wall.to_collision((*end.velocity, 0.0))
+    off_m_s = math.hypot(normal - planned.normal_m_s, tangential - planned.tangential_m_s)
+    if off_m_s > _TRAJECTORY_OFF_M_S:
+        raise document.error(
+            key, f"ends at ({normal:.2f}, {tangential:.2f}) m/s, not at the predicted velocity"
+        )
+    if spec.approach is None:
+        _check_replanned(mission, key, document)
+    else:
+        _check_from_rest(written, mission.start.position_m, key, document)
+
+
+def _check_replanned(mission: MissionFile, key: Key, document: Document) -> None:
+    if mission.after_impact is not AfterImpact.REPLAN:
+        raise document.error(key, "a trajectory from a hit is flown with after_impact: replan only")
+
+
+def _check_from_rest(written: TrajectoryPieces, start: Vec2, key: Key, document: Document) -> None:
+    off_m = math.dist(written.position_m, start)
+    if off_m > _TRAJECTORY_OFF_M or any((*written.velocity_m_s, *written.acceleration_m_s2)):
+        raise document.error(key, f"must begin at rest at start, {off_m:.2f} m from where it does")
+
+
+def _check_goal_trajectory(mission: MissionFile, document: Document) -> None:
+    """Raises InputError: the trajectory to the goal is not flown, or does not end there at rest."""
+    written, key = mission.goal_trajectory, ("goal_trajectory",)
+    if written is None:
+        return
+    if mission.waypoints:
+        raise document.error(key, "a mission with waypoints flies to its goal from rest, without one")
+    if mission.collisions:
+        _check_replanned(mission, key, document)
+    else:
+        _check_from_rest(written, mission.start.position_m, key, document)
+    end = written.states()[-1]
+    off_m, speed_m_s = math.dist(end.position, mission.goal.position_m), math.hypot(*end.velocity)
+    if off_m > _TRAJECTORY_OFF_M or speed_m_s > _TRAJECTORY_OFF_M_S:
+        says = f"ends {off_m:.2f} m from the goal at {speed_m_s:.2f} m/s, not at rest there"
+        raise document.error(key, says)
 
 
 def _impact_point(

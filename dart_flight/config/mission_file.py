@@ -8,7 +8,7 @@ class, and `config.mission` translates it in both directions (docs/extending.md)
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
 from msgspec import Meta
@@ -19,6 +19,9 @@ from dart_flight.config.section import Section
 
 Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
 Velocity = Annotated[float, Meta(ge=-20.0, le=20.0)]
+Acceleration = Annotated[float, Meta(ge=-50.0, le=50.0)]
+Jerk = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
+PieceSeconds = Annotated[float, Meta(gt=0.0, le=60.0)]
 Direction = Annotated[float, Meta(ge=-1e6, le=1e6)]
 # Metres of setpoint per newton: the paper's largest is 0.12. At 1 a weak hit already leads across a room.
 Alpha = Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -208,15 +211,67 @@ class MissPrediction(Section, frozen=True):
     goal_miss_m: Annotated[float, Meta(ge=0.0, le=10_000.0)]
 
 
+class MotionState(NamedTuple):
+    """Motion along a trajectory at a time, mission frame: m, m/s, m/s2."""
+
+    t_s: float
+    position: Vec2
+    velocity: Vec2
+    acceleration: Vec2
+
+
+class TrajectoryPieces(Section, frozen=True):
+    """A trajectory at constant altitude, mission frame; written by `plan`.
+
+    Attributes:
+        position_m, velocity_m_s, acceleration_m_s2: [x, y] where it begins.
+        pieces: one after the other, [duration in s, jerk in x, jerk in y in m/s3].
+    """
+
+    position_m: Point2
+    pieces: Annotated[list[tuple[PieceSeconds, Jerk, Jerk]], Meta(min_length=1, max_length=400)]
+    velocity_m_s: tuple[Velocity, Velocity] = (0.0, 0.0)
+    acceleration_m_s2: tuple[Acceleration, Acceleration] = (0.0, 0.0)
+
+    @property
+    def duration_s(self) -> float:
+        """Of all pieces."""
+        return sum(piece[0] for piece in self.pieces)
+
+    def states(self) -> list[MotionState]:
+        """The motion where each piece begins, and at the end."""
+        found = [MotionState(0.0, self.position_m, self.velocity_m_s, self.acceleration_m_s2)]
+        for t, jx, jy in self.pieces:
+            begin, (x, y), (vx, vy), (ax, ay) = found[-1]
+            found.append(
+                MotionState(
+                    begin + t,
+                    (_carried(x, vx, ax, jx, t), _carried(y, vy, ay, jy, t)),
+                    (vx + t * (ax + 0.5 * t * jx), vy + t * (ay + 0.5 * t * jy)),
+                    (ax + t * jx, ay + t * jy),
+                )
+            )
+        return found
+
+
+def _carried(p: float, v: float, a: float, j: float, t: float) -> float:
+    """Where a constant jerk leads to from a position in a time."""
+    return p + t * (v + t * (a / 2.0 + t * j / 6.0))
+
+
 class CollisionKeys(Section, frozen=True, kw_only=True):
     """Keys of a collision that the flight reads as they are written.
 
     Attributes:
         mode: state of the arms at the impact; to be left out only of a vehicle without a lock: it is rigid.
         predicted: written by plan.
+        trajectory: to this wall; with an approach from rest before it, else from the collision before, as it
+            is predicted: flown from what that hit really leads to (after_impact: replan). Without it the
+            approach is straight, with a run-up.
     """
 
     mode: Mode | None = None
+    trajectory: TrajectoryPieces | None = None
     predicted: CollisionPrediction | None = None
 
 
@@ -297,6 +352,7 @@ class MissionKeys(SpaceKeys, frozen=True, kw_only=True):
     Attributes:
         name: letters, digits and ' _.-', at most 64; names the flight's folder.
         predicted: written by plan.
+        goal_trajectory: to the goal, from the last collision as it is predicted, or from rest at start.
         after_impact: setpoint: the paper's recovery setpoint leads on; replan: a way that is planned in
             flight, from what was felt, takes over from it.
         tolerance: by how much a flight may differ from the plan; for the goal that is its capture radius.
@@ -308,6 +364,7 @@ class MissionKeys(SpaceKeys, frozen=True, kw_only=True):
 
     name: Name
     predicted: MissPrediction | None = None
+    goal_trajectory: TrajectoryPieces | None = None
     after_impact: AfterImpact = AfterImpact.SETPOINT
     tolerance: Tolerance = Tolerance()
     mode_mismatch: ModeMismatch = ModeMismatch.NOTE_ONLY

@@ -18,7 +18,8 @@ from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import AfterImpact
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission
-from dart_flight.config.mission_file import GoalSpec
+from dart_flight.config.mission_file import GoalSpec, MotionState, TrajectoryPieces
+from dart_flight.core.mission.trajectories import PlannedTrajectory
 from dart_flight.planning.flight_model import FreeFlight
 from dart_flight.planning.rollout import (
     Arrivals,
@@ -106,6 +107,10 @@ def flights_with(mission: Mission, draws: Sequence[UncertaintyDraw | None]) -> l
     """The same with other walls; None: the nominal ones."""
     found = [PredictedFlight({}, {}, {}, walls=() if d is None else tuple(d.walls.values())) for d in draws]
     for group in _groups(mission.collisions):
+        if group[0].trajectory is not None:
+            for planned in found:
+                _follow_written(planned, mission, group)
+            continue
         flight, begin, all_arrivals = _fly(mission, group, draws)
         impact = group[0].impact_point
         assert impact is not None
@@ -137,6 +142,44 @@ def _follow(
             planned.legs[collision.index] = _path(flight, hit, float(following[0]))
     if last:
         planned.goal_miss_m = float(arrivals.miss_m[0])
+
+
+def _follow_written(planned: PredictedFlight, mission: Mission, group: Sequence[Collision]) -> None:
+    """Add hits and trajectories as the mission has them."""
+    first = group[0]
+    assert first.trajectory is not None
+    planned.approaches[first.index] = [state.position for state in _sampled(first.trajectory)]
+    if mission.standoff_m is not None:
+        return
+    for i, collision in enumerate(group):
+        assert collision.predicted is not None
+        said, wall = collision.predicted, collision.wall
+        friction_ns = mission.vehicle.materials[wall.material].of(collision.mode).mu * said.tangential_m_s
+        friction_n = -friction_ns * said.peak_force_n
+        (nx, ny), (tx, ty), (x, y) = wall.normal, wall.tangent, said.position_m
+        away = collision.alpha_normal_m_per_n * said.peak_force_n
+        onward = -collision.alpha_tangential_m_per_n * friction_n
+        setpoint = (x + nx * away + tx * onward, y + ny * away + ty * onward)
+        planned.hits[collision.index] = PredictedImpact(
+            (x, y), said.normal_m_s, said.tangential_m_s, said.peak_force_n, friction_n, setpoint
+        )
+        last = collision is mission.collisions[-1]
+        following = mission.goal_trajectory if last else group[i + 1].trajectory if group[i + 1 :] else None
+        if following is not None:
+            rows = [(*state.position, *state.velocity) for state in _sampled(following)]
+            planned.legs[collision.index] = np.array([(x, y, 0.0, 0.0), *rows])
+    if group[-1] is mission.collisions[-1] and mission.recovers_to_goal and mission.predicted is not None:
+        planned.goal_miss_m = mission.predicted.goal_miss_m
+
+
+def _sampled(written: TrajectoryPieces) -> list[MotionState]:
+    """The motion at many times, the ends among them."""
+    way = PlannedTrajectory.from_pieces(written, 0.0)
+    found = []
+    for t in np.linspace(0.0, way.duration_s, _POINTS):
+        at = way.at(float(t))
+        found.append(MotionState(float(t), at.position[:2], at.velocity[:2], at.acceleration[:2]))
+    return found
 
 
 def _groups(collisions: Sequence[Collision]) -> list[list[Collision]]:

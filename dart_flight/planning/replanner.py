@@ -4,7 +4,8 @@ The same contact stages and constraints as `plan` (`contact_stage`, `constraints
 setpoint but a way: a polynomial of fifth order per axis from the state that the vehicle will have when the
 answer is there to the next wall at the planned velocity, or to rest at the goal. Of all durations and places
 along the wall those that may be flown are kept, and of these the quickest, gentlest and nearest to the
-planned place.
+planned place. Where the mission has a trajectory of its own from there (`trajectory`, `goal_trajectory`),
+that comes first, with a polynomial added that leads from the real state to it (`planning.rejoining`).
 
 What contacts have taught of a wall (`WallEstimate`) stands in the place of the configuration's coefficients,
 and where its plane was seen in that of the mission's. Beside that there is no state between requests: an
@@ -32,11 +33,13 @@ from dart_flight.config.vehicle import Coefficients
 from dart_flight.core.mission.commitment import SETTLED_BEFORE_S
 from dart_flight.core.mission.planned_impact import impact_velocity
 from dart_flight.core.mission.position_loop import PositionLoop
+from dart_flight.core.mission.trajectories import PlannedTrajectory
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls, end_margin_m, position_margin_m
 from dart_flight.planning.constraints import REFUSALS, Constraints
 from dart_flight.planning.contact_stage import build_stages, expm
 from dart_flight.planning.flight_model import Array, GridWindow, Rows, loop_matrix
 from dart_flight.planning.predicted_flight import impact_place, predict_mission
+from dart_flight.planning.rejoining import rejoin
 from dart_flight.planning.task import MissionTask, drag_along
 
 _DURATIONS_S = np.arange(0.3, 4.01, 0.05)
@@ -89,6 +92,15 @@ class Replanner:
         loop = PositionLoop.of(mission.vehicle.px4)
         self._felt: dict[tuple[str, Mode], Coefficients] = {}
         self._survey = EstimatedWalls()
+        # By collision that it leads to; None: to the goal.
+        self._written: dict[int | None, PlannedTrajectory] = {
+            led_to: PlannedTrajectory.from_pieces(pieces, mission.altitude_at(len(mission.collisions)))
+            for led_to, pieces in (
+                *((c.index, c.trajectory) for c in mission.collisions),
+                (None, mission.goal_trajectory),
+            )
+            if pieces is not None
+        }
         self._matrices = [loop_matrix(loop, b) for b in mission.vehicle.airframe.drag_per_s[:2]]
         tilt = math.radians(mission.vehicle.px4.mpc_tiltmax_air)
         self._most_m_s2 = _TILT_SHARE * GRAVITY_M_S2 * math.tan(tilt)
@@ -115,9 +127,9 @@ class Replanner:
 
     def _plan(self, found: PlanAnswer, request: PlanRequest) -> PlanAnswer:
         if request.collision is None:
-            return self._best(found, request, self._to_goal(), None) or _no_plan(
-                found, "no trajectory to the goal within the limits"
-            )
+            to_goal = self._rejoined(found, request, None)
+            to_goal = to_goal or self._best(found, request, self._to_goal(), None)
+            return to_goal or _no_plan(found, "no trajectory to the goal within the limits")
         collision = self._mission.collisions[request.collision - 1]
         if request.lock_ready_us is None:
             return _no_plan(found, "lock fault")
@@ -126,6 +138,9 @@ class Replanner:
             return _no_plan(found, f"no velocity is planned for wall {collision.wall.name}")
         if collision.approach_m_s is not None:
             return self._from_rest(found, collision, velocity)
+        rejoined = self._rejoined(found, request, collision)
+        if rejoined is not None:
+            return rejoined
         wall = self._survey.wall_now(collision.wall)
         slack = float(position_margin_m(wall, impact_place(collision, self._planned)))
         for share, (straight_s, slacks) in itertools.product(_SPEED_SHARES, _straights(slack)):
@@ -136,6 +151,48 @@ class Replanner:
             if best is not None:
                 return self._with_hit(best, collision, wanted, straight_s)
         return _no_plan(found, f"no trajectory to wall {collision.wall.name} within the limits")
+
+    def _rejoined(
+        self, answer: PlanAnswer, request: PlanRequest, collision: Collision | None
+    ) -> PlanAnswer | None:
+        """Along the mission's own trajectory; None where there is none, or none from here within limits."""
+        written = self._written.get(request.collision)
+        if written is None:
+            return None
+        moved = (0.0, 0.0)
+        if collision is not None:
+            wall, place = self._survey.wall_now(collision.wall), written.at(written.duration_s).position
+            away = collision.wall.signed_distance(place) - wall.signed_distance(place)
+            moved = (away * wall.normal[0], away * wall.normal[1])
+        ways = rejoin(written, self._start(request), moved)
+        if collision is not None:
+            assert request.lock_ready_us is not None
+            ready_s = (request.lock_ready_us - request.begin_us) * 1e-6
+            ways = ways.take(np.flatnonzero(ways.duration_s >= ready_s + SETTLED_BEFORE_S))
+        push = np.hypot(ways.acceleration[0], ways.acceleration[1]).max(axis=1, initial=0.0)
+        jerk = np.hypot(ways.jerk[0], ways.jerk[1]).max(axis=1, initial=0.0)
+        fine = (push <= self._most_m_s2) & (jerk <= _JERK_M_S3)
+        ways, push = ways.take(np.flatnonzero(fine)), push[fine] / self._most_m_s2
+        if ways.duration_s.size:
+            wall_hit = None if collision is None else collision.wall
+            window = GridWindow(
+                ways.shares, *(v.astype(np.float32) for v in (*ways.position, *ways.velocity))
+            )
+            until = np.full(ways.duration_s.size, ways.shares.size)
+            clear = self._constraints.path(window, until, wall_hit, begins=True) == 0
+            ways, push = ways.take(np.flatnonzero(clear)), push[clear]
+        for k in np.argsort(ways.duration_s + _GENTLE_S * push**2):
+            way = ways.trajectory(int(k))
+            found = msgspec.structs.replace(
+                answer, duration_s=way.duration_s, x_mission=way.x, y_mission=way.y, pieces_s=way.pieces_s
+            )
+            if collision is not None:
+                (vx, vy, _) = way.at(way.duration_s).velocity
+                normal, tangential, _ = self._survey.wall_now(collision.wall).to_collision((vx, vy, 0.0))
+                found = self._with_hit(found, collision, (normal, tangential), 0.0)
+            if not found.problem:
+                return found
+        return None
 
     def _from_rest(self, answer: PlanAnswer, collision: Collision, velocity: Vec2) -> PlanAnswer:
         """The approach of a collision that has one, as fast as the hit may be."""

@@ -12,14 +12,8 @@ from hypothesis import strategies as st
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import Flying, packaged
-from dart_flight.core.mission.approach import (
-    CLEARANCE_M,
-    Approach,
-    TransitTrajectory,
-    is_blocked,
-    run_up,
-    standoff_point,
-)
+from dart_flight.core.mission.approach import CLEARANCE_M, Approach, is_blocked, run_up, standoff_point
+from dart_flight.core.mission.trajectories import TransitTrajectory
 
 beside = st.floats(-2.0, 2.0)
 away = st.floats(CLEARANCE_M + 0.01, 2.0)

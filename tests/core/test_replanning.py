@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from dart_flight.base.records import ForceEstimate, PlanAnswer, PlanRequest, PlanTaken, WallEstimate
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.approach import PlannedTrajectory
 from dart_flight.core.mission.lock_orders import LockOrders
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.replan_requests import ReplanRequests
+from dart_flight.core.mission.trajectories import PlannedTrajectory
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 

@@ -10,9 +10,10 @@ from dart_flight.base.geometry import MissionFrame, Vec3
 from dart_flight.base.records import AttitudeSample, OdometrySample, Setpoint
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.approach import Approach, PlannedTrajectory
+from dart_flight.core.mission.approach import Approach
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
 from dart_flight.core.mission.setpoint_generator import SetpointGenerator
+from dart_flight.core.mission.trajectories import PlannedTrajectory
 from dart_flight.core.sense.state import FlightState
 
 MISSION = load_mission(packaged("missions", "paper_single_wall.yaml"))

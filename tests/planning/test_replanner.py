@@ -13,7 +13,7 @@ from dart_flight.base.records import Mode, PlanAnswer, PlanRequest, WallEstimate
 from dart_flight.config.mission import load_mission
 from dart_flight.config.mission_file import CollisionPrediction
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.approach import PlannedTrajectory
+from dart_flight.core.mission.trajectories import PlannedTrajectory
 from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.planning.replanner import Replanner
 

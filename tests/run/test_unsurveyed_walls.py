@@ -17,7 +17,7 @@ from dart_flight.config.document import Document
 from dart_flight.config.mission import Mission, load_mission, parse_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
-from dart_flight.core.mission.approach import plan_approach, standoff_point
+from dart_flight.core.mission.approach import Approach, plan_approach, standoff_point
 from dart_flight.core.mission.wall_uncertainty import (
     EstimatedWalls,
     early_m,
@@ -101,7 +101,8 @@ def test_the_run_up_is_steady_before_where_the_wall_may_stand_nearest() -> None:
     room = ("bounds_m: {x: [-1.5", "bounds_m: {x: [-3.5")
     one = single(near, room)
     other = single(near, room, (POINT, f"{POINT}, position_sd_m: 0.06"))
-    lengths = [plan_approach(m, m.collisions[0]).length_m for m in (one, other)]
+    approaches = [plan_approach(m, m.collisions[0]) for m in (one, other)]
+    lengths = [a.length_m for a in approaches if isinstance(a, Approach)]
     assert lengths[1] - lengths[0] == pytest.approx(0.18 * math.hypot(1.0, 0.5))
 
 

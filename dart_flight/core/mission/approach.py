@@ -17,6 +17,7 @@ from dart_flight.base.walls import Post, Wall
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.arithmetic import Number, hypot, maximum, sqrt, where
+from dart_flight.core.mission.trajectories import PlannedTrajectory, TrajectoryPoint, TransitTrajectory
 from dart_flight.core.mission.wall_uncertainty import end_margin_m, position_margin_m
 
 # Speed follows 3 s^2 - 2 s^3: the peak acceleration is 1.5 times the mean, the way half of speed times time.
@@ -25,16 +26,6 @@ _RAMP_JERK = 6.0  # of the same ramp: jerk times ramp^2 over speed
 CLEARANCE_M = 0.15
 ON_PLANE_M = 1e-6  # an impact lies on its wall's plane but for rounding
 _ON_RAY_M = 1e-6  # ... and the start on the ray of its approach
-_MIN_TRANSIT_S = 0.1
-
-
-class TrajectoryPoint(msgspec.Struct, frozen=True, gc=False):
-    """Position (m), velocity (m/s), acceleration (m/s2) and jerk (m/s3) in the mission frame."""
-
-    position: Vec3
-    velocity: Vec3
-    acceleration: Vec3
-    jerk: Vec3 = (0.0, 0.0, 0.0)
 
 
 class Approach(msgspec.Struct, frozen=True):
@@ -81,6 +72,24 @@ class Approach(msgspec.Struct, frozen=True):
             (dx * acceleration, dy * acceleration, 0.0),
             (dx * jerk, dy * jerk, 0.0),
         )
+
+
+class PlannedApproach(msgspec.Struct, frozen=True):
+    """An approach along a trajectory of the mission, from rest at `begin` into the wall at `impact`."""
+
+    begin: Vec2
+    impact: Vec2
+    speed_m_s: float
+    trajectory: PlannedTrajectory
+
+    @property
+    def impact_s(self) -> float:
+        """Time of the impact after the beginning."""
+        return self.trajectory.duration_s
+
+    def at(self, t_s: float) -> TrajectoryPoint:
+        """The reference `t_s` seconds after the beginning; it goes on through the wall."""
+        return self.trajectory.at(t_s)
 
 
 class NoApproachError(ValueError):
@@ -192,8 +201,8 @@ def segments_to_impact(
     return against
 
 
-def plan_approach(mission: Mission, collision: Collision) -> Approach:
-    """The run-up and approach of a collision that has one.
+def plan_approach(mission: Mission, collision: Collision) -> Approach | PlannedApproach:
+    """The approach of a collision that has one: along the mission's trajectory, or straight with a run-up.
 
     Raises:
         NoApproachError: the run-up leaves the bounds, or a wall is in its way.
@@ -201,6 +210,9 @@ def plan_approach(mission: Mission, collision: Collision) -> Approach:
     assert collision.impact_point is not None
     vx, vy, _ = collision.approach_velocity()
     impact = collision.impact_point
+    if collision.trajectory is not None:
+        way = PlannedTrajectory.from_pieces(collision.trajectory, mission.altitude_at(collision.index - 1))
+        return PlannedApproach(collision.trajectory.position_m, impact, math.hypot(vx, vy), way)
     flying = mission.vehicle.flying
     begin, direction, speed, ramp_s = run_up(mission.start, impact, (vx, vy), flying, collision.wall)
     altitude_m = mission.altitude_at(collision.index - 1)
@@ -301,96 +313,3 @@ def standoff_point(mission: Mission, collision: Collision, begin: Vec2, impact: 
         return begin
     share = (here - standoff) / (here - there)
     return (begin[0] + share * (impact[0] - begin[0]), begin[1] + share * (impact[1] - begin[1]))
-
-
-def transit_time_s(
-    way_m: Number, speed_m_s: float, acceleration_m_s2: float, jerk_m_s3: float | None = None
-) -> Number:
-    """Of the quickest smooth flight from rest to rest over a way within the limits.
-
-    Quintic: peak speed 1.875 way/T, peak acceleration 5.774 way/T^2, peak jerk 60 way/T^3.
-    """
-    time_s = maximum(1.875 * way_m / speed_m_s, sqrt(5.774 * way_m / acceleration_m_s2))
-    if jerk_m_s3 is None:
-        return time_s
-    return maximum(time_s, (60.0 * way_m / jerk_m_s3) ** (1.0 / 3.0))
-
-
-class TransitTrajectory(msgspec.Struct, frozen=True):
-    """Straight flight from rest to rest at a limited speed and acceleration."""
-
-    begin: Vec3
-    end: Vec3
-    duration_s: float
-
-    @classmethod
-    def between(
-        cls,
-        begin: Vec3,
-        end: Vec3,
-        speed_m_s: float,
-        flying: Flying,
-        climb_speed_m_s: float = math.inf,
-    ) -> TransitTrajectory:
-        """The quickest smooth transit within the limits, of which one is on its vertical part."""
-        way, acceleration_m_s2 = math.dist(begin, end), flying.acceleration_m_s2
-        duration = transit_time_s(way, speed_m_s, acceleration_m_s2, flying.jerk_m_s3)
-        climb = abs(end[2] - begin[2])
-        if climb > 0.0:
-            duration = max(duration, transit_time_s(climb, climb_speed_m_s, acceleration_m_s2))
-        return cls(begin, end, max(duration, _MIN_TRANSIT_S))
-
-    def at(self, t_s: float) -> TrajectoryPoint:
-        """The reference `t_s` seconds after the start; it stays at the end."""
-        big = self.duration_s
-        s = max(0.0, min(1.0, t_s / big))
-        way = s * s * s * (10.0 + s * (-15.0 + 6.0 * s))
-        speed = 30.0 * s * s * (1.0 - s) * (1.0 - s) / big
-        acceleration = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / (big * big)
-        d = (self.end[0] - self.begin[0], self.end[1] - self.begin[1], self.end[2] - self.begin[2])
-        b = self.begin
-        return TrajectoryPoint(
-            (b[0] + d[0] * way, b[1] + d[1] * way, b[2] + d[2] * way),
-            (d[0] * speed, d[1] * speed, d[2] * speed),
-            (d[0] * acceleration, d[1] * acceleration, d[2] * acceleration),
-        )
-
-
-class PlannedTrajectory(msgspec.Struct, frozen=True):
-    """A way planned in flight: a polynomial of fifth order per axis, then straight on or at rest.
-
-    Attributes:
-        x, y: coefficients in the seconds since its beginning, constant term first; mission frame, metres.
-        duration_s: of the polynomials; afterwards the velocity of their end is kept.
-        altitude_m: constant height.
-    """
-
-    x: tuple[float, ...]
-    y: tuple[float, ...]
-    duration_s: float
-    altitude_m: float
-
-    def at(self, t_s: float) -> TrajectoryPoint:
-        """The reference `t_s` seconds after the beginning."""
-        inside = max(0.0, min(t_s, self.duration_s))
-        (px, vx, ax, jx), (py, vy, ay, jy) = _derivatives(self.x, inside), _derivatives(self.y, inside)
-        beyond = max(0.0, t_s - self.duration_s)
-        if beyond > 0.0:
-            ax = ay = jx = jy = 0.0
-        return TrajectoryPoint(
-            (px + vx * beyond, py + vy * beyond, self.altitude_m),
-            (vx, vy, 0.0),
-            (ax, ay, 0.0),
-            (jx, jy, 0.0),
-        )
-
-
-def _derivatives(coefficients: tuple[float, ...], t: float) -> tuple[float, float, float, float]:
-    """A polynomial and its first three derivatives, by Horner's scheme."""
-    value = slope = half = sixth = 0.0
-    for c in reversed(coefficients):
-        sixth = sixth * t + half
-        half = half * t + slope
-        slope = slope * t + value
-        value = value * t + c
-    return value, slope, 2.0 * half, 6.0 * sixth

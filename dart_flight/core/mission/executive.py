@@ -33,7 +33,12 @@ from dart_flight.base.records import (
     WallEstimate,
 )
 from dart_flight.config.mission import ESTIMATE_MOVED_M, Collision, Mission, Waypoint
-from dart_flight.core.mission.approach import Approach, check_segments_clear, plan_approach
+from dart_flight.core.mission.approach import (
+    Approach,
+    PlannedApproach,
+    check_segments_clear,
+    plan_approach,
+)
 from dart_flight.core.mission.commitment import STOP_MARGIN_M, may_commit
 from dart_flight.core.mission.contact_feedforward import LONGEST_S, ContactFeedforward
 from dart_flight.core.mission.lock_orders import LockOrders
@@ -52,6 +57,7 @@ from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.core.mission.replan_requests import ReplanRequests
 from dart_flight.core.mission.setpoint_generator import SetpointGenerator
+from dart_flight.core.mission.trajectories import PlannedTrajectory
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls, early_m, late_s, overrun_m
 from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.senses import Sensed
@@ -88,7 +94,7 @@ class Executive:
         self._collisions = mission.collisions
         self._index = 0  # of the collision that comes next or is under way
         self._stops = 0  # waypoints and pauses that are over
-        self._approaches: dict[int, Approach] = {
+        self._approaches: dict[int, Approach | PlannedApproach] = {
             c.index: plan_approach(mission, c) for c in mission.collisions if c.approach_m_s is not None
         }
         check_segments_clear(mission)
@@ -339,7 +345,16 @@ class Executive:
         else:
             self._go(PhaseTrigger.NEXT_GOAL, state, p)
             self._captured_us = None
+            self._fly_to_goal()
+
+    def _fly_to_goal(self) -> None:
+        """From rest, along the mission's trajectory where it has one."""
+        written = self.mission.goal_trajectory
+        if written is None or self._collisions:
             self._references.fly_to(self.mission.goal.position_m)
+        else:
+            altitude_m = self._references.altitude_m
+            self._references.follow_trajectory(PlannedTrajectory.from_pieces(written, altitude_m))
 
     def _fly_to_waypoint(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         waypoint = self._waypoint
@@ -612,7 +627,9 @@ class Executive:
         self._lock_to(self.mission.transit_mode, state, p)
         goal = self.mission.goal
         distance = distance2(state.position, goal.position_m)
-        if distance > goal.capture_radius_m:
+        way = self._references
+        underway = way.along_trajectory and not self._takes_longer_than(way.duration_s, state)
+        if distance > goal.capture_radius_m or underway:
             self._captured_us = None
             allowed_s = self._references.duration_s + goal.hold_s + self.mission.limits.collision_timeout_s
             if self._takes_longer_than(allowed_s, state):

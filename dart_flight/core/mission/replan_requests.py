@@ -16,10 +16,11 @@ from dart_flight.base.geometry import Vec3
 from dart_flight.base.records import AfterImpact, PlanAnswer, PlanRequest, PlanTaken
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission
-from dart_flight.core.mission.approach import Approach, NoApproachError, PlannedTrajectory, plan_approach
+from dart_flight.core.mission.approach import Approach, NoApproachError, PlannedApproach, plan_approach
 from dart_flight.core.mission.lock_orders import LockOrders
 from dart_flight.core.mission.position_loop import PlaneMet
 from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.mission.trajectories import PlannedTrajectory
 from dart_flight.core.mission.wall_uncertainty import late_s
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
@@ -116,7 +117,7 @@ class ReplanRequests:
             return "answer does not match the request"
         return None
 
-    def approach(self, following: Collision, now_us: int, p: Proposal) -> Approach | None:
+    def approach(self, following: Collision, now_us: int, p: Proposal) -> Approach | PlannedApproach | None:
         """The approach from rest at the velocity that the answer wants, once, where there is room for it."""
         answer = self._answer
         if answer is None or not self._from_rest:
@@ -145,7 +146,9 @@ class ReplanRequests:
         collision = answer.collision
         flown = len(self._mission.collisions) if collision is None else collision - 1
         altitude_m = self._mission.altitude_at(flown)
-        way = PlannedTrajectory(answer.x_mission, answer.y_mission, answer.duration_s, altitude_m)
+        way = PlannedTrajectory(
+            answer.x_mission, answer.y_mission, answer.duration_s, altitude_m, answer.pieces_s
+        )
         at = way.at((state.now_us - answer.begin_us) * 1e-6)
         beside_m = math.dist(at.position[:2], state.position[:2])
         beside_m_s = math.dist(at.velocity[:2], state.velocity[:2])
@@ -191,7 +194,8 @@ def _makes_sense(answer: PlanAnswer, asked: PlanRequest, from_rest: bool) -> boo
         velocity = (answer.normal_m_s, answer.tangential_m_s)
         return all(v is not None and math.isfinite(v) for v in velocity) and (answer.normal_m_s or 0.0) < 0.0
     return (
-        len(answer.x_mission) == len(answer.y_mission) == 6
+        len(answer.x_mission) == len(answer.y_mission) == 6 * max(1, len(answer.pieces_s))
+        and all(map(math.isfinite, answer.pieces_s))
         and all(map(math.isfinite, (*answer.x_mission, *answer.y_mission)))
         and 0.0 < answer.duration_s < 60.0
         and (answer.impact_s is None) == (asked.collision is None)

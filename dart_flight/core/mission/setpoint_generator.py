@@ -8,8 +8,9 @@ from typing import Final
 from dart_flight.base.geometry import MissionFrame, Vec2, Vec3, norm, wrap_angle
 from dart_flight.base.records import OdometrySample, Setpoint
 from dart_flight.config.mission import Mission
-from dart_flight.core.mission.approach import Approach, PlannedTrajectory, TrajectoryPoint, TransitTrajectory
+from dart_flight.core.mission.approach import Approach, PlannedApproach
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
+from dart_flight.core.mission.trajectories import PlannedTrajectory, TrajectoryPoint, TransitTrajectory
 from dart_flight.core.sense.state import FlightState
 
 _ARRIVED_YAW_RAD: Final = 0.05
@@ -32,7 +33,7 @@ class SetpointGenerator:
         self.target: Vec3 = (0.0, 0.0, 0.0)
         self.yaw = 0.0
         self.altitude_m = mission.altitude_m
-        self._way: TransitTrajectory | Approach | PlannedTrajectory | None = None
+        self._way: TransitTrajectory | Approach | PlannedApproach | PlannedTrajectory | None = None
         self._yaw_us = 0
         self._arrived_us: int | None = None
 
@@ -60,12 +61,12 @@ class SetpointGenerator:
         self.altitude_m = place[2]
         self._transit_to(place, speed_m_s)
 
-    def approach(self, approach: Approach) -> None:
+    def approach(self, approach: Approach | PlannedApproach) -> None:
         """Along an approach, whose beginning is the target, into the wall."""
         self._way = approach
 
     def follow_trajectory(self, way: PlannedTrajectory) -> None:
-        """A way that was planned in flight; its end becomes the target."""
+        """A way that was planned, in flight or before it; its end becomes the target."""
         self.target, self._way = way.at(way.duration_s).position, way
 
     def _transit_to(self, target: Vec3, speed_m_s: float) -> None:
@@ -85,8 +86,14 @@ class SetpointGenerator:
 
     @property
     def duration_s(self) -> float:
-        """Of the transit to the target; 0 without one."""
-        return self._way.duration_s if isinstance(self._way, TransitTrajectory) else 0.0
+        """Of the way to the target; 0 without one."""
+        way = self._way
+        return way.duration_s if isinstance(way, TransitTrajectory | PlannedTrajectory) else 0.0
+
+    @property
+    def along_trajectory(self) -> bool:
+        """Whether a planned trajectory leads to the target; it may pass it before its end."""
+        return isinstance(self._way, PlannedTrajectory)
 
     def phase_begins(self) -> None:
         """Arrival counts anew."""

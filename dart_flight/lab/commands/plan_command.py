@@ -12,8 +12,17 @@ from dart_flight.cli.options import add_set_option, link_of, whole_number
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.lab.search.mission_writer import planned_mission, write_mission
-from dart_flight.lab.search.plan_table import plan_summary, plan_table, refusal_table, with_objective
-from dart_flight.lab.search.scenario import Objective, load_scenario
+from dart_flight.lab.search.plan_table import (
+    describe_quickest,
+    plan_summary,
+    plan_table,
+    quickest_summary,
+    quickest_table,
+    refusal_table,
+    with_objective,
+)
+from dart_flight.lab.search.quickest import plan_quickest
+from dart_flight.lab.search.scenario import Objective, Scenario, load_scenario
 from dart_flight.lab.search.search import search
 from dart_flight.planning.predicted_flight import describe_goal_miss
 
@@ -34,6 +43,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--rank", type=whole_number(1, 1000), default=1, metavar="R", help="plan to write (1)"
+    )
+    parser.add_argument(
+        "--within",
+        type=float,
+        default=60.0,
+        metavar="S",
+        help="of the objective quickest: return the best plan found after S seconds (60)",
     )
     parser.add_argument(
         "--seed", type=whole_number(0, 2**31 - 1), default=1, help="of the draws of robust (1)"
@@ -60,6 +76,8 @@ def run(arguments: argparse.Namespace) -> int:
             scenario = with_vehicle_parameters(scenario, url)
     if arguments.objective is not None:
         scenario = with_objective(scenario, arguments.objective)
+    if scenario.objective is Objective.QUICKEST:
+        return _plan_quickest(scenario, arguments)
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("trajectories", total=None)
         top = max(arguments.top, arguments.rank)
@@ -85,4 +103,26 @@ def run(arguments: argparse.Namespace) -> int:
         for table in (plan_table(result), refusal_table(result)):
             tables().print(table)
         tables().print(f"plan {plan.rank} {describe_goal_miss(plan.goal_miss_m, scenario.spec.goal)}")
+    return 0
+
+
+def _plan_quickest(scenario: Scenario, arguments: argparse.Namespace) -> int:
+    """Search for the quickest flight, write it and say how it compares; returns the exit status."""
+    console = messages()
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task("sequences", total=None)
+        result = plan_quickest(
+            scenario, arguments.within, lambda done, of: bar.update(task, completed=done, total=of)
+        )
+    say_vehicle(scenario.vehicle_source, arguments)
+    if arguments.output is not None:
+        write_mission(scenario, result.best, arguments.output)
+        console.print(f"plan written to {arguments.output}", soft_wrap=True)
+    if arguments.plot is not None:
+        write_picture(planned_mission(scenario, result.best), arguments.plot)
+    if arguments.json:
+        emit_json(quickest_summary(result))
+    else:
+        tables().print(quickest_table(result))
+        tables().print(describe_quickest(result))
     return 0

@@ -27,7 +27,8 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.contact.law import Onset
-from dart_flight.core.mission.approach import PlannedTrajectory, transit_segments
+from dart_flight.core.mission.approach import transit_segments
+from dart_flight.core.mission.trajectories import PlannedTrajectory
 from dart_flight.lab.flight_arrays import Array, FlightArrays
 from dart_flight.lab.predict.path import ContactMotion, Trajectory, trajectory
 from dart_flight.planning.predicted_flight import PredictedFlight, predict_mission
@@ -302,7 +303,11 @@ class RecordedFlight:
         for _, answer, taken in self.replanned():
             if answer is not None and taken is not None and taken.taken and answer.x_mission:
                 way = PlannedTrajectory(
-                    answer.x_mission, answer.y_mission, answer.duration_s, self.mission.altitude_m
+                    answer.x_mission,
+                    answer.y_mission,
+                    answer.duration_s,
+                    self.mission.altitude_m,
+                    answer.pieces_s,
                 )
                 times = np.linspace(0.0, answer.impact_s or answer.duration_s, _WAY_POINTS)
                 found.append(np.array([way.at(float(t)).position[:2] for t in times]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -9,16 +10,22 @@ from typing import Any
 import msgspec
 import yaml
 
+from dart_flight.base.geometry import Vec2
+from dart_flight.base.records import AfterImpact
 from dart_flight.config.document import Document, writing
 from dart_flight.config.mission import Mission, parse_mission
-from dart_flight.config.mission_file import WallSpec
+from dart_flight.config.mission_file import Limits, TrajectoryPieces, WallSpec
+from dart_flight.lab.search.optimal_trajectory import ContactResponse, TrajectoryHit
+from dart_flight.lab.search.quickest import QuickestPlan
 from dart_flight.lab.search.scenario import Scenario
 from dart_flight.lab.search.search import Plan, PlannedCollision
 
 _DIGITS = 4
+_LEAST_GAIN, _USUAL_GAIN = 1e-3, 0.025  # m/N
+_LEAST_FRICTION_N = 2.0  # under which the friction force is too small to lead anywhere
 
 
-def mission_text(scenario: Scenario, plan: Plan, target: Path) -> str:
+def mission_text(scenario: Scenario, plan: Plan | QuickestPlan, target: Path) -> str:
     """The mission file.
 
     Args:
@@ -38,16 +45,63 @@ def mission_text(scenario: Scenario, plan: Plan, target: Path) -> str:
         "bounds_m": spec.bounds_m,
         "walls": {name: _given(wall) for name, wall in spec.walls.items()},
         "transit_mode": spec.transit_mode,
-        "collisions": [_collision(scenario, plan, c) for c in plan.collisions],
-        "limits": spec.limits,
-        "predicted": {"goal_miss_m": _short(plan.goal_miss_m)},
+        "limits": _given(spec.limits),
     }
+    if isinstance(plan, QuickestPlan):
+        tree |= _along_trajectories(scenario, plan)
+    else:
+        tree["collisions"] = [_collision(scenario, plan, c) for c in plan.collisions]
+        tree["predicted"] = {"goal_miss_m": _short(plan.goal_miss_m)}
     head = (
         f"# Planned by `dart-flight plan` from {Path(scenario.source).name}, objective "
         f"{scenario.objective.value}. `predicted` is what the flight model expects.\n"
     )
     # None: what holds nothing but figures stands in one line, all else in block style.
     return head + yaml.safe_dump(msgspec.to_builtins(tree), sort_keys=False, default_flow_style=None)
+
+
+def _along_trajectories(scenario: Scenario, plan: QuickestPlan) -> dict[str, Any]:
+    """Keys of a mission whose collisions and goal are flown to along trajectories."""
+    collisions: list[dict[str, Any]] = []
+    for hit, leg in zip(plan.trajectory.hits, plan.trajectory.legs, strict=False):
+        body: dict[str, Any] = {"wall": hit.wall, "mode": hit.mode}
+        if not collisions:
+            velocity = (_short(hit.normal_m_s), _short(hit.tangential_m_s))
+            body["approach"] = {"normal_m_s": velocity[0], "tangential_m_s": velocity[1]}
+        body["alpha_wall_m_per_n"] = [_short(alpha) for alpha in recovery_gains(scenario, hit)]
+        body["trajectory"] = _rounded(leg)
+        body["predicted"] = _predicted(hit, hit.t_s, hit.contact_s)
+        collisions.append(body)
+    return {
+        "collisions": collisions,
+        "goal_trajectory": _rounded(plan.trajectory.legs[-1]),
+        "after_impact": AfterImpact.REPLAN,
+        "predicted": {"goal_miss_m": 0.0},
+    }
+
+
+def _rounded(leg: TrajectoryPieces) -> dict[str, Any]:
+    """A trajectory without digits that mean nothing: a few micrometres at its end."""
+    pieces = [[round(t, 5), round(jx, 4) + 0.0, round(jy, 4) + 0.0] for t, jx, jy in leg.pieces]
+    vectors = ("position_m", "velocity_m_s", "acceleration_m_s2")
+    return {name: [round(v, 5) + 0.0 for v in getattr(leg, name)] for name in vectors} | {"pieces": pieces}
+
+
+def recovery_gains(scenario: Scenario, hit: TrajectoryHit) -> Vec2:
+    """Gains (A_n, A_t) of the setpoint that holds from the peak of a hit until the way on is planned, m/N.
+
+    With them PX4's position loop asks, at the velocity that the hit leaves, for the acceleration that the
+    trajectory has there: kv (kp A F - v) = a.
+    """
+    vehicle, wall = scenario.vehicle, scenario.walls[hit.wall]
+    response, px4 = ContactResponse.of(vehicle, wall, hit.mode), vehicle.px4
+    kept = math.exp(response.friction_s_per_m * hit.normal_m_s)
+    wanted_n = -response.restitution * hit.normal_m_s + hit.acceleration_m_s2[0] / px4.mpc_xy_vel_p_acc
+    wanted_t = hit.tangential_m_s * kept + hit.acceleration_m_s2[1] / px4.mpc_xy_vel_p_acc
+    friction_n = response.mu_s_per_m * hit.tangential_m_s * hit.peak_force_n
+    along = wanted_t / (px4.mpc_xy_p * friction_n) if abs(friction_n) > _LEAST_FRICTION_N else _USUAL_GAIN
+    away = wanted_n / (px4.mpc_xy_p * hit.peak_force_n)
+    return max(_LEAST_GAIN, min(1.0, away)), max(0.0, min(1.0, along))
 
 
 def _collision(scenario: Scenario, plan: Plan, c: PlannedCollision) -> dict[str, Any]:
@@ -59,18 +113,22 @@ def _collision(scenario: Scenario, plan: Plan, c: PlannedCollision) -> dict[str,
         body["alpha_m_per_n"] = spec.alpha_m_per_n[c.wall]
     else:
         body["alpha_wall_m_per_n"] = spec.alpha_wall_m_per_n[c.wall]
-    body["predicted"] = {
-        "t_s": _short(c.t_s),
-        "position_m": [_short(v) for v in c.position_m],
-        "normal_m_s": _short(c.normal_m_s),
-        "tangential_m_s": _short(c.tangential_m_s),
-        "peak_force_n": _short(c.peak_force_n),
-        "contact_time_s": _short(c.contact_time_s),
-    }
+    body["predicted"] = _predicted(c, c.t_s, c.contact_time_s)
     return body
 
 
-def planned_mission(scenario: Scenario, plan: Plan, text: str | None = None) -> Mission:
+def _predicted(hit: PlannedCollision | TrajectoryHit, t_s: float, contact_s: float) -> dict[str, Any]:
+    return {
+        "t_s": _short(t_s),
+        "position_m": [_short(v) for v in hit.position_m],
+        "normal_m_s": _short(hit.normal_m_s),
+        "tangential_m_s": _short(hit.tangential_m_s),
+        "peak_force_n": _short(hit.peak_force_n),
+        "contact_time_s": _short(contact_s),
+    }
+
+
+def planned_mission(scenario: Scenario, plan: Plan | QuickestPlan, text: str | None = None) -> Mission:
     """The mission of a plan, as its file will be read.
 
     Args:
@@ -83,7 +141,7 @@ def planned_mission(scenario: Scenario, plan: Plan, text: str | None = None) -> 
     return parse_mission(document, scenario.vehicle)
 
 
-def write_mission(scenario: Scenario, plan: Plan, target: Path) -> str:
+def write_mission(scenario: Scenario, plan: Plan | QuickestPlan, target: Path) -> str:
     """Write the mission file and read it back as `dry-run` will; returns the text.
 
     Raises:
@@ -96,9 +154,9 @@ def write_mission(scenario: Scenario, plan: Plan, target: Path) -> str:
     return text
 
 
-def _given(wall: WallSpec) -> dict[str, Any]:
-    """A wall's keys without those that say nothing."""
-    return {key: value for key, value in msgspec.to_builtins(wall).items() if value is not None}
+def _given(section: WallSpec | Limits) -> dict[str, Any]:
+    """Keys without those that say nothing."""
+    return {key: value for key, value in msgspec.to_builtins(section).items() if value is not None}
 
 
 def _short(value: float) -> float:

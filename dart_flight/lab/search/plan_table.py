@@ -7,7 +7,8 @@ from typing import Any
 import msgspec
 from rich.table import Table
 
-from dart_flight.lab.search.free_plan import FreePlan
+from dart_flight.lab.search.free_plan import FreePlan, limits_of
+from dart_flight.lab.search.quickest import QuickestPlan, QuickestResult
 from dart_flight.lab.search.scenario import Objective, Scenario
 from dart_flight.lab.search.search import ADVICE, Plan, SearchResult
 
@@ -17,6 +18,7 @@ _UNITS = {
     Objective.FASTEST: "s",
     Objective.GENTLEST: "N",
     Objective.ROBUST: "m",
+    Objective.QUICKEST: "s",
 }
 
 
@@ -103,6 +105,76 @@ def describe_free(free: FreePlan | None, best: Plan) -> str:
     return (
         f"{says}; plan 1 rests after {best.time_to_rest_s:.2f} s: the hit {wins} {abs(best.saving_s):.2f} s"
     )
+
+
+def quickest_summary(result: QuickestResult) -> dict[str, Any]:
+    """What `plan --json` prints with the objective quickest."""
+    limits = limits_of(result.scenario)
+    return {
+        "scenario": result.scenario.name,
+        "objective": result.scenario.objective.value,
+        "elapsed_s": result.elapsed_s,
+        "computed": result.computed,
+        "pruned": result.pruned,
+        "gap_s": result.gap_s,
+        "free": result.free and {"time_s": result.free.time_s, "limits": limits},
+        "plans": [
+            {
+                "time_to_goal_s": plan.time_s,
+                "saving_s": result.free and result.free.time_s - plan.time_s,
+                "collisions": plan.trajectory.hits,
+                "visits_s": plan.trajectory.visits_s,
+            }
+            for plan in _in_order(result)
+        ],
+        "vehicle": result.scenario.vehicle_source,
+    }
+
+
+def _in_order(result: QuickestResult) -> list[QuickestPlan]:
+    """The plan that is returned first, then the other one, where there is one."""
+    others = (plan for plan in (result.free, result.colliding) if plan is not None and plan != result.best)
+    return [result.best, *others]
+
+
+def quickest_table(result: QuickestResult) -> Table:
+    """The hits of the plan that is returned, and of the other one."""
+    table = Table(title=f"{result.scenario.name}: quickest", title_justify="left", box=None, pad_edge=False)
+    for column in ("", "wall", "mode"):
+        table.add_column(column, overflow="fold")
+    for column in ("at\ns", "normal\nm/s", "along\nm/s", "peak\nN", "goal\ns"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for rank, plan in enumerate(_in_order(result), start=1):
+        if not plan.trajectory.hits:
+            table.add_row(str(rank), "no collision", "", "", "", "", "", f"{plan.time_s:.2f}")
+        for i, hit in enumerate(plan.trajectory.hits):
+            figures = (hit.t_s, hit.normal_m_s, hit.tangential_m_s, hit.peak_force_n)
+            row = [str(rank) if i == 0 else "", hit.wall, hit.mode.value, *(f"{v:.2f}" for v in figures)]
+            table.add_row(*row, f"{plan.time_s:.2f}" if i == 0 else "")
+    return table
+
+
+def describe_quickest(result: QuickestResult) -> str:
+    """The colliding plan beside the free one, in words."""
+    limits, gap = limits_of(result.scenario), ""
+    jerk = "" if limits.jerk_m_s3 is None else f", {limits.jerk_m_s3:g} m/s3"
+    says = f"at {limits.speed_m_s:g} m/s, {limits.acceleration_m_s2:g} m/s2{jerk}: "
+    if result.free is None:
+        says += "no way without a collision"
+    elif result.saving_s is None:
+        says += f"{result.free.time_s:.2f} s without a collision; no hit can be quicker"
+    else:
+        wins = "saves" if result.saving_s > 0.0 else "loses"
+        share = abs(result.saving_s) / result.free.time_s
+        says += (
+            f"{result.free.time_s:.2f} s without a collision; colliding {wins} {abs(result.saving_s):.2f} s"
+        )
+        says += f" ({share:.0%})"
+        if result.saving_s < 0.0 and result.best is result.colliding:
+            says += ", and is returned because the scenario demands the hits"
+    if result.gap_s > _SHOWN_S:
+        gap = f"; what was not computed could be quicker by {result.gap_s:.2f} s at most"
+    return f"{says}; {result.computed} sequences computed, {result.pruned} ruled out{gap}"
 
 
 def _tail(plan: Plan) -> list[str]:

@@ -21,11 +21,18 @@ from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
 from dart_flight.config.document import Document, InputError, Key, unknown_name
 from dart_flight.config.file_kinds import FileKind, load_document
-from dart_flight.config.flight_space import refuse_mode, resolve_alphas, resolve_space, within_limits
+from dart_flight.config.flight_space import (
+    check_place,
+    refuse_mode,
+    resolve_alphas,
+    resolve_space,
+    within_limits,
+)
 from dart_flight.config.mission_file import (
     Alpha,
     BoundsSpec,
     Name,
+    Point2,
     SpaceKeys,
     StartSpec,
     WallSpec,
@@ -46,6 +53,7 @@ class Objective(StrEnum):
     FASTEST = "fastest"
     GENTLEST = "gentlest"
     ROBUST = "robust"
+    QUICKEST = "quickest"
 
 
 class GridSpec(Section, frozen=True):
@@ -75,6 +83,18 @@ class SearchSpec(Section, frozen=True):
     modes: tuple[Mode, ...] | None = None
 
 
+class VisitSpec(Section, frozen=True):
+    """A place to be passed on the way, in flight.
+
+    Attributes:
+        position_m: [x, y], mission frame, of the vehicle's centre.
+        within_m: how near.
+    """
+
+    position_m: Point2
+    within_m: Annotated[float, Meta(gt=0.0, le=10.0)]
+
+
 class Uncertainty(Section, frozen=True):
     """Standard deviations for the objective `robust`.
 
@@ -99,13 +119,17 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
     Attributes:
         version: of the format.
         walls: by name; those outside the sequence are obstacles.
-        sequence: walls in the order of the hits, one to four; any: the planner chooses walls and order.
+        sequence: walls in the order of the hits, one to four; any: the planner chooses walls and order, with
+            the objective quickest also whether any is hit at all.
+        search: the approaches to try; with the objective quickest there is nothing to say.
         name: of the mission that is written; without it, the file's name.
         vehicle: vehicle configuration, relative to this file; without it, the default one.
         alpha_m_per_n: wall -> recovery gains along the mission's x and y axes, as in a mission.
         alpha_wall_m_per_n: wall -> recovery gains [normal, tangential], as in a mission.
         objective: nearest: smallest miss of the goal; fastest; gentlest: smallest peak force; robust:
-            smallest miss under the uncertainty.
+            smallest miss under the uncertainty; quickest: from rest to rest over the visits, hits where they
+            pay or `sequence` wants them, along trajectories.
+        visits: places to be passed, in this order; with the objective quickest only.
         uncertainty: for the objective robust.
     """
 
@@ -114,7 +138,8 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
     bounds_m: BoundsSpec
     walls: dict[str, WallSpec]
     sequence: list[str] | Literal["any"]
-    search: SearchSpec
+    search: SearchSpec | None = None
+    visits: list[VisitSpec] = msgspec.field(default_factory=list)
     name: Name | None = None
     vehicle: str | None = None
     alpha_m_per_n: dict[str, tuple[Alpha, Alpha]] = msgspec.field(default_factory=dict)
@@ -154,6 +179,7 @@ class Scenario(SpaceKeys, frozen=True, kw_only=True):
     alphas: dict[str, tuple[float, float]]
     objective: Objective
     uncertainty: Uncertainty
+    visits: tuple[VisitSpec, ...] = ()
     vehicle_source: VehicleSource | None = None
 
 
@@ -221,13 +247,15 @@ def resolve_scenario(
     vehicle = within_limits(vehicle, spec.limits)
     walls = resolve_space(spec.start, spec.goal, spec.bounds_m, spec.walls, vehicle, document)
     sequences = _sequences(spec, document)
-    normal = _grid(spec.search.normal_m_s, ("search", "normal_m_s"), document)
-    if not normal[-1] < 0.0:
-        raise document.error(
-            ("search", "normal_m_s", "max"), f"an approach needs a negative velocity, not {normal[-1]:g}"
-        )
-    tangential = _grid(spec.search.tangential_m_s, ("search", "tangential_m_s"), document)
-    modes = vehicle.modes if spec.search.modes is None else tuple(dict.fromkeys(spec.search.modes))
+    modes = vehicle.modes
+    normal: tuple[float, ...] = ()
+    tangential: tuple[float, ...] = ()
+    if spec.search is not None:
+        normal, tangential = _grids(spec.search, document)
+        modes = modes if spec.search.modes is None else tuple(dict.fromkeys(spec.search.modes))
+    elif spec.objective is not Objective.QUICKEST:
+        says = f"missing key search: the objective {spec.objective} tries the approaches that it names"
+        raise document.error((), says)
     if not modes:
         raise document.error(("search", "modes"), "the search is empty: name at least one mode")
     for mode, key in [(spec.transit_mode, ("transit_mode",)), *((m, ("search", "modes")) for m in modes)]:
@@ -235,6 +263,10 @@ def resolve_scenario(
     count = sum(len(normal) * len(tangential) * len(modes) ** len(s) for s in sequences)
     if count > _MAX_CANDIDATES:
         raise document.error(("search",), f"{count} candidates, at most {_MAX_CANDIDATES}; widen the steps")
+    for i, visit in enumerate(spec.visits):
+        if spec.objective is not Objective.QUICKEST:
+            raise document.error(("visits",), "places are visited with the objective quickest only")
+        check_place(spec.bounds_m, {}, visit.position_m, None, ("visits", i), document)
     return Scenario(
         **keys_of(spec, SpaceKeys),
         name=spec.name or _name_from(document.source),
@@ -251,10 +283,21 @@ def resolve_scenario(
         normal_m_s=normal,
         tangential_m_s=tangential,
         modes=modes,
-        alphas=_alphas(spec, walls, sequences, document),
+        alphas={} if spec.search is None else _alphas(spec, walls, sequences, document),
         objective=spec.objective,
         uncertainty=spec.uncertainty,
+        visits=tuple(spec.visits),
     )
+
+
+def _grids(spec: SearchSpec, document: Document) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """The normal and the tangential velocities to try."""
+    normal = _grid(spec.normal_m_s, ("search", "normal_m_s"), document)
+    if not normal[-1] < 0.0:
+        raise document.error(
+            ("search", "normal_m_s", "max"), f"an approach needs a negative velocity, not {normal[-1]:g}"
+        )
+    return normal, _grid(spec.tangential_m_s, ("search", "tangential_m_s"), document)
 
 
 def _name_from(source: str) -> str:

@@ -1,0 +1,461 @@
+"""The quickest flight through given events (visits, hits, corners), within given limits: optimal control.
+
+Between two events the jerk is constant over each of a number of equal intervals, so that position, velocity
+and acceleration are polynomials, exact at the intervals' ends (direct multiple shooting); how long each part
+lasts is free. A hit carries the velocity over by the contact law in closed form (`ContactResponse`), takes
+the contact's time, and for `dead_s` after it the acceleration stays what it was: the attitude cannot jump,
+and the way on is planned meanwhile. CasADi states the problem and its derivatives, IPOPT solves it; both are
+the extra `plan`. Past walls, each part of a way keeps to half-planes on which it is clear of them.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.base.geometry import Vec2, distance2
+from dart_flight.base.records import Mode
+from dart_flight.base.walls import Wall
+from dart_flight.config.document import InputError
+from dart_flight.config.mission_file import TrajectoryPieces
+from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.contact.coefficients import CoefficientArrays
+from dart_flight.contact.contact_map import contact_map
+from dart_flight.contact.law import Onset
+from dart_flight.core.mission.trajectories import transit_time_s
+from dart_flight.planning.task import drag_along
+
+Array = NDArray[np.float64]
+
+INTERVALS = 14  # of a part, between two events
+_ANY_JERK_M_S3 = 200.0  # where none is given
+_LONGEST_S = 30.0  # of a part
+_SMOOTH = 1e-5  # s per (m/s3)^2 s: of two flights equally quick, the smoother
+_GUESSED_M_S, _GUESSED_LEFT = 1.5, 0.7  # velocity of a hit, and what is left of it, to begin with
+_SOLVER: dict[str, Any] = {
+    "print_time": False,
+    "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 250, "tol": 1e-6},
+}
+
+
+class MotionLimits(msgspec.Struct, frozen=True):
+    """What a trajectory keeps to; `jerk_m_s3` None: any."""
+
+    speed_m_s: float
+    acceleration_m_s2: float
+    jerk_m_s3: float | None
+    tilt_deg: float
+
+
+class HitLimits(NamedTuple):
+    """What a hit keeps to; None: any.
+
+    Attributes:
+        peak_force_n: normal force and friction together.
+        closing_m_s: velocity along the normal.
+        sliding_m_s: velocity along the wall.
+        friction_ratio: friction over normal force.
+        detectable_n: least normal force, or the hit is not noticed.
+        thrust_m_s2: (least, most) push of the thrust away from the wall at the hit. Leaning into a wall, the
+            vehicle is turned on its head by the contact and loses what it had; leaning back a little it comes
+            off best (docs/results/faster_hits.md).
+    """
+
+    peak_force_n: float
+    closing_m_s: float | None
+    sliding_m_s: float | None
+    friction_ratio: float | None
+    detectable_n: float
+    thrust_m_s2: Vec2 = (0.15, 0.45)
+
+
+class ContactResponse(NamedTuple):
+    """A contact in closed form (shared/model: restitution and times do not depend on the speed).
+
+    Attributes:
+        restitution: velocity along the normal out, over that in.
+        contact_s: how long it lasts.
+        lead_s: the force begins, and ends, this time times the speed before the plane (`onset: lcp`).
+        peak_n_per_m_s: peak of the normal force, per velocity in.
+        friction_s_per_m: exp(- that times the velocity in) of the velocity along the wall is left.
+        mu_s_per_m: friction over normal force, per velocity along the wall.
+    """
+
+    restitution: float
+    contact_s: float
+    lead_s: float
+    peak_n_per_m_s: float
+    friction_s_per_m: float
+    mu_s_per_m: float
+
+    @classmethod
+    def of(cls, vehicle: VehicleConfig, wall: Wall, mode: Mode) -> ContactResponse:
+        """Of a vehicle in a mode at a wall."""
+        c = vehicle.materials[wall.material].of(mode)
+        mass_kg, onset = vehicle.airframe.mass_kg, Onset(vehicle.onset)
+        hit = contact_map(CoefficientArrays.of(c), mass_kg, np.array(-1.0), np.array(0.0), onset)
+        lead_s = c.lead_s if onset is Onset.LCP else 0.0
+        return cls(
+            float(hit.normal_out_m_s),
+            float(hit.contact_time_s),
+            lead_s,
+            float(hit.peak_normal_force_n),
+            c.mu * float(hit.impulse_n_s) / mass_kg,
+            c.mu,
+        )
+
+
+class Visit(NamedTuple):
+    """A place to be passed, in flight."""
+
+    place: Vec2
+    within_m: float
+
+
+class Hit(NamedTuple):
+    """A wall to be hit; `visit` says near which place, where it serves one."""
+
+    wall: Wall
+    mode: Mode
+    visit: Visit | None = None
+
+
+class Corner(NamedTuple):
+    """Where a way past a wall's end changes from one half-plane to the next; `place` is a guess."""
+
+    place: Vec2
+
+
+class Cruise(NamedTuple):
+    """A place to be passed at a velocity, without acceleration."""
+
+    place: Vec2
+    velocity: Vec2
+
+
+class HalfPlane(NamedTuple):
+    """Places with `normal . p >= offset_m`."""
+
+    normal: Vec2
+    offset_m: float
+
+
+Event = Visit | Hit | Corner | Cruise
+
+
+class Part(NamedTuple):
+    """The way to an event; the last one, to the goal, ends at none."""
+
+    to: Event | None
+    keep: tuple[HalfPlane, ...]
+
+
+class Problem(NamedTuple):
+    """What is asked: from rest at `start` through all parts to rest at `goal`."""
+
+    vehicle: VehicleConfig
+    start: Vec2
+    goal: Vec2
+    parts: tuple[Part, ...]
+    limits: MotionLimits
+    hits: HitLimits
+    dead_s: float
+
+
+class TrajectoryHit(msgspec.Struct, frozen=True):
+    """A hit of a trajectory; times from its beginning, velocities in the wall's collision frame.
+
+    Attributes:
+        t_s: onset.
+        position_m: of the vehicle's centre then, mission frame.
+        acceleration_m_s2: then, along normal and tangent.
+    """
+
+    wall: str
+    mode: Mode
+    t_s: float
+    position_m: Vec2
+    normal_m_s: float
+    tangential_m_s: float
+    acceleration_m_s2: Vec2
+    peak_force_n: float
+    contact_s: float
+
+
+class OptimalTrajectory(msgspec.Struct, frozen=True):
+    """The quickest flight found; `legs` has one more than `hits`."""
+
+    time_s: float
+    legs: tuple[TrajectoryPieces, ...]
+    hits: tuple[TrajectoryHit, ...]
+    visits_s: tuple[float, ...]  # when each visit of the problem is passed, a hit's at its onset
+
+
+class _Transcription:
+    """The problem as variables, constraints and first guess of the solver."""
+
+    def __init__(self, casadi: Any, problem: Problem, intervals: int) -> None:
+        self.ca, self.problem, self.intervals = casadi, problem, intervals
+        self.variables: list[Any] = []
+        self.guess: list[float] = []
+        self.low: list[float] = []
+        self.high: list[float] = []
+        self.constraints: list[Any] = []
+        self.g_low: list[float] = []
+        self.g_high: list[float] = []
+        self.cost: Any = 0.0
+        self.times: list[Any] = []
+        self.states: list[list[Any]] = []
+        self.jerks: list[list[Any]] = []
+
+    # -- building blocks --
+
+    def variable(self, name: str, guess: Sequence[float], low: float, high: float) -> Any:
+        """A vector of unknowns."""
+        symbol = self.ca.SX.sym(name, len(guess))
+        self.variables.append(symbol)
+        self.guess += guess
+        self.low += [low] * len(guess)
+        self.high += [high] * len(guess)
+        return symbol
+
+    def require(self, value: Any, low: float, high: float) -> None:
+        """Bounds on every entry of an expression."""
+        self.constraints.append(value)
+        count = value.shape[0] if hasattr(value, "shape") else 1
+        self.g_low += [low] * count
+        self.g_high += [high] * count
+
+    def carried(self, state: Any, dt: Any, jerk: Any) -> Any:
+        """A state (x, y, vx, vy, ax, ay) after some time at a constant jerk."""
+        p, v, a = state[:2], state[2:4], state[4:6]
+        return self.ca.vertcat(
+            p + v * dt + a * (dt**2 / 2) + jerk * (dt**3 / 6), v + a * dt + jerk * (dt**2 / 2), a + jerk * dt
+        )
+
+    # -- the problem --
+
+    def state(self, name: str, guess: Sequence[float], keep: Sequence[HalfPlane]) -> Any:
+        """A state within speed, acceleration and half-planes."""
+        limits = self.problem.limits
+        state = self.variable(name, guess, -math.inf, math.inf)
+        self.require(self.ca.sumsqr(state[2:4]), -math.inf, limits.speed_m_s**2)
+        self.require(self.ca.sumsqr(state[4:6]), -math.inf, limits.acceleration_m_s2**2)
+        for half in keep:
+            along = half.normal[0] * state[0] + half.normal[1] * state[1]
+            self.require(along, half.offset_m, math.inf)
+        return state
+
+    def part(self, i: int, part: Part, begin: _GuessedEnd, end: _GuessedEnd) -> None:
+        """The unknowns of one part, and the motion through it."""
+        n, limits = self.intervals, self.problem.limits
+        jerk_most = limits.jerk_m_s3 or _ANY_JERK_M_S3
+        length = distance2(begin.place, end.place)
+        usual_s = transit_time_s(length, limits.speed_m_s, limits.acceleration_m_s2, limits.jerk_m_s3) + 0.3
+        duration = self.variable(f"T{i}", [float(usual_s)], 1e-3, _LONGEST_S)
+        guessed = _quintic_states(begin, end, float(usual_s), n)
+        states = [self.state(f"x{i}_{k}", list(guessed[k]), part.keep) for k in range(n + 1)]
+        jerks = []
+        dt = duration / n
+        for k in range(n):
+            change = (guessed[k + 1][4:] - guessed[k][4:]) * n / float(usual_s)
+            jerk = self.variable(f"j{i}_{k}", list(change), -jerk_most, jerk_most)
+            self.require(self.ca.sumsqr(jerk) / jerk_most**2, -math.inf, 1.0)
+            self.require(states[k + 1] - self.carried(states[k], dt, jerk), 0.0, 0.0)
+            self.cost += _SMOOTH * self.ca.sumsqr(jerk) * dt
+            jerks.append(jerk)
+        self.cost += duration
+        self.times.append(duration)
+        self.states.append(states)
+        self.jerks.append(jerks)
+
+    def join(self, i: int, event: Event) -> None:
+        """From the end of part `i` through an event into the next."""
+        before, after = self.states[i][-1], self.states[i + 1][0]
+        if isinstance(event, Hit):
+            self.hit(event, before, after)
+            return
+        self.require(after - before, 0.0, 0.0)
+        if isinstance(event, Visit):
+            self.near(before, event)
+        elif isinstance(event, Cruise):
+            pinned = self.ca.vertcat(*event.place, *event.velocity, 0.0, 0.0)
+            self.require(before - pinned, 0.0, 0.0)
+
+    def near(self, state: Any, visit: Visit) -> None:
+        """Within the tolerance of a place."""
+        away = self.ca.sumsqr(state[:2] - self.ca.DM(visit.place))
+        self.require(away / visit.within_m**2, -math.inf, 1.0)
+
+    def hit(self, event: Hit, before: Any, after: Any) -> None:
+        """From the onset over the release and the dead time to where the next leg begins."""
+        ca, wall, limits = self.ca, event.wall, self.problem.hits
+        one = ContactResponse.of(self.problem.vehicle, wall, event.mode)
+        n, t = ca.DM(wall.normal), ca.DM(wall.tangent)
+        place, velocity = before[:2] - ca.DM(wall.point), before[2:4]
+        vn, vt = ca.dot(n, velocity), ca.dot(t, velocity)
+        self.require(ca.dot(n, place) + one.lead_s * vn, 0.0, 0.0)
+        reach = 0.5 * wall.length_m - wall.half_vehicle_m
+        self.require(ca.dot(t, place), -reach, reach)
+        slowest = 1.2 * limits.detectable_n / one.peak_n_per_m_s
+        self.require(-vn, slowest, math.inf if limits.closing_m_s is None else limits.closing_m_s)
+        force2 = one.peak_n_per_m_s**2 * vn**2 * (1.0 + (one.mu_s_per_m * vt) ** 2)
+        self.require(force2 / limits.peak_force_n**2, -math.inf, 1.0)
+        sliding = min(
+            math.inf if limits.sliding_m_s is None else limits.sliding_m_s,
+            math.inf if limits.friction_ratio is None else limits.friction_ratio / one.mu_s_per_m,
+        )
+        if sliding < math.inf:
+            self.require(vt, -sliding, sliding)
+        drag_n, drag_t = drag_along(wall, self.problem.vehicle.airframe.drag_per_s)
+        self.require(ca.dot(n, before[4:6]) + drag_n * vn, *limits.thrust_m_s2)
+        self.require(ca.dot(t, before[4:6]) + drag_t * vt, -limits.thrust_m_s2[1], limits.thrust_m_s2[1])
+        if event.visit is not None:
+            self.near(before, event.visit)
+        out_n, out_t = -one.restitution * vn, vt * ca.exp(one.friction_s_per_m * vn)
+        way_t = 0.5 * (vt + out_t) * one.contact_s
+        release = before[:2] + n * (-one.lead_s * out_n + one.lead_s * vn) + t * way_t
+        released = ca.vertcat(release, n * out_n + t * out_t, before[4:6])
+        self.require(after - self.carried(released, self.problem.dead_s, ca.DM([0.0, 0.0])), 0.0, 0.0)
+
+
+class _GuessedEnd(NamedTuple):
+    """Where a part may begin or end."""
+
+    place: Vec2
+    velocity: Vec2
+
+
+def _guessed_ends(problem: Problem) -> list[tuple[_GuessedEnd, _GuessedEnd]]:
+    """Beginning and end of every part: at rest, but for hits."""
+    found = []
+    here = _GuessedEnd(problem.start, (0.0, 0.0))
+    for part in problem.parts:
+        if isinstance(part.to, Hit):
+            wall, visit = part.to.wall, part.to.visit
+            place = wall.foot(here.place if visit is None else visit.place)
+            (nx, ny), out = wall.normal, _GUESSED_M_S * _GUESSED_LEFT
+            end = _GuessedEnd(place, (-_GUESSED_M_S * nx, -_GUESSED_M_S * ny))
+            found.append((here, end))
+            here = _GuessedEnd(place, (out * nx, out * ny))
+            continue
+        velocity = part.to.velocity if isinstance(part.to, Cruise) else (0.0, 0.0)
+        end = _GuessedEnd(problem.goal if part.to is None else part.to.place, velocity)
+        found.append((here, end))
+        here = end
+    return found
+
+
+def _quintic_states(begin: _GuessedEnd, end: _GuessedEnd, duration_s: float, n: int) -> Array:
+    """(n + 1, 6): states along the smooth way from one end to the other."""
+    t, columns = duration_s, []
+    s = np.linspace(0.0, 1.0, n + 1) * t
+    for axis in range(2):
+        p, v, w = begin.place[axis], begin.velocity[axis], end.velocity[axis]
+        way = end.place[axis] - p
+        c3 = (20.0 * way - (8.0 * w + 12.0 * v) * t) / (2.0 * t**3)
+        c4 = (-30.0 * way + (14.0 * w + 16.0 * v) * t) / (2.0 * t**4)
+        c5 = (12.0 * way - 6.0 * (w + v) * t) / (2.0 * t**5)
+        poly = np.polynomial.Polynomial([p, v, 0.0, c3, c4, c5])
+        columns.append([poly(s), poly.deriv(1)(s), poly.deriv(2)(s)])
+    return np.stack([columns[axis][order] for order in range(3) for axis in range(2)], axis=1)
+
+
+def solve(problem: Problem, intervals: int = INTERVALS) -> OptimalTrajectory | None:
+    """The quickest flight through the events of a problem; None where the solver finds none.
+
+    Raises:
+        InputError: CasADi is not installed.
+    """
+    try:
+        import casadi  # noqa: PLC0415  (an extra)
+    except ImportError:
+        raise InputError("the quickest flight needs casadi: pip install 'dart-flight[plan]'") from None
+    if not all(_is_possible(problem.vehicle, part.to) for part in problem.parts):
+        return None
+    t = _Transcription(casadi, problem, intervals)
+    for i, (part, ends) in enumerate(zip(problem.parts, _guessed_ends(problem), strict=True)):
+        t.part(i, part, *ends)
+    for i, part in enumerate(problem.parts):
+        if part.to is not None:
+            t.join(i, part.to)
+    rest = casadi.DM.zeros(4)
+    for state, place in ((t.states[0][0], problem.start), (t.states[-1][-1], problem.goal)):
+        t.require(state - casadi.vertcat(casadi.DM(place), rest), 0.0, 0.0)
+    x, g = casadi.vertcat(*t.variables), casadi.vertcat(*t.constraints)
+    solver = casadi.nlpsol("quickest", "ipopt", {"x": x, "f": t.cost, "g": g}, _SOLVER)
+    found = solver(x0=t.guess, lbx=t.low, ubx=t.high, lbg=t.g_low, ubg=t.g_high)
+    if not solver.stats()["success"]:
+        return None
+    outputs = [*t.times, *itertools.chain(*t.states), *itertools.chain(*t.jerks)]
+    values = casadi.Function("values", [x], outputs)(found["x"])
+    return _as_trajectory(problem, intervals, [np.array(v).ravel() for v in values])
+
+
+def _is_possible(vehicle: VehicleConfig, event: Event | None) -> bool:
+    """Whether a hit comes off its wall at all."""
+    if not isinstance(event, Hit):
+        return True
+    response = ContactResponse.of(vehicle, event.wall, event.mode)
+    return math.isfinite(response.contact_s) and response.restitution > 0.0
+
+
+def _as_trajectory(problem: Problem, n: int, values: list[Array]) -> OptimalTrajectory:
+    count = len(problem.parts)
+    durations = [float(v[0]) for v in values[:count]]
+    states = [values[count + i * (n + 1) : count + (i + 1) * (n + 1)] for i in range(count)]
+    jerks_from = count + count * (n + 1)
+    jerks = [values[jerks_from + i * n : jerks_from + (i + 1) * n] for i in range(count)]
+    legs: list[TrajectoryPieces] = []
+    hits: list[TrajectoryHit] = []
+    visits: list[float] = []
+    now, pieces, begin = 0.0, [], states[0][0]
+    for i, part in enumerate(problem.parts):
+        pieces += [(durations[i] / n, float(j[0]), float(j[1])) for j in jerks[i]]
+        now += durations[i]
+        if isinstance(part.to, Visit) or (isinstance(part.to, Hit) and part.to.visit is not None):
+            visits.append(now)
+        if isinstance(part.to, Hit) or part.to is None:
+            legs.append(_leg(begin, pieces))
+            pieces = []
+        if isinstance(part.to, Hit):
+            response = ContactResponse.of(problem.vehicle, part.to.wall, part.to.mode)
+            hits.append(_hit(part.to, response, now, states[i][-1]))
+            now += response.contact_s + problem.dead_s
+            begin = states[i + 1][0]
+    return OptimalTrajectory(now, tuple(legs), tuple(hits), tuple(visits))
+
+
+def _leg(begin: Array, pieces: list[tuple[float, float, float]]) -> TrajectoryPieces:
+    """A leg; pieces of the same jerk are one."""
+    joined: list[tuple[float, float, float]] = []
+    for dt, jx, jy in pieces:
+        if joined and math.hypot(joined[-1][1] - jx, joined[-1][2] - jy) < 1e-3:
+            joined[-1] = (joined[-1][0] + dt, *joined[-1][1:])
+        else:
+            joined.append((dt, jx, jy))
+    x, y, vx, vy, ax, ay = (float(v) for v in begin)
+    return TrajectoryPieces((x, y), joined, (vx, vy), (ax, ay))
+
+
+def _hit(event: Hit, response: ContactResponse, t_s: float, state: Array) -> TrajectoryHit:
+    x, y, vx, vy, ax, ay = (float(v) for v in state)
+    normal, tangential, _ = event.wall.to_collision((vx, vy, 0.0))
+    pushed = event.wall.to_collision((ax, ay, 0.0))
+    return TrajectoryHit(
+        event.wall.name,
+        event.mode,
+        t_s,
+        (x, y),
+        normal,
+        tangential,
+        (pushed[0], pushed[1]),
+        -response.peak_n_per_m_s * normal,
+        response.contact_s,
+    )

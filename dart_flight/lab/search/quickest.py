@@ -1,0 +1,454 @@
+"""The quickest flight from start over the visits to the goal, with as many hits on any walls as pay, or none.
+
+Which events in which order is a search over sequences, best bound first: no flight through places in an
+order is quicker than one straight on, at the same limits, as long as the shortest way through them, plus the
+time of its contacts; a sequence whose bound is above the best flight found is not computed. How each is flown
+(places, velocities, times) is an optimal control problem of its own (`optimal_trajectory`), first with the
+flexible arms, then each hit rigid where that is quicker and the servo has the time.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from enum import Enum
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.base.geometry import Vec2, distance2
+from dart_flight.base.records import Mode
+from dart_flight.base.walls import Wall
+from dart_flight.config.document import InputError
+from dart_flight.core.mission.commitment import SETTLED_BEFORE_S
+from dart_flight.lab.search.free_plan import limits_of
+from dart_flight.lab.search.optimal_trajectory import (
+    INTERVALS,
+    ContactResponse,
+    Corner,
+    Event,
+    HalfPlane,
+    Hit,
+    HitLimits,
+    MotionLimits,
+    OptimalTrajectory,
+    Part,
+    Problem,
+    Visit,
+    solve,
+)
+from dart_flight.lab.search.routes import shortest_way, sides
+from dart_flight.lab.search.scenario import Scenario
+
+Progress = Callable[[int, int], None]
+Array = NDArray[np.float64]
+
+MOST_HITS = 4
+# Of a visit's tolerance: what the flight that follows the plan may be off by is left to it.
+_TOLERANCE_USED = 0.8
+# Where the scenario does not say: the friction coefficients were measured at half a metre per second.
+_FRICTION_RATIO = 0.5
+_POLISHED = 2 * INTERVALS
+_SWEEPS = 12  # of the shortest way through discs and walls
+_SLACK = 0.98  # of a leg, because the sweeps end before the way is quite the shortest
+_REVERSAL_COSINE = -0.9  # between the legs to and from a place at which the way turns back
+_MOST_RESTITUTION = 0.8  # of any wall and mode
+_SPEEDS = 61
+_OFF_BOUNDS_M = 0.1  # that a trajectory keeps from them
+
+
+class QuickestPlan(msgspec.Struct, frozen=True):
+    """A flight and the hits it has; none: the free plan."""
+
+    time_s: float
+    trajectory: OptimalTrajectory
+    events: tuple[Event, ...]
+
+    @property
+    def sequence(self) -> tuple[str, ...]:
+        """Walls in the order of the hits."""
+        return tuple(hit.wall for hit in self.trajectory.hits)
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """Modes of the hits."""
+        return tuple(hit.mode for hit in self.trajectory.hits)
+
+
+class QuickestResult(msgspec.Struct, frozen=True):
+    """What was found.
+
+    Attributes:
+        best: the quickest of all that the scenario allows.
+        free: the quickest without a hit; None: there is no way, or places that only a hit reaches.
+        colliding: the quickest with hits; None: none was found that might be quicker than the free one.
+        computed, pruned: sequences.
+        gap_s: by how much a sequence that was not computed could be quicker at most; 0: none can.
+        elapsed_s: of the search.
+    """
+
+    scenario: Scenario
+    best: QuickestPlan
+    free: QuickestPlan | None
+    colliding: QuickestPlan | None
+    computed: int
+    pruned: int
+    gap_s: float
+    elapsed_s: float
+
+    @property
+    def saving_s(self) -> float | None:
+        """By how much the colliding plan is quicker than the free one; negative: the hit loses."""
+        if self.free is None or self.colliding is None:
+            return None
+        return self.free.time_s - self.colliding.time_s
+
+
+def plan_quickest(
+    scenario: Scenario, within_s: float = math.inf, progress: Progress = lambda done, of: None
+) -> QuickestResult:
+    """Search a scenario whose objective is `quickest`.
+
+    Args:
+        scenario: visits, walls, limits, and the hits that are demanded where it names a sequence.
+        within_s: stop after that and return the best until then.
+        progress: called with sequences computed and known.
+
+    Raises:
+        InputError: nothing gets to the goal within the limits.
+    """
+    began = time.perf_counter()
+    search = _Search(scenario)
+    search.run(lambda: time.perf_counter() - began > within_s, progress)
+    best, free = search.best, search.free
+    if best is None:
+        raise InputError(search.why_not(), source=scenario.source, key=("limits",))
+    return QuickestResult(
+        scenario,
+        best,
+        free,
+        search.colliding,
+        search.computed,
+        search.pruned,
+        max(0.0, best.time_s - search.least_open_s) if search.least_open_s < math.inf else 0.0,
+        time.perf_counter() - began,
+    )
+
+
+class LegEnd(Enum):
+    """What the motion along a straight leg is bound to at its end."""
+
+    REST = "rest"  # no velocity, no acceleration
+    REVERSAL = "reversal"  # no velocity along the leg
+    HIT = "hit"  # any velocity into a wall, what is left of it from there
+    ANY = "any"
+
+
+class LeastTimes:
+    """Bounds on the time over straight legs within limits: from each end as hard as they allow."""
+
+    def __init__(self, limits: MotionLimits) -> None:
+        self._limits = limits
+        self._speeds = np.linspace(0.0, limits.speed_m_s, _SPEEDS)
+
+    def of_leg(self, length_m: float, begin: LegEnd, end: LegEnd) -> float:
+        """No leg is quicker: the highest speed that both ends can be reached from and to, and cruising."""
+        before_s, before_m = self._to_speed(begin, leaving=True)
+        after_s, after_m = self._to_speed(end, leaving=False)
+        fits = np.flatnonzero(before_m + after_m <= length_m + 1e-12)
+        # The next speed of the grid, which cannot quite be reached, keeps it a bound.
+        top = min(int(fits[-1]) + 1, _SPEEDS - 1) if fits.size else 1
+        cruise_m = max(0.0, length_m - before_m[top] - after_m[top])
+        below = max(0, top - 1)
+        return float(before_s[below] + after_s[below] + cruise_m / self._speeds[top])
+
+    def _to_speed(self, end: LegEnd, leaving: bool) -> tuple[Array, Array]:
+        """Time and way from an end to each speed."""
+        v, a, j = self._speeds, self._limits.acceleration_m_s2, self._limits.jerk_m_s3
+        zero = np.zeros_like(v)
+        if end is LegEnd.ANY or (end is LegEnd.HIT and not leaving):
+            return zero, zero
+        if end is LegEnd.HIT:
+            left = _MOST_RESTITUTION * self._limits.speed_m_s
+            more = np.maximum(v - left, 0.0)
+            return more / a, more * (left + 0.5 * more) / a
+        if end is LegEnd.REVERSAL or j is None:
+            return v / a, 0.5 * v**2 / a
+        # From rest: the acceleration grows with the jerk limit until it is at its own.
+        ramp_v = np.minimum(v, 0.5 * a * a / j)
+        ramp_s = np.sqrt(2.0 * ramp_v / j)
+        rest_s = (v - ramp_v) / a
+        return ramp_s + rest_s, j * ramp_s**3 / 6.0 + (ramp_v + 0.5 * a * rest_s) * rest_s
+
+
+class _Search:
+    """Sequences in the order of their bounds."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self.vehicle, self.walls = scenario.vehicle, tuple(scenario.walls.values())
+        self.limits = limits_of(scenario)
+        of = scenario.limits
+        self.hits = HitLimits(
+            of.peak_force_n,
+            of.closing_m_s,
+            of.sliding_m_s,
+            _FRICTION_RATIO if of.friction_ratio is None else of.friction_ratio,
+            self.vehicle.detection.force_threshold_n,
+        )
+        self.dead_s = self.vehicle.flying.replan_within_s
+        self.free: QuickestPlan | None = None
+        self.colliding: QuickestPlan | None = None
+        self.computed = self.pruned = 0
+        self.least_open_s = math.inf
+        self._least = LeastTimes(self.limits)
+        (x0, x1), (y0, y1) = scenario.bounds.x, scenario.bounds.y
+        self._room = (
+            HalfPlane((1.0, 0.0), x0 + _OFF_BOUNDS_M),
+            HalfPlane((-1.0, 0.0), -x1 + _OFF_BOUNDS_M),
+            HalfPlane((0.0, 1.0), y0 + _OFF_BOUNDS_M),
+            HalfPlane((0.0, -1.0), -y1 + _OFF_BOUNDS_M),
+        )
+
+    @property
+    def best(self) -> QuickestPlan | None:
+        """Of all that the scenario allows."""
+        found = [self.colliding] if self._demanded else [self.free, self.colliding]
+        return min((plan for plan in found if plan is not None), key=lambda plan: plan.time_s, default=None)
+
+    @property
+    def _demanded(self) -> tuple[str, ...]:
+        """The hits that a scenario wants, whether they pay or not."""
+        return () if self.scenario.chosen_by_planner else self.scenario.sequences[0]
+
+    def run(self, enough: Callable[[], bool], progress: Progress) -> None:
+        """Compute sequences until no other can be better, or it is enough."""
+        self.free = self._solved(self._free_events())
+        sequences = sorted(
+            ((self._bound_s(events), k, events) for k, events in enumerate(self._colliding_events())),
+        )
+        for place, (bound_s, _, events) in enumerate(sequences):
+            progress(place, len(sequences))
+            limit = self.colliding if self._demanded else self.best
+            if limit is not None and bound_s >= limit.time_s:
+                self.pruned += len(sequences) - place
+                break
+            if enough():
+                self.least_open_s = bound_s
+                break
+            plan = self._solved(events)
+            if plan is not None and (self.colliding is None or plan.time_s < self.colliding.time_s):
+                self.colliding = plan
+        if self.colliding is not None:
+            self.colliding = self._with_best_modes(self.colliding)
+        self.free, self.colliding = self._polished(self.free), self._polished(self.colliding)
+
+    # -- sequences --
+
+    def _visits(self) -> list[Visit]:
+        return [Visit(v.position_m, _TOLERANCE_USED * v.within_m) for v in self.scenario.visits]
+
+    def _free_events(self) -> tuple[Event, ...]:
+        return tuple(self._visits())
+
+    def _colliding_events(self) -> Iterator[tuple[Event, ...]]:
+        """Every sequence of events with one to `MOST_HITS` hits, no two in a row at the same wall."""
+        visits, mode = self._visits(), self._first_mode()
+        choices: list[list[Event]] = []
+        for visit in visits:
+            serving = [wall for wall in self.walls if _serves(wall, visit)]
+            choices.append([visit, *(Hit(wall, mode, visit) for wall in serving)])
+        for chosen in itertools.product(*choices):
+            spare = MOST_HITS - sum(isinstance(event, Hit) for event in chosen)
+            if spare < 0:
+                continue
+            for events in self._with_more(chosen, spare, mode):
+                walls = tuple(event.wall.name for event in events if isinstance(event, Hit))
+                if walls and (not self._demanded or walls == self._demanded):
+                    yield events
+
+    def _with_more(self, chosen: tuple[Event, ...], spare: int, mode: Mode) -> Iterator[tuple[Event, ...]]:
+        """The events with up to `spare` more hits between them."""
+        yield chosen
+        if spare == 0:
+            return
+        seen = {chosen}
+        front = [chosen]
+        for _ in range(spare):
+            following = []
+            for events, wall in itertools.product(front, self.walls):
+                for k in range(len(events) + 1):
+                    more = (*events[:k], Hit(wall, mode), *events[k:])
+                    if more not in seen and not _repeats(more) and self._may_pay(more):
+                        seen.add(more)
+                        following.append(more)
+                        yield more
+            front = following
+
+    def _may_pay(self, events: tuple[Event, ...]) -> bool:
+        """Whether a sequence's bound is below the free plan's time; always where its hits are demanded."""
+        if self._demanded:
+            walls = [event.wall.name for event in events if isinstance(event, Hit)]
+            rest = iter(self._demanded)
+            return all(name in rest for name in walls)  # in that order
+        return self.free is None or self._bound_s(events) < self.free.time_s
+
+    def _first_mode(self) -> Mode:
+        modes = self.scenario.modes
+        return Mode.FLEXIBLE if Mode.FLEXIBLE in modes else modes[0]
+
+    # -- bounds --
+
+    def _bound_s(self, events: Sequence[Event]) -> float:
+        """No flight through the events is quicker: the least time of each leg, and the contacts."""
+        places = _shortest_way_through(self.scenario.start, events, self._goal)
+        total = 0.0
+        for k, (a, b) in enumerate(itertools.pairwise(places)):
+            begin = self._end_of_leg(events, places, k - 1)
+            end = self._end_of_leg(events, places, k)
+            total += self._least.of_leg(_SLACK * distance2(a, b), begin, end)
+        return total + sum(self._least_contact_s(e.wall) for e in events if isinstance(e, Hit))
+
+    def _end_of_leg(self, events: Sequence[Event], places: Sequence[Vec2], k: int) -> LegEnd:
+        """What an event asks of the motion along the legs beside it; -1 and the last are start and goal."""
+        if not 0 <= k < len(events):
+            return LegEnd.REST
+        event = events[k]
+        if isinstance(event, Hit):
+            return LegEnd.HIT
+        before, here, after = places[k : k + 3]
+        into, out = math.dist(before, here), math.dist(here, after)
+        if into == 0.0 or out == 0.0:
+            return LegEnd.ANY
+        dot = sum((h - b) * (a - h) for b, h, a in zip(before, here, after, strict=True))
+        return LegEnd.REVERSAL if dot < _REVERSAL_COSINE * into * out else LegEnd.ANY
+
+    def _least_contact_s(self, wall: Wall) -> float:
+        return min(ContactResponse.of(self.vehicle, wall, mode).contact_s for mode in self.scenario.modes)
+
+    @property
+    def _goal(self) -> Vec2:
+        return self.scenario.goal.position_m
+
+    # -- flights --
+
+    def _solved(self, events: Sequence[Event], intervals: int = INTERVALS) -> QuickestPlan | None:
+        problem = self._problem(events)
+        if problem is None:
+            return None
+        self.computed += 1
+        found = solve(problem, intervals)
+        if found is None or not self._servo_has_time(found):
+            return None
+        return QuickestPlan(found.time_s, found, tuple(events))
+
+    def _problem(self, events: Sequence[Event]) -> Problem | None:
+        """The events with the corners of the ways between them; None: there is no way."""
+        parts: list[Part] = []
+        here = self.scenario.start
+        touched: tuple[Wall, ...] = ()
+        for event in (*events, None):
+            there = self._goal if event is None else _place_of(event, here)
+            at_end = (event.wall,) if isinstance(event, Hit) else ()
+            way = shortest_way(here, there, self.walls, self.scenario.bounds)
+            if way is None:
+                return None
+            for k, (a, b) in enumerate(itertools.pairwise(way)):
+                last = k == len(way) - 2
+                near = (*(touched if k == 0 else ()), *(at_end if last else ()))
+                keep = (*self._room, *sides(a, b, self.walls, near))
+                parts.append(Part(event if last else Corner(b), keep))
+            here, touched = there, at_end
+        return Problem(
+            self.vehicle, self.scenario.start, self._goal, tuple(parts), self.limits, self.hits, self.dead_s
+        )
+
+    def _servo_has_time(self, found: OptimalTrajectory) -> bool:
+        """Whether the lock is settled before each hit whose mode is not that of the hit before."""
+        lock = self.vehicle.lock
+        if lock is None:
+            return True
+        needed_s = lock.relaxation_s + lock.servo.full_travel_s + SETTLED_BEFORE_S
+        return all(
+            a.mode is b.mode or b.t_s - (a.t_s + a.contact_s) >= needed_s
+            for a, b in itertools.pairwise(found.hits)
+        )
+
+    def _with_best_modes(self, plan: QuickestPlan) -> QuickestPlan:
+        """The same hits, each in its better mode, one after the other."""
+        for k, mode in itertools.product(range(len(plan.events)), self.scenario.modes):
+            event = plan.events[k]
+            if isinstance(event, Hit) and event.mode is not mode:
+                other = self._solved((*plan.events[:k], event._replace(mode=mode), *plan.events[k + 1 :]))
+                if other is not None and other.time_s < plan.time_s:
+                    plan = other
+        return plan
+
+    def _polished(self, plan: QuickestPlan | None) -> QuickestPlan | None:
+        """The same flight in finer intervals."""
+        return plan and (self._solved(plan.events, _POLISHED) or plan)
+
+    def why_not(self) -> str:
+        """In words, where nothing gets there."""
+        if self._demanded:
+            return f"no flight hits {', '.join(self._demanded)} and rests at the goal within the limits"
+        return "no flight passes the visits and rests at the goal within the limits and bounds"
+
+
+def _serves(wall: Wall, visit: Visit) -> bool:
+    """Whether a place is passed by hitting a wall there."""
+    off_m = math.hypot(wall.signed_distance(visit.place), min(0.0, wall.end_distance_m(visit.place)))
+    return off_m <= visit.within_m
+
+
+def _repeats(events: Sequence[Event]) -> bool:
+    """Whether two events in a row are hits at the same wall."""
+    return any(
+        isinstance(a, Hit) and isinstance(b, Hit) and a.wall == b.wall for a, b in itertools.pairwise(events)
+    )
+
+
+def _place_of(event: Event, before: Vec2) -> Vec2:
+    """Where an event is likely to be."""
+    if isinstance(event, Hit):
+        return event.wall.foot(before if event.visit is None else event.visit.place)
+    return event.place
+
+
+def _shortest_way_through(start: Vec2, events: Sequence[Event], goal: Vec2) -> list[Vec2]:
+    """The shortest way through all events: each place in turn as its neighbours want it."""
+    places = [start]
+    for event in events:
+        places.append(_place_of(event, places[-1]))
+    places.append(goal)
+    for _ in range(_SWEEPS):
+        for k, event in enumerate(events, start=1):
+            places[k] = _between(places[k - 1], event, places[k + 1])
+    return places
+
+
+def _between(a: Vec2, event: Event, b: Vec2) -> Vec2:
+    """Where a way from one place to another by an event is shortest."""
+    if isinstance(event, Hit):
+        wall = event.wall
+        here, there = abs(wall.signed_distance(a)), abs(wall.signed_distance(b))
+        share = here / (here + there) if here + there > 0.0 else 0.5  # the mirror image's straight line
+        place = wall.foot((a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])))
+        return place if event.visit is None else _nearest_in(event.visit, place)
+    (ax, ay), (bx, by), (cx, cy) = a, b, event.place
+    square = (bx - ax) ** 2 + (by - ay) ** 2
+    share = max(0.0, min(1.0, ((cx - ax) * (bx - ax) + (cy - ay) * (by - ay)) / square)) if square else 0.0
+    nearest = (ax + share * (bx - ax), ay + share * (by - ay))
+    return _nearest_in(event, nearest) if isinstance(event, Visit) else event.place
+
+
+def _nearest_in(visit: Visit, place: Vec2) -> Vec2:
+    """The point of a visit's disc nearest to a place."""
+    away = distance2(visit.place, place)
+    if away <= visit.within_m:
+        return place
+    share, (cx, cy) = visit.within_m / away, visit.place
+    return (cx + share * (place[0] - cx), cy + share * (place[1] - cy))

@@ -1,0 +1,145 @@
+"""From where a hit really led back to the trajectory that was planned before the flight.
+
+The planned trajectory, from some moment of it on and perhaps a little slower, plus a polynomial of fifth
+order per axis that begins with what the vehicle's state differs by and is gone, with its first two
+derivatives, at the trajectory's end. So the way keeps the shape that an optimiser found, and ends where, and
+as fast, as it was to; what differs is small, and so is what it asks for beyond the planned accelerations.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.base.geometry import Vec2
+from dart_flight.core.mission.trajectories import PlannedTrajectory
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+_SAMPLES = 24
+_FROM_S = np.arange(0.0, 0.31, 0.03)  # of the planned trajectory, at the beginning
+_SLOWER = (1.0, 1.05, 1.1, 1.2, 1.35, 1.6, 2.0)
+_LEAST_S = 0.2  # of a way
+
+
+class RejoiningWays(NamedTuple):
+    """Ways back to a trajectory; n of them, at k moments each.
+
+    Attributes:
+        planned: the trajectory.
+        shares: (k,) the moments, of each way's duration.
+        from_s, slower, duration_s: (n,) where on the planned trajectory each begins, how much slower it is
+            flown, and how long it lasts.
+        added: (2, n, 6) coefficients of the polynomials that are added, constant term first.
+        position, velocity, acceleration, jerk: (2, n, k), mission frame.
+    """
+
+    planned: PlannedTrajectory
+    shares: Array
+    from_s: Array
+    slower: Array
+    duration_s: Array
+    added: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    jerk: Array
+
+    def take(self, rows: Rows) -> RejoiningWays:
+        """The chosen ways."""
+        by_way = (self.from_s[rows], self.slower[rows], self.duration_s[rows])
+        return RejoiningWays(self.planned, self.shares, *by_way, *(v[:, rows] for v in self[5:]))
+
+    def trajectory(self, row: int) -> PlannedTrajectory:
+        """One way as polynomials, one after the other."""
+        planned, slower, begin = self.planned, float(self.slower[row]), float(self.from_s[row])
+        pieces: list[float] = []
+        axes: tuple[list[float], list[float]] = ([], [])
+        piece_end = 0.0
+        for i, length in enumerate(planned.pieces_s):
+            piece_begin, piece_end = piece_end, piece_end + length
+            since = max(0.0, begin - piece_begin)
+            if length - since <= 1e-6:
+                continue
+            at_s = slower * (piece_begin + since - begin)
+            for axis, written in enumerate((planned.x, planned.y)):
+                shape = _moved(written[6 * i : 6 * i + 6], since)
+                added = _moved(tuple(self.added[axis, row]), at_s)
+                slowed = [c / slower**k for k, c in enumerate(shape)]
+                axes[axis].extend(c + d for c, d in zip(slowed, added, strict=True))
+            pieces.append(slower * (length - since))
+        return PlannedTrajectory(
+            tuple(axes[0]), tuple(axes[1]), sum(pieces), planned.altitude_m, tuple(pieces)
+        )
+
+
+def rejoin(planned: PlannedTrajectory, start: tuple[Array, Array], moved: Vec2) -> RejoiningWays:
+    """The ways back to a planned trajectory that may be tried.
+
+    Args:
+        planned: with several pieces.
+        start: position, velocity and acceleration per axis, where the way begins; mission frame.
+        moved: by how much the end lies elsewhere than planned, m.
+    """
+    tried = [
+        (begin, slower)
+        for begin, slower in itertools.product(_FROM_S, _SLOWER)
+        if planned.duration_s - begin >= _LEAST_S
+    ]
+    from_s, slower = np.array(tried).reshape(-1, 2).T
+    duration = (planned.duration_s - from_s) * slower
+    shares = np.linspace(0.0, 1.0, _SAMPLES)
+    times = from_s[:, None] + shares * (planned.duration_s - from_s)[:, None]
+    shape = _sampled(planned, times) / slower[:, None] ** np.arange(4)[:, None, None, None]
+    added = np.empty((2, from_s.size, 6))
+    for axis in range(2):
+        away = [start[axis][order] - shape[order, axis, :, 0] for order in range(3)]
+        added[axis] = _fading(away, moved[axis], duration).T
+    since = shares * duration[:, None]
+    states = [shape[order] + _derivative(added, since, order) for order in range(4)]
+    return RejoiningWays(planned, shares, from_s, slower, duration, added, *states)
+
+
+def _sampled(planned: PlannedTrajectory, times: Array) -> Array:
+    """(4, 2, n, k): position, velocity, acceleration and jerk at times (n, k) of a trajectory."""
+    begins = np.cumsum([0.0, *planned.pieces_s[:-1]])
+    piece = np.clip(np.searchsorted(begins, times, side="right") - 1, 0, begins.size - 1)
+    since = times - begins[piece]
+    by_axis = np.array([planned.x, planned.y]).reshape(2, -1, 6)
+    rows = by_axis[:, piece]
+    return np.stack([_derivative(rows, since, order, per_time=True) for order in range(4)])
+
+
+def _derivative(coefficients: Array, times: Array, order: int, per_time: bool = False) -> Array:
+    """(2, n, k): a derivative of polynomials (2, n, 6), or (2, n, k, 6) `per_time`, at times (n, k)."""
+    for _ in range(order):
+        coefficients = coefficients[..., 1:] * np.arange(1, coefficients.shape[-1])
+    if not per_time:
+        coefficients = coefficients[:, :, None, :]
+    value = np.zeros((2, *times.shape))
+    for power in range(coefficients.shape[-1] - 1, -1, -1):
+        value = value * times + coefficients[..., power]
+    return value
+
+
+def _fading(away: list[Array], moved_m: float, duration_s: Array) -> Array:
+    """Coefficients (6, n) of the polynomials from (position, velocity, acceleration) to rest at `moved_m`."""
+    p, v, a = away
+    t, way = duration_s, moved_m - p
+    c3 = (20.0 * way - 12.0 * v * t - 3.0 * a * t**2) / (2.0 * t**3)
+    c4 = (-30.0 * way + 16.0 * v * t + 3.0 * a * t**2) / (2.0 * t**4)
+    c5 = (12.0 * way - 6.0 * v * t - a * t**2) / (2.0 * t**5)
+    return np.stack([p, v, 0.5 * a, c3, c4, c5])
+
+
+def _moved(coefficients: tuple[float, ...], by: float) -> list[float]:
+    """A polynomial's coefficients about another time."""
+    return [
+        sum(math.comb(n, k) * coefficients[n] * by ** (n - k) for n in range(k, len(coefficients)))
+        for k in range(len(coefficients))
+    ]
