@@ -86,9 +86,7 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
         approach, impact = None, self.impact_point
         if self.wall.post_radius_m > 0.0:
             impact = self.wall.point
-        elif self.trajectory is not None or (
-            self.approach_m_s is not None and impact == _ray_meets_wall(start, self.wall, self.approach_m_s)
-        ):
+        elif self.approach_m_s is not None and impact == _impact_meant(self, start):
             impact = None
         if self.approach_m_s is not None:
             approach = ApproachSpec(*self.approach_m_s)
@@ -451,7 +449,7 @@ def _resolve_collision(
             raise document.error(
                 (*key, "approach"), f"{speed:.2f} m/s is over limits.speed_m_s {mission.limits.speed_m_s:g}"
             )
-        if spec.trajectory is None:
+        if spec.trajectory is None or (spec.impact_point_m or spec.impact_along_m) is not None:
             impact = _impact_point(spec, mission.start.position_m, wall, approach, key, document)
         else:
             impact = wall.foot(spec.trajectory.states()[-1].position)
@@ -504,7 +502,7 @@ def _check_trajectory(
     if spec.approach is None:
         _check_replanned(mission, key, document)
     else:
-        _check_from_rest(written, mission.start.position_m, key, document)
+        _check_from_rest(written, _rest_before(mission, i), key, document)
 
 
 def _check_replanned(mission: MissionFile, key: Key, document: Document) -> None:
@@ -512,10 +510,19 @@ def _check_replanned(mission: MissionFile, key: Key, document: Document) -> None
         raise document.error(key, "a trajectory from a hit is flown with after_impact: replan only")
 
 
-def _check_from_rest(written: TrajectoryPieces, start: Vec2, key: Key, document: Document) -> None:
-    off_m = math.dist(written.position_m, start)
+def _rest_before(mission: MissionFile, flown: int) -> Vec2 | None:
+    """Where the vehicle rests once so many collisions are flown; None: where a recovery leads."""
+    reached = [w.position_m for w in mission.waypoints if w.after == flown and w.position_m is not None]
+    return reached[-1] if reached else mission.start.position_m if flown == 0 else None
+
+
+def _check_from_rest(written: TrajectoryPieces, place: Vec2 | None, key: Key, document: Document) -> None:
+    if place is None:
+        raise document.error(key, "a trajectory from rest needs a waypoint before it")
+    off_m = math.dist(written.position_m, place)
     if off_m > _TRAJECTORY_OFF_M or any((*written.velocity_m_s, *written.acceleration_m_s2)):
-        raise document.error(key, f"must begin at rest at start, {off_m:.2f} m from where it does")
+        says = f"must begin at rest at ({place[0]:g}, {place[1]:g}), {off_m:.2f} m from where it does"
+        raise document.error(key, says)
 
 
 def _check_goal_trajectory(mission: MissionFile, document: Document) -> None:
@@ -523,12 +530,13 @@ def _check_goal_trajectory(mission: MissionFile, document: Document) -> None:
     written, key = mission.goal_trajectory, ("goal_trajectory",)
     if written is None:
         return
-    if mission.waypoints:
-        raise document.error(key, "a mission with waypoints flies to its goal from rest, without one")
-    if mission.collisions:
+    count = len(mission.collisions)
+    if count and any(w.after == count for w in mission.waypoints):
+        raise document.error(key, "after a waypoint the goal is flown to straight, without one")
+    if count:
         _check_replanned(mission, key, document)
     else:
-        _check_from_rest(written, mission.start.position_m, key, document)
+        _check_from_rest(written, _rest_before(mission, 0), key, document)
     end = written.states()[-1]
     off_m, speed_m_s = math.dist(end.position, mission.goal.position_m), math.hypot(*end.velocity)
     if off_m > _TRAJECTORY_OFF_M or speed_m_s > _TRAJECTORY_OFF_M_S:
@@ -560,6 +568,14 @@ def _impact_point(
         says = f"{along:g}, the wall reaches from {-reach:g} to {reach:g}"
         raise document.error((*key, "impact_along_m"), says)
     return (x + along * tx, y + along * ty)
+
+
+def _impact_meant(collision: Collision, start: Vec2) -> Vec2:
+    """Where a collision that says nothing of it has its point of impact."""
+    assert collision.approach_m_s is not None
+    if collision.trajectory is not None:
+        return collision.wall.foot(collision.trajectory.states()[-1].position)
+    return _ray_meets_wall(start, collision.wall, collision.approach_m_s)
 
 
 def _ray_meets_wall(start: Vec2, wall: Wall, approach_m_s: Vec2) -> Vec2:

@@ -33,7 +33,7 @@ from dart_flight.planning.task import drag_along
 
 Array = NDArray[np.float64]
 
-INTERVALS = 14  # of a part, between two events
+INTERVALS = 10  # of a part, between two events
 _ANY_JERK_M_S3 = 200.0  # where none is given
 _LONGEST_S = 30.0  # of a part
 _SMOOTH = 1e-5  # s per (m/s3)^2 s: of two flights equally quick, the smoother
@@ -64,7 +64,8 @@ class HitLimits(NamedTuple):
         detectable_n: least normal force, or the hit is not noticed.
         thrust_m_s2: (least, most) push of the thrust away from the wall at the hit. Leaning into a wall, the
             vehicle is turned on its head by the contact and loses what it had; leaning back a little it comes
-            off best (docs/results/faster_hits.md).
+            off best.
+        thrust_along_m_s2: most push of the thrust along the wall then.
     """
 
     peak_force_n: float
@@ -73,6 +74,7 @@ class HitLimits(NamedTuple):
     friction_ratio: float | None
     detectable_n: float
     thrust_m_s2: Vec2 = (0.15, 0.45)
+    thrust_along_m_s2: float = 2.0
 
 
 class ContactResponse(NamedTuple):
@@ -119,11 +121,17 @@ class Visit(NamedTuple):
 
 
 class Hit(NamedTuple):
-    """A wall to be hit; `visit` says near which place, where it serves one."""
+    """A wall to be hit.
+
+    Attributes:
+        visit: near which place it has to be, where it serves one.
+        guess: where it may be, to begin with.
+    """
 
     wall: Wall
     mode: Mode
     visit: Visit | None = None
+    guess: Vec2 | None = None
 
 
 class Corner(NamedTuple):
@@ -315,7 +323,8 @@ class _Transcription:
             self.require(vt, -sliding, sliding)
         drag_n, drag_t = drag_along(wall, self.problem.vehicle.airframe.drag_per_s)
         self.require(ca.dot(n, before[4:6]) + drag_n * vn, *limits.thrust_m_s2)
-        self.require(ca.dot(t, before[4:6]) + drag_t * vt, -limits.thrust_m_s2[1], limits.thrust_m_s2[1])
+        most = limits.thrust_along_m_s2
+        self.require(ca.dot(t, before[4:6]) + drag_t * vt, -most, most)
         if event.visit is not None:
             self.near(before, event.visit)
         out_n, out_t = -one.restitution * vn, vt * ca.exp(one.friction_s_per_m * vn)
@@ -338,8 +347,7 @@ def _guessed_ends(problem: Problem) -> list[tuple[_GuessedEnd, _GuessedEnd]]:
     here = _GuessedEnd(problem.start, (0.0, 0.0))
     for part in problem.parts:
         if isinstance(part.to, Hit):
-            wall, visit = part.to.wall, part.to.visit
-            place = wall.foot(here.place if visit is None else visit.place)
+            wall, place = part.to.wall, part.to.guess or part.to.wall.foot(here.place)
             (nx, ny), out = wall.normal, _GUESSED_M_S * _GUESSED_LEFT
             end = _GuessedEnd(place, (-_GUESSED_M_S * nx, -_GUESSED_M_S * ny))
             found.append((here, end))

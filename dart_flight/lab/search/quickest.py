@@ -51,7 +51,7 @@ MOST_HITS = 4
 _TOLERANCE_USED = 0.8
 # Where the scenario does not say: the friction coefficients were measured at half a metre per second.
 _FRICTION_RATIO = 0.5
-_POLISHED = 2 * INTERVALS
+_POLISHED = 3 * INTERVALS
 _SWEEPS = 12  # of the shortest way through discs and walls
 _SLACK = 0.98  # of a leg, because the sweeps end before the way is quite the shortest
 _REVERSAL_COSINE = -0.9  # between the legs to and from a place at which the way turns back
@@ -163,7 +163,8 @@ class LeastTimes:
         top = min(int(fits[-1]) + 1, _SPEEDS - 1) if fits.size else 1
         cruise_m = max(0.0, length_m - before_m[top] - after_m[top])
         below = max(0, top - 1)
-        return float(before_s[below] + after_s[below] + cruise_m / self._speeds[top])
+        ramped_s = before_s[below] + after_s[below] + cruise_m / self._speeds[top]
+        return max(float(ramped_s), length_m / self._limits.speed_m_s)
 
     def _to_speed(self, end: LegEnd, leaving: bool) -> tuple[Array, Array]:
         """Time and way from an end to each speed."""
@@ -228,9 +229,10 @@ class _Search:
         """Compute sequences until no other can be better, or it is enough."""
         self.free = self._solved(self._free_events())
         sequences = sorted(
-            ((self._bound_s(events), k, events) for k, events in enumerate(self._colliding_events())),
+            (round(self._bound_s(events), 2), len(events), k, events)
+            for k, events in enumerate(self._colliding_events())
         )
-        for place, (bound_s, _, events) in enumerate(sequences):
+        for place, (bound_s, _, _, events) in enumerate(sequences):
             progress(place, len(sequences))
             limit = self.colliding if self._demanded else self.best
             if limit is not None and bound_s >= limit.time_s:
@@ -348,11 +350,11 @@ class _Search:
     def _problem(self, events: Sequence[Event]) -> Problem | None:
         """The events with the corners of the ways between them; None: there is no way."""
         parts: list[Part] = []
-        here = self.scenario.start
         touched: tuple[Wall, ...] = ()
-        for event in (*events, None):
-            there = self._goal if event is None else _place_of(event, here)
+        places = _shortest_way_through(self.scenario.start, events, self._goal)
+        for event, (here, there) in zip((*events, None), itertools.pairwise(places), strict=True):
             at_end = (event.wall,) if isinstance(event, Hit) else ()
+            to = event._replace(guess=there) if isinstance(event, Hit) else event
             way = shortest_way(here, there, self.walls, self.scenario.bounds)
             if way is None:
                 return None
@@ -360,8 +362,8 @@ class _Search:
                 last = k == len(way) - 2
                 near = (*(touched if k == 0 else ()), *(at_end if last else ()))
                 keep = (*self._room, *sides(a, b, self.walls, near))
-                parts.append(Part(event if last else Corner(b), keep))
-            here, touched = there, at_end
+                parts.append(Part(to if last else Corner(b), keep))
+            touched = at_end
         return Problem(
             self.vehicle, self.scenario.start, self._goal, tuple(parts), self.limits, self.hits, self.dead_s
         )
@@ -405,9 +407,16 @@ def _serves(wall: Wall, visit: Visit) -> bool:
 
 
 def _repeats(events: Sequence[Event]) -> bool:
-    """Whether two events in a row are hits at the same wall."""
+    """Whether two events in a row are at the same wall: one hit, where the other is, does as well."""
     return any(
-        isinstance(a, Hit) and isinstance(b, Hit) and a.wall == b.wall for a, b in itertools.pairwise(events)
+        isinstance(hit, Hit)
+        and (
+            other.wall == hit.wall
+            if isinstance(other, Hit)
+            else isinstance(other, Visit) and _serves(hit.wall, other)
+        )
+        for pair in itertools.pairwise(events)
+        for hit, other in (pair, pair[::-1])
     )
 
 

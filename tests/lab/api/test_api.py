@@ -85,6 +85,26 @@ def test_a_mission_comes_back_from_its_dictionary(path: Path) -> None:
     assert dart_flight.load_vehicle(mission.vehicle.to_dict()) == mission.vehicle
 
 
+def trajectory_to(
+    begin: tuple[float, ...],
+    end: tuple[float, ...],
+    velocity: tuple[float, ...],
+    begin_velocity: tuple[float, ...] = (0.0, 0.0),
+    begin_acceleration: tuple[float, ...] = (0.0, 0.0),
+) -> Any:
+    """A trajectory of two pieces of a second each to a place and a velocity there."""
+    p, q, v, w, a = (np.array(one) for one in (begin, end, begin_velocity, velocity, begin_acceleration))
+    # The jerks' shares in velocity and way at the end.
+    shares = np.array([[1.5, 0.5], [7.0 / 6.0, 1.0 / 6.0]])
+    jerks = np.linalg.solve(shares, np.stack([w - v - 2.0 * a, q - p - 2.0 * v - 2.0 * a]))
+    return {
+        "position_m": p.tolist(),
+        "velocity_m_s": v.tolist(),
+        "acceleration_m_s2": a.tolist(),
+        "pieces": [[1.0, *jerk] for jerk in jerks.tolist()],
+    }
+
+
 def every_key() -> dict[str, Any]:
     """A mission that sets every key, each to another value than its default."""
     vehicle = dart_flight.load_vehicle(dart_flight.packaged("configs", "rigid_cage.yaml")).to_dict()
@@ -104,6 +124,7 @@ def every_key() -> dict[str, Any]:
         "impact_point_m": [0.25, -1.1],
         "alpha_m_per_n": [0.03, 0.04],
         "predicted": prediction,
+        "trajectory": trajectory_to((0.2, 0.4), (0.3, -1.1), (0.4, -0.6)),
     }
     far = {
         "point_m": [1.65, 0.0],
@@ -130,15 +151,18 @@ def every_key() -> dict[str, Any]:
         "transit_mode": "rigid",
         "collisions": [
             first,
-            first
+            {key: value for key, value in first.items() if key != "trajectory"}
             | {"wall": "far", "impact_point_m": None, "impact_along_m": 0.1}
             | {"alpha_m_per_n": None, "alpha_wall_m_per_n": [0.02, 0.03]},
+            {key: value for key, value in first.items() if key not in ("approach", "impact_point_m")}
+            | {"trajectory": trajectory_to((0.5, 0.4), (0.3, -1.1), (0.4, -0.6), (0.1, 0.2), (0.0, 0.1))},
         ],
         "waypoints": [
             {"position_m": [0.2, 0.4], "altitude_m": 1.4, "speed_m_s": 0.4, "hold_s": 1.0},
             {"pause": "operator", "timeout_s": 33.0},
-            {"position_m": [0.2, 0.1], "after": 2},
+            {"position_m": [0.2, 0.1], "after": 1},
         ],
+        "goal_trajectory": trajectory_to((0.4, 0.4), (1.0, -0.5), (0.0, 0.0), (0.3, 0.1), (0.0, 0.1)),
         "limits": {
             "speed_m_s": 2.5,
             "acceleration_m_s2": 2.0,

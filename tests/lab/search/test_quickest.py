@@ -1,0 +1,244 @@
+"""The quickest flights with hits and without: against Ruckig, a grid, the bounds, and themselves flown."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import ruckig
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import dart_flight
+from dart_flight.base.records import Mode
+from dart_flight.cli import main
+from dart_flight.config.document import InputError
+from dart_flight.config.vehicle import packaged
+from dart_flight.core.mission.trajectories import PlannedTrajectory
+from dart_flight.lab.search.free_plan import straight_time_s
+from dart_flight.lab.search.mission_writer import write_mission
+from dart_flight.lab.search.optimal_trajectory import ContactResponse, MotionLimits, OptimalTrajectory
+from dart_flight.lab.search.quickest import LeastTimes, LegEnd, QuickestResult, plan_quickest
+from dart_flight.lab.search.scenario import Scenario, load_scenario
+
+LIMITS = {"speed_m_s": 3.0, "acceleration_m_s2": 5.0, "jerk_m_s3": 8.0, "peak_force_n": 150.0}
+
+
+def between(
+    east_m: float = 2.0, visits: list[Any] | None = None, sequence: Any = "any", **other: Any
+) -> Scenario:
+    """A room with a wall to the east and one to the west of start and goal."""
+    wall = {"length_m": 4.0, "material": "acrylic"}
+    tree = {
+        "version": 1,
+        "name": "between",
+        "start": {"position_m": [0.0, 0.0], "altitude_m": 1.0},
+        "goal": {"position_m": [0.0, 0.0]},
+        "bounds_m": {"x": [-5.0, 5.0], "y": [-3.0, 3.0], "z": [0.3, 2.5]},
+        "walls": {
+            "east": wall | {"point_m": [east_m, 0.0], "normal": [-1.0, 0.0]},
+            "west": wall | {"point_m": [-2.0, 0.0], "normal": [1.0, 0.0]},
+        },
+        "visits": [{"position_m": [east_m, 0.0], "within_m": 0.05}] if visits is None else visits,
+        "sequence": sequence,
+        "objective": "quickest",
+        "limits": LIMITS,
+    }
+    return load_scenario(tree | other)
+
+
+def assert_within(found: OptimalTrajectory, limits: MotionLimits) -> None:
+    assert limits.jerk_m_s3 is not None
+    for leg in found.legs:
+        for _, jx, jy in leg.pieces:
+            assert math.hypot(jx, jy) <= limits.jerk_m_s3 * 1.001
+        for state in leg.states():
+            assert math.hypot(*state.velocity) <= limits.speed_m_s + 1e-3
+            assert math.hypot(*state.acceleration) <= limits.acceleration_m_s2 + 1e-3
+
+
+def test_a_hit_turns_back_quicker_than_braking_does() -> None:
+    result = plan_quickest(between())
+    assert result.free is not None
+    assert result.best is result.colliding
+    assert result.best.sequence == ("east",)
+    assert result.saving_s is not None
+    # By optimal control elsewhere: 15 to 19 % with one reversal, places within 5 cm.
+    assert 0.12 < result.saving_s / result.free.time_s < 0.22
+    assert result.gap_s == 0.0
+    limits = MotionLimits(3.0, 5.0, 8.0, 45.0)
+    assert_within(result.best.trajectory, limits)
+    assert_within(result.free.trajectory, limits)
+    way = PlannedTrajectory.from_pieces(result.free.trajectory.legs[0], 1.0)
+    passed = [way.at(t).position[0] for t in np.linspace(0.0, way.duration_s, 2000)]
+    assert max(passed) == pytest.approx(2.0 - 0.04, abs=2e-3)
+
+
+def test_a_hit_follows_the_contact_law() -> None:
+    scenario = between()
+    found = plan_quickest(scenario).best.trajectory
+    (hit,), (into, out) = found.hits, found.legs
+    response = ContactResponse.of(scenario.vehicle, scenario.walls["east"], hit.mode)
+    met, begun = into.states()[-1], out.states()[0]
+    assert met.velocity[0] == pytest.approx(-hit.normal_m_s, abs=1e-3)
+    dead_s = scenario.vehicle.flying.replan_within_s
+    left = begun.velocity[0] - dead_s * begun.acceleration[0]
+    assert left == pytest.approx(-response.restitution * met.velocity[0], abs=1e-3)
+    assert begun.acceleration == pytest.approx(met.acceleration, abs=1e-3)
+    # The force begins before the plane, by lead times speed.
+    assert met.position[0] == pytest.approx(2.0 - response.lead_s * met.velocity[0], abs=1e-3)
+    assert out.states()[-1].position == pytest.approx((0.0, 0.0), abs=1e-3)
+    total_s = into.duration_s + response.contact_s + dead_s + out.duration_s
+    assert found.time_s == pytest.approx(total_s, abs=1e-3)
+
+
+def test_where_a_hit_loses_the_free_plan_is_returned() -> None:
+    """To rest beside a wall: restitution 0.7 leaves too much to brake."""
+    goal = {"position_m": [1.7, 0.0]}
+    result = plan_quickest(between(visits=[], goal=goal))
+    assert result.best is result.free
+    assert result.free is not None
+    assert result.free.trajectory.hits == ()
+    demanded = plan_quickest(between(visits=[], goal=goal, sequence=["east"]))
+    assert demanded.best.sequence == ("east",)
+    assert demanded.saving_s is not None
+    assert demanded.saving_s < 0.0
+
+
+def test_it_is_as_good_as_a_grid_of_hits_with_the_quickest_legs_between_them() -> None:
+    """Exhaustive: velocity and acceleration of the hit in steps, both legs by Ruckig, along the normal."""
+    scenario = between()
+    found = plan_quickest(scenario).best
+    hit = found.trajectory.hits[0]
+    response = ContactResponse.of(scenario.vehicle, scenario.walls["east"], hit.mode)
+    drag, dead_s = scenario.vehicle.airframe.drag_per_s[0], scenario.vehicle.flying.replan_within_s
+    best = math.inf
+    for v, thrust in itertools.product(np.arange(1.0, 3.01, 0.05), (0.15, 0.3, 0.45)):
+        a = -(thrust + drag * v)  # the wall is to the east
+        x = 2.0 - response.lead_s * v
+        out = -response.restitution * v
+        released = 2.0 + response.lead_s * out
+        begun = released + out * dead_s + 0.5 * a * dead_s**2
+        leg_s = _leg_s((0.0, 0.0, 0.0), (x, v, a)) + _leg_s((begun, out + a * dead_s, a), (0.0, 0.0, 0.0))
+        best = min(best, leg_s + response.contact_s + dead_s)
+    assert found.time_s <= 1.02 * best
+    assert found.time_s >= 0.97 * best  # and no better than can be
+
+
+def _leg_s(begin: tuple[float, float, float], end: tuple[float, float, float]) -> float:
+    wanted = ruckig.InputParameter(1)
+    for name, value in zip(("position", "velocity", "acceleration"), begin, strict=True):
+        setattr(wanted, f"current_{name}", [float(value)])
+    for name, value in zip(("position", "velocity", "acceleration"), end, strict=True):
+        setattr(wanted, f"target_{name}", [float(value)])
+    wanted.max_velocity, wanted.max_acceleration, wanted.max_jerk = [3.0], [5.0], [8.0]
+    found = ruckig.Trajectory(1)
+    try:
+        result = ruckig.Ruckig(1).calculate(wanted, found)
+    except ruckig.RuckigError:
+        return math.inf
+    return float(found.duration) if result in (ruckig.Result.Working, ruckig.Result.Finished) else math.inf
+
+
+@given(st.floats(0.05, 8.0), st.floats(1.0, 4.0), st.floats(2.0, 8.0), st.floats(4.0, 40.0))
+def test_no_leg_is_quicker_than_its_bound(length: float, speed: float, a: float, jerk: float) -> None:
+    limits = MotionLimits(speed, a, jerk, 45.0)
+    least = LeastTimes(limits)
+    assert least.of_leg(length, LegEnd.REST, LegEnd.REST) <= straight_time_s(length, limits) + 1e-9
+    for begin, end in itertools.product(LegEnd, LegEnd):
+        assert least.of_leg(length, begin, end) >= length / speed - 1e-9
+        assert least.of_leg(length, begin, end) <= least.of_leg(length, LegEnd.REST, LegEnd.REST) + 1e-9
+
+
+@settings(max_examples=5, deadline=None)
+@given(st.floats(1.0, 3.0), st.floats(0.05, 0.5))
+def test_the_free_choice_is_never_worse_than_either(east_m: float, within_m: float) -> None:
+    result = plan_quickest(between(east_m, [{"position_m": [east_m, 0.0], "within_m": within_m}]))
+    times = [plan.time_s for plan in (result.free, result.colliding) if plan is not None]
+    assert result.best.time_s == min(times)
+
+
+def test_modes_follow_force_and_servo() -> None:
+    """Rigid contacts are shorter, but at 3 m/s too hard; the servo needs its time between two hits."""
+    visits = [{"position_m": [x, 0.0], "within_m": 0.05} for x in (2.0, -2.0)]
+    result = plan_quickest(between(visits=visits))
+    assert result.best.sequence == ("east", "west")
+    for hit in result.best.trajectory.hits:
+        assert hit.peak_force_n <= 150.0 + 1e-3
+        assert hit.mode in (Mode.RIGID, Mode.FLEXIBLE)
+
+
+def test_a_plan_is_a_mission_that_flies(tmp_path: Path) -> None:
+    scenario = between()
+    result = plan_quickest(scenario)
+    write_mission(scenario, result.best, tmp_path / "turn.yaml")
+    mission = dart_flight.load_mission(tmp_path / "turn.yaml")
+    assert dart_flight.load_mission(mission.to_dict()).to_dict() == mission.to_dict()
+    flown = dart_flight.simulate(mission, seed=2)
+    assert flown.verdict.outcome == "completed"
+    (hit,) = flown.verdict.collisions
+    assert hit.truth is not None
+    assert hit.planned is not None
+    assert hit.truth.normal_m_s == pytest.approx(hit.planned.normal_m_s, abs=0.15)
+    phases = flown.log["/event/phase"]
+    began = next(t for t, p in zip(phases["t_us"], phases["after"], strict=True) if p == "approach")
+    goal = next(t for t, p in zip(phases["t_us"], phases["after"], strict=True) if p == "goal")
+    assert (goal - began) * 1e-6 == pytest.approx(result.best.time_s, rel=0.1)
+
+
+def test_the_free_plan_is_flown_by_the_same_app(tmp_path: Path) -> None:
+    scenario = between()
+    result = plan_quickest(scenario)
+    assert result.free is not None
+    write_mission(scenario, result.free, tmp_path / "free.yaml")
+    flown = dart_flight.simulate(dart_flight.load_mission(tmp_path / "free.yaml"), seed=2)
+    assert flown.verdict.outcome == "completed"
+    truth = flown.log["/truth/state"]["position_mission"]
+    assert 1.94 < max(p[0] for p in truth) < 2.0
+
+
+def test_plan_says_what_the_hit_is_worth(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    shipped = packaged("missions", "scenarios", "touch_and_return.yaml")
+    assert main(["plan", str(shipped), "--json", "-o", str(tmp_path / "m.yaml")]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["plans"][0]["saving_s"] == pytest.approx(
+        said["free"]["time_s"] - said["plans"][0]["time_to_goal_s"]
+    )
+    assert said["plans"][0]["saving_s"] > 0.5
+    assert said["free"]["limits"]["jerk_m_s3"] == 8.0
+    assert dart_flight.load_mission(tmp_path / "m.yaml").goal_trajectory is not None
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"objective": "nearest"}, "missing key search"),
+        ({"visits": [{"position_m": [9.0, 0.0], "within_m": 0.1}]}, "outside bounds_m"),
+        ({"limits": LIMITS | {"peak_force_n": 5.0}, "sequence": ["east"]}, "no flight hits east"),
+    ],
+)
+def test_what_cannot_be_planned_is_named(change: dict[str, Any], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        plan_quickest(between(**change))
+
+
+def test_a_trajectory_that_leads_elsewhere_is_refused(tmp_path: Path) -> None:
+    scenario = between()
+    result: QuickestResult = plan_quickest(scenario)
+    write_mission(scenario, result.best, tmp_path / "m.yaml")
+    tree = dart_flight.load_mission(tmp_path / "m.yaml").to_dict()
+    changes: list[tuple[dict[str, Any], str]] = [
+        ({"start.position_m": [0.5, 0.0]}, "must begin at rest"),
+        ({"collisions[0].predicted.normal_m_s": -1.0}, "not at the predicted velocity"),
+        ({"goal.position_m": [0.5, 0.0]}, "from the goal"),
+        ({"after_impact": "setpoint"}, "after_impact: replan only"),
+    ]
+    mission = dart_flight.load_mission(tree)
+    for change, says in changes:
+        with pytest.raises(InputError, match=says):
+            mission.replace(change)
