@@ -436,6 +436,7 @@ class PlanRequest(Record, frozen=True, gc=False):
     acceleration_mission: Vec3  # of thrust and drag
     setpoint_mission: Vec3  # m; in force until then
     lock_ready_us: int | None  # when the lock can be settled in the mode that comes next; none: never
+    under_way: bool = False  # along a trajectory, not towards a setpoint
 
 
 class Silence(Record, frozen=True, gc=False):

@@ -58,7 +58,7 @@ class PredictedFlight(msgspec.Struct):
     Attributes:
         approaches: index of the collision led to -> straight lines, mission frame, metres: where the
             vehicle is at rest before (where that is known and elsewhere), run-up point, impact.
-        legs: collision index -> (n, 4), x, y, vx, vy from its onset over the release to the next onset, of
+        legs: collision index (0: from rest at the start, along a trajectory to the goal) -> (n, 4), x, y, vx, vy from its onset over the release to the next onset, of
             the last to the closest approach to the goal. At the onset itself the velocity is given as 0.
         hits: collision index -> the hit; none for a wall that the model does not reach.
         goal_miss_m: closest approach to the goal after the last contact; None where it does not come to that.
@@ -106,6 +106,10 @@ def predict_mission(mission: Mission) -> PredictedFlight:
 def flights_with(mission: Mission, draws: Sequence[UncertaintyDraw | None]) -> list[PredictedFlight]:
     """The same with other walls; None: the nominal ones."""
     found = [PredictedFlight({}, {}, {}, walls=() if d is None else tuple(d.walls.values())) for d in draws]
+    if mission.goal_trajectory is not None and not mission.collisions:
+        rows = [(*state.position, *state.velocity) for state in _sampled(mission.goal_trajectory)]
+        for planned in found:
+            planned.legs[0] = np.array(rows)
     for group in _groups(mission.collisions):
         if group[0].trajectory is not None:
             for planned in found:

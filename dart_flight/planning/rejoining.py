@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 _SAMPLES = 24
-_FROM_S = np.arange(0.0, 0.31, 0.03)  # of the planned trajectory, at the beginning
+_STEP_S = 0.03  # of the moments of the planned trajectory at which a way may begin
 _SLOWER = (1.0, 1.05, 1.1, 1.2, 1.35, 1.6, 2.0)
 _LEAST_S = 0.2  # of a way
 
@@ -88,7 +88,7 @@ def rejoin(planned: PlannedTrajectory, start: tuple[Array, Array], moved: Vec2) 
     """
     tried = [
         (begin, slower)
-        for begin, slower in itertools.product(_FROM_S, _SLOWER)
+        for begin, slower in itertools.product(np.arange(0.0, planned.duration_s, _STEP_S), _SLOWER)
         if planned.duration_s - begin >= _LEAST_S
     ]
     from_s, slower = np.array(tried).reshape(-1, 2).T

@@ -53,6 +53,7 @@ _PUSH_SAMPLES = 12  # for acceleration and jerk, which come first
 _TILT_SHARE = 0.6
 _JERK_M_S3 = 25.0  # about 150 degrees of tilt a second: the attitude loop follows
 _GENTLE_S = 0.5  # that a way may last longer where it needs all of the tilt instead of none
+_GENTLE_REJOINING_S = 0.05  # likewise, back to a trajectory that is within limits as it is
 _BESIDE_S = 1.0  # ... where another meets the wall as far from the planned place as the mission tolerates
 
 
@@ -128,6 +129,8 @@ class Replanner:
     def _plan(self, found: PlanAnswer, request: PlanRequest) -> PlanAnswer:
         if request.collision is None:
             to_goal = self._rejoined(found, request, None)
+            if to_goal is None and request.under_way:
+                return _no_plan(found, "no way back to the mission's trajectory")
             to_goal = to_goal or self._best(found, request, self._to_goal(), None)
             return to_goal or _no_plan(found, "no trajectory to the goal within the limits")
         collision = self._mission.collisions[request.collision - 1]
@@ -141,6 +144,8 @@ class Replanner:
         rejoined = self._rejoined(found, request, collision)
         if rejoined is not None:
             return rejoined
+        if request.under_way:
+            return _no_plan(found, "no way back to the mission's trajectory")
         wall = self._survey.wall_now(collision.wall)
         slack = float(position_margin_m(wall, impact_place(collision, self._planned)))
         for share, (straight_s, slacks) in itertools.product(_SPEED_SHARES, _straights(slack)):
@@ -181,7 +186,7 @@ class Replanner:
             until = np.full(ways.duration_s.size, ways.shares.size)
             clear = self._constraints.path(window, until, wall_hit, begins=True) == 0
             ways, push = ways.take(np.flatnonzero(clear)), push[clear]
-        for k in np.argsort(ways.duration_s + _GENTLE_S * push**2):
+        for k in np.argsort(ways.duration_s + _GENTLE_REJOINING_S * push**2):
             way = ways.trajectory(int(k))
             found = msgspec.structs.replace(
                 answer, duration_s=way.duration_s, x_mission=way.x, y_mission=way.y, pieces_s=way.pieces_s
@@ -243,6 +248,13 @@ class Replanner:
     def _start(self, request: PlanRequest) -> tuple[Array, Array]:
         """Position, velocity, acceleration per axis when the way begins: the loop flies on until then."""
         ahead_s = (request.begin_us - request.t_us) * 1e-6
+        if request.under_way:  # its reference changes little in so short a time
+            vectors = (request.position_mission, request.velocity_mission, request.acceleration_mission)
+            place, speed, push = (np.array(vector[:2]) for vector in vectors)
+            states = np.stack(
+                [place + ahead_s * (speed + 0.5 * ahead_s * push), speed + ahead_s * push, push]
+            )
+            return states[:, 0], states[:, 1]
         axes = []
         for axis, matrix in enumerate(self._matrices):
             drag = self._mission.vehicle.airframe.drag_per_s[axis]

@@ -6,6 +6,7 @@ PX4 so that its P-PID cascade has only errors to remove.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -15,6 +16,7 @@ import msgspec
 from dart_flight.base.geometry import Vec2, Vec3, distance2
 from dart_flight.base.walls import Post, Wall
 from dart_flight.config.mission import Collision, Mission
+from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.arithmetic import Number, hypot, maximum, sqrt, where
 from dart_flight.core.mission.trajectories import PlannedTrajectory, TrajectoryPoint, TransitTrajectory
@@ -25,6 +27,7 @@ PEAK_OVER_MEAN = 1.5
 _RAMP_JERK = 6.0  # of the same ramp: jerk times ramp^2 over speed
 CLEARANCE_M = 0.15
 ON_PLANE_M = 1e-6  # an impact lies on its wall's plane but for rounding
+_TRAJECTORY_STEP_S = 0.02  # in which a trajectory passes no wall unseen
 _ON_RAY_M = 1e-6  # ... and the start on the ray of its approach
 
 
@@ -274,7 +277,7 @@ def transit_segments(mission: Mission) -> list[TransitSegment]:
         if waypoint.position is not None:
             found.append(TransitSegment(waypoint.name, here, waypoint.position, waypoint.speed_m_s))
             here = waypoint.position
-    if not mission.recovers_to_goal:
+    if not mission.recovers_to_goal and mission.goal_trajectory is None:
         goal = (*mission.goal.position_m, mission.altitude_at(len(mission.collisions)))
         begin = here if flown == len(mission.collisions) else None
         found.append(TransitSegment("the goal", begin, goal, mission.vehicle.flying.transit_speed_m_s))
@@ -288,11 +291,16 @@ def transit_of(mission: Mission, leg: TransitSegment, begin: Vec3) -> TransitTra
 
 
 def check_segments_clear(mission: Mission) -> None:
-    """Make sure that no wall stands in a way whose both ends are known.
+    """Make sure that no wall stands in a way whose both ends are known, or in a trajectory.
 
     Raises:
-        NoApproachError: one does.
+        NoApproachError: one does, or a trajectory leaves the bounds.
     """
+    for collision in mission.collisions:
+        if collision.trajectory is not None:
+            _check_trajectory_clear(mission, collision.trajectory, f"wall {collision.wall.name}")
+    if mission.goal_trajectory is not None:
+        _check_trajectory_clear(mission, mission.goal_trajectory, "the goal")
     for leg in transit_segments(mission):
         for wall in mission.walls:
             if leg.begin is not None and is_blocked(wall, leg.begin[:2], leg.end[:2]):
@@ -300,6 +308,21 @@ def check_segments_clear(mission: Mission) -> None:
         for post in mission.posts:
             if leg.begin is not None and is_post_in_the_way(mission, post, leg.begin[:2], leg.end[:2]):
                 raise NoApproachError(f"post {post.name} is in the way to {leg.name}")
+
+
+def _check_trajectory_clear(mission: Mission, written: TrajectoryPieces, leads_to: str) -> None:
+    """Raises NoApproachError: the trajectory crosses a wall, or leaves the bounds."""
+    way = PlannedTrajectory.from_pieces(written, mission.altitude_m)
+    count = max(2, math.ceil(way.duration_s / _TRAJECTORY_STEP_S))
+    places = [way.at(way.duration_s * k / count).position[:2] for k in range(count + 1)]
+    for a, b in itertools.pairwise(places):
+        excess = mission.bounds.excess2(b)
+        if excess > 0.0:
+            raise NoApproachError(f"the trajectory to {leads_to} leads {excess:.2f} m outside bounds_m")
+        for wall in mission.flat_walls:
+            # At the wall that it comes from it begins a little behind the plane, as the contact ends.
+            if wall.signed_distance(a) >= 0.0 > wall.signed_distance(b) and wall.end_distance_m(b) > 0.0:
+                raise NoApproachError(f"wall {wall.name} is in the way of the trajectory to {leads_to}")
 
 
 def standoff_point(mission: Mission, collision: Collision, begin: Vec2, impact: Vec2) -> Vec2:

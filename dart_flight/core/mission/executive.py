@@ -68,6 +68,9 @@ PASSED_AFTER_S: Final = 0.25  # the first moments after a contact do not yet sho
 _RETRY_US: Final = 1_000_000  # telemetry of mode and arming lags by up to a second
 _SLOWEST: Final = 3.0  # host's time over vehicle's
 _STREAMING_US: Final = 200_000  # PX4 accepts offboard only with setpoints already streaming
+_COASTING_S: Final = 0.25  # before an impact: so long does the attitude take to come to what is asked
+_TRAJECTORY_WAIT_S: Final = 1.5  # after a contact: by then a planner that lives has answered, even twice
+_NEAR_S: Final = 0.3  # before an impact
 _REST_TIMEOUT_US: Final = 4_000_000
 _REST_AFTER_US: Final = 500_000
 _DISARM_AFTER_US: Final = 8_000_000
@@ -428,8 +431,10 @@ class Executive:
         assert collision is not None
         if not state.lock_is_in(collision.mode):
             p.add_finding("lock_not_settled", f"lock left {collision.mode.value} during the approach")
-        self._check_wall_met(collision, state, sensed, p)
         since_s = self._elapsed_us(state) * 1e-6 - self._impact_s
+        # A trajectory may begin beside its wall, behind the plane.
+        if since_s > -_NEAR_S or isinstance(self._approaches[collision.index], Approach):
+            self._check_wall_met(collision, state, sensed, p)
         if since_s <= 0.0:  # no wall is late before its time
             return
         approach, guard = self._approaches[collision.index], self.mission.vehicle.guard
@@ -541,7 +546,8 @@ class Executive:
         elif following is None:
             self._watch_goal(state, p, timed_out)
         else:
-            self._check_wall_met(following, state, sensed, p)
+            if self._replanning.impact_in_s(state) < _NEAR_S:
+                self._check_wall_met(following, state, sensed, p)
             self._check_lock_in_time(following, state, sensed, p)
             if timed_out or self._replanning.is_late(self._survey.wall_now(following.wall), state):
                 p.add_finding("wall_not_met", f"wall {following.wall.name} not reached by the recovery")
@@ -607,7 +613,9 @@ class Executive:
             passed = self._replanning.is_over(state.now_us)  # it may lead away from the goal at first
         else:
             rising = miss > self._least_miss_m + PASSED_RISE_M
-            passed = rising and self._takes_longer_than(PASSED_AFTER_S, state)
+            # Where a trajectory is to come it is worth waiting for.
+            after_s = PASSED_AFTER_S if self.mission.goal_trajectory is None else _TRAJECTORY_WAIT_S
+            passed = rising and self._takes_longer_than(after_s, state)
         if passed or timed_out:
             p.outputs.append(GoalPassed(state.now_us, self._least_miss_m, not passed))
             self._head_for_goal(state, miss)
@@ -655,6 +663,15 @@ class Executive:
 
     # -- setpoints --
 
+    def _until_impact_s(self, state: FlightState) -> float:
+        """Time until the mission's own trajectory meets its wall; infinite where it leads to none."""
+        collision = self._collision
+        if collision is None or collision.trajectory is None:
+            return math.inf
+        if self.phase is Phase.APPROACH:
+            return self._impact_s - self._elapsed_us(state) * 1e-6
+        return self._replanning.impact_in_s(state) if self.phase is Phase.RECOVERY else math.inf
+
     def _wanted_yaw(self, state: FlightState) -> float:
         collision = self._collision
         if collision is None or self.phase not in TO_IMPACT:
@@ -674,13 +691,15 @@ class Executive:
             return
         if self.phase in _SILENT:
             return
+        since_us = self._trajectory_since_us
+        collision = self._collision
+        if collision is not None and since_us is not None and self._until_impact_s(state) < _COASTING_S:
+            coasting = self._references.coasting_setpoint(frame, sample, since_us, collision.wall)
+            p.outputs.append(coasting)
+            return
         self._references.slew_yaw(self._wanted_yaw(state), state.now_us)
         forward = self._yielding.feed_forward if self.phase is Phase.RECOVERY else None
-        p.outputs.append(
-            self._references.setpoint(
-                frame, sample.t_us, sample.received_us, self._trajectory_since_us, forward
-            )
-        )
+        p.outputs.append(self._references.setpoint(frame, sample.t_us, sample.received_us, since_us, forward))
 
 
 def _lock_name(mission: Mission) -> str:

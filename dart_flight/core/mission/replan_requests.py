@@ -26,6 +26,9 @@ from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
 _FELT_WITHIN_US = 60_000  # of a contact's end (`sense.felt`)
+_AGAIN_US, _NOT_AGAIN_US = 300_000, 400_000  # along a trajectory: after the request before, before its end
+_HELD_TO_M = 0.2
+_LATER_S = 0.15  # that a new trajectory may end after the one that is flown
 # Where the vehicle may be beside the beginning of a way: what the loop takes out within a few tenths.
 _BESIDE_M, _BESIDE_M_S = 0.08, 0.25
 
@@ -63,7 +66,8 @@ class ReplanRequests:
         lock: LockOrders,
         p: Proposal,
     ) -> None:
-        """Ask for what comes next, once after each contact.
+        """Ask for what comes next: once after each contact, along the mission's own trajectories again and
+        again, because what PX4's loop is off by takes longer to fade than they last.
 
         Args:
             hit: the collision that is over.
@@ -75,11 +79,14 @@ class ReplanRequests:
             p: takes the request.
         """
         self._felt |= sensed.wall is not None
-        if not self._asks or self._asked is not None or sensed.estimate is None or sensed.in_contact:
+        again = self._is_time_again(state.now_us)
+        if not self._asks or not (self._asked is None or again):
+            return
+        if sensed.estimate is None or sensed.in_contact:
             return
         # What was felt of a wall is worth waiting for where that wall comes again.
-        again = following is not None and following.wall == hit.wall and not self._felt
-        if again and state.now_us - (lock.contact_end_us or 0) < _FELT_WITHIN_US:
+        returns = following is not None and following.wall == hit.wall and not self._felt
+        if returns and state.now_us - (lock.contact_end_us or 0) < _FELT_WITHIN_US:
             return
         self._number += 1
         self._from_rest = following is not None and following.approach_m_s is not None
@@ -94,8 +101,21 @@ class ReplanRequests:
             (push_x / m, push_y / m, 0.0),
             setpoint,
             state.now_us if following is None else lock.ready_us(following.mode, state),
+            again and self._way is not None,
         )
         p.outputs.append(self._asked)
+
+    def _is_time_again(self, now_us: int) -> bool:
+        """Whether a trajectory of the mission's own has been flown for a while and is not nearly over.
+
+        Or was not taken up, because the vehicle was not where it begins.
+        """
+        way, asked = self._way, self._asked
+        if asked is None or self._mission.goal_trajectory is None or now_us - asked.t_us < _AGAIN_US:
+            return False
+        if way is None:
+            return self._answer is None
+        return now_us + self._within_us + _NOT_AGAIN_US < self._begin_us + way.duration_s * 1e6
 
     def take(self, answer: PlanAnswer, now_us: int, p: Proposal) -> None:
         """An answer has come: it waits its turn, or a record says why it is not flown."""
@@ -152,6 +172,9 @@ class ReplanRequests:
         at = way.at((state.now_us - answer.begin_us) * 1e-6)
         beside_m = math.dist(at.position[:2], state.position[:2])
         beside_m_s = math.dist(at.velocity[:2], state.velocity[:2])
+        if self._is_on_a_quicker(way, answer.begin_us, state):
+            p.outputs.append(PlanTaken(state.now_us, answer.number, False, "the trajectory flown is quicker"))
+            return None
         if not (beside_m <= _BESIDE_M and beside_m_s <= _BESIDE_M_S):
             where = f"vehicle is {beside_m:.2f} m and {beside_m_s:.2f} m/s off the start of the trajectory"
             p.outputs.append(PlanTaken(state.now_us, answer.number, False, where))
@@ -162,6 +185,16 @@ class ReplanRequests:
             self._impact_us = answer.begin_us + round(answer.impact_s * 1e6)
         return way
 
+    def _is_on_a_quicker(self, way: PlannedTrajectory, begin_us: int, state: FlightState) -> bool:
+        """Whether the trajectory that is flown, and held to, ends well before another one."""
+        flown = self._way
+        if flown is None:
+            return False
+        since_s = (state.now_us - self._begin_us) * 1e-6
+        off_m = math.dist(flown.at(since_s).position[:2], state.position[:2])
+        later_s = (begin_us - self._begin_us) * 1e-6 + way.duration_s - flown.duration_s
+        return off_m < _HELD_TO_M and later_s > _LATER_S
+
     @property
     def trajectory_since_us(self) -> int | None:
         """Since when a way is flown; None: a setpoint is."""
@@ -170,6 +203,10 @@ class ReplanRequests:
     def is_over(self, now_us: int) -> bool:
         """Whether a way is flown to its end."""
         return self._way is not None and now_us - self._begin_us >= self._way.duration_s * 1e6
+
+    def impact_in_s(self, state: FlightState) -> float:
+        """Time until the trajectory that is flown meets the next wall; none: at once, as a setpoint may."""
+        return -math.inf if self._impact_us is None else (self._impact_us - state.now_us) * 1e-6
 
     def meets_plane(self, closing_m_s: float, state: FlightState) -> PlaneMet | None:
         """When the way that is flown meets the next wall; None where a setpoint is."""

@@ -7,6 +7,7 @@ from typing import Final
 
 from dart_flight.base.geometry import MissionFrame, Vec2, Vec3, norm, wrap_angle
 from dart_flight.base.records import OdometrySample, Setpoint
+from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import Approach, PlannedApproach
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
@@ -146,6 +147,29 @@ class SetpointGenerator:
             return self._make(frame, t_us, received_us, self.target, feed_forward=feed_forward)
         reference = self._way.at((t_us - since_us) * 1e-6)
         return self._make(frame, t_us, received_us, reference.position, reference)
+
+    def coasting_setpoint(
+        self, frame: MissionFrame, sample: OdometrySample, since_us: int, wall: Wall
+    ) -> Setpoint:
+        """The reference along a wall, but of what it asks across it only the thrust.
+
+        Who comes a little late or slow to a wall must not lean into it to make up for that: the contact turns
+        a leaning vehicle over.
+        """
+        assert self._way is not None
+        reference = self._way.at((sample.t_us - since_us) * 1e-6)
+        (nx, ny), p, v = wall.normal, reference.position, reference.velocity
+        here, now = frame.point_from_ned(sample.position_ned), frame.vector_from_ned(sample.velocity_ned)
+        off = (here[0] - p[0]) * nx + (here[1] - p[1]) * ny
+        off_m_s = (now[0] - v[0]) * nx + (now[1] - v[1]) * ny
+        return Setpoint(
+            t_us=sample.t_us,
+            trigger_received_us=sample.received_us,
+            position_ned=frame.point_to_ned((p[0] + off * nx, p[1] + off * ny, self.altitude_m)),
+            yaw_ned_rad=frame.yaw_to_ned(self.yaw),
+            velocity_ned=frame.vector_to_ned((v[0] + off_m_s * nx, v[1] + off_m_s * ny, 0.0)),
+            acceleration_ned=frame.vector_to_ned(self._feed_forward(reference)),
+        )
 
     def recovery_setpoint(
         self, frame: MissionFrame, t_us: int, received_us: int, feed_forward: Vec3 | None = None

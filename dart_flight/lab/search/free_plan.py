@@ -21,6 +21,7 @@ from dart_flight.lab.search.routes import shortest_way, sides
 from dart_flight.lab.search.scenario import Scenario
 
 _AXIS = math.sqrt(0.5)  # of a limit on a vector's length, for each of two axes
+_SPEED_USED = 0.95  # of the limit: what the flight that follows is off by is left to it
 _NO_HITS = HitLimits(math.inf, None, None, None, 0.0)
 
 
@@ -49,7 +50,9 @@ def limits_of(scenario: Scenario) -> MotionLimits:
     speed = scenario.limits.speed_m_s
     if scenario.limits.acceleration_m_s2 is None:
         speed = min(speed, flying.transit_speed_m_s)
-    return MotionLimits(speed, flying.acceleration_m_s2, flying.jerk_m_s3, min(tilt, px4.mpc_tiltmax_air))
+    return MotionLimits(
+        _SPEED_USED * speed, flying.acceleration_m_s2, flying.jerk_m_s3, min(tilt, px4.mpc_tiltmax_air)
+    )
 
 
 def plan_free(scenario: Scenario) -> FreePlan:

@@ -74,7 +74,7 @@ class HitLimits(NamedTuple):
     friction_ratio: float | None
     detectable_n: float
     thrust_m_s2: Vec2 = (0.15, 0.45)
-    thrust_along_m_s2: float = 2.0
+    thrust_along_m_s2: float = 1.0
 
 
 class ContactResponse(NamedTuple):
@@ -266,6 +266,9 @@ class _Transcription:
         jerk_most = limits.jerk_m_s3 or _ANY_JERK_M_S3
         length = distance2(begin.place, end.place)
         usual_s = transit_time_s(length, limits.speed_m_s, limits.acceleration_m_s2, limits.jerk_m_s3) + 0.3
+        speeds = math.hypot(*begin.velocity), math.hypot(*end.velocity)
+        if min(speeds) > 0.0:  # flown through: as long as at the mean of the two
+            usual_s = 2.0 * length / sum(speeds)
         duration = self.variable(f"T{i}", [float(usual_s)], 1e-3, _LONGEST_S)
         guessed = _quintic_states(begin, end, float(usual_s), n)
         states = [self.state(f"x{i}_{k}", list(guessed[k]), part.keep) for k in range(n + 1)]

@@ -49,6 +49,7 @@ Array = NDArray[np.float64]
 MOST_HITS = 4
 # Of a visit's tolerance: what the flight that follows the plan may be off by is left to it.
 _TOLERANCE_USED = 0.8
+_FORCE_USED = 0.8  # likewise, of limits.peak_force_n: stiffness is known to some 15 %
 # Where the scenario does not say: the friction coefficients were measured at half a metre per second.
 _FRICTION_RATIO = 0.5
 _POLISHED = 3 * INTERVALS
@@ -194,7 +195,7 @@ class _Search:
         self.limits = limits_of(scenario)
         of = scenario.limits
         self.hits = HitLimits(
-            of.peak_force_n,
+            _FORCE_USED * of.peak_force_n,
             of.closing_m_s,
             of.sliding_m_s,
             _FRICTION_RATIO if of.friction_ratio is None else of.friction_ratio,

@@ -14,7 +14,8 @@ from dart_flight.core.mission.approach import CLEARANCE_M, is_blocked
 from dart_flight.core.mission.wall_uncertainty import end_margin_m
 from dart_flight.lab.search.optimal_trajectory import HalfPlane
 
-_PAST_END_M = 0.01  # beyond the margin, so that a way along it is no way through
+_PAST_END_M = 0.1  # beyond half a vehicle: a wall may be a little longer, and the vehicle beside its way
+_ON_LINE_M = 0.01  # a corner of a way is that far inside of its half-planes
 TOUCH_M = 0.01  # that a way to a place at a wall keeps from its plane
 
 
@@ -50,7 +51,7 @@ def _round_ends(wall: Wall, bounds: BoundsSpec) -> Iterator[Vec2]:
     (tx, ty), (nx, ny), reach = wall.tangent, wall.normal, 0.5 * wall.length_m
     for side, face in itertools.product((-1.0, 1.0), (-1.0, 1.0)):
         tip = (wall.point[0] + side * reach * tx, wall.point[1] + side * reach * ty)
-        past, off = side * (end_margin_m(wall, tip) + _PAST_END_M), face * (CLEARANCE_M + _PAST_END_M)
+        past, off = side * (end_margin_m(wall, tip) + _PAST_END_M), face * (CLEARANCE_M + _ON_LINE_M)
         x, y = tip[0] + past * tx + off * nx, tip[1] + past * ty + off * ny
         if bounds.x[0] <= x <= bounds.x[1] and bounds.y[0] <= y <= bounds.y[1]:
             yield (x, y)
@@ -84,7 +85,7 @@ def _half_planes(wall: Wall) -> tuple[HalfPlane, ...]:
     """Before a wall, behind it, past its right and its left end."""
     (nx, ny), (tx, ty), (x, y) = wall.normal, wall.tangent, wall.point
     plane_m, middle_m = nx * x + ny * y, tx * x + ty * y
-    past_m = 0.5 * wall.length_m + wall.half_vehicle_m
+    past_m = 0.5 * wall.length_m + wall.half_vehicle_m + _PAST_END_M - _ON_LINE_M
     return (
         HalfPlane((nx, ny), plane_m + CLEARANCE_M),
         HalfPlane((-nx, -ny), -plane_m + CLEARANCE_M),

@@ -1,0 +1,640 @@
+"""One hundred generated maps: is a flight with collisions quicker than the quickest without, planned and flown?
+
+    python -m tools.campaigns.walls_pay [--jobs N] [--part plan|fly|page] [--only KIND]
+
+Places, walls and tolerances of a map follow from its seed, before anything is planned. The optimum's gain is that
+of the exact model under each of three sets of limits; flown is the second of them, in the fast world with guards
+and everything drawn (`--vary all`), five seeds, both plans by the same app. What is flown goes to
+`build/walls_pay.jsonl` as it comes, what is planned to `build/walls_pay_plans.jsonl`; docs/results/walls_pay.md is
+written from them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import statistics
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any
+
+import msgspec
+import numpy as np
+
+import dart_flight
+from dart_flight.base.records import Mode
+from dart_flight.config.document import Document, InputError
+from dart_flight.config.mission import parse_mission
+from dart_flight.lab.search.free_plan import limits_of
+from dart_flight.lab.search.mission_writer import mission_text
+from dart_flight.lab.search.optimal_trajectory import (
+    Cruise,
+    HalfPlane,
+    Hit,
+    HitLimits,
+    OptimalTrajectory,
+    Part,
+    Problem,
+    solve,
+)
+from dart_flight.lab.search.quickest import QuickestPlan, plan_quickest
+from dart_flight.lab.search.scenario import Scenario, load_scenario
+from tools.campaigns.results import RESULTS, ROOT, markdown, measured_by
+
+PLANS, FLIGHTS = ROOT / "build" / "walls_pay_plans.jsonl", ROOT / "build" / "walls_pay.jsonl"
+PAGE = RESULTS / "walls_pay.md"
+SEEDS = range(1, 6)
+SETS = {
+    "automatic": {"acceleration_m_s2": 3.0, "jerk_m_s3": 4.0},
+    "position": {"acceleration_m_s2": 5.0, "jerk_m_s3": 8.0},
+    "replanning": {"acceleration_m_s2": 5.9, "jerk_m_s3": 25.0},
+}
+FLOWN = "position"
+KINDS = {"shuttle": 25, "hairpin": 20, "corner": 15, "stop": 15, "sight": 15, "free": 10}
+_PLAN_WITHIN_S = 20.0
+_THERE_M, _STILL_M_S = 0.15, 0.3  # of the goal: a flight and its plan end there, alike
+_WALLS_OFF_M = 0.03  # a wall that was drawn elsewhere takes its place with it
+_SIGHT_M, _REACTION_S, _CLOSING_M_S = 1.0, 0.15, 3.0
+
+
+class Planned(msgspec.Struct):
+    """A map under one set of limits; times to rest at the goal, None where there is no such plan."""
+
+    kind: str
+    seed: int
+    limits: str
+    free_s: float | None = None
+    hit_s: float | None = None
+    hits: int = 0
+    returned: str = ""
+    gap_s: float = 0.0
+    elapsed_s: float = 0.0
+    problem: str = ""
+    free_mission: str = ""
+    hit_mission: str = ""
+    free_there_s: float | None = None  # as a flight is measured
+    hit_there_s: float | None = None
+    cruise_m_s: tuple[float, float] | None = None  # limited sight: free, with the hit
+
+
+class Flown(msgspec.Struct):
+    """One flight."""
+
+    kind: str
+    map: int
+    way: str
+    seed: int
+    outcome: str
+    reason: str | None
+    there_s: float | None
+    visited: bool
+    tilt_deg: float | None
+    uncontrolled: str
+    cruise_m_s: float | None = None
+
+
+# -- maps ----------------------------------------------------------------------------------------------------
+
+
+def scenario_of(kind: str, seed: int, limits: str) -> dict[str, Any]:
+    """The scenario of a map."""
+    rng = np.random.default_rng([sorted(KINDS).index(kind), seed])
+    tree: dict[str, Any] = {
+        "version": 1,
+        "name": f"{kind}-{seed}",
+        "start": {"position_m": [0.0, 0.0], "altitude_m": 1.2},
+        "goal": {"position_m": [0.0, 0.0], "capture_radius_m": 0.15},
+        "bounds_m": {"x": [-6.0, 6.0], "y": [-6.0, 6.0], "z": [0.3, 3.0]},
+        "walls": {},
+        "sequence": "any",
+        "objective": "quickest",
+        "limits": {"speed_m_s": 3.16, "peak_force_n": 180.0, **SETS[limits]},
+    }
+    _MAKERS[kind](tree, rng, seed)
+    return tree
+
+
+def _wall(
+    x: float, y: float, normal: tuple[float, float], length_m: float, surveyed: bool = False
+) -> dict[str, Any]:
+    """A wall; `surveyed`: of which no more than a centimetre is drawn, as it is passed at 0.15 m."""
+    wall = {"point_m": [x, y], "normal": list(normal), "length_m": length_m, "material": "acrylic"}
+    return wall | ({"position_sd_m": 0.01, "yaw_sd_deg": 0.2} if surveyed else {})
+
+
+def _shuttle(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
+    """One to four places at two walls that face each other, there and back."""
+    east, west = rng.uniform(1.0, 3.0, 2)
+    within = float(np.exp(rng.uniform(math.log(0.05), math.log(0.5))))
+    tree["walls"] = {"east": _wall(east, 0.0, (-1.0, 0.0), 4.0), "west": _wall(-west, 0.0, (1.0, 0.0), 4.0)}
+    sides = [east, -west] * 2
+    tree["visits"] = [
+        {"position_m": [float(sides[k]), float(rng.uniform(-0.3, 0.3))], "within_m": within}
+        for k in range(1 + seed % 4)
+    ]
+
+
+def _hairpin(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
+    """Round the end of a partition before a wall."""
+    gap, lane, way = rng.uniform(0.4, 1.5), rng.uniform(0.36, 0.5), rng.uniform(2.5, 3.5)
+    tree["start"]["position_m"], tree["goal"]["position_m"] = [-way, lane], [-way, -lane]
+    # The partition reaches to where the vehicle's side passes its end at x = 0.
+    tree["walls"] = {
+        "north": _wall(-3.2, 0.2, (0.0, 1.0), 6.0, True),
+        "south": _wall(-3.2, -0.2, (0.0, -1.0), 6.0, True),
+        "end": _wall(float(gap), 0.0, (-1.0, 0.0), 4.0),
+    }
+
+
+def _corner(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
+    """Round a corner of ninety degrees, its outer side flat or cut off at forty-five degrees."""
+    half, into, out = rng.uniform(0.5, 0.8), rng.uniform(1.5, 3.0), rng.uniform(1.5, 3.0)
+    tree["start"]["position_m"], tree["goal"]["position_m"] = [-into - half, 0.0], [0.0, out + half]
+    tree["walls"] = {
+        "inner_south": _wall(-half - 2.5, half, (0.0, -1.0), 4.6, True),
+        "inner_east": _wall(-half, half + 2.5, (1.0, 0.0), 4.6, True),
+        "outer_east": _wall(half, 1.0, (-1.0, 0.0), 6.0),
+    }
+    if seed % 2:
+        tree["walls"]["chamfer"] = _wall(0.55 * half, -0.55 * half, (-1.0, 1.0), 1.2)
+
+
+def _stop(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
+    """To rest shortly before a wall."""
+    way = rng.uniform(1.5, 4.0)
+    tree["goal"]["position_m"] = [float(way), 0.0]
+    tree["walls"] = {"east": _wall(float(way + rng.uniform(0.2, 0.6)), 0.0, (-1.0, 0.0), 4.0)}
+
+
+def _free(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
+    """Straight on between walls."""
+    way, left, right = rng.uniform(2.0, 4.0), *rng.uniform(0.4, 1.2, 2)
+    tree["goal"]["position_m"] = [float(way), float(rng.uniform(-0.2, 0.2))]
+    tree["walls"] = {
+        "left": _wall(1.5, float(left), (0.0, -1.0), 5.0, True),
+        "right": _wall(1.5, float(-right), (0.0, 1.0), 5.0, True),
+    }
+
+
+def _sight(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
+    """Towards a wall that is seen when it is near; back to rest before it."""
+    way = rng.uniform(4.0, 5.5)
+    tree["walls"] = {"east": _wall(float(way), 0.0, (-1.0, 0.0), 4.0)}
+    tree["goal"]["position_m"] = [float(way - 1.2), 0.0]
+    tree["limits"] |= {"speed_m_s": 3.69, "closing_m_s": _CLOSING_M_S}
+
+
+_MAKERS: dict[str, Callable[[dict[str, Any], np.random.Generator, int], None]] = {
+    "shuttle": _shuttle,
+    "hairpin": _hairpin,
+    "corner": _corner,
+    "stop": _stop,
+    "sight": _sight,
+    "free": _free,
+}
+
+
+# -- planning ------------------------------------------------------------------------------------------------
+
+
+def plan_map(kind: str, seed: int, limits: str) -> Planned:
+    """Both plans of a map."""
+    scenario = load_scenario(scenario_of(kind, seed, limits))
+    planned = Planned(kind, seed, limits)
+    if kind == "sight":
+        return _plan_sight(scenario, planned)
+    try:
+        result = plan_quickest(scenario, _PLAN_WITHIN_S)
+    except InputError as error:
+        return msgspec.structs.replace(planned, problem=str(error))
+    planned.gap_s, planned.elapsed_s = result.gap_s, result.elapsed_s
+    planned.returned = "hit" if result.best.trajectory.hits else "free"
+    if result.free is not None:
+        planned.free_s = result.free.time_s
+        planned.free_mission, planned.free_there_s = _written(scenario, result.free)
+    if result.colliding is not None:
+        planned.hit_s, planned.hits = result.colliding.time_s, len(result.colliding.trajectory.hits)
+        planned.hit_mission, planned.hit_there_s = _written(scenario, result.colliding)
+    return planned
+
+
+def _written(scenario: Scenario, plan: QuickestPlan) -> tuple[str, float]:
+    """The mission, and when it is at its goal as a flight is measured."""
+    where = ROOT / "missions" / "generated.yaml"
+    return mission_text(scenario, plan, where), planned_there_s(plan.trajectory, scenario.goal.position_m)
+
+
+def planned_there_s(found: OptimalTrajectory, goal: tuple[float, float]) -> float:
+    """When a planned flight is near its goal and slow for good."""
+    last = found.legs[-1]
+    begin = found.time_s - last.duration_s
+    there = begin
+    for before, after in zip(last.states(), last.states()[1:], strict=False):
+        for share in np.linspace(0.0, 1.0, 20):
+            t = before.t_s + share * (after.t_s - before.t_s)
+            p = [a + share * (b - a) for a, b in zip(before.position, after.position, strict=True)]
+            v = [a + share * (b - a) for a, b in zip(before.velocity, after.velocity, strict=True)]
+            if math.dist(p, goal) > _THERE_M or math.hypot(*v) > _STILL_M_S:
+                there = begin + t
+    return there
+
+
+def safe_speed_m_s(acceleration_m_s2: float, jerk_m_s3: float, room_m: float) -> float:
+    """The speed from which the reaction and a stop take all of the room that is seen."""
+
+    def needs_m(v: float) -> float:
+        full = acceleration_m_s2**2 / jerk_m_s3
+        braking = v * math.sqrt(v / jerk_m_s3)
+        if v > full:
+            braking = 0.5 * v * (v / acceleration_m_s2 + acceleration_m_s2 / jerk_m_s3)
+        return braking + _REACTION_S * v
+
+    low, high = 0.0, 10.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if needs_m(middle) <= room_m else (low, middle)
+    return low
+
+
+def _plan_sight(scenario: Scenario, planned: Planned) -> Planned:
+    """Cruising as fast as sight allows: stop before the wall, or meet it at a bearable speed."""
+    limits, wall, goal = limits_of(scenario), scenario.walls["east"], scenario.goal.position_m
+    assert limits.jerk_m_s3 is not None
+    hits = HitLimits(144.0, _CLOSING_M_S, None, 0.5, 5.5)
+    vehicle = scenario.vehicle
+    dead_s = vehicle.flying.replan_within_s
+
+    def run(speed: float, hit: bool) -> OptimalTrajectory | None:
+        seen = Cruise((wall.point[0] - _SIGHT_M + _REACTION_S * speed, 0.0), (speed, 0.0))
+        before = (HalfPlane(wall.normal, wall.normal[0] * wall.point[0]), HalfPlane((1.0, 0.0), -0.1))
+        braking = Part(Hit(wall, Mode.FLEXIBLE, None, wall.point), before) if hit else None
+        parts = [Part(seen, before), *([braking] if braking else []), Part(None, before)]
+        end = goal if hit else (wall.point[0] - 0.02, 0.0)
+        problem = Problem(vehicle, scenario.start, end, tuple(parts), limits, hits, dead_s)
+        return solve(problem)
+
+    free_m_s = safe_speed_m_s(limits.acceleration_m_s2, limits.jerk_m_s3, _SIGHT_M - 0.02)
+    free_m_s = min(free_m_s, limits.speed_m_s)
+    free, hit_m_s, hit = run(free_m_s, False), 0.0, None
+    for speed in np.arange(limits.speed_m_s - 0.02, free_m_s, -0.1):
+        hit, hit_m_s = run(float(speed), True), float(speed)
+        if hit is not None:
+            break
+    if free is None or hit is None:
+        return msgspec.structs.replace(planned, problem="no run at these limits")
+    planned.cruise_m_s = (free_m_s, hit_m_s)
+    planned.free_s, planned.hit_s, planned.hits, planned.returned = free.time_s, hit.time_s, 1, "hit"
+    near = msgspec.structs.replace(scenario.spec.goal, position_m=(wall.point[0] - 0.02, 0.0))
+    beside = msgspec.structs.replace(scenario, spec=msgspec.structs.replace(scenario.spec, goal=near))
+    planned.free_mission = _written(beside, QuickestPlan(free.time_s, free, ()))[0]
+    planned.hit_mission = _written(scenario, QuickestPlan(hit.time_s, hit, ()))[0]
+    planned.free_there_s = planned_there_s(free, near.position_m)
+    planned.hit_there_s = planned_there_s(hit, goal)
+    return planned
+
+
+# -- flights -------------------------------------------------------------------------------------------------
+
+
+def fly(planned: Planned, way: str, seed: int) -> Flown:
+    """One flight of one plan."""
+    text = planned.free_mission if way == "free" else planned.hit_mission
+    mission = parse_mission(Document(text, "generated.yaml"))
+    flight = dart_flight.simulate(mission, seed=seed, vary="all")
+    verdict, truth, phases = flight.verdict, flight.log["/truth/state"], flight.log["/event/phase"]
+    after, at_us = [str(p) for p in phases["after"]], np.asarray(phases["t_us"])
+    t, place = np.asarray(truth["t_us"]), np.asarray(truth["position_mission"])
+    speed = np.linalg.norm(np.asarray(truth["velocity_mission"])[:, :2], axis=1)
+    found = Flown(
+        planned.kind, planned.seed, way, seed, verdict.outcome, verdict.reason, None, False, None, ""
+    )
+    found.tilt_deg = verdict.max_tilt_deg
+    found.uncontrolled = _uncontrolled(mission.bounds, place, t, verdict)
+    begins = [at_us[k] for k, phase in enumerate(after) if phase == ("approach" if way == "hit" else "goal")]
+    if not begins:
+        return found
+    under_way = t >= begins[0]
+    visits = scenario_of(planned.kind, planned.seed, FLOWN).get("visits", [])
+    found.visited = _visited(place[under_way, :2], visits)
+    if planned.kind == "sight":
+        found.cruise_m_s = _cruise_m_s(mission.walls[0].point[0], place[under_way], speed[under_way])
+    landings = [at_us[k] for k, phase in enumerate(after) if phase == "landing"]
+    if verdict.outcome == "completed" and landings:
+        last = _last_visit_us(t, place, visits, begins[0])
+        near = (np.linalg.norm(place[:, :2] - np.array(mission.goal.position_m), axis=1) <= _THERE_M) & (
+            speed <= _STILL_M_S
+        )
+        there = np.flatnonzero(near & (t > max(last, begins[0] + 0.5e6)) & (t < landings[0]))
+        found.there_s = float((t[there[0]] - begins[0]) * 1e-6) if there.size else None
+    return found
+
+
+def _uncontrolled(bounds: Any, place: np.ndarray, t: np.ndarray, verdict: Any) -> str:
+    out = max(
+        float(np.max(np.abs(place[:, 0]))) - bounds.x[1], float(np.max(np.abs(place[:, 1]))) - bounds.y[1]
+    )
+    if out > 0.5:
+        return f"{out:.1f} m out of bounds"
+    if (verdict.max_tilt_deg or 0.0) > 80.0:
+        return f"tilted by {verdict.max_tilt_deg:.0f} degrees"
+    if verdict.outcome != "completed" and not verdict.reason:
+        return "no cause"
+    return ""
+
+
+def _visited(place: np.ndarray, visits: list[dict[str, Any]]) -> bool:
+    """Whether the places were passed in their order."""
+    begin = 0
+    for visit in visits:
+        away = np.linalg.norm(place[begin:] - np.array(visit["position_m"]), axis=1)
+        near = np.flatnonzero(away <= visit["within_m"] + _WALLS_OFF_M)
+        if not near.size:
+            return False
+        begin += int(near[0])
+    return True
+
+
+def _last_visit_us(t: np.ndarray, place: np.ndarray, visits: list[dict[str, Any]], begin_us: int) -> float:
+    now = float(begin_us)
+    for visit in visits:
+        away = np.linalg.norm(place[:, :2] - np.array(visit["position_m"]), axis=1)
+        near = np.flatnonzero((away <= visit["within_m"] + _WALLS_OFF_M) & (t >= now))
+        if not near.size:
+            return now
+        now = float(t[near[0]])
+    return now
+
+
+def _cruise_m_s(wall_x: float, place: np.ndarray, speed: np.ndarray) -> float | None:
+    """Speed where the wall comes into sight."""
+    seen = np.flatnonzero(place[:, 0] >= wall_x - _SIGHT_M)
+    return float(speed[seen[0]]) if seen.size else None
+
+
+def _fly_all(work: tuple[Planned, str, int]) -> Flown:
+    return fly(*work)
+
+
+def _plan_all(work: tuple[str, int, str]) -> Planned:
+    return plan_map(*work)
+
+
+# -- page ----------------------------------------------------------------------------------------------------
+
+
+def gain(planned: Planned) -> float | None:
+    """Share of the free plan's time that the optimum with hits saves; negative: it loses."""
+    if planned.free_s is None or planned.hit_s is None:
+        return None
+    return 1.0 - planned.hit_s / planned.free_s
+
+
+def flown_gain(planned: Planned, flights: Iterable[Flown]) -> float | None:
+    """The same of what was flown: medians over the seeds."""
+    times = {
+        way: [f.there_s for f in flights if f.way == way and f.there_s is not None and f.visited]
+        for way in ("free", "hit")
+    }
+    if not all(times.values()):
+        return None
+    return 1.0 - statistics.median(times["hit"]) / statistics.median(times["free"])
+
+
+def write_page() -> None:
+    """The results page from what is kept."""
+    plans = [msgspec.json.decode(line, type=Planned) for line in PLANS.read_bytes().splitlines()]
+    flights = [msgspec.json.decode(line, type=Flown) for line in FLIGHTS.read_bytes().splitlines()]
+    text = [
+        "# What walls are good for\n",
+        measured_by("tools.campaigns.walls_pay", "in the fast world, body with guards, everything drawn")
+        + "\n",
+        _HEAD,
+        "## The optimum, by kind and set of limits\n",
+        markdown(
+            (
+                "kind",
+                "limits",
+                "maps",
+                "hit quicker",
+                "gain of the optimum: median (least to most)",
+                "not solved",
+            ),
+            list(_optimum_rows(plans)),
+        ),
+        "## Flown, limits `position` (5 m/s2, 8 m/s3)\n",
+        markdown(
+            (
+                "kind",
+                "maps",
+                "flights",
+                "completed",
+                "uncontrolled",
+                "places passed",
+                "within 10 % of the plan's time",
+                "gain: optimum, flown (median)",
+                "flown / optimum",
+            ),
+            list(_flown_rows(plans, flights)),
+        ),
+        "Where the optimum gains 10 % or more:\n",
+        markdown(("maps", "gain: optimum", "flown", "share"), list(_share_rows(plans, flights))),
+        "## By map\n",
+        markdown(
+            (
+                "map",
+                "tolerance m",
+                "hits",
+                "free s",
+                "hit s",
+                "optimum",
+                "flown free s",
+                "flown hit s",
+                "flown",
+                "returned",
+            ),
+            list(_map_rows(plans, flights)),
+        ),
+    ]
+    PAGE.write_text("\n".join(text), encoding="utf-8")
+
+
+_HEAD = """Each map's places, walls and tolerances follow from its seed (`scenario_of`), before anything is planned. Both plans
+keep to the same limits (3 m/s, 3.5 with limited sight); the free one is the same optimal control without a hit. Flown times run
+from the first motion to rest within 0.15 m of the goal, planned ones likewise; a place counts as passed within its tolerance and
+the 3 cm that a drawn wall may stand elsewhere. Corners, stops and the free ways are controls: there the free plan is expected.
+"""
+
+
+def _optimum_rows(plans: list[Planned]) -> Iterator[tuple[str, ...]]:
+    for kind in KINDS:
+        for limits in SETS:
+            these = [p for p in plans if p.kind == kind and p.limits == limits]
+            gains = sorted(g for g in map(gain, these) if g is not None)
+            better = sum(g > 0.0 for g in gains)
+            span = f"{statistics.median(gains):+.1%} ({gains[0]:+.1%} to {gains[-1]:+.1%})" if gains else "–"
+            if kind == "sight":
+                ratios = sorted(p.cruise_m_s[1] / p.cruise_m_s[0] for p in these if p.cruise_m_s)
+                span = f"cruise {statistics.median(ratios):.2f} times as fast" if ratios else "–"
+            none = sum(p.hit_s is None for p in these)
+            says = f"{better} of {len(gains)}"
+            yield (
+                kind,
+                limits,
+                str(len(these)),
+                says,
+                span,
+                str(sum(bool(p.problem) for p in these)) + f", no hit that may pay {none}",
+            )
+
+
+def _flown_rows(plans: list[Planned], flights: list[Flown]) -> Iterator[tuple[str, ...]]:
+    for kind in KINDS:
+        maps = [p for p in plans if p.kind == kind and p.limits == FLOWN]
+        these = [f for f in flights if f.kind == kind]
+        if not these:
+            continue
+        by_map = {p.seed: p for p in maps}
+        in_time = [
+            abs(f.there_s / planned - 1.0) <= 0.1
+            for f in these
+            if f.there_s is not None and (planned := _there_s(by_map[f.map], f.way)) is not None
+        ]
+        pairs = [
+            (g, h)
+            for p in maps
+            if (g := gain(p)) is not None
+            and (h := flown_gain(p, [f for f in these if f.map == p.seed])) is not None
+        ]
+        both = "–"
+        share = "–"
+        if kind == "sight":
+            cruise = {
+                w: [f.cruise_m_s for f in these if f.way == w and f.cruise_m_s and f.outcome == "completed"]
+                for w in ("free", "hit")
+            }
+            both = (
+                f"cruise {statistics.median(cruise['free']):.2f}, {statistics.median(cruise['hit']):.2f} m/s"
+            )
+            share = f"{statistics.median(cruise['hit']) / statistics.median(cruise['free']):.2f} times"
+        elif pairs:
+            optimum, flown = (statistics.median(column) for column in zip(*pairs, strict=True))
+            both, share = f"{optimum:+.1%}, {flown:+.1%}", f"{flown / optimum:.2f}" if optimum > 0.02 else "–"
+        yield (
+            kind,
+            str(len(maps)),
+            str(len(these)),
+            f"{sum(f.outcome == 'completed' for f in these)}",
+            str(sum(bool(f.uncontrolled) for f in these)),
+            str(sum(f.visited for f in these)),
+            f"{sum(in_time)} of {len(in_time)}",
+            both,
+            share,
+        )
+
+
+def _there_s(planned: Planned, way: str) -> float | None:
+    return planned.free_there_s if way == "free" else planned.hit_there_s
+
+
+def _share_rows(plans: list[Planned], flights: list[Flown]) -> Iterator[tuple[str, ...]]:
+    groups: dict[str, list[tuple[float, float]]] = {}
+    for p in plans:
+        g = gain(p)
+        h = (
+            flown_gain(p, [f for f in flights if (f.kind, f.map) == (p.kind, p.seed)])
+            if p.limits == FLOWN
+            else None
+        )
+        if g is None or h is None or p.kind == "sight":
+            continue
+        if g >= 0.1:
+            groups.setdefault("all", []).append((g, h))
+        if p.kind == "shuttle" and _within_m(p) <= 0.1:
+            groups.setdefault(f"{1 + p.seed % 4} reversals, within 0.1 m", []).append((g, h))
+    for name in sorted(groups):
+        optimum, flown = (statistics.median(column) for column in zip(*groups[name], strict=True))
+        share = statistics.median(h / g for g, h in groups[name])
+        yield f"{name}: {len(groups[name])}", f"{optimum:.1%}", f"{flown:.1%}", f"{share:.2f}"
+
+
+def _within_m(p: Planned) -> float:
+    visits = scenario_of(p.kind, p.seed, FLOWN).get("visits")
+    return float(visits[0]["within_m"]) if visits else math.nan
+
+
+def _map_rows(plans: list[Planned], flights: list[Flown]) -> Iterator[tuple[str, ...]]:
+    def figure(value: float | None, digits: str = ".2f") -> str:
+        return "–" if value is None or math.isnan(value) else format(value, digits)
+
+    for p in plans:
+        if p.limits != FLOWN:
+            continue
+        these = [f for f in flights if (f.kind, f.map) == (p.kind, p.seed)]
+        times = {}
+        for way in ("free", "hit"):
+            found = [f.there_s for f in these if f.way == way and f.there_s is not None and f.visited]
+            times[way] = statistics.median(found) if found else None
+        yield (
+            f"{p.kind} {p.seed}",
+            figure(_within_m(p)),
+            str(p.hits),
+            figure(p.free_s),
+            figure(p.hit_s),
+            figure(gain(p), "+.1%"),
+            figure(times["free"]),
+            figure(times["hit"]),
+            figure(flown_gain(p, these), "+.1%"),
+            p.returned or p.problem,
+        )
+
+
+# -- command -------------------------------------------------------------------------------------------------
+
+
+def main() -> int:
+    """Command line; returns the exit status."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--part", choices=["plan", "fly", "page"])
+    parser.add_argument("--only", choices=list(KINDS))
+    given = parser.parse_args()
+    PLANS.parent.mkdir(exist_ok=True)
+    kinds = [given.only] if given.only else list(KINDS)
+    with ProcessPoolExecutor(given.jobs) as pool:
+        if given.part in (None, "plan"):
+            work: list[Any] = [
+                (k, s, limits) for limits in SETS for k in kinds for s in range(1, KINDS[k] + 1)
+            ]
+            _keep(PLANS, kinds, pool.map(_plan_all, work), len(work), Planned)
+        if given.part in (None, "fly"):
+            plans = [msgspec.json.decode(line, type=Planned) for line in PLANS.read_bytes().splitlines()]
+            work = [
+                (p, way, seed)
+                for p in plans
+                if p.limits == FLOWN and p.kind in kinds
+                for way in ("free", "hit")
+                if (p.free_mission if way == "free" else p.hit_mission)
+                for seed in SEEDS
+            ]
+            _keep(FLIGHTS, kinds, pool.map(_fly_all, work), len(work), Flown)
+    write_page()
+    return 0
+
+
+def _keep(path: Any, kinds: list[str], results: Iterable[Any], count: int, kind: Any) -> None:
+    """Write results as they come, behind what is kept of other kinds."""
+    lines = path.read_bytes().splitlines() if path.exists() else []
+    kept = [line for line in lines if json.loads(line)["kind"] not in kinds]
+    path.write_bytes(b"".join(line + b"\n" for line in kept))
+    with path.open("ab") as file:
+        for number, result in enumerate(results, start=1):
+            file.write(msgspec.json.encode(result) + b"\n")
+            file.flush()
+            print(f"\r{number} of {count}", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
