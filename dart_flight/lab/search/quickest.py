@@ -9,6 +9,7 @@ flexible arms, then each hit rigid where that is quicker and the servo has the t
 
 from __future__ import annotations
 
+import heapq
 import itertools
 import math
 import time
@@ -227,77 +228,72 @@ class _Search:
         return () if self.scenario.chosen_by_planner else self.scenario.sequences[0]
 
     def run(self, enough: Callable[[], bool], progress: Progress) -> None:
-        """Compute sequences until no other can be better, or it is enough."""
-        self.free = self._solved(self._free_events())
-        sequences = sorted(
-            (round(self._bound_s(events), 2), len(events), k, events)
-            for k, events in enumerate(self._colliding_events())
-        )
-        for place, (bound_s, _, _, events) in enumerate(sequences):
-            progress(place, len(sequences))
-            limit = self.colliding if self._demanded else self.best
-            if limit is not None and bound_s >= limit.time_s:
-                self.pruned += len(sequences) - place
+        """Compute sequences, best bound first, until no other can be better, or it is enough."""
+        self.free = self._solved(tuple(self._visits()))
+        tie = itertools.count()
+        open_ = [(self._bound_s(events), next(tie), events) for events in self._ways_to_visit()]
+        heapq.heapify(open_)
+        seen = {events for _, _, events in open_}
+        while open_:
+            bound_s, _, events = heapq.heappop(open_)
+            progress(self.computed, self.computed + len(open_))
+            if bound_s >= self._to_beat_s():
+                self.pruned += 1 + len(open_)
                 break
             if enough():
                 self.least_open_s = bound_s
                 break
-            plan = self._solved(events)
-            if plan is not None and (self.colliding is None or plan.time_s < self.colliding.time_s):
-                self.colliding = plan
+            if self._is_wanted(events):
+                plan = self._solved(events)
+                if plan is not None and (self.colliding is None or plan.time_s < self.colliding.time_s):
+                    self.colliding = plan
+            for more in self._with_one_more(events):
+                if more not in seen and (bound_s := self._bound_s(more)) < self._to_beat_s():
+                    heapq.heappush(open_, (bound_s, next(tie), more))
+                    seen.add(more)
         if self.colliding is not None:
             self.colliding = self._with_best_modes(self.colliding)
         self.free, self.colliding = self._polished(self.free), self._polished(self.colliding)
+
+    def _to_beat_s(self) -> float:
+        """Of a sequence that is still worth computing."""
+        best = self.colliding if self._demanded else self.best
+        return math.inf if best is None else best.time_s
 
     # -- sequences --
 
     def _visits(self) -> list[Visit]:
         return [Visit(v.position_m, _TOLERANCE_USED * v.within_m) for v in self.scenario.visits]
 
-    def _free_events(self) -> tuple[Event, ...]:
-        return tuple(self._visits())
+    def _ways_to_visit(self) -> Iterator[tuple[Event, ...]]:
+        """The visits in their order, each in flight or by a hit at a wall that it lies on."""
+        mode = self._first_mode()
+        choices: list[list[Event]] = [
+            [visit, *(Hit(wall, mode, visit) for wall in self.walls if _serves(wall, visit))]
+            for visit in self._visits()
+        ]
+        for events in itertools.product(*choices):
+            if _count_hits(events) <= MOST_HITS and self._may_be_wanted(events):
+                yield events
 
-    def _colliding_events(self) -> Iterator[tuple[Event, ...]]:
-        """Every sequence of events with one to `MOST_HITS` hits, no two in a row at the same wall."""
-        visits, mode = self._visits(), self._first_mode()
-        choices: list[list[Event]] = []
-        for visit in visits:
-            serving = [wall for wall in self.walls if _serves(wall, visit)]
-            choices.append([visit, *(Hit(wall, mode, visit) for wall in serving)])
-        for chosen in itertools.product(*choices):
-            spare = MOST_HITS - sum(isinstance(event, Hit) for event in chosen)
-            if spare < 0:
-                continue
-            for events in self._with_more(chosen, spare, mode):
-                walls = tuple(event.wall.name for event in events if isinstance(event, Hit))
-                if walls and (not self._demanded or walls == self._demanded):
-                    yield events
-
-    def _with_more(self, chosen: tuple[Event, ...], spare: int, mode: Mode) -> Iterator[tuple[Event, ...]]:
-        """The events with up to `spare` more hits between them."""
-        yield chosen
-        if spare == 0:
+    def _with_one_more(self, events: tuple[Event, ...]) -> Iterator[tuple[Event, ...]]:
+        """The events with one more hit before, between or after them."""
+        if _count_hits(events) == MOST_HITS:
             return
-        seen = {chosen}
-        front = [chosen]
-        for _ in range(spare):
-            following = []
-            for events, wall in itertools.product(front, self.walls):
-                for k in range(len(events) + 1):
-                    more = (*events[:k], Hit(wall, mode), *events[k:])
-                    if more not in seen and not _repeats(more) and self._may_pay(more):
-                        seen.add(more)
-                        following.append(more)
-                        yield more
-            front = following
+        for wall, k in itertools.product(self.walls, range(len(events) + 1)):
+            more = (*events[:k], Hit(wall, self._first_mode()), *events[k:])
+            if not _repeats(more) and self._may_be_wanted(more):
+                yield more
 
-    def _may_pay(self, events: tuple[Event, ...]) -> bool:
-        """Whether a sequence's bound is below the free plan's time; always where its hits are demanded."""
-        if self._demanded:
-            walls = [event.wall.name for event in events if isinstance(event, Hit)]
-            rest = iter(self._demanded)
-            return all(name in rest for name in walls)  # in that order
-        return self.free is None or self._bound_s(events) < self.free.time_s
+    def _is_wanted(self, events: Sequence[Event]) -> bool:
+        """Whether it has hits, and those that the scenario demands."""
+        walls = _walls_hit(events)
+        return bool(walls) and (not self._demanded or walls == self._demanded)
+
+    def _may_be_wanted(self, events: Sequence[Event]) -> bool:
+        """Whether more hits can still make it wanted."""
+        rest = iter(self._demanded)
+        return not self._demanded or all(name in rest for name in _walls_hit(events))
 
     def _first_mode(self) -> Mode:
         modes = self.scenario.modes
@@ -399,6 +395,14 @@ class _Search:
         if self._demanded:
             return f"no flight hits {', '.join(self._demanded)} and rests at the goal within the limits"
         return "no flight passes the visits and rests at the goal within the limits and bounds"
+
+
+def _walls_hit(events: Sequence[Event]) -> tuple[str, ...]:
+    return tuple(event.wall.name for event in events if isinstance(event, Hit))
+
+
+def _count_hits(events: Sequence[Event]) -> int:
+    return sum(isinstance(event, Hit) for event in events)
 
 
 def _serves(wall: Wall, visit: Visit) -> bool:
