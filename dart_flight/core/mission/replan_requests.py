@@ -102,6 +102,8 @@ class ReplanRequests:
             setpoint,
             state.now_us if following is None else lock.ready_us(following.mode, state),
             again and self._way is not None,
+            # What it is needed for: the lean into a wall that a trajectory of the mission's leads to.
+            sensed.height_m if following is not None and following.trajectory is not None else None,
         )
         p.outputs.append(self._asked)
 
