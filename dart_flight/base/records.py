@@ -437,6 +437,7 @@ class PlanRequest(Record, frozen=True, gc=False):
     setpoint_mission: Vec3  # m; in force until then
     lock_ready_us: int | None  # when the lock can be settled in the mode that comes next; none: never
     under_way: bool = False  # along a trajectory, not towards a setpoint
+    contact_height_m: float | None = None  # of the walls' force above the centre of mass; none: not known
 
 
 class Silence(Record, frozen=True, gc=False):

@@ -78,13 +78,16 @@ class RejoiningWays(NamedTuple):
         )
 
 
-def rejoin(planned: PlannedTrajectory, start: tuple[Array, Array], moved: Vec2) -> RejoiningWays:
+def rejoin(
+    planned: PlannedTrajectory, start: tuple[Array, Array], moved: Vec2, pushed: Vec2 = (0.0, 0.0)
+) -> RejoiningWays:
     """The ways back to a planned trajectory that may be tried.
 
     Args:
         planned: with several pieces.
         start: position, velocity and acceleration per axis, where the way begins; mission frame.
         moved: by how much the end lies elsewhere than planned, m.
+        pushed: by how much the acceleration there is another than planned, m/s2.
     """
     tried = [
         (begin, slower)
@@ -99,7 +102,7 @@ def rejoin(planned: PlannedTrajectory, start: tuple[Array, Array], moved: Vec2) 
     added = np.empty((2, from_s.size, 6))
     for axis in range(2):
         away = [start[axis][order] - shape[order, axis, :, 0] for order in range(3)]
-        added[axis] = _fading(away, moved[axis], duration).T
+        added[axis] = _fading(away, moved[axis], pushed[axis], duration).T
     since = shares * duration[:, None]
     states = [shape[order] + _derivative(added, since, order) for order in range(4)]
     return RejoiningWays(planned, shares, from_s, slower, duration, added, *states)
@@ -127,13 +130,15 @@ def _derivative(coefficients: Array, times: Array, order: int, per_time: bool = 
     return value
 
 
-def _fading(away: list[Array], moved_m: float, duration_s: Array) -> Array:
-    """Coefficients (6, n) of the polynomials from (position, velocity, acceleration) to rest at `moved_m`."""
+def _fading(away: list[Array], moved_m: float, pushed_m_s2: float, duration_s: Array) -> Array:
+    """Coefficients (6, n) of the polynomials from (position, velocity, acceleration) to `moved_m`, without
+    velocity and with the acceleration `pushed_m_s2`."""
     p, v, a = away
     t, way = duration_s, moved_m - p
-    c3 = (20.0 * way - 12.0 * v * t - 3.0 * a * t**2) / (2.0 * t**3)
-    c4 = (-30.0 * way + 16.0 * v * t + 3.0 * a * t**2) / (2.0 * t**4)
-    c5 = (12.0 * way - 6.0 * v * t - a * t**2) / (2.0 * t**5)
+    end = pushed_m_s2 * t**2
+    c3 = (20.0 * way - 12.0 * v * t - 3.0 * a * t**2 + end) / (2.0 * t**3)
+    c4 = (-30.0 * way + 16.0 * v * t + 3.0 * a * t**2 - 2.0 * end) / (2.0 * t**4)
+    c5 = (12.0 * way - 6.0 * v * t - a * t**2 + end) / (2.0 * t**5)
     return np.stack([p, v, 0.5 * a, c3, c4, c5])
 
 

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from typing import ClassVar, Final
 
-from dart_flight.base.geometry import Vec3, distance2, yaw_ned_of
+from dart_flight.base.geometry import Vec3, distance2, wrap_angle, yaw_ned_of
 from dart_flight.base.records import (
     DetectionFloor,
     GoalPassed,
@@ -586,7 +586,9 @@ class Executive:
     def _replan(self, following: Collision | None, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         """Ask for a way once the contact is over, and follow it once it begins."""
         planning, hit = self._replanning, self.mission.collisions[self._index - 1]
-        planning.request_once(hit, following, state, sensed, self._references.target, self._lock, p)
+        turned_rad = wrap_angle(state.yaw - self._references.yaw)
+        target = self._references.target
+        planning.request_once(hit, following, state, sensed, target, self._lock, p, turned_rad)
         if following is not None and following.approach_m_s is not None:
             approach = planning.approach(following, state.now_us, p)
             if approach is not None:

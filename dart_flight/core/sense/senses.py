@@ -25,6 +25,7 @@ from dart_flight.base.records import (
     WallEstimate,
 )
 from dart_flight.config.mission import Mission
+from dart_flight.core.sense.contact_height import ContactHeight
 from dart_flight.core.sense.detector import Event, ExpectedContact, ImpactDetector
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.incidence import ContactSample, ContactSampleBuffer, IncidenceEstimator
@@ -43,9 +44,10 @@ class Sensed:
         torque: the external torque, where the input gives one.
         body: how an impact met the body, after its peak and at its end.
         wall: what a planned contact says of its wall and of the arms, at its end.
+        height_m: of the walls' force above the centre of mass, by the contacts so far; None: not known.
     """
 
-    __slots__ = ("body", "estimate", "impacts", "in_contact", "torque", "wall")
+    __slots__ = ("body", "estimate", "height_m", "impacts", "in_contact", "torque", "wall")
 
     def __init__(
         self,
@@ -55,9 +57,10 @@ class Sensed:
         torque: TorqueEstimate | None = None,
         body: ImpactBody | None = None,
         wall: WallEstimate | None = None,
+        height_m: float | None = None,
     ) -> None:
         self.estimate, self.impacts, self.in_contact = estimate, impacts, in_contact
-        self.torque, self.body, self.wall = torque, body, wall
+        self.torque, self.body, self.wall, self.height_m = torque, body, wall, height_m
 
 
 _NOTHING: Final = Sensed()
@@ -74,6 +77,7 @@ class Senses:
         detector: impacts in the force; it watches only while told to.
         body: how they meet the body.
         walls: what they say of the walls and of the arms.
+        height: of their force above the centre of mass.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -84,6 +88,7 @@ class Senses:
         self._samples = ContactSampleBuffer()
         self.body = IncidenceEstimator(mission.vehicle, self._samples)
         self.walls = WallEstimator(mission.vehicle, self._samples)
+        self.height = ContactHeight(mission.vehicle.airframe.contact_distance_m, self._samples)
 
     def update(self, item: Input, expected: ExpectedContact) -> Sensed:
         """Take one input, knowing what contact the mission expects; returns what that teaches."""
@@ -140,6 +145,9 @@ class Senses:
             self._samples.add(ContactSample(estimate, torque, estimator.attitude, estimator.turning.rate))
             if impacts or self.body.due:  # else there is nothing new to be said
                 body = self.body.update(state, slow, impacts, expected)
+            if impacts:
+                self.height.update(state, slow, impacts, expected)
             if impacts or self.walls.is_busy:
                 wall = self.walls.update(state, slow, impacts, expected)
-        return Sensed(estimate, tuple(impacts) if impacts else (), detector.in_contact, torque, body, wall)
+        found = tuple(impacts) if impacts else ()
+        return Sensed(estimate, found, detector.in_contact, torque, body, wall, self.height.height_m)

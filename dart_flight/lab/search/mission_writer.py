@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,12 @@ import yaml
 
 from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import AfterImpact
+from dart_flight.base.walls import Wall
 from dart_flight.config.document import Document, writing
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.mission_file import Limits, TrajectoryPieces, WallSpec
-from dart_flight.lab.search.optimal_trajectory import ContactResponse, TrajectoryHit
+from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.lab.search.optimal_trajectory import ContactResponse, OptimalTrajectory, TrajectoryHit
 from dart_flight.lab.search.quickest import QuickestPlan
 from dart_flight.lab.search.scenario import Scenario
 from dart_flight.lab.search.search import Plan, PlannedCollision
@@ -48,7 +51,7 @@ def mission_text(scenario: Scenario, plan: Plan | QuickestPlan, target: Path) ->
         "limits": _given(spec.limits),
     }
     if isinstance(plan, QuickestPlan):
-        tree |= _along_trajectories(scenario, plan)
+        tree |= trajectory_keys(scenario.vehicle, scenario.walls, plan.trajectory)
     else:
         tree["collisions"] = [_collision(scenario, plan, c) for c in plan.collisions]
         tree["predicted"] = {"goal_miss_m": _short(plan.goal_miss_m)}
@@ -60,21 +63,30 @@ def mission_text(scenario: Scenario, plan: Plan | QuickestPlan, target: Path) ->
     return head + yaml.safe_dump(msgspec.to_builtins(tree), sort_keys=False, default_flow_style=None)
 
 
-def _along_trajectories(scenario: Scenario, plan: QuickestPlan) -> dict[str, Any]:
-    """Keys of a mission whose collisions and goal are flown to along trajectories."""
+def trajectory_keys(
+    vehicle: VehicleConfig, walls: Mapping[str, Wall], trajectory: OptimalTrajectory
+) -> dict[str, Any]:
+    """Keys of a mission whose collisions and goal are flown to along trajectories.
+
+    Args:
+        vehicle: that flies it.
+        walls: by name.
+        trajectory: of the whole flight.
+    """
     collisions: list[dict[str, Any]] = []
-    for hit, leg in zip(plan.trajectory.hits, plan.trajectory.legs, strict=False):
+    for hit, leg in zip(trajectory.hits, trajectory.legs, strict=False):
         body: dict[str, Any] = {"wall": hit.wall, "mode": hit.mode}
         if not collisions:
             velocity = (_short(hit.normal_m_s), _short(hit.tangential_m_s))
             body["approach"] = {"normal_m_s": velocity[0], "tangential_m_s": velocity[1]}
-        body["alpha_wall_m_per_n"] = [_short(alpha) for alpha in recovery_gains(scenario, hit)]
+        gains = recovery_gains(vehicle, walls[hit.wall], hit)
+        body["alpha_wall_m_per_n"] = [_short(alpha) for alpha in gains]
         body["trajectory"] = _rounded(leg)
         body["predicted"] = _predicted(hit, hit.t_s, hit.contact_s)
         collisions.append(body)
     return {
         "collisions": collisions,
-        "goal_trajectory": _rounded(plan.trajectory.legs[-1]),
+        "goal_trajectory": _rounded(trajectory.legs[-1]),
         "after_impact": AfterImpact.REPLAN,
         "predicted": {"goal_miss_m": 0.0},
     }
@@ -87,13 +99,12 @@ def _rounded(leg: TrajectoryPieces) -> dict[str, Any]:
     return {name: [round(v, 5) + 0.0 for v in getattr(leg, name)] for name in vectors} | {"pieces": pieces}
 
 
-def recovery_gains(scenario: Scenario, hit: TrajectoryHit) -> Vec2:
+def recovery_gains(vehicle: VehicleConfig, wall: Wall, hit: TrajectoryHit) -> Vec2:
     """Gains (A_n, A_t) of the setpoint that holds from the peak of a hit until the way on is planned, m/N.
 
     With them PX4's position loop asks, at the velocity that the hit leaves, for the acceleration that the
     trajectory has there: kv (kp A F - v) = a.
     """
-    vehicle, wall = scenario.vehicle, scenario.walls[hit.wall]
     response, px4 = ContactResponse.of(vehicle, wall, hit.mode), vehicle.px4
     kept = math.exp(response.friction_s_per_m * hit.normal_m_s)
     wanted_n = -response.restitution * hit.normal_m_s + hit.acceleration_m_s2[0] / px4.mpc_xy_vel_p_acc

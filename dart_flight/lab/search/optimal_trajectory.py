@@ -126,12 +126,14 @@ class Hit(NamedTuple):
     Attributes:
         visit: near which place it has to be, where it serves one.
         guess: where it may be, to begin with.
+        velocity_m_s: (normal, tangential) at which it is hit; None: at which it is best.
     """
 
     wall: Wall
     mode: Mode
     visit: Visit | None = None
     guess: Vec2 | None = None
+    velocity_m_s: Vec2 | None = None
 
 
 class Corner(NamedTuple):
@@ -330,6 +332,8 @@ class _Transcription:
         self.require(ca.dot(t, before[4:6]) + drag_t * vt, -most, most)
         if event.visit is not None:
             self.near(before, event.visit)
+        if event.velocity_m_s is not None:
+            self.require(ca.vertcat(vn, vt) - ca.DM(event.velocity_m_s), 0.0, 0.0)
         out_n, out_t = -one.restitution * vn, vt * ca.exp(one.friction_s_per_m * vn)
         way_t = 0.5 * (vt + out_t) * one.contact_s
         release = before[:2] + n * (-one.lead_s * out_n + one.lead_s * vn) + t * way_t
@@ -351,8 +355,9 @@ def _guessed_ends(problem: Problem) -> list[tuple[_GuessedEnd, _GuessedEnd]]:
     for part in problem.parts:
         if isinstance(part.to, Hit):
             wall, place = part.to.wall, part.to.guess or part.to.wall.foot(here.place)
-            (nx, ny), out = wall.normal, _GUESSED_M_S * _GUESSED_LEFT
-            end = _GuessedEnd(place, (-_GUESSED_M_S * nx, -_GUESSED_M_S * ny))
+            guessed_m_s = _GUESSED_M_S if part.to.velocity_m_s is None else -part.to.velocity_m_s[0]
+            (nx, ny), out = wall.normal, guessed_m_s * _GUESSED_LEFT
+            end = _GuessedEnd(place, (-guessed_m_s * nx, -guessed_m_s * ny))
             found.append((here, end))
             here = _GuessedEnd(place, (out * nx, out * ny))
             continue

@@ -1,0 +1,78 @@
+"""How far above the centre of mass a wall pushes, from torque and force of its contacts."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.base.geometry import (
+    MissionFrame,
+    Quaternion,
+    Vec3,
+    add,
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+    rotate_back,
+    scale,
+)
+from dart_flight.base.records import ContactEnd, ForceEstimate, ImpactOnset, TorqueEstimate
+from dart_flight.base.walls import Wall
+from dart_flight.core.sense.contact_height import ContactHeight
+from dart_flight.core.sense.detector import Event, ExpectedContact
+from dart_flight.core.sense.incidence import ContactSample, ContactSampleBuffer
+from dart_flight.core.sense.state import FlightState
+
+OUT_M = 0.2
+WALL = Wall("east", (1.0, 0.0), (-1.0, 0.0), 4.0, "acrylic")
+NO_WALL = ExpectedContact()
+AT_WALL = ExpectedContact(True, WALL.normal, WALL.material, WALL)
+ONSET = ImpactOnset(4_000, 4_000, 4_000, (0.0, 0.0, 1.0), (-10.0, 0.0, 0.0), (1.0, 0.0, 0.0), True)
+
+
+def cross(a: Vec3, b: Vec3) -> Vec3:
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+def felt(height_m: float, side: int, tilt: Vec3, peak_n: float, expected: ExpectedContact) -> ContactHeight:
+    """One contact of a side (0 front, 1 right, 2 back, 3 left), pushed on at a height."""
+    state, samples = FlightState(has_lock=False), ContactSampleBuffer()
+    state.frame = frame = MissionFrame(heading_rad=0.4)
+    height = ContactHeight(OUT_M, samples)
+    to_wall = frame.vector_to_ned((1.0, 0.0, 0.0))
+    heading = math.atan2(to_wall[1], to_wall[0]) - side * 0.5 * math.pi
+    level = quaternion_from_rotation_vector((0.0, 0.0, heading))
+    q: Quaternion = quaternion_multiply(level, quaternion_from_rotation_vector(tilt))
+    axis = (math.cos(side * 0.5 * math.pi), math.sin(side * 0.5 * math.pi), 0.0)
+    at = add(scale(axis, OUT_M), (0.0, 0.0, -height_m))
+    for k in range(20):
+        force_n = peak_n * math.sin(math.pi * (k + 0.5) / 20.0)
+        push = rotate_back(q, frame.vector_to_ned((-force_n, 0.0, 0.0)))
+        t_us = 4_000 * (k + 1)
+        force = ForceEstimate(t_us, (-force_n, 0.0, 0.0), False)
+        torque = TorqueEstimate(t_us, cross(at, push))
+        samples.add(ContactSample(force, torque, q, (0.0, 0.0, 0.0)))
+        events: list[Event] = [ONSET] if k == 0 else []
+        height.update(state, (0.0, 0.0), events, expected)
+    height.update(state, (0.0, 0.0), [ContactEnd(84_000, 84_000)], NO_WALL)
+    return height
+
+
+@given(
+    st.floats(-0.05, 0.05),
+    st.integers(0, 3),
+    st.floats(-0.2, 0.2),
+    st.floats(-0.2, 0.2),
+    st.floats(15.0, 200.0),
+)
+def test_the_height_follows_from_torque_and_force(
+    height_m: float, side: int, roll: float, pitch: float, peak_n: float
+) -> None:
+    found = felt(height_m, side, (roll, pitch, 0.0), peak_n, AT_WALL).height_m
+    assert found == pytest.approx(height_m, abs=1e-9)
+
+
+def test_a_contact_that_says_too_little_leaves_it_open() -> None:
+    assert felt(0.02, 0, (0.0, 0.0, 0.0), 6.0, AT_WALL).height_m is None
+    assert felt(0.02, 0, (0.0, 0.0, 0.0), 50.0, ExpectedContact(True)).height_m is None
+    assert ContactHeight(OUT_M, ContactSampleBuffer()).height_m is None
