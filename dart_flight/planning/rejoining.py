@@ -71,7 +71,7 @@ class RejoiningWays(NamedTuple):
                 shape = _moved(written[6 * i : 6 * i + 6], since)
                 added = _moved(tuple(self.added[axis, row]), at_s)
                 slowed = [c / slower**k for k, c in enumerate(shape)]
-                axes[axis].extend(c + d for c, d in zip(slowed, added, strict=True))
+                axes[axis].extend(float(c + d) for c, d in zip(slowed, added, strict=True))
             pieces.append(slower * (length - since))
         return PlannedTrajectory(
             tuple(axes[0]), tuple(axes[1]), sum(pieces), planned.altitude_m, tuple(pieces)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -84,3 +85,8 @@ def test_what_is_judged_is_what_is_flown(away: tuple[float, ...]) -> None:
 def test_too_near_to_its_end_there_is_no_way_back() -> None:
     short = PlannedTrajectory.from_pieces(TrajectoryPieces((0.0, 0.0), [(0.15, 1.0, 0.0)]), 1.0)
     assert rejoin(short, state_at(0.0), (0.0, 0.0)).from_s.size == 0
+
+
+def test_a_way_goes_over_the_pipe_of_the_planner() -> None:
+    way = rejoin(PLANNED, state_at(0.1, (0.1,) * 6), (0.0, 0.0)).trajectory(3)
+    assert msgspec.json.decode(msgspec.json.encode(way), type=PlannedTrajectory) == way

@@ -28,6 +28,7 @@ from dart_flight.core.sense.state import FlightState
 _FELT_WITHIN_US = 60_000  # of a contact's end (`sense.felt`)
 _AGAIN_US, _NOT_AGAIN_US = 300_000, 400_000  # along a trajectory: after the request before, before its end
 _HELD_TO_M = 0.2
+_TRIES = 6  # at a trajectory from a contact on
 _LATER_S = 0.15  # that a new trajectory may end after the one that is flown
 # Where the vehicle may be beside the beginning of a way: what the loop takes out within a few tenths.
 _BESIDE_M, _BESIDE_M_S = 0.08, 0.25
@@ -42,7 +43,7 @@ class ReplanRequests:
         self._mission = mission
         self._asks = mission.after_impact is AfterImpact.REPLAN
         self._within_us = round(mission.vehicle.flying.replan_within_s * 1e6)
-        self._number = 0
+        self._number = self._tries = 0  # of all requests, and since the last contact
         self._felt = False  # the last contact has said what its wall is like
         self._asked: PlanRequest | None = None
         self._answer: PlanAnswer | None = None
@@ -57,6 +58,7 @@ class ReplanRequests:
         """What was asked or planned is over."""
         self._asked = self._answer = self._way = self._impact_us = None
         self._felt = False
+        self._tries = 0
 
     def request_once(
         self,
@@ -96,6 +98,7 @@ class ReplanRequests:
         if along and self._way is None and _is_turning(turned_rad, state):
             return
         self._number += 1
+        self._tries += 1
         self._from_rest = following is not None and following.approach_m_s is not None
         m, (push_x, push_y) = self._mission.vehicle.airframe.mass_kg, sensed.estimate.push_mission
         self._asked = PlanRequest(
@@ -123,7 +126,7 @@ class ReplanRequests:
         if asked is None or self._mission.goal_trajectory is None or now_us - asked.t_us < _AGAIN_US:
             return False
         if way is None:
-            return self._answer is None
+            return self._answer is None and self._tries < _TRIES
         return now_us + self._within_us + _NOT_AGAIN_US < self._begin_us + way.duration_s * 1e6
 
     def take(self, answer: PlanAnswer, now_us: int, p: Proposal) -> None:
