@@ -184,9 +184,8 @@ class Replanner:
         ways, push = ways.take(np.flatnonzero(fine)), push[fine] / self._most_m_s2
         if ways.duration_s.size:
             wall_hit = None if collision is None else collision.wall
-            window = GridWindow(
-                ways.shares, *(v.astype(np.float32) for v in (*ways.position, *ways.velocity))
-            )
+            states = (v.astype(np.float32) for v in (*ways.position, *ways.velocity))
+            window = GridWindow(ways.shares, *states)
             until = np.full(ways.duration_s.size, ways.shares.size)
             clear = self._constraints.path(window, until, wall_hit, begins=True) == 0
             ways, push = ways.take(np.flatnonzero(clear)), push[clear]
