@@ -62,9 +62,9 @@ class HitLimits(NamedTuple):
         sliding_m_s: velocity along the wall.
         friction_ratio: friction over normal force.
         detectable_n: least normal force, or the hit is not noticed.
-        thrust_m_s2: (least, most) push of the thrust away from the wall at the hit. Leaning into a wall, the
-            vehicle is turned on its head by the contact and loses what it had; leaning back a little it comes
-            off best.
+        thrust_m_s2: (least, most) push of the thrust away from the wall at the hit. Leaning into a wall, or
+            back from it, the vehicle is turned over by the contact and loses what it had; nearly level it
+            comes off best (docs/results/faster_hits.md).
         thrust_along_m_s2: most push of the thrust along the wall then.
     """
 
@@ -73,7 +73,7 @@ class HitLimits(NamedTuple):
     sliding_m_s: float | None
     friction_ratio: float | None
     detectable_n: float
-    thrust_m_s2: Vec2 = (0.15, 0.45)
+    thrust_m_s2: Vec2 = (-0.05, 0.2)
     thrust_along_m_s2: float = 1.0
 
 
