@@ -33,7 +33,7 @@ _LATER_S = 0.15  # that a new trajectory may end after the one that is flown
 # Where the vehicle may be beside the beginning of a way: what the loop takes out within a few tenths.
 _BESIDE_M, _BESIDE_M_S = 0.08, 0.25
 # How far the heading may go by this time before a way to a wall begins: a contact may turn the vehicle.
-_TURNED_S, _TURNED_RAD = 0.2, 1.2
+_TURNED_S, _TURNED_RAD = 0.3, 0.7
 
 
 class ReplanRequests:
