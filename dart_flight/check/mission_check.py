@@ -143,7 +143,8 @@ def _check_waypoints(mission: Mission) -> list[CheckFinding]:
 def _check_approach(mission: Mission, collision: Collision) -> list[CheckFinding]:
     item = f"approach_{collision.index}"
     if collision.approach_m_s is None:
-        says = f"wall {collision.wall.name} is reached by the recovery from the collision before"
+        way = "recovery" if collision.trajectory is None else "trajectory"
+        says = f"wall {collision.wall.name} is reached by the {way} from the collision before"
         return [CheckFinding(item, True, says)]
     try:
         approach = plan_approach(mission, collision)
@@ -243,7 +244,7 @@ def _check_goal(mission: Mission, planned: PredictedFlight) -> list[CheckFinding
         return [CheckFinding("goal", True, says, remark=True)]
     miss_m, radius_m = planned.goal_miss_m, mission.goal.capture_radius_m
     figures = {"goal_miss_m": miss_m, "capture_radius_m": radius_m}
-    says = describe_goal_miss(miss_m, mission.goal, mission.after_impact)
+    says = describe_goal_miss(miss_m, mission.goal, mission.after_impact, mission.goal_trajectory is not None)
     misses = miss_m > radius_m and mission.after_impact is not AfterImpact.REPLAN
     return [CheckFinding("goal", True, says, remark=misses, figures=figures)]
 
@@ -299,6 +300,8 @@ def _check_recovery(
     says = f"setpoint after wall {collision.wall.name} near ({target[0]:.2f}, {target[1]:.2f})"
     following = next((c for c in mission.collisions if c.index == collision.index + 1), None)
     leg = next((one for one in transit_segments(mission) if _begins_behind(mission, one, collision)), None)
+    if (mission.goal_trajectory if following is None else following.trajectory) is not None:
+        return [_outside(mission, item, target, f"{says}, until a trajectory is planned from there", "it")]
     if following is not None and following.approach_m_s is None:
         beyond = following.wall.signed_distance(target)
         if beyond > 0.0:

@@ -58,8 +58,9 @@ class PredictedFlight(msgspec.Struct):
     Attributes:
         approaches: index of the collision led to -> straight lines, mission frame, metres: where the
             vehicle is at rest before (where that is known and elsewhere), run-up point, impact.
-        legs: collision index (0: from rest at the start, along a trajectory to the goal) -> (n, 4), x, y, vx, vy from its onset over the release to the next onset, of
-            the last to the closest approach to the goal. At the onset itself the velocity is given as 0.
+        legs: collision index (0: along a trajectory from rest at the start to the goal) -> (n, 4), x, y, vx,
+            vy from its onset over the release to the next onset, of the last to the closest approach to the
+            goal. At the onset itself the velocity is given as 0.
         hits: collision index -> the hit; none for a wall that the model does not reach.
         goal_miss_m: closest approach to the goal after the last contact; None where it does not come to that.
         walls: those that the mission says may stand elsewhere, where they were drawn.
@@ -83,9 +84,14 @@ def impact_place(collision: Collision, hits: Mapping[int, PredictedImpact]) -> V
 
 
 def describe_goal_miss(
-    miss_m: float, goal: GoalSpec, after_impact: AfterImpact = AfterImpact.SETPOINT
+    miss_m: float,
+    goal: GoalSpec,
+    after_impact: AfterImpact = AfterImpact.SETPOINT,
+    along_trajectory: bool = False,
 ) -> str:
     """In words how near the goal is passed, and from where on that counts as reached."""
+    if along_trajectory:
+        return f"flown to along a trajectory, to rest there (capture radius {goal.capture_radius_m:g} m)"
     says = f"passes the goal at {miss_m:.2f} m (capture radius {goal.capture_radius_m:g} m)"
     if after_impact is AfterImpact.REPLAN:
         return (

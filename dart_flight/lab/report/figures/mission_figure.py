@@ -101,7 +101,9 @@ def prediction_lines(
     if missing:
         lines.append(f"The model does not reach wall {missing[0].wall.name} of collision {missing[0].index}.")
     if planned.goal_miss_m is not None:
-        words = describe_goal_miss(planned.goal_miss_m, mission.goal, mission.after_impact)
+        words = describe_goal_miss(
+            planned.goal_miss_m, mission.goal, mission.after_impact, mission.goal_trajectory is not None
+        )
         lines.append(f"{words[0].upper()}{words[1:]}.")
     misses = [flight.goal_miss_m for flight in drawn if flight.goal_miss_m is not None]
     if misses:
@@ -160,10 +162,11 @@ def _draw_draws(axis: Any, mission: Mission, drawn: Sequence[PredictedFlight]) -
 def _draw_trajectory(axis: Any, mission: Mission, planned: PredictedFlight) -> None:
     for way in _from_rest(mission):
         axis.plot(way[:, 0], way[:, 1], label="predicted trajectory", **PREDICTED)
-    for line in planned.approaches.values():
+    for index, line in planned.approaches.items():
         way = np.array(line)
         axis.plot(way[:, 0], way[:, 1], label="predicted trajectory", **PREDICTED)
-        axis.plot(*way[-2], "s", color="#000000", markersize=4, markerfacecolor="white", linestyle="none",
+        begins = 0 if mission.collisions[index - 1].trajectory is not None else -2
+        axis.plot(*way[begins], "s", color="#000000", markersize=4, markerfacecolor="white", linestyle="none",
                   label="run-up begins", zorder=4)  # fmt: skip
         middle = way[-2] + 0.55 * (way[-1] - way[-2])
         draw_arrow(axis, middle, middle + 0.06 * (way[-1] - way[-2]), "#000000", linewidth=0.0)
