@@ -13,9 +13,11 @@ from dart_flight.core.sense.detector import (
     _MARGIN_SIGMA,
     ExpectedContact,
     ImpactDetector,
+    _mean_prior,
     _onset_of_mean,
     _Sample,
 )
+from dart_flight.core.sense.pulse import PulsePrior
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
 from tests.core.test_force_estimate import VEHICLE, half_sine
@@ -228,3 +230,11 @@ def test_where_only_a_mean_shows_a_pulse_it_begins_with_its_first_sample(begins:
 
 def test_a_half_sine_between_two_samples_may_not_be_seen() -> None:
     assert half_sine_share(1, 0.01, 0.01) == 0.0
+
+
+def test_of_a_wall_that_is_in_no_plan_the_middle_of_the_materials_is_expected() -> None:
+    """By ratio: a stiffness is as likely half as double. Where there are no materials, something at all."""
+    stiff, soft = PulsePrior(80.0, 9.0, 2.0), PulsePrior(20.0, 1.0, 0.5)
+    assert _mean_prior([soft]) == pytest.approx(soft)
+    assert _mean_prior([stiff, soft]) == pytest.approx((40.0, 3.0, 1.0))
+    assert min(_mean_prior([])) > 0.0

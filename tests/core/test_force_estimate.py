@@ -30,6 +30,7 @@ from dart_flight.core.sense.arm_vibration import ArmFilter
 from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector, _top_of
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.pulse import PulsePrior, TickReading, fit_friction, fit_normal
+from dart_flight.core.sense.senses import Senses
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.thrust_model import LaggedCommands, ThrustModel
 from tests.core.conftest import HOVER, ROOT
@@ -230,6 +231,28 @@ def test_battery_voltage_scales_the_curve() -> None:
     assert model.mean_over_tick(1_012_000) == pytest.approx(full * 0.9**1.5)
     model.take_voltage(None)
     assert model.mean_over_tick(1_016_000) == pytest.approx(full * 0.9**1.5)
+
+
+def test_what_battery_and_motors_say_gets_to_the_thrust() -> None:
+    battery = msgspec.structs.replace(VEHICLE.estimation.battery, exponent=1.5)
+    vehicle = with_estimation(battery=battery, esc_thrust_n_per_rpm2=1.1e-8)
+    senses = Senses(msgspec.structs.replace(MISSION, vehicle=vehicle))
+
+    def run(first_us: int, rpm: float | None = None) -> float:
+        for t in range(first_us, first_us + 200_000, 4000):
+            senses.update(AttitudeSample(t, t, IDENTITY), ExpectedContact())
+            senses.update(ActuatorSample(t, t, (HOVER,) * 4), ExpectedContact())
+            if rpm is not None:
+                senses.update(EscSample(t, t, (rpm,) * 4), ExpectedContact())
+            senses.update(ImuSample(t, t, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0)), ExpectedContact())
+        each_n = senses.estimator.thrust.each_n
+        assert each_n is not None
+        return sum(each_n)
+
+    full_n = run(1_000_000)
+    senses.update(StatusSample(0, 0, battery_v=0.9 * battery.reference_v), ExpectedContact())
+    assert run(1_200_000) == pytest.approx(full_n * 0.9**1.5, rel=1e-3)
+    assert run(1_400_000, 17_000.0) == pytest.approx(4 * 1.1e-8 * 17_000.0**2, rel=1e-3)
 
 
 # --- estimator ---------------------------------------------------------------------------------------

@@ -775,10 +775,15 @@ def test_thresholds_named_in_the_table_exist() -> None:
                 node = getattr(node, name)
 
 
+@pytest.mark.parametrize("odometry_every", [1, 2])
 @pytest.mark.parametrize("ahead_s", [238.0, -238.0, 2.0, -0.7])
-def test_two_clocks_in_turn_are_two_vehicles_and_time_does_not_leap(ahead_s: float) -> None:
+def test_two_clocks_in_turn_are_two_vehicles_and_time_does_not_leap(
+    ahead_s: float, odometry_every: int
+) -> None:
+    """Also where every sample of the one comes between two of the other, in all streams."""
     c = HandFedCore()
     c.to_flight()
+    c.odometry_every = odometry_every
     before_us = c.t_us
     in_turn(c, round(ahead_s * 1e6), 0.0, 0.1)
     assert [e.rule for e in fired(c)] == ["second_vehicle"]
@@ -855,6 +860,54 @@ def test_a_mode_that_goes_back_to_offboard_at_once_costs_only_that_moment() -> N
     c.run(0.05)
     c.set_status(flight_mode=FlightMode.OFFBOARD)
     assert any(isinstance(o, Setpoint) for o in c.run(0.2))
+    assert not fired(c)
+
+
+@pytest.mark.parametrize(
+    ("left", "says"),
+    [
+        ({"battery_remaining": 0.1, "battery_v": 15.0}, ["10 %, 15.0 V"]),
+        ({"battery_remaining": 0.1}, ["10 %"]),
+        ({"battery_remaining": 0.5, "battery_v": 12.9}, ["50 %, 12.9 V"]),
+        ({"battery_v": 12.9}, ["12.9 V"]),
+        ({"battery_remaining": 0.5, "battery_v": 15.0}, []),
+        ({}, []),
+    ],
+)
+def test_a_battery_is_low_by_its_charge_or_its_voltage_whichever_is_known(
+    left: dict[str, float], says: list[str]
+) -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.set_status(**left)
+    c.run(1.2)
+    assert [(e.rule, e.detail) for e in fired(c)] == [("battery", words) for words in says]
+
+
+def test_a_battery_that_recovers_has_its_time_again() -> None:
+    """A current for a moment is no low battery, however often it comes."""
+    c = HandFedCore()
+    c.to_flight()
+    for _ in range(4):
+        c.set_status(battery_v=12.9)
+        c.run(0.6)
+        c.set_status(battery_v=15.0)
+        c.run(0.1)
+    assert not fired(c)
+
+
+def test_what_lasts_only_for_a_moment_at_a_time_does_not_add_up() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    for _ in range(6):
+        c.give(EstimatorSample(c.t_us, c.t_us, healthy=False))
+        c.run(0.2)
+        c.give(EstimatorSample(c.t_us, c.t_us, healthy=True))
+        c.run(0.05)
+        c.noise_m_s2 = 0.0
+        c.run(0.06)
+        c.noise_m_s2 = 1e-4
+        c.run(0.01)
     assert not fired(c)
 
 
