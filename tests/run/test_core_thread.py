@@ -392,3 +392,13 @@ def test_after_the_stop_nothing_is_stepped(watched: Harness[WatchedCore]) -> Non
     watched.thread.stop()
     watched.thread.arrive(attitude(4000))
     assert watched.core.samples == []
+
+
+def test_a_stop_is_heard_however_long_the_next_turn_would_be_waited_for(
+    watched: Harness[WatchedCore], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begin(watched, Pace.BATCHED)
+    monkeypatch.setattr(module, "BATCH_S", 60.0)
+    time.sleep(0.1)  # the turn under way ends
+    watched.thread.stop()
+    assert not watched.thread.thread.is_alive()
