@@ -149,6 +149,18 @@ def test_events_come_in_order_and_once(seed: int) -> None:
         assert peak.normal_force_n == pytest.approx(40.0, rel=0.4)
 
 
+@pytest.mark.parametrize("samples", [3, 4, 6])
+def test_the_end_of_a_contact_is_its_own_however_short_it_is(samples: int) -> None:
+    """Its force is gone by the time that its peak is known."""
+    pulse: Forces = [(f, 0.0) for f in half_sine(40.0, samples)]
+    _, events = run(([(0.0, 0.0)] * 1000 + pulse) * 3 + [(0.0, 0.0)] * 100, noise_n=0.26)
+    impacts, ends = onsets(events), [e for e in events if isinstance(e, ContactEnd)]
+    assert len(impacts) == len(ends) == 3
+    for onset, end in zip(impacts, ends, strict=True):
+        assert end.first_us == onset.first_us
+        assert 0 <= end.t_us - onset.t_us < 60_000
+
+
 def turning(seconds: float, top_n: float, hz: float) -> Forces:
     """A tone whose axes differ by a quarter of a turn: of the same size in every sample."""
     angles = [math.tau * hz * 0.004 * i for i in range(round(seconds / 0.004))]
