@@ -97,7 +97,6 @@ class Deadman:
 
     def disarm(self) -> None:
         """The flight is over: the watcher ends without harm."""
-        self._armed = False
         # The pipe stays open: the core thread may still feed, and must not write into a number used anew.
         self._write(_LET_GO)
         with contextlib.suppress(subprocess.TimeoutExpired):

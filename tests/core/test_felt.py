@@ -24,6 +24,7 @@ from dart_flight.core.sense.contact_fit import (
     ContactReading,
     Hypothesis,
     ObservedContact,
+    _merged,
 )
 from dart_flight.core.sense.incidence import ContactSample, ContactSampleBuffer
 from dart_flight.core.sense.wall_estimator import WallEstimator, _PendingEstimate
@@ -421,3 +422,40 @@ def test_a_lock_that_lies_is_found_out(kind: str, body: BodyModel) -> None:
     assert covered(j, "k")
     assert j.felt.wall == "acrylic"  # the wall's name in the mission
     assert abs(j.felt.plane_offset_m) < 0.01
+
+
+@pytest.mark.parametrize("count", [36, 37, 100, 200])
+def test_many_readings_are_merged_into_few_that_say_the_same_together(count: int) -> None:
+    """Where none is at full scale; such a one stays what it is."""
+    rng = random.Random(count)
+
+    def some() -> float:
+        return rng.gauss(0.0, 1.0)
+
+    ticks = [
+        ContactReading(
+            rng.choice((0.002, 0.004)),
+            some(),
+            some(),
+            some(),
+            some(),
+            some(),
+            i == 20,
+            some(),
+            some(),
+            some(),
+        )
+        for i in range(count)
+    ]
+    merged = _merged(ticks)
+    assert len(merged) <= 36 + 2
+    assert (merged == ticks) is (count <= 36)
+    assert [t for t in merged if t.bound] == [ticks[20]]
+    assert sum(t.samples for t in merged) == count
+    assert sum(t.h for t in merged) == pytest.approx(sum(t.h for t in ticks))
+    for name in (
+        *("normal", "along", "up", "push_normal", "push_along"),
+        *("turned", "turning", "torque"),
+    ):
+        together, alone = (sum(t.h * getattr(t, name) for t in each) for each in (merged, ticks))
+        assert together == pytest.approx(alone)

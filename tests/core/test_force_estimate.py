@@ -29,7 +29,7 @@ from dart_flight.config.vehicle import ThrustSource, VehicleConfig
 from dart_flight.core.sense.arm_vibration import ArmFilter
 from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector, _top_of
 from dart_flight.core.sense.force import ForceEstimator
-from dart_flight.core.sense.pulse import PulsePrior, TickReading, fit_friction, fit_normal
+from dart_flight.core.sense.pulse import PulsePrior, TickReading, _binned, fit_friction, fit_normal
 from dart_flight.core.sense.senses import Senses
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.thrust_model import LaggedCommands, ThrustModel
@@ -177,6 +177,26 @@ def test_a_noisy_pulse_misfits_by_its_noise_and_the_peak_is_as_sure_as_it_scatte
     assert 0.6 < statistics.mean(fit.misfit for fit in fits) < 1.3
     scatter = statistics.stdev(fit.peak_n for fit in fits)
     assert 0.8 * scatter < statistics.mean(fit.sigma_n for fit in fits) < 1.6 * scatter
+
+
+@pytest.mark.parametrize("count", [10, 200])
+def test_many_readings_of_a_pulse_are_averaged_into_few_that_say_the_same_together(count: int) -> None:
+    """But over no gap; and one at full scale stays what it is."""
+    rng, at, readings = random.Random(count), 0.0, list[TickReading]()
+    for i in range(count):
+        begin = at + (0.004 if i == 7 else 0.0)
+        at = begin + rng.choice((0.002, 0.004))
+        readings.append(TickReading(begin, at, rng.gauss(0.0, 1.0), rng.gauss(0.0, 1.0), i == 3))
+    bins = _binned(readings)
+    assert sum(n for _, n in bins) == count
+    assert len(bins) <= max(10, 45)
+    assert [r for r, _ in bins if r.bound] == [readings[3]]
+    assert not [r for r, _ in bins if r.a < readings[6].b and r.b > readings[7].a]
+    for moment in (lambda r: 1.0, lambda r: r.normal, lambda r: r.tangential):
+        together, alone = (
+            sum((r.b - r.a) * moment(r) for r in some) for some in ([r for r, _ in bins], readings)
+        )
+        assert together == pytest.approx(alone)
 
 
 # --- thrust ------------------------------------------------------------------------------------------

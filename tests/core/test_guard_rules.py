@@ -16,6 +16,7 @@ from dart_flight.base.records import (
     EstimatorSample,
     FlightMode,
     GuardEvent,
+    ImpactOnset,
     ImuSample,
     LandedState,
     LockCommand,
@@ -40,9 +41,11 @@ from dart_flight.base.records import (
 )
 from dart_flight.core import flight_core
 from dart_flight.core.guard.rules import RULES, Rule
+from dart_flight.core.guard.second_vehicle import SecondPositionDetector
 from dart_flight.core.mission import executive, rehearsal
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.senses import Sensed
+from dart_flight.core.sense.state import FlightState
 from tests.core.conftest import TELEPORTING, HandFedCore
 
 CAUSES: dict[str, Callable[[HandFedCore], object]] = {}
@@ -538,6 +541,28 @@ def test_the_contact_that_is_expected_is_that_with_the_next_wall(
         assert flown._expect() is expected
 
 
+@pytest.mark.parametrize(
+    ("phase", "wall", "of_the_plan"),
+    [
+        (Phase.TRANSIT, 0, False),
+        (Phase.APPROACH, 0, True),
+        (Phase.CONTACT, 0, False),  # a second one before the peak
+        (Phase.RECOVERY, 0, False),  # it has an approach of its own
+        (Phase.RECOVERY, 1, True),
+        (Phase.GOAL, 2, False),
+    ],
+)
+def test_an_onset_is_the_plans_only_where_the_plan_has_one(
+    phase: Phase, wall: int, of_the_plan: bool
+) -> None:
+    flown, p = executive.Executive(HandFedCore().core.mission), Proposal()
+    flown.phase, flown._index = phase, wall
+    flown._on_onset(
+        ImpactOnset(5, 1, 5, (0.0, 9.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), True), FlightState(), p
+    )
+    assert ("unplanned_hit" not in [finding.rule for finding in p.findings]) is of_the_plan
+
+
 def test_in_the_step_in_which_a_rule_fires_the_mission_may_record_but_not_command() -> None:
     c, proposal = HandFedCore(), Proposal()
     c.to_flight()
@@ -629,6 +654,36 @@ def test_a_landing_is_waited_for_until_the_motors_would_be_stopped() -> None:
     assert c.core.end is None
     c.run(1.0)
     assert [e.rule for e in fired(c)][-1] == "still_armed"
+
+
+@pytest.mark.parametrize("armed", [False, True])
+def test_a_vehicle_that_somebody_has_armed_is_not_left_so_when_the_flight_is_given_up(armed: bool) -> None:
+    c = HandFedCore()
+    c.set_status(armed=armed)
+    not_ready(c)
+    assert c.core.end is not None
+    told = [o.action for o in c.outputs if isinstance(o, VehicleCommand)]
+    assert told == [VehicleAction.DISARM] * armed
+
+
+def test_only_an_armed_vehicle_in_land_mode_has_been_landing() -> None:
+    """Else a long flight, or a long wait on the ground, would count as a landing that does not end."""
+    c = HandFedCore()
+    c.to_flight()
+    watch = c.core._guard._watch
+    c.run(2.0)
+    assert watch.landing_s == 0.0
+    c = HandFedCore()
+    watch = c.core._guard._watch
+    c.set_status(flight_mode=FlightMode.LAND)
+    c.run(2.0)
+    assert watch.landing_s == 0.0
+    c.set_status(armed=True)
+    c.run(2.0)
+    assert watch.landing_s == pytest.approx(2.0, abs=0.02)
+    c.set_status(armed=False)
+    c.run(0.1)
+    assert watch.landing_s == 0.0
 
 
 def test_stamps_that_jump_in_a_landing_do_not_stop_the_motors() -> None:
@@ -798,6 +853,23 @@ def test_two_positions_at_one_clock_are_two_vehicles() -> None:
     assert fired(c)[-1].rule == "second_vehicle"  # after the jump, which is seen first
     assert "3.0 m apart" in fired(c)[-1].detail
     assert c.core.override is Override.LAND
+
+
+def test_a_position_after_a_gap_is_compared_with_none_from_before_it() -> None:
+    """It flew on meanwhile, perhaps to where it had jumped from: that is no second vehicle."""
+    places, t_us = SecondPositionDetector(0.3), 0
+
+    def take(north_m: float, after_s: float = 0.02) -> float | None:
+        nonlocal t_us
+        t_us += round(after_s * 1e6)
+        places.update(OdometrySample(t_us, t_us, (north_m, 0.0, -1.0), (0.0, 0.0, 0.0)))
+        return places.apart_m(t_us)
+
+    for _ in range(5):
+        for north_m in (0.0, 3.0):
+            assert take(north_m, 1.1) is None
+            assert take(3.0 - north_m) is None  # once there, and not back
+    assert [take(north_m) for north_m in (0.0, 3.0, 0.0, 3.0, 0.0)][-1] == pytest.approx(3.0)
 
 
 def test_a_second_vehicle_explains_what_had_fired_before_it_was_told_apart() -> None:

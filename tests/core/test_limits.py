@@ -154,35 +154,42 @@ def test_the_guard_holds_at_the_missions_altitude_or_where_it_is_above_it(up_m: 
     assert {round(o.position_ned[2], 6) for o in held} == {-held_m}
 
 
+DUAL = "missions/paper_dual_collision.yaml"
+
+
 @pytest.mark.parametrize(
-    ("distance_m", "along_m", "closing_m_s", "held_m"),
+    ("mission", "distance_m", "along_m", "closing_m_s", "held_m"),
     [
-        (0.3, 0.0, 0.0, 0.5),  # the retreat distance
-        (0.8, 0.0, 0.0, 0.8),  # further away than that it stays
-        (0.8, 0.0, 0.8, 1.2),  # it brakes harder than by holding still
-        (0.8, 0.0, -0.8, 0.8),
-        (1.1, 0.0, 0.8, 1.1),  # and not for a wall that far away
-        (0.3, 1.7, 0.0, 0.3),  # beside the wall's end there is nothing to keep away from
-        (0.3, -1.7, 0.0, 0.3),
-        (-0.3, 0.0, 0.0, 0.5),  # where the wall is further away than the plan has it
-        (-0.52, 0.0, 0.0, -0.52),  # on its other side
+        (SINGLE, 0.3, 0.0, 0.0, 0.5),  # the retreat distance
+        (SINGLE, 0.8, 0.0, 0.0, 0.8),  # further away than that it stays
+        (SINGLE, 0.8, 0.0, 0.8, 1.2),  # it brakes harder than by holding still
+        (SINGLE, 0.8, 0.0, -0.8, 0.8),
+        (SINGLE, 1.1, 0.0, 0.8, 1.1),  # and not for a wall that far away
+        (SINGLE, 0.3, 1.7, 0.0, 0.3),  # beside the wall's end there is nothing to keep away from
+        (SINGLE, 0.3, -1.7, 0.0, 0.3),
+        (SINGLE, -0.3, 0.0, 0.0, 0.5),  # where the wall is further away than the plan has it
+        (SINGLE, -0.52, 0.0, 0.0, -0.52),  # on its other side
+        (DUAL, 0.3, 0.2, 0.0, 0.5),  # a wall along the other axis
+        (DUAL, 0.6, 0.2, 0.4, 0.8),
+        (DUAL, 0.6, 0.2, -0.4, 0.6),
     ],
 )
 def test_breaking_off_keeps_its_distance_from_a_wall_that_is_before_it(
-    distance_m: float, along_m: float, closing_m_s: float, held_m: float
+    mission: str, distance_m: float, along_m: float, closing_m_s: float, held_m: float
 ) -> None:
-    c = HandFedCore(SINGLE)
+    c = HandFedCore(mission)
     c.to_prepare()
-    (wall,) = c.core.mission.walls
-    x, y = wall.point
-    north = x - wall.signed_distance(wall.point) - distance_m
-    c.position_ned, c.velocity_ned = (north, -(y + along_m), -1.0), (closing_m_s, 0.0, 0.0)
+    wall = c.core.mission.walls[0]
+    (nx, ny), (tx, ty) = wall.normal, wall.tangent
+    away_m = distance_m - wall.signed_distance(wall.point)
+    x, y = wall.point[0] + away_m * nx + along_m * tx, wall.point[1] + away_m * ny + along_m * ty
+    c.position_ned, c.velocity_ned = (x, -y, -1.0), (-closing_m_s * nx, closing_m_s * ny, 0.0)
     c.run(0.02)
-    assert wall.signed_distance(c.core.state.position) == pytest.approx(distance_m, abs=0.03)
+    assert wall.signed_distance(c.core.state.position) == pytest.approx(distance_m, abs=0.01)
     c.give(OperatorRequest(c.t_us, Request.LAND))
-    held = next(o for o in c.run(0.1) if isinstance(o, Setpoint)).position_ned
-    assert north - held[0] == pytest.approx(held_m - distance_m, abs=0.02)
-    assert held[1] == pytest.approx(c.position_ned[1])
+    north, east, _ = next(o for o in c.run(0.1) if isinstance(o, Setpoint)).position_ned
+    assert wall.signed_distance((north, -east)) == pytest.approx(held_m, abs=0.02)
+    assert (north - x) * tx + (-east - y) * ty == pytest.approx(0.0, abs=0.01)
 
 
 def test_after_a_change_of_altitude_the_guard_holds_at_the_new_one() -> None:

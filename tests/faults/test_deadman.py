@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.run.deadman import SystemdNotice
+from dart_flight.run.deadman import Deadman, SystemdNotice
 from tests.doubles.ports import free_udp_port
 from tools.lossy_proxy import set_point_times
 
@@ -89,6 +89,34 @@ def test_a_watcher_that_was_stopped_itself_harms_nobody(tmp_path: Path) -> None:
     time.sleep(2 * STARVE_S)
     os.kill(watcher, signal.SIGCONT)
     assert process.wait(15) == 0
+
+
+@pytest.mark.parametrize(("starve_s", "period_s"), [(0.3, 0.06), (0.5, 0.1), (5.0, 0.1)])
+def test_it_is_fed_often_enough_that_some_may_be_late_and_no_more_often(
+    starve_s: float, period_s: float
+) -> None:
+    deadman = Deadman(starve_s)
+    try:
+        assert deadman.feed_period_s == pytest.approx(period_s)
+    finally:
+        deadman.disarm()
+
+
+def test_the_watcher_leaves_the_processor_to_the_flight(tmp_path: Path) -> None:
+    """By the processor's time that it has taken, of two seconds."""
+    body = f"""
+    import os
+    def took_s():
+        fields = Path(f"/proc/{{deadman.pid}}/stat").read_text().split()
+        return (int(fields[13]) + int(fields[14])) / os.sysconf("SC_CLK_TCK")
+    for _ in range(15): {FEED_BOTH}
+    before_s = took_s()
+    for _ in range(100): {FEED_BOTH}
+    assert took_s() - before_s < 0.15
+    """
+    process = fed(body, tmp_path / "note")
+    _, error = process.communicate(timeout=30)
+    assert process.returncode == 0, error
 
 
 def test_what_ends_programs_does_not_end_the_watcher(tmp_path: Path) -> None:
