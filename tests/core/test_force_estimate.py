@@ -230,6 +230,18 @@ def test_the_best_fresh_thrust_source_is_taken() -> None:
     assert model.source is ThrustSource.ACTUATOR  # the ESC's telemetry is stale
 
 
+def test_without_a_fresh_source_hovering_is_assumed_and_no_motor_known() -> None:
+    model = ThrustModel(with_estimation(esc_thrust_n_per_rpm2=1.1e-8))
+    for t_us in (1_000_000, 1_004_000):
+        model.take_esc(EscSample(t_us, 0, (17_000.0,) * 4))
+        model.mean_over_tick(t_us)
+    known = (model.source, model.each_n)
+    assert known == (ThrustSource.ESC, tuple([1.1e-8 * 17_000.0 * 17_000.0] * 4))
+    model.mean_over_tick(1_200_000)
+    assert (model.source, model.each_n) == (None, None)
+    assert model.mean_over_tick(1_204_000) == pytest.approx(MASS * 9.81)
+
+
 @pytest.mark.parametrize(("period_us", "constant"), [(100_000, 1.1e-8), (8_000, None)])
 def test_slow_or_uncalibrated_motor_speeds_are_no_source(period_us: int, constant: float | None) -> None:
     model = ThrustModel(with_estimation(esc_thrust_n_per_rpm2=constant))

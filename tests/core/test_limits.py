@@ -131,6 +131,15 @@ def test_the_mission_asks_for_its_landing_every_second_until_telemetry_shows_it(
     assert c.core.end.outcome == "completed"
 
 
+def test_a_stronger_action_asks_at_once_and_does_not_wait_for_the_retry_of_a_weaker_one() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.give(OperatorRequest(c.t_us, Request.LAND))
+    assert lands(c, 1.6) == [pytest.approx(1.5, abs=0.02)]
+    c.q = quaternion_from_euler(1.2, 0.0, 0.0)  # lands at once
+    assert lands(c, 0.1) == [pytest.approx(0.0, abs=0.01)]
+
+
 # --- where the guard holds ---------------------------------------------------------------------------------
 
 

@@ -327,7 +327,6 @@ class Executive:
             self._begin_transit()
         else:
             self._go(PhaseTrigger.NEXT_GOAL, state, p)
-            self._captured_us = None
             self._references.fly_to(self.mission.goal.position_m)
 
     def _fly_to_waypoint(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
@@ -493,7 +492,6 @@ class Executive:
         force = math.hypot(event.normal_force_n, event.tangential_force_n)
         if force > self.mission.limits.peak_force_n:
             p.add_finding("peak_force", f"{force:.0f} N at wall {collision.wall.name}")
-        self._least_miss_m = math.inf
         self._go(PhaseTrigger.PEAK, state, p)
         self._index += 1
 
@@ -585,7 +583,6 @@ class Executive:
         if passed or timed_out:
             p.outputs.append(GoalPassed(state.now_us, self._least_miss_m, not passed))
             self._head_for_goal(state, miss)
-            self._captured_us = None
             self._go(PhaseTrigger.PASSED if passed else PhaseTrigger.TIMED_OUT, state, p)
 
     def _head_for_goal(self, state: FlightState, distance_m: float) -> None:
