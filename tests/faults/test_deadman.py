@@ -35,15 +35,30 @@ print(time.monotonic(), deadman.pid, flush=True)
 """
 
 
+STARTED: list[subprocess.Popen[str]] = []
+
+
 def fed(body: str, note: Path) -> subprocess.Popen[str]:
     """A process with a deadman that does `body`."""
-    return subprocess.Popen(
+    process = subprocess.Popen(
         [sys.executable, "-c", FED.format(starve=STARVE_S, body=textwrap.dedent(body)), str(note)],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
+    STARTED.append(process)
+    return process
+
+
+@pytest.fixture(autouse=True)
+def _none_is_left() -> Iterator[None]:
+    """A program that hangs, and that its deadman does not end, would hang for ever."""
+    yield
+    while STARTED:
+        process = STARTED.pop()
+        process.kill()
+        process.communicate()
 
 
 FEED_BOTH = "deadman.feed(CORE); deadman.feed(LOOP); time.sleep(0.02)"
