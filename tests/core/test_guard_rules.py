@@ -721,7 +721,7 @@ def test_a_reset_of_the_heading_alone_is_none() -> None:
     c.to_flight()
     c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
     c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
-    c.run(0.3)
+    c.run(0.12)
     # Long after it, a step too small for `estimator_jump` has nothing to do with it.
     north, east, down = c.position_ned
     c.position_ned = (north + 0.08, east, down)
@@ -770,6 +770,79 @@ def test_a_gap_and_then_hold_is_a_failsafe_and_sticks_are_a_pilot() -> None:
         c.run(0.02)
         c.set_status(flight_mode=mode)
         assert fired(c)[-1].rule == rule
+
+
+@pytest.mark.parametrize(("silent_s", "rule"), [(0.3, "pilot"), (0.7, "px4_failsafe")])
+def test_a_gap_hides_what_px4_says_only_where_it_is_long_enough(silent_s: float, rule: str) -> None:
+    c = HandFedCore(rules=tuple(r for r in TELEPORTING if not r.name.endswith("_silent")))
+    c.to_flight()
+    c.silent |= {"imu", "attitude", "odometry", "actuator", "status"}
+    c.run(silent_s)
+    c.silent.clear()
+    c.run(0.02)
+    c.set_status(flight_mode=FlightMode.HOLD)
+    c.run(0.11)
+    assert fired(c)[-1].rule == rule
+
+
+@pytest.mark.parametrize(("before_s", "rule"), [(2.9, "px4_failsafe"), (3.1, "pilot")])
+@pytest.mark.parametrize("cause", ["word", "gap"])
+def test_what_explains_a_change_of_mode_does_so_for_three_seconds(
+    cause: str, before_s: float, rule: str
+) -> None:
+    c = HandFedCore(rules=tuple(r for r in TELEPORTING if not r.name.endswith("_silent")))
+    c.to_flight()
+    if cause == "word":
+        c.give(StatusText(c.t_us, c.t_us, "critical", "Failsafe activated"))
+    else:
+        c.silent |= {"imu", "attitude", "odometry", "actuator"}
+        c.run(0.7)
+        c.silent.clear()
+    c.run(before_s)
+    c.set_status(flight_mode=FlightMode.HOLD)
+    c.run(0.11)
+    assert fired(c)[-1].rule == rule
+
+
+@pytest.mark.parametrize(
+    ("paused_s", "later_s", "named"), [(0.06, 2.0, True), (0.03, 0.1, False), (0.06, 3.1, False)]
+)
+def test_a_pause_of_this_program_is_named_for_three_seconds(
+    paused_s: float, later_s: float, named: bool
+) -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.t_us += round(paused_s * 1e6)  # no sample, and no tick either
+    c.run(later_s)
+    c.silent.add("imu")
+    c.run(0.1)
+    (event,) = fired(c)
+    assert event.rule == "imu_silent"
+    assert ("did not run for 6" in event.detail) is named
+
+
+def test_of_the_pauses_of_the_last_seconds_the_longest_is_named() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    for paused_us in (60_000, 80_000, 50_000):
+        c.t_us += paused_us
+        c.run(0.5)
+    c.silent.add("imu")
+    c.run(0.1)
+    assert "did not run for 8" in fired(c)[0].detail
+
+
+def test_a_position_after_a_pause_of_its_stream_is_no_jump() -> None:
+    c = HandFedCore(rules=RULES)
+    c.climbed()
+    before = [e.rule for e in fired(c)]
+    c.silent.add("odometry")
+    c.run(0.15)
+    north, east, down = c.position_ned
+    c.position_ned = (north + 0.4, east, down)
+    c.silent.clear()
+    c.run(0.1)
+    assert [e.rule for e in fired(c)] == before
 
 
 def test_a_pause_of_everything_is_given_longer_than_one_of_the_imu() -> None:
