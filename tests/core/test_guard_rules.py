@@ -17,6 +17,7 @@ from dart_flight.base.records import (
     FlightMode,
     GuardEvent,
     ImpactOnset,
+    ImpactPeak,
     ImuSample,
     LandedState,
     LockCommand,
@@ -563,6 +564,14 @@ def test_an_onset_is_the_plans_only_where_the_plan_has_one(
     assert ("unplanned_hit" not in [finding.rule for finding in p.findings]) is of_the_plan
 
 
+@pytest.mark.parametrize(("phase", "wall"), [(Phase.TRANSIT, 0), (Phase.RECOVERY, 1), (Phase.GOAL, 2)])
+def test_a_peak_without_a_contact_of_the_plans_starts_no_recovery(phase: Phase, wall: int) -> None:
+    flown, p = executive.Executive(HandFedCore().core.mission), Proposal()
+    flown.phase, flown._index = phase, wall
+    flown._on_peak(ImpactPeak(5, 5, 5, (0.0, 1.0), 20.0, 0.0, (0.0, 0.0, 1.0), False), FlightState(), p)
+    assert (p.outputs, flown.phase, flown._index) == ([], phase, wall)
+
+
 def test_in_the_step_in_which_a_rule_fires_the_mission_may_record_but_not_command() -> None:
     c, proposal = HandFedCore(), Proposal()
     c.to_flight()
@@ -579,6 +588,27 @@ def test_in_the_step_in_which_a_rule_fires_the_mission_may_record_but_not_comman
     assert [o for o in out if isinstance(o, GuardEvent)]
     assert record in out
     assert not [o for o in out if o in commands]
+
+
+@pytest.mark.parametrize(
+    ("found", "events"),
+    [
+        (("climb_timeout", "wall_not_met"), ["climb_timeout"]),
+        (("wall_not_met", "climb_timeout"), ["wall_not_met", "climb_timeout"]),
+        (("wall_not_met", "no_peak"), ["wall_not_met"]),
+    ],
+)
+def test_of_two_findings_in_one_step_the_stronger_action_is_taken_and_the_weaker_does_not_follow(
+    found: tuple[str, str], events: list[str]
+) -> None:
+    c, proposal = HandFedCore(), Proposal()
+    c.to_flight()
+    for name in found:
+        proposal.add_finding(name, "by hand")
+    guard, state = c.core._guard, c.core._senses.state
+    out = guard.review(Tick(c.t_us), state, Sensed(None, (), False), c.core.phase, proposal)
+    assert [o.rule for o in out if isinstance(o, GuardEvent)] == events
+    assert guard.action is (Override.LAND if "climb_timeout" in found else Override.BREAK_OFF)
 
 
 @pytest.mark.parametrize(

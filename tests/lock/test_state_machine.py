@@ -310,6 +310,49 @@ def test_a_command_alone_never_settles(
     assert (machine.state.phase, machine.state.reason) == (LockPhase.FAULT, reason)
 
 
+def test_the_travel_time_runs_from_when_the_driver_first_had_this_travels_pulse(vary: Vary) -> None:
+    machine = LockStateMachine(vary())
+    machine.sent(0, 1020.0)  # nothing travels
+    machine.command(0, Mode.FLEXIBLE)
+    assert machine.due_us is None
+    machine.sent(5_000, 1980.0)  # another pulse
+    assert machine.due_us is None
+    for t_us in (10_000, 200_000):
+        machine.sent(t_us, 1020.0)
+        assert machine.due_us == 10_000 + 315_000
+    phases = []
+    for t_us in (320_000, 330_000):
+        machine.reading(t_us, DriverReading(1020.0))
+        phases.append(machine.state.phase)
+    assert phases == [LockPhase.TRAVELLING, LockPhase.SETTLED]
+    assert machine.due_us is None
+
+
+def test_of_a_driver_that_takes_too_long_every_state_is_told(
+    vary: Vary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It confirms the arrival, and answers so late that nothing is known any more."""
+    quick = homed(vary(limit_switch=BOTH_SWITCHES))
+    quick.session.command(Mode.RIGID)
+    began_us = quick.t_us
+    settled_us = quick.run(1.0).settled_us
+    assert settled_us is not None
+    bench = homed(vary(limit_switch=BOTH_SWITCHES))
+    bench.session.command(Mode.RIGID)
+    bench.run((settled_us - began_us) * 1e-6 - 0.01)
+    read = bench.mock.read
+
+    def slow() -> DriverReading:
+        reading = read()
+        bench.t_us += 2_000_000
+        return reading
+
+    monkeypatch.setattr(bench.mock, "read", slow)
+    bench.states.clear()
+    bench.run(0.01)
+    assert [state.phase for state in bench.states] == [LockPhase.SETTLED, LockPhase.FAULT]
+
+
 def test_a_reading_from_before_the_driver_had_the_command_counts_for_nothing(vary: Vary) -> None:
     machine = LockStateMachine(vary())
     machine.command(0, Mode.FLEXIBLE)
