@@ -295,6 +295,30 @@ def test_readings_never_make_less_sure(
         assert now <= was * (1.0 + 1e-9)
 
 
+@pytest.mark.parametrize("factor", [0.6, 1.0, 1.5])
+@pytest.mark.parametrize("nu", [0.8, 6.0])
+def test_the_vertical_force_tells_how_the_wall_rubs_up_or_down(nu: float, factor: float) -> None:
+    """Hit by hit, the sooner the more there is of it; what is small against its noise says little."""
+    c = VEHICLE.materials["acrylic"].rigid
+    true = Coefficients(c.k, c.f, c.mu, nu * factor)
+    before = belief = Belief(c.k, c.f, c.mu, nu, SPREAD, SPREAD, SPREAD, 0.5)
+    for hit in range(12):
+        after = fitted(pulse(true, -1.0, 0.3, seed=hit), belief).belief
+        assert after.nu * after.nu_sd < belief.nu * belief.nu_sd * 1.001
+        belief = after
+    assert belief.nu * belief.nu_sd < 0.7 * before.nu * before.nu_sd
+    assert belief.nu == pytest.approx(true.nu, rel=0.35 if nu < 1.0 else 0.1)
+
+
+def test_without_a_vertical_coefficient_the_vertical_force_says_nothing() -> None:
+    c = VEHICLE.materials["acrylic"].rigid
+    none = Belief(c.k, c.f, c.mu, 0.0, SPREAD, SPREAD, SPREAD, 0.5)
+    contact = pulse(Coefficients(c.k, c.f, c.mu, 6.0), -1.0)
+    still = contact._replace(ticks=[t._replace(up=0.0) for t in contact.ticks])
+    assert fitted(contact, none).evidence == fitted(still, none).evidence
+    assert fitted(contact, none).belief.nu == 0.0
+
+
 def test_hits_of_one_wall_add_up_to_the_scatter_and_no_further() -> None:
     true = VEHICLE.materials["wood"].of(Mode.FLEXIBLE)
     before = belief_of("wood", Mode.FLEXIBLE)

@@ -409,7 +409,10 @@ def test_the_arms_swinging_is_taken_out() -> None:
 
 
 def feed(
-    forces: list[tuple[float, float]], noise_n: float = 0.26, normal: tuple[float, float] | None = None
+    forces: list[tuple[float, float]],
+    noise_n: float = 0.26,
+    normal: tuple[float, float] | None = None,
+    push: tuple[float, float] = (0.0, 0.0),
 ) -> list[object]:
     """A detector's events for forces every 4 ms."""
     detector = ImpactDetector(with_estimation(imu_noise_m_s2=0.2))  # has flown long enough to know
@@ -418,7 +421,7 @@ def feed(
     events: list[object] = []
     for i, (fx, fy) in enumerate(forces):
         t = 1_000_000 + 4000 * i
-        estimate = ForceEstimate(t, (fx, fy, 0.0), False, noise_n=noise_n)
+        estimate = ForceEstimate(t, (fx, fy, 0.0), False, noise_n=noise_n, push_mission=push)
         found = detector.update(estimate, t, state, expected)
         events += [e for e in found if not isinstance(e, DetectionFloor)]
     return events
@@ -442,6 +445,34 @@ def test_planned_and_unplanned_hits_are_told_apart() -> None:
     assert math.degrees(math.atan2(peak.normal[1], -peak.normal[0])) == pytest.approx(
         math.degrees(math.atan(0.2)), abs=1.0
     )
+
+
+@pytest.mark.parametrize("angle", [0.5, 2.0, -0.9])
+@pytest.mark.parametrize("way", [-1.0, 1.0])
+def test_a_hit_is_felt_alike_on_a_wall_at_any_angle(angle: float, way: float) -> None:
+    """The fit's own friction, with thrust that leans on the wall and along it."""
+    co, so = math.cos(angle), math.sin(angle)
+
+    def turned(x: float, y: float) -> tuple[float, float]:
+        return x * co - y * so, x * so + y * co
+
+    pulse = true_pulse(750.0, 8.5, 1.0, 0.0, -way, 5.0)
+    ticks = [pulse[i : i + 400] for i in range(0, len(pulse) - 400, 400)]
+    hit = [(-sum(n for n, _ in one) / 400, way * 0.3 * sum(n for n, _ in one) / 400) for one in ticks]
+    forces, push = [(0.0, 0.0)] * 20 + hit + [(0.0, 0.0)] * 20, (1.5, 0.8 * way)
+    peaks = []
+    for seen, normal, lean in (
+        (forces, (-1.0, 0.0), push),
+        ([turned(*force) for force in forces], turned(-1.0, 0.0), turned(*push)),
+    ):
+        (peak,) = [e for e in feed(seen, normal=normal, push=lean) if isinstance(e, ImpactPeak)]
+        assert peak.normal == pytest.approx(normal)
+        peaks.append(peak)
+    straight, oblique = peaks
+    assert oblique.fitted is straight.fitted is True
+    assert oblique.normal_force_n == pytest.approx(straight.normal_force_n)
+    assert oblique.tangential_force_n == pytest.approx(straight.tangential_force_n)
+    assert straight.tangential_force_n * way > 1.0
 
 
 def test_wind_is_no_contact_but_leaning_on_a_wall_is() -> None:
