@@ -11,6 +11,7 @@ import pytest
 
 from dart_flight.base.geometry import Vec3, quaternion_from_euler
 from dart_flight.base.records import (
+    ActuatorSample,
     AttitudeSample,
     DetectionFloor,
     EstimatorSample,
@@ -19,9 +20,11 @@ from dart_flight.base.records import (
     ImpactOnset,
     ImpactPeak,
     ImuSample,
+    Input,
     LandedState,
     LockCommand,
     LockPhase,
+    LockState,
     MissionEnd,
     Mode,
     OdometrySample,
@@ -40,6 +43,7 @@ from dart_flight.base.records import (
     VehicleAction,
     VehicleCommand,
 )
+from dart_flight.base.streams import BY_NAME
 from dart_flight.core import flight_core
 from dart_flight.core.guard.rules import RULES, Rule
 from dart_flight.core.guard.second_vehicle import SecondPositionDetector
@@ -769,6 +773,46 @@ def test_a_velocity_that_jumps_is_a_jump_too(faster_m_s: float, says: list[str])
     assert [e.detail for e in fired(c) if e.rule == "estimator_jump"] == says
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize(("along", "jumps"), [(1.0, False), (-1.0, True)])
+def test_a_position_is_compared_with_where_the_velocity_has_carried_it(
+    axis: int, along: float, jumps: bool
+) -> None:
+    """A quarter of a metre in the time of a seldom sample is no jump at nearly 3 m/s, nor is it one back."""
+    c = HandFedCore()
+    c.climbed()
+    fast, there = [0.0, 0.0, 0.0], list(c.position_ned)
+    fast[axis] = 2.9
+    for away_m, after_us in ((0.0, 8000), (along * 2.9 * 0.09, 90_000)):
+        there[axis], c.t_us = there[axis] + away_m, c.t_us + after_us
+        position, velocity = (there[0], there[1], there[2]), (fast[0], fast[1], fast[2])
+        c.give(OdometrySample(c.t_us, c.t_us, position, velocity))
+    assert (c.core._guard._watch.jump == f"position by {2 * 2.9 * 0.09:.2f} m") is jumps
+    assert bool(c.core._guard._watch.jump) is jumps
+
+
+@pytest.mark.parametrize("sd", [None, 0.05])
+def test_a_wall_that_may_be_further_away_is_late_as_much_later(sd: float | None) -> None:
+    """By three deviations at the planned speed of closing in."""
+    loaded = HandFedCore("missions/paper_single_wall.yaml").core.mission
+    (planned,) = loaded.collisions
+    wall = msgspec.structs.replace(planned.wall, position_sd_m=sd)
+    mission = msgspec.structs.replace(
+        loaded, walls=(wall,), collisions=(msgspec.structs.replace(planned, wall=wall),)
+    )
+    late_s = mission.vehicle.guard.wall_late_s + (0.0 if sd is None else 3.0 * sd / 1.0)
+
+    def found(since_s: float) -> list[str]:
+        flown, state, p = executive.Executive(mission), FlightState(), Proposal()
+        flown.phase, flown._entered_us, flown._impact_s = Phase.APPROACH, 0, 2.0
+        state.now_us = round((2.0 + since_s) * 1e6)
+        state.lock = LockState(0, LockPhase.SETTLED, planned.mode)
+        flown._approach(state, Sensed(None, (), False), p)
+        return [finding.rule for finding in p.findings]
+
+    assert (found(late_s - 0.01), found(late_s + 0.01)) == ([], ["wall_not_met"])
+
+
 @pytest.mark.parametrize("name", ["estimator_jump", "estimator_reset", "estimator_flags"])
 def test_the_estimator_is_not_judged_shortly_after_an_impact(name: str) -> None:
     c = HandFedCore()
@@ -893,6 +937,36 @@ def test_one_late_datagram_is_no_clock_that_runs_backwards() -> None:
         c.give(AttitudeSample(c.t_us - 1_000_000, c.t_us, c.q))
         c.run(0.02)
     assert not fired(c)
+
+
+@pytest.mark.parametrize("stream", ["imu", "attitude", "odometry"])
+def test_stamps_of_every_stream_may_run_backwards(stream: str) -> None:
+    c = HandFedCore()
+    c.to_flight()
+    for i in range(5):
+        t_us = c.t_us - 1_000_000 + 8000 * i
+        samples: dict[str, Input] = {
+            "imu": ImuSample(t_us, c.t_us, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)),
+            "attitude": AttitudeSample(t_us, c.t_us, c.q),
+            "odometry": OdometrySample(t_us, c.t_us, c.position_ned, c.velocity_ned),
+        }
+        c.give(samples[stream])
+    c.give(Tick(c.t_us + 20_000))
+    assert [(e.rule, e.detail) for e in fired(c)] == [
+        ("stamps_backwards", f"{stream}: 5 samples in a row more than 0.5 s in the past")
+    ]
+
+
+def test_commands_to_the_motors_that_come_too_seldom_are_named() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.silent.add("actuator")
+    for _ in range(25):
+        c.run(0.1)
+        c.give(ActuatorSample(c.t_us, c.t_us, c.motors))
+    assert [(e.rule, e.detail) for e in fired(c)] == [
+        ("stream_rate", f"actuator at 10 Hz, needs {BY_NAME['actuator'].expected_hz:.0f}")
+    ]
 
 
 def test_names_that_others_report_are_in_the_table() -> None:
