@@ -295,6 +295,26 @@ def test_the_goal_is_passed_once_the_way_to_it_grows_by_more_than_its_noise() ->
     assert c.core.phase is Phase.GOAL
 
 
+def test_while_a_contact_lasts_the_goal_is_not_passed() -> None:
+    """It slides along the wall, away from the goal."""
+    c = HandFedCore(SINGLE)
+    c.to_flight()
+    c.position_ned, c.velocity_ned = (1.6, -0.5, -1.0), (1.0, -0.5, 0.0)
+    c.run(0.05)
+    c.pulse((-40.0, 0.0), 0.04)
+    c.force_ned = (-12.0, 0.0, 0.0)
+    for i in range(40):
+        c.position_ned = (1.6, -0.5 + 0.01 * i, -1.0)
+        c.run(0.01)
+    assert c.core.phase is Phase.RECOVERY
+    assert not [o for o in c.outputs if isinstance(o, ContactEnd | GoalPassed)]
+    c.force_ned = (0.0, 0.0, 0.0)
+    c.run(0.2)
+    c.position_ned = (1.6, 0.3, -1.0)
+    c.run(0.1)
+    assert [type(o) for o in c.outputs if isinstance(o, ContactEnd | GoalPassed)] == [ContactEnd, GoalPassed]
+
+
 def test_right_after_a_contact_the_goal_is_not_passed_yet() -> None:
     c = HandFedCore(SINGLE)
     after_the_contact(c)

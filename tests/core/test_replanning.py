@@ -182,6 +182,23 @@ def test_a_way_that_begins_elsewhere_is_not_flown() -> None:
     assert "m/s off the start of the trajectory" in (said(p) or "")
 
 
+@pytest.mark.parametrize(
+    ("beside_m", "beside_m_s", "flown"),
+    [(0.07, 0.0, True), (0.09, 0.0, False), (0.0, 0.2, True), (0.0, 0.3, False)],
+)
+def test_a_way_is_flown_from_where_the_position_loop_still_gets_onto_it(
+    beside_m: float, beside_m_s: float, flown: bool
+) -> None:
+    planning, request = asked()
+    p = Proposal()
+    planning.take(answer_to(request), NOW_US + 40_000, p)
+    state = moved_to(request)
+    (x, y, z), (vx, vy, vz) = state.position, state.velocity
+    state.position, state.velocity = (x, y + beside_m, z), (vx - beside_m_s, vy, vz)
+    assert (planning.trajectory_due(state, p) is not None) is flown
+    assert planning.trajectory_due(moved_to(request), p) is None  # once
+
+
 def test_a_contact_ends_what_was_planned_before_it() -> None:
     planning, request = asked()
     planning.contact_begins()

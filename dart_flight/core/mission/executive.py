@@ -571,7 +571,7 @@ class Executive:
         return self._replanning.trajectory_since_us if self.phase is Phase.RECOVERY else None
 
     def _watch_goal(self, state: FlightState, p: Proposal, timed_out: bool) -> None:
-        if self._lock.contact_end_us is None and not timed_out:
+        if self._lock.contact_end_us is None:  # it comes: the detector waits for it only so long
             return
         miss = distance2(state.position, self.mission.goal.position_m)
         self._least_miss_m = min(self._least_miss_m, miss)
