@@ -275,7 +275,6 @@ class FlightApp:
         starve_s = self._mission.vehicle.guard.deadman_s
         if self._deadman_note is not None:
             self._deadman = Deadman(starve_s, self._deadman_note)
-            self._feed(LOOP)
             self._deadman.arm()
         try:
             while True:

@@ -12,6 +12,7 @@ only while the core thread is alive too.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import signal
 import socket
@@ -54,7 +55,7 @@ class Deadman:
             str(note.resolve()) if note else "",
         ]
         self.feed_period_s = _period_s(starve_s)
-        self._fed_s = {CORE: 0.0, LOOP: 0.0}
+        self._fed_s = {CORE: -math.inf, LOOP: -math.inf}
         self._armed = False
         self._start()
 
@@ -96,7 +97,6 @@ class Deadman:
 
     def disarm(self) -> None:
         """The flight is over: the watcher ends without harm."""
-        self._armed = False
         # The pipe stays open: the core thread may still feed, and must not write into a number used anew.
         self._write(_LET_GO)
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -124,7 +124,7 @@ class SystemdNotice:
         usec = values.get("WATCHDOG_USEC", "")
         mine = values.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         self._period_s = 0.5e-6 * int(usec) if usec.isdigit() and mine else None
-        self._sent_s = 0.0
+        self._sent_s = -math.inf
 
     def ready(self, status: str) -> None:
         """The app is up."""

@@ -9,10 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dart_flight.base.walls import Wall
-from dart_flight.config.mission import load_mission
+from dart_flight.base.walls import Post, Wall
+from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import Flying, packaged
-from dart_flight.core.mission.approach import CLEARANCE_M, Approach, is_blocked, run_up, standoff_point
+from dart_flight.core.mission.approach import (
+    CLEARANCE_M,
+    Approach,
+    NoApproachError,
+    check_segments_clear,
+    is_blocked,
+    run_up,
+    standoff_point,
+)
 from dart_flight.core.mission.trajectories import TransitTrajectory
 
 beside = st.floats(-2.0, 2.0)
@@ -151,3 +159,28 @@ def test_a_rehearsal_stops_before_the_nearest_place_of_the_wall(sd: float | None
     for near in ((2.9, 0.0), (3.0 - stops_at_m + 1e-9, 0.0)):
         assert standoff_point(mission, collision, near, (3.0, 0.5)) == near
     assert standoff_point(mission, collision, (1.0, 0.0), (1.0, 0.5)) == (1.0, 0.0)  # along the wall
+
+
+def through(waypoints: list[dict[str, object]], post: tuple[float, float]) -> Mission:
+    """The single wall's mission with waypoints, and a post somewhere."""
+    one = load_mission(packaged("missions", "paper_single_wall.yaml")).replace({"waypoints": waypoints})
+    return msgspec.structs.replace(one, posts=(Post("pole", post, 0.05, "acrylic"),))
+
+
+@pytest.mark.parametrize(
+    ("waypoint", "post", "blocked"),
+    [
+        ({"position_m": [-1.0, 1.0]}, (-0.5, 0.5), True),
+        ({"position_m": [-1.0, 1.0]}, (-0.5, -0.8), False),
+        ({"position_m": [-1.0, 1.0], "after": 1}, (-0.5, 0.5), False),  # where it comes from is not known
+    ],
+)
+def test_a_way_between_known_ends_is_refused_where_something_stands_in_it(
+    waypoint: dict[str, object], post: tuple[float, float], blocked: bool
+) -> None:
+    mission = through([waypoint], post)
+    if blocked:
+        with pytest.raises(NoApproachError, match="is in the way to"):
+            check_segments_clear(mission)
+    else:
+        check_segments_clear(mission)

@@ -67,6 +67,27 @@ def test_numbers_and_arrays_are_judged_alike() -> None:
     assert 20 < sum(single) < 180
 
 
+@pytest.mark.parametrize("beside_m", [-1.45, 1.45])
+def test_a_hit_along_the_wall_is_bearable_only_where_its_recovery_leads_inwards(beside_m: float) -> None:
+    """The setpoint lies onward, far out where the friction's gain is large: within the bounds, or beyond."""
+    bounds = msgspec.structs.replace(STIFF.bounds, y=(-1.5, 1.5))
+    wall = ACRYLIC.wall
+    onward = wall.tangent[1]  # along y
+    place = (wall.foot((1.0, beside_m))[0], beside_m)
+
+    def bearable(along_y_m_s: float, alpha_t: float) -> bool:
+        velocity = (-0.5, onward * along_y_m_s)
+        return bool(
+            bearable_in_either_mode(
+                STIFF.vehicle, STIFF.limits, bounds, wall, (0.01, alpha_t), place, velocity
+            )
+        )
+
+    speeds = (0.5 * np.sign(beside_m), -0.5 * np.sign(beside_m))
+    assert [bearable(v, 0.0) for v in speeds] == [True, True]
+    assert [bearable(v, 0.15) for v in speeds] == [False, True]
+
+
 def test_the_plane_is_met_where_the_course_crosses_it() -> None:
     px4 = STIFF.vehicle.px4
     met = meets_plane(0.5, 1.0, 0.0, -0.5, px4)

@@ -251,6 +251,7 @@ def test_a_fault_in_the_mission_code_becomes_a_landing(hand_fed: HandFedCore) ->
     events = of(GuardEvent, out)
     assert [(e.rule, e.action) for e in events] == [("mission_fault", "land")]
     assert "ZeroDivisionError" in events[0].detail
+    assert "in broken" in events[0].detail  # where it was raised
     assert of(VehicleCommand, out)[0].action is VehicleAction.LAND
 
 

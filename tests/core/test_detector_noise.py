@@ -13,9 +13,11 @@ from dart_flight.core.sense.detector import (
     _MARGIN_SIGMA,
     ExpectedContact,
     ImpactDetector,
+    _mean_prior,
     _onset_of_mean,
     _Sample,
 )
+from dart_flight.core.sense.pulse import PulsePrior
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
 from tests.core.test_force_estimate import VEHICLE, half_sine
@@ -147,6 +149,18 @@ def test_events_come_in_order_and_once(seed: int) -> None:
         assert peak.normal_force_n == pytest.approx(40.0, rel=0.4)
 
 
+@pytest.mark.parametrize("samples", [3, 4, 6])
+def test_the_end_of_a_contact_is_its_own_however_short_it_is(samples: int) -> None:
+    """Its force is gone by the time that its peak is known."""
+    pulse: Forces = [(f, 0.0) for f in half_sine(40.0, samples)]
+    _, events = run(([(0.0, 0.0)] * 1000 + pulse) * 3 + [(0.0, 0.0)] * 100, noise_n=0.26)
+    impacts, ends = onsets(events), [e for e in events if isinstance(e, ContactEnd)]
+    assert len(impacts) == len(ends) == 3
+    for onset, end in zip(impacts, ends, strict=True):
+        assert end.first_us == onset.first_us
+        assert 0 <= end.t_us - onset.t_us < 60_000
+
+
 def turning(seconds: float, top_n: float, hz: float) -> Forces:
     """A tone whose axes differ by a quarter of a turn: of the same size in every sample."""
     angles = [math.tau * hz * 0.004 * i for i in range(round(seconds / 0.004))]
@@ -228,3 +242,11 @@ def test_where_only_a_mean_shows_a_pulse_it_begins_with_its_first_sample(begins:
 
 def test_a_half_sine_between_two_samples_may_not_be_seen() -> None:
     assert half_sine_share(1, 0.01, 0.01) == 0.0
+
+
+def test_of_a_wall_that_is_in_no_plan_the_middle_of_the_materials_is_expected() -> None:
+    """By ratio: a stiffness is as likely half as double. Where there are no materials, something at all."""
+    stiff, soft = PulsePrior(80.0, 9.0, 2.0), PulsePrior(20.0, 1.0, 0.5)
+    assert _mean_prior([soft]) == pytest.approx(soft)
+    assert _mean_prior([stiff, soft]) == pytest.approx((40.0, 3.0, 1.0))
+    assert min(_mean_prior([])) > 0.0

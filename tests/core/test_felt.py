@@ -24,6 +24,7 @@ from dart_flight.core.sense.contact_fit import (
     ContactReading,
     Hypothesis,
     ObservedContact,
+    _merged,
 )
 from dart_flight.core.sense.incidence import ContactSample, ContactSampleBuffer
 from dart_flight.core.sense.wall_estimator import WallEstimator, _PendingEstimate
@@ -294,6 +295,30 @@ def test_readings_never_make_less_sure(
         assert now <= was * (1.0 + 1e-9)
 
 
+@pytest.mark.parametrize("factor", [0.6, 1.0, 1.5])
+@pytest.mark.parametrize("nu", [0.8, 6.0])
+def test_the_vertical_force_tells_how_the_wall_rubs_up_or_down(nu: float, factor: float) -> None:
+    """Hit by hit, the sooner the more there is of it; what is small against its noise says little."""
+    c = VEHICLE.materials["acrylic"].rigid
+    true = Coefficients(c.k, c.f, c.mu, nu * factor)
+    before = belief = Belief(c.k, c.f, c.mu, nu, SPREAD, SPREAD, SPREAD, 0.5)
+    for hit in range(12):
+        after = fitted(pulse(true, -1.0, 0.3, seed=hit), belief).belief
+        assert after.nu * after.nu_sd < belief.nu * belief.nu_sd * 1.001
+        belief = after
+    assert belief.nu * belief.nu_sd < 0.7 * before.nu * before.nu_sd
+    assert belief.nu == pytest.approx(true.nu, rel=0.35 if nu < 1.0 else 0.1)
+
+
+def test_without_a_vertical_coefficient_the_vertical_force_says_nothing() -> None:
+    c = VEHICLE.materials["acrylic"].rigid
+    none = Belief(c.k, c.f, c.mu, 0.0, SPREAD, SPREAD, SPREAD, 0.5)
+    contact = pulse(Coefficients(c.k, c.f, c.mu, 6.0), -1.0)
+    still = contact._replace(ticks=[t._replace(up=0.0) for t in contact.ticks])
+    assert fitted(contact, none).evidence == fitted(still, none).evidence
+    assert fitted(contact, none).belief.nu == 0.0
+
+
 def test_hits_of_one_wall_add_up_to_the_scatter_and_no_further() -> None:
     true = VEHICLE.materials["wood"].of(Mode.FLEXIBLE)
     before = belief_of("wood", Mode.FLEXIBLE)
@@ -421,3 +446,40 @@ def test_a_lock_that_lies_is_found_out(kind: str, body: BodyModel) -> None:
     assert covered(j, "k")
     assert j.felt.wall == "acrylic"  # the wall's name in the mission
     assert abs(j.felt.plane_offset_m) < 0.01
+
+
+@pytest.mark.parametrize("count", [36, 37, 100, 200])
+def test_many_readings_are_merged_into_few_that_say_the_same_together(count: int) -> None:
+    """Where none is at full scale; such a one stays what it is."""
+    rng = random.Random(count)
+
+    def some() -> float:
+        return rng.gauss(0.0, 1.0)
+
+    ticks = [
+        ContactReading(
+            rng.choice((0.002, 0.004)),
+            some(),
+            some(),
+            some(),
+            some(),
+            some(),
+            i == 20,
+            some(),
+            some(),
+            some(),
+        )
+        for i in range(count)
+    ]
+    merged = _merged(ticks)
+    assert len(merged) <= 36 + 2
+    assert (merged == ticks) is (count <= 36)
+    assert [t for t in merged if t.bound] == [ticks[20]]
+    assert sum(t.samples for t in merged) == count
+    assert sum(t.h for t in merged) == pytest.approx(sum(t.h for t in ticks))
+    for name in (
+        *("normal", "along", "up", "push_normal", "push_along"),
+        *("turned", "turning", "torque"),
+    ):
+        together, alone = (sum(t.h * getattr(t, name) for t in each) for each in (merged, ticks))
+        assert together == pytest.approx(alone)

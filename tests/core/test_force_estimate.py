@@ -29,7 +29,8 @@ from dart_flight.config.vehicle import ThrustSource, VehicleConfig
 from dart_flight.core.sense.arm_vibration import ArmFilter
 from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector, _top_of
 from dart_flight.core.sense.force import ForceEstimator
-from dart_flight.core.sense.pulse import PulsePrior, TickReading, fit_friction, fit_normal
+from dart_flight.core.sense.pulse import PulsePrior, TickReading, _binned, fit_friction, fit_normal
+from dart_flight.core.sense.senses import Senses
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.thrust_model import LaggedCommands, ThrustModel
 from tests.core.conftest import HOVER, ROOT
@@ -178,6 +179,26 @@ def test_a_noisy_pulse_misfits_by_its_noise_and_the_peak_is_as_sure_as_it_scatte
     assert 0.8 * scatter < statistics.mean(fit.sigma_n for fit in fits) < 1.6 * scatter
 
 
+@pytest.mark.parametrize("count", [10, 200])
+def test_many_readings_of_a_pulse_are_averaged_into_few_that_say_the_same_together(count: int) -> None:
+    """But over no gap; and one at full scale stays what it is."""
+    rng, at, readings = random.Random(count), 0.0, list[TickReading]()
+    for i in range(count):
+        begin = at + (0.004 if i == 7 else 0.0)
+        at = begin + rng.choice((0.002, 0.004))
+        readings.append(TickReading(begin, at, rng.gauss(0.0, 1.0), rng.gauss(0.0, 1.0), i == 3))
+    bins = _binned(readings)
+    assert sum(n for _, n in bins) == count
+    assert len(bins) <= max(10, 45)
+    assert [r for r, _ in bins if r.bound] == [readings[3]]
+    assert not [r for r, _ in bins if r.a < readings[6].b and r.b > readings[7].a]
+    for moment in (lambda r: 1.0, lambda r: r.normal, lambda r: r.tangential):
+        together, alone = (
+            sum((r.b - r.a) * moment(r) for r in some) for some in ([r for r, _ in bins], readings)
+        )
+        assert together == pytest.approx(alone)
+
+
 # --- thrust ------------------------------------------------------------------------------------------
 
 
@@ -209,6 +230,18 @@ def test_the_best_fresh_thrust_source_is_taken() -> None:
     assert model.source is ThrustSource.ACTUATOR  # the ESC's telemetry is stale
 
 
+def test_without_a_fresh_source_hovering_is_assumed_and_no_motor_known() -> None:
+    model = ThrustModel(with_estimation(esc_thrust_n_per_rpm2=1.1e-8))
+    for t_us in (1_000_000, 1_004_000):
+        model.take_esc(EscSample(t_us, 0, (17_000.0,) * 4))
+        model.mean_over_tick(t_us)
+    known = (model.source, model.each_n)
+    assert known == (ThrustSource.ESC, tuple([1.1e-8 * 17_000.0 * 17_000.0] * 4))
+    model.mean_over_tick(1_200_000)
+    assert (model.source, model.each_n) == (None, None)
+    assert model.mean_over_tick(1_204_000) == pytest.approx(MASS * 9.81)
+
+
 @pytest.mark.parametrize(("period_us", "constant"), [(100_000, 1.1e-8), (8_000, None)])
 def test_slow_or_uncalibrated_motor_speeds_are_no_source(period_us: int, constant: float | None) -> None:
     model = ThrustModel(with_estimation(esc_thrust_n_per_rpm2=constant))
@@ -230,6 +263,28 @@ def test_battery_voltage_scales_the_curve() -> None:
     assert model.mean_over_tick(1_012_000) == pytest.approx(full * 0.9**1.5)
     model.take_voltage(None)
     assert model.mean_over_tick(1_016_000) == pytest.approx(full * 0.9**1.5)
+
+
+def test_what_battery_and_motors_say_gets_to_the_thrust() -> None:
+    battery = msgspec.structs.replace(VEHICLE.estimation.battery, exponent=1.5)
+    vehicle = with_estimation(battery=battery, esc_thrust_n_per_rpm2=1.1e-8)
+    senses = Senses(msgspec.structs.replace(MISSION, vehicle=vehicle))
+
+    def run(first_us: int, rpm: float | None = None) -> float:
+        for t in range(first_us, first_us + 200_000, 4000):
+            senses.update(AttitudeSample(t, t, IDENTITY), ExpectedContact())
+            senses.update(ActuatorSample(t, t, (HOVER,) * 4), ExpectedContact())
+            if rpm is not None:
+                senses.update(EscSample(t, t, (rpm,) * 4), ExpectedContact())
+            senses.update(ImuSample(t, t, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0)), ExpectedContact())
+        each_n = senses.estimator.thrust.each_n
+        assert each_n is not None
+        return sum(each_n)
+
+    full_n = run(1_000_000)
+    senses.update(StatusSample(0, 0, battery_v=0.9 * battery.reference_v), ExpectedContact())
+    assert run(1_200_000) == pytest.approx(full_n * 0.9**1.5, rel=1e-3)
+    assert run(1_400_000, 17_000.0) == pytest.approx(4 * 1.1e-8 * 17_000.0**2, rel=1e-3)
 
 
 # --- estimator ---------------------------------------------------------------------------------------
@@ -354,7 +409,10 @@ def test_the_arms_swinging_is_taken_out() -> None:
 
 
 def feed(
-    forces: list[tuple[float, float]], noise_n: float = 0.26, normal: tuple[float, float] | None = None
+    forces: list[tuple[float, float]],
+    noise_n: float = 0.26,
+    normal: tuple[float, float] | None = None,
+    push: tuple[float, float] = (0.0, 0.0),
 ) -> list[object]:
     """A detector's events for forces every 4 ms."""
     detector = ImpactDetector(with_estimation(imu_noise_m_s2=0.2))  # has flown long enough to know
@@ -363,7 +421,7 @@ def feed(
     events: list[object] = []
     for i, (fx, fy) in enumerate(forces):
         t = 1_000_000 + 4000 * i
-        estimate = ForceEstimate(t, (fx, fy, 0.0), False, noise_n=noise_n)
+        estimate = ForceEstimate(t, (fx, fy, 0.0), False, noise_n=noise_n, push_mission=push)
         found = detector.update(estimate, t, state, expected)
         events += [e for e in found if not isinstance(e, DetectionFloor)]
     return events
@@ -387,6 +445,34 @@ def test_planned_and_unplanned_hits_are_told_apart() -> None:
     assert math.degrees(math.atan2(peak.normal[1], -peak.normal[0])) == pytest.approx(
         math.degrees(math.atan(0.2)), abs=1.0
     )
+
+
+@pytest.mark.parametrize("angle", [0.5, 2.0, -0.9])
+@pytest.mark.parametrize("way", [-1.0, 1.0])
+def test_a_hit_is_felt_alike_on_a_wall_at_any_angle(angle: float, way: float) -> None:
+    """The fit's own friction, with thrust that leans on the wall and along it."""
+    co, so = math.cos(angle), math.sin(angle)
+
+    def turned(x: float, y: float) -> tuple[float, float]:
+        return x * co - y * so, x * so + y * co
+
+    pulse = true_pulse(750.0, 8.5, 1.0, 0.0, -way, 5.0)
+    ticks = [pulse[i : i + 400] for i in range(0, len(pulse) - 400, 400)]
+    hit = [(-sum(n for n, _ in one) / 400, way * 0.3 * sum(n for n, _ in one) / 400) for one in ticks]
+    forces, push = [(0.0, 0.0)] * 20 + hit + [(0.0, 0.0)] * 20, (1.5, 0.8 * way)
+    peaks = []
+    for seen, normal, lean in (
+        (forces, (-1.0, 0.0), push),
+        ([turned(*force) for force in forces], turned(-1.0, 0.0), turned(*push)),
+    ):
+        (peak,) = [e for e in feed(seen, normal=normal, push=lean) if isinstance(e, ImpactPeak)]
+        assert peak.normal == pytest.approx(normal)
+        peaks.append(peak)
+    straight, oblique = peaks
+    assert oblique.fitted is straight.fitted is True
+    assert oblique.normal_force_n == pytest.approx(straight.normal_force_n)
+    assert oblique.tangential_force_n == pytest.approx(straight.tangential_force_n)
+    assert straight.tangential_force_n * way > 1.0
 
 
 def test_wind_is_no_contact_but_leaning_on_a_wall_is() -> None:

@@ -11,15 +11,20 @@ import pytest
 
 from dart_flight.base.geometry import Vec3, quaternion_from_euler
 from dart_flight.base.records import (
+    ActuatorSample,
     AttitudeSample,
     DetectionFloor,
     EstimatorSample,
     FlightMode,
     GuardEvent,
+    ImpactOnset,
+    ImpactPeak,
     ImuSample,
+    Input,
     LandedState,
     LockCommand,
     LockPhase,
+    LockState,
     MissionEnd,
     Mode,
     OdometrySample,
@@ -38,11 +43,14 @@ from dart_flight.base.records import (
     VehicleAction,
     VehicleCommand,
 )
+from dart_flight.base.streams import BY_NAME
 from dart_flight.core import flight_core
 from dart_flight.core.guard.rules import RULES, Rule
+from dart_flight.core.guard.second_vehicle import SecondPositionDetector
 from dart_flight.core.mission import executive, rehearsal
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.senses import Sensed
+from dart_flight.core.sense.state import FlightState
 from tests.core.conftest import TELEPORTING, HandFedCore
 
 CAUSES: dict[str, Callable[[HandFedCore], object]] = {}
@@ -538,6 +546,36 @@ def test_the_contact_that_is_expected_is_that_with_the_next_wall(
         assert flown._expect() is expected
 
 
+@pytest.mark.parametrize(
+    ("phase", "wall", "of_the_plan"),
+    [
+        (Phase.TRANSIT, 0, False),
+        (Phase.APPROACH, 0, True),
+        (Phase.CONTACT, 0, False),  # a second one before the peak
+        (Phase.RECOVERY, 0, False),  # it has an approach of its own
+        (Phase.RECOVERY, 1, True),
+        (Phase.GOAL, 2, False),
+    ],
+)
+def test_an_onset_is_the_plans_only_where_the_plan_has_one(
+    phase: Phase, wall: int, of_the_plan: bool
+) -> None:
+    flown, p = executive.Executive(HandFedCore().core.mission), Proposal()
+    flown.phase, flown._index = phase, wall
+    flown._on_onset(
+        ImpactOnset(5, 1, 5, (0.0, 9.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), True), FlightState(), p
+    )
+    assert ("unplanned_hit" not in [finding.rule for finding in p.findings]) is of_the_plan
+
+
+@pytest.mark.parametrize(("phase", "wall"), [(Phase.TRANSIT, 0), (Phase.RECOVERY, 1), (Phase.GOAL, 2)])
+def test_a_peak_without_a_contact_of_the_plans_starts_no_recovery(phase: Phase, wall: int) -> None:
+    flown, p = executive.Executive(HandFedCore().core.mission), Proposal()
+    flown.phase, flown._index = phase, wall
+    flown._on_peak(ImpactPeak(5, 5, 5, (0.0, 1.0), 20.0, 0.0, (0.0, 0.0, 1.0), False), FlightState(), p)
+    assert (p.outputs, flown.phase, flown._index) == ([], phase, wall)
+
+
 def test_in_the_step_in_which_a_rule_fires_the_mission_may_record_but_not_command() -> None:
     c, proposal = HandFedCore(), Proposal()
     c.to_flight()
@@ -554,6 +592,27 @@ def test_in_the_step_in_which_a_rule_fires_the_mission_may_record_but_not_comman
     assert [o for o in out if isinstance(o, GuardEvent)]
     assert record in out
     assert not [o for o in out if o in commands]
+
+
+@pytest.mark.parametrize(
+    ("found", "events"),
+    [
+        (("climb_timeout", "wall_not_met"), ["climb_timeout"]),
+        (("wall_not_met", "climb_timeout"), ["wall_not_met", "climb_timeout"]),
+        (("wall_not_met", "no_peak"), ["wall_not_met"]),
+    ],
+)
+def test_of_two_findings_in_one_step_the_stronger_action_is_taken_and_the_weaker_does_not_follow(
+    found: tuple[str, str], events: list[str]
+) -> None:
+    c, proposal = HandFedCore(), Proposal()
+    c.to_flight()
+    for name in found:
+        proposal.add_finding(name, "by hand")
+    guard, state = c.core._guard, c.core._senses.state
+    out = guard.review(Tick(c.t_us), state, Sensed(None, (), False), c.core.phase, proposal)
+    assert [o.rule for o in out if isinstance(o, GuardEvent)] == events
+    assert guard.action is (Override.LAND if "climb_timeout" in found else Override.BREAK_OFF)
 
 
 @pytest.mark.parametrize(
@@ -631,6 +690,36 @@ def test_a_landing_is_waited_for_until_the_motors_would_be_stopped() -> None:
     assert [e.rule for e in fired(c)][-1] == "still_armed"
 
 
+@pytest.mark.parametrize("armed", [False, True])
+def test_a_vehicle_that_somebody_has_armed_is_not_left_so_when_the_flight_is_given_up(armed: bool) -> None:
+    c = HandFedCore()
+    c.set_status(armed=armed)
+    not_ready(c)
+    assert c.core.end is not None
+    told = [o.action for o in c.outputs if isinstance(o, VehicleCommand)]
+    assert told == [VehicleAction.DISARM] * armed
+
+
+def test_only_an_armed_vehicle_in_land_mode_has_been_landing() -> None:
+    """Else a long flight, or a long wait on the ground, would count as a landing that does not end."""
+    c = HandFedCore()
+    c.to_flight()
+    watch = c.core._guard._watch
+    c.run(2.0)
+    assert watch.landing_s == 0.0
+    c = HandFedCore()
+    watch = c.core._guard._watch
+    c.set_status(flight_mode=FlightMode.LAND)
+    c.run(2.0)
+    assert watch.landing_s == 0.0
+    c.set_status(armed=True)
+    c.run(2.0)
+    assert watch.landing_s == pytest.approx(2.0, abs=0.02)
+    c.set_status(armed=False)
+    c.run(0.1)
+    assert watch.landing_s == 0.0
+
+
 def test_stamps_that_jump_in_a_landing_do_not_stop_the_motors() -> None:
     c = HandFedCore()
     c.to_flight()
@@ -666,7 +755,7 @@ def test_a_reset_of_the_heading_alone_is_none() -> None:
     c.to_flight()
     c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
     c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
-    c.run(0.3)
+    c.run(0.12)
     # Long after it, a step too small for `estimator_jump` has nothing to do with it.
     north, east, down = c.position_ned
     c.position_ned = (north + 0.08, east, down)
@@ -682,6 +771,46 @@ def test_a_velocity_that_jumps_is_a_jump_too(faster_m_s: float, says: list[str])
     c.velocity_ned = (faster_m_s, 0.0, 0.0)
     c.run(0.016)
     assert [e.detail for e in fired(c) if e.rule == "estimator_jump"] == says
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize(("along", "jumps"), [(1.0, False), (-1.0, True)])
+def test_a_position_is_compared_with_where_the_velocity_has_carried_it(
+    axis: int, along: float, jumps: bool
+) -> None:
+    """A quarter of a metre in the time of a seldom sample is no jump at nearly 3 m/s, nor is it one back."""
+    c = HandFedCore()
+    c.climbed()
+    fast, there = [0.0, 0.0, 0.0], list(c.position_ned)
+    fast[axis] = 2.9
+    for away_m, after_us in ((0.0, 8000), (along * 2.9 * 0.09, 90_000)):
+        there[axis], c.t_us = there[axis] + away_m, c.t_us + after_us
+        position, velocity = (there[0], there[1], there[2]), (fast[0], fast[1], fast[2])
+        c.give(OdometrySample(c.t_us, c.t_us, position, velocity))
+    assert (c.core._guard._watch.jump == f"position by {2 * 2.9 * 0.09:.2f} m") is jumps
+    assert bool(c.core._guard._watch.jump) is jumps
+
+
+@pytest.mark.parametrize("sd", [None, 0.05])
+def test_a_wall_that_may_be_further_away_is_late_as_much_later(sd: float | None) -> None:
+    """By three deviations at the planned speed of closing in."""
+    loaded = HandFedCore("missions/paper_single_wall.yaml").core.mission
+    (planned,) = loaded.collisions
+    wall = msgspec.structs.replace(planned.wall, position_sd_m=sd)
+    mission = msgspec.structs.replace(
+        loaded, walls=(wall,), collisions=(msgspec.structs.replace(planned, wall=wall),)
+    )
+    late_s = mission.vehicle.guard.wall_late_s + (0.0 if sd is None else 3.0 * sd / 1.0)
+
+    def found(since_s: float) -> list[str]:
+        flown, state, p = executive.Executive(mission), FlightState(), Proposal()
+        flown.phase, flown._entered_us, flown._impact_s = Phase.APPROACH, 0, 2.0
+        state.now_us = round((2.0 + since_s) * 1e6)
+        state.lock = LockState(0, LockPhase.SETTLED, planned.mode)
+        flown._approach(state, Sensed(None, (), False), p)
+        return [finding.rule for finding in p.findings]
+
+    assert (found(late_s - 0.01), found(late_s + 0.01)) == ([], ["wall_not_met"])
 
 
 @pytest.mark.parametrize("name", ["estimator_jump", "estimator_reset", "estimator_flags"])
@@ -717,6 +846,79 @@ def test_a_gap_and_then_hold_is_a_failsafe_and_sticks_are_a_pilot() -> None:
         assert fired(c)[-1].rule == rule
 
 
+@pytest.mark.parametrize(("silent_s", "rule"), [(0.3, "pilot"), (0.7, "px4_failsafe")])
+def test_a_gap_hides_what_px4_says_only_where_it_is_long_enough(silent_s: float, rule: str) -> None:
+    c = HandFedCore(rules=tuple(r for r in TELEPORTING if not r.name.endswith("_silent")))
+    c.to_flight()
+    c.silent |= {"imu", "attitude", "odometry", "actuator", "status"}
+    c.run(silent_s)
+    c.silent.clear()
+    c.run(0.02)
+    c.set_status(flight_mode=FlightMode.HOLD)
+    c.run(0.11)
+    assert fired(c)[-1].rule == rule
+
+
+@pytest.mark.parametrize(("before_s", "rule"), [(2.9, "px4_failsafe"), (3.1, "pilot")])
+@pytest.mark.parametrize("cause", ["word", "gap"])
+def test_what_explains_a_change_of_mode_does_so_for_three_seconds(
+    cause: str, before_s: float, rule: str
+) -> None:
+    c = HandFedCore(rules=tuple(r for r in TELEPORTING if not r.name.endswith("_silent")))
+    c.to_flight()
+    if cause == "word":
+        c.give(StatusText(c.t_us, c.t_us, "critical", "Failsafe activated"))
+    else:
+        c.silent |= {"imu", "attitude", "odometry", "actuator"}
+        c.run(0.7)
+        c.silent.clear()
+    c.run(before_s)
+    c.set_status(flight_mode=FlightMode.HOLD)
+    c.run(0.11)
+    assert fired(c)[-1].rule == rule
+
+
+@pytest.mark.parametrize(
+    ("paused_s", "later_s", "named"), [(0.06, 2.0, True), (0.03, 0.1, False), (0.06, 3.1, False)]
+)
+def test_a_pause_of_this_program_is_named_for_three_seconds(
+    paused_s: float, later_s: float, named: bool
+) -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.t_us += round(paused_s * 1e6)  # no sample, and no tick either
+    c.run(later_s)
+    c.silent.add("imu")
+    c.run(0.1)
+    (event,) = fired(c)
+    assert event.rule == "imu_silent"
+    assert ("did not run for 6" in event.detail) is named
+
+
+def test_of_the_pauses_of_the_last_seconds_the_longest_is_named() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    for paused_us in (60_000, 80_000, 50_000):
+        c.t_us += paused_us
+        c.run(0.5)
+    c.silent.add("imu")
+    c.run(0.1)
+    assert "did not run for 8" in fired(c)[0].detail
+
+
+def test_a_position_after_a_pause_of_its_stream_is_no_jump() -> None:
+    c = HandFedCore(rules=RULES)
+    c.climbed()
+    before = [e.rule for e in fired(c)]
+    c.silent.add("odometry")
+    c.run(0.15)
+    north, east, down = c.position_ned
+    c.position_ned = (north + 0.4, east, down)
+    c.silent.clear()
+    c.run(0.1)
+    assert [e.rule for e in fired(c)] == before
+
+
 def test_a_pause_of_everything_is_given_longer_than_one_of_the_imu() -> None:
     """A busy host holds up all streams for a tenth of a second; the guard lands when it lasts."""
     c = HandFedCore()
@@ -735,6 +937,36 @@ def test_one_late_datagram_is_no_clock_that_runs_backwards() -> None:
         c.give(AttitudeSample(c.t_us - 1_000_000, c.t_us, c.q))
         c.run(0.02)
     assert not fired(c)
+
+
+@pytest.mark.parametrize("stream", ["imu", "attitude", "odometry"])
+def test_stamps_of_every_stream_may_run_backwards(stream: str) -> None:
+    c = HandFedCore()
+    c.to_flight()
+    for i in range(5):
+        t_us = c.t_us - 1_000_000 + 8000 * i
+        samples: dict[str, Input] = {
+            "imu": ImuSample(t_us, c.t_us, (0.0, 0.0, -9.81 + 1e-4 * i), (0.0, 0.0, 0.0)),
+            "attitude": AttitudeSample(t_us, c.t_us, c.q),
+            "odometry": OdometrySample(t_us, c.t_us, c.position_ned, c.velocity_ned),
+        }
+        c.give(samples[stream])
+    c.give(Tick(c.t_us + 20_000))
+    assert [(e.rule, e.detail) for e in fired(c)] == [
+        ("stamps_backwards", f"{stream}: 5 samples in a row more than 0.5 s in the past")
+    ]
+
+
+def test_commands_to_the_motors_that_come_too_seldom_are_named() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.silent.add("actuator")
+    for _ in range(25):
+        c.run(0.1)
+        c.give(ActuatorSample(c.t_us, c.t_us, c.motors))
+    assert [(e.rule, e.detail) for e in fired(c)] == [
+        ("stream_rate", f"actuator at 10 Hz, needs {BY_NAME['actuator'].expected_hz:.0f}")
+    ]
 
 
 def test_names_that_others_report_are_in_the_table() -> None:
@@ -775,10 +1007,15 @@ def test_thresholds_named_in_the_table_exist() -> None:
                 node = getattr(node, name)
 
 
+@pytest.mark.parametrize("odometry_every", [1, 2])
 @pytest.mark.parametrize("ahead_s", [238.0, -238.0, 2.0, -0.7])
-def test_two_clocks_in_turn_are_two_vehicles_and_time_does_not_leap(ahead_s: float) -> None:
+def test_two_clocks_in_turn_are_two_vehicles_and_time_does_not_leap(
+    ahead_s: float, odometry_every: int
+) -> None:
+    """Also where every sample of the one comes between two of the other, in all streams."""
     c = HandFedCore()
     c.to_flight()
+    c.odometry_every = odometry_every
     before_us = c.t_us
     in_turn(c, round(ahead_s * 1e6), 0.0, 0.1)
     assert [e.rule for e in fired(c)] == ["second_vehicle"]
@@ -793,6 +1030,23 @@ def test_two_positions_at_one_clock_are_two_vehicles() -> None:
     assert fired(c)[-1].rule == "second_vehicle"  # after the jump, which is seen first
     assert "3.0 m apart" in fired(c)[-1].detail
     assert c.core.override is Override.LAND
+
+
+def test_a_position_after_a_gap_is_compared_with_none_from_before_it() -> None:
+    """It flew on meanwhile, perhaps to where it had jumped from: that is no second vehicle."""
+    places, t_us = SecondPositionDetector(0.3), 0
+
+    def take(north_m: float, after_s: float = 0.02) -> float | None:
+        nonlocal t_us
+        t_us += round(after_s * 1e6)
+        places.update(OdometrySample(t_us, t_us, (north_m, 0.0, -1.0), (0.0, 0.0, 0.0)))
+        return places.apart_m(t_us)
+
+    for _ in range(5):
+        for north_m in (0.0, 3.0):
+            assert take(north_m, 1.1) is None
+            assert take(3.0 - north_m) is None  # once there, and not back
+    assert [take(north_m) for north_m in (0.0, 3.0, 0.0, 3.0, 0.0)][-1] == pytest.approx(3.0)
 
 
 def test_a_second_vehicle_explains_what_had_fired_before_it_was_told_apart() -> None:
@@ -855,6 +1109,54 @@ def test_a_mode_that_goes_back_to_offboard_at_once_costs_only_that_moment() -> N
     c.run(0.05)
     c.set_status(flight_mode=FlightMode.OFFBOARD)
     assert any(isinstance(o, Setpoint) for o in c.run(0.2))
+    assert not fired(c)
+
+
+@pytest.mark.parametrize(
+    ("left", "says"),
+    [
+        ({"battery_remaining": 0.1, "battery_v": 15.0}, ["10 %, 15.0 V"]),
+        ({"battery_remaining": 0.1}, ["10 %"]),
+        ({"battery_remaining": 0.5, "battery_v": 12.9}, ["50 %, 12.9 V"]),
+        ({"battery_v": 12.9}, ["12.9 V"]),
+        ({"battery_remaining": 0.5, "battery_v": 15.0}, []),
+        ({}, []),
+    ],
+)
+def test_a_battery_is_low_by_its_charge_or_its_voltage_whichever_is_known(
+    left: dict[str, float], says: list[str]
+) -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.set_status(**left)
+    c.run(1.2)
+    assert [(e.rule, e.detail) for e in fired(c)] == [("battery", words) for words in says]
+
+
+def test_a_battery_that_recovers_has_its_time_again() -> None:
+    """A current for a moment is no low battery, however often it comes."""
+    c = HandFedCore()
+    c.to_flight()
+    for _ in range(4):
+        c.set_status(battery_v=12.9)
+        c.run(0.6)
+        c.set_status(battery_v=15.0)
+        c.run(0.1)
+    assert not fired(c)
+
+
+def test_what_lasts_only_for_a_moment_at_a_time_does_not_add_up() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    for _ in range(6):
+        c.give(EstimatorSample(c.t_us, c.t_us, healthy=False))
+        c.run(0.2)
+        c.give(EstimatorSample(c.t_us, c.t_us, healthy=True))
+        c.run(0.05)
+        c.noise_m_s2 = 0.0
+        c.run(0.06)
+        c.noise_m_s2 = 1e-4
+        c.run(0.01)
     assert not fired(c)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 
+import pytest
+
 from dart_flight.base.records import ImuSample, RoundTrip
 from dart_flight.core.guard.telemetry_delay import TelemetryDelay
 from dart_flight.core.pace import Pace
@@ -100,6 +102,26 @@ def test_a_clock_that_jumps_is_compared_anew() -> None:
             lateness.take_round_trip(RoundTrip(now_us + 3000, now_us - 3000, now_us))
     assert lateness.age_us == 0.0
     assert not lateness.late
+
+
+@pytest.mark.parametrize("back_ms", [4, 40])
+def test_a_clock_that_jumps_is_compared_anew_by_whatever_round_trip_comes(back_ms: int) -> None:
+    """Also by one that is slower than those before it."""
+    lateness = TelemetryDelay(0.075)
+    feed(lateness, 1.0, lambda t: 0.003)
+    way_us = 1000 * back_ms
+    lateness.take_round_trip(RoundTrip(1_000_000 + way_us, 1_000_000 - way_us, 1_000_000))  # 300 s back
+    lateness.take_sample(1_000_000, 1_000_000)
+    assert lateness.age_us == 0.0
+
+
+def test_a_slower_round_trip_does_not_spoil_what_a_faster_one_has_told() -> None:
+    """Forty milliseconds there and none back: of that, half would be taken for a delay."""
+    lateness = TelemetryDelay(0.075)
+    feed(lateness, 1.0, lambda t: 0.003)
+    lateness.take_round_trip(RoundTrip(1_000_000, 960_000, AHEAD_US + 1_000_000))
+    lateness.take_sample(AHEAD_US + 1_000_000, 1_003_000)
+    assert lateness.age_us == pytest.approx(3000.0, abs=1.0)
 
 
 def test_where_the_autopilots_time_goes_at_any_pace_round_trips_alone_count() -> None:

@@ -131,6 +131,15 @@ def test_the_mission_asks_for_its_landing_every_second_until_telemetry_shows_it(
     assert c.core.end.outcome == "completed"
 
 
+def test_a_stronger_action_asks_at_once_and_does_not_wait_for_the_retry_of_a_weaker_one() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.give(OperatorRequest(c.t_us, Request.LAND))
+    assert lands(c, 1.6) == [pytest.approx(1.5, abs=0.02)]
+    c.q = quaternion_from_euler(1.2, 0.0, 0.0)  # lands at once
+    assert lands(c, 0.1) == [pytest.approx(0.0, abs=0.01)]
+
+
 # --- where the guard holds ---------------------------------------------------------------------------------
 
 
@@ -152,6 +161,44 @@ def test_the_guard_holds_at_the_missions_altitude_or_where_it_is_above_it(up_m: 
     held = [o for o in c.run(0.5) if isinstance(o, Setpoint)]
     assert held
     assert {round(o.position_ned[2], 6) for o in held} == {-held_m}
+
+
+DUAL = "missions/paper_dual_collision.yaml"
+
+
+@pytest.mark.parametrize(
+    ("mission", "distance_m", "along_m", "closing_m_s", "held_m"),
+    [
+        (SINGLE, 0.3, 0.0, 0.0, 0.5),  # the retreat distance
+        (SINGLE, 0.8, 0.0, 0.0, 0.8),  # further away than that it stays
+        (SINGLE, 0.8, 0.0, 0.8, 1.2),  # it brakes harder than by holding still
+        (SINGLE, 0.8, 0.0, -0.8, 0.8),
+        (SINGLE, 1.1, 0.0, 0.8, 1.1),  # and not for a wall that far away
+        (SINGLE, 0.3, 1.7, 0.0, 0.3),  # beside the wall's end there is nothing to keep away from
+        (SINGLE, 0.3, -1.7, 0.0, 0.3),
+        (SINGLE, -0.3, 0.0, 0.0, 0.5),  # where the wall is further away than the plan has it
+        (SINGLE, -0.52, 0.0, 0.0, -0.52),  # on its other side
+        (DUAL, 0.3, 0.2, 0.0, 0.5),  # a wall along the other axis
+        (DUAL, 0.6, 0.2, 0.4, 0.8),
+        (DUAL, 0.6, 0.2, -0.4, 0.6),
+    ],
+)
+def test_breaking_off_keeps_its_distance_from_a_wall_that_is_before_it(
+    mission: str, distance_m: float, along_m: float, closing_m_s: float, held_m: float
+) -> None:
+    c = HandFedCore(mission)
+    c.to_prepare()
+    wall = c.core.mission.walls[0]
+    (nx, ny), (tx, ty) = wall.normal, wall.tangent
+    away_m = distance_m - wall.signed_distance(wall.point)
+    x, y = wall.point[0] + away_m * nx + along_m * tx, wall.point[1] + away_m * ny + along_m * ty
+    c.position_ned, c.velocity_ned = (x, -y, -1.0), (-closing_m_s * nx, closing_m_s * ny, 0.0)
+    c.run(0.02)
+    assert wall.signed_distance(c.core.state.position) == pytest.approx(distance_m, abs=0.01)
+    c.give(OperatorRequest(c.t_us, Request.LAND))
+    north, east, _ = next(o for o in c.run(0.1) if isinstance(o, Setpoint)).position_ned
+    assert wall.signed_distance((north, -east)) == pytest.approx(held_m, abs=0.02)
+    assert (north - x) * tx + (-east - y) * ty == pytest.approx(0.0, abs=0.01)
 
 
 def test_after_a_change_of_altitude_the_guard_holds_at_the_new_one() -> None:
@@ -246,6 +293,26 @@ def test_the_goal_is_passed_once_the_way_to_it_grows_by_more_than_its_noise() ->
     passed = at(0.36, 0.1)
     assert [round(p.miss_m, 3) for p in passed] == [0.3]
     assert c.core.phase is Phase.GOAL
+
+
+def test_while_a_contact_lasts_the_goal_is_not_passed() -> None:
+    """It slides along the wall, away from the goal."""
+    c = HandFedCore(SINGLE)
+    c.to_flight()
+    c.position_ned, c.velocity_ned = (1.6, -0.5, -1.0), (1.0, -0.5, 0.0)
+    c.run(0.05)
+    c.pulse((-40.0, 0.0), 0.04)
+    c.force_ned = (-12.0, 0.0, 0.0)
+    for i in range(40):
+        c.position_ned = (1.6, -0.5 + 0.01 * i, -1.0)
+        c.run(0.01)
+    assert c.core.phase is Phase.RECOVERY
+    assert not [o for o in c.outputs if isinstance(o, ContactEnd | GoalPassed)]
+    c.force_ned = (0.0, 0.0, 0.0)
+    c.run(0.2)
+    c.position_ned = (1.6, 0.3, -1.0)
+    c.run(0.1)
+    assert [type(o) for o in c.outputs if isinstance(o, ContactEnd | GoalPassed)] == [ContactEnd, GoalPassed]
 
 
 def test_right_after_a_contact_the_goal_is_not_passed_yet() -> None:

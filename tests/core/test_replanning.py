@@ -89,9 +89,17 @@ def test_an_answer_in_time_is_flown_from_its_moment_on() -> None:
     assert planning.trajectory_due(moved_to(request), p) is not None
     assert p.outputs == [PlanTaken(request.begin_us, request.number, True)]
     assert planning.trajectory_since_us == request.begin_us
+    assert planning.trajectory_due(moved_to(request), p) is None  # once
+    assert len(p.outputs) == 1
     met = planning.meets_plane(1.2, state_at(request.begin_us + 300_000))
     assert met is not None
     assert met.after_s == pytest.approx(1.0)
+    assert met.normal_m_s == -1.2
+    beyond = planning.meets_plane(1.2, state_at(request.begin_us + 1_400_000))
+    assert beyond is not None
+    assert beyond.after_s == 0.0  # it is due, and not over
+    end_us = request.begin_us + 1_000_000
+    assert [planning.is_over(t_us) for t_us in (end_us - 1, end_us)] == [False, True]
     late_us = request.begin_us + 1_300_000 + round(MISSION.vehicle.guard.wall_late_s * 1e6)
     assert not planning.is_late(MISSION.walls[1], state_at(late_us))
     assert planning.is_late(MISSION.walls[1], state_at(late_us + 1))
@@ -188,10 +196,56 @@ def test_a_way_that_begins_elsewhere_is_not_flown() -> None:
     assert "m/s off the start of the trajectory" in (said(p) or "")
 
 
+@pytest.mark.parametrize(
+    ("beside_m", "beside_m_s", "flown"),
+    [(0.07, 0.0, True), (0.09, 0.0, False), (0.0, 0.2, True), (0.0, 0.3, False)],
+)
+def test_a_way_is_flown_from_where_the_position_loop_still_gets_onto_it(
+    beside_m: float, beside_m_s: float, flown: bool
+) -> None:
+    planning, request = asked()
+    p = Proposal()
+    planning.take(answer_to(request), NOW_US + 40_000, p)
+    state = moved_to(request)
+    (x, y, z), (vx, vy, vz) = state.position, state.velocity
+    state.position, state.velocity = (x, y + beside_m, z), (vx - beside_m_s, vy, vz)
+    assert (planning.trajectory_due(state, p) is not None) is flown
+    assert planning.trajectory_due(moved_to(request), p) is None  # once
+
+
 def test_a_contact_ends_what_was_planned_before_it() -> None:
     planning, request = asked()
     planning.contact_begins()
     assert refusal_of(planning, answer_to(request), NOW_US + 40_000) is not None
+    answered, request = asked()
+    assert refusal_of(answered, answer_to(request), NOW_US + 40_000) is None
+    answered.contact_begins()
+    assert answered.trajectory_due(moved_to(request), Proposal()) is None
+    flown, request = asked()
+    assert refusal_of(flown, answer_to(request), NOW_US + 40_000) is None
+    assert flown.trajectory_due(moved_to(request), Proposal()) is not None
+    flown.contact_begins()
+    much_later = state_at(request.begin_us + 60_000_000)
+    assert flown.trajectory_since_us is None
+    assert flown.meets_plane(1.2, much_later) is None
+    assert not flown.is_late(MISSION.walls[1], much_later)
+    assert not flown.is_over(much_later.now_us)
+
+
+@pytest.mark.parametrize(("velocity", "more_s"), [((0.5, 0.3, 0.0), 0.6), ((-0.5, 0.3, 0.0), 3.0)])
+def test_a_wall_that_is_not_known_for_sure_is_late_as_much_later_as_it_may_be_further_away(
+    velocity: tuple[float, float, float], more_s: float
+) -> None:
+    """By the velocity at which it is closed in on; a vehicle that does not, by a slow one."""
+    planning, request = asked()
+    assert refusal_of(planning, answer_to(request), NOW_US + 40_000) is None
+    assert planning.trajectory_due(moved_to(request), Proposal()) is not None
+    wall = msgspec.structs.replace(MISSION.walls[1], position_sd_m=0.1)
+    due_us = request.begin_us + 1_300_000 + round((MISSION.vehicle.guard.wall_late_s + more_s) * 1e6)
+    for beside_us, late in ((-1000, False), (1000, True)):
+        state = state_at(due_us + beside_us)
+        state.velocity = velocity
+        assert planning.is_late(wall, state) is late
 
 
 @given(st.tuples(*[coefficient] * 6), st.tuples(*[coefficient] * 6), st.floats(0.2, 3.0), st.floats(0.0, 4.0))

@@ -10,7 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dart_flight.base.geometry import MissionFrame, Vec3, quaternion_from_euler
-from dart_flight.base.records import AttitudeSample, ClockOffset, EstimatorSample, OdometrySample, Tick
+from dart_flight.base.records import (
+    AttitudeSample,
+    ClockOffset,
+    CommandResult,
+    EstimatorSample,
+    HealthReport,
+    OdometrySample,
+    StatusText,
+    Tick,
+)
 from dart_flight.core.sense.state import FlightState
 
 FRAME = MissionFrame(3.0, 1.0, -0.2, 0.7)
@@ -161,3 +170,33 @@ def test_how_sure_px4_is_of_its_position_stays_known() -> None:
     state.take_estimator(EstimatorSample(0, 10, position_sd_m=0.3))
     state.take_estimator(EstimatorSample(0, 20))
     assert (state.position_sd_m, state.host_us) == (0.3, 20)
+
+
+# --- what PX4 says -----------------------------------------------------------------------------------------
+
+
+def test_of_px4s_words_the_newest_six_are_told_each_once() -> None:
+    state = FlightState()
+    for text in ("A", "B", "C", "D", "E", "F", "A", "G"):
+        state.take_text(StatusText(0, 0, "warning", text))
+    state.take_text(StatusText(0, 0, "info", "H"))
+    assert state.reasons() == "; PX4 says: C, D, E, F, A, G"
+
+
+def test_words_of_its_checks_come_first_and_none_twice() -> None:
+    state = FlightState()
+    state.take_text(StatusText(0, 0, "error", "no heading"))
+    state.take_text(StatusText(0, 0, "error", "low battery"))
+    state.take_health(HealthReport(0, 0, False, ("low battery",), ("no heading", "no sticks")))
+    assert state.reasons() == "; PX4 says: low battery, no heading; also no sticks"
+
+
+def test_an_answer_is_told_of_the_command_that_was_refused_until_it_is_not() -> None:
+    state = FlightState()
+    state.take_result(CommandResult(0, "arm", False, "DENIED"))
+    assert state.reasons("offboard") == state.reasons() == ""
+    assert state.reasons("arm") == "; PX4 answers: DENIED"
+    state.take_health(HealthReport(0, 0, True, (), ("no sticks",)))
+    assert state.reasons("arm") == "; PX4 answers: DENIED; PX4 gives no reason, but finds: no sticks"
+    state.take_result(CommandResult(0, "arm", True, ""))
+    assert state.reasons("arm") == "; PX4 gives no reason, but finds: no sticks"

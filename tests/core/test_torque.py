@@ -447,3 +447,17 @@ def test_a_sample_of_the_campaign() -> None:
     assert all(side_is(r, r.side) for r in clear(off))
     assert all(abs(r.incidence - r.true_incidence) < math.radians(1.5) for r in off)
     assert max(map(abs, force_errors(off))) < 0.06
+
+
+def test_a_change_over_a_gap_of_the_stream_is_no_noise() -> None:
+    """What turns the vehicle may have changed meanwhile: two samples of either side say nothing together."""
+    torque, turning = TorqueEstimator(VEHICLE), AngularMotion()
+    rate, t_us, noise = 0.0, 0, list[Vec3]()
+    for alpha, first_us in ((0.0, 1_000_000), (5.0, 3_000_000)):
+        for i in range(100):
+            t_us, rate = first_us + 4000 * i, rate + 0.004 * alpha
+            turning.update(ImuSample(t_us, t_us, (0.0, 0.0, -9.81), (rate, 0.0, 0.0)))
+            found = torque.estimate(t_us, turning, None, 1.0, learns=True)
+            if found is not None:
+                noise.append(found.noise_frd_nm)
+    assert max(n[0] for n in noise[99:]) <= noise[98][0]

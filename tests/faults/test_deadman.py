@@ -1,5 +1,6 @@
 """The deadman: kills a program that hangs, and no other. In flight: measured on the wire, from outside."""
 
+import contextlib
 import os
 import re
 import signal
@@ -7,6 +8,7 @@ import socket
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.run.deadman import SystemdNotice
+from dart_flight.run.deadman import Deadman, SystemdNotice
 from tests.doubles.ports import free_udp_port
 from tools.lossy_proxy import set_point_times
 
@@ -33,15 +35,30 @@ print(time.monotonic(), deadman.pid, flush=True)
 """
 
 
+STARTED: list[subprocess.Popen[str]] = []
+
+
 def fed(body: str, note: Path) -> subprocess.Popen[str]:
     """A process with a deadman that does `body`."""
-    return subprocess.Popen(
+    process = subprocess.Popen(
         [sys.executable, "-c", FED.format(starve=STARVE_S, body=textwrap.dedent(body)), str(note)],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
+    STARTED.append(process)
+    return process
+
+
+@pytest.fixture(autouse=True)
+def _none_is_left() -> Iterator[None]:
+    """A program that hangs, and that its deadman does not end, would hang for ever."""
+    yield
+    while STARTED:
+        process = STARTED.pop()
+        process.kill()
+        process.communicate()
 
 
 FEED_BOTH = "deadman.feed(CORE); deadman.feed(LOOP); time.sleep(0.02)"
@@ -68,6 +85,8 @@ def test_who_starves_is_killed_in_time(body: str, starving: str, tmp_path: Path)
     assert told is not None
     # Generous, for a loaded machine; what counts is measured on the wire, below.
     assert STARVE_S <= float(told[1]) < STARVE_S + 1.0
+    assert process.stderr is not None
+    assert note.read_text() in process.stderr.read()  # and on the terminal
 
 
 def test_who_feeds_lives_and_ends_as_it_likes(tmp_path: Path) -> None:
@@ -85,6 +104,82 @@ def test_a_watcher_that_was_stopped_itself_harms_nobody(tmp_path: Path) -> None:
     time.sleep(2 * STARVE_S)
     os.kill(watcher, signal.SIGCONT)
     assert process.wait(15) == 0
+
+
+@pytest.mark.parametrize(("starve_s", "period_s"), [(0.3, 0.06), (0.5, 0.1), (5.0, 0.1)])
+def test_it_is_fed_often_enough_that_some_may_be_late_and_no_more_often(
+    starve_s: float, period_s: float
+) -> None:
+    deadman = Deadman(starve_s)
+    try:
+        assert deadman.feed_period_s == pytest.approx(period_s)
+    finally:
+        deadman.disarm()
+
+
+def test_the_watcher_leaves_the_processor_to_the_flight(tmp_path: Path) -> None:
+    """By the processor's time that it has taken, of two seconds."""
+    body = f"""
+    import os
+    def took_s():
+        fields = Path(f"/proc/{{deadman.pid}}/stat").read_text().split()
+        return (int(fields[13]) + int(fields[14])) / os.sysconf("SC_CLK_TCK")
+    for _ in range(15): {FEED_BOTH}
+    before_s = took_s()
+    for _ in range(100): {FEED_BOTH}
+    assert took_s() - before_s < 0.15
+    """
+    process = fed(body, tmp_path / "note")
+    _, error = process.communicate(timeout=30)
+    assert process.returncode == 0, error
+
+
+def test_what_ends_programs_does_not_end_the_watcher(tmp_path: Path) -> None:
+    """Ctrl-C and a dropped terminal are the program's business, which may hang over them."""
+    body = f"""
+    import os, re, signal
+    for _ in range(250):
+        {FEED_BOTH}
+        ignored = re.search("SigIgn:\\s*(\\w+)", Path(f"/proc/{{deadman.pid}}/status").read_text())[1]
+        if int(ignored, 16) >> (signal.SIGHUP - 1) & 1:
+            break  # it is up
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        os.kill(deadman.pid, number)
+    for _ in range(20): {FEED_BOTH}
+    assert deadman._process.poll() is None
+    os.kill(os.getpid(), signal.SIGSTOP)
+    """
+    note = tmp_path / "note"
+    assert fed(body, note).wait(15) == -signal.SIGKILL
+    assert "silent" in note.read_text()
+
+
+def test_a_watcher_that_does_not_read_does_not_hold_the_program_up(tmp_path: Path) -> None:
+    body = """
+    import os, signal
+    os.kill(deadman.pid, signal.SIGSTOP)
+    deadman.feed_period_s = 0.0
+    for _ in range(50000): deadman.feed(CORE)
+    os.kill(deadman.pid, signal.SIGKILL)
+    """
+    assert fed(body, tmp_path / "note").wait(15) == 0
+
+
+def test_once_it_is_let_go_nothing_of_it_is_left(tmp_path: Path) -> None:
+    """A program may fly several missions."""
+    body = f"""
+    import os
+    {FEED_BOTH}
+    deadman.disarm()
+    assert not os.path.exists(f"/proc/{{deadman.pid}}")
+    handles = [os.readlink(f"/proc/self/fd/{{n}}") for n in os.listdir("/proc/self/fd") if n.isdigit()
+               and os.path.islink(f"/proc/self/fd/{{n}}")]
+    assert not [handle for handle in handles if "pidfd" in handle]
+    deadman.feed(CORE); deadman.feed(LOOP)  # a thread that ends later may still do so
+    """
+    process = fed(body, tmp_path / "note")
+    _, error = process.communicate(timeout=15)
+    assert process.returncode == 0, error
 
 
 def test_a_watcher_that_dies_is_replaced(tmp_path: Path) -> None:
@@ -118,6 +213,54 @@ def test_systemd_is_told(tmp_path: Path) -> None:
         notice.stopping()
         assert listener.recv(100) == b"STOPPING=1"
     SystemdNotice({}).alive()  # without systemd: nothing
+
+
+@pytest.mark.parametrize(
+    ("asks", "is_fed"),
+    [
+        ({}, False),
+        ({"WATCHDOG_USEC": "10000000"}, True),
+        ({"WATCHDOG_USEC": "10000000", "WATCHDOG_PID": str(os.getpid())}, True),
+        ({"WATCHDOG_USEC": "10000000", "WATCHDOG_PID": "1"}, False),  # another process is to feed it
+        ({"WATCHDOG_USEC": "soon"}, False),
+    ],
+)
+def test_systemds_watchdog_is_fed_where_it_asks_this_process(
+    asks: dict[str, str], is_fed: bool, tmp_path: Path
+) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(str(tmp_path / "notify"))
+        listener.setblocking(False)
+        notice = SystemdNotice({"NOTIFY_SOCKET": str(tmp_path / "notify"), **asks})
+        notice.alive()
+        with contextlib.nullcontext() if is_fed else pytest.raises(BlockingIOError):
+            assert listener.recv(100) == b"WATCHDOG=1"
+
+
+def test_a_systemd_that_does_not_read_holds_nothing_up(tmp_path: Path) -> None:
+    """The event loop tells it, and set points must not wait for that."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(str(tmp_path / "notify"))
+        notice = SystemdNotice({"NOTIFY_SOCKET": str(tmp_path / "notify")})
+
+        def tell() -> None:
+            for _ in range(2000):
+                notice.stopping()
+
+        teller = threading.Thread(target=tell, daemon=True)
+        teller.start()
+        teller.join(10.0)
+        assert not teller.is_alive()
+
+
+def test_systemd_may_listen_at_an_abstract_address() -> None:
+    name = f"dart-flight-test-{os.getpid()}"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(f"\0{name}")
+        listener.settimeout(1.0)
+        SystemdNotice({"NOTIFY_SOCKET": f"@{name}"}).stopping()
+        assert listener.recv(100) == b"STOPPING=1"
+    SystemdNotice({"NOTIFY_SOCKET": "vsock:2:1"}).stopping()  # none that it knows: nothing
 
 
 def test_nothing_that_flies_reads_the_time_of_day() -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from enum import Enum
 from types import ModuleType, SimpleNamespace
 from typing import Any
+from unittest.mock import Mock, call
 
 import pytest
 
@@ -103,6 +104,29 @@ def test_readings_carry_the_switches(vary: Vary) -> None:
     with pytest.raises(DriverError, match="cannot switch the pulses"):
         driver.release()
     driver.close()
+
+
+def test_a_chip_that_is_not_there_shows_when_the_lock_is_opened(gpiod: Any, vary: Vary) -> None:
+    """And not at the first reading, in flight."""
+    config = vary(limit_switch=LimitSwitch("/dev/gpiochip7", rigid_line=23))
+    driver = make_driver(config, LockDriver.PX4, set_actuator=lambda index, value: None)
+    with pytest.raises(DriverError, match="limit switch on /dev/gpiochip7"):
+        driver.open()
+    assert gpiod.requests == []
+
+
+@pytest.mark.usefixtures("gpiod")
+def test_closed_and_failed_lines_are_given_back(vary: Vary) -> None:
+    """Else the next process that wants them is told that they are in use."""
+    switches = GpioLimitSwitch(LimitSwitch("/dev/gpiochip0", rigid_line=23))
+    switches.read()
+    request = switches._request
+    real = Mock()
+    driver = DriverWithLimitSwitch(real, switches)
+    driver.close()
+    assert request.released
+    assert real.mock_calls == [call.close()]
+    assert driver._switches.read() == (False, None)  # and can be had again
 
 
 def test_without_the_package_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -145,6 +145,18 @@ def test_another_frame_and_polarity_are_put_right(
     ]
 
 
+def test_an_inverted_channel_that_runs_is_stopped_before_it_is_turned_round(
+    config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel refuses the polarity of a running channel."""
+    sysfs = Sysfs(tmp_path, monkeypatch)
+    contents = (("period", "20000000\n"), ("duty_cycle", "1500000\n"), ("polarity", "inversed\n"))
+    for name, content in (*contents, ("enable", "1\n")):
+        (sysfs.channel / name).write_text(content)
+    PwmDriver(config).open()
+    assert sysfs.writes == [("pwm1/enable", b"0"), ("pwm1/polarity", b"normal")]
+
+
 def test_a_whole_toggle(config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Sysfs(tmp_path, monkeypatch)
     clock = [0]

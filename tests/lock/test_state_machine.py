@@ -310,6 +310,49 @@ def test_a_command_alone_never_settles(
     assert (machine.state.phase, machine.state.reason) == (LockPhase.FAULT, reason)
 
 
+def test_the_travel_time_runs_from_when_the_driver_first_had_this_travels_pulse(vary: Vary) -> None:
+    machine = LockStateMachine(vary())
+    machine.sent(0, 1020.0)  # nothing travels
+    machine.command(0, Mode.FLEXIBLE)
+    assert machine.due_us is None
+    machine.sent(5_000, 1980.0)  # another pulse
+    assert machine.due_us is None
+    for t_us in (10_000, 200_000):
+        machine.sent(t_us, 1020.0)
+        assert machine.due_us == 10_000 + 315_000
+    phases = []
+    for t_us in (320_000, 330_000):
+        machine.reading(t_us, DriverReading(1020.0))
+        phases.append(machine.state.phase)
+    assert phases == [LockPhase.TRAVELLING, LockPhase.SETTLED]
+    assert machine.due_us is None
+
+
+def test_of_a_driver_that_takes_too_long_every_state_is_told(
+    vary: Vary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It confirms the arrival, and answers so late that nothing is known any more."""
+    quick = homed(vary(limit_switch=BOTH_SWITCHES))
+    quick.session.command(Mode.RIGID)
+    began_us = quick.t_us
+    settled_us = quick.run(1.0).settled_us
+    assert settled_us is not None
+    bench = homed(vary(limit_switch=BOTH_SWITCHES))
+    bench.session.command(Mode.RIGID)
+    bench.run((settled_us - began_us) * 1e-6 - 0.01)
+    read = bench.mock.read
+
+    def slow() -> DriverReading:
+        reading = read()
+        bench.t_us += 2_000_000
+        return reading
+
+    monkeypatch.setattr(bench.mock, "read", slow)
+    bench.states.clear()
+    bench.run(0.01)
+    assert [state.phase for state in bench.states] == [LockPhase.SETTLED, LockPhase.FAULT]
+
+
 def test_a_reading_from_before_the_driver_had_the_command_counts_for_nothing(vary: Vary) -> None:
     machine = LockStateMachine(vary())
     machine.command(0, Mode.FLEXIBLE)
@@ -331,6 +374,41 @@ def test_a_confirmed_state_needs_readings_to_stay_confirmed(vary: Vary) -> None:
     assert (machine.state.phase, machine.state.reason) == (LockPhase.FAULT, "no reading for 1.6 s")
 
 
+def test_without_a_switch_there_is_nothing_that_readings_must_keep_confirming(vary: Vary) -> None:
+    bench = homed(vary())
+    bench.session.machine.step(bench.t_us + 60_000_000)
+    assert bench.state.phase is LockPhase.SETTLED
+
+
+def test_a_fault_does_not_make_the_next_travels_first_reading_one(vary: Vary) -> None:
+    """What was wrong before says nothing of the new travel: it has the debounce time again."""
+    machine = LockStateMachine(vary())
+    machine.command(0, Mode.FLEXIBLE)
+    for t_us in (0, 20_000, 40_000):
+        machine.sent(0, 1020.0)
+        machine.reading(t_us, DriverReading(None))
+    assert machine.state.phase is LockPhase.FAULT
+    machine.command(100_000, Mode.FLEXIBLE)
+    machine.sent(100_000, 1020.0)
+    machine.reading(110_000, DriverReading(None))  # the controller needs a moment
+    phases = []
+    for t_us in (120_000, 420_000):
+        machine.reading(t_us, DriverReading(1020.0))
+        phases.append(machine.state.phase)
+    assert phases == [LockPhase.TRAVELLING, LockPhase.SETTLED]
+
+
+def test_every_travel_has_its_switch_confirm_it_for_the_debounce_time(vary: Vary) -> None:
+    """Also one to where the horn is already, as after the pulses were off."""
+    bench = homed(vary(limit_switch=BOTH_SWITCHES))
+    bench.session.release()
+    bench.run(0.5)
+    bench.session.command(Mode.FLEXIBLE)
+    assert bench.run(0.01).phase is LockPhase.TRAVELLING
+    state = bench.run(0.05)
+    assert (state.phase, state.feedback) == (LockPhase.SETTLED, True)
+
+
 # --- pulses off, start-up ----------------------------------------------------------------------------
 
 
@@ -344,6 +422,32 @@ def test_release_keeps_the_state_and_the_next_command_travels_again(vary: Vary) 
     assert bench.state.phase is LockPhase.TRAVELLING
     assert bench.run(0.5).phase is LockPhase.SETTLED
     assert bench.mock.read().pulse_us == 1020.0
+
+
+def test_after_a_release_a_command_has_the_pulse_watched_again(vary: Vary) -> None:
+    bench = homed(vary())
+    bench.session.release()
+    bench.session.command(Mode.FLEXIBLE)
+    settled = bench.run(0.5)
+    assert settled.phase is LockPhase.SETTLED
+    assert bench.session.command(Mode.FLEXIBLE) is None
+    assert bench.state is settled  # it is there: nothing new is begun
+    bench.mock.release()  # behind its back
+    assert phase_and_reason(bench.run(0.1)) == (LockPhase.FAULT, "the controller lost the pulse")
+
+
+def test_the_mock_loses_its_pulse_on_the_way_and_a_release_before_that_prevents_it(vary: Vary) -> None:
+    bench = homed(vary(), MockFaults(brown_out=True))
+    bench.session.command(Mode.RIGID)
+    began_us = bench.t_us
+    far_us = bench.mock.horn_pulse_us(began_us + 10_000_000)  # nobody has asked it meanwhile
+    assert far_us == pytest.approx(1020.0 + 960.0 * 0.06 / 0.285)
+    again = homed(vary(), MockFaults(brown_out=True))
+    again.mock.set_pulse(1980.0)
+    again.t_us += 10_000
+    again.mock.release()
+    again.t_us += 1_000_000
+    assert again.mock.read().errors == ()
 
 
 def test_home_moves_to_the_home_mode(vary: Vary) -> None:

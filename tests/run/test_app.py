@@ -8,6 +8,7 @@ import gc
 import os
 import queue
 import signal
+import socket
 import sys
 import threading
 from collections.abc import AsyncIterator, Callable, Iterable
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import Mock, call
 
+import msgspec
 import pytest
 
 from dart_flight.base.records import (
@@ -30,6 +32,8 @@ from dart_flight.base.records import (
     OperatorRequest,
     Outcome,
     Output,
+    Phase,
+    PhaseChange,
     PlanRequest,
     Record,
     Request,
@@ -39,11 +43,13 @@ from dart_flight.base.records import (
     VehicleCommand,
     WallEstimate,
 )
+from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.state_machine import status_text
 from dart_flight.run import app as module
 from dart_flight.run.app import FlightApp, LockThread
 from dart_flight.run.prepare import load_flyable
 from dart_flight.vehicle.clock import ClockEstimate, host_us
+from dart_flight.vehicle.vehicle_session import NoAnswerError
 
 ROOT = Path(__file__).parents[2]
 
@@ -302,12 +308,28 @@ class World:
         self.horns.append(pulse_us)
 
 
+def connect_to(session: Flight, monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """What the app connects to, whatever its URL; returns what the app does to its process, as it comes."""
+    did: list[object] = []
+
+    @contextlib.asynccontextmanager
+    async def connected(*_: object, **__: object) -> AsyncIterator[Flight]:
+        yield session
+
+    monkeypatch.setattr(module, "connect", connected)
+    # What it does to its process is not for a process of tests.
+    monkeypatch.setattr(gc, "collect", lambda: did.append("collect"))
+    monkeypatch.setattr(gc, "freeze", lambda: did.append("freeze"))
+    monkeypatch.setattr(sys, "setswitchinterval", did.append)
+    return did
+
+
 def test_a_run_starts_lock_terminal_and_deadman_and_ends_them(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     mission = load_flyable(ROOT / "missions/paper_single_wall.yaml")
     assert mission.vehicle.lock is not None
-    world, shown, looks = World(), list[Record](), list[bool]()
+    world, shown, looks, watchers = World(), list[Record](), list[bool](), list[int]()
     app = FlightApp(
         mission, "udpin://nowhere:1", lambda *_: None, world, shown.append, deadman_note=tmp_path / "note"
     )
@@ -315,6 +337,10 @@ def test_a_run_starts_lock_terminal_and_deadman_and_ends_them(
     def end() -> None:
         """Once the horn has moved as ordered, and the deadman was there meanwhile."""
         looks.append(app._deadman is not None)
+        assert app._deadman is not None
+        if len(looks) == 1:
+            watchers.append(app._deadman.pid)
+            os.kill(app._deadman.pid, signal.SIGKILL)
         if len(looks) == 2:  # half a second after the first one was shown
             app.show(OperatorRequest(2, Request.CONTINUE))
         app.execute(LockPermission(1, True))
@@ -323,20 +349,14 @@ def test_a_run_starts_lock_terminal_and_deadman_and_ends_them(
             app.execute(MissionEnd(1, Outcome.COMPLETED, None, None))
 
     session = Flight(end)
-
-    @contextlib.asynccontextmanager
-    async def connected(*_: object, **__: object) -> AsyncIterator[Flight]:
-        yield session
-
-    monkeypatch.setattr(module, "connect", connected)
-    # What it does to its process is not for a process of tests.
-    monkeypatch.setattr(gc, "freeze", lambda: None)
-    monkeypatch.setattr(sys, "setswitchinterval", lambda _: None)
+    connect_to(session, monkeypatch)
     app.show(OperatorRequest(1, Request.CONTINUE))
     asyncio.run(app.run())
     assert session.motors == len(mission.vehicle.airframe.motors)
     assert {OperatorRequest(1, Request.CONTINUE), OperatorRequest(2, Request.CONTINUE)} <= set(shown)
     assert all(looks)
+    assert app._deadman is not None
+    assert app._deadman.pid not in watchers  # one that dies is replaced
     flexible, rigid = (mission.vehicle.lock.servo.pulse_us(mode) for mode in (Mode.FLEXIBLE, Mode.RIGID))
     assert world.horns[0] == flexible
     assert len(world.horns) > 1
@@ -346,6 +366,150 @@ def test_a_run_starts_lock_terminal_and_deadman_and_ends_them(
     assert not (tmp_path / "note").exists()  # the deadman was let go
     running = {thread.name for thread in threading.enumerate()}
     assert not running & {"lock", "terminal"}
+
+
+def test_systemd_hears_of_a_flight_from_its_beginning_to_its_end_and_nothing_of_it_goes_on(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Who flies several missions from one program is left alone by those that are over."""
+    app = FlightApp(load_flyable(ROOT / "missions/square.yaml"), "udpin://nowhere:1", lambda *_: None)
+
+    class Held(Flight):
+        async def perform(self, action: VehicleAction) -> str:
+            await asyncio.sleep(60.0)
+            return ""
+
+    def end() -> None:
+        handled.append(signal.getsignal(signal.SIGTERM))
+        app.execute(VehicleCommand(1, VehicleAction.LAND))  # not answered before the end
+        app.execute(MissionEnd(1, Outcome.COMPLETED, None, None))
+
+    async def fly_and_look() -> set[asyncio.Task[Any]]:
+        await app.run()
+        for _ in range(5):
+            await asyncio.sleep(0)
+        return asyncio.all_tasks() - {asyncio.current_task()}
+
+    handled: list[object] = []
+    before = signal.getsignal(signal.SIGTERM)
+    did = connect_to(Held(end), monkeypatch)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(tmp_path / "notify"))
+        systemd.setblocking(False)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        monkeypatch.setenv("WATCHDOG_USEC", "10000000")
+        monkeypatch.delenv("WATCHDOG_PID", raising=False)
+        assert asyncio.run(fly_and_look()) == set()
+        said = []
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                said.append(systemd.recv(200).decode())
+    assert said == ["READY=1\nSTATUS=flying square", "WATCHDOG=1", "STOPPING=1"]
+    assert not app._core.thread.is_alive()
+    assert handled
+    assert before not in handled  # a signal stops the flight, and not the program
+    switch_interval_s, *collector = did
+    assert isinstance(switch_interval_s, float)
+    assert switch_interval_s <= 0.001  # what computes does not hold up what arrives
+    assert collector == ["collect", "freeze"]  # nothing old is walked in flight
+
+
+def test_a_world_that_has_died_ends_the_flight_with_its_cause(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[Record] = []
+    world = World()
+    world.died, world.cause = True, "PX4 has ended by SIGKILL"
+    app = FlightApp(
+        load_flyable(ROOT / "missions/square.yaml"),
+        "udpin://nowhere:1",
+        lambda record, _: seen.append(record),
+        world,
+    )
+    connect_to(Flight(lambda: None), monkeypatch)
+    asyncio.run(asyncio.wait_for(app.run(), 30.0))
+    (end,) = [record for record in seen if isinstance(record, MissionEnd)]
+    assert end.reason == "world_died: PX4 has ended by SIGKILL"
+
+
+def test_a_link_that_answers_nothing_is_not_flown_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Deaf(Flight):
+        async def measure_link(self, timeout_s: float) -> list[str]:
+            return ["TIMESYNC", "rate of HIGHRES_IMU"]
+
+    app, _ = app_with(monkeypatch)
+    session = Deaf(lambda: None)
+    connect_to(session, monkeypatch)
+    with pytest.raises(NoAnswerError, match="does not answer requests: TIMESYNC, rate of HIGHRES_IMU"):
+        asyncio.run(app.run())
+    assert session.motors == 0  # nothing has begun
+    assert not app._core.thread.is_alive()
+
+
+@pytest.mark.parametrize(
+    ("name", "plans"), [("dual_collision_replan", True), ("paper_dual_collision", False)]
+)
+def test_the_planner_lives_as_long_as_the_flight_where_the_mission_plans_again(
+    monkeypatch: pytest.MonkeyPatch, name: str, plans: bool
+) -> None:
+    app = FlightApp(load_flyable(ROOT / f"missions/{name}.yaml"), "udpin://nowhere:1", lambda *_: None)
+    made = Mock()
+    monkeypatch.setattr(module, "ReplannerProcess", made)
+
+    def end() -> None:
+        made.return_value.stop.assert_not_called()
+        app.execute(MissionEnd(1, Outcome.COMPLETED, None, None))
+
+    connect_to(Flight(end), monkeypatch)
+    asyncio.run(app.run())
+    assert made.mock_calls == [call(app._mission, app._core.put), call().stop()] * plans
+
+
+@pytest.mark.parametrize(
+    ("driver", "simulated", "moves_it"),
+    [
+        (LockDriver.MOCK, True, True),
+        (LockDriver.MAESTRO, True, True),  # on the table: its modelled horn moves the simulated arms
+        (LockDriver.PX4, True, False),  # its own output does
+        (LockDriver.MOCK, False, False),
+    ],
+)
+def test_the_simulated_arms_are_moved_by_what_stands_for_the_servo(
+    monkeypatch: pytest.MonkeyPatch, driver: LockDriver, simulated: bool, moves_it: bool
+) -> None:
+    session = Session()
+    app, _ = app_with(monkeypatch, session)
+    world, config = World(), app._mission.vehicle.lock
+    assert config is not None
+    monkeypatch.setattr(app, "_world", world if simulated else None)
+    session.clock.update(5_000_000, host_us())
+    lock = app._make_lock(session, msgspec.structs.replace(config, driver=driver))  # type: ignore[arg-type]
+    for _ in range(3):
+        lock._after_poll()
+    assert world.horns == [config.servo.pulse_us(Mode.FLEXIBLE)] * moves_it
+    assert (app.mock is not None) is (driver is LockDriver.MOCK)
+
+
+def test_a_setpoint_leaves_at_once_and_one_that_is_refused_is_no_fault(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """PX4 keeps the last one, and then its failsafe acts."""
+    session = Session()
+    app, _ = app_with(monkeypatch, session)
+    setpoint = Setpoint(1, 1, (0.0, 0.0, -1.0), 0.0)
+    app.send(setpoint)
+    assert session.asked == [setpoint]
+
+    def refuse(_: Setpoint) -> None:
+        raise RuntimeError("no system")
+
+    monkeypatch.setattr(session, "send", refuse)
+    app.send(setpoint)
+
+
+def test_the_ground_hears_of_every_phase(monkeypatch: pytest.MonkeyPatch) -> None:
+    session = Session()
+    app, _ = app_with(monkeypatch, session)
+    carry_out(app, monkeypatch, PhaseChange(1, Phase.CLIMB, Phase.TRANSIT, "arrived", 1))
+    assert session.asked == ["phase transit"]
 
 
 @pytest.mark.parametrize(("theirs", "expected"), [(0, False), (1, True)])

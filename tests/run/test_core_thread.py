@@ -27,6 +27,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.pace import Pace
+from dart_flight.run import core_thread as module
 from dart_flight.run.core_thread import CoreThread
 from dart_flight.run.runner import CoreRunner
 from dart_flight.vehicle.clock import host_us
@@ -294,6 +295,32 @@ def test_from_haste_to_a_long_step_the_cores_own_thread_takes_over(watched: Harn
     assert watched.core.threads == [threading.current_thread().name, "core"]
 
 
+@pytest.mark.parametrize("to", [Pace.DEFERRED, Pace.BATCHED])
+def test_at_the_end_of_haste_the_cores_own_thread_is_called_once_and_then_has_its_patience(
+    watched: Harness[WatchedCore], monkeypatch: pytest.MonkeyPatch, to: Pace
+) -> None:
+    """However long a turn would be waited for: what may take long is not to wait for the next one."""
+    begin(watched, Pace.IMMEDIATE)
+    monkeypatch.setattr(module, "BATCH_S", 60.0)
+    time.sleep(0.1)  # the turn under way ends
+    turns = watched.turns
+    time.sleep(0.1)
+    assert watched.turns == turns
+    watched.core.wanted = to
+    watched.thread.arrive(attitude(4000))
+    wait_for(lambda: watched.turns > turns)
+    if to is Pace.DEFERRED:
+        watched.thread.arrive(attitude(8000))
+        wait_for(lambda: len(watched.core.samples) == 2)
+        watched.core.wanted = Pace.BATCHED
+        watched.thread.arrive(attitude(12000))
+        wait_for(lambda: len(watched.core.samples) == 3)
+    time.sleep(0.1)
+    turns = watched.turns
+    time.sleep(0.1)
+    assert watched.turns <= turns + 1  # it waits, and does not go round and round
+
+
 def test_a_step_that_hangs_on_another_thread_starves_the_deadman(watched: Harness[WatchedCore]) -> None:
     begin(watched, Pace.IMMEDIATE)
     watched.core.held.clear()
@@ -365,3 +392,13 @@ def test_after_the_stop_nothing_is_stepped(watched: Harness[WatchedCore]) -> Non
     watched.thread.stop()
     watched.thread.arrive(attitude(4000))
     assert watched.core.samples == []
+
+
+def test_a_stop_is_heard_however_long_the_next_turn_would_be_waited_for(
+    watched: Harness[WatchedCore], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begin(watched, Pace.BATCHED)
+    monkeypatch.setattr(module, "BATCH_S", 60.0)
+    time.sleep(0.1)  # the turn under way ends
+    watched.thread.stop()
+    assert not watched.thread.thread.is_alive()

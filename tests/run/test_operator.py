@@ -74,3 +74,31 @@ def test_in_the_background_the_terminal_is_left_alone(
     # Brought to the front it hears what was typed in the meantime.
     monkeypatch.setattr(app_module, "_in_background", lambda fd: False)
     assert len(heard(app, lambda: None, 1)) == 1
+
+
+def test_a_terminal_that_has_gone_is_not_looked_at_again(
+    app: FlightApp, terminal: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would be ready to be read for ever."""
+    reads: list[int] = []
+    read = os.read
+
+    def counted(number: int, most: int) -> bytes:
+        reads.append(number)
+        return read(number, most)
+
+    monkeypatch.setattr(os, "read", counted)
+
+    async def listen() -> None:
+        app.loop = asyncio.get_running_loop()
+        app._listen_for_key()
+        os.close(terminal)
+        for _ in range(500):
+            await asyncio.sleep(0.01)
+            if reads:
+                break
+        for _ in range(20):
+            await asyncio.sleep(0)
+
+    asyncio.run(listen())
+    assert len(reads) == 1

@@ -92,6 +92,14 @@ def test_speeds_of_six_motors_come_in_two_messages() -> None:
     assert decoder.count(EscSample) == 1
 
 
+def test_a_part_about_motors_that_are_none_is_no_second_sample() -> None:
+    """Eight channels of a controller, four of them in use."""
+    decoder = Decoder()
+    for index in (0, 4):
+        decoder.session._on_esc(message(time_usec=8, index=index, rpm=[1, 2, 3, 4]), None)
+    assert decoder.count(EscSample) == 1
+
+
 def test_an_attitude_that_is_not_known_is_none() -> None:
     decoder = Decoder()
     unknown = SimpleNamespace(timestamp_us=3, w=math.nan, x=0.0, y=0.0, z=0.0)

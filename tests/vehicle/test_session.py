@@ -32,7 +32,7 @@ from dart_flight.base.records import (
     StatusText,
     VehicleAction,
 )
-from dart_flight.base.streams import STREAMS
+from dart_flight.base.streams import ESC, MESSAGE_ID, STREAMS
 from dart_flight.config.vehicle import load_vehicle, packaged
 from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import vehicle_session as module
@@ -124,14 +124,31 @@ def test_every_stream_is_asked_for_and_a_refusal_is_named(
     }
 
 
-@pytest.mark.parametrize(("result", "refused"), [(0, False), (4, True)])
+@pytest.mark.parametrize(("result", "refused"), [(0, False), (4, True), (None, True)])
 def test_a_further_stream_is_asked_for_by_its_message(
-    monkeypatch: pytest.MonkeyPatch, result: int, refused: bool
+    monkeypatch: pytest.MonkeyPatch, result: int | None, refused: bool
 ) -> None:
-    rig = Rig(monkeypatch, {"send_command": lambda _: message(command=511, result=result)})
+    sent: list[dict[str, Any]] = []
+
+    def answer(command: Any) -> Any:
+        sent.append(json.loads(command.fields_json))
+        return message(command=511, result=result)
+
+    rig = Rig(monkeypatch, {"send_command": answer})
     estimation = SimpleNamespace(uses_esc=True, thrust_source=None)
     rig.session.subscribe(estimation, 4)  # type: ignore[arg-type]
     assert ("esc" in asyncio.run(rig.session.set_rates([]))) is refused
+    assert sent == [
+        {
+            "target_system": 1,
+            "target_component": 1,
+            "command": 511,
+            "confirmation": 0,
+            "param1": MESSAGE_ID["ESC_STATUS"],
+            "param2": round(1e6 / ESC.rate_hz),
+            **{f"param{i}": 0 for i in range(3, 8)},
+        }
+    ]
 
 
 def test_a_local_position_is_one_that_is_sent_and_is_well(
@@ -365,6 +382,30 @@ def test_a_link_that_only_sends_is_named_by_what_it_does_not_answer(monkeypatch:
     assert len(refused.of(RoundTrip)) == 1
 
 
+def test_while_it_is_measured_requests_go_on_and_then_they_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The flight asks by itself afterwards: not twice as often."""
+    monkeypatch.setattr(module, "_ASK_PERIOD_S", 0.001)
+    rig = Rig(monkeypatch, {})
+    asked: list[Any] = []
+
+    def answer_the_third(request: Any) -> None:
+        asked.append(request)
+        if len(asked) == 3:
+            ts1 = json.loads(asked[0].fields_json)["ts1"]  # seconds late, to the first of them
+            reply = message(tc1=ts1 + 1, ts1=ts1)
+            reply.system_id = 1
+            rig.say("MavlinkDirect", "TIMESYNC", reply)
+
+    rig.plugins["MavlinkDirect"]._answers["send_message"] = answer_the_third
+
+    async def measure() -> set[asyncio.Task[Any]]:
+        assert await rig.session.measure_link(5.0) == []
+        await asyncio.sleep(0)
+        return asyncio.all_tasks() - {asyncio.current_task()}
+
+    assert asyncio.run(measure()) == set()
+
+
 # --- the connection --------------------------------------------------------------------------------------
 
 
@@ -403,7 +444,8 @@ def test_a_connection_is_opened_and_closed_and_says_what_is_wrong(
     Rig(monkeypatch, {})
     sdk, opened = Sdk(object() if answers else None, problem), list[bool]()
     monkeypatch.setattr(module, "Mavsdk", lambda _: sdk)
-    monkeypatch.setattr("dart_flight.vehicle.sdk_log.redirect", lambda: None)
+    redirected = list[bool]()  # what MAVSDK itself writes is not for the terminal
+    monkeypatch.setattr("dart_flight.vehicle.sdk_log.redirect", lambda: redirected.append(True))
 
     async def use() -> None:
         async with connect("udpin://here", 3.0, lambda _: None, opened=lambda: opened.append(True)):
@@ -416,4 +458,5 @@ def test_a_connection_is_opened_and_closed_and_says_what_is_wrong(
     else:
         asyncio.run(use())
     assert opened == [True] * (not says)
+    assert redirected == [True]
     assert sdk.left == 1

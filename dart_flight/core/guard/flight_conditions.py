@@ -289,15 +289,13 @@ class FlightConditions:
         ODOMETRY has one counter for resets of position, velocity and heading; the heading alone is no reason
         to stop.
         """
-        if self._reset_us is None:
+        if self._reset_us is None or self.state.now_us - self._reset_us > _RESET_REACH_US:
             return None
         c = self.config
         for t_us, position_m, velocity_m_s in self._steps:
             large = position_m > c.reset_position_m or velocity_m_s > c.reset_velocity_m_s
             if large and abs(t_us - self._reset_us) <= _RESET_REACH_US:
                 return f"by {position_m:.2f} m and {velocity_m_s:.2f} m/s"
-        if self.state.now_us - self._reset_us > _RESET_REACH_US:
-            self._reset_us = None
         return None
 
     def _since_impact_us(self) -> float:

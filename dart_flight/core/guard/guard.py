@@ -197,7 +197,6 @@ class Guard:
         self.overrules = True
         self._since_us = state.now_us
         self._asked_us = None
-        self._hold = None
 
     def _remember(self, outputs: list[Output]) -> None:
         for one in outputs:

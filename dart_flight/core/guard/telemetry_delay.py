@@ -44,7 +44,6 @@ class TelemetryDelay:
         took_us = max(0, trip.received_us - trip.sent_us)
         self._last.append(took_us)
         if trip.autopilot_us is None:
-            self._offset_us = None
             return
         offset_us = trip.autopilot_us - 0.5 * (trip.sent_us + trip.received_us)
         error_us = 0.5 * took_us

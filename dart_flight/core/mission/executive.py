@@ -347,7 +347,6 @@ class Executive:
             self._begin_transit()
         else:
             self._go(PhaseTrigger.NEXT_GOAL, state, p)
-            self._captured_us = None
             self._fly_to_goal()
 
     def _fly_to_goal(self) -> None:
@@ -524,7 +523,6 @@ class Executive:
         force = math.hypot(event.normal_force_n, event.tangential_force_n)
         if force > self.mission.limits.peak_force_n:
             p.add_finding("peak_force", f"{force:.0f} N at wall {collision.wall.name}")
-        self._least_miss_m = math.inf
         self._go(PhaseTrigger.PEAK, state, p)
         self._index += 1
 
@@ -607,7 +605,7 @@ class Executive:
         return self._replanning.trajectory_since_us if self.phase is Phase.RECOVERY else None
 
     def _watch_goal(self, state: FlightState, p: Proposal, timed_out: bool) -> None:
-        if self._lock.contact_end_us is None and not timed_out:
+        if self._lock.contact_end_us is None:  # it comes: the detector waits for it only so long
             return
         miss = distance2(state.position, self.mission.goal.position_m)
         self._least_miss_m = min(self._least_miss_m, miss)
@@ -621,7 +619,6 @@ class Executive:
         if passed or timed_out:
             p.outputs.append(GoalPassed(state.now_us, self._least_miss_m, not passed))
             self._head_for_goal(state, miss)
-            self._captured_us = None
             self._go(PhaseTrigger.PASSED if passed else PhaseTrigger.TIMED_OUT, state, p)
 
     def _head_for_goal(self, state: FlightState, distance_m: float) -> None:

@@ -49,7 +49,6 @@ class Rehearsal(Executive):
             self._start_next(PhaseTrigger.RESTED, state, p)
         elif following is None:
             self._references.fly_to(self.mission.goal.position_m)
-            self._captured_us = None
             self._go(PhaseTrigger.PASSED, state, p)
         elif following.approach_m_s is not None:
             self._go(PhaseTrigger.RESTED, state, p)

@@ -492,13 +492,12 @@ def _prior(c: Coefficients, mass_kg: float) -> PulsePrior:
 
 def _mean_prior(priors: list[PulsePrior]) -> PulsePrior:
     """Geometric mean over the materials: what is expected of a wall that is in no plan."""
-    n = max(1, len(priors))
-
-    def mean(values: list[float]) -> float:
-        return math.exp(sum(math.log(max(v, 1e-6)) for v in values) / n) if values else 1.0
-
     if not priors:
         return PulsePrior(50.0, 4.0, 1.0)
+
+    def mean(values: list[float]) -> float:
+        return math.exp(sum(math.log(max(v, 1e-6)) for v in values) / len(values))
+
     return PulsePrior(
         mean([p.omega for p in priors]), mean([p.sigma for p in priors]), mean([p.kappa for p in priors])
     )

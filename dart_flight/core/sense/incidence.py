@@ -406,7 +406,7 @@ class _IncidenceFit:
         for k in range(_FINE * len(points)):
             # Means stand for the middle of their tick; between two middles they go straight.
             at = min(max((k + 0.5) / _FINE - 0.5, 0.0), float(last))
-            i = min(int(at), max(0, last - 1))
+            i = int(at)
             share = at - i
             (n0, t0, a0, w0), (n1, t1, a1, w1) = points[i], points[min(i + 1, last)]
             normal_n = n0 + share * (n1 - n0)

@@ -390,8 +390,9 @@ def _friction_top(
     kappa: float,
 ) -> float:
     """Largest friction of the model, sought on a grid of half a tick, with a parabola through it."""
-    begin, end = pulse.start_s, inside[-1].b
-    count = 2 * max(6, round((end - begin) / (inside[-1].b - inside[-1].a)))
+    newest = inside[-1]
+    begin, end = pulse.start_s, newest.b
+    count = 2 * max(6, round((end - begin) / (end - newest.a)))
     h = (end - begin) / count
     v, last = speed, 0.0
     force = [0.0]
