@@ -1,0 +1,68 @@
+"""A hit at 3 m/s: the flight is planned, drawn and flown as the campaign does, and recovers."""
+
+import msgspec
+import pytest
+
+from dart_flight.base.records import PlanRequest, Record
+from dart_flight.config.vehicle import LockDriver
+from dart_flight.core.mission.trajectories import PlannedTrajectory
+from dart_flight.planning.replanner import Replanner
+from dart_flight.run.fast import FastFlight
+from dart_flight.sim.draws import DrawnWorld
+from tools.campaigns.faster_hits import TOUCH_M_S, contact_of, fly_mission, is_within_law, mission_of
+
+
+@pytest.mark.parametrize("seed", [13001, 13002])
+def test_a_hit_at_3_m_s_recovers_where_a_touch_came_first(seed: int) -> None:
+    flown = fly_mission(mission_of("flexible", 3.0, touch_m_s=TOUCH_M_S), seed)
+    assert flown.recovered
+    assert flown.problems == []
+    assert flown.closing_m_s == pytest.approx(3.0, abs=0.2)
+    assert flown.exit_m_s is not None
+    assert flown.exit_m_s > 1.0
+    assert flown.tilt_deg < 60.0
+
+
+@pytest.mark.parametrize("height_m", [-0.03, 0.03])
+def test_a_touch_tells_how_high_the_guards_are(height_m: float) -> None:
+    """Without it guards 3 cm off the centre of mass turn the vehicle over at 3 m/s."""
+    requests: list[PlanRequest] = []
+
+    def observe(record: Record, number: int) -> None:
+        if isinstance(record, PlanRequest):
+            requests.append(record)
+
+    mission = mission_of("flexible", 3.0, touch_m_s=TOUCH_M_S)
+    simulation = mission.vehicle.simulation
+    contact = msgspec.structs.replace(simulation.contact, guard_height_m=height_m)
+    simulation = msgspec.structs.replace(simulation, contact=contact)
+    vehicle = msgspec.structs.replace(mission.vehicle, simulation=simulation)
+    world = DrawnWorld(msgspec.structs.replace(mission, vehicle=vehicle), None, {})
+    FastFlight(mission, 1, LockDriver.MOCK, observe=observe, world=world).run()
+    to_wall = requests[0]
+    assert to_wall.collision == 2
+    to_goal = requests[-1]
+    assert to_goal.collision is None
+    assert to_wall.contact_height_m is not None
+    assert to_wall.contact_height_m == pytest.approx(height_m, abs=0.008)
+    assert to_goal.contact_height_m is None
+    replanner, wall = Replanner(mission), mission.walls[0]
+    pushes = []
+    for known_m in (None, to_wall.contact_height_m):
+        request = msgspec.structs.replace(to_wall, contact_height_m=known_m)
+        answer = replanner.answer(request, request.t_us)
+        assert answer.problem == ""
+        way = PlannedTrajectory(
+            answer.x_mission, answer.y_mission, answer.duration_s, mission.altitude_m, answer.pieces_s
+        )
+        end = way.at(way.duration_s - 1e-6)
+        assert wall.to_collision(end.velocity)[0] == pytest.approx(-3.0, abs=1e-3)
+        pushes.append(wall.to_collision(end.acceleration)[0])
+    # Guards above the centre of mass: lean into the wall, 0.9 g h / d.
+    assert pushes[1] - pushes[0] == pytest.approx(-44.1 * to_wall.contact_height_m, abs=0.02)
+
+
+def test_friction_beyond_its_law_is_not_flown() -> None:
+    assert is_within_law("rigid", 1.0)
+    assert not is_within_law("flexible", 0.5)
+    assert contact_of("flexible").peak_n_per_m_s == pytest.approx(34.5, abs=0.1)
