@@ -4,8 +4,8 @@
 
 Places, walls and tolerances of a map follow from its seed, before anything is planned. The optimum's gain is
 that of the exact model under each of three sets of limits; flown is the second of them, in the fast world
-with guards and everything drawn (`--vary all`), five seeds, both plans by the same app. What is planned goes to
-`build/walls_pay_plans.jsonl` as it comes, what is flown to `build/walls_pay.jsonl`; the page
+with guards and everything drawn (`--vary all`), five seeds, both plans by the same app. What is planned goes
+to `build/walls_pay_plans.jsonl` as it comes, what is flown to `build/walls_pay.jsonl`; the page
 docs/results/walls_pay.md is written from them.
 """
 
@@ -461,8 +461,8 @@ def write_page() -> None:
 
 
 _HEAD = """Each map's places, walls and tolerances follow from its seed (`scenario_of`), before anything
-is planned. Both plans keep to the same limits (3 m/s, 3.5 with limited sight); the free one is the same optimal
-control without a hit. Flown times run from the first motion to rest within 0.15 m of the goal, planned ones
+is planned. Both plans keep to the same limits (3 m/s, 3.5 with limited sight); the free one is the same
+optimal control without a hit. Flown times run from the first motion to rest within 0.15 m of the goal, planned ones
 likewise; a place counts as passed within its tolerance and the 3 cm that a drawn wall may stand elsewhere.
 Corners, stops and the free ways are controls: there the free plan is expected.
 """
