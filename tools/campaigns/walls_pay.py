@@ -462,9 +462,9 @@ def write_page() -> None:
 
 _HEAD = """Each map's places, walls and tolerances follow from its seed (`scenario_of`), before anything
 is planned. Both plans keep to the same limits (3 m/s, 3.5 with limited sight); the free one is the same
-optimal control without a hit. Flown times run from the first motion to rest within 0.15 m of the goal, planned
-ones likewise; a place counts as passed within its tolerance and the 3 cm that a drawn wall may stand off.
-Corners, stops and the free ways are controls: there the free plan is expected.
+optimal control without a hit. Flown times run from the first motion to rest within 0.15 m of the goal,
+planned ones likewise; a place counts as passed within its tolerance and the 3 cm that a drawn wall may stand
+elsewhere. Corners, stops and the free ways are controls: there the free plan is expected.
 """
 
 
