@@ -75,7 +75,7 @@ def test_what_must_notice_a_mutant_is_there(everything: list[Mutant]) -> None:
     asked = {test for m in everything for test in mutants.tests_of(m)}
     assert "tests/lock" in asked
     of_pulse = next(m for m in everything if m.path == "dart_flight/core/sense/pulse.py")
-    assert mutants.tests_of(of_pulse)[1] == "tests/core/test_force_estimate.py"
+    assert "tests/core/test_force_estimate.py" in mutants.tests_of(of_pulse)[1:3]
     assert [test for test in asked if not (ROOT / test.partition("::")[0]).exists()] == []
 
 

@@ -54,7 +54,7 @@ _TILT_SHARE = 0.6
 _JERK_M_S3 = 25.0  # about 150 degrees of tilt a second: the attitude loop follows
 _GENTLE_S = 0.5  # that a way may last longer where it needs all of the tilt instead of none
 _GENTLE_REJOINING_S = 0.05  # likewise, back to a trajectory that is within limits as it is
-_SLOWER_S = 0.5  # that a way may last longer where another meets the wall at half the planned speed
+_AS_FAST = 1.01  # planned speed over flown
 _BALANCED = 0.9  # of the lean that would balance a vehicle that does not turn (docs/results/faster_hits.md)
 _MOST_LEAN = 0.3  # tangent of the angle
 _BESIDE_S = 1.0  # ... where another meets the wall as far from the planned place as the mission tolerates
@@ -190,9 +190,9 @@ class Replanner:
             until = np.full(ways.duration_s.size, ways.shares.size)
             clear = self._constraints.path(window, until, wall_hit, begins=True) == 0
             ways, push = ways.take(np.flatnonzero(clear)), push[clear]
-        # A wall that is met slower throws back slower: what comes after it takes longer.
-        later_s = 0.0 if collision is None else _SLOWER_S * (ways.slower - 1.0)
-        for k in np.argsort(ways.duration_s + later_s + _GENTLE_REJOINING_S * push**2):
+        # A wall is met as fast as planned where that can be: sooner and slower is another hit.
+        slow = (ways.slower > _AS_FAST) & (collision is not None)
+        for k in np.lexsort((ways.duration_s + _GENTLE_REJOINING_S * push**2, slow)):
             way = ways.trajectory(int(k))
             found = msgspec.structs.replace(
                 answer, duration_s=way.duration_s, x_mission=way.x, y_mission=way.y, pieces_s=way.pieces_s

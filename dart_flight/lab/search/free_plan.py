@@ -16,7 +16,14 @@ import msgspec
 
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec2, distance2
 from dart_flight.config.document import InputError
-from dart_flight.lab.search.optimal_trajectory import Corner, HitLimits, MotionLimits, Part, Problem, solve
+from dart_flight.lab.search.optimal_trajectory import (
+    HitLimits,
+    MotionLimits,
+    Part,
+    Problem,
+    RouteCorner,
+    solve,
+)
 from dart_flight.lab.search.routes import shortest_way, sides
 from dart_flight.lab.search.scenario import Scenario
 
@@ -77,7 +84,7 @@ def plan_free(scenario: Scenario) -> FreePlan:
 def _round_s(scenario: Scenario, corners: list[Vec2], limits: MotionLimits) -> float | None:
     """The quickest past the corners; None where the solver finds no way."""
     walls, goal = scenario.walls.values(), scenario.goal.position_m
-    parts = [Part(Corner(b), sides(a, b, walls, ())) for a, b in itertools.pairwise(corners)]
+    parts = [Part(RouteCorner(b), sides(a, b, walls, ())) for a, b in itertools.pairwise(corners)]
     parts[-1] = parts[-1]._replace(to=None)
     found = solve(Problem(scenario.vehicle, scenario.start, goal, tuple(parts), limits, _NO_HITS, 0.0))
     return None if found is None else found.time_s

@@ -136,7 +136,7 @@ class Hit(NamedTuple):
     velocity_m_s: Vec2 | None = None
 
 
-class Corner(NamedTuple):
+class RouteCorner(NamedTuple):
     """Where a way past a wall's end changes from one half-plane to the next; `place` is a guess."""
 
     place: Vec2
@@ -156,7 +156,7 @@ class HalfPlane(NamedTuple):
     offset_m: float
 
 
-Event = Visit | Hit | Corner | Cruise
+Event = Visit | Hit | RouteCorner | Cruise
 
 
 class Part(NamedTuple):

@@ -29,7 +29,6 @@ from dart_flight.lab.search.free_plan import limits_of
 from dart_flight.lab.search.optimal_trajectory import (
     INTERVALS,
     ContactResponse,
-    Corner,
     Event,
     HalfPlane,
     Hit,
@@ -38,6 +37,7 @@ from dart_flight.lab.search.optimal_trajectory import (
     OptimalTrajectory,
     Part,
     Problem,
+    RouteCorner,
     Visit,
     solve,
 )
@@ -359,7 +359,7 @@ class _Search:
                 last = k == len(way) - 2
                 near = (*(touched if k == 0 else ()), *(at_end if last else ()))
                 keep = (*self._room, *sides(a, b, self.walls, near))
-                parts.append(Part(to if last else Corner(b), keep))
+                parts.append(Part(to if last else RouteCorner(b), keep))
             touched = at_end
         return Problem(
             self.vehicle, self.scenario.start, self._goal, tuple(parts), self.limits, self.hits, self.dead_s
