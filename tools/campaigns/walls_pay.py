@@ -237,7 +237,7 @@ def planned_there_s(found: OptimalTrajectory, goal: tuple[float, float]) -> floa
             p = [a + share * (b - a) for a, b in zip(before.position, after.position, strict=True)]
             v = [a + share * (b - a) for a, b in zip(before.velocity, after.velocity, strict=True)]
             if math.dist(p, goal) > _THERE_M or math.hypot(*v) > _STILL_M_S:
-                there = begin + t
+                there = float(begin + t)
     return there
 
 
@@ -284,7 +284,7 @@ def _plan_sight(scenario: Scenario, planned: Planned) -> Planned:
             break
     if free is None or hit is None:
         return msgspec.structs.replace(planned, problem="no run at these limits")
-    planned.cruise_m_s = (free_m_s, hit_m_s)
+    planned.cruise_m_s = (float(free_m_s), hit_m_s)
     planned.free_s, planned.hit_s, planned.hits, planned.returned = free.time_s, hit.time_s, 1, "hit"
     near = msgspec.structs.replace(scenario.spec.goal, position_m=(wall.point[0] - 0.02, 0.0))
     beside = msgspec.structs.replace(scenario, spec=msgspec.structs.replace(scenario.spec, goal=near))

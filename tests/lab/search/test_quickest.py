@@ -8,6 +8,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 import ruckig
@@ -25,6 +26,7 @@ from dart_flight.lab.search.mission_writer import write_mission
 from dart_flight.lab.search.optimal_trajectory import ContactResponse, MotionLimits, OptimalTrajectory
 from dart_flight.lab.search.quickest import LeastTimes, LegEnd, QuickestResult, plan_quickest
 from dart_flight.lab.search.scenario import Scenario, load_scenario
+from tools.campaigns.walls_pay import Planned, gain, plan_map, scenario_of
 
 LIMITS = {"speed_m_s": 3.0, "acceleration_m_s2": 5.0, "jerk_m_s3": 8.0, "peak_force_n": 150.0}
 
@@ -242,3 +244,13 @@ def test_a_trajectory_that_leads_elsewhere_is_refused(tmp_path: Path) -> None:
     for change, says in changes:
         with pytest.raises(InputError, match=says):
             mission.replace(change)
+
+
+def test_a_generated_map_is_the_same_again_and_kept_as_json() -> None:
+    assert scenario_of("shuttle", 4, "position") == scenario_of("shuttle", 4, "position")
+    planned = plan_map("shuttle", 4, "position")
+    kept = msgspec.json.decode(msgspec.json.encode(planned), type=Planned)
+    assert kept == planned
+    saved = gain(kept)
+    assert saved is not None
+    assert 0.1 < saved < 0.25
