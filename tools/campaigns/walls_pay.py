@@ -465,6 +465,7 @@ is planned. Both plans keep to the same limits (3 m/s, 3.5 with limited sight); 
 optimal control without a hit. Flown times run from the first motion to rest within 0.15 m of the goal,
 planned ones likewise; a place counts as passed within its tolerance and the 3 cm that a drawn wall may stand
 elsewhere. Corners, stops and the free ways are controls: there the free plan is expected.
+A kind or a set of limits that is missing has not been run yet.
 """
 
 
@@ -472,6 +473,8 @@ def _optimum_rows(plans: list[Planned]) -> Iterator[tuple[str, ...]]:
     for kind in KINDS:
         for limits in SETS:
             these = [p for p in plans if p.kind == kind and p.limits == limits]
+            if not these:
+                continue
             gains = sorted(g for g in map(gain, these) if g is not None)
             better = sum(g > 0.0 for g in gains)
             span = f"{statistics.median(gains):+.1%} ({gains[0]:+.1%} to {gains[-1]:+.1%})" if gains else "–"
