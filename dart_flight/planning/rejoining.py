@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from dart_flight.base.geometry import Vec2
 from dart_flight.core.mission.trajectories import PlannedTrajectory
+from dart_flight.planning.polynomials import quintic
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -102,7 +103,7 @@ def rejoin(
     added = np.empty((2, from_s.size, 6))
     for axis in range(2):
         away = [start[axis][order] - shape[order, axis, :, 0] for order in range(3)]
-        added[axis] = _fading(away, moved[axis], pushed[axis], duration).T
+        added[axis] = quintic(away, (moved[axis], 0.0, pushed[axis]), duration).T
     since = shares * duration[:, None]
     states = [shape[order] + _derivative(added, since, order) for order in range(4)]
     return RejoiningWays(planned, shares, from_s, slower, duration, added, *states)
@@ -128,18 +129,6 @@ def _derivative(coefficients: Array, times: Array, order: int, per_time: bool = 
     for power in range(coefficients.shape[-1] - 1, -1, -1):
         value = value * times + coefficients[..., power]
     return value
-
-
-def _fading(away: list[Array], moved_m: float, pushed_m_s2: float, duration_s: Array) -> Array:
-    """Coefficients (6, n) of the polynomials from (position, velocity, acceleration) to `moved_m`, without
-    velocity and with the acceleration `pushed_m_s2`."""
-    p, v, a = away
-    t, way = duration_s, moved_m - p
-    end = pushed_m_s2 * t**2
-    c3 = (20.0 * way - 12.0 * v * t - 3.0 * a * t**2 + end) / (2.0 * t**3)
-    c4 = (-30.0 * way + 16.0 * v * t + 3.0 * a * t**2 - 2.0 * end) / (2.0 * t**4)
-    c5 = (12.0 * way - 6.0 * v * t - a * t**2 + end) / (2.0 * t**5)
-    return np.stack([p, v, 0.5 * a, c3, c4, c5])
 
 
 def _moved(coefficients: tuple[float, ...], by: float) -> list[float]:

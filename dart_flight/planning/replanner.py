@@ -38,6 +38,7 @@ from dart_flight.core.mission.wall_uncertainty import EstimatedWalls, end_margin
 from dart_flight.planning.constraints import REFUSALS, Constraints
 from dart_flight.planning.contact_stage import build_stages, expm
 from dart_flight.planning.flight_model import Array, GridWindow, Rows, loop_matrix
+from dart_flight.planning.polynomials import quintic
 from dart_flight.planning.predicted_flight import impact_place, predict_mission
 from dart_flight.planning.rejoining import rejoin
 from dart_flight.planning.task import MissionTask, drag_along
@@ -292,8 +293,8 @@ class Replanner:
     ) -> PlanAnswer | None:
         """The answer with the best way to one of the ends; None where none may be flown."""
         start = self._start(request)
-        x = _quintic(start[0], ends.x, ends.vx, ends.duration_s)
-        y = _quintic(start[1], ends.y, ends.vy, ends.duration_s)
+        x = quintic(start[0], (ends.x, ends.vx, 0.0), ends.duration_s)
+        y = quintic(start[1], (ends.y, ends.vy, 0.0), ends.duration_s)
         rows, push = self._flyable(x, y, ends.duration_s)
         wall = None if collision is None else collision.wall
         rows = rows[self._stays_clear(x[:, rows], y[:, rows], ends.duration_s[rows], wall)]
@@ -360,19 +361,6 @@ def _straights(slack: float) -> list[tuple[float, float]]:
 
 def _no_plan(answer: PlanAnswer, problem: str) -> PlanAnswer:
     return msgspec.structs.replace(answer, problem=problem)
-
-
-def _quintic(start: Array, end: Array, velocity: Array, duration_s: Array) -> Array:
-    """Coefficients (6, n) of the polynomials from (position, velocity, acceleration) to an end without
-    acceleration, constant term first."""
-    p, v, a = start
-    t = duration_s
-    way = end - p
-    c3 = (20.0 * way - (8.0 * velocity + 12.0 * v) * t - 3.0 * a * t**2) / (2.0 * t**3)
-    c4 = (-30.0 * way + (14.0 * velocity + 16.0 * v) * t + 3.0 * a * t**2) / (2.0 * t**4)
-    c5 = (12.0 * way - 6.0 * (velocity + v) * t - a * t**2) / (2.0 * t**5)
-    one = np.ones_like(t)
-    return np.stack([p * one, v * one, 0.5 * a * one, c3, c4, c5])
 
 
 def _derivative(coefficients: Array, t: Array, order: int) -> Array:

@@ -29,6 +29,7 @@ from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import contact_map
 from dart_flight.contact.law import Onset
 from dart_flight.core.mission.trajectories import transit_time_s
+from dart_flight.planning.polynomials import quintic
 from dart_flight.planning.task import drag_along
 
 Array = NDArray[np.float64]
@@ -370,15 +371,10 @@ def _guessed_ends(problem: Problem) -> list[tuple[_GuessedEnd, _GuessedEnd]]:
 
 def _quintic_states(begin: _GuessedEnd, end: _GuessedEnd, duration_s: float, n: int) -> Array:
     """(n + 1, 6): states along the smooth way from one end to the other."""
-    t, columns = duration_s, []
-    s = np.linspace(0.0, 1.0, n + 1) * t
+    columns, s = [], np.linspace(0.0, duration_s, n + 1)
     for axis in range(2):
-        p, v, w = begin.place[axis], begin.velocity[axis], end.velocity[axis]
-        way = end.place[axis] - p
-        c3 = (20.0 * way - (8.0 * w + 12.0 * v) * t) / (2.0 * t**3)
-        c4 = (-30.0 * way + (14.0 * w + 16.0 * v) * t) / (2.0 * t**4)
-        c5 = (12.0 * way - 6.0 * (w + v) * t) / (2.0 * t**5)
-        poly = np.polynomial.Polynomial([p, v, 0.0, c3, c4, c5])
+        first, last = ((one.place[axis], one.velocity[axis], 0.0) for one in (begin, end))
+        poly = np.polynomial.Polynomial(quintic(first, last, np.array([duration_s]))[:, 0])
         columns.append([poly(s), poly.deriv(1)(s), poly.deriv(2)(s)])
     return np.stack([columns[axis][order] for order in range(3) for axis in range(2)], axis=1)
 

@@ -88,7 +88,7 @@ def plan_table(result: SearchResult) -> Table:
 def describe_free(free: FreePlan | None, best: Plan) -> str:
     """The free plan beside the best colliding one, in words."""
     if free is None:
-        return "without any collision: needs ruckig (pip install 'dart-flight[plan]')"
+        return "without any collision: needs the extra plan (pip install 'dart-flight[plan]')"
     if free.time_s is None:
         return "without any collision: no way"
     limits, gap = free.limits, ""

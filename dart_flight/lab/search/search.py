@@ -161,7 +161,7 @@ class SearchResult(msgspec.Struct, frozen=True):
         refused: the others by reason.
         trajectories: how many were simulated, with the draws of `robust`.
         elapsed_s: time used, preparation included.
-        free: the quickest flight without a collision; None: ruckig is not installed.
+        free: the quickest flight without a collision; None: the extra `plan` is not installed.
         maps: everything feasible.
     """
 
@@ -438,7 +438,8 @@ def draws_of(scenario: Scenario, seed: int) -> list[UncertaintyDraw]:
 
 
 def _free(scenario: Scenario) -> FreePlan | None:
-    return plan_free(scenario) if importlib.util.find_spec("ruckig") is not None else None
+    there = all(importlib.util.find_spec(name) is not None for name in ("ruckig", "casadi"))
+    return plan_free(scenario) if there else None
 
 
 def _at(values: Array | None, i: int) -> float | None:
