@@ -25,7 +25,7 @@ def differences(result: Replay) -> list[Difference]:
 
 def test_there_is_one_of_every_world_without_px4() -> None:
     assert {path.stem for path in FLIGHTS} >= {"fast", "embedded"}
-    assert sum(path.stat().st_size for path in FLIGHTS) < 2_500_000
+    assert sum(path.stat().st_size for path in FLIGHTS) < 2_600_000
 
 
 @pytest.mark.parametrize("path", FLIGHTS, ids=lambda p: p.stem)
