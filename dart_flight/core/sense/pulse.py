@@ -252,11 +252,10 @@ class _PulseFit:
         """Peak of the fitted pulse with its standard error."""
         omega, sigma, push, slope = self.omega, self.sigma, self._push, self.slope
         wd = math.sqrt(omega * omega - sigma * sigma)
+        # The slope is positive (`run`): from zero the force rises to its first extremum.
         at = math.atan2(slope * wd, sigma * slope - omega * omega * push) / wd
         fp, _, fs, _ = _terms(at, omega, sigma)
         peak = push * fp + slope * fs
-        if at <= 0.0 or peak <= 0.0:
-            return None
         gp, _, gs, _ = _terms(at, omega * 1.0001, sigma)
         dw = (push * gp + slope * gs - peak) / 1e-4
         freedom, squares = self._misfit()
