@@ -123,9 +123,12 @@ def test_closed_and_failed_lines_are_given_back(vary: Vary) -> None:
     request = switches._request
     real = Mock()
     driver = DriverWithLimitSwitch(real, switches)
+    driver.open()
+    driver.set_pulse(1500.0)
+    driver.release()
     driver.close()
     assert request.released
-    assert real.mock_calls == [call.close()]
+    assert real.mock_calls == [call.open(), call.set_pulse(1500.0), call.release(), call.close()]
     assert driver._switches.read() == (False, None)  # and can be had again
 
 

@@ -67,6 +67,7 @@ def test_a_released_servo_stays_where_it_is(lock_config: LockConfig) -> None:
     now = [0]
     driver = DriverWithModelledHorn(ScriptedDriver(), lock_config, lambda: now[0])
     driver.set_pulse(lock_config.servo.rigid_pulse_us)
-    now[0] = 2_000_000
+    now[0] = 100_000
+    under_way = driver.horn_pulse_us(now[0])
     driver.release()
-    assert driver.horn_pulse_us(4_000_000) == lock_config.servo.rigid_pulse_us
+    assert driver.horn_pulse_us(4_000_000) == under_way != lock_config.servo.rigid_pulse_us

@@ -1,6 +1,7 @@
 """The planner in flight: ways that begin where the vehicle will be and end as the mission has planned."""
 
 import math
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -16,6 +17,8 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.trajectories import PlannedTrajectory
 from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.planning.replanner import Replanner
+from dart_flight.recording.about import flown_mission
+from dart_flight.recording.reader import read_log
 
 MISSION = load_mission(packaged("missions", "dual_collision_replan.yaml"))
 REPLANNER = Replanner(MISSION)
@@ -182,3 +185,34 @@ def test_a_plan_begins_where_the_loop_will_have_flown_to() -> None:
         first, second = (begins[i + 1][axis] - begins[i][axis] for i in (0, 1))
         assert first == pytest.approx(0.1 * TO_WALL.velocity_mission[axis], rel=0.6)
         assert second == pytest.approx(first, rel=0.8)
+
+
+# --- along the mission's own trajectories ------------------------------------------------------------------
+
+FLIGHT = Path(__file__).parents[1] / "data" / "flights" / "fast.mcap"
+
+
+def numbers(answer: PlanAnswer) -> list[float]:
+    hit = (answer.impact_s, answer.normal_m_s, answer.tangential_m_s, answer.peak_force_n)
+    way = (answer.duration_s, *answer.pieces_s, *answer.x_mission, *answer.y_mission)
+    return [*way, *(number or 0.0 for number in hit)]
+
+
+def test_what_a_recorded_flight_asked_is_answered_again_as_it_was() -> None:
+    """Ways back to the mission's trajectories after three hits, and one time none.
+
+    By a mission that has come as text, as it comes to the planner in flight.
+    """
+    log = read_log(FLIGHT)
+    replanner = Replanner(flown_mission(log.about, log.source))
+    answers: dict[int, PlanAnswer] = {}
+    for record in (entry.record for entry in log.entries):
+        if isinstance(record, WallEstimate):
+            replanner.update_wall(record)
+        elif isinstance(record, PlanRequest):
+            answers[record.number] = replanner.answer(record, 0)
+        elif isinstance(record, PlanAnswer):
+            found = answers.pop(record.number)
+            assert (found.problem, found.collision) == (record.problem, record.collision)
+            assert numbers(found) == pytest.approx(numbers(record), rel=1e-5, abs=1e-5)
+    assert answers == {}
