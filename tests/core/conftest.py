@@ -164,8 +164,11 @@ class HandFedCore:
     def break_mission(self) -> None:
         """From now on the mission code raises."""
 
-        def broken(*_: object) -> None:
+        def raises() -> None:
             raise ZeroDivisionError("mission")
+
+        def broken(*_: object) -> None:
+            raises()
 
         self.core._executive.propose = broken  # type: ignore[method-assign, assignment]
 

@@ -51,6 +51,9 @@ def test_a_way_is_blocked_where_it_crosses_the_wall_within_its_length(
     if abs(beyond) > 1e-6:
         assert is_blocked(wall, a, b) == (beyond < 0.0)
     assert not is_blocked(wall, a, at(behind, to_there))  # it stays on its side
+    for depth_m in (-0.9 * CLEARANCE_M, 0.9 * CLEARANCE_M):
+        assert is_blocked(wall, at(depth_m, 0.0), at(-behind, 0.0))  # it begins too near, on either side
+    assert not is_blocked(wall, at(-1.1 * CLEARANCE_M, 0.0), at(-behind, 0.0))
 
 
 # --- references ------------------------------------------------------------------------------------------

@@ -75,6 +75,7 @@ def test_acknowledgements_prove_nothing(hand_fed: HandFedCore) -> None:
     assert len(asked) >= 15
     ends = of(MissionEnd, out)
     assert [(e.outcome, e.reason) for e in ends] == [("aborted", "offboard_refused: PX4 refused offboard")]
+    assert of(PhaseChange, out)[-1].reason == "PX4 refused offboard"
 
 
 def test_an_estimate_that_settles_on_the_ground_carries_the_mission_with_it(hand_fed: HandFedCore) -> None:
@@ -251,7 +252,26 @@ def test_a_fault_in_the_mission_code_becomes_a_landing(hand_fed: HandFedCore) ->
     events = of(GuardEvent, out)
     assert [(e.rule, e.action) for e in events] == [("mission_fault", "land")]
     assert "ZeroDivisionError" in events[0].detail
-    assert "in broken" in events[0].detail  # where it was raised
+    assert "in raises" in events[0].detail  # where it was raised
+    assert of(VehicleCommand, out)[0].action is VehicleAction.LAND
+
+
+def test_a_fault_in_the_guard_holds_back_the_steps_commands_alone(hand_fed: HandFedCore) -> None:
+    """What was found out is kept, what nobody has judged does not go out, and the next step lands."""
+    hand_fed.to_prepare()
+    review = hand_fed.core._guard.review
+
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("guard")
+
+    hand_fed.core._guard.review = broken  # type: ignore[method-assign, assignment]
+    hand_fed.set_lock(Mode.FLEXIBLE)
+    out = hand_fed.run(0.02)
+    assert [o.after for o in of(PhaseChange, hand_fed.outputs)][-1] is Phase.APPROACH
+    assert not of(Setpoint, out) + of(LockCommand, out) + of(VehicleCommand, out)
+    hand_fed.core._guard.review = review  # type: ignore[method-assign]
+    out = hand_fed.run(0.02)
+    assert [e.rule for e in of(GuardEvent, out)] == ["mission_fault"]
     assert of(VehicleCommand, out)[0].action is VehicleAction.LAND
 
 

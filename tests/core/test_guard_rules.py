@@ -1216,6 +1216,19 @@ def test_one_report_of_landed_and_disarmed_does_not_end_a_landing_of_the_guard()
     assert c.core.end is None
 
 
+def test_a_vehicle_that_is_reported_disarmed_in_the_air_has_not_landed() -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.set_status(battery_v=12.9)
+    c.run(1.2)
+    c.set_status(flight_mode=FlightMode.LAND, armed=False)
+    c.run(1.0)
+    assert c.core.end is None
+    c.set_status(landed=LandedState.ON_GROUND)
+    c.run(1.0)
+    assert c.core.end is not None
+
+
 def test_a_pilot_still_takes_over_beside_a_second_vehicle() -> None:
     c = HandFedCore()
     c.to_flight()

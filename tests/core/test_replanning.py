@@ -11,6 +11,7 @@ from dart_flight.base.records import ForceEstimate, PlanAnswer, PlanRequest, Pla
 from dart_flight.config.mission import load_mission
 from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import packaged
+from dart_flight.core.mission.approach import Approach
 from dart_flight.core.mission.lock_orders import LockOrders
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.replan_requests import ReplanRequests
@@ -168,6 +169,12 @@ def test_an_approach_from_rest_goes_towards_its_wall(
     answer = msgspec.structs.replace(answer_to(request), normal_m_s=normal_m_s, tangential_m_s=tangential_m_s)
     refusal = refusal_of(planning, answer, NOW_US + 40_000)
     assert refusal == (None if flown else "answer does not match the request")
+    approach = planning.approach(hit, NOW_US + 40_000, p)
+    assert (approach is not None) is flown
+    if isinstance(approach, Approach):
+        assert approach.speed_m_s == pytest.approx(math.hypot(normal_m_s or 0.0, tangential_m_s))
+        assert p.outputs[1:] == [PlanTaken(NOW_US + 40_000, request.number, True)]
+        assert planning.approach(hit, NOW_US + 40_000, p) is None  # once
 
 
 def test_an_answer_that_comes_late_is_not_flown() -> None:

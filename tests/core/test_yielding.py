@@ -64,6 +64,9 @@ def test_the_d_term_makes_nothing_of_a_half_sine(peak_n: float, direction: float
         if norm(fed) > 0.1:
             assert math.atan2(fed[1], fed[0]) == pytest.approx(direction, abs=1e-6)
     assert norm(yielding.feed_forward or (0.0, 0.0, 0.0)) < 0.1 * max(wanted, 1.0)
+    for n in range(samples + 60, samples + 160):
+        yielding.update(sensed(n, (0.0, 0.0), False))
+    assert yielding.feed_forward is None
 
 
 def test_nothing_is_fed_forward_without_a_contact() -> None:

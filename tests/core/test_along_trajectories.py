@@ -1,0 +1,46 @@
+"""Along the mission's own trajectories: when a wall is missed, when the goal counts, what follows a fault."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from dart_flight.base.records import GuardEvent, Phase
+from tests.core.conftest import HandFedCore
+
+RETURNING = "missions/touch_and_return.yaml"
+WITHOUT_WALLS = "missions/hover.yaml"
+# Half a metre away and back, from rest to rest: constant jerk for so long in x.
+AWAY_AND_BACK = [(0.3, 10.0), (0.6, -10.0), (0.3, 10.0), (0.3, -10.0), (0.6, 10.0), (0.3, -10.0)]
+
+
+def fired(c: HandFedCore) -> list[str]:
+    return [o.rule for o in c.outputs if isinstance(o, GuardEvent)]
+
+
+@pytest.mark.parametrize(("before_s", "missed"), [(0.4, False), (0.2, True)])
+def test_behind_its_wall_counts_only_shortly_before_the_impact(before_s: float, missed: bool) -> None:
+    """A trajectory may begin beside its wall, behind the plane."""
+    c = HandFedCore(RETURNING)
+    c.to_flight()
+    assert c.core.phase is Phase.APPROACH
+    trajectory = c.core.mission.collisions[0].trajectory
+    assert trajectory is not None
+    c.run(trajectory.duration_s - before_s - 0.02)
+    c.position_ned = (3.0, 0.0, -1.0)  # a metre behind the plane
+    c.run(0.04)
+    assert fired(c) == (["wall_not_met"] if missed else [])
+
+
+def test_a_goal_that_is_passed_on_the_way_is_not_held_before_the_end() -> None:
+    away: dict[str, Any] = {"position_m": [0.0, 0.0], "pieces": [[s, j, 0.0] for s, j in AWAY_AND_BACK]}
+    goal = {"position_m": [0.0, 0.0], "capture_radius_m": 0.15, "hold_s": 0.2}
+    c = HandFedCore(WITHOUT_WALLS, settings={"goal": goal, "goal_trajectory": away})
+    c.climbed()
+    c.run(0.5)
+    assert c.core.phase is Phase.GOAL
+    c.run(1.8)
+    assert c.core.phase is Phase.GOAL
+    c.run(1.0)
+    assert c.core.phase is Phase.LANDING
