@@ -138,6 +138,17 @@ def test_one_impact_is_one_onset_one_peak_one_set_point(hand_fed: HandFedCore) -
     assert out.index(recovery[0]) - out.index(peaks[0]) <= 2
 
 
+@pytest.mark.parametrize("along_n", [-10.0, 10.0])
+def test_where_no_pulse_can_be_fitted_the_samples_say_how_hard_it_was(
+    hand_fed: HandFedCore, monkeypatch: pytest.MonkeyPatch, along_n: float
+) -> None:
+    monkeypatch.setattr("dart_flight.core.sense.detector.fit_normal", lambda *_: None)
+    at_the_wood(hand_fed)
+    (peak,) = of(ImpactPeak, pulse(hand_fed, (along_n, -16.0)) + hand_fed.run(0.1))
+    assert peak.normal_force_n == pytest.approx(16.0, rel=0.05)
+    assert peak.tangential_force_n == pytest.approx(along_n, rel=0.05)
+
+
 def test_the_lock_never_moves_in_contact_or_before_the_arms_relaxed(hand_fed: HandFedCore) -> None:
     at_the_wood(hand_fed)
     out = pulse(hand_fed, (-10.0, -16.0))

@@ -319,28 +319,26 @@ def fit_friction(
     if len(inside) < 3:
         return None
     impulses = [(_impulse(r.a, pulse), _impulse(r.b, pulse)) for r in inside]
-    log_kappa = middle = math.log(kappa)
-    best = _tangential(inside, impulses, push_m_s2, mass_kg, log_kappa, noise_n)
-    best_cost = best[1]
+    middle, h = math.log(kappa), 0.05
+
+    def cost(at: float) -> float:
+        squares = _tangential(inside, impulses, push_m_s2, mass_kg, at)[1]
+        return squares / (noise_n * noise_n) + ((at - middle) / _PRIOR_LOG_KAPPA) ** 2
+
+    log_kappa, here = middle, cost(middle)
     for _ in range(_STEPS):
         # Newton in one dimension on the profile over the speed, by differences.
-        h = 0.05
-        low = _tangential(inside, impulses, push_m_s2, mass_kg, log_kappa - h, noise_n)[1]
-        high = _tangential(inside, impulses, push_m_s2, mass_kg, log_kappa + h, noise_n)[1]
-        low += ((log_kappa - h - middle) / _PRIOR_LOG_KAPPA) ** 2
-        high += ((log_kappa + h - middle) / _PRIOR_LOG_KAPPA) ** 2
-        here = best_cost + ((log_kappa - middle) / _PRIOR_LOG_KAPPA) ** 2
+        low, high = cost(log_kappa - h), cost(log_kappa + h)
         slope, curve = (high - low) / (2.0 * h), (high - 2.0 * here + low) / (h * h)
         step = -slope / curve if curve > 0.0 else -math.copysign(0.4, slope)
         step = max(-0.6, min(0.6, step))
         log_kappa += step
-        best = _tangential(inside, impulses, push_m_s2, mass_kg, log_kappa, noise_n)
-        best_cost = best[1]
         if abs(step) < 0.02:
             break
-    speed = best[0]
+        here = cost(log_kappa)
+    speed, squares = _tangential(inside, impulses, push_m_s2, mass_kg, log_kappa)
     peak = _friction_top(inside, pulse, speed, push_m_s2, mass_kg, math.exp(log_kappa))
-    rms = math.sqrt(best[2] / len(inside))
+    rms = math.sqrt(squares / len(inside))
     if rms > max(3.0 * noise_n, 0.2 * abs(peak)):
         return None
     return peak
@@ -357,9 +355,8 @@ def _tangential(
     push_m_s2: float,
     mass_kg: float,
     log_kappa: float,
-    noise_n: float,
-) -> tuple[float, float, float]:
-    """Best tangential speed at the onset for a friction, the cost there, and the sum of squared residuals."""
+) -> tuple[float, float]:
+    """Best tangential speed at the onset for a friction, and the sum of squared residuals there."""
     kappa = math.exp(log_kappa)
     unit, driven = 1.0, 0.0  # response to the speed at the onset, and to the push
     sxx = sxy = syy = 0.0
@@ -376,8 +373,7 @@ def _tangential(
         sxy += x * y
         syy += y * y
     speed = sxy / sxx if sxx > 0.0 else 0.0
-    squares = max(0.0, syy - speed * sxy)
-    return speed, squares / (noise_n * noise_n), squares
+    return speed, max(0.0, syy - speed * sxy)
 
 
 def _friction_top(
