@@ -109,7 +109,6 @@ class FlightCore:
     def _dispose(self, item: Input, sensed: Sensed, proposal: Proposal) -> list[Output]:
         if self._fault is not None:
             proposal.findings.append(self._fault)
-            self._fault = None
         guard, executive, state = self._guard, self._executive, self._senses.state
         kept = guard.review(item, state, sensed, executive.phase, proposal)
         if guard.overrules:

@@ -166,7 +166,7 @@ class VehicleSession:
         self._extra: list[Stream] = []  # beside the table, as the configuration asks
         self._motors = 0
         self._rpm: list[float] = []  # of one stamp; a message has four motors
-        self._rpm_us = -1
+        self._rpm_us: int | None = None
         self._reset_counter: int | None = None
         self.clock: Clock = clock if clock is not None else ClockEstimate()
         self._status = StatusSample(t_us=0, received_us=0)
@@ -392,7 +392,7 @@ class VehicleSession:
         self._rpm += [float(rpm) for rpm in status.rpm]
         if len(self._rpm) >= self._motors:
             self._deliver(EscSample(status.time_usec, received, tuple(self._rpm[: self._motors])))
-            self._rpm_us = -1
+            self._rpm_us = None
 
     def _on_status(self, **changes: Any) -> None:
         received = host_us()

@@ -38,9 +38,8 @@ def test_a_goal_that_is_passed_on_the_way_is_not_held_before_the_end() -> None:
     goal = {"position_m": [0.0, 0.0], "capture_radius_m": 0.15, "hold_s": 0.2}
     c = HandFedCore(WITHOUT_WALLS, settings={"goal": goal, "goal_trajectory": away})
     c.climbed()
-    c.run(0.5)
-    assert c.core.phase is Phase.GOAL
-    c.run(1.8)
-    assert c.core.phase is Phase.GOAL
-    c.run(1.0)
-    assert c.core.phase is Phase.LANDING
+    phases = []
+    for seconds in (0.5, 1.8, 1.0):
+        c.run(seconds)
+        phases.append(c.core.phase)
+    assert phases == [Phase.GOAL, Phase.GOAL, Phase.LANDING]

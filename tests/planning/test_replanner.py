@@ -33,7 +33,9 @@ TO_GOAL = msgspec.structs.replace(
 
 
 def way_of(answer: PlanAnswer) -> PlannedTrajectory:
-    return PlannedTrajectory(answer.x_mission, answer.y_mission, answer.duration_s, MISSION.altitude_m)
+    return PlannedTrajectory(
+        answer.x_mission, answer.y_mission, answer.duration_s, MISSION.altitude_m, answer.pieces_s
+    )
 
 
 @settings(max_examples=40, deadline=None)
@@ -216,3 +218,18 @@ def test_what_a_recorded_flight_asked_is_answered_again_as_it_was() -> None:
             assert (found.problem, found.collision) == (record.problem, record.collision)
             assert numbers(found) == pytest.approx(numbers(record), rel=1e-5, abs=1e-5)
     assert answers == {}
+
+
+@pytest.mark.parametrize(("height_m", "lean"), [(0.02, 0.1), (-0.02, -0.1), (0.5, 0.3), (-0.5, -0.3)])
+def test_who_is_pushed_above_the_centre_of_mass_leans_into_the_wall(height_m: float, lean: float) -> None:
+    """By what brings the guards level with it, to a limit: acceleration into the wall at the impact."""
+    log = read_log(FLIGHT)
+    mission = flown_mission(log.about, log.source)
+    replanner, wall = Replanner(mission), mission.collisions[1].wall
+    request = next(e.record for e in log.entries if isinstance(e.record, PlanRequest))
+    pushes = []
+    for height in (0.0, height_m):
+        way = way_of(replanner.answer(msgspec.structs.replace(request, contact_height_m=height), 0))
+        push, _, _ = wall.to_collision(way.at(way.duration_s).acceleration)
+        pushes.append(push)
+    assert pushes[0] - pushes[1] == pytest.approx(lean * GRAVITY_M_S2, abs=0.3)

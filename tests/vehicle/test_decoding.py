@@ -30,7 +30,7 @@ class Decoder:
         self.seen: list[Input] = []
         session = self.session = VehicleSession.__new__(VehicleSession)
         session._deliver, session._motors, session.clock = self.seen.append, motors, ClockEstimate()
-        session._rpm, session._rpm_us, session._reset_counter = [], -1, None
+        session._rpm, session._rpm_us, session._reset_counter = [], None, None
         session._status = StatusSample(0, 0)
 
     def last(self, kind: type[Any]) -> Any:
