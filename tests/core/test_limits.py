@@ -87,6 +87,19 @@ def test_the_peak_of_a_hit_from_behind_is_felt_as_soon_as_any() -> None:
     assert peak.normal == pytest.approx((0.0, -1.0), abs=0.05)
 
 
+def test_a_push_over_the_threshold_is_taken_for_wind_only_where_it_has_outlasted_a_contact() -> None:
+    climbing, pushed = HandFedCore(), HandFedCore()
+    climbing.to_climb()  # nothing is watched for yet
+    pushed.at_the_wood()
+    pushed.pulse((-10.0, -16.0))
+    pushed.position_ned, pushed.velocity_ned = (1.0, 1.0, -1.0), (0.0, 0.0, 0.0)
+    for c in (climbing, pushed):
+        c.force_ned = (14.0, 0.0, 0.0)
+        c.run(1.0)
+    assert climbing.core._senses.detector.slow_force.value == (0.0, 0.0)
+    assert pushed.core._senses.detector.slow_force.value[0] > 1.0
+
+
 # --- commands ----------------------------------------------------------------------------------------------
 
 
