@@ -35,6 +35,7 @@ from dart_flight.base.records import (
     StatusText,
     VehicleAction,
     VehicleCommand,
+    WallEstimate,
 )
 from dart_flight.config.mission import load_mission
 from dart_flight.core.mission.phases import ON_GROUND, TRANSITIONS, PhaseTrigger
@@ -147,6 +148,19 @@ def test_where_no_pulse_can_be_fitted_the_samples_say_how_hard_it_was(
     (peak,) = of(ImpactPeak, pulse(hand_fed, (along_n, -16.0)) + hand_fed.run(0.1))
     assert peak.normal_force_n == pytest.approx(16.0, rel=0.05)
     assert peak.tangential_force_n == pytest.approx(along_n, rel=0.05)
+
+
+@pytest.mark.parametrize(("closing_m_s", "judged"), [(0.1, True), (0.01, False), (-0.1, False)])
+def test_a_contact_that_nothing_closes_in_on_says_nothing_of_the_wall(
+    hand_fed: HandFedCore, closing_m_s: float, judged: bool
+) -> None:
+    at_the_wood(hand_fed)
+    hand_fed.velocity_ned = (0.5, closing_m_s, 0.0)
+    hand_fed.run(0.05)
+    pulse(hand_fed, (-10.0, -16.0))
+    hand_fed.position_ned, hand_fed.velocity_ned = (1.0, 1.0, -1.0), (0.0, 0.0, 0.0)
+    (felt,) = of(WallEstimate, hand_fed.run(0.2))
+    assert (felt.log_odds != 0.0) is judged
 
 
 def test_the_lock_never_moves_in_contact_or_before_the_arms_relaxed(hand_fed: HandFedCore) -> None:
