@@ -18,6 +18,7 @@ from dart_flight.core.mission.approach import (
     NoApproachError,
     check_segments_clear,
     is_blocked,
+    plan_approach,
     run_up,
     standoff_point,
 )
@@ -187,3 +188,18 @@ def test_a_way_between_known_ends_is_refused_where_something_stands_in_it(
             check_segments_clear(mission)
     else:
         check_segments_clear(mission)
+
+
+@pytest.mark.parametrize(
+    ("post", "says"),
+    [((0.8, 0.4), "of the run-up"), ((-0.3, -0.9), "to the run-up"), ((0.8, -1.0), None)],
+)
+def test_a_post_is_in_the_way_of_an_approach_where_it_stands_in_its_run_up_or_before_it(
+    post: tuple[float, float], says: str | None
+) -> None:
+    mission = msgspec.structs.replace(through([], post), start=(0.0, -1.4))
+    if says is None:
+        assert isinstance(plan_approach(mission, mission.collisions[0]), Approach)
+    else:
+        with pytest.raises(NoApproachError, match=f"post pole is in the way {says}"):
+            plan_approach(mission, mission.collisions[0])

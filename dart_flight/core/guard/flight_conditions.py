@@ -122,7 +122,7 @@ class FlightConditions:
     def observe(self, item: Input, state: FlightState, sensed: Sensed, phase: Phase) -> None:
         """Take the step's input, which has gone into `state`, and what it has taught."""
         self.state, self.phase, self.force = state, phase, sensed.estimate
-        self.request = None
+        self.request = item if isinstance(item, OperatorRequest) else None
         for event in sensed.impacts:
             if isinstance(event, ImpactOnset):
                 # For a while the contact explains what estimator and altitude do.
@@ -154,8 +154,6 @@ class FlightConditions:
             self._see_status(item)
         elif isinstance(item, RoundTrip):
             self.lateness.take_round_trip(item)
-        elif isinstance(item, OperatorRequest):
-            self.request = item
         elif isinstance(item, OtherVehicle):
             self._other_system = item.system
         elif isinstance(item, StatusText) and any(w in item.text.lower() for w in _FAILSAFE_WORDS):
