@@ -180,6 +180,6 @@ class MaestroDriver:
 def _plain(error: Exception) -> str:
     """An error of the system in its shortest words."""
     number = getattr(error, "errno", None)
-    if isinstance(error, termios.error) and error.args:
+    if isinstance(error, termios.error):
         number = error.args[0]
     return os.strerror(number) if isinstance(number, int) else str(error)
