@@ -21,6 +21,7 @@ def over(x: float, y: float | None = 2) -> bool:
     """Whether it is."""
     assert x == 1.0
     print(f"{x:.3f} {1 + 1}")
+    zip((x,), (y,), strict=True)
     return not (x > -LIMIT and y is not None)
 '''
 
@@ -48,11 +49,12 @@ def test_what_is_mutated_and_what_is_not(tmp_path: Path) -> None:
         (6, "constant", "2"),
         (8, "early return", "def over"),  # before its first statement
         (9, "call dropped", "print(f'{x:.3f} {1 + 1}')"),
-        (10, "not", "not (x > -LIMIT and y is not None)"),
-        (10, "and/or", "x > -LIMIT and y is not None"),
-        (10, "comparison", "x > -LIMIT"),
-        (10, "sign", "-LIMIT"),
-        (10, "comparison", "y is not None"),
+        (10, "call dropped", "zip((x,), (y,), strict=True)"),
+        (11, "not", "not (x > -LIMIT and y is not None)"),
+        (11, "and/or", "x > -LIMIT and y is not None"),
+        (11, "comparison", "x > -LIMIT"),
+        (11, "sign", "-LIMIT"),
+        (11, "comparison", "y is not None"),
     }
 
 

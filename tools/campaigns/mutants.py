@@ -156,6 +156,8 @@ class _Finder:
         for child in ast.iter_child_nodes(node):
             if isinstance(child, ast.JoinedStr | ast.Assert | ast.Import | ast.ImportFrom):
                 continue  # words, what mypy is told, and what would not even load
+            if isinstance(child, ast.keyword) and _only_forbids(child):
+                continue
             inside = function
             if isinstance(child, ast.ClassDef | ast.FunctionDef):
                 inside = f"{function}.{child.name}".lstrip(".")
@@ -255,6 +257,11 @@ class _Finder:
             self._offsets[node.lineno - 1] + node.col_offset,
             self._offsets[node.end_lineno - 1] + node.end_col_offset,
         )
+
+
+def _only_forbids(keyword: ast.keyword) -> bool:
+    """`strict=True` of a zip and `frozen=True` of a class: without them correct code does the same."""
+    return keyword.arg in ("strict", "frozen") and ast.unparse(keyword.value) == "True"
 
 
 def _is_docstring(statement: ast.stmt) -> bool:
