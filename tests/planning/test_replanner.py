@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import Mode, PlanAnswer, PlanRequest, WallEstimate
-from dart_flight.config.mission import load_mission
+from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.mission_file import CollisionPrediction
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.trajectories import PlannedTrajectory
@@ -182,3 +182,16 @@ def test_a_plan_begins_where_the_loop_will_have_flown_to() -> None:
         first, second = (begins[i + 1][axis] - begins[i][axis] for i in (0, 1))
         assert first == pytest.approx(0.1 * TO_WALL.velocity_mission[axis], rel=0.6)
         assert second == pytest.approx(first, rel=0.8)
+
+
+def test_a_mission_that_was_read_from_a_line_has_the_same_ways() -> None:
+    """In real time the planner is a process: its mission's walls are equal to those of its hits, not the same."""
+    shuttle = load_mission(packaged("missions", "shuttle.yaml"))
+    request = PlanRequest(
+        0, 1, 100_000, 2, (1.513, -0.018, 0.988), (-1.791, -0.007, 0.656), (-0.57, 0.07, 0.0),
+        (-0.53, -0.01, 1.0), 0,
+    )  # fmt: skip
+    read = msgspec.json.decode(msgspec.json.encode(shuttle), type=Mission)
+    answer = Replanner(read).answer(request, 0)
+    assert answer == Replanner(shuttle).answer(request, 0)
+    assert answer.normal_m_s == pytest.approx(shuttle.collisions[1].predicted.normal_m_s, abs=0.05)  # type: ignore[union-attr]
