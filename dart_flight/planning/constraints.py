@@ -139,7 +139,7 @@ class Constraints:
         bad = w.vx * w.vx + w.vy * w.vy > np.float32(self.limits.speed_m_s**2)
         bad |= _outside(self.bounds.x, w.x, w.vx)
         bad |= _outside(self.bounds.y, w.y, w.vy)
-        # By name: a planner of its own process has read mission and walls from a line, as objects of their own.
+        # By name: the planner's process has read the mission from a line, where equal walls are two objects.
         obstacles = [wall for wall in self.walls if target is None or wall.name != target.name]
         for wall in obstacles:
             bad |= _touches(wall, w)
