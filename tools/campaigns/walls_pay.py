@@ -24,21 +24,11 @@ import msgspec
 import numpy as np
 
 import dart_flight
-from dart_flight.base.records import Mode
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import parse_mission
-from dart_flight.lab.search.free_plan import limits_of
+from dart_flight.lab.search.limited_sight import plan_limited_sight
 from dart_flight.lab.search.mission_writer import mission_text
-from dart_flight.lab.search.optimal_trajectory import (
-    Cruise,
-    HalfPlane,
-    Hit,
-    HitLimits,
-    OptimalTrajectory,
-    Part,
-    Problem,
-    solve,
-)
+from dart_flight.lab.search.optimal_trajectory import OptimalTrajectory
 from dart_flight.lab.search.quickest import QuickestPlan, plan_quickest
 from dart_flight.lab.search.scenario import Scenario, load_scenario
 from tools.campaigns.results import RESULTS, ROOT, markdown, measured_by
@@ -56,7 +46,7 @@ KINDS = {"shuttle": 25, "hairpin": 20, "corner": 15, "stop": 15, "sight": 15, "f
 _PLAN_WITHIN_S = 20.0
 _THERE_M, _STILL_M_S = 0.15, 0.3  # of the goal: a flight and its plan end there, alike
 _WALLS_OFF_M = 0.03  # a wall that was drawn elsewhere takes its place with it
-_SIGHT_M, _REACTION_S, _CLOSING_M_S = 1.0, 0.15, 3.0
+_SIGHT_M, _CLOSING_M_S = 1.0, 3.0
 
 
 class Planned(msgspec.Struct):
@@ -183,6 +173,7 @@ def _sight(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
     way = rng.uniform(4.0, 5.5)
     tree["walls"] = {"east": _wall(float(way), 0.0, (-1.0, 0.0), 4.0)}
     tree["goal"]["position_m"] = [float(way - 1.2), 0.0]
+    tree["sight"] = {"distance_m": _SIGHT_M}
     tree["limits"] |= {"speed_m_s": 3.69, "closing_m_s": _CLOSING_M_S}
 
 
@@ -203,10 +194,9 @@ def plan_map(kind: str, seed: int, limits: str) -> Planned:
     """Both plans of a map."""
     scenario = load_scenario(scenario_of(kind, seed, limits))
     planned = Planned(kind, seed, limits)
-    if kind == "sight":
-        return _plan_sight(scenario, planned)
     try:
-        result = plan_quickest(scenario, _PLAN_WITHIN_S)
+        seen_late = scenario.sight is not None
+        result = plan_limited_sight(scenario) if seen_late else plan_quickest(scenario, _PLAN_WITHIN_S)
     except InputError as error:
         return msgspec.structs.replace(planned, problem=str(error))
     planned.gap_s, planned.elapsed_s = result.gap_s, result.elapsed_s
@@ -217,6 +207,9 @@ def plan_map(kind: str, seed: int, limits: str) -> Planned:
     if result.colliding is not None:
         planned.hit_s, planned.hits = result.colliding.time_s, len(result.colliding.trajectory.hits)
         planned.hit_mission, planned.hit_there_s = _written(scenario, result.colliding)
+    free, colliding = (plan and plan.cruise_m_s for plan in (result.free, result.colliding))
+    if free and colliding:
+        planned.cruise_m_s = (free, colliding)
     return planned
 
 
@@ -239,60 +232,6 @@ def planned_there_s(found: OptimalTrajectory, goal: tuple[float, float]) -> floa
             if math.dist(p, goal) > _THERE_M or math.hypot(*v) > _STILL_M_S:
                 there = float(begin + t)
     return there
-
-
-def safe_speed_m_s(acceleration_m_s2: float, jerk_m_s3: float, room_m: float) -> float:
-    """The speed from which the reaction and a stop take all of the room that is seen."""
-
-    def needs_m(v: float) -> float:
-        full = acceleration_m_s2**2 / jerk_m_s3
-        braking = v * math.sqrt(v / jerk_m_s3)
-        if v > full:
-            braking = 0.5 * v * (v / acceleration_m_s2 + acceleration_m_s2 / jerk_m_s3)
-        return braking + _REACTION_S * v
-
-    low, high = 0.0, 10.0
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if needs_m(middle) <= room_m else (low, middle)
-    return low
-
-
-def _plan_sight(scenario: Scenario, planned: Planned) -> Planned:
-    """Cruising as fast as sight allows: stop before the wall, or meet it at a bearable speed."""
-    limits, wall, goal = limits_of(scenario), scenario.walls["east"], scenario.goal.position_m
-    assert limits.jerk_m_s3 is not None
-    hits = HitLimits(144.0, _CLOSING_M_S, None, 0.5, 5.5)
-    vehicle = scenario.vehicle
-    dead_s = vehicle.flying.replan_within_s
-
-    def run(speed: float, hit: bool) -> OptimalTrajectory | None:
-        seen = Cruise((wall.point[0] - _SIGHT_M + _REACTION_S * speed, 0.0), (speed, 0.0))
-        before = (HalfPlane(wall.normal, wall.normal[0] * wall.point[0]), HalfPlane((1.0, 0.0), -0.1))
-        braking = Part(Hit(wall, Mode.FLEXIBLE, None, wall.point), before) if hit else None
-        parts = [Part(seen, before), *([braking] if braking else []), Part(None, before)]
-        end = goal if hit else (wall.point[0] - 0.02, 0.0)
-        problem = Problem(vehicle, scenario.start, end, tuple(parts), limits, hits, dead_s)
-        return solve(problem)
-
-    free_m_s = safe_speed_m_s(limits.acceleration_m_s2, limits.jerk_m_s3, _SIGHT_M - 0.02)
-    free_m_s = min(free_m_s, limits.speed_m_s)
-    free, hit_m_s, hit = run(free_m_s, False), 0.0, None
-    for speed in np.arange(limits.speed_m_s - 0.02, free_m_s, -0.1):
-        hit, hit_m_s = run(float(speed), True), float(speed)
-        if hit is not None:
-            break
-    if free is None or hit is None:
-        return msgspec.structs.replace(planned, problem="no run at these limits")
-    planned.cruise_m_s = (float(free_m_s), hit_m_s)
-    planned.free_s, planned.hit_s, planned.hits, planned.returned = free.time_s, hit.time_s, 1, "hit"
-    near = msgspec.structs.replace(scenario.spec.goal, position_m=(wall.point[0] - 0.02, 0.0))
-    beside = msgspec.structs.replace(scenario, spec=msgspec.structs.replace(scenario.spec, goal=near))
-    planned.free_mission = _written(beside, QuickestPlan(free.time_s, free, ()))[0]
-    planned.hit_mission = _written(scenario, QuickestPlan(hit.time_s, hit, ()))[0]
-    planned.free_there_s = planned_there_s(free, near.position_m)
-    planned.hit_there_s = planned_there_s(hit, goal)
-    return planned
 
 
 # -- flights -------------------------------------------------------------------------------------------------
