@@ -31,6 +31,7 @@ from dart_flight.lab.search.mission_writer import mission_text
 from dart_flight.lab.search.optimal_trajectory import OptimalTrajectory
 from dart_flight.lab.search.quickest import QuickestPlan, plan_quickest
 from dart_flight.lab.search.scenario import Scenario, load_scenario
+from tools.campaigns.arrivals import STILL_M_S, THERE_M, arrival_of
 from tools.campaigns.results import RESULTS, ROOT, markdown, measured_by
 
 PLANS, FLIGHTS = ROOT / "build" / "walls_pay_plans.jsonl", ROOT / "build" / "walls_pay.jsonl"
@@ -44,7 +45,6 @@ SETS = {
 FLOWN = "position"
 KINDS = {"shuttle": 25, "hairpin": 20, "corner": 15, "stop": 15, "sight": 15, "free": 10}
 _PLAN_WITHIN_S = 20.0
-_THERE_M, _STILL_M_S = 0.15, 0.3  # of the goal: a flight and its plan end there, alike
 _WALLS_OFF_M = 0.03  # a wall that was drawn elsewhere takes its place with it
 _SIGHT_M, _CLOSING_M_S = 1.0, 3.0
 
@@ -229,7 +229,7 @@ def planned_there_s(found: OptimalTrajectory, goal: tuple[float, float]) -> floa
             t = before.t_s + share * (after.t_s - before.t_s)
             p = [a + share * (b - a) for a, b in zip(before.position, after.position, strict=True)]
             v = [a + share * (b - a) for a, b in zip(before.velocity, after.velocity, strict=True)]
-            if math.dist(p, goal) > _THERE_M or math.hypot(*v) > _STILL_M_S:
+            if math.dist(p, goal) > THERE_M or math.hypot(*v) > STILL_M_S:
                 there = float(begin + t)
     return there
 
@@ -242,31 +242,27 @@ def fly(planned: Planned, way: str, seed: int) -> Flown:
     text = planned.free_mission if way == "free" else planned.hit_mission
     mission = parse_mission(Document(text, "generated.yaml"))
     flight = dart_flight.simulate(mission, seed=seed, vary="all")
-    verdict, truth, phases = flight.verdict, flight.log["/truth/state"], flight.log["/event/phase"]
-    after, at_us = [str(p) for p in phases["after"]], np.asarray(phases["t_us"])
+    verdict, truth = flight.verdict, flight.log["/truth/state"]
     t, place = np.asarray(truth["t_us"]), np.asarray(truth["position_mission"])
-    speed = np.linalg.norm(np.asarray(truth["velocity_mission"])[:, :2], axis=1)
     found = Flown(
         planned.kind, planned.seed, way, seed, verdict.outcome, verdict.reason, None, False, None, ""
     )
     found.tilt_deg = verdict.max_tilt_deg
     found.uncontrolled = _uncontrolled(mission.bounds, place, t, verdict)
-    begins = [at_us[k] for k, phase in enumerate(after) if phase == ("approach" if way == "hit" else "goal")]
-    if not begins:
+    visits = [
+        (visit["position_m"], visit["within_m"] + _WALLS_OFF_M)
+        for visit in scenario_of(planned.kind, planned.seed, FLOWN).get("visits", [])
+    ]
+    arrival = arrival_of(flight.log, mission, visits)
+    if arrival is None:
         return found
-    under_way = t >= begins[0]
-    visits = scenario_of(planned.kind, planned.seed, FLOWN).get("visits", [])
-    found.visited = _visited(place[under_way, :2], visits)
+    found.visited = len(arrival.visits_us) == len(visits)
     if planned.kind == "sight":
-        found.cruise_m_s = _cruise_m_s(mission.walls[0].point[0], place[under_way], speed[under_way])
-    landings = [at_us[k] for k, phase in enumerate(after) if phase == "landing"]
-    if verdict.outcome == "completed" and landings:
-        last = _last_visit_us(t, place, visits, begins[0])
-        near = (np.linalg.norm(place[:, :2] - np.array(mission.goal.position_m), axis=1) <= _THERE_M) & (
-            speed <= _STILL_M_S
-        )
-        there = np.flatnonzero(near & (t > max(last, begins[0] + 0.5e6)) & (t < landings[0]))
-        found.there_s = float((t[there[0]] - begins[0]) * 1e-6) if there.size else None
+        under_way = t >= arrival.begin_us
+        speed = np.linalg.norm(np.asarray(truth["velocity_mission"])[under_way, :2], axis=1)
+        found.cruise_m_s = _cruise_m_s(mission.walls[0].point[0], place[under_way], speed)
+    if verdict.outcome == "completed":
+        found.there_s = arrival.there_s
     return found
 
 
@@ -281,29 +277,6 @@ def _uncontrolled(bounds: Any, place: np.ndarray, t: np.ndarray, verdict: Any) -
     if verdict.outcome != "completed" and not verdict.reason:
         return "no cause"
     return ""
-
-
-def _visited(place: np.ndarray, visits: list[dict[str, Any]]) -> bool:
-    """Whether the places were passed in their order."""
-    begin = 0
-    for visit in visits:
-        away = np.linalg.norm(place[begin:] - np.array(visit["position_m"]), axis=1)
-        near = np.flatnonzero(away <= visit["within_m"] + _WALLS_OFF_M)
-        if not near.size:
-            return False
-        begin += int(near[0])
-    return True
-
-
-def _last_visit_us(t: np.ndarray, place: np.ndarray, visits: list[dict[str, Any]], begin_us: int) -> float:
-    now = float(begin_us)
-    for visit in visits:
-        away = np.linalg.norm(place[:, :2] - np.array(visit["position_m"]), axis=1)
-        near = np.flatnonzero((away <= visit["within_m"] + _WALLS_OFF_M) & (t >= now))
-        if not near.size:
-            return now
-        now = float(t[near[0]])
-    return now
 
 
 def _cruise_m_s(wall_x: float, place: np.ndarray, speed: np.ndarray) -> float | None:

@@ -22,6 +22,7 @@ from dart_flight.lab.search.limited_sight import plan_limited_sight, safe_speed_
 from dart_flight.lab.search.optimal_trajectory import MotionLimits
 from dart_flight.lab.search.quickest import QuickestPlan
 from dart_flight.lab.search.scenario import load_scenario
+from tools.campaigns.arrivals import arrival_of
 
 SHIPPED = packaged("missions", "scenarios", "limited_sight.yaml")
 WALL_M, SEEN_M, REACTION_S = 4.5, 1.0, 0.15
@@ -75,9 +76,16 @@ def test_the_free_plan_is_written_and_flown(tmp_path: Path, capsys: pytest.Captu
     assert main(["plan", str(SHIPPED), "--free", "--json", "-o", str(target)]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["free"]["cruise_m_s"] == pytest.approx(1.63, abs=0.01)
-    flown = dart_flight.simulate(dart_flight.load_mission(target), seed=1)
+    mission = dart_flight.load_mission(target)
+    flown = dart_flight.simulate(mission, seed=1)
     assert (flown.verdict.outcome, flown.verdict.collisions) == ("completed", [])
     assert max(p[0] for p in flown.log["/truth/state"]["position_mission"]) < WALL_M
+    assert flown.log is not None
+    arrival = arrival_of(flown.log, mission, [((WALL_M - SEEN_M, 0.0), 0.05), ((2.5, 0.0), 0.05)])
+    assert arrival is not None
+    there, back = arrival.visits_us
+    assert arrival.begin_us < there < back
+    assert arrival.there_s == pytest.approx(said["free"]["time_s"], rel=0.1)
 
 
 def test_only_quickest_plans_have_a_free_one(capsys: pytest.CaptureFixture[str]) -> None:
