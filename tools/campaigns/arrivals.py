@@ -1,4 +1,4 @@
-"""When a flight along trajectories has passed its places and is at its goal, by the truth of its log."""
+"""The missions that use collisions and the free flights of their scenarios, and when a flight has arrived."""
 
 from __future__ import annotations
 
@@ -8,9 +8,17 @@ from typing import NamedTuple
 import numpy as np
 
 from dart_flight.base.geometry import Vec2
-from dart_flight.config.mission import Mission
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.lab.search.limited_sight import plan_limited_sight
+from dart_flight.lab.search.mission_writer import planned_mission
+from dart_flight.lab.search.quickest import plan_quickest
+from dart_flight.lab.search.scenario import Scenario, load_scenario
 from dart_flight.recording.reader import Log
 
+COLLIDING, FREE = "colliding", "free"
+USING_COLLISIONS = ("shuttle", "touch_and_return", "hairpin", "limited_sight")
+BESIDE_M = 0.03  # that a place may be passed beside its tolerance: what PX4's loop is off by
 THERE_M, STILL_M_S = 0.15, 0.3  # of the goal: a flight and its plan end there, alike
 _UNDER_WAY_US = 500_000  # at least: where start and goal are one
 
@@ -32,6 +40,28 @@ class Arrival(NamedTuple):
     def there_s(self) -> float | None:
         """How long the flight took."""
         return None if self.there_us is None else (self.there_us - self.begin_us) * 1e-6
+
+
+class BothWays(NamedTuple):
+    """A mission as shipped, and the quickest flight of its scenario without a collision."""
+
+    scenario: Scenario
+    colliding: Mission
+    free: Mission
+
+    @property
+    def visits(self) -> list[tuple[Vec2, float]]:
+        """Places and how near they are passed."""
+        return [(visit.position_m, visit.within_m + BESIDE_M) for visit in self.scenario.visits]
+
+
+def both_ways(name: str) -> BothWays:
+    """One of the missions that use collisions; the free flight is planned now."""
+    scenario = load_scenario(packaged("missions", "scenarios", f"{name}.yaml"))
+    result = plan_quickest(scenario) if scenario.sight is None else plan_limited_sight(scenario)
+    assert result.free is not None
+    shipped = load_mission(packaged("missions", f"{name}.yaml"))
+    return BothWays(scenario, shipped, planned_mission(scenario, result.free))
 
 
 def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]]) -> Arrival | None:
