@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import Mode, PlanAnswer, PlanRequest, WallEstimate
-from dart_flight.config.mission import load_mission
+from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.mission_file import CollisionPrediction
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.trajectories import PlannedTrajectory
@@ -233,3 +233,16 @@ def test_who_is_pushed_above_the_centre_of_mass_leans_into_the_wall(height_m: fl
         push, _, _ = wall.to_collision(way.at(way.duration_s).acceleration)
         pushes.append(push)
     assert pushes[0] - pushes[1] == pytest.approx(lean * GRAVITY_M_S2, abs=0.3)
+
+
+def test_a_mission_that_was_read_from_a_line_has_the_same_ways() -> None:
+    """The planner of real time is a process: there walls of hits and of the room are equal, not the same."""
+    shuttle = load_mission(packaged("missions", "shuttle.yaml"))
+    request = PlanRequest(
+        0, 1, 100_000, 2, (1.513, -0.018, 0.988), (-1.791, -0.007, 0.656), (-0.57, 0.07, 0.0),
+        (-0.53, -0.01, 1.0), 0,
+    )  # fmt: skip
+    read = msgspec.json.decode(msgspec.json.encode(shuttle), type=Mission)
+    answer = Replanner(read).answer(request, 0)
+    assert answer == Replanner(shuttle).answer(request, 0)
+    assert answer.normal_m_s == pytest.approx(-2.81, abs=0.05)

@@ -1,22 +1,25 @@
 """Flights with a real PX4: acceptance, three worlds, versions, body.
 
 Acceptance flies ten seeds; the versions are both missions on every version of PX4 at hand; body is what the
-guards do in a hit, with walls as planned and turned.
+guards do in a hit, with walls as planned and turned; ways are the missions that use collisions, flown with
+them and without.
 
     DART_PX4_DIR=... python -m tools.campaigns.px4 [--part NAME] [--speed X] [--report DIR]
     python -m tools.campaigns.px4 --part versions --px4 NAME=DIR [--px4 NAME=DIR ...]
     python -m tools.campaigns.px4 --part body --px4 NAME=DIR [--px4 NAME=DIR ...]
+    python -m tools.campaigns.px4 --part ways --px4 NAME=DIR [--px4 NAME=DIR ...]
 
 Every flight's figures go to `px4_flights.jsonl` in the report folder as they come; a part that is flown again
 replaces its lines. The tables (`px4.md`) are written from that file alone, so parts can be flown one
-by one. docs/results/px4.md is such a report; docs/px4.md explains it. The tables of versions and of the body
-with guards go into docs/results/px4_versions.md; a version that is flown again replaces its lines there,
-others stay.
+by one. docs/results/px4.md is such a report; docs/px4.md explains it. The tables of versions, of the body
+with guards and of both ways go into docs/results/px4_versions.md; a version that is flown again replaces its
+lines there, others stay.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import re
 import sys
@@ -40,6 +43,7 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.px4.launch import find_install
+from tools.campaigns.arrivals import COLLIDING, FREE, USING_COLLISIONS, arrival_of, both_ways
 from tools.campaigns.results import RESULTS, markdown, measured_by
 
 SEEDS = range(1, 11)
@@ -54,6 +58,8 @@ BODY = "body "  # begins the names of the parts that fly the body with guards; t
 BODY_SEEDS = range(1, 6)
 WALL_YAW_DEG = 5.0  # standard deviation
 BODY_FLIGHTS = (("single", 0.0), ("dual", 0.0), ("single", WALL_YAW_DEG))  # mission, spread of the wall's yaw
+WAYS = "ways "  # begins the names of the parts that fly with collisions and without; then NAME
+WAYS_SEEDS = range(1, 4)
 _AFTER_US = 600_000  # what a hit does to tilt and rate shows within this time
 PAGE = RESULTS / "px4_versions.md"
 
@@ -73,6 +79,7 @@ class Hit(msgspec.Struct):
     incidence_deg: float | None = None  # true
     tilt_deg: float | None = None  # largest in the 0.6 s from it on, as is the rate
     rate_deg_s: float | None = None
+    normal_planned_m_s: float | None = None
 
 
 class Flight(msgspec.Struct):
@@ -96,6 +103,10 @@ class Flight(msgspec.Struct):
     guard: list[str]
     told: str | None = None  # PX4's version as it tells it
     drawn: dict[str, float | str] = {}
+    way: str = ""  # colliding, free
+    followed: bool | None = None
+    places: str = ""  # passed, of how many
+    there_s: float | None = None  # from the first trajectory on (`arrivals`)
 
 
 def figures(part: str, sensor: str, mission: str, verdict: Verdict, pace: float = 1.0) -> Flight:
@@ -205,6 +216,32 @@ def fly_body(name: str, directory: str, report_dir: Path, pace: float) -> None:
                     yield flight
 
     _keep(BODY + name, flights(BODY + name), report_dir)
+
+
+def fly_ways(name: str, directory: str, report_dir: Path, pace: float) -> None:
+    """The missions that use collisions, and the free flights of their scenarios, on one version of PX4."""
+
+    def flights(part: str) -> Iterator[Flight]:
+        for mission in USING_COLLISIONS:
+            both = both_ways(mission)
+            for way, seed in itertools.product((COLLIDING, FREE), WAYS_SEEDS):
+                flown = both.colliding if way == COLLIDING else both.free
+                with tempfile.TemporaryDirectory() as folder:
+                    verdict = fly_px4(flown, directory, seed, Path(folder), speed=pace)
+                    flight = figures(part, "mocap", mission, verdict, pace)
+                    flight.way, flight.followed = way, verdict.plan_followed
+                    for hit, collision in zip(flight.hits, verdict.collisions, strict=True):
+                        planned = collision.planned
+                        hit.normal_planned_m_s = None if planned is None else planned.normal_m_s
+                    arrival = None
+                    if verdict.log is not None:
+                        arrival = arrival_of(read_log(verdict.log), flown, both.visits)
+                    if arrival is not None:
+                        flight.places = f"{len(arrival.visits_us)} of {len(both.visits)}"
+                        flight.there_s = arrival.there_s if verdict.outcome == "completed" else None
+                    yield flight
+
+    _keep(WAYS + name, flights(WAYS + name), report_dir)
 
 
 def _add_what_follows(flight: Flight, verdict: Verdict) -> None:
@@ -370,6 +407,35 @@ def body_table(flights: list[Flight]) -> str:
     return markdown(head, rows)
 
 
+def ways_table(flights: list[Flight]) -> str:
+    """What was flown with collisions and without, one row for each flight."""
+    head = ["PX4", "mission", "way", "seed", "completed", "plan followed", "places passed", "flight s"]
+    head += ["hits: planned m/s", "flown m/s", "max. tilt °", "final error m", "EKF off by m"]
+    rows = []
+    for f in flights:
+        if not f.part.startswith(WAYS):
+            continue
+        followed = {True: "yes", False: "no", None: "–"}[f.followed]
+        rows.append(
+            [
+                f.part.removeprefix(WAYS),
+                f.mission,
+                f.way,
+                str(f.seed),
+                "yes" if f.outcome == "completed" else f"no: {f.reason}",
+                followed,
+                f.places,
+                _text(f.there_s, 2),
+                _hits(f, lambda h: _text(h.normal_planned_m_s, 2)),
+                _hits(f, lambda h: _text(h.normal_true_m_s, 2)),
+                _text(f.tilt_deg, 1),
+                _text(f.final_m, 3),
+                _text(f.ekf_m, 3),
+            ]
+        )
+    return markdown(head, rows)
+
+
 def with_table(page: str, name: str, table: str) -> str:
     """The page with a table between its marks; rows of versions that the new one lacks stay."""
     marked = re.compile(rf"(<!-- flown: {name} -->\n)(.*?)(<!-- end -->)", re.DOTALL)
@@ -416,7 +482,11 @@ def run(report_dir: Path, pace: float) -> None:
 
 
 # Parts that fly named versions of PX4, and whose table goes into docs/results/px4_versions.md.
-BY_VERSION = {"versions": (fly_version, versions_table), "body": (fly_body, body_table)}
+BY_VERSION = {
+    "versions": (fly_version, versions_table),
+    "body": (fly_body, body_table),
+    "ways": (fly_ways, ways_table),
+}
 
 
 def main() -> int:

@@ -24,23 +24,14 @@ import msgspec
 import numpy as np
 
 import dart_flight
-from dart_flight.base.records import Mode
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import parse_mission
-from dart_flight.lab.search.free_plan import limits_of
+from dart_flight.lab.search.limited_sight import plan_limited_sight
 from dart_flight.lab.search.mission_writer import mission_text
-from dart_flight.lab.search.optimal_trajectory import (
-    Cruise,
-    HalfPlane,
-    Hit,
-    HitLimits,
-    OptimalTrajectory,
-    Part,
-    Problem,
-    solve,
-)
+from dart_flight.lab.search.optimal_trajectory import OptimalTrajectory
 from dart_flight.lab.search.quickest import QuickestPlan, plan_quickest
 from dart_flight.lab.search.scenario import Scenario, load_scenario
+from tools.campaigns.arrivals import STILL_M_S, THERE_M, arrival_of
 from tools.campaigns.results import RESULTS, ROOT, markdown, measured_by
 
 PLANS, FLIGHTS = ROOT / "build" / "walls_pay_plans.jsonl", ROOT / "build" / "walls_pay.jsonl"
@@ -54,9 +45,8 @@ SETS = {
 FLOWN = "position"
 KINDS = {"shuttle": 25, "hairpin": 20, "corner": 15, "stop": 15, "sight": 15, "free": 10}
 _PLAN_WITHIN_S = 20.0
-_THERE_M, _STILL_M_S = 0.15, 0.3  # of the goal: a flight and its plan end there, alike
 _WALLS_OFF_M = 0.03  # a wall that was drawn elsewhere takes its place with it
-_SIGHT_M, _REACTION_S, _CLOSING_M_S = 1.0, 0.15, 3.0
+_SIGHT_M, _CLOSING_M_S = 1.0, 3.0
 
 
 class Planned(msgspec.Struct):
@@ -183,6 +173,7 @@ def _sight(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
     way = rng.uniform(4.0, 5.5)
     tree["walls"] = {"east": _wall(float(way), 0.0, (-1.0, 0.0), 4.0)}
     tree["goal"]["position_m"] = [float(way - 1.2), 0.0]
+    tree["sight"] = {"distance_m": _SIGHT_M}
     tree["limits"] |= {"speed_m_s": 3.69, "closing_m_s": _CLOSING_M_S}
 
 
@@ -203,10 +194,9 @@ def plan_map(kind: str, seed: int, limits: str) -> Planned:
     """Both plans of a map."""
     scenario = load_scenario(scenario_of(kind, seed, limits))
     planned = Planned(kind, seed, limits)
-    if kind == "sight":
-        return _plan_sight(scenario, planned)
     try:
-        result = plan_quickest(scenario, _PLAN_WITHIN_S)
+        seen_late = scenario.sight is not None
+        result = plan_limited_sight(scenario) if seen_late else plan_quickest(scenario, _PLAN_WITHIN_S)
     except InputError as error:
         return msgspec.structs.replace(planned, problem=str(error))
     planned.gap_s, planned.elapsed_s = result.gap_s, result.elapsed_s
@@ -217,6 +207,9 @@ def plan_map(kind: str, seed: int, limits: str) -> Planned:
     if result.colliding is not None:
         planned.hit_s, planned.hits = result.colliding.time_s, len(result.colliding.trajectory.hits)
         planned.hit_mission, planned.hit_there_s = _written(scenario, result.colliding)
+    free, colliding = (plan and plan.cruise_m_s for plan in (result.free, result.colliding))
+    if free and colliding:
+        planned.cruise_m_s = (free, colliding)
     return planned
 
 
@@ -236,63 +229,9 @@ def planned_there_s(found: OptimalTrajectory, goal: tuple[float, float]) -> floa
             t = before.t_s + share * (after.t_s - before.t_s)
             p = [a + share * (b - a) for a, b in zip(before.position, after.position, strict=True)]
             v = [a + share * (b - a) for a, b in zip(before.velocity, after.velocity, strict=True)]
-            if math.dist(p, goal) > _THERE_M or math.hypot(*v) > _STILL_M_S:
+            if math.dist(p, goal) > THERE_M or math.hypot(*v) > STILL_M_S:
                 there = float(begin + t)
     return there
-
-
-def safe_speed_m_s(acceleration_m_s2: float, jerk_m_s3: float, room_m: float) -> float:
-    """The speed from which the reaction and a stop take all of the room that is seen."""
-
-    def needs_m(v: float) -> float:
-        full = acceleration_m_s2**2 / jerk_m_s3
-        braking = v * math.sqrt(v / jerk_m_s3)
-        if v > full:
-            braking = 0.5 * v * (v / acceleration_m_s2 + acceleration_m_s2 / jerk_m_s3)
-        return braking + _REACTION_S * v
-
-    low, high = 0.0, 10.0
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if needs_m(middle) <= room_m else (low, middle)
-    return low
-
-
-def _plan_sight(scenario: Scenario, planned: Planned) -> Planned:
-    """Cruising as fast as sight allows: stop before the wall, or meet it at a bearable speed."""
-    limits, wall, goal = limits_of(scenario), scenario.walls["east"], scenario.goal.position_m
-    assert limits.jerk_m_s3 is not None
-    hits = HitLimits(144.0, _CLOSING_M_S, None, 0.5, 5.5)
-    vehicle = scenario.vehicle
-    dead_s = vehicle.flying.replan_within_s
-
-    def run(speed: float, hit: bool) -> OptimalTrajectory | None:
-        seen = Cruise((wall.point[0] - _SIGHT_M + _REACTION_S * speed, 0.0), (speed, 0.0))
-        before = (HalfPlane(wall.normal, wall.normal[0] * wall.point[0]), HalfPlane((1.0, 0.0), -0.1))
-        braking = Part(Hit(wall, Mode.FLEXIBLE, None, wall.point), before) if hit else None
-        parts = [Part(seen, before), *([braking] if braking else []), Part(None, before)]
-        end = goal if hit else (wall.point[0] - 0.02, 0.0)
-        problem = Problem(vehicle, scenario.start, end, tuple(parts), limits, hits, dead_s)
-        return solve(problem)
-
-    free_m_s = safe_speed_m_s(limits.acceleration_m_s2, limits.jerk_m_s3, _SIGHT_M - 0.02)
-    free_m_s = min(free_m_s, limits.speed_m_s)
-    free, hit_m_s, hit = run(free_m_s, False), 0.0, None
-    for speed in np.arange(limits.speed_m_s - 0.02, free_m_s, -0.1):
-        hit, hit_m_s = run(float(speed), True), float(speed)
-        if hit is not None:
-            break
-    if free is None or hit is None:
-        return msgspec.structs.replace(planned, problem="no run at these limits")
-    planned.cruise_m_s = (float(free_m_s), hit_m_s)
-    planned.free_s, planned.hit_s, planned.hits, planned.returned = free.time_s, hit.time_s, 1, "hit"
-    near = msgspec.structs.replace(scenario.spec.goal, position_m=(wall.point[0] - 0.02, 0.0))
-    beside = msgspec.structs.replace(scenario, spec=msgspec.structs.replace(scenario.spec, goal=near))
-    planned.free_mission = _written(beside, QuickestPlan(free.time_s, free, ()))[0]
-    planned.hit_mission = _written(scenario, QuickestPlan(hit.time_s, hit, ()))[0]
-    planned.free_there_s = planned_there_s(free, near.position_m)
-    planned.hit_there_s = planned_there_s(hit, goal)
-    return planned
 
 
 # -- flights -------------------------------------------------------------------------------------------------
@@ -303,31 +242,27 @@ def fly(planned: Planned, way: str, seed: int) -> Flown:
     text = planned.free_mission if way == "free" else planned.hit_mission
     mission = parse_mission(Document(text, "generated.yaml"))
     flight = dart_flight.simulate(mission, seed=seed, vary="all")
-    verdict, truth, phases = flight.verdict, flight.log["/truth/state"], flight.log["/event/phase"]
-    after, at_us = [str(p) for p in phases["after"]], np.asarray(phases["t_us"])
+    verdict, truth = flight.verdict, flight.log["/truth/state"]
     t, place = np.asarray(truth["t_us"]), np.asarray(truth["position_mission"])
-    speed = np.linalg.norm(np.asarray(truth["velocity_mission"])[:, :2], axis=1)
     found = Flown(
         planned.kind, planned.seed, way, seed, verdict.outcome, verdict.reason, None, False, None, ""
     )
     found.tilt_deg = verdict.max_tilt_deg
     found.uncontrolled = _uncontrolled(mission.bounds, place, t, verdict)
-    begins = [at_us[k] for k, phase in enumerate(after) if phase == ("approach" if way == "hit" else "goal")]
-    if not begins:
+    visits = [
+        (visit["position_m"], visit["within_m"] + _WALLS_OFF_M)
+        for visit in scenario_of(planned.kind, planned.seed, FLOWN).get("visits", [])
+    ]
+    arrival = arrival_of(flight.log, mission, visits)
+    if arrival is None:
         return found
-    under_way = t >= begins[0]
-    visits = scenario_of(planned.kind, planned.seed, FLOWN).get("visits", [])
-    found.visited = _visited(place[under_way, :2], visits)
+    found.visited = len(arrival.visits_us) == len(visits)
     if planned.kind == "sight":
-        found.cruise_m_s = _cruise_m_s(mission.walls[0].point[0], place[under_way], speed[under_way])
-    landings = [at_us[k] for k, phase in enumerate(after) if phase == "landing"]
-    if verdict.outcome == "completed" and landings:
-        last = _last_visit_us(t, place, visits, begins[0])
-        near = (np.linalg.norm(place[:, :2] - np.array(mission.goal.position_m), axis=1) <= _THERE_M) & (
-            speed <= _STILL_M_S
-        )
-        there = np.flatnonzero(near & (t > max(last, begins[0] + 0.5e6)) & (t < landings[0]))
-        found.there_s = float((t[there[0]] - begins[0]) * 1e-6) if there.size else None
+        under_way = t >= arrival.begin_us
+        speed = np.linalg.norm(np.asarray(truth["velocity_mission"])[under_way, :2], axis=1)
+        found.cruise_m_s = _cruise_m_s(mission.walls[0].point[0], place[under_way], speed)
+    if verdict.outcome == "completed":
+        found.there_s = arrival.there_s
     return found
 
 
@@ -342,29 +277,6 @@ def _uncontrolled(bounds: Any, place: np.ndarray, t: np.ndarray, verdict: Any) -
     if verdict.outcome != "completed" and not verdict.reason:
         return "no cause"
     return ""
-
-
-def _visited(place: np.ndarray, visits: list[dict[str, Any]]) -> bool:
-    """Whether the places were passed in their order."""
-    begin = 0
-    for visit in visits:
-        away = np.linalg.norm(place[begin:] - np.array(visit["position_m"]), axis=1)
-        near = np.flatnonzero(away <= visit["within_m"] + _WALLS_OFF_M)
-        if not near.size:
-            return False
-        begin += int(near[0])
-    return True
-
-
-def _last_visit_us(t: np.ndarray, place: np.ndarray, visits: list[dict[str, Any]], begin_us: int) -> float:
-    now = float(begin_us)
-    for visit in visits:
-        away = np.linalg.norm(place[:, :2] - np.array(visit["position_m"]), axis=1)
-        near = np.flatnonzero((away <= visit["within_m"] + _WALLS_OFF_M) & (t >= now))
-        if not near.size:
-            return now
-        now = float(t[near[0]])
-    return now
 
 
 def _cruise_m_s(wall_x: float, place: np.ndarray, speed: np.ndarray) -> float | None:

@@ -11,6 +11,8 @@ from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import add_set_option, link_of, whole_number
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.config.document import InputError
+from dart_flight.lab.search.limited_sight import plan_limited_sight
 from dart_flight.lab.search.mission_writer import planned_mission, write_mission
 from dart_flight.lab.search.plan_table import (
     describe_quickest,
@@ -52,6 +54,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="of the objective quickest: return the best plan found after S seconds (60)",
     )
     parser.add_argument(
+        "--free",
+        action="store_true",
+        help="of the objective quickest: write and draw the plan without a collision",
+    )
+    parser.add_argument(
         "--seed", type=whole_number(0, 2**31 - 1), default=1, help="of the draws of robust (1)"
     )
     add_plot_option(parser)
@@ -78,6 +85,8 @@ def run(arguments: argparse.Namespace) -> int:
         scenario = with_objective(scenario, arguments.objective)
     if scenario.objective is Objective.QUICKEST:
         return _plan_quickest(scenario, arguments)
+    if arguments.free:
+        raise InputError("--free is for the objective quickest", source=scenario.source)
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("trajectories", total=None)
         top = max(arguments.top, arguments.rank)
@@ -111,15 +120,23 @@ def _plan_quickest(scenario: Scenario, arguments: argparse.Namespace) -> int:
     console = messages()
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("sequences", total=None)
-        result = plan_quickest(
-            scenario, arguments.within, lambda done, of: bar.update(task, completed=done, total=of)
-        )
+
+        def progress(done: int, of: int) -> None:
+            bar.update(task, completed=done, total=of)
+
+        if scenario.sight is not None:
+            result = plan_limited_sight(scenario, progress)
+        else:
+            result = plan_quickest(scenario, arguments.within, progress)
     say_vehicle(scenario.vehicle_source, arguments)
+    plan = result.free if arguments.free else result.best
+    if plan is None:
+        raise InputError("without a collision there is no way", source=scenario.source)
     if arguments.output is not None:
-        write_mission(scenario, result.best, arguments.output)
+        write_mission(scenario, plan, arguments.output)
         console.print(f"plan written to {arguments.output}", soft_wrap=True)
     if arguments.plot is not None:
-        write_picture(planned_mission(scenario, result.best), arguments.plot)
+        write_picture(planned_mission(scenario, plan), arguments.plot)
     if arguments.json:
         emit_json(quickest_summary(result))
     else:

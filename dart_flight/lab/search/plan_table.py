@@ -117,13 +117,15 @@ def quickest_summary(result: QuickestResult) -> dict[str, Any]:
         "computed": result.computed,
         "pruned": result.pruned,
         "gap_s": result.gap_s,
-        "free": result.free and {"time_s": result.free.time_s, "limits": limits},
+        "free": result.free
+        and {"time_s": result.free.time_s, "limits": limits, "cruise_m_s": result.free.cruise_m_s},
         "plans": [
             {
                 "time_to_goal_s": plan.time_s,
                 "saving_s": result.free and result.free.time_s - plan.time_s,
                 "collisions": plan.trajectory.hits,
                 "visits_s": plan.trajectory.visits_s,
+                "cruise_m_s": plan.cruise_m_s,
             }
             for plan in _in_order(result)
         ],
@@ -172,6 +174,9 @@ def describe_quickest(result: QuickestResult) -> str:
         says += f" ({share:.0%})"
         if result.saving_s < 0.0 and result.best is result.colliding:
             says += ", and is returned because the scenario demands the hits"
+    if result.free and result.free.cruise_m_s is not None:
+        cruises = [f"{plan.cruise_m_s:.2f}" for plan in (result.free, result.colliding) if plan is not None]
+        says += f"; cruising until the wall is seen at {' and '.join(cruises)} m/s"
     if result.gap_s > _SHOWN_S:
         gap = f"; what was not computed could be quicker by {result.gap_s:.2f} s at most"
     return f"{says}; {result.computed} sequences computed, {result.pruned} ruled out{gap}"

@@ -53,7 +53,7 @@ _TOLERANCE_USED = 0.8
 _FORCE_USED = 0.8  # likewise, of limits.peak_force_n: stiffness is known to some 15 %
 # Where the scenario does not say: the friction coefficients were measured at half a metre per second.
 _FRICTION_RATIO = 0.5
-_POLISHED = 3 * INTERVALS
+POLISHED = 3 * INTERVALS
 _SWEEPS = 12  # of the shortest way through discs and walls
 _SLACK = 0.98  # of a leg, because the sweeps end before the way is quite the shortest
 _REVERSAL_COSINE = -0.9  # between the legs to and from a place at which the way turns back
@@ -63,11 +63,12 @@ _OFF_BOUNDS_M = 0.1  # that a trajectory keeps from them
 
 
 class QuickestPlan(msgspec.Struct, frozen=True):
-    """A flight and the hits it has; none: the free plan."""
+    """A flight and the hits it has; none: the free plan. `cruise_m_s`: before a wall that is seen late."""
 
     time_s: float
     trajectory: OptimalTrajectory
     events: tuple[Event, ...]
+    cruise_m_s: float | None = None
 
     @property
     def sequence(self) -> tuple[str, ...]:
@@ -125,19 +126,66 @@ def plan_quickest(
     began = time.perf_counter()
     search = _Search(scenario)
     search.run(lambda: time.perf_counter() - began > within_s, progress)
-    best, free = search.best, search.free
-    if best is None:
-        raise InputError(search.why_not(), source=scenario.source, key=("limits",))
+    best = best_of(scenario, search.free, search.colliding)
     return QuickestResult(
         scenario,
         best,
-        free,
+        search.free,
         search.colliding,
         search.computed,
         search.pruned,
         max(0.0, best.time_s - search.least_open_s) if search.least_open_s < math.inf else 0.0,
         time.perf_counter() - began,
     )
+
+
+def best_of(scenario: Scenario, free: QuickestPlan | None, colliding: QuickestPlan | None) -> QuickestPlan:
+    """The quickest of all that a scenario allows.
+
+    Raises:
+        InputError: there is none.
+    """
+    demanded = _demanded(scenario)
+    found = [colliding] if demanded else [free, colliding]
+    best = min((plan for plan in found if plan is not None), key=lambda plan: plan.time_s, default=None)
+    if best is not None:
+        return best
+    says = f"no flight hits {', '.join(demanded)}" if demanded else "no flight passes the visits"
+    says += " and rests at the goal within the limits" + ("" if demanded else " and bounds")
+    raise InputError(says, source=scenario.source, key=("limits",))
+
+
+def hit_limits_of(scenario: Scenario) -> HitLimits:
+    """What the hits of a scenario's plans keep to."""
+    limits = scenario.limits
+    return HitLimits(
+        _FORCE_USED * limits.peak_force_n,
+        limits.closing_m_s,
+        limits.sliding_m_s,
+        _FRICTION_RATIO if limits.friction_ratio is None else limits.friction_ratio,
+        scenario.vehicle.detection.force_threshold_n,
+    )
+
+
+def room_of(scenario: Scenario) -> tuple[HalfPlane, ...]:
+    """The bounds as plans keep to them."""
+    (x0, x1), (y0, y1) = scenario.bounds.x, scenario.bounds.y
+    return (
+        HalfPlane((1.0, 0.0), x0 + _OFF_BOUNDS_M),
+        HalfPlane((-1.0, 0.0), -x1 + _OFF_BOUNDS_M),
+        HalfPlane((0.0, 1.0), y0 + _OFF_BOUNDS_M),
+        HalfPlane((0.0, -1.0), -y1 + _OFF_BOUNDS_M),
+    )
+
+
+def first_mode(scenario: Scenario) -> Mode:
+    """The mode that is tried first: it loses least."""
+    return Mode.FLEXIBLE if Mode.FLEXIBLE in scenario.modes else scenario.modes[0]
+
+
+def _demanded(scenario: Scenario) -> tuple[str, ...]:
+    """The hits that a scenario wants, whether they pay or not."""
+    return () if scenario.chosen_by_planner else scenario.sequences[0]
 
 
 class LegEnd(Enum):
@@ -194,38 +242,14 @@ class _Search:
         self.scenario = scenario
         self.vehicle, self.walls = scenario.vehicle, tuple(scenario.walls.values())
         self.limits = limits_of(scenario)
-        of = scenario.limits
-        self.hits = HitLimits(
-            _FORCE_USED * of.peak_force_n,
-            of.closing_m_s,
-            of.sliding_m_s,
-            _FRICTION_RATIO if of.friction_ratio is None else of.friction_ratio,
-            self.vehicle.detection.force_threshold_n,
-        )
+        self.hits = hit_limits_of(scenario)
         self.dead_s = self.vehicle.flying.replan_within_s
         self.free: QuickestPlan | None = None
         self.colliding: QuickestPlan | None = None
         self.computed = self.pruned = 0
         self.least_open_s = math.inf
         self._least = LeastTimes(self.limits)
-        (x0, x1), (y0, y1) = scenario.bounds.x, scenario.bounds.y
-        self._room = (
-            HalfPlane((1.0, 0.0), x0 + _OFF_BOUNDS_M),
-            HalfPlane((-1.0, 0.0), -x1 + _OFF_BOUNDS_M),
-            HalfPlane((0.0, 1.0), y0 + _OFF_BOUNDS_M),
-            HalfPlane((0.0, -1.0), -y1 + _OFF_BOUNDS_M),
-        )
-
-    @property
-    def best(self) -> QuickestPlan | None:
-        """Of all that the scenario allows."""
-        found = [self.colliding] if self._demanded else [self.free, self.colliding]
-        return min((plan for plan in found if plan is not None), key=lambda plan: plan.time_s, default=None)
-
-    @property
-    def _demanded(self) -> tuple[str, ...]:
-        """The hits that a scenario wants, whether they pay or not."""
-        return () if self.scenario.chosen_by_planner else self.scenario.sequences[0]
+        self._room, self._demanded = room_of(scenario), _demanded(scenario)
 
     def run(self, enough: Callable[[], bool], progress: Progress) -> None:
         """Compute sequences, best bound first, until no other can be better, or it is enough."""
@@ -257,8 +281,8 @@ class _Search:
 
     def _to_beat_s(self) -> float:
         """Of a sequence that is still worth computing."""
-        best = self.colliding if self._demanded else self.best
-        return math.inf if best is None else best.time_s
+        found = [self.colliding] if self._demanded else [self.free, self.colliding]
+        return min((plan.time_s for plan in found if plan is not None), default=math.inf)
 
     # -- sequences --
 
@@ -267,7 +291,7 @@ class _Search:
 
     def _ways_to_visit(self) -> Iterator[tuple[Event, ...]]:
         """The visits in their order, each in flight or by a hit at a wall that it lies on."""
-        mode = self._first_mode()
+        mode = first_mode(self.scenario)
         choices: list[list[Event]] = [
             [visit, *(Hit(wall, mode, visit) for wall in self.walls if _serves(wall, visit))]
             for visit in self._visits()
@@ -281,7 +305,7 @@ class _Search:
         if _count_hits(events) == MOST_HITS:
             return
         for wall, k in itertools.product(self.walls, range(len(events) + 1)):
-            more = (*events[:k], Hit(wall, self._first_mode()), *events[k:])
+            more = (*events[:k], Hit(wall, first_mode(self.scenario)), *events[k:])
             if not _repeats(more) and self._may_be_wanted(more):
                 yield more
 
@@ -294,10 +318,6 @@ class _Search:
         """Whether more hits can still make it wanted."""
         rest = iter(self._demanded)
         return not self._demanded or all(name in rest for name in _walls_hit(events))
-
-    def _first_mode(self) -> Mode:
-        modes = self.scenario.modes
-        return Mode.FLEXIBLE if Mode.FLEXIBLE in modes else modes[0]
 
     # -- bounds --
 
@@ -388,13 +408,7 @@ class _Search:
 
     def _polished(self, plan: QuickestPlan | None) -> QuickestPlan | None:
         """The same flight in finer intervals."""
-        return plan and (self._solved(plan.events, _POLISHED) or plan)
-
-    def why_not(self) -> str:
-        """In words, where nothing gets there."""
-        if self._demanded:
-            return f"no flight hits {', '.join(self._demanded)} and rests at the goal within the limits"
-        return "no flight passes the visits and rests at the goal within the limits and bounds"
+        return plan and (self._solved(plan.events, POLISHED) or plan)
 
 
 def _walls_hit(events: Sequence[Event]) -> tuple[str, ...]:

@@ -95,6 +95,18 @@ class VisitSpec(Section, frozen=True):
     within_m: Annotated[float, Meta(gt=0.0, le=10.0)]
 
 
+class SightSpec(Section, frozen=True):
+    """The wall is seen only when it is near; until then, and for the time of a reaction, the flight cruises.
+
+    Attributes:
+        distance_m: from the vehicle's centre at which the wall's plane is seen.
+        reaction_s: from then on until the flight follows what was seen.
+    """
+
+    distance_m: Annotated[float, Meta(gt=0.0, le=100.0)]
+    reaction_s: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.15
+
+
 class Uncertainty(Section, frozen=True):
     """Standard deviations for the objective `robust`.
 
@@ -130,6 +142,7 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
             smallest miss under the uncertainty; quickest: from rest to rest over the visits, hits where they
             pay or `sequence` wants them, along trajectories.
         visits: places to be passed, in this order; with the objective quickest only.
+        sight: the one wall, which the start is before, is seen late; with the objective quickest only.
         uncertainty: for the objective robust.
     """
 
@@ -140,6 +153,7 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
     sequence: list[str] | Literal["any"]
     search: SearchSpec | None = None
     visits: list[VisitSpec] = msgspec.field(default_factory=list)
+    sight: SightSpec | None = None
     name: Name | None = None
     vehicle: str | None = None
     alpha_m_per_n: dict[str, tuple[Alpha, Alpha]] = msgspec.field(default_factory=dict)
@@ -180,6 +194,7 @@ class Scenario(SpaceKeys, frozen=True, kw_only=True):
     objective: Objective
     uncertainty: Uncertainty
     visits: tuple[VisitSpec, ...] = ()
+    sight: SightSpec | None = None
     vehicle_source: VehicleSource | None = None
 
 
@@ -267,6 +282,8 @@ def resolve_scenario(
         if spec.objective is not Objective.QUICKEST:
             raise document.error(("visits",), "places are visited with the objective quickest only")
         check_place(spec.bounds_m, {}, visit.position_m, None, ("visits", i), document)
+    if spec.sight is not None:
+        _check_sight(spec, spec.sight, list(walls.values()), document)
     return Scenario(
         **keys_of(spec, SpaceKeys),
         name=spec.name or _name_from(document.source),
@@ -287,7 +304,21 @@ def resolve_scenario(
         objective=spec.objective,
         uncertainty=spec.uncertainty,
         visits=tuple(spec.visits),
+        sight=spec.sight,
     )
+
+
+def _check_sight(spec: ScenarioFile, sight: SightSpec, walls: list[Wall], document: Document) -> None:
+    """Refuse what limited sight is not planned for."""
+    start = spec.start.position_m
+    for fine, says in (
+        (spec.objective is Objective.QUICKEST, "limited sight is planned with the objective quickest only"),
+        (len(walls) == 1 and not spec.visits, "limited sight is planned for one wall and no visits"),
+        (walls[0].spans(start), "the wall is seen straight ahead: the start must be before it"),
+        (walls[0].signed_distance(start) > sight.distance_m, "the start must be where the wall is not seen"),
+    ):
+        if not fine:
+            raise document.error(("sight",), says)
 
 
 def _grids(spec: SearchSpec, document: Document) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -1,0 +1,109 @@
+"""Towards a wall that is seen late: how fast a flight may cruise if it must stop before it, or may hit it.
+
+Until the wall is seen, and for the time of a reaction from then on, the flight cruises straight at it. Who
+must not touch it cruises no faster than from where it can still stop (`safe_speed_m_s`); who may hit it, as
+fast as leads to a hit that the limits allow. Then both go to the goal as quickly as they can.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+
+from dart_flight.base.geometry import Vec2
+from dart_flight.lab.search.free_plan import limits_of
+from dart_flight.lab.search.optimal_trajectory import (
+    Cruise,
+    HalfPlane,
+    Hit,
+    MotionLimits,
+    Part,
+    Problem,
+    solve,
+)
+from dart_flight.lab.search.quickest import (
+    POLISHED,
+    QuickestPlan,
+    QuickestResult,
+    best_of,
+    first_mode,
+    hit_limits_of,
+    room_of,
+)
+from dart_flight.lab.search.scenario import Scenario, SightSpec
+
+_BEFORE_WALL_M = 0.02  # who must not touch the wall stops there
+_STEP_M_S = 0.05  # of the cruise speeds tried
+_AT_LIMIT = 0.998  # cruising quite at a limit, the solver has no room to move
+
+
+def safe_speed_m_s(limits: MotionLimits, room_m: float, reaction_s: float) -> float:
+    """The speed from which the reaction and a stop take all of the room."""
+    a, j = limits.acceleration_m_s2, limits.jerk_m_s3 or math.inf
+
+    def needs_m(v: float) -> float:
+        braking_s = v / a + a / j if v > a * a / j else 2.0 * math.sqrt(v / j)
+        return v * (0.5 * braking_s + reaction_s)
+
+    speeds = np.linspace(0.0, limits.speed_m_s, 10_001)
+    return float(speeds[np.searchsorted([needs_m(v) for v in speeds], room_m, side="right") - 1])
+
+
+def plan_limited_sight(
+    scenario: Scenario, progress: Callable[[int, int], None] = lambda done, of: None
+) -> QuickestResult:
+    """Both flights of a scenario with `sight`; the quicker one is best, unless the hit is demanded.
+
+    Args:
+        scenario: with one wall, before which the start is.
+        progress: called with the flights computed and known.
+
+    Raises:
+        InputError: nothing gets to the goal within the limits.
+    """
+    began = time.perf_counter()
+    sight = scenario.sight
+    assert sight is not None
+    limits = limits_of(scenario)
+    (wall,) = scenario.walls.values()
+    safe_m_s = safe_speed_m_s(limits, sight.distance_m - _BEFORE_WALL_M, sight.reaction_s)
+    free = _flight(scenario, sight, safe_m_s, None)
+    colliding, computed = None, 1
+    for speed in np.arange(_AT_LIMIT * limits.speed_m_s, safe_m_s, -_STEP_M_S):
+        progress(computed, computed + 1)
+        computed += 1
+        hit = Hit(wall, first_mode(scenario), None, wall.foot(scenario.start))
+        colliding = _flight(scenario, sight, float(speed), hit)
+        if colliding is not None:
+            break
+    best = best_of(scenario, free, colliding)
+    return QuickestResult(scenario, best, free, colliding, computed, 0, 0.0, time.perf_counter() - began)
+
+
+def _flight(scenario: Scenario, sight: SightSpec, speed_m_s: float, hit: Hit | None) -> QuickestPlan | None:
+    """The quickest that cruises at a speed until the reaction to the wall is over; None: there is none."""
+    (wall,) = scenario.walls.values()
+    (nx, ny), (x, y) = wall.normal, wall.foot(scenario.start)
+    begins_m = sight.distance_m - sight.reaction_s * speed_m_s  # before the wall
+    seen: Vec2 = (x + begins_m * nx, y + begins_m * ny)
+    off_m = 0.0 if hit else _BEFORE_WALL_M
+    keep = (*room_of(scenario), HalfPlane(wall.normal, nx * x + ny * y + off_m))
+    parts = (Part(Cruise(seen, (-speed_m_s * nx, -speed_m_s * ny)), keep), Part(hit, keep), Part(None, keep))
+    # No faster before either: what is seen late asks for the speed at which it is met.
+    limits = msgspec.structs.replace(limits_of(scenario), speed_m_s=speed_m_s / _AT_LIMIT)
+    problem = Problem(
+        scenario.vehicle,
+        scenario.start,
+        scenario.goal.position_m,
+        parts if hit else (parts[0], parts[2]),
+        limits,
+        hit_limits_of(scenario),
+        scenario.vehicle.flying.replan_within_s,
+    )
+    found = solve(problem, POLISHED)
+    events = (hit,) if hit else ()
+    return None if found is None else QuickestPlan(found.time_s, found, events, speed_m_s)

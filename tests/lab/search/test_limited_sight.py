@@ -1,0 +1,109 @@
+"""Towards a wall that is seen late: the safe speed against Ruckig, both flights against their limits."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import ruckig
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+import dart_flight
+from dart_flight.cli import main
+from dart_flight.config.document import InputError
+from dart_flight.config.vehicle import packaged
+from dart_flight.core.mission.trajectories import PlannedTrajectory
+from dart_flight.lab.search.limited_sight import plan_limited_sight, safe_speed_m_s
+from dart_flight.lab.search.optimal_trajectory import MotionLimits
+from dart_flight.lab.search.quickest import QuickestPlan
+from dart_flight.lab.search.scenario import load_scenario
+from tools.campaigns.arrivals import arrival_of
+
+SHIPPED = packaged("missions", "scenarios", "limited_sight.yaml")
+WALL_M, SEEN_M, REACTION_S = 4.5, 1.0, 0.15
+
+
+@given(st.floats(1.0, 8.0), st.floats(3.0, 30.0), st.floats(0.3, 3.0), st.floats(0.0, 0.4))
+def test_from_the_safe_speed_the_stop_takes_all_of_the_room(
+    acceleration: float, jerk: float, room_m: float, reaction_s: float
+) -> None:
+    v = safe_speed_m_s(MotionLimits(10.0, acceleration, jerk, 45.0), room_m, reaction_s)
+    stop = ruckig.InputParameter(1)
+    stop.control_interface = ruckig.ControlInterface.Velocity
+    stop.current_velocity, stop.target_velocity = [v], [0.0]
+    stop.max_acceleration, stop.max_jerk = [acceleration], [jerk]
+    braking = ruckig.Trajectory(1)
+    ruckig.Ruckig(1).calculate(stop, braking)
+    place, _, _ = braking.at_time(braking.duration)
+    assert v < 10.0
+    assert reaction_s * v + place[0] == pytest.approx(room_m, rel=1e-2)
+
+
+def speeds(plan: QuickestPlan) -> tuple[np.ndarray, np.ndarray]:
+    """Place and velocity towards the wall along the first leg."""
+    way = PlannedTrajectory.from_pieces(plan.trajectory.legs[0], 1.0)
+    states = [way.at(t) for t in np.linspace(0.0, way.duration_s, 3000)]
+    return np.array([s.position[0] for s in states]), np.array([s.velocity[0] for s in states])
+
+
+def test_both_cruise_until_the_reaction_to_the_wall_is_over() -> None:
+    result = plan_limited_sight(load_scenario(SHIPPED))
+    assert result.best is result.colliding
+    for plan in (result.free, result.colliding):
+        assert plan is not None
+        assert plan.cruise_m_s is not None
+        x, v = speeds(plan)
+        reacted_m = WALL_M - SEEN_M + REACTION_S * plan.cruise_m_s
+        on_the_way = (x > WALL_M - SEEN_M - 0.1) & (x < reacted_m) & (v > 0.0)
+        assert v[on_the_way] == pytest.approx(plan.cruise_m_s, rel=3e-3)
+        assert v.max() <= plan.cruise_m_s * 1.005
+        assert x.max() < WALL_M
+    assert result.free is not None
+    assert result.best.cruise_m_s is not None
+    assert result.free.cruise_m_s is not None
+    assert result.best.cruise_m_s > 1.6 * result.free.cruise_m_s
+    (hit,) = result.best.trajectory.hits
+    assert hit.normal_m_s >= -3.0 - 1e-6
+
+
+def test_the_free_plan_is_written_and_flown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "free.yaml"
+    assert main(["plan", str(SHIPPED), "--free", "--json", "-o", str(target)]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["free"]["cruise_m_s"] == pytest.approx(1.63, abs=0.01)
+    mission = dart_flight.load_mission(target)
+    flown = dart_flight.simulate(mission, seed=1)
+    assert (flown.verdict.outcome, flown.verdict.collisions) == ("completed", [])
+    assert max(p[0] for p in flown.log["/truth/state"]["position_mission"]) < WALL_M
+    assert flown.log is not None
+    arrival = arrival_of(flown.log, mission, [((WALL_M - SEEN_M, 0.0), 0.05), ((2.5, 0.0), 0.05)])
+    assert arrival is not None
+    there, back = arrival.visits_us
+    assert arrival.begin_us < there < back
+    assert arrival.there_s == pytest.approx(said["free"]["time_s"], rel=0.1)
+
+
+def test_only_quickest_plans_have_a_free_one(capsys: pytest.CaptureFixture[str]) -> None:
+    grid = packaged("missions", "scenarios", "one_wall.yaml")
+    assert main(["plan", str(grid), "--free"]) == 2
+    assert "objective quickest" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"visits": [{"position_m": [1.0, 0.0], "within_m": 0.1}]}, "no visits"),
+        ({"start": {"position_m": [3.6, 0.0], "altitude_m": 1.0}}, "where the wall is not seen"),
+        ({"start": {"position_m": [0.0, 2.3], "altitude_m": 1.0}}, "must be before it"),
+        ({"limits": {"speed_m_s": 3.7, "peak_force_n": 7.0}, "sequence": ["east"]}, "no flight hits east"),
+    ],
+)
+def test_what_cannot_be_planned_is_named(change: dict[str, Any], says: str) -> None:
+    tree = yaml.safe_load(SHIPPED.read_text("utf-8")) | {"vehicle": str(packaged("configs", "dart.yaml"))}
+    with pytest.raises(InputError, match=says):
+        plan_limited_sight(load_scenario(tree | change))

@@ -1,0 +1,94 @@
+"""The missions that use collisions and the free flights of their scenarios, and when a flight has arrived."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dart_flight.base.geometry import Vec2
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.lab.search.limited_sight import plan_limited_sight
+from dart_flight.lab.search.mission_writer import planned_mission
+from dart_flight.lab.search.quickest import plan_quickest
+from dart_flight.lab.search.scenario import Scenario, load_scenario
+from dart_flight.recording.reader import Log
+
+COLLIDING, FREE = "colliding", "free"
+USING_COLLISIONS = ("shuttle", "touch_and_return", "hairpin", "limited_sight")
+BESIDE_M = 0.03  # that a place may be passed beside its tolerance: what PX4's loop is off by
+THERE_M, STILL_M_S = 0.15, 0.3  # of the goal: a flight and its plan end there, alike
+_UNDER_WAY_US = 500_000  # at least: where start and goal are one
+
+
+class Arrival(NamedTuple):
+    """Stamps of a flight's log, us.
+
+    Attributes:
+        begin_us: the first trajectory begins.
+        visits_us: of the places passed in their order; a place that was not ends them.
+        there_us: at the goal, nearly at rest, after them; None: never before landing.
+    """
+
+    begin_us: float
+    visits_us: tuple[float, ...]
+    there_us: float | None
+
+    @property
+    def there_s(self) -> float | None:
+        """How long the flight took."""
+        return None if self.there_us is None else (self.there_us - self.begin_us) * 1e-6
+
+
+class BothWays(NamedTuple):
+    """A mission as shipped, and the quickest flight of its scenario without a collision."""
+
+    scenario: Scenario
+    colliding: Mission
+    free: Mission
+
+    @property
+    def visits(self) -> list[tuple[Vec2, float]]:
+        """Places and how near they are passed."""
+        return [(visit.position_m, visit.within_m + BESIDE_M) for visit in self.scenario.visits]
+
+
+def both_ways(name: str) -> BothWays:
+    """One of the missions that use collisions; the free flight is planned now."""
+    scenario = load_scenario(packaged("missions", "scenarios", f"{name}.yaml"))
+    result = plan_quickest(scenario) if scenario.sight is None else plan_limited_sight(scenario)
+    assert result.free is not None
+    shipped = load_mission(packaged("missions", f"{name}.yaml"))
+    return BothWays(scenario, shipped, planned_mission(scenario, result.free))
+
+
+def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]]) -> Arrival | None:
+    """When a flight arrived; None: it never got under way.
+
+    Args:
+        log: with the truth.
+        mission: that was flown.
+        visits: places and within which distance of them they count as passed.
+    """
+    truth, phases = log["/truth/state"], log["/event/phase"]
+    first = "approach" if mission.collisions else "goal"
+    times = {str(after): t for t, after in zip(phases["t_us"][::-1], phases["after"][::-1], strict=True)}
+    if first not in times:
+        return None
+    begin_us = float(times[first])
+    t, place = np.asarray(truth["t_us"]), np.asarray(truth["position_mission"])[:, :2]
+    speed = np.linalg.norm(np.asarray(truth["velocity_mission"])[:, :2], axis=1)
+    passed: list[float] = []
+    for at, within_m in visits:
+        since = passed[-1] if passed else begin_us
+        near = np.flatnonzero((np.linalg.norm(place - np.array(at), axis=1) <= within_m) & (t >= since))
+        if not near.size:
+            break
+        passed.append(float(t[near[0]]))
+    last = max(passed[-1] if passed else 0.0, begin_us + _UNDER_WAY_US)
+    still = np.linalg.norm(place - np.array(mission.goal.position_m), axis=1) <= THERE_M
+    still &= (speed <= STILL_M_S) & (t > last) & (t < times.get("landing", -np.inf))
+    there = np.flatnonzero(still)
+    return Arrival(begin_us, tuple(passed), float(t[there[0]]) if there.size else None)
