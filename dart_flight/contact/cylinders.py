@@ -262,6 +262,27 @@ class WallWithEnds:
         for edge, near in self.nearest(q, position):
             edge.share, edge.stood_in = None, near.x_m < 0.0
 
+    def may_touch(self, q: Quaternion, position: Vec3, within_m: float) -> bool:
+        """Whether anything can be pressed before a point of the vehicle has moved so far.
+
+        Where nothing can, what is kept between touches is kept up as `touch` would.
+        """
+        end = self.plane.half_length_m + within_m
+        feet = list(self._feet(q, position))
+        if any(
+            abs(along) <= end and height <= within_m and not (i in self.beside and height < -within_m)
+            for i, height, along in feet
+        ) or any(near.x_m <= within_m for _, near in self.nearest(q, position)):
+            return True
+        for i, height, along in feet:
+            if height > 0.0:
+                self.beside.discard(i)
+            elif abs(along) > self.plane.half_length_m:
+                self.beside.add(i)
+        for edge in self.edges:
+            edge.share, edge.stood_in = None, False
+        return False
+
     def nearest(self, q: Quaternion, position: Vec3) -> Iterator[tuple[CylinderContact, NearestPoint]]:
         """Each edge with the outline's nearest point to it."""
         for edge in self.edges:

@@ -284,7 +284,7 @@ class Plant:
         obstacles = self._obstacles_near() if near else []
         near_ground = self.position[2] > self.ground_down - _GROUND_M
         if obstacles:
-            touchable = obstacles if self._may_touch(obstacles) else []
+            touchable = [one for one in obstacles if self._may_touch(*one)]
             contact = self._collide(pushed, torque, touchable, near_ground)
             self._folded = self._fold()
         else:
@@ -376,23 +376,25 @@ class Plant:
                 found.append((post, self._coefficients_of_cylinder(post, post.met.contact, near)))
         return found
 
-    def _may_touch(self, obstacles: list[tuple[_Obstacle, Coefficients]]) -> bool:
+    def _may_touch(self, obstacle: _Obstacle, c: Coefficients) -> bool:
         """Whether guards can be pressed within the next step: the law's onset is at k x + f vx = 0."""
-        if self._open:
+        if obstacle.name in self._open:
             return True
         v = self.velocity
         turning = norm(self.rate) * self._reach_m
-        for obstacle, c in obstacles:
-            if isinstance(obstacle, _WallPlane):
-                n = obstacle.normal
-                x = clearance_m(self._guards, self.q, obstacle.ends.plane, self.position)
-            else:
-                near = obstacle.met.nearest(self.q, self.position)
-                n, x = near.normal, near.x_m
-            closing = max(0.0, -(n[0] * v[0] + n[1] * v[1])) + turning + _GAIN_M_S
-            if x < (STEP_S + c.lead_s) * closing:
-                return True
-        return False
+        within_s = STEP_S + c.lead_s
+        if isinstance(obstacle, _WallPlane) and obstacle.near_end:
+            edges = (edge.coefficients for edge in obstacle.ends.edges)
+            within_s = STEP_S + max(c.lead_s, *(one.lead_s for one in edges if one is not None))
+            return obstacle.ends.may_touch(self.q, self.position, within_s * (norm(v) + turning + _GAIN_M_S))
+        if isinstance(obstacle, _WallPlane):
+            n = obstacle.normal
+            x = clearance_m(self._guards, self.q, obstacle.ends.plane, self.position)
+        else:
+            near = obstacle.met.nearest(self.q, self.position)
+            n, x = near.normal, near.x_m
+        closing = max(0.0, -(n[0] * v[0] + n[1] * v[1])) + turning + _GAIN_M_S
+        return x < within_s * closing
 
     def _collide(
         self,

@@ -1,6 +1,7 @@
 """The simulated vehicle at the ends of walls and at posts: against an independent body, and energy."""
 
 import math
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -12,6 +13,8 @@ from dart_flight.base.geometry import GRAVITY_M_S2, MissionFrame, quaternion_fro
 from dart_flight.base.records import Mode
 from dart_flight.base.walls import Post, Wall
 from dart_flight.config.vehicle import Coefficients, Material, VehicleConfig
+from dart_flight.contact.cylinders import WallWithEnds
+from dart_flight.contact.propeller_guards import Touch
 from dart_flight.sim.plant import Plant
 from tests.oracles.ends_and_posts import Board, Pillar, Scene
 from tests.oracles.rigid_body import Body, Law
@@ -204,3 +207,42 @@ def test_no_contact_puts_energy_in(
     for _ in range(250):
         plant.advance((0.0,) * 4)
         assert energy(plant) <= before * 1.002 + 1e-3
+
+
+def test_what_is_left_out_far_from_an_end_changes_no_flight_past_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Past the end from before and from behind it, beside it, and into it from the side."""
+
+    def flown(place: tuple[float, float], velocity: tuple[float, float], yaw: float) -> tuple[Plant, int]:
+        plant = adrift(
+            body_vehicle(), Mode.FLEXIBLE, (board(0.0),), (), place, velocity, yaw, 0.05, 0.3 * velocity[1]
+        )
+        for _ in range(300):
+            plant.advance((0.0,) * 4)
+        return plant, len(plant.finished)
+
+    touch, calls = WallWithEnds.touch, []
+
+    def counted(self: WallWithEnds, *given: Any) -> Touch:
+        calls.append(1)
+        return touch(self, *given)
+
+    monkeypatch.setattr(WallWithEnds, "touch", counted)
+    rng = np.random.default_rng(5)
+    places, velocities = (
+        rng.uniform((0.4, -0.4), (1.4, 0.5), (16, 2)),
+        rng.uniform((-1.0, -2.0), (2.5, 2.0), (16, 2)),
+    )
+    cases = [
+        ((float(x), float(y)), (float(u), float(v)), float(yaw))
+        for (x, y), (u, v), yaw in zip(places, velocities, rng.uniform(0.0, 1.5, 16), strict=True)
+    ]
+    quick = [flown(*case) for case in cases]
+    looked_at = len(calls)
+    monkeypatch.setattr(WallWithEnds, "may_touch", lambda *_: True)
+    thorough = [flown(*case) for case in cases]
+    assert looked_at < 0.8 * (len(calls) - looked_at)
+    assert sum(hits for _, hits in quick) > 3
+    for (one, hits), (other, others) in zip(quick, thorough, strict=True):
+        assert hits == others
+        assert one.position == pytest.approx(other.position, abs=1e-6)
+        assert one.rate == pytest.approx(other.rate, abs=1e-4)
