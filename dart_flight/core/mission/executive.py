@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from typing import ClassVar, Final
 
-from dart_flight.base.geometry import Vec3, distance2, wrap_angle, yaw_ned_of
+from dart_flight.base.geometry import Vec3, distance2, rotate, wrap_angle, yaw_ned_of
 from dart_flight.base.records import (
     DetectionFloor,
     GoalPassed,
@@ -41,6 +41,7 @@ from dart_flight.core.mission.approach import (
 )
 from dart_flight.core.mission.commitment import STOP_MARGIN_M, may_commit
 from dart_flight.core.mission.contact_feedforward import LONGEST_S, ContactFeedforward
+from dart_flight.core.mission.heading import HeadingControl
 from dart_flight.core.mission.lock_orders import LockOrders
 from dart_flight.core.mission.phases import (
     AT_WALL,
@@ -76,6 +77,8 @@ _REST_AFTER_US: Final = 500_000
 _DISARM_AFTER_US: Final = 8_000_000
 # The wall stops the vehicle in a contact (but for `yielding`), PX4 lands it.
 _SILENT: Final = frozenset({Phase.READYING, Phase.CONTACT, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
+_SQUARE_RAD: Final = 0.09  # off in heading at a hit: a hit at 3 m/s turns the vehicle little from there
+_TURNED: Final = frozenset({Phase.CONTACT, Phase.RECOVERY, Phase.GOAL})
 _WORDS: Final = frozenset({PlanAnswer, OperatorRequest})
 _ANY_WALL: Final = ExpectedContact(watching=True)
 _NO_WALL: Final = ExpectedContact()
@@ -106,6 +109,9 @@ class Executive:
         self._lock = LockOrders(mission.vehicle.lock)
         self._replanning = ReplanRequests(mission)
         self._yielding = ContactFeedforward(mission.vehicle)
+        # Of missions along trajectories: between their hits there is no time to come to rest.
+        self._heading = None if mission.goal_trajectory is None else HeadingControl(mission.vehicle)
+        self._met_yaw = self._square_yaw = 0.0  # heading at the last contact, and wanted before the first
         self._stood_at_ned: Vec3 = (0.0, 0.0, 0.0)
         self._entered_us: int | None = None
         self._entered_host_us: int | None = None
@@ -464,6 +470,7 @@ class Executive:
             force = math.hypot(event.force_mission[0], event.force_mission[1])
             p.add_finding("unplanned_hit", f"unplanned impact of {force:.0f} N in phase {self.phase.value}")
             return
+        self._met_yaw = state.yaw
         wall, (x, y, _) = self._survey.wall_now(collision.wall), event.position_mission
         distance = wall.signed_distance((x, y))
         if distance > early_m(self.mission.vehicle.guard, wall, (x, y)):
@@ -476,6 +483,9 @@ class Executive:
 
     def _on_wall_estimate(self, felt: WallEstimate, p: Proposal) -> None:
         self._survey.add_estimate(felt)
+        wall = next((wall for wall in self.mission.walls if wall.name == felt.wall), None)
+        if wall is not None:
+            self._survey.add_direction(wall, self._met_yaw, felt)
         if felt.mode_felt is None or felt.mode_reported in (None, felt.mode_felt):
             return
         detail = (
@@ -584,9 +594,12 @@ class Executive:
     def _replan(self, following: Collision | None, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         """Ask for a way once the contact is over, and follow it once it begins."""
         planning, hit = self._replanning, self.mission.collisions[self._index - 1]
-        turned_rad = wrap_angle(state.yaw - self._references.yaw)
+        square_us = state.now_us
+        if self._heading is not None and following is not None:
+            off = state.yaw - self._references.yaw
+            square_us += round(1e6 * self._heading.time_to_s(off, _yaw_rate(state), _SQUARE_RAD))
         target = self._references.target
-        planning.request_once(hit, following, state, sensed, target, self._lock, p, turned_rad)
+        planning.request_once(hit, following, state, sensed, target, self._lock, p, square_us)
         if following is not None and following.approach_m_s is not None:
             approach = planning.approach(following, state.now_us, p)
             if approach is not None:
@@ -673,15 +686,28 @@ class Executive:
 
     def _wanted_yaw(self, state: FlightState) -> float:
         collision = self._collision
+        if self._heading is not None and self.phase is Phase.RECOVERY:
+            turned = 0.0 if collision is None else self._survey.turned(collision.wall)
+            return wrap_angle(self._square_yaw + turned)
         if collision is None or self.phase not in TO_IMPACT:
             return self._references.yaw
         return collision.wall.parallel_yaw(state.yaw)
+
+    def _yaw_asked(self, state: FlightState) -> float | None:
+        """The heading that leads to the wanted one, from a contact on; None: at once."""
+        if self._heading is None or self.phase not in _TURNED:
+            self._square_yaw = self._references.yaw
+            if self._heading is not None:
+                self._heading.begin(state.now_us)
+            return None
+        return self._heading.setpoint(self._references.yaw, state.yaw, _yaw_rate(state), state.now_us)
 
     def _send_setpoint(self, sample: OdometrySample, state: FlightState, p: Proposal) -> None:
         """One setpoint for every odometry sample, as the phase wants it."""
         frame = p.frame or state.frame
         if frame is None:
             return
+        self._references.yaw_asked = self._yaw_asked(state)
         if self.phase is Phase.CONTACT:
             if not self._takes_longer_than(LONGEST_S, state):
                 p.outputs.append(
@@ -699,6 +725,13 @@ class Executive:
         self._references.slew_yaw(self._wanted_yaw(state), state.now_us)
         forward = self._yielding.feed_forward if self.phase is Phase.RECOVERY else None
         p.outputs.append(self._references.setpoint(frame, sample.t_us, sample.received_us, since_us, forward))
+
+
+def _yaw_rate(state: FlightState) -> float:
+    """Of the heading, rad/s, mission frame."""
+    if state.imu is None or state.attitude is None:
+        return 0.0
+    return -rotate(state.attitude.q_frd_to_ned, state.imu.rate_frd)[2]
 
 
 def _lock_name(mission: Mission) -> str:

@@ -25,7 +25,8 @@ class SetpointGenerator:
 
     Attributes:
         target: where the vehicle is sent, mission frame, metres.
-        yaw: heading asked for, mission frame, radians.
+        yaw: heading wanted, mission frame, radians.
+        yaw_asked: heading asked for where that is not the one wanted yet (`heading`).
         altitude_m: at which the vehicle is sent anywhere.
     """
 
@@ -33,6 +34,7 @@ class SetpointGenerator:
         self._mission, self._flying = mission, mission.vehicle.flying
         self.target: Vec3 = (0.0, 0.0, 0.0)
         self.yaw = 0.0
+        self.yaw_asked: float | None = None
         self.altitude_m = mission.altitude_m
         self._way: TransitTrajectory | Approach | PlannedApproach | PlannedTrajectory | None = None
         self._yaw_us = 0
@@ -166,7 +168,7 @@ class SetpointGenerator:
             t_us=sample.t_us,
             trigger_received_us=sample.received_us,
             position_ned=frame.point_to_ned((p[0] + off * nx, p[1] + off * ny, self.altitude_m)),
-            yaw_ned_rad=frame.yaw_to_ned(self.yaw),
+            yaw_ned_rad=self._yaw_ned(frame),
             velocity_ned=frame.vector_to_ned((v[0] + off_m_s * nx, v[1] + off_m_s * ny, 0.0)),
             acceleration_ned=frame.vector_to_ned(self._feed_forward(reference)),
         )
@@ -187,10 +189,13 @@ class SetpointGenerator:
             t_us=sample.t_us,
             trigger_received_us=sample.received_us,
             position_ned=frame.point_to_ned((x, y, self.altitude_m)),
-            yaw_ned_rad=frame.yaw_to_ned(self.yaw),
+            yaw_ned_rad=self._yaw_ned(frame),
             velocity_ned=frame.vector_to_ned((vx, vy, 0.0)),
             acceleration_ned=frame.vector_to_ned(feed_forward or (0.0, 0.0, 0.0)),
         )
+
+    def _yaw_ned(self, frame: MissionFrame) -> float:
+        return frame.yaw_to_ned(self.yaw if self.yaw_asked is None else self.yaw_asked)
 
     def _make(
         self,
@@ -212,7 +217,7 @@ class SetpointGenerator:
             t_us=t_us,
             trigger_received_us=received_us,
             position_ned=frame.point_to_ned(position),
-            yaw_ned_rad=frame.yaw_to_ned(self.yaw),
+            yaw_ned_rad=self._yaw_ned(frame),
             velocity_ned=velocity,
             acceleration_ned=acceleration,
             recovery=recovery,
