@@ -12,6 +12,7 @@ from typing import ClassVar, Final
 
 from dart_flight.base.geometry import Vec3, distance2, rotate, wrap_angle, yaw_ned_of
 from dart_flight.base.records import (
+    AfterImpact,
     DetectionFloor,
     GoalPassed,
     ImpactOnset,
@@ -58,7 +59,7 @@ from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.core.mission.replan_requests import ReplanRequests
 from dart_flight.core.mission.setpoint_generator import SetpointGenerator
-from dart_flight.core.mission.trajectories import PlannedTrajectory
+from dart_flight.core.mission.trajectories import PlannedTrajectory, TrajectoryPoint
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls, early_m, late_s, overrun_m
 from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.senses import Sensed
@@ -78,6 +79,7 @@ _DISARM_AFTER_US: Final = 8_000_000
 # The wall stops the vehicle in a contact (but for `yielding`), PX4 lands it.
 _SILENT: Final = frozenset({Phase.READYING, Phase.CONTACT, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
 _SQUARE_RAD: Final = 0.09  # off in heading at a hit: a hit at 3 m/s turns the vehicle little from there
+_COASTS_US: Final = 500_000  # after a contact, until when an answer is there, even to a second request
 _TURNED: Final = frozenset({Phase.CONTACT, Phase.RECOVERY, Phase.GOAL})
 _WORDS: Final = frozenset({PlanAnswer, OperatorRequest})
 _ANY_WALL: Final = ExpectedContact(watching=True)
@@ -111,6 +113,15 @@ class Executive:
         self._yielding = ContactFeedforward(mission.vehicle)
         # Of missions along trajectories: between their hits there is no time to come to rest.
         self._heading = None if mission.goal_trajectory is None else HeadingControl(mission.vehicle)
+        # After a contact; by the collision that they lead to, None: to the goal.
+        self._written = {
+            index: PlannedTrajectory.from_pieces(pieces, mission.altitude_m)
+            for index, pieces in (
+                *((c.index, c.trajectory) for c in mission.collisions if c.approach_m_s is None),
+                (None, mission.goal_trajectory),
+            )
+            if pieces is not None and mission.after_impact is AfterImpact.REPLAN
+        }
         self._met_yaw = self._square_yaw = 0.0  # heading at the last contact, and wanted before the first
         self._stood_at_ned: Vec3 = (0.0, 0.0, 0.0)
         self._entered_us: int | None = None
@@ -599,7 +610,8 @@ class Executive:
             off = state.yaw - self._references.yaw
             square_us += round(1e6 * self._heading.time_to_s(off, _yaw_rate(state), _SQUARE_RAD))
         target = self._references.target
-        planning.request_once(hit, following, state, sensed, target, self._lock, p, square_us)
+        coasts = self._coasts(state)
+        planning.request_once(hit, following, state, sensed, target, self._lock, p, square_us, coasts)
         if following is not None and following.approach_m_s is not None:
             approach = planning.approach(following, state.now_us, p)
             if approach is not None:
@@ -693,6 +705,27 @@ class Executive:
             return self._references.yaw
         return collision.wall.parallel_yaw(state.yaw)
 
+    def _coasts(self, state: FlightState) -> bool:
+        """Whether a trajectory of the mission's is about to go on after a contact.
+
+        A setpoint far away, as it leads a recovery, would have PX4's integral gather until then what puts
+        the vehicle beside the trajectory.
+        """
+        if self.phase is not Phase.RECOVERY or self._written_next is None:
+            return False
+        end_us = self._lock.contact_end_us
+        return end_us is None or state.now_us - end_us < _COASTS_US
+
+    @property
+    def _written_next(self) -> PlannedTrajectory | None:
+        """The mission's own trajectory to what comes next."""
+        return self._written.get(None if self._collision is None else self._collision.index)
+
+    def _planned_after_contact(self, state: FlightState) -> TrajectoryPoint | None:
+        """Where the mission's trajectory would be if it began where the contact ended; None: in contact."""
+        way, end_us = self._written_next, self._lock.contact_end_us
+        return None if way is None or end_us is None else way.at((state.now_us - end_us) * 1e-6)
+
     def _yaw_asked(self, state: FlightState) -> float | None:
         """The heading that leads to the wanted one, from a contact on; None: at once."""
         if self._heading is None or self.phase not in _TURNED:
@@ -717,6 +750,14 @@ class Executive:
         if self.phase in _SILENT:
             return
         since_us = self._trajectory_since_us
+        if since_us is None and self._coasts(state):
+            self._references.slew_yaw(self._wanted_yaw(state), state.now_us)
+            p.outputs.append(
+                self._references.contact_setpoint(
+                    frame, sample, self._yielding.feed_forward, self._planned_after_contact(state)
+                )
+            )
+            return
         collision = self._collision
         if collision is not None and since_us is not None and self._until_impact_s(state) < _COASTING_S:
             coasting = self._references.coasting_setpoint(frame, sample, since_us, collision.wall)

@@ -68,6 +68,7 @@ class ReplanRequests:
         lock: LockOrders,
         p: Proposal,
         square_us: int = 0,
+        coasts: bool = False,
     ) -> None:
         """Ask for what comes next: once after each contact, along the mission's own trajectories again and
         again, because what PX4's loop is off by takes longer to fade than they last.
@@ -81,6 +82,7 @@ class ReplanRequests:
             lock: says when it can be settled in the mode that comes next.
             p: takes the request.
             square_us: from when on the vehicle is square to the wall again that the contact has turned it from.
+            coasts: no setpoint leads anywhere, only thrust is asked for.
         """
         self._felt |= sensed.wall is not None
         again = self._is_time_again(state.now_us)
@@ -111,6 +113,7 @@ class ReplanRequests:
             again and self._way is not None,
             # What it is needed for: the lean into a wall that a trajectory of the mission's leads to.
             sensed.height_m if along else None,
+            coasts,
         )
         p.outputs.append(self._asked)
 

@@ -180,11 +180,21 @@ class SetpointGenerator:
         return self._make(frame, t_us, received_us, self.target, recovery=True, feed_forward=feed_forward)
 
     def contact_setpoint(
-        self, frame: MissionFrame, sample: OdometrySample, feed_forward: Vec3 | None
+        self,
+        frame: MissionFrame,
+        sample: OdometrySample,
+        feed_forward: Vec3 | None,
+        reference: TrajectoryPoint | None = None,
     ) -> Setpoint:
-        """What the vehicle does anyway, at the present altitude: nothing pushes on into a wall."""
+        """What the vehicle does anyway, at the present altitude: nothing pushes on into a wall.
+
+        Of a trajectory (`reference`) that begins after the contact only the thrust is asked for.
+        """
         x, y, _ = frame.point_from_ned(sample.position_ned)
         vx, vy, _ = frame.vector_from_ned(sample.velocity_ned)
+        if reference is not None:
+            push, extra = self._feed_forward(reference), feed_forward or (0.0, 0.0, 0.0)
+            feed_forward = (push[0] + extra[0], push[1] + extra[1], 0.0)
         return Setpoint(
             t_us=sample.t_us,
             trigger_received_us=sample.received_us,
