@@ -722,9 +722,15 @@ class Executive:
         return self._written.get(None if self._collision is None else self._collision.index)
 
     def _planned_after_contact(self, state: FlightState) -> TrajectoryPoint | None:
-        """Where the mission's trajectory would be if it began where the contact ended; None: in contact."""
+        """Where the mission's trajectory would be if it began where the contact ended.
+
+        None: in contact, or the vehicle is as fast already, as one is that left the wall leaning away.
+        """
         way, end_us = self._written_next, self._lock.contact_end_us
-        return None if way is None or end_us is None else way.at((state.now_us - end_us) * 1e-6)
+        if way is None or end_us is None:
+            return None
+        planned = way.at((state.now_us - end_us) * 1e-6)
+        return planned if math.hypot(*state.velocity[:2]) < math.hypot(*planned.velocity[:2]) else None
 
     def _yaw_asked(self, state: FlightState) -> float | None:
         """The heading that leads to the wanted one, from a contact on; None: at once."""

@@ -15,7 +15,7 @@ from dart_flight.base.geometry import wrap_angle
 from dart_flight.config.vehicle import VehicleConfig
 
 _MOST_TORQUE: Final = 0.15  # normalised: what PX4 keeps for yaw where motors are at their limits
-_BRAKING: Final = 0.8  # of the torque; the rest is for errors and delay
+_SURE: Final = 0.8  # of the torque; the rest is for errors and delay
 _STEP_S: Final = 0.02
 _MOST_STEPS: Final = 200
 
@@ -65,13 +65,13 @@ class HeadingControl:
         for step in range(_MOST_STEPS):
             if abs(off) > within:
                 last = step + 1
-            rate += _STEP_S * self._most_rad_s2 * self._torque(-off, rate) / _MOST_TORQUE
+            rate += _STEP_S * _SURE * self._most_rad_s2 * self._torque(-off, rate) / _MOST_TORQUE
             off = wrap_angle(off + _STEP_S * rate)
         return last * _STEP_S
 
     def _torque(self, to: float, rate: float) -> float:
         """Normalised torque towards a heading so far away, from which a part of the torque stops in time."""
-        braking = _BRAKING * self._most_rad_s2
+        braking = _SURE * self._most_rad_s2
         linear = braking / self._per_s**2
         wanted = self._per_s * to
         if abs(to) > linear:

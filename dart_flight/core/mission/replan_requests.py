@@ -48,6 +48,7 @@ class ReplanRequests:
         self._from_rest = False  # what was asked for has an approach of its own
         self._way: PlannedTrajectory | None = None
         self._begin_us = 0  # of the way
+        self._quickest = True  # the way is given up only for one that ends not much later
         self._impact_us: int | None = None  # when the way meets the next wall
 
     # -- request and answer --
@@ -99,6 +100,8 @@ class ReplanRequests:
         self._tries += 1
         self._from_rest = following is not None and following.approach_m_s is not None
         ready_us = state.now_us if following is None else lock.ready_us(following.mode, state)
+        # A wall that would be met askew is not flown at any longer, whatever takes its place.
+        askew = self._way is not None and (self._impact_us or square_us) < square_us
         m, (push_x, push_y) = self._mission.vehicle.airframe.mass_kg, sensed.estimate.push_mission
         self._asked = PlanRequest(
             state.now_us,
@@ -110,11 +113,12 @@ class ReplanRequests:
             (push_x / m, push_y / m, 0.0),
             setpoint,
             None if ready_us is None else max(ready_us, square_us),
-            again and self._way is not None,
+            again and self._way is not None and not askew,
             # What it is needed for: the lean into a wall that a trajectory of the mission's leads to.
             sensed.height_m if along else None,
-            coasts,
+            coasts or askew,
         )
+        self._quickest = not askew
         p.outputs.append(self._asked)
 
     def _is_time_again(self, now_us: int) -> bool:
@@ -200,7 +204,7 @@ class ReplanRequests:
     def _is_on_a_quicker(self, way: PlannedTrajectory, begin_us: int, state: FlightState) -> bool:
         """Whether the trajectory that is flown, and held to, ends well before another one."""
         flown = self._way
-        if flown is None:
+        if flown is None or not self._quickest:
             return False
         since_s = (state.now_us - self._begin_us) * 1e-6
         off_m = math.dist(flown.at(since_s).position[:2], state.position[:2])
