@@ -265,7 +265,7 @@ class Replanner:
     def _start(self, request: PlanRequest) -> tuple[Array, Array]:
         """Position, velocity, acceleration per axis when the way begins: the loop flies on until then."""
         ahead_s = (request.begin_us - request.t_us) * 1e-6
-        if request.under_way:  # its reference changes little in so short a time
+        if request.under_way or request.coasts:  # what is asked for changes little in so short a time
             vectors = (request.position_mission, request.velocity_mission, request.acceleration_mission)
             place, speed, push = (np.array(vector[:2]) for vector in vectors)
             states = np.stack(

@@ -27,6 +27,7 @@ from dart_flight.sim.allocation import Allocation
 
 _FREE = (math.nan, math.nan, math.nan)
 _MAX_RATE = (math.radians(220.0), math.radians(220.0), math.radians(200.0))  # MC_*RATE_MAX defaults
+_NOT_SUMMED: Final = math.radians(400.0)  # the larger a rate error, the less of it goes into the integral
 _MAX_YAW: Final = 0.15  # of the normalised torque
 _YAW_WEIGHT: Final = 0.4  # MC_YAW_WEIGHT default
 _HORIZONTAL_MARGIN: Final = 0.3  # MPC_THR_XY_MARG default: thrust kept for horizontal control when saturated
@@ -186,7 +187,8 @@ class Cascade:
             most, now, summed = _MAX_RATE[i], rate[i], integral[i]
             rate_error = max(-most, min(most, kp * sign * error[i + 1])) - now
             torque[i] = p * rate_error + summed - d * ((now - last[i]) / dt_s)
-            integral[i] = max(-0.3, min(0.3, summed + ki * rate_error * dt_s))
+            share = max(0.0, 1.0 - (rate_error / _NOT_SUMMED) ** 2)
+            integral[i] = max(-0.3, min(0.3, summed + share * ki * rate_error * dt_s))
         self._rate_last = rate
         yaw = max(-_MAX_YAW, min(_MAX_YAW, torque[2]))
         shares = self._allocation.shares(torque[0], torque[1], yaw, self.thrust_setpoint)

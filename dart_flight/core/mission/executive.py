@@ -10,8 +10,9 @@ import math
 from collections.abc import Callable
 from typing import ClassVar, Final
 
-from dart_flight.base.geometry import Vec3, distance2, wrap_angle, yaw_ned_of
+from dart_flight.base.geometry import Vec3, distance2, rotate, wrap_angle, yaw_ned_of
 from dart_flight.base.records import (
+    AfterImpact,
     DetectionFloor,
     GoalPassed,
     ImpactOnset,
@@ -41,6 +42,7 @@ from dart_flight.core.mission.approach import (
 )
 from dart_flight.core.mission.commitment import STOP_MARGIN_M, may_commit
 from dart_flight.core.mission.contact_feedforward import LONGEST_S, ContactFeedforward
+from dart_flight.core.mission.heading import HeadingControl
 from dart_flight.core.mission.lock_orders import LockOrders
 from dart_flight.core.mission.phases import (
     AT_WALL,
@@ -57,7 +59,7 @@ from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.core.mission.replan_requests import ReplanRequests
 from dart_flight.core.mission.setpoint_generator import SetpointGenerator
-from dart_flight.core.mission.trajectories import PlannedTrajectory
+from dart_flight.core.mission.trajectories import PlannedTrajectory, TrajectoryPoint
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls, early_m, late_s, overrun_m
 from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.senses import Sensed
@@ -76,6 +78,9 @@ _REST_AFTER_US: Final = 500_000
 _DISARM_AFTER_US: Final = 8_000_000
 # The wall stops the vehicle in a contact (but for `yielding`), PX4 lands it.
 _SILENT: Final = frozenset({Phase.READYING, Phase.CONTACT, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
+_SQUARE_RAD: Final = 0.09  # off in heading at a hit: a hit at 3 m/s turns the vehicle little from there
+_COASTS_US: Final = 500_000  # after a contact, until when an answer is there, even to a second request
+_TURNED: Final = frozenset({Phase.CONTACT, Phase.RECOVERY, Phase.GOAL})
 _WORDS: Final = frozenset({PlanAnswer, OperatorRequest})
 _ANY_WALL: Final = ExpectedContact(watching=True)
 _NO_WALL: Final = ExpectedContact()
@@ -106,6 +111,18 @@ class Executive:
         self._lock = LockOrders(mission.vehicle.lock)
         self._replanning = ReplanRequests(mission)
         self._yielding = ContactFeedforward(mission.vehicle)
+        # Of missions along trajectories: between their hits there is no time to come to rest.
+        self._heading = None if mission.goal_trajectory is None else HeadingControl(mission.vehicle)
+        # After a contact; by the collision that they lead to, None: to the goal.
+        self._written = {
+            index: PlannedTrajectory.from_pieces(pieces, mission.altitude_m)
+            for index, pieces in (
+                *((c.index, c.trajectory) for c in mission.collisions if c.approach_m_s is None),
+                (None, mission.goal_trajectory),
+            )
+            if pieces is not None and mission.after_impact is AfterImpact.REPLAN
+        }
+        self._met_yaw = self._square_yaw = 0.0  # heading at the last contact, and wanted before the first
         self._stood_at_ned: Vec3 = (0.0, 0.0, 0.0)
         self._entered_us: int | None = None
         self._entered_host_us: int | None = None
@@ -464,6 +481,7 @@ class Executive:
             force = math.hypot(event.force_mission[0], event.force_mission[1])
             p.add_finding("unplanned_hit", f"unplanned impact of {force:.0f} N in phase {self.phase.value}")
             return
+        self._met_yaw = state.yaw
         wall, (x, y, _) = self._survey.wall_now(collision.wall), event.position_mission
         distance = wall.signed_distance((x, y))
         if distance > early_m(self.mission.vehicle.guard, wall, (x, y)):
@@ -476,6 +494,9 @@ class Executive:
 
     def _on_wall_estimate(self, felt: WallEstimate, p: Proposal) -> None:
         self._survey.add_estimate(felt)
+        wall = next((wall for wall in self.mission.walls if wall.name == felt.wall), None)
+        if wall is not None:
+            self._survey.add_direction(wall, self._met_yaw, felt)
         if felt.mode_felt is None or felt.mode_reported in (None, felt.mode_felt):
             return
         detail = (
@@ -584,9 +605,13 @@ class Executive:
     def _replan(self, following: Collision | None, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         """Ask for a way once the contact is over, and follow it once it begins."""
         planning, hit = self._replanning, self.mission.collisions[self._index - 1]
-        turned_rad = wrap_angle(state.yaw - self._references.yaw)
+        square_us = state.now_us
+        if self._heading is not None and following is not None:
+            off = state.yaw - self._references.yaw
+            square_us += round(1e6 * self._heading.time_to_s(off, _yaw_rate(state), _SQUARE_RAD))
         target = self._references.target
-        planning.request_once(hit, following, state, sensed, target, self._lock, p, turned_rad)
+        coasts = self._coasts(state)
+        planning.request_once(hit, following, state, sensed, target, self._lock, p, square_us, coasts)
         if following is not None and following.approach_m_s is not None:
             approach = planning.approach(following, state.now_us, p)
             if approach is not None:
@@ -673,15 +698,55 @@ class Executive:
 
     def _wanted_yaw(self, state: FlightState) -> float:
         collision = self._collision
+        if self._heading is not None and self.phase is Phase.RECOVERY:
+            turned = 0.0 if collision is None else self._survey.turned(collision.wall)
+            return wrap_angle(self._square_yaw + turned)
         if collision is None or self.phase not in TO_IMPACT:
             return self._references.yaw
         return collision.wall.parallel_yaw(state.yaw)
+
+    def _coasts(self, state: FlightState) -> bool:
+        """Whether a trajectory of the mission's is about to go on after a contact.
+
+        A setpoint far away, as it leads a recovery, would have PX4's integral gather until then what puts
+        the vehicle beside the trajectory.
+        """
+        if self.phase is not Phase.RECOVERY or self._written_next is None:
+            return False
+        end_us = self._lock.contact_end_us
+        return end_us is None or state.now_us - end_us < _COASTS_US
+
+    @property
+    def _written_next(self) -> PlannedTrajectory | None:
+        """The mission's own trajectory to what comes next."""
+        return self._written.get(None if self._collision is None else self._collision.index)
+
+    def _planned_after_contact(self, state: FlightState) -> TrajectoryPoint | None:
+        """Where the mission's trajectory would be if it began where the contact ended.
+
+        None: in contact, or the vehicle is as fast already, as one is that left the wall leaning away.
+        """
+        way, end_us = self._written_next, self._lock.contact_end_us
+        if way is None or end_us is None:
+            return None
+        planned = way.at((state.now_us - end_us) * 1e-6)
+        return planned if math.hypot(*state.velocity[:2]) < math.hypot(*planned.velocity[:2]) else None
+
+    def _yaw_asked(self, state: FlightState) -> float | None:
+        """The heading that leads to the wanted one, from a contact on; None: at once."""
+        if self._heading is None or self.phase not in _TURNED:
+            self._square_yaw = self._references.yaw
+            if self._heading is not None:
+                self._heading.begin(state.now_us)
+            return None
+        return self._heading.setpoint(self._references.yaw, state.yaw, _yaw_rate(state), state.now_us)
 
     def _send_setpoint(self, sample: OdometrySample, state: FlightState, p: Proposal) -> None:
         """One setpoint for every odometry sample, as the phase wants it."""
         frame = p.frame or state.frame
         if frame is None:
             return
+        self._references.yaw_asked = self._yaw_asked(state)
         if self.phase is Phase.CONTACT:
             if not self._takes_longer_than(LONGEST_S, state):
                 p.outputs.append(
@@ -691,6 +756,14 @@ class Executive:
         if self.phase in _SILENT:
             return
         since_us = self._trajectory_since_us
+        if since_us is None and self._coasts(state):
+            self._references.slew_yaw(self._wanted_yaw(state), state.now_us)
+            p.outputs.append(
+                self._references.contact_setpoint(
+                    frame, sample, self._yielding.feed_forward, self._planned_after_contact(state)
+                )
+            )
+            return
         collision = self._collision
         if collision is not None and since_us is not None and self._until_impact_s(state) < _COASTING_S:
             coasting = self._references.coasting_setpoint(frame, sample, since_us, collision.wall)
@@ -699,6 +772,13 @@ class Executive:
         self._references.slew_yaw(self._wanted_yaw(state), state.now_us)
         forward = self._yielding.feed_forward if self.phase is Phase.RECOVERY else None
         p.outputs.append(self._references.setpoint(frame, sample.t_us, sample.received_us, since_us, forward))
+
+
+def _yaw_rate(state: FlightState) -> float:
+    """Of the heading, rad/s, mission frame."""
+    if state.imu is None or state.attitude is None:
+        return 0.0
+    return -rotate(state.attitude.q_frd_to_ned, state.imu.rate_frd)[2]
 
 
 def _lock_name(mission: Mission) -> str:

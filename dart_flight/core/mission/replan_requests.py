@@ -32,8 +32,6 @@ _TRIES = 6  # at a trajectory from a contact on
 _LATER_S = 0.15  # that a new trajectory may end after the one that is flown
 # Where the vehicle may be beside the beginning of a way: what the loop takes out within a few tenths.
 _BESIDE_M, _BESIDE_M_S = 0.08, 0.25
-# How far the heading may go by this time before a way to a wall begins: a contact may turn the vehicle.
-_TURNED_S, _TURNED_RAD = 0.3, 0.7
 
 
 class ReplanRequests:
@@ -50,6 +48,7 @@ class ReplanRequests:
         self._from_rest = False  # what was asked for has an approach of its own
         self._way: PlannedTrajectory | None = None
         self._begin_us = 0  # of the way
+        self._quickest = True  # the way is given up only for one that ends not much later
         self._impact_us: int | None = None  # when the way meets the next wall
 
     # -- request and answer --
@@ -69,7 +68,8 @@ class ReplanRequests:
         setpoint: Vec3,
         lock: LockOrders,
         p: Proposal,
-        turned_rad: float = 0.0,
+        square_us: int = 0,
+        coasts: bool = False,
     ) -> None:
         """Ask for what comes next: once after each contact, along the mission's own trajectories again and
         again, because what PX4's loop is off by takes longer to fade than they last.
@@ -82,7 +82,8 @@ class ReplanRequests:
             setpoint: in force until the way begins, mission frame, m.
             lock: says when it can be settled in the mode that comes next.
             p: takes the request.
-            turned_rad: heading less the wanted one.
+            square_us: from when on the vehicle is square to the wall again that the contact has turned it from.
+            coasts: no setpoint leads anywhere, only thrust is asked for.
         """
         self._felt |= sensed.wall is not None
         again = self._is_time_again(state.now_us)
@@ -95,11 +96,12 @@ class ReplanRequests:
         if returns and state.now_us - (lock.contact_end_us or 0) < _FELT_WITHIN_US:
             return
         along = following is not None and following.trajectory is not None
-        if along and self._way is None and _is_turning(turned_rad, state):
-            return
         self._number += 1
         self._tries += 1
         self._from_rest = following is not None and following.approach_m_s is not None
+        ready_us = state.now_us if following is None else lock.ready_us(following.mode, state)
+        # A wall that would be met askew is not flown at any longer, whatever takes its place.
+        askew = self._way is not None and (self._impact_us or square_us) < square_us
         m, (push_x, push_y) = self._mission.vehicle.airframe.mass_kg, sensed.estimate.push_mission
         self._asked = PlanRequest(
             state.now_us,
@@ -110,11 +112,13 @@ class ReplanRequests:
             state.velocity,
             (push_x / m, push_y / m, 0.0),
             setpoint,
-            state.now_us if following is None else lock.ready_us(following.mode, state),
-            again and self._way is not None,
+            None if ready_us is None else max(ready_us, square_us),
+            again and self._way is not None and not askew,
             # What it is needed for: the lean into a wall that a trajectory of the mission's leads to.
             sensed.height_m if along else None,
+            coasts or askew,
         )
+        self._quickest = not askew
         p.outputs.append(self._asked)
 
     def _is_time_again(self, now_us: int) -> bool:
@@ -200,7 +204,7 @@ class ReplanRequests:
     def _is_on_a_quicker(self, way: PlannedTrajectory, begin_us: int, state: FlightState) -> bool:
         """Whether the trajectory that is flown, and held to, ends well before another one."""
         flown = self._way
-        if flown is None:
+        if flown is None or not self._quickest:
             return False
         since_s = (state.now_us - self._begin_us) * 1e-6
         off_m = math.dist(flown.at(since_s).position[:2], state.position[:2])
@@ -233,12 +237,6 @@ class ReplanRequests:
         closing_m_s = -(state.velocity[0] * wall.normal[0] + state.velocity[1] * wall.normal[1])
         most_s = late_s(self._mission.vehicle.guard, wall, state.position, closing_m_s)
         return state.now_us - self._impact_us > most_s * 1e6
-
-
-def _is_turning(turned_rad: float, state: FlightState) -> bool:
-    """Whether a contact has turned the vehicle so far, or so fast, that it would not meet a wall square."""
-    rate = 0.0 if state.imu is None else state.imu.rate_frd[2]  # down: against the mission's heading
-    return abs(turned_rad - _TURNED_S * rate) > _TURNED_RAD
 
 
 def _makes_sense(answer: PlanAnswer, asked: PlanRequest, from_rest: bool) -> bool:

@@ -25,7 +25,8 @@ class SetpointGenerator:
 
     Attributes:
         target: where the vehicle is sent, mission frame, metres.
-        yaw: heading asked for, mission frame, radians.
+        yaw: heading wanted, mission frame, radians.
+        yaw_asked: heading asked for where that is not the one wanted yet (`heading`).
         altitude_m: at which the vehicle is sent anywhere.
     """
 
@@ -33,6 +34,7 @@ class SetpointGenerator:
         self._mission, self._flying = mission, mission.vehicle.flying
         self.target: Vec3 = (0.0, 0.0, 0.0)
         self.yaw = 0.0
+        self.yaw_asked: float | None = None
         self.altitude_m = mission.altitude_m
         self._way: TransitTrajectory | Approach | PlannedApproach | PlannedTrajectory | None = None
         self._yaw_us = 0
@@ -166,7 +168,7 @@ class SetpointGenerator:
             t_us=sample.t_us,
             trigger_received_us=sample.received_us,
             position_ned=frame.point_to_ned((p[0] + off * nx, p[1] + off * ny, self.altitude_m)),
-            yaw_ned_rad=frame.yaw_to_ned(self.yaw),
+            yaw_ned_rad=self._yaw_ned(frame),
             velocity_ned=frame.vector_to_ned((v[0] + off_m_s * nx, v[1] + off_m_s * ny, 0.0)),
             acceleration_ned=frame.vector_to_ned(self._feed_forward(reference)),
         )
@@ -178,19 +180,32 @@ class SetpointGenerator:
         return self._make(frame, t_us, received_us, self.target, recovery=True, feed_forward=feed_forward)
 
     def contact_setpoint(
-        self, frame: MissionFrame, sample: OdometrySample, feed_forward: Vec3 | None
+        self,
+        frame: MissionFrame,
+        sample: OdometrySample,
+        feed_forward: Vec3 | None,
+        reference: TrajectoryPoint | None = None,
     ) -> Setpoint:
-        """What the vehicle does anyway, at the present altitude: nothing pushes on into a wall."""
+        """What the vehicle does anyway, at the present altitude: nothing pushes on into a wall.
+
+        Of a trajectory (`reference`) that begins after the contact only the thrust is asked for.
+        """
         x, y, _ = frame.point_from_ned(sample.position_ned)
         vx, vy, _ = frame.vector_from_ned(sample.velocity_ned)
+        if reference is not None:
+            push, extra = self._feed_forward(reference), feed_forward or (0.0, 0.0, 0.0)
+            feed_forward = (push[0] + extra[0], push[1] + extra[1], 0.0)
         return Setpoint(
             t_us=sample.t_us,
             trigger_received_us=sample.received_us,
             position_ned=frame.point_to_ned((x, y, self.altitude_m)),
-            yaw_ned_rad=frame.yaw_to_ned(self.yaw),
+            yaw_ned_rad=self._yaw_ned(frame),
             velocity_ned=frame.vector_to_ned((vx, vy, 0.0)),
             acceleration_ned=frame.vector_to_ned(feed_forward or (0.0, 0.0, 0.0)),
         )
+
+    def _yaw_ned(self, frame: MissionFrame) -> float:
+        return frame.yaw_to_ned(self.yaw if self.yaw_asked is None else self.yaw_asked)
 
     def _make(
         self,
@@ -212,7 +227,7 @@ class SetpointGenerator:
             t_us=t_us,
             trigger_received_us=received_us,
             position_ned=frame.point_to_ned(position),
-            yaw_ned_rad=frame.yaw_to_ned(self.yaw),
+            yaw_ned_rad=self._yaw_ned(frame),
             velocity_ned=velocity,
             acceleration_ned=acceleration,
             recovery=recovery,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import msgspec
 
-from dart_flight.base.geometry import Vec2, Vec3
+from dart_flight.base.geometry import Vec2, Vec3, wrap_angle
 from dart_flight.base.records import WallEstimate
 from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle.flying import GuardThresholds
@@ -16,6 +16,7 @@ from dart_flight.core.mission.arithmetic import Number
 
 SURE_SD = 3.0  # standard deviations that are reckoned with
 _MIN_CLOSING_M_S = 0.1
+_SQUARE_RAD = 0.17  # heading against the planned wall; what is felt at more is not the wall's direction
 
 
 def position_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
@@ -56,10 +57,21 @@ class EstimatedWalls:
 
     def __init__(self) -> None:
         self._felt: dict[str, WallEstimate] = {}
+        self._turned: dict[str, float] = {}
 
     def add_estimate(self, felt: WallEstimate) -> None:
         """Take where a contact has found its wall's plane."""
         self._felt[felt.wall] = felt
+
+    def add_direction(self, wall: Wall, yaw: float, felt: WallEstimate) -> None:
+        """Take how a wall was felt to be turned by a vehicle that met it at a heading (rad, mission frame)."""
+        off = wrap_angle(yaw - wall.parallel_yaw(yaw))
+        if abs(off) < _SQUARE_RAD:
+            self._turned[wall.name] = wrap_angle(off - felt.incidence_rad)
+
+    def turned(self, wall: Wall) -> float:
+        """By how much a wall is turned against the mission's, rad; positive: to the left."""
+        return self._turned.get(wall.name, 0.0)
 
     def wall_now(self, wall: Wall) -> Wall:
         """A wall where it was met last, and as surely as that contact told; as the mission has it before."""
