@@ -1,9 +1,9 @@
-"""The embedded autopilot's state estimator: dead reckoning on the IMU, corrected by delayed poses or GPS fixes.
+"""The embedded autopilot's state estimator: dead reckoning on the IMU, corrected by late poses or GPS fixes.
 
-It stands where PX4 has its EKF2: with fixed gains for motion capture, with a small Kalman filter for GPS, whose
-weights are those of PX4's parameters. Enough to have PX4's kinds of error (noise, delay, the velocity error that
-a clipped accelerometer leaves behind, a position that follows a wandering receiver or drifts by its velocity),
-not a copy of it.
+It stands where PX4 has its EKF2: with fixed gains for motion capture, with a small Kalman filter for GPS,
+whose weights are those of PX4's parameters. Enough to have PX4's kinds of error (noise, delay, the velocity
+error that a clipped accelerometer leaves behind, a position that follows a wandering receiver or drifts by
+its velocity), not a copy of it.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ class Estimator:
 
 
 class GpsWeights(NamedTuple):
-    """What the filter believes: PX4's EKF2_GPS_P_NOISE (m), EKF2_GPS_V_NOISE (m/s), and the accelerometer's bias
+    """What the filter believes: EKF2_GPS_P_NOISE (m), EKF2_GPS_V_NOISE (m/s), and the accelerometer's bias
     that it has learnt standing (NED, m/s2)."""
 
     position_m: float

@@ -93,8 +93,8 @@ class Estimation(Section, frozen=True, kw_only=True):
         baseline_limit_n: largest force that the baseline takes off.
         arm_vibration: what the IMU feels of the unlocked arms; null: not taken out.
         walls: what is believed of a wall before it is met.
-        position_drift_m_s: standard deviation of the velocity with which PX4's position drifts where it is
-            carried by GPS's velocity; what is known of the mission frame between two contacts (docs/anchors.md).
+        position_drift_m_s: standard deviation of the velocity with which PX4's position drifts where GPS's
+            velocity carries it: what is known of the mission frame between two contacts (docs/anchors.md).
     """
 
     thrust_source: ThrustSource

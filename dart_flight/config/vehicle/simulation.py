@@ -125,8 +125,8 @@ class Simulation(Section, frozen=True, kw_only=True):
         imu_ringing: what motors and frame shake into the accelerometer while the motors turn; null: nothing.
         imu_position_m: [forward, right, down] of the centre of mass, where the IMU really is.
         replan_latency_s: from a request to plan anew to its answer, where time is simulated.
-        position_from: where the embedded autopilot has its position from: mocap: motion capture; rtk, plain: a
-            GPS receiver with or without corrections. A real PX4 has options for it.
+        position_from: where the embedded autopilot has its position from: mocap: motion capture; rtk, plain:
+            a GPS receiver with or without corrections. A real PX4 has options for it.
         operator_s: from the beginning of a pause to the operator's word, where time is simulated; null: there
             is none, the pause runs out.
     """

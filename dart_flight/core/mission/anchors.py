@@ -1,8 +1,8 @@
 """How well the mission frame is known where PX4's position drifts: contacts with walls put it right.
 
-A contact tells the place of its wall to a centimetre or two, along the wall's normal and nowhere else. Since then
-the position is carried by PX4's velocity, so its standard deviation grows with the age of the contact, in
-proportion: what drifts is a velocity's bias (docs/anchors.md).
+A contact tells the place of its wall to a centimetre or two, along the wall's normal and nowhere else. Since
+then the position is carried by PX4's velocity, so its standard deviation grows with the age of the contact,
+in proportion: what drifts is a velocity's bias (docs/anchors.md).
 
     information = sum over anchors n n' / (s^2 + (drift age)^2),    sd along n = sqrt(n' information^-1 n)
 

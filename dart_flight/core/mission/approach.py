@@ -78,8 +78,10 @@ class Approach(msgspec.Struct, frozen=True):
 
 
 class PlannedApproach(msgspec.Struct, frozen=True):
-    """An approach along a trajectory, from rest at `begin` into the wall at `impact`: one of the mission, or a
-    probe, which ends at rest where it meets nothing."""
+    """An approach along a trajectory, from rest at `begin` into the wall at `impact`.
+
+    Of the mission's own, or of a probe, which ends at rest where it meets nothing.
+    """
 
     begin: Vec2
     impact: Vec2
