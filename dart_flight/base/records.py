@@ -568,10 +568,11 @@ class WallEstimate(Record, frozen=True, gc=False):
     incidence_sigma_rad: float
     plane_offset_m: float  # where the wall's plane stands along its normal, less where the mission has it
     plane_offset_sigma_m: float
-    # Of a wall whose direction is uncertain: as it was felt, against the one that the mission has.
-    turned_rad: float | None = None  # counter-clockwise seen from above
-    turned_sigma_rad: float | None = None
-    plane_point_mission: Vec2 | None = None  # on the wall's plane, where it was met
+    # Of a wall that carries a standard deviation: its plane as it was felt, where the vehicle's centre is at
+    # first touch.
+    plane_point_mission: Vec2 | None = None  # where it was met
+    plane_normal_mission: Vec2 | None = None
+    plane_normal_sigma_rad: float | None = None  # none: the direction is taken as known
     material: str | None = None  # of a wall of unknown material: the one of the table that fits best
 
 

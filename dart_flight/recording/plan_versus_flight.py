@@ -160,7 +160,7 @@ def _of_collision(
             tolerance.impact_m_s,
         )
     known = collision.wall
-    if planned.peak_force_n is not None and known.material_known:
+    if planned.peak_force_n is not None and collision.probe is None and known.material_known:
         allowed = tolerance.peak_force_share * planned.peak_force_n
         yield Deviation(f"{name} peak force, N", planned.peak_force_n, one.peak_force_n, allowed)
     if planned.place is not None and collision.probe is None and not known.sought:

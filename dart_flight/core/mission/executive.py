@@ -418,17 +418,19 @@ class Executive:
     def _begin_transit(self, state: FlightState, p: Proposal) -> None:
         collision = self._collision
         assert collision is not None
-        if collision.wall.sought or self._anchors is not None:
+        if collision.wall.sought or collision.probe is not None or self._anchors is not None:
             self._plan_approach_now(collision, state, p)
         self._references.fly_to(self._approaches[collision.index].begin)
 
     def _plan_approach_now(self, collision: Collision, state: FlightState, p: Proposal) -> None:
-        """The approach to a wall as it is known by now; a probe looks for it anyway."""
-        if collision.probe is not None or collision.trajectory is not None:
+        """The approach to a wall as it is known by now; a probe keeps its way, square to what was met there."""
+        if collision.trajectory is not None:
             return
         then_us = state.now_us + _RUN_UP_US
         known = collision_now(collision, self._survey, then_us)
         self._collisions[self._index] = known
+        if collision.probe is not None:
+            return
         walls = self._survey.walls_now(self.mission.walls, then_us)
         try:
             self._approaches[collision.index] = plan_approach(
@@ -536,9 +538,10 @@ class Executive:
 
     def _on_wall_estimate(self, felt: WallEstimate, state: FlightState, p: Proposal) -> None:
         hit = next(c.wall for c in self.mission.collisions if c.wall.name == felt.wall)
+        known = self._survey.wall_now(hit)
         self._survey.add_estimate(felt, hit)
-        if self._anchors is not None and not hit.sought:
-            self._anchor_at(hit, felt, state, p)
+        if self._anchors is not None and not known.sought:
+            self._anchor_at(known, felt, state, p)
         if felt.mode_felt is None or felt.mode_reported in (None, felt.mode_felt):
             return
         detail = (
@@ -550,7 +553,7 @@ class Executive:
     def _anchor_at(self, wall: Wall, felt: WallEstimate, state: FlightState, p: Proposal) -> None:
         """Put the mission frame right along the normal of a wall that was met.
 
-        The difference between where it was met and where the mission has it is shared by the frame and the
+        The difference between where it was met and where it was taken to be is shared by the frame and the
         wall as their variances are.
         """
         anchors, frame = self._anchors, p.frame or state.frame
@@ -561,7 +564,8 @@ class Executive:
         expected = anchors.sd_m(wall.normal, felt.t_us)
         rest2 = wall_sd * wall_sd + told_sd * told_sd
         gain = expected * expected / (expected * expected + rest2)
-        moved = gain * felt.plane_offset_m
+        place = felt.plane_point_mission
+        moved = gain * (felt.plane_offset_m if place is None else wall.signed_distance(place))
         by = (moved * wall.normal[0], moved * wall.normal[1])
         age_s = anchors.age_s(wall.normal, felt.t_us)
         sd = expected * math.sqrt(1.0 - gain)

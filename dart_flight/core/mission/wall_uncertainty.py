@@ -68,8 +68,7 @@ class EstimatedWalls:
 
     def add_estimate(self, felt: WallEstimate, wall: Wall) -> None:
         """Take where a contact has found its wall's plane; `wall` is as the mission has it."""
-        before = self._found.get(wall.name, wall) if wall.sought else wall
-        self._found[wall.name] = _as_felt(before, felt)
+        self._found[wall.name] = _as_felt(self._found.get(wall.name, wall), wall, felt)
 
     def is_met(self, name: str) -> bool:
         """Whether a contact has told where a wall is."""
@@ -99,23 +98,20 @@ class EstimatedWalls:
         return msgspec.structs.replace(wall, position_sd_m=sd_m)
 
 
-def _as_felt(wall: Wall, felt: WallEstimate) -> Wall:
-    sure = wall.position_sd_m
-    turned, place = felt.turned_rad, felt.plane_point_mission
-    if turned is None or place is None:
-        if sure is not None:
-            wall = msgspec.structs.replace(wall, position_sd_m=min(sure, felt.plane_offset_sigma_m))
-        return wall.moved(felt.plane_offset_m)
-    found = wall.turned(turned)
-    if wall.sought:  # its middle is where it was met
-        middle, sure_m = place, felt.plane_offset_sigma_m
+def _as_felt(before: Wall, written: Wall, felt: WallEstimate) -> Wall:
+    """A wall by what was known of it before a contact, by the mission, and by the contact."""
+    sure_m, place, normal = felt.plane_offset_sigma_m, felt.plane_point_mission, felt.plane_normal_mission
+    if place is None or normal is None:  # against the mission's plane
+        return written.moved(felt.plane_offset_m)
+    found = msgspec.structs.replace(before, normal=normal, sought=False)
+    if before.sought:  # its middle is where it was met
+        middle = place
     else:
-        along, (tx, ty) = wall.along(place), found.tangent
+        along, (tx, ty) = before.along(place), found.tangent
         middle = (place[0] - along * tx, place[1] - along * ty)
-        sure_m = math.hypot(felt.plane_offset_sigma_m, along * math.tan(felt.turned_sigma_rad or 0.0))
-    found = msgspec.structs.replace(
-        found, point=middle, position_sd_m=sure_m, yaw_sd_rad=felt.turned_sigma_rad, sought=False
-    )
+        sure_m = math.hypot(sure_m, along * math.tan(felt.plane_normal_sigma_rad or 0.0))
     if felt.material is not None:
         found = msgspec.structs.replace(found, material=felt.material, material_known=True)
-    return found
+    return msgspec.structs.replace(
+        found, point=middle, position_sd_m=sure_m, yaw_sd_rad=felt.plane_normal_sigma_rad
+    )

@@ -7,6 +7,7 @@ positive turned left,
     x_g = x - g a sin i + d (1 - cos i)        depth of a guard
     F   = sum of max(0, -(k x_g + f dx_g/dt)/2)
     T   = -mu F (v_t + b d di/dt)              b the share of the lever at which friction acts
+    M   = a cos(i) (F_1 - F_-1) - d sin(i) F - b d T              torque, positive turns to the right
     m dv/dt = force + push by thrust and drag
 
 i is what the attitude and the gyro give, less the angle by which the wall stands off the plan. Unknown are
@@ -39,6 +40,8 @@ _LEVER_SHARE: Final = 0.3  # at which friction is expected to act, as in `body.K
 # What the model is off by, of the largest force, and of the largest friction.
 _MODEL_ERROR: Final = 0.015
 _FRICTION_ERROR: Final = 0.03
+_TORQUE_ERROR: Final = 0.1  # of the largest torque that the normal force can have: much the same in all ticks
+_LEVER_SD: Final = 0.3  # of the lever of friction, in distances to the wall
 _MIN_FACTOR: Final = 0.1  # no coefficient is believed to be below this share of what was believed
 _MAX_ANGLE_RAD: Final = 0.6
 _STEPS: Final = 8  # one a sample, so that 60 ms after the contact's end all is said
@@ -102,6 +105,7 @@ class ObservedContact(NamedTuple):
         velocity: along the planned wall's axes at the first tick's beginning, as PX4 has it, m/s.
         incidence_rad: leading edge against the planned wall then.
         noise_n: of a reading.
+        torque_noise_nm: likewise, of its torque.
         place_sd, angle_sd: how well the wall's place (m) and direction (rad) are known beforehand.
     """
 
@@ -113,6 +117,7 @@ class ObservedContact(NamedTuple):
     noise_n: float
     place_sd: float = PLACE_M
     angle_sd: float = WALL_RAD
+    torque_noise_nm: float = 0.1
 
 
 class Body(NamedTuple):
@@ -195,8 +200,13 @@ class _ContactLawFit:
         model2 = (_MODEL_ERROR * top) ** 2
         along2 = (_FRICTION_ERROR * rub) ** 2 + 0.04 * model2
         noise2 = contact.noise_n**2
+        torque2 = (_TORQUE_ERROR * body.along * top) ** 2 + (_LEVER_SD * body.out * rub) ** 2
         self._scales = [
-            (1.0 / math.sqrt(noise2 / t.samples + model2), 1.0 / math.sqrt(noise2 / t.samples + along2))
+            (
+                1.0 / math.sqrt(noise2 / t.samples + model2),
+                1.0 / math.sqrt(noise2 / t.samples + along2),
+                1.0 / math.sqrt(contact.torque_noise_nm**2 / t.samples + torque2),
+            )
             for t in self._ticks
         ]
         self._top = top
@@ -338,7 +348,7 @@ class _ContactLawFit:
         first, lever = self._c.incidence_rad - angle, _LEVER_SHARE * out
         forces: list[float] = []
         residuals: list[float] = []
-        for t, (scale, scale_along) in zip(self._ticks, self._scales, strict=True):
+        for t, (scale, scale_along, scale_torque) in zip(self._ticks, self._scales, strict=True):
             h = t.h / _SUBSTEPS
             hm, hh = h / m, 0.5 * h
             push = (t.push_normal * co - t.push_along * so) * hm
@@ -351,22 +361,28 @@ class _ContactLawFit:
             right, left = even - odd, even + odd
             right_v, left_v = even_v - odd_v, even_v + odd_v
             slip = lever * turning * ci
-            v_begin, w_begin = v, w
+            v_begin, w_begin, bears_r, bears_l = v, w, 0.0, 0.0
             for _ in range(_SUBSTEPS):
                 mid = x + hh * v
                 count, known = 0, 0.0
                 # Drift, kick, drift; the damping of the kick is implicit.
-                for guard, guard_v in ((right, right_v), (left, left_v)):
-                    pull = half_k * (mid + guard) + half_f * guard_v
-                    if pull + half_f * v < 0.0 and not (touch and mid + guard >= 0.0):
-                        count += 1
-                        known -= pull
+                pull_r = half_k * (mid + right) + half_f * right_v
+                pull_l = half_k * (mid + left) + half_f * left_v
+                on_right = pull_r + half_f * v < 0.0 and not (touch and mid + right >= 0.0)
+                on_left = pull_l + half_f * v < 0.0 and not (touch and mid + left >= 0.0)
+                if on_right:
+                    count, known = 1, -pull_r
+                if on_left:
+                    count, known = count + 1, known - pull_l
                 if count:
                     beta = 0.5 * half_f * count * hm
                     new = (v * (1.0 - beta) + hm * known + push) / (1.0 + beta)
                     # Friction: the speed along the wall decays with the normal impulse.
                     decay = math.exp(-kappa * max(0.0, m * (new - v - push)))
                     w = w * decay + drive * math.sqrt(decay) - slip * (1.0 - decay)
+                    damped = 0.5 * half_f * (v + new)
+                    bears_r += on_right * -(pull_r + damped)
+                    bears_l += on_left * -(pull_l + damped)
                     v = new
                 else:
                     v += push
@@ -380,6 +396,9 @@ class _ContactLawFit:
             off = t.normal * co - t.along * so - force
             residuals.append(0.0 if t.bound and off <= 0.0 else scale * off)
             residuals.append(scale_along * (t.along * co + t.normal * so - along))
+            # At full scale the force is more than what was read, and turns the vehicle more.
+            uneven = (a * ci * (bears_r - bears_l) - out * si * (bears_r + bears_l)) / _SUBSTEPS
+            residuals.append(0.0 if t.bound else scale_torque * (t.torque - uneven + lever * along))
         self._forces = forces
         vn, vt = self._c.velocity
         # The measured velocity turns with the wall.
@@ -392,7 +411,7 @@ class _ContactLawFit:
     def result(self) -> Hypothesis:
         """The fit as it stands."""
         self._residuals_at(self.theta)
-        misfit = self._cost / (2 * len(self._ticks))
+        misfit = self._cost / (3 * len(self._ticks))
         # Where the model is off by more than it should be, the readings say less.
         worse = max(1.0, misfit)
         spread = [

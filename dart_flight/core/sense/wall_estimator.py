@@ -125,12 +125,12 @@ class WallEstimator:
         told = felt or reported or likely
         belief, fitted = job.before[told], fits.get(told)
         angle, offset = 0.0, 0.0
-        turned: float | None = None
-        turned_sd: float | None = None
         place: Vec2 | None = None
+        normal: Vec2 | None = None
+        normal_sd: float | None = None
         offset_sd, angle_sd = _known(wall, onset)
         if wall.sought:  # at least where it was met is known
-            place, turned, turned_sd = onset.position_mission[:2], 0.0, angle_sd
+            place, normal, normal_sd = onset.position_mission[:2], wall.normal, angle_sd
             offset = wall.signed_distance(place)
         if fitted is not None:
             belief = fitted.belief
@@ -142,12 +142,13 @@ class WallEstimator:
             back_s = (onset.t_us - contact.begin_us) * 1e-6
             there = wall.signed_distance(onset.position_mission) - contact.velocity[0] * back_s
             offset, offset_sd = there - fitted.place_m, math.hypot(fitted.place_sd, _POSITION_M)
-            if wall.yaw_sd_rad is not None:
-                turned, turned_sd = contact.incidence_rad - fitted.incidence_rad, fitted.incidence_sd
-                (x, y, _), (vx, vy, _) = onset.position_mission, onset.velocity_mission
-                nx, ny = wall.turned(turned).normal
-                away = fitted.place_m
-                place = (x - back_s * vx - away * nx, y - back_s * vy - away * ny)
+            if wall.position_sd_m is not None or wall.yaw_sd_rad is not None:
+                normal = wall.normal
+                if wall.yaw_sd_rad is not None:
+                    normal = wall.turned(contact.incidence_rad - fitted.incidence_rad).normal
+                    normal_sd = fitted.incidence_sd
+                (x, y, _), (vx, vy, _), away = onset.position_mission, onset.velocity_mission, fitted.place_m
+                place = (x - back_s * vx - away * normal[0], y - back_s * vy - away * normal[1])
         return WallEstimate(
             job.t_us,
             onset.first_us,
@@ -160,9 +161,9 @@ class WallEstimator:
             angle_sd,
             offset,
             offset_sd,
-            turned,
-            turned_sd,
             place,
+            normal,
+            normal_sd,
             self._likely_material(belief, told) if fitted is not None and not wall.material_known else None,
         )
 
@@ -212,6 +213,7 @@ class WallEstimator:
                 seen,
                 noise_n,
                 *_known(wall, onset),
+                max(1e-4, abs(inside[0].torque.noise_frd_nm[2])),
             )
             for mode in self._vehicle.modes
         }
