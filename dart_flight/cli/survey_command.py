@@ -1,4 +1,4 @@
-"""`dart-flight survey MISSION`: touch its walls, and write the mission anew with the walls as they were met."""
+"""`dart-flight survey MISSION`: touch its walls, and write the mission anew with the walls as met."""
 
 from __future__ import annotations
 

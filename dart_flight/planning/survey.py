@@ -1,7 +1,7 @@
 """A mission that touches the walls of another one, so that they need not be surveyed.
 
 Every wall is met twice by probes (docs/walls.md): first rigid, straight at it where the mission has it; then
-square to it as it was felt, in the mode in which the mission hits it, as one contact at a large incidence does
+square to it as it was felt, in the mode in which the mission hits it: one contact at a large incidence does
 not tell the direction well. The order is the nearest first, of those to which the way is clear.
 """
 

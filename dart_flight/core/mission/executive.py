@@ -423,7 +423,7 @@ class Executive:
         self._references.fly_to(self._approaches[collision.index].begin)
 
     def _plan_approach_now(self, collision: Collision, state: FlightState, p: Proposal) -> None:
-        """The approach to a wall as it is known by now; a probe keeps its way, square to what was met there."""
+        """The approach to a wall as it is known by now; a probe keeps its way, but square to the wall."""
         if collision.trajectory is not None:
             return
         then_us = state.now_us + _RUN_UP_US
