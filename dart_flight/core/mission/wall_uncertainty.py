@@ -102,7 +102,8 @@ def _as_felt(before: Wall, written: Wall, felt: WallEstimate) -> Wall:
     """A wall by what was known of it before a contact, by the mission, and by the contact."""
     sure_m, place, normal = felt.plane_offset_sigma_m, felt.plane_point_mission, felt.plane_normal_mission
     if place is None or normal is None:  # against the mission's plane
-        return written.moved(felt.plane_offset_m)
+        sd_m = None if written.position_sd_m is None else min(written.position_sd_m, sure_m)
+        return msgspec.structs.replace(written.moved(felt.plane_offset_m), position_sd_m=sd_m)
     found = msgspec.structs.replace(before, normal=normal, sought=False)
     if before.sought:  # its middle is where it was met
         middle = place

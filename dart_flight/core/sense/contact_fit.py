@@ -259,7 +259,7 @@ class _ContactLawFit:
         """Both guards bear alike; as the torque has it, which turns the wall, and again from there; as
         believed, the guard ahead that meets the wall first and turns the vehicle to its own side."""
         angle = 0.0
-        for by_torque in (False, True, True):
+        for by_torque in (False, True, True, True):
             guess = self._guess(by_torque, angle)
             angle = guess[_D]
             yield guess
@@ -328,7 +328,9 @@ class _ContactLawFit:
             x += t.h * speed
             v += t.h * acceleration
             slide = t.h * (along + drive) / m
-            uneven = (t.torque + _LEVER_SHARE * out * along) / a if by_torque else 0.0
+            i = self._c.incidence_rad - turned + t.turned
+            by_force = out * math.sin(i) * normal + _LEVER_SHARE * out * along
+            uneven = (t.torque + by_force) / (a * math.cos(i)) if by_torque else 0.0
             uneven = max(-normal, min(normal, uneven))
             for g, s in sums.items():
                 bears = normal + g * uneven
