@@ -244,6 +244,11 @@ class MissionFrame:
         x, y, z = p_mission
         return (x * c + y * s + self.north_m, x * s - y * c + self.east_m, -z + self.down_m)
 
+    def moved(self, x_m: float, y_m: float) -> MissionFrame:
+        """The frame with its origin so far away, in its own axes."""
+        north, east, _ = self.point_to_ned((x_m, y_m, 0.0))
+        return MissionFrame(north, east, self.down_m, self.heading_rad)
+
     def yaw_from_ned(self, yaw_ned_rad: float) -> float:
         """Heading clockwise from north to mission yaw, counter-clockwise from the mission's x axis."""
         return wrap_angle(self.heading_rad - yaw_ned_rad)

@@ -570,6 +570,11 @@ class WallEstimate(Record, frozen=True, gc=False):
     incidence_sigma_rad: float
     plane_offset_m: float  # where the wall's plane stands along its normal, less where the mission has it
     plane_offset_sigma_m: float
+    # Its plane as it was felt, where the vehicle's centre is at first touch; none: too few readings.
+    plane_point_mission: Vec2 | None = None  # where it was met
+    plane_normal_mission: Vec2 | None = None
+    plane_normal_sigma_rad: float | None = None
+    material: str | None = None  # of a wall of unknown material: the one of the table that fits best
 
 
 class DetectionFloor(Record, frozen=True, gc=False):
@@ -624,6 +629,26 @@ class PlanTaken(Record, frozen=True, gc=False):
     reason: str = ""  # why it is not flown
 
 
+class ProbeEnd(Record, frozen=True, gc=False):
+    """A probe is over that has met nothing, or a leg is left out that depends on one."""
+
+    topic: ClassVar[str] = "/event/probe"
+    t_us: int
+    what: str  # in words
+
+
+class FrameAnchor(Record, frozen=True, gc=False):
+    """A contact has put the mission frame right along its wall's normal (docs/anchors.md)."""
+
+    topic: ClassVar[str] = "/event/anchor"
+    t_us: int
+    wall: str
+    moved_mission: Vec2  # the frame's origin, in its axes before
+    expected_sd_m: float  # of the frame along the normal, before
+    sd_m: float  # ... after
+    age_s: float | None  # of the anchor before, along this normal; none: there was none
+
+
 class MissionEnd(Record, frozen=True, gc=False):
     """The flight is over for the core."""
 
@@ -653,6 +678,8 @@ Output = (
     | GuardEvent
     | GoalPassed
     | PlanTaken
+    | ProbeEnd
+    | FrameAnchor
     | MissionEnd
 )
 

@@ -51,6 +51,8 @@ class Wall(msgspec.Struct, frozen=True):
         yaw_sd_rad: of its direction, about `point`; None: not told.
         half_vehicle_m: from the vehicle's centre to its side, which must fit on the wall, or past its end.
         post_radius_m: of the post whose tangent plane this is, where it is to be hit; 0: it is a wall.
+        sought: nobody knows where it stands: a probe looks for it, and this is its plane at the probe's end.
+        material_known: else the material is the stiffest there is, until a contact tells.
     """
 
     name: str
@@ -62,6 +64,8 @@ class Wall(msgspec.Struct, frozen=True):
     yaw_sd_rad: float | None = None
     half_vehicle_m: float = 0.0
     post_radius_m: float = 0.0
+    sought: bool = False
+    material_known: bool = True
 
     @property
     def tangent(self) -> Vec2:

@@ -17,7 +17,7 @@ from dart_flight.config.parameter_file import (
     differences,
     vehicle_parameters,
 )
-from dart_flight.planning.positioning import PLAIN_GPS, frame_problem
+from dart_flight.planning.positioning import PLAIN_GPS, frame_problem, source_for
 
 _GAIN_TOLERANCE = 0.02
 _NO_TERMINATION = 121212  # CBRK_FLIGHTTERM: PX4's magic number for "off"
@@ -201,7 +201,7 @@ def judge_parameters(
         source: where its position comes from; None: only what every vehicle needs is compared.
         version: of PX4; None: not told, and every parameter is expected that any version has.
     """
-    wanted = vehicle_parameters(source)
+    wanted = vehicle_parameters(None if source is None else source_for(mission, source))
     different = {d.name: d for d in differences(wanted, values)}
     findings = []
     for name, judge in PARAMETERS.items():
@@ -318,6 +318,9 @@ def judge_position(
 def judge_claim(mission: Mission, source: PositionSource, addition: str = "") -> list[CheckFinding]:
     """What a source of position means for a mission; `addition` goes to what is said of plain GPS."""
     findings = []
+    source = source_for(mission, source)
+    if source is PositionSource.ANCHORED:
+        findings.append(CheckFinding("position_source", True, "plain GPS, put right by contacts" + addition))
     if source is PositionSource.PLAIN:
         findings.append(CheckFinding("position_source", False, PLAIN_GPS + addition))
     problem = frame_problem(mission, source)

@@ -29,6 +29,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import display_path
 from dart_flight.planning.envelope import impact_warnings
+from dart_flight.planning.positioning import source_for
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.embedded import fly_embedded
 from dart_flight.run.fast import fly_fast
@@ -71,7 +72,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def _flight(arguments: argparse.Namespace, mission: Mission) -> Callable[..., Verdict]:
     """The function that flies one mission in the wanted world; seed, log_dir and progress by name."""
-    position_from = position_source_of(arguments)
+    position_from = source_for(mission, position_source_of(arguments))
     fault = None if arguments.fault is None else parse_fault(arguments.fault, mission.vehicle.has_lock)
     spreads = parse_vary(arguments.vary, mission.vehicle)
     if fault is not None and (arguments.runs is not None or arguments.px4 is not None):
@@ -110,7 +111,10 @@ def run(arguments: argparse.Namespace) -> int:
     fly = _flight(arguments, mission)
     console = messages()
     say_vehicle(mission.flown_vehicle(), arguments)
-    warnings = [*impact_warnings(mission), *position_warnings(position_source_of(arguments))]
+    warnings = [
+        *impact_warnings(mission),
+        *position_warnings(source_for(mission, position_source_of(arguments))),
+    ]
     late_s = 0.0 if arguments.fast else measure_lateness_s()
     if late_s > LATE_S:
         warnings.append(f"this program lags by up to {late_s * 1e3:.0f} ms: {TOO_BUSY}")

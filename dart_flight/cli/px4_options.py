@@ -10,8 +10,8 @@ from dart_flight.config.parameter_file import PositionSource
 from dart_flight.planning.positioning import PLAIN_GPS
 
 
-def add_px4_options(parser: argparse.ArgumentParser) -> None:
-    """`--px4` and what goes with it."""
+def add_px4_options(parser: argparse.ArgumentParser, with_hitl: bool = True) -> None:
+    """`--px4` and what goes with it; `--hitl` where a command has it."""
     group = parser.add_argument_group("real PX4 (docs/px4.md)")
     group.add_argument(
         "--px4",
@@ -20,15 +20,17 @@ def add_px4_options(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="fly a real PX4 SITL: its build or install, with bin and etc (without DIR: $DART_PX4_DIR)",
     )
-    group.add_argument(
-        "--hitl",
-        metavar="URL",
-        help="fly a real flight controller on the table, propellers off: its port for simulated sensors, "
-        "serial:///dev/ttyACM0:921600 or UDP (docs/hitl.md)",
-    )
-    group.add_argument(
-        "--connection", metavar="URL", help="with --hitl: the app's own link (default: connection.url)"
-    )
+    parser.set_defaults(hitl=None)
+    if with_hitl:
+        group.add_argument(
+            "--hitl",
+            metavar="URL",
+            help="fly a real flight controller on the table, propellers off: its port for simulated sensors, "
+            "serial:///dev/ttyACM0:921600 or UDP (docs/hitl.md)",
+        )
+        group.add_argument(
+            "--connection", metavar="URL", help="with --hitl: the app's own link (default: connection.url)"
+        )
     place = group.add_mutually_exclusive_group()
     place.add_argument("--indoor", action="store_true", help="motion capture, no GPS (default)")
     place.add_argument("--outdoor", action="store_true", help="GPS, no motion capture")

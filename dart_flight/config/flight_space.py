@@ -55,15 +55,17 @@ def within_limits(vehicle: VehicleConfig, limits: Limits) -> VehicleConfig:
     return msgspec.structs.replace(vehicle, flying=flying)
 
 
-def resolve_walls(specs: dict[str, WallSpec], vehicle: VehicleConfig, document: Document) -> dict[str, Wall]:
-    """Walls as planes of the vehicle's centre, by name.
+def resolve_walls(
+    specs: dict[str, WallSpec], vehicle: VehicleConfig, document: Document, section: str = "walls"
+) -> dict[str, Wall]:
+    """Walls as planes of the vehicle's centre, by name; `section` is the key that they stand under.
 
     Raises:
         InputError: a normal has no length, a material is not in the vehicle's table.
     """
     walls = {}
     for name, spec in specs.items():
-        key: Key = ("walls", name)
+        key: Key = (section, name)
         length = math.hypot(*spec.normal)
         if not length > 1e-9:
             raise document.error((*key, "normal"), "the normal has no length")

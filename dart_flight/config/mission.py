@@ -25,6 +25,7 @@ from dart_flight.config.flight_space import (
     resolve_alphas,
     resolve_posts,
     resolve_space,
+    resolve_walls,
     tangent_wall,
     wall_as_written,
     within_limits,
@@ -36,7 +37,9 @@ from dart_flight.config.mission_file import (
     CollisionSpec,
     MissionFile,
     MissionKeys,
+    PlaceAtWall,
     PostSpec,
+    ProbeSpec,
     StartSpec,
     TrajectoryPieces,
     WaypointKeys,
@@ -53,6 +56,28 @@ _PAUSE_S = 60.0
 ESTIMATE_MOVED_M = 0.05
 # A trajectory ends at the onset of the force, which is a little before the plane, and is rounded.
 _TRAJECTORY_OFF_M, _TRAJECTORY_OFF_M_S = 0.05, 0.05
+# Of a wall that a probe has found this much is known to be there; of its direction hardly anything before.
+_SOUGHT_LENGTH_M, _SOUGHT_SD_RAD = 1.0, math.radians(15.0)
+_NOT_OF_PROBES = (
+    "approach",
+    "impact_point_m",
+    "impact_along_m",
+    "alpha_m_per_n",
+    "alpha_wall_m_per_n",
+    "trajectory",
+    "predicted",
+)
+_ON_PLANE_M = 1e-6
+
+
+class Probe(msgspec.Struct, frozen=True):
+    """A leg that looks for a wall: where it begins and ends (mission frame, metres), how fast, and how far
+    from the wall the vehicle waits afterwards."""
+
+    begin: Vec2
+    end: Vec2
+    speed_m_s: float
+    back_m: float
 
 
 class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=False):
@@ -65,6 +90,7 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
             recovery of the collision before leads to this wall.
         impact_point: where the vehicle's centre meets the plane, mission frame; None likewise.
         alpha_normal_m_per_n, alpha_tangential_m_per_n: gains A_n, A_t of the recovery setpoint.
+        probe: the leg that looks for the wall; None: its place is known well enough to be flown at.
     """
 
     index: int
@@ -74,6 +100,13 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
     impact_point: Vec2 | None
     alpha_normal_m_per_n: float
     alpha_tangential_m_per_n: float
+    probe: Probe | None = None
+
+    @property
+    def is_conditional(self) -> bool:
+        """Whether it may be left out, or meet nothing, and nothing is wrong."""
+        unsure = self.probe is not None or self.wall.sought
+        return unsure or self.if_met is not None or self.if_not_met is not None
 
     def approach_velocity(self) -> Vec3:
         """Approach velocity in the mission frame, m/s; zero where there is no approach."""
@@ -83,11 +116,17 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
 
     def as_written(self, start: Vec2) -> CollisionSpec:
         """As a file says it; a point of impact that follows from start and approach is left out."""
-        approach, impact = None, self.impact_point
+        if self.probe is not None:
+            return self._probe_as_written(self.probe)
+        approach: ApproachSpec | None = None
+        impact: Vec2 | None = self.impact_point
         if self.wall.post_radius_m > 0.0:
             impact = self.wall.point
         elif self.approach_m_s is not None and impact == _impact_meant(self, start):
             impact = None
+        along = None
+        if self.wall.sought and self.impact_point is not None:
+            impact, along = None, self.wall.along(self.impact_point)
         if self.approach_m_s is not None:
             approach = ApproachSpec(*self.approach_m_s)
         return CollisionSpec(
@@ -95,8 +134,22 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
             wall=self.wall.name,
             approach=approach,
             impact_point_m=impact,
+            impact_along_m=along,
             alpha_wall_m_per_n=(self.alpha_normal_m_per_n, self.alpha_tangential_m_per_n),
         )
+
+    def _probe_as_written(self, probe: Probe) -> CollisionSpec:
+        (bx, by), (ex, ey) = probe.begin, probe.end
+        length = math.hypot(ex - bx, ey - by)
+        written = ProbeSpec(
+            from_m=probe.begin,
+            length_m=length,
+            direction=((ex - bx) / length, (ey - by) / length),
+            speed_m_s=probe.speed_m_s,
+            back_m=probe.back_m,
+            material=self.wall.material if self.wall.sought and self.wall.material_known else None,
+        )
+        return CollisionSpec(**keys_of(self, CollisionKeys), wall=self.wall.name, probe=written)
 
 
 class Waypoint(WaypointKeys, frozen=True, kw_only=True, forbid_unknown_fields=False):
@@ -104,15 +157,18 @@ class Waypoint(WaypointKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fa
 
     Attributes:
         index: 1 for the first in the list.
-        position: mission frame, metres; None: a pause, where the vehicle is.
+        position: mission frame, metres; None: a pause, where the vehicle is. Of a place at a wall that is
+            sought, where it is if that stands at the end of its probe.
         speed_m_s: largest on the way there.
         hold_s: how long it is held; of a pause the longest time, after which the vehicle lands.
+        wall_at: the wall of `at_wall`.
     """
 
     index: int
     position: Vec3 | None
     speed_m_s: float
     hold_s: float
+    wall_at: Wall | None = None
 
     @property
     def name(self) -> str:
@@ -126,7 +182,8 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
     Attributes:
         source: the file it came from.
         start: [x, y], mission frame; altitude_m is that of the start.
-        walls: with the tangent planes of posts that are to be hit.
+        walls: with the tangent planes of posts that are to be hit, without walls that probes look for.
+        simulated_walls: that stand in simulation beside those.
         posts: as they stand.
         vehicle_source: where the vehicle's configuration came from; None: built in Python.
     """
@@ -140,12 +197,18 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
     collisions: tuple[Collision, ...]
     waypoints: tuple[Waypoint, ...] = ()
     posts: tuple[Post, ...] = ()
+    simulated_walls: tuple[Wall, ...] = ()
     vehicle_source: VehicleSource | None = None
 
     @property
     def flat_walls(self) -> tuple[Wall, ...]:
         """The walls without the tangent planes of posts."""
         return tuple(wall for wall in self.walls if not wall.post_radius_m)
+
+    @property
+    def standing_walls(self) -> tuple[Wall, ...]:
+        """The walls that stand in simulation, posts' tangent planes with them."""
+        return (*self.walls, *self.simulated_walls)
 
     def altitude_at(self, flown: int) -> float:
         """Altitude once so many collisions are flown and the waypoints behind them, metres."""
@@ -166,7 +229,14 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
     def recovers_to_goal(self) -> bool:
         """Whether the last recovery leads to the goal; else it is flown to from rest."""
         count = len(self.collisions)
-        return count > 0 and not any(w.after == count for w in self.waypoints)
+        if count == 0 or self.collisions[-1].probe is not None:
+            return False
+        return not any(w.after == count for w in self.waypoints)
+
+    @property
+    def is_anchored(self) -> bool:
+        """Whether contacts put the mission frame right."""
+        return self.frame.anchored_by == "touch"
 
     def flown_vehicle(self) -> VehicleSource:
         """Which vehicle it is, for everything that is said of the mission."""
@@ -191,6 +261,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
             start=StartSpec(self.start, self.altitude_m),
             bounds_m=self.bounds,
             walls={wall.name: wall_as_written(wall) for wall in self.flat_walls},
+            simulated_walls={wall.name: wall_as_written(wall) for wall in self.simulated_walls},
             posts={post.name: PostSpec(post.centre, post.radius_m, post.material) for post in self.posts},
             collisions=[collision.as_written(self.start) for collision in self.collisions],
             waypoints=list(_waypoints_as_written(self)),
@@ -254,7 +325,7 @@ def _waypoints_as_written(mission: Mission) -> Iterator[WaypointSpec]:
         x, y, z = one.position
         yield WaypointSpec(
             **keys,
-            position_m=(x, y),
+            position_m=(x, y) if one.at_wall is None else None,
             altitude_m=None if z == altitude_m else z,
             speed_m_s=None if one.speed_m_s == usual_m_s else one.speed_m_s,
             hold_s=one.hold_s,
@@ -323,9 +394,12 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
     check_clear_of_posts(posts, spec.goal.position_m, vehicle, ("goal",), document)
     _add_tangent_walls(spec, posts, vehicle, walls, document)
     _check_goal_trajectory(spec, document)
+    sought = _sought_walls(spec, vehicle, walls, document)
     collisions = tuple(
-        _resolve_collision(i, one, spec, vehicle, walls, document) for i, one in enumerate(spec.collisions)
+        _resolve_collision(i, one, spec, vehicle, walls | sought, document)
+        for i, one in enumerate(spec.collisions)
     )
+    simulated = resolve_walls(spec.simulated_walls, vehicle, document, "simulated_walls")
     return Mission(
         **keys_of(spec, MissionKeys),
         source=document.source,
@@ -335,8 +409,9 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
         bounds=spec.bounds_m,
         walls=tuple(walls.values()),
         collisions=collisions,
-        waypoints=_resolve_waypoints(spec, vehicle, walls, posts, document),
+        waypoints=_resolve_waypoints(spec, vehicle, walls, sought, posts, document),
         posts=tuple(posts.values()),
+        simulated_walls=tuple(simulated.values()),
     )
 
 
@@ -364,10 +439,97 @@ def _add_tangent_walls(
             raise document.error((*key, "impact_point_m"), says)
 
 
+def _sought_walls(
+    spec: MissionFile, vehicle: VehicleConfig, walls: dict[str, Wall], document: Document
+) -> dict[str, Wall]:
+    """The walls that probes look for and nobody knows, each across the end of its probe, by name.
+
+    Raises:
+        InputError: such a probe has no direction, a material that is not in the table, or a name that is
+            taken; or a collision is at such a wall before its probe, or a condition names no probe.
+    """
+    stiffest = max(vehicle.materials, key=lambda name: vehicle.materials[name].of(Mode.RIGID).k)
+    sought: dict[str, Wall] = {}
+    probed: set[str] = set()
+    for i, one in enumerate(spec.collisions):
+        key: Key = ("collisions", i)
+        _check_conditions(one, probed, key, document)
+        for j, waypoint in enumerate(spec.waypoints):
+            if waypoint.after == i:
+                _check_waypoint_wall(waypoint, probed, walls, ("waypoints", j), document)
+        if one.probe is None or one.wall in walls:
+            probed |= {one.wall} if one.probe is not None else set()
+            continue
+        if one.wall in probed:
+            raise document.error((*key, "wall"), f"{one.wall} is looked for twice; give the second a name")
+        probed.add(one.wall)
+        if one.wall in spec.posts or one.wall in spec.simulated_walls:
+            raise document.error((*key, "wall"), f"the name {one.wall} is taken by another wall or post")
+        if one.probe.direction is None:
+            known = ", ".join(walls) or "none"
+            says = f"{one.wall} is no wall of the mission ({known}): a probe for it needs a direction"
+            raise document.error((*key, "probe"), says)
+        material = one.probe.material
+        if material is not None and material not in vehicle.materials:
+            says = unknown_name(material, list(vehicle.materials))
+            raise document.error((*key, "probe", "material"), says)
+        (dx, dy), end = _probe_direction(one.probe.direction, key, document), _probe_end(one.probe, None)
+        sought[one.wall] = Wall(
+            one.wall,
+            end,
+            (-dx, -dy),
+            _SOUGHT_LENGTH_M,
+            material or stiffest,
+            yaw_sd_rad=_SOUGHT_SD_RAD,
+            half_vehicle_m=vehicle.airframe.contact_distance_m,
+            sought=True,
+            material_known=material is not None,
+        )
+    for j, waypoint in enumerate(spec.waypoints):
+        if waypoint.after >= len(spec.collisions):
+            _check_waypoint_wall(waypoint, probed, walls, ("waypoints", j), document)
+    return sought
+
+
+def _check_conditions(
+    one: CollisionSpec | WaypointSpec, probed: set[str], key: Key, document: Document
+) -> None:
+    """Raises InputError: a condition names a wall that no probe before it looks for."""
+    for name in ("if_met", "if_not_met"):
+        wall = getattr(one, name)
+        if wall is not None and wall not in probed:
+            says = unknown_name(wall, sorted(probed)) if probed else "no probe comes before this"
+            raise document.error((*key, name), says)
+
+
+def _check_waypoint_wall(
+    one: WaypointSpec, probed: set[str], walls: dict[str, Wall], key: Key, document: Document
+) -> None:
+    _check_conditions(one, probed, key, document)
+    if one.at_wall is not None and one.at_wall.wall not in {*probed, *walls}:
+        says = unknown_name(one.at_wall.wall, sorted({*probed, *walls}))
+        raise document.error((*key, "at_wall", "wall"), says)
+
+
+def _probe_direction(direction: Vec2, key: Key, document: Document) -> Vec2:
+    length = math.hypot(*direction)
+    if not length > 1e-9:
+        raise document.error((*key, "probe", "direction"), "the direction has no length")
+    return (direction[0] / length, direction[1] / length)
+
+
+def _probe_end(probe: ProbeSpec, wall: Wall | None) -> Vec2:
+    """Where a probe ends that meets nothing; a wall of the mission is met head on without a direction."""
+    dx, dy = probe.direction or ((-wall.normal[0], -wall.normal[1]) if wall is not None else (0.0, 0.0))
+    share = probe.length_m / math.hypot(dx, dy)
+    return (probe.from_m[0] + share * dx, probe.from_m[1] + share * dy)
+
+
 def _resolve_waypoints(
     spec: MissionFile,
     vehicle: VehicleConfig,
     walls: dict[str, Wall],
+    sought: dict[str, Wall],
     posts: dict[str, Post],
     document: Document,
 ) -> tuple[Waypoint, ...]:
@@ -377,22 +539,28 @@ def _resolve_waypoints(
         key: Key = ("waypoints", i)
         _check_place_in_order(one, flown, spec, key, document)
         flown = one.after
+        wall_at = None if one.at_wall is None else (walls | sought)[one.at_wall.wall]
         if one.pause is None:
-            assert one.position_m is not None
+            position = one.position_m
+            if one.at_wall is not None and wall_at is not None:
+                position = place_at(wall_at, one.at_wall)
+            assert position is not None
             altitude_m = altitude_m if one.altitude_m is None else one.altitude_m
-            check_place(spec.bounds_m, walls, one.position_m, one.altitude_m, key, document)
-            check_clear_of_posts(posts, one.position_m, vehicle, key, document)
+            check_place(spec.bounds_m, walls, position, one.altitude_m, key, document)
+            check_clear_of_posts(posts, position, vehicle, key, document)
             speed = one.speed_m_s or vehicle.flying.transit_speed_m_s
             if speed > spec.limits.speed_m_s:
                 raise document.error(
                     (*key, "speed_m_s"), f"{speed:g} m/s is over limits.speed_m_s {spec.limits.speed_m_s:g}"
                 )
-            place: Vec3 | None = (*one.position_m, altitude_m)
+            place: Vec3 | None = (*position, altitude_m)
             hold_s = one.hold_s or 0.0
         else:
             place, speed, hold_s = None, 0.0, one.timeout_s or _PAUSE_S
         keys = keys_of(one, WaypointKeys)
-        found.append(Waypoint(**keys, index=i + 1, position=place, speed_m_s=speed, hold_s=hold_s))
+        found.append(
+            Waypoint(**keys, index=i + 1, position=place, speed_m_s=speed, hold_s=hold_s, wall_at=wall_at)
+        )
     return tuple(found)
 
 
@@ -400,8 +568,8 @@ def _check_place_in_order(
     one: WaypointSpec, flown: int, spec: MissionFile, key: Key, document: Document
 ) -> None:
     """Raises InputError: keys of a waypoint and of a pause are mixed, or `after` is not to be had."""
-    if (one.position_m is None) == (one.pause is None):
-        raise document.error(key, "give exactly one of position_m (a waypoint) and pause")
+    if [one.position_m, one.at_wall, one.pause].count(None) != 2:
+        raise document.error(key, "give exactly one of position_m, at_wall (waypoints) and pause")
     others = ("timeout_s",) if one.pause is None else ("altitude_m", "speed_m_s", "hold_s")
     for name in others:
         if getattr(one, name) is not None:
@@ -411,7 +579,8 @@ def _check_place_in_order(
     if not flown <= one.after <= count:
         says = f"{one.after}, expected {flown} to {count}: the list is in the order of the flight"
         raise document.error((*key, "after"), says)
-    if 0 < one.after < count and spec.collisions[one.after].approach is None:
+    following = spec.collisions[one.after] if one.after < count else None
+    if 0 < one.after < count and following and following.approach is None and following.probe is None:
         says = f"needs an approach: the recovery before it leads to waypoints[{key[1]}]"
         raise document.error(("collisions", one.after), says)
 
@@ -439,6 +608,10 @@ def _resolve_collision(
         raise document.error((*key, "wall"), unknown_name(spec.wall, [*walls, *mission.posts]))
     wall = walls[spec.wall]
     mode = _mode_of(spec, vehicle, key, document)
+    if spec.probe is not None:
+        return _resolve_probe(i, spec, spec.probe, mission, mode, wall, document)
+    if spec.approach is None and i > 0 and mission.collisions[i - 1].probe is not None:
+        raise document.error(key, "needs an approach: after a probe the vehicle rests")
     alpha_n, alpha_t = resolve_alphas(spec.alpha_m_per_n, spec.alpha_wall_m_per_n, wall, key, document)
     approach = None
     impact = None
@@ -475,6 +648,69 @@ def _resolve_collision(
         alpha_normal_m_per_n=alpha_n,
         alpha_tangential_m_per_n=alpha_t,
     )
+
+
+def _resolve_probe(
+    i: int,
+    spec: CollisionSpec,
+    probe: ProbeSpec,
+    mission: MissionFile,
+    mode: Mode,
+    wall: Wall,
+    document: Document,
+) -> Collision:
+    """A collision that looks for its wall.
+
+    Raises:
+        InputError: it has keys of another collision, leads out of the bounds or away from its wall, or is
+            too fast.
+    """
+    key: Key = ("collisions", i)
+    for name in _NOT_OF_PROBES:
+        if getattr(spec, name) is not None:
+            raise document.error((*key, name), "a probe has no such key")
+    if not wall.sought and probe.material is not None:
+        raise document.error((*key, "probe", "material"), f"wall {wall.name} of the mission has one")
+    end = _probe_end(probe, wall)
+    for name, place in (("from_m", probe.from_m), ("length_m", end)):
+        excess_m = mission.bounds_m.excess2(place)
+        if excess_m > 0.0:
+            where = f"({place[0]:.2f}, {place[1]:.2f})"
+            raise document.error((*key, "probe", name), f"{where} is {excess_m:.2f} m outside bounds_m")
+    if probe.speed_m_s > mission.limits.speed_m_s:
+        says = f"{probe.speed_m_s:g} m/s is over limits.speed_m_s {mission.limits.speed_m_s:g}"
+        raise document.error((*key, "probe", "speed_m_s"), says)
+    share = probe.speed_m_s / probe.length_m
+    vx, vy = share * (end[0] - probe.from_m[0]), share * (end[1] - probe.from_m[1])
+    normal_m_s, tangential_m_s, _ = wall.to_collision((vx, vy, 0.0))
+    if not normal_m_s < -0.5 * probe.speed_m_s or wall.signed_distance(probe.from_m) <= 0.0:
+        says = f"begins behind wall {wall.name}, or leads past it: it needs at most 60 degrees to its normal"
+        raise document.error((*key, "probe"), says)
+    reach_m = wall.signed_distance(probe.from_m) / -normal_m_s * probe.speed_m_s
+    if reach_m > probe.length_m + _ON_PLANE_M:
+        says = f"wall {wall.name} is {reach_m:.2f} m away; longer by what its place leaves open is better"
+        raise document.error((*key, "probe", "length_m"), says)
+    met = reach_m / probe.length_m
+    impact = (
+        probe.from_m[0] + met * (end[0] - probe.from_m[0]),
+        probe.from_m[1] + met * (end[1] - probe.from_m[1]),
+    )
+    return Collision(
+        **keys_of(spec, CollisionKeys) | {"mode": mode},
+        index=i + 1,
+        wall=wall,
+        approach_m_s=(normal_m_s, tangential_m_s),
+        impact_point=impact,
+        alpha_normal_m_per_n=0.0,
+        alpha_tangential_m_per_n=0.0,
+        probe=Probe(probe.from_m, end, probe.speed_m_s, probe.back_m),
+    )
+
+
+def place_at(wall: Wall, place: PlaceAtWall) -> Vec2:
+    """Where a place at a wall is if the wall stands as it is said to, mission frame."""
+    (x, y), (nx, ny), (tx, ty) = wall.point, wall.normal, wall.tangent
+    return (x + place.away_m * nx + place.along_m * tx, y + place.away_m * ny + place.along_m * ty)
 
 
 def _check_trajectory(
@@ -551,6 +787,11 @@ def _impact_point(
     given, along = spec.impact_point_m, spec.impact_along_m
     if given is not None and along is not None:
         raise document.error((*key, "impact_along_m"), "give this or impact_point_m, not both")
+    if wall.sought:
+        if given is not None:
+            says = f"nobody knows where wall {wall.name} stands: give impact_along_m"
+            raise document.error((*key, "impact_point_m"), says)
+        along = along or 0.0
     if given is not None:
         off = abs(wall.signed_distance(given))
         if off > 0.01:

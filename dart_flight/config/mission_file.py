@@ -37,11 +37,14 @@ class FrameSpec(Section, frozen=True):
     Attributes:
         origin: local: PX4's local origin, moved by north_m and east_m (motion capture, surveyed room);
             takeoff: as if the vehicle had taken off below start, moved likewise.
+        anchored_by: none: PX4's position is what it is; touch: it drifts, and every contact with a wall of
+            the mission puts the frame right along that wall's normal.
         north_m, east_m: the frame's origin from there, m.
         heading_deg: direction of the mission's x axis, clockwise from north.
     """
 
     origin: Literal["local", "takeoff"] = "local"
+    anchored_by: Literal["none", "touch"] = "none"
     north_m: Coordinate = 0.0
     east_m: Coordinate = 0.0
     heading_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
@@ -182,6 +185,42 @@ class ApproachSpec(Section, frozen=True):
     tangential_m_s: Velocity = 0.0
 
 
+class ProbeSpec(Section, frozen=True):
+    """A straight leg, from rest to rest, on which a wall is looked for; a contact ends it, and nothing met is
+    no fault.
+
+    Attributes:
+        from_m: [x, y] where it begins, mission frame.
+        direction: [x, y], any length; to be left out of a wall of the mission, which is then met head on.
+        length_m: how far the vehicle's centre goes.
+        speed_m_s: on the way; it may be more than what stops before a wall, but no more than its hit bears.
+        back_m: how far from where it was met the vehicle waits afterwards.
+        material: of a wall that is not in walls, where it is known; without it the contact tells.
+    """
+
+    from_m: Point2
+    length_m: Annotated[float, Meta(gt=0.0, le=1000.0)]
+    direction: tuple[Direction, Direction] | None = None
+    speed_m_s: Annotated[float, Meta(ge=0.1, le=5.0)] = 0.5
+    back_m: Annotated[float, Meta(ge=0.1, le=5.0)] = 0.4
+    material: str | None = None
+
+
+class PlaceAtWall(Section, frozen=True):
+    """A place that is known once its wall has been met.
+
+    Attributes:
+        wall: that a probe before it looks for, or any other of the mission.
+        away_m: distance of the vehicle's centre from where it is at first touch, along the wall's normal.
+        along_m: from the wall's middle, which of a wall that a probe has found is where it was met; positive
+            to the right when looking along the normal.
+    """
+
+    wall: str
+    away_m: Annotated[float, Meta(ge=0.1, le=1000.0)]
+    along_m: Coordinate = 0.0
+
+
 class CollisionPrediction(Section, frozen=True):
     """What the planner predicted for a collision; written by `plan`, for flight and report to compare.
 
@@ -268,9 +307,13 @@ class CollisionKeys(Section, frozen=True, kw_only=True):
         trajectory: to this wall; with an approach from rest before it, else from the collision before, as it
             is predicted: flown from what that hit really leads to (after_impact: replan). Without it the
             approach is straight, with a run-up.
+        if_met: a wall that a probe before this looks for: flown only where that was met.
+        if_not_met: likewise, only where it was not.
     """
 
     mode: Mode | None = None
+    if_met: str | None = None
+    if_not_met: str | None = None
     trajectory: TrajectoryPieces | None = None
     predicted: CollisionPrediction | None = None
 
@@ -279,13 +322,15 @@ class CollisionSpec(CollisionKeys, frozen=True, kw_only=True):
     """One planned collision.
 
     Attributes:
-        wall: a key of walls, or of posts.
+        wall: a key of walls, or of posts; with a probe also the name of a wall that nobody knows yet.
         approach: velocity to meet the wall with; required for the first collision. Without it the recovery of
             the collision before leads to this wall.
+        probe: instead of an approach, and of gains: looks for the wall.
         impact_point_m: [x, y] on the wall's plane; without it, where the ray from start along the approach
             meets the wall. Of a post it is required: where the vehicle's centre is at first touch.
         impact_along_m: the same as a distance along the wall from its middle, positive to the right when
-            looking along the normal; at most one of the two is given.
+            looking along the normal; at most one of the two is given. At a wall that a probe has found 0 is
+            where it was met.
         alpha_m_per_n: recovery gains along the mission's x and y axes (the paper's form), m of setpoint per
             N of peak force; for walls along an axis, or both the same.
         alpha_wall_m_per_n: the same as [normal, tangential] of the wall, for any wall; exactly one of the
@@ -294,6 +339,7 @@ class CollisionSpec(CollisionKeys, frozen=True, kw_only=True):
 
     wall: str
     approach: ApproachSpec | None = None
+    probe: ProbeSpec | None = None
     impact_point_m: Point2 | None = None
     impact_along_m: Coordinate | None = None
     alpha_m_per_n: tuple[Alpha, Alpha] | None = None
@@ -305,9 +351,15 @@ class WaypointKeys(Section, frozen=True, kw_only=True):
 
     Attributes:
         after: how many collisions are flown before it; it never falls from one to the next.
+        at_wall: instead of position_m: a place that is known once a wall was met; left out where it was not.
+        if_met: a wall that a probe before this looks for: flown only where that was met.
+        if_not_met: likewise, only where it was not.
     """
 
     after: Annotated[int, Meta(ge=0, le=1000)] = 0
+    at_wall: PlaceAtWall | None = None
+    if_met: str | None = None
+    if_not_met: str | None = None
 
 
 class WaypointSpec(WaypointKeys, frozen=True, kw_only=True):
@@ -377,6 +429,8 @@ class MissionFile(MissionKeys, frozen=True, kw_only=True):
     Attributes:
         version: of the format.
         walls: by name.
+        simulated_walls: by name: walls that stand in simulation and that the flight knows nothing of, for
+            probes to find.
         posts: by name, which no wall has.
         collisions: in the order of the hits; none: a flight without one.
         waypoints: waypoints and pauses before, between and after the collisions, in the order in which they
@@ -389,6 +443,7 @@ class MissionFile(MissionKeys, frozen=True, kw_only=True):
     start: StartSpec
     bounds_m: BoundsSpec
     walls: dict[str, WallSpec] = msgspec.field(default_factory=dict)
+    simulated_walls: dict[str, WallSpec] = msgspec.field(default_factory=dict)
     posts: dict[str, PostSpec] = msgspec.field(default_factory=dict)
     collisions: list[CollisionSpec] = msgspec.field(default_factory=list)
     waypoints: list[WaypointSpec] = msgspec.field(default_factory=list)

@@ -41,12 +41,14 @@ class PositionSource(StrEnum):
     MOCAP = "mocap"  # motion capture
     RTK = "rtk"  # GPS with corrections
     PLAIN = "plain"  # GPS without
+    ANCHORED = "anchored"  # likewise, and contacts with walls put the position right
 
 
 _PLACE_FILES = {
     PositionSource.MOCAP: ("indoor",),
     PositionSource.RTK: ("outdoor",),
     PositionSource.PLAIN: ("outdoor", "plain_gps"),
+    PositionSource.ANCHORED: ("outdoor", "plain_gps", "anchored_gps"),
 }
 
 

@@ -11,6 +11,11 @@ PLAIN_GPS = (
 )
 
 
+def source_for(mission: Mission, source: PositionSource) -> PositionSource:
+    """What a receiver without corrections is to a mission whose contacts put its frame right."""
+    return PositionSource.ANCHORED if source is PositionSource.PLAIN and mission.is_anchored else source
+
+
 def frame_problem(mission: Mission, source: PositionSource) -> str | None:
     """Why a mission's frame means nothing with this source; None where it does.
 

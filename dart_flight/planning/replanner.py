@@ -83,6 +83,7 @@ class Replanner:
         self._mission = mission
         self._planned = predict_mission(mission).hits
         walls = {wall.name: wall for wall in mission.walls}
+        self._walls = {c.wall.name: c.wall for c in mission.collisions}
         self._task = MissionTask(
             mission.vehicle,
             mission.start,
@@ -112,7 +113,7 @@ class Replanner:
 
     def update_wall(self, felt: WallEstimate) -> None:
         """Take what a contact has taught; what it cannot tell of which mode is left alone."""
-        self._survey.add_estimate(felt)
+        self._survey.add_estimate(felt, self._walls[felt.wall])
         mode = felt.mode_felt or felt.mode_reported
         if mode is not None:
             self._felt[felt.wall, mode] = Coefficients(

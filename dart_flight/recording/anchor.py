@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from dart_flight.base.geometry import MissionFrame
-from dart_flight.base.records import OdometrySample, Phase, PhaseChange, Record
+from dart_flight.base.records import FrameAnchor, OdometrySample, Phase, PhaseChange, Record
 from dart_flight.config.mission import ESTIMATE_MOVED_M, Mission
 
 
@@ -14,7 +14,8 @@ class MissionFrameReader:
 
     Attributes:
         frame: the mission frame in local NED, once the mission has left `READYING`: the vehicle then stood at
-            its take-off point. Anchored once more at arming where the estimate had moved meanwhile.
+            its take-off point. Anchored once more at arming where the estimate had moved meanwhile, and moved
+            by contacts where the mission says so.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -26,6 +27,8 @@ class MissionFrameReader:
 
     def take(self, record: Record) -> None:
         """Take the next record; most kinds do not matter here."""
+        if isinstance(record, FrameAnchor) and self.frame is not None:
+            self.frame = self.frame.moved(*record.moved_mission)
         if self._climbs:
             return
         if isinstance(record, OdometrySample):

@@ -130,6 +130,7 @@ def deviations(
     found = [
         deviation
         for collision in mission.collisions
+        if collision.index in met or not collision.is_conditional
         for deviation in _of_collision(
             mission, collision, planned.impacts[collision.index], met.get(collision.index)
         )
@@ -158,10 +159,11 @@ def _of_collision(
             one.tangential_m_s,
             tolerance.impact_m_s,
         )
-    if planned.peak_force_n is not None:
+    known = collision.wall
+    if planned.peak_force_n is not None and collision.probe is None and known.material_known:
         allowed = tolerance.peak_force_share * planned.peak_force_n
         yield Deviation(f"{name} peak force, N", planned.peak_force_n, one.peak_force_n, allowed)
-    if planned.place is not None:
+    if planned.place is not None and collision.probe is None and not known.sought:
         beside = None if one.place is None else distance2(one.place, planned.place)
         yield Deviation(f"{name} beside its place, m", 0.0, beside, tolerance.place_m)
     mode = collision.mode.value

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from dart_flight.base.records import (
     AttitudeSample,
     ContactEnd,
     ContactSide,
+    FrameAnchor,
     GoalPassed,
     GuardEvent,
     ImpactBody,
@@ -47,6 +48,7 @@ from dart_flight.core.sense.incidence import side_of
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.anchor import MissionFrameReader
 from dart_flight.recording.found import PX4_LOG
+from dart_flight.recording.measured_walls import MeasuredWall, WallMeasurements
 from dart_flight.recording.plan_versus_flight import Deviation, FlownImpact, deviations, predict_flight
 from dart_flight.recording.reader import IN_MEMORY, Log
 
@@ -158,6 +160,7 @@ class Verdict(msgspec.Struct):
     goal_reached: bool | None = None  # within the capture radius; None: the flight has no end
     goal_miss_planned_m: float | None = None  # as predicted; None: not known, or flown to from rest
     deviations: list[Deviation] = msgspec.field(default_factory=list)
+    walls: list[MeasuredWall] = msgspec.field(default_factory=list)  # as the contacts have measured them
     arms_moved: bool | None = None  # whether simulated arms ever followed the lock; None: it never moved
 
 
@@ -225,6 +228,8 @@ class VerdictBuilder:
         self._airborne_us: int | None = None
         self._landed_us: int | None = None
         self._anchor = MissionFrameReader(mission)
+        self._sought = {c.wall.name for c in mission.collisions if c.wall.sought}  # by names of their own
+        self._measured_walls = WallMeasurements(mission)
         self._position_error = PositionError()
         self._ticked_us: int | None = None
         self._late_us: int | None = None  # at worst, between ticks
@@ -245,7 +250,8 @@ class VerdictBuilder:
             LockState: self._take_lock,
             GuardEvent: self._take_guard,
             GoalPassed: self._take_passed,
-            TruthContact: self._truths.append,
+            TruthContact: self._take_contact,
+            FrameAnchor: self._take_anchor,
             MissionEnd: self._take_end,
             Tick: self._take_tick,
         }
@@ -274,6 +280,14 @@ class VerdictBuilder:
     def _take_truth(self, record: TruthSample) -> None:
         self._position_error.take_truth(record.t_us, record.position_mission)
         self._true_modes.add(record.mode)
+
+    def _take_contact(self, record: TruthContact) -> None:
+        self._truths.append(record)
+        self._measured_walls.take(record)
+
+    def _take_anchor(self, record: FrameAnchor) -> None:
+        self._anchor.take(record)
+        self._measured_walls.take(record)
 
     def _take_onset(self, record: ImpactOnset) -> None:
         self._onset = record
@@ -349,6 +363,7 @@ class VerdictBuilder:
             last.lock.relaxed_us = record.t_us + self._relaxation_us
 
     def _take_felt(self, record: WallEstimate) -> None:
+        self._measured_walls.take(record)
         if self._relaxation_us is None:
             return  # one mode: nothing to tell apart
         # As of a peak: what is felt of an unplanned hit says nothing of the collision before it.
@@ -371,9 +386,20 @@ class VerdictBuilder:
             times.settled_us = record.settled_us
 
     def build(
-        self, world: World | None, seed: int | None, log: str | None = None, px4_log: str | None = None
+        self,
+        world: World | None,
+        seed: int | None,
+        log: str | None = None,
+        px4_log: str | None = None,
+        drawn: Mapping[str, float | str] | None = None,
     ) -> Verdict:
-        """The verdict of what has been taken so far; without an end the flight counts as aborted."""
+        """The verdict of what has been taken so far; without an end the flight counts as aborted.
+
+        Args:
+            world, seed: that were flown.
+            log, px4_log: where they are.
+            drawn: what the simulated world was drawn as.
+        """
         planned = predict_flight(self._mission)
         for collision in self._collisions:
             self._match_truth(collision)
@@ -403,6 +429,8 @@ class VerdictBuilder:
             vehicle=self._mission.flown_vehicle(),
             plan_followed=all(one.within for one in differ) if differ else None,
             deviations=differ,
+            drawn=dict(drawn or {}),
+            walls=self._measured_walls.build(end.t_us if end else self._landed_us or 0, drawn or {}),
             arms_moved=self._arms_moved(),
             goal_reached=self._goal_reached(),
             goal_miss_planned_m=planned.goal_miss_m if self._mission.standoff_m is None else None,
@@ -439,7 +467,7 @@ class VerdictBuilder:
         near = [
             t
             for t in self._truths
-            if t.wall == collision.wall
+            if (t.wall == collision.wall or collision.wall in self._sought)
             and t.t_us - _TRUTH_MATCH_US <= collision.t_us <= t.end_us + _TRUTH_MATCH_US
         ]
         if not near:
@@ -470,7 +498,5 @@ def verdict_of(log: Log) -> Verdict:
         builder.take(entry.record)
     beside = Path(log.source).with_name(PX4_LOG)
     source = None if log.source == IN_MEMORY else log.source
-    verdict = builder.build(log.world, log.seed, source, str(beside) if beside.exists() else None)
-    if "drawn" in log.about:
-        verdict.drawn = msgspec.json.decode(log.about["drawn"])
-    return verdict
+    drawn = msgspec.json.decode(log.about["drawn"]) if "drawn" in log.about else {}
+    return builder.build(log.world, log.seed, source, str(beside) if beside.exists() else None, drawn)

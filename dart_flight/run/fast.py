@@ -65,6 +65,7 @@ _HOST_OFFSET_US: Final = 7_001_000
 _HALF_RATE: Final = 2  # ticks: attitude, odometry, actuator outputs at 125 Hz
 _TRUTH_EVERY: Final = 2
 _STATUS_EVERY: Final = 50  # 5 Hz, and at once when something changes
+_SURE_EVERY: Final = 250  # ticks: how sure the estimator is of its position, where it says so
 _HOST_EVERY: Final = 5  # ticks of 4 ms: lock polled and host time reported at 50 Hz
 _ASK_EVERY: Final = 25  # ticks: as often as the app measures the round trip
 _REPEAT_US: Final = 50_000  # MAVSDK repeats the last setpoint at 20 Hz
@@ -99,9 +100,9 @@ class TelemetrySender:
                 yield OdometrySample(t_us, received, e.position, e.velocity)
             yield ActuatorSample(t_us, received, a.motors)
         yield ImuSample(a.imu.t_us, received, a.imu.specific_force_frd, a.imu.rate_frd)
-        if e.resets != self._resets:
+        if e.resets != self._resets or (e.position_sd_m is not None and ticks % _SURE_EVERY == 0):
             self._resets = e.resets
-            yield EstimatorSample(t_us, received, e.resets)
+            yield EstimatorSample(t_us, received, e.resets, position_sd_m=e.position_sd_m)
         status = (a.armed, a.mode, a.landed, e.ok)
         if status != self._status or ticks % _STATUS_EVERY == 0:
             self._status = status

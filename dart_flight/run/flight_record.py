@@ -118,8 +118,7 @@ class FlightRecord:
         """The verdict so far; `px4_log` is PX4's own log, where there is one."""
         log = display_path(self.path) if isinstance(self._log, FlightLog) else None
         kept = display_path(px4_log) if px4_log is not None and px4_log.exists() else None
-        built = self.verdict.build(self._world, self._seed, log, kept)
-        built.drawn = self._drawn
+        built = self.verdict.build(self._world, self._seed, log, kept, self._drawn)
         built.log_failure = self._log.shortfall if self._log is not None else None
         return built
 

@@ -115,7 +115,7 @@ def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
     mission = world.mission
     materials, drawn = dict(mission.vehicle.materials), Drawn()
     renamed: dict[str, Wall] = {}
-    for wall in mission.walls:
+    for wall in mission.standing_walls:
         old, name = materials[wall.material], f"{wall.material} of {wall.name}"
         per_mode = {}
         for mode in mission.vehicle.modes:
@@ -132,9 +132,11 @@ def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def with_walls(world: DrawnWorld, walls: Mapping[str, Wall]) -> DrawnWorld:
-    """The world with these walls, by name, all of the mission's; a post goes with its tangent plane."""
+    """The world with these walls, by name, all that stand; a post goes with its tangent plane."""
     mission = world.mission
-    collisions = tuple(msgspec.structs.replace(c, wall=walls[c.wall.name]) for c in mission.collisions)
+    collisions = tuple(
+        msgspec.structs.replace(c, wall=walls.get(c.wall.name, c.wall)) for c in mission.collisions
+    )
     posts = {post.name: post for post in mission.posts}
     for old in mission.walls:
         if old.post_radius_m:
@@ -147,6 +149,7 @@ def with_walls(world: DrawnWorld, walls: Mapping[str, Wall]) -> DrawnWorld:
     changed = msgspec.structs.replace(
         mission,
         walls=tuple(walls[w.name] for w in mission.walls),
+        simulated_walls=tuple(walls[w.name] for w in mission.simulated_walls),
         collisions=collisions,
         posts=tuple(posts.values()),
     )
@@ -156,7 +159,7 @@ def with_walls(world: DrawnWorld, walls: Mapping[str, Wall]) -> DrawnWorld:
 def _wall_offset(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
     """Every wall moved along its normal; its own standard deviation comes before the general one."""
     walls, drawn = {}, Drawn()
-    for wall in world.mission.walls:
+    for wall in world.mission.standing_walls:
         own = wall.position_sd_m
         away = (sd if own is None else own) * rng.gauss(0.0, 1.0)
         walls[wall.name] = wall.moved(away)
@@ -167,7 +170,7 @@ def _wall_offset(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld
 def _wall_yaw(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
     """Every wall turned about its middle, counter-clockwise seen from above; as `_wall_offset`."""
     walls, drawn = {}, Drawn()
-    for wall in world.mission.walls:
+    for wall in world.mission.standing_walls:
         own = wall.yaw_sd_rad
         angle_deg = (sd if own is None else math.degrees(own)) * rng.gauss(0.0, 1.0)
         walls[wall.name] = wall.turned(math.radians(angle_deg))

@@ -13,18 +13,19 @@ from typing import Final
 
 import msgspec
 
-from dart_flight.base.geometry import GRAVITY_M_S2, Vec3, distance2, yaw_ned_of
+from dart_flight.base.geometry import GRAVITY_M_S2, Quaternion, Vec3, distance2, rotate, yaw_ned_of
 from dart_flight.base.records import FlightMode, LandedState
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import PositionSource, Value, vehicle_parameters
 from dart_flight.config.rotors import rotor_parameters
 from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
 from dart_flight.lock.drivers.px4_output import PREARM_ALWAYS, actuator_pulse_us, required_parameters
+from dart_flight.planning.positioning import source_for
 from dart_flight.sim.cascade import Cascade, TrajectorySetpoint
-from dart_flight.sim.estimator import Estimator
+from dart_flight.sim.estimator import Estimator, GpsWeights
 from dart_flight.sim.noise import GaussianNoise
 from dart_flight.sim.plant import Plant, make_plant
-from dart_flight.sim.sensors import ImuSensor, PoseSensor
+from dart_flight.sim.sensors import GPS_QUALITIES, GpsReceiver, ImuSensor, PoseSensor
 
 TICK_S: Final = 0.004
 TICK_US: Final = 4000
@@ -52,16 +53,26 @@ class Autopilot:
         plant: the body and its world.
         seed: of every sensor's noise.
         say: receives (severity, text) of every STATUSTEXT.
+        position_from: motion capture or a GPS receiver.
     """
 
-    def __init__(self, plant: Plant, seed: int, say: Callable[[str, str], None] | None = None) -> None:
+    def __init__(
+        self,
+        plant: Plant,
+        seed: int,
+        say: Callable[[str, str], None] | None = None,
+        position_from: PositionSource = PositionSource.MOCAP,
+    ) -> None:
         self.plant = plant
         self.vehicle: VehicleConfig = plant.vehicle
         noise = GaussianNoise(random.Random(seed))
         self.imu_sensor = ImuSensor(self.vehicle, noise)
         self.pose_sensor = PoseSensor(self.vehicle, noise)
+        self.gps: GpsReceiver | None = None
+        if position_from is not PositionSource.MOCAP:
+            self.gps = GpsReceiver(GPS_QUALITIES[position_from], noise)
         self.estimator = Estimator()
-        self.parameters = default_parameters(self.vehicle)
+        self.parameters = default_parameters(self.vehicle, position_from)
         v = self.vehicle
         self.cascade = Cascade(self.parameters, v.hover_thrust_fraction(), v.thrust, v.airframe.motors)
         self._stopped, self._idle = ((u,) * len(v.airframe.motors) for u in (0.0, _IDLE))
@@ -195,7 +206,9 @@ class Autopilot:
             self.imu = ImuReading(self.time_us, measured, rate)
         self.estimator.predict(self.now_s, measured, rate, TICK_S)
         pose = self.pose_sensor.measure(self.plant)
-        if pose is not None:
+        if self.gps is not None:
+            self._take_gps(self.gps, pose)
+        elif pose is not None:
             self.estimator.correct(*pose)
         self._tick += 1
         self._detect_landing()
@@ -216,6 +229,19 @@ class Autopilot:
                 setpoint, e.position, e.velocity, yaw_ned_of(e.q), TICK_S * _POSITION_EVERY
             )
         self.motors = self.cascade.update_attitude(e.q, e.rate, TICK_S)
+
+    def _take_gps(self, receiver: GpsReceiver, pose: tuple[float, Vec3, Quaternion] | None) -> None:
+        """Position and velocity by GPS; attitude as with motion capture."""
+        if pose is not None:
+            self.estimator.correct_attitude(pose[0], pose[2])
+        fix = receiver.measure(self.plant)
+        if fix is not None:
+            weights = GpsWeights(
+                float(self.parameters["EKF2_GPS_P_NOISE"]),
+                float(self.parameters["EKF2_GPS_V_NOISE"]),
+                rotate(self.plant.q, self.imu_sensor.bias),
+            )
+            self.estimator.correct_gps(fix.t_s, fix.position_ned, fix.velocity_ned, weights)
 
     def _setpoint(self) -> TrajectorySetpoint:
         if self.mode is FlightMode.OFFBOARD and self._offboard is not None:
@@ -291,7 +317,9 @@ class Autopilot:
             self.disarm()
 
 
-def default_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
+def default_parameters(
+    vehicle: VehicleConfig, position_from: PositionSource = PositionSource.MOCAP
+) -> dict[str, Value]:
     """PX4 parameters of the embedded autopilot: those of the configuration and what describes the rest.
 
     An int is one of PX4's INT32 parameters, a float a REAL32.
@@ -308,7 +336,7 @@ def default_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
     # What `check` asks a vehicle in motion capture for, but what this one does: hold when offboard is lost,
     # land after a while, and no sticks.
     # It has the GPS's parameters as well: one that does not answer is asked for again and again.
-    for source in (PositionSource.RTK, PositionSource.MOCAP):
+    for source in (PositionSource.RTK, PositionSource.MOCAP, position_from):
         parameters |= {p.name: p.value for p in vehicle_parameters(source).values()}
     parameters |= {
         "COM_OBL_RC_ACT": 5,
@@ -328,4 +356,5 @@ def default_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
 
 def make_autopilot(mission: Mission, seed: int, say: Callable[[str, str], None] | None = None) -> Autopilot:
     """The simulated vehicle standing on the ground below a mission's start."""
-    return Autopilot(make_plant(mission, seed=seed), seed, say)
+    source = source_for(mission, PositionSource(mission.vehicle.simulation.position_from))
+    return Autopilot(make_plant(mission, seed=seed), seed, say, source)

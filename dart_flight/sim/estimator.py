@@ -1,13 +1,17 @@
-"""The embedded autopilot's state estimator: dead reckoning on the IMU, corrected by delayed poses.
+"""The embedded autopilot's state estimator: dead reckoning on the IMU, corrected by late poses or GPS fixes.
 
-It stands where PX4 has its EKF2, with fixed gains: enough to have PX4's kinds of error (noise, delay, the
-velocity error that a clipped accelerometer leaves behind), not a copy of it.
+It stands where PX4 has its EKF2: with fixed gains for motion capture, with a small Kalman filter for GPS,
+whose weights are those of PX4's parameters. Enough to have PX4's kinds of error (noise, delay, the velocity
+error that a clipped accelerometer leaves behind, a position that follows a wandering receiver or drifts by
+its velocity), not a copy of it.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from typing import Final
+from typing import Final, NamedTuple
+
+import numpy as np
 
 from dart_flight.base.geometry import (
     GRAVITY_M_S2,
@@ -42,8 +46,15 @@ class Estimator:
         self.rate: Vec3 = (0.0, 0.0, 0.0)
         self.ok = False
         self.resets = 0  # ODOMETRY's reset counter
-        self._history: deque[tuple[float, Vec3, Quaternion]] = deque()
+        self._history: deque[tuple[float, Vec3, Vec3, Quaternion]] = deque()
         self._updates = 0
+        self._gps: GpsFilter | None = None
+        self._bias: Vec3 = (0.0, 0.0, 0.0)  # of the accelerometer, NED
+
+    @property
+    def position_sd_m(self) -> float | None:
+        """Of the horizontal position, by the filter itself; None with motion capture."""
+        return None if self._gps is None else self._gps.position_sd_m
 
     def predict(self, t_s: float, specific_force_frd: Vec3, rate_frd: Vec3, dt_s: float) -> None:
         """One IMU tick ending at `t_s`."""
@@ -52,12 +63,16 @@ class Estimator:
         self.rate = rate_frd
         self.q = quaternion_normalise(advance_attitude(self.q, rate_frd, dt_s))
         ax, ay, az = rotate(self.q, specific_force_frd)
+        if self._gps is not None:
+            bx, by, bz = self._bias
+            ax, ay, az = ax - bx, ay - by, az - bz
+            self._gps.predict(dt_s)
         az += GRAVITY_M_S2
         (x, y, z), (vx, vy, vz) = self.position, self.velocity
         h, g = dt_s, 0.5 * dt_s * dt_s
         self.position = (x + (vx * h + ax * g), y + (vy * h + ay * g), z + (vz * h + az * g))
         self.velocity = (vx + ax * h, vy + ay * h, vz + az * h)
-        self._history.append((t_s, self.position, self.q))
+        self._history.append((t_s, self.position, self.velocity, self.q))
         while self._history[0][0] < t_s - _HISTORY_S:
             self._history.popleft()
 
@@ -65,7 +80,7 @@ class Estimator:
         """Jump, as an EKF does at a reset."""
         self.resets += 1
         self.position = add(self.position, by_ned)
-        self._history = deque((t, add(p, by_ned), q) for t, p, q in self._history)
+        self._history = deque((t, add(p, by_ned), v, q) for t, p, v, q in self._history)
 
     def correct(self, t_s: float, position_ned: Vec3, q: Quaternion) -> None:
         """A pose measured at `t_s`, which may lie in the past."""
@@ -73,20 +88,104 @@ class Estimator:
         if self._updates == 1 or not self._history:
             self.position, self.q = position_ned, q
             return
-        # Poses come in the order in which they were measured: what lies before this one is done with, and the
-        # few entries that are left are cheap to move.
+        then = self._at(t_s)
+        self._correct_attitude(then[3], q)
+        innovation = subtract(position_ned, then[1])
+        self._move(scale(innovation, _POSITION_GAIN), scale(innovation, _VELOCITY_GAIN))
+        self.ok = self._updates > 50
+
+    def correct_attitude(self, t_s: float, q: Quaternion) -> None:
+        """An attitude alone, as from gravity and magnetometer, measured at `t_s`."""
+        if self._history:
+            self._correct_attitude(self._at(t_s)[3], q)
+        else:
+            self.q = q
+
+    def correct_gps(self, t_s: float, position_ned: Vec3, velocity_ned: Vec3, weights: GpsWeights) -> None:
+        """A fix of a GPS receiver measured at `t_s`.
+
+        Args:
+            t_s: may lie in the past.
+            position_ned, velocity_ned: as measured.
+            weights: what the filter believes of them.
+        """
+        self._updates += 1
+        if self._gps is None or not self._history:
+            self._gps, self._bias = GpsFilter(weights), weights.standing_bias_ned
+            self.position = position_ned
+            return
+        then = self._at(t_s)
+        away, faster = subtract(position_ned, then[1]), subtract(velocity_ned, then[2])
+        gains = self._gps.correct()
+        moved, pushed, learnt = (add(scale(away, by_p), scale(faster, by_v)) for by_p, by_v in gains)
+        self._move(moved, pushed)
+        self._bias = subtract(self._bias, learnt)
+        self.ok = self._updates > 5
+
+    def _at(self, t_s: float) -> tuple[float, Vec3, Vec3, Quaternion]:
+        """The prediction nearest to a time.
+
+        Measurements come in the order in which they were made: what lies before this one is done with, and
+        the few entries that are left are cheap to move.
+        """
         history = self._history
         while len(history) > 1 and abs(history[1][0] - t_s) < abs(history[0][0] - t_s):
             history.popleft()
-        then = history[0]
-        innovation = subtract(position_ned, then[1])
-        self.position = add(self.position, scale(innovation, _POSITION_GAIN))
-        self.velocity = add(self.velocity, scale(innovation, _VELOCITY_GAIN))
-        error = quaternion_multiply(quaternion_conjugate(then[2]), q)
+        return history[0]
+
+    def _correct_attitude(self, then: Quaternion, q: Quaternion) -> None:
+        error = quaternion_multiply(quaternion_conjugate(then), q)
         sign = 2.0 if error[0] >= 0.0 else -2.0
         twist = scale((error[1], error[2], error[3]), sign * _ATTITUDE_GAIN)
         self.q = quaternion_normalise(quaternion_multiply(self.q, quaternion_from_rotation_vector(twist)))
-        shift = scale(innovation, _POSITION_GAIN)
-        # Old predictions move with the correction, so that one error is not corrected twice.
-        self._history = deque((t, add(p, shift), q_then) for t, p, q_then in history)
-        self.ok = self._updates > 50
+
+    def _move(self, by_ned: Vec3, faster_ned: Vec3) -> None:
+        """Correct position and velocity; old predictions move with them, so that one error is not corrected
+        twice."""
+        self.position = add(self.position, by_ned)
+        self.velocity = add(self.velocity, faster_ned)
+        if self._gps is None:
+            faster_ned = (0.0, 0.0, 0.0)  # at 100 Hz the fixed gains allow for it
+        self._history = deque((t, add(p, by_ned), add(v, faster_ned), q) for t, p, v, q in self._history)
+
+
+class GpsWeights(NamedTuple):
+    """What the filter believes: EKF2_GPS_P_NOISE (m), EKF2_GPS_V_NOISE (m/s), and the accelerometer's bias
+    that it has learnt standing (NED, m/s2)."""
+
+    position_m: float
+    velocity_m_s: float
+    standing_bias_ned: Vec3
+
+
+class GpsFilter:
+    """Covariance and gains of position, velocity and accelerometer bias of one axis, all axes alike."""
+
+    _ACCELERATION_M_S2: Final = 0.35  # PX4's EKF2_ACC_NOISE, of samples at 100 Hz
+    _BIAS_M_S3: Final = 0.003  # EKF2_ACC_B_NOISE
+    _SAMPLE_S: Final = 0.01
+
+    def __init__(self, weights: GpsWeights) -> None:
+        self._noise = np.diag([weights.position_m**2, weights.velocity_m_s**2])
+        self._p = np.diag([weights.position_m**2, 0.1**2, 0.01**2])
+        self._since_s = 0.0
+
+    @property
+    def position_sd_m(self) -> float:
+        """Of the horizontal position."""
+        return float(np.sqrt(2.0 * self._p[0, 0]))
+
+    def predict(self, dt_s: float) -> None:
+        """Time goes by."""
+        self._since_s += dt_s
+
+    def correct(self) -> tuple[tuple[float, float], ...]:
+        """The gains of position, velocity and bias by a fix's position and velocity."""
+        h, self._since_s = self._since_s, 0.0
+        step = np.array([[1.0, h, 0.5 * h * h], [0.0, 1.0, h], [0.0, 0.0, 1.0]])
+        q = (self._ACCELERATION_M_S2**2) * self._SAMPLE_S * h
+        grown = np.diag([q * h * h / 3.0, q, (self._BIAS_M_S3**2) * self._SAMPLE_S * h])
+        p = step @ self._p @ step.T + grown
+        gain = p[:, :2] @ np.linalg.inv(p[:2, :2] + self._noise)
+        self._p = p - gain @ p[:2, :]
+        return tuple((float(row[0]), float(row[1])) for row in gain)

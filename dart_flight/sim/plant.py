@@ -743,7 +743,7 @@ def make_plant(mission: Mission, motors: tuple[Motor, ...] | None = None, seed: 
     start_ned = flat.point_to_ned((x, y, 0.0))
     return Plant(
         mission.vehicle,
-        mission.flat_walls,
+        (*mission.flat_walls, *mission.simulated_walls),
         mission.frame_at(start_ned),
         start_ned,
         motors=motors,

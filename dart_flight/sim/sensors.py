@@ -170,6 +170,7 @@ class GpsQuality(NamedTuple):
         fix_type: MAVLink's GPS_FIX_TYPE: 3 for 3D, 6 for RTK fixed.
         wander_m, wander_s: standard deviation (horizontal; vertical is 1.5 times that) and correlation time.
         noise_m, velocity_noise_m_s: white noise of a fix.
+        velocity_wander_m_s, velocity_wander_s: of the Doppler velocity likewise, which white noise flatters.
         eph_m, epv_m: what the receiver says of itself.
     """
 
@@ -180,18 +181,25 @@ class GpsQuality(NamedTuple):
     velocity_noise_m_s: float
     eph_m: float
     epv_m: float
+    velocity_wander_m_s: float = 0.0
+    velocity_wander_s: float = 20.0
 
 
 # Standard deviation in all: 0.02 m for RTK, 1 m without corrections.
-GPS_QUALITIES: Final = {
+GPS_QUALITIES: Final[dict[str, GpsQuality]] = {
     "rtk": GpsQuality(6, 0.0173, 20.0, 0.01, 0.03, 0.02, 0.03),
-    "plain": GpsQuality(3, 1.0, 60.0, 0.05, 0.1, 0.9, 1.5),
+    "plain": GpsQuality(3, 1.0, 60.0, 0.05, 0.1, 0.9, 1.5, 0.03),
 }
 
 
-class GpsFix(NamedTuple):
-    """Position and velocity in the plant's NED, metres and m/s, reported after the receiver's delay."""
+GPS_QUALITIES["anchored"] = GPS_QUALITIES["plain"]
 
+
+class GpsFix(NamedTuple):
+    """Position and velocity in the plant's NED, metres and m/s, reported after the receiver's delay; and when
+    they were measured."""
+
+    t_s: float
     position_ned: Vec3
     velocity_ned: Vec3
 
@@ -206,7 +214,9 @@ class GpsReceiver:
         self.quality, self._noise = quality, noise
         self._period_s = 1.0 / self.RATE_HZ
         self._decay = math.exp(-self._period_s / quality.wander_s)
+        self._velocity_decay = math.exp(-self._period_s / quality.velocity_wander_s)
         self._wander = self._scaled(quality.wander_m)
+        self._velocity_wander = self._scaled(quality.velocity_wander_m_s)
         self._next_s = 0.0
         self._pending: deque[tuple[float, GpsFix]] = deque()
 
@@ -216,14 +226,19 @@ class GpsReceiver:
         if now >= self._next_s:
             self._next_s += self._period_s
             q = self.quality
-            kick = self._scaled(q.wander_m * math.sqrt(1.0 - self._decay * self._decay))
-            self._wander = add(scale(self._wander, self._decay), kick)
+            self._wander = self._later(self._wander, q.wander_m, self._decay)
+            drift = self._later(self._velocity_wander, q.velocity_wander_m_s, self._velocity_decay)
+            self._velocity_wander = drift
             position = add(add(plant.position, self._wander), self._noise.three(q.noise_m))
-            velocity = add(plant.velocity, self._noise.three(q.velocity_noise_m_s))
-            self._pending.append((now, GpsFix(position, velocity)))
+            velocity = add(add(plant.velocity, drift), self._noise.three(q.velocity_noise_m_s))
+            self._pending.append((now, GpsFix(now, position, velocity)))
         if self._pending and self._pending[0][0] + self.DELAY_S <= now:
             return self._pending.popleft()[1]
         return None
+
+    def _later(self, wander: Vec3, sd: float, decay: float) -> Vec3:
+        """A first-order Gauss-Markov error one fix later."""
+        return add(scale(wander, decay), self._scaled(sd * math.sqrt(1.0 - decay * decay)))
 
     def _scaled(self, sigma: float) -> Vec3:
         x, y, z = self._noise.three(sigma)

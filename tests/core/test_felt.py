@@ -83,9 +83,7 @@ def pulse(
     return ObservedContact(ticks, 0, 0.0137, (normal, along), 0.0, NOISE_N)
 
 
-def met_by_a_guard(
-    c: Coefficients, degrees: float, seed: int = 0, torque_seen: bool = True, along: float = 0.3
-) -> ObservedContact:
+def met_by_a_guard(c: Coefficients, degrees: float, seed: int = 0, along: float = 0.3) -> ObservedContact:
     """Two guards by the law of each, the one ahead turning the vehicle to its own side."""
     rng, a, out = random.Random(seed), BODY.along, BODY.out
     lead = incidence = math.radians(degrees)
@@ -107,11 +105,11 @@ def met_by_a_guard(
             friction = -c.mu * (right + left) * w
             v, w = v + h * (right + left) / MASS, w + h * friction / MASS
             x, incidence = x + 0.5 * h * v, incidence + h * turning
-            found = (right + left, friction, (right - left) * a * ci)
+            uneven = (right - left) * a * ci - (right + left) * out * si
+            found = (right + left, friction, uneven - 0.3 * out * friction)
             sums = [s + f / STEPS for s, f in zip(sums, found, strict=True)]
         read, rub = (value + rng.gauss(0.0, NOISE_N) * (seed > 0) for value in sums[:2])
-        torque = sums[2] if torque_seen else 0.0
-        ticks.append(ContactReading(TICK_S, read, rub, 0.0, 0.0, 0.0, False, turned, turning, torque))
+        ticks.append(ContactReading(TICK_S, read, rub, 0.0, 0.0, 0.0, False, turned, turning, sums[2]))
     return ObservedContact(ticks, 0, 0.0137, (-0.9, along), lead, NOISE_N)
 
 
@@ -148,12 +146,11 @@ def test_the_true_mode_and_its_coefficients_are_found(
     assert odds_of(contact, material) * (1.0 if mode is Mode.RIGID else -1.0) > 6.9
 
 
-@pytest.mark.parametrize("torque_seen", [True, False])
 @pytest.mark.parametrize("mode", list(Mode))
 @pytest.mark.parametrize("degrees", [-10.0, -7.0, 4.0, 7.0, 10.0])
-def test_a_wall_is_found_that_one_guard_meets_first(degrees: float, mode: Mode, torque_seen: bool) -> None:
+def test_a_wall_is_found_that_one_guard_meets_first(degrees: float, mode: Mode) -> None:
     true = VEHICLE.materials["wood"].of(mode)
-    found = fitted(met_by_a_guard(true, degrees, 1, torque_seen), belief_of("wood", mode))
+    found = fitted(met_by_a_guard(true, degrees, 1), belief_of("wood", mode))
     assert found.belief.k == pytest.approx(true.k, rel=0.04)
     assert math.degrees(found.incidence_rad) == pytest.approx(degrees, abs=1.0)
     assert found.misfit < 1.5

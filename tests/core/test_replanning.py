@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from dart_flight.base.records import ForceEstimate, PlanAnswer, PlanRequest, PlanTaken, WallEstimate
 from dart_flight.config.mission import load_mission
-from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import Approach
 from dart_flight.core.mission.lock_orders import LockOrders
@@ -180,19 +179,6 @@ def test_an_approach_from_rest_goes_towards_its_wall(
 def test_an_answer_that_comes_late_is_not_flown() -> None:
     planning, request = asked()
     assert refusal_of(planning, answer_to(request), request.begin_us + 20_000) == "20 ms too late"
-
-
-@pytest.mark.parametrize(("turned_rad", "asks"), [(0.1, True), (-0.6, True), (0.8, False), (-0.8, False)])
-def test_a_vehicle_that_a_contact_has_turned_does_not_set_off_for_a_wall(
-    turned_rad: float, asks: bool
-) -> None:
-    planning, lock, p = ReplanRequests(MISSION), LockOrders(MISSION.vehicle.lock), Proposal()
-    hit, following = MISSION.collisions
-    still = TrajectoryPieces((0.0, 0.0), [(1.0, 0.0, 0.0)])
-    following = msgspec.structs.replace(following, trajectory=still)
-    over = Sensed(estimate=ForceEstimate(NOW_US, (0.0, 0.0, 0.0), False))
-    planning.request_once(hit, following, state_at(NOW_US), over, (2.0, -0.8, 1.0), lock, p, turned_rad)
-    assert bool(p.outputs) is asks
 
 
 def test_a_way_that_begins_elsewhere_is_not_flown() -> None:

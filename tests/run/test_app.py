@@ -177,7 +177,8 @@ def test_what_concerns_the_planner_goes_to_it_where_there_is_one(monkeypatch: py
     app, _ = app_with(monkeypatch, session)
     here, still = (1.0, 0.0, 1.0), (0.0, 0.0, 0.0)
     request = PlanRequest(0, 1, 100_000, 2, here, still, still, (2.0, 0.0, 1.0), 450_000)
-    felt = WallEstimate(0, 0, "wood", None, None, 0.0, *[1.0] * 8, *[0.1] * 4)
+    coefficients, plane = (1.0,) * 8, (0.1, 0.1, 0.1, 0.1)
+    felt = WallEstimate(0, 0, "wood", None, None, 0.0, *coefficients, *plane)
     carry_out(app, monkeypatch, request, felt)  # there is none
     planner = Mock()
     monkeypatch.setattr(app, "_planner", planner)

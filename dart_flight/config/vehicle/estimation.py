@@ -93,6 +93,8 @@ class Estimation(Section, frozen=True, kw_only=True):
         baseline_limit_n: largest force that the baseline takes off.
         arm_vibration: what the IMU feels of the unlocked arms; null: not taken out.
         walls: what is believed of a wall before it is met.
+        position_drift_m_s: standard deviation of the velocity with which PX4's position drifts where GPS's
+            velocity carries it: what is known of the mission frame between two contacts (docs/anchors.md).
     """
 
     thrust_source: ThrustSource
@@ -107,6 +109,7 @@ class Estimation(Section, frozen=True, kw_only=True):
     arm_vibration: ArmVibration | None = None
     hover: HoverLearning
     walls: WallPrior = WallPrior()
+    position_drift_m_s: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.03
 
     def __post_init__(self) -> None:
         if self.thrust_source is ThrustSource.ESC and self.esc_thrust_n_per_rpm2 is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta
 
@@ -125,6 +125,8 @@ class Simulation(Section, frozen=True, kw_only=True):
         imu_ringing: what motors and frame shake into the accelerometer while the motors turn; null: nothing.
         imu_position_m: [forward, right, down] of the centre of mass, where the IMU really is.
         replan_latency_s: from a request to plan anew to its answer, where time is simulated.
+        position_from: where the embedded autopilot has its position from: mocap: motion capture; rtk, plain:
+            a GPS receiver with or without corrections. A real PX4 has options for it.
         operator_s: from the beginning of a pause to the operator's word, where time is simulated; null: there
             is none, the pause runs out.
     """
@@ -149,4 +151,5 @@ class Simulation(Section, frozen=True, kw_only=True):
     imu_ringing: ImuRinging | None = None
     imu_position_m: tuple[Lever, Lever, Lever] = (0.0, 0.0, 0.0)
     replan_latency_s: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.04
+    position_from: Literal["mocap", "rtk", "plain"] = "mocap"
     operator_s: Annotated[float, Meta(ge=0.0, le=600.0)] | None = 2.0

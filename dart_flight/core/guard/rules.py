@@ -190,7 +190,7 @@ def _estimator_reset(v: FlightConditions) -> str | None:
 
 def _position_uncertain(v: FlightConditions) -> str | None:
     sd, limit = v.state.position_sd_m, v.config.position_sd_m
-    if sd is None or sd <= limit or not v.mission.collisions or v.just_after_impact:
+    if sd is None or sd <= limit or not v.mission.collisions or v.just_after_impact or v.mission.is_anchored:
         return None
     return f"standard deviation {sd:.2f} m, allowed {limit:.2f}"
 
@@ -370,6 +370,8 @@ RULES: tuple[Rule, ...] = (
          "stop before the wall, and the impact is not allowed in both modes", "", _BREAK_OFF),
     Rule("lock_not_ready", "the lock did not reach the planned mode before the approach", "lock.timeout_s",
          _LAND),
+    Rule("no_approach", "a wall as a contact has found it leaves no room for the approach to it", "bounds_m",
+         _HOLD),
     Rule("climb_timeout", "the altitude was not reached in time", "flying.ready_timeout_s", _LAND),
     Rule("transit_timeout", "the run-up point or a waypoint was not reached in time",
          "flying.ready_timeout_s", _HOLD),

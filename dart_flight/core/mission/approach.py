@@ -15,7 +15,7 @@ import msgspec
 
 from dart_flight.base.geometry import Vec2, Vec3, distance2
 from dart_flight.base.walls import Post, Wall
-from dart_flight.config.mission import Collision, Mission
+from dart_flight.config.mission import Collision, Mission, Probe
 from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.arithmetic import Number, hypot, maximum, sqrt, where
@@ -78,7 +78,10 @@ class Approach(msgspec.Struct, frozen=True):
 
 
 class PlannedApproach(msgspec.Struct, frozen=True):
-    """An approach along a trajectory of the mission, from rest at `begin` into the wall at `impact`."""
+    """An approach along a trajectory, from rest at `begin` into the wall at `impact`.
+
+    Of the mission's own, or of a probe, which ends at rest where it meets nothing.
+    """
 
     begin: Vec2
     impact: Vec2
@@ -213,6 +216,11 @@ def plan_approach(mission: Mission, collision: Collision) -> Approach | PlannedA
     assert collision.impact_point is not None
     vx, vy, _ = collision.approach_velocity()
     impact = collision.impact_point
+    if collision.probe is not None:
+        way = _probe_trajectory(mission, collision.probe, mission.altitude_at(collision.index - 1))
+        probed = PlannedApproach(collision.probe.begin, impact, math.hypot(vx, vy), way)
+        _check_room(mission, collision, probed)
+        return probed
     if collision.trajectory is not None:
         way = PlannedTrajectory.from_pieces(collision.trajectory, mission.altitude_at(collision.index - 1))
         return PlannedApproach(collision.trajectory.position_m, impact, math.hypot(vx, vy), way)
@@ -224,7 +232,28 @@ def plan_approach(mission: Mission, collision: Collision) -> Approach | PlannedA
     return approach
 
 
-def _check_room(mission: Mission, collision: Collision, approach: Approach) -> None:
+def _probe_trajectory(mission: Mission, probe: Probe, altitude_m: float) -> PlannedTrajectory:
+    """From rest to rest at the probe's speed, but for the ramps of an approach at both ends."""
+    way_m = distance2(probe.begin, probe.end)
+    a_m_s2 = mission.vehicle.flying.acceleration_m_s2
+    speed = min(probe.speed_m_s, math.sqrt(way_m * a_m_s2 / PEAK_OVER_MEAN))
+    ramp_s = PEAK_OVER_MEAN * speed / a_m_s2
+    steady_s = max(1e-3, way_m / speed - ramp_s)
+    up, down = speed / ramp_s**2, -0.5 * speed / ramp_s**3  # of the third and fourth power of the time
+    ways = (
+        (0.0, 0.0, 0.0, up, down, 0.0),
+        (0.5 * speed * ramp_s, speed, 0.0, 0.0, 0.0, 0.0),
+        (way_m - 0.5 * speed * ramp_s, speed, 0.0, -up, -down, 0.0),
+    )
+    axes = []
+    for begin, end in zip(probe.begin, probe.end, strict=True):
+        d = (end - begin) / way_m
+        axes.append(tuple(begin * (k == 0) + d * c for piece in ways for k, c in enumerate(piece)))
+    durations = (ramp_s, steady_s, ramp_s)
+    return PlannedTrajectory(axes[0], axes[1], sum(durations), altitude_m, durations)
+
+
+def _check_room(mission: Mission, collision: Collision, approach: Approach | PlannedApproach) -> None:
     begin, impact = approach.begin, approach.impact
     excess = mission.bounds.excess2(begin)
     if excess > 0.0:

@@ -14,6 +14,7 @@ from dart_flight.base.geometry import Vec3, distance2, rotate, wrap_angle, yaw_n
 from dart_flight.base.records import (
     AfterImpact,
     DetectionFloor,
+    FrameAnchor,
     GoalPassed,
     ImpactOnset,
     ImpactPeak,
@@ -28,14 +29,18 @@ from dart_flight.base.records import (
     Phase,
     PhaseChange,
     PlanAnswer,
+    ProbeEnd,
     Request,
     VehicleAction,
     VehicleCommand,
     WallEstimate,
 )
+from dart_flight.base.walls import Wall
 from dart_flight.config.mission import ESTIMATE_MOVED_M, Collision, Mission, Waypoint
+from dart_flight.core.mission.anchors import WALL_SD_M, Anchor, FrameAnchors
 from dart_flight.core.mission.approach import (
     Approach,
+    NoApproachError,
     PlannedApproach,
     check_segments_clear,
     plan_approach,
@@ -43,6 +48,7 @@ from dart_flight.core.mission.approach import (
 from dart_flight.core.mission.commitment import STOP_MARGIN_M, may_commit
 from dart_flight.core.mission.contact_feedforward import LONGEST_S, ContactFeedforward
 from dart_flight.core.mission.heading import HeadingControl
+from dart_flight.core.mission.legs import collision_now, mission_now, waypoint_now, why_left_out
 from dart_flight.core.mission.lock_orders import LockOrders
 from dart_flight.core.mission.phases import (
     AT_WALL,
@@ -73,6 +79,8 @@ _STREAMING_US: Final = 200_000  # PX4 accepts offboard only with setpoints alrea
 _COASTING_S: Final = 0.25  # before an impact: so long does the attitude take to come to what is asked
 _TRAJECTORY_WAIT_S: Final = 1.5  # after a contact: by then a planner that lives has answered, even twice
 _NEAR_S: Final = 0.3  # before an impact
+_NOTHING_MET_S: Final = 0.3  # after the end of a probe: PX4 follows its setpoints a little late
+_RUN_UP_US: Final = 5_000_000  # about so long from the transit's beginning to the impact
 _REST_TIMEOUT_US: Final = 4_000_000
 _REST_AFTER_US: Final = 500_000
 _DISARM_AFTER_US: Final = 8_000_000
@@ -99,14 +107,16 @@ class Executive:
     def __init__(self, mission: Mission) -> None:
         self.mission = mission
         self.phase = Phase.READYING
-        self._collisions = mission.collisions
+        self._collisions = list(mission.collisions)  # at a wall that was sought, once that is met, with it
         self._index = 0  # of the collision that comes next or is under way
         self._stops = 0  # waypoints and pauses that are over
         self._approaches: dict[int, Approach | PlannedApproach] = {
             c.index: plan_approach(mission, c) for c in mission.collisions if c.approach_m_s is not None
         }
         check_segments_clear(mission)
-        self._survey = EstimatedWalls()
+        drift_m_s = mission.vehicle.estimation.position_drift_m_s
+        self._anchors = FrameAnchors(drift_m_s) if mission.is_anchored else None
+        self._survey = EstimatedWalls(self._anchors)
         self._references = SetpointGenerator(mission)
         self._lock = LockOrders(mission.vehicle.lock)
         self._replanning = ReplanRequests(mission)
@@ -122,7 +132,7 @@ class Executive:
             )
             if pieces is not None and mission.after_impact is AfterImpact.REPLAN
         }
-        self._met_yaw = self._square_yaw = 0.0  # heading at the last contact, and wanted before the first
+        self._square_yaw = 0.0  # heading wanted before the first contact
         self._stood_at_ned: Vec3 = (0.0, 0.0, 0.0)
         self._entered_us: int | None = None
         self._entered_host_us: int | None = None
@@ -188,13 +198,13 @@ class Executive:
             else:
                 self._lock.contact_ends(event.t_us)
         if sensed.wall is not None:
-            self._on_wall_estimate(sensed.wall, p)
+            self._on_wall_estimate(sensed.wall, state, p)
         permission = self._lock.permission(state.now_us, sensed.in_contact)
         if permission is not None:
             p.outputs.append(permission)
         step = self._steps.get(self.phase)
-        if step is not None:
-            step(state, sensed, p)
+        if step is not None and not (p.frame is not None and self._anchors is not None and sensed.wall):
+            step(state, sensed, p)  # what has just moved the frame has not moved the state yet
         p.expected = self._expect()
         p.altitude_m = self._references.altitude_m
         if isinstance(item, OdometrySample):
@@ -288,7 +298,8 @@ class Executive:
     def _readying(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         locked = self._lock_to(self.mission.transit_mode, state, p)
         sd = state.position_sd_m or 0.0  # what is not told is not judged
-        limit = self.mission.vehicle.guard.position_sd_m if self.mission.collisions else math.inf
+        judged = self.mission.collisions and self._anchors is None
+        limit = self.mission.vehicle.guard.position_sd_m if judged else math.inf
         sure = f"position to {limit:.2f} m (its standard deviation by PX4 is {sd:.2f} m)"
         there = {
             "imu": state.imu is not None,
@@ -335,6 +346,8 @@ class Executive:
                 self._anchor_frame(state, p)
                 reason = f"confirmed by telemetry; the position moved by {moved_m:.2f} m on the ground"
             self._references.climb()
+            if self._anchors is not None:
+                self._anchors.begin(state.now_us)
             self._go(PhaseTrigger.CONFIRMED, state, p, reason)
             return
         self._ask(VehicleAction.ARM, state, p)
@@ -351,7 +364,10 @@ class Executive:
 
     def _start_next(self, cue: PhaseTrigger, state: FlightState, p: Proposal) -> None:
         """From rest at the target to what comes next; `cue` is that for a collision."""
+        self._leave_out(state, p)
         waypoint = self._waypoint
+        if waypoint is not None:
+            waypoint = waypoint_now(waypoint, self._survey)
         if waypoint is not None and waypoint.position is None:
             waits = f"waiting for the operator (Enter or SIGUSR1); landing after {waypoint.hold_s:g} s"
             self._go(PhaseTrigger.NEXT_PAUSE, state, p, waits)
@@ -361,10 +377,23 @@ class Executive:
             self._references.fly_to_waypoint(waypoint.position, waypoint.speed_m_s)
         elif self._collision is not None:
             self._go(cue, state, p)
-            self._begin_transit()
+            self._begin_transit(state, p)
         else:
             self._go(PhaseTrigger.NEXT_GOAL, state, p)
             self._fly_to_goal()
+
+    def _leave_out(self, state: FlightState, p: Proposal) -> None:
+        """Pass over the legs that depend on a wall which was met, or was not."""
+        while (leg := self._waypoint or self._collision) is not None:
+            reason = why_left_out(leg, self._survey)
+            if reason is None:
+                return
+            name = leg.name if isinstance(leg, Waypoint) else f"collision {leg.index}"
+            p.outputs.append(ProbeEnd(state.now_us, f"{name} left out: {reason}"))
+            if isinstance(leg, Waypoint):
+                self._stops += 1
+            else:
+                self._index += 1
 
     def _fly_to_goal(self) -> None:
         """From rest, along the mission's trajectory where it has one."""
@@ -401,10 +430,27 @@ class Executive:
             self._stops += 1
             self._start_next(PhaseTrigger.NEXT_COLLISION, state, p)
 
-    def _begin_transit(self) -> None:
+    def _begin_transit(self, state: FlightState, p: Proposal) -> None:
         collision = self._collision
         assert collision is not None
+        if collision.wall.sought or collision.probe is not None or self._anchors is not None:
+            self._plan_approach_now(collision, state, p)
         self._references.fly_to(self._approaches[collision.index].begin)
+
+    def _plan_approach_now(self, collision: Collision, state: FlightState, p: Proposal) -> None:
+        """The approach to a wall as it is known by now; a probe keeps its way, but square to the wall."""
+        if collision.trajectory is not None:
+            return
+        then_us = state.now_us + _RUN_UP_US
+        known = collision_now(collision, self._survey, then_us)
+        self._collisions[self._index] = known
+        if collision.probe is not None:
+            return
+        try:
+            mission = mission_now(self.mission, self._survey, then_us)
+            self._approaches[collision.index] = plan_approach(mission, known)
+        except NoApproachError as error:
+            p.add_finding("no_approach", str(error))
 
     def _transit(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if self._has_arrived(state):
@@ -447,6 +493,10 @@ class Executive:
         assert collision is not None
         if not state.lock_is_in(collision.mode):
             p.add_finding("lock_not_settled", f"lock left {collision.mode.value} during the approach")
+        if collision.probe is not None:
+            if self._takes_longer_than(self._impact_s + _NOTHING_MET_S, state):
+                self._end_probe(collision, state, p)
+            return
         since_s = self._elapsed_us(state) * 1e-6 - self._impact_s
         # A trajectory may begin beside its wall, behind the plane.
         if since_s > -_NEAR_S or isinstance(self._approaches[collision.index], Approach):
@@ -455,13 +505,21 @@ class Executive:
             return
         approach, guard = self._approaches[collision.index], self.mission.vehicle.guard
         assert collision.approach_m_s is not None
-        wall = self._survey.wall_now(collision.wall)
+        wall = self._survey.wall_now(collision.wall, state.now_us)
         if since_s > late_s(guard, wall, approach.impact, -collision.approach_m_s[0]):
             detail = f"wall {collision.wall.name} not met {since_s:.1f} s after the planned impact"
             p.add_finding("wall_not_met", detail)
 
+    def _end_probe(self, collision: Collision, state: FlightState, p: Proposal) -> None:
+        """At its end, and nothing was met."""
+        p.outputs.append(ProbeEnd(state.now_us, f"nothing met on the probe for wall {collision.wall.name}"))
+        self._references.hold(state.position)
+        self._lock.contact_ends(state.now_us)
+        self._go(PhaseTrigger.NOT_MET, state, p)
+        self._index += 1
+
     def _check_wall_met(self, collision: Collision, state: FlightState, sensed: Sensed, p: Proposal) -> None:
-        wall, (x, y, _) = self._survey.wall_now(collision.wall), state.position
+        wall, (x, y, _) = self._survey.wall_now(collision.wall, state.now_us), state.position
         overrun = -wall.signed_distance((x, y))
         if overrun <= 0.0:
             return
@@ -481,10 +539,9 @@ class Executive:
             force = math.hypot(event.force_mission[0], event.force_mission[1])
             p.add_finding("unplanned_hit", f"unplanned impact of {force:.0f} N in phase {self.phase.value}")
             return
-        self._met_yaw = state.yaw
-        wall, (x, y, _) = self._survey.wall_now(collision.wall), event.position_mission
+        wall, (x, y, _) = self._survey.wall_now(collision.wall, state.now_us), event.position_mission
         distance = wall.signed_distance((x, y))
-        if distance > early_m(self.mission.vehicle.guard, wall, (x, y)):
+        if collision.probe is None and distance > early_m(self.mission.vehicle.guard, wall, (x, y)):
             p.add_finding("wall_met_early", f"{distance:.2f} m before wall {collision.wall.name}")
         elif not state.lock_is_in(collision.mode):
             detail = f"contact with wall {collision.wall.name} while the lock is not {collision.mode.value}"
@@ -492,11 +549,12 @@ class Executive:
         else:
             self._go(PhaseTrigger.ONSET, state, p)
 
-    def _on_wall_estimate(self, felt: WallEstimate, p: Proposal) -> None:
-        self._survey.add_estimate(felt)
-        wall = next((wall for wall in self.mission.walls if wall.name == felt.wall), None)
-        if wall is not None:
-            self._survey.add_direction(wall, self._met_yaw, felt)
+    def _on_wall_estimate(self, felt: WallEstimate, state: FlightState, p: Proposal) -> None:
+        hit = next(c.wall for c in self.mission.collisions if c.wall.name == felt.wall)
+        known = self._survey.wall_now(hit)
+        self._survey.add_estimate(felt, hit)
+        if self._anchors is not None and not known.sought:
+            self._anchor_at(known, felt, state, p)
         if felt.mode_felt is None or felt.mode_reported in (None, felt.mode_felt):
             return
         detail = (
@@ -504,6 +562,31 @@ class Executive:
             f"{felt.mode_reported.value} (log odds {abs(felt.log_odds):.1f})"
         )
         p.add_finding("mode_felt", detail, noted=self.mission.mode_mismatch is ModeMismatch.NOTE_ONLY)
+
+    def _anchor_at(self, wall: Wall, felt: WallEstimate, state: FlightState, p: Proposal) -> None:
+        """Put the mission frame right along the normal of a wall that was met.
+
+        The difference between where it was met and where it was taken to be is shared by the frame and the
+        wall as their variances are.
+        """
+        anchors, frame = self._anchors, p.frame or state.frame
+        assert anchors is not None
+        assert frame is not None
+        told_sd = felt.plane_offset_sigma_m
+        wall_sd = WALL_SD_M if wall.position_sd_m is None else wall.position_sd_m
+        expected = anchors.sd_m(wall.normal, felt.t_us)
+        rest2 = wall_sd * wall_sd + told_sd * told_sd
+        gain = expected * expected / (expected * expected + rest2)
+        place = felt.plane_point_mission
+        moved = gain * (felt.plane_offset_m if place is None else wall.signed_distance(place))
+        by = (moved * wall.normal[0], moved * wall.normal[1])
+        age_s = anchors.age_s(wall.normal, felt.t_us)
+        sd = expected * math.sqrt(1.0 - gain)
+        anchors.add(Anchor(wall.normal, felt.t_us, sd))
+        self._survey.move_frame(by)
+        self._references.move_frame(by)
+        p.frame = frame.moved(*by)
+        p.outputs.append(FrameAnchor(state.now_us, wall.name, by, expected, sd, age_s))
 
     def _on_detection_floor(self, event: DetectionFloor, p: Proposal) -> None:
         """Whether the planned hit can be told from the vibration at all; a wall not felt is flown into."""
@@ -534,6 +617,9 @@ class Executive:
             collision.alpha_tangential_m_per_n,
             self._references.altitude_m,
         )
+        if collision.probe is not None:
+            away, (px, py, _), (nx, ny) = collision.probe.back_m, event.position_mission, event.normal
+            point = (px + away * nx, py + away * ny, self._references.altitude_m)
         self._references.hold(point)
         assert state.frame is not None
         p.outputs.append(
@@ -556,7 +642,8 @@ class Executive:
             if not stops:
                 self._replan(following, state, sensed, p)
         timed_out = self._takes_longer_than(self.mission.limits.collision_timeout_s, state)
-        if stops or (following is not None and following.approach_m_s is not None):
+        rests = stops or self.mission.collisions[self._index - 1].probe is not None
+        if rests or (following is not None and following.approach_m_s is not None):
             elapsed_us = self._elapsed_us(state)
             slow = elapsed_us > _REST_AFTER_US and self._references.is_slow(state)
             if slow or elapsed_us > _REST_TIMEOUT_US:
@@ -568,7 +655,8 @@ class Executive:
             if self._replanning.impact_in_s(state) < _NEAR_S:
                 self._check_wall_met(following, state, sensed, p)
             self._check_lock_in_time(following, state, sensed, p)
-            if timed_out or self._replanning.is_late(self._survey.wall_now(following.wall), state):
+            wall = self._survey.wall_now(following.wall, state.now_us)
+            if timed_out or self._replanning.is_late(wall, state):
                 p.add_finding("wall_not_met", f"wall {following.wall.name} not reached by the recovery")
 
     def _mode_after(self, following: Collision | None, stops: bool) -> Mode:

@@ -26,6 +26,7 @@ class PhaseTrigger(StrEnum):
     ONSET = "force over threshold"
     PEAK = "peak of normal force"
     STOOD_OFF = "stopped before the wall"  # a rehearsal
+    NOT_MET = "nothing met"  # a probe
     RESTED = "rested, next approach"
     PASSED = "goal passed"
     TIMED_OUT = "goal not passed in time"
@@ -47,6 +48,7 @@ TRANSITIONS: dict[tuple[Phase, PhaseTrigger], Phase] = {
     (Phase.TRANSIT, PhaseTrigger.NO_LOCK): Phase.APPROACH,
     (Phase.APPROACH, PhaseTrigger.ONSET): Phase.CONTACT,
     (Phase.APPROACH, PhaseTrigger.STOOD_OFF): Phase.RECOVERY,
+    (Phase.APPROACH, PhaseTrigger.NOT_MET): Phase.RECOVERY,
     (Phase.CONTACT, PhaseTrigger.PEAK): Phase.RECOVERY,
     (Phase.RECOVERY, PhaseTrigger.ONSET): Phase.CONTACT,
     (Phase.RECOVERY, PhaseTrigger.RESTED): Phase.TRANSIT,

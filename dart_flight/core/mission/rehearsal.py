@@ -52,7 +52,7 @@ class Rehearsal(Executive):
             self._go(PhaseTrigger.PASSED, state, p)
         elif following.approach_m_s is not None:
             self._go(PhaseTrigger.RESTED, state, p)
-            self._begin_transit()
+            self._begin_transit(state, p)
         elif not self._references.on_transit:
             if locked:
                 here = (state.position[0], state.position[1])

@@ -51,6 +51,11 @@ class SetpointGenerator:
         """Hold a point at the present altitude, from now on."""
         self.target, self._way = self._at_altitude(point), None
 
+    def move_frame(self, by: Vec2) -> None:
+        """The mission frame's origin has moved, in its axes: what is held stays where it is."""
+        x, y, z = self.target
+        self.target = (x - by[0], y - by[1], z)
+
     def climb(self) -> None:
         """From the ground to the mission's altitude."""
         self._transit_to(self._at_altitude(self.target), self._flying.climb_speed_m_s)

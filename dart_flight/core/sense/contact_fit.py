@@ -7,6 +7,7 @@ positive turned left,
     x_g = x - g a sin i + d (1 - cos i)        depth of a guard
     F   = sum of max(0, -(k x_g + f dx_g/dt)/2)
     T   = -mu F (v_t + b d di/dt)              b the share of the lever at which friction acts
+    M   = a cos(i) (F_1 - F_-1) - d sin(i) F - b d T              torque, positive turns to the right
     m dv/dt = force + push by thrust and drag
 
 i is what the attitude and the gyro give, less the angle by which the wall stands off the plan. Unknown are
@@ -23,7 +24,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Final, NamedTuple
 
 from dart_flight.base.geometry import Vec2
@@ -39,6 +40,9 @@ _LEVER_SHARE: Final = 0.3  # at which friction is expected to act, as in `body.K
 # What the model is off by, of the largest force, and of the largest friction.
 _MODEL_ERROR: Final = 0.015
 _FRICTION_ERROR: Final = 0.03
+_TORQUE_ERROR: Final = 0.1  # of the largest torque that the normal force can have: much the same in all ticks
+_LEVER_SD: Final = 0.3  # of the lever of friction, in distances to the wall
+_SURE_SIGMA: Final = 5.0  # of the sum of the readings: below it they are of no contact
 _MIN_FACTOR: Final = 0.1  # no coefficient is believed to be below this share of what was believed
 _MAX_ANGLE_RAD: Final = 0.6
 _STEPS: Final = 8  # one a sample, so that 60 ms after the contact's end all is said
@@ -49,6 +53,8 @@ _SUBSTEPS: Final = 2  # of a tick
 _MAX_TICKS: Final = 36  # more are merged
 _GUESS_SHARE: Final = 0.15  # of the largest force: readings that a first guess is made of
 _INCIDENCES_RAD = tuple(math.radians(d) for d in (4.0, 7.0, 10.0))  # at which a fit may begin
+_UNKNOWN_RAD: Final = math.radians(10.0)  # a wall's direction with such a deviation is not known
+_STEEP_RAD = tuple(math.radians(d) for d in (13.0, 19.0))
 _K, _F, _X, _V, _D, _MU, _W = range(7)  # k, f, place, velocity, angle, mu, velocity along
 _ALL: Final = 7
 
@@ -102,6 +108,7 @@ class ObservedContact(NamedTuple):
         velocity: along the planned wall's axes at the first tick's beginning, as PX4 has it, m/s.
         incidence_rad: leading edge against the planned wall then.
         noise_n: of a reading.
+        torque_noise_nm: likewise, of its torque.
         place_sd, angle_sd: how well the wall's place (m) and direction (rad) are known beforehand.
     """
 
@@ -113,6 +120,7 @@ class ObservedContact(NamedTuple):
     noise_n: float
     place_sd: float = PLACE_M
     angle_sd: float = WALL_RAD
+    torque_noise_nm: float = 0.1
 
 
 class Body(NamedTuple):
@@ -157,46 +165,69 @@ class ContactFit:
 
     def __init__(self, contact: ObservedContact, before: Belief, scatter: float, body: Body) -> None:
         self.contact = contact
-        self._fit: _ContactLawFit | None = None
         self._begin = (contact, before, scatter, body)
-        self._settled = False
+        self._under_way: _ContactLawFit | None = None
+        self._best: _ContactLawFit | None = None
+        # Of a wall whose direction hardly anything is known of, one guard may have borne all the force: that
+        # is another valley, which is not found from where both bear.
+        unknown = contact.angle_sd > _UNKNOWN_RAD
+        self._starts: list[float | None] = [None, *_STEEP_RAD] if unknown else [None]
 
     def advance(self) -> bool:
         """Take one step; False once there is none left to take."""
-        if self._settled:
-            return False
         try:
-            if self._fit is None:
-                self._fit = _ContactLawFit(*self._begin)
-            self._settled = not self._fit.step()
+            if self._under_way is None:
+                if not self._starts:
+                    return False
+                self._under_way = _ContactLawFit(*self._begin, self._starts.pop(0))
+            if not self._under_way.step():
+                if self._best is None or self._under_way.cost < self._best.cost:
+                    self._best = self._under_way
+                self._under_way = None
         except (ArithmeticError, ValueError):
-            # Readings that no contact can have: nothing is felt.
-            self._fit, self._settled = None, True
-        return not self._settled
+            self._under_way = None  # readings that no contact can have: nothing is felt
+        return self._under_way is not None or bool(self._starts)
 
     def result(self) -> Hypothesis | None:
         """The fit as it stands; None where the readings are of no such contact."""
         try:
-            return None if self._fit is None else self._fit.result()
+            found = self._best or self._under_way
+            return None if found is None else found.result()
         except (ArithmeticError, ValueError):
             return None
 
 
 class _ContactLawFit:
-    """Gauss-Newton over (k, f, place, velocity, angle, mu, velocity along), the coefficients as factors."""
+    """Gauss-Newton over (k, f, place, velocity, angle, mu, velocity along), the coefficients as factors.
 
-    def __init__(self, contact: ObservedContact, before: Belief, scatter: float, body: Body) -> None:
+    It begins with the best of some guesses, or with one guard ahead by the incidence `lead`.
+    """
+
+    def __init__(
+        self,
+        contact: ObservedContact,
+        before: Belief,
+        scatter: float,
+        body: Body,
+        lead: float | None = None,
+    ) -> None:
         self._c, self._before, self._scatter, self._body = contact, before, scatter, body
         self._ticks = _merged(contact.ticks)
         top = max(t.normal for t in self._ticks)
         rub = max(abs(t.along) for t in self._ticks)
-        if top <= 3.0 * contact.noise_n:
+        pushed, count = sum(t.normal * t.samples for t in self._ticks), sum(t.samples for t in self._ticks)
+        if pushed <= _SURE_SIGMA * contact.noise_n * math.sqrt(count):
             raise ValueError("no force")
         model2 = (_MODEL_ERROR * top) ** 2
         along2 = (_FRICTION_ERROR * rub) ** 2 + 0.04 * model2
         noise2 = contact.noise_n**2
+        torque2 = (_TORQUE_ERROR * body.along * top) ** 2 + (_LEVER_SD * body.out * rub) ** 2
         self._scales = [
-            (1.0 / math.sqrt(noise2 / t.samples + model2), 1.0 / math.sqrt(noise2 / t.samples + along2))
+            (
+                1.0 / math.sqrt(noise2 / t.samples + model2),
+                1.0 / math.sqrt(noise2 / t.samples + along2),
+                1.0 / math.sqrt(contact.torque_noise_nm**2 / t.samples + torque2),
+            )
             for t in self._ticks
         ]
         self._top = top
@@ -206,21 +237,21 @@ class _ContactLawFit:
         # Widths of the priors, in the order of the parameters.
         self._sd = [sds[0], sds[1], contact.place_sd, speed_sd, contact.angle_sd, sds[2], speed_sd]
         self._forces: list[float] = []
-        self._cost = math.inf
+        self.cost = math.inf
         self._residuals: list[float] = []
         self.theta: list[float] = []
-        self._begin()
+        self._begin(self._guesses() if lead is None else [self._guard_ahead(lead)])
         self._damping = 1e-3
         self._curvature: list[list[float]] = []
         self.steps = 0
 
-    def _begin(self) -> None:
+    def _begin(self, guesses: Iterable[list[float]]) -> None:
         """The best of some guesses."""
-        for tried in self._guesses():
+        for tried in guesses:
             residuals = self._residuals_at(tried)
             cost = sum(r * r for r in residuals)
-            if cost < self._cost:
-                self.theta, self._residuals, self._cost = tried, residuals, cost
+            if cost < self.cost:
+                self.theta, self._residuals, self.cost = tried, residuals, cost
         if not self.theta:
             raise ValueError("not a number")
 
@@ -228,16 +259,20 @@ class _ContactLawFit:
         """Both guards bear alike; as the torque has it, which turns the wall, and again from there; as
         believed, the guard ahead that meets the wall first and turns the vehicle to its own side."""
         angle = 0.0
-        for by_torque in (False, True, True):
+        for by_torque in (False, True, True, True):
             guess = self._guess(by_torque, angle)
             angle = guess[_D]
             yield guess
-        side = -math.copysign(1.0, self._ticks[-1].turned)
         for lead in _INCIDENCES_RAD:
-            angle = self._c.incidence_rad - side * lead
-            vn, vt = _turned(*self._c.velocity, math.cos(angle), math.sin(angle))
-            place = -vn * self._c.touched_s + self._body.along * math.sin(lead)
-            yield [1.0, 1.0, place, vn, angle, 1.0, vt]
+            yield self._guard_ahead(lead)
+
+    def _guard_ahead(self, lead: float) -> list[float]:
+        """As believed, with the guard ahead that turns the vehicle to its own side."""
+        side = -math.copysign(1.0, self._ticks[-1].turned)
+        angle = self._c.incidence_rad - side * lead
+        vn, vt = _turned(*self._c.velocity, math.cos(angle), math.sin(angle))
+        place = -vn * self._c.touched_s + self._body.along * math.sin(lead)
+        return [1.0, 1.0, place, vn, angle, 1.0, vt]
 
     def step(self) -> bool:
         """One step; False where it was the last."""
@@ -253,8 +288,8 @@ class _ContactLawFit:
             tried = _moved(theta, solve(curvature, gradient, self._damping))
             new = self._residuals_at(tried)
             cost = sum(r * r for r in new)
-            if cost <= self._cost:
-                gain, self._cost = self._cost - cost, cost
+            if cost <= self.cost:
+                gain, self.cost = self.cost - cost, cost
                 self.theta, self._residuals = tried, new
                 self._damping *= 0.1
                 return gain > _SETTLED * (1.0 + 0.01 * cost) and self.steps < _STEPS
@@ -293,7 +328,9 @@ class _ContactLawFit:
             x += t.h * speed
             v += t.h * acceleration
             slide = t.h * (along + drive) / m
-            uneven = (t.torque + _LEVER_SHARE * out * along) / a if by_torque else 0.0
+            i = self._c.incidence_rad - turned + t.turned
+            by_force = out * math.sin(i) * normal + _LEVER_SHARE * out * along
+            uneven = (t.torque + by_force) / (a * math.cos(i)) if by_torque else 0.0
             uneven = max(-normal, min(normal, uneven))
             for g, s in sums.items():
                 bears = normal + g * uneven
@@ -338,7 +375,7 @@ class _ContactLawFit:
         first, lever = self._c.incidence_rad - angle, _LEVER_SHARE * out
         forces: list[float] = []
         residuals: list[float] = []
-        for t, (scale, scale_along) in zip(self._ticks, self._scales, strict=True):
+        for t, (scale, scale_along, scale_torque) in zip(self._ticks, self._scales, strict=True):
             h = t.h / _SUBSTEPS
             hm, hh = h / m, 0.5 * h
             push = (t.push_normal * co - t.push_along * so) * hm
@@ -351,22 +388,28 @@ class _ContactLawFit:
             right, left = even - odd, even + odd
             right_v, left_v = even_v - odd_v, even_v + odd_v
             slip = lever * turning * ci
-            v_begin, w_begin = v, w
+            v_begin, w_begin, bears_r, bears_l = v, w, 0.0, 0.0
             for _ in range(_SUBSTEPS):
                 mid = x + hh * v
                 count, known = 0, 0.0
                 # Drift, kick, drift; the damping of the kick is implicit.
-                for guard, guard_v in ((right, right_v), (left, left_v)):
-                    pull = half_k * (mid + guard) + half_f * guard_v
-                    if pull + half_f * v < 0.0 and not (touch and mid + guard >= 0.0):
-                        count += 1
-                        known -= pull
+                pull_r = half_k * (mid + right) + half_f * right_v
+                pull_l = half_k * (mid + left) + half_f * left_v
+                on_right = pull_r + half_f * v < 0.0 and not (touch and mid + right >= 0.0)
+                on_left = pull_l + half_f * v < 0.0 and not (touch and mid + left >= 0.0)
+                if on_right:
+                    count, known = 1, -pull_r
+                if on_left:
+                    count, known = count + 1, known - pull_l
                 if count:
                     beta = 0.5 * half_f * count * hm
                     new = (v * (1.0 - beta) + hm * known + push) / (1.0 + beta)
                     # Friction: the speed along the wall decays with the normal impulse.
                     decay = math.exp(-kappa * max(0.0, m * (new - v - push)))
                     w = w * decay + drive * math.sqrt(decay) - slip * (1.0 - decay)
+                    damped = 0.5 * half_f * (v + new)
+                    bears_r += on_right * -(pull_r + damped)
+                    bears_l += on_left * -(pull_l + damped)
                     v = new
                 else:
                     v += push
@@ -380,6 +423,9 @@ class _ContactLawFit:
             off = t.normal * co - t.along * so - force
             residuals.append(0.0 if t.bound and off <= 0.0 else scale * off)
             residuals.append(scale_along * (t.along * co + t.normal * so - along))
+            # At full scale the force is more than what was read, and turns the vehicle more.
+            uneven = (a * ci * (bears_r - bears_l) - out * si * (bears_r + bears_l)) / _SUBSTEPS
+            residuals.append(0.0 if t.bound else scale_torque * (t.torque - uneven + lever * along))
         self._forces = forces
         vn, vt = self._c.velocity
         # The measured velocity turns with the wall.
@@ -392,7 +438,7 @@ class _ContactLawFit:
     def result(self) -> Hypothesis:
         """The fit as it stands."""
         self._residuals_at(self.theta)
-        misfit = self._cost / (2 * len(self._ticks))
+        misfit = self.cost / (3 * len(self._ticks))
         # Where the model is off by more than it should be, the readings say less.
         worse = max(1.0, misfit)
         spread = [
@@ -400,7 +446,7 @@ class _ContactLawFit:
         ]
         b, theta = self._before, self.theta
         log_det = sum(2.0 * math.log(row[i]) for i, row in enumerate(cholesky(self._curvature)))
-        evidence = -0.5 * (self._cost + log_det) - sum(math.log(sd) for sd in self._sd)
+        evidence = -0.5 * (self.cost + log_det) - sum(math.log(sd) for sd in self._sd)
         k, k_sd = self._wall(theta[_K], spread[_K], b.k_sd)
         f, f_sd = self._wall(theta[_F], spread[_F], b.f_sd)
         mu, mu_sd = self._wall(theta[_MU], spread[_MU], b.mu_sd)

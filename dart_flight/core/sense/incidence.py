@@ -154,7 +154,7 @@ class IncidenceEstimator:
         self._mass = vehicle.airframe.mass_kg
         self._along, self._out = vehicle.airframe.guard_along_m, vehicle.airframe.contact_distance_m
         self._typical = {
-            mode: _middle(m.of(mode) for m in vehicle.materials.values()) for mode in vehicle.modes
+            mode: middle_of(m.of(mode) for m in vehicle.materials.values()) for mode in vehicle.modes
         }
         self._samples = samples
         self._slow: Vec2 = (0.0, 0.0)
@@ -453,7 +453,7 @@ class _IncidenceFit:
         return (off / self._wall) ** 2 + tyy - self._lever * txy + fyy - fxy * fxy / fxx
 
 
-def _middle(coefficients: Iterable[Coefficients]) -> Coefficients:
+def middle_of(coefficients: Iterable[Coefficients]) -> Coefficients:
     """Geometric mean over the materials: what is expected of a wall that is in no plan."""
     every = list(coefficients)
 

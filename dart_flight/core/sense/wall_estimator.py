@@ -31,13 +31,20 @@ from dart_flight.core.sense.contact_fit import (
     ObservedContact,
 )
 from dart_flight.core.sense.detector import Events, ExpectedContact
-from dart_flight.core.sense.incidence import ContactSample, ContactSampleBuffer, seen_incidence
+from dart_flight.core.sense.incidence import (
+    ContactSample,
+    ContactSampleBuffer,
+    middle_of,
+    seen_incidence,
+)
 from dart_flight.core.sense.state import FlightState
 
 _BEFORE: Final = 4  # samples of the contact from before the first one that was over the noise
 _FEWEST: Final = 4  # readings in contact
 _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # deviation of PX4's position against the walls' frame
+_UNKNOWN_SPREAD: Final = 0.8  # of the coefficients of a wall of unknown material, relative
+_KNOWN_MATERIAL: Final = 6.0  # sum of three squared deviations: beyond it a wall is of no known material
 _MAX_MISFIT: Final = 2.0  # mean square of the residuals over their errors: beyond it this is no such contact
 
 
@@ -118,7 +125,13 @@ class WallEstimator:
         told = felt or reported or likely
         belief, fitted = job.before[told], fits.get(told)
         angle, offset = 0.0, 0.0
+        place: Vec2 | None = None
+        normal: Vec2 | None = None
+        normal_sd: float | None = None
         offset_sd, angle_sd = _known(wall, onset)
+        if wall.sought:  # at least where it was met is known
+            place, normal, normal_sd = onset.position_mission[:2], wall.normal, angle_sd
+            offset = wall.signed_distance(place)
         if fitted is not None:
             belief = fitted.belief
             # Else the readings speak against the mode that the lock says, though not loudly enough.
@@ -129,6 +142,10 @@ class WallEstimator:
             back_s = (onset.t_us - contact.begin_us) * 1e-6
             there = wall.signed_distance(onset.position_mission) - contact.velocity[0] * back_s
             offset, offset_sd = there - fitted.place_m, math.hypot(fitted.place_sd, _POSITION_M)
+            normal = wall.turned(contact.incidence_rad - fitted.incidence_rad).normal
+            normal_sd = fitted.incidence_sd
+            (x, y, _), (vx, vy, _), away = onset.position_mission, onset.velocity_mission, fitted.place_m
+            place = (x - back_s * vx - away * normal[0], y - back_s * vy - away * normal[1])
         return WallEstimate(
             job.t_us,
             onset.first_us,
@@ -141,13 +158,31 @@ class WallEstimator:
             angle_sd,
             offset,
             offset_sd,
+            place,
+            normal,
+            normal_sd,
+            self._likely_material(belief, told) if fitted is not None and not wall.material_known else None,
         )
+
+    def _likely_material(self, felt: Belief, mode: Mode) -> str | None:
+        """The material of the table that the coefficients fit best; None where none does."""
+        spread2 = self._prior.spread**2
+
+        def misfit(name: str) -> float:
+            c = self._vehicle.materials[name].of(mode)
+            pairs = ((felt.k, felt.k_sd, c.k), (felt.f, felt.f_sd, c.f), (felt.mu, felt.mu_sd, c.mu))
+            return sum(math.log(value / of) ** 2 / (sd * sd + spread2) for value, sd, of in pairs if of > 0.0)
+
+        best = min(self._vehicle.materials, key=misfit)
+        return best if misfit(best) <= _KNOWN_MATERIAL else None
 
     def _belief(self, wall: Wall, mode: Mode) -> Belief:
         found = self._beliefs.get((wall.name, mode))
         if found is not None:
             return found
         c, sd = self._vehicle.materials[wall.material].of(mode), self._prior.spread
+        if not wall.material_known:
+            c, sd = middle_of(m.of(mode) for m in self._vehicle.materials.values()), _UNKNOWN_SPREAD
         return Belief(c.k, c.f, c.mu, c.nu, sd, sd, sd, sd)
 
     def _contacts(
@@ -175,6 +210,7 @@ class WallEstimator:
                 seen,
                 noise_n,
                 *_known(wall, onset),
+                max(1e-4, abs(inside[0].torque.noise_frd_nm[2])),
             )
             for mode in self._vehicle.modes
         }

@@ -24,7 +24,7 @@ from dart_flight.sim.px4.hitl_link import HitlLink, open_port
 
 _FIRST_S = 10.0  # for the first actuator outputs
 # In which PX4's estimator aligns and its bias settles, as far as arming asks for it.
-_ALIGN_S = {PositionSource.MOCAP: 10.0, PositionSource.RTK: 20.0, PositionSource.PLAIN: 20.0}
+_ALIGN_S = {source: 10.0 if source is PositionSource.MOCAP else 20.0 for source in PositionSource}
 _ORPHAN_S = 25.0  # after the app's death: until PX4 has flown its failsafe
 _STALL_TICKS = round(STALL_S / TICK_S)
 

@@ -37,7 +37,7 @@ from dart_flight.sim.px4.launch import (
 
 _BOOT_TIMEOUT_S = 15.0
 # Simulated time after booting in which the EKF aligns: it runs as fast as the machine goes.
-_WARM_UP_S = {PositionSource.MOCAP: 6.0, PositionSource.RTK: 15.0, PositionSource.PLAIN: 15.0}
+_WARM_UP_S = {source: 6.0 if source is PositionSource.MOCAP else 15.0 for source in PositionSource}
 _ORPHAN_S = 25.0  # after the app's death, host time; with the end of PX4 it stays within 30 s
 _LANDED_S = 1.0  # host time after disarming in which PX4 writes its log
 

@@ -1,0 +1,178 @@
+"""`dart-flight survey MISSION`: touch its walls, and write the mission anew with the walls as met."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import yaml
+from rich.table import Table
+
+from dart_flight.check.findings import decide
+from dart_flight.check.mission_check import check_mission
+from dart_flight.check.vehicle_check import check_vehicle
+from dart_flight.cli.check_command import show
+from dart_flight.cli.flight_output import FlightLines, exit_status, live_line_for, show_end
+from dart_flight.cli.fly_command import confirm_flight
+from dart_flight.cli.options import (
+    add_flight_options,
+    add_position_option,
+    add_set_option,
+    add_vary_option,
+    link_of,
+    number,
+    whole_number,
+)
+from dart_flight.cli.px4_options import add_px4_options, position_source_of
+from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.config.document import InputError, writing
+from dart_flight.config.file_kinds import FileKind, load_document
+from dart_flight.config.mission import Mission
+from dart_flight.planning.positioning import source_for
+from dart_flight.planning.survey import plan_survey, surveyed_walls
+from dart_flight.recording.measured_walls import MeasuredWall
+from dart_flight.recording.verdict import Verdict
+from dart_flight.run.drone import fly_vehicle
+from dart_flight.run.embedded import fly_embedded
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.prepare import load_flyable, with_driver
+from dart_flight.run.px4_flight import fly_px4
+from dart_flight.sim.draws import parse_vary
+from dart_flight.sim.extras import need_mavlink
+from dart_flight.vehicle.link import LinkLease
+
+_SPEED_M_S = 0.5
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    add_flight_options(parser)
+    add_px4_options(parser, with_hitl=False)
+    parser.add_argument("--fast", action="store_true", help="in process, in simulated time, without MAVLink")
+    parser.add_argument("--connection", metavar="URL", help="touch the walls with the vehicle there")
+    parser.add_argument("--overrule", action="append", default=[], metavar="ITEM", help="fly despite this")
+    parser.add_argument("--yes", action="store_true", help="do not ask before flying")
+    parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="random seed (default 1)")
+    parser.add_argument(
+        "--touch-speed",
+        type=number(0.3, 2.0),
+        default=_SPEED_M_S,
+        metavar="M_S",
+        help=f"speed of the touches (default {_SPEED_M_S:g} m/s)",
+    )
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="the mission with measured walls")
+    add_position_option(parser)
+    add_set_option(parser)
+    add_vary_option(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; returns the exit status."""
+    document = load_document(arguments.mission, FileKind.MISSION)
+    mission = with_driver(load_flyable(arguments.mission, arguments.config, arguments.set), arguments.driver)
+    if not mission.flat_walls:
+        raise InputError("the mission has no wall to survey", source=mission.source, key=("walls",))
+    survey = plan_survey(mission, arguments.touch_speed)
+    console = messages()
+    for name, reason in survey.unreachable.items():
+        console.print(f"[yellow]wall {name} is not touched: {reason}[/]", soft_wrap=True)
+    say_vehicle(mission.flown_vehicle(), arguments)
+    verdict = _fly(arguments, survey.mission)
+    if verdict is None:
+        return 1
+    walls = {wall.name: wall for wall in verdict.walls}
+    if arguments.output is not None and walls:
+        _write(arguments.output, document.tree, surveyed_walls(mission, walls), mission)
+    if arguments.json:
+        emit_json({"walls": verdict.walls, "unreachable": survey.unreachable, "flight": verdict})
+    else:
+        show_end(verdict, console, False)
+        tables().print(_table(verdict.walls))
+    missed = [wall.name for wall in mission.flat_walls if wall.name not in walls]
+    if missed:
+        console.print(f"[red]not met: {', '.join(missed)}[/]", soft_wrap=True)
+    return exit_status(verdict) or bool(missed)
+
+
+def _fly(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:
+    """Touch the walls in the wanted world, or with the vehicle; None where it is not flown."""
+    console = messages()
+    if arguments.connection is not None:
+        return _fly_vehicle(arguments, mission)
+    spreads = parse_vary(arguments.vary, mission.vehicle)
+    source = source_for(mission, position_source_of(arguments))
+    fly: Callable[..., Verdict]
+    if arguments.fast:
+        fly = partial(fly_fast, spreads=spreads)
+    elif arguments.px4 is None:
+        need_mavlink()
+        fly = partial(fly_embedded, deadman=True, spreads=spreads)
+    else:
+        need_mavlink()
+        fly = partial(
+            fly_px4,
+            directory=arguments.px4,
+            position_from=source,
+            parameter_files=tuple(arguments.params or ()),
+            spreads=spreads,
+        )
+    live_line = None if arguments.fast else live_line_for(mission, console)
+    with contextlib.closing(FlightLines(console, arguments.verbose > 0, live_line)) as lines:
+        return fly(mission, seed=arguments.seed, log_dir=arguments.log_dir, progress=lines)
+
+
+def _fly_vehicle(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:
+    console, url = messages(), link_of(arguments, mission.vehicle.connection)
+    with LinkLease(url, "survey") as lease:
+        findings = [*check_mission(mission), *check_vehicle(mission, url, arguments.position_from)]
+        report = decide(mission, findings, arguments.overrule)
+        show(report, console)
+        if not report.go:
+            return None
+        if not arguments.yes and not confirm_flight(mission):
+            console.print("cancelled, not flown")
+            return None
+        live_line = live_line_for(mission, console)
+        with contextlib.closing(FlightLines(console, arguments.verbose > 0, live_line)) as lines:
+            return fly_vehicle(mission, url, arguments.log_dir, lines, lease, None)
+
+
+def _write(path: Path, written: Any, walls: dict[str, Any], mission: Mission) -> None:
+    """The mission anew: what was written, with the walls as they were met."""
+    tree = dict(written)
+    tree["walls"] = {**tree.get("walls", {}), **walls}
+    if isinstance(tree.get("vehicle"), str):
+        vehicle = Path(mission.source).parent / tree["vehicle"]
+        tree["vehicle"] = Path(os.path.relpath(vehicle.resolve(), path.resolve().parent)).as_posix()
+    head = f"# {Path(mission.source).name} with its walls as `dart-flight survey` has measured them.\n"
+    body = yaml.safe_dump(msgspec.to_builtins(tree), sort_keys=False, default_flow_style=None, width=110)
+    with writing(path):
+        path.write_text(head + body, encoding="utf-8")
+
+
+def _table(walls: list[MeasuredWall]) -> Table:
+    table = Table("wall", "middle, m", "normal", "± m", "± deg", "material", "off by m", "off by deg")
+    for wall in walls:
+        (x, y), (nx, ny) = wall.point_m, wall.normal
+        table.add_row(
+            wall.name,
+            f"({x:.3f}, {y:.3f})",
+            f"({nx:.3f}, {ny:.3f})",
+            _figure(wall.position_sd_m, 3),
+            _figure(wall.yaw_sd_deg, 2),
+            wall.material or "none known",
+            _figure(wall.truth_error_m, 3),
+            _figure(wall.truth_error_deg, 2),
+        )
+    return table
+
+
+def _figure(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"

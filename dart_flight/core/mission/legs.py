@@ -1,0 +1,51 @@
+"""Legs of a mission that depend on walls which contacts find: left out, or made of what was found."""
+
+from __future__ import annotations
+
+import msgspec
+
+from dart_flight.config.mission import Collision, Mission, Waypoint, place_at
+from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
+
+
+def why_left_out(leg: Collision | Waypoint, walls: EstimatedWalls) -> str | None:
+    """Why a leg is not flown, in words: a condition does not hold, or its wall was looked for in vain."""
+    if leg.if_met is not None and not walls.is_met(leg.if_met):
+        return f"wall {leg.if_met} was not met"
+    if leg.if_not_met is not None and walls.is_met(leg.if_not_met):
+        return f"wall {leg.if_not_met} was met"
+    if isinstance(leg, Waypoint):
+        at = leg.wall_at
+        name = at.name if at is not None and at.sought else None
+    else:
+        name = leg.wall.name if leg.wall.sought and leg.probe is None else None
+    if name is not None and not walls.is_met(name):
+        return f"wall {name} was not met"
+    return None
+
+
+def collision_now(collision: Collision, walls: EstimatedWalls, now_us: int) -> Collision:
+    """A collision at its wall as it is known now; the point of impact stays as far along it."""
+    wall = walls.wall_now(collision.wall, now_us)
+    if collision.impact_point is None or wall == collision.wall:
+        return collision
+    along = collision.wall.along(collision.impact_point)
+    (x, y), (tx, ty) = wall.point, wall.tangent
+    return msgspec.structs.replace(collision, wall=wall, impact_point=(x + along * tx, y + along * ty))
+
+
+def waypoint_now(waypoint: Waypoint, walls: EstimatedWalls) -> Waypoint:
+    """A waypoint whose place at a wall is known now."""
+    if waypoint.at_wall is None or waypoint.wall_at is None or waypoint.position is None:
+        return waypoint
+    place = place_at(walls.wall_now(waypoint.wall_at), waypoint.at_wall)
+    return msgspec.structs.replace(waypoint, position=(*place, waypoint.position[2]))
+
+
+def mission_now(mission: Mission, walls: EstimatedWalls, now_us: int) -> Mission:
+    """A mission with its walls and waypoints as they are known now, without waypoints that are left out."""
+    return msgspec.structs.replace(
+        mission,
+        walls=walls.walls_now(mission.walls, now_us),
+        waypoints=tuple(waypoint_now(w, walls) for w in mission.waypoints if why_left_out(w, walls) is None),
+    )
