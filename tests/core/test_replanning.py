@@ -132,7 +132,8 @@ def test_an_answer_that_cannot_be_flown_is_refused_with_its_reason(
 def test_what_was_felt_is_waited_for_where_the_same_wall_comes_again() -> None:
     """60 ms of a contact's end at most, and for each contact anew; another wall is asked about at once."""
     hit, following = MISSION.collisions
-    felt = WallEstimate(0, 0, "wood", None, None, 0.0, *[1.0] * 8, *[0.1] * 4)
+    coefficients, plane = (1.0,) * 8, (0.1, 0.1, 0.1, 0.1)
+    felt = WallEstimate(0, 0, "wood", None, None, 0.0, *coefficients, *plane)
 
     def asks(again: bool, after_us: int, wall: WallEstimate | None = None) -> bool:
         lock, p = LockOrders(MISSION.vehicle.lock), Proposal()
