@@ -637,12 +637,12 @@ class Executive:
 
     def _recovery(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         following, stops = self._collision, self._waypoint is not None
+        rests = stops or self.mission.collisions[self._index - 1].probe is not None
         if self._lock.contact_end_us is not None:
             self._lock_to(self._mode_after(following, stops), state, p)
-            if not stops:
+            if not rests:
                 self._replan(following, state, sensed, p)
         timed_out = self._takes_longer_than(self.mission.limits.collision_timeout_s, state)
-        rests = stops or self.mission.collisions[self._index - 1].probe is not None
         if rests or (following is not None and following.approach_m_s is not None):
             elapsed_us = self._elapsed_us(state)
             slow = elapsed_us > _REST_AFTER_US and self._references.is_slow(state)

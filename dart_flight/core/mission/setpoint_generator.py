@@ -15,6 +15,7 @@ from dart_flight.core.mission.trajectories import PlannedTrajectory, TrajectoryP
 from dart_flight.core.sense.state import FlightState
 
 _ARRIVED_YAW_RAD: Final = 0.05
+_DRIFTING: Final = 2.5  # times the distance and speed of an arrival
 
 
 class SetpointGenerator:
@@ -39,6 +40,8 @@ class SetpointGenerator:
         self._way: TransitTrajectory | Approach | PlannedApproach | PlannedTrajectory | None = None
         self._yaw_us = 0
         self._arrived_us: int | None = None
+        # A position that drifts does not come to rest as one that is tracked.
+        self._loose = _DRIFTING if mission.is_anchored else 1.0
 
     # -- where to --
 
@@ -111,7 +114,7 @@ class SetpointGenerator:
         """At the target, slow (`is_slow`), and heading as wanted, for the configured time."""
         flying = self._flying
         near = (
-            math.dist(state.position, self.target) < flying.arrive_m
+            math.dist(state.position, self.target) < self._loose * flying.arrive_m
             and self.is_slow(state)
             and abs(wrap_angle(state.yaw - wanted_yaw)) < _ARRIVED_YAW_RAD
         )
@@ -124,7 +127,8 @@ class SetpointGenerator:
 
     def is_slow(self, state: FlightState) -> bool:
         """Whether the mean velocity over `flying.arrive_mean_s` is below `flying.arrive_speed_m_s`."""
-        return norm(state.mean_velocity(self._flying.arrive_mean_s)) < self._flying.arrive_speed_m_s
+        flying = self._flying
+        return norm(state.mean_velocity(flying.arrive_mean_s)) < self._loose * flying.arrive_speed_m_s
 
     def slew_yaw(self, wanted: float, now_us: int) -> None:
         """Turn the heading asked for towards the wanted one, at the configured rate at most."""
