@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dart_flight.base.geometry import Vec3
 from dart_flight.base.records import AfterImpact
 from dart_flight.check.findings import CheckFinding
+from dart_flight.check.probe_check import check_anchors, check_found, check_probe
 from dart_flight.check.wall_check import check_walls
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import (
@@ -50,7 +51,13 @@ def check_mission(mission: Mission) -> list[CheckFinding]:
     findings += _check_waypoints(mission)
     planned = predict_flight_path(mission)
     for collision in mission.collisions:
+        if collision.wall.sought and collision.probe is None:
+            findings += [*check_found(collision), *_check_force(mission, collision)]
+            continue
         findings += _check_approach(mission, collision)
+        if collision.probe is not None:
+            findings += check_probe(mission, collision, collision.probe)
+            continue
         findings += _check_force(mission, collision)
         findings += _check_noise(mission, collision)
         findings += _check_envelope(mission, collision)
@@ -60,12 +67,16 @@ def check_mission(mission: Mission) -> list[CheckFinding]:
         findings += _check_path(mission, planned)
         findings += _check_goal(mission, planned)
     findings += check_walls(mission, planned)
+    findings += check_anchors(mission)
     findings += _check_coefficients(mission)
     return findings
 
 
 def predict_flight_path(mission: Mission) -> PredictedFlight | None:
-    """The flight by the planner's model; None where an approach cannot even be flown, which is a finding."""
+    """The flight by the planner's model; None where an approach cannot even be flown, which is a finding, or
+    where it depends on walls that nobody knows yet."""
+    if any(c.wall.sought for c in mission.collisions):
+        return None
     try:
         check_segments_clear(mission)
         for collision in mission.collisions:
@@ -153,6 +164,9 @@ def _check_approach(mission: Mission, collision: Collision) -> list[CheckFinding
     limit = mission.limits.speed_m_s
     if approach.speed_m_s > limit or mission.vehicle.flying.transit_speed_m_s > limit:
         return [CheckFinding(item, False, f"{approach.speed_m_s:.2f} m/s is over limits.speed_m_s {limit:g}")]
+    if collision.probe is not None:
+        says = f"a probe for wall {collision.wall.name}, at its end after {approach.impact_s:.1f} s"
+        return [CheckFinding(item, True, f"{says} where it meets nothing")]
     way = "a trajectory" if isinstance(approach, PlannedApproach) else f"run-up of {approach.length_m:.2f} m"
     says = (
         f"{way}, wall {collision.wall.name} met at "
@@ -378,7 +392,7 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
 
 def _check_coefficients(mission: Mission) -> list[CheckFinding]:
     findings = []
-    for name in sorted({c.wall.material for c in mission.collisions}):
+    for name in sorted({c.wall.material for c in mission.collisions if c.wall.material_known}):
         source = mission.vehicle.materials[name].source
         assumed = "assumed" in source or not source
         note = " (assumed, not measured: use `identify`)" if assumed else ""

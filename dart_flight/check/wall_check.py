@@ -24,13 +24,15 @@ def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[Check
         planned: its flight by the planner's model, for the places of hits that a recovery leads to.
     """
     hits = {} if planned is None else planned.hits
-    found = [finding for c in mission.collisions for finding in _check_collision(mission, c, hits)]
+    known = [c for c in mission.collisions if c.probe is None and not c.wall.sought]
+    found = [finding for c in known for finding in _check_collision(mission, c, hits)]
     return [*_check_ends(mission, hits), *found]
 
 
 def _check_ends(mission: Mission, hits: Mapping[int, PredictedImpact]) -> Iterator[CheckFinding]:
     """Whether every wall is met far enough from its end for the whole vehicle to meet it; a post has none."""
-    places = [(c, impact_place(c, hits)) for c in mission.collisions if not c.wall.post_radius_m]
+    walls = [c for c in mission.collisions if not c.wall.post_radius_m and not c.wall.sought]
+    places = [(c, impact_place(c, hits)) for c in walls]
     if not places:
         return
 

@@ -18,7 +18,7 @@ from dart_flight.base.geometry import Vec2
 
 START_SD_M: Final = 0.3  # how well the vehicle stands where the mission has its start
 WALL_SD_M: Final = 0.02  # of a wall that carries no figure, as it is taken to be surveyed
-_SAME_NORMAL: Final = 0.98  # cosine: an anchor in nearly this direction takes the place of the one before
+SAME_NORMAL: Final = 0.98  # cosine: an anchor in nearly this direction takes the place of the one before
 
 
 class Anchor(NamedTuple):
@@ -50,14 +50,14 @@ class FrameAnchors:
         """A contact has told where the frame is along a normal."""
         nx, ny = anchor.normal
         self._anchors = [
-            one for one in self._anchors if abs(one.normal[0] * nx + one.normal[1] * ny) < _SAME_NORMAL
+            one for one in self._anchors if abs(one.normal[0] * nx + one.normal[1] * ny) < SAME_NORMAL
         ]
         self._anchors.append(anchor)
 
     def age_s(self, normal: Vec2, now_us: int) -> float | None:
         """Time since the last contact with a wall of (nearly) this normal; None: there was none."""
         for one in self._anchors:
-            if abs(one.normal[0] * normal[0] + one.normal[1] * normal[1]) >= _SAME_NORMAL:
+            if abs(one.normal[0] * normal[0] + one.normal[1] * normal[1]) >= SAME_NORMAL:
                 return (now_us - one.t_us) * 1e-6
         return None
 
