@@ -63,7 +63,7 @@ def check_found(collision: Collision) -> Iterator[CheckFinding]:
 
 
 def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
-    """Whether every wall that is hit where the frame drifts has been touched before, or one parallel to it."""
+    """Whether walls that are hit where the frame drifts, or parallel ones, have been touched before."""
     if not mission.is_anchored:
         return
     touched: list[Collision] = []
@@ -71,7 +71,7 @@ def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
         item, (nx, ny) = f"anchor_{collision.index}", collision.wall.normal
         by = [c for c in touched if abs(c.wall.normal[0] * nx + c.wall.normal[1] * ny) >= SAME_NORMAL]
         if collision.probe is None and by:
-            says = f"collision {by[-1].index} puts the frame right along the normal of {collision.wall.name}"
+            says = f"collision {by[-1].index} puts the frame right along {collision.wall.name}'s normal"
             yield CheckFinding(item, True, f"{says} before it is hit")
         elif collision.probe is None:
             says = (

@@ -66,7 +66,10 @@ def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: L
     set_view(plan, view)
     side.set(ylim=(-_BELOW_M, top), aspect="equal")
     draw_room(plan, mission)
+    probes = _draw_probes(plan, mission)
     _draw_draws(plan, mission, drawn)
+    labels: list[Label] = []
+    lines: list[Array] = []
     if planned is not None:
         _draw_trajectory(plan, mission, planned)
         labels, lines = _draw_hits(plan, mission, planned)
@@ -79,12 +82,14 @@ def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: L
     words = "\n".join(textwrap.fill(line, _NOTE_WIDTH) for line in prediction_lines(mission, planned, drawn))
     fit_map(figure, plan, below=side, note=words)
     names = name_walls(plan, mission, look.small_pt)
+    labels += [label for label, _ in probes if planned is None]
+    lines += [along(way) for _, way in probes]
+    labels += [Label(text, place, (1.0, 1.0), "#000000") for text, place in _stops(mission)]
     if planned is not None:
-        labels += [Label(text, place, (1.0, 1.0), "#000000") for text, place in _stops(mission)]
         lines += [along(np.array(line)) for line in planned.approaches.values()]
         lines += [along(leg[:, :2]) for leg in planned.legs.values()]
         lines += [along(way[:, :2]) for way in _from_rest(mission)]
-        place_labels(plan, labels, lines, names, look.small_pt)
+    place_labels(plan, labels, lines, names, look.small_pt)
     return figure
 
 
@@ -92,6 +97,8 @@ def prediction_lines(
     mission: Mission, planned: PredictedFlight | None, drawn: Sequence[PredictedFlight]
 ) -> list[str]:
     """What the model says of the goal, and what the draws make of it; a line each."""
+    if any(c.wall.sought for c in mission.collisions):
+        return ["Where what follows a probe is flown depends on where it meets its wall."]
     if planned is None:
         return ["An approach cannot be flown: `check` says why."]
     if mission.standoff_m is not None:
@@ -143,6 +150,22 @@ def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
         if mission.bounds.excess2(hit.setpoint) <= 0.0
     ]
     return np.vstack(points)
+
+
+def _draw_probes(axis: Any, mission: Mission) -> list[tuple[Label, Array]]:
+    """The probes as far as they go, each with its label."""
+    found = []
+    for collision in mission.collisions:
+        if collision.probe is None:
+            continue
+        way = np.array([collision.probe.begin, collision.probe.end])
+        axis.plot(way[:, 0], way[:, 1], color=FORCE, linewidth=1.2, linestyle=(0, (5, 3)), label="probe")
+        draw_arrow(axis, way[1] - 0.06 * (way[1] - way[0]), way[1], FORCE, linewidth=0.0)
+        (dx, dy), middle = way[1] - way[0], way[0] + 0.6 * (way[1] - way[0])
+        across = (-dy / math.hypot(dx, dy), dx / math.hypot(dx, dy))
+        text = f"{collision.index} probe for {collision.wall.name}\n{collision.probe.speed_m_s:g} m/s"
+        found.append((Label(text, (float(middle[0]), float(middle[1])), across, FORCE), way))
+    return found
 
 
 def _from_rest(mission: Mission) -> list[Array]:
