@@ -92,7 +92,7 @@ def _figures(mission: Mission) -> dict[str, float]:
     return figures
 
 
-class _Touch(NamedTuple):
+class _SurveyLeg(NamedTuple):
     """A straight leg to a wall: where it begins, how long it may get, where the vehicle waits afterwards."""
 
     begin: Vec2
@@ -100,7 +100,7 @@ class _Touch(NamedTuple):
     back: Vec2
 
 
-def _touch(mission: Mission, wall: Wall, here: Vec2) -> _Touch | None:
+def _touch(mission: Mission, wall: Wall, here: Vec2) -> _SurveyLeg | None:
     """The leg straight at a wall whose beginning can be reached from a place; None where none can."""
     (px, py), (nx, ny), (tx, ty) = wall.point, wall.normal, wall.tangent
     for share in _ALONG:
@@ -116,7 +116,7 @@ def _touch(mission: Mission, wall: Wall, here: Vec2) -> _Touch | None:
         if any(is_blocked(other, begin, met) for other in mission.walls if other.name != wall.name):
             continue
         back = (met[0] + _BACK_M * nx, met[1] + _BACK_M * ny)
-        return _Touch(begin, round(margin + _RUN_UP_M + max(0.0, beyond), 3), back)
+        return _SurveyLeg(begin, round(margin + _RUN_UP_M + max(0.0, beyond), 3), back)
     return None
 
 
