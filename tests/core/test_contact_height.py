@@ -24,7 +24,9 @@ from dart_flight.core.sense.incidence import ContactSample, ContactSampleBuffer
 from dart_flight.core.sense.state import FlightState
 
 OUT_M = 0.2
-WALL = Wall("east", (1.0, 0.0), (-1.0, 0.0), 4.0, "acrylic")
+WALL = Wall("north-east", (0.6, 0.8), (-0.6, -0.8), 4.0, "acrylic")
+NX, NY = WALL.normal
+SLOW = (1.5, -2.0)  # of the force beside the contact's, N
 NO_WALL = ExpectedContact()
 AT_WALL = ExpectedContact(True, WALL.normal, WALL.material, WALL)
 ONSET = ImpactOnset(4_000, 4_000, 4_000, (0.0, 0.0, 1.0), (-10.0, 0.0, 0.0), (1.0, 0.0, 0.0), True)
@@ -39,7 +41,7 @@ def felt(height_m: float, side: int, tilt: Vec3, peak_n: float, expected: Expect
     state, samples = FlightState(has_lock=False), ContactSampleBuffer()
     state.frame = frame = MissionFrame(heading_rad=0.4)
     height = ContactHeight(OUT_M, samples)
-    to_wall = frame.vector_to_ned((1.0, 0.0, 0.0))
+    to_wall = frame.vector_to_ned((-NX, -NY, 0.0))
     heading = math.atan2(to_wall[1], to_wall[0]) - side * 0.5 * math.pi
     level = quaternion_from_rotation_vector((0.0, 0.0, heading))
     q: Quaternion = quaternion_multiply(level, quaternion_from_rotation_vector(tilt))
@@ -47,14 +49,14 @@ def felt(height_m: float, side: int, tilt: Vec3, peak_n: float, expected: Expect
     at = add(scale(axis, OUT_M), (0.0, 0.0, -height_m))
     for k in range(20):
         force_n = peak_n * math.sin(math.pi * (k + 0.5) / 20.0)
-        push = rotate_back(q, frame.vector_to_ned((-force_n, 0.0, 0.0)))
+        push = rotate_back(q, frame.vector_to_ned((force_n * NX, force_n * NY, 0.0)))
         t_us = 4_000 * (k + 1)
-        force = ForceEstimate(t_us, (-force_n, 0.0, 0.0), False)
+        force = ForceEstimate(t_us, (force_n * NX + SLOW[0], force_n * NY + SLOW[1], 0.0), False)
         torque = TorqueEstimate(t_us, cross(at, push))
         samples.add(ContactSample(force, torque, q, (0.0, 0.0, 0.0)))
         events: list[Event] = [ONSET] if k == 0 else []
-        height.update(state, (0.0, 0.0), events, expected)
-    height.update(state, (0.0, 0.0), [ContactEnd(84_000, 84_000)], NO_WALL)
+        height.update(state, SLOW, events, expected)
+    height.update(state, SLOW, [ContactEnd(84_000, 84_000)], NO_WALL)
     return height
 
 

@@ -1193,12 +1193,14 @@ def test_from_a_wall_that_is_not_in_the_mission_it_goes_away_the_way_it_was_push
     c = HandFedCore()
     c.climbed()
     assert c.core.phase is Phase.TRANSIT
+    c.position_ned = (0.3, 0.2, -1.0)
+    c.run(0.02)
     c.pulse((20.0, 0.0))
     assert [e.rule for e in fired(c)] == ["unplanned_hit"]
-    assert goes_to() == pytest.approx((0.5, 0.0), abs=0.01)
+    assert goes_to() == pytest.approx((0.8, 0.2), abs=0.01)
     c.run(0.3)
     c.pulse((0.0, -40.0))
-    assert goes_to() == pytest.approx((0.0, -0.5), abs=0.01)
+    assert goes_to() == pytest.approx((0.3, -0.3), abs=0.01)
 
 
 def test_one_report_of_landed_and_disarmed_does_not_end_a_landing_of_the_guard() -> None:

@@ -1,5 +1,6 @@
 """Planning again as the core sees it: what is asked, which answers are flown, what happens without one."""
 
+import itertools
 import math
 
 import msgspec
@@ -7,7 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dart_flight.base.records import ForceEstimate, PlanAnswer, PlanRequest, PlanTaken, WallEstimate
+from dart_flight.base.records import (
+    ForceEstimate,
+    PlanAnswer,
+    PlanRequest,
+    PlanTaken,
+    WallEstimate,
+)
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import Approach
@@ -226,7 +233,7 @@ def test_a_contact_ends_what_was_planned_before_it() -> None:
     assert not flown.is_over(much_later.now_us)
 
 
-@pytest.mark.parametrize(("velocity", "more_s"), [((0.5, 0.3, 0.0), 0.6), ((-0.5, 0.3, 0.0), 3.0)])
+@pytest.mark.parametrize(("velocity", "more_s"), [((0.7, -0.1, 0.0), 0.6), ((-0.7, 0.1, 0.0), 3.0)])
 def test_a_wall_that_is_not_known_for_sure_is_late_as_much_later_as_it_may_be_further_away(
     velocity: tuple[float, float, float], more_s: float
 ) -> None:
@@ -234,7 +241,7 @@ def test_a_wall_that_is_not_known_for_sure_is_late_as_much_later_as_it_may_be_fu
     planning, request = asked()
     assert refusal_of(planning, answer_to(request), NOW_US + 40_000) is None
     assert planning.trajectory_due(moved_to(request), Proposal()) is not None
-    wall = msgspec.structs.replace(MISSION.walls[1], position_sd_m=0.1)
+    wall = msgspec.structs.replace(MISSION.walls[1], position_sd_m=0.1, normal=(-0.8, -0.6))
     due_us = request.begin_us + 1_300_000 + round((MISSION.vehicle.guard.wall_late_s + more_s) * 1e6)
     for beside_us, late in ((-1000, False), (1000, True)):
         state = state_at(due_us + beside_us)
@@ -269,3 +276,99 @@ def test_a_way_goes_straight_on_behind_its_end(
     assert beyond.velocity == end.velocity
     assert beyond.position[0] == pytest.approx(end.position[0] + more_s * end.velocity[0])
     assert beyond.acceleration == beyond.jerk == (0.0, 0.0, 0.0)
+
+
+# --- along the mission's own trajectories ------------------------------------------------------------------
+
+ALONG = load_mission(packaged("missions", "touch_and_return.yaml"))
+
+
+def straight_on(t_us: int, off_m: float = 0.0) -> FlightState:
+    """Along the line that `answer_to` goes on along, so far beside it."""
+    since_s = (t_us - NOW_US) * 1e-6
+    return state_at(t_us, (1.0 + 0.4 * since_s, -1.0 + 0.5 * since_s + off_m, 1.0))
+
+
+def asks_along(planning: ReplanRequests, state: FlightState) -> PlanRequest | None:
+    """What is asked after the first contact, on the way to the second wall."""
+    hit, following, _ = ALONG.collisions
+    over = Sensed(estimate=ForceEstimate(NOW_US, (1.3, 0.0, 0.0), False), height_m=0.02)
+    lock, p = LockOrders(ALONG.vehicle.lock), Proposal()
+    planning.request_once(hit, following, state, over, (2.0, -0.8, 1.0), lock, p)
+    assert all(isinstance(o, PlanRequest) for o in p.outputs)
+    return next((o for o in p.outputs if isinstance(o, PlanRequest)), None)
+
+
+def flies(duration_s: float) -> tuple[ReplanRequests, PlanRequest]:
+    """An answer is flown."""
+    planning = ReplanRequests(ALONG)
+    request = asks_along(planning, straight_on(NOW_US))
+    assert request is not None
+    assert asks_along(planning, straight_on(NOW_US + 100_000)) is None
+    answer = msgspec.structs.replace(answer_to(request), duration_s=duration_s, impact_s=duration_s)
+    assert refusal_of(planning, answer, NOW_US + 40_000) is None
+    assert planning.impact_in_s(straight_on(NOW_US)) == -math.inf
+    assert planning.trajectory_due(straight_on(request.begin_us), Proposal()) is not None
+    return planning, request
+
+
+def test_where_no_way_was_found_it_asks_again_for_each_contact_so_many_times() -> None:
+    planning, times = ReplanRequests(ALONG), []
+    for contact_us in (NOW_US, NOW_US + 5_000_000):
+        planning.contact_begins()
+        for t_us in range(contact_us, contact_us + 4_000_000, 10_000):
+            request = asks_along(planning, straight_on(t_us))
+            if request is not None:
+                times.append(t_us - contact_us)
+                assert (request.under_way, request.contact_height_m) == (False, 0.02)
+                refused = msgspec.structs.replace(answer_to(request), problem="none")
+                assert refusal_of(planning, refused, t_us) == "none"
+    assert times == [0, 300_000, 600_000, 900_000, 1_200_000, 1_500_000] * 2
+
+
+def test_while_an_answer_waits_for_its_time_nothing_is_asked() -> None:
+    planning = ReplanRequests(ALONG)
+    request = asks_along(planning, straight_on(NOW_US))
+    assert request is not None
+    assert refusal_of(planning, answer_to(request), NOW_US) is None
+    assert asks_along(planning, straight_on(NOW_US + 400_000)) is None
+
+
+def test_a_trajectory_that_is_flown_is_planned_again_until_shortly_before_its_end() -> None:
+    planning, first = flies(1.3)
+    end_us = first.begin_us + 1_300_000
+    assert planning.impact_in_s(straight_on(end_us - 300_000)) == pytest.approx(0.3)
+    times = []
+    for t_us in range(first.begin_us, end_us + 1_000_000, 10_000):
+        request = asks_along(planning, straight_on(t_us))
+        if request is not None:
+            assert request.under_way
+            times.append(t_us)
+    within_us = round(ALONG.vehicle.flying.replan_within_s * 1e6)
+    assert times[0] == NOW_US + 300_000
+    assert {b - a for a, b in itertools.pairwise(times)} == {300_000}
+    assert 0 <= end_us - times[-1] - within_us - 400_000 <= 300_000
+    planning.contact_begins()
+    assert planning.impact_in_s(straight_on(end_us)) == -math.inf
+
+
+@pytest.mark.parametrize(
+    ("later_s", "off_m", "taken"),
+    [(0.13, 0.0, True), (0.17, 0.0, False), (0.17, 0.15, False), (0.17, 0.25, True), (-0.3, 0.0, True)],
+)
+def test_a_trajectory_is_held_to_where_another_one_ends_well_after_it(
+    later_s: float, off_m: float, taken: bool
+) -> None:
+    """Unless the vehicle is far from it."""
+    planning, first = flies(1.3)
+    request = asks_along(planning, straight_on(NOW_US + 400_000, off_m))
+    assert request is not None
+    left_s = 1.3 - (request.begin_us - first.begin_us) * 1e-6
+    answer = msgspec.structs.replace(answer_to(request), duration_s=left_s + later_s)
+    assert refusal_of(planning, answer, request.t_us) is None
+    p = Proposal()
+    assert (planning.trajectory_due(straight_on(request.begin_us, off_m), p) is not None) is taken
+    assert p.outputs == [
+        PlanTaken(request.begin_us, request.number, taken, "" if taken else "the trajectory flown is quicker")
+    ]
+    assert planning.trajectory_since_us == (request if taken else first).begin_us

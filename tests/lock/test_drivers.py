@@ -8,7 +8,8 @@ import pytest
 
 from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.lock import drivers
-from dart_flight.lock.drivers import DRIVERS, Driver, driver_names, make_driver
+from dart_flight.lock.drivers import DRIVERS, Driver, DriverError, driver_names, make_driver
+from dart_flight.lock.drivers.mock import MockDriver, MockFaults
 
 Vary = Callable[..., LockConfig]
 
@@ -31,3 +32,8 @@ def test_names_are_told_in_words() -> None:
     assert driver_names(lambda entry: not entry.moves) == "mock"
     *first, last = [kind.value for kind in DRIVERS]
     assert driver_names(lambda entry: True) == f"{', '.join(first)} or {last}"
+
+
+def test_a_modelled_controller_that_is_unplugged_shows_when_it_is_opened(lock_config: LockConfig) -> None:
+    with pytest.raises(DriverError, match="unplugged"):
+        MockDriver(lock_config, lambda: 0, faults=MockFaults(unplugged=True)).open()

@@ -268,6 +268,7 @@ def test_whatever_is_subscribed_to_is_delivered_with_its_receipt(monkeypatch: py
     status = rig.of(StatusSample)[-1]
     assert (status.armed, status.landed, status.battery_v) == (True, LandedState.IN_AIR, 15.0)
     assert [text.text for text in rig.of(StatusText)] == ["low", "gone"]
+    assert rig.of(EscSample)[0].rpm == (1.0,) * 4  # of so many motors
 
 
 def test_only_a_guarded_flight_asks_for_what_the_guard_wants(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -48,7 +48,7 @@ def stop_share(
         behind_m = _BEHIND_M + position_margin_m(wall, position) if wall.is_uncertain else _BEHIND_M
         stops = (here > there) & (there < 0.0) & (here > -behind_m) & within
         way = where(stops, here - there, 1.0)
-        share = minimum(share, where(stops, maximum(here / way, 0.0), 1.0))
+        share = where(stops, minimum(share, maximum(here / way, 0.0)), share)
     return share
 
 

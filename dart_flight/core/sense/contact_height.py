@@ -51,7 +51,6 @@ class ContactHeight:
                 _, inside = self._samples.since(self._onset.first_us, 0)
                 if state.frame is not None:
                     self._add(inside, self._wall, slow, state.frame)
-                self._onset = None
 
     def _add(self, samples: Sequence[ContactSample], wall: Wall, slow: Vec2, frame: MissionFrame) -> None:
         """Least squares: torque about the side's axis = -(height n_s + distance n_z) times the force."""
