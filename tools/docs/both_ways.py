@@ -81,11 +81,8 @@ class FlownBothWays:
 
     def __init__(self, name: str) -> None:
         self.name, both = name, both_ways(name)
-        self.scenario = both.scenario
-        self.ways = tuple(
-            FlownWay(way, mission, both.visits)
-            for way, mission in ((COLLIDING, both.colliding), (FREE, both.free))
-        )
+        self.scenario, self.planned_s = both.scenario, [both.planned_s(way) for way in (COLLIDING, FREE)]
+        self.ways = [FlownWay(way, both.missions[way], both.visits) for way in (COLLIDING, FREE)]
 
     @property
     def view(self) -> Array:
@@ -210,6 +207,8 @@ def main() -> None:
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER
     missions = [FlownBothWays(name) for name in USING_COLLISIONS]
     for both in missions:
+        figures = zip(both.planned_s, both.ways, strict=True)
+        print(both.name, *(f"{way.name}: planned {s:.2f} s, flown {way.rest_s:.2f} s" for s, way in figures))
         save_figure(both.picture(), folder / f"both_{both.name}.png")
         both.animation(folder / f"both_{both.name}.gif")
     save_figure(two_clocks(missions), folder / "two_clocks.png")
