@@ -49,6 +49,7 @@ docs: $(STAMP)  # the parts of docs/ that the software writes and draws itself
 	$(BIN)/python -m tools.docs.generated
 	$(BIN)/python -m tools.docs.concept_figures
 	$(BIN)/python -m tools.docs.animation
+	$(BIN)/python -m tools.docs.both_ways
 
 format: $(STAMP)
 	$(BIN)/ruff format .

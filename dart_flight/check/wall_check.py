@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Mapping
 
 from dart_flight.base.geometry import Vec2
+from dart_flight.base.walls import Wall
 from dart_flight.check.findings import CheckFinding
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import NoApproachError, is_blocked, plan_approach, segments_to_impact
@@ -100,7 +102,15 @@ def _amiss(mission: Mission, collision: Collision, place: Vec2) -> Iterator[str]
 
 
 def _in_the_way(mission: Mission, collision: Collision) -> Iterator[str]:
-    """Which other walls may stand in the way of the run-up."""
+    """Which other walls may stand in the way of the run-up, or of the trajectory."""
+    if collision.trajectory is not None:
+        places = [state.position for state in collision.trajectory.states()]
+        for wall in mission.walls:
+            if wall.is_uncertain and wall.name != collision.wall.name:
+                slack_m = max(float(position_margin_m(wall, place)) for place in places)
+                if any(_passes(wall.moved(slack_m), a, b) for a, b in itertools.pairwise(places)):
+                    yield f"wall {wall.name} may stand in the way to wall {collision.wall.name}"
+        return
     if collision.approach_m_s is None:
         return
     try:
@@ -114,3 +124,13 @@ def _in_the_way(mission: Mission, collision: Collision) -> Iterator[str]:
             nearest = wall.moved(float(position_margin_m(wall, approach.impact)))
             if any(is_blocked(nearest, *leg) for leg in legs(nearest)):
                 yield f"wall {wall.name} may stand in the way of the run-up to wall {collision.wall.name}"
+
+
+def _passes(wall: Wall, a: Vec2, b: Vec2) -> bool:
+    """Whether a short straight way goes through a wall."""
+    here, there = wall.signed_distance(a), wall.signed_distance(b)
+    if here * there >= 0.0:
+        return False
+    share = here / (here - there)
+    at = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
+    return bool(wall.end_distance_m(at) >= -end_margin_m(wall, at))

@@ -194,6 +194,8 @@ class Replanner:
             ways, push = ways.take(np.flatnonzero(clear)), push[clear]
         # A wall is met as fast as planned where that can be: sooner and slower is another hit.
         slow = (ways.slower > _AS_FAST) & (collision is not None)
+        if request.under_way:  # what is flown already does, or could not either
+            ways, push, slow = ways.take(np.flatnonzero(~slow)), push[~slow], slow[~slow]
         for k in np.lexsort((ways.duration_s + _GENTLE_REJOINING_S * push**2, slow)):
             way = ways.trajectory(int(k))
             found = msgspec.structs.replace(

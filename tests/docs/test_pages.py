@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import configparser
+import itertools
 import json
 import re
 import shlex
@@ -22,11 +23,14 @@ from dart_flight.config.file_kinds import EXTENDS
 from dart_flight.config.mission import parse_mission
 from dart_flight.config.mission_file import WallSpec
 from dart_flight.config.vehicle import Material, VehicleConfig, load_vehicle
+from dart_flight.lab.figure_style import save_figure
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.lab.search.scenario import load_scenario
 from tests.docs.snippets import MANUAL, PAGES, RESULTS, ROOT, Block, blocks, name_of
 from tests.shared_flights import SharedFlights
+from tools.campaigns.arrivals import USING_COLLISIONS
 from tools.docs import animation, concept_figures, generated
+from tools.docs.both_ways import FOLDER, FlownBothWays, two_clocks
 
 ALL = [block for page in PAGES for block in blocks(page)]
 LANGUAGES = {"", "sh", "yaml", "json", "ini", "mermaid", "python", "diff"}
@@ -90,6 +94,28 @@ def test_the_moving_picture_of_the_readme(tmp_path: Path, flown: SharedFlights) 
         assert getattr(small, "n_frames", 1) == 3
         assert small.size == shipped.size
         assert getattr(shipped, "n_frames", 1) >= len(times)
+
+
+def test_missions_beside_their_free_flights(tmp_path: Path) -> None:
+    """One of them is flown both ways and drawn; of all of them the page has a picture and a moving one."""
+    page = (ROOT / "docs" / "using_walls.md").read_text(encoding="utf-8")
+    for name, ending in itertools.product(USING_COLLISIONS, ("png", "gif")):
+        assert f"(img/both_{name}.{ending})" in page
+        assert (FOLDER / f"both_{name}.{ending}").stat().st_size < 300_000
+    drawn = FlownBothWays("limited_sight")
+    colliding, free = drawn.ways
+    assert [len(way.hits_s) for way in drawn.ways] == [1, 0]
+    assert colliding.rest_s < 0.8 * free.rest_s
+    save_figure(drawn.picture(), tmp_path / "picture.png")
+    save_figure(two_clocks([drawn, drawn]), tmp_path / "clocks.png")
+    assert drawn.moments[-1] >= free.rest_s
+    drawn.animation(tmp_path / "small.gif", [0.0, colliding.hits_s[0], free.rest_s])
+    with (
+        Image.open(tmp_path / "small.gif") as small,
+        Image.open(FOLDER / "both_limited_sight.gif") as shipped,
+    ):
+        assert getattr(small, "n_frames", 1) == 3
+        assert small.size == shipped.size
 
 
 # --- snippets --------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -12,13 +13,14 @@ from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.search.limited_sight import plan_limited_sight
 from dart_flight.lab.search.mission_writer import planned_mission
-from dart_flight.lab.search.quickest import plan_quickest
+from dart_flight.lab.search.optimal_trajectory import OptimalTrajectory
+from dart_flight.lab.search.quickest import QuickestPlan, plan_quickest
 from dart_flight.lab.search.scenario import Scenario, load_scenario
 from dart_flight.recording.reader import Log
 
 COLLIDING, FREE = "colliding", "free"
 USING_COLLISIONS = ("shuttle", "touch_and_return", "hairpin", "limited_sight")
-BESIDE_M = 0.03  # that a place may be passed beside its tolerance: what PX4's loop is off by
+BESIDE_M = 0.03  # that a place may be passed beside its tolerance: a wall drawn elsewhere takes it along
 THERE_M, STILL_M_S = 0.15, 0.3  # of the goal: a flight and its plan end there, alike
 _UNDER_WAY_US = 500_000  # at least: where start and goal are one
 
@@ -43,16 +45,24 @@ class Arrival(NamedTuple):
 
 
 class BothWays(NamedTuple):
-    """A mission as shipped, and the quickest flight of its scenario without a collision."""
+    """A mission as shipped, and the quickest flight of its scenario without a collision.
+
+    Attributes:
+        missions, plans: by way.
+    """
 
     scenario: Scenario
-    colliding: Mission
-    free: Mission
+    missions: dict[str, Mission]
+    plans: dict[str, QuickestPlan]
 
     @property
     def visits(self) -> list[tuple[Vec2, float]]:
         """Places and how near they are passed."""
         return [(visit.position_m, visit.within_m + BESIDE_M) for visit in self.scenario.visits]
+
+    def planned_s(self, way: str) -> float:
+        """When the plan arrives, by the rule of `arrival_of`."""
+        return planned_there_s(self.plans[way].trajectory, self.scenario.goal.position_m)
 
 
 def both_ways(name: str) -> BothWays:
@@ -60,8 +70,13 @@ def both_ways(name: str) -> BothWays:
     scenario = load_scenario(packaged("missions", "scenarios", f"{name}.yaml"))
     result = plan_quickest(scenario) if scenario.sight is None else plan_limited_sight(scenario)
     assert result.free is not None
+    assert result.colliding is not None
     shipped = load_mission(packaged("missions", f"{name}.yaml"))
-    return BothWays(scenario, shipped, planned_mission(scenario, result.free))
+    return BothWays(
+        scenario,
+        {COLLIDING: shipped, FREE: planned_mission(scenario, result.free)},
+        {COLLIDING: result.colliding, FREE: result.free},
+    )
 
 
 def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]]) -> Arrival | None:
@@ -92,3 +107,18 @@ def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]])
     still &= (speed <= STILL_M_S) & (t > last) & (t < times.get("landing", -np.inf))
     there = np.flatnonzero(still)
     return Arrival(begin_us, tuple(passed), float(t[there[0]]) if there.size else None)
+
+
+def planned_there_s(found: OptimalTrajectory, goal: tuple[float, float]) -> float:
+    """When a planned flight is near its goal and slow for good."""
+    last = found.legs[-1]
+    begin = found.time_s - last.duration_s
+    there = begin
+    for before, after in zip(last.states(), last.states()[1:], strict=False):
+        for share in np.linspace(0.0, 1.0, 20):
+            t = before.t_s + share * (after.t_s - before.t_s)
+            p = [a + share * (b - a) for a, b in zip(before.position, after.position, strict=True)]
+            v = [a + share * (b - a) for a, b in zip(before.velocity, after.velocity, strict=True)]
+            if math.dist(p, goal) > THERE_M or math.hypot(*v) > STILL_M_S:
+                there = float(begin + t)
+    return there

@@ -106,6 +106,7 @@ class Flight(msgspec.Struct):
     way: str = ""  # colliding, free
     followed: bool | None = None
     places: str = ""  # passed, of how many
+    planned_s: float | None = None
     there_s: float | None = None  # from the first trajectory on (`arrivals`)
 
 
@@ -225,11 +226,12 @@ def fly_ways(name: str, directory: str, report_dir: Path, pace: float) -> None:
         for mission in USING_COLLISIONS:
             both = both_ways(mission)
             for way, seed in itertools.product((COLLIDING, FREE), WAYS_SEEDS):
-                flown = both.colliding if way == COLLIDING else both.free
+                flown = both.missions[way]
                 with tempfile.TemporaryDirectory() as folder:
                     verdict = fly_px4(flown, directory, seed, Path(folder), speed=pace)
                     flight = figures(part, "mocap", mission, verdict, pace)
                     flight.way, flight.followed = way, verdict.plan_followed
+                    flight.planned_s = both.planned_s(way)
                     for hit, collision in zip(flight.hits, verdict.collisions, strict=True):
                         planned = collision.planned
                         hit.normal_planned_m_s = None if planned is None else planned.normal_m_s
@@ -409,7 +411,17 @@ def body_table(flights: list[Flight]) -> str:
 
 def ways_table(flights: list[Flight]) -> str:
     """What was flown with collisions and without, one row for each flight."""
-    head = ["PX4", "mission", "way", "seed", "completed", "plan followed", "places passed", "flight s"]
+    head = [
+        "PX4",
+        "mission",
+        "way",
+        "seed",
+        "completed",
+        "plan followed",
+        "places passed",
+        "planned s",
+        "flown s",
+    ]
     head += ["hits: planned m/s", "flown m/s", "max. tilt °", "final error m", "EKF off by m"]
     rows = []
     for f in flights:
@@ -425,6 +437,7 @@ def ways_table(flights: list[Flight]) -> str:
                 "yes" if f.outcome == "completed" else f"no: {f.reason}",
                 followed,
                 f.places,
+                _text(f.planned_s, 2),
                 _text(f.there_s, 2),
                 _hits(f, lambda h: _text(h.normal_planned_m_s, 2)),
                 _hits(f, lambda h: _text(h.normal_true_m_s, 2)),

@@ -28,10 +28,9 @@ from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import parse_mission
 from dart_flight.lab.search.limited_sight import plan_limited_sight
 from dart_flight.lab.search.mission_writer import mission_text
-from dart_flight.lab.search.optimal_trajectory import OptimalTrajectory
 from dart_flight.lab.search.quickest import QuickestPlan, plan_quickest
 from dart_flight.lab.search.scenario import Scenario, load_scenario
-from tools.campaigns.arrivals import STILL_M_S, THERE_M, arrival_of
+from tools.campaigns.arrivals import BESIDE_M, arrival_of, planned_there_s
 from tools.campaigns.results import RESULTS, ROOT, markdown, measured_by
 
 PLANS, FLIGHTS = ROOT / "build" / "walls_pay_plans.jsonl", ROOT / "build" / "walls_pay.jsonl"
@@ -45,7 +44,6 @@ SETS = {
 FLOWN = "position"
 KINDS = {"shuttle": 25, "hairpin": 20, "corner": 15, "stop": 15, "sight": 15, "free": 10}
 _PLAN_WITHIN_S = 20.0
-_WALLS_OFF_M = 0.03  # a wall that was drawn elsewhere takes its place with it
 _SIGHT_M, _CLOSING_M_S = 1.0, 3.0
 
 
@@ -219,21 +217,6 @@ def _written(scenario: Scenario, plan: QuickestPlan) -> tuple[str, float]:
     return mission_text(scenario, plan, where), planned_there_s(plan.trajectory, scenario.goal.position_m)
 
 
-def planned_there_s(found: OptimalTrajectory, goal: tuple[float, float]) -> float:
-    """When a planned flight is near its goal and slow for good."""
-    last = found.legs[-1]
-    begin = found.time_s - last.duration_s
-    there = begin
-    for before, after in zip(last.states(), last.states()[1:], strict=False):
-        for share in np.linspace(0.0, 1.0, 20):
-            t = before.t_s + share * (after.t_s - before.t_s)
-            p = [a + share * (b - a) for a, b in zip(before.position, after.position, strict=True)]
-            v = [a + share * (b - a) for a, b in zip(before.velocity, after.velocity, strict=True)]
-            if math.dist(p, goal) > THERE_M or math.hypot(*v) > STILL_M_S:
-                there = float(begin + t)
-    return there
-
-
 # -- flights -------------------------------------------------------------------------------------------------
 
 
@@ -250,7 +233,7 @@ def fly(planned: Planned, way: str, seed: int) -> Flown:
     found.tilt_deg = verdict.max_tilt_deg
     found.uncontrolled = _uncontrolled(mission.bounds, place, t, verdict)
     visits = [
-        (visit["position_m"], visit["within_m"] + _WALLS_OFF_M)
+        (visit["position_m"], visit["within_m"] + BESIDE_M)
         for visit in scenario_of(planned.kind, planned.seed, FLOWN).get("visits", [])
     ]
     arrival = arrival_of(flight.log, mission, visits)

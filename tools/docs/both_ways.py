@@ -81,11 +81,8 @@ class FlownBothWays:
 
     def __init__(self, name: str) -> None:
         self.name, both = name, both_ways(name)
-        self.scenario = both.scenario
-        self.ways = tuple(
-            FlownWay(way, mission, both.visits)
-            for way, mission in ((COLLIDING, both.colliding), (FREE, both.free))
-        )
+        self.scenario, self.planned_s = both.scenario, [both.planned_s(way) for way in (COLLIDING, FREE)]
+        self.ways = [FlownWay(way, both.missions[way], both.visits) for way in (COLLIDING, FREE)]
 
     @property
     def view(self) -> Array:
@@ -134,17 +131,22 @@ class FlownBothWays:
         x = np.where(way.flown, way.flight.course.true.position[:, 0], -np.inf)
         return float(way.time_s[int(np.argmax(x))])
 
-    def animation(self, path: Path) -> None:
+    @property
+    def moments(self) -> list[float]:
+        """Of the frames, by the clocks; the last stands for a while."""
+        last = max(way.rest_s for way in self.ways)
+        times = np.arange(-_BEFORE_S, last + 1.0 / _FRAMES_PER_S, 1.0 / _FRAMES_PER_S)
+        return [*map(float, times), *[float(times[-1])] * _HOLD]
+
+    def animation(self, path: Path, moments: list[float]) -> None:
         """Both flights by their clocks, as a GIF that begins again."""
         from matplotlib.animation import PillowWriter  # noqa: PLC0415  (slow)
 
         figure, axes = self._stage()
         writer = PillowWriter(fps=_FRAMES_PER_S)
-        last = max(way.rest_s for way in self.ways)
-        times = np.arange(-_BEFORE_S, last + 1.0 / _FRAMES_PER_S, 1.0 / _FRAMES_PER_S)
         with writer.saving(figure, str(path), dpi=84):
-            for at_s in [*times, *[times[-1]] * _HOLD]:
-                self._frame(axes, float(at_s))
+            for at_s in moments:
+                self._frame(axes, at_s)
                 writer.grab_frame()
         shrink(path)
 
@@ -210,8 +212,10 @@ def main() -> None:
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER
     missions = [FlownBothWays(name) for name in USING_COLLISIONS]
     for both in missions:
+        figures = zip(both.planned_s, both.ways, strict=True)
+        print(both.name, *(f"{way.name}: planned {s:.2f} s, flown {way.rest_s:.2f} s" for s, way in figures))
         save_figure(both.picture(), folder / f"both_{both.name}.png")
-        both.animation(folder / f"both_{both.name}.gif")
+        both.animation(folder / f"both_{both.name}.gif", both.moments)
     save_figure(two_clocks(missions), folder / "two_clocks.png")
 
 
