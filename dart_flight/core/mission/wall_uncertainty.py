@@ -64,7 +64,7 @@ class EstimatedWalls:
         self._felt[felt.wall] = felt
 
     def add_direction(self, wall: Wall, yaw: float, felt: WallEstimate) -> None:
-        """Take how a wall was felt to be turned by a vehicle that met it at a heading (rad, mission frame)."""
+        """Take how a wall that was met at a heading (rad, mission frame) was felt to be turned."""
         off = wrap_angle(yaw - wall.parallel_yaw(yaw))
         if abs(off) < _SQUARE_RAD:
             self._turned[wall.name] = wrap_angle(off - felt.incidence_rad)
