@@ -74,8 +74,22 @@ def test_a_square_heading_needs_no_time_and_is_asked_for() -> None:
 def test_a_wall_is_turned_by_what_the_heading_does_not_explain() -> None:
     """And nothing is learnt of it by a vehicle that itself was far from square."""
     wall = Wall("east", (2.0, 0.0), (-1.0, 0.0), 4.0, "acrylic")
+    sds = {"k_sd": 0.1, "f_sd": 0.1, "mu_sd": 0.1, "nu_sd": 0.1, "incidence_sigma_rad": 0.01}
     felt = WallEstimate(
-        0, 0, "east", Mode.FLEXIBLE, None, 0.0, 1250.0, 8.5, 5.0, 10.0, *[0.1] * 4, 0.12, 0.01, 0.0, 0.01
+        t_us=0,
+        first_us=0,
+        wall="east",
+        mode_reported=Mode.FLEXIBLE,
+        mode_felt=None,
+        log_odds=0.0,
+        k_n_per_m=1250.0,
+        f_ns_per_m=8.5,
+        mu_s_per_m=5.0,
+        nu_n=10.0,
+        incidence_rad=0.12,
+        plane_offset_m=0.0,
+        plane_offset_sigma_m=0.01,
+        **sds,
     )
     walls = EstimatedWalls()
     assert walls.turned(wall) == 0.0

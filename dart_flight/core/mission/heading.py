@@ -15,7 +15,7 @@ from dart_flight.base.geometry import wrap_angle
 from dart_flight.config.vehicle import VehicleConfig
 
 _MOST_TORQUE: Final = 0.15  # normalised: what PX4 keeps for yaw where motors are at their limits
-# Shares of the torque: what a flight is sure to have, and what it brakes with; the rest is for errors and delay.
+# Of the torque: what a flight is sure to have, and what it brakes with; the rest is for errors and delay.
 _SURE: Final = 0.85
 _BRAKING: Final = 0.5
 _STEP_S: Final = 0.02
