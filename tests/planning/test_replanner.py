@@ -186,7 +186,7 @@ def test_a_plan_begins_where_the_loop_will_have_flown_to() -> None:
 
 
 def test_a_plan_for_a_vehicle_that_coasts_begins_with_it_righting_itself() -> None:
-    """As the first-order lag does that is asked for nothing: by a tenth of a second half of its push is gone."""
+    """As a first-order lag does that is asked for nothing: half of its push is gone in 0.1 s."""
     request = msgspec.structs.replace(
         TO_WALL, acceleration_mission=(2.0, -1.0, 0.0), lock_ready_us=900_000, coasts=True
     )
