@@ -435,8 +435,7 @@ class PlanRequest(Record, frozen=True, gc=False):
     velocity_mission: Vec3
     acceleration_mission: Vec3  # of thrust and drag
     setpoint_mission: Vec3  # m; in force until then
-    # From when on the wall may be met: the lock settled in its mode, the vehicle square to it; none: never.
-    lock_ready_us: int | None
+    lock_ready_us: int | None  # when the lock can be settled and the vehicle square to the wall; none: never
     under_way: bool = False  # along a trajectory, not towards a setpoint
     contact_height_m: float | None = None  # of the walls' force above the centre of mass; none: not known
     coasts: bool = False  # no setpoint leads anywhere: the vehicle keeps its speed and thrust until then

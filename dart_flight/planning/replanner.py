@@ -32,7 +32,7 @@ from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.core.mission.commitment import SETTLED_BEFORE_S
 from dart_flight.core.mission.planned_impact import impact_velocity
-from dart_flight.core.mission.position_loop import PositionLoop
+from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S, PositionLoop
 from dart_flight.core.mission.trajectories import PlannedTrajectory
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls, end_margin_m, position_margin_m
 from dart_flight.planning.constraints import REFUSALS, Constraints
@@ -268,12 +268,18 @@ class Replanner:
     def _start(self, request: PlanRequest) -> tuple[Array, Array]:
         """Position, velocity, acceleration per axis when the way begins: the loop flies on until then."""
         ahead_s = (request.begin_us - request.t_us) * 1e-6
-        if request.under_way or request.coasts:  # what is asked for changes little in so short a time
-            vectors = (request.position_mission, request.velocity_mission, request.acceleration_mission)
-            place, speed, push = (np.array(vector[:2]) for vector in vectors)
+        vectors = (request.position_mission, request.velocity_mission, request.acceleration_mission)
+        place, speed, push = (np.array(vector[:2]) for vector in vectors)
+        if request.under_way:  # its reference changes little in so short a time
             states = np.stack(
                 [place + ahead_s * (speed + 0.5 * ahead_s * push), speed + ahead_s * push, push]
             )
+            return states[:, 0], states[:, 1]
+        if request.coasts:  # how a contact has tilted the vehicle is righted at once
+            lag, left = ATTITUDE_LAG_S, math.exp(-ahead_s / ATTITUDE_LAG_S)
+            gained = lag * (1.0 - left) * push
+            way = ahead_s * speed + lag * (ahead_s * push - gained)
+            states = np.stack([place + way, speed + gained, left * push])
             return states[:, 0], states[:, 1]
         axes = []
         for axis, matrix in enumerate(self._matrices):

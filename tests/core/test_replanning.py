@@ -189,6 +189,41 @@ def test_an_answer_that_comes_late_is_not_flown() -> None:
     assert refusal_of(planning, answer_to(request), request.begin_us + 20_000) == "20 ms too late"
 
 
+def test_no_wall_is_to_be_met_before_a_vehicle_that_a_contact_has_turned_is_square_to_it() -> None:
+    """Not on the way that is asked for, and a way that leads there earlier is given up for a later one."""
+    lock = LockOrders(MISSION.vehicle.lock)
+    hit, following = MISSION.collisions
+    over = Sensed(estimate=ForceEstimate(NOW_US, (0.0, 0.0, 0.0), False))
+    mission = msgspec.structs.replace(
+        MISSION, goal_trajectory=TrajectoryPieces((0.0, 0.0), [(1.0, 0.0, 0.0)])
+    )
+    planning = ReplanRequests(mission)
+
+    def asked_at(now_us: int, square_us: int) -> PlanRequest:
+        p = Proposal()
+        planning.request_once(hit, following, state_at(now_us), over, (2.0, -0.8, 1.0), lock, p, square_us)
+        (request,) = p.outputs
+        assert isinstance(request, PlanRequest)
+        return request
+
+    first = asked_at(NOW_US, NOW_US + 1_500_000)
+    assert first.lock_ready_us == NOW_US + 1_500_000
+    way = msgspec.structs.replace(answer_to(first), impact_s=1.8, duration_s=1.8)
+    planning.take(way, NOW_US + 40_000, Proposal())
+    assert planning.trajectory_due(moved_to(first), Proposal()) is not None
+    impact_us = first.begin_us + 1_800_000
+    assert asked_at(NOW_US + 350_000, impact_us - 1).under_way
+    # Turned further than was thought.
+    late = asked_at(NOW_US + 700_000, impact_us + 1)
+    assert not late.under_way
+    assert late.coasts
+    state = state_at(late.begin_us, moved_to(first).position)
+    later = msgspec.structs.replace(answer_to(late), impact_s=3.0, duration_s=3.0)
+    planning.take(later, NOW_US + 740_000, Proposal())
+    state = moved_to(late)
+    assert planning.trajectory_due(state, Proposal()) is not None
+
+
 def test_a_way_that_begins_elsewhere_is_not_flown() -> None:
     planning, request = asked()
     p = Proposal()

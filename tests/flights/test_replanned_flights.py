@@ -1,10 +1,12 @@
 """Flights that plan again after every hit, and what becomes of them where the planner fails."""
 
+import math
 from pathlib import Path
 
 import msgspec
 import pytest
 
+from dart_flight import simulate
 from dart_flight.base.records import AfterImpact, Outcome, PlanTaken, Record, Setpoint
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import LockDriver, packaged
@@ -50,3 +52,17 @@ def test_a_late_planner_leaves_the_paper_s_set_points_in_force(latency_s: float)
         return [record for record in records if isinstance(record, Setpoint)]
 
     assert setpoints(late) == setpoints(paper)
+
+
+@pytest.mark.parametrize("seed", [101, 102, 103, 104])
+def test_walls_askew_turn_a_shuttle_only_once_each(seed: int) -> None:
+    """What its first hit has told of a wall is made use of by the next, and none is met askew."""
+    mission = load_mission(packaged("missions", "shuttle.yaml"))
+    flight = simulate(mission, seed=seed, vary={"wall_yaw_deg": 4.0})
+    drawn = [abs(float(value)) for value in flight.verdict.drawn.values()]
+    assert max(drawn) > 2.0
+    assert flight.verdict.outcome is Outcome.COMPLETED
+    incidence = [math.degrees(abs(one)) for one in flight.log["/truth/contact"]["incidence_rad"]]
+    assert len(incidence) == 4
+    assert max(incidence[:2]) < 13.0
+    assert max(incidence[2:]) < 6.0

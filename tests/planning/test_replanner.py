@@ -14,6 +14,7 @@ from dart_flight.base.records import Mode, PlanAnswer, PlanRequest, WallEstimate
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.mission_file import CollisionPrediction
 from dart_flight.config.vehicle import packaged
+from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
 from dart_flight.core.mission.trajectories import PlannedTrajectory
 from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.planning.replanner import Replanner
@@ -262,3 +263,21 @@ def test_a_mission_that_was_read_from_a_line_has_the_same_ways() -> None:
     answer = Replanner(read).answer(request, 0)
     assert answer == Replanner(shuttle).answer(request, 0)
     assert answer.normal_m_s == pytest.approx(-2.81, abs=0.05)
+
+
+def test_a_plan_for_a_vehicle_that_coasts_begins_with_it_righting_itself() -> None:
+    """As a first-order lag does that is asked for nothing: half of its push is gone in 0.1 s."""
+    request = msgspec.structs.replace(
+        TO_WALL, acceleration_mission=(2.0, -1.0, 0.0), lock_ready_us=900_000, coasts=True
+    )
+    begin = way_of(REPLANNER.answer(request, 0)).at(0.0)
+    t = np.linspace(0.0, 0.1, 2001)
+    for axis, push in enumerate((2.0, -1.0)):
+        a = push * np.exp(-t / ATTITUDE_LAG_S)
+        gained = np.concatenate(([0.0], np.cumsum(0.5 * (a[1:] + a[:-1])))) * 5e-5
+        v = request.velocity_mission[axis] + gained
+        assert begin.acceleration[axis] == pytest.approx(a[-1], rel=1e-6)
+        assert begin.velocity[axis] == pytest.approx(v[-1], abs=1e-6)
+        assert begin.position[axis] == pytest.approx(
+            request.position_mission[axis] + float(np.mean(v)) * 0.1, abs=1e-4
+        )

@@ -15,7 +15,9 @@ from dart_flight.base.geometry import wrap_angle
 from dart_flight.config.vehicle import VehicleConfig
 
 _MOST_TORQUE: Final = 0.15  # normalised: what PX4 keeps for yaw where motors are at their limits
-_SURE: Final = 0.8  # of the torque; the rest is for errors and delay
+# Of the torque: what a flight is sure to have, and what it brakes with; the rest is for errors and delay.
+_SURE: Final = 0.85
+_BRAKING: Final = 0.5
 _STEP_S: Final = 0.02
 _MOST_STEPS: Final = 200
 
@@ -71,7 +73,7 @@ class HeadingControl:
 
     def _torque(self, to: float, rate: float) -> float:
         """Normalised torque towards a heading so far away, from which a part of the torque stops in time."""
-        braking = _SURE * self._most_rad_s2
+        braking = _BRAKING * self._most_rad_s2
         linear = braking / self._per_s**2
         wanted = self._per_s * to
         if abs(to) > linear:

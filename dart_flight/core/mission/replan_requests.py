@@ -82,7 +82,7 @@ class ReplanRequests:
             setpoint: in force until the way begins, mission frame, m.
             lock: says when it can be settled in the mode that comes next.
             p: takes the request.
-            square_us: from when on the vehicle is square again to the wall that has turned it.
+            square_us: from when on the vehicle, which a contact has turned, is square to the wall.
             coasts: no setpoint leads anywhere, only thrust is asked for.
         """
         self._felt |= sensed.wall is not None

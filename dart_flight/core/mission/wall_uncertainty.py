@@ -20,6 +20,7 @@ from dart_flight.core.mission.arithmetic import Number
 
 SURE_SD = 3.0  # standard deviations that are reckoned with
 _MIN_CLOSING_M_S = 0.1
+_SURE_DIRECTION_RAD = 0.05  # a direction that was felt less surely turns no heading
 
 
 def position_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
@@ -70,7 +71,8 @@ class EstimatedWalls:
     def add_estimate(self, felt: WallEstimate, wall: Wall) -> None:
         """Take where a contact has found its wall's plane; `wall` is as the mission has it."""
         self._found[wall.name] = _as_felt(self._found.get(wall.name, wall), wall, felt)
-        if felt.plane_normal_mission is not None:
+        sure = (felt.plane_normal_sigma_rad or math.inf) < _SURE_DIRECTION_RAD
+        if felt.plane_normal_mission is not None and sure:
             (ax, ay), (bx, by) = wall.normal, felt.plane_normal_mission
             self._turned[wall.name] = math.atan2(ax * by - ay * bx, ax * bx + ay * by)
 

@@ -1,0 +1,99 @@
+"""The heading after a contact: brought back by PX4's yaw control, and how long that takes."""
+
+import math
+
+import pytest
+
+from dart_flight.base.geometry import MissionFrame, quaternion_from_euler, yaw_ned_of
+from dart_flight.base.records import Mode, WallEstimate
+from dart_flight.base.walls import Wall
+from dart_flight.core.mission.heading import HeadingControl
+from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
+from dart_flight.sim.cascade import Cascade, TrajectorySetpoint
+from dart_flight.sim.embedded_autopilot import default_parameters
+from dart_flight.sim.plant import Plant
+from tests.sim.test_plant import HOVER, VEHICLE
+
+SQUARE_RAD = 0.09
+STEP_S, WITHIN_S = 0.02, 5.0
+
+
+def heading_over_time(off: float, rate: float, guided: bool) -> list[float]:
+    """Heading less the wanted one, rad, every 20 ms, of a hovering vehicle under the simulated cascade.
+
+    Args:
+        off, rate: at the beginning, rad and rad/s, NED.
+        guided: by `HeadingControl`; else the wanted heading is asked for at once.
+    """
+    parameters = {name: float(value) for name, value in default_parameters(VEHICLE).items()}
+    cascade = Cascade(parameters, VEHICLE.hover_thrust_fraction(), VEHICLE.thrust, VEHICLE.airframe.motors)
+    control = HeadingControl(VEHICLE)
+    control.begin(0)
+    plant = Plant(VEHICLE, (), MissionFrame())
+    plant.position, plant.ground_down = (0.0, 0.0, -5.0), 100.0
+    plant.q, plant.rate = quaternion_from_euler(0.0, 0.0, off), (0.0, 0.0, rate)
+    plant.motor = [HOVER] * 4
+    found = []
+    for step in range(round(WITHIN_S / STEP_S)):
+        yaw = yaw_ned_of(plant.q)
+        found.append(yaw)
+        asked = control.setpoint(0.0, yaw, plant.rate[2], round(step * STEP_S * 1e6)) if guided else 0.0
+        for _ in range(5):
+            hold = TrajectorySetpoint((0.0, 0.0, -5.0), yaw=asked)
+            cascade.update_position(hold, plant.position, plant.velocity, yaw_ned_of(plant.q), 0.004)
+            plant.advance(cascade.update_attitude(plant.q, plant.rate, 0.004), 4)
+    return found
+
+
+def square_from_s(headings: list[float]) -> float:
+    return STEP_S * (1 + max(k for k, heading in enumerate(headings) if abs(heading) > SQUARE_RAD))
+
+
+@pytest.mark.parametrize(
+    ("off", "rate"), [(0.1, 0.8), (0.2, 1.5), (0.3, 2.0), (-0.2, -2.0), (0.6, 0.0), (0.6, -1.0), (-1.0, 1.0)]
+)
+def test_a_heading_comes_back_without_overshoot_and_when_it_is_said_to(off: float, rate: float) -> None:
+    guided, plain = heading_over_time(off, rate, True), heading_over_time(off, rate, False)
+    said_s = HeadingControl(VEHICLE).time_to_s(off, rate, SQUARE_RAD)
+    assert square_from_s(guided) - 0.05 <= said_s <= square_from_s(guided) + 0.2
+    assert square_from_s(guided) <= square_from_s(plain) + 0.1
+    if abs(rate) >= 1.5:  # PX4's own way overshoots from there
+        assert square_from_s(guided) < 0.6 * square_from_s(plain)
+    there = math.copysign(1.0, off + 0.5 * rate * abs(rate) / 3.0)  # from where it comes back
+    assert max(-there * heading for heading in guided[-150:]) < SQUARE_RAD
+
+
+def test_a_square_heading_needs_no_time_and_is_asked_for() -> None:
+    control = HeadingControl(VEHICLE)
+    control.begin(0)
+    assert control.time_to_s(0.05, 0.0, SQUARE_RAD) == 0.0
+    assert control.time_to_s(2.0 * math.pi, 0.0, SQUARE_RAD) == 0.0
+    assert control.setpoint(1.0, 1.0, 0.0, 20_000) == pytest.approx(1.0)
+
+
+def test_a_wall_is_turned_by_what_the_heading_does_not_explain() -> None:
+    """And nothing is learnt of it by a vehicle that itself was far from square."""
+    wall = Wall("east", (2.0, 0.0), (-1.0, 0.0), 4.0, "acrylic")
+    sds = {"k_sd": 0.1, "f_sd": 0.1, "mu_sd": 0.1, "nu_sd": 0.1, "incidence_sigma_rad": 0.01}
+    felt = WallEstimate(
+        t_us=0,
+        first_us=0,
+        wall="east",
+        mode_reported=Mode.FLEXIBLE,
+        mode_felt=None,
+        log_odds=0.0,
+        k_n_per_m=1250.0,
+        f_ns_per_m=8.5,
+        mu_s_per_m=5.0,
+        nu_n=10.0,
+        incidence_rad=0.12,
+        plane_offset_m=0.0,
+        plane_offset_sigma_m=0.01,
+        **sds,
+    )
+    walls = EstimatedWalls()
+    assert walls.turned(wall) == 0.0
+    walls.add_direction(wall, 0.5 * math.pi + 0.05, felt)
+    assert walls.turned(wall) == pytest.approx(-0.07)
+    walls.add_direction(wall, 0.4, felt)
+    assert walls.turned(wall) == pytest.approx(-0.07)
