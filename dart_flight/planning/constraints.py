@@ -7,6 +7,7 @@ what the mission file limits.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import Any
 
@@ -126,7 +127,14 @@ class Constraints:
         self.mark(codes, outside_m > SETPOINT_OUTSIDE_M, Refusal.SETPOINT)
         return codes
 
-    def path(self, window: GridWindow, until: NDArray[np.intp], target: Wall | None, begins: bool) -> Codes:
+    def path(
+        self,
+        window: GridWindow,
+        until: NDArray[np.intp],
+        target: Wall | None,
+        begins: bool,
+        walls: Sequence[Wall] | None = None,
+    ) -> Codes:
         """What a piece of flight runs into before its grid index `until` (exclusive).
 
         Args:
@@ -134,13 +142,15 @@ class Constraints:
             until: per candidate.
             target: the wall that the plan hits next, no obstacle.
             begins: whether the first grid point is the release from a wall.
+            walls: as they are known by now; None: as the mission has them.
         """
         w = window
         bad = w.vx * w.vx + w.vy * w.vy > np.float32(self.limits.speed_m_s**2)
         bad |= _outside(self.bounds.x, w.x, w.vx)
         bad |= _outside(self.bounds.y, w.y, w.vy)
         # By name: the planner's process has read the mission from a line, where equal walls are two objects.
-        obstacles = [wall for wall in self.walls if target is None or wall.name != target.name]
+        walls = self.walls if walls is None else walls
+        obstacles = [wall for wall in walls if target is None or wall.name != target.name]
         for wall in obstacles:
             bad |= _touches(wall, w)
         bad &= np.arange(w.times.size) < until[:, None]

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec2
-from dart_flight.base.records import Mode, PlanAnswer, PlanRequest, WallEstimate
+from dart_flight.base.records import FrameAnchor, Mode, PlanAnswer, PlanRequest, WallEstimate
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import Coefficients
@@ -58,6 +58,7 @@ _GENTLE_REJOINING_S = 0.05  # likewise, back to a trajectory that is within limi
 _AS_FAST = 1.01  # planned speed over flown
 _BALANCED = 0.9  # of the lean that would balance a vehicle that does not turn (docs/results/faster_hits.md)
 _MOST_LEAN = 0.3  # tangent of the angle
+_PRESSED_IN_M = 0.15  # at most: the arms at the end of a contact, and what a wall's place is off by
 _BESIDE_S = 1.0  # ... where another meets the wall as far from the planned place as the mission tolerates
 
 
@@ -119,6 +120,10 @@ class Replanner:
             self._felt[felt.wall, mode] = Coefficients(
                 felt.k_n_per_m, felt.f_ns_per_m, felt.mu_s_per_m, felt.nu_n
             )
+
+    def move_frame(self, anchor: FrameAnchor) -> None:
+        """A contact has put the mission frame right: walls that were felt in the one before stay there."""
+        self._survey.move_frame(anchor.moved_mission)
 
     def answer(self, request: PlanRequest, received_us: int) -> PlanAnswer:
         """The way from a request's state on; its `problem` says where there is none.
@@ -190,7 +195,8 @@ class Replanner:
             states = (v.astype(np.float32) for v in (*ways.position, *ways.velocity))
             window = GridWindow(ways.shares, *states)
             until = np.full(ways.duration_s.size, ways.shares.size)
-            clear = self._constraints.path(window, until, wall_hit, begins=True) == 0
+            walls = self._obstacles(self._start(request))
+            clear = self._constraints.path(window, until, wall_hit, begins=True, walls=walls) == 0
             ways, push = ways.take(np.flatnonzero(clear)), push[clear]
         # A wall is met as fast as planned where that can be: sooner and slower is another hit.
         slow = (ways.slower > _AS_FAST) & (collision is not None)
@@ -306,7 +312,8 @@ class Replanner:
         y = quintic(start[1], (ends.y, ends.vy, 0.0), ends.duration_s)
         rows, push = self._flyable(x, y, ends.duration_s)
         wall = None if collision is None else collision.wall
-        rows = rows[self._stays_clear(x[:, rows], y[:, rows], ends.duration_s[rows], wall)]
+        obstacles = self._obstacles(start)
+        rows = rows[self._stays_clear(x[:, rows], y[:, rows], ends.duration_s[rows], wall, obstacles)]
         if rows.size == 0:
             return None
         total = ends.duration_s[rows] + ends.cost_s[rows] + _GENTLE_S * push[rows] ** 2
@@ -326,13 +333,30 @@ class Replanner:
         jerk = np.hypot(*(_derivative(c[:, rows], times[rows], 3) for c in (x, y))).max(axis=1)
         return rows[jerk <= _JERK_M_S3], push
 
-    def _stays_clear(self, x: Array, y: Array, duration_s: Array, wall: Wall | None) -> NDArray[np.bool_]:
+    def _obstacles(self, start: tuple[Array, Array]) -> list[Wall]:
+        """The walls as they are known by now, for a way from a start: (position, velocity, acceleration) in x
+        and in y.
+
+        The one that the vehicle has just been released from may be behind it: flexible arms let go while they
+        are still pressed in, and a wall may stand a little elsewhere than at its middle.
+        """
+        place = (float(start[0][0]), float(start[1][0]))
+        walls = []
+        for wall in map(self._survey.wall_now, self._constraints.walls):
+            depth_m = wall.signed_distance(place)
+            walls.append(wall.moved(depth_m) if -_PRESSED_IN_M < depth_m < 0.0 else wall)
+        return walls
+
+    def _stays_clear(
+        self, x: Array, y: Array, duration_s: Array, wall: Wall | None, obstacles: list[Wall]
+    ) -> NDArray[np.bool_]:
         """Which ways keep within bounds and speed and off the walls but the one that is to be hit."""
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _SAMPLES)
         states = (_derivative(c, times, order).astype(np.float32) for order in (0, 1) for c in (x, y))
         window = GridWindow(np.linspace(0.0, 1.0, _SAMPLES), *states)
         until = np.full(duration_s.size, _SAMPLES)
-        clear: NDArray[np.bool_] = self._constraints.path(window, until, wall, begins=True) == 0
+        codes = self._constraints.path(window, until, wall, begins=True, walls=obstacles)
+        clear: NDArray[np.bool_] = codes == 0
         return clear
 
     def _with_hit(

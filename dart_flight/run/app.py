@@ -24,6 +24,7 @@ from typing import Protocol
 from dart_flight.base.records import (
     AfterImpact,
     CommandResult,
+    FrameAnchor,
     LockCommand,
     LockPermission,
     LockPhase,
@@ -396,6 +397,9 @@ class FlightApp:
         elif isinstance(output, WallEstimate):
             if self._planner is not None:
                 self._planner.send_wall_estimate(output)
+        elif isinstance(output, FrameAnchor):
+            if self._planner is not None:
+                self._planner.send_anchor(output)
         elif isinstance(output, PhaseChange):
             # For `monitor`; not on this thread, whose setpoints must not wait for it.
             self.loop.call_soon_threadsafe(self._session.tell_ground, f"phase {output.after}")

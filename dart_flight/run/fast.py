@@ -18,6 +18,7 @@ from dart_flight.base.records import (
     CommandResult,
     EstimatorSample,
     FlightMode,
+    FrameAnchor,
     ImuSample,
     Input,
     LockCommand,
@@ -297,6 +298,8 @@ class FastFlight:
             self._answers.append((due_us, self._replanner.answer(output, due_us)))
         elif isinstance(output, WallEstimate) and self._replanner is not None:
             self._replanner.update_wall(output)
+        elif isinstance(output, FrameAnchor) and self._replanner is not None:
+            self._replanner.move_frame(output)
         elif isinstance(output, Silence):
             self._last_setpoint = None
 

@@ -16,14 +16,14 @@ from typing import BinaryIO
 import msgspec
 
 from dart_flight.base.processes import ChildProcess
-from dart_flight.base.records import PlanAnswer, PlanRequest, WallEstimate
+from dart_flight.base.records import FrameAnchor, PlanAnswer, PlanRequest, WallEstimate
 from dart_flight.config.mission import Mission
 from dart_flight.planning.replanner import Replanner
 from dart_flight.vehicle.clock import host_us
 
 _NICE = 5  # below the flight: setpoints go first
 _END_S = 1.0
-_FELT, _ASKED = b"w", b"p"  # what a line holds
+_FELT, _MOVED, _ASKED = b"w", b"a", b"p"  # what a line holds
 
 
 class ReplannerProcess:
@@ -44,6 +44,10 @@ class ReplannerProcess:
     def send_wall_estimate(self, felt: WallEstimate) -> None:
         """Pass on what a contact has taught; never blocks."""
         self.process.send(_FELT + msgspec.json.encode(felt))
+
+    def send_anchor(self, anchor: FrameAnchor) -> None:
+        """Pass on by how much a contact has moved the mission frame; never blocks."""
+        self.process.send(_MOVED + msgspec.json.encode(anchor))
 
     def send_request(self, request: PlanRequest) -> None:
         """Send a request; never blocks. Where there is no planner any more the answer says so at once."""
@@ -67,6 +71,8 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
     for line in requests:
         if line.startswith(_FELT):
             replanner.update_wall(msgspec.json.decode(line[1:], type=WallEstimate))
+        elif line.startswith(_MOVED):
+            replanner.move_frame(msgspec.json.decode(line[1:], type=FrameAnchor))
         else:
             request = msgspec.json.decode(line[1:], type=PlanRequest)
             answers.write(msgspec.json.encode(replanner.answer(request, 0)) + b"\n")

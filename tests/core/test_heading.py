@@ -2,6 +2,7 @@
 
 import math
 
+import msgspec
 import pytest
 
 from dart_flight.base.geometry import MissionFrame, quaternion_from_euler, yaw_ned_of
@@ -71,8 +72,8 @@ def test_a_square_heading_needs_no_time_and_is_asked_for() -> None:
     assert control.setpoint(1.0, 1.0, 0.0, 20_000) == pytest.approx(1.0)
 
 
-def test_a_wall_is_turned_by_what_the_heading_does_not_explain() -> None:
-    """And nothing is learnt of it by a vehicle that itself was far from square."""
+def test_a_wall_is_turned_as_it_was_felt() -> None:
+    """And nothing is learnt of it by a contact that itself is not sure."""
     wall = Wall("east", (2.0, 0.0), (-1.0, 0.0), 4.0, "acrylic")
     sds = {"k_sd": 0.1, "f_sd": 0.1, "mu_sd": 0.1, "nu_sd": 0.1, "incidence_sigma_rad": 0.01}
     felt = WallEstimate(
@@ -89,11 +90,15 @@ def test_a_wall_is_turned_by_what_the_heading_does_not_explain() -> None:
         incidence_rad=0.12,
         plane_offset_m=0.0,
         plane_offset_sigma_m=0.01,
+        plane_point_mission=(2.0, 0.0),
+        plane_normal_mission=(-math.cos(0.07), math.sin(0.07)),
+        plane_normal_sigma_rad=0.01,
         **sds,
     )
     walls = EstimatedWalls()
     assert walls.turned(wall) == 0.0
-    walls.add_direction(wall, 0.5 * math.pi + 0.05, felt)
+    walls.add_estimate(felt, wall)
     assert walls.turned(wall) == pytest.approx(-0.07)
-    walls.add_direction(wall, 0.4, felt)
+    unsure = msgspec.structs.replace(felt, plane_normal_mission=(-1.0, 0.0), plane_normal_sigma_rad=0.1)
+    walls.add_estimate(unsure, wall)
     assert walls.turned(wall) == pytest.approx(-0.07)

@@ -16,6 +16,7 @@ from dart_flight.base.records import (
     WallEstimate,
 )
 from dart_flight.config.mission import load_mission
+from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import Approach
 from dart_flight.core.mission.lock_orders import LockOrders

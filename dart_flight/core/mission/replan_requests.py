@@ -92,8 +92,13 @@ class ReplanRequests:
         if sensed.estimate is None or sensed.in_contact:
             return
         # What was felt of a wall is worth waiting for where that wall comes again.
-        returns = following is not None and following.wall == hit.wall and not self._felt
-        if returns and state.now_us - (lock.contact_end_us or 0) < _FELT_WITHIN_US:
+        # And where a contact puts the frame right: a way planned in the one before begins elsewhere.
+        returns = following is not None and following.wall.name == hit.wall.name
+        if (
+            (returns or self._mission.is_anchored)
+            and not self._felt
+            and state.now_us - (lock.contact_end_us or 0) < _FELT_WITHIN_US
+        ):
             return
         along = following is not None and following.trajectory is not None
         self._number += 1
