@@ -75,7 +75,6 @@ def test_a_square_heading_needs_no_time_and_is_asked_for() -> None:
 def test_a_wall_is_turned_as_it_was_felt() -> None:
     """And nothing is learnt of it by a contact that itself is not sure."""
     wall = Wall("east", (2.0, 0.0), (-1.0, 0.0), 4.0, "acrylic")
-    sds = {"k_sd": 0.1, "f_sd": 0.1, "mu_sd": 0.1, "nu_sd": 0.1, "incidence_sigma_rad": 0.01}
     felt = WallEstimate(
         t_us=0,
         first_us=0,
@@ -93,7 +92,11 @@ def test_a_wall_is_turned_as_it_was_felt() -> None:
         plane_point_mission=(2.0, 0.0),
         plane_normal_mission=(-math.cos(0.07), math.sin(0.07)),
         plane_normal_sigma_rad=0.01,
-        **sds,
+        k_sd=0.1,
+        f_sd=0.1,
+        mu_sd=0.1,
+        nu_sd=0.1,
+        incidence_sigma_rad=0.01,
     )
     walls = EstimatedWalls()
     assert walls.turned(wall) == 0.0
