@@ -71,6 +71,8 @@ def show_end(verdict: Verdict, console: Console, as_json: bool) -> None:
         emit_json(verdict)
         return
     tables().print(verdict_table(verdict))
+    for line in wall_lines(verdict):
+        console.print(line, markup=False, soft_wrap=True)
     late_ms = verdict.own_lateness_ms or 0.0
     if verdict.outcome is not Outcome.COMPLETED and late_ms > 1e3 * LATE_S:
         simulated = verdict.world is not None and verdict.world is not World.DRONE
@@ -82,6 +84,19 @@ def show_end(verdict: Verdict, console: Console, as_json: bool) -> None:
         return
     for line in [f"log: {verdict.log}", *(f"  {step}" for step in next_steps(verdict))]:
         console.print(line, markup=False, soft_wrap=True)
+
+
+def wall_lines(verdict: Verdict) -> list[str]:
+    """The walls whose place or direction contacts have told, a line each."""
+    lines = []
+    for wall in verdict.walls:
+        if wall.yaw_sd_deg is None or wall.position_sd_m is None:
+            continue
+        (x, y), (nx, ny) = wall.point_m, wall.normal
+        says = f"wall {wall.name}: at ({x:.3f}, {y:.3f}) ± {wall.position_sd_m:.3f} m along its normal "
+        says += f"({nx:.3f}, {ny:.3f}) ± {wall.yaw_sd_deg:.2f} deg"
+        lines.append(says + (f", {wall.material}" if wall.material is not None else ", of no known material"))
+    return lines
 
 
 def exit_status(verdict: Verdict) -> int:

@@ -72,6 +72,10 @@ class WallMeasurements:
         elif isinstance(record, TruthContact):
             self._truths.append(record)
 
+    def wall(self, name: str) -> Wall | None:
+        """A wall as its last contact has it; None: it was not met."""
+        return self._found.wall_now(self._walls[name]) if self._found.is_met(name) else None
+
     def build(self, end_us: int, drawn: Mapping[str, float | str]) -> list[MeasuredWall]:
         """The walls that were met, in the order of their first contact.
 

@@ -11,6 +11,7 @@ from dart_flight.config.provenance import FoundVehicle
 from dart_flight.lab.flight_arrays import FlightArrays
 from dart_flight.lab.identify.trials import UNLABELLED, Series, Trial
 from dart_flight.recording.about import flown_mission
+from dart_flight.recording.measured_walls import WallMeasurements
 from dart_flight.recording.reader import Log, NothingInItError
 
 _BEFORE_S, _AFTER_S = 0.5, 0.4
@@ -24,7 +25,8 @@ def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> 
     """Every planned collision of a flight with this material in this mode, by the material of its wall.
 
     Series: position from PX4's estimate, force from the flight core's, both in the wall's collision frame and
-    on the autopilot's clock; the plane is the mission's, and the vehicle that which flew it.
+    on the autopilot's clock; the plane is the mission's, or of a wall that a probe has found that which the
+    contact told, and the vehicle that which flew it.
 
     Raises:
         InputError: the log does not hold its mission.
@@ -34,12 +36,17 @@ def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> 
     course = FlightArrays(log, mission)
     found: dict[str, list[Trial]] = {}
     onset: ImpactOnset | None = None
+    measured = WallMeasurements(mission)
+    for record in course.records:
+        measured.take(record)
     for record in course.records:
         if isinstance(record, ImpactOnset):
             onset = record
         elif isinstance(record, PhaseChange) and record.after is Phase.CONTACT and onset is not None:
             collision = mission.collisions[(record.collision or 1) - 1]
             wall = collision.wall
+            if wall.sought:
+                wall = measured.wall(wall.name) or wall
             if material in (None, wall.material) and mode in (UNLABELLED, collision.mode.value):
                 name = f"{log.source}: {wall.name}"
                 trial = Trial(
