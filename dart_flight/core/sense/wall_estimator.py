@@ -45,6 +45,7 @@ _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # deviation of PX4's position against the walls' frame
 _UNKNOWN_SPREAD: Final = 0.8  # of the coefficients of a wall of unknown material, relative
 _KNOWN_MATERIAL: Final = 6.0  # sum of three squared deviations: beyond it a wall is of no known material
+_MET_SD_M: Final = 0.03  # of a plane that only the onset tells: late detection, and a body that is no circle
 _MAX_MISFIT: Final = 2.0  # mean square of the residuals over their errors: beyond it this is no such contact
 
 
@@ -129,9 +130,9 @@ class WallEstimator:
         normal: Vec2 | None = None
         normal_sd: float | None = None
         offset_sd, angle_sd = _known(wall, onset)
-        if wall.sought:  # at least where it was met is known
-            place, normal, normal_sd = onset.position_mission[:2], wall.normal, angle_sd
-            offset = wall.signed_distance(place)
+        if wall.sought or wall.is_uncertain:  # at least where it was met is known
+            place, normal, normal_sd = onset.position_mission[:2], wall.normal, wall.yaw_sd_rad
+            offset, offset_sd = wall.signed_distance(place), _MET_SD_M
         if fitted is not None:
             belief = fitted.belief
             # Else the readings speak against the mode that the lock says, though not loudly enough.

@@ -1,0 +1,249 @@
+"""A room by touch: probes in a star from the start, and the outline that their contacts close.
+
+Where a probe meets something its body touches a wall: an octagon of known size at a known heading. The body's
+reach h towards the wall depends on the wall's direction, so contacts at places c_i lie on one wall with the
+normal n where
+
+    c_i . n - h_i(n) = offset        for all of them
+
+which holds however obliquely they were met. Neighbouring contacts are put to as few walls as explain them;
+consecutive walls meet in the corners. Where one contact alone stands for a wall, or a corner does not lie
+between its walls, another probe goes there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.base.geometry import Vec2, wrap_angle
+from dart_flight.config.mission import Mission
+
+_SPEED_M_S = 0.6
+_ON_WALL_M = 0.02  # deviation of a contact's place
+_MOST_OFF_M = 0.05
+_BACK_M = 0.5
+_INSIDE_M = 0.1  # of the bounds: a probe's end
+_STEEPEST_RAD = math.radians(65.0)  # of a wall that a probe has met, against the probe
+_TOLD_RAD = math.radians(12.0)  # less oblique than this a single contact tells a wall's direction
+_STEP_RAD = math.radians(7.0)  # beside a single contact with a wall
+_GROUP_COST = 12.0  # of one wall more, in squared deviations
+_MOST = 40
+
+Array = NDArray[Any]
+
+
+class Touch(NamedTuple):
+    """A contact: where the vehicle's centre was, at what heading, and what it told of the wall's direction.
+
+    Attributes:
+        place: mission frame, metres.
+        heading_rad: of the body, mission frame; that of the probe.
+        normal_rad: direction of the wall's normal by the contact itself; None: not told.
+        sd_rad: of it.
+    """
+
+    place: Vec2
+    heading_rad: float
+    normal_rad: float | None = None
+    sd_rad: float = math.inf
+
+
+class RoomWall(NamedTuple):
+    """A wall's surface: c . n = offset_m, with the normal n into the room.
+
+    Attributes:
+        normal_rad: direction of n, mission frame.
+        offset_m: of the surface.
+        offset_sd_m, normal_sd_rad: how well they are known.
+        touches: that tell it.
+    """
+
+    normal_rad: float
+    offset_m: float
+    offset_sd_m: float
+    normal_sd_rad: float
+    touches: tuple[Touch, ...]
+
+    @property
+    def normal(self) -> Vec2:
+        """Unit vector into the room."""
+        return (math.cos(self.normal_rad), math.sin(self.normal_rad))
+
+
+class Room(NamedTuple):
+    """What is known of a room.
+
+    Attributes:
+        walls: counter-clockwise, as seen from the start.
+        corners: of the surfaces: of each wall with the next one; None where they do not meet between them.
+        gaps_rad: directions from the start in which more probes are needed; none: the outline is closed.
+    """
+
+    walls: list[RoomWall]
+    corners: list[Vec2 | None]
+    gaps_rad: list[float]
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether every wall meets the next one in a corner."""
+        return len(self.walls) >= 3 and None not in self.corners and not self.gaps_rad
+
+
+def plan_star(mission: Mission, directions_rad: Sequence[float], speed_m_s: float = _SPEED_M_S) -> Mission:
+    """The mission with a probe from its start in each direction, as far as its bounds reach.
+
+    Raises:
+        InputError: the mission does not bear them.
+    """
+    probes = []
+    for k, angle in enumerate(directions_rad):
+        d = (math.cos(angle), math.sin(angle))
+        probe = {
+            "from_m": list(mission.start),
+            "direction": list(d),
+            "length_m": _reach_m(mission, d),
+            "speed_m_s": speed_m_s,
+            "back_m": _BACK_M,
+        }
+        probes.append({"wall": f"touch {k + 1}", "mode": "rigid", "probe": probe})
+    goal = {"position_m": list(mission.start), "hold_s": 0.2, "capture_radius_m": 0.3}
+    return mission.replace({"collisions": probes, "waypoints": [], "goal": goal})
+
+
+def _reach_m(mission: Mission, direction: Vec2) -> float:
+    (x, y), bounds = mission.start, mission.bounds
+    reach = math.inf
+    for place, along, (low, high) in ((x, direction[0], bounds.x), (y, direction[1], bounds.y)):
+        if abs(along) > 1e-9:
+            reach = min(reach, ((high if along > 0.0 else low) - place) / along)
+    return max(0.1, reach - _INSIDE_M)
+
+
+class RoomFit:
+    """Walls from contacts.
+
+    Args:
+        start: inside of the room, mission frame, metres.
+        touches: in any order.
+        along_m, out_m: of the guards: beside the middle of a side, and ahead (`airframe`).
+    """
+
+    def __init__(self, start: Vec2, touches: Sequence[Touch], along_m: float, out_m: float) -> None:
+        self._start = start
+        self._touches = sorted(touches, key=lambda t: self._bearing(t.place))[:_MOST]
+        signs = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+        body = [(s * out_m, t * along_m) for s, t in signs] + [(s * along_m, t * out_m) for s, t in signs]
+        self._body = np.array(body)
+        self._angles = np.radians(np.arange(0.0, 360.0, 0.5))
+        normals = np.stack([np.cos(self._angles), np.sin(self._angles)])
+        # Offset of the surface for every contact and every direction of a normal; not a number where a wall
+        # of that direction could not have been met by the probe.
+        rows = []
+        for one in self._touches:
+            c, s = math.cos(one.heading_rad), math.sin(one.heading_rad)
+            corners = self._body @ np.array([[c, s], [-s, c]])
+            reach = (-(corners @ normals)).max(axis=0)
+            offset = np.array(one.place) @ normals - reach
+            away = np.array([math.cos(one.heading_rad), math.sin(one.heading_rad)])
+            offset[-(away @ normals) < math.cos(_STEEPEST_RAD)] = np.nan
+            rows.append(offset)
+        self._offsets = np.array(rows)
+
+    def _bearing(self, place: Vec2) -> float:
+        return math.atan2(place[1] - self._start[1], place[0] - self._start[0]) % (2.0 * math.pi)
+
+    def fit(self) -> Room:
+        """The fewest walls that explain the contacts, and where more contacts are needed."""
+        n = len(self._touches)
+        if n < 3:
+            return Room([], [], [2.0 * math.pi * k / 8 for k in range(8)])
+        best: tuple[float, list[list[int]]] = (math.inf, [])
+        for first in range(min(n, 6)):  # where the circle is cut open
+            order = [(first + k) % n for k in range(n)]
+            found = self._partition(order)
+            best = min(best, found, key=lambda one: one[0])
+        walls = [self._wall(group) for group in best[1]]
+        return self._closed(walls)
+
+    def _partition(self, order: list[int]) -> tuple[float, list[list[int]]]:
+        """Contiguous groups of least cost, by dynamic programming."""
+        n = len(order)
+        cost: list[float] = [0.0] + [math.inf] * n
+        back = [0] * (n + 1)
+        for end in range(1, n + 1):
+            for begin in range(end - 1, -1, -1):
+                misfit = self._misfit(order[begin:end])[0]
+                if misfit == math.inf:
+                    break
+                total = cost[begin] + misfit + _GROUP_COST
+                if total < cost[end]:
+                    cost[end], back[end] = total, begin
+        groups, end = [], n
+        while end > 0:
+            groups.append(order[back[end] : end])
+            end = back[end]
+        return cost[n], groups[::-1]
+
+    def _misfit(self, group: list[int]) -> tuple[float, int, float]:
+        """(Squared deviations, index of the normal's direction, offset) of the best wall for a group."""
+        offsets = self._offsets[group]
+        middle = offsets.mean(axis=0)
+        off = offsets - middle
+        squares = (off * off).sum(axis=0) / _ON_WALL_M**2
+        squares[np.isnan(squares)] = np.inf
+        squares[np.abs(off).max(axis=0) > _MOST_OFF_M] = np.inf
+        for k in group:  # what single contacts say of the direction, loosely where they were oblique
+            one = self._touches[k]
+            if one.normal_rad is None:
+                continue
+            oblique = abs(wrap_angle(one.normal_rad - one.heading_rad - math.pi))
+            sd = max(one.sd_rad, math.radians(1.5)) + (0.5 * oblique if oblique > _TOLD_RAD else 0.0)
+            away = (self._angles - one.normal_rad + math.pi) % (2.0 * math.pi) - math.pi
+            squares = squares + np.minimum((away / sd) ** 2, 9.0)
+        best = int(np.argmin(squares))
+        return float(squares[best]), best, float(middle[best])
+
+    def _wall(self, group: list[int]) -> RoomWall:
+        squares, best, offset = self._misfit(group)
+        _, i, _ = squares, best, offset
+        touches = tuple(self._touches[k] for k in group)
+        along = np.array([-math.sin(self._angles[i]), math.cos(self._angles[i])])
+        places = np.array([t.place for t in touches]) @ along
+        spread = float(((places - places.mean()) ** 2).sum())
+        told = [t.sd_rad for t in touches if t.normal_rad is not None]
+        weight = spread / _ON_WALL_M**2 + sum(1.0 / max(sd, math.radians(1.5)) ** 2 for sd in told)
+        sd_rad = 1.0 / math.sqrt(weight) if weight > 0.0 else math.radians(20.0)
+        return RoomWall(float(self._angles[i]), offset, _ON_WALL_M / math.sqrt(len(group)), sd_rad, touches)
+
+    def _closed(self, walls: list[RoomWall]) -> Room:
+        corners: list[Vec2 | None] = []
+        gaps: list[float] = []
+        for k, wall in enumerate(walls):
+            following = walls[(k + 1) % len(walls)]
+            here, there = self._bearing(wall.touches[-1].place), self._bearing(following.touches[0].place)
+            apart = (there - here) % (2.0 * math.pi)
+            corner = _crossing(wall, following) if len(walls) > 2 else None
+            if corner is not None:
+                at = (self._bearing(corner) - here) % (2.0 * math.pi)
+                if not (at <= apart + math.radians(4.0) or at >= 2.0 * math.pi - math.radians(4.0)):
+                    corner = None
+            corners.append(corner)
+            if corner is None:
+                gaps.append(here + 0.5 * apart)
+            if len(wall.touches) == 1:
+                only = self._bearing(wall.touches[0].place)
+                gaps += [only - _STEP_RAD, only + _STEP_RAD]
+        return Room(walls, corners, [wrap_angle(angle) for angle in gaps])
+
+
+def _crossing(a: RoomWall, b: RoomWall) -> Vec2 | None:
+    (ax, ay), (bx, by) = a.normal, b.normal
+    det = ax * by - ay * bx
+    if abs(det) < math.sin(math.radians(8.0)):
+        return None
+    return ((a.offset_m * by - b.offset_m * ay) / det, (ax * b.offset_m - bx * a.offset_m) / det)
