@@ -453,7 +453,7 @@ def mode_felt(c: HandFedCore) -> None:
                 "approach": {"normal_m_s": -2.0},
                 "alpha_wall_m_per_n": [0.01, 0.01],
             },
-        ]
+        ],
     }
 )
 def no_approach(c: HandFedCore) -> None:
