@@ -777,6 +777,8 @@ def _check_goal_trajectory(mission: MissionFile, document: Document) -> None:
     count = len(mission.collisions)
     if count and any(w.after == count for w in mission.waypoints):
         raise document.error(key, "after a waypoint the goal is flown to straight, without one")
+    if count and mission.collisions[-1].probe is not None:
+        raise document.error(key, "after a probe the goal is flown to straight, without one")
     if count:
         _check_replanned(mission, key, document)
     else:

@@ -13,6 +13,7 @@ from dart_flight.base.records import Mode
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
+from tests.lab.api.test_api import every_key
 
 EAST: dict[str, Any] = {
     "wall": "east",
@@ -187,6 +188,11 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
             r"simulated_walls.b.normal: .* no length",
         ),
         ([], {"simulated_walls": {"b": BOARD | {"material": "cheese"}}}, "simulated_walls.b.material"),
+        (
+            [EAST],
+            {"goal_trajectory": every_key()["goal_trajectory"], "after_impact": "replan"},
+            "goal_trajectory: after a probe the goal is flown to straight",
+        ),
         ([], {"frame": {"anchored_by": "gps"}}, "frame.anchored_by"),
     ],
 )

@@ -147,7 +147,13 @@ def every_key() -> dict[str, Any]:
         "version": 1,
         "name": "every key",
         "vehicle": vehicle,
-        "frame": {"origin": "takeoff", "anchored_by": "touch", "north_m": 1.0, "east_m": -2.0, "heading_deg": 30.0},
+        "frame": {
+            "origin": "takeoff",
+            "anchored_by": "touch",
+            "north_m": 1.0,
+            "east_m": -2.0,
+            "heading_deg": 30.0,
+        },
         "start": {"position_m": [0.1, 0.2], "altitude_m": 1.1},
         "goal": {"position_m": [1.0, -0.5], "capture_radius_m": 0.2, "hold_s": 3.0},
         "bounds_m": {"x": [-2.0, 2.2], "y": [-1.6, 2.0], "z": [0.3, 2.1]},
@@ -159,23 +165,24 @@ def every_key() -> dict[str, Any]:
         "posts": {"pole": {"centre_m": [-1.5, -1.0], "radius_m": 0.05, "material": "acrylic"}},
         "transit_mode": "rigid",
         "collisions": [
+            {"wall": "back", "mode": "rigid", "probe": looked_for},
+            {"wall": "side", "mode": "rigid", "probe": looked_for, "if_met": "back"},
+            {"wall": "other", "mode": "rigid", "probe": looked_for, "if_not_met": "side"},
             first,
             {key: value for key, value in first.items() if key != "trajectory"}
             | {"wall": "far", "impact_point_m": None, "impact_along_m": 0.1}
             | {"alpha_m_per_n": None, "alpha_wall_m_per_n": [0.02, 0.03]},
             {key: value for key, value in first.items() if key not in ("approach", "impact_point_m")}
             | {"trajectory": trajectory_to((0.5, 0.4), (0.3, -1.1), (0.4, -0.6), (0.1, 0.2), (0.0, 0.1))},
-            {"wall": "back", "mode": "rigid", "probe": looked_for},
-            {"wall": "side", "mode": "rigid", "probe": looked_for, "if_met": "back"},
-            {"wall": "other", "mode": "rigid", "probe": looked_for, "if_not_met": "side"},
         ],
         "waypoints": [
             {"position_m": [0.2, 0.4], "altitude_m": 1.4, "speed_m_s": 0.4, "hold_s": 1.0},
             {"pause": "operator", "timeout_s": 33.0},
             {"position_m": [0.2, 0.1], "after": 1},
-            {"position_m": [0.2, 0.2], "after": 4, "if_met": "back"},
-            {"position_m": [0.2, 0.3], "after": 4, "if_not_met": "back"},
-            {"at_wall": {"wall": "back", "away_m": 0.7, "along_m": 0.3}, "after": 6},
+            {"position_m": [0.2, 0.2], "after": 1, "if_met": "back"},
+            {"position_m": [0.2, 0.3], "after": 1, "if_not_met": "back"},
+            {"at_wall": {"wall": "back", "away_m": 0.7, "along_m": 0.3}, "after": 2},
+            {"position_m": [0.2, 0.4], "after": 3},
         ],
         "goal_trajectory": trajectory_to((0.4, 0.4), (1.0, -0.5), (0.0, 0.0), (0.3, 0.1), (0.0, 0.1)),
         "limits": {
