@@ -34,9 +34,10 @@ from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError, writing
 from dart_flight.config.file_kinds import FileKind, load_document
-from dart_flight.config.mission import Mission
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.core.mission.approach import NoApproachError, check_segments_clear
 from dart_flight.planning.positioning import source_for
-from dart_flight.planning.survey import plan_survey, surveyed_walls
+from dart_flight.planning.survey import plan_survey, surveyed_collisions, surveyed_walls
 from dart_flight.recording.measured_walls import MeasuredWall
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.drone import fly_vehicle
@@ -79,6 +80,9 @@ def run(arguments: argparse.Namespace) -> int:
     mission = with_driver(load_flyable(arguments.mission, arguments.config, arguments.set), arguments.driver)
     if not mission.flat_walls:
         raise InputError("the mission has no wall to survey", source=mission.source, key=("walls",))
+    output = arguments.output
+    if output is not None and not output.absolute().parent.is_dir():  # said before the flight
+        raise InputError("cannot write: no such folder", source=str(output))
     survey = plan_survey(mission, arguments.touch_speed)
     console = messages()
     for name, reason in survey.unreachable.items():
@@ -88,8 +92,9 @@ def run(arguments: argparse.Namespace) -> int:
     if verdict is None:
         return 1
     walls = {wall.name: wall for wall in verdict.walls}
-    if arguments.output is not None and walls:
-        _write(arguments.output, document.tree, surveyed_walls(mission, walls), mission)
+    unfit = None
+    if output is not None and walls:
+        unfit = _write(arguments, document.tree, walls, mission)
     if arguments.json:
         emit_json({"walls": verdict.walls, "unreachable": survey.unreachable, "flight": verdict})
     else:
@@ -98,7 +103,10 @@ def run(arguments: argparse.Namespace) -> int:
     missed = [wall.name for wall in mission.flat_walls if wall.name not in walls]
     if missed:
         console.print(f"[red]not met: {', '.join(missed)}[/]", soft_wrap=True)
-    return exit_status(verdict) or bool(missed)
+    if unfit is not None:
+        says = f"written, but it does not fit its walls as they were met; plan it anew: {unfit}"
+        console.print(f"[red]{says}[/]", soft_wrap=True)
+    return exit_status(verdict) or bool(missed or unfit)
 
 
 def _fly(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:
@@ -144,10 +152,17 @@ def _fly_vehicle(arguments: argparse.Namespace, mission: Mission) -> Verdict | N
             return fly_vehicle(mission, url, arguments.log_dir, lines, lease, None)
 
 
-def _write(path: Path, written: Any, walls: dict[str, Any], mission: Mission) -> None:
-    """The mission anew: what was written, with the walls as they were met."""
-    tree = dict(written)
-    tree["walls"] = {**tree.get("walls", {}), **walls}
+def _write(
+    arguments: argparse.Namespace, written: Any, walls: dict[str, MeasuredWall], mission: Mission
+) -> str | None:
+    """The mission anew: what was written, with the walls as they were met.
+
+    Returns:
+        Why it cannot be flown as it is, in words: a trajectory leads to where a wall is not; None: it can.
+    """
+    path, tree = arguments.output, dict(written)
+    tree["walls"] = {**tree.get("walls", {}), **surveyed_walls(mission, walls)}
+    tree["collisions"] = surveyed_collisions(mission, tree.get("collisions", []), walls)
     if isinstance(tree.get("vehicle"), str):
         vehicle = Path(mission.source).parent / tree["vehicle"]
         tree["vehicle"] = Path(os.path.relpath(vehicle.resolve(), path.resolve().parent)).as_posix()
@@ -155,6 +170,11 @@ def _write(path: Path, written: Any, walls: dict[str, Any], mission: Mission) ->
     body = yaml.safe_dump(msgspec.to_builtins(tree), sort_keys=False, default_flow_style=None, width=110)
     with writing(path):
         path.write_text(head + body, encoding="utf-8")
+    try:
+        check_segments_clear(load_mission(path, arguments.config, arguments.set))
+    except (InputError, NoApproachError) as error:
+        return str(error)
+    return None
 
 
 def _table(walls: list[MeasuredWall]) -> Table:

@@ -425,12 +425,15 @@ def _add_tangent_walls(
     """Put the tangent planes of posts that are to be hit to the walls.
 
     Raises:
-        InputError: a hit of a post does not say where, or two at one post say different places.
+        InputError: a hit of a post does not say where, two at one post say different places, or a probe
+            looks for one.
     """
     for i, one in enumerate(spec.collisions):
         if one.wall not in posts:
             continue
         key: Key = ("collisions", i)
+        if one.probe is not None:
+            raise document.error((*key, "probe"), f"{one.wall} is a post: a probe looks for a wall")
         if one.impact_point_m is None:
             raise document.error(key, f"a hit of post {one.wall} needs impact_point_m")
         wall = tangent_wall(posts[one.wall], one.impact_point_m, vehicle, key, document)
@@ -449,6 +452,7 @@ def _sought_walls(
             taken; or a collision is at such a wall before its probe, or a condition names no probe.
     """
     stiffest = max(vehicle.materials, key=lambda name: vehicle.materials[name].of(Mode.RIGID).k)
+    looked_for = {one.wall for one in spec.collisions if one.probe is not None}
     sought: dict[str, Wall] = {}
     probed: set[str] = set()
     for i, one in enumerate(spec.collisions):
@@ -457,14 +461,18 @@ def _sought_walls(
         for j, waypoint in enumerate(spec.waypoints):
             if waypoint.after == i:
                 _check_waypoint_wall(waypoint, probed, walls, ("waypoints", j), document)
-        if one.probe is None or one.wall in walls:
-            probed |= {one.wall} if one.probe is not None else set()
+        if one.probe is None:
+            if one.wall not in walls and one.wall not in probed and one.wall in looked_for:
+                raise document.error((*key, "wall"), f"no probe before this looks for wall {one.wall}")
+            continue
+        if one.wall in walls:
+            probed.add(one.wall)
             continue
         if one.wall in probed:
             raise document.error((*key, "wall"), f"{one.wall} is looked for twice; give the second a name")
         probed.add(one.wall)
-        if one.wall in spec.posts or one.wall in spec.simulated_walls:
-            raise document.error((*key, "wall"), f"the name {one.wall} is taken by another wall or post")
+        if one.wall in spec.simulated_walls:
+            raise document.error((*key, "wall"), f"the name {one.wall} is taken by a simulated wall")
         if one.probe.direction is None:
             known = ", ".join(walls) or "none"
             says = f"{one.wall} is no wall of the mission ({known}): a probe for it needs a direction"
@@ -769,6 +777,8 @@ def _check_goal_trajectory(mission: MissionFile, document: Document) -> None:
     count = len(mission.collisions)
     if count and any(w.after == count for w in mission.waypoints):
         raise document.error(key, "after a waypoint the goal is flown to straight, without one")
+    if count and mission.collisions[-1].probe is not None:
+        raise document.error(key, "after a probe the goal is flown to straight, without one")
     if count:
         _check_replanned(mission, key, document)
     else:

@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.base.geometry import MissionFrame, Vec3
-from dart_flight.base.records import ForceEstimate, OdometrySample, Record, TruthSample
+from dart_flight.base.records import (
+    ForceEstimate,
+    FrameAnchor,
+    OdometrySample,
+    PhaseChange,
+    Record,
+    TruthSample,
+)
 from dart_flight.config.mission import Mission
 from dart_flight.recording.anchor import MissionFrameReader
 from dart_flight.recording.flight_time import zero_of
@@ -45,7 +52,8 @@ class FlightArrays:
     Attributes:
         log, records: where they come from.
         start_us: the autopilot's time that is 0 s here.
-        frame: the mission frame in local NED; None where the flight did not get ready.
+        frame: the mission frame in local NED as it was laid first; None where the flight did not get ready.
+            Contacts may move it (`frame_at`): each place is converted by the frame in force at its time.
         estimated: by PX4's estimator; empty without a frame.
         true: of the simulated vehicle; empty on the drone.
         estimated_force, true_force: likewise. An estimate stands for the mean over the IMU's tick, behind
@@ -56,11 +64,12 @@ class FlightArrays:
         self.log = log
         self.records: list[Record] = [entry.record for entry in log.entries]
         self.start_us = zero_of(self.records)
-        self.frame = _frame(self.records, mission)
+        self._frames = _frames(self.records, mission)
+        self.frame = self._frames[0][1] if self._frames else None
         odometry = self.topic_in_ned(OdometrySample)
         self.estimated = MotionArrays(
             odometry.t_s,
-            self.from_ned(odometry["position_ned"], places=True),
+            self.places_from_ned(odometry["position_ned"], odometry.t_s),
             self.from_ned(odometry["velocity_ned"]),
         )
         truth, force = self.topic(TruthSample), self.topic(ForceEstimate)
@@ -85,12 +94,24 @@ class FlightArrays:
         """As `topic`, of records that are of use with a frame: none without."""
         return self.topic(kind) if self.frame is not None else Topic(kind, [], np.empty(0))
 
-    def from_ned(self, vectors: Array, *, places: bool = False) -> Array:
-        """Directions or places (n, 3) from local NED, in the mission frame."""
+    def frame_at(self, t_us: int) -> MissionFrame | None:
+        """The mission frame in force at a moment; the first one before it was laid, None without any."""
+        since = [frame for from_us, frame in self._frames if from_us <= t_us]
+        return since[-1] if since else self.frame
+
+    def from_ned(self, vectors: Array) -> Array:
+        """Directions (n, 3) from local NED, in the mission frame."""
         frame = self.frame or MissionFrame()
-        axes = np.array([frame.vector_from_ned(axis) for axis in _AXES])
-        origin = frame.point_from_ned((0.0, 0.0, 0.0)) if places else (0.0, 0.0, 0.0)
-        return np.asarray(vectors @ axes + origin)
+        return np.asarray(vectors @ np.array([frame.vector_from_ned(axis) for axis in _AXES]))
+
+    def places_from_ned(self, places: Array, time_s: Array) -> Array:
+        """Places (n, 3) at the times (n,) from local NED, in the mission frame in force then."""
+        if not self._frames:
+            return self.from_ned(places)
+        since_s = [self.time_of(t_us) for t_us, _ in self._frames]
+        origins = np.array([frame.point_from_ned((0.0, 0.0, 0.0)) for _, frame in self._frames])
+        index = np.maximum(0, np.searchsorted(since_s, time_s, side="right") - 1)
+        return np.asarray(self.from_ned(places) + origins[index])
 
 
 def turned(q_frd_to_ned: Array, body: Array) -> Array:
@@ -100,10 +121,14 @@ def turned(q_frd_to_ned: Array, body: Array) -> Array:
     return np.asarray(body + scalar * turn + np.cross(vector, turn))
 
 
-def _frame(records: Sequence[Record], mission: Mission) -> MissionFrame | None:
-    anchor = MissionFrameReader(mission)
+def _frames(records: Sequence[Record], mission: Mission) -> list[tuple[int, MissionFrame]]:
+    """The mission frames of a flight in order, each with the autopilot's time since which it was in force."""
+    reader = MissionFrameReader(mission)
+    found: list[tuple[int, MissionFrame]] = []
     for record in records:
-        anchor.take(record)
-        if anchor.frame is not None:
-            break
-    return anchor.frame
+        reader.take(record)
+        if not isinstance(record, PhaseChange | FrameAnchor) or reader.frame is None:
+            continue
+        if not found or reader.frame is not found[-1][1]:
+            found.append((record.t_us, reader.frame))
+    return found

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from dart_flight.base.geometry import Vec2, distance2
 from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
+from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import is_blocked, is_post_in_the_way
 from dart_flight.core.mission.wall_uncertainty import position_margin_m
@@ -69,6 +70,8 @@ def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
                 }
             )
         here = way.back
+    if not probes:
+        raise InputError("no wall can be touched: there is no clear way to any", source=mission.source)
     changes = {
         "name": f"survey-{mission.name}"[:64],
         "collisions": probes,
@@ -156,4 +159,31 @@ def surveyed_walls(mission: Mission, measured: Mapping[str, Any]) -> dict[str, d
         if new.yaw_sd_deg is not None:
             keys["yaw_sd_deg"] = round(new.yaw_sd_deg, 3)
         found[wall.name] = keys
+    return found
+
+
+def surveyed_collisions(
+    mission: Mission, written: Sequence[Mapping[str, Any]], measured: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """The keys of a mission's collisions, said relative to the walls that were measured.
+
+    Gains along the mission's axes, and places in it, would no longer fit walls that stand elsewhere.
+
+    Args:
+        mission: as it was read.
+        written: its collisions as the file says them.
+        measured: as `surveyed_walls`.
+    """
+    found = []
+    for keys, collision in zip(written, mission.collisions, strict=True):
+        one, wall = dict(keys), collision.wall
+        if wall.name in measured and not wall.post_radius_m:
+            if one.pop("alpha_m_per_n", None) is not None:
+                one["alpha_wall_m_per_n"] = [
+                    collision.alpha_normal_m_per_n,
+                    collision.alpha_tangential_m_per_n,
+                ]
+            if one.pop("impact_point_m", None) is not None and collision.impact_point is not None:
+                one["impact_along_m"] = round(float(wall.along(collision.impact_point)), 4)
+        found.append(one)
     return found

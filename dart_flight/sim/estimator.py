@@ -95,9 +95,13 @@ class Estimator:
         self.ok = self._updates > 50
 
     def correct_attitude(self, t_s: float, q: Quaternion) -> None:
-        """An attitude alone, as from gravity and magnetometer, measured at `t_s`."""
+        """An attitude alone, as from gravity and magnetometer, measured at `t_s`.
+
+        It is newer than the next fix, so the predictions before it are kept.
+        """
         if self._history:
-            self._correct_attitude(self._at(t_s)[3], q)
+            then = min(reversed(self._history), key=lambda one: abs(one[0] - t_s))
+            self._correct_attitude(then[3], q)
         else:
             self.q = q
 

@@ -438,6 +438,35 @@ def mode_felt(c: HandFedCore) -> None:
     rigid_pulse(c)
 
 
+@cause_with(
+    {
+        "walls": {},
+        "collisions": [
+            {
+                "wall": "board",
+                "mode": "rigid",
+                "probe": {"from_m": [0.0, 0.0], "direction": [1.0, 0.0], "length_m": 2.1},
+            },
+            {
+                "wall": "board",
+                "mode": "rigid",
+                "approach": {"normal_m_s": -2.0},
+                "alpha_wall_m_per_n": [0.01, 0.01],
+            },
+        ],
+    }
+)
+def no_approach(c: HandFedCore) -> None:
+    """The board stands 1.7 m nearer than the probe goes: behind the start there is not as much room."""
+    c.to_prepare()
+    c.run(0.1)
+    c.position_ned, c.velocity_ned = (0.4, 0.0, -1.0), (0.5, 0.0, 0.0)
+    c.run(0.05)
+    c.pulse((-20.0, 0.0))
+    c.velocity_ned = (0.0, 0.0, 0.0)
+    c.run(2.0)
+
+
 CAUSES |= {
     "operator": asked(Request.LAND),
     "operator_release": asked(Request.RELEASE),

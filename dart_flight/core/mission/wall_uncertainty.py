@@ -112,9 +112,11 @@ def _as_felt(before: Wall, written: Wall, felt: WallEstimate) -> Wall:
     """A wall by what was known of it before a contact, by the mission, and by the contact."""
     sure_m, place, normal = felt.plane_offset_sigma_m, felt.plane_point_mission, felt.plane_normal_mission
     figures = written.position_sd_m is not None or written.yaw_sd_rad is not None
-    if place is None or normal is None or not (figures or written.sought):  # against the mission's plane
+    if place is None or normal is None:  # against where it was taken to be
         sd_m = None if written.position_sd_m is None else min(written.position_sd_m, sure_m)
-        return msgspec.structs.replace(written.moved(felt.plane_offset_m), position_sd_m=sd_m)
+        return msgspec.structs.replace(before.moved(felt.plane_offset_m), position_sd_m=sd_m)
+    if not (figures or written.sought):  # against the mission's plane, whose direction is taken as known
+        return written.moved(written.signed_distance(place))
     sure_rad = felt.plane_normal_sigma_rad
     if written.yaw_sd_rad is None:  # its direction is taken as known
         normal, sure_rad = written.normal, None

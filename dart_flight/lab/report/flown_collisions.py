@@ -90,7 +90,8 @@ def _recovery_setpoint(course: FlightArrays, onset_us: int) -> Vec3 | None:
     following = [o.t_us for o in course.all(ImpactOnset) if o.t_us > onset_us]
     until = min(following, default=1 << 62)
     sent = next((s for s in course.all(Setpoint) if s.recovery and onset_us <= s.t_us < until), None)
-    return None if sent is None or course.frame is None else course.frame.point_from_ned(sent.position_ned)
+    frame = None if sent is None else course.frame_at(sent.t_us)
+    return None if sent is None or frame is None else frame.point_from_ned(sent.position_ned)
 
 
 def lock_mode(course: FlightArrays, t_us: int) -> Mode | None:

@@ -108,7 +108,7 @@ def setpoint_series(course: FlightArrays) -> SetpointSeries:
     """Every setpoint that was sent."""
     sent = course.topic_in_ned(Setpoint)
     position, velocity = (
-        course.from_ned(sent["position_ned"], places=True),
+        course.places_from_ned(sent["position_ned"], sent.t_s),
         course.from_ned(sent["velocity_ned"]),
     )
     return SetpointSeries(sent.t_s, position, velocity, sent["recovery"])

@@ -135,11 +135,25 @@ def every_key() -> dict[str, Any]:
         "position_sd_m": 0.13,
         "yaw_sd_deg": 4.3,
     }
+    looked_for = {
+        "from_m": [-0.2, 0.3],
+        "length_m": 1.2,
+        "direction": [-1.0, 0.0],
+        "speed_m_s": 0.6,
+        "back_m": 0.45,
+        "material": far["material"],
+    }
     return {
         "version": 1,
         "name": "every key",
         "vehicle": vehicle,
-        "frame": {"origin": "takeoff", "north_m": 1.0, "east_m": -2.0, "heading_deg": 30.0},
+        "frame": {
+            "origin": "takeoff",
+            "anchored_by": "touch",
+            "north_m": 1.0,
+            "east_m": -2.0,
+            "heading_deg": 30.0,
+        },
         "start": {"position_m": [0.1, 0.2], "altitude_m": 1.1},
         "goal": {"position_m": [1.0, -0.5], "capture_radius_m": 0.2, "hold_s": 3.0},
         "bounds_m": {"x": [-2.0, 2.2], "y": [-1.6, 2.0], "z": [0.3, 2.1]},
@@ -147,9 +161,13 @@ def every_key() -> dict[str, Any]:
             "near": far | {"point_m": [0.8, -1.1], "normal": [0.0, 1.0], "given_at": "centre"},
             "far": far,
         },
+        "simulated_walls": {"unknown": far | {"point_m": [-1.9, 0.0], "normal": [1.0, 0.0]}},
         "posts": {"pole": {"centre_m": [-1.5, -1.0], "radius_m": 0.05, "material": "acrylic"}},
         "transit_mode": "rigid",
         "collisions": [
+            {"wall": "back", "mode": "rigid", "probe": looked_for},
+            {"wall": "side", "mode": "rigid", "probe": looked_for, "if_met": "back"},
+            {"wall": "other", "mode": "rigid", "probe": looked_for, "if_not_met": "side"},
             first,
             {key: value for key, value in first.items() if key != "trajectory"}
             | {"wall": "far", "impact_point_m": None, "impact_along_m": 0.1}
@@ -161,6 +179,10 @@ def every_key() -> dict[str, Any]:
             {"position_m": [0.2, 0.4], "altitude_m": 1.4, "speed_m_s": 0.4, "hold_s": 1.0},
             {"pause": "operator", "timeout_s": 33.0},
             {"position_m": [0.2, 0.1], "after": 1},
+            {"position_m": [0.2, 0.2], "after": 1, "if_met": "back"},
+            {"position_m": [0.2, 0.3], "after": 1, "if_not_met": "back"},
+            {"at_wall": {"wall": "back", "away_m": 0.7, "along_m": 0.3}, "after": 2},
+            {"position_m": [0.2, 0.4], "after": 3},
         ],
         "goal_trajectory": trajectory_to((0.4, 0.4), (1.0, -0.5), (0.0, 0.0), (0.3, 0.1), (0.0, 0.1)),
         "limits": {
@@ -200,7 +222,7 @@ def keys_unset(kind: Any, trees: list[Any], above: str) -> list[str]:
             for value in values
             for v in (
                 value.values()
-                if name in ("walls", "posts")
+                if name in ("walls", "simulated_walls", "posts")
                 else value
                 if isinstance(value, list)
                 else [value]

@@ -1,0 +1,73 @@
+"""`dart-flight survey`: walls that stand elsewhere are touched, and the mission written with them as met."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import packaged
+
+DUAL = packaged("missions", "dual_collision.yaml")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
+    return tmp_path
+
+
+def test_walls_that_stand_elsewhere_are_measured_and_written(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["survey", str(DUAL), "--fast", "--seed", "4", "--vary", "wall_offset_m"]
+    words += ["--vary", "wall_yaw_deg"]
+    assert main([*words, "--output", "new/mission.yaml", "--json"]) == 2
+    assert "no such folder" in capsys.readouterr().err
+    assert not (folder / "flights").exists(), "said before the flight"
+    (folder / "new").mkdir()
+    assert main([*words, "--output", "new/mission.yaml", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["unreachable"] == {}
+    assert printed["flight"]["outcome"] == "completed"
+    drawn = printed["flight"]["drawn"]
+    assert any(abs(drawn[f"wall_offset_m.{name}"]) > 0.05 for name in ("wood", "acrylic"))
+    before, after = load_mission(DUAL), load_mission("new/mission.yaml")
+    assert [wall.name for wall in after.flat_walls] == [wall.name for wall in before.flat_walls]
+    for old, new in zip(before.flat_walls, after.flat_walls, strict=True):
+        true = old.moved(drawn[f"wall_offset_m.{old.name}"])
+        true = true.turned(math.radians(drawn[f"wall_yaw_deg.{old.name}"]))
+        found = next(w for w in printed["walls"] if w["name"] == old.name)
+        assert abs(found["truth_error_m"]) < 0.02
+        assert abs(found["truth_error_deg"]) < 2.0
+        cosine = true.normal[0] * new.normal[0] + true.normal[1] * new.normal[1]
+        assert math.degrees(math.acos(min(1.0, cosine))) < 2.0
+        assert new.position_sd_m is not None
+        assert abs(true.signed_distance(new.point)) < 0.02 + 3.0 * new.position_sd_m
+        assert (new.length_m, new.material) == (old.length_m, old.material)
+        assert "rigid" in found["coefficients"]
+    assert after.vehicle == before.vehicle
+    assert [c.mode for c in after.collisions] == [c.mode for c in before.collisions]
+
+
+def test_a_mission_without_walls_and_a_wrong_speed_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["survey", str(packaged("missions", "hover.yaml")), "--fast"]) == 2
+    assert "the mission has no wall to survey" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["survey", str(DUAL), "--fast", "--touch-speed", "0.1"])
+    assert "0.3" in capsys.readouterr().err
+
+
+def test_a_plan_along_trajectories_that_no_longer_fits_is_named(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mission = packaged("missions", "touch_and_return.yaml")
+    words = ["survey", str(mission), "--fast", "--seed", "4", "--vary", "wall_offset_m=0.15"]
+    assert main([*words, "-o", "new.yaml"]) == 1
+    assert "does not fit its walls as they were met; plan it anew" in capsys.readouterr().err
+    assert (folder / "new.yaml").exists()

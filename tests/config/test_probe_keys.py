@@ -1,0 +1,211 @@
+"""Probes, conditions and places at walls in a mission file: read, written, refused."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dart_flight.base.records import Mode
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import packaged
+from tests.lab.api.test_api import every_key
+
+EAST: dict[str, Any] = {
+    "wall": "east",
+    "mode": "rigid",
+    "probe": {"from_m": [0.0, 0.0], "direction": [2.0, 0.0], "length_m": 1.8},
+}
+BOARD = {"point_m": [1.5, 0.0], "normal": [-1.0, 0.0], "length_m": 2.0, "material": "wood"}
+AT_BOARD = {"wall": "board", "mode": "rigid", "probe": {"from_m": [0.0, 0.0], "length_m": 1.8}}
+AGAIN = {
+    "wall": "east",
+    "mode": "flexible",
+    "approach": {"normal_m_s": -0.8},
+    "alpha_wall_m_per_n": [0.02, 0.02],
+}
+
+
+def probe(one: dict[str, Any], **keys: Any) -> dict[str, Any]:
+    return one | {"probe": one["probe"] | keys}
+
+
+def mission(*collisions: dict[str, Any], **changes: Any) -> Mission:
+    tree = {
+        "version": 1,
+        "name": "probes",
+        "start": {"position_m": [0.0, 0.0], "altitude_m": 1.0},
+        "goal": {"position_m": [0.0, 0.5], "capture_radius_m": 0.3},
+        "bounds_m": {"x": [-2.0, 2.0], "y": [-2.0, 2.0], "z": [0.3, 2.5]},
+        "collisions": list(collisions),
+    }
+    return load_mission(tree | changes)
+
+
+def test_a_wall_that_nobody_knows_stands_across_the_end_of_its_probe() -> None:
+    one = mission(EAST, AGAIN)
+    assert one.walls == ()
+    looked_for, hit = one.collisions
+    wall = looked_for.wall
+    assert (wall.name, wall.point, wall.normal) == ("east", (1.8, 0.0), (-1.0, 0.0))
+    assert (wall.sought, wall.material_known) == (True, False)
+    vehicle = one.vehicle
+    stiffest = max(m.of(Mode.RIGID).k for m in vehicle.materials.values())
+    assert vehicle.materials[wall.material].of(Mode.RIGID).k == stiffest, (
+        "the hardest hit it may turn out to be"
+    )
+    assert looked_for.probe is not None
+    assert (looked_for.probe.begin, looked_for.probe.end) == ((0.0, 0.0), (1.8, 0.0))
+    assert looked_for.approach_m_s == pytest.approx((-0.5, 0.0))
+    assert looked_for.impact_point == pytest.approx((1.8, 0.0))
+    assert hit.wall == wall
+    assert hit.impact_point == pytest.approx((1.8, 0.0))
+    assert [c.is_conditional for c in one.collisions] == [True, True]
+
+
+def test_a_probe_for_a_wall_of_the_mission_goes_straight_at_it_and_is_planned_to_meet_it() -> None:
+    one = mission(AT_BOARD, walls={"board": BOARD})
+    (collision,) = one.collisions
+    assert collision.wall == one.walls[0]
+    assert collision.probe is not None
+    assert collision.probe.end == pytest.approx((1.8, 0.0))
+    assert collision.impact_point == pytest.approx((1.5, 0.0))
+    askew = mission(
+        probe(AT_BOARD, direction=[1.0, 1.0], length_m=2.4), walls={"board": BOARD | {"length_m": 4.0}}
+    )
+    assert askew.collisions[0].impact_point == pytest.approx((1.5, 1.5))
+    assert askew.collisions[0].approach_m_s == pytest.approx((-0.5 / math.sqrt(2), 0.5 / math.sqrt(2)))
+    assert not one.recovers_to_goal, "it rests after a probe"
+
+
+@pytest.mark.parametrize("known", ["wood", None])
+def test_the_material_of_a_wall_that_is_looked_for_may_be_known(known: str | None) -> None:
+    wall = mission(probe(EAST, material=known)).collisions[0].wall
+    assert wall.material_known is (known is not None)
+    assert known in (None, wall.material)
+
+
+def test_a_place_at_a_wall_is_where_it_is_if_the_wall_stands_at_the_end_of_its_probe() -> None:
+    at = {"wall": "east", "away_m": 1.0, "along_m": 0.25}
+    one = mission(EAST, waypoints=[{"after": 1, "at_wall": at, "if_met": "east"}])
+    (waypoint,) = one.waypoints
+    # To the right when looking along the normal, which points to -x: to +y.
+    assert waypoint.position == pytest.approx((0.8, 0.25, 1.0))
+    assert waypoint.wall_at == one.collisions[0].wall
+    assert load_mission(one.to_dict()).waypoints == one.waypoints
+
+
+@given(
+    angle=st.floats(-3.1, 3.1),
+    length_m=st.floats(0.2, 1.9),
+    speed_m_s=st.floats(0.1, 1.5),
+    back_m=st.floats(0.1, 1.0),
+    material=st.sampled_from([None, "wood", "acrylic"]),
+    condition=st.sampled_from(["if_met", "if_not_met"]),
+)
+@settings(max_examples=50, deadline=None)
+def test_a_mission_with_probes_comes_back(
+    angle: float, length_m: float, speed_m_s: float, back_m: float, material: str | None, condition: str
+) -> None:
+    first = probe(
+        EAST,
+        direction=[math.cos(angle), math.sin(angle)],
+        length_m=length_m,
+        speed_m_s=speed_m_s,
+        back_m=back_m,
+        material=material,
+    )
+    second = probe(EAST, direction=[-1.0, 0.5], length_m=0.9) | {"wall": "west", condition: "east"}
+    one = mission(first, second, simulated_walls={"board": BOARD})
+    again = load_mission(one.to_dict())
+    assert again.simulated_walls == one.simulated_walls
+    for a, b in zip(one.collisions, again.collisions, strict=True):
+        assert a.probe is not None
+        assert b.probe is not None
+        assert b.probe.end == pytest.approx(a.probe.end, abs=1e-12)
+        assert b.wall.point == pytest.approx(a.wall.point, abs=1e-12)
+        assert b.wall.normal == pytest.approx(a.wall.normal, abs=1e-12)
+        for name in ("material", "material_known", "sought", "name", "length_m"):
+            assert getattr(a.wall, name) == getattr(b.wall, name)
+        for name in ("mode", "if_met", "if_not_met", "index"):
+            assert getattr(a, name) == getattr(b, name)
+        assert (b.probe.speed_m_s, b.probe.back_m) == (a.probe.speed_m_s, a.probe.back_m)
+
+
+WALLS = {"walls": {"board": BOARD}}
+STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
+
+
+@pytest.mark.parametrize(
+    ("collisions", "changes", "says"),
+    [
+        (
+            [EAST | {"approach": {"normal_m_s": -1.0}}],
+            {},
+            r"collisions\[0\].approach: a probe has no such key",
+        ),
+        ([EAST | {"impact_along_m": 0.1}], {}, "impact_along_m: a probe has no such key"),
+        ([EAST | {"alpha_wall_m_per_n": [0.1, 0.1]}], {}, "alpha_wall_m_per_n: a probe has no such key"),
+        ([probe(AT_BOARD, material="wood")], WALLS, "probe.material: wall board of the mission has one"),
+        ([probe(EAST, material="cheese")], {}, r"probe.material: .*cheese"),
+        ([probe(EAST, from_m=[3.0, 0.0])], {}, r"probe.from_m: \(3.00, 0.00\) is 1.00 m outside bounds_m"),
+        ([probe(EAST, length_m=2.5)], {}, r"probe.length_m: \(2.50, 0.00\) is 0.50 m outside bounds_m"),
+        ([probe(EAST, speed_m_s=3.0)], {"limits": {"speed_m_s": 2.0}}, "3 m/s is over limits.speed_m_s 2"),
+        ([probe(EAST, speed_m_s=0.05)], {}, "probe.speed_m_s"),
+        ([probe(EAST, direction=[0.0, 0.0])], {}, "probe.direction: the direction has no length"),
+        ([probe(EAST, direction=None)], {}, r"probe: east is no wall of the mission \(none\): .* direction"),
+        ([probe(AT_BOARD, direction=[0.0, 1.0])], WALLS, "leads past it: it needs at most 60 degrees"),
+        ([probe(AT_BOARD, direction=[-1.0, 0.0])], WALLS, "leads past it"),
+        ([probe(AT_BOARD, from_m=[1.8, 0.0], length_m=0.1)], WALLS, "begins behind wall board"),
+        ([probe(AT_BOARD, length_m=1.2)], WALLS, "probe.length_m: wall board is 1.50 m away; longer"),
+        ([EAST, EAST], {}, r"collisions\[1\].wall: east is looked for twice"),
+        ([EAST], {"simulated_walls": {"east": BOARD}}, "the name east is taken"),
+        (
+            [EAST],
+            {"posts": {"east": {"centre_m": [-1.5, 1.5], "radius_m": 0.1, "material": "wood"}}},
+            r"collisions\[0\].probe: east is a post",
+        ),
+        ([EAST | {"if_met": "east"}], {}, r"collisions\[0\].if_met: no probe comes before this"),
+        ([EAST, AGAIN | {"if_not_met": "west"}], {}, r"collisions\[1\].if_not_met: .*west"),
+        ([AGAIN, EAST], {}, r"collisions\[0\].wall: no probe before this looks for wall east"),
+        ([EAST, AGAIN | {"impact_point_m": [1.8, 0.0]}], {}, "nobody knows where wall east stands"),
+        (
+            [EAST, {k: v for k, v in AGAIN.items() if k != "approach"}],
+            {},
+            r"collisions\[1\]: needs an approach: after a probe the vehicle rests",
+        ),
+        ([EAST], {"waypoints": [STAY | {"after": 0}]}, r"waypoints\[0\].at_wall.wall: .*east"),
+        ([EAST], {"waypoints": [STAY | {"position_m": [0, 0]}]}, "exactly one of position_m, at_wall"),
+        ([EAST], {"waypoints": [{"after": 1, "position_m": [0, 0], "if_met": "west"}]}, r"if_met: .*west"),
+        ([EAST], {"waypoints": [{"position_m": [0, 0], "if_met": "east"}]}, "if_met: no probe comes before"),
+        (
+            [],
+            {"simulated_walls": {"b": BOARD | {"normal": [0, 0]}}},
+            r"simulated_walls.b.normal: .* no length",
+        ),
+        ([], {"simulated_walls": {"b": BOARD | {"material": "cheese"}}}, "simulated_walls.b.material"),
+        (
+            [EAST],
+            {"goal_trajectory": every_key()["goal_trajectory"], "after_impact": "replan"},
+            "goal_trajectory: after a probe the goal is flown to straight",
+        ),
+        ([], {"frame": {"anchored_by": "gps"}}, "frame.anchored_by"),
+    ],
+)
+def test_what_contradicts_itself_is_refused(
+    collisions: list[dict[str, Any]], changes: dict[str, Any], says: str
+) -> None:
+    with pytest.raises(InputError, match=says):
+        mission(*collisions, **changes)
+
+
+def test_the_shipped_missions_come_back() -> None:
+    for name in ("find_a_wall.yaml", "dual_collision_gps.yaml"):
+        one = load_mission(packaged("missions", name))
+        assert load_mission(one.to_dict()).collisions == one.collisions
+    assert load_mission(packaged("missions", "dual_collision_gps.yaml")).is_anchored
+    assert not load_mission(packaged("missions", "find_a_wall.yaml")).is_anchored

@@ -1,0 +1,210 @@
+"""How well the mission frame is known between contacts, and what contacts make of the walls."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dart_flight.base.geometry import MissionFrame, Vec2, distance2
+from dart_flight.base.records import WallEstimate
+from dart_flight.base.walls import Wall
+from dart_flight.core.mission.anchors import START_SD_M, Anchor, FrameAnchors
+from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
+
+DRIFT_M_S = 0.03
+S = 1_000_000
+angles = st.floats(-math.pi, math.pi)
+places = st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
+
+
+def unit(angle: float) -> Vec2:
+    return (math.cos(angle), math.sin(angle))
+
+
+contacts = st.lists(st.tuples(angles, st.integers(0, 60), st.floats(0.005, 0.2)), max_size=6)
+
+
+def anchors_of(found: list[tuple[float, int, float]]) -> FrameAnchors:
+    one = FrameAnchors(DRIFT_M_S)
+    for angle, at_s, sd in sorted(found, key=lambda c: c[1]):
+        one.add(Anchor(unit(angle), at_s * S, sd))
+    return one
+
+
+# --- age --------------------------------------------------------------------------------------------------
+
+
+def test_the_start_is_known_alike_in_every_direction_and_drifts() -> None:
+    one = FrameAnchors(DRIFT_M_S)
+    one.begin(5 * S)
+    for angle in (0.0, 1.0, 2.5):
+        assert one.sd_m(unit(angle), 5 * S) == pytest.approx(START_SD_M)
+        assert one.sd_m(unit(angle), 15 * S) == pytest.approx(math.hypot(START_SD_M, 10 * DRIFT_M_S))
+        assert one.age_s(unit(angle), 15 * S) is None
+
+
+def test_a_contact_tells_along_its_normal_and_nowhere_else_and_ages() -> None:
+    one = FrameAnchors(DRIFT_M_S)
+    one.add(Anchor((1.0, 0.0), 10 * S, 0.02))
+    assert one.sd_m((1.0, 0.0), 10 * S) == pytest.approx(0.02, rel=0.01)
+    assert one.sd_m((1.0, 0.0), 18 * S) == pytest.approx(math.hypot(0.02, 8 * DRIFT_M_S), rel=0.15)
+    assert one.sd_m((0.0, 1.0), 18 * S) == pytest.approx(math.hypot(START_SD_M, 18 * DRIFT_M_S))
+    assert one.age_s((-1.0, 0.0), 18 * S) == pytest.approx(8.0)
+    assert one.age_s((0.0, 1.0), 18 * S) is None
+
+
+@given(found=contacts, angle=angles, now_s=st.integers(60, 120), later_s=st.integers(0, 60))
+@settings(deadline=None)
+def test_what_is_known_never_grows_with_age(
+    found: list[tuple[float, int, float]], angle: float, now_s: int, later_s: int
+) -> None:
+    one = anchors_of(found)
+    assert one.sd_m(unit(angle), (now_s + later_s) * S) >= one.sd_m(unit(angle), now_s * S) - 1e-12
+
+
+@given(found=contacts, angle=angles, now_s=st.integers(60, 120))
+@settings(deadline=None)
+def test_the_sign_of_a_normal_means_nothing(
+    found: list[tuple[float, int, float]], angle: float, now_s: int
+) -> None:
+    nx, ny = unit(angle)
+    turned = anchors_of([(a + math.pi, at_s, sd) for a, at_s, sd in found])
+    expected = pytest.approx(anchors_of(found).sd_m((nx, ny), now_s * S), rel=1e-9)
+    assert anchors_of(found).sd_m((-nx, -ny), now_s * S) == expected
+    assert turned.sd_m((nx, ny), now_s * S) == expected
+
+
+@given(found=contacts, angle=angles, now_s=st.integers(60, 120), told_m=st.floats(0.005, 2.0))
+@settings(deadline=None)
+def test_a_contact_never_makes_its_normal_less_known(
+    found: list[tuple[float, int, float]], angle: float, now_s: int, told_m: float
+) -> None:
+    """Taken in as the executive does: what was expected and what the contact told, each by its variance."""
+    one, normal = anchors_of(found), unit(angle)
+    before = one.sd_m(normal, now_s * S)
+    after = before * told_m / math.hypot(before, told_m)
+    one.add(Anchor(normal, now_s * S, after))
+    assert one.sd_m(normal, now_s * S) <= before + 1e-12
+    assert one.age_s(normal, now_s * S) == 0.0
+
+
+# --- walls ------------------------------------------------------------------------------------------------
+
+WOOD = Wall("wood", (2.0, 0.0), (-1.0, 0.0), 4.0, "wood")
+
+
+def felt(place: Vec2 | None, normal: Vec2 | None, offset_m: float = 0.0, **changes: object) -> WallEstimate:
+    """What a contact said of the wood."""
+    one = WallEstimate(
+        t_us=S,
+        first_us=S,
+        wall="wood",
+        mode_reported=None,
+        mode_felt=None,
+        log_odds=0.0,
+        k_n_per_m=5500.0,
+        f_ns_per_m=15.0,
+        mu_s_per_m=0.3,
+        nu_n=0.5,
+        k_sd=0.1,
+        f_sd=0.1,
+        mu_sd=0.1,
+        nu_sd=0.1,
+        incidence_rad=0.0,
+        incidence_sigma_rad=0.01,
+        plane_offset_m=offset_m,
+        plane_offset_sigma_m=0.012,
+        plane_point_mission=place,
+        plane_normal_mission=normal,
+        plane_normal_sigma_rad=0.02,
+    )
+    return msgspec.structs.replace(one, **changes)
+
+
+@pytest.mark.parametrize(("place_sd", "yaw_sd"), [(None, None), (0.1, None), (0.1, 0.05), (None, 0.05)])
+def test_a_wall_is_where_it_was_met_last_however_often(place_sd: float | None, yaw_sd: float | None) -> None:
+    wall = msgspec.structs.replace(WOOD, position_sd_m=place_sd, yaw_sd_rad=yaw_sd)
+    walls = EstimatedWalls()
+    assert not walls.is_met("wood")
+    for x in (2.3, 2.31, 2.29):
+        expected = walls.wall_now(wall)
+        walls.add_estimate(felt((x, 0.0), (-1.0, 0.0), expected.signed_distance((x, 0.0))), wall)
+        assert walls.wall_now(wall).point == pytest.approx((x, 0.0))
+    walls.add_estimate(felt(None, None), wall)
+    assert walls.wall_now(wall).point == pytest.approx((2.29, 0.0)), "too few readings: nothing new"
+    assert walls.is_met("wood")
+
+
+def test_only_a_direction_that_may_be_wrong_is_taken_from_a_contact() -> None:
+    normal = WOOD.turned(0.1).normal
+    for yaw_sd, expected in ((None, WOOD.normal), (0.1, normal)):
+        wall = msgspec.structs.replace(WOOD, position_sd_m=0.1, yaw_sd_rad=yaw_sd)
+        walls = EstimatedWalls()
+        walls.add_estimate(felt((2.1, 1.0), normal), wall)
+        now = walls.wall_now(wall)
+        assert now.normal == pytest.approx(expected)
+        assert now.signed_distance((2.1, 1.0)) == pytest.approx(0.0, abs=1e-12)
+        assert now.yaw_sd_rad == (None if yaw_sd is None else 0.02)
+        assert walls.turned(wall) == pytest.approx(0.1)
+
+
+def test_a_wall_that_was_sought_has_its_middle_where_it_was_met_and_its_material_by_the_contact() -> None:
+    wall = msgspec.structs.replace(WOOD, sought=True, material_known=False, yaw_sd_rad=0.26)
+    walls = EstimatedWalls()
+    assert walls.walls_now((), 0) == ()
+    walls.add_estimate(felt((1.2, 0.4), WOOD.turned(-0.2).normal, material="acrylic"), wall)
+    (now,) = walls.walls_now((), 0)
+    assert now.point == pytest.approx((1.2, 0.4))
+    assert now.normal == pytest.approx(WOOD.turned(-0.2).normal)
+    assert (now.material, now.material_known, now.sought) == ("acrylic", True, False)
+    assert (now.position_sd_m, now.yaw_sd_rad) == (0.012, 0.02)
+
+
+@given(by=places, met=places, angle=angles, heading=angles)
+@settings(deadline=None)
+def test_a_frame_that_moves_leaves_the_walls_that_were_met_where_they_are(
+    by: Vec2, met: Vec2, angle: float, heading: float
+) -> None:
+    wall = msgspec.structs.replace(WOOD, sought=True, yaw_sd_rad=0.26)
+    walls, frame = EstimatedWalls(), MissionFrame(0.3, -0.2, 0.0, heading)
+    walls.add_estimate(felt(met, unit(angle)), wall)
+    before = walls.wall_now(wall)
+    walls.move_frame(by)
+    after, moved = walls.wall_now(wall), frame.moved(*by)
+    # A point of its plane in local NED is one of its plane by the new frame as well.
+    for away in (-1.0, 0.0, 1.0):
+        (px, py), (tx, ty) = before.point, before.tangent
+        there = frame.point_to_ned((px + away * tx, py + away * ty, 1.0))
+        x, y, z = moved.point_from_ned(there)
+        assert after.signed_distance((x, y)) == pytest.approx(0.0, abs=1e-9)
+        assert z == pytest.approx(1.0)
+    assert after.normal == before.normal
+
+
+@given(by=places, heading=angles)
+@settings(deadline=None)
+def test_a_moved_frame_s_origin_is_so_far_away_in_its_axes(by: Vec2, heading: float) -> None:
+    frame = MissionFrame(0.3, -0.2, 0.1, heading)
+    moved = frame.moved(*by)
+    assert frame.point_from_ned((moved.north_m, moved.east_m, 0.0))[:2] == pytest.approx(by, abs=1e-9)
+    assert distance2((moved.north_m, moved.east_m), (0.3, -0.2)) == pytest.approx(math.hypot(*by), abs=1e-9)
+
+
+def test_a_wall_is_the_less_known_the_older_the_anchor_of_its_normal() -> None:
+    anchors = FrameAnchors(DRIFT_M_S)
+    walls = EstimatedWalls(anchors)
+    assert walls.wall_now(WOOD).position_sd_m is None
+    start = walls.wall_now(WOOD, 0).position_sd_m
+    assert start == pytest.approx(START_SD_M)
+    anchors.add(Anchor((1.0, 0.0), 0, 0.02))
+    fresh, old = (walls.wall_now(WOOD, t * S).position_sd_m for t in (0, 8))
+    assert fresh is not None
+    assert old is not None
+    assert fresh < 0.021
+    assert old > 0.2
+    own = msgspec.structs.replace(WOOD, position_sd_m=0.1)
+    assert walls.wall_now(own, 0).position_sd_m == pytest.approx(math.hypot(0.1, fresh))

@@ -1,0 +1,131 @@
+"""Legs that depend on walls which contacts find, and the way that a probe flies."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dart_flight.base.geometry import Vec2, distance2
+from dart_flight.config.mission import Mission, load_mission, place_at
+from dart_flight.config.vehicle import packaged
+from dart_flight.core.mission.approach import PlannedApproach, plan_approach
+from dart_flight.core.mission.legs import collision_now, mission_now, waypoint_now, why_left_out
+from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
+from tests.core.test_anchors import felt
+
+FIND = load_mission(packaged("missions", "find_a_wall.yaml"))
+AWAY = FIND.waypoints[0]
+
+
+def met(name: str, place: Vec2 = (1.9, 0.1), normal: Vec2 = (-0.8, 0.6)) -> EstimatedWalls:
+    walls = EstimatedWalls()
+    wall = next(c.wall for c in FIND.collisions if c.wall.name == name)
+    walls.add_estimate(felt(place, normal, wall=name), wall)
+    return walls
+
+
+def test_legs_are_left_out_that_depend_on_a_wall_which_was_not_met_or_was() -> None:
+    probe, again, other = FIND.collisions
+    for leg, walls, reason in (
+        (probe, EstimatedWalls(), None),
+        (again, EstimatedWalls(), "wall east was not met"),
+        (again, met("east"), None),
+        (other, EstimatedWalls(), None),
+        (other, met("east"), "wall east was met"),
+        (AWAY, EstimatedWalls(), "wall east was not met"),
+        (AWAY, met("east"), None),
+        (AWAY, met("west"), "wall east was not met"),
+    ):
+        assert why_left_out(leg, walls) == reason
+    asked = msgspec.structs.replace(probe, if_met="west")
+    assert why_left_out(asked, met("east")) == "wall west was not met"
+    assert why_left_out(asked, met("west")) is None
+
+
+def test_a_hit_and_a_waypoint_are_as_far_along_the_wall_as_it_was_met() -> None:
+    walls = met("east")
+    hit = collision_now(FIND.collisions[1], walls, 0)
+    assert (hit.wall.point, hit.wall.sought) == ((1.9, 0.1), False)
+    assert hit.impact_point is not None
+    assert hit.wall.signed_distance(hit.impact_point) == pytest.approx(0.0, abs=1e-12)
+    assert hit.wall.along(hit.impact_point) == pytest.approx(0.3)
+    waits = waypoint_now(AWAY, walls)
+    assert waits.position is not None
+    assert waits.position[:2] == pytest.approx((1.9 - 0.8, 0.1 + 0.6))
+    assert waits.position[2] == 1.0
+    unknown = EstimatedWalls()
+    assert collision_now(FIND.collisions[1], unknown, 0) == FIND.collisions[1]
+    assert waypoint_now(AWAY, unknown) == AWAY
+
+
+def test_a_mission_as_it_is_known_now_has_the_walls_that_were_found() -> None:
+    now = mission_now(FIND, met("east"), 0)
+    assert [wall.name for wall in now.walls] == ["east"]
+    assert [w.index for w in now.waypoints] == [1]
+    before = mission_now(FIND, EstimatedWalls(), 0)
+    assert (before.walls, before.waypoints) == ((), ())
+
+
+@given(away_m=st.floats(0.1, 3.0), along_m=st.floats(-2.0, 2.0))
+@settings(deadline=None)
+def test_a_place_at_a_wall_is_so_far_from_it_and_along_it(away_m: float, along_m: float) -> None:
+    wall = FIND.simulated_walls[0]
+    assert AWAY.at_wall is not None
+    place = place_at(wall, msgspec.structs.replace(AWAY.at_wall, away_m=away_m, along_m=along_m))
+    assert wall.signed_distance(place) == pytest.approx(away_m, abs=1e-9)
+    assert wall.along(place) == pytest.approx(along_m, abs=1e-9)
+
+
+# --- the way of a probe -----------------------------------------------------------------------------------
+
+
+def probing(angle: float, length_m: float, speed_m_s: float) -> Mission:
+    first: dict[str, Any] = {
+        "wall": "east",
+        "mode": "rigid",
+        "probe": {
+            "from_m": [0.1, -0.2],
+            "direction": [math.cos(angle), math.sin(angle)],
+            "length_m": length_m,
+            "speed_m_s": speed_m_s,
+        },
+    }
+    return FIND.replace({"collisions": [first], "waypoints": [], "simulated_walls": {}})
+
+
+@given(angle=st.floats(-3.14, 3.14), length_m=st.floats(0.05, 2.2), speed_m_s=st.floats(0.1, 3.0))
+@settings(max_examples=60, deadline=None)
+def test_a_probe_goes_straight_from_rest_to_rest_and_never_faster_than_asked(
+    angle: float, length_m: float, speed_m_s: float
+) -> None:
+    mission = probing(angle, length_m, speed_m_s)
+    (collision,) = mission.collisions
+    assert collision.probe is not None
+    way = plan_approach(mission, collision)
+    assert isinstance(way, PlannedApproach)
+    path = [way.at(way.impact_s * k / 200) for k in range(201)]
+    assert path[0].position == pytest.approx((0.1, -0.2, 1.0), abs=1e-9)
+    assert path[-1].position[:2] == pytest.approx(collision.probe.end, abs=2e-3)
+    for end in (path[0], path[-1]):
+        assert math.hypot(*end.velocity) == pytest.approx(0.0, abs=1e-6)
+    speeds = np.array([math.hypot(*one.velocity) for one in path])
+    assert speeds.max() <= speed_m_s * (1.0 + 1e-9)
+    most = mission.vehicle.flying.acceleration_m_s2
+    assert max(math.hypot(*one.acceleration) for one in path) <= most * (1.0 + 1e-6)
+    ways = [distance2(one.position[:2], (0.1, -0.2)) for one in path]
+    assert all(b >= a - 1e-9 for a, b in itertools.pairwise(ways))
+    ux, uy = math.cos(angle), math.sin(angle)
+    assert all(abs((p[0] - 0.1) * uy - (p[1] + 0.2) * ux) < 1e-9 for p in (one.position for one in path))
+
+
+def test_a_probe_that_is_long_enough_comes_to_its_speed() -> None:
+    mission = probing(0.0, 2.0, 0.5)
+    way = plan_approach(mission, mission.collisions[0])
+    assert way.at(0.5 * way.impact_s).velocity == pytest.approx((0.5, 0.0, 0.0))

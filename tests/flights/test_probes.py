@@ -1,0 +1,230 @@
+"""Walls that probes look for, and a mission frame that contacts put right: flights in the fast world."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import pytest
+
+from dart_flight.base.geometry import distance2
+from dart_flight.base.records import (
+    FrameAnchor,
+    ImpactPeak,
+    OdometrySample,
+    Outcome,
+    Phase,
+    PhaseChange,
+    ProbeEnd,
+    Record,
+    TruthContact,
+    WallEstimate,
+)
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.lab.flight_arrays import FlightArrays
+from dart_flight.recording.anchor import MissionFrameReader
+from dart_flight.recording.reader import Log, read_log
+from dart_flight.recording.verdict import Verdict, verdict_of
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.prepare import load_flyable
+from dart_flight.run.replay import replay
+from tests.shared_flights import SharedFlights
+
+R = TypeVar("R", bound=Record)
+FIND = packaged("missions", "find_a_wall.yaml")
+GPS = packaged("missions", "dual_collision_gps.yaml")
+
+
+def all_of(log: Log, kind: type[R]) -> list[R]:
+    return [entry.record for entry in log.entries if isinstance(entry.record, kind)]
+
+
+def phases(log: Log) -> list[str]:
+    """From the take-off on."""
+    return [c.after.value for c in all_of(log, PhaseChange)][3:]
+
+
+def find(**changes: Any) -> Mission:
+    return load_mission(FIND).replace(changes)
+
+
+def flown(mission: Mission, folder: Path, seed: int = 1) -> tuple[Verdict, Log]:
+    """A flight whose replay is the same to the bit, and whose log tells the same verdict."""
+    verdict = fly_fast(mission, seed, folder)
+    log = read_log(str(verdict.log))
+    again = replay(log)
+    assert again.exact
+    assert again.equal
+    assert verdict_of(log).walls == verdict.walls
+    return verdict, log
+
+
+# --- probes -----------------------------------------------------------------------------------------------
+
+
+def test_a_wall_that_nobody_knew_is_found_hit_again_and_the_other_probe_left_out(tmp_path: Path) -> None:
+    mission = find()
+    verdict, log = flown(mission, tmp_path)
+    assert verdict.outcome is Outcome.COMPLETED, verdict.reason
+    assert verdict.guard == []
+    assert [(c.wall, c.mode) for c in verdict.collisions] == [("east", "rigid"), ("east", "flexible")]
+    assert [e.what for e in all_of(log, ProbeEnd)] == ["collision 3 left out: wall east was met"]
+    hit = ["transit", "prepare", "approach", "contact", "recovery"]
+    assert phases(log) == [*hit, "waypoint", *hit, "goal", "landing", "done"]
+    # The board stands 2 m away, turned by 6 degrees: place and direction follow from the contacts.
+    (board,) = mission.simulated_walls
+    (east,) = verdict.walls
+    assert abs(board.signed_distance(east.point_m)) < 0.02
+    turned = math.degrees(math.acos(min(1.0, np.dot(board.normal, east.normal))))
+    assert turned < 1.0
+    assert east.truth_error_m is not None
+    assert abs(east.truth_error_m) < 0.02
+    assert east.truth_error_deg is not None
+    assert abs(east.truth_error_deg) == pytest.approx(turned, abs=0.05)
+    assert set(east.coefficients) == {"rigid", "flexible"}
+    stiff, _ = east.coefficients["rigid"]["k"]
+    soft, _ = east.coefficients["flexible"]["k"]
+    wood = mission.vehicle.materials["wood"]
+    assert stiff == pytest.approx(wood.of(mission.collisions[0].mode).k, rel=0.2)
+    assert soft == pytest.approx(wood.of(mission.collisions[1].mode).k, rel=0.2)
+
+
+def test_the_second_hit_is_beside_the_first_and_the_waypoint_a_metre_away(tmp_path: Path) -> None:
+    mission = find()
+    verdict, log = flown(mission, tmp_path)
+    first, second = all_of(log, ImpactPeak)
+    # `impact_along_m: 0.3`, to the right when looking along the normal: to +y here.
+    (board,) = mission.simulated_walls
+    met = [board.along(peak.position_mission[:2]) for peak in (first, second)]
+    assert met[1] - met[0] == pytest.approx(0.3, abs=0.05)
+    course = FlightArrays(log, mission)
+    begin, end = (
+        course.time_of(next(c.t_us for c in all_of(log, PhaseChange) if getattr(c, side) is Phase.WAYPOINT))
+        for side in ("after", "before")
+    )
+    assert end - begin > 0.5
+    at = np.array([np.interp(end, course.true.time_s, course.true.position[:, i]) for i in (0, 1)])
+    assert board.signed_distance((float(at[0]), float(at[1]))) == pytest.approx(1.0, abs=0.08)
+    assert distance2((float(at[0]), float(at[1])), first.position_mission[:2]) == pytest.approx(1.0, abs=0.1)
+    assert len(verdict.collisions) == 2
+
+
+def test_nothing_met_is_no_fault_and_has_a_branch_of_its_own(tmp_path: Path) -> None:
+    verdict, log = flown(find(simulated_walls={}), tmp_path)
+    assert verdict.outcome is Outcome.COMPLETED, verdict.reason
+    assert (verdict.collisions, verdict.guard, verdict.walls) == ([], [], [])
+    assert [e.what for e in all_of(log, ProbeEnd)] == [
+        "nothing met on the probe for wall east",
+        "waypoint 1 left out: wall east was not met",
+        "collision 2 left out: wall east was not met",
+        "nothing met on the probe for wall west",
+    ]
+    search = ["transit", "prepare", "approach"]
+    assert phases(log) == [*search, "recovery", *search, "recovery", "goal", "landing", "done"]
+    # It comes to rest at the end of each probe: 2.8 m to the east, 2 m to the west.
+    course = FlightArrays(log, find())
+    x = course.true.position[:, 0]
+    assert x.max() == pytest.approx(2.8, abs=0.1)
+    assert x.min() == pytest.approx(-2.0, abs=0.1)
+
+
+@pytest.mark.parametrize("figures", [{}, {"position_sd_m": 0.15}], ids=["taken as known", "with a figure"])
+def test_a_wall_of_the_mission_that_stands_elsewhere_is_touched_twice_where_it_stands(
+    figures: dict[str, float],
+) -> None:
+    probe = {"wall": "wood", "mode": "rigid", "probe": {"from_m": [0.0, 0.0], "length_m": 2.6}}
+    wall = {"point_m": [1.9, 0.0], "normal": [-1.0, 0.0], "length_m": 3.0, "material": "wood"}
+    one = find(collisions=[probe, probe], waypoints=[], simulated_walls={}, walls={"wood": wall | figures})
+    verdict = fly_fast(one, 3, None, spreads={"wall_offset_m": 0.15})
+    assert verdict.outcome is Outcome.COMPLETED, verdict.reason
+    assert (verdict.guard, len(verdict.collisions)) == ([], 2)
+    off_m = verdict.drawn["wall_offset_m.wood"]
+    assert isinstance(off_m, float)
+    assert abs(off_m) > 0.08
+    (wood,) = verdict.walls
+    assert 1.9 - wood.point_m[0] == pytest.approx(off_m, abs=0.02)
+    assert wood.truth_error_m == pytest.approx(1.9 - off_m - wood.point_m[0], abs=0.02)
+
+
+# --- anchors ----------------------------------------------------------------------------------------------
+
+
+def test_contacts_put_the_frame_right_where_gps_drifts(flown: SharedFlights) -> None:
+    log = flown.once("anchored", fly_on_gps)
+    mission, record = anchored(), read_log(str(next(log.glob("*/flight.mcap"))))
+    again = replay(record)
+    assert again.exact
+    assert again.equal
+    verdict = verdict_of(record)
+    assert verdict.outcome is Outcome.COMPLETED, verdict.reason
+    anchors = all_of(record, FrameAnchor)
+    assert [a.wall for a in anchors] == ["acrylic", "wood", "wood", "acrylic"]
+    assert [a.age_s is None for a in anchors] == [True, True, False, False]
+    for anchor in anchors:
+        normal = next(w.normal for w in mission.walls if w.name == anchor.wall)
+        along = anchor.moved_mission[0] * normal[1] - anchor.moved_mission[1] * normal[0]
+        assert abs(along) < 1e-12, "only along the normal"
+        assert anchor.sd_m < anchor.expected_sd_m
+        assert anchor.sd_m < 0.03
+    # What moved is what the position was off by: it is put right along the normal, as the truth has it.
+    course = FlightArrays(record, mission)
+    for anchor, felt in zip(anchors, all_of(record, WallEstimate), strict=True):
+        axis = 0 if anchor.wall == "acrylic" else 1
+        before, after = (off_m(course, course.time_of(anchor.t_us) + s, axis) for s in (-0.02, 0.02))
+        assert abs(after) < 0.035, anchor
+        moved = anchor.moved_mission[axis]
+        assert before - after == pytest.approx(moved, abs=0.01)
+        assert felt.wall == anchor.wall
+
+
+def off_m(course: FlightArrays, at_s: float, axis: int) -> float:
+    """Estimated less true position."""
+    estimated, true = (
+        float(np.interp(at_s, motion.time_s, motion.position[:, axis]))
+        for motion in (course.estimated, course.true)
+    )
+    return estimated - true
+
+
+def test_every_place_is_in_the_frame_in_force_then(flown: SharedFlights) -> None:
+    log = read_log(str(next(flown.once("anchored", fly_on_gps).glob("*/flight.mcap"))))
+    course, reader = FlightArrays(log, anchored()), MissionFrameReader(anchored())
+    seen, moves = 0, {a.t_us for a in all_of(log, FrameAnchor)}
+    position = {
+        round(t, 6): p for t, p in zip(course.estimated.time_s, course.estimated.position, strict=True)
+    }
+    for entry in log.entries:
+        reader.take(entry.record)
+        if isinstance(entry.record, OdometrySample) and reader.frame is not None:
+            t_us = entry.record.t_us
+            if t_us not in moves:
+                here = reader.frame.point_from_ned(entry.record.position_ned)
+                assert position[round(course.time_of(t_us), 6)] == pytest.approx(here, abs=1e-9)
+                in_force = course.frame_at(t_us)
+                assert in_force is not None
+                assert in_force.point_from_ned(entry.record.position_ned) == pytest.approx(here, abs=1e-9)
+                seen += 1
+    assert seen > 1000
+
+
+def test_the_estimate_is_right_at_the_hits_and_not_by_the_first_frame(flown: SharedFlights) -> None:
+    log = read_log(str(next(flown.once("anchored", fly_on_gps).glob("*/flight.mcap"))))
+    course = FlightArrays(log, anchored())
+    last = all_of(log, TruthContact)[-1]
+    at_s = course.time_of(last.end_us) + 0.5
+    assert abs(off_m(course, at_s, 0)) < 0.08
+    first, now = course.frame, course.frame_at(last.end_us + 500_000)
+    assert first is not None
+    assert now is not None
+    assert distance2((first.north_m, first.east_m), (now.north_m, now.east_m)) > 0.05
+
+
+def anchored() -> Mission:
+    return load_flyable(str(GPS), None, ["simulation.position_from=plain"])
+
+
+def fly_on_gps(folder: Path) -> None:
+    fly_fast(anchored(), 1, folder)

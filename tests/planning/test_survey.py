@@ -1,0 +1,140 @@
+"""Missions that touch the walls of another one, and that one written anew."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from dart_flight.base.records import Mode
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.core.mission.approach import plan_approach
+from dart_flight.planning.survey import plan_survey, surveyed_collisions, surveyed_walls
+from dart_flight.recording.measured_walls import MeasuredWall
+
+DUAL = load_mission(packaged("missions", "dual_collision.yaml"))
+NEAR = {"point_m": [1.5, 0.0], "normal": [-1.0, 0.0], "length_m": 2.0, "material": "wood"}
+
+
+def room(**walls: dict[str, Any]) -> Mission:
+    tree = {
+        "version": 1,
+        "name": "room",
+        "start": {"position_m": [0.0, 0.0], "altitude_m": 1.0},
+        "goal": {"position_m": [0.0, 0.5], "capture_radius_m": 0.3},
+        "bounds_m": {"x": [-3.0, 3.0], "y": [-3.0, 3.0], "z": [0.3, 2.5]},
+    }
+    return load_mission(tree | {"walls": walls})
+
+
+def test_each_wall_is_touched_rigid_first_then_as_the_mission_hits_it() -> None:
+    survey = plan_survey(DUAL, 0.6)
+    assert survey.unreachable == {}
+    touched = [(c.wall.name, c.mode) for c in survey.mission.collisions]
+    assert sorted(touched) == [
+        ("acrylic", Mode.RIGID),
+        ("acrylic", Mode.RIGID),
+        ("wood", Mode.FLEXIBLE),
+        ("wood", Mode.RIGID),
+    ]
+    assert [mode for name, mode in touched if name == "wood"] == [Mode.RIGID, Mode.FLEXIBLE]
+    for collision in survey.mission.collisions:
+        assert collision.probe is not None
+        assert collision.probe.speed_m_s == 0.6
+        assert collision.approach_m_s == pytest.approx((-0.6, 0.0)), "straight at it"
+        plan_approach(survey.mission, collision)
+    one = survey.mission
+    assert (one.start, one.goal.position_m, one.bounds) == (DUAL.start, DUAL.start, DUAL.bounds)
+    assert (one.waypoints, one.goal_trajectory) == ((), None)
+
+
+def test_walls_without_figures_are_not_believed_and_those_with_keep_theirs() -> None:
+    survey = plan_survey(
+        room(a=NEAR, b=NEAR | {"point_m": [0.0, 2.0], "normal": [0, -1], "position_sd_m": 0.2})
+    )
+    a, b = survey.mission.walls
+    assert (a.position_sd_m, b.position_sd_m) == (0.1, 0.2)
+    assert a.yaw_sd_rad is not None
+    # It goes on to where the wall may stand furthest away: three standard deviations.
+    for wall, collision in ((a, survey.mission.collisions[0]), (b, survey.mission.collisions[2])):
+        assert collision.probe is not None
+        assert wall.position_sd_m is not None
+        assert -wall.signed_distance(collision.probe.end) == pytest.approx(3.0 * wall.position_sd_m, abs=1e-3)
+        assert wall.signed_distance(collision.probe.begin) > 3.0 * wall.position_sd_m
+
+
+def test_the_nearest_comes_first() -> None:
+    far = NEAR | {"point_m": [-2.5, 0.0], "normal": [1.0, 0.0]}
+    names = [c.wall.name for c in plan_survey(room(far=far, near=NEAR)).mission.collisions]
+    assert names == ["near", "near", "far", "far"]
+
+
+def test_a_wall_behind_another_is_named_and_the_rest_touched() -> None:
+    behind = NEAR | {"point_m": [2.5, 0.0], "length_m": 1.0}
+    survey = plan_survey(room(front=NEAR | {"length_m": 6.0}, behind=behind))
+    assert survey.unreachable == {"behind": "no clear way to it"}
+    assert {c.wall.name for c in survey.mission.collisions} == {"front"}
+
+
+def test_where_none_can_be_touched_that_is_said() -> None:
+    outside = NEAR | {"point_m": [2.9, 0.0], "normal": [1.0, 0.0]}
+    one = room(outside=outside)
+    with pytest.raises(InputError, match="no wall can be touched"):
+        plan_survey(one.replace({"start.position_m": [2.95, 0.0], "goal.position_m": [2.95, 0.0]}))
+
+
+# --- written anew -----------------------------------------------------------------------------------------
+
+TURNED = MeasuredWall("wood", (0.81, -1.15), (0.0523, 0.99863), 0.0123, 0.8, "wood")
+
+
+def test_a_wall_that_was_measured_is_written_as_it_was_met_and_others_stay_out() -> None:
+    (name, keys), *rest = surveyed_walls(DUAL, {"wood": TURNED}).items()
+    assert (name, rest) == ("wood", [])
+    assert keys == {
+        "point_m": [0.81, -1.15],
+        "normal": [0.0523, 0.99863],
+        "length_m": 3.0,
+        "material": "wood",
+        "position_sd_m": 0.0123,
+        "yaw_sd_deg": 0.8,
+    }
+    nameless = MeasuredWall("wood", (0.8, -1.1), (0.0, 1.0), None, None, None)
+    keys = surveyed_walls(DUAL, {"wood": nameless})["wood"]
+    assert keys["material"] == "wood", "of no material that is known: as the mission has it"
+    assert "yaw_sd_deg" not in keys
+    assert keys["position_sd_m"] == 0.001
+
+
+def test_gains_and_places_go_with_the_wall() -> None:
+    """What is said along the mission's axes would be refused of a wall that is not along one."""
+    collisions: list[dict[str, Any]] = [
+        {
+            "wall": "wood",
+            "mode": "rigid",
+            "approach": {"normal_m_s": -0.8},
+            "impact_point_m": [0.5, -1.1],
+            "alpha_m_per_n": [0.12, 0.025],
+        },
+        {"wall": "acrylic", "mode": "rigid", "alpha_m_per_n": [0.02, 0.02]},
+    ]
+    one = DUAL.replace({"collisions": collisions, "goal_trajectory": None, "after_impact": "setpoint"})
+    anew = surveyed_collisions(one, collisions, {"wood": TURNED})
+    assert anew[1] == collisions[1], "its wall was not met"
+    assert anew[0] == {
+        "wall": "wood",
+        "mode": "rigid",
+        "approach": {"normal_m_s": -0.8},
+        "alpha_wall_m_per_n": [0.025, 0.12],
+        "impact_along_m": pytest.approx(one.walls[0].along((0.5, -1.1))),
+    }
+    walls = {w.name: w for w in one.walls}
+    assert walls["wood"].normal == (0.0, 1.0)
+    tree = one.to_dict() | {"collisions": anew}
+    tree["walls"] |= surveyed_walls(one, {"wood": TURNED})
+    written = load_mission(tree)
+    hit = written.collisions[0]
+    assert hit.impact_point is not None
+    assert hit.wall.along(hit.impact_point) == pytest.approx(walls["wood"].along((0.5, -1.1)))

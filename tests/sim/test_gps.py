@@ -1,0 +1,145 @@
+"""Position by GPS in the fast world: how it drifts by the filter's weights, and a fix that comes late."""
+
+from __future__ import annotations
+
+import math
+import random
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dart_flight.base.geometry import GRAVITY_M_S2, Vec3, subtract
+from dart_flight.config.mission import load_mission
+from dart_flight.config.parameter_file import PositionSource
+from dart_flight.config.vehicle import packaged
+from dart_flight.planning.positioning import source_for
+from dart_flight.sim.embedded_autopilot import TICK_S, default_parameters, make_autopilot
+from dart_flight.sim.estimator import Estimator, GpsFilter, GpsWeights
+from dart_flight.sim.noise import GaussianNoise
+from dart_flight.sim.plant import Plant
+from dart_flight.sim.sensors import GPS_QUALITIES, GpsQuality, GpsReceiver
+
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+DEFAULT, UNWEIGHTED = GpsWeights(0.5, 0.3, (0.0, 0.0, 0.0)), GpsWeights(10.0, 0.3, (0.0, 0.0, 0.0))
+PERFECT = GpsQuality(3, 0.0, 60.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class Standing:
+    """A vehicle whose motion is told, with its estimator, a perfect IMU, late fixes and newer attitudes."""
+
+    def __init__(self, quality: GpsQuality, weights: GpsWeights, seed: int) -> None:
+        self.receiver = GpsReceiver(quality, GaussianNoise(random.Random(seed)))
+        self.estimator, self.weights = Estimator(), weights
+        self.true = SimpleNamespace(time_s=0.0, position=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0))
+
+    def step(self, acceleration: float = 0.0) -> None:
+        """One tick, accelerating to the north."""
+        true, h = self.true, TICK_S
+        true.position = (true.position[0] + h * true.velocity[0] + 0.5 * h * h * acceleration, 0.0, 0.0)
+        true.velocity = (true.velocity[0] + h * acceleration, 0.0, 0.0)
+        true.time_s += h
+        self.estimator.predict(true.time_s, (acceleration, 0.0, -GRAVITY_M_S2), (0.0, 0.0, 0.0), h)
+        if round(true.time_s / h) % 2:
+            self.estimator.correct_attitude(true.time_s - 0.01, LEVEL)
+        fix = self.receiver.measure(cast(Plant, true))
+        if fix is not None:
+            self.estimator.correct_gps(fix.t_s, fix.position_ned, fix.velocity_ned, self.weights)
+
+    @property
+    def error_ned(self) -> Vec3:
+        """Estimated less true position."""
+        return subtract(self.estimator.position, self.true.position)
+
+
+def drift_m(quality: GpsQuality, weights: GpsWeights, after_s: tuple[float, ...]) -> list[float]:
+    """By how much the error of the position along an axis changes meanwhile, rms over flights."""
+    steps = [round(s / TICK_S) for s in after_s]
+    settle = round(30.0 / TICK_S)
+    changes: list[list[float]] = [[] for _ in after_s]
+    for seed in range(12):
+        one = Standing(quality, weights, seed)
+        errors = []
+        for _ in range(settle + 2 * steps[-1]):
+            one.step()
+            errors.append(one.error_ned[:2])
+        for begin in (settle, settle + steps[-1]):
+            for found, n in zip(changes, steps, strict=True):
+                then, now = errors[begin - 1], errors[begin + n - 1]
+                found += [b - a for a, b in zip(then, now, strict=True)]
+    return [math.sqrt(float(np.mean(np.square(found)))) for found in changes]
+
+
+@pytest.mark.parametrize(
+    ("weights", "bias_m_s", "expected_m"),
+    [
+        (DEFAULT, 0.0, (0.34, 0.53)),
+        (UNWEIGHTED, 0.0, (0.08, 0.14)),
+        (UNWEIGHTED, 0.03, (0.15, 0.28)),
+    ],
+    ids=["default", "unweighted", "unweighted with a bias of the velocity"],
+)
+def test_position_drifts_after_5_and_10_s_about_as_calculated(
+    weights: GpsWeights, bias_m_s: float, expected_m: tuple[float, float]
+) -> None:
+    quality = GPS_QUALITIES["plain"]._replace(velocity_wander_m_s=bias_m_s)
+    assert drift_m(quality, weights, (5.0, 10.0)) == pytest.approx(expected_m, rel=0.5)
+
+
+def test_the_shipped_receiver_has_the_bias_and_an_anchored_mission_the_weights() -> None:
+    plain = GPS_QUALITIES["plain"]
+    assert (plain.velocity_wander_m_s, plain.velocity_wander_s) == (0.03, 20.0)
+    assert (plain.wander_m, plain.wander_s) == (1.0, 60.0)
+    assert GPS_QUALITIES[PositionSource.ANCHORED] == plain
+    mission = load_mission(packaged("missions", "dual_collision_gps.yaml"))
+    changed = mission.replace({"vehicle.simulation.position_from": "plain"})
+    assert source_for(mission, PositionSource.PLAIN) is PositionSource.ANCHORED
+    assert source_for(mission, PositionSource.RTK) is PositionSource.RTK
+    autopilot = make_autopilot(changed, 1)
+    assert autopilot.gps is not None
+    assert autopilot.parameters["EKF2_GPS_P_NOISE"] == 10.0
+    without = changed.replace({"frame.anchored_by": "none"})
+    assert source_for(without, PositionSource.PLAIN) is PositionSource.PLAIN
+    assert make_autopilot(without, 1).parameters["EKF2_GPS_P_NOISE"] == 0.5
+    assert make_autopilot(mission, 1).gps is None, "motion capture, by default"
+    assert "EKF2_GPS_P_NOISE" in default_parameters(mission.vehicle)
+
+
+# --- late fixes -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("weights", [DEFAULT, UNWEIGHTED], ids=["default", "unweighted"])
+def test_a_hit_between_fix_and_arrival_moves_nothing(weights: GpsWeights) -> None:
+    """At 1 m/s into a wall and back in 60 ms: a fix is compared with the estimate at its own time."""
+    one = Standing(PERFECT, weights, 1)
+    speeds = [1.0] * 125 + [-27.0] * 16 + [0.0] * 100
+    for _ in range(1000):
+        one.step()
+    for k, asked in enumerate(speeds):
+        one.step(2.0 if asked == 1.0 else asked)
+        assert max(map(abs, one.error_ned)) < 1e-6, k
+
+
+def test_nothing_is_learnt_from_a_perfect_receiver_of_a_vehicle_that_stands() -> None:
+    one = Standing(PERFECT, UNWEIGHTED, 1)
+    for _ in range(500):
+        one.step()
+    assert one.error_ned == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
+    assert one.estimator.ok
+
+
+@given(position_m=st.floats(0.03, 10.0), velocity_m_s=st.floats(0.05, 1.0), every_s=st.floats(0.05, 1.0))
+@settings(max_examples=60, deadline=None)
+def test_the_filter_is_never_less_sure_than_a_fix_by_itself(
+    position_m: float, velocity_m_s: float, every_s: float
+) -> None:
+    one = GpsFilter(GpsWeights(position_m, velocity_m_s, (0.0, 0.0, 0.0)))
+    for _ in range(8):
+        one.predict(every_s)
+        gains = one.correct()
+        assert 0.0 <= gains[0][0] < 1.0
+        assert 0.0 <= gains[1][1] < 1.0
+        assert one.position_sd_m <= math.sqrt(2.0) * position_m * (1.0 + 1e-9)
