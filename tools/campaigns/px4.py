@@ -239,7 +239,8 @@ def fly_ways(name: str, directory: str, report_dir: Path, pace: float) -> None:
                     if verdict.log is not None:
                         arrival = arrival_of(read_log(verdict.log), flown, both.visits)
                     if arrival is not None:
-                        flight.places = f"{len(arrival.visits_us)} of {len(both.visits)}"
+                        if both.visits:
+                            flight.places = f"{len(arrival.visits_us)} of {len(both.visits)}"
                         flight.there_s = arrival.there_s if verdict.outcome == "completed" else None
                     yield flight
 
@@ -436,7 +437,7 @@ def ways_table(flights: list[Flight]) -> str:
                 str(f.seed),
                 "yes" if f.outcome == "completed" else f"no: {f.reason}",
                 followed,
-                f.places,
+                f.places or "–",
                 _text(f.planned_s, 2),
                 _text(f.there_s, 2),
                 _hits(f, lambda h: _text(h.normal_planned_m_s, 2)),
