@@ -41,7 +41,7 @@ from dart_flight.core.mission.approach import (
     plan_approach,
 )
 from dart_flight.core.mission.commitment import STOP_MARGIN_M, may_commit
-from dart_flight.core.mission.contact_feedforward import LONGEST_S, ContactFeedforward
+from dart_flight.core.mission.contact_feedforward import LONGEST_S, ContactFeedforward, balancing_m_s2
 from dart_flight.core.mission.heading import HeadingControl
 from dart_flight.core.mission.lock_orders import LockOrders
 from dart_flight.core.mission.phases import (
@@ -123,6 +123,7 @@ class Executive:
             if pieces is not None and mission.after_impact is AfterImpact.REPLAN
         }
         self._met_yaw = self._square_yaw = 0.0  # heading at the last contact, and wanted before the first
+        self._height_m: float | None = None  # of the walls' force above the centre of mass
         self._stood_at_ned: Vec3 = (0.0, 0.0, 0.0)
         self._entered_us: int | None = None
         self._entered_host_us: int | None = None
@@ -176,6 +177,7 @@ class Executive:
             self._entered_host_us = state.host_us
         if sensed.estimate is not None:
             self._yielding.update(sensed)
+            self._height_m = sensed.height_m
         if type(item) in _WORDS:
             self._take_word(item, state, p)
         for event in sensed.impacts:
@@ -703,7 +705,8 @@ class Executive:
             return wrap_angle(self._square_yaw + turned)
         if collision is None or self.phase not in TO_IMPACT:
             return self._references.yaw
-        return collision.wall.parallel_yaw(state.yaw)
+        turned = 0.0 if self._heading is None else self._survey.turned(collision.wall)
+        return wrap_angle(collision.wall.parallel_yaw(state.yaw - turned) + turned)
 
     def _coasts(self, state: FlightState) -> bool:
         """Whether a trajectory of the mission's is about to go on after a contact.
@@ -766,8 +769,13 @@ class Executive:
             return
         collision = self._collision
         if collision is not None and since_us is not None and self._until_impact_s(state) < _COASTING_S:
-            coasting = self._references.coasting_setpoint(frame, sample, since_us, collision.wall)
-            p.outputs.append(coasting)
+            # A way that was planned after a contact ends leaned; one from rest is the mission's own.
+            leans = self.phase is Phase.APPROACH
+            out_m = self.mission.vehicle.airframe.contact_distance_m
+            push_m_s2 = balancing_m_s2(self._height_m, out_m) if leans else 0.0
+            p.outputs.append(
+                self._references.coasting_setpoint(frame, sample, since_us, collision.wall, push_m_s2)
+            )
             return
         self._references.slew_yaw(self._wanted_yaw(state), state.now_us)
         forward = self._yielding.feed_forward if self.phase is Phase.RECOVERY else None
