@@ -4,8 +4,8 @@
 
 Places, walls and tolerances of a map follow from its seed, before anything is planned. The optimum's gain is
 that of the exact model under each of three sets of limits; flown is the second of them, in the fast world
-with guards and everything drawn (`--vary all`), two to five seeds, both plans by the same app. What is planned
-goes to `build/walls_pay_plans.jsonl` as it comes, what is flown to `build/walls_pay.jsonl`, how long
+with guards and everything drawn (`--vary all`), two to five seeds, both plans by the same app. What is
+planned goes to `build/walls_pay_plans.jsonl` as it comes, what is flown to `build/walls_pay.jsonl`, how long
 planning takes to `build/walls_pay_times.jsonl`; a page of docs/results is written from them.
 """
 
