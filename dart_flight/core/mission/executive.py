@@ -769,10 +769,9 @@ class Executive:
             return
         collision = self._collision
         if collision is not None and since_us is not None and self._until_impact_s(state) < _COASTING_S:
-            # A way that was planned after a contact ends leaned; one from rest is the mission's own.
-            leans = self.phase is Phase.APPROACH
+            leaned = self.phase is Phase.RECOVERY and self._replanning.is_leaned
             out_m = self.mission.vehicle.airframe.contact_distance_m
-            push_m_s2 = balancing_m_s2(self._height_m, out_m) if leans else 0.0
+            push_m_s2 = 0.0 if leaned else balancing_m_s2(self._height_m, out_m)
             p.outputs.append(
                 self._references.coasting_setpoint(frame, sample, since_us, collision.wall, push_m_s2)
             )
