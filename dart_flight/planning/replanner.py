@@ -31,6 +31,7 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.core.mission.commitment import SETTLED_BEFORE_S
+from dart_flight.core.mission.contact_feedforward import balancing_m_s2
 from dart_flight.core.mission.planned_impact import impact_velocity
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S, PositionLoop
 from dart_flight.core.mission.trajectories import PlannedTrajectory
@@ -56,8 +57,6 @@ _JERK_M_S3 = 25.0  # about 150 degrees of tilt a second: the attitude loop follo
 _GENTLE_S = 0.5  # that a way may last longer where it needs all of the tilt instead of none
 _GENTLE_REJOINING_S = 0.05  # likewise, back to a trajectory that is within limits as it is
 _AS_FAST = 1.01  # planned speed over flown
-_BALANCED = 0.9  # of the lean that would balance a vehicle that does not turn (docs/results/faster_hits.md)
-_MOST_LEAN = 0.3  # tangent of the angle
 _PRESSED_IN_M = 0.15  # at most: the arms at the end of a contact, and what a wall's place is off by
 _BESIDE_S = 1.0  # ... where another meets the wall as far from the planned place as the mission tolerates
 
@@ -179,7 +178,8 @@ class Replanner:
             wall, place = self._survey.wall_now(collision.wall), written.at(written.duration_s).position
             away = collision.wall.signed_distance(place) - wall.signed_distance(place)
             moved = (away * wall.normal[0], away * wall.normal[1])
-            push_m_s2 = self._balancing_m_s2(request.contact_height_m)
+            out_m = self._mission.vehicle.airframe.contact_distance_m
+            push_m_s2 = balancing_m_s2(request.contact_height_m, out_m)
             pushed = (push_m_s2 * wall.normal[0], push_m_s2 * wall.normal[1])
         ways = rejoin(written, self._start(request), moved, pushed)
         if collision is not None:
@@ -214,16 +214,6 @@ class Replanner:
             if not found.problem:
                 return found
         return None
-
-    def _balancing_m_s2(self, height_m: float | None) -> float:
-        """Push off the wall at a hit, beside the planned one, m/s2, so that the hit turns the vehicle less.
-
-        Leaning into it by the guards' height over their distance has them level with the centre of mass.
-        """
-        if height_m is None:
-            return 0.0
-        lean = _BALANCED * height_m / self._mission.vehicle.airframe.contact_distance_m
-        return -max(-_MOST_LEAN, min(_MOST_LEAN, lean)) * GRAVITY_M_S2
 
     def _from_rest(self, answer: PlanAnswer, collision: Collision, velocity: Vec2) -> PlanAnswer:
         """The approach of a collision that has one, as fast as the hit may be."""

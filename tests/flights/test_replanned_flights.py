@@ -8,11 +8,14 @@ import pytest
 
 from dart_flight import simulate
 from dart_flight.base.records import AfterImpact, Outcome, PlanTaken, Record, Setpoint
-from dart_flight.config.mission import load_mission
+from dart_flight.config.document import Document
+from dart_flight.config.mission import load_mission, parse_mission
 from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.recording.reader import read_log
+from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import FastFlight, fly_fast
 from dart_flight.run.replay import replay
+from tools.campaigns.walls_pay import with_touch
 
 SOURCE = packaged("missions", "dual_collision_replan.yaml")
 
@@ -66,3 +69,19 @@ def test_walls_askew_turn_a_shuttle_only_once_each(seed: int) -> None:
     assert len(incidence) == 4
     assert max(incidence[:2]) < 13.0
     assert max(incidence[2:]) < 6.0
+
+
+@pytest.mark.parametrize("height_m", [-0.03, 0.03])
+def test_a_touch_lets_the_next_hit_from_rest_be_leaned_into(height_m: float) -> None:
+    """Guards off the centre of mass turn a vehicle over that has not felt them before."""
+    path = packaged("missions", "touch_and_return.yaml")
+    text, guards = path.read_text(encoding="utf-8"), f"simulation.contact.guard_height_m={height_m}"
+
+    def flown_as(written: str) -> Verdict:
+        return simulate(parse_mission(Document(written, str(path)), settings=[guards]), seed=1).verdict
+
+    touched = flown_as(with_touch(text))
+    assert touched.outcome is Outcome.COMPLETED
+    assert touched.max_tilt_deg is not None
+    assert touched.max_tilt_deg < 35.0
+    assert flown_as(text).outcome is Outcome.ABORTED

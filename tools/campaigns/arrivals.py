@@ -29,7 +29,7 @@ class Arrival(NamedTuple):
     """Stamps of a flight's log, us.
 
     Attributes:
-        begin_us: the first trajectory begins.
+        begin_us: the mission's own trajectories begin.
         visits_us: of the places passed in their order; a place that was not ends them.
         there_us: at the goal, nearly at rest, after them; None: never before landing.
     """
@@ -89,7 +89,8 @@ def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]])
     """
     truth, phases = log["/truth/state"], log["/event/phase"]
     first = "approach" if mission.collisions else "goal"
-    times = {str(after): t for t, after in zip(phases["t_us"][::-1], phases["after"][::-1], strict=True)}
+    # The last of each: a touch before the mission's own trajectories has an approach, too.
+    times = {str(after): t for t, after in zip(phases["t_us"], phases["after"], strict=True)}
     if first not in times:
         return None
     begin_us = float(times[first])

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from dart_flight.base.geometry import Vec3
+from dart_flight.base.geometry import GRAVITY_M_S2, Vec3
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.senses import Sensed
 
@@ -21,6 +21,26 @@ _FADED_M_S2: Final = 0.02
 _LARGEST_M_S2: Final = 5.0  # fed forward; also bounds what a hanging setpoint could do
 # From the onset on; PX4 keeps the last setpoint of a program that hangs, and this one leads away.
 LONGEST_S: Final = 0.25
+
+
+_BALANCED: Final = (
+    0.9  # of the lean that would balance a vehicle that does not turn (docs/results/faster_hits.md)
+)
+_MOST_LEAN: Final = 0.3  # tangent of the angle
+
+
+def balancing_m_s2(height_m: float | None, out_m: float) -> float:
+    """Push off a wall at a hit, beside the planned one, m/s2, so that the hit turns the vehicle less.
+
+    Leaning into it by the guards' height over their distance has them level with the centre of mass.
+
+    Args:
+        height_m: of the wall's force above the centre of mass; None: not known.
+        out_m: distance of the guards.
+    """
+    if height_m is None:
+        return 0.0
+    return -max(-_MOST_LEAN, min(_MOST_LEAN, _BALANCED * height_m / out_m)) * GRAVITY_M_S2
 
 
 class ContactFeedforward:

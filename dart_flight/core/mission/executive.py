@@ -46,7 +46,7 @@ from dart_flight.core.mission.approach import (
     plan_approach,
 )
 from dart_flight.core.mission.commitment import STOP_MARGIN_M, may_commit
-from dart_flight.core.mission.contact_feedforward import LONGEST_S, ContactFeedforward
+from dart_flight.core.mission.contact_feedforward import LONGEST_S, ContactFeedforward, balancing_m_s2
 from dart_flight.core.mission.heading import HeadingControl
 from dart_flight.core.mission.legs import collision_now, mission_now, waypoint_now, why_left_out
 from dart_flight.core.mission.lock_orders import LockOrders
@@ -133,6 +133,7 @@ class Executive:
             if pieces is not None and mission.after_impact is AfterImpact.REPLAN
         }
         self._square_yaw = 0.0  # heading wanted before the first contact
+        self._height_m: float | None = None  # of the walls' force above the centre of mass
         self._stood_at_ned: Vec3 = (0.0, 0.0, 0.0)
         self._entered_us: int | None = None
         self._entered_host_us: int | None = None
@@ -186,6 +187,7 @@ class Executive:
             self._entered_host_us = state.host_us
         if sensed.estimate is not None:
             self._yielding.update(sensed)
+            self._height_m = sensed.height_m
         if type(item) in _WORDS:
             self._take_word(item, state, p)
         for event in sensed.impacts:
@@ -791,7 +793,8 @@ class Executive:
             return wrap_angle(self._square_yaw + turned)
         if collision is None or self.phase not in TO_IMPACT:
             return self._references.yaw
-        return collision.wall.parallel_yaw(state.yaw)
+        turned = 0.0 if self._heading is None else self._survey.turned(collision.wall)
+        return wrap_angle(collision.wall.parallel_yaw(state.yaw - turned) + turned)
 
     def _coasts(self, state: FlightState) -> bool:
         """Whether a trajectory of the mission's is about to go on after a contact.
@@ -854,8 +857,12 @@ class Executive:
             return
         collision = self._collision
         if collision is not None and since_us is not None and self._until_impact_s(state) < _COASTING_S:
-            coasting = self._references.coasting_setpoint(frame, sample, since_us, collision.wall)
-            p.outputs.append(coasting)
+            leaned = self.phase is Phase.RECOVERY and self._replanning.is_leaned
+            out_m = self.mission.vehicle.airframe.contact_distance_m
+            push_m_s2 = 0.0 if leaned else balancing_m_s2(self._height_m, out_m)
+            p.outputs.append(
+                self._references.coasting_setpoint(frame, sample, since_us, collision.wall, push_m_s2)
+            )
             return
         self._references.slew_yaw(self._wanted_yaw(state), state.now_us)
         forward = self._yielding.feed_forward if self.phase is Phase.RECOVERY else None

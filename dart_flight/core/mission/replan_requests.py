@@ -193,7 +193,7 @@ class ReplanRequests:
         at = way.at((state.now_us - answer.begin_us) * 1e-6)
         beside_m = math.dist(at.position[:2], state.position[:2])
         beside_m_s = math.dist(at.velocity[:2], state.velocity[:2])
-        if self._is_on_a_quicker(way, answer.begin_us, state):
+        if self._is_on_a_quicker(way, answer, state):
             p.outputs.append(PlanTaken(state.now_us, answer.number, False, "the trajectory flown is quicker"))
             return None
         if not (beside_m <= _BESIDE_M and beside_m_s <= _BESIDE_M_S):
@@ -206,15 +206,21 @@ class ReplanRequests:
             self._impact_us = answer.begin_us + round(answer.impact_s * 1e6)
         return way
 
-    def _is_on_a_quicker(self, way: PlannedTrajectory, begin_us: int, state: FlightState) -> bool:
-        """Whether the trajectory that is flown, and held to, ends well before another one."""
+    def _is_on_a_quicker(self, way: PlannedTrajectory, answer: PlanAnswer, state: FlightState) -> bool:
+        """Whether the trajectory that is flown, and held to, is there well before another one."""
         flown = self._way
         if flown is None or not self._quickest:
             return False
         since_s = (state.now_us - self._begin_us) * 1e-6
         off_m = math.dist(flown.at(since_s).position[:2], state.position[:2])
-        later_s = (begin_us - self._begin_us) * 1e-6 + way.duration_s - flown.duration_s
-        return off_m < _HELD_TO_M and later_s > _LATER_S
+        end_us = self._begin_us + flown.duration_s * 1e6 if self._impact_us is None else self._impact_us
+        there_s = way.duration_s if answer.impact_s is None else answer.impact_s
+        return off_m < _HELD_TO_M and there_s - (end_us - answer.begin_us) * 1e-6 > _LATER_S
+
+    @property
+    def is_leaned(self) -> bool:
+        """Whether the way that is flown ends as leaned as its wall wants it: in the mission's own shape."""
+        return self._way is not None and len(self._way.pieces_s) > 0
 
     @property
     def trajectory_since_us(self) -> int | None:

@@ -160,12 +160,12 @@ class SetpointGenerator:
         return self._make(frame, t_us, received_us, reference.position, reference)
 
     def coasting_setpoint(
-        self, frame: MissionFrame, sample: OdometrySample, since_us: int, wall: Wall
+        self, frame: MissionFrame, sample: OdometrySample, since_us: int, wall: Wall, push_m_s2: float = 0.0
     ) -> Setpoint:
         """The reference along a wall, but of what it asks across it only the thrust.
 
         Who comes a little late or slow to a wall must not lean into it to make up for that: the contact turns
-        a leaning vehicle over.
+        a leaning vehicle over. But for `push_m_s2` off the wall, that balances it.
         """
         assert self._way is not None
         reference = self._way.at((sample.t_us - since_us) * 1e-6)
@@ -173,13 +173,14 @@ class SetpointGenerator:
         here, now = frame.point_from_ned(sample.position_ned), frame.vector_from_ned(sample.velocity_ned)
         off = (here[0] - p[0]) * nx + (here[1] - p[1]) * ny
         off_m_s = (now[0] - v[0]) * nx + (now[1] - v[1]) * ny
+        ax, ay, az = self._feed_forward(reference)
         return Setpoint(
             t_us=sample.t_us,
             trigger_received_us=sample.received_us,
             position_ned=frame.point_to_ned((p[0] + off * nx, p[1] + off * ny, self.altitude_m)),
             yaw_ned_rad=self._yaw_ned(frame),
             velocity_ned=frame.vector_to_ned((v[0] + off_m_s * nx, v[1] + off_m_s * ny, 0.0)),
-            acceleration_ned=frame.vector_to_ned(self._feed_forward(reference)),
+            acceleration_ned=frame.vector_to_ned((ax + push_m_s2 * nx, ay + push_m_s2 * ny, az)),
         )
 
     def recovery_setpoint(
