@@ -573,6 +573,7 @@ class WallEstimate(Record, frozen=True, gc=False):
     plane_point_mission: Vec2 | None = None  # where it was met
     plane_normal_mission: Vec2 | None = None
     plane_normal_sigma_rad: float | None = None
+    centre_mission: Vec2 | None = None  # of the vehicle at the first touch
     material: str | None = None  # of a wall of unknown material: the one of the table that fits best
 
 

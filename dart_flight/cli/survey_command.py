@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import os
 from collections.abc import Callable
 from functools import partial
@@ -36,7 +37,9 @@ from dart_flight.config.document import InputError, writing
 from dart_flight.config.file_kinds import FileKind, load_document
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.core.mission.approach import NoApproachError, check_segments_clear
+from dart_flight.lab_entries import ROOM_PICTURE, load_entry
 from dart_flight.planning.positioning import source_for
+from dart_flight.planning.room import RoomFit, Touch, plan_star, room_keys, touches_of
 from dart_flight.planning.survey import plan_survey, surveyed_collisions, surveyed_walls
 from dart_flight.recording.measured_walls import MeasuredWall
 from dart_flight.recording.verdict import Verdict
@@ -50,6 +53,7 @@ from dart_flight.sim.extras import need_mavlink
 from dart_flight.vehicle.link import LinkLease
 
 _SPEED_M_S = 0.5
+_DIRECTIONS, _MOST_FLIGHTS = 16, 4  # of probes for an unknown room
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -68,6 +72,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="M_S",
         help=f"speed of the touches (default {_SPEED_M_S:g} m/s)",
     )
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="map of a room that was looked for")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="the mission with measured walls")
     add_position_option(parser)
     add_set_option(parser)
@@ -78,11 +83,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     document = load_document(arguments.mission, FileKind.MISSION)
     mission = with_driver(load_flyable(arguments.mission, arguments.config, arguments.set), arguments.driver)
-    if not mission.flat_walls:
-        raise InputError("the mission has no wall to survey", source=mission.source, key=("walls",))
     output = arguments.output
-    if output is not None and not output.absolute().parent.is_dir():  # said before the flight
-        raise InputError("cannot write: no such folder", source=str(output))
+    for path in (output, arguments.plot):
+        if path is not None and not path.absolute().parent.is_dir():  # said before the flight
+            raise InputError("cannot write: no such folder", source=str(path))
+    if not mission.flat_walls:
+        return _survey_room(arguments, document.tree, mission)
     survey = plan_survey(mission, arguments.touch_speed)
     console = messages()
     for name, reason in survey.unreachable.items():
@@ -107,6 +113,48 @@ def run(arguments: argparse.Namespace) -> int:
         says = f"written, but it does not fit its walls as they were met; plan it anew: {unfit}"
         console.print(f"[red]{says}[/]", soft_wrap=True)
     return exit_status(verdict) or bool(missed or unfit)
+
+
+def _survey_room(arguments: argparse.Namespace, written: Any, mission: Mission) -> int:
+    """Look for the walls of a room that nobody knows, flight by flight, until its outline is closed."""
+    console = messages()
+    say_vehicle(mission.flown_vehicle(), arguments)
+    directions = [2.0 * math.pi * k / _DIRECTIONS for k in range(_DIRECTIONS)]
+    touches: list[Touch] = []
+    flights: list[Verdict] = []
+    airframe = mission.vehicle.airframe
+    while True:
+        verdict = _fly(arguments, plan_star(mission, directions, arguments.touch_speed))
+        if verdict is None:
+            return 1
+        flights.append(verdict)
+        touches += touches_of(verdict.walls, directions)
+        room = RoomFit(mission.start, touches, airframe.guard_along_m, airframe.contact_distance_m).fit()
+        state = "closed" if room.is_closed else f"open in {len(room.gaps_rad)} directions"
+        says = f"flight {len(flights)}: {len(touches)} contacts, {len(room.walls)} walls, outline {state}"
+        console.print(says, soft_wrap=True)
+        if room.is_closed or exit_status(verdict) or len(flights) == _MOST_FLIGHTS:
+            break
+        directions = sorted(room.gaps_rad)[:_DIRECTIONS]
+    told = [wall.material for flight in flights for wall in flight.walls if wall.material is not None]
+    material = max(set(told), key=told.count) if told else next(iter(mission.vehicle.materials))
+    walls = room_keys(room, material) if room.is_closed else {}
+    if arguments.plot is not None:
+        load_entry(ROOM_PICTURE)(mission, room, touches, arguments.plot)
+    if arguments.output is not None and walls:
+        _write(arguments, {**written, "walls": walls}, {}, mission)
+    if arguments.json:
+        named = [{"name": name, **keys} for name, keys in walls.items()]
+        emit_json({"walls": named, "closed": room.is_closed, "contacts": len(touches), "flights": flights})
+    else:
+        table = Table("wall", "middle of its surface, m", "normal", "length m", "± m", "± deg")
+        for name, keys in walls.items():
+            (x, y), (nx, ny) = keys["point_m"], keys["normal"]
+            place, normal = f"({x:.3f}, {y:.3f})", f"({nx:.3f}, {ny:.3f})"
+            sds = (f"{keys['position_sd_m']:.3f}", f"{keys['yaw_sd_deg']:.2f}")
+            table.add_row(name, place, normal, f"{keys['length_m']:.2f}", *sds)
+        tables().print(table)
+    return 0 if room.is_closed else 1
 
 
 def _fly(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from dart_flight.base.geometry import Vec2, wrap_angle
 from dart_flight.config.mission import Mission
+from dart_flight.recording.measured_walls import MeasuredWall
 
 _SPEED_M_S = 0.6
 _ON_WALL_M = 0.02  # deviation of a contact's place
@@ -247,3 +248,31 @@ def _crossing(a: RoomWall, b: RoomWall) -> Vec2 | None:
     if abs(det) < math.sin(math.radians(8.0)):
         return None
     return ((a.offset_m * by - b.offset_m * ay) / det, (ax * b.offset_m - bx * a.offset_m) / det)
+
+
+def touches_of(walls: Sequence[MeasuredWall], directions_rad: Sequence[float]) -> list[Touch]:
+    """The contacts of a flight that `plan_star` has planned in these directions."""
+    found = []
+    for wall in walls:
+        heading = directions_rad[int(wall.name.rpartition(" ")[2]) - 1]
+        told = None if wall.yaw_sd_deg is None else math.atan2(wall.normal[1], wall.normal[0])
+        sd_rad = math.inf if wall.yaw_sd_deg is None else math.radians(wall.yaw_sd_deg)
+        found.append(Touch(wall.touched_m or wall.point_m, heading, told, sd_rad))
+    return found
+
+
+def room_keys(room: Room, material: str) -> dict[str, dict[str, Any]]:
+    """The walls of a closed room as keys of a mission file, by name."""
+    found = {}
+    for k, wall in enumerate(room.walls):
+        (ax, ay), (bx, by) = room.corners[k - 1] or (0.0, 0.0), room.corners[k] or (0.0, 0.0)
+        found[f"side {k + 1}"] = {
+            "point_m": [round(0.5 * (ax + bx), 4), round(0.5 * (ay + by), 4)],
+            "normal": [round(v, 6) for v in wall.normal],
+            "length_m": round(math.hypot(bx - ax, by - ay), 4),
+            "material": material,
+            "given_at": "surface",
+            "position_sd_m": round(wall.offset_sd_m, 4),
+            "yaw_sd_deg": round(min(30.0, math.degrees(wall.normal_sd_rad)), 3),
+        }
+    return found

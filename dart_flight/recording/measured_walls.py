@@ -24,6 +24,7 @@ class MeasuredWall(msgspec.Struct):
         point_m: [x, y] of its middle (`given_at: centre`); of one that was sought, where it was met.
         normal: [x, y], unit vector into free space.
         position_sd_m, yaw_sd_deg: of the plane at `point_m`, and of its direction; null: taken as known.
+        touched_m: [x, y] of the vehicle's centre at the first touch of the last contact.
         material: of the table; null: of none that is known.
         coefficients: by mode, k, f, mu and nu as felt, each with its relative standard deviation.
         age_s: of the contact at the flight's end.
@@ -37,6 +38,7 @@ class MeasuredWall(msgspec.Struct):
     position_sd_m: float | None
     yaw_sd_deg: float | None
     material: str | None
+    touched_m: Vec2 | None = None
     coefficients: dict[str, dict[str, tuple[float, float]]] = msgspec.field(default_factory=dict)
     age_s: float = 0.0
     truth_error_m: float | None = None
@@ -95,6 +97,7 @@ class WallMeasurements:
             felt.plane_offset_sigma_m if wall.position_sd_m is None else wall.position_sd_m,
             None if sure is None else math.degrees(sure),
             wall.material if wall.material_known else None,
+            felt.centre_mission,
             self._coefficients.get(name, {}),
             (end_us - felt.first_us) * 1e-6,
         )

@@ -162,6 +162,7 @@ class WallEstimator:
             place,
             normal,
             normal_sd,
+            _centre_at_touch(onset),
             self._likely_material(belief, told) if fitted is not None and not wall.material_known else None,
         )
 
@@ -254,6 +255,13 @@ class WallEstimator:
                 )
             )
         return ticks
+
+
+def _centre_at_touch(onset: ImpactOnset) -> Vec2:
+    """Where the vehicle's centre was when the force began, mission frame."""
+    (x, y, _), (vx, vy, _) = onset.position_mission, onset.velocity_mission
+    late_s = (onset.t_us - onset.first_us) * 1e-6
+    return (x - late_s * vx, y - late_s * vy)
 
 
 def _known(wall: Wall, onset: ImpactOnset) -> tuple[float, float]:
