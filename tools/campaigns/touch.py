@@ -510,8 +510,8 @@ def _rooms(flights: Sequence[Flown]) -> list[str]:
         "probes in 16 directions from the start, then where the outline is open, in at most four flights.",
         f"All is drawn but where the walls stand. Outline closed in {closed} of {len(rooms)}; within 5 cm of",
         f"it lies {100.0 * sum(shares) / len(shares):.1f} % of the true outline in the mean, at least",
-        f"{100.0 * min(shares):.1f} % (XPLORER's map by tactile traversal is 96.7 % right, by its authors' own",
-        f"measure). {_uncontrolled(flights)} flights uncontrolled.",
+        f"{100.0 * min(shares):.1f} % (XPLORER's map by tactile traversal is 96.7 % right, by its authors'",
+        f"own measure). {_uncontrolled(flights)} flights uncontrolled.",
         "",
         markdown(["seed", "walls", "closed", "within 5 cm", "contacts", "flights", "flown s"], rows),
     ]
