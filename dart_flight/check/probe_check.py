@@ -7,7 +7,8 @@ from collections.abc import Iterator
 
 from dart_flight.base.records import Mode
 from dart_flight.check.findings import CheckFinding
-from dart_flight.config.mission import Collision, Mission, Probe
+from dart_flight.config.mission import Collision, Mission
+from dart_flight.config.probes import Probe
 from dart_flight.contact import contact_map
 from dart_flight.contact.law import Onset
 from dart_flight.core.mission.anchors import SAME_NORMAL

@@ -39,9 +39,9 @@ from dart_flight.config.mission import Mission, load_mission
 from dart_flight.core.mission.approach import NoApproachError, check_segments_clear
 from dart_flight.lab_entries import ROOM_PICTURE, load_entry
 from dart_flight.planning.positioning import source_for
-from dart_flight.planning.room import RoomFit, Touch, plan_star, room_keys, touches_of
+from dart_flight.planning.room import RoomFit, WallTouch, plan_star, room_keys
 from dart_flight.planning.survey import plan_survey, surveyed_collisions, surveyed_walls
-from dart_flight.recording.measured_walls import MeasuredWall
+from dart_flight.recording.measured_walls import MeasuredWall, touches_of
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.drone import fly_vehicle
 from dart_flight.run.embedded import fly_embedded
@@ -120,7 +120,7 @@ def _survey_room(arguments: argparse.Namespace, written: Any, mission: Mission) 
     console = messages()
     say_vehicle(mission.flown_vehicle(), arguments)
     directions = [2.0 * math.pi * k / _DIRECTIONS for k in range(_DIRECTIONS)]
-    touches: list[Touch] = []
+    touches: list[WallTouch] = []
     flights: list[Verdict] = []
     airframe = mission.vehicle.airframe
     while True:
@@ -158,7 +158,7 @@ def _survey_room(arguments: argparse.Namespace, written: Any, mission: Mission) 
 
 
 def _fly(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:
-    """Touch the walls in the wanted world, or with the vehicle; None where it is not flown."""
+    """WallTouch the walls in the wanted world, or with the vehicle; None where it is not flown."""
     console = messages()
     if arguments.connection is not None:
         return _fly_vehicle(arguments, mission)

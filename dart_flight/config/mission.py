@@ -37,7 +37,6 @@ from dart_flight.config.mission_file import (
     CollisionSpec,
     MissionFile,
     MissionKeys,
-    PlaceAtWall,
     PostSpec,
     ProbeSpec,
     StartSpec,
@@ -45,6 +44,7 @@ from dart_flight.config.mission_file import (
     WaypointKeys,
     WaypointSpec,
 )
+from dart_flight.config.probes import Probe, place_at, resolve_probe, sought_walls
 from dart_flight.config.provenance import FoundVehicle, VehicleSource, display_path, find_vehicle
 from dart_flight.config.section import keys_of
 from dart_flight.config.settings import apply_changes
@@ -56,28 +56,6 @@ _PAUSE_S = 60.0
 ESTIMATE_MOVED_M = 0.05
 # A trajectory ends at the onset of the force, which is a little before the plane, and is rounded.
 _TRAJECTORY_OFF_M, _TRAJECTORY_OFF_M_S = 0.05, 0.05
-# Of a wall that a probe has found this much is known to be there; of its direction hardly anything before.
-_SOUGHT_LENGTH_M, _SOUGHT_SD_RAD = 1.0, math.radians(15.0)
-_NOT_OF_PROBES = (
-    "approach",
-    "impact_point_m",
-    "impact_along_m",
-    "alpha_m_per_n",
-    "alpha_wall_m_per_n",
-    "trajectory",
-    "predicted",
-)
-_ON_PLANE_M = 1e-6
-
-
-class Probe(msgspec.Struct, frozen=True):
-    """A leg that looks for a wall: where it begins and ends (mission frame, metres), how fast, and how far
-    from the wall the vehicle waits afterwards."""
-
-    begin: Vec2
-    end: Vec2
-    speed_m_s: float
-    back_m: float
 
 
 class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=False):
@@ -394,7 +372,7 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
     check_clear_of_posts(posts, spec.goal.position_m, vehicle, ("goal",), document)
     _add_tangent_walls(spec, posts, vehicle, walls, document)
     _check_goal_trajectory(spec, document)
-    sought = _sought_walls(spec, vehicle, walls, document)
+    sought = sought_walls(spec, vehicle, walls, document)
     collisions = tuple(
         _resolve_collision(i, one, spec, vehicle, walls | sought, document)
         for i, one in enumerate(spec.collisions)
@@ -440,97 +418,6 @@ def _add_tangent_walls(
         if walls.setdefault(one.wall, wall) != wall:
             says = f"post {one.wall} is hit elsewhere before; a mission hits a post in one place"
             raise document.error((*key, "impact_point_m"), says)
-
-
-def _sought_walls(
-    spec: MissionFile, vehicle: VehicleConfig, walls: dict[str, Wall], document: Document
-) -> dict[str, Wall]:
-    """The walls that probes look for and nobody knows, each across the end of its probe, by name.
-
-    Raises:
-        InputError: such a probe has no direction, a material that is not in the table, or a name that is
-            taken; or a collision is at such a wall before its probe, or a condition names no probe.
-    """
-    stiffest = max(vehicle.materials, key=lambda name: vehicle.materials[name].of(Mode.RIGID).k)
-    looked_for = {one.wall for one in spec.collisions if one.probe is not None}
-    sought: dict[str, Wall] = {}
-    probed: set[str] = set()
-    for i, one in enumerate(spec.collisions):
-        key: Key = ("collisions", i)
-        _check_conditions(one, probed, key, document)
-        for j, waypoint in enumerate(spec.waypoints):
-            if waypoint.after == i:
-                _check_waypoint_wall(waypoint, probed, walls, ("waypoints", j), document)
-        if one.probe is None:
-            if one.wall not in walls and one.wall not in probed and one.wall in looked_for:
-                raise document.error((*key, "wall"), f"no probe before this looks for wall {one.wall}")
-            continue
-        if one.wall in walls:
-            probed.add(one.wall)
-            continue
-        if one.wall in probed:
-            raise document.error((*key, "wall"), f"{one.wall} is looked for twice; give the second a name")
-        probed.add(one.wall)
-        if one.wall in spec.simulated_walls:
-            raise document.error((*key, "wall"), f"the name {one.wall} is taken by a simulated wall")
-        if one.probe.direction is None:
-            known = ", ".join(walls) or "none"
-            says = f"{one.wall} is no wall of the mission ({known}): a probe for it needs a direction"
-            raise document.error((*key, "probe"), says)
-        material = one.probe.material
-        if material is not None and material not in vehicle.materials:
-            says = unknown_name(material, list(vehicle.materials))
-            raise document.error((*key, "probe", "material"), says)
-        (dx, dy), end = _probe_direction(one.probe.direction, key, document), _probe_end(one.probe, None)
-        sought[one.wall] = Wall(
-            one.wall,
-            end,
-            (-dx, -dy),
-            _SOUGHT_LENGTH_M,
-            material or stiffest,
-            yaw_sd_rad=_SOUGHT_SD_RAD,
-            half_vehicle_m=vehicle.airframe.contact_distance_m,
-            sought=True,
-            material_known=material is not None,
-        )
-    for j, waypoint in enumerate(spec.waypoints):
-        if waypoint.after >= len(spec.collisions):
-            _check_waypoint_wall(waypoint, probed, walls, ("waypoints", j), document)
-    return sought
-
-
-def _check_conditions(
-    one: CollisionSpec | WaypointSpec, probed: set[str], key: Key, document: Document
-) -> None:
-    """Raises InputError: a condition names a wall that no probe before it looks for."""
-    for name in ("if_met", "if_not_met"):
-        wall = getattr(one, name)
-        if wall is not None and wall not in probed:
-            says = unknown_name(wall, sorted(probed)) if probed else "no probe comes before this"
-            raise document.error((*key, name), says)
-
-
-def _check_waypoint_wall(
-    one: WaypointSpec, probed: set[str], walls: dict[str, Wall], key: Key, document: Document
-) -> None:
-    _check_conditions(one, probed, key, document)
-    if one.at_wall is not None and one.at_wall.wall not in {*probed, *walls}:
-        says = unknown_name(one.at_wall.wall, sorted({*probed, *walls}))
-        raise document.error((*key, "at_wall", "wall"), says)
-
-
-def _probe_direction(direction: Vec2, key: Key, document: Document) -> Vec2:
-    length = math.hypot(*direction)
-    if not length > 1e-9:
-        raise document.error((*key, "probe", "direction"), "the direction has no length")
-    return (direction[0] / length, direction[1] / length)
-
-
-def _probe_end(probe: ProbeSpec, wall: Wall | None) -> Vec2:
-    """Where a probe ends that meets nothing; a wall of the mission is met head on without a direction."""
-    dx, dy = probe.direction or ((-wall.normal[0], -wall.normal[1]) if wall is not None else (0.0, 0.0))
-    share = probe.length_m / math.hypot(dx, dy)
-    return (probe.from_m[0] + share * dx, probe.from_m[1] + share * dy)
 
 
 def _resolve_waypoints(
@@ -617,7 +504,17 @@ def _resolve_collision(
     wall = walls[spec.wall]
     mode = _mode_of(spec, vehicle, key, document)
     if spec.probe is not None:
-        return _resolve_probe(i, spec, spec.probe, mission, mode, wall, document)
+        probe, probe_m_s, met = resolve_probe(i, spec, mission, wall, document)
+        return Collision(
+            **keys_of(spec, CollisionKeys) | {"mode": mode},
+            index=i + 1,
+            wall=wall,
+            approach_m_s=probe_m_s,
+            impact_point=met,
+            alpha_normal_m_per_n=0.0,
+            alpha_tangential_m_per_n=0.0,
+            probe=probe,
+        )
     if spec.approach is None and i > 0 and mission.collisions[i - 1].probe is not None:
         raise document.error(key, "needs an approach: after a probe the vehicle rests")
     alpha_n, alpha_t = resolve_alphas(spec.alpha_m_per_n, spec.alpha_wall_m_per_n, wall, key, document)
@@ -656,69 +553,6 @@ def _resolve_collision(
         alpha_normal_m_per_n=alpha_n,
         alpha_tangential_m_per_n=alpha_t,
     )
-
-
-def _resolve_probe(
-    i: int,
-    spec: CollisionSpec,
-    probe: ProbeSpec,
-    mission: MissionFile,
-    mode: Mode,
-    wall: Wall,
-    document: Document,
-) -> Collision:
-    """A collision that looks for its wall.
-
-    Raises:
-        InputError: it has keys of another collision, leads out of the bounds or away from its wall, or is
-            too fast.
-    """
-    key: Key = ("collisions", i)
-    for name in _NOT_OF_PROBES:
-        if getattr(spec, name) is not None:
-            raise document.error((*key, name), "a probe has no such key")
-    if not wall.sought and probe.material is not None:
-        raise document.error((*key, "probe", "material"), f"wall {wall.name} of the mission has one")
-    end = _probe_end(probe, wall)
-    for name, place in (("from_m", probe.from_m), ("length_m", end)):
-        excess_m = mission.bounds_m.excess2(place)
-        if excess_m > 0.0:
-            where = f"({place[0]:.2f}, {place[1]:.2f})"
-            raise document.error((*key, "probe", name), f"{where} is {excess_m:.2f} m outside bounds_m")
-    if probe.speed_m_s > mission.limits.speed_m_s:
-        says = f"{probe.speed_m_s:g} m/s is over limits.speed_m_s {mission.limits.speed_m_s:g}"
-        raise document.error((*key, "probe", "speed_m_s"), says)
-    share = probe.speed_m_s / probe.length_m
-    vx, vy = share * (end[0] - probe.from_m[0]), share * (end[1] - probe.from_m[1])
-    normal_m_s, tangential_m_s, _ = wall.to_collision((vx, vy, 0.0))
-    if not normal_m_s < -0.5 * probe.speed_m_s or wall.signed_distance(probe.from_m) <= 0.0:
-        says = f"begins behind wall {wall.name}, or leads past it: it needs at most 60 degrees to its normal"
-        raise document.error((*key, "probe"), says)
-    reach_m = wall.signed_distance(probe.from_m) / -normal_m_s * probe.speed_m_s
-    if reach_m > probe.length_m + _ON_PLANE_M:
-        says = f"wall {wall.name} is {reach_m:.2f} m away; longer by what its place leaves open is better"
-        raise document.error((*key, "probe", "length_m"), says)
-    met = reach_m / probe.length_m
-    impact = (
-        probe.from_m[0] + met * (end[0] - probe.from_m[0]),
-        probe.from_m[1] + met * (end[1] - probe.from_m[1]),
-    )
-    return Collision(
-        **keys_of(spec, CollisionKeys) | {"mode": mode},
-        index=i + 1,
-        wall=wall,
-        approach_m_s=(normal_m_s, tangential_m_s),
-        impact_point=impact,
-        alpha_normal_m_per_n=0.0,
-        alpha_tangential_m_per_n=0.0,
-        probe=Probe(probe.from_m, end, probe.speed_m_s, probe.back_m),
-    )
-
-
-def place_at(wall: Wall, place: PlaceAtWall) -> Vec2:
-    """Where a place at a wall is if the wall stands as it is said to, mission frame."""
-    (x, y), (nx, ny), (tx, ty) = wall.point, wall.normal, wall.tangent
-    return (x + place.away_m * nx + place.along_m * tx, y + place.away_m * ny + place.along_m * ty)
 
 
 def _check_trajectory(

@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dart_flight.base.geometry import Vec2, distance2
-from dart_flight.config.mission import Mission, load_mission, place_at
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.probes import place_at
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import PlannedApproach, plan_approach
 from dart_flight.core.mission.legs import collision_now, mission_now, waypoint_now, why_left_out

@@ -237,7 +237,10 @@ WRONG = [
         "waypoints[0].altitude_m: must be within bounds_m z",
     ),
     ("waypoints: [{position_m: [0, 0], speed_m_s: 3.5}]", "waypoints[0].speed_m_s: 3.5 m/s is over limits"),
-    ("waypoints: [{hold_s: 1}]", "waypoints[0]: give exactly one of position_m (a waypoint) and pause"),
+    (
+        "waypoints: [{hold_s: 1}]",
+        "waypoints[0]: give exactly one of position_m, at_wall (waypoints) and pause",
+    ),
     ("waypoints: [{position_m: [0, 0], pause: operator}]", "waypoints[0]: give exactly one of"),
     ("waypoints: [{pause: operator, hold_s: 1}]", "waypoints[0].hold_s: a pause has no such key"),
     (

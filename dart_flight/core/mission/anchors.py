@@ -15,6 +15,8 @@ import math
 from typing import Final, NamedTuple
 
 from dart_flight.base.geometry import Vec2
+from dart_flight.base.records import FrameAnchor, WallEstimate
+from dart_flight.base.walls import Wall
 
 START_SD_M: Final = 0.3  # how well the vehicle stands where the mission has its start
 WALL_SD_M: Final = 0.02  # of a wall that carries no figure, as it is taken to be surveyed
@@ -53,6 +55,26 @@ class FrameAnchors:
             one for one in self._anchors if abs(one.normal[0] * nx + one.normal[1] * ny) < SAME_NORMAL
         ]
         self._anchors.append(anchor)
+
+    def take(self, wall: Wall, felt: WallEstimate) -> FrameAnchor:
+        """A contact has told where a wall stands: by how much that moves the frame, along the wall's normal.
+
+        The difference between where it was met and where it was taken to be is shared by the frame and the
+        wall as their variances are.
+
+        Args:
+            wall: as it was known before the contact.
+            felt: by the contact.
+        """
+        told_sd, place = felt.plane_offset_sigma_m, felt.plane_point_mission
+        wall_sd = WALL_SD_M if wall.position_sd_m is None else wall.position_sd_m
+        expected = self.sd_m(wall.normal, felt.t_us)
+        gain = expected**2 / (expected**2 + wall_sd**2 + told_sd**2)
+        moved = gain * (felt.plane_offset_m if place is None else wall.signed_distance(place))
+        age_s, sd = self.age_s(wall.normal, felt.t_us), expected * math.sqrt(1.0 - gain)
+        self.add(Anchor(wall.normal, felt.t_us, sd))
+        by = (moved * wall.normal[0], moved * wall.normal[1])
+        return FrameAnchor(felt.t_us, wall.name, by, expected, sd, age_s)
 
     def age_s(self, normal: Vec2, now_us: int) -> float | None:
         """Time since the last contact with a wall of (nearly) this normal; None: there was none."""

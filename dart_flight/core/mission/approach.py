@@ -15,8 +15,9 @@ import msgspec
 
 from dart_flight.base.geometry import Vec2, Vec3, distance2
 from dart_flight.base.walls import Post, Wall
-from dart_flight.config.mission import Collision, Mission, Probe
+from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.mission_file import TrajectoryPieces
+from dart_flight.config.probes import Probe
 from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.arithmetic import Number, hypot, maximum, sqrt, where
 from dart_flight.core.mission.trajectories import PlannedTrajectory, TrajectoryPoint, TransitTrajectory

@@ -14,7 +14,6 @@ from dart_flight.base.geometry import Vec3, distance2, rotate, wrap_angle, yaw_n
 from dart_flight.base.records import (
     AfterImpact,
     DetectionFloor,
-    FrameAnchor,
     GoalPassed,
     ImpactOnset,
     ImpactPeak,
@@ -37,7 +36,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import ESTIMATE_MOVED_M, Collision, Mission, Waypoint
-from dart_flight.core.mission.anchors import WALL_SD_M, Anchor, FrameAnchors
+from dart_flight.core.mission.anchors import FrameAnchors
 from dart_flight.core.mission.approach import (
     Approach,
     NoApproachError,
@@ -566,29 +565,15 @@ class Executive:
         p.add_finding("mode_felt", detail, noted=self.mission.mode_mismatch is ModeMismatch.NOTE_ONLY)
 
     def _anchor_at(self, wall: Wall, felt: WallEstimate, state: FlightState, p: Proposal) -> None:
-        """Put the mission frame right along the normal of a wall that was met.
-
-        The difference between where it was met and where it was taken to be is shared by the frame and the
-        wall as their variances are.
-        """
+        """Put the mission frame right along the normal of a wall that was met."""
         anchors, frame = self._anchors, p.frame or state.frame
         assert anchors is not None
         assert frame is not None
-        told_sd = felt.plane_offset_sigma_m
-        wall_sd = WALL_SD_M if wall.position_sd_m is None else wall.position_sd_m
-        expected = anchors.sd_m(wall.normal, felt.t_us)
-        rest2 = wall_sd * wall_sd + told_sd * told_sd
-        gain = expected * expected / (expected * expected + rest2)
-        place = felt.plane_point_mission
-        moved = gain * (felt.plane_offset_m if place is None else wall.signed_distance(place))
-        by = (moved * wall.normal[0], moved * wall.normal[1])
-        age_s = anchors.age_s(wall.normal, felt.t_us)
-        sd = expected * math.sqrt(1.0 - gain)
-        anchors.add(Anchor(wall.normal, felt.t_us, sd))
-        self._survey.move_frame(by)
-        self._references.move_frame(by)
-        p.frame = frame.moved(*by)
-        p.outputs.append(FrameAnchor(state.now_us, wall.name, by, expected, sd, age_s))
+        anchor = anchors.take(wall, felt)
+        self._survey.move_frame(anchor.moved_mission)
+        self._references.move_frame(anchor.moved_mission)
+        p.frame = frame.moved(*anchor.moved_mission)
+        p.outputs.append(anchor)
 
     def _on_detection_floor(self, event: DetectionFloor, p: Proposal) -> None:
         """Whether the planned hit can be told from the vibration at all; a wall not felt is flown into."""

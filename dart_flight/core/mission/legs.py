@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import msgspec
 
-from dart_flight.config.mission import Collision, Mission, Waypoint, place_at
+from dart_flight.config.mission import Collision, Mission, Waypoint
+from dart_flight.config.probes import place_at
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
 
 
