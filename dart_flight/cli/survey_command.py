@@ -22,7 +22,8 @@ from dart_flight.cli.check_command import show
 from dart_flight.cli.flight_output import FlightLines, exit_status, live_line_for, show_end
 from dart_flight.cli.fly_command import confirm_flight
 from dart_flight.cli.options import (
-    add_flight_options,
+    add_driver_option,
+    add_log_dir_option,
     add_position_option,
     add_set_option,
     add_vary_option,
@@ -58,7 +59,9 @@ _DIRECTIONS, _MOST_FLIGHTS = 16, 4  # of probes for an unknown room
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    add_flight_options(parser)
+    parser.add_argument("mission", metavar="MISSION", help="mission file, see missions/")
+    add_log_dir_option(parser)
+    add_driver_option(parser)
     add_px4_options(parser, with_hitl=False)
     parser.add_argument("--fast", action="store_true", help="in process, in simulated time, without MAVLink")
     parser.add_argument("--connection", metavar="URL", help="touch the walls with the vehicle there")
@@ -102,7 +105,14 @@ def run(arguments: argparse.Namespace) -> int:
     if output is not None and walls:
         unfit = _write(arguments, document.tree, walls, mission)
     if arguments.json:
-        emit_json({"walls": verdict.walls, "unreachable": survey.unreachable, "flight": verdict})
+        emit_json(
+            {
+                "walls": verdict.walls,
+                "unreachable": survey.unreachable,
+                "flight": verdict,
+                "vehicle": mission.flown_vehicle(),
+            }
+        )
     else:
         show_end(verdict, console, False)
         tables().print(_table(verdict.walls))
