@@ -40,7 +40,7 @@ from dart_flight.config.mission import Mission, load_mission
 from dart_flight.core.mission.approach import NoApproachError, check_segments_clear
 from dart_flight.lab_entries import ROOM_PICTURE, load_entry
 from dart_flight.planning.positioning import source_for
-from dart_flight.planning.room import RoomFit, Touch, plan_star, room_keys, touches_of
+from dart_flight.planning.room import RoomContact, RoomFit, plan_star, room_keys, touches_of
 from dart_flight.planning.survey import plan_survey, surveyed_collisions, surveyed_walls
 from dart_flight.recording.measured_walls import MeasuredWall
 from dart_flight.recording.verdict import Verdict
@@ -130,7 +130,7 @@ def _survey_room(arguments: argparse.Namespace, written: Any, mission: Mission) 
     console = messages()
     say_vehicle(mission.flown_vehicle(), arguments)
     directions = [2.0 * math.pi * k / _DIRECTIONS for k in range(_DIRECTIONS)]
-    touches: list[Touch] = []
+    touches: list[RoomContact] = []
     flights: list[Verdict] = []
     airframe = mission.vehicle.airframe
     while True:

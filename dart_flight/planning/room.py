@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from dart_flight.base.geometry import Vec2, wrap_angle
 from dart_flight.config.mission import Mission
-from dart_flight.recording.measured_walls import MeasuredWall
 
 _SPEED_M_S = 0.6
 _ON_WALL_M = 0.02  # deviation of a contact's place
@@ -38,7 +37,7 @@ _MOST = 40
 Array = NDArray[Any]
 
 
-class Touch(NamedTuple):
+class RoomContact(NamedTuple):
     """A contact: where the vehicle's centre was, at what heading, and what it told of the wall's direction.
 
     Attributes:
@@ -68,7 +67,7 @@ class RoomWall(NamedTuple):
     offset_m: float
     offset_sd_m: float
     normal_sd_rad: float
-    touches: tuple[Touch, ...]
+    touches: tuple[RoomContact, ...]
 
     @property
     def normal(self) -> Vec2:
@@ -134,7 +133,7 @@ class RoomFit:
         along_m, out_m: of the guards: beside the middle of a side, and ahead (`airframe`).
     """
 
-    def __init__(self, start: Vec2, touches: Sequence[Touch], along_m: float, out_m: float) -> None:
+    def __init__(self, start: Vec2, touches: Sequence[RoomContact], along_m: float, out_m: float) -> None:
         self._start = start
         self._touches = sorted(touches, key=lambda t: self._bearing(t.place))[:_MOST]
         signs = ((1, 1), (1, -1), (-1, 1), (-1, -1))
@@ -250,14 +249,19 @@ def _crossing(a: RoomWall, b: RoomWall) -> Vec2 | None:
     return ((a.offset_m * by - b.offset_m * ay) / det, (ax * b.offset_m - bx * a.offset_m) / det)
 
 
-def touches_of(walls: Sequence[MeasuredWall], directions_rad: Sequence[float]) -> list[Touch]:
-    """The contacts of a flight that `plan_star` has planned in these directions."""
+def touches_of(walls: Sequence[Any], directions_rad: Sequence[float]) -> list[RoomContact]:
+    """The contacts of a flight that `plan_star` has planned in these directions.
+
+    Args:
+        walls: `MeasuredWall`s of its verdict.
+        directions_rad: of its probes, mission frame.
+    """
     found = []
     for wall in walls:
         heading = directions_rad[int(wall.name.rpartition(" ")[2]) - 1]
         told = None if wall.yaw_sd_deg is None else math.atan2(wall.normal[1], wall.normal[0])
         sd_rad = math.inf if wall.yaw_sd_deg is None else math.radians(wall.yaw_sd_deg)
-        found.append(Touch(wall.touched_m or wall.point_m, heading, told, sd_rad))
+        found.append(RoomContact(wall.touched_m or wall.point_m, heading, told, sd_rad))
     return found
 
 
