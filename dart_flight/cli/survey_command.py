@@ -22,7 +22,8 @@ from dart_flight.cli.check_command import show
 from dart_flight.cli.flight_output import FlightLines, exit_status, live_line_for, show_end
 from dart_flight.cli.fly_command import confirm_flight
 from dart_flight.cli.options import (
-    add_flight_options,
+    add_driver_option,
+    add_log_dir_option,
     add_position_option,
     add_set_option,
     add_vary_option,
@@ -39,9 +40,9 @@ from dart_flight.config.mission import Mission, load_mission
 from dart_flight.core.mission.approach import NoApproachError, check_segments_clear
 from dart_flight.lab_entries import ROOM_PICTURE, load_entry
 from dart_flight.planning.positioning import source_for
-from dart_flight.planning.room import RoomFit, WallTouch, plan_star, room_keys
+from dart_flight.planning.room import RoomContact, RoomFit, plan_star, room_keys, touches_of
 from dart_flight.planning.survey import plan_survey, surveyed_collisions, surveyed_walls
-from dart_flight.recording.measured_walls import MeasuredWall, touches_of
+from dart_flight.recording.measured_walls import MeasuredWall
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.drone import fly_vehicle
 from dart_flight.run.embedded import fly_embedded
@@ -58,7 +59,9 @@ _DIRECTIONS, _MOST_FLIGHTS = 16, 4  # of probes for an unknown room
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    add_flight_options(parser)
+    parser.add_argument("mission", metavar="MISSION", help="mission file, see missions/")
+    add_log_dir_option(parser)
+    add_driver_option(parser)
     add_px4_options(parser, with_hitl=False)
     parser.add_argument("--fast", action="store_true", help="in process, in simulated time, without MAVLink")
     parser.add_argument("--connection", metavar="URL", help="touch the walls with the vehicle there")
@@ -102,7 +105,14 @@ def run(arguments: argparse.Namespace) -> int:
     if output is not None and walls:
         unfit = _write(arguments, document.tree, walls, mission)
     if arguments.json:
-        emit_json({"walls": verdict.walls, "unreachable": survey.unreachable, "flight": verdict})
+        emit_json(
+            {
+                "walls": verdict.walls,
+                "unreachable": survey.unreachable,
+                "flight": verdict,
+                "vehicle": mission.flown_vehicle(),
+            }
+        )
     else:
         show_end(verdict, console, False)
         tables().print(_table(verdict.walls))
@@ -120,7 +130,7 @@ def _survey_room(arguments: argparse.Namespace, written: Any, mission: Mission) 
     console = messages()
     say_vehicle(mission.flown_vehicle(), arguments)
     directions = [2.0 * math.pi * k / _DIRECTIONS for k in range(_DIRECTIONS)]
-    touches: list[WallTouch] = []
+    touches: list[RoomContact] = []
     flights: list[Verdict] = []
     airframe = mission.vehicle.airframe
     while True:
@@ -158,7 +168,7 @@ def _survey_room(arguments: argparse.Namespace, written: Any, mission: Mission) 
 
 
 def _fly(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:
-    """WallTouch the walls in the wanted world, or with the vehicle; None where it is not flown."""
+    """RoomContact the walls in the wanted world, or with the vehicle; None where it is not flown."""
     console = messages()
     if arguments.connection is not None:
         return _fly_vehicle(arguments, mission)

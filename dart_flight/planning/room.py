@@ -37,7 +37,7 @@ _MOST = 40
 Array = NDArray[Any]
 
 
-class WallTouch(NamedTuple):
+class RoomContact(NamedTuple):
     """A contact: where the vehicle's centre was, at what heading, and what it told of the wall's direction.
 
     Attributes:
@@ -67,7 +67,7 @@ class RoomWall(NamedTuple):
     offset_m: float
     offset_sd_m: float
     normal_sd_rad: float
-    touches: tuple[WallTouch, ...]
+    touches: tuple[RoomContact, ...]
 
     @property
     def normal(self) -> Vec2:
@@ -133,7 +133,7 @@ class RoomFit:
         along_m, out_m: of the guards: beside the middle of a side, and ahead (`airframe`).
     """
 
-    def __init__(self, start: Vec2, touches: Sequence[WallTouch], along_m: float, out_m: float) -> None:
+    def __init__(self, start: Vec2, touches: Sequence[RoomContact], along_m: float, out_m: float) -> None:
         self._start = start
         self._touches = sorted(touches, key=lambda t: self._bearing(t.place))[:_MOST]
         signs = ((1, 1), (1, -1), (-1, 1), (-1, -1))
@@ -247,6 +247,22 @@ def _crossing(a: RoomWall, b: RoomWall) -> Vec2 | None:
     if abs(det) < math.sin(math.radians(8.0)):
         return None
     return ((a.offset_m * by - b.offset_m * ay) / det, (ax * b.offset_m - bx * a.offset_m) / det)
+
+
+def touches_of(walls: Sequence[Any], directions_rad: Sequence[float]) -> list[RoomContact]:
+    """The contacts of a flight that `plan_star` has planned in these directions.
+
+    Args:
+        walls: `MeasuredWall`s of its verdict.
+        directions_rad: of its probes, mission frame.
+    """
+    found = []
+    for wall in walls:
+        heading = directions_rad[int(wall.name.rpartition(" ")[2]) - 1]
+        told = None if wall.yaw_sd_deg is None else math.atan2(wall.normal[1], wall.normal[0])
+        sd_rad = math.inf if wall.yaw_sd_deg is None else math.radians(wall.yaw_sd_deg)
+        found.append(RoomContact(wall.touched_m or wall.point_m, heading, told, sd_rad))
+    return found
 
 
 def room_keys(room: Room, material: str) -> dict[str, dict[str, Any]]:

@@ -80,6 +80,7 @@ def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
         "predicted": None,
         "goal_trajectory": None,
         "after_impact": "setpoint",
+        "standoff_m": None,
     }
     return SurveyPlan(mission.replace(changes), unreachable)
 

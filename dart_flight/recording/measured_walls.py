@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import msgspec
 
@@ -12,7 +12,6 @@ from dart_flight.base.records import FrameAnchor, Record, TruthContact, WallEsti
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
-from dart_flight.planning.room import WallTouch
 
 _SAME_US = 60_000  # a contact and its truth lie this near in time
 
@@ -120,14 +119,3 @@ class WallMeasurements:
         wall = self._standing[near[0].wall]
         wall = wall.moved(float(drawn.get(f"wall_offset_m.{wall.name}", 0.0)))
         return wall.turned(math.radians(float(drawn.get(f"wall_yaw_deg.{wall.name}", 0.0))))
-
-
-def touches_of(walls: Sequence[MeasuredWall], directions_rad: Sequence[float]) -> list[WallTouch]:
-    """The contacts of a flight that `plan_star` has planned in these directions."""
-    found = []
-    for wall in walls:
-        heading = directions_rad[int(wall.name.rpartition(" ")[2]) - 1]
-        told = None if wall.yaw_sd_deg is None else math.atan2(wall.normal[1], wall.normal[0])
-        sd_rad = math.inf if wall.yaw_sd_deg is None else math.radians(wall.yaw_sd_deg)
-        found.append(WallTouch(wall.touched_m or wall.point_m, heading, told, sd_rad))
-    return found

@@ -44,6 +44,7 @@ def own(folder: Path, name: str = "configs/dart.yaml", mass: str = "0.9") -> Pat
         ["check", MISSION],
         ["lock", "status", "--driver", "mock"],
         ["dry-run", MISSION, "--fast", "--runs", "1"],
+        ["survey", MISSION, "--fast"],
     ],
     ids=lambda words: words[0],
 )

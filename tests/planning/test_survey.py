@@ -30,8 +30,9 @@ def room(**walls: dict[str, Any]) -> Mission:
 
 
 def test_each_wall_is_touched_rigid_first_then_as_the_mission_hits_it() -> None:
-    survey = plan_survey(DUAL, 0.6)
+    survey = plan_survey(DUAL.replace({"standoff_m": 0.5}), 0.6)
     assert survey.unreachable == {}
+    assert survey.mission.standoff_m is None, "also of a rehearsal"
     touched = [(c.wall.name, c.mode) for c in survey.mission.collisions]
     assert sorted(touched) == [
         ("acrylic", Mode.RIGID),

@@ -24,9 +24,8 @@ from dart_flight.base.records import FrameAnchor, Mode, Outcome, WallEstimate
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import packaged
-from dart_flight.planning.room import RoomFit, WallTouch, plan_star
+from dart_flight.planning.room import RoomContact, RoomFit, plan_star, touches_of
 from dart_flight.planning.survey import plan_survey
-from dart_flight.recording.measured_walls import touches_of
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import fly_fast
@@ -207,7 +206,7 @@ def find_room(job: Job) -> Flown:
     # The walls stand where the room has them: everything else is drawn.
     spreads = {k: v for k, v in parse_vary(["all"], mission.vehicle).items() if not k.startswith("wall_")}
     directions = [2.0 * math.pi * k / 16 for k in range(16)]
-    airframe, touches, flights = mission.vehicle.airframe, list[WallTouch](), list[Verdict]()
+    airframe, touches, flights = mission.vehicle.airframe, list[RoomContact](), list[Verdict]()
     while True:
         flown = plan_star(mission, directions)
         flights.append(fly_fast(flown, 10 * job.seed + len(flights), None, spreads=spreads))

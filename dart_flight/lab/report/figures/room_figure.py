@@ -13,7 +13,7 @@ from dart_flight.base.geometry import Vec2
 from dart_flight.config.mission import Mission
 from dart_flight.lab.figure_style import FORCE, GREY, Look, in_style, new_figure, save_figure
 from dart_flight.lab.report.figures.map_drawing import draw_vehicle
-from dart_flight.planning.room import Room, RoomWall, WallTouch
+from dart_flight.planning.room import Room, RoomContact, RoomWall
 
 _SHEET = Look(7.2, 6.4)
 _SURE = 3.0  # standard deviations of the band about a wall
@@ -22,7 +22,7 @@ _MARGIN_M = 0.4
 
 
 @in_style
-def room_figure(mission: Mission, room: Room, touches: Sequence[WallTouch], *, look: Look = _SHEET) -> Any:
+def room_figure(mission: Mission, room: Room, touches: Sequence[RoomContact], *, look: Look = _SHEET) -> Any:
     """Plan view of a room: walls, three standard deviations of their places, contacts.
 
     Of a simulated room also where its walls really stand.
@@ -79,6 +79,6 @@ def _draw_wall(
     axis.text(*middle, name, ha="center", va="center", fontsize=look.small_pt)
 
 
-def write_room_picture(mission: Mission, room: Room, touches: Sequence[WallTouch], path: Path) -> None:
+def write_room_picture(mission: Mission, room: Room, touches: Sequence[RoomContact], path: Path) -> None:
     """`room_figure` as a file; raises what `save_figure` raises."""
     save_figure(room_figure(mission, room, touches), path)
