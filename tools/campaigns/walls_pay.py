@@ -537,9 +537,9 @@ optimal control without a hit. Flown times run from the first motion to rest wit
 planned ones likewise; a place counts as passed within its tolerance and the 3 cm that a drawn wall may stand
 elsewhere. Corners, stops and the free ways are controls: there the free plan is expected. A hit is flown
 where it is what the planner returns. After a hit the way on is flown at up to 5.9 m/s2 and 25 m/s3, as
-replanning does: a way back that the plan needs long for, as with limited sight, is quicker than planned. With
-limited sight the free plan stops 2 cm before where its wall should stand: one that is drawn nearer (seed 12) is
-touched, which ends the flight.
+replanning does: a way back that the plan needs long for, as with limited sight, is quicker than planned.
+With limited sight the free plan stops 2 cm before where its wall should stand: one that is drawn nearer
+(seed 12) is touched, which ends the flight.
 A kind or a set of limits that is missing has not been run yet.
 
 **A touch comes first.** Every flight with hits touches its first wall at 0.6 m/s and rests at its start
@@ -714,7 +714,7 @@ def _time_section() -> list[str]:
     )
     return [
         f"## Time to plan, at most {_PLAN_WITHIN_LONG_S:g} s, up to four hits\n",
-        "Processor time of the one core that a search uses; the limit is on the clock, beside other programs.\n",
+        "Processor time of a search on its one core; the limit is the clock's, beside other programs.\n",
         markdown(heads, rows),
     ]
 
