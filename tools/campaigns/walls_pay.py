@@ -4,7 +4,7 @@
 
 Places, walls and tolerances of a map follow from its seed, before anything is planned. The optimum's gain is
 that of the exact model under each of three sets of limits; flown is the second of them, in the fast world
-with guards and everything drawn (`--vary all`), two to five seeds, both plans by the same app. What is
+with guards and everything drawn (`--vary all`), one to five seeds, both plans by the same app. What is
 planned goes to `build/walls_pay_plans.jsonl` as it comes, what is flown to `build/walls_pay.jsonl`, how long
 planning takes to `build/walls_pay_times.jsonl`; a page of docs/results is written from them.
 """
@@ -39,7 +39,7 @@ PLANS, FLIGHTS = ROOT / "build" / "walls_pay_plans.jsonl", ROOT / "build" / "wal
 TIMES = ROOT / "build" / "walls_pay_times.jsonl"
 PAGE = RESULTS / "walls_pay.md"
 FIRST_SEED = 11  # the flight's rules were made while looking at shuttles of seeds 1 to 5
-FLOWN_EACH = {"shuttle": 5, "hairpin": 3, "corner": 2, "stop": 2, "sight": 3, "free": 2}
+FLOWN_EACH = {"shuttle": 5, "hairpin": 1, "corner": 1, "stop": 1, "sight": 2, "free": 1}
 SETS = {
     "automatic": {"acceleration_m_s2": 3.0, "jerk_m_s3": 4.0},
     "position": {"acceleration_m_s2": 5.0, "jerk_m_s3": 8.0},
@@ -432,6 +432,8 @@ planned ones likewise; a place counts as passed within its tolerance and the 3 c
 elsewhere. Corners, stops and the free ways are controls: there the free plan is expected. A hit is flown
 where it is what the planner returns. After a hit the way on is flown at up to 5.9 m/s2 and 25 m/s3, as
 replanning does: a way back that the plan needs long for, as with limited sight, is quicker than planned.
+With limited sight the free plan stops 2 cm before where its wall should stand: one that is drawn nearer
+(seed 12) is touched, which ends the flight.
 A kind or a set of limits that is missing has not been run yet.
 
 **A touch comes first.** Every flight with hits touches its first wall at 0.6 m/s and rests at its start
@@ -440,9 +442,11 @@ hit at 3 m/s turns such a vehicle over ([faster_hits.md](faster_hits.md)). So th
 that knows how high walls push it.
 
 **Seeds.** The flight's rules were made while looking at shuttles of seeds 1 to 5; flown are those from 11
-on, five of a shuttle, three of a hairpin and of limited sight, two of the controls. The shuttles were flown
+on, five of a shuttle, two of limited sight, one of a hairpin and of the controls. The shuttles were flown
 once before there was a touch: 80 of 125 hit flights completed, 38 were uncontrolled, all 45 of seeds 11, 12
-and 15. The touch, and the lean of an approach from rest, were added for them.
+and 15. The touch, and the lean of an approach from rest, were added for them; of the first 100 after that two
+were uncontrolled (ways without the mission's shape were not leaned), which was mended before those here. So
+these seeds have been looked at for the touch and the lean, and for nothing else.
 """
 
 
@@ -603,7 +607,8 @@ def _time_section() -> list[str]:
         "gap, s",
     )
     return [
-        f"## Time to plan, at most {_PLAN_WITHIN_LONG_S:g} s, up to four hits, one core\n",
+        f"## Time to plan, at most {_PLAN_WITHIN_LONG_S:g} s, up to four hits\n",
+        "Processor time of a search on its one core; the limit is the clock's, beside other programs.\n",
         markdown(heads, rows),
     ]
 
