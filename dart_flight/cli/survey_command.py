@@ -6,7 +6,7 @@ import argparse
 import contextlib
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -225,6 +225,7 @@ def _write(
         vehicle = Path(mission.source).parent / tree["vehicle"]
         tree["vehicle"] = Path(os.path.relpath(vehicle.resolve(), path.resolve().parent)).as_posix()
     head = f"# {Path(mission.source).name} with its walls as `dart-flight survey` has measured them.\n"
+    head += "".join(f"# {line}\n" for wall in walls.values() for line in _coefficient_lines(wall))
     body = yaml.safe_dump(msgspec.to_builtins(tree), sort_keys=False, default_flow_style=None, width=110)
     with writing(path):
         path.write_text(head + body, encoding="utf-8")
@@ -233,6 +234,13 @@ def _write(
     except (InputError, NoApproachError) as error:
         return str(error)
     return None
+
+
+def _coefficient_lines(wall: MeasuredWall) -> Iterator[str]:
+    """What the contacts have told of a wall's coefficients, for `materials` of the vehicle, a line a mode."""
+    for mode, found in wall.coefficients.items():
+        figures = ", ".join(f"{name} {value:.4g} ± {100.0 * sd:.0f} %" for name, (value, sd) in found.items())
+        yield f"{wall.name}, {mode}: {figures}"
 
 
 def _table(walls: list[MeasuredWall]) -> Table:
