@@ -445,8 +445,8 @@ that knows how high walls push it.
 on, five of a shuttle, two of limited sight, one of a hairpin and of the controls. The shuttles were flown
 once before there was a touch: 80 of 125 hit flights completed, 38 were uncontrolled, all 45 of seeds 11, 12
 and 15. The touch, and the lean of an approach from rest, were added for them; of the first 100 after that two
-were uncontrolled (ways without the mission's shape were not leaned), which was mended before those here. So
-these seeds have been looked at for the touch and the lean, and for nothing else.
+were uncontrolled (ways without the mission's shape were not leaned), which was mended before those here,
+together with how ways are compared. So these seeds have been looked at, and are not held out any more.
 """
 
 
