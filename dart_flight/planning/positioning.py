@@ -7,7 +7,7 @@ from dart_flight.config.parameter_file import PositionSource
 
 PLAIN_GPS = (
     "plain GPS drifts by a metre within a flight, so wall positions are off by as much; a wall mission "
-    "needs RTK or motion capture"
+    "needs RTK, motion capture or frame: {anchored_by: touch}"
 )
 
 

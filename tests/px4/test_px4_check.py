@@ -75,7 +75,7 @@ def test_a_receiver_is_known_by_its_fix(
         found = by_item(check_vehicle(mission, url))
     position = found["position_source"]
     assert position.go is go
-    assert ("rtk fixed" if go else "needs RTK or motion capture") in position.says
+    assert ("rtk fixed" if go else "needs RTK, motion capture or") in position.says
     assert {item for item, f in found.items() if f.remark} <= {"px4_checks", "round_trip"}
 
 
