@@ -69,3 +69,25 @@ def test_a_plan_along_trajectories_that_no_longer_fits_is_named(
     assert main([*words, "-o", "new.yaml"]) == 1
     assert "does not fit its walls as they were met; plan it anew" in capsys.readouterr().err
     assert (folder / "new.yaml").exists()
+
+
+def test_a_room_that_nobody_knows_is_found_and_written(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its outline, a map of it, and a mission with its walls, which fit what stands in simulation."""
+    path = packaged("missions", "unknown_room.yaml")
+    assert main(["survey", str(path), "--fast", "--plot", "map.svg", "-o", "room.yaml", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["closed"] is True
+    assert (folder / "map.svg").read_text("utf-8").startswith("<?xml")
+    before, after = load_mission(path), load_mission("room.yaml")
+    assert len(after.flat_walls) == len(before.simulated_walls) == 5
+    for found in after.flat_walls:
+        true = max(
+            before.simulated_walls,
+            key=lambda w: w.normal[0] * found.normal[0] + w.normal[1] * found.normal[1],
+        )
+        assert abs(true.signed_distance(found.point)) < 0.03
+        assert true.normal[0] * found.normal[0] + true.normal[1] * found.normal[1] > math.cos(
+            math.radians(2.0)
+        )

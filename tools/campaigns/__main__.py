@@ -19,6 +19,7 @@ MODULES = {
     "body": "tools.campaigns.body",
     "felt": "tools.campaigns.felt",
     "walls": "tools.campaigns.walls",
+    "touch": "tools.campaigns.touch",
     "faults": "tools.campaigns.faults",
     "fuzz": "tools.campaigns.fuzz",
     "soak": "tools.campaigns.soak",

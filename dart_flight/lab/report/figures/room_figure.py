@@ -33,7 +33,7 @@ def room_figure(mission: Mission, room: Room, touches: Sequence[RoomContact], *,
         touches: that tell it.
         look: size of the figure.
     """
-    figure, axis = new_figure(look, 6.0)
+    figure, axis = new_figure(look, 5.0)
     airframe = mission.vehicle.airframe
     for standing in mission.simulated_walls:
         ends = np.array(airframe.surface_of(standing).ends)
