@@ -22,7 +22,8 @@ from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
 from dart_flight.lock.drivers.px4_output import PREARM_ALWAYS, actuator_pulse_us, required_parameters
 from dart_flight.planning.positioning import source_for
 from dart_flight.sim.cascade import Cascade, TrajectorySetpoint
-from dart_flight.sim.estimator import Estimator, GpsWeights
+from dart_flight.sim.estimator import Estimator
+from dart_flight.sim.gps_filter import GpsWeights
 from dart_flight.sim.noise import GaussianNoise
 from dart_flight.sim.plant import Plant, make_plant
 from dart_flight.sim.sensors import GPS_QUALITIES, GpsReceiver, ImuSensor, PoseSensor

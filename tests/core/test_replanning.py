@@ -400,7 +400,8 @@ def test_a_trajectory_is_held_to_where_another_one_ends_well_after_it(
     request = asks_along(planning, straight_on(NOW_US + 400_000, off_m))
     assert request is not None
     left_s = 1.3 - (request.begin_us - first.begin_us) * 1e-6
-    answer = msgspec.structs.replace(answer_to(request), duration_s=left_s + later_s)
+    there_s = left_s + later_s
+    answer = msgspec.structs.replace(answer_to(request), duration_s=there_s, impact_s=there_s)
     assert refusal_of(planning, answer, request.t_us) is None
     p = Proposal()
     assert (planning.trajectory_due(straight_on(request.begin_us, off_m), p) is not None) is taken

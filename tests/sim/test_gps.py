@@ -18,7 +18,8 @@ from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import packaged
 from dart_flight.planning.positioning import source_for
 from dart_flight.sim.embedded_autopilot import TICK_S, default_parameters, make_autopilot
-from dart_flight.sim.estimator import Estimator, GpsFilter, GpsWeights
+from dart_flight.sim.estimator import Estimator
+from dart_flight.sim.gps_filter import GpsFilter, GpsWeights
 from dart_flight.sim.noise import GaussianNoise
 from dart_flight.sim.plant import Plant
 from dart_flight.sim.sensors import GPS_QUALITIES, GpsQuality, GpsReceiver

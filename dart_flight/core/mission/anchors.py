@@ -56,7 +56,7 @@ class FrameAnchors:
         ]
         self._anchors.append(anchor)
 
-    def take(self, wall: Wall, felt: WallEstimate) -> FrameAnchor:
+    def take(self, wall: Wall, felt: WallEstimate, now_us: int) -> FrameAnchor:
         """A contact has told where a wall stands: by how much that moves the frame, along the wall's normal.
 
         The difference between where it was met and where it was taken to be is shared by the frame and the
@@ -65,6 +65,7 @@ class FrameAnchors:
         Args:
             wall: as it was known before the contact.
             felt: by the contact.
+            now_us: when the frame moves.
         """
         told_sd, place = felt.plane_offset_sigma_m, felt.plane_point_mission
         wall_sd = WALL_SD_M if wall.position_sd_m is None else wall.position_sd_m
@@ -74,7 +75,7 @@ class FrameAnchors:
         age_s, sd = self.age_s(wall.normal, felt.t_us), expected * math.sqrt(1.0 - gain)
         self.add(Anchor(wall.normal, felt.t_us, sd))
         by = (moved * wall.normal[0], moved * wall.normal[1])
-        return FrameAnchor(felt.t_us, wall.name, by, expected, sd, age_s)
+        return FrameAnchor(now_us, wall.name, by, expected, sd, age_s)
 
     def age_s(self, normal: Vec2, now_us: int) -> float | None:
         """Time since the last contact with a wall of (nearly) this normal; None: there was none."""

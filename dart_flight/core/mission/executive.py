@@ -569,7 +569,7 @@ class Executive:
         anchors, frame = self._anchors, p.frame or state.frame
         assert anchors is not None
         assert frame is not None
-        anchor = anchors.take(wall, felt)
+        anchor = anchors.take(wall, felt, state.now_us)
         self._survey.move_frame(anchor.moved_mission)
         self._references.move_frame(anchor.moved_mission)
         p.frame = frame.moved(*anchor.moved_mission)
