@@ -203,6 +203,13 @@ def test_many_readings_of_a_pulse_are_averaged_into_few_that_say_the_same_togeth
         assert together == pytest.approx(alone)
 
 
+@pytest.mark.parametrize(("apart_s", "averaged"), [(0.0, True), (0.9e-6, True), (1.1e-6, False)])
+def test_readings_less_than_a_microsecond_apart_are_neighbours(apart_s: float, averaged: bool) -> None:
+    begins = [(0.004 + apart_s) * i for i in range(90)]
+    readings = [TickReading(at, at + 0.004, 1.0, 0.0, False) for at in begins]
+    assert (len(_binned(readings)) < 90) is averaged
+
+
 # --- thrust ------------------------------------------------------------------------------------------
 
 
@@ -267,6 +274,11 @@ def test_battery_voltage_scales_the_curve() -> None:
     assert model.mean_over_tick(1_012_000) == pytest.approx(full * 0.9**1.5)
     model.take_voltage(None)
     assert model.mean_over_tick(1_016_000) == pytest.approx(full * 0.9**1.5)
+    model.take_voltage(0.0)  # as who measures none may say
+    assert model.mean_over_tick(1_020_000) == pytest.approx(full * 0.9**1.5)
+    model.take_voltage(0.5)
+    model.mean_over_tick(1_024_000)
+    assert model.mean_over_tick(1_028_000) == pytest.approx(full * (0.5 / battery.reference_v) ** 1.5)
 
 
 def test_what_battery_and_motors_say_gets_to_the_thrust() -> None:

@@ -265,6 +265,18 @@ def test_a_mission_that_was_read_from_a_line_has_the_same_ways() -> None:
     assert answer.normal_m_s == pytest.approx(-2.81, abs=0.05)
 
 
+def test_a_trajectory_is_slowed_down_until_its_lock_is_ready() -> None:
+    """0.05 s before the hit, and then no longer than the ways that are looked at lie apart."""
+    request = PlanRequest(
+        0, 1, 100_000, 2, (1.513, -0.018, 0.988), (-1.791, -0.007, 0.656), (-0.57, 0.07, 0.0),
+        (-0.53, -0.01, 1.0), 2_000_000,
+    )  # fmt: skip
+    answer = Replanner(load_mission(packaged("missions", "shuttle.yaml"))).answer(request, 0)
+    assert answer.problem == ""
+    assert answer.impact_s is not None
+    assert 1.95 <= answer.impact_s < 2.05
+
+
 def test_a_plan_for_a_vehicle_that_coasts_begins_with_it_righting_itself() -> None:
     """As a first-order lag does that is asked for nothing: half of its push is gone in 0.1 s."""
     request = msgspec.structs.replace(
