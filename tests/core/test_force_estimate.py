@@ -491,6 +491,27 @@ def test_a_hit_is_felt_alike_on_a_wall_at_any_angle(angle: float, way: float) ->
     assert straight.tangential_force_n * way > 1.0
 
 
+@pytest.mark.parametrize(("bump_n", "peak_n"), [(2.5, 30.0), (3.0, 3.0)])
+def test_where_friction_comes_first_the_peak_is_waited_for_until_the_wall_pushes(
+    bump_n: float, peak_n: float
+) -> None:
+    """Half as much as makes an impact: less may drop again before the contact has begun in earnest."""
+    foot = [(-0.5 * bump_n, 8.0), (-bump_n, 9.0), (-bump_n, 9.0), (-0.5 * bump_n, 9.0), (-0.1, 9.0)]
+    pulse = [(-f, 6.0) for f in half_sine(30.0, 12)]
+    seen = feed([(0.0, 0.0)] * 20 + foot + pulse + [(0.0, 0.0)] * 60, 0.01, (-1.0, 0.0))
+    first = next(e for e in seen if isinstance(e, ImpactPeak))
+    assert first.normal_force_n == pytest.approx(peak_n, rel=0.1)
+
+
+@pytest.mark.parametrize(("dip_n", "noise_n", "past"), [(1.2, 0.01, False), (1.6, 0.01, True)])
+def test_a_dip_of_a_quarter_of_what_makes_an_impact_ends_a_weak_one(
+    dip_n: float, noise_n: float, past: bool
+) -> None:
+    flat = [(-8.0, 0.0)] * 6
+    seen = feed([(0.0, 0.0)] * 20 + flat + [(dip_n - 8.0, 0.0)] + flat, noise_n, (-1.0, 0.0))
+    assert any(isinstance(e, ImpactPeak) for e in seen) is past
+
+
 def test_wind_is_no_contact_but_leaning_on_a_wall_is() -> None:
     rise = [(4.0 * 0.5 * (1.0 - math.cos(math.pi * min(1.0, i / 125))), 0.0) for i in range(1000)]
     assert feed(rise) == []

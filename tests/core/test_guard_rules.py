@@ -46,7 +46,7 @@ from dart_flight.base.records import (
 from dart_flight.base.streams import BY_NAME
 from dart_flight.core import flight_core
 from dart_flight.core.guard.rules import RULES, Rule
-from dart_flight.core.guard.second_vehicle import SecondPositionDetector
+from dart_flight.core.guard.second_vehicle import SecondClockDetector, SecondPositionDetector
 from dart_flight.core.mission import executive, rehearsal
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.senses import Sensed
@@ -1076,6 +1076,55 @@ def test_a_position_after_a_gap_is_compared_with_none_from_before_it() -> None:
             assert take(north_m, 1.1) is None
             assert take(3.0 - north_m) is None  # once there, and not back
     assert [take(north_m) for north_m in (0.0, 3.0, 0.0, 3.0, 0.0)][-1] == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(("back_us", "seconds_apart"), [(0, None), (50_000, None), (600_000, 0.6)])
+def test_stamps_in_turn_are_two_clocks_where_they_are_further_apart_than_late_datagrams(
+    back_us: int, seconds_apart: float | None
+) -> None:
+    clocks = SecondClockDetector(100_000.0)
+    for i in range(8):
+        t_us = 10_000_000 + 10_000 * i
+        clocks.update(t_us, t_us)
+        clocks.update(t_us - back_us, t_us)
+    assert clocks.apart_s(10_070_000) == pytest.approx(seconds_apart)
+    assert (clocks.odd_us is not None) is (seconds_apart is not None)
+
+
+@pytest.mark.parametrize(("turns", "after_us", "told"), [(2, 0, False), (3, 0, True), (3, 1_800_000, False)])
+def test_two_clocks_are_told_by_three_turns_within_two_seconds(
+    turns: int, after_us: int, told: bool
+) -> None:
+    """Each there and back, 0.1 s after the one before."""
+    clocks = SecondClockDetector(100_000.0)
+    for i in range(turns + 1):
+        t_us = 10_000_000 + 100_000 * i
+        clocks.update(t_us, t_us)
+        clocks.update(t_us - 5_000_000, t_us)
+    last_us = 10_000_000 + 100_000 * turns
+    assert (clocks.apart_s(last_us + after_us + 1) is not None) is told
+    assert (clocks.apart_s(last_us + max(0, after_us - 1)) is not None) is (turns == 3)
+
+
+@pytest.mark.parametrize(("ahead_us", "odd"), [(5_900_000, False), (6_100_000, True)])
+def test_a_stamp_is_another_clocks_where_it_is_further_ahead_than_time_can_have_gone_by(
+    ahead_us: int, odd: bool
+) -> None:
+    """A second, and twenty times what has gone by here."""
+    clocks = SecondClockDetector(100_000.0)
+    clocks.update(10_000_000, 0)
+    clocks.update(10_000_000 + ahead_us, 250_000)
+    assert (clocks.odd_us is not None) is odd
+
+
+def test_a_clock_that_goes_back_again_and_again_is_one() -> None:
+    """As a stream does that is told again from its beginning: no second one goes on where it was."""
+    clocks = SecondClockDetector(100_000.0)
+    for i in range(8):
+        t_us = 10_000_000 + 10_000 * i
+        clocks.update(t_us, t_us)
+        clocks.update(5_000_000, t_us)
+    assert clocks.apart_s(10_070_000) is None
 
 
 def test_a_second_vehicle_explains_what_had_fired_before_it_was_told_apart() -> None:
