@@ -9,7 +9,14 @@ import statistics
 import msgspec
 import pytest
 
-from dart_flight.base.geometry import IDENTITY, MissionFrame, Vec3, quaternion_from_euler
+from dart_flight.base.geometry import (
+    IDENTITY,
+    MissionFrame,
+    Vec3,
+    advance_attitude,
+    quaternion_from_euler,
+    rotate,
+)
 from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
@@ -382,6 +389,58 @@ def test_the_covariance_says_how_far_the_estimate_is_off() -> None:
     vehicle.q = quaternion_from_euler(0.0, -0.5, 0.0)
     tilted = vehicle.run(0.1)[-1]
     assert tilted.variance_n2[0] > tilted.variance_n2[1]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_force_is_what_thrust_gravity_and_drag_do_not_explain(seed: int) -> None:
+    """In any attitude, on any heading, at any velocity; the attitude carried on by the gyro for 50 ms."""
+    rng = random.Random(seed)
+
+    def drawn(most: float) -> Vec3:
+        return (rng.uniform(-most, most), rng.uniform(-most, most), rng.uniform(-most, most))
+
+    airframe = msgspec.structs.replace(VEHICLE.airframe, drag_per_s=(0.3, 0.2, 0.1))
+    vehicle = msgspec.structs.replace(with_estimation(arm_vibration=None), airframe=airframe)
+    estimator, state = ForceEstimator(vehicle), FlightState()
+    frame = MissionFrame(1.0, 2.0, -3.0, rng.uniform(-3.0, 3.0))
+    state.anchor(frame)
+    velocity_ned, rate, f = drawn(2.0), drawn(3.0), drawn(20.0)
+    state.take_odometry(OdometrySample(1_000_000, 0, (0.0, 0.0, 0.0), velocity_ned))
+    q = quaternion_from_euler(*drawn(1.5))
+    estimator.take_attitude(AttitudeSample(1_000_000, 0, q))
+    estimator.thrust.take_actuator(ActuatorSample(900_000, 0, (HOVER,) * 4))
+    hover = estimator.hover
+    hover.bias_x, hover.bias_y, hover.scale = 0.3, -0.2, 0.9
+    t_us = 1_050_000
+    estimate = estimator.estimate(ImuSample(t_us, 0, f, rate), state, in_contact=True)
+    assert estimate is not None
+    thrust_n = estimator.thrust_n
+    assert thrust_n == pytest.approx(0.9 * MASS * 9.81, rel=0.01)
+    lag_s = vehicle.imu.reading_lag_s
+    then = advance_attitude(q, rate, 0.05 - round(lag_s * 1e6) * 1e-6)
+    seen = rotate(then, (MASS * (f[0] - 0.3), MASS * (f[1] + 0.2), MASS * f[2] + thrust_n))
+    (x, y, z), v = frame.vector_from_ned(seen), frame.vector_from_ned(velocity_ned)
+    drag = (0.3 * MASS * v[0], 0.2 * MASS * v[1], 0.1 * MASS * v[2])
+    force = (x + drag[0], y + drag[1], z + drag[2])
+    assert estimate.force_mission == pytest.approx(force)
+    up = frame.vector_from_ned(rotate(then, (0.0, 0.0, -1.0)))
+    assert estimate.push_mission == pytest.approx((thrust_n * up[0] - drag[0], thrust_n * up[1] - drag[1]))
+    e, noise = vehicle.estimation, MASS * hover.noise_m_s2
+    size2 = sum(axis * axis for axis in force)
+    for axis in range(3):
+        across2 = size2 - force[axis] ** 2
+        variance = noise**2 + (e.thrust_error_n * up[axis]) ** 2 + e.attitude_error_rad**2 * across2
+        assert estimate.variance_n2[axis] == pytest.approx(variance)
+
+
+@pytest.mark.parametrize(("away_us", "near"), [(-60_000, True), (-60_001, False), (60_000, True)])
+def test_an_attitude_is_carried_on_for_sixty_milliseconds(away_us: int, near: bool) -> None:
+    estimator, state = ForceEstimator(VEHICLE), FlightState()
+    state.anchor(MissionFrame())
+    at_us = 1_000_000 - round(VEHICLE.imu.reading_lag_s * 1e6)
+    estimator.take_attitude(AttitudeSample(at_us + away_us, 0, IDENTITY))
+    imu = ImuSample(1_000_000, 0, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0))
+    assert (estimator.estimate(imu, state) is not None) is near
 
 
 def test_a_reading_at_full_scale_is_a_lower_bound() -> None:
