@@ -480,6 +480,34 @@ def test_the_arms_swinging_is_taken_out() -> None:
     assert max(without) < 0.05
 
 
+def test_what_the_arms_add_along_either_axis_is_what_is_taken_out() -> None:
+    arms = VEHICLE.estimation.arm_vibration
+    assert arms is not None
+    adds, removes, rng = ArmFilter(arms, 0.004), ArmFilter(arms, 0.004), random.Random(4)
+    for _ in range(50):
+        x, y = rng.gauss(0.0, 10.0), rng.gauss(0.0, 10.0)
+        felt = adds.add(x, y)
+        assert removes.remove(*felt, 0.004) == pytest.approx((x, y))
+    assert felt != pytest.approx((x, y), rel=0.01)
+    along_x, along_y = ArmFilter(arms, 0.004), ArmFilter(arms, 0.004)
+    for i in range(50):
+        assert along_x.remove(float(i % 7), 0.0, 0.004)[0] == along_y.remove(0.0, float(i % 7), 0.004)[1]
+
+
+@pytest.mark.parametrize(("gap", "rests"), [(25, False), (26, True)])
+def test_over_a_gap_the_arms_swing_on_until_they_have_come_to_rest(gap: int, rests: bool) -> None:
+    arms = VEHICLE.estimation.arm_vibration
+    assert arms is not None
+    filters = [ArmFilter(arms, 0.004) for _ in range(3)]
+    for each in filters[:2]:
+        each.remove(30.0, -20.0, 0.004)
+    jumped, stepped, fresh = filters
+    for _ in range(gap):
+        swinging = stepped.remove(1.0, 2.0, 0.004)
+    found = jumped.remove(1.0, 2.0, 0.004 * gap)
+    assert found == pytest.approx(fresh.remove(1.0, 2.0, 0.004) if rests else swinging, rel=1e-12)
+
+
 # --- detector ----------------------------------------------------------------------------------------
 
 
