@@ -719,6 +719,46 @@ def test_a_landing_is_waited_for_until_the_motors_would_be_stopped() -> None:
     assert [e.rule for e in fired(c)][-1] == "still_armed"
 
 
+def ends_after(c: HandFedCore, seconds: float) -> bool:
+    """Whether the guard's landing is given up or done so long after it began."""
+    event = next(e for e in fired(c) if e.action is Override.LAND)
+    guard, state = c.core._guard, c.core._senses.state
+    state.now_us = event.t_us + round(seconds * 1e6)
+    guard.review(Tick(state.host_us), state, Sensed(None, (), False), Phase.OVERRULED, Proposal())
+    return guard.end is not None
+
+
+def test_a_landing_without_a_time_to_stop_the_motors_is_waited_for_a_minute() -> None:
+    c = HandFedCore(settings={"vehicle.guard.kill_after_s": None})
+    c.to_flight()
+    c.set_status(battery_v=12.9)
+    c.run(1.2)
+    assert [ends_after(c, seconds) for seconds in (1.0, 59.9, 60.1)] == [False, False, True]
+
+
+def test_beside_a_second_vehicle_a_landing_takes_fifteen_seconds_at_least() -> None:
+    """Whose state says landed and disarmed is not known."""
+    c = HandFedCore()
+    c.to_flight()
+    in_turn(c, 238_000_000, 0.0, 0.1)
+    c.set_status(armed=False, landed=LandedState.ON_GROUND)
+    assert [ends_after(c, seconds) for seconds in (1.0, 14.9, 15.1)] == [False, False, True]
+
+
+def test_without_ticks_all_rules_are_judged_as_often() -> None:
+    """More than 20 ms after the last time: with a sample every 4 ms the 80 ms without IMU show after 96."""
+    c = HandFedCore()
+    c.to_flight()
+    c.run(0.02)
+    c.give(Tick(c.t_us))
+    last_us = c.t_us
+    while not fired(c):
+        c.t_us += 4000
+        c.give(AttitudeSample(c.t_us, c.t_us, c.q))
+    assert [e.rule for e in fired(c)] == ["imu_silent"]
+    assert c.t_us - last_us == 96_000
+
+
 @pytest.mark.parametrize("armed", [False, True])
 def test_a_vehicle_that_somebody_has_armed_is_not_left_so_when_the_flight_is_given_up(armed: bool) -> None:
     c = HandFedCore()
