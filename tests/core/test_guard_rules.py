@@ -533,6 +533,40 @@ def test_without_the_rule_nobody_says_it(rule: Rule) -> None:
     assert rule.name not in [e.rule for e in fired(c)]
 
 
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        *((name, False) for name in ("pilot", "tilt", "bounds")),
+        *((f"{stream}_silent", True) for stream in ("imu", "attitude", "odometry", "actuator", "status")),
+        *((name, True) for name in ("link_lost", "stream_rate", "stamps_backwards")),
+        *((name, True) for name in ("telemetry_late", "telemetry_late_ground", "not_ready")),
+    ],
+)
+def test_another_system_on_the_link_is_named_where_a_stream_fails(name: str, says: bool) -> None:
+    c = rig_for(name, tuple(rule for rule in TELEPORTING if rule.name != "second_vehicle_ground"))
+    c.give(OtherVehicle(c.t_us, c.t_us, 7))
+    CAUSES[name](c)
+    event = next(e for e in fired(c) if e.rule == name)
+    assert event.detail.endswith("system 7 sends on the same link") is says
+
+
+@pytest.mark.parametrize(
+    ("name", "outcome"),
+    [
+        ("pilot", "released"),
+        ("operator_release", "released"),
+        ("px4_failsafe", "aborted"),
+        ("disarmed", "aborted"),
+    ],
+)
+def test_a_flight_is_released_by_persons_alone(name: str, outcome: str) -> None:
+    c = rig_for(name)
+    CAUSES[name](c)
+    c.run(0.3)
+    assert c.core.end is not None
+    assert c.core.end.outcome == outcome
+
+
 def test_nothing_fires_in_a_quiet_flight() -> None:
     c = HandFedCore()
     c.to_flight()
@@ -745,18 +779,32 @@ def test_beside_a_second_vehicle_a_landing_takes_fifteen_seconds_at_least() -> N
     assert [ends_after(c, seconds) for seconds in (1.0, 14.9, 15.1)] == [False, False, True]
 
 
-def test_without_ticks_all_rules_are_judged_as_often() -> None:
-    """More than 20 ms after the last time: with a sample every 4 ms the 80 ms without IMU show after 96."""
-    c = HandFedCore()
+@pytest.mark.parametrize(("every_us", "after_us"), [(4_000, 96_000), (20_000, 240_000)])
+def test_without_ticks_all_rules_are_judged_as_often(every_us: int, after_us: int) -> None:
+    """More than 20 ms after the last time: with a sample every 4 ms the 80 ms without IMU show after 96.
+
+    With one every 20 ms a dozen of them have not come by then, and it is given the 0.2 s of any stream.
+    """
+    c = HandFedCore(rules=tuple(rule for rule in RULES if rule.name == "imu_silent"))
     c.to_flight()
     c.run(0.02)
     c.give(Tick(c.t_us))
     last_us = c.t_us
     while not fired(c):
-        c.t_us += 4000
+        c.t_us += every_us
         c.give(AttitudeSample(c.t_us, c.t_us, c.q))
-    assert [e.rule for e in fired(c)] == ["imu_silent"]
-    assert c.t_us - last_us == 96_000
+    assert c.t_us - last_us == after_us
+
+
+@pytest.mark.parametrize(("above_m", "rules"), [(0.04, []), (0.06, ["altitude"])])
+def test_an_altitude_outside_of_the_flight_space_by_a_hands_breadth_is_none(
+    above_m: float, rules: list[str]
+) -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.position_ned = (*c.position_ned[:2], -(c.core.mission.bounds.z[1] + above_m))
+    c.run(0.05)
+    assert [e.rule for e in fired(c)] == rules
 
 
 @pytest.mark.parametrize("armed", [False, True])
@@ -1132,9 +1180,7 @@ def test_stamps_in_turn_are_two_clocks_where_they_are_further_apart_than_late_da
 
 
 @pytest.mark.parametrize(("turns", "after_us", "told"), [(2, 0, False), (3, 0, True), (3, 1_800_000, False)])
-def test_two_clocks_are_told_by_three_turns_within_two_seconds(
-    turns: int, after_us: int, told: bool
-) -> None:
+def test_two_clocks_are_told_by_three_turns_within_two_seconds(turns: int, after_us: int, told: bool) -> None:
     """Each there and back, 0.1 s after the one before."""
     clocks = SecondClockDetector(100_000.0)
     for i in range(turns + 1):
