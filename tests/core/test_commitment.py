@@ -6,10 +6,14 @@ import msgspec
 import numpy as np
 import pytest
 
+from dart_flight.base.records import LockPhase, LockState
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.commitment import SETTLED_BEFORE_S, bearable_in_either_mode, may_commit
+from dart_flight.core.mission.executive import Executive
 from dart_flight.core.mission.position_loop import PlaneMet, least_distance_m, meets_plane
+from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.run.fast import fly_fast
@@ -127,3 +131,22 @@ def test_where_either_mode_is_too_hard_the_approach_is_broken_off() -> None:
     verdict = fly_fast(limited(peak_force_n=90.0), 21, None)
     assert verdict.outcome == "aborted"
     assert verdict.guard[0].rule == "lock_late"
+
+
+@pytest.mark.parametrize(("nearest_m", "rules"), [(0.021, []), (0.019, ["lock_late"])])
+def test_a_lock_at_fault_is_late_once_holding_still_stops_within_two_centimetres_of_the_wall(
+    nearest_m: float, rules: list[str]
+) -> None:
+    px4, (near_m, far_m) = STIFF.vehicle.px4, (0.0, 3.0)
+    for _ in range(50):
+        away_m = 0.5 * (near_m + far_m)
+        if least_distance_m(away_m, 1.0, 0.0, away_m, px4) < nearest_m:
+            near_m = away_m
+        else:
+            far_m = away_m
+    wall, state, p = ACRYLIC.wall, FlightState(), Proposal()
+    (x, y), (nx, ny) = wall.point, wall.normal
+    state.position, state.velocity = (x + far_m * nx, y + far_m * ny, 1.0), (-nx, -ny, 0.0)
+    state.lock = LockState(0, LockPhase.FAULT, None)
+    Executive(STIFF)._check_lock_in_time(ACRYLIC, state, Sensed(), p)
+    assert [finding.rule for finding in p.findings] == rules

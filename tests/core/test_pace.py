@@ -100,7 +100,7 @@ def test_no_contact_of_a_flight_comes_while_the_core_has_patience(flown: SharedF
 
 def test_a_batch_takes_as_long_as_a_tick_and_four_fit_into_the_silence_that_ends_a_flight() -> None:
     assert BATCH_S == _TICK_S
-    assert 4.0 * BATCH_S == pytest.approx(SINGLE_WALL.vehicle.guard.imu_timeout_s)
+    assert SINGLE_WALL.vehicle.guard.imu_timeout_s == pytest.approx(4.0 * BATCH_S)
 
 
 def test_on_the_ground_it_has_patience() -> None:
