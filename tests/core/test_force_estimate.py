@@ -20,6 +20,7 @@ from dart_flight.base.geometry import (
 from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
+    ContactEnd,
     DetectionFloor,
     EscSample,
     ForceEstimate,
@@ -34,7 +35,7 @@ from dart_flight.base.records import (
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import ThrustSource, VehicleConfig
 from dart_flight.core.sense.arm_vibration import ArmFilter
-from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector, _top_of
+from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector, _top_of, confirmed_force
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.pulse import PulsePrior, TickReading, _binned, fit_friction, fit_normal
 from dart_flight.core.sense.senses import Senses
@@ -597,6 +598,51 @@ def test_a_dip_of_a_quarter_of_what_makes_an_impact_ends_a_weak_one(
     flat = [(-8.0, 0.0)] * 6
     seen = feed([(0.0, 0.0)] * 20 + flat + [(dip_n - 8.0, 0.0)] + flat, noise_n, (-1.0, 0.0))
     assert any(isinstance(e, ImpactPeak) for e in seen) is past
+
+
+def test_a_contact_that_does_not_end_is_over_after_half_a_second() -> None:
+    end = next(e for e in feed([(0.0, 0.0)] * 20 + [(-20.0, 0.0)] * 200) if isinstance(e, ContactEnd))
+    assert end.t_us - end.first_us == 500_000
+
+
+@pytest.mark.parametrize(("into_n", "planned"), [(0.9, True), (1.2, False)])
+def test_a_force_that_points_into_the_wall_by_a_tenth_may_still_be_the_planned_hit(
+    into_n: float, planned: bool
+) -> None:
+    """Friction comes first, and noise is added to it."""
+    seen = feed([(0.0, 0.0)] * 20 + [(into_n, 10.0)] * 3, 0.001, (-1.0, 0.0))
+    assert [e.planned for e in seen if isinstance(e, ImpactOnset)] == [planned]
+
+
+@pytest.mark.parametrize(("noise_n", "samples"), [(1.19, 2), (1.2, 3)])
+def test_three_samples_confirm_an_impact_where_two_are_too_noisy(noise_n: float, samples: int) -> None:
+    """The threshold of 5.5 N over 4.6."""
+    config = VEHICLE.detection
+    mean = confirmed_force(6.0, 0.0, ((6.0, 3.0), (0.0, 3.0)), noise_n, config)
+    assert mean == ((6.0, 1.5) if samples == 2 else (4.0, 2.0))
+
+
+@pytest.mark.parametrize(("noise_n", "samples"), [(0.2, 1), (0.4, 4), (0.5, 5), (5.0, 5)])
+def test_so_many_samples_are_averaged_that_their_noise_is_a_fiftieth_of_the_top(
+    noise_n: float, samples: int
+) -> None:
+    """But five at most."""
+    detector = ImpactDetector(VEHICLE)
+    detector._noise = noise_n
+    assert detector._smoothing(10.0) == samples
+
+
+def test_a_sample_needs_more_of_its_noise_than_a_mean_that_is_asked_less_often() -> None:
+    detector = ImpactDetector(VEHICLE)
+    for window in detector._windows:
+        window.noise_n = 2.0
+    assert detector.thresholds_n() == (12.0, 12.0, 10.0, 10.0)
+
+
+def test_the_top_of_a_pulse_is_what_is_above_seven_tenths_of_it() -> None:
+    """Three samples make no parabola of least squares: then it is the largest."""
+    sharp = [(4000 * i, height) for i, height in enumerate((1.0, 6.9, 10.0, 8.0, 5.0))]
+    assert _top_of(sharp) == (10.0, 8000)
 
 
 def test_wind_is_no_contact_but_leaning_on_a_wall_is() -> None:
