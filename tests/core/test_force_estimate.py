@@ -261,7 +261,7 @@ def test_without_a_fresh_source_hovering_is_assumed_and_no_motor_known() -> None
     assert model.mean_over_tick(1_204_000) == pytest.approx(MASS * 9.81)
 
 
-@pytest.mark.parametrize(("period_us", "constant"), [(100_000, 1.1e-8), (8_000, None)])
+@pytest.mark.parametrize(("period_us", "constant"), [(100_000, 1.1e-8), (24_000, 1.1e-8), (8_000, None)])
 def test_slow_or_uncalibrated_motor_speeds_are_no_source(period_us: int, constant: float | None) -> None:
     model = ThrustModel(with_estimation(esc_thrust_n_per_rpm2=constant))
     for t_us in range(1_000_000, 1_400_000, 4_000):
