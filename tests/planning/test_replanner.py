@@ -10,14 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dart_flight.base.geometry import GRAVITY_M_S2
-from dart_flight.base.records import Mode, PlanAnswer, PlanRequest, WallEstimate
+from dart_flight.base.records import FrameAnchor, Mode, PlanAnswer, PlanRequest, WallEstimate
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.mission_file import CollisionPrediction
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
 from dart_flight.core.mission.trajectories import PlannedTrajectory
 from dart_flight.planning.predicted_flight import predict_mission
-from dart_flight.planning.replanner import Replanner
+from dart_flight.planning.replanner import Replanner, _straights
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import read_log
 
@@ -163,6 +163,31 @@ def test_what_was_felt_counts_for_the_mode_that_it_was_felt_in(
     force = after.peak_force_n / before.peak_force_n
     speed = (after.normal_m_s or 0.0) / (before.normal_m_s or 1.0)
     assert force / speed == pytest.approx(math.sqrt(ratio), rel=0.08)
+
+
+def test_a_wall_that_was_felt_stays_where_it_is_when_the_frame_is_put_right() -> None:
+    """The frame's origin goes 6 cm along the wall's normal: the wall comes as much nearer."""
+    replanner, (nx, ny) = Replanner(MISSION), ACRYLIC.normal
+    replanner.update_wall(felt(Mode.RIGID, None, 1.0))
+    replanner.move_frame(FrameAnchor(2, "acrylic", (0.06 * nx, 0.06 * ny), 0.1, 0.02, None))
+    answer = replanner.answer(TO_WALL, 0)
+    assert answer.impact_s is not None
+    met = way_of(answer).at(answer.impact_s).position
+    assert ACRYLIC.signed_distance(met) == pytest.approx(-0.06, abs=1e-6)
+
+
+def test_a_way_may_begin_where_the_arms_are_still_pressed_in() -> None:
+    """Two centimetres behind the plane: the wall is behind the vehicle all the same."""
+    (x, y), (nx, ny) = ACRYLIC.foot((1.6, -0.7)), ACRYLIC.normal
+    pressed = msgspec.structs.replace(
+        TO_GOAL, begin_us=TO_GOAL.t_us, position_mission=(x - 0.02 * nx, y - 0.02 * ny, 1.0)
+    )
+    assert REPLANNER.answer(pressed, 0).problem == ""
+
+
+def test_before_a_wall_whose_place_is_not_sure_it_flies_straight_for_longer_where_there_is_room() -> None:
+    assert _straights(0.0) == [(0.3, 0.0), (0.1, 0.0)]
+    assert _straights(0.05) == [(0.3, 1.0), (0.1, 1.0), (0.1, 0.0)]
 
 
 @pytest.mark.parametrize("most_n", [150.0, 12.0])
