@@ -150,3 +150,17 @@ def test_a_lock_at_fault_is_late_once_holding_still_stops_within_two_centimetres
     state.lock = LockState(0, LockPhase.FAULT, None)
     Executive(STIFF)._check_lock_in_time(ACRYLIC, state, Sensed(), p)
     assert [finding.rule for finding in p.findings] == rules
+
+
+def test_a_wall_is_looked_for_two_seconds_ahead() -> None:
+    """On the way to a setpoint 0.5 m behind it, from rest."""
+    px4, met, nearest = STIFF.vehicle.px4, [], []
+    for away_m in np.arange(0.1, 4.0, 0.05):
+        there = meets_plane(away_m, 0.0, 0.0, -0.5, px4, horizon_s=20.0)
+        assert there is not None
+        soon = meets_plane(away_m, 0.0, 0.0, -0.5, px4)
+        met.append((there.after_s, soon is not None))
+        nearest.append((there.after_s, least_distance_m(away_m, 0.0, 0.0, -0.5, px4) <= 0.0))
+    assert met == nearest == [(after_s, after_s <= 2.0) for after_s, _ in met]
+    assert any(1.7 < after_s <= 2.0 for after_s, _ in met)
+    assert any(2.0 < after_s < 2.3 for after_s, _ in met)

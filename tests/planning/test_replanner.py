@@ -176,13 +176,15 @@ def test_a_wall_that_was_felt_stays_where_it_is_when_the_frame_is_put_right() ->
     assert ACRYLIC.signed_distance(met) == pytest.approx(-0.06, abs=1e-6)
 
 
-def test_a_way_may_begin_where_the_arms_are_still_pressed_in() -> None:
-    """Two centimetres behind the plane: the wall is behind the vehicle all the same."""
+@pytest.mark.parametrize(("behind_m", "problem"), [(0.14, ""), (0.16, "no trajectory to the goal")])
+def test_a_way_may_begin_where_the_arms_are_still_pressed_in(behind_m: float, problem: str) -> None:
+    """Up to 15 cm behind the plane; from further behind it would lead through the wall."""
     (x, y), (nx, ny) = ACRYLIC.foot((1.6, -0.7)), ACRYLIC.normal
     pressed = msgspec.structs.replace(
-        TO_GOAL, begin_us=TO_GOAL.t_us, position_mission=(x - 0.02 * nx, y - 0.02 * ny, 1.0)
+        TO_GOAL, begin_us=TO_GOAL.t_us, position_mission=(x - behind_m * nx, y - behind_m * ny, 1.0)
     )
-    assert REPLANNER.answer(pressed, 0).problem == ""
+    assert problem in REPLANNER.answer(pressed, 0).problem
+    assert bool(REPLANNER.answer(pressed, 0).problem) is bool(problem)
 
 
 def test_before_a_wall_whose_place_is_not_sure_it_flies_straight_for_longer_where_there_is_room() -> None:
