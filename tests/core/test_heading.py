@@ -8,6 +8,7 @@ import pytest
 from dart_flight.base.geometry import MissionFrame, quaternion_from_euler, yaw_ned_of
 from dart_flight.base.records import Mode, WallEstimate
 from dart_flight.base.walls import Wall
+from dart_flight.core.mission.anchors import FrameAnchors
 from dart_flight.core.mission.heading import HeadingControl
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
 from dart_flight.sim.cascade import Cascade, TrajectorySetpoint
@@ -120,3 +121,12 @@ def test_walls_that_were_met_stay_where_they_are_when_the_frame_moves() -> None:
     moved = (here[0] - by[0], here[1] - by[1])
     assert walls.wall_now(met).signed_distance(moved) == pytest.approx(before_m)
     assert walls.wall_now(other) == other
+
+
+@pytest.mark.parametrize("sd_m", [0.3, None])
+def test_a_walls_place_is_as_unsure_as_it_and_the_frame_are_together(sd_m: float | None) -> None:
+    wall = Wall("wood", (2.0, 1.0), (-0.6, -0.8), 2.0, "acrylic", position_sd_m=sd_m)
+    anchors = FrameAnchors(0.1)
+    seen = EstimatedWalls(anchors).wall_now(wall, 5_000_000)
+    assert seen.position_sd_m == pytest.approx(math.hypot(sd_m or 0.0, anchors.sd_m(wall.normal, 5_000_000)))
+    assert EstimatedWalls(anchors).wall_now(wall) == EstimatedWalls().wall_now(wall, 5_000_000) == wall
