@@ -91,6 +91,14 @@ def test_the_noise_is_that_of_one_sample_and_axis() -> None:
     assert bias.noise_m_s2 == pytest.approx(0.2 / math.sqrt(2.0), rel=0.02)
 
 
+def test_no_sensor_is_without_noise() -> None:
+    """0.01 m/s2 at least: a simulated one repeats itself."""
+    bias = HoverBias(ESTIMATION, MASS)
+    for _ in range(3000):
+        bias.learn((0.0, 0.0, -GRAVITY_M_S2), STILL, 0.0, WEIGHT_N, DT_S)
+    assert bias.noise_m_s2 == pytest.approx(0.01)
+
+
 # --- the baseline ------------------------------------------------------------------------------------------
 
 

@@ -6,10 +6,14 @@ import msgspec
 import numpy as np
 import pytest
 
+from dart_flight.base.records import LockPhase, LockState
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.commitment import SETTLED_BEFORE_S, bearable_in_either_mode, may_commit
+from dart_flight.core.mission.executive import Executive
 from dart_flight.core.mission.position_loop import PlaneMet, least_distance_m, meets_plane
+from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.run.fast import fly_fast
@@ -127,3 +131,39 @@ def test_where_either_mode_is_too_hard_the_approach_is_broken_off() -> None:
     verdict = fly_fast(limited(peak_force_n=90.0), 21, None)
     assert verdict.outcome == "aborted"
     assert verdict.guard[0].rule == "lock_late"
+
+
+@pytest.mark.parametrize(("nearest_m", "rules"), [(0.021, []), (0.019, ["lock_late"])])
+def test_a_lock_at_fault_is_late_once_holding_still_stops_within_two_centimetres_of_the_wall(
+    nearest_m: float, rules: list[str]
+) -> None:
+    px4, (near_m, far_m) = STIFF.vehicle.px4, (0.0, 3.0)
+    for _ in range(50):
+        away_m = 0.5 * (near_m + far_m)
+        if least_distance_m(away_m, 1.0, 0.0, away_m, px4) < nearest_m:
+            near_m = away_m
+        else:
+            far_m = away_m
+    wall, state, p = ACRYLIC.wall, FlightState(), Proposal()
+    (x, y), (nx, ny) = wall.point, wall.normal
+    state.position, state.velocity = (x + far_m * nx, y + far_m * ny, 1.0), (-nx, -ny, 0.0)
+    state.lock = LockState(0, LockPhase.FAULT, None)
+    Executive(STIFF)._check_lock_in_time(ACRYLIC, state, Sensed(), p)
+    assert [finding.rule for finding in p.findings] == rules
+
+
+@pytest.mark.parametrize(("closing_m_s", "after_s"), [(0.0, 1.3), (-4.0, 1.9)])
+def test_a_wall_is_looked_for_as_far_ahead_as_the_loop_may_need_to_it(
+    closing_m_s: float, after_s: float
+) -> None:
+    """On the way to a setpoint a decimetre behind it; who flies away from it at first is there later."""
+    met = meets_plane(0.5, closing_m_s, 0.0, -0.1, STIFF.vehicle.px4)
+    assert met is not None
+    assert met.after_s == pytest.approx(after_s, abs=0.03)
+    assert least_distance_m(0.5, 0.0, 0.0, -0.1, STIFF.vehicle.px4) < 0.0
+
+
+def test_on_the_way_out_from_behind_the_plane_it_is_met_in_the_next_step() -> None:
+    met = meets_plane(-0.1, -0.5, 0.0, 0.3, STIFF.vehicle.px4)
+    assert met is not None
+    assert met.after_s == pytest.approx(0.01)

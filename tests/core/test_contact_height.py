@@ -2,6 +2,7 @@
 
 import math
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -36,8 +37,20 @@ def cross(a: Vec3, b: Vec3) -> Vec3:
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-def felt(height_m: float, side: int, tilt: Vec3, peak_n: float, expected: ExpectedContact) -> ContactHeight:
-    """One contact of a side (0 front, 1 right, 2 back, 3 left), pushed on at a height."""
+def felt(
+    height_m: float,
+    side: int,
+    tilt: Vec3,
+    peak_n: float,
+    expected: ExpectedContact,
+    onset: ImpactOnset = ONSET,
+    weak_n: float = 0.0,
+    clipped: int | None = None,
+) -> ContactHeight:
+    """One contact of a side (0 front, 1 right, 2 back, 3 left), pushed on at a height.
+
+    Samples of a force under `weak_n`, and the one that is `clipped`, come with a torque that is not its.
+    """
     state, samples = FlightState(has_lock=False), ContactSampleBuffer()
     state.frame = frame = MissionFrame(heading_rad=0.4)
     height = ContactHeight(OUT_M, samples)
@@ -51,10 +64,11 @@ def felt(height_m: float, side: int, tilt: Vec3, peak_n: float, expected: Expect
         force_n = peak_n * math.sin(math.pi * (k + 0.5) / 20.0)
         push = rotate_back(q, frame.vector_to_ned((force_n * NX, force_n * NY, 0.0)))
         t_us = 4_000 * (k + 1)
-        force = ForceEstimate(t_us, (force_n * NX + SLOW[0], force_n * NY + SLOW[1], 0.0), False)
-        torque = TorqueEstimate(t_us, cross(at, push))
+        force = ForceEstimate(t_us, (force_n * NX + SLOW[0], force_n * NY + SLOW[1], 0.0), k == clipped)
+        spoilt = force_n < weak_n or k == clipped
+        torque = TorqueEstimate(t_us, (3.0, 4.0, 5.0) if spoilt else cross(at, push))
         samples.add(ContactSample(force, torque, q, (0.0, 0.0, 0.0)))
-        events: list[Event] = [ONSET] if k == 0 else []
+        events: list[Event] = [onset] if k == 0 else []
         height.update(state, SLOW, events, expected)
     height.update(state, SLOW, [ContactEnd(84_000, 84_000)], NO_WALL)
     return height
@@ -78,3 +92,19 @@ def test_a_contact_that_says_too_little_leaves_it_open() -> None:
     assert felt(0.02, 0, (0.0, 0.0, 0.0), 6.0, AT_WALL).height_m is None
     assert felt(0.02, 0, (0.0, 0.0, 0.0), 50.0, ExpectedContact(True)).height_m is None
     assert ContactHeight(OUT_M, ContactSampleBuffer()).height_m is None
+
+
+def test_samples_that_are_clipped_or_weak_and_contacts_of_no_plan_say_nothing_of_it() -> None:
+    """Weak is what is under 3 N: the first sample of 37 N at the peak, and not that of 39 N."""
+    level = (0.02, 0, (0.0, 0.0, 0.0))
+    assert felt(*level, 50.0, AT_WALL, clipped=9).height_m == pytest.approx(0.02)
+    assert felt(*level, 37.0, AT_WALL, weak_n=4.0).height_m == pytest.approx(0.02)
+    assert felt(*level, 39.0, AT_WALL, weak_n=4.0).height_m != pytest.approx(0.02, abs=1e-4)
+    unplanned = msgspec.structs.replace(ONSET, planned=False)
+    assert felt(*level, 50.0, AT_WALL, onset=unplanned).height_m is None
+
+
+@pytest.mark.parametrize(("peak_n", "known"), [(9.9, False), (10.2, True)])
+def test_it_is_known_from_a_sum_of_squared_forces_on(peak_n: float, known: bool) -> None:
+    """1000 N2: of a half-sine over twenty samples ten times the peak's square."""
+    assert (felt(0.02, 0, (0.0, 0.0, 0.0), peak_n, AT_WALL).height_m is not None) is known

@@ -209,6 +209,17 @@ def test_the_window_forgets_no_rounding_and_learns_no_constant_force() -> None:
     assert window.noise_n == pytest.approx(1.0 / math.sqrt(16.0), rel=0.4)
 
 
+def test_the_newest_ten_means_teach_nothing_yet_and_what_was_assumed_counts_for_five() -> None:
+    """A contact's foot may be in them."""
+    window = WindowMean(0.0, 1.0, 1)
+    for i in range(11):
+        window.add(4000 * i, 0.0, 0.0)
+        window.learn(0.004)
+    assert window.noise_n == 1.0
+    window.learn(0.004)
+    assert window.noise_n == pytest.approx(math.sqrt(5.0 / 6.0))
+
+
 @pytest.mark.parametrize("period_s", [0.004, 0.01])
 @pytest.mark.parametrize("length_s", [0.0, 0.032, 0.1])
 @pytest.mark.parametrize("duration_s", [0.03, 0.06, 0.15, 0.3])
@@ -250,3 +261,5 @@ def test_of_a_wall_that_is_in_no_plan_the_middle_of_the_materials_is_expected() 
     assert _mean_prior([soft]) == pytest.approx(soft)
     assert _mean_prior([stiff, soft]) == pytest.approx((40.0, 3.0, 1.0))
     assert min(_mean_prior([])) > 0.0
+    # Of one that does not hold on at all: a millionth, so that there is a ratio.
+    assert _mean_prior([stiff, soft._replace(kappa=0.0)]).kappa == pytest.approx(math.sqrt(2.0 * 1e-6))

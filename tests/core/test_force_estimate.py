@@ -9,10 +9,18 @@ import statistics
 import msgspec
 import pytest
 
-from dart_flight.base.geometry import IDENTITY, MissionFrame, Vec3, quaternion_from_euler
+from dart_flight.base.geometry import (
+    IDENTITY,
+    MissionFrame,
+    Vec3,
+    advance_attitude,
+    quaternion_from_euler,
+    rotate,
+)
 from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
+    ContactEnd,
     DetectionFloor,
     EscSample,
     ForceEstimate,
@@ -27,7 +35,7 @@ from dart_flight.base.records import (
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import ThrustSource, VehicleConfig
 from dart_flight.core.sense.arm_vibration import ArmFilter
-from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector, _top_of
+from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector, _top_of, confirmed_force
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.pulse import PulsePrior, TickReading, _binned, fit_friction, fit_normal
 from dart_flight.core.sense.senses import Senses
@@ -203,6 +211,13 @@ def test_many_readings_of_a_pulse_are_averaged_into_few_that_say_the_same_togeth
         assert together == pytest.approx(alone)
 
 
+@pytest.mark.parametrize(("apart_s", "averaged"), [(0.0, True), (0.9e-6, True), (1.1e-6, False)])
+def test_readings_less_than_a_microsecond_apart_are_neighbours(apart_s: float, averaged: bool) -> None:
+    begins = [(0.004 + apart_s) * i for i in range(90)]
+    readings = [TickReading(at, at + 0.004, 1.0, 0.0, False) for at in begins]
+    assert (len(_binned(readings)) < 90) is averaged
+
+
 # --- thrust ------------------------------------------------------------------------------------------
 
 
@@ -246,7 +261,7 @@ def test_without_a_fresh_source_hovering_is_assumed_and_no_motor_known() -> None
     assert model.mean_over_tick(1_204_000) == pytest.approx(MASS * 9.81)
 
 
-@pytest.mark.parametrize(("period_us", "constant"), [(100_000, 1.1e-8), (8_000, None)])
+@pytest.mark.parametrize(("period_us", "constant"), [(100_000, 1.1e-8), (24_000, 1.1e-8), (8_000, None)])
 def test_slow_or_uncalibrated_motor_speeds_are_no_source(period_us: int, constant: float | None) -> None:
     model = ThrustModel(with_estimation(esc_thrust_n_per_rpm2=constant))
     for t_us in range(1_000_000, 1_400_000, 4_000):
@@ -267,6 +282,11 @@ def test_battery_voltage_scales_the_curve() -> None:
     assert model.mean_over_tick(1_012_000) == pytest.approx(full * 0.9**1.5)
     model.take_voltage(None)
     assert model.mean_over_tick(1_016_000) == pytest.approx(full * 0.9**1.5)
+    model.take_voltage(0.0)  # as who measures none may say
+    assert model.mean_over_tick(1_020_000) == pytest.approx(full * 0.9**1.5)
+    model.take_voltage(0.5)
+    model.mean_over_tick(1_024_000)
+    assert model.mean_over_tick(1_028_000) == pytest.approx(full * (0.5 / battery.reference_v) ** 1.5)
 
 
 def test_what_battery_and_motors_say_gets_to_the_thrust() -> None:
@@ -372,6 +392,58 @@ def test_the_covariance_says_how_far_the_estimate_is_off() -> None:
     assert tilted.variance_n2[0] > tilted.variance_n2[1]
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_force_is_what_thrust_gravity_and_drag_do_not_explain(seed: int) -> None:
+    """In any attitude, on any heading, at any velocity; the attitude carried on by the gyro for 50 ms."""
+    rng = random.Random(seed)
+
+    def drawn(most: float) -> Vec3:
+        return (rng.uniform(-most, most), rng.uniform(-most, most), rng.uniform(-most, most))
+
+    airframe = msgspec.structs.replace(VEHICLE.airframe, drag_per_s=(0.3, 0.2, 0.1))
+    vehicle = msgspec.structs.replace(with_estimation(arm_vibration=None), airframe=airframe)
+    estimator, state = ForceEstimator(vehicle), FlightState()
+    frame = MissionFrame(1.0, 2.0, -3.0, rng.uniform(-3.0, 3.0))
+    state.anchor(frame)
+    velocity_ned, rate, f = drawn(2.0), drawn(3.0), drawn(20.0)
+    state.take_odometry(OdometrySample(1_000_000, 0, (0.0, 0.0, 0.0), velocity_ned))
+    q = quaternion_from_euler(*drawn(1.5))
+    estimator.take_attitude(AttitudeSample(1_000_000, 0, q))
+    estimator.thrust.take_actuator(ActuatorSample(900_000, 0, (HOVER,) * 4))
+    hover = estimator.hover
+    hover.bias_x, hover.bias_y, hover.scale = 0.3, -0.2, 0.9
+    t_us = 1_050_000
+    estimate = estimator.estimate(ImuSample(t_us, 0, f, rate), state, in_contact=True)
+    assert estimate is not None
+    thrust_n = estimator.thrust_n
+    assert thrust_n == pytest.approx(0.9 * MASS * 9.81, rel=0.01)
+    lag_s = vehicle.imu.reading_lag_s
+    then = advance_attitude(q, rate, 0.05 - round(lag_s * 1e6) * 1e-6)
+    seen = rotate(then, (MASS * (f[0] - 0.3), MASS * (f[1] + 0.2), MASS * f[2] + thrust_n))
+    (x, y, z), v = frame.vector_from_ned(seen), frame.vector_from_ned(velocity_ned)
+    drag = (0.3 * MASS * v[0], 0.2 * MASS * v[1], 0.1 * MASS * v[2])
+    force = (x + drag[0], y + drag[1], z + drag[2])
+    assert estimate.force_mission == pytest.approx(force)
+    up = frame.vector_from_ned(rotate(then, (0.0, 0.0, -1.0)))
+    assert estimate.push_mission == pytest.approx((thrust_n * up[0] - drag[0], thrust_n * up[1] - drag[1]))
+    e, noise = vehicle.estimation, MASS * hover.noise_m_s2
+    size2 = sum(axis * axis for axis in force)
+    for axis in range(3):
+        across2 = size2 - force[axis] ** 2
+        variance = noise**2 + (e.thrust_error_n * up[axis]) ** 2 + e.attitude_error_rad**2 * across2
+        assert estimate.variance_n2[axis] == pytest.approx(variance)
+
+
+@pytest.mark.parametrize(("away_us", "near"), [(-60_000, True), (-60_001, False), (60_000, True)])
+def test_an_attitude_is_carried_on_for_sixty_milliseconds(away_us: int, near: bool) -> None:
+    estimator, state = ForceEstimator(VEHICLE), FlightState()
+    state.anchor(MissionFrame())
+    at_us = 1_000_000 - round(VEHICLE.imu.reading_lag_s * 1e6)
+    estimator.take_attitude(AttitudeSample(at_us + away_us, 0, IDENTITY))
+    imu = ImuSample(1_000_000, 0, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0))
+    assert (estimator.estimate(imu, state) is not None) is near
+
+
 def test_a_reading_at_full_scale_is_a_lower_bound() -> None:
     vehicle = Hovering(VEHICLE)
     vehicle.run(0.1)
@@ -407,6 +479,34 @@ def test_the_arms_swinging_is_taken_out() -> None:
         without.append(abs(inverse.remove(mean, 0.0, 0.004)[0] - true))
     assert max(with_arms) > 0.3
     assert max(without) < 0.05
+
+
+def test_what_the_arms_add_along_either_axis_is_what_is_taken_out() -> None:
+    arms = VEHICLE.estimation.arm_vibration
+    assert arms is not None
+    adds, removes, rng = ArmFilter(arms, 0.004), ArmFilter(arms, 0.004), random.Random(4)
+    for _ in range(50):
+        x, y = rng.gauss(0.0, 10.0), rng.gauss(0.0, 10.0)
+        felt = adds.add(x, y)
+        assert removes.remove(*felt, 0.004) == pytest.approx((x, y))
+    assert felt != pytest.approx((x, y), rel=0.01)
+    along_x, along_y = ArmFilter(arms, 0.004), ArmFilter(arms, 0.004)
+    for i in range(50):
+        assert along_x.remove(float(i % 7), 0.0, 0.004)[0] == along_y.remove(0.0, float(i % 7), 0.004)[1]
+
+
+@pytest.mark.parametrize(("gap", "rests"), [(25, False), (26, True)])
+def test_over_a_gap_the_arms_swing_on_until_they_have_come_to_rest(gap: int, rests: bool) -> None:
+    arms = VEHICLE.estimation.arm_vibration
+    assert arms is not None
+    filters = [ArmFilter(arms, 0.004) for _ in range(3)]
+    for each in filters[:2]:
+        each.remove(30.0, -20.0, 0.004)
+    jumped, stepped, fresh = filters
+    for _ in range(gap):
+        swinging = stepped.remove(1.0, 2.0, 0.004)
+    found = jumped.remove(1.0, 2.0, 0.004 * gap)
+    assert found == pytest.approx(fresh.remove(1.0, 2.0, 0.004) if rests else swinging, rel=1e-12)
 
 
 # --- detector ----------------------------------------------------------------------------------------
@@ -477,6 +577,72 @@ def test_a_hit_is_felt_alike_on_a_wall_at_any_angle(angle: float, way: float) ->
     assert oblique.normal_force_n == pytest.approx(straight.normal_force_n)
     assert oblique.tangential_force_n == pytest.approx(straight.tangential_force_n)
     assert straight.tangential_force_n * way > 1.0
+
+
+@pytest.mark.parametrize(("bump_n", "peak_n"), [(2.5, 30.0), (3.0, 3.0)])
+def test_where_friction_comes_first_the_peak_is_waited_for_until_the_wall_pushes(
+    bump_n: float, peak_n: float
+) -> None:
+    """Half as much as makes an impact: less may drop again before the contact has begun in earnest."""
+    foot = [(-0.5 * bump_n, 8.0), (-bump_n, 9.0), (-bump_n, 9.0), (-0.5 * bump_n, 9.0), (-0.1, 9.0)]
+    pulse = [(-f, 6.0) for f in half_sine(30.0, 12)]
+    seen = feed([(0.0, 0.0)] * 20 + foot + pulse + [(0.0, 0.0)] * 60, 0.01, (-1.0, 0.0))
+    first = next(e for e in seen if isinstance(e, ImpactPeak))
+    assert first.normal_force_n == pytest.approx(peak_n, rel=0.1)
+
+
+@pytest.mark.parametrize(("dip_n", "noise_n", "past"), [(1.2, 0.01, False), (1.6, 0.01, True)])
+def test_a_dip_of_a_quarter_of_what_makes_an_impact_ends_a_weak_one(
+    dip_n: float, noise_n: float, past: bool
+) -> None:
+    flat = [(-8.0, 0.0)] * 6
+    seen = feed([(0.0, 0.0)] * 20 + flat + [(dip_n - 8.0, 0.0)] + flat, noise_n, (-1.0, 0.0))
+    assert any(isinstance(e, ImpactPeak) for e in seen) is past
+
+
+def test_a_contact_that_does_not_end_is_over_after_half_a_second() -> None:
+    end = next(e for e in feed([(0.0, 0.0)] * 20 + [(-20.0, 0.0)] * 200) if isinstance(e, ContactEnd))
+    assert end.t_us - end.first_us == 500_000
+
+
+@pytest.mark.parametrize(("into_n", "planned"), [(0.9, True), (1.2, False)])
+def test_a_force_that_points_into_the_wall_by_a_tenth_may_still_be_the_planned_hit(
+    into_n: float, planned: bool
+) -> None:
+    """Friction comes first, and noise is added to it."""
+    seen = feed([(0.0, 0.0)] * 20 + [(into_n, 10.0)] * 3, 0.001, (-1.0, 0.0))
+    assert [e.planned for e in seen if isinstance(e, ImpactOnset)] == [planned]
+
+
+@pytest.mark.parametrize(("noise_n", "samples"), [(1.19, 2), (1.2, 3)])
+def test_three_samples_confirm_an_impact_where_two_are_too_noisy(noise_n: float, samples: int) -> None:
+    """The threshold of 5.5 N over 4.6."""
+    config = VEHICLE.detection
+    mean = confirmed_force(6.0, 0.0, ((6.0, 3.0), (0.0, 3.0)), noise_n, config)
+    assert mean == ((6.0, 1.5) if samples == 2 else (4.0, 2.0))
+
+
+@pytest.mark.parametrize(("noise_n", "samples"), [(0.2, 1), (0.4, 4), (0.5, 5), (5.0, 5)])
+def test_so_many_samples_are_averaged_that_their_noise_is_a_fiftieth_of_the_top(
+    noise_n: float, samples: int
+) -> None:
+    """But five at most."""
+    detector = ImpactDetector(VEHICLE)
+    detector._noise = noise_n
+    assert detector._smoothing(10.0) == samples
+
+
+def test_a_sample_needs_more_of_its_noise_than_a_mean_that_is_asked_less_often() -> None:
+    detector = ImpactDetector(VEHICLE)
+    for window in detector._windows:
+        window.noise_n = 2.0
+    assert detector.thresholds_n() == (12.0, 12.0, 10.0, 10.0)
+
+
+def test_the_top_of_a_pulse_is_what_is_above_seven_tenths_of_it() -> None:
+    """Three samples make no parabola of least squares: then it is the largest."""
+    sharp = [(4000 * i, height) for i, height in enumerate((1.0, 6.9, 10.0, 8.0, 5.0))]
+    assert _top_of(sharp) == (10.0, 8000)
 
 
 def test_wind_is_no_contact_but_leaning_on_a_wall_is() -> None:

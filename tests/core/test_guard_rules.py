@@ -46,7 +46,7 @@ from dart_flight.base.records import (
 from dart_flight.base.streams import BY_NAME
 from dart_flight.core import flight_core
 from dart_flight.core.guard.rules import RULES, Rule
-from dart_flight.core.guard.second_vehicle import SecondPositionDetector
+from dart_flight.core.guard.second_vehicle import SecondClockDetector, SecondPositionDetector
 from dart_flight.core.mission import executive, rehearsal
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.senses import Sensed
@@ -533,6 +533,40 @@ def test_without_the_rule_nobody_says_it(rule: Rule) -> None:
     assert rule.name not in [e.rule for e in fired(c)]
 
 
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        *((name, False) for name in ("pilot", "tilt", "bounds")),
+        *((f"{stream}_silent", True) for stream in ("imu", "attitude", "odometry", "actuator", "status")),
+        *((name, True) for name in ("link_lost", "stream_rate", "stamps_backwards")),
+        *((name, True) for name in ("telemetry_late", "telemetry_late_ground", "not_ready")),
+    ],
+)
+def test_another_system_on_the_link_is_named_where_a_stream_fails(name: str, says: bool) -> None:
+    c = rig_for(name, tuple(rule for rule in TELEPORTING if rule.name != "second_vehicle_ground"))
+    c.give(OtherVehicle(c.t_us, c.t_us, 7))
+    CAUSES[name](c)
+    event = next(e for e in fired(c) if e.rule == name)
+    assert event.detail.endswith("system 7 sends on the same link") is says
+
+
+@pytest.mark.parametrize(
+    ("name", "outcome"),
+    [
+        ("pilot", "released"),
+        ("operator_release", "released"),
+        ("px4_failsafe", "aborted"),
+        ("disarmed", "aborted"),
+    ],
+)
+def test_a_flight_is_released_by_persons_alone(name: str, outcome: str) -> None:
+    c = rig_for(name)
+    CAUSES[name](c)
+    c.run(0.3)
+    assert c.core.end is not None
+    assert c.core.end.outcome == outcome
+
+
 def test_nothing_fires_in_a_quiet_flight() -> None:
     c = HandFedCore()
     c.to_flight()
@@ -717,6 +751,60 @@ def test_a_landing_is_waited_for_until_the_motors_would_be_stopped() -> None:
     assert c.core.end is None
     c.run(1.0)
     assert [e.rule for e in fired(c)][-1] == "still_armed"
+
+
+def ends_after(c: HandFedCore, seconds: float) -> bool:
+    """Whether the guard's landing is given up or done so long after it began."""
+    event = next(e for e in fired(c) if e.action is Override.LAND)
+    guard, state = c.core._guard, c.core._senses.state
+    state.now_us = event.t_us + round(seconds * 1e6)
+    guard.review(Tick(state.host_us), state, Sensed(None, (), False), Phase.OVERRULED, Proposal())
+    return guard.end is not None
+
+
+def test_a_landing_without_a_time_to_stop_the_motors_is_waited_for_a_minute() -> None:
+    c = HandFedCore(settings={"vehicle.guard.kill_after_s": None})
+    c.to_flight()
+    c.set_status(battery_v=12.9)
+    c.run(1.2)
+    assert [ends_after(c, seconds) for seconds in (1.0, 59.9, 60.1)] == [False, False, True]
+
+
+def test_beside_a_second_vehicle_a_landing_takes_fifteen_seconds_at_least() -> None:
+    """Whose state says landed and disarmed is not known."""
+    c = HandFedCore()
+    c.to_flight()
+    in_turn(c, 238_000_000, 0.0, 0.1)
+    c.set_status(armed=False, landed=LandedState.ON_GROUND)
+    assert [ends_after(c, seconds) for seconds in (1.0, 14.9, 15.1)] == [False, False, True]
+
+
+@pytest.mark.parametrize(("every_us", "after_us"), [(4_000, 96_000), (20_000, 240_000)])
+def test_without_ticks_all_rules_are_judged_as_often(every_us: int, after_us: int) -> None:
+    """More than 20 ms after the last time: with a sample every 4 ms the 80 ms without IMU show after 96.
+
+    With one every 20 ms a dozen of them have not come by then, and it is given the 0.2 s of any stream.
+    """
+    c = HandFedCore(rules=tuple(rule for rule in RULES if rule.name == "imu_silent"))
+    c.to_flight()
+    c.run(0.02)
+    c.give(Tick(c.t_us))
+    last_us = c.t_us
+    while not fired(c):
+        c.t_us += every_us
+        c.give(AttitudeSample(c.t_us, c.t_us, c.q))
+    assert c.t_us - last_us == after_us
+
+
+@pytest.mark.parametrize(("above_m", "rules"), [(0.04, []), (0.06, ["altitude"])])
+def test_an_altitude_outside_of_the_flight_space_by_a_hands_breadth_is_none(
+    above_m: float, rules: list[str]
+) -> None:
+    c = HandFedCore()
+    c.to_flight()
+    c.position_ned = (*c.position_ned[:2], -(c.core.mission.bounds.z[1] + above_m))
+    c.run(0.05)
+    assert [e.rule for e in fired(c)] == rules
 
 
 @pytest.mark.parametrize("armed", [False, True])
@@ -1076,6 +1164,53 @@ def test_a_position_after_a_gap_is_compared_with_none_from_before_it() -> None:
             assert take(north_m, 1.1) is None
             assert take(3.0 - north_m) is None  # once there, and not back
     assert [take(north_m) for north_m in (0.0, 3.0, 0.0, 3.0, 0.0)][-1] == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(("back_us", "seconds_apart"), [(0, None), (50_000, None), (600_000, 0.6)])
+def test_stamps_in_turn_are_two_clocks_where_they_are_further_apart_than_late_datagrams(
+    back_us: int, seconds_apart: float | None
+) -> None:
+    clocks = SecondClockDetector(100_000.0)
+    for i in range(8):
+        t_us = 10_000_000 + 10_000 * i
+        clocks.update(t_us, t_us)
+        clocks.update(t_us - back_us, t_us)
+    assert clocks.apart_s(10_070_000) == pytest.approx(seconds_apart)
+    assert (clocks.odd_us is not None) is (seconds_apart is not None)
+
+
+@pytest.mark.parametrize(("turns", "after_us", "told"), [(2, 0, False), (3, 0, True), (3, 1_800_000, False)])
+def test_two_clocks_are_told_by_three_turns_within_two_seconds(turns: int, after_us: int, told: bool) -> None:
+    """Each there and back, 0.1 s after the one before."""
+    clocks = SecondClockDetector(100_000.0)
+    for i in range(turns + 1):
+        t_us = 10_000_000 + 100_000 * i
+        clocks.update(t_us, t_us)
+        clocks.update(t_us - 5_000_000, t_us)
+    last_us = 10_000_000 + 100_000 * turns
+    assert (clocks.apart_s(last_us + after_us + 1) is not None) is told
+    assert (clocks.apart_s(last_us + max(0, after_us - 1)) is not None) is (turns == 3)
+
+
+@pytest.mark.parametrize(("ahead_us", "odd"), [(5_900_000, False), (6_100_000, True)])
+def test_a_stamp_is_another_clocks_where_it_is_further_ahead_than_time_can_have_gone_by(
+    ahead_us: int, odd: bool
+) -> None:
+    """A second, and twenty times what has gone by here."""
+    clocks = SecondClockDetector(100_000.0)
+    clocks.update(10_000_000, 0)
+    clocks.update(10_000_000 + ahead_us, 250_000)
+    assert (clocks.odd_us is not None) is odd
+
+
+def test_a_clock_that_goes_back_again_and_again_is_one() -> None:
+    """As a stream does that is told again from its beginning: no second one goes on where it was."""
+    clocks = SecondClockDetector(100_000.0)
+    for i in range(8):
+        t_us = 10_000_000 + 10_000 * i
+        clocks.update(t_us, t_us)
+        clocks.update(5_000_000, t_us)
+    assert clocks.apart_s(10_070_000) is None
 
 
 def test_a_second_vehicle_explains_what_had_fired_before_it_was_told_apart() -> None:

@@ -92,6 +92,42 @@ def test_jitter_is_lateness_where_too_much_of_it_comes_late() -> None:
     assert feed(TelemetryDelay(0.075), 5.0, lambda t: 0.15 * chance.random())
 
 
+@pytest.mark.parametrize(("every_ms", "samples"), [(4, 41), (20, 9), (100, 9)])
+def test_samples_are_late_once_they_are_for_a_sixth_of_a_second(every_ms: int, samples: int) -> None:
+    """A share of 15 % of the last second; a sample counts for 20 ms at most, however long none came."""
+    lateness = TelemetryDelay(0.075)
+    feed(lateness, 1.0, lambda t: 0.0)
+    count = 0
+    while not lateness.late:
+        count += 1
+        now_us = 996_000 + 1000 * every_ms * count
+        lateness.take_sample(AHEAD_US + now_us - 80_000, now_us)
+    assert count == samples
+
+
+@pytest.mark.parametrize(("way_ms", "taken"), [(20, True), (22, False)])
+def test_a_round_trip_counts_again_when_the_clocks_may_have_drifted_as_far_as_it_may_err(
+    way_ms: int, taken: bool
+) -> None:
+    """After 100 s by 20 ms, on top of the millisecond by which the one before may err."""
+    lateness = TelemetryDelay(0.075)
+    lateness.take_round_trip(RoundTrip(1_000, -1_000, AHEAD_US))
+    later_us, way_us = 100_001_000, 1000 * way_ms
+    autopilot_us = AHEAD_US + later_us - way_us + 5_000
+    lateness.take_round_trip(RoundTrip(later_us, later_us - 2 * way_us, autopilot_us))
+    lateness.take_sample(AHEAD_US, 10_000)
+    assert lateness.age_us == (15_000.0 if taken else 10_000.0)
+
+
+def test_where_clocks_cannot_be_compared_the_shortest_of_three_round_trips_counts() -> None:
+    lateness, ages_us = TelemetryDelay(0.075), []
+    for took_us in (10_000, 400_000, 400_000, 400_000):
+        lateness.take_round_trip(RoundTrip(took_us, 0, None))
+        lateness.take_sample(0, 0)
+        ages_us.append(lateness.age_us)
+    assert ages_us == [5_000.0, 5_000.0, 5_000.0, 200_000.0]
+
+
 def test_a_clock_that_jumps_is_compared_anew() -> None:
     lateness = TelemetryDelay(0.075)
     feed(lateness, 1.0, lambda t: 0.003)

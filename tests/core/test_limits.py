@@ -214,6 +214,18 @@ def test_breaking_off_keeps_its_distance_from_a_wall_that_is_before_it(
     assert (north - x) * tx + (-east - y) * ty == pytest.approx(0.0, abs=0.01)
 
 
+def test_from_a_wall_of_the_mission_it_goes_away_along_the_normal_however_it_was_pushed() -> None:
+    c = HandFedCore()
+    c.at_the_wood()
+    c.pulse((-10.0, -16.0))
+    c.velocity_ned = (0.0, 0.0, 0.0)
+    c.run(0.02)
+    c.give(OperatorRequest(c.t_us, Request.LAND))
+    north, east, _ = next(o for o in c.run(0.1) if isinstance(o, Setpoint)).position_ned
+    assert north == pytest.approx(c.position_ned[0], abs=0.01)
+    assert east < c.position_ned[1] - 0.4
+
+
 def test_after_a_change_of_altitude_the_guard_holds_at_the_new_one() -> None:
     higher = {"position_m": [0.0, 0.0], "altitude_m": 1.4, "speed_m_s": 0.5, "hold_s": 1.0}
     c = HandFedCore(settings={"waypoints": [higher]})

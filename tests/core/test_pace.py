@@ -21,11 +21,12 @@ from dart_flight.base.records import (
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.flight_core import FlightCore
-from dart_flight.core.pace import Pace, pace_near_walls
+from dart_flight.core.pace import BATCH_S, Pace, pace_near_walls
 from dart_flight.core.sense.state import FlightState
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.schema import INPUTS
+from dart_flight.run.core_thread import _TICK_S
 from dart_flight.run.prepare import load_flyable
 from tests.shared_flights import SharedFlights
 
@@ -95,6 +96,11 @@ def test_no_contact_of_a_flight_comes_while_the_core_has_patience(flown: SharedF
     assert met
     # It is what patience is for: most of a flight no contact can come.
     assert seen[Pace.BATCHED] > 0.6 * seen.total()
+
+
+def test_a_batch_takes_as_long_as_a_tick_and_four_fit_into_the_silence_that_ends_a_flight() -> None:
+    assert BATCH_S == _TICK_S
+    assert SINGLE_WALL.vehicle.guard.imu_timeout_s == pytest.approx(4.0 * BATCH_S)
 
 
 def test_on_the_ground_it_has_patience() -> None:

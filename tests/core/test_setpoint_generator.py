@@ -13,7 +13,7 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import Approach
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
 from dart_flight.core.mission.setpoint_generator import SetpointGenerator
-from dart_flight.core.mission.trajectories import PlannedTrajectory
+from dart_flight.core.mission.trajectories import PlannedTrajectory, TransitTrajectory
 from dart_flight.core.sense.state import FlightState
 
 MISSION = load_mission(packaged("missions", "paper_single_wall.yaml"))
@@ -180,3 +180,31 @@ def test_the_heading_turns_the_short_way_at_its_rate() -> None:
     assert references.yaw == pytest.approx(1.0 - 0.03 * rate)
     references.slew_yaw(-1.0, 99_000_000)
     assert references.yaw == pytest.approx(-1.0)
+
+
+def test_a_transit_to_where_it_is_takes_a_tenth_of_a_second() -> None:
+    """A time of nothing would be divided by."""
+    here = (1.0, 2.0, ALTITUDE_M)
+    assert TransitTrajectory.between(here, here, 1.0, FLYING).duration_s == 0.1
+
+
+@pytest.mark.parametrize(
+    ("mission", "share", "off_rad", "arrives"),
+    [
+        ("paper_single_wall", 0.99, 0.049, True),
+        ("paper_single_wall", 0.99, 0.051, False),
+        ("paper_single_wall", 1.01, 0.0, False),
+        ("dual_collision_gps", 2.49, 0.0, True),  # a position that drifts does not come as near
+        ("dual_collision_gps", 2.51, 0.0, False),
+    ],
+)
+def test_how_near_and_how_straight_it_is_when_it_has_arrived(
+    mission: str, share: float, off_rad: float, arrives: bool
+) -> None:
+    references = SetpointGenerator(load_mission(packaged("missions", f"{mission}.yaml")))
+    state = FlightState()
+    x, y, z = references.target
+    state.position, state.yaw = (x + share * FLYING.arrive_m, y, z), off_rad
+    references.has_arrived(state, 0.0)
+    state.now_us = 60_000_000
+    assert references.has_arrived(state, 0.0) is arrives

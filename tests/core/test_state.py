@@ -175,6 +175,14 @@ def test_how_sure_px4_is_of_its_position_stays_known() -> None:
 # --- what PX4 says -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(("later_us", "said"), [(14_999_999, "; PX4 says: compass swung"), (15_000_000, "")])
+def test_px4s_words_explain_for_fifteen_seconds(later_us: int, said: str) -> None:
+    state = FlightState()
+    state.take_text(StatusText(0, 0, "warning", "compass swung"))
+    state.now_us = later_us
+    assert state.reasons() == said
+
+
 def test_of_px4s_words_the_newest_six_are_told_each_once() -> None:
     state = FlightState()
     for text in ("A", "B", "C", "D", "E", "F", "A", "G"):

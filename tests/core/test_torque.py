@@ -397,6 +397,26 @@ def test_a_lasting_torque_larger_than_a_vehicles_own_stays_visible() -> None:
     assert abs(found.torque_frd[1]) == pytest.approx(whole - 0.3, abs=0.01)
 
 
+def test_the_torque_that_is_always_there_and_the_noise_are_learnt_as_slowly_as_they_should_be() -> None:
+    """By a 250th of the difference with a sample, and by a 125th; a change of white noise counts a third."""
+    torque, turning = TorqueEstimator(VEHICLE), AngularMotion()
+    jx = VEHICLE.airframe.inertia_kg_m2[0]
+    seen = []
+    for t_us, rate in ((1_000_000, 0.0), (1_004_000, 0.02), (1_008_000, 0.04), (1_012_000, 0.06)):
+        turning.update(ImuSample(t_us, t_us, (0.0, 0.0, -9.81), (rate, 0.0, 0.0)))
+        found = torque.estimate(t_us, turning, None, 1.0, learns=True)
+        if found is not None:
+            seen.append(found)
+    kept = 1.0
+    for i, found in enumerate(seen):
+        kept *= 1.0 - 0.004
+        assert found.torque_frd[0] == pytest.approx(kept * jx * 5.0)
+        variance = 1e-3
+        for _ in range(i):
+            variance = variance * (1.0 - 0.008) + 1e-10
+        assert found.noise_frd_nm == pytest.approx((math.sqrt(variance),) * 3, rel=1e-3 if i == 0 else 1e-9)
+
+
 def test_a_body_is_not_fitted_as_a_point() -> None:
     """One point first: the pulse is not the oscillator's, and its fit is 5 % too low; the top is not."""
     vehicle = body_vehicle()

@@ -31,6 +31,7 @@ from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from dart_flight.run.fast import FastFlight
+from tests.core.conftest import HandFedCore
 
 ROOT = Path(__file__).parents[2]
 VEHICLE = load_vehicle(ROOT / "configs" / "dart.yaml")
@@ -81,6 +82,33 @@ def test_a_gap_in_the_samples_stays_bounded() -> None:
     yielding.update(sensed(0, (0.0, 0.0), True))
     yielding.update(sensed(10_000, (4000.0, 0.0), True))
     assert norm(yielding.feed_forward or (0.0, 0.0, 0.0)) == pytest.approx(5.0)
+
+
+def test_a_contact_is_forgotten_once_two_hundredths_of_its_acceleration_are_left() -> None:
+    """In m/s2, after the time constant of PX4's filter; until then it is fed forward."""
+    yielding, mass = ContactFeedforward(VEHICLE), VEHICLE.airframe.mass_kg
+    for n in range(500):
+        yielding.update(sensed(n, (mass, 0.0), True))
+    fades = math.ceil(math.log(1.0 / 0.02) / (2.0 * math.pi * CUTOFF_HZ * TICK_US * 1e-6))
+    for n in range(500, 499 + fades):
+        yielding.update(sensed(n, (0.0, 0.0), False))
+    assert yielding.feed_forward is not None
+    yielding.update(sensed(499 + fades, (0.0, 0.0), False))
+    assert yielding.feed_forward is None
+
+
+def test_in_a_contact_that_does_not_end_its_motion_is_asked_for_a_quarter_of_a_second() -> None:
+    """PX4 keeps the last setpoint of a program that hangs: none for longer than a contact takes."""
+    c = HandFedCore(rules=())
+    c.at_the_wood()
+    c.hide_peaks()
+    c.force_ned = (-10.0, -16.0, 0.0)
+    c.run(0.02)
+    began_us = next(o.t_us for o in c.outputs if isinstance(o, PhaseChange) and o.after is Phase.CONTACT)
+    out = c.run(0.35)
+    asked = [o.t_us for o in out if isinstance(o, Setpoint) and o.velocity_ned is not None]
+    assert c.core.phase is Phase.CONTACT
+    assert max(asked) - began_us == pytest.approx(250_000, abs=8_000)
 
 
 class _Unmoved(ContactFeedforward):

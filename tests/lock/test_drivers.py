@@ -30,6 +30,8 @@ def test_it_says_what_it_misses(kind: LockDriver, lock_config: LockConfig) -> No
 
 def test_names_are_told_in_words() -> None:
     assert driver_names(lambda entry: not entry.moves) == "mock"
+    assert driver_names(lambda entry: entry.reads_switches) == "mock"
+    assert driver_names(lambda entry: entry.simulated) == "px4 or mock"
     *first, last = [kind.value for kind in DRIVERS]
     assert driver_names(lambda entry: True) == f"{', '.join(first)} or {last}"
 

@@ -10,14 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dart_flight.base.geometry import GRAVITY_M_S2
-from dart_flight.base.records import Mode, PlanAnswer, PlanRequest, WallEstimate
+from dart_flight.base.records import FrameAnchor, Mode, PlanAnswer, PlanRequest, WallEstimate
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.mission_file import CollisionPrediction
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
 from dart_flight.core.mission.trajectories import PlannedTrajectory
 from dart_flight.planning.predicted_flight import predict_mission
-from dart_flight.planning.replanner import Replanner
+from dart_flight.planning.replanner import Replanner, _straights
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import read_log
 
@@ -165,6 +165,33 @@ def test_what_was_felt_counts_for_the_mode_that_it_was_felt_in(
     assert force / speed == pytest.approx(math.sqrt(ratio), rel=0.08)
 
 
+def test_a_wall_that_was_felt_stays_where_it_is_when_the_frame_is_put_right() -> None:
+    """The frame's origin goes 6 cm along the wall's normal: the wall comes as much nearer."""
+    replanner, (nx, ny) = Replanner(MISSION), ACRYLIC.normal
+    replanner.update_wall(felt(Mode.RIGID, None, 1.0))
+    replanner.move_frame(FrameAnchor(2, "acrylic", (0.06 * nx, 0.06 * ny), 0.1, 0.02, None))
+    answer = replanner.answer(TO_WALL, 0)
+    assert answer.impact_s is not None
+    met = way_of(answer).at(answer.impact_s).position
+    assert ACRYLIC.signed_distance(met) == pytest.approx(-0.06, abs=1e-6)
+
+
+@pytest.mark.parametrize(("behind_m", "problem"), [(0.14, ""), (0.16, "no trajectory to the goal")])
+def test_a_way_may_begin_where_the_arms_are_still_pressed_in(behind_m: float, problem: str) -> None:
+    """Up to 15 cm behind the plane; from further behind it would lead through the wall."""
+    (x, y), (nx, ny) = ACRYLIC.foot((1.6, -0.7)), ACRYLIC.normal
+    pressed = msgspec.structs.replace(
+        TO_GOAL, begin_us=TO_GOAL.t_us, position_mission=(x - behind_m * nx, y - behind_m * ny, 1.0)
+    )
+    assert problem in REPLANNER.answer(pressed, 0).problem
+    assert bool(REPLANNER.answer(pressed, 0).problem) is bool(problem)
+
+
+def test_before_a_wall_whose_place_is_not_sure_it_flies_straight_for_longer_where_there_is_room() -> None:
+    assert _straights(0.0) == [(0.3, 0.0), (0.1, 0.0)]
+    assert _straights(0.05) == [(0.3, 1.0), (0.1, 1.0), (0.1, 0.0)]
+
+
 @pytest.mark.parametrize("most_n", [150.0, 12.0])
 def test_a_hit_that_is_flown_to_from_rest_is_as_fast_as_it_may_be(most_n: float) -> None:
     limits = msgspec.structs.replace(MISSION.limits, peak_force_n=most_n)
@@ -263,6 +290,18 @@ def test_a_mission_that_was_read_from_a_line_has_the_same_ways() -> None:
     answer = Replanner(read).answer(request, 0)
     assert answer == Replanner(shuttle).answer(request, 0)
     assert answer.normal_m_s == pytest.approx(-2.81, abs=0.05)
+
+
+def test_a_trajectory_is_slowed_down_until_its_lock_is_ready() -> None:
+    """0.05 s before the hit, and then no longer than the ways that are looked at lie apart."""
+    request = PlanRequest(
+        0, 1, 100_000, 2, (1.513, -0.018, 0.988), (-1.791, -0.007, 0.656), (-0.57, 0.07, 0.0),
+        (-0.53, -0.01, 1.0), 2_000_000,
+    )  # fmt: skip
+    answer = Replanner(load_mission(packaged("missions", "shuttle.yaml"))).answer(request, 0)
+    assert answer.problem == ""
+    assert answer.impact_s is not None
+    assert 1.95 <= answer.impact_s < 2.05
 
 
 def test_a_plan_for_a_vehicle_that_coasts_begins_with_it_righting_itself() -> None:

@@ -51,7 +51,6 @@ _SURELY_DOWN: Final = 3.0  # times the way down from the top of the flight space
 _PAUSE_US: Final = 40_000  # host time goes on by 20 ms at most, by ticks: after more this program did not run
 _PAUSE_MEMORY_US: Final = 3_000_000
 _STEPS: Final = 16  # odometry of more than twice that reach
-_NEVER_S = float(1 << 60) * 1e-6
 Stamped = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 
 
@@ -242,8 +241,8 @@ class FlightConditions:
         )
 
     def age_s(self, newest: Stamped | None) -> float:
-        """Host time since a stream's newest sample was received, seconds; huge where there was none."""
-        return (self.state.host_us - newest.received_us) * 1e-6 if newest is not None else _NEVER_S
+        """Host time since a stream's newest sample was received, seconds; infinite where there was none."""
+        return (self.state.host_us - newest.received_us) * 1e-6 if newest is not None else math.inf
 
     @property
     def status_age_s(self) -> float:

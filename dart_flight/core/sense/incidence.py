@@ -199,7 +199,10 @@ class IncidenceEstimator:
 
     def _judge(self, state: FlightState, final: bool) -> ImpactBody | None:
         onset, peak, frame, c = self._onset, self._peak, state.frame, self._coefficients
-        if onset is None or peak is None or frame is None or c is None:
+        assert onset is not None  # before any peak
+        assert peak is not None
+        assert c is not None
+        if frame is None:
             return None
         before, inside = self._samples.since(onset.first_us, _BEFORE)
         if len(inside) < 2:

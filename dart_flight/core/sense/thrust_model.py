@@ -110,7 +110,7 @@ class ThrustModel:
     def take_voltage(self, volts: float | None) -> None:
         """Battery voltage; None where it is not known."""
         battery = self._config.battery
-        if volts is not None and volts > 0.0 and battery.exponent > 0.0:
+        if volts is not None and volts > 0.0:
             self._voltage_factor = (volts / battery.reference_v) ** battery.exponent
 
     def mean_over_tick(self, t_us: int) -> float:
