@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
 from dart_flight.check.findings import CheckFinding
 from dart_flight.config.mission import Collision, Mission
@@ -12,8 +13,11 @@ from dart_flight.config.probes import Probe
 from dart_flight.contact import contact_map
 from dart_flight.contact.law import Onset
 from dart_flight.core.mission.anchors import SAME_NORMAL
+from dart_flight.core.mission.approach import NoApproachError, plan_approach
+from dart_flight.core.mission.trajectories import transit_time_s
 from dart_flight.core.mission.wall_uncertainty import SURE_SD, position_margin_m
 
+_REST_S, _RECOVERY_S = 1.5, 1.5  # from a contact to rest, and to the next wall that a recovery leads to
 _LEAST_FLEXIBLE_M_S = 0.3  # slower, flexible arms push too little to be told from noise
 
 
@@ -68,12 +72,16 @@ def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
     if not mission.is_anchored:
         return
     touched: list[Collision] = []
+    times = _hit_times_s(mission)
     for collision in mission.collisions:
         item, (nx, ny) = f"anchor_{collision.index}", collision.wall.normal
         by = [c for c in touched if abs(c.wall.normal[0] * nx + c.wall.normal[1] * ny) >= SAME_NORMAL]
         if collision.probe is None and by:
-            says = f"collision {by[-1].index} puts the frame right along {collision.wall.name}'s normal"
-            yield CheckFinding(item, True, f"{says} before it is hit")
+            age_s = times[collision.index] - times[by[-1].index]
+            sd_m = age_s * mission.vehicle.estimation.position_drift_m_s
+            says = f"collision {by[-1].index} puts the frame right along {collision.wall.name}'s normal about"
+            says += f" {age_s:.0f} s before it is hit: its place is then known to {sd_m:.2f} m (1 sd)"
+            yield CheckFinding(item, True, says, figures={"age_s": age_s, "sd_m": sd_m})
         elif collision.probe is None:
             says = (
                 f"wall {collision.wall.name} is hit without a probe before that puts the frame right along "
@@ -81,3 +89,35 @@ def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
             yield CheckFinding(item, False, f"{says}its normal: touch it, or a parallel wall, first")
         if not collision.wall.sought:
             touched.append(collision)
+
+
+def _hit_times_s(mission: Mission) -> dict[int, float]:
+    """About when each wall is hit, by index, from the first run-up's beginning on."""
+    times, now_s = {}, 0.0
+    flying = mission.vehicle.flying
+    here: Vec2 | None = None
+    for collision in mission.collisions:
+        lock = mission.vehicle.lock
+        switch_s = 0.0 if lock is None else lock.switch_time_s
+        if collision.approach_m_s is None:
+            now_s += _RECOVERY_S
+        else:
+            try:
+                approach = plan_approach(mission, collision)
+            except NoApproachError:  # a finding of its own
+                return dict.fromkeys((c.index for c in mission.collisions), math.nan)
+            way_m = 0.0 if here is None else math.dist(here, approach.begin)
+            transit_s = transit_time_s(
+                way_m, flying.transit_speed_m_s, flying.acceleration_m_s2, flying.jerk_m_s3
+            )
+            way_to_m = math.dist(approach.begin, approach.impact)
+            met_s = approach.impact_s
+            if collision.probe is not None:
+                met_s = way_to_m / collision.probe.speed_m_s + 0.5
+            now_s += (_REST_S if here is not None else 0.0) + transit_s + flying.arrive_s + switch_s + met_s
+        times[collision.index] = now_s
+        if collision.impact_point is not None:
+            back_m = collision.probe.back_m if collision.probe is not None else 0.0
+            (x, y), (nx, ny) = collision.impact_point, collision.wall.normal
+            here = (x + back_m * nx, y + back_m * ny)
+    return times

@@ -1,0 +1,64 @@
+"""What `check` says of probes, of walls that they find, and of anchors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+from dart_flight.check.findings import CheckFinding
+from dart_flight.check.mission_check import check_mission
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import packaged
+
+
+def findings(name: str, changes: Mapping[str, Any] | None = None) -> dict[str, CheckFinding]:
+    mission = load_mission(packaged("missions", f"{name}.yaml")).replace(changes or {})
+    return {finding.item: finding for finding in check_mission(mission)}
+
+
+def test_a_wall_that_nobody_knows_is_judged_in_flight() -> None:
+    found = findings("find_a_wall")
+    assert all(finding.go for finding in found.values())
+    assert "at most 37 N on the stiffest surface" in found["probe_1"].says
+    assert "once a probe has found it" in found["approach_2"].says
+    assert not {"wall_end", "path", "incidence_2", "survey_2"} & set(found)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"collisions[0].mode": "flexible", "collisions[0].probe.speed_m_s": 0.2}, "too gentle to be felt"),
+        ({"collisions[0].probe.speed_m_s": 2.5}, "over limits.peak_force_n 150"),
+    ],
+)
+def test_a_probe_that_is_not_felt_or_not_borne_is_a_no_go(changes: Mapping[str, Any], says: str) -> None:
+    probe = findings("find_a_wall", changes)["probe_1"]
+    assert not probe.go
+    assert says in probe.says
+
+
+def test_a_probe_that_may_end_before_its_wall_is_remarked() -> None:
+    uncertain = {"walls.wood.position_sd_m": 0.6}
+    probe = findings("dual_collision_gps", uncertain)["probe_2"]
+    assert (probe.go, probe.remark) == (True, True)
+    assert "may stand 1.80 m further" in probe.says
+
+
+def test_how_old_an_anchor_will_be_is_told_with_what_is_left_of_it() -> None:
+    """Flown are about 5 and 11 s (docs/results/touch.md)."""
+    found = findings("dual_collision_gps")
+    assert found["anchor_3"].figures is not None
+    assert found["anchor_4"].figures is not None
+    assert 3.0 < found["anchor_3"].figures["age_s"] < 7.0
+    assert 8.0 < found["anchor_4"].figures["age_s"] < 14.0
+    assert found["anchor_4"].figures["sd_m"] == pytest.approx(0.03 * found["anchor_4"].figures["age_s"])
+
+
+def test_a_wall_without_a_touch_before_is_a_no_go_where_the_frame_drifts() -> None:
+    mission = load_mission(packaged("missions", "dual_collision.yaml"))
+    drifting = mission.replace({"frame.origin": "takeoff", "frame.anchored_by": "touch"})
+    found = {finding.item: finding for finding in check_mission(drifting)}
+    assert not found["anchor_1"].go
+    assert "touch it, or a parallel wall, first" in found["anchor_1"].says
