@@ -62,6 +62,11 @@ def distance2(a: Vec2 | Vec3, b: Vec2 | Vec3) -> float:
 # --- rotations -------------------------------------------------------------------------------------
 
 
+def turn_between(a: Vec2, b: Vec2) -> float:
+    """Angle from one direction to another in the plane, rad, counter-clockwise positive, -pi to pi."""
+    return math.atan2(a[0] * b[1] - a[1] * b[0], a[0] * b[0] + a[1] * b[1])
+
+
 def quaternion_multiply(a: Quaternion, b: Quaternion) -> Quaternion:
     """Hamilton product a b: rotate by b first, then by a."""
     aw, ax, ay, az = a

@@ -32,7 +32,6 @@ _STEEPEST_RAD = math.radians(65.0)  # of a wall that a probe has met, against th
 _TOLD_RAD = math.radians(12.0)  # less oblique than this a single contact tells a wall's direction
 _STEP_RAD = math.radians(7.0)  # beside a single contact with a wall
 _GROUP_COST = 12.0  # of one wall more, in squared deviations
-_MOST = 40
 
 Array = NDArray[Any]
 
@@ -135,7 +134,7 @@ class RoomFit:
 
     def __init__(self, start: Vec2, touches: Sequence[RoomContact], along_m: float, out_m: float) -> None:
         self._start = start
-        self._touches = sorted(touches, key=lambda t: self._bearing(t.place))[:_MOST]
+        self._touches = sorted(touches, key=lambda t: self._bearing(t.place))
         signs = ((1, 1), (1, -1), (-1, 1), (-1, -1))
         body = [(s * out_m, t * along_m) for s, t in signs] + [(s * along_m, t * out_m) for s, t in signs]
         self._body = np.array(body)
@@ -209,8 +208,7 @@ class RoomFit:
         return float(squares[best]), best, float(middle[best])
 
     def _wall(self, group: list[int]) -> RoomWall:
-        squares, best, offset = self._misfit(group)
-        _, i, _ = squares, best, offset
+        _, i, offset = self._misfit(group)
         touches = tuple(self._touches[k] for k in group)
         along = np.array([-math.sin(self._angles[i]), math.cos(self._angles[i])])
         places = np.array([t.place for t in touches]) @ along

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import msgspec
 
-from dart_flight.base.geometry import Vec2
+from dart_flight.base.geometry import Vec2, turn_between
 from dart_flight.base.records import FrameAnchor, Record, TruthContact, WallEstimate
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
@@ -107,8 +107,7 @@ class WallMeasurements:
             met = felt.plane_point_mission
             at = wall.foot(met) if met is not None else wall.point
             found.truth_error_m = true.signed_distance(at)
-            (ax, ay), (bx, by) = true.normal, wall.normal
-            found.truth_error_deg = math.degrees(math.atan2(ax * by - ay * bx, ax * bx + ay * by))
+            found.truth_error_deg = math.degrees(turn_between(true.normal, wall.normal))
         return found
 
     def _true_wall(self, name: str, felt: WallEstimate, drawn: Mapping[str, float | str]) -> Wall | None:

@@ -23,9 +23,8 @@ _LARGEST_M_S2: Final = 5.0  # fed forward; also bounds what a hanging setpoint c
 LONGEST_S: Final = 0.25
 
 
-_BALANCED: Final = (
-    0.9  # of the lean that would balance a vehicle that does not turn (docs/results/faster_hits.md)
-)
+# Of the lean that would balance a vehicle that does not turn (docs/results/faster_hits.md).
+_BALANCED: Final = 0.9
 _MOST_LEAN: Final = 0.3  # tangent of the angle
 
 

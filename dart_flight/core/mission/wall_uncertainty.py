@@ -11,7 +11,7 @@ from collections.abc import Iterable
 
 import msgspec
 
-from dart_flight.base.geometry import Vec2, Vec3
+from dart_flight.base.geometry import Vec2, Vec3, turn_between
 from dart_flight.base.records import WallEstimate
 from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle.flying import GuardThresholds
@@ -73,8 +73,7 @@ class EstimatedWalls:
         self._found[wall.name] = _as_felt(self._found.get(wall.name, wall), wall, felt)
         sure = (felt.plane_normal_sigma_rad or math.inf) < _SURE_DIRECTION_RAD
         if felt.plane_normal_mission is not None and sure:
-            (ax, ay), (bx, by) = wall.normal, felt.plane_normal_mission
-            self._turned[wall.name] = math.atan2(ax * by - ay * bx, ax * bx + ay * by)
+            self._turned[wall.name] = turn_between(wall.normal, felt.plane_normal_mission)
 
     def turned(self, wall: Wall) -> float:
         """By how much a wall was felt to be turned against the mission's, rad; positive: to the left."""
