@@ -364,8 +364,8 @@ def page(flights: Sequence[Flown]) -> str:
         "met, where no fit tells more, after the survey of seed 5032 was off by 0.30 m. So the surveys are",
         "not held out in that respect; the rest was tuned on seeds below. What it means:",
         "[walls.md](../walls.md), [anchors.md](../anchors.md). An error is against the simulation's truth;",
-        "*error/deviation* is its rms in units of the deviation that the contact stated: 1 is honest, more is",
-        "too sure.",
+        "*error/deviation* is its rms in units of the deviation that the contact stated: 1 is honest, more",
+        "is too sure.",
         "",
     ]
     lines += _directions([f for f in flights if f.part == "directions"])
