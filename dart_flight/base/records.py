@@ -647,6 +647,9 @@ class FrameAnchor(Record, frozen=True, gc=False):
     expected_sd_m: float  # of the frame along the normal, before
     sd_m: float  # ... after
     age_s: float | None  # of the anchor before, along this normal; none: there was none
+    normal: Vec2  # of the wall as it was known before the contact
+    felt_us: int  # the contact
+    start_us: int  # when the frame was laid at the start
 
 
 class MissionEnd(Record, frozen=True, gc=False):

@@ -125,6 +125,7 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
             direction=((ex - bx) / length, (ey - by) / length),
             speed_m_s=probe.speed_m_s,
             back_m=probe.back_m,
+            from_here=probe.from_here,
             material=self.wall.material if self.wall.sought and self.wall.material_known else None,
         )
         return CollisionSpec(**keys_of(self, CollisionKeys), wall=self.wall.name, probe=written)

@@ -191,6 +191,8 @@ class ProbeSpec(Section, frozen=True):
 
     Attributes:
         from_m: [x, y] where it begins, mission frame.
+        from_here: whether it begins where the vehicle rests by then instead, which is taken to be near
+            from_m, and goes as far in the same direction: where the frame drifts, flying there costs time.
         direction: [x, y], any length; to be left out of a wall of the mission, which is then met head on.
         length_m: how far the vehicle's centre goes.
         speed_m_s: on the way; it may be more than what stops before a wall, but no more than its hit bears.
@@ -200,6 +202,7 @@ class ProbeSpec(Section, frozen=True):
 
     from_m: Point2
     length_m: Annotated[float, Meta(gt=0.0, le=1000.0)]
+    from_here: bool = False
     direction: tuple[Direction, Direction] | None = None
     speed_m_s: Annotated[float, Meta(ge=0.1, le=5.0)] = 0.5
     back_m: Annotated[float, Meta(ge=0.1, le=5.0)] = 0.4

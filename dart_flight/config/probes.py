@@ -28,13 +28,19 @@ _ON_PLANE_M = 1e-6
 
 
 class Probe(msgspec.Struct, frozen=True):
-    """A leg that looks for a wall: where it begins and ends (mission frame, metres), how fast, and how far
-    from the wall the vehicle waits afterwards."""
+    """A leg that looks for a wall: where it begins and ends (mission frame, metres), how fast, how far from
+    the wall the vehicle waits afterwards, and whether it begins where the vehicle rests by then."""
 
     begin: Vec2
     end: Vec2
     speed_m_s: float
     back_m: float
+    from_here: bool = False
+
+    def begun_at(self, here: Vec2) -> Probe:
+        """The same leg from another place on."""
+        (bx, by), (ex, ey) = self.begin, self.end
+        return msgspec.structs.replace(self, begin=here, end=(here[0] + ex - bx, here[1] + ey - by))
 
 
 def sought_walls(
@@ -170,7 +176,7 @@ def resolve_probe(
         probe.from_m[0] + met * (end[0] - probe.from_m[0]),
         probe.from_m[1] + met * (end[1] - probe.from_m[1]),
     )
-    flown = Probe(probe.from_m, end, probe.speed_m_s, probe.back_m)
+    flown = Probe(probe.from_m, end, probe.speed_m_s, probe.back_m, probe.from_here)
     return flown, (normal_m_s, tangential_m_s), impact
 
 

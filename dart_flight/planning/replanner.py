@@ -30,6 +30,7 @@ from dart_flight.base.records import FrameAnchor, Mode, PlanAnswer, PlanRequest,
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import Coefficients
+from dart_flight.core.mission.anchors import FrameAnchors
 from dart_flight.core.mission.commitment import SETTLED_BEFORE_S
 from dart_flight.core.mission.contact_feedforward import balancing_m_s2
 from dart_flight.core.mission.planned_impact import impact_velocity
@@ -97,7 +98,9 @@ class Replanner:
         self._constraints = Constraints(self._task)
         loop = PositionLoop.of(mission.vehicle.px4)
         self._felt: dict[tuple[str, Mode], Coefficients] = {}
-        self._survey = EstimatedWalls()
+        drift_m_s = mission.vehicle.estimation.position_drift_m_s
+        self._anchors = FrameAnchors(drift_m_s) if mission.is_anchored else None
+        self._survey = EstimatedWalls(self._anchors)
         # By collision that it leads to; None: to the goal.
         self._written: dict[int | None, PlannedTrajectory] = {
             led_to: PlannedTrajectory.from_pieces(pieces, mission.altitude_at(len(mission.collisions)))
@@ -123,6 +126,8 @@ class Replanner:
     def move_frame(self, anchor: FrameAnchor) -> None:
         """A contact has put the mission frame right: walls that were felt in the one before stay there."""
         self._survey.move_frame(anchor.moved_mission)
+        if self._anchors is not None:
+            self._anchors.follow(anchor)
 
     def answer(self, request: PlanRequest, received_us: int) -> PlanAnswer:
         """The way from a request's state on; its `problem` says where there is none.
@@ -155,7 +160,7 @@ class Replanner:
             return rejoined
         if request.under_way:
             return _no_plan(found, "no way back to the mission's trajectory")
-        wall = self._survey.wall_now(collision.wall)
+        wall = self._survey.wall_now(collision.wall, request.t_us)
         slack = float(position_margin_m(wall, impact_place(collision, self._planned)))
         for share, (straight_s, slacks) in itertools.product(_SPEED_SHARES, _straights(slack)):
             wanted = (share * velocity[0], share * velocity[1])
@@ -173,9 +178,10 @@ class Replanner:
         written = self._written.get(request.collision)
         if written is None:
             return None
-        moved = pushed = (0.0, 0.0)
+        wall, moved, pushed = None, (0.0, 0.0), (0.0, 0.0)
         if collision is not None:
-            wall, place = self._survey.wall_now(collision.wall), written.at(written.duration_s).position
+            wall = self._survey.wall_now(collision.wall, request.t_us)
+            place = written.at(written.duration_s).position
             away = collision.wall.signed_distance(place) - wall.signed_distance(place)
             moved = (away * wall.normal[0], away * wall.normal[1])
             out_m = self._mission.vehicle.airframe.contact_distance_m
@@ -191,12 +197,11 @@ class Replanner:
         fine = (push <= self._most_m_s2) & (jerk <= _JERK_M_S3)
         ways, push = ways.take(np.flatnonzero(fine)), push[fine] / self._most_m_s2
         if ways.duration_s.size:
-            wall_hit = None if collision is None else collision.wall
             states = (v.astype(np.float32) for v in (*ways.position, *ways.velocity))
             window = GridWindow(ways.shares, *states)
             until = np.full(ways.duration_s.size, ways.shares.size)
-            walls = self._obstacles(self._start(request))
-            clear = self._constraints.path(window, until, wall_hit, begins=True, walls=walls) == 0
+            walls = self._obstacles(self._start(request), request.t_us)
+            clear = self._constraints.path(window, until, wall, begins=True, walls=walls) == 0
             ways, push = ways.take(np.flatnonzero(clear)), push[clear]
         # A wall is met as fast as planned where that can be: sooner and slower is another hit.
         slow = (ways.slower > _AS_FAST) & (collision is not None)
@@ -207,9 +212,9 @@ class Replanner:
             found = msgspec.structs.replace(
                 answer, duration_s=way.duration_s, x_mission=way.x, y_mission=way.y, pieces_s=way.pieces_s
             )
-            if collision is not None:
+            if collision is not None and wall is not None:
                 (vx, vy, _) = way.at(way.duration_s).velocity
-                normal, tangential, _ = self._survey.wall_now(collision.wall).to_collision((vx, vy, 0.0))
+                normal, tangential, _ = wall.to_collision((vx, vy, 0.0))
                 found = self._with_hit(found, collision, (normal, tangential), 0.0)
             if not found.problem:
                 return found
@@ -237,7 +242,7 @@ class Replanner:
         self, request: PlanRequest, collision: Collision, velocity: Vec2, straight_s: float
     ) -> _EndStates:
         """Ends from which it is `straight_s` to the wall, at a velocity in its collision frame."""
-        wall = self._survey.wall_now(collision.wall)
+        wall = self._survey.wall_now(collision.wall, request.t_us)
         vx, vy, _ = wall.from_collision((*velocity, 0.0))
         place = wall.foot(impact_place(collision, self._planned))
         along, duration = (v.ravel() for v in np.meshgrid(_ALONG_M, _DURATIONS_S))
@@ -302,7 +307,7 @@ class Replanner:
         y = quintic(start[1], (ends.y, ends.vy, 0.0), ends.duration_s)
         rows, push = self._flyable(x, y, ends.duration_s)
         wall = None if collision is None else collision.wall
-        obstacles = self._obstacles(start)
+        obstacles = self._obstacles(start, request.t_us)
         rows = rows[self._stays_clear(x[:, rows], y[:, rows], ends.duration_s[rows], wall, obstacles)]
         if rows.size == 0:
             return None
@@ -323,7 +328,7 @@ class Replanner:
         jerk = np.hypot(*(_derivative(c[:, rows], times[rows], 3) for c in (x, y))).max(axis=1)
         return rows[jerk <= _JERK_M_S3], push
 
-    def _obstacles(self, start: tuple[Array, Array]) -> list[Wall]:
+    def _obstacles(self, start: tuple[Array, Array], now_us: int) -> list[Wall]:
         """The walls as they are known by now, for a way from a start: (position, velocity, acceleration) in x
         and in y.
 
@@ -332,7 +337,7 @@ class Replanner:
         """
         place = (float(start[0][0]), float(start[1][0]))
         walls = []
-        for wall in map(self._survey.wall_now, self._constraints.walls):
+        for wall in (self._survey.wall_now(one, now_us) for one in self._constraints.walls):
             depth_m = wall.signed_distance(place)
             walls.append(wall.moved(depth_m) if -_PRESSED_IN_M < depth_m < 0.0 else wall)
         return walls

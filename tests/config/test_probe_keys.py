@@ -118,6 +118,7 @@ def test_a_mission_with_probes_comes_back(
         speed_m_s=speed_m_s,
         back_m=back_m,
         material=material,
+        from_here=material is None,
     )
     second = probe(EAST, direction=[-1.0, 0.5], length_m=0.9) | {"wall": "west", condition: "east"}
     one = mission(first, second, simulated_walls={"board": BOARD})
@@ -127,6 +128,7 @@ def test_a_mission_with_probes_comes_back(
         assert a.probe is not None
         assert b.probe is not None
         assert b.probe.end == pytest.approx(a.probe.end, abs=1e-12)
+        assert b.probe.from_here is a.probe.from_here
         assert b.wall.point == pytest.approx(a.wall.point, abs=1e-12)
         assert b.wall.normal == pytest.approx(a.wall.normal, abs=1e-12)
         for name in ("material", "material_known", "sought", "name", "length_m"):
@@ -207,5 +209,7 @@ def test_the_shipped_missions_come_back() -> None:
     for name in ("find_a_wall.yaml", "dual_collision_gps.yaml"):
         one = load_mission(packaged("missions", name))
         assert load_mission(one.to_dict()).collisions == one.collisions
-    assert load_mission(packaged("missions", "dual_collision_gps.yaml")).is_anchored
+    gps = load_mission(packaged("missions", "dual_collision_gps.yaml"))
+    assert gps.is_anchored
+    assert [c.probe is not None and c.probe.from_here for c in gps.collisions] == [False, True, False, False]
     assert not load_mission(packaged("missions", "find_a_wall.yaml")).is_anchored

@@ -92,6 +92,23 @@ def test_a_contact_never_makes_its_normal_less_known(
     assert one.age_s(normal, now_s * S) == 0.0
 
 
+@given(found=contacts, angle=angles, start_s=st.integers(0, 5))
+@settings(deadline=None)
+def test_who_follows_the_contacts_of_another_knows_as_much(
+    found: list[tuple[float, int, float]], angle: float, start_s: int
+) -> None:
+    """The planner's process hears of them by records."""
+    core, planner = FrameAnchors(DRIFT_M_S), FrameAnchors(DRIFT_M_S)
+    core.begin(start_s * S)
+    for at, (one, at_s, told_m) in enumerate(sorted(found, key=lambda c: c[1])):
+        wall = msgspec.structs.replace(WOOD, normal=unit(one))
+        estimate = felt(None, None, 0.1, t_us=(10 + at_s) * S, plane_offset_sigma_m=told_m)
+        planner.follow(core.take(wall, estimate, (10 + at_s) * S + at))
+    if found:
+        assert planner.sd_m(unit(angle), 90 * S) == pytest.approx(core.sd_m(unit(angle), 90 * S), rel=1e-12)
+        assert planner.age_s(unit(angle), 90 * S) == core.age_s(unit(angle), 90 * S)
+
+
 # --- walls ------------------------------------------------------------------------------------------------
 
 WOOD = Wall("wood", (2.0, 0.0), (-1.0, 0.0), 4.0, "wood")

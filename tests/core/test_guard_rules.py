@@ -44,6 +44,8 @@ from dart_flight.base.records import (
     VehicleCommand,
 )
 from dart_flight.base.streams import BY_NAME
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import packaged
 from dart_flight.core import flight_core
 from dart_flight.core.guard.rules import RULES, Rule
 from dart_flight.core.guard.second_vehicle import SecondClockDetector, SecondPositionDetector
@@ -463,7 +465,7 @@ def no_approach(c: HandFedCore) -> None:
     c.position_ned, c.velocity_ned = (0.4, 0.0, -1.0), (0.5, 0.0, 0.0)
     c.run(0.05)
     c.pulse((-20.0, 0.0))
-    c.velocity_ned = (0.0, 0.0, 0.0)
+    c.position_ned, c.velocity_ned = (0.1, 0.0, -1.0), (0.0, 0.0, 0.0)
     c.run(2.0)
 
 
@@ -624,11 +626,34 @@ def test_an_onset_is_the_plans_only_where_the_plan_has_one(
     phase: Phase, wall: int, of_the_plan: bool
 ) -> None:
     flown, p = executive.Executive(HandFedCore().core.mission), Proposal()
-    flown.phase, flown._index = phase, wall
+    flown.phase, flown._index, flown._entered_us = phase, wall, 0
     flown._on_onset(
         ImpactOnset(5, 1, 5, (0.0, 9.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), True), FlightState(), p
     )
     assert ("unplanned_hit" not in [finding.rule for finding in p.findings]) is of_the_plan
+
+
+@pytest.mark.parametrize(
+    ("before_m", "after_s", "probed", "noted"),
+    [
+        (0.1, 0.5, True, True),
+        (0.1, 0.5, False, False),  # a hit is no probe
+        (0.1, 1.1, True, False),
+        (0.6, 0.5, True, False),  # nowhere near the wall
+    ],
+)
+def test_a_wall_that_a_probe_has_met_may_be_touched_again_at_once(
+    before_m: float, after_s: float, probed: bool, noted: bool
+) -> None:
+    mission = load_mission(packaged("missions", "dual_collision_gps.yaml"))
+    flown, p, state = executive.Executive(mission), Proposal(), FlightState()
+    flown.phase, flown._index, flown._entered_us = Phase.RECOVERY, 1 if probed else 3, 0
+    flown._collisions[3] = flown._collisions[2]  # one with an approach of its own comes next
+    state.now_us = round(1e6 * after_s)
+    place = (0.4, -1.1 + before_m, 1.0)
+    flown._on_onset(ImpactOnset(5, 1, 5, (0.0, 9.0, 0.0), (0.0, 0.0, 0.0), place, True), state, p)
+    ((rule, is_noted),) = [(finding.rule, finding.note_only) for finding in p.findings]
+    assert (rule, is_noted) == ("unplanned_hit", noted)
 
 
 @pytest.mark.parametrize(("phase", "wall"), [(Phase.TRANSIT, 0), (Phase.RECOVERY, 1), (Phase.GOAL, 2)])

@@ -23,6 +23,7 @@ from tests.core.test_anchors import felt
 
 FIND = load_mission(packaged("missions", "find_a_wall.yaml"))
 AWAY = FIND.waypoints[0]
+HERE = (0.3, -0.4)
 
 
 def met(name: str, place: Vec2 = (1.9, 0.1), normal: Vec2 = (-0.8, 0.6)) -> EstimatedWalls:
@@ -52,7 +53,7 @@ def test_legs_are_left_out_that_depend_on_a_wall_which_was_not_met_or_was() -> N
 
 def test_a_hit_and_a_waypoint_are_as_far_along_the_wall_as_it_was_met() -> None:
     walls = met("east")
-    hit = collision_now(FIND.collisions[1], walls, 0)
+    hit = collision_now(FIND.collisions[1], walls, 0, HERE)
     assert (hit.wall.point, hit.wall.sought) == ((1.9, 0.1), False)
     assert hit.impact_point is not None
     assert hit.wall.signed_distance(hit.impact_point) == pytest.approx(0.0, abs=1e-12)
@@ -62,15 +63,30 @@ def test_a_hit_and_a_waypoint_are_as_far_along_the_wall_as_it_was_met() -> None:
     assert waits.position[:2] == pytest.approx((1.9 - 0.8, 0.1 + 0.6))
     assert waits.position[2] == 1.0
     unknown = EstimatedWalls()
-    assert collision_now(FIND.collisions[1], unknown, 0) == FIND.collisions[1]
+    assert collision_now(FIND.collisions[1], unknown, 0, HERE) == FIND.collisions[1]
     assert waypoint_now(AWAY, unknown) == AWAY
 
 
+@pytest.mark.parametrize("from_here", [True, False])
+def test_a_probe_may_begin_where_the_vehicle_rests(from_here: bool) -> None:
+    probe = FIND.collisions[0].probe
+    assert probe is not None
+    one = msgspec.structs.replace(
+        FIND.collisions[0], probe=msgspec.structs.replace(probe, from_here=from_here)
+    )
+    now = collision_now(one, EstimatedWalls(), 0, HERE).probe
+    assert now is not None
+    assert now.begin == (HERE if from_here else probe.begin)
+    way, before = (tuple(e - b for b, e in zip(p.begin, p.end, strict=True)) for p in (now, probe))
+    assert way == pytest.approx(before, abs=1e-12)
+
+
 def test_a_mission_as_it_is_known_now_has_the_walls_that_were_found() -> None:
-    now = mission_now(FIND, met("east"), 0)
+    now = mission_now(FIND, met("east"), 0, HERE)
     assert [wall.name for wall in now.walls] == ["east"]
     assert [w.index for w in now.waypoints] == [1]
-    before = mission_now(FIND, EstimatedWalls(), 0)
+    assert now.start == HERE
+    before = mission_now(FIND, EstimatedWalls(), 0, HERE)
     assert (before.walls, before.waypoints) == ((), ())
 
 

@@ -169,11 +169,30 @@ def test_a_wall_that_was_felt_stays_where_it_is_when_the_frame_is_put_right() ->
     """The frame's origin goes 6 cm along the wall's normal: the wall comes as much nearer."""
     replanner, (nx, ny) = Replanner(MISSION), ACRYLIC.normal
     replanner.update_wall(felt(Mode.RIGID, None, 1.0))
-    replanner.move_frame(FrameAnchor(2, "acrylic", (0.06 * nx, 0.06 * ny), 0.1, 0.02, None))
+    replanner.move_frame(FrameAnchor(2, "acrylic", (0.06 * nx, 0.06 * ny), 0.1, 0.02, None, (nx, ny), 2, 0))
     answer = replanner.answer(TO_WALL, 0)
     assert answer.impact_s is not None
     met = way_of(answer).at(answer.impact_s).position
     assert ACRYLIC.signed_distance(met) == pytest.approx(-0.06, abs=1e-6)
+
+
+def test_where_the_frame_drifts_it_flies_straight_for_longer_the_older_the_contact_is() -> None:
+    """3 standard deviations of the place, of which each second adds `estimation.position_drift_m_s`."""
+    mission = MISSION.replace({"frame.anchored_by": "touch"})
+    drift_m_s, straights = mission.vehicle.estimation.position_drift_m_s, []
+    for age_s in (0.5, 3.0):
+        replanner = Replanner(mission)
+        contact_us = TO_WALL.t_us - round(1e6 * age_s)
+        for wall in mission.walls:
+            replanner.move_frame(
+                FrameAnchor(contact_us, wall.name, (0.0, 0.0), 0.1, 0.01, None, wall.normal, contact_us, 0)
+            )
+        answer = replanner.answer(TO_WALL, 0)
+        assert answer.impact_s is not None
+        assert answer.normal_m_s is not None
+        straights.append((answer.impact_s - answer.duration_s) * -answer.normal_m_s)
+    sds = [math.hypot(0.01, drift_m_s * age_s) for age_s in (0.5, 3.0)]
+    assert straights[1] - straights[0] == pytest.approx(3.0 * (sds[1] - sds[0]), rel=0.1)
 
 
 @pytest.mark.parametrize(("behind_m", "problem"), [(0.14, ""), (0.16, "no trajectory to the goal")])

@@ -75,7 +75,12 @@ class FrameAnchors:
         age_s, sd = self.age_s(wall.normal, felt.t_us), expected * math.sqrt(1.0 - gain)
         self.add(Anchor(wall.normal, felt.t_us, sd))
         by = (moved * wall.normal[0], moved * wall.normal[1])
-        return FrameAnchor(now_us, wall.name, by, expected, sd, age_s)
+        return FrameAnchor(now_us, wall.name, by, expected, sd, age_s, wall.normal, felt.t_us, self._start_us)
+
+    def follow(self, taken: FrameAnchor) -> None:
+        """Know what another of the same flight has taken: the planner's process follows the core."""
+        self.begin(taken.start_us)
+        self.add(Anchor(taken.normal, taken.felt_us, taken.sd_m))
 
     def age_s(self, normal: Vec2, now_us: int) -> float | None:
         """Time since the last contact with a wall of (nearly) this normal; None: there was none."""

@@ -82,6 +82,8 @@ _NOTHING_MET_S: Final = 0.3  # after the end of a probe: PX4 follows its setpoin
 _RUN_UP_US: Final = 5_000_000  # about so long from the transit's beginning to the impact
 _REST_TIMEOUT_US: Final = 4_000_000
 _REST_AFTER_US: Final = 500_000
+_BOUNCES_US: Final = 1_000_000  # for so long a probe's wall may be touched again, as PX4 leans on it
+_LEFT_SHARE: Final = 0.5  # of how far it is to go back after a probe, at most, for the next leg to begin
 _DISARM_AFTER_US: Final = 8_000_000
 # The wall stops the vehicle in a contact (but for `yielding`), PX4 lands it.
 _SILENT: Final = frozenset({Phase.READYING, Phase.CONTACT, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
@@ -439,16 +441,17 @@ class Executive:
         self._references.fly_to(self._approaches[collision.index].begin)
 
     def _plan_approach_now(self, collision: Collision, state: FlightState, p: Proposal) -> None:
-        """The approach to a wall as it is known by now; a probe keeps its way, but square to the wall."""
+        """The approach to a wall as it is known by now; a probe that begins at a place keeps its way."""
         if collision.trajectory is not None:
             return
         then_us = state.now_us + _RUN_UP_US
-        known = collision_now(collision, self._survey, then_us)
+        here = self._references.target[:2]
+        known = collision_now(collision, self._survey, then_us, here)
         self._collisions[self._index] = known
-        if collision.probe is not None:
+        if collision.probe is not None and not collision.probe.from_here:
             return
         try:
-            mission = mission_now(self.mission, self._survey, then_us)
+            mission = mission_now(self.mission, self._survey, then_us, here)
             self._approaches[collision.index] = plan_approach(mission, known)
         except NoApproachError as error:
             p.add_finding("no_approach", str(error))
@@ -538,7 +541,8 @@ class Executive:
         collision = self._collision
         if collision is None or not self._is_due(collision) or not event.planned:
             force = math.hypot(event.force_mission[0], event.force_mission[1])
-            p.add_finding("unplanned_hit", f"unplanned impact of {force:.0f} N in phase {self.phase.value}")
+            says = f"unplanned impact of {force:.0f} N in phase {self.phase.value}"
+            p.add_finding("unplanned_hit", says, noted=self._touches_again(event.position_mission, state))
             return
         wall, (x, y, _) = self._survey.wall_now(collision.wall, state.now_us), event.position_mission
         distance = wall.signed_distance((x, y))
@@ -549,6 +553,15 @@ class Executive:
             p.add_finding("lock_not_settled", detail)
         else:
             self._go(PhaseTrigger.ONSET, state, p)
+
+    def _touches_again(self, place: Vec3, state: FlightState) -> bool:
+        """Whether the wall of the probe that is just over is touched again: a bounce, not another wall."""
+        if self.phase is not Phase.RECOVERY or self._elapsed_us(state) > _BOUNCES_US:
+            return False
+        before = self.mission.collisions[self._index - 1]
+        wall = self._survey.wall_now(before.wall, state.now_us)
+        near_m = early_m(self.mission.vehicle.guard, wall, place)
+        return before.probe is not None and abs(wall.signed_distance(place)) < near_m
 
     def _on_wall_estimate(self, felt: WallEstimate, state: FlightState, p: Proposal) -> None:
         hit = next(c.wall for c in self.mission.collisions if c.wall.name == felt.wall)
@@ -624,7 +637,8 @@ class Executive:
 
     def _recovery(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         following, stops = self._collision, self._waypoint is not None
-        rests = stops or self.mission.collisions[self._index - 1].probe is not None
+        probe = self.mission.collisions[self._index - 1].probe
+        rests = stops or probe is not None
         if self._lock.contact_end_us is not None:
             self._lock_to(self._mode_after(following, stops), state, p)
             if not rests:
@@ -632,8 +646,11 @@ class Executive:
         timed_out = self._takes_longer_than(self.mission.limits.collision_timeout_s, state)
         if rests or (following is not None and following.approach_m_s is not None):
             elapsed_us = self._elapsed_us(state)
-            slow = elapsed_us > _REST_AFTER_US and self._references.is_slow(state)
-            if slow or elapsed_us > _REST_TIMEOUT_US:
+            rested = elapsed_us > _REST_AFTER_US and self._references.is_slow(state)
+            if probe is not None:  # a hit may end slow at its wall, and PX4's integrators still lean on that
+                left_m = distance2(state.position, self._references.target[:2])
+                rested = rested and left_m < _LEFT_SHARE * probe.back_m
+            if rested or elapsed_us > _REST_TIMEOUT_US:
                 self._references.hold(state.position)
                 self._start_next(PhaseTrigger.RESTED, state, p)
         elif following is None:

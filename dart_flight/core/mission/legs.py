@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
+from dart_flight.base.geometry import Vec2
 from dart_flight.config.mission import Collision, Mission, Waypoint
 from dart_flight.config.probes import place_at
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
@@ -25,9 +26,18 @@ def why_left_out(leg: Collision | Waypoint, walls: EstimatedWalls) -> str | None
     return None
 
 
-def collision_now(collision: Collision, walls: EstimatedWalls, now_us: int) -> Collision:
-    """A collision at its wall as it is known now; the point of impact stays as far along it."""
-    wall = walls.wall_now(collision.wall, now_us)
+def collision_now(collision: Collision, walls: EstimatedWalls, now_us: int, here: Vec2) -> Collision:
+    """A collision at its wall as it is known now; the point of impact stays as far along it.
+
+    Args:
+        collision: as the mission has it.
+        walls: as they are known.
+        now_us: autopilot time.
+        here: where the vehicle rests, mission frame, m: there begins a probe that says so.
+    """
+    wall, probe = walls.wall_now(collision.wall, now_us), collision.probe
+    if probe is not None and probe.from_here:
+        collision = msgspec.structs.replace(collision, probe=probe.begun_at(here))
     if collision.impact_point is None or wall == collision.wall:
         return collision
     along = collision.wall.along(collision.impact_point)
@@ -43,10 +53,12 @@ def waypoint_now(waypoint: Waypoint, walls: EstimatedWalls) -> Waypoint:
     return msgspec.structs.replace(waypoint, position=(*place, waypoint.position[2]))
 
 
-def mission_now(mission: Mission, walls: EstimatedWalls, now_us: int) -> Mission:
-    """A mission with its walls and waypoints as they are known now, without waypoints that are left out."""
+def mission_now(mission: Mission, walls: EstimatedWalls, now_us: int, here: Vec2) -> Mission:
+    """A mission with its walls and waypoints as they are known now, without waypoints that are left out, and
+    with its start where the vehicle rests."""
     return msgspec.structs.replace(
         mission,
+        start=here,
         walls=walls.walls_now(mission.walls, now_us),
         waypoints=tuple(waypoint_now(w, walls) for w in mission.waypoints if why_left_out(w, walls) is None),
     )

@@ -17,7 +17,7 @@ class MissionFinding(NamedTuple):
     Attributes:
         rule: of `core.guard.rules`.
         detail: what was found, in words.
-        noted: it goes into the log, and the mission goes on.
+        note_only: it goes into the log, and the mission goes on.
     """
 
     rule: str

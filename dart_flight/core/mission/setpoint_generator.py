@@ -15,7 +15,8 @@ from dart_flight.core.mission.trajectories import PlannedTrajectory, TrajectoryP
 from dart_flight.core.sense.state import FlightState
 
 _ARRIVED_YAW_RAD: Final = 0.05
-_DRIFTING: Final = 2.5  # times the distance and speed of an arrival
+# Times the distance and the speed of an arrival where PX4's position drifts: it does not come to rest.
+_DRIFTING: Final = (2.5, 4.0)
 
 
 class SetpointGenerator:
@@ -41,7 +42,7 @@ class SetpointGenerator:
         self._yaw_us = 0
         self._arrived_us: int | None = None
         # A position that drifts does not come to rest as one that is tracked.
-        self._loose = _DRIFTING if mission.is_anchored else 1.0
+        self._loose, self._loose_speed = _DRIFTING if mission.is_anchored else (1.0, 1.0)
 
     # -- where to --
 
@@ -128,7 +129,7 @@ class SetpointGenerator:
     def is_slow(self, state: FlightState) -> bool:
         """Whether the mean velocity over `flying.arrive_mean_s` is below `flying.arrive_speed_m_s`."""
         flying = self._flying
-        return norm(state.mean_velocity(flying.arrive_mean_s)) < self._loose * flying.arrive_speed_m_s
+        return norm(state.mean_velocity(flying.arrive_mean_s)) < self._loose_speed * flying.arrive_speed_m_s
 
     def slew_yaw(self, wanted: float, now_us: int) -> None:
         """Turn the heading asked for towards the wanted one, at the configured rate at most."""

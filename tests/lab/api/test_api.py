@@ -137,6 +137,7 @@ def every_key() -> dict[str, Any]:
     }
     looked_for = {
         "from_m": [-0.2, 0.3],
+        "from_here": True,
         "length_m": 1.2,
         "direction": [-1.0, 0.0],
         "speed_m_s": 0.6,
