@@ -639,7 +639,7 @@ def test_an_onset_is_the_plans_only_where_the_plan_has_one(
         (0.1, 0.5, True, True),
         (0.1, 0.5, False, False),  # a hit is no probe
         (0.1, 1.1, True, False),
-        (0.6, 0.5, True, False),  # nowhere near the wall
+        (2.0, 0.5, True, False),  # nowhere near the wall
     ],
 )
 def test_a_wall_that_a_probe_has_met_may_be_touched_again_at_once(
