@@ -457,11 +457,12 @@ def _anchors(flights: Sequence[Flown]) -> list[str]:
             if here:
                 done = sum(f.outcome == Outcome.COMPLETED for f in here)
                 young = [f for f in here if all(h.age_s <= _YOUNG_S for h in f.hits)]
+                both = [f for f in young if len(f.hits) >= 2]
                 fit = sum(f.outcome == Outcome.COMPLETED for f in young)
                 rows.append(
                     [
                         case, world, f"{done} of {len(here)}", str(_uncontrolled(here)),
-                        f"{fit} of {len(young)}" if here[0].hits or young else "-", _reasons(here),
+                        *((f"{fit} of {len(both)}", f"{fit} of {len(young)}") if both else "--"), _reasons(here),
                     ]
                 )  # fmt: skip
     ages = []
@@ -480,15 +481,17 @@ def _anchors(flights: Sequence[Flown]) -> list[str]:
                         f"{rms(h.moved_m / h.expected_sd_m for h in here_too):.2f}",
                     ]
                 )
-    heads = ["case", "world", "completed", "uncontrolled", "all anchors at most 8 s old", "broken off by"]
+    heads = ["case", "world", "completed", "uncontrolled", "both within 8 s", "none later", "broken off by"]
     return [
         "## The dual collision on GPS without corrections",
         "",
         "`missions/dual_collision_gps.yaml`: both walls are touched, then hit. The receiver wanders by 1 m",
         "over a minute, its Doppler velocity by 0.03 m/s over 20 s. *No anchors* is the same flight with",
         "PX4's usual weights, the frame left where it was laid, and the guard's limit for PX4's own",
-        "uncertainty lifted, without which it does not take off. *All anchors at most 8 s old* has the",
-        "flights in which no hit came later after its touch, and those broken off before any such hit.",
+        "uncertainty lifted, without which it does not take off. The mission was tuned on seeds 401 to 450,",
+        "and two earlier forms of it were flown, and looked at, on 5001 to 5040. *Both within 8 s*: how many completed of",
+        "those that hit each wall at most 8 s after its touch; *none later* has those, too, that were",
+        "broken off before they had hit both. Uncontrolled is a tilt over 60 degrees.",
         "",
         markdown(heads, rows),
         "Where the wall was met against where it was expected, by the age of its anchor:",
