@@ -459,10 +459,11 @@ def _anchors(flights: Sequence[Flown]) -> list[str]:
                 young = [f for f in here if all(h.age_s <= _YOUNG_S for h in f.hits)]
                 both = [f for f in young if len(f.hits) >= 2]
                 fit = sum(f.outcome == Outcome.COMPLETED for f in young)
+                of_young = (f"{fit} of {len(both)}", f"{fit} of {len(young)}") if both else ("-", "-")
                 rows.append(
                     [
                         case, world, f"{done} of {len(here)}", str(_uncontrolled(here)),
-                        *((f"{fit} of {len(both)}", f"{fit} of {len(young)}") if both else "--"), _reasons(here),
+                        *of_young, _reasons(here),
                     ]
                 )  # fmt: skip
     ages = []
@@ -489,8 +490,8 @@ def _anchors(flights: Sequence[Flown]) -> list[str]:
         "over a minute, its Doppler velocity by 0.03 m/s over 20 s. *No anchors* is the same flight with",
         "PX4's usual weights, the frame left where it was laid, and the guard's limit for PX4's own",
         "uncertainty lifted, without which it does not take off. The mission was tuned on seeds 401 to 450,",
-        "and two earlier forms of it were flown, and looked at, on 5001 to 5040. *Both within 8 s*: how many completed of",
-        "those that hit each wall at most 8 s after its touch; *none later* has those, too, that were",
+        "and two earlier forms of it were flown, and looked at, on 5001 to 5040: 5041 to 5060 are held out.",
+        "*Both within 8 s*: how many completed of those that hit each wall at most 8 s after its touch; *none later* has those, too, that were",
         "broken off before they had hit both. Uncontrolled is a tilt over 60 degrees.",
         "",
         markdown(heads, rows),
