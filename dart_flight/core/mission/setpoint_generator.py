@@ -16,7 +16,8 @@ from dart_flight.core.sense.state import FlightState
 
 _ARRIVED_YAW_RAD: Final = 0.05
 # Times the distance and the speed of an arrival where PX4's position drifts: it does not come to rest.
-_DRIFTING: Final = (2.5, 4.0)
+_DRIFTING_NEAR: Final = 2.5
+_DRIFTING_SLOW: Final = 4.0
 
 
 class SetpointGenerator:
@@ -42,7 +43,8 @@ class SetpointGenerator:
         self._yaw_us = 0
         self._arrived_us: int | None = None
         # A position that drifts does not come to rest as one that is tracked.
-        self._loose, self._loose_speed = _DRIFTING if mission.is_anchored else (1.0, 1.0)
+        self._loose = _DRIFTING_NEAR if mission.is_anchored else 1.0
+        self._loose_speed = _DRIFTING_SLOW if mission.is_anchored else 1.0
 
     # -- where to --
 
