@@ -12,7 +12,7 @@ from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.probes import Probe
 from dart_flight.contact import contact_map
 from dart_flight.contact.law import Onset
-from dart_flight.core.mission.anchors import SAME_NORMAL
+from dart_flight.core.mission.anchors import has_same_normal
 from dart_flight.core.mission.approach import NoApproachError, plan_approach
 from dart_flight.core.mission.trajectories import transit_time_s
 from dart_flight.core.mission.wall_uncertainty import SURE_SD, position_margin_m
@@ -74,8 +74,8 @@ def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
     touched: list[Collision] = []
     times = _hit_times_s(mission)
     for collision in mission.collisions:
-        item, (nx, ny) = f"anchor_{collision.index}", collision.wall.normal
-        by = [c for c in touched if abs(c.wall.normal[0] * nx + c.wall.normal[1] * ny) >= SAME_NORMAL]
+        item = f"anchor_{collision.index}"
+        by = [c for c in touched if has_same_normal(c.wall.normal, collision.wall.normal)]
         if collision.probe is None and by:
             age_s = times[collision.index] - times[by[-1].index]
             sd_m = age_s * mission.vehicle.estimation.position_drift_m_s

@@ -37,8 +37,8 @@ class Probe(msgspec.Struct, frozen=True):
     back_m: float
     from_here: bool = False
 
-    def begun_at(self, here: Vec2) -> Probe:
-        """The same leg from another place on."""
+    def starting_at(self, here: Vec2) -> Probe:
+        """The same leg from another start (mission frame, m): as long, in the same direction."""
         (bx, by), (ex, ey) = self.begin, self.end
         return msgspec.structs.replace(self, begin=here, end=(here[0] + ex - bx, here[1] + ey - by))
 

@@ -20,7 +20,7 @@ from dart_flight.base.walls import Wall
 
 START_SD_M: Final = 0.3  # how well the vehicle stands where the mission has its start
 WALL_SD_M: Final = 0.02  # of a wall that carries no figure, as it is taken to be surveyed
-SAME_NORMAL: Final = 0.98  # cosine: an anchor in nearly this direction takes the place of the one before
+_SAME_NORMAL: Final = 0.98  # cosine: an anchor in nearly this direction takes the place of the one before
 
 
 class Anchor(NamedTuple):
@@ -29,6 +29,11 @@ class Anchor(NamedTuple):
     normal: Vec2
     t_us: int
     sd_m: float
+
+
+def has_same_normal(a: Vec2, b: Vec2) -> bool:
+    """Whether two unit normals are nearly parallel, of either sign: a contact with one anchors the other."""
+    return abs(a[0] * b[0] + a[1] * b[1]) >= _SAME_NORMAL
 
 
 class FrameAnchors:
@@ -50,10 +55,7 @@ class FrameAnchors:
 
     def add(self, anchor: Anchor) -> None:
         """A contact has told where the frame is along a normal."""
-        nx, ny = anchor.normal
-        self._anchors = [
-            one for one in self._anchors if abs(one.normal[0] * nx + one.normal[1] * ny) < SAME_NORMAL
-        ]
+        self._anchors = [one for one in self._anchors if not has_same_normal(one.normal, anchor.normal)]
         self._anchors.append(anchor)
 
     def take(self, wall: Wall, felt: WallEstimate, now_us: int) -> FrameAnchor:
@@ -85,7 +87,7 @@ class FrameAnchors:
     def age_s(self, normal: Vec2, now_us: int) -> float | None:
         """Time since the last contact with a wall of (nearly) this normal; None: there was none."""
         for one in self._anchors:
-            if abs(one.normal[0] * normal[0] + one.normal[1] * normal[1]) >= SAME_NORMAL:
+            if has_same_normal(one.normal, normal):
                 return (now_us - one.t_us) * 1e-6
         return None
 

@@ -648,7 +648,7 @@ class Executive:
             elapsed_us = self._elapsed_us(state)
             rested = elapsed_us > _REST_AFTER_US and self._references.is_slow(state)
             if probe is not None:  # a hit may end slow at its wall, and PX4's integrators still lean on that
-                left_m = distance2(state.position, self._references.target[:2])
+                left_m = distance2(state.position, self._references.target)
                 rested = rested and left_m < _LEFT_SHARE * probe.back_m
             if rested or elapsed_us > _REST_TIMEOUT_US:
                 self._references.hold(state.position)

@@ -37,7 +37,7 @@ def collision_now(collision: Collision, walls: EstimatedWalls, now_us: int, here
     """
     wall, probe = walls.wall_now(collision.wall, now_us), collision.probe
     if probe is not None and probe.from_here:
-        collision = msgspec.structs.replace(collision, probe=probe.begun_at(here))
+        collision = msgspec.structs.replace(collision, probe=probe.starting_at(here))
     if collision.impact_point is None or wall == collision.wall:
         return collision
     along = collision.wall.along(collision.impact_point)
