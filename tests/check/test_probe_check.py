@@ -53,7 +53,7 @@ def test_how_old_an_anchor_will_be_is_told_with_what_is_left_of_it() -> None:
     assert found["anchor_4"].figures is not None
     assert 6.0 < found["anchor_3"].figures["age_s"] < 10.0
     assert 4.0 < found["anchor_4"].figures["age_s"] < 9.0
-    assert found["anchor_4"].figures["sd_m"] == pytest.approx(0.03 * found["anchor_4"].figures["age_s"])
+    assert found["anchor_4"].figures["sd_m"] == pytest.approx(0.04 * found["anchor_4"].figures["age_s"])
 
 
 def test_a_wall_without_a_touch_before_is_a_no_go_where_the_frame_drifts() -> None:

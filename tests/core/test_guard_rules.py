@@ -51,6 +51,7 @@ from dart_flight.core.guard.rules import RULES, Rule
 from dart_flight.core.guard.second_vehicle import SecondClockDetector, SecondPositionDetector
 from dart_flight.core.mission import executive, rehearsal
 from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.mission.trajectories import PlannedTrajectory
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from tests.core.conftest import TELEPORTING, HandFedCore
@@ -602,13 +603,13 @@ def test_a_wall_that_no_recovery_reaches_is_given_up_when_its_time_is_over() -> 
 def test_the_contact_that_is_expected_is_that_with_the_next_wall(
     phase: Phase, walls: tuple[str | None, str | None]
 ) -> None:
-    flown = executive.Executive(HandFedCore().core.mission)
-    flown.phase = phase
+    flown, state = executive.Executive(HandFedCore().core.mission), FlightState()
+    flown.phase, flown._entered_us, state.now_us = phase, 0, 2_000_000  # a bounce would be over
     for flown._index, name in enumerate(walls):
-        expected = flown._expect()
+        expected = flown._expect(state)
         assert (expected.wall.name if expected.wall else None) == name
         assert expected.watching is (phase is not Phase.LANDING)
-        assert flown._expect() is expected
+        assert flown._expect(state) is expected
 
 
 @pytest.mark.parametrize(
@@ -633,27 +634,40 @@ def test_an_onset_is_the_plans_only_where_the_plan_has_one(
     assert ("unplanned_hit" not in [finding.rule for finding in p.findings]) is of_the_plan
 
 
+@pytest.mark.parametrize("hits", [1, 3], ids=["after a probe", "after a hit, the next wall ahead"])
 @pytest.mark.parametrize(
-    ("before_m", "after_s", "probed", "noted"),
+    ("before_m", "after_s", "noted"),
     [
-        (0.1, 0.5, True, True),
-        (0.1, 0.5, False, False),  # a hit is no probe
-        (0.1, 1.1, True, False),
-        (2.0, 0.5, True, False),  # nowhere near the wall
+        (0.1, 0.5, True),
+        (0.1, 1.1, False),  # too late for a bounce
+        (2.0, 0.5, False),  # nowhere near the wall
     ],
 )
-def test_a_wall_that_a_probe_has_met_may_be_touched_again_at_once(
-    before_m: float, after_s: float, probed: bool, noted: bool
+def test_the_wall_that_was_just_hit_may_be_touched_again_at_once(
+    before_m: float, after_s: float, noted: bool, hits: int
 ) -> None:
     mission = load_mission(packaged("missions", "dual_collision_gps.yaml"))
     flown, p, state = executive.Executive(mission), Proposal(), FlightState()
-    flown.phase, flown._index, flown._entered_us = Phase.RECOVERY, 1 if probed else 3, 0
-    flown._collisions[3] = flown._collisions[2]  # one with an approach of its own comes next
+    flown.phase, flown._index, flown._entered_us = Phase.RECOVERY, hits, 0
     state.now_us = round(1e6 * after_s)
-    place = (0.4, -1.1 + before_m, 1.0)
+    state.position = place = (0.4, -1.1 + before_m, 1.0)
+    assert (flown._expect(state).wall is None) is (noted or hits == 1)  # nothing learnt of the wall ahead
     flown._on_onset(ImpactOnset(5, 1, 5, (0.0, 9.0, 0.0), (0.0, 0.0, 0.0), place, True), state, p)
     ((rule, is_noted),) = [(finding.rule, finding.note_only) for finding in p.findings]
-    assert (rule, is_noted) == ("unplanned_hit", noted)
+    assert rule == ("unplanned_hit" if noted or hits == 1 else "wall_met_early")
+    assert is_noted is noted
+
+
+def test_after_a_bounce_the_vehicle_goes_clear_of_the_wall_and_asks_for_a_trajectory_anew() -> None:
+    mission = load_mission(packaged("missions", "dual_collision_gps.yaml"))
+    flown, p, state = executive.Executive(mission), Proposal(), FlightState()
+    flown.phase, flown._index, flown._entered_us, state.now_us = Phase.RECOVERY, 4, 0, 300_000
+    state.position = place = (1.6, -0.5, 1.0)
+    flown._replanning._way = PlannedTrajectory((0.0,) * 6, (0.0,) * 6, 1.0, 1.0)
+    flown._on_onset(ImpactOnset(5, 1, 5, (-9.0, 0.0, 0.0), (0.0, 0.0, 0.0), place, False), state, p)
+    assert flown._references.target[:2] == pytest.approx((1.6 - mission.vehicle.guard.retreat_m, -0.5))
+    assert flown._replanning.trajectory_since_us is None
+    assert [finding.note_only for finding in p.findings] == [True]
 
 
 @pytest.mark.parametrize(("phase", "wall"), [(Phase.TRANSIT, 0), (Phase.RECOVERY, 1), (Phase.GOAL, 2)])

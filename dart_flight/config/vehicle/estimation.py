@@ -109,7 +109,7 @@ class Estimation(Section, frozen=True, kw_only=True):
     arm_vibration: ArmVibration | None = None
     hover: HoverLearning
     walls: WallPrior = WallPrior()
-    position_drift_m_s: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.03
+    position_drift_m_s: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.04
 
     def __post_init__(self) -> None:
         if self.thrust_source is ThrustSource.ESC and self.esc_thrust_n_per_rpm2 is None:

@@ -82,7 +82,7 @@ _NOTHING_MET_S: Final = 0.3  # after the end of a probe: PX4 follows its setpoin
 _RUN_UP_US: Final = 5_000_000  # about so long from the transit's beginning to the impact
 _REST_TIMEOUT_US: Final = 4_000_000
 _REST_AFTER_US: Final = 500_000
-_BOUNCES_US: Final = 1_000_000  # for so long a probe's wall may be touched again, as PX4 leans on it
+_BOUNCES_US: Final = 1_000_000  # for so long after a hit its wall may be touched again, as PX4 leans on it
 _LEFT_SHARE: Final = 0.5  # of how far it is to go back after a probe, at most, for the next leg to begin
 _DISARM_AFTER_US: Final = 8_000_000
 # The wall stops the vehicle in a contact (but for `yielding`), PX4 lands it.
@@ -208,7 +208,7 @@ class Executive:
         step = self._steps.get(self.phase)
         if step is not None and not (p.frame is not None and self._anchors is not None and sensed.wall):
             step(state, sensed, p)  # what has just moved the frame has not moved the state yet
-        p.expected = self._expect()
+        p.expected = self._expect(state)
         p.altitude_m = self._references.altitude_m
         if isinstance(item, OdometrySample):
             self._send_setpoint(item, state, p)
@@ -264,9 +264,13 @@ class Executive:
         host_us = state.host_us - (self._entered_host_us or state.host_us)
         return self._takes_longer_than(limit_s, state) or host_us > _SLOWEST * limit_s * 1e6
 
-    def _expect(self) -> ExpectedContact:
+    def _expect(self, state: FlightState) -> ExpectedContact:
         collision = self._collision
-        if collision is None or not self._is_expected(collision):
+        if (
+            collision is None
+            or not self._is_expected(collision)
+            or self._is_at_wall_just_hit(state.position, state)
+        ):
             return _ANY_WALL if self.phase in WATCHING else _NO_WALL
         wall, watching = collision.wall, self.phase in WATCHING
         if self._expected.wall is not wall or self._expected.watching is not watching:
@@ -537,12 +541,13 @@ class Executive:
 
     def _on_onset(self, event: ImpactOnset, state: FlightState, p: Proposal) -> None:
         self._lock.contact_begins(event.t_us)
+        if self._is_at_wall_just_hit(event.position_mission, state):
+            self._on_bounce(event, state, p)
+            return
         self._replanning.contact_begins()
         collision = self._collision
         if collision is None or not self._is_due(collision) or not event.planned:
-            force = math.hypot(event.force_mission[0], event.force_mission[1])
-            says = f"unplanned impact of {force:.0f} N in phase {self.phase.value}"
-            p.add_finding("unplanned_hit", says, noted=self._touches_again(event.position_mission, state))
+            p.add_finding("unplanned_hit", f"unplanned {self._says(event)}")
             return
         wall, (x, y, _) = self._survey.wall_now(collision.wall, state.now_us), event.position_mission
         distance = wall.signed_distance((x, y))
@@ -554,14 +559,32 @@ class Executive:
         else:
             self._go(PhaseTrigger.ONSET, state, p)
 
-    def _touches_again(self, place: Vec3, state: FlightState) -> bool:
-        """Whether the wall of the probe that is just over is touched again: a bounce, not another wall."""
+    def _says(self, event: ImpactOnset) -> str:
+        force = math.hypot(event.force_mission[0], event.force_mission[1])
+        return f"impact of {force:.0f} N in phase {self.phase.value}"
+
+    def _is_at_wall_just_hit(self, place: Vec3, state: FlightState) -> bool:
+        """Whether a contact here would be a bounce: at the wall hit last, and soon after that hit."""
         if self.phase is not Phase.RECOVERY or self._elapsed_us(state) > _BOUNCES_US:
             return False
-        before = self.mission.collisions[self._index - 1]
-        wall = self._survey.wall_now(before.wall, state.now_us)
-        near_m = early_m(self.mission.vehicle.guard, wall, place)
-        return before.probe is not None and abs(wall.signed_distance(place)) < near_m
+        wall = self._survey.wall_now(self.mission.collisions[self._index - 1].wall, state.now_us)
+        distance_m = abs(wall.signed_distance(place))
+        if distance_m > early_m(self.mission.vehicle.guard, wall, place):
+            return False
+        following = self._collision
+        if following is None or not self._is_expected(following):
+            return True
+        ahead = self._survey.wall_now(following.wall, state.now_us)
+        return ahead.name != wall.name and distance_m < abs(ahead.signed_distance(place))
+
+    def _on_bounce(self, event: ImpactOnset, state: FlightState, p: Proposal) -> None:
+        """Note it, and get clear of the wall until a trajectory is planned from there."""
+        p.add_finding("unplanned_hit", f"bounce, {self._says(event)}", noted=True)
+        if self._replanning.trajectory_since_us is not None:
+            wall = self.mission.collisions[self._index - 1].wall
+            away_m, (nx, ny), (x, y, _) = self.mission.vehicle.guard.retreat_m, wall.normal, state.position
+            self._references.hold((x + away_m * nx, y + away_m * ny))
+        self._replanning.contact_begins()
 
     def _on_wall_estimate(self, felt: WallEstimate, state: FlightState, p: Proposal) -> None:
         hit = next(c.wall for c in self.mission.collisions if c.wall.name == felt.wall)

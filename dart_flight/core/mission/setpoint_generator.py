@@ -15,9 +15,11 @@ from dart_flight.core.mission.trajectories import PlannedTrajectory, TrajectoryP
 from dart_flight.core.sense.state import FlightState
 
 _ARRIVED_YAW_RAD: Final = 0.05
-# Times the distance and the speed of an arrival where PX4's position drifts: it does not come to rest.
+# Times the distance, speed and heading of an arrival where PX4's position drifts: it does not come to rest,
+# and waiting for the last degrees after a hit ages the contacts by seconds.
 _DRIFTING_NEAR: Final = 2.5
 _DRIFTING_SLOW: Final = 4.0
+_DRIFTING_TURNED: Final = 2.0
 
 
 class SetpointGenerator:
@@ -45,6 +47,7 @@ class SetpointGenerator:
         # A position that drifts does not come to rest as one that is tracked.
         self._loose = _DRIFTING_NEAR if mission.is_anchored else 1.0
         self._loose_speed = _DRIFTING_SLOW if mission.is_anchored else 1.0
+        self._loose_yaw = _DRIFTING_TURNED if mission.is_anchored else 1.0
 
     # -- where to --
 
@@ -119,7 +122,7 @@ class SetpointGenerator:
         near = (
             math.dist(state.position, self.target) < self._loose * flying.arrive_m
             and self.is_slow(state)
-            and abs(wrap_angle(state.yaw - wanted_yaw)) < _ARRIVED_YAW_RAD
+            and abs(wrap_angle(state.yaw - wanted_yaw)) < self._loose_yaw * _ARRIVED_YAW_RAD
         )
         if not near:
             self._arrived_us = None
