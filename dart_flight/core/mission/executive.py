@@ -547,7 +547,7 @@ class Executive:
         self._replanning.contact_begins()
         collision = self._collision
         if collision is None or not self._is_due(collision) or not event.planned:
-            p.add_finding("unplanned_hit", f"unplanned {self._says(event)}")
+            p.add_finding("unplanned_hit", f"unplanned {self._describe(event)}")
             return
         wall, (x, y, _) = self._survey.wall_now(collision.wall, state.now_us), event.position_mission
         distance = wall.signed_distance((x, y))
@@ -559,7 +559,7 @@ class Executive:
         else:
             self._go(PhaseTrigger.ONSET, state, p)
 
-    def _says(self, event: ImpactOnset) -> str:
+    def _describe(self, event: ImpactOnset) -> str:
         force = math.hypot(event.force_mission[0], event.force_mission[1])
         return f"impact of {force:.0f} N in phase {self.phase.value}"
 
@@ -579,10 +579,14 @@ class Executive:
 
     def _on_bounce(self, event: ImpactOnset, state: FlightState, p: Proposal) -> None:
         """Note it, and get clear of the wall until a trajectory is planned from there."""
-        p.add_finding("unplanned_hit", f"bounce, {self._says(event)}", noted=True)
+        p.add_finding("unplanned_hit", f"bounce, {self._describe(event)}", noted=True)
         if self._replanning.trajectory_since_us is not None:
-            wall = self.mission.collisions[self._index - 1].wall
-            away_m, (nx, ny), (x, y, _) = self.mission.vehicle.guard.retreat_m, wall.normal, state.position
+            hit = self.mission.collisions[self._index - 1].wall
+            (nx, ny), away_m = (
+                self._survey.wall_now(hit, state.now_us).normal,
+                self.mission.vehicle.guard.retreat_m,
+            )
+            x, y, _ = state.position
             self._references.hold((x + away_m * nx, y + away_m * ny))
         self._replanning.contact_begins()
 
