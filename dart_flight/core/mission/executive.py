@@ -582,11 +582,8 @@ class Executive:
         p.add_finding("unplanned_hit", f"bounce, {self._describe(event)}", noted=True)
         if self._replanning.trajectory_since_us is not None:
             hit = self.mission.collisions[self._index - 1].wall
-            (nx, ny), away_m = (
-                self._survey.wall_now(hit, state.now_us).normal,
-                self.mission.vehicle.guard.retreat_m,
-            )
-            x, y, _ = state.position
+            (nx, ny), (x, y, _) = self._survey.wall_now(hit, state.now_us).normal, state.position
+            away_m = self.mission.vehicle.guard.retreat_m
             self._references.hold((x + away_m * nx, y + away_m * ny))
         self._replanning.contact_begins()
 
