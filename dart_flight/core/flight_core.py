@@ -56,7 +56,7 @@ class FlightCore:
     @property
     def phase(self) -> Phase:
         """Where the mission stands."""
-        return self._executive.phase
+        return self._executive.progress.phase
 
     @property
     def override(self) -> Override:
@@ -66,7 +66,7 @@ class FlightCore:
     @property
     def pace(self) -> Pace:
         """How soon the next inputs have to be stepped."""
-        senses, phase = self._senses, self._executive.phase
+        senses, phase = self._senses, self._executive.progress.phase
         if self._guard.telemetry_late:
             return Pace.BATCHED  # a backlog is emptied sooner where nobody steps what is old one by one
         if senses.walls.is_busy or (senses.detector.in_contact and phase is not Phase.CONTACT):
@@ -110,7 +110,7 @@ class FlightCore:
         if self._fault is not None:
             proposal.findings.append(self._fault)
         guard, executive, state = self._guard, self._executive, self._senses.state
-        kept = guard.review(item, state, sensed, executive.phase, proposal)
+        kept = guard.review(item, state, sensed, executive.progress.phase, proposal)
         if guard.overrules:
             kept += executive.overruled(state.now_us, guard.reason or "")
             # A wall met while the guard holds or backs off is an impact, the ground at the end is none.

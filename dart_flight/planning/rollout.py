@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
-from dart_flight.core.mission.executive import PASSED_AFTER_S, PASSED_RISE_M
+from dart_flight.core.mission.recovery import PASSED_AFTER_S, PASSED_RISE_M
 from dart_flight.core.mission.wall_uncertainty import end_margin_m
 from dart_flight.planning.approach_grid import ApproachGrid, approach_grid
 from dart_flight.planning.constraints import CODE, REFUSALS, Constraints, Refusal

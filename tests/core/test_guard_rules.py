@@ -4,6 +4,7 @@ import inspect
 import random
 import re
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -49,7 +50,7 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.core import flight_core
 from dart_flight.core.guard.rules import RULES, Rule
 from dart_flight.core.guard.second_vehicle import SecondClockDetector, SecondPositionDetector
-from dart_flight.core.mission import executive, rehearsal
+from dart_flight.core.mission import executive
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.trajectories import PlannedTrajectory
 from dart_flight.core.sense.senses import Sensed
@@ -604,12 +605,16 @@ def test_the_contact_that_is_expected_is_that_with_the_next_wall(
     phase: Phase, walls: tuple[str | None, str | None]
 ) -> None:
     flown, state = executive.Executive(HandFedCore().core.mission), FlightState()
-    flown.phase, flown._entered_us, state.now_us = phase, 0, 2_000_000  # a bounce would be over
-    for flown._index, name in enumerate(walls):
-        expected = flown._expect(state)
+    flown.progress.phase, flown.progress.entered_us, state.now_us = (
+        phase,
+        0,
+        2_000_000,
+    )  # a bounce would be over
+    for flown.progress.index, name in enumerate(walls):
+        expected = flown._impacts.expected(state)
         assert (expected.wall.name if expected.wall else None) == name
         assert expected.watching is (phase is not Phase.LANDING)
-        assert flown._expect(state) is expected
+        assert flown._impacts.expected(state) is expected
 
 
 @pytest.mark.parametrize(
@@ -627,8 +632,8 @@ def test_an_onset_is_the_plans_only_where_the_plan_has_one(
     phase: Phase, wall: int, of_the_plan: bool
 ) -> None:
     flown, p = executive.Executive(HandFedCore().core.mission), Proposal()
-    flown.phase, flown._index, flown._entered_us = phase, wall, 0
-    flown._on_onset(
+    flown.progress.phase, flown.progress.index, flown.progress.entered_us = phase, wall, 0
+    flown._impacts.on_onset(
         ImpactOnset(5, 1, 5, (0.0, 9.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), True), FlightState(), p
     )
     assert ("unplanned_hit" not in [finding.rule for finding in p.findings]) is of_the_plan
@@ -648,11 +653,13 @@ def test_the_wall_that_was_just_hit_may_be_touched_again_at_once(
 ) -> None:
     mission = load_mission(packaged("missions", "dual_collision_gps.yaml"))
     flown, p, state = executive.Executive(mission), Proposal(), FlightState()
-    flown.phase, flown._index, flown._entered_us = Phase.RECOVERY, hits, 0
+    flown.progress.phase, flown.progress.index, flown.progress.entered_us = Phase.RECOVERY, hits, 0
     state.now_us = round(1e6 * after_s)
     state.position = place = (0.4, -1.1 + before_m, 1.0)
-    assert (flown._expect(state).wall is None) is (noted or hits == 1)  # nothing learnt of the wall ahead
-    flown._on_onset(ImpactOnset(5, 1, 5, (0.0, 9.0, 0.0), (0.0, 0.0, 0.0), place, True), state, p)
+    assert (flown._impacts.expected(state).wall is None) is (
+        noted or hits == 1
+    )  # nothing learnt of the wall ahead
+    flown._impacts.on_onset(ImpactOnset(5, 1, 5, (0.0, 9.0, 0.0), (0.0, 0.0, 0.0), place, True), state, p)
     ((rule, is_noted),) = [(finding.rule, finding.note_only) for finding in p.findings]
     assert rule == ("unplanned_hit" if noted or hits == 1 else "wall_met_early")
     assert is_noted is noted
@@ -661,10 +668,15 @@ def test_the_wall_that_was_just_hit_may_be_touched_again_at_once(
 def test_after_a_bounce_the_vehicle_goes_clear_of_the_wall_and_asks_for_a_trajectory_anew() -> None:
     mission = load_mission(packaged("missions", "dual_collision_gps.yaml"))
     flown, p, state = executive.Executive(mission), Proposal(), FlightState()
-    flown.phase, flown._index, flown._entered_us, state.now_us = Phase.RECOVERY, 4, 0, 300_000
+    flown.progress.phase, flown.progress.index, flown.progress.entered_us, state.now_us = (
+        Phase.RECOVERY,
+        4,
+        0,
+        300_000,
+    )
     state.position = place = (1.6, -0.5, 1.0)
     flown._replanning._way = PlannedTrajectory((0.0,) * 6, (0.0,) * 6, 1.0, 1.0)
-    flown._on_onset(ImpactOnset(5, 1, 5, (-9.0, 0.0, 0.0), (0.0, 0.0, 0.0), place, False), state, p)
+    flown._impacts.on_onset(ImpactOnset(5, 1, 5, (-9.0, 0.0, 0.0), (0.0, 0.0, 0.0), place, False), state, p)
     assert flown._references.target[:2] == pytest.approx((1.6 - mission.vehicle.guard.retreat_m, -0.5))
     assert flown._replanning.trajectory_since_us is None
     assert [finding.note_only for finding in p.findings] == [True]
@@ -673,9 +685,11 @@ def test_after_a_bounce_the_vehicle_goes_clear_of_the_wall_and_asks_for_a_trajec
 @pytest.mark.parametrize(("phase", "wall"), [(Phase.TRANSIT, 0), (Phase.RECOVERY, 1), (Phase.GOAL, 2)])
 def test_a_peak_without_a_contact_of_the_plans_starts_no_recovery(phase: Phase, wall: int) -> None:
     flown, p = executive.Executive(HandFedCore().core.mission), Proposal()
-    flown.phase, flown._index = phase, wall
-    flown._on_peak(ImpactPeak(5, 5, 5, (0.0, 1.0), 20.0, 0.0, (0.0, 0.0, 1.0), False), FlightState(), p)
-    assert (p.outputs, flown.phase, flown._index) == ([], phase, wall)
+    flown.progress.phase, flown.progress.index = phase, wall
+    flown._impacts.on_peak(
+        ImpactPeak(5, 5, 5, (0.0, 1.0), 20.0, 0.0, (0.0, 0.0, 1.0), False), FlightState(), p
+    )
+    assert (p.outputs, flown.progress.phase, flown.progress.index) == ([], phase, wall)
 
 
 def test_in_the_step_in_which_a_rule_fires_the_mission_may_record_but_not_command() -> None:
@@ -735,7 +749,7 @@ def test_a_planned_hit_is_in_the_noise_where_its_modes_floor_is_above_it(
     planned = msgspec.structs.replace(mission.collisions[0], mode=mode)
     changed = msgspec.structs.replace(mission, collisions=(planned, *mission.collisions[1:]))
     found = executive.Executive(changed)
-    found._on_detection_floor(DetectionFloor(0, threshold_n, 1.0, 1.0, rigid_n, flexible_n), p)
+    found._impacts.on_detection_floor(DetectionFloor(0, threshold_n, 1.0, 1.0, rigid_n, flexible_n), p)
     assert [finding.rule for finding in p.findings] == ["hit_in_noise"] * fires
 
 
@@ -960,7 +974,7 @@ def test_a_wall_that_may_be_further_away_is_late_as_much_later(sd: float | None)
 
     def found(since_s: float) -> list[str]:
         flown, state, p = executive.Executive(mission), FlightState(), Proposal()
-        flown.phase, flown._entered_us, flown._impact_s = Phase.APPROACH, 0, 2.0
+        flown.progress.phase, flown.progress.entered_us, flown._references.impact_s = Phase.APPROACH, 0, 2.0
         state.now_us = round((2.0 + since_s) * 1e6)
         state.lock = LockState(0, LockPhase.SETTLED, planned.mode)
         flown._approach(state, Sensed(None, (), False), p)
@@ -1128,12 +1142,9 @@ def test_commands_to_the_motors_that_come_too_seldom_are_named() -> None:
 def test_names_that_others_report_are_in_the_table() -> None:
     names = {rule.name: rule for rule in RULES}
     found = set[str]()
-    for module, pattern in (
-        (executive, r'find(?:ing)?\(\s*"(\w+)"'),
-        (rehearsal, r'find(?:ing)?\(\s*"(\w+)"'),
-        (flight_core, r'Finding\(\s*"(\w+)"'),
-    ):
-        found |= set(re.findall(pattern, inspect.getsource(module)))
+    for source in Path(executive.__file__).parent.glob("*.py"):
+        found |= set(re.findall(r'add_finding\(\s*"(\w+)"', source.read_text()))
+    found |= set(re.findall(r'Finding\(\s*"(\w+)"', inspect.getsource(flight_core)))
     assert found == {name for name, rule in names.items() if rule.cause is None}
 
 

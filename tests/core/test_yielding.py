@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import ExitStack
 from pathlib import Path
 from unittest.mock import patch
 
@@ -24,10 +25,10 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import load_vehicle
-from dart_flight.core import flight_core
+from dart_flight.core.mission import executive
 from dart_flight.core.mission.contact_feedforward import ContactFeedforward
-from dart_flight.core.mission.executive import Executive
 from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.mission.setpoint_selection import SetpointSelection
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from dart_flight.run.fast import FastFlight
@@ -118,21 +119,20 @@ class _Unmoved(ContactFeedforward):
         pass
 
 
-class KeepsStill(Executive):
-    """Nothing is asked for in a contact until the peak, and nothing is fed forward."""
+class _SilentInContact(SetpointSelection):
+    """Nothing is asked for in a contact until the peak."""
 
-    def __init__(self, mission: Mission) -> None:
-        super().__init__(mission)
-        self._yielding = _Unmoved(mission.vehicle)
-
-    def _send_setpoint(self, sample: OdometrySample, state: FlightState, p: Proposal) -> None:
-        if self.phase is not Phase.CONTACT:
-            super()._send_setpoint(sample, state, p)
+    def send(self, sample: OdometrySample, state: FlightState, p: Proposal) -> None:
+        if self._progress.phase is not Phase.CONTACT:
+            super().send(sample, state, p)
 
 
 def flown(mission: Mission, yields: bool) -> list[Record]:
     records: list[Record] = []
-    with patch.object(flight_core, "Executive", Executive if yields else KeepsStill):
+    with ExitStack() as patched:
+        if not yields:
+            patched.enter_context(patch.object(executive, "ContactFeedforward", _Unmoved))
+            patched.enter_context(patch.object(executive, "SetpointSelection", _SilentInContact))
         FastFlight(mission, 3, observe=lambda r, n: records.append(r)).run()
     return records
 

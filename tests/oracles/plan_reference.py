@@ -18,8 +18,8 @@ from scipy.optimize import brentq
 from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import Coefficients
-from dart_flight.core.mission.executive import PASSED_AFTER_S, PASSED_RISE_M
 from dart_flight.core.mission.position_loop import PositionLoop
+from dart_flight.core.mission.recovery import PASSED_AFTER_S, PASSED_RISE_M
 from dart_flight.lab.search.scenario import Scenario
 from dart_flight.planning.approach_grid import ApproachGrid
 from dart_flight.planning.contact_stage import ContactStage

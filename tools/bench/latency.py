@@ -78,21 +78,21 @@ class RepeatingCore:
         core = self._core
         if isinstance(item, LockState):
             item = LockState(item.t_us, LockPhase.SETTLED, Mode.RIGID)
-        executive, now = core._executive, core.state.now_us
+        progress, now = core._executive.progress, core.state.now_us
         if core.override is not Override.NONE:
             self.overruled.append(core._guard.reason or "")
             core._guard = Guard(self._mission)
             self._begun = False
         status = core.state.status
         ready = core.state.odometry is not None and status.armed and status.local_position_ok
-        rested = executive.phase is Phase.RECOVERY and now > self._again_us
+        rested = progress.phase is Phase.RECOVERY and now > self._again_us
         if rested or (not self._begun and ready):
             self._begin(now)
         elif not self._begun:
-            executive.phase = Phase.READYING
+            progress.phase = Phase.READYING
             core.state.lock = LockState(now, LockPhase.SETTLED, Mode.RIGID)
-        elif executive.phase is Phase.APPROACH and now - (executive._entered_us or 0) > 1_000_000:
-            executive._entered_us = now
+        elif progress.phase is Phase.APPROACH and now - (progress.entered_us or 0) > 1_000_000:
+            progress.entered_us = now
         outputs = core.step(item)
         for output in outputs:
             if isinstance(output, Setpoint) and output.recovery:
@@ -104,7 +104,8 @@ class RepeatingCore:
     def _begin(self, now_us: int) -> None:
         state, executive, self._begun = self._core.state, self._core._executive, True
         state.anchor(self._mission.frame_at((0.0, 0.0, 0.0)))  # the ground is not where it is first seen
-        executive.phase, executive._index, executive._entered_us = Phase.APPROACH, 0, now_us
+        progress = executive.progress
+        progress.phase, progress.index, progress.entered_us = Phase.APPROACH, 0, now_us
         executive._begin_approach(self._mission.collisions[0])
 
 

@@ -63,7 +63,7 @@ class _Straight(Executive):
         p.outputs.append(GoalPassed(state.now_us, miss))
         self._head_for_goal(state, miss)
         self._captured_us = None
-        self._go(PhaseTrigger.PASSED, state, p)
+        self.progress.go(PhaseTrigger.PASSED, state, p)
 
 
 WAYS = {

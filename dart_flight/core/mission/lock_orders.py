@@ -10,6 +10,7 @@ from typing import Final
 
 from dart_flight.base.records import LockCommand, LockPermission, LockPhase, Mode
 from dart_flight.config.vehicle import LockConfig
+from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.state import FlightState
 
 RETRY_US: Final = 1_000_000
@@ -68,6 +69,13 @@ class LockOrders:
     def phase_begins(self) -> None:
         """An order may be given anew in a new phase, without waiting for the last one's retry."""
         self._ordered_us = None
+
+    def move_to(self, mode: Mode, state: FlightState, p: Proposal) -> bool:
+        """Move the lock where it is not there yet and may move; True once it is settled in `mode`."""
+        order = self.command_mode(mode, state)
+        if order is not None:
+            p.outputs.append(order)
+        return state.lock_is_in(mode)
 
     def command_mode(self, mode: Mode, state: FlightState) -> LockCommand | None:
         """The command to go to a mode where the lock is not there, may move, and was not told just now."""

@@ -7,7 +7,14 @@ away from the wall by the normal force, onward along the wall by the friction fo
 
 from __future__ import annotations
 
+from typing import Final
+
 from dart_flight.base.geometry import Vec2, Vec3
+
+# A recovery has passed the goal, for the flight and for its planner, when the distance has risen by more than
+# its noise; the first moments after a contact do not yet show where it leads.
+PASSED_RISE_M: Final = 0.03
+PASSED_AFTER_S: Final = 0.25
 
 
 def recovery_point(

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
-from dart_flight.base.records import Phase
 from dart_flight.config.mission import Collision
 from dart_flight.core.mission.approach import standoff_point
 from dart_flight.core.mission.executive import Executive
@@ -17,11 +14,6 @@ from dart_flight.core.sense.state import FlightState
 class Rehearsal(Executive):
     """Flies from rest to rest to `standoff_m` before each wall, then to the goal; no onset is the plan's."""
 
-    _underway: ClassVar = Executive._underway | {Phase.RECOVERY}
-
-    def _is_due(self, collision: Collision) -> bool:
-        return False
-
     def _begin_approach(self, collision: Collision) -> None:
         """Along the approach, but from rest to rest."""
         approach = self._approaches[collision.index]
@@ -30,37 +22,37 @@ class Rehearsal(Executive):
 
     def _approach(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if self._has_arrived(state):
-            self._go(PhaseTrigger.STOOD_OFF, state, p)
+            self.progress.go(PhaseTrigger.STOOD_OFF, state, p)
             self._stand_off(state)
-        elif self._is_late(state):
+        elif self.progress.is_late(state):
             p.add_finding("transit_timeout", "standoff point not reached")
 
     def _stand_off(self, state: FlightState) -> None:
         """At rest before the wall: the next collision, or the goal, comes next."""
         self._lock.contact_ends(state.now_us)
         self._references.hold(self._references.target)
-        self._index += 1
+        self.progress.index += 1
 
     def _recovery(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         """What the recovery would do, from rest to rest: on to the next wall, or to the goal."""
-        following, stops = self._collision, self._waypoint is not None
-        locked = self._lock_to(self._mode_after(following, stops), state, p)
+        following, stops = self.progress.collision, self.progress.waypoint is not None
+        locked = self._lock.move_to(self._mode_after(following, stops), state, p)
         if stops:
             self._start_next(PhaseTrigger.RESTED, state, p)
         elif following is None:
             self._references.fly_to(self.mission.goal.position_m)
-            self._go(PhaseTrigger.PASSED, state, p)
+            self.progress.go(PhaseTrigger.PASSED, state, p)
         elif following.approach_m_s is not None:
-            self._go(PhaseTrigger.RESTED, state, p)
+            self.progress.go(PhaseTrigger.RESTED, state, p)
             self._begin_transit(state, p)
         elif not self._references.on_transit:
             if locked:
                 here = (state.position[0], state.position[1])
-                self._entered_us = state.now_us
+                self.progress.entered_us = state.now_us
                 self._references.fly_to(
                     standoff_point(self.mission, following, here, following.wall.foot(here))
                 )
         elif self._has_arrived(state):
             self._stand_off(state)
-        if self._is_late(state):
+        if self.progress.is_late(state):
             p.add_finding("transit_timeout", "standoff point not reached")

@@ -33,6 +33,7 @@ class SetpointGenerator:
         yaw: heading wanted, mission frame, radians.
         yaw_asked: heading asked for where that is not the one wanted yet (`heading`).
         altitude_m: at which the vehicle is sent anywhere.
+        impact_s: when the approach under way meets its wall, since its beginning.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -41,6 +42,7 @@ class SetpointGenerator:
         self.yaw = 0.0
         self.yaw_asked: float | None = None
         self.altitude_m = mission.altitude_m
+        self.impact_s = 0.0
         self._way: TransitTrajectory | Approach | PlannedApproach | PlannedTrajectory | None = None
         self._yaw_us = 0
         self._arrived_us: int | None = None
@@ -80,7 +82,7 @@ class SetpointGenerator:
 
     def approach(self, approach: Approach | PlannedApproach) -> None:
         """Along an approach, whose beginning is the target, into the wall."""
-        self._way = approach
+        self._way, self.impact_s = approach, approach.impact_s
 
     def follow_trajectory(self, way: PlannedTrajectory) -> None:
         """A way that was planned, in flight or before it; its end becomes the target."""
