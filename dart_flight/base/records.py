@@ -76,7 +76,7 @@ class AfterImpact(StrEnum):
     """What follows an impact."""
 
     SETPOINT = "setpoint"  # the paper's recovery setpoint
-    REPLAN = "replan"  # the same, until a way planned from what was felt begins
+    REPLAN = "replan"  # the same, until a trajectory planned from what was felt begins
 
 
 class Request(StrEnum):
@@ -321,16 +321,16 @@ class RoundTrip(Record, frozen=True, gc=False):
 
 
 class PlanAnswer(Record, frozen=True, gc=False):
-    """What the planner makes of a `PlanRequest`: a way from a coming moment on, and what it leads to.
+    """What the planner makes of a `PlanRequest`: a trajectory from a coming moment on, and what it leads to.
 
-    The way is x and y as polynomials of fifth order in the seconds since `begin_us`, constant term first,
+    It is x and y as polynomials of fifth order in the seconds since `begin_us`, constant term first,
     then straight on at the velocity of its end.
     """
 
     topic: ClassVar[str] = "/in/plan"
     received_us: int
     number: int  # of the request
-    begin_us: int  # autopilot's time at which the way begins
+    begin_us: int  # autopilot's time at which the trajectory begins
     duration_s: float = 0.0  # of the polynomials
     x_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...; six for each polynomial
     y_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...; six for each polynomial
@@ -429,7 +429,7 @@ class PlanRequest(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/out/plan_request"
     t_us: int  # of the state below
     number: int  # counts up
-    begin_us: int  # when the way is to begin; an answer that comes later is not taken
+    begin_us: int  # when the trajectory is to begin; an answer that comes later is not taken
     collision: int | None  # 1-based index of the next one; none: the goal is next
     position_mission: Vec3
     velocity_mission: Vec3

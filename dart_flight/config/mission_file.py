@@ -373,7 +373,7 @@ class WaypointSpec(WaypointKeys, frozen=True, kw_only=True):
         altitude_m: of a waypoint, above the take-off point, and of what comes after it; without it the
             altitude stays as it is.
         speed_m_s: largest speed on the way there; by default flying.transit_speed_m_s. The vertical part of
-            the way is flown at flying.climb_speed_m_s at most.
+            the leg is flown at flying.climb_speed_m_s at most.
         hold_s: how long a waypoint is held.
         pause: operator: hold until the operator says to go on (Enter, or SIGUSR1).
         timeout_s: of a pause; without a word the vehicle lands.
@@ -408,7 +408,7 @@ class MissionKeys(SpaceKeys, frozen=True, kw_only=True):
         name: letters, digits and ' _.-', at most 64; names the flight's folder.
         predicted: written by plan.
         goal_trajectory: to the goal, from the last collision as it is predicted, or from rest at start.
-        after_impact: setpoint: the paper's recovery setpoint leads on; replan: a way that is planned in
+        after_impact: setpoint: the paper's recovery setpoint leads on; replan: a trajectory planned in
             flight, from what was felt, takes over from it.
         tolerance: by how much a flight may differ from the plan; for the goal that is its capture radius.
         mode_mismatch: where a contact indicates the other mode than the lock reports; go_on: it is noted

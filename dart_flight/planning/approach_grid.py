@@ -53,8 +53,8 @@ def approach_grid(
     impact: tuple[Number, Number] = (sx + vx * until, sy + vy * until)
     begin, _, speed, ramp = run_up(task.start, impact, (vx, vy), flying, wall)
     length = np.hypot(begin[0] - impact[0], begin[1] - impact[1])
-    way = np.hypot(begin[0] - sx, begin[1] - sy)
-    transit = transit_time_s(way, flying.transit_speed_m_s, flying.acceleration_m_s2, flying.jerk_m_s3)
+    distance_m = np.hypot(begin[0] - sx, begin[1] - sy)
+    transit = transit_time_s(distance_m, flying.transit_speed_m_s, flying.acceleration_m_s2, flying.jerk_m_s3)
     codes = np.zeros(np.shape(speed), dtype=np.int8)
     grid = ApproachGrid(codes, *impact, *begin, impact_time_s(length, speed, ramp), transit)
     if constraints is None:

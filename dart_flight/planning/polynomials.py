@@ -20,9 +20,9 @@ def quintic(begin: Array | Sequence[Array | float], end: Sequence[Array | float]
     p, v, a = begin
     q, w, b = end
     t = duration_s
-    way, last = q - p, b * t**2
-    c3 = (20.0 * way - (8.0 * w + 12.0 * v) * t - 3.0 * a * t**2 + last) / (2.0 * t**3)
-    c4 = (-30.0 * way + (14.0 * w + 16.0 * v) * t + 3.0 * a * t**2 - 2.0 * last) / (2.0 * t**4)
-    c5 = (12.0 * way - 6.0 * (w + v) * t - a * t**2 + last) / (2.0 * t**5)
+    d, last = q - p, b * t**2
+    c3 = (20.0 * d - (8.0 * w + 12.0 * v) * t - 3.0 * a * t**2 + last) / (2.0 * t**3)
+    c4 = (-30.0 * d + (14.0 * w + 16.0 * v) * t + 3.0 * a * t**2 - 2.0 * last) / (2.0 * t**4)
+    c5 = (12.0 * d - 6.0 * (w + v) * t - a * t**2 + last) / (2.0 * t**5)
     one = np.ones_like(t)
     return np.stack([p * one, v * one, 0.5 * a * one, c3, c4, c5])

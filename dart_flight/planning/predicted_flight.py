@@ -184,10 +184,10 @@ def _follow_written(planned: PredictedFlight, mission: Mission, group: Sequence[
 
 def _sampled(written: TrajectoryPieces) -> list[MotionState]:
     """The motion at many times, the ends among them."""
-    way = PlannedTrajectory.from_pieces(written, 0.0)
+    planned = PlannedTrajectory.from_pieces(written, 0.0)
     found = []
-    for t in np.linspace(0.0, way.duration_s, _POINTS):
-        at = way.at(float(t))
+    for t in np.linspace(0.0, planned.duration_s, _POINTS):
+        at = planned.at(float(t))
         found.append(MotionState(float(t), at.position[:2], at.velocity[:2], at.acceleration[:2]))
     return found
 

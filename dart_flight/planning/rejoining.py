@@ -2,8 +2,8 @@
 
 The planned trajectory, from some moment of it on and perhaps a little slower, plus a polynomial of fifth
 order per axis that begins with what the vehicle's state differs by and is gone, with its first two
-derivatives, at the trajectory's end. So the way keeps the shape that an optimiser found, and ends where, and
-as fast, as it was to; what differs is small, and so is what it asks for beyond the planned accelerations.
+derivatives, at the trajectory's end. So the shape that an optimiser found is kept, and where, and how fast,
+it ends; what differs is small, and so is what it asks for beyond the planned accelerations.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 _SAMPLES = 24
-_STEP_S = 0.03  # of the moments of the planned trajectory at which a way may begin
+_STEP_S = 0.03  # of the moments of the planned trajectory at which a trajectory may begin
 _SLOWER = (1.0, 1.05, 1.1, 1.2, 1.35, 1.6, 2.0)
-_LEAST_S = 0.2  # of a way
+_LEAST_S = 0.2  # of a trajectory
 
 
 class RejoiningWays(NamedTuple):
@@ -33,7 +33,7 @@ class RejoiningWays(NamedTuple):
 
     Attributes:
         planned: the trajectory.
-        shares: (k,) the moments, of each way's duration.
+        shares: (k,) the moments, of each trajectory's duration.
         from_s, slower, duration_s: (n,) where on the planned trajectory each begins, how much slower it is
             flown, and how long it lasts.
         added: (2, n, 6) coefficients of the polynomials that are added, constant term first.
@@ -52,12 +52,12 @@ class RejoiningWays(NamedTuple):
     jerk: Array
 
     def take(self, rows: Rows) -> RejoiningWays:
-        """The chosen ways."""
+        """The chosen trajectories."""
         by_way = (self.from_s[rows], self.slower[rows], self.duration_s[rows])
         return RejoiningWays(self.planned, self.shares, *by_way, *(v[:, rows] for v in self[5:]))
 
     def trajectory(self, row: int) -> PlannedTrajectory:
-        """One way as polynomials, one after the other."""
+        """One trajectory as polynomials, one after the other."""
         planned, slower, begin = self.planned, float(self.slower[row]), float(self.from_s[row])
         pieces: list[float] = []
         axes: tuple[list[float], list[float]] = ([], [])
@@ -82,11 +82,11 @@ class RejoiningWays(NamedTuple):
 def rejoin(
     planned: PlannedTrajectory, start: tuple[Array, Array], moved: Vec2, pushed: Vec2 = (0.0, 0.0)
 ) -> RejoiningWays:
-    """The ways back to a planned trajectory that may be tried.
+    """The trajectories back to a planned trajectory that may be tried.
 
     Args:
         planned: with several pieces.
-        start: position, velocity and acceleration per axis, where the way begins; mission frame.
+        start: position, velocity and acceleration per axis, where the trajectory begins; mission frame.
         moved: by how much the end lies elsewhere than planned, m.
         pushed: by how much the acceleration there is another than planned, m/s2.
     """

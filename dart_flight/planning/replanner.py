@@ -1,10 +1,10 @@
 """Planning again in flight: from the measured state after a contact on, with what was felt.
 
 The same contact stages and constraints as `plan` (`contact_stage`, `constraints`); what is chosen is not a
-setpoint but a way: a polynomial of fifth order per axis from the state that the vehicle will have when the
-answer is there to the next wall at the planned velocity, or to rest at the goal. Of all durations and places
-along the wall those that may be flown are kept, and of these the quickest, gentlest and nearest to the
-planned place. Where the mission has a trajectory of its own from there (`trajectory`, `goal_trajectory`),
+setpoint but a trajectory: a polynomial of fifth order per axis from the state that the vehicle will have
+when the answer is there to the next wall at the planned velocity, or to rest at the goal. Of all durations
+and places along the wall those that may be flown are kept, and of these the quickest, gentlest and nearest to
+the planned place. Where the mission has a trajectory of its own from there (`trajectory`, `goal_trajectory`),
 that comes first, with a polynomial added that leads from the real state to it (`planning.rejoining`).
 
 What contacts have taught of a wall (`WallEstimate`) stands in the place of the configuration's coefficients,
@@ -50,12 +50,12 @@ _ALONG_M = np.arange(-0.8, 0.81, 0.05)  # places along the wall, about the plann
 _SPEED_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of the planned velocity, where that cannot be reached
 # At constant velocity before the plane, so that the attitude has caught up; less where there is no room.
 _STRAIGHT_S = (0.3, 0.1)
-_SAMPLES = 24  # of a way, for the constraints
+_SAMPLES = 24  # of a trajectory, for the constraints
 _PUSH_SAMPLES = 12  # for acceleration and jerk, which come first
 # Of PX4's tilt limit; the rest is for wind, errors and what the loop adds.
 _TILT_SHARE = 0.6
 _JERK_M_S3 = 25.0  # about 150 degrees of tilt a second: the attitude loop follows
-_GENTLE_S = 0.5  # that a way may last longer where it needs all of the tilt instead of none
+_GENTLE_S = 0.5  # that a trajectory may last longer where it needs all of the tilt instead of none
 _GENTLE_REJOINING_S = 0.05  # likewise, back to a trajectory that is within limits as it is
 _AS_FAST = 1.01  # planned speed over flown
 _PRESSED_IN_M = 0.15  # at most: the arms at the end of a contact, and what a wall's place is off by
@@ -63,7 +63,7 @@ _BESIDE_S = 1.0  # ... where another meets the wall as far from the planned plac
 
 
 class _EndStates(NamedTuple):
-    """Where ways may end; arrays (n,): position, velocity, duration of the polynomials, cost beside time."""
+    """Where they may end; arrays (n,): position, velocity, duration of the polynomials, cost beside time."""
 
     x: Array
     y: Array
@@ -130,7 +130,7 @@ class Replanner:
             self._anchors.follow(anchor)
 
     def answer(self, request: PlanRequest, received_us: int) -> PlanAnswer:
-        """The way from a request's state on; its `problem` says where there is none.
+        """The trajectory from a request's state on; its `problem` says where there is none.
 
         A fault of the planner is a problem like any other: it must not be the flight's.
         """
@@ -187,33 +187,37 @@ class Replanner:
             out_m = self._mission.vehicle.airframe.contact_distance_m
             push_m_s2 = balancing_m_s2(request.contact_height_m, out_m)
             pushed = (push_m_s2 * wall.normal[0], push_m_s2 * wall.normal[1])
-        ways = rejoin(written, self._start(request), moved, pushed)
+        rejoining = rejoin(written, self._start(request), moved, pushed)
         if collision is not None:
             assert request.lock_ready_us is not None
             ready_s = (request.lock_ready_us - request.begin_us) * 1e-6
-            ways = ways.take(np.flatnonzero(ways.duration_s >= ready_s + SETTLED_BEFORE_S))
-        push = np.hypot(ways.acceleration[0], ways.acceleration[1]).max(axis=1, initial=0.0)
-        jerk = np.hypot(ways.jerk[0], ways.jerk[1]).max(axis=1, initial=0.0)
+            rejoining = rejoining.take(np.flatnonzero(rejoining.duration_s >= ready_s + SETTLED_BEFORE_S))
+        push = np.hypot(rejoining.acceleration[0], rejoining.acceleration[1]).max(axis=1, initial=0.0)
+        jerk = np.hypot(rejoining.jerk[0], rejoining.jerk[1]).max(axis=1, initial=0.0)
         fine = (push <= self._most_m_s2) & (jerk <= _JERK_M_S3)
-        ways, push = ways.take(np.flatnonzero(fine)), push[fine] / self._most_m_s2
-        if ways.duration_s.size:
-            states = (v.astype(np.float32) for v in (*ways.position, *ways.velocity))
-            window = GridWindow(ways.shares, *states)
-            until = np.full(ways.duration_s.size, ways.shares.size)
+        rejoining, push = rejoining.take(np.flatnonzero(fine)), push[fine] / self._most_m_s2
+        if rejoining.duration_s.size:
+            states = (v.astype(np.float32) for v in (*rejoining.position, *rejoining.velocity))
+            window = GridWindow(rejoining.shares, *states)
+            until = np.full(rejoining.duration_s.size, rejoining.shares.size)
             walls = self._obstacles(self._start(request), request.t_us)
             clear = self._constraints.path(window, until, wall, begins=True, walls=walls) == 0
-            ways, push = ways.take(np.flatnonzero(clear)), push[clear]
+            rejoining, push = rejoining.take(np.flatnonzero(clear)), push[clear]
         # A wall is met as fast as planned where that can be: sooner and slower is another hit.
-        slow = (ways.slower > _AS_FAST) & (collision is not None)
+        slow = (rejoining.slower > _AS_FAST) & (collision is not None)
         if request.under_way:  # what is flown already does, or could not either
-            ways, push, slow = ways.take(np.flatnonzero(~slow)), push[~slow], slow[~slow]
-        for k in np.lexsort((ways.duration_s + _GENTLE_REJOINING_S * push**2, slow)):
-            way = ways.trajectory(int(k))
+            rejoining, push, slow = rejoining.take(np.flatnonzero(~slow)), push[~slow], slow[~slow]
+        for k in np.lexsort((rejoining.duration_s + _GENTLE_REJOINING_S * push**2, slow)):
+            trajectory = rejoining.trajectory(int(k))
             found = msgspec.structs.replace(
-                answer, duration_s=way.duration_s, x_mission=way.x, y_mission=way.y, pieces_s=way.pieces_s
+                answer,
+                duration_s=trajectory.duration_s,
+                x_mission=trajectory.x,
+                y_mission=trajectory.y,
+                pieces_s=trajectory.pieces_s,
             )
             if collision is not None and wall is not None:
-                (vx, vy, _) = way.at(way.duration_s).velocity
+                (vx, vy, _) = trajectory.at(trajectory.duration_s).velocity
                 normal, tangential, _ = wall.to_collision((vx, vy, 0.0))
                 found = self._with_hit(found, collision, (normal, tangential), 0.0)
             if not found.problem:
@@ -229,7 +233,7 @@ class Replanner:
                 return msgspec.structs.replace(hit, impact_s=None)
         return hit
 
-    # -- where ways may end --
+    # -- where trajectories may end --
 
     def _wanted(self, collision: Collision) -> Vec2 | None:
         """(normal, tangential) velocity that the mission has planned for an impact."""
@@ -264,10 +268,10 @@ class Replanner:
         goal, one = self._mission.goal.position_m, np.ones_like(_DURATIONS_S)
         return _EndStates(goal[0] * one, goal[1] * one, 0.0 * one, 0.0 * one, _DURATIONS_S, 0.0 * one)
 
-    # -- ways --
+    # -- trajectories --
 
     def _start(self, request: PlanRequest) -> tuple[Array, Array]:
-        """Position, velocity, acceleration per axis when the way begins: the loop flies on until then."""
+        """Position, velocity, acceleration per axis when it begins: the loop flies on until then."""
         ahead_s = (request.begin_us - request.t_us) * 1e-6
         vectors = (request.position_mission, request.velocity_mission, request.acceleration_mission)
         place, speed, push = (np.array(vector[:2]) for vector in vectors)
@@ -279,8 +283,8 @@ class Replanner:
         if request.coasts:  # how a contact has tilted the vehicle is righted at once
             lag, left = ATTITUDE_LAG_S, math.exp(-ahead_s / ATTITUDE_LAG_S)
             gained = lag * (1.0 - left) * push
-            way = ahead_s * speed + lag * (ahead_s * push - gained)
-            states = np.stack([place + way, speed + gained, left * push])
+            flown = ahead_s * speed + lag * (ahead_s * push - gained)
+            states = np.stack([place + flown, speed + gained, left * push])
             return states[:, 0], states[:, 1]
         axes = []
         for axis, matrix in enumerate(self._matrices):
@@ -301,7 +305,7 @@ class Replanner:
     def _best(
         self, answer: PlanAnswer, request: PlanRequest, ends: _EndStates, collision: Collision | None
     ) -> PlanAnswer | None:
-        """The answer with the best way to one of the ends; None where none may be flown."""
+        """The answer with the best trajectory to one of the ends; None where none may be flown."""
         start = self._start(request)
         x = quintic(start[0], (ends.x, ends.vx, 0.0), ends.duration_s)
         y = quintic(start[1], (ends.y, ends.vy, 0.0), ends.duration_s)
@@ -321,7 +325,7 @@ class Replanner:
         )
 
     def _flyable(self, x: Array, y: Array, duration_s: Array) -> tuple[Rows, Array]:
-        """Which ways the vehicle can follow, and the most that each asks of what tilt is allowed."""
+        """Which trajectories the vehicle can follow, and the most that each asks of what tilt is allowed."""
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _PUSH_SAMPLES)
         push = np.hypot(_derivative(x, times, 2), _derivative(y, times, 2)).max(axis=1) / self._most_m_s2
         rows = np.flatnonzero(push <= 1.0)
@@ -329,8 +333,7 @@ class Replanner:
         return rows[jerk <= _JERK_M_S3], push
 
     def _obstacles(self, start: tuple[Array, Array], now_us: int) -> list[Wall]:
-        """The walls as they are known by now, for a way from a start: (position, velocity, acceleration) in x
-        and in y.
+        """The walls as known by now, for a trajectory from (position, velocity, acceleration) in x and y.
 
         The one that the vehicle has just been released from may be behind it: flexible arms let go while they
         are still pressed in, and a wall may stand a little elsewhere than at its middle.
@@ -345,7 +348,7 @@ class Replanner:
     def _stays_clear(
         self, x: Array, y: Array, duration_s: Array, wall: Wall | None, obstacles: list[Wall]
     ) -> NDArray[np.bool_]:
-        """Which ways keep within bounds and speed and off the walls but the one that is to be hit."""
+        """Which trajectories keep within bounds and speed and off the walls but the one that is to be hit."""
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _SAMPLES)
         states = (_derivative(c, times, order).astype(np.float32) for order in (0, 1) for c in (x, y))
         window = GridWindow(np.linspace(0.0, 1.0, _SAMPLES), *states)

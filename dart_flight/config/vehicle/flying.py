@@ -90,7 +90,7 @@ class Flying(Section, frozen=True):
         arrive_mean_s: the speed is that of the mean velocity over this long, as PX4's estimate shakes with
             the accelerometer.
         ready_timeout_s: longest wait for telemetry, offboard mode, arming, the end of climb or transit.
-        replan_within_s: from the end of a contact to the beginning of a way that is planned in flight; the
+        replan_within_s: from the end of a contact to the beginning of a trajectory planned in flight; the
             planner has so long to answer.
     """
 

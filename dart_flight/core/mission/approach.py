@@ -23,7 +23,7 @@ from dart_flight.core.mission.arithmetic import Number, hypot, maximum, sqrt, wh
 from dart_flight.core.mission.trajectories import PlannedTrajectory, TrajectoryPoint, TransitTrajectory
 from dart_flight.core.mission.wall_uncertainty import end_margin_m, position_margin_m
 
-# Speed follows 3 s^2 - 2 s^3: the peak acceleration is 1.5 times the mean, the way half of speed times time.
+# Speed follows 3 s^2 - 2 s^3: the peak acceleration is 1.5 times the mean, the length half speed times time.
 PEAK_OVER_MEAN = 1.5
 _RAMP_JERK = 6.0  # of the same ramp: jerk times ramp^2 over speed
 CLEARANCE_M = 0.15
@@ -68,10 +68,10 @@ class Approach(msgspec.Struct, frozen=True):
         speed = v * tau * tau * (3.0 - 2.0 * tau)
         acceleration = v / big * 6.0 * tau * (1.0 - tau)
         jerk = v / (big * big) * 6.0 * (1.0 - 2.0 * tau) if 0.0 <= t_s <= big else 0.0
-        way = v * big * tau * tau * tau * (1.0 - 0.5 * tau) + v * max(0.0, t_s - big)
+        run_m = v * big * tau * tau * tau * (1.0 - 0.5 * tau) + v * max(0.0, t_s - big)
         dx, dy = self.direction
         return TrajectoryPoint(
-            (self.begin[0] + dx * way, self.begin[1] + dy * way, self.altitude_m),
+            (self.begin[0] + dx * run_m, self.begin[1] + dy * run_m, self.altitude_m),
             (dx * speed, dy * speed, 0.0),
             (dx * acceleration, dy * acceleration, 0.0),
             (dx * jerk, dy * jerk, 0.0),
@@ -163,13 +163,13 @@ def is_blocked(
     b: tuple[Number, Number],
     end_clearance_m: float = CLEARANCE_M,
 ) -> Number:
-    """Whether a wall stands in the way from one point to another, or the way begins too near behind it.
+    """Whether a wall stands in the way from one point to another, or the segment begins too near behind it.
 
     What passes its end keeps `end_margin_m` from it.
 
     Args:
         wall: the obstacle.
-        a, b: ends of the way, mission frame.
+        a, b: ends of the segment, mission frame.
         end_clearance_m: that `b` must keep from the plane; `a` keeps `CLEARANCE_M`.
     """
     here = wall.signed_distance(a)
@@ -182,7 +182,7 @@ def is_blocked(
 
 
 def is_post_in_the_way(mission: Mission, post: Post, a: Vec2, b: Vec2) -> bool:
-    """Whether a way comes nearer to a post than to a wall it may, with the vehicle turned as it likes."""
+    """Whether a segment comes nearer to a post than to a wall it may, with the vehicle turned as it likes."""
     airframe = mission.vehicle.airframe
     corner_m = math.hypot(airframe.contact_distance_m, airframe.guard_along_m)
     return post.distance_to_way(a, b) < post.radius_m + corner_m + CLEARANCE_M
@@ -191,10 +191,10 @@ def is_post_in_the_way(mission: Mission, post: Post, a: Vec2, b: Vec2) -> bool:
 def segments_to_impact(
     start: Vec2, begin: tuple[Number, Number], impact: tuple[Number, Number], wall: Wall, first: bool
 ) -> Callable[[Wall], list[tuple[tuple[Number, Number], tuple[Number, Number], float]]]:
-    """The straight ways before an impact, as (a, b, clearance at b), against any wall.
+    """The straight segments before an impact, as (a, b, clearance at b), against any wall.
 
     Args:
-        start: where the vehicle is at rest before; the way from there to the run-up point counts where that
+        start: where the vehicle is at rest before; the segment to the run-up point counts where that
             is known.
         begin, impact: of the run-up.
         wall: that is to be hit: the run-up ends on its plane.
@@ -218,13 +218,15 @@ def plan_approach(mission: Mission, collision: Collision) -> Approach | PlannedA
     vx, vy, _ = collision.approach_velocity()
     impact = collision.impact_point
     if collision.probe is not None:
-        way = _probe_trajectory(mission, collision.probe, mission.altitude_at(collision.index - 1))
-        probed = PlannedApproach(collision.probe.begin, impact, math.hypot(vx, vy), way)
+        trajectory = _probe_trajectory(mission, collision.probe, mission.altitude_at(collision.index - 1))
+        probed = PlannedApproach(collision.probe.begin, impact, math.hypot(vx, vy), trajectory)
         _check_room(mission, collision, probed)
         return probed
     if collision.trajectory is not None:
-        way = PlannedTrajectory.from_pieces(collision.trajectory, mission.altitude_at(collision.index - 1))
-        return PlannedApproach(collision.trajectory.position_m, impact, math.hypot(vx, vy), way)
+        trajectory = PlannedTrajectory.from_pieces(
+            collision.trajectory, mission.altitude_at(collision.index - 1)
+        )
+        return PlannedApproach(collision.trajectory.position_m, impact, math.hypot(vx, vy), trajectory)
     flying = mission.vehicle.flying
     begin, direction, speed, ramp_s = run_up(mission.start, impact, (vx, vy), flying, collision.wall)
     altitude_m = mission.altitude_at(collision.index - 1)
@@ -241,7 +243,7 @@ def _probe_trajectory(mission: Mission, probe: Probe, altitude_m: float) -> Plan
     ramp_s = PEAK_OVER_MEAN * speed / a_m_s2
     steady_s = max(1e-3, way_m / speed - ramp_s)
     up, down = speed / ramp_s**2, -0.5 * speed / ramp_s**3  # of the third and fourth power of the time
-    ways = (
+    parts = (
         (0.0, 0.0, 0.0, up, down, 0.0),
         (0.5 * speed * ramp_s, speed, 0.0, 0.0, 0.0, 0.0),
         (way_m - 0.5 * speed * ramp_s, speed, 0.0, -up, -down, 0.0),
@@ -249,7 +251,7 @@ def _probe_trajectory(mission: Mission, probe: Probe, altitude_m: float) -> Plan
     axes = []
     for begin, end in zip(probe.begin, probe.end, strict=True):
         d = (end - begin) / way_m
-        axes.append(tuple(begin * (k == 0) + d * c for piece in ways for k, c in enumerate(piece)))
+        axes.append(tuple(begin * (k == 0) + d * c for piece in parts for k, c in enumerate(piece)))
     durations = (ramp_s, steady_s, ramp_s)
     return PlannedTrajectory(axes[0], axes[1], sum(durations), altitude_m, durations)
 
@@ -281,7 +283,7 @@ def _check_room(mission: Mission, collision: Collision, approach: Approach | Pla
 
 
 class TransitSegment(NamedTuple):
-    """A straight way from rest to rest that the mission file says.
+    """A straight segment from rest to rest that the mission file says.
 
     Attributes:
         name: of its end, in words.
@@ -297,7 +299,7 @@ class TransitSegment(NamedTuple):
 
 
 def transit_segments(mission: Mission) -> list[TransitSegment]:
-    """The ways to the waypoints, and to the goal where no recovery leads there."""
+    """The segments to the waypoints, and to the goal where no recovery leads there."""
     found: list[TransitSegment] = []
     here: Vec3 | None = (*mission.start, mission.altitude_m)
     flown = 0
@@ -321,7 +323,7 @@ def transit_of(mission: Mission, leg: TransitSegment, begin: Vec3) -> TransitTra
 
 
 def check_segments_clear(mission: Mission) -> None:
-    """Make sure that no wall stands in a way whose both ends are known, or in a trajectory.
+    """Make sure that no wall stands in a segment whose both ends are known, or in a trajectory.
 
     Raises:
         NoApproachError: one does, or a trajectory leaves the bounds.
@@ -342,9 +344,9 @@ def check_segments_clear(mission: Mission) -> None:
 
 def _check_trajectory_clear(mission: Mission, written: TrajectoryPieces, leads_to: str) -> None:
     """Raises NoApproachError: the trajectory crosses a wall, or leaves the bounds."""
-    way = PlannedTrajectory.from_pieces(written, mission.altitude_m)
-    count = max(2, math.ceil(way.duration_s / _TRAJECTORY_STEP_S))
-    places = [way.at(way.duration_s * k / count).position[:2] for k in range(count + 1)]
+    trajectory = PlannedTrajectory.from_pieces(written, mission.altitude_m)
+    count = max(2, math.ceil(trajectory.duration_s / _TRAJECTORY_STEP_S))
+    places = [trajectory.at(trajectory.duration_s * k / count).position[:2] for k in range(count + 1)]
     for a, b in itertools.pairwise(places):
         excess = mission.bounds.excess2(b)
         if excess > 0.0:

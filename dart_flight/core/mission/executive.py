@@ -235,7 +235,7 @@ class Executive:
         self._references.fly_to(self._approaches[collision.index].begin)
 
     def _plan_approach_now(self, collision: Collision, state: FlightState, p: Proposal) -> None:
-        """The approach to a wall as it is known by now; a probe that begins at a place keeps its way."""
+        """The approach to a wall as it is known by now; a probe that begins at a place keeps its line."""
         if collision.trajectory is not None:
             return
         then_us = state.now_us + _RUN_UP_US
@@ -395,7 +395,7 @@ class Executive:
             p.add_finding("lock_late", detail)
 
     def _replan(self, following: Collision | None, state: FlightState, sensed: Sensed, p: Proposal) -> None:
-        """Ask for a way once the contact is over, and follow it once it begins."""
+        """Ask for a trajectory once the contact is over, and follow it once it begins."""
         planning, hit = self._replanning, self.progress.last_collision
         square_us = state.now_us if following is None else self._setpoints.square_us(state)
         target = self._references.target
@@ -406,9 +406,9 @@ class Executive:
             if approach is not None:
                 self._approaches[following.index] = approach
         else:
-            way = planning.trajectory_due(state, p)
-            if way is not None:
-                self._references.follow_trajectory(way)
+            trajectory = planning.trajectory_due(state, p)
+            if trajectory is not None:
+                self._references.follow_trajectory(trajectory)
                 self._least_miss_m = math.inf
 
     def _watch_goal(self, state: FlightState, p: Proposal, timed_out: bool) -> None:
@@ -441,8 +441,10 @@ class Executive:
         self._lock.move_to(self.mission.transit_mode, state, p)
         goal = self.mission.goal
         distance = distance2(state.position, goal.position_m)
-        way = self._references
-        underway = way.along_trajectory and not self.progress.takes_longer_than(way.duration_s, state)
+        references = self._references
+        underway = references.along_trajectory and not self.progress.takes_longer_than(
+            references.duration_s, state
+        )
         if distance > goal.capture_radius_m or underway:
             self._captured_us = None
             allowed_s = self._references.duration_s + goal.hold_s + self.mission.limits.collision_timeout_s

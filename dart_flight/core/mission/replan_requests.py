@@ -1,9 +1,9 @@
 """Planning again after a contact, as the core sees it: when to ask, and what answer to believe.
 
 The planner itself (`dart_flight.planning.replanner`) runs outside of the core's step: a `PlanRequest` goes
-out with the other outputs, a `PlanAnswer` comes in like any other input, or never does. Until an answered way
-begins the paper's setpoint is in force, and it stays in force where the answer is late, says that there is
-no way, or begins elsewhere than the vehicle is.
+out with the other outputs, a `PlanAnswer` comes in like any other input, or never does. Until an answered
+trajectory begins the paper's setpoint is in force, and it stays in force where the answer is late, says that
+there is none, or begins elsewhere than the vehicle is.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ _AGAIN_US, _NOT_AGAIN_US = 300_000, 400_000  # along a trajectory: after the req
 _HELD_TO_M = 0.2
 _TRIES = 6  # at a trajectory from a contact on
 _LATER_S = 0.15  # that a new trajectory may end after the one that is flown
-# Where the vehicle may be beside the beginning of a way: what the loop takes out within a few tenths.
+# Where the vehicle may be beside the beginning of a trajectory: what the loop takes out within a few tenths.
 _BESIDE_M, _BESIDE_M_S = 0.08, 0.25
 
 
 class ReplanRequests:
-    """The requests of one flight and the way that is flown; with `after_impact: setpoint` none is."""
+    """The requests of one flight and the trajectory that is flown; with `after_impact: setpoint` none is."""
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
@@ -46,16 +46,16 @@ class ReplanRequests:
         self._asked: PlanRequest | None = None
         self._answer: PlanAnswer | None = None
         self._from_rest = False  # what was asked for has an approach of its own
-        self._way: PlannedTrajectory | None = None
-        self._begin_us = 0  # of the way
-        self._quickest = True  # the way is given up only for one that ends not much later
-        self._impact_us: int | None = None  # when the way meets the next wall
+        self._trajectory: PlannedTrajectory | None = None
+        self._begin_us = 0  # of the trajectory
+        self._quickest = True  # the trajectory is given up only for one that ends not much later
+        self._impact_us: int | None = None  # when the trajectory meets the next wall
 
     # -- request and answer --
 
     def contact_begins(self) -> None:
         """What was asked or planned is over."""
-        self._asked = self._answer = self._way = self._impact_us = None
+        self._asked = self._answer = self._trajectory = self._impact_us = None
         self._felt = False
         self._tries = 0
 
@@ -79,7 +79,7 @@ class ReplanRequests:
             following: the next one; None: the goal is next.
             state: of the vehicle.
             sensed: by the last input.
-            setpoint: in force until the way begins, mission frame, m.
+            setpoint: in force until the trajectory begins, mission frame, m.
             lock: says when it can be settled in the mode that comes next.
             p: takes the request.
             square_us: from when on the vehicle, which a contact has turned, is square to the wall.
@@ -92,7 +92,7 @@ class ReplanRequests:
         if sensed.estimate is None or sensed.in_contact:
             return
         # What was felt of a wall is worth waiting for where that wall comes again.
-        # And where a contact puts the frame right: a way planned in the one before begins elsewhere.
+        # And where a contact puts the frame right: a trajectory planned in the one before begins elsewhere.
         returns = following is not None and following.wall.name == hit.wall.name
         if (
             (returns or self._mission.is_anchored)
@@ -105,8 +105,8 @@ class ReplanRequests:
         self._tries += 1
         self._from_rest = following is not None and following.approach_m_s is not None
         ready_us = state.now_us if following is None else lock.ready_us(following.mode, state)
-        # A wall that would be met askew is not flown at any longer, whatever takes its place.
-        askew = self._way is not None and (self._impact_us or square_us) < square_us
+        # A wall that would be met at an angle is not flown at any longer, whatever takes its place.
+        turned = self._trajectory is not None and (self._impact_us or square_us) < square_us
         m, (push_x, push_y) = self._mission.vehicle.airframe.mass_kg, sensed.estimate.push_mission
         self._asked = PlanRequest(
             state.now_us,
@@ -118,12 +118,12 @@ class ReplanRequests:
             (push_x / m, push_y / m, 0.0),
             setpoint,
             None if ready_us is None else max(ready_us, square_us),
-            again and self._way is not None and not askew,
+            again and self._trajectory is not None and not turned,
             # What it is needed for: the lean into a wall that a trajectory of the mission's leads to.
             sensed.height_m if along else None,
-            coasts or askew,
+            coasts or turned,
         )
-        self._quickest = not askew
+        self._quickest = not turned
         p.outputs.append(self._asked)
 
     def _is_time_again(self, now_us: int) -> bool:
@@ -131,12 +131,12 @@ class ReplanRequests:
 
         Or was not taken up, because the vehicle was not where it begins.
         """
-        way, asked = self._way, self._asked
+        trajectory, asked = self._trajectory, self._asked
         if asked is None or self._mission.goal_trajectory is None or now_us - asked.t_us < _AGAIN_US:
             return False
-        if way is None:
+        if trajectory is None:
             return self._answer is None and self._tries < _TRIES
-        return now_us + self._within_us + _NOT_AGAIN_US < self._begin_us + way.duration_s * 1e6
+        return now_us + self._within_us + _NOT_AGAIN_US < self._begin_us + trajectory.duration_s * 1e6
 
     def take(self, answer: PlanAnswer, now_us: int, p: Proposal) -> None:
         """An answer has come: it waits its turn, or a record says why it is not flown."""
@@ -176,10 +176,10 @@ class ReplanRequests:
         p.outputs.append(PlanTaken(now_us, answer.number, True))
         return approach
 
-    # -- the way --
+    # -- the trajectory --
 
     def trajectory_due(self, state: FlightState, p: Proposal) -> PlannedTrajectory | None:
-        """The answered way, once, when its time has come and the vehicle is where it begins."""
+        """The answered trajectory, once, when its time has come and the vehicle is where it begins."""
         answer = self._answer
         if answer is None or self._from_rest or state.now_us < answer.begin_us:
             return None
@@ -187,13 +187,13 @@ class ReplanRequests:
         collision = answer.collision
         flown = len(self._mission.collisions) if collision is None else collision - 1
         altitude_m = self._mission.altitude_at(flown)
-        way = PlannedTrajectory(
+        trajectory = PlannedTrajectory(
             answer.x_mission, answer.y_mission, answer.duration_s, altitude_m, answer.pieces_s
         )
-        at = way.at((state.now_us - answer.begin_us) * 1e-6)
+        at = trajectory.at((state.now_us - answer.begin_us) * 1e-6)
         beside_m = math.dist(at.position[:2], state.position[:2])
         beside_m_s = math.dist(at.velocity[:2], state.velocity[:2])
-        if self._is_on_a_quicker(way, answer, state):
+        if self._is_on_a_quicker(trajectory, answer, state):
             p.outputs.append(PlanTaken(state.now_us, answer.number, False, "the trajectory flown is quicker"))
             return None
         if not (beside_m <= _BESIDE_M and beside_m_s <= _BESIDE_M_S):
@@ -201,42 +201,42 @@ class ReplanRequests:
             p.outputs.append(PlanTaken(state.now_us, answer.number, False, where))
             return None
         p.outputs.append(PlanTaken(state.now_us, answer.number, True))
-        self._way, self._begin_us = way, answer.begin_us
+        self._trajectory, self._begin_us = trajectory, answer.begin_us
         if answer.impact_s is not None:
             self._impact_us = answer.begin_us + round(answer.impact_s * 1e6)
-        return way
+        return trajectory
 
-    def _is_on_a_quicker(self, way: PlannedTrajectory, answer: PlanAnswer, state: FlightState) -> bool:
+    def _is_on_a_quicker(self, trajectory: PlannedTrajectory, answer: PlanAnswer, state: FlightState) -> bool:
         """Whether the trajectory that is flown, and held to, is there well before another one."""
-        flown = self._way
+        flown = self._trajectory
         if flown is None or not self._quickest:
             return False
         since_s = (state.now_us - self._begin_us) * 1e-6
         off_m = math.dist(flown.at(since_s).position[:2], state.position[:2])
         end_us = self._begin_us + flown.duration_s * 1e6 if self._impact_us is None else self._impact_us
-        there_s = way.duration_s if answer.impact_s is None else answer.impact_s
+        there_s = trajectory.duration_s if answer.impact_s is None else answer.impact_s
         return off_m < _HELD_TO_M and there_s - (end_us - answer.begin_us) * 1e-6 > _LATER_S
 
     @property
     def is_leaned(self) -> bool:
-        """Whether the way that is flown ends as leaned as its wall wants it: in the mission's own shape."""
-        return self._way is not None and len(self._way.pieces_s) > 0
+        """Whether the trajectory flown ends as leaned as its wall wants it: in the mission's own shape."""
+        return self._trajectory is not None and len(self._trajectory.pieces_s) > 0
 
     @property
     def trajectory_since_us(self) -> int | None:
-        """Since when a way is flown; None: a setpoint is."""
-        return None if self._way is None else self._begin_us
+        """Since when a trajectory is flown; None: a setpoint is."""
+        return None if self._trajectory is None else self._begin_us
 
     def is_over(self, now_us: int) -> bool:
-        """Whether a way is flown to its end."""
-        return self._way is not None and now_us - self._begin_us >= self._way.duration_s * 1e6
+        """Whether a trajectory is flown to its end."""
+        return self._trajectory is not None and now_us - self._begin_us >= self._trajectory.duration_s * 1e6
 
     def impact_in_s(self, state: FlightState) -> float:
         """Time until the trajectory that is flown meets the next wall; none: at once, as a setpoint may."""
         return -math.inf if self._impact_us is None else (self._impact_us - state.now_us) * 1e-6
 
     def meets_plane(self, closing_m_s: float, state: FlightState) -> PlaneMet | None:
-        """When the way that is flown meets the next wall; None where a setpoint is."""
+        """When the trajectory that is flown meets the next wall; None where a setpoint is."""
         if self._impact_us is None:
             return None
         return PlaneMet(max(0.0, (self._impact_us - state.now_us) * 1e-6), -closing_m_s)

@@ -23,10 +23,10 @@ _DRIFTING_TURNED: Final = 2.0
 
 
 class SetpointGenerator:
-    """The target and the way to it.
+    """The target and the trajectory to it.
 
-    Without a way the target is held as a step; a way is a transit (rest to rest), an approach (into the wall)
-    or one that was planned in flight, as a function of the time since `begin`.
+    Without a trajectory the target is held as a step; a trajectory is a transit (rest to rest), an approach
+    (into the wall) or one that was planned in flight, as a function of the time since `begin`.
 
     Attributes:
         target: where the vehicle is sent, mission frame, metres.
@@ -43,7 +43,7 @@ class SetpointGenerator:
         self.yaw_asked: float | None = None
         self.altitude_m = mission.altitude_m
         self.impact_s = 0.0
-        self._way: TransitTrajectory | Approach | PlannedApproach | PlannedTrajectory | None = None
+        self._trajectory: TransitTrajectory | Approach | PlannedApproach | PlannedTrajectory | None = None
         self._yaw_us = 0
         self._arrived_us: int | None = None
         # A position that drifts does not come to rest as one that is tracked.
@@ -60,7 +60,7 @@ class SetpointGenerator:
 
     def hold(self, point: Vec2 | Vec3) -> None:
         """Hold a point at the present altitude, from now on."""
-        self.target, self._way = self._at_altitude(point), None
+        self.target, self._trajectory = self._at_altitude(point), None
 
     def move_frame(self, by: Vec2) -> None:
         """The mission frame's origin has moved, in its axes: what is held stays where it is."""
@@ -82,15 +82,17 @@ class SetpointGenerator:
 
     def approach(self, approach: Approach | PlannedApproach) -> None:
         """Along an approach, whose beginning is the target, into the wall."""
-        self._way, self.impact_s = approach, approach.impact_s
+        self._trajectory, self.impact_s = approach, approach.impact_s
 
-    def follow_trajectory(self, way: PlannedTrajectory) -> None:
-        """A way that was planned, in flight or before it; its end becomes the target."""
-        self.target, self._way = way.at(way.duration_s).position, way
+    def follow_trajectory(self, trajectory: PlannedTrajectory) -> None:
+        """A trajectory that was planned, in flight or before it; its end becomes the target."""
+        self.target, self._trajectory = trajectory.at(trajectory.duration_s).position, trajectory
 
     def _transit_to(self, target: Vec3, speed_m_s: float) -> None:
         flying = self._flying
-        self._way = TransitTrajectory.between(self.target, target, speed_m_s, flying, flying.climb_speed_m_s)
+        self._trajectory = TransitTrajectory.between(
+            self.target, target, speed_m_s, flying, flying.climb_speed_m_s
+        )
         self.target = target
 
     def _at_altitude(self, point: Vec2 | Vec3) -> Vec3:
@@ -101,18 +103,18 @@ class SetpointGenerator:
     @property
     def on_transit(self) -> bool:
         """Whether a transit leads to the target."""
-        return isinstance(self._way, TransitTrajectory)
+        return isinstance(self._trajectory, TransitTrajectory)
 
     @property
     def duration_s(self) -> float:
-        """Of the way to the target; 0 without one."""
-        way = self._way
-        return way.duration_s if isinstance(way, TransitTrajectory | PlannedTrajectory) else 0.0
+        """Of the trajectory to the target; 0 without one."""
+        trajectory = self._trajectory
+        return trajectory.duration_s if isinstance(trajectory, TransitTrajectory | PlannedTrajectory) else 0.0
 
     @property
     def along_trajectory(self) -> bool:
         """Whether a planned trajectory leads to the target; it may pass it before its end."""
-        return isinstance(self._way, PlannedTrajectory)
+        return isinstance(self._trajectory, PlannedTrajectory)
 
     def phase_begins(self) -> None:
         """Arrival counts anew."""
@@ -159,12 +161,12 @@ class SetpointGenerator:
         Args:
             frame: of the mission.
             t_us, received_us: of the sample.
-            since_us: when the way began; None: go to the target as a step.
+            since_us: when the trajectory began; None: go to the target as a step.
             feed_forward: acceleration to a step, mission frame, m/s2 (`yielding`).
         """
-        if self._way is None or since_us is None:
+        if self._trajectory is None or since_us is None:
             return self._make(frame, t_us, received_us, self.target, feed_forward=feed_forward)
-        reference = self._way.at((t_us - since_us) * 1e-6)
+        reference = self._trajectory.at((t_us - since_us) * 1e-6)
         return self._make(frame, t_us, received_us, reference.position, reference)
 
     def coasting_setpoint(
@@ -175,8 +177,8 @@ class SetpointGenerator:
         Who comes a little late or slow to a wall must not lean into it to make up for that: the contact turns
         a leaning vehicle over. But for `push_m_s2` off the wall, that balances it.
         """
-        assert self._way is not None
-        reference = self._way.at((sample.t_us - since_us) * 1e-6)
+        assert self._trajectory is not None
+        reference = self._trajectory.at((sample.t_us - since_us) * 1e-6)
         (nx, ny), p, v = wall.normal, reference.position, reference.velocity
         here, now = frame.point_from_ned(sample.position_ned), frame.vector_from_ned(sample.velocity_ned)
         off = (here[0] - p[0]) * nx + (here[1] - p[1]) * ny

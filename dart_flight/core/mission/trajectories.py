@@ -29,9 +29,9 @@ class TrajectoryPoint(msgspec.Struct, frozen=True, gc=False):
 def transit_time_s(
     way_m: Number, speed_m_s: float, acceleration_m_s2: float, jerk_m_s3: float | None = None
 ) -> Number:
-    """Of the quickest smooth flight from rest to rest over a way within the limits.
+    """Of the quickest smooth flight from rest to rest over a distance within the limits.
 
-    Quintic: peak speed 1.875 way/T, peak acceleration 5.774 way/T^2, peak jerk 60 way/T^3.
+    Quintic over d: peak speed 1.875 d/T, peak acceleration 5.774 d/T^2, peak jerk 60 d/T^3.
     """
     time_s = maximum(1.875 * way_m / speed_m_s, sqrt(5.774 * way_m / acceleration_m_s2))
     if jerk_m_s3 is None:
@@ -56,8 +56,8 @@ class TransitTrajectory(msgspec.Struct, frozen=True):
         climb_speed_m_s: float = math.inf,
     ) -> TransitTrajectory:
         """The quickest smooth transit within the limits, of which one is on its vertical part."""
-        way, acceleration_m_s2 = math.dist(begin, end), flying.acceleration_m_s2
-        duration = transit_time_s(way, speed_m_s, acceleration_m_s2, flying.jerk_m_s3)
+        distance_m, acceleration_m_s2 = math.dist(begin, end), flying.acceleration_m_s2
+        duration = transit_time_s(distance_m, speed_m_s, acceleration_m_s2, flying.jerk_m_s3)
         climb = abs(end[2] - begin[2])
         if climb > 0.0:
             duration = max(duration, transit_time_s(climb, climb_speed_m_s, acceleration_m_s2))
@@ -67,13 +67,13 @@ class TransitTrajectory(msgspec.Struct, frozen=True):
         """The reference `t_s` seconds after the start; it stays at the end."""
         big = self.duration_s
         s = max(0.0, min(1.0, t_s / big))
-        way = s * s * s * (10.0 + s * (-15.0 + 6.0 * s))
+        share = s * s * s * (10.0 + s * (-15.0 + 6.0 * s))
         speed = 30.0 * s * s * (1.0 - s) * (1.0 - s) / big
         acceleration = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / (big * big)
         d = (self.end[0] - self.begin[0], self.end[1] - self.begin[1], self.end[2] - self.begin[2])
         b = self.begin
         return TrajectoryPoint(
-            (b[0] + d[0] * way, b[1] + d[1] * way, b[2] + d[2] * way),
+            (b[0] + d[0] * share, b[1] + d[1] * share, b[2] + d[2] * share),
             (d[0] * speed, d[1] * speed, d[2] * speed),
             (d[0] * acceleration, d[1] * acceleration, d[2] * acceleration),
         )

@@ -24,7 +24,7 @@ from dart_flight.lab.search.optimal_trajectory import (
     RouteCorner,
     solve,
 )
-from dart_flight.lab.search.routes import shortest_way, sides
+from dart_flight.lab.search.routes import shortest_path, sides
 from dart_flight.lab.search.scenario import Scenario
 
 _AXIS = math.sqrt(0.5)  # of a limit on a vector's length, for each of two axes
@@ -69,7 +69,7 @@ def plan_free(scenario: Scenario) -> FreePlan:
         InputError: Ruckig is not installed.
     """
     limits = limits_of(scenario)
-    corners = shortest_way(
+    corners = shortest_path(
         scenario.start, scenario.goal.position_m, list(scenario.walls.values()), scenario.bounds
     )
     if corners is None:

@@ -1,7 +1,7 @@
 """The quickest flight from start over the visits to the goal, with as many hits on any walls as pay, or none.
 
 Which events in which order is a search over sequences, best bound first: no flight through places in an
-order is quicker than one straight on, at the same limits, as long as the shortest way through them, plus the
+order is quicker than one straight on, at the same limits, as long as the shortest path through them, plus the
 time of its contacts; a sequence whose bound is above the best flight found is not computed. How each is flown
 (places, velocities, times) is an optimal control problem of its own (`optimal_trajectory`), first with the
 flexible arms, then each hit rigid where that is quicker and the servo has the time.
@@ -41,7 +41,7 @@ from dart_flight.lab.search.optimal_trajectory import (
     Visit,
     solve,
 )
-from dart_flight.lab.search.routes import shortest_way, sides
+from dart_flight.lab.search.routes import shortest_path, sides
 from dart_flight.lab.search.scenario import Scenario
 
 Progress = Callable[[int, int], None]
@@ -54,9 +54,9 @@ _FORCE_USED = 0.8  # likewise, of limits.peak_force_n: stiffness is known to som
 # Where the scenario does not say: the friction coefficients were measured at half a metre per second.
 _FRICTION_RATIO = 0.5
 POLISHED = 3 * INTERVALS
-_SWEEPS = 12  # of the shortest way through discs and walls
-_SLACK = 0.98  # of a leg, because the sweeps end before the way is quite the shortest
-_REVERSAL_COSINE = -0.9  # between the legs to and from a place at which the way turns back
+_SWEEPS = 12  # of the shortest path through discs and walls
+_SLACK = 0.98  # of a leg, because the sweeps end before the path is quite the shortest
+_REVERSAL_COSINE = -0.9  # between the legs to and from a place at which the path turns back
 _MOST_RESTITUTION = 0.8  # of any wall and mode
 _SPEEDS = 61
 _OFF_BOUNDS_M = 0.1  # that a trajectory keeps from them
@@ -217,7 +217,7 @@ class LeastTimes:
         return max(float(ramped_s), length_m / self._limits.speed_m_s)
 
     def _to_speed(self, end: LegEnd, leaving: bool) -> tuple[Array, Array]:
-        """Time and way from an end to each speed."""
+        """Time and distance from an end to each speed."""
         v, a, j = self._speeds, self._limits.acceleration_m_s2, self._limits.jerk_m_s3
         zero = np.zeros_like(v)
         if end is LegEnd.ANY or (end is LegEnd.HIT and not leaving):
@@ -323,7 +323,7 @@ class _Search:
 
     def _bound_s(self, events: Sequence[Event]) -> float:
         """No flight through the events is quicker: the least time of each leg, and the contacts."""
-        places = _shortest_way_through(self.scenario.start, events, self._goal)
+        places = _shortest_path_through(self.scenario.start, events, self._goal)
         total = 0.0
         for k, (a, b) in enumerate(itertools.pairwise(places)):
             begin = self._end_of_leg(events, places, k - 1)
@@ -368,15 +368,15 @@ class _Search:
         """The events with the corners of the ways between them; None: there is no way."""
         parts: list[Part] = []
         touched: tuple[Wall, ...] = ()
-        places = _shortest_way_through(self.scenario.start, events, self._goal)
+        places = _shortest_path_through(self.scenario.start, events, self._goal)
         for event, (here, there) in zip((*events, None), itertools.pairwise(places), strict=True):
             at_end = (event.wall,) if isinstance(event, Hit) else ()
             to = event._replace(guess=there) if isinstance(event, Hit) else event
-            way = shortest_way(here, there, self.walls, self.scenario.bounds)
-            if way is None:
+            path = shortest_path(here, there, self.walls, self.scenario.bounds)
+            if path is None:
                 return None
-            for k, (a, b) in enumerate(itertools.pairwise(way)):
-                last = k == len(way) - 2
+            for k, (a, b) in enumerate(itertools.pairwise(path)):
+                last = k == len(path) - 2
                 near = (*(touched if k == 0 else ()), *(at_end if last else ()))
                 keep = (*self._room, *sides(a, b, self.walls, near))
                 parts.append(Part(to if last else RouteCorner(b), keep))
@@ -446,8 +446,8 @@ def _place_of(event: Event, before: Vec2) -> Vec2:
     return event.place
 
 
-def _shortest_way_through(start: Vec2, events: Sequence[Event], goal: Vec2) -> list[Vec2]:
-    """The shortest way through all events: each place in turn as its neighbours want it."""
+def _shortest_path_through(start: Vec2, events: Sequence[Event], goal: Vec2) -> list[Vec2]:
+    """The shortest path through all events: each place in turn as its neighbours want it."""
     places = [start]
     for event in events:
         places.append(_place_of(event, places[-1]))
@@ -459,7 +459,7 @@ def _shortest_way_through(start: Vec2, events: Sequence[Event], goal: Vec2) -> l
 
 
 def _between(a: Vec2, event: Event, b: Vec2) -> Vec2:
-    """Where a way from one place to another by an event is shortest."""
+    """Where a path from one place to another by an event is shortest."""
     if isinstance(event, Hit):
         wall = event.wall
         here, there = abs(wall.signed_distance(a)), abs(wall.signed_distance(b))

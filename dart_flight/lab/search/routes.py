@@ -14,15 +14,15 @@ from dart_flight.core.mission.approach import CLEARANCE_M, is_blocked
 from dart_flight.core.mission.wall_uncertainty import end_margin_m
 from dart_flight.lab.search.optimal_trajectory import HalfPlane
 
-_PAST_END_M = 0.1  # beyond half a vehicle: a wall may be a little longer, and the vehicle beside its way
-_ON_LINE_M = 0.01  # a corner of a way is that far inside of its half-planes
-TOUCH_M = 0.01  # that a way to a place at a wall keeps from its plane
+_PAST_END_M = 0.1  # beyond half a vehicle: a wall may be a little longer, and the vehicle beside its path
+_ON_LINE_M = 0.01  # a corner of a path is that far inside of its half-planes
+TOUCH_M = 0.01  # that a path to a place at a wall keeps from its plane
 
 
-def shortest_way(begin: Vec2, end: Vec2, walls: Sequence[Wall], bounds: BoundsSpec) -> list[Vec2] | None:
-    """Corners of the shortest way past the ends of walls, both ends included; None: there is none.
+def shortest_path(begin: Vec2, end: Vec2, walls: Sequence[Wall], bounds: BoundsSpec) -> list[Vec2] | None:
+    """Corners of the shortest path past the ends of walls, both ends included; None: there is none.
 
-    A wall nearer than `CLEARANCE_M` to one of the ends is none in the way at that end.
+    A wall nearer than `CLEARANCE_M` to one of the ends does not count at that end.
     """
     tips = [tip for wall in walls for tip in _round_ends(wall, bounds)]
     places: list[Vec2] = [begin, end, *tips]
@@ -40,14 +40,14 @@ def shortest_way(begin: Vec2, end: Vec2, walls: Sequence[Wall], bounds: BoundsSp
                 heapq.heappush(queue, (further, there))
     if 1 not in came:
         return None
-    way = [1]
-    while way[-1] != 0:
-        way.append(came[way[-1]])
-    return _on_one_side_each([places[k] for k in reversed(way)], walls, bounds)
+    path = [1]
+    while path[-1] != 0:
+        path.append(came[path[-1]])
+    return _on_one_side_each([places[k] for k in reversed(path)], walls, bounds)
 
 
 def _round_ends(wall: Wall, bounds: BoundsSpec) -> Iterator[Vec2]:
-    """Corners round a wall's ends, before it and behind it, as far from its plane as a way keeps."""
+    """Corners round a wall's ends, before it and behind it, as far from its plane as a path keeps."""
     (tx, ty), (nx, ny), reach = wall.tangent, wall.normal, 0.5 * wall.length_m
     for side, face in itertools.product((-1.0, 1.0), (-1.0, 1.0)):
         tip = (wall.point[0] + side * reach * tx, wall.point[1] + side * reach * ty)
@@ -57,10 +57,10 @@ def _round_ends(wall: Wall, bounds: BoundsSpec) -> Iterator[Vec2]:
             yield (x, y)
 
 
-def _on_one_side_each(way: list[Vec2], walls: Sequence[Wall], bounds: BoundsSpec) -> list[Vec2]:
-    """The way with more corners, so that each of its parts is on one side of every wall (`sides`)."""
-    found = [way[0]]
-    for b in way[1:]:
+def _on_one_side_each(path: list[Vec2], walls: Sequence[Wall], bounds: BoundsSpec) -> list[Vec2]:
+    """The path with more corners, so that each of its parts is on one side of every wall (`sides`)."""
+    found = [path[0]]
+    for b in path[1:]:
         for wall in walls:
             a = found[-1]
             if _fits(a, b, wall):
@@ -72,7 +72,7 @@ def _on_one_side_each(way: list[Vec2], walls: Sequence[Wall], bounds: BoundsSpec
 
 
 def _fits(a: Vec2, b: Vec2, wall: Wall) -> bool:
-    """Whether a straight way is on one side of a wall; of one that it begins or ends at, it is."""
+    """Whether a straight path is on one side of a wall; of one that it begins or ends at, it is."""
     near = (wall.spans(p) and 0.0 <= wall.signed_distance(p) < CLEARANCE_M for p in (a, b))
     return any(near) or max(_inside(a, b, wall)) >= 0.0
 
@@ -101,12 +101,12 @@ def _stands_between(wall: Wall, a: Vec2, b: Vec2) -> bool:
 
 
 def sides(begin: Vec2, end: Vec2, walls: Iterable[Wall], touched: Sequence[Wall]) -> tuple[HalfPlane, ...]:
-    """A half-plane for each wall that holds the straight way between two places and keeps clear of the wall.
+    """A half-plane for each wall that holds the straight path between two places and keeps clear of the wall.
 
     Args:
-        begin, end: of the way, on which no wall stands.
+        begin, end: of the path, on which no wall stands.
         walls: all there are.
-        touched: those that are hit where the way begins or ends: it comes up to them.
+        touched: those that are hit where the path begins or ends: it comes up to them.
     """
     return tuple(_side(begin, end, wall, wall in touched) for wall in walls)
 
