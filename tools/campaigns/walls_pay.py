@@ -38,14 +38,15 @@ from tools.campaigns.results import RESULTS, ROOT, markdown, measured_by
 PLANS, FLIGHTS = ROOT / "build" / "walls_pay_plans.jsonl", ROOT / "build" / "walls_pay.jsonl"
 TIMES = ROOT / "build" / "walls_pay_times.jsonl"
 PAGE = RESULTS / "walls_pay.md"
-FIRST_SEED = 11  # the flight's rules were made while looking at shuttles of seeds 1 to 5
-FLOWN_EACH = {"shuttle": 5, "hairpin": 1, "corner": 1, "stop": 1, "sight": 2, "free": 1}
+FIRST_SEED, FLOWN_EACH = 51, 5  # seeds; rules were made while looking at 1 to 42
 SETS = {
     "automatic": {"acceleration_m_s2": 3.0, "jerk_m_s3": 4.0},
     "position": {"acceleration_m_s2": 5.0, "jerk_m_s3": 8.0},
     "replanning": {"acceleration_m_s2": 5.9, "jerk_m_s3": 25.0},
 }
 FLOWN = "position"
+# More shuttles with four visits within 0.1 m: of the first 25 none has that. The first three seeds that do.
+MORE_SHUTTLES = (39, 43, 67)
 KINDS = {"shuttle": 25, "hairpin": 20, "corner": 15, "stop": 15, "sight": 15, "free": 10}
 _PLAN_WITHIN_S, _PLAN_WITHIN_LONG_S = 20.0, 30.0
 _TOUCH_M_S = 0.6
@@ -99,6 +100,11 @@ class Timed(msgspec.Struct):
     gap_s: float
     cpu_s: float
     hits: int
+
+
+def maps_of(kind: str) -> list[int]:
+    """Seeds of a kind's maps."""
+    return [*range(1, KINDS[kind] + 1), *(MORE_SHUTTLES if kind == "shuttle" else ())]
 
 
 # -- maps ----------------------------------------------------------------------------------------------------
@@ -397,6 +403,7 @@ def write_page() -> None:
                 "uncontrolled",
                 "places passed",
                 "within 10 % of the plan's time",
+                "earlier, later",
                 "gain: optimum, flown (median)",
                 "flown / optimum",
             ),
@@ -431,22 +438,26 @@ optimal control without a hit. Flown times run from the first motion to rest wit
 planned ones likewise; a place counts as passed within its tolerance and the 3 cm that a drawn wall may stand
 elsewhere. Corners, stops and the free ways are controls: there the free plan is expected. A hit is flown
 where it is what the planner returns. After a hit the way on is flown at up to 5.9 m/s2 and 25 m/s3, as
-replanning does: a way back that the plan needs long for, as with limited sight, is quicker than planned.
-With limited sight the free plan stops 2 cm before where its wall should stand: one that is drawn nearer
-(seed 12) is touched, which ends the flight.
-A kind or a set of limits that is missing has not been run yet.
+replanning does, and the model leaves a wall a little faster than the vehicle is when the way on begins
+(2.2 against 1.8 m/s): with limited sight the planned way back overshoots the goal, the flown one need not,
+and is a sixth to a quarter earlier than planned.
+What comes later than planned are shuttles whose draw turns the vehicle at each hit: its motors bring the
+heading back only by their drag, and no wall is met turned (19 of the 23 have the draws 51 or 53).
+A partition of a hairpin is 0.4 m thick: a wall has one side here, and the vehicle is not told to be behind
+a wall that it is less than 0.3 m behind of. The place round which the quickest hairpin turns is thus 0.7 to
+1 m wide, which a free flight rounds without stopping.
 
 **A touch comes first.** Every flight with hits touches its first wall at 0.6 m/s and rests at its start
 again before the time begins: what is drawn moves the guards up to 4 cm off the centre of mass, and a first
 hit at 3 m/s turns such a vehicle over ([faster_hits.md](faster_hits.md)). So the gain is that of a vehicle
 that knows how high walls push it.
 
-**Seeds.** The flight's rules were made while looking at shuttles of seeds 1 to 5; flown are those from 11
-on, five of a shuttle, two of limited sight, one of a hairpin and of the controls. The shuttles were flown
-once before there was a touch: 80 of 125 hit flights completed, 38 were uncontrolled, all 45 of seeds 11, 12
-and 15. The touch, and the lean of an approach from rest, were added for them; of the first 100 after that two
-were uncontrolled (ways without the mission's shape were not leaned), which was mended before those here,
-together with how ways are compared. So these seeds have been looked at, and are not held out any more.
+The shuttles are 25, and the first three seeds after those with four visits within 0.1 m, which none of the
+25 has (39, 43, 67).
+
+**Seeds.** The flight's rules were made while looking at seeds 1 to 5 and 11 to 15, and no rule has been
+changed since 41 and 42 were flown; 51 to 55, those here, had never been flown before. Each map is flown with
+all five, both ways.
 """
 
 
@@ -481,11 +492,12 @@ def _flown_rows(plans: list[Planned], flights: list[Flown]) -> Iterator[tuple[st
         if not these:
             continue
         by_map = {p.seed: p for p in maps}
-        in_time = [
-            abs(f.there_s / planned - 1.0) <= 0.1
+        off = [
+            f.there_s / planned - 1.0
             for f in these
             if f.there_s is not None and (planned := _there_s(by_map[f.map], f.way)) is not None
         ]
+        early, late = sum(d < -0.1 for d in off), sum(d > 0.1 for d in off)
         pairs = [
             (g, h)
             for p in maps
@@ -513,7 +525,8 @@ def _flown_rows(plans: list[Planned], flights: list[Flown]) -> Iterator[tuple[st
             f"{sum(f.outcome == 'completed' for f in these)}",
             str(sum(bool(f.uncontrolled) for f in these)),
             str(sum(f.visited for f in these)),
-            f"{sum(in_time)} of {len(in_time)}",
+            f"{len(off) - early - late} of {len(off)}",
+            f"{early}, {late}",
             both,
             share,
         )
@@ -627,9 +640,7 @@ def main() -> int:
     kinds = [given.only] if given.only else list(KINDS)
     with ProcessPoolExecutor(given.jobs) as pool:
         if given.part in (None, "plan"):
-            work: list[Any] = [
-                (k, s, limits) for limits in SETS for k in kinds for s in range(1, KINDS[k] + 1)
-            ]
+            work: list[Any] = [(k, s, limits) for limits in SETS for k in kinds for s in maps_of(k)]
             _keep(PLANS, kinds, pool.map(_plan_all, work), len(work), Planned)
         if given.part in (None, "fly"):
             plans = [msgspec.json.decode(line, type=Planned) for line in PLANS.read_bytes().splitlines()]
@@ -639,7 +650,7 @@ def main() -> int:
                 if p.limits == FLOWN and p.kind in kinds
                 for way in ("free", "hit")
                 if (p.free_mission if way == "free" else p.hit_mission and p.returned == "hit")
-                for seed in range(FIRST_SEED, FIRST_SEED + FLOWN_EACH[p.kind])
+                for seed in range(FIRST_SEED, FIRST_SEED + FLOWN_EACH)
             ]
             _keep(FLIGHTS, kinds, pool.map(_fly_all, work), len(work), Flown)
     if given.part in (None, "time"):

@@ -37,6 +37,7 @@ Array = NDArray[np.float64]
 INTERVALS = 10  # of a part, between two events
 _ANY_JERK_M_S3 = 200.0  # where none is given
 _LONGEST_S = 30.0  # of a part
+_LEAST_S = 0.05  # as the solver begins
 _SMOOTH = 1e-5  # s per (m/s3)^2 s: of two flights equally quick, the smoother
 _GUESSED_M_S, _GUESSED_LEFT = 1.5, 0.7  # velocity of a hit, and what is left of it, to begin with
 _SOLVER: dict[str, Any] = {
@@ -271,7 +272,7 @@ class _Transcription:
         usual_s = transit_time_s(length, limits.speed_m_s, limits.acceleration_m_s2, limits.jerk_m_s3) + 0.3
         speeds = math.hypot(*begin.velocity), math.hypot(*end.velocity)
         if min(speeds) > 0.0:  # flown through: as long as at the mean of the two
-            usual_s = 2.0 * length / sum(speeds)
+            usual_s = max(_LEAST_S, 2.0 * length / sum(speeds))  # two places may be one
         duration = self.variable(f"T{i}", [float(usual_s)], 1e-3, _LONGEST_S)
         guessed = _quintic_states(begin, end, float(usual_s), n)
         states = [self.state(f"x{i}_{k}", list(guessed[k]), part.keep) for k in range(n + 1)]
@@ -370,7 +371,7 @@ def _guessed_ends(problem: Problem) -> list[tuple[_GuessedEnd, _GuessedEnd]]:
 
 
 def _quintic_states(begin: _GuessedEnd, end: _GuessedEnd, duration_s: float, n: int) -> Array:
-    """(n + 1, 6): states along the smooth way from one end to the other."""
+    """(n + 1, 6): states along the smooth path from one end to the other."""
     columns, s = [], np.linspace(0.0, duration_s, n + 1)
     for axis in range(2):
         first, last = ((one.place[axis], one.velocity[axis], 0.0) for one in (begin, end))
